@@ -1,0 +1,1 @@
+"""Antenna models: the directional response of a dipole and its gain."""

@@ -1,0 +1,1 @@
+"""From spectra to C(nu): read `fit`, then `lines`, `noise` and `separable`."""

@@ -1,0 +1,1 @@
+"""The signal chain of eq. full_chain: read `model`."""

@@ -1,0 +1,186 @@
+"""Calibration curves C(nu), the report of a fit, and their files (docs/formats.md)."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lbacal_core.grids import Floats
+from lbacal_core.provenance import Provenance
+
+CONVERGED = "converged"
+NOT_CONVERGED = "not_converged"
+TOO_FEW_EVENTS = "too_few_events"
+TOO_FEW_LST_BINS = "too_few_lst_bins"
+NOT_IDENTIFIABLE = "not_identifiable"
+STATUSES = (CONVERGED, NOT_IDENTIFIABLE, NOT_CONVERGED, TOO_FEW_LST_BINS, TOO_FEW_EVENTS)
+"""Every way a fit ends, from best to worst."""
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A fitted number and its standard deviation, in the same unit."""
+
+    value: float
+    sigma: float
+
+
+@dataclass(frozen=True)
+class CalibrationCurve:
+    """The calibration C(nu) of one path, one station or the whole array, or why there is none.
+
+    Attributes
+    ----------
+    station, antenna, dipole
+        What it belongs to: `antenna` is None for a station, `station` too for the array.
+    status
+        One of `STATUSES`; `c` and its errors are None unless it is `converged`.
+    events
+        Number of events used.
+    c, c_sigma_stat, c_sigma_sys
+        Shape (freq,), V per ADC unit (relative where P_sky or G_ant are relative); one standard deviation.
+    lst_coverage
+        Fraction of the 96 LST bins of 15 minutes that hold an event.
+    parameters
+        `n_lna` (unit of P_sky), `n_rcu` and `n_adc` (power at the output, ADC^2/Ohm/MHz).
+    """
+
+    station: str | None
+    antenna: int | None
+    dipole: str | None
+    status: str
+    events: int
+    frequency_mhz: Floats
+    c: Floats | None
+    c_sigma_stat: Floats | None
+    c_sigma_sys: Floats | None
+    chi2_per_dof: float | None
+    lst_coverage: float
+    parameters: Mapping[str, Parameter]
+
+    def __post_init__(self) -> None:
+        if self.status not in STATUSES:
+            raise ValueError(f"status {self.status!r} is not one of {STATUSES}")
+        if (self.status == CONVERGED) != (self.c is not None):
+            raise ValueError("a curve has values exactly when its status is converged")
+        for values in (self.c, self.c_sigma_stat, self.c_sigma_sys):
+            if values is not None and not (np.all(np.isfinite(values)) and np.all(values > 0)):
+                raise ValueError("C and its errors are finite and positive")
+
+    @property
+    def name(self) -> str:
+        """The path, station or array in words: ``CS002 antenna 17 X``."""
+        parts = [self.station or "array"]
+        parts += [f"antenna {self.antenna}"] if self.antenna is not None else []
+        parts += [self.dipole] if self.dipole else []
+        return " ".join(parts)
+
+    def as_dict(self) -> dict[str, Any]:
+        """The curve as JSON values; never NaN."""
+        return {
+            "station": self.station,
+            "antenna": self.antenna,
+            "dipole": self.dipole,
+            "status": self.status,
+            "events": self.events,
+            "frequency_mhz": self.frequency_mhz.tolist(),
+            "c": _list(self.c),
+            "c_sigma_stat": _list(self.c_sigma_stat),
+            "c_sigma_sys": _list(self.c_sigma_sys),
+            "chi2_per_dof": self.chi2_per_dof,
+            "lst_coverage": self.lst_coverage,
+            "parameters": {name: {"value": p.value, "sigma": p.sigma} for name, p in self.parameters.items()},
+        }
+
+
+def parse_curve(content: Mapping[str, Any]) -> CalibrationCurve:
+    """Make a curve from its JSON values."""
+    return CalibrationCurve(
+        station=content["station"],
+        antenna=content["antenna"],
+        dipole=content["dipole"],
+        status=content["status"],
+        events=content["events"],
+        frequency_mhz=np.array(content["frequency_mhz"], dtype=float),
+        c=_array(content["c"]),
+        c_sigma_stat=_array(content["c_sigma_stat"]),
+        c_sigma_sys=_array(content["c_sigma_sys"]),
+        chi2_per_dof=content["chi2_per_dof"],
+        lst_coverage=content["lst_coverage"],
+        parameters={name: Parameter(p["value"], p["sigma"]) for name, p in content["parameters"].items()},
+    )
+
+
+@dataclass(frozen=True)
+class FitReport:
+    """The curves of one fit and where they came from."""
+
+    curves: Sequence[CalibrationCurve]
+    provenance: Provenance
+
+    @property
+    def status(self) -> str:
+        """The worst status of any curve."""
+        return max((curve.status for curve in self.curves), key=STATUSES.index)
+
+    def as_dict(self) -> dict[str, Any]:
+        """The content of fit.json."""
+        return {
+            "status": self.status,
+            "curves": [curve.as_dict() for curve in self.curves],
+            "provenance": self.provenance.as_dict(),
+        }
+
+
+def write_fit_report(report: FitReport, path: Path) -> None:
+    """Write fit.json."""
+    path.write_text(json.dumps(report.as_dict(), indent=1, allow_nan=False) + "\n")
+
+
+def write_calibration_table(report: FitReport, path: Path) -> None:
+    """Write the converged curves as an ECSV table, one row per path and frequency."""
+    from astropy import units as u
+    from astropy.table import QTable
+
+    curves = [curve for curve in report.curves if curve.c is not None]
+    rows = [(curve, k) for curve in curves for k in range(curve.frequency_mhz.size)]
+
+    def column(values: list[Any]) -> Any:
+        return u.Quantity(np.array(values, dtype=float), u.dimensionless_unscaled)
+
+    table = QTable()
+    table["station"] = np.array([curve.station or "" for curve, _ in rows], dtype=np.str_)
+    table["antenna"] = np.array([-1 if curve.antenna is None else curve.antenna for curve, _ in rows], dtype=np.int64)
+    table["dipole"] = np.array([curve.dipole or "" for curve, _ in rows], dtype=np.str_)
+    table["frequency_mhz"] = column([curve.frequency_mhz[k] for curve, k in rows]).value * u.MHz
+    for name in ("c", "c_sigma_stat", "c_sigma_sys"):
+        values = [np.nan if getattr(curve, name) is None else getattr(curve, name)[k] for curve, k in rows]
+        table[name] = column(values).value * u.V
+    table["flag"] = np.array(["" for _ in rows], dtype=np.str_)
+    descriptions = {
+        "station": "station name; empty for the whole array",
+        "antenna": "antenna number; -1 where one curve serves the whole station or array",
+        "dipole": "X or Y; empty where one curve serves both",
+        "frequency_mhz": "centre of the 1 MHz channel",
+        "c": "calibration factor C(nu), V per ADC unit",
+        "c_sigma_stat": "statistical standard deviation of c",
+        "c_sigma_sys": "systematic standard deviation of c; NaN until a budget exists",
+        "flag": "empty where the value is good",
+    }
+    for name, text in descriptions.items():
+        table[name].info.description = text
+    table.meta = {"provenance": report.provenance.as_dict(), "status": report.status}
+    table.write(path, format="ascii.ecsv", overwrite=True)
+
+
+def _list(values: Floats | None) -> list[float] | None:
+    return None if values is None else values.tolist()
+
+
+def _array(values: Sequence[float] | None) -> Floats | None:
+    return None if values is None else np.array(values, dtype=float)

@@ -1,0 +1,43 @@
+"""Failures a user can cause or cure: each says what was found, what was expected and what to do next."""
+
+from __future__ import annotations
+
+
+class LbacalError(Exception):
+    """An expected failure. `status` is its HTTP status, `code` its stable short name."""
+
+    status = 500
+    code = "failed"
+
+
+class BadInputError(LbacalError):
+    """Input that does not follow its format: names the place, what was expected and what was found.
+
+    The place is a file, a field and, where there is one, a row: ``spectra.h5: power, row 17``.
+    """
+
+    status = 422
+    code = "bad_input"
+
+    def __init__(self, place: str, expected: str, found: str) -> None:
+        super().__init__(f"{place}: expected {expected}, found {found}")
+        self.place = place
+        self.expected = expected
+        self.found = found
+
+
+class UnreadableFileError(LbacalError):
+    """A file that is missing, empty, truncated or of another kind."""
+
+    status = 400
+    code = "unreadable_file"
+
+
+class UnknownNameError(LbacalError):
+    """A name that nothing answers to; the message lists the names that exist."""
+
+    status = 404
+    code = "unknown_name"
+
+    def __init__(self, kind: str, name: str, known: list[str]) -> None:
+        super().__init__(f"unknown {kind} {name!r}; known: {', '.join(known)}, or the path of a file")

@@ -1,0 +1,56 @@
+"""Frequency grids, and the check that two inputs share one."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lbacal_core.errors import BadInputError
+
+Floats = NDArray[np.float64]
+
+GRID_TOLERANCE_MHZ = 1e-6
+"""Two channels are the same when they differ by less than 1 Hz."""
+
+
+def require_same_grid(place: str, frequency_mhz: Floats, expected_mhz: Floats, expected_from: str) -> None:
+    """Refuse channels that differ from those of another input.
+
+    Parameters
+    ----------
+    place
+        What `frequency_mhz` belongs to, for the message.
+    frequency_mhz, expected_mhz
+        Shape (freq,), MHz.
+    expected_from
+        What `expected_mhz` belongs to, for the message.
+    """
+    if frequency_mhz.shape != expected_mhz.shape:
+        raise BadInputError(
+            f"{place}: frequency_mhz",
+            f"the {expected_mhz.size} channels of {expected_from}",
+            f"{frequency_mhz.size} channels",
+        )
+    off = np.flatnonzero(np.abs(frequency_mhz - expected_mhz) > GRID_TOLERANCE_MHZ)
+    if off.size:
+        k = int(off[0])
+        raise BadInputError(
+            f"{place}: frequency_mhz, channel {k}",
+            f"{expected_mhz[k]:g} MHz as in {expected_from}",
+            f"{frequency_mhz[k]:g} MHz",
+        )
+
+
+def require_channels(place: str, frequency_mhz: Floats) -> None:
+    """Refuse a frequency axis that is empty, not finite, not positive or not rising."""
+    if frequency_mhz.ndim != 1 or frequency_mhz.size == 0:
+        raise BadInputError(f"{place}: frequency_mhz", "a list of channels", f"shape {frequency_mhz.shape}")
+    if not np.all(np.isfinite(frequency_mhz)) or frequency_mhz[0] <= 0:
+        raise BadInputError(f"{place}: frequency_mhz", "finite positive MHz", f"{frequency_mhz.tolist()[:3]}...")
+    if np.any(np.diff(frequency_mhz) <= 0):
+        k = int(np.flatnonzero(np.diff(frequency_mhz) <= 0)[0])
+        raise BadInputError(
+            f"{place}: frequency_mhz, channel {k + 1}",
+            f"more than {frequency_mhz[k]:g} MHz (channels rise)",
+            f"{frequency_mhz[k + 1]:g} MHz",
+        )

@@ -1,0 +1,228 @@
+"""The instrument: where it stands, its dipoles, and the simulated and measured parts of its signal chain."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lbacal_core.errors import BadInputError, UnknownNameError, UnreadableFileError
+from lbacal_core.grids import Floats, require_channels
+from lbacal_core.provenance import hash_content
+
+DIPOLES = ("X", "Y")
+
+
+@dataclass(frozen=True)
+class AntennaRecord:
+    """One antenna and its cable, from `since` (inclusive) until `until` (exclusive), unix seconds or open."""
+
+    station: str
+    antenna: int
+    cable: str
+    since: float | None = None
+    until: float | None = None
+
+    def covers(self, time_unix: float) -> bool:
+        """Whether the record holds at an instant."""
+        return (self.since is None or self.since <= time_unix) and (self.until is None or time_unix < self.until)
+
+
+@dataclass(frozen=True)
+class Instrument:
+    """Everything about the signal chain that comes from simulations, data sheets and measurements.
+
+    Attributes
+    ----------
+    frequency_mhz
+        Shape (freq,), MHz.
+    dipole_azimuth_deg
+        Azimuth of each dipole's arm, degrees from north through east.
+    antenna_gain, receiver_gain
+        G_ant and G_RCU of eq. full_chain, shape (freq,), linear power.
+    cables
+        L_coax by cable name, shape (freq,), the factor <= 1 that multiplies the power.
+    """
+
+    name: str
+    latitude_deg: float
+    longitude_deg: float
+    height_m: float
+    frequency_mhz: Floats
+    dipole_azimuth_deg: Mapping[str, float]
+    antenna_gain: Floats
+    receiver_gain: Floats
+    cables: Mapping[str, Floats]
+    antennas: Sequence[AntennaRecord]
+
+    def __post_init__(self) -> None:
+        place = f"instrument {self.name}"
+        require_channels(place, self.frequency_mhz)
+        for field, low, high in (
+            ("latitude_deg", -90.0, 90.0),
+            ("longitude_deg", -180.0, 360.0),
+            ("height_m", -500.0, 9000.0),
+        ):
+            value = getattr(self, field)
+            if not low <= value <= high:
+                raise BadInputError(f"{place}: {field}", f"{low:g} to {high:g}", f"{value!r}")
+        if set(self.dipole_azimuth_deg) != set(DIPOLES):
+            raise BadInputError(f"{place}: dipoles", "X and Y", ", ".join(self.dipole_azimuth_deg) or "none")
+        for dipole, azimuth in self.dipole_azimuth_deg.items():
+            if not np.isfinite(azimuth):
+                raise BadInputError(f"{place}: dipoles.{dipole}.azimuth_deg", "finite degrees", f"{azimuth!r}")
+        self._require_gain("antenna_gain", self.antenna_gain, np.inf)
+        self._require_gain("receiver_gain", self.receiver_gain, np.inf)
+        for cable, loss in self.cables.items():
+            self._require_gain(f"cables.{cable}", loss, 1.0)
+        for row, record in enumerate(self.antennas):
+            if record.cable not in self.cables:
+                raise BadInputError(
+                    f"{place}: antennas, row {row}: cable", f"one of {', '.join(self.cables)}", repr(record.cable)
+                )
+
+    def _require_gain(self, field: str, values: Floats, largest: float) -> None:
+        place = f"instrument {self.name}: {field}"
+        if values.shape != self.frequency_mhz.shape:
+            raise BadInputError(place, f"{self.frequency_mhz.size} numbers, one a channel", f"shape {values.shape}")
+        bad = np.flatnonzero(~(np.isfinite(values) & (values > 0) & (values <= largest)))
+        if bad.size:
+            expected = "a finite power factor > 0" + (" and <= 1" if largest == 1.0 else "")
+            raise BadInputError(f"{place}, channel {bad[0]}", expected, f"{values[bad[0]]!r}")
+
+    def cable_of(self, station: str, antenna: int, time_unix: float) -> str:
+        """Name of the cable of an antenna at an instant."""
+        records = [r for r in self.antennas if r.station == station and r.antenna == antenna]
+        if not records:
+            raise BadInputError(
+                f"station {station}, antenna {antenna}", f"an antenna of instrument {self.name}", "no such antenna"
+            )
+        for record in records:
+            if record.covers(time_unix):
+                return record.cable
+        raise BadInputError(
+            f"station {station}, antenna {antenna}",
+            f"a cable on record in instrument {self.name} at {datetime.fromtimestamp(time_unix, UTC):%Y-%m-%d}",
+            "records of other dates only",
+        )
+
+    def as_dict(self) -> dict[str, Any]:
+        """The content of an instrument file (docs/formats.md)."""
+        return {
+            "name": self.name,
+            "latitude_deg": self.latitude_deg,
+            "longitude_deg": self.longitude_deg,
+            "height_m": self.height_m,
+            "frequency_mhz": self.frequency_mhz.tolist(),
+            "dipoles": {dipole: {"azimuth_deg": value} for dipole, value in self.dipole_azimuth_deg.items()},
+            "antenna_gain": self.antenna_gain.tolist(),
+            "receiver_gain": self.receiver_gain.tolist(),
+            "cables": {name: loss.tolist() for name, loss in self.cables.items()},
+            "antennas": [_record_as_dict(record) for record in self.antennas],
+        }
+
+    def digest(self) -> str:
+        """Hash of the content, which names the instrument in provenance and version ids."""
+        return hash_content(self.as_dict())
+
+
+def load_instrument(name_or_file: str) -> Instrument:
+    """Load an instrument that ships with the package by its name, or any other from its JSON file."""
+    shipped = {path.name.removesuffix(".json"): path for path in (files("lbacal_core") / "data/instruments").iterdir()}
+    if name_or_file in shipped:
+        return parse_instrument(json.loads(shipped[name_or_file].read_text()), name_or_file)
+    path = Path(name_or_file)
+    if not path.is_file():
+        raise UnknownNameError("instrument", name_or_file, sorted(shipped))
+    return parse_instrument(read_json(path), str(path))
+
+
+def read_json(path: Path) -> Any:
+    """Read a JSON file, with one clear sentence when it is not one."""
+    try:
+        return json.loads(path.read_text())
+    except OSError as error:
+        raise UnreadableFileError(f"{path}: cannot be read ({error.strerror})") from error
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise UnreadableFileError(f"{path}: expected JSON, found something else ({error})") from error
+
+
+def parse_instrument(content: Any, place: str) -> Instrument:
+    """Make an instrument from the content of its file."""
+    if not isinstance(content, dict):
+        raise BadInputError(place, "a JSON object", type(content).__name__)
+    fields = ["name", "latitude_deg", "longitude_deg", "height_m", "frequency_mhz", "dipoles"]
+    fields += ["antenna_gain", "receiver_gain", "cables", "antennas"]
+    missing = [field for field in fields if field not in content]
+    if missing:
+        raise BadInputError(place, f"the fields {', '.join(fields)}", f"no {', '.join(missing)}")
+    dipoles, cables, antennas = content["dipoles"], content["cables"], content["antennas"]
+    if not isinstance(dipoles, dict) or not isinstance(cables, dict) or not isinstance(antennas, list):
+        raise BadInputError(place, "dipoles and cables as objects, antennas as a list", "another shape")
+    return Instrument(
+        name=str(content["name"]),
+        latitude_deg=_number(content["latitude_deg"], f"{place}: latitude_deg"),
+        longitude_deg=_number(content["longitude_deg"], f"{place}: longitude_deg"),
+        height_m=_number(content["height_m"], f"{place}: height_m"),
+        frequency_mhz=parse_numbers(content["frequency_mhz"], f"{place}: frequency_mhz"),
+        dipole_azimuth_deg={
+            name: _number(dipole.get("azimuth_deg") if isinstance(dipole, dict) else None, f"{place}: dipoles.{name}")
+            for name, dipole in dipoles.items()
+        },
+        antenna_gain=parse_numbers(content["antenna_gain"], f"{place}: antenna_gain"),
+        receiver_gain=parse_numbers(content["receiver_gain"], f"{place}: receiver_gain"),
+        cables={str(name): parse_numbers(loss, f"{place}: cables.{name}") for name, loss in cables.items()},
+        antennas=tuple(_parse_record(record, f"{place}: antennas, row {k}") for k, record in enumerate(antennas)),
+    )
+
+
+def parse_numbers(values: Any, place: str) -> Floats:
+    """Make an array of finite floats from JSON, naming the first entry that is not a number."""
+    if not isinstance(values, list):
+        raise BadInputError(place, "a list of numbers", type(values).__name__)
+    return np.array([_number(value, f"{place}, entry {k}") for k, value in enumerate(values)], dtype=float)
+
+
+def _number(value: Any, place: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
+        raise BadInputError(place, "a finite number", repr(value))
+    return float(value)
+
+
+def _parse_record(record: Any, place: str) -> AntennaRecord:
+    if not isinstance(record, dict) or not {"station", "antenna", "cable"} <= set(record):
+        raise BadInputError(place, "station, antenna and cable", repr(record)[:80])
+    antenna = record["antenna"]
+    if isinstance(antenna, bool) or not isinstance(antenna, int) or antenna < 0:
+        raise BadInputError(f"{place}: antenna", "a whole number >= 0", repr(antenna))
+    return AntennaRecord(
+        station=str(record["station"]),
+        antenna=antenna,
+        cable=str(record["cable"]),
+        since=_instant(record.get("since"), f"{place}: since"),
+        until=_instant(record.get("until"), f"{place}: until"),
+    )
+
+
+def _instant(text: Any, place: str) -> float | None:
+    if text is None:
+        return None
+    try:
+        instant = datetime.fromisoformat(text)
+    except (TypeError, ValueError) as error:
+        raise BadInputError(place, "an ISO 8601 date", repr(text)) from error
+    return (instant if instant.tzinfo else instant.replace(tzinfo=UTC)).timestamp()
+
+
+def _record_as_dict(record: AntennaRecord) -> dict[str, Any]:
+    content: dict[str, Any] = {"station": record.station, "antenna": record.antenna, "cable": record.cable}
+    for field, instant in (("since", record.since), ("until", record.until)):
+        if instant is not None:
+            content[field] = datetime.fromtimestamp(instant, UTC).isoformat()
+    return content

@@ -1,0 +1,57 @@
+"""Where a number came from: hashes of its inputs and the versions that made it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from importlib.metadata import version
+from typing import Any
+
+import numpy as np
+
+MODEL_VERSION = 1
+"""Raised by hand, with a decision record, when the same inputs give other numbers in a served calibration."""
+
+
+def canonical_json(content: object) -> str:
+    """Write content as the one JSON text that is hashed: keys sorted, no spaces, no NaN."""
+    return json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False, ensure_ascii=False)
+
+
+def hash_content(content: object) -> str:
+    """SHA-256 (hex) of the canonical JSON of `content`."""
+    return hashlib.sha256(canonical_json(content).encode()).hexdigest()
+
+
+def hash_arrays(*arrays: Any) -> str:
+    """SHA-256 (hex) of arrays by dtype, shape and little-endian bytes; strings hash as UTF-8."""
+    digest = hashlib.sha256()
+    for array in arrays:
+        values = np.asarray(array)
+        if values.dtype.kind in "UO":
+            digest.update(canonical_json([str(value) for value in values.ravel()]).encode())
+        else:
+            values = np.ascontiguousarray(values, dtype=values.dtype.newbyteorder("<"))
+            digest.update(f"{values.dtype.str}{values.shape}".encode())
+            digest.update(values.tobytes())
+    return digest.hexdigest()
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """The inputs of a result by name and hash, the settings used and the versions of what made it."""
+
+    inputs: Mapping[str, str]
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    model_version: int = MODEL_VERSION
+
+    def as_dict(self) -> dict[str, Any]:
+        """Everything as JSON values, package version included."""
+        return {
+            "inputs": dict(self.inputs),
+            "settings": dict(self.settings),
+            "model_version": self.model_version,
+            "lbacal": version("lbacal"),
+        }

@@ -1,0 +1,1 @@
+"""Sky models: brightness temperature by direction and frequency."""

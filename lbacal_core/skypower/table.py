@@ -1,0 +1,123 @@
+"""Directional sky power P_sky(LST, nu) of both dipoles, and its file (docs/formats.md)."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lbacal_core.errors import BadInputError
+from lbacal_core.grids import Floats, require_channels
+from lbacal_core.instrument import DIPOLES, parse_numbers, read_json
+from lbacal_core.provenance import hash_arrays
+
+
+@dataclass(frozen=True)
+class SkyPower:
+    """P_sky on a regular LST grid, periodic in LST.
+
+    Attributes
+    ----------
+    frequency_mhz
+        Shape (freq,), MHz.
+    lst_hours
+        Shape (lst,), hours, regular over the sidereal day.
+    power
+        Shape (lst, freq) for each dipole letter, for D = 1 at zenith: W m^-2 MHz^-1 so that P_sky G_ant is
+        W/MHz with G_ant in m^2; any other common unit makes C relative.
+    origin
+        Sky model and antenna model, or the file it was read from.
+    """
+
+    frequency_mhz: Floats
+    lst_hours: Floats
+    power: Mapping[str, Floats]
+    origin: str = "sky power"
+
+    def __post_init__(self) -> None:
+        require_channels(self.origin, self.frequency_mhz)
+        lst = self.lst_hours
+        if lst.ndim != 1 or lst.size < 3 or not np.allclose(np.diff(lst), 24.0 / lst.size, atol=1e-6):
+            raise BadInputError(
+                f"{self.origin}: lst_hours",
+                "at least 3 instants, 24 h / their number apart, rising",
+                f"{lst.size} others",
+            )
+        for dipole in DIPOLES:
+            values = self.power.get(dipole)
+            shape = (lst.size, self.frequency_mhz.size)
+            if values is None or values.shape != shape:
+                found = "none" if values is None else f"{values.shape}"
+                raise BadInputError(f"{self.origin}: {dipole}", f"shape {shape} (lst, freq)", found)
+            if not (np.all(np.isfinite(values)) and np.all(values > 0)):
+                row, channel = np.argwhere(~(np.isfinite(values) & (values > 0)))[0]
+                raise BadInputError(
+                    f"{self.origin}: {dipole}, row {row}, channel {channel}",
+                    "finite power > 0",
+                    f"{values[row, channel]}",
+                )
+
+    def at(self, dipole: str, lst_hours: Floats) -> Floats:
+        """P_sky of one dipole at any LST, by its Fourier series: exact for what the grid resolves.
+
+        Parameters
+        ----------
+        lst_hours
+            Shape (event,), hours.
+
+        Returns
+        -------
+        Shape (event, freq), unit of `power`.
+        """
+        values = self.power[dipole]
+        size = self.lst_hours.size
+        terms = np.fft.rfft(values, axis=0) / size
+        order = np.arange(terms.shape[0])
+        weight = np.where((order == 0) | (2 * order == size), 1.0, 2.0)
+        angle = 2 * np.pi / 24.0 * np.outer(np.asarray(lst_hours) - self.lst_hours[0], order)
+        basis = np.exp(1j * angle) * weight
+        return np.asarray(np.concatenate([basis.real, -basis.imag], axis=1) @ np.concatenate([terms.real, terms.imag]))
+
+    def as_dict(self) -> dict[str, Any]:
+        """The content of a sky power file."""
+        return {
+            "frequency_mhz": self.frequency_mhz.tolist(),
+            "lst_hours": self.lst_hours.tolist(),
+            **{dipole: self.power[dipole].tolist() for dipole in DIPOLES},
+        }
+
+    def digest(self) -> str:
+        """Hash of the numbers, which names this sky power in provenance and version ids."""
+        return hash_arrays(self.frequency_mhz, self.lst_hours, *(self.power[dipole] for dipole in DIPOLES))
+
+
+def read_sky_power(path: Path) -> SkyPower:
+    """Read a sky power file."""
+    content = read_json(path)
+    fields = ["frequency_mhz", "lst_hours", *DIPOLES]
+    missing = [name for name in fields if not isinstance(content, dict) or name not in content]
+    if missing:
+        raise BadInputError(str(path), f"the fields {', '.join(fields)}", f"no {', '.join(missing)}")
+    frequency_mhz = parse_numbers(content["frequency_mhz"], f"{path}: frequency_mhz")
+    power = {}
+    for dipole in DIPOLES:
+        rows = content[dipole]
+        if not isinstance(rows, list):
+            raise BadInputError(f"{path}: {dipole}", "a list of rows, one an LST", type(rows).__name__)
+        parsed = [parse_numbers(row, f"{path}: {dipole}, row {k}") for k, row in enumerate(rows)]
+        short = [k for k, row in enumerate(parsed) if row.size != frequency_mhz.size]
+        if short:
+            raise BadInputError(
+                f"{path}: {dipole}, row {short[0]}", f"{frequency_mhz.size} channels", f"{parsed[short[0]].size}"
+            )
+        power[dipole] = np.array(parsed)
+    return SkyPower(frequency_mhz, parse_numbers(content["lst_hours"], f"{path}: lst_hours"), power, str(path))
+
+
+def write_sky_power(sky_power: SkyPower, path: Path) -> None:
+    """Write a sky power file."""
+    path.write_text(json.dumps(sky_power.as_dict(), allow_nan=False) + "\n")

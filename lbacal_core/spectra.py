@@ -1,0 +1,305 @@
+"""Background spectra: what one antenna's dipole measured in one event, and their file (docs/formats.md)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from lbacal_core.errors import BadInputError, UnreadableFileError
+from lbacal_core.grids import Floats, require_channels
+from lbacal_core.instrument import DIPOLES
+from lbacal_core.provenance import hash_arrays
+
+FORMAT = "lbacal-spectra-1"
+EARLIEST_UNIX = datetime(2009, 1, 1, tzinfo=UTC).timestamp()
+DAY_S = 86_400.0
+
+_COLUMNS = ("event_id", "time_unix", "station", "antenna", "dipole", "blocks")
+_KINDS = {"event_id": "OS", "station": "OS", "dipole": "OS", "antenna": "iu", "blocks": "iu", "time_unix": "f"}
+
+
+@dataclass(frozen=True)
+class Spectra:
+    """N background spectra; row k is one (event, station, antenna, dipole).
+
+    Attributes
+    ----------
+    frequency_mhz
+        Shape (freq,), MHz.
+    power
+        Shape (row, freq), mean |F(nu)|^2 / R_r, ADC^2/Ohm/MHz, one-sided, > 0.
+    event_id, station, dipole
+        Shape (row,), strings.
+    time_unix
+        Shape (row,), s UTC.
+    antenna, blocks
+        Shape (row,), integers; `blocks` counts the 1024-sample blocks averaged.
+    resistance_ohm
+        R_r, one constant that cancels in C.
+    environment
+        Covariates by name (`temperature_c`, `rain_mm_h`), shape (row,), NaN where unknown.
+    """
+
+    frequency_mhz: Floats
+    power: Floats
+    event_id: NDArray[np.str_]
+    time_unix: Floats
+    station: NDArray[np.str_]
+    antenna: NDArray[np.int64]
+    dipole: NDArray[np.str_]
+    blocks: NDArray[np.int64]
+    resistance_ohm: float = 50.0
+    environment: Mapping[str, Floats] = field(default_factory=dict)
+    origin: str = "spectra"
+
+    def __post_init__(self) -> None:
+        require_channels(self.origin, self.frequency_mhz)
+        rows = len(self.event_id)
+        for name in (*_COLUMNS[1:], "power"):
+            if len(getattr(self, name)) != rows:
+                raise BadInputError(
+                    f"{self.origin}: {name}", f"{rows} rows as in event_id", f"{len(getattr(self, name))}"
+                )
+        if self.power.shape != (rows, self.frequency_mhz.size):
+            raise BadInputError(f"{self.origin}: power", f"{self.frequency_mhz.size} channels", f"{self.power.shape}")
+        if not (np.isfinite(self.resistance_ohm) and self.resistance_ohm > 0):
+            raise BadInputError(f"{self.origin}: resistance_ohm", "Ohm > 0", f"{self.resistance_ohm!r}")
+        self._require("power", np.all(np.isfinite(self.power) & (self.power > 0), axis=1), "finite power > 0")
+        self._require("time_unix", self.time_unix >= EARLIEST_UNIX, "an instant of 2009 or later (s UTC)")
+        self._require("dipole", np.isin(self.dipole, DIPOLES), "X or Y")
+        self._require("antenna", self.antenna >= 0, "a number >= 0")
+        self._require("blocks", self.blocks > 0, "a count > 0")
+        self._require("event_id", self.event_id != "", "a name")
+        self._require("station", self.station != "", "a name")
+        for name, values in self.environment.items():
+            if values.shape != (rows,):
+                raise BadInputError(f"{self.origin}: env/{name}", f"{rows} numbers, one a row", f"{values.shape}")
+            self._require(f"env/{name}", ~np.isinf(values), "a number, or NaN where unknown")
+        self._require_unique_keys()
+
+    def _require(self, name: str, is_good: NDArray[np.bool_], expected: str) -> None:
+        bad = np.flatnonzero(~np.asarray(is_good))
+        if bad.size == 0:
+            return
+        row = int(bad[0])
+        values = self.environment[name.removeprefix("env/")] if name.startswith("env/") else getattr(self, name)
+        found = values[row]
+        if name == "power":
+            channel = int(np.flatnonzero(~(np.isfinite(found) & (found > 0)))[0])
+            found = f"{found[channel]} at {self.frequency_mhz[channel]:g} MHz"
+        more = f" (and {bad.size - 1} more rows)" if bad.size > 1 else ""
+        raise BadInputError(f"{self.origin}: {name}, row {row}", expected, f"{found}{more}")
+
+    def _require_unique_keys(self) -> None:
+        if len(self.event_id) == 0:
+            return
+        codes = np.stack([np.unique(getattr(self, n), return_inverse=True)[1] for n in _COLUMNS if n in _KEY])
+        _, first, counts = np.unique(codes, axis=1, return_index=True, return_counts=True)
+        if np.any(counts > 1):
+            row = int(first[counts > 1][0])
+            key = f"{self.event_id[row]}, {self.station[row]}, antenna {self.antenna[row]}, {self.dipole[row]}"
+            raise BadInputError(f"{self.origin}: row {row}", "one spectrum per event, station, antenna and dipole", key)
+
+    def __len__(self) -> int:
+        return len(self.event_id)
+
+    def select(self, rows: NDArray[np.bool_] | NDArray[np.int64]) -> Spectra:
+        """The spectra of some rows, in that order."""
+        return Spectra(
+            self.frequency_mhz,
+            self.power[rows],
+            self.event_id[rows],
+            self.time_unix[rows],
+            self.station[rows],
+            self.antenna[rows],
+            self.dipole[rows],
+            self.blocks[rows],
+            self.resistance_ohm,
+            {name: values[rows] for name, values in self.environment.items()},
+            self.origin,
+        )
+
+    def require_past(self, now_unix: float) -> None:
+        """Refuse spectra of more than a day ahead of `now_unix`, s UTC."""
+        limit = f"an instant not after {datetime.fromtimestamp(now_unix, UTC):%Y-%m-%d} (s UTC)"
+        self._require("time_unix", self.time_unix <= now_unix + DAY_S, limit)
+
+    def digest(self) -> str:
+        """Hash of every value that a fit sees; rows count in key order, so their order in the file does not."""
+        order = np.lexsort((self.event_id, self.dipole, self.antenna, self.station))
+        columns = [getattr(self, name)[order] for name in _COLUMNS]
+        return hash_arrays(self.frequency_mhz, [self.resistance_ohm], self.power[order], *columns)
+
+
+_KEY = ("event_id", "station", "antenna", "dipole")
+
+
+def read_spectra(path: Path, now_unix: float | None = None) -> Spectra:
+    """Read a spectra file; with `now_unix`, refuse spectra of the future."""
+    if not path.is_file():
+        raise UnreadableFileError(f"{path}: no such file")
+    if path.stat().st_size == 0:
+        raise UnreadableFileError(f"{path}: expected a spectra file (HDF5), found an empty file")
+    try:
+        with h5py.File(path, "r") as file:
+            spectra = _read_open_file(file, path.name)
+    except OSError as error:
+        raise UnreadableFileError(f"{path}: expected a spectra file (HDF5), found something unreadable") from error
+    if now_unix is not None:
+        spectra.require_past(now_unix)
+    return spectra
+
+
+def _read_open_file(file: h5py.File, place: str) -> Spectra:
+    found_format = _text(file.attrs.get("format", "none"))
+    if found_format != FORMAT:
+        raise BadInputError(f"{place}: attribute format", FORMAT, found_format)
+    expected = {"frequency_mhz", "power", *_COLUMNS}
+    unknown = sorted(set(file) - expected - {"env"})
+    missing = sorted(expected - set(file))
+    if missing or unknown:
+        found = "; ".join(
+            f"{word} {', '.join(names)}" for word, names in (("no", missing), ("unknown", unknown)) if names
+        )
+        raise BadInputError(place, f"the datasets {', '.join(sorted(expected))} and the group env", found)
+    columns = {name: _dataset(file, name, _KINDS[name], 1, place) for name in _COLUMNS}
+    resistance = np.unique(np.asarray(file.attrs.get("resistance_ohm", 50.0), dtype=float))
+    if resistance.size != 1:
+        raise BadInputError(f"{place}: attribute resistance_ohm", "one constant", f"{resistance.tolist()}")
+    environment = {}
+    if "env" in file:
+        group = file.get("env", getlink=True)
+        if not isinstance(group, h5py.HardLink) or not isinstance(file["env"], h5py.Group):
+            raise BadInputError(f"{place}: env", "a group", "something else")
+        environment = {name: _dataset(file, f"env/{name}", "fiu", 1, place).astype(float) for name in file["env"]}
+    return Spectra(
+        frequency_mhz=_dataset(file, "frequency_mhz", "fiu", 1, place).astype(float),
+        power=_dataset(file, "power", "f", 2, place).astype(float),
+        event_id=_strings(columns["event_id"]),
+        time_unix=columns["time_unix"].astype(float),
+        station=_strings(columns["station"]),
+        antenna=columns["antenna"].astype(np.int64),
+        dipole=_strings(columns["dipole"]),
+        blocks=columns["blocks"].astype(np.int64),
+        resistance_ohm=float(resistance[0]),
+        environment=environment,
+        origin=place,
+    )
+
+
+def _dataset(file: h5py.File, name: str, kinds: str, dimensions: int, place: str) -> NDArray[np.generic]:
+    """Read one dataset, refusing whatever could make the HDF5 library read elsewhere or run a filter of its own."""
+    here = f"{place}: {name}"
+    if not isinstance(file.get(name, getlink=True), h5py.HardLink):
+        raise BadInputError(here, "a dataset in this file", "a link")
+    dataset = file[name]
+    if not isinstance(dataset, h5py.Dataset):
+        raise BadInputError(here, "a dataset", "a group")
+    if dataset.external or dataset.is_virtual:
+        raise BadInputError(here, "a dataset stored in this file", "external or virtual storage")
+    filters = dataset.id.get_create_plist()
+    codes = [filters.get_filter(k)[0] for k in range(filters.get_nfilters())]
+    if not set(codes) <= {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE}:
+        raise BadInputError(here, "no filter, gzip or shuffle", f"HDF5 filters {codes}")
+    if dataset.dtype.kind not in kinds or dataset.ndim != dimensions:
+        wanted = {"f": "floats", "fiu": "numbers", "iu": "integers", "OS": "strings"}[kinds]
+        raise BadInputError(
+            here, f"{wanted} in {dimensions} dimension(s)", f"{dataset.dtype} in {dataset.ndim} dimension(s)"
+        )
+    return np.asarray(dataset[()])
+
+
+def _strings(values: NDArray[np.generic]) -> NDArray[np.str_]:
+    return np.array([_text(value) for value in values], dtype=np.str_)
+
+
+def _text(value: object) -> str:
+    return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
+
+
+def write_spectra(spectra: Spectra, path: Path) -> None:
+    """Write a spectra file."""
+    with h5py.File(path, "w") as file:
+        file.attrs["format"] = FORMAT
+        file.attrs["resistance_ohm"] = spectra.resistance_ohm
+        file["frequency_mhz"] = spectra.frequency_mhz
+        file["power"] = spectra.power
+        for name in _COLUMNS:
+            values = getattr(spectra, name)
+            file.create_dataset(name, data=values.astype(h5py.string_dtype()) if values.dtype.kind == "U" else values)
+        for name, values in spectra.environment.items():
+            file[f"env/{name}"] = values
+
+
+@dataclass(frozen=True)
+class SpectraBlock:
+    """The spectra of one station's dipoles of one letter on a full (antenna, event) grid.
+
+    Attributes
+    ----------
+    antennas
+        Shape (antenna,), the antenna numbers, rising.
+    event_id, time_unix
+        Shape (event,), in order of time.
+    power
+        Shape (antenna, event, freq), ADC^2/Ohm/MHz; 1 where nothing was measured.
+    is_present
+        Shape (antenna, event), whether a spectrum exists.
+    blocks
+        Shape (antenna, event), 0 where nothing was measured.
+    """
+
+    station: str
+    dipole: str
+    frequency_mhz: Floats
+    antennas: NDArray[np.int64]
+    event_id: NDArray[np.str_]
+    time_unix: Floats
+    power: Floats
+    is_present: NDArray[np.bool_]
+    blocks: NDArray[np.int64]
+    environment: Mapping[str, Floats] = field(default_factory=dict)
+
+
+def split_into_blocks(spectra: Spectra) -> list[SpectraBlock]:
+    """Lay spectra out as one dense block per station and dipole, stations and dipoles in alphabetical order."""
+    blocks = []
+    for station in np.unique(spectra.station):
+        for dipole in DIPOLES:
+            rows = np.flatnonzero((spectra.station == station) & (spectra.dipole == dipole))
+            if rows.size:
+                blocks.append(_block_of_rows(spectra, rows, str(station), dipole))
+    return blocks
+
+
+def _block_of_rows(spectra: Spectra, rows: NDArray[np.int64], station: str, dipole: str) -> SpectraBlock:
+    antennas, antenna_at = np.unique(spectra.antenna[rows], return_inverse=True)
+    events, first, event_at = np.unique(spectra.event_id[rows], return_index=True, return_inverse=True)
+    order = np.lexsort((events, spectra.time_unix[rows][first]))
+    event_at = np.argsort(order)[event_at]
+    first = rows[first[order]]
+    shape = (antennas.size, events.size)
+    power = np.ones((*shape, spectra.frequency_mhz.size))
+    power[antenna_at, event_at] = spectra.power[rows]
+    is_present = np.zeros(shape, dtype=bool)
+    is_present[antenna_at, event_at] = True
+    blocks = np.zeros(shape, dtype=np.int64)
+    blocks[antenna_at, event_at] = spectra.blocks[rows]
+    return SpectraBlock(
+        station=station,
+        dipole=dipole,
+        frequency_mhz=spectra.frequency_mhz,
+        antennas=antennas,
+        event_id=events[order],
+        time_unix=spectra.time_unix[first],
+        power=power,
+        is_present=is_present,
+        blocks=blocks,
+        environment={name: values[first] for name, values in spectra.environment.items()},
+    )

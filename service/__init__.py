@@ -1,0 +1,1 @@
+"""Keeping, scheduling and serving; computes nothing that belongs in a paper."""
