@@ -1,1 +1,1 @@
-"""The physics: arrays and frozen values in, frozen values out. Read `pipeline` first; then `chain`, `calibration`, `skypower`."""
+"""The physics: arrays and frozen values in, frozen values out. Read `pipeline` first, then `calibration`."""

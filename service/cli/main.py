@@ -1,12 +1,15 @@
-"""The command `lbacal`: one subcommand a file; this one gathers them and turns failures into one sentence and an exit code."""
+"""The command `lbacal`: one subcommand a file, gathered here; failures become one sentence and an exit code."""
 
 from __future__ import annotations
 
 import sys
+from importlib.metadata import version
+from typing import Annotated
 
 import typer
 
 from lbacal_core.errors import BadInputError, LbacalError, UnknownNameError, UnreadableFileError
+from service.cli.fit import fit
 
 app = typer.Typer(
     name="lbacal",
@@ -16,6 +19,24 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
+
+app.command()(fit)
+
+
+def _print_version(is_asked: bool) -> None:
+    if is_asked:
+        print(f"lbacal {version('lbacal')}")
+        raise typer.Exit
+
+
+@app.callback()
+def options(
+    show_version: Annotated[
+        bool, typer.Option("--version", help="Print the version.", callback=_print_version, is_eager=True)
+    ] = False,
+) -> None:
+    """Absolute calibration of radio antennas with the Galaxy."""
+
 
 EXIT_FAILED = 1
 EXIT_BAD_INPUT = 2
@@ -29,6 +50,9 @@ def main() -> None:
     except LbacalError as error:
         print(f"lbacal: {error}", file=sys.stderr)
         sys.exit(EXIT_BAD_INPUT if isinstance(error, _BAD_INPUT) else EXIT_FAILED)
+    except OSError as error:
+        print(f"lbacal: {error.filename}: {error.strerror}; name a file that can be used here", file=sys.stderr)
+        sys.exit(EXIT_BAD_INPUT)
 
 
 if __name__ == "__main__":

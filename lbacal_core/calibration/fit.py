@@ -1,0 +1,238 @@
+"""From spectra to calibration curves: lines first, then the chain that ties their intercepts together.
+
+Read `fit_calibration` from top to bottom. The scopes differ only in what counts as a path: every antenna's dipole,
+or the mean over the antennas of a station or of the array, which has the same chain with the mean power gain.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lbacal_core.calibration.lines import Lines, fit_lines
+from lbacal_core.calibration.separable import solve_separable
+from lbacal_core.chain.model import calibration_factor
+from lbacal_core.curves import (
+    CONVERGED,
+    NOT_CONVERGED,
+    NOT_IDENTIFIABLE,
+    TOO_FEW_EVENTS,
+    TOO_FEW_LST_BINS,
+    CalibrationCurve,
+    FitReport,
+    Parameter,
+)
+from lbacal_core.errors import BadInputError
+from lbacal_core.grids import Floats, require_same_grid
+from lbacal_core.instrument import Instrument
+from lbacal_core.provenance import Provenance
+from lbacal_core.sidereal import local_sidereal_time
+from lbacal_core.skypower.table import SkyPower
+from lbacal_core.spectra import Spectra, SpectraBlock, split_into_blocks
+
+SCOPES = ("array", "station", "antenna")
+MIN_EVENTS = 60
+"""Fewer events leave C worse than 2 % and the noise levels worse than 10 %."""
+LST_BINS = 96
+"""The 15-minute bins of section 3.1 of the paper."""
+MIN_LST_BINS = 24
+"""A quarter of the sidereal day: less sees the Galaxy neither rise nor set."""
+LARGEST_RELATIVE_ERROR = 0.5
+"""A curve less certain than this in any channel determines nothing."""
+
+
+@dataclass(frozen=True)
+class _Paths:
+    """Paths to be fitted together: who they are, what was recorded and when."""
+
+    owners: list[tuple[str | None, int | None, str]]
+    power: Floats
+    excess: Floats
+    lst_hours: Floats
+
+
+def fit_calibration(spectra: Spectra, instrument: Instrument, sky_power: SkyPower, scope: str = "antenna") -> FitReport:
+    """Calibrate every antenna, every station or the whole array.
+
+    Parameters
+    ----------
+    spectra
+        The spectra of the window to be calibrated: one fit uses them all.
+    instrument, sky_power
+        On the same channels as the spectra.
+    scope
+        ``antenna`` (one curve a path), ``station`` or ``array`` (one curve a dipole letter).
+
+    Returns
+    -------
+    One curve per path, station or array and dipole letter; a curve that could not be fitted says why in its status.
+    """
+    if scope not in SCOPES:
+        raise BadInputError("scope", ", ".join(SCOPES), repr(scope))
+    require_same_grid(spectra.origin, spectra.frequency_mhz, instrument.frequency_mhz, f"instrument {instrument.name}")
+    require_same_grid(
+        sky_power.origin, sky_power.frequency_mhz, instrument.frequency_mhz, f"instrument {instrument.name}"
+    )
+    if len(spectra) == 0:
+        raise BadInputError(spectra.origin, "at least one spectrum", "none")
+    _require_one_cable_each(spectra, instrument)
+
+    def fit_paths(paths: _Paths) -> list[CalibrationCurve]:
+        sky = sky_power.at(paths.owners[0][2], paths.lst_hours)
+        return _fit_paths(paths, fit_lines(paths.power, sky, paths.excess), instrument)
+
+    # NumPy leaves the interpreter's lock in its loops, so blocks of paths share the cores as threads.
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        batches = list(pool.map(fit_paths, _paths_of_scope(spectra, instrument, sky_power, scope)))
+    curves = [curve for batch in batches for curve in batch]
+    curves.sort(key=lambda c: (c.station or "", -1 if c.antenna is None else c.antenna, c.dipole or ""))
+    provenance = Provenance(
+        inputs={
+            "spectra": spectra.digest(),
+            "instrument": instrument.digest(),
+            "sky_power": sky_power.digest(),
+        },
+        settings={"scope": scope, "min_events": MIN_EVENTS, "min_lst_bins": MIN_LST_BINS},
+    )
+    return FitReport(tuple(curves), provenance)
+
+
+def _require_one_cable_each(spectra: Spectra, instrument: Instrument) -> None:
+    """Every antenna is known to the instrument and keeps its cable over the window."""
+    first, last = float(spectra.time_unix.min()), float(spectra.time_unix.max())
+    for station in np.unique(spectra.station):
+        for antenna in np.unique(spectra.antenna[spectra.station == station]):
+            before = instrument.cable_of(str(station), int(antenna), first)
+            after = instrument.cable_of(str(station), int(antenna), last)
+            if before != after:
+                place = f"station {station}, antenna {antenna}"
+                raise BadInputError(
+                    place,
+                    "one cable over the window: fit the time before and after the change separately",
+                    f"cable {before} at its start and {after} at its end",
+                )
+
+
+def _paths_of_scope(spectra: Spectra, instrument: Instrument, sky_power: SkyPower, scope: str) -> Iterable[_Paths]:
+    blocks = split_into_blocks(spectra)
+    typical = float(np.median(spectra.blocks))
+    if scope == "antenna":
+        for block in blocks:
+            yield _paths_of_block(block, instrument, typical)
+        return
+    groups = {(block.station if scope == "station" else None, block.dipole) for block in blocks}
+    for station, dipole in sorted(groups, key=lambda key: (key[0] or "", key[1])):
+        members = [b for b in blocks if b.dipole == dipole and station in (None, b.station)]
+        yield _mean_path([_paths_of_block(b, instrument, typical) for b in members], members, sky_power, station)
+
+
+def _paths_of_block(block: SpectraBlock, instrument: Instrument, typical_blocks: float) -> _Paths:
+    with np.errstate(divide="ignore"):
+        excess = typical_blocks / block.blocks
+    return _Paths(
+        owners=[(block.station, int(antenna), block.dipole) for antenna in block.antennas],
+        power=block.power,
+        excess=excess,
+        lst_hours=local_sidereal_time(block.time_unix, instrument.longitude_deg),
+    )
+
+
+def _mean_path(parts: list[_Paths], blocks: list[SpectraBlock], sky_power: SkyPower, station: str | None) -> _Paths:
+    """The mean over antennas as a path of its own.
+
+    In each event the mean of the relative deviations from each antenna's own lines, over the antennas present, is put
+    on the mean of the lines: an antenna missing from an event then does not pull the mean towards the others.
+    """
+    events = np.unique(np.concatenate([block.event_id for block in blocks]))
+    dipole = blocks[0].dipole
+    channels = blocks[0].frequency_mhz.size
+    deviation, weight = np.zeros((events.size, channels)), np.zeros(events.size)
+    lst_hours = np.zeros(events.size)
+    slope, intercept, paths = np.zeros(channels), np.zeros(channels), 0
+    for part, block in zip(parts, blocks, strict=True):
+        at = np.searchsorted(events, block.event_id)
+        lst_hours[at] = part.lst_hours
+        has_enough = np.isfinite(part.excess).sum(axis=1) >= MIN_EVENTS
+        if not np.any(has_enough):
+            continue
+        lines = fit_lines(part.power[has_enough], sky_power.at(dipole, part.lst_hours), part.excess[has_enough])
+        precision = np.where(np.isfinite(part.excess[has_enough]), 1.0 / part.excess[has_enough], 0.0)
+        deviation[at] += np.einsum("pe,pef->ef", precision, lines.residual)
+        weight[at] += precision.sum(axis=0)
+        slope += lines.slope.sum(axis=0)
+        intercept += lines.intercept.sum(axis=0)
+        paths += int(has_enough.sum())
+    has_data = weight > 0
+    if paths == 0:
+        has_data[:] = False
+    sky = sky_power.at(dipole, lst_hours)
+    mean = (slope * sky + intercept) / max(paths, 1)
+    power = np.where(has_data[:, None], mean * (1.0 + deviation / np.maximum(weight, 1e-300)[:, None]), 1.0)
+    typical = np.median(weight[has_data]) if np.any(has_data) else 1.0
+    excess = np.where(has_data, typical / np.where(has_data, weight, 1.0), np.inf)
+    return _Paths([(station, None, dipole)], power[None], excess[None], lst_hours)
+
+
+def _fit_paths(paths: _Paths, lines: Lines, instrument: Instrument) -> list[CalibrationCurve]:
+    """The chain fitted to the lines of a batch of paths, with the status of each."""
+    is_present = np.isfinite(paths.excess)
+    events = is_present.sum(axis=1)
+    bins = np.floor(paths.lst_hours / 24.0 * LST_BINS).astype(int) % LST_BINS
+    is_covered = np.zeros((len(paths.owners), LST_BINS), dtype=bool)
+    path_at, event_at = np.nonzero(is_present)
+    is_covered[path_at, bins[event_at]] = True
+    covered = is_covered.sum(axis=1)
+
+    design = np.stack([instrument.receiver_gain, np.ones_like(instrument.receiver_gain)], axis=1)
+    can_fit = (events >= MIN_EVENTS) & (covered >= MIN_LST_BINS)
+    at = np.flatnonzero(can_fit)
+    solution = solve_separable(lines.slope[at], lines.intercept[at], lines.information[at], design)
+    channels = instrument.frequency_mhz.size
+    variance = np.einsum("pii->pi", solution.covariance)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        c = calibration_factor(solution.x, instrument.antenna_gain)
+        # ln C = -ln(s) / 2 + const
+        c_sigma = c * np.sqrt(variance[:, :channels]) / (2.0 * solution.x)
+        is_usable = np.all(np.isfinite(c) & (c_sigma < LARGEST_RELATIVE_ERROR * c) & (c_sigma > 0), axis=1)
+    is_identifiable = solution.is_identifiable & is_usable
+    curves = []
+    for k, (station, antenna, dipole) in enumerate(paths.owners):
+        status, j = _status(k, events, can_fit), int(np.searchsorted(at, k))
+        if status == CONVERGED and not is_identifiable[j]:
+            status = NOT_IDENTIFIABLE
+        if status == CONVERGED and not solution.is_converged[j]:
+            status = NOT_CONVERGED
+        is_good = status == CONVERGED
+        values = (solution.n[j], *solution.q[j]) if is_good else ()
+        sigmas = np.sqrt(variance[j, channels:]) if is_good else ()
+        curves.append(
+            CalibrationCurve(
+                station=station,
+                antenna=antenna,
+                dipole=dipole,
+                status=status,
+                events=int(events[k]),
+                frequency_mhz=instrument.frequency_mhz,
+                c=c[j] if is_good else None,
+                c_sigma_stat=c_sigma[j] if is_good else None,
+                c_sigma_sys=None,
+                chi2_per_dof=float(solution.chi2[j] / (channels - 3)) if is_good else None,
+                lst_coverage=float(covered[k] / LST_BINS),
+                parameters={
+                    name: Parameter(float(value), float(sigma))
+                    for name, value, sigma in zip(("n_lna", "n_rcu", "n_adc"), values, sigmas, strict=False)
+                },
+            )
+        )
+    return curves
+
+
+def _status(path: int, events: NDArray[np.int64], can_fit: NDArray[np.bool_]) -> str:
+    if events[path] < MIN_EVENTS:
+        return TOO_FEW_EVENTS
+    return CONVERGED if can_fit[path] else TOO_FEW_LST_BINS

@@ -1,0 +1,82 @@
+"""The noise of background spectra: independent in each channel, plus a gain that each event shares along frequency.
+
+The relative deviation of event i in channel f from its model has the covariance
+
+    C_i = k_i diag(sigma_f^2) + sigma_g^2 1 1^T,
+
+radiometer noise (k_i: its variance against that of the typical number of blocks) and a gain that fluctuates from event
+to event and multiplies the whole recorded power. Both levels are estimated from the data.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lbacal_core.grids import Floats
+
+
+@dataclass(frozen=True)
+class NoiseLevels:
+    """Levels of the relative noise of paths.
+
+    Attributes
+    ----------
+    radiometer
+        Shape (path, freq), standard deviation at the typical number of blocks.
+    event_gain
+        Shape (path,), standard deviation of the gain common to all channels of an event.
+    """
+
+    radiometer: Floats
+    event_gain: Floats
+
+    def channel_weight(self, excess: Floats) -> Floats:
+        """Inverse radiometer variance, shape (path, event, freq), for the variance factors k_i, shape (path, event).
+
+        A spectrum that is absent has an infinite factor and weighs nothing.
+        """
+        return np.asarray(1.0 / (self.radiometer[:, None, :] ** 2 * excess[:, :, None]))
+
+    def shared_weight(self, weight: Floats) -> Floats:
+        """The c_i of C_i^-1 = V_i - c_i V_i 1 1^T V_i (Sherman-Morrison), shape (path, event), V_i = diag(weight)."""
+        variance = self.event_gain[:, None] ** 2
+        return np.asarray(variance / (1.0 + variance * weight.sum(axis=2)))
+
+
+def estimate_noise_levels(residual: Floats, excess: Floats, fitted_per_channel: int) -> NoiseLevels:
+    """Estimate the levels from relative residuals of a fit that is linear in each channel.
+
+    In each event the mean over channels, weighted by the inverse radiometer variances, keeps the gain plus
+    1/sum(1/sigma_f^2); what differs from it keeps sigma_f^2 less the same amount. Two rounds reach the precision of
+    the weights themselves.
+
+    Parameters
+    ----------
+    residual
+        Relative residuals, shape (path, event, freq); 0 where absent.
+    excess
+        k_i, shape (path, event); infinite where absent.
+    fitted_per_channel
+        Parameters that the fit spent on each channel.
+    """
+    is_present = np.isfinite(excess)
+    dof = np.maximum(is_present.sum(axis=1) - fitted_per_channel, 1)
+    inverse_excess = np.where(is_present, 1.0 / excess, 0.0)
+    typical_excess = is_present.sum(axis=1) / np.maximum(inverse_excess.sum(axis=1), 1e-300)
+    channels = residual.shape[2]
+    weight = np.ones((residual.shape[0], channels))
+    for _ in range(2):
+        share = weight / weight.sum(axis=1, keepdims=True)
+        common = np.matmul(residual, share[:, :, None])[:, :, 0]
+        # sum over events of (r - common)^2 / k without forming the differences
+        squares = np.einsum("pef,pef,pe->pf", residual, residual, inverse_excess, optimize=False)
+        cross = np.matmul((inverse_excess * common)[:, None, :], residual)[:, 0, :]
+        spread = (squares - 2 * cross + np.sum(inverse_excess * common**2, axis=1)[:, None]) / dof[:, None]
+        floor = 1.0 / (1.0 / np.maximum(spread, 1e-300)).sum(axis=1)
+        variance = np.maximum(spread + floor[:, None], 1e-12)
+        weight = 1.0 / variance
+    of_mean = np.sum(common**2, axis=1) / dof
+    event_gain = np.sqrt(np.maximum(of_mean - typical_excess / weight.sum(axis=1), 0.0))
+    return NoiseLevels(np.sqrt(variance), event_gain)

@@ -1,0 +1,61 @@
+"""`lbacal fit`: calibration curves from a spectra file, without a database."""
+
+from __future__ import annotations
+
+import time
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+class Scope(StrEnum):
+    """What one curve belongs to."""
+
+    array = "array"
+    station = "station"
+    antenna = "antenna"
+
+
+def fit(
+    spectra: Annotated[Path, typer.Argument(help="Spectra file (HDF5, lbacal-spectra-1).")],
+    instrument: Annotated[str, typer.Option(help="Instrument: a name such as lofar-superterp, or a JSON file.")],
+    output: Annotated[Path, typer.Option(help="Calibration table to write (ECSV).")],
+    report: Annotated[Path, typer.Option(help="Report to write (JSON), whatever the outcome.")],
+    sky_power: Annotated[
+        Path | None, typer.Option(help="P_sky(LST, nu) file (JSON); without it the package's own sky and antenna.")
+    ] = None,
+    scope: Annotated[Scope, typer.Option(help="What one curve belongs to.")] = Scope.antenna,
+) -> None:
+    """Fit the signal chain to background spectra and write C(nu) with its errors.
+
+    Example: lbacal fit spectra.h5 --instrument lofar-superterp --scope station --output C.ecsv --report fit.json
+
+    Exit 0 if any curve converged, else 1; the report is written either way.
+    """
+
+    from lbacal_core.calibration.fit import fit_calibration
+    from lbacal_core.curves import CONVERGED, write_calibration_table, write_fit_report
+    from lbacal_core.instrument import load_instrument
+    from lbacal_core.skypower.table import read_sky_power
+    from lbacal_core.spectra import read_spectra
+
+    chain = load_instrument(instrument)
+    measured = read_spectra(spectra, now_unix=time.time())
+    if sky_power is None:
+        from lbacal_core.skypower.model import compute_sky_power
+
+        sky = compute_sky_power(chain)
+    else:
+        sky = read_sky_power(sky_power)
+    result = fit_calibration(measured, chain, sky, scope.value)
+    write_fit_report(result, report)
+    write_calibration_table(result, output)
+    converged = [curve for curve in result.curves if curve.status == CONVERGED]
+    print(f"{len(converged)} of {len(result.curves)} curves converged; wrote {output} and {report}")
+    for curve in result.curves:
+        if curve.status != CONVERGED:
+            print(f"{curve.name}: {curve.status} ({curve.events} events, LST coverage {curve.lst_coverage:.2f})")
+    if not converged:
+        raise typer.Exit(1)
