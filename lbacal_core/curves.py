@@ -145,22 +145,21 @@ def write_fit_report(report: FitReport, path: Path) -> None:
 def write_calibration_table(report: FitReport, path: Path) -> None:
     """Write the converged curves as an ECSV table, one row per path and frequency."""
     from astropy import units as u
-    from astropy.table import QTable
+    from astropy.table import Table
 
     curves = [curve for curve in report.curves if curve.c is not None]
     rows = [(curve, k) for curve in curves for k in range(curve.frequency_mhz.size)]
 
-    def column(values: list[Any]) -> Any:
-        return u.Quantity(np.array(values, dtype=float), u.dimensionless_unscaled)
-
-    table = QTable()
+    table = Table()
     table["station"] = np.array([curve.station or "" for curve, _ in rows], dtype=np.str_)
     table["antenna"] = np.array([-1 if curve.antenna is None else curve.antenna for curve, _ in rows], dtype=np.int64)
     table["dipole"] = np.array([curve.dipole or "" for curve, _ in rows], dtype=np.str_)
-    table["frequency_mhz"] = column([curve.frequency_mhz[k] for curve, k in rows]).value * u.MHz
+    table["frequency_mhz"] = np.array([curve.frequency_mhz[k] for curve, k in rows], dtype=float)
+    table["frequency_mhz"].unit = u.MHz
     for name in ("c", "c_sigma_stat", "c_sigma_sys"):
         values = [np.nan if getattr(curve, name) is None else getattr(curve, name)[k] for curve, k in rows]
-        table[name] = column(values).value * u.V
+        table[name] = np.array(values, dtype=float)
+        table[name].unit = u.V
     table["flag"] = np.array(["" for _ in rows], dtype=np.str_)
     descriptions = {
         "station": "station name; empty for the whole array",

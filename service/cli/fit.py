@@ -34,7 +34,6 @@ def fit(
 
     Exit 0 if any curve converged, else 1; the report is written either way.
     """
-
     from lbacal_core.calibration.fit import fit_calibration
     from lbacal_core.curves import CONVERGED, write_calibration_table, write_fit_report
     from lbacal_core.instrument import load_instrument
