@@ -1,0 +1,125 @@
+"""A simulated campaign of the Superterp: spectra as an experiment would store them, and the truth behind them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lbacal_core.errors import UnknownNameError
+from lbacal_core.grids import Floats, require_same_grid
+from lbacal_core.instrument import DIPOLES, Instrument
+from lbacal_core.sidereal import local_sidereal_time
+from lbacal_core.skypower.table import SkyPower
+from lbacal_core.spectra import Spectra
+from lbacal_core.twin.fault import Fault
+from lbacal_core.twin.hardware import build_station
+from lbacal_core.twin.scatter import draw_scatter
+from lbacal_core.twin.settings import TwinSettings
+from lbacal_core.twin.stages import Scene, Stages
+from lbacal_core.twin.truth import Truth
+from lbacal_core.twin.weather import draw_event_times, draw_rain, draw_temperature
+
+UNIX_2010 = 1_262_304_000
+"""LOFAR names an event by the whole seconds since 2010-01-01 UTC."""
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """Spectra, and the truth that whoever analyses them must not see."""
+
+    spectra: Spectra
+    truth: Truth
+
+
+def simulate_campaign(
+    settings: TwinSettings,
+    instrument: Instrument,
+    sky_power: SkyPower,
+    rng: np.random.Generator,
+    faults: Sequence[Fault] = (),
+) -> Campaign:
+    """Simulate the spectra of every event, station, antenna and dipole.
+
+    The random numbers of the weather, the hardware and the noise are independent of the faults: the same `rng` with
+    and without a fault differs by the fault alone.
+    """
+    require_same_grid(sky_power.origin, sky_power.frequency_mhz, instrument.frequency_mhz, instrument.name)
+    stations = _stations(settings, instrument)
+    of_events, *of_stations = rng.spawn(1 + len(stations))
+    time_unix = draw_event_times(settings.start_unix, settings.years, settings.event_count, of_events)
+    temperature_c = draw_temperature(time_unix, instrument.longitude_deg, of_events)
+    rain_mm_h = draw_rain(time_unix, of_events)
+    truths, blocks, powers, scenes = [], [], [], []
+    for station, of_station in zip(stations, of_stations, strict=True):
+        antennas = np.array(sorted({r.antenna for r in instrument.antennas if r.station == station}), dtype=np.int64)
+        antennas = antennas[: settings.antennas]
+        scene = Scene(
+            station=station,
+            latitude_deg=instrument.latitude_deg,
+            longitude_deg=instrument.longitude_deg,
+            frequency_mhz=instrument.frequency_mhz,
+            antennas=antennas,
+            cables=np.array([instrument.cable_of(station, int(a), float(time_unix[0])) for a in antennas]),
+            time_unix=time_unix,
+            lst_hours=local_sidereal_time(time_unix, instrument.longitude_deg),
+            temperature_c=temperature_c,
+            rain_mm_h=rain_mm_h,
+            sky_power=sky_power,
+        )
+        of_hardware, of_noise = of_station.spawn(2)
+        stages, truth = build_station(settings, instrument, scene, of_hardware)
+        power = expected_power(stages, scene, faults)
+        counts = of_noise.integers(settings.fewest_blocks, settings.most_blocks + 1, size=power.shape[:3])
+        power *= draw_scatter(settings, counts, power.shape[3], of_noise)
+        truths.append(truth)
+        scenes.append(scene)
+        blocks.append(counts)
+        powers.append(power)
+    return Campaign(
+        _gather(scenes, powers, blocks),
+        Truth(settings.as_dict(), instrument.frequency_mhz, truths, [fault.as_dict() for fault in faults]),
+    )
+
+
+def expected_power(stages: Stages, scene: Scene, faults: Sequence[Fault]) -> Floats:
+    """The power of every path and event without scatter, shape (antenna, dipole, event, freq), ADC^2/Ohm/MHz."""
+    for fault in faults:
+        stages = fault.alter(stages, scene)
+    power = stages.power_at_converter()
+    for fault in faults:
+        power = fault.alter_at_converter(power, scene)
+    return power + stages.adc_noise
+
+
+def _stations(settings: TwinSettings, instrument: Instrument) -> list[str]:
+    known = sorted({record.station for record in instrument.antennas})
+    for station in settings.stations:
+        if station not in known:
+            raise UnknownNameError("station", station, known)
+    return list(settings.stations) or known
+
+
+def _gather(scenes: list[Scene], powers: list[Floats], blocks: list[NDArray[np.int64]]) -> Spectra:
+    """One row per station, antenna, dipole and event, in that order."""
+    scene = scenes[0]
+    events = len(scene.time_unix)
+    event_id = np.array([str(int(t) - UNIX_2010) for t in scene.time_unix])
+    paths = [(one.station, int(a), dipole) for one in scenes for a in one.antennas for dipole in DIPOLES]
+    return Spectra(
+        frequency_mhz=scene.frequency_mhz,
+        power=np.concatenate([power.reshape(-1, power.shape[3]) for power in powers]),
+        event_id=np.tile(event_id, len(paths)),
+        time_unix=np.tile(scene.time_unix, len(paths)),
+        station=np.repeat(np.array([station for station, _, _ in paths]), events),
+        antenna=np.repeat(np.array([antenna for _, antenna, _ in paths], dtype=np.int64), events),
+        dipole=np.repeat(np.array([dipole for _, _, dipole in paths]), events),
+        blocks=np.concatenate([counts.reshape(-1) for counts in blocks]),
+        environment={
+            "temperature_c": np.tile(scene.temperature_c, len(paths)),
+            "rain_mm_h": np.tile(scene.rain_mm_h, len(paths)),
+        },
+        origin="twin",
+    )

@@ -1,0 +1,82 @@
+"""What kind of campaign to simulate."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from typing import Any
+
+from lbacal_core.errors import BadInputError
+
+YEAR_S = 365.25 * 86_400.0
+START_2014 = datetime(2014, 1, 1, tzinfo=UTC).timestamp()
+
+
+@dataclass(frozen=True)
+class TwinSettings:
+    """Size and scatter of a simulated campaign. Scatter is one standard deviation, a fraction of the power.
+
+    Attributes
+    ----------
+    start_unix, years
+        First instant, s UTC, and duration.
+    events_per_year
+        Air showers at random times of the year.
+    stations
+        Names; empty for every station of the instrument.
+    antennas
+        How many antennas of each station, in the order of their numbers; None for all.
+    fewest_blocks, most_blocks
+        A spectrum averages a number of 1024-sample blocks drawn between these.
+    path_gain
+        Spread of the gain from path to path, flat along frequency, in front of N_RCU. Station gain tables of
+        2013 (512 sub-bands, 96 receivers) spread by 2.8-5.2 %.
+    event_gain_common, event_gain_path
+        Gain of one event, common to a station and of each path by itself; together 5 %.
+    radiometer
+        Noise of 1 MHz averaged over 100 blocks: 1/sqrt(100 blocks x 5.12 bins).
+    response
+        Smooth departure of A(nu) of a station's polarisation from the curve that the published C(nu) implies.
+    noise_level
+        Spread of the three noise levels from station to station.
+    sky_correlation
+        Part of the radiometer variance that all antennas of a station share, because they see the same sky.
+    """
+
+    start_unix: float = START_2014
+    years: float = 1.0
+    events_per_year: int = 900
+    stations: tuple[str, ...] = ()
+    antennas: int | None = None
+    fewest_blocks: int = 100
+    most_blocks: int = 100
+    path_gain: float = 0.04
+    event_gain_common: float = 0.03
+    event_gain_path: float = 0.04
+    radiometer: float = 512**-0.5
+    response: float = 0.03
+    noise_level: float = 0.05
+    sky_correlation: float = 0.0
+
+    def __post_init__(self) -> None:
+        scatters = ("path_gain", "event_gain_common", "event_gain_path", "radiometer", "response", "noise_level")
+        for field in scatters:
+            self._require(field, 0 <= getattr(self, field) < 0.3, "a fraction, 0 to 0.3")
+        self._require("sky_correlation", 0 <= self.sky_correlation < 1, "a fraction, 0 to 1")
+        self._require("years", self.years > 0, "years > 0")
+        self._require("events_per_year", self.events_per_year > 0, "a count > 0")
+        self._require("antennas", self.antennas is None or self.antennas > 0, "a count > 0")
+        self._require("fewest_blocks", 0 < self.fewest_blocks <= self.most_blocks, "0 < fewest <= most_blocks")
+
+    def _require(self, field: str, is_good: bool, expected: str) -> None:
+        if not is_good:
+            raise BadInputError(f"twin settings: {field}", expected, repr(getattr(self, field)))
+
+    @property
+    def event_count(self) -> int:
+        """Number of events of the whole campaign."""
+        return max(1, round(self.events_per_year * self.years))
+
+    def as_dict(self) -> dict[str, Any]:
+        """The settings as JSON values."""
+        return asdict(self) | {"stations": list(self.stations)}
