@@ -103,7 +103,8 @@ def _unweighted_lines(power: Floats, sky: Floats, is_present: Floats) -> tuple[F
     y0 = np.matmul(is_present[:, None, :], power)[:, 0, :]
     y1 = np.einsum("pe,ef,pef->pf", is_present, sky, power, optimize=False)
     determinant = w0 * w2 - w1**2
-    has_spread = determinant > 1e-12 * w0 * np.maximum(w2, 1e-300)
+    # a sky that varies by less than a millionth says nothing about the slope
+    has_spread = determinant > 1e-12 * w0**2
     tilt = np.where(has_spread, (w0 * y1 - w1 * y0) / np.where(has_spread, determinant, 1.0), 0.0)
     return np.maximum((y0 - w1 * tilt) / w0, 1e-6 * y0 / w0 + 1e-300), tilt
 

@@ -64,7 +64,7 @@ def estimate_noise_levels(residual: Floats, excess: Floats, fitted_per_channel: 
     is_present = np.isfinite(excess)
     dof = np.maximum(is_present.sum(axis=1) - fitted_per_channel, 1)
     inverse_excess = np.where(is_present, 1.0 / excess, 0.0)
-    typical_excess = is_present.sum(axis=1) / np.maximum(inverse_excess.sum(axis=1), 1e-300)
+    mean_excess = np.where(is_present, excess, 0.0).sum(axis=1) / np.maximum(is_present.sum(axis=1), 1)
     channels = residual.shape[2]
     weight = np.ones((residual.shape[0], channels))
     for _ in range(2):
@@ -78,5 +78,5 @@ def estimate_noise_levels(residual: Floats, excess: Floats, fitted_per_channel: 
         variance = np.maximum(spread + floor[:, None], 1e-12)
         weight = 1.0 / variance
     of_mean = np.sum(common**2, axis=1) / dof
-    event_gain = np.sqrt(np.maximum(of_mean - typical_excess / weight.sum(axis=1), 0.0))
+    event_gain = np.sqrt(np.maximum(of_mean - mean_excess / weight.sum(axis=1), 0.0))
     return NoiseLevels(np.sqrt(variance), event_gain)

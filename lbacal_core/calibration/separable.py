@@ -68,8 +68,7 @@ def solve_separable(x: Floats, y: Floats, information: Floats, design: Floats) -
     """
     problems, size = x.shape
     # Unit columns: n and q may differ from x by many orders of magnitude.
-    x_unit = np.abs(x).mean(axis=1, keepdims=True)
-    y_unit = np.abs(y).mean(axis=1, keepdims=True)
+    x_unit, y_unit = _typical(x), _typical(y)
     q_unit = y_unit / np.sqrt(np.mean(design**2, axis=0))
     unit = np.concatenate([np.repeat(x_unit, size, 1), np.repeat(y_unit, size, 1)], axis=1)
     weight = information * unit[:, :, None] * unit[:, None, :]
@@ -80,11 +79,12 @@ def solve_separable(x: Floats, y: Floats, information: Floats, design: Floats) -
     is_converged = np.zeros(problems, dtype=bool)
     for _ in range(MAX_ITERATIONS):
         optimum = _solve_linear(n, scaled_design, weight, measured)
-        step = np.where(is_converged, 0.0, optimum.gradient / optimum.curvature)
-        is_converged |= np.abs(step) <= STEP_TOLERANCE / np.sqrt(optimum.curvature)
-        if np.all(is_converged | ~np.isfinite(step)):
+        has_curvature = optimum.curvature > 0
+        step = np.divide(optimum.gradient, optimum.curvature, out=np.zeros(problems), where=has_curvature)
+        is_converged |= np.abs(step) * np.sqrt(optimum.curvature) <= STEP_TOLERANCE
+        if np.all(is_converged):
             break
-        n = n + np.where(np.isfinite(step), step, 0.0)
+        n = np.where(is_converged, n, n + step)
     is_converged &= np.isfinite(optimum.chi2)
 
     covariance, is_identifiable = _invert(_full_information(optimum, size), size)
@@ -99,6 +99,12 @@ def solve_separable(x: Floats, y: Floats, information: Floats, design: Floats) -
         is_converged=is_converged,
         is_identifiable=is_identifiable,
     )
+
+
+def _typical(values: Floats) -> Floats:
+    """Mean absolute value of each problem's vector, 1 where that is 0; shape (problem, 1)."""
+    typical = np.abs(values).mean(axis=1, keepdims=True)
+    return np.where(typical > 0, typical, 1.0)
 
 
 @dataclass(frozen=True)
@@ -143,7 +149,7 @@ def _solve_linear(n: Floats, design: Floats, weight: Floats, measured: Floats) -
         linear=linear,
         chi2=np.einsum("pi,pi->p", residual, weighted_residual),
         gradient=np.einsum("pi,pi->p", x, weighted_residual[:, size:]),
-        curvature=np.maximum(own - absorbed, 1e-300),
+        curvature=np.maximum(own - absorbed, 1e-15 * own),
         normal=normal,
         border=border[:, :, 0],
         own=own,

@@ -34,21 +34,16 @@ def fit(
 
     Exit 0 if any curve converged, else 1; the report is written either way.
     """
-    from lbacal_core.calibration.fit import fit_calibration
     from lbacal_core.curves import CONVERGED, write_calibration_table, write_fit_report
     from lbacal_core.instrument import load_instrument
+    from lbacal_core.pipeline import calibrate
     from lbacal_core.skypower.table import read_sky_power
     from lbacal_core.spectra import read_spectra
 
     chain = load_instrument(instrument)
     measured = read_spectra(spectra, now_unix=time.time())
-    if sky_power is None:
-        from lbacal_core.skypower.model import compute_sky_power
-
-        sky = compute_sky_power(chain)
-    else:
-        sky = read_sky_power(sky_power)
-    result = fit_calibration(measured, chain, sky, scope.value)
+    sky = None if sky_power is None else read_sky_power(sky_power)
+    result = calibrate(measured, chain, sky, scope.value)
     write_fit_report(result, report)
     write_calibration_table(result, output)
     converged = [curve for curve in result.curves if curve.status == CONVERGED]

@@ -1,0 +1,140 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lbacal_core.calibration.fit import fit_calibration
+from lbacal_core.chain.model import calibration_factor
+from lbacal_core.errors import BadInputError
+from lbacal_core.instrument import AntennaRecord, load_instrument
+from lbacal_core.skypower.table import read_sky_power
+from lbacal_core.spectra import read_spectra
+
+
+@pytest.fixture(scope="module")
+def spectra(scene):
+    return scene.spectra(np.random.default_rng(11), events=400, stations=2)
+
+
+def test_antenna_curves_and_noise_constants_lie_within_their_errors(scene, spectra):
+    report = fit_calibration(spectra, scene.instrument, scene.sky_power, "antenna")
+    assert report.status == "converged"
+    assert [(c.station, c.antenna, c.dipole) for c in report.curves][:3] == [
+        ("CS002", 0, "X"), ("CS002", 0, "Y"), ("CS002", 1, "X"),
+    ]  # fmt: skip
+    pulls, constants = [], []
+    for curve in report.curves:
+        truth = calibration_factor(scene.slope("80" if curve.antenna % 2 else "50"), scene.instrument.antenna_gain)
+        pulls.append(np.median((curve.c - truth) / curve.c_sigma_stat))
+        for name, value in (("n_lna", scene.n_lna), ("n_rcu", scene.n_rcu), ("n_adc", scene.n_adc)):
+            constants.append((curve.parameters[name].value - value) / curve.parameters[name].sigma)
+        assert 0.3 < curve.chi2_per_dof < 2.2  # 23 degrees of freedom, 16 curves: 4 sigma
+        assert curve.events == 400
+        assert curve.lst_coverage > 0.9
+    # 16 and 48 pulls; the common event gain makes them correlated within a station
+    assert np.sqrt(np.mean(np.square(pulls))) < 1.8
+    assert np.sqrt(np.mean(np.square(constants))) < 1.4
+
+
+def test_station_curve_is_that_of_the_mean_power_gain(scene, spectra):
+    report = fit_calibration(spectra, scene.instrument, scene.sky_power, "station")
+    mean_slope = (scene.slope("50") + scene.slope("80")) / 2
+    truth = calibration_factor(mean_slope, scene.instrument.antenna_gain)
+    assert [(c.station, c.antenna, c.dipole) for c in report.curves] == [
+        (station, None, letter) for station in ("CS002", "CS003") for letter in "XY"
+    ]
+    for curve in report.curves:
+        assert curve.status == "converged"
+        pull = (curve.c - truth) / curve.c_sigma_stat
+        assert np.max(np.abs(pull)) < 4
+
+
+def test_array_curve_averages_all_stations_with_a_smaller_error(scene, spectra):
+    array = fit_calibration(spectra, scene.instrument, scene.sky_power, "array").curves
+    antenna = fit_calibration(spectra, scene.instrument, scene.sky_power, "antenna").curves
+    assert [(c.station, c.antenna, c.dipole) for c in array] == [(None, None, "X"), (None, None, "Y")]
+    assert np.mean(array[0].c_sigma_stat / array[0].c) < 0.6 * np.mean(antenna[0].c_sigma_stat / antenna[0].c)
+
+
+def test_an_antenna_missing_from_many_events_does_not_bias_the_station(scene, spectra):
+    one_station = spectra.select(spectra.station == "CS002")
+    rng = np.random.default_rng(5)
+    is_lost = (one_station.antenna == 0) & (rng.random(len(one_station)) < 0.6)
+    curve = fit_calibration(one_station.select(~is_lost), scene.instrument, scene.sky_power, "station").curves[0]
+    truth = calibration_factor((scene.slope("50") + scene.slope("80")) / 2, scene.instrument.antenna_gain)
+    # a plain mean over the antennas present would be off by 4 % and more: antenna 0 has a short cable
+    assert np.max(np.abs(curve.c - truth) / curve.c_sigma_stat) < 4
+
+
+def test_same_spectra_in_another_order_give_the_same_digest_and_curve(scene, spectra):
+    shuffled = spectra.select(np.random.default_rng(1).permutation(len(spectra)))
+    first = fit_calibration(spectra, scene.instrument, scene.sky_power, "station")
+    second = fit_calibration(shuffled, scene.instrument, scene.sky_power, "station")
+    assert first.provenance == second.provenance
+    np.testing.assert_allclose(second.curves[0].c, first.curves[0].c, rtol=1e-10)
+
+
+def test_scaling_the_recorded_power_scales_c_by_the_inverse_root(scene, spectra):
+    louder = replace(spectra, power=4 * spectra.power)
+    first = fit_calibration(spectra, scene.instrument, scene.sky_power, "station").curves[0]
+    second = fit_calibration(louder, scene.instrument, scene.sky_power, "station").curves[0]
+    np.testing.assert_allclose(second.c, first.c / 2, rtol=1e-9)
+
+
+def test_too_few_events_are_a_status_and_no_curve(scene):
+    spectra = scene.spectra(np.random.default_rng(2), events=59, antennas=1)
+    for scope in ("antenna", "station", "array"):
+        curve = fit_calibration(spectra, scene.instrument, scene.sky_power, scope).curves[0]
+        assert (curve.status, curve.c, curve.events) == ("too_few_events", None, 59 if scope == "antenna" else 0)
+
+
+def test_events_of_a_few_sidereal_hours_are_too_few_lst_bins(scene):
+    spectra = scene.spectra(np.random.default_rng(2), events=100, antennas=1, days=0.2)
+    report = fit_calibration(spectra, scene.instrument, scene.sky_power, "antenna")
+    assert report.status == "too_few_lst_bins"
+
+
+def test_a_flat_receiver_gain_cannot_tell_receiver_noise_from_adc_noise(scene, spectra):
+    flat = replace(scene.instrument, receiver_gain=np.ones_like(scene.instrument.receiver_gain))
+    report = fit_calibration(spectra, flat, scene.sky_power, "station")
+    assert {curve.status for curve in report.curves} == {"not_identifiable"}
+
+
+def test_a_sky_that_does_not_vary_is_not_identifiable(scene, spectra):
+    constant = {k: np.repeat(v.mean(axis=0, keepdims=True), len(v), 0) for k, v in scene.sky_power.power.items()}
+    report = fit_calibration(spectra, scene.instrument, replace(scene.sky_power, power=constant), "antenna")
+    assert {curve.status for curve in report.curves} == {"not_identifiable"}
+
+
+def test_an_unknown_antenna_is_named(scene, spectra):
+    fewer = replace(scene.instrument, antennas=scene.instrument.antennas[:3])
+    with pytest.raises(BadInputError, match="station CS002, antenna 3: expected an antenna of instrument scene"):
+        fit_calibration(spectra, fewer, scene.sky_power)
+
+
+def test_a_cable_change_inside_the_window_is_refused(scene, spectra):
+    change = float(np.median(spectra.time_unix))
+    others = tuple(r for r in scene.instrument.antennas if (r.station, r.antenna) != ("CS002", 1))
+    records = (AntennaRecord("CS002", 1, "80", None, change), AntennaRecord("CS002", 1, "50", change, None))
+    changed = replace(scene.instrument, antennas=(*others, *records))
+    with pytest.raises(BadInputError, match="cable 80 at its start and 50 at its end"):
+        fit_calibration(spectra, changed, scene.sky_power)
+
+
+def test_another_frequency_grid_is_named(scene, spectra):
+    shifted = replace(spectra, frequency_mhz=spectra.frequency_mhz + 0.5)
+    with pytest.raises(BadInputError, match=r"frequency_mhz, channel 0: expected 30 MHz .* found 30.5 MHz"):
+        fit_calibration(shifted, scene.instrument, scene.sky_power)
+
+
+@pytest.mark.shared
+def test_the_example_data_set_converges(shared):
+    examples = shared / "examples"
+    instrument = load_instrument(str(examples / "instrument.json"))
+    spectra = read_spectra(examples / "spectra.h5")
+    report = fit_calibration(spectra, instrument, read_sky_power(examples / "sky_power.json"), "antenna")
+    assert len(report.curves) == 12
+    assert report.status == "converged"
+    assert all(0.4 < curve.chi2_per_dof < 1.8 for curve in report.curves)  # 48 degrees of freedom: 4 sigma

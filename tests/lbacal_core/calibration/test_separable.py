@@ -1,0 +1,55 @@
+from __future__ import annotations
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from lbacal_core.calibration.separable import solve_separable
+
+
+def problem(rng, size=12):
+    design = np.stack([1.2 - 0.9 * np.linspace(0, 1, size) ** 3, np.ones(size)], axis=1)
+    x = 50 * np.exp(-((np.linspace(-1.5, 1, size)) ** 2) * 2)
+    y = 0.3 * x + design @ [4.0, 2.5]
+    root = rng.standard_normal((2 * size, 2 * size)) * 0.01 + np.diag(np.r_[0.02 * x, 0.03 * y])
+    covariance = root @ root.T
+    noise = root @ rng.standard_normal(2 * size)
+    return x + noise[:size], y + noise[size:], np.linalg.inv(covariance), design
+
+
+def test_solution_and_covariance_equal_a_general_least_squares_solver():
+    rng = np.random.default_rng(1)
+    x, y, information, design = problem(rng)
+    root = np.linalg.cholesky(information).T
+    size = x.size
+
+    def residual(parameters):
+        free, n, q = parameters[:size], parameters[size], parameters[size + 1 :]
+        return root @ np.concatenate([x - free, y - n * free - design @ q])
+
+    start = np.concatenate([x, [0.1, 1.0, 1.0]])
+    expected = least_squares(residual, start, jac="3-point", xtol=1e-14, ftol=1e-14, gtol=1e-12, x_scale=start)
+    solution = solve_separable(x[None], y[None], information[None], design)
+    assert solution.is_converged[0]
+    assert solution.is_identifiable[0]
+    found = np.concatenate([solution.x[0], [solution.n[0]], solution.q[0]])
+    np.testing.assert_allclose(found, expected.x, rtol=1e-5)
+    np.testing.assert_allclose(solution.chi2[0], 2 * expected.cost, rtol=1e-6)
+    sigma = np.sqrt(np.diag(solution.covariance[0]))
+    np.testing.assert_allclose(sigma, np.sqrt(np.diag(np.linalg.inv(expected.jac.T @ expected.jac))), rtol=1e-4)
+
+
+def test_units_do_not_matter():
+    x, y, information, design = problem(np.random.default_rng(2))
+    plain = solve_separable(x[None], y[None], information[None], design)
+    unit = np.r_[np.full(x.size, 1e14), np.full(x.size, 1e-3)]
+    scaled = solve_separable((x * 1e14)[None], (y * 1e-3)[None], (information / np.outer(unit, unit))[None], design)
+    np.testing.assert_allclose(scaled.n * 1e17, plain.n, rtol=1e-9)
+    np.testing.assert_allclose(scaled.q * 1e3, plain.q, rtol=1e-9)
+    np.testing.assert_allclose(scaled.chi2, plain.chi2, rtol=1e-9)
+
+
+def test_two_equal_columns_are_not_identifiable():
+    x, y, information, design = problem(np.random.default_rng(3))
+    flat = np.ones_like(design)
+    assert not solve_separable(x[None], y[None], information[None], flat).is_identifiable[0]
+    assert solve_separable(x[None], y[None], information[None], design).is_identifiable[0]
