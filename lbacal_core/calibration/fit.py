@@ -189,8 +189,11 @@ def _fit_paths(paths: _Paths, lines: Lines, instrument: Instrument) -> list[Cali
     covered = is_covered.sum(axis=1)
 
     design = np.stack([instrument.receiver_gain, np.ones_like(instrument.receiver_gain)], axis=1)
-    can_fit = (events >= MIN_EVENTS) & (covered >= MIN_LST_BINS)
-    at = np.flatnonzero(can_fit)
+    status = np.full(len(paths.owners), CONVERGED, dtype=object)
+    status[~_sees_the_sky_vary(lines)] = NOT_IDENTIFIABLE
+    status[covered < MIN_LST_BINS] = TOO_FEW_LST_BINS
+    status[events < MIN_EVENTS] = TOO_FEW_EVENTS
+    at = np.flatnonzero(status == CONVERGED)
     solution = solve_separable(lines.slope[at], lines.intercept[at], lines.information[at], design)
     channels = instrument.frequency_mhz.size
     variance = np.einsum("pii->pi", solution.covariance)
@@ -199,15 +202,11 @@ def _fit_paths(paths: _Paths, lines: Lines, instrument: Instrument) -> list[Cali
         # ln C = -ln(s) / 2 + const
         c_sigma = c * np.sqrt(variance[:, :channels]) / (2.0 * solution.x)
         is_usable = np.all(np.isfinite(c) & (c_sigma < LARGEST_RELATIVE_ERROR * c) & (c_sigma > 0), axis=1)
-    is_identifiable = solution.is_identifiable & is_usable
+    status[at[~solution.is_converged]] = NOT_CONVERGED
+    status[at[~(solution.is_identifiable & is_usable)]] = NOT_IDENTIFIABLE
     curves = []
     for k, (station, antenna, dipole) in enumerate(paths.owners):
-        status, j = _status(k, events, can_fit), int(np.searchsorted(at, k))
-        if status == CONVERGED and not is_identifiable[j]:
-            status = NOT_IDENTIFIABLE
-        if status == CONVERGED and not solution.is_converged[j]:
-            status = NOT_CONVERGED
-        is_good = status == CONVERGED
+        is_good, j = status[k] == CONVERGED, int(np.searchsorted(at, k))
         values = (solution.n[j], *solution.q[j]) if is_good else ()
         sigmas = np.sqrt(variance[j, channels:]) if is_good else ()
         curves.append(
@@ -215,7 +214,7 @@ def _fit_paths(paths: _Paths, lines: Lines, instrument: Instrument) -> list[Cali
                 station=station,
                 antenna=antenna,
                 dipole=dipole,
-                status=status,
+                status=status[k],
                 events=int(events[k]),
                 frequency_mhz=instrument.frequency_mhz,
                 c=c[j] if is_good else None,
@@ -232,7 +231,8 @@ def _fit_paths(paths: _Paths, lines: Lines, instrument: Instrument) -> list[Cali
     return curves
 
 
-def _status(path: int, events: NDArray[np.int64], can_fit: NDArray[np.bool_]) -> str:
-    if events[path] < MIN_EVENTS:
-        return TOO_FEW_EVENTS
-    return CONVERGED if can_fit[path] else TOO_FEW_LST_BINS
+def _sees_the_sky_vary(lines: Lines) -> NDArray[np.bool_]:
+    """Whether the slope of the typical channel differs from zero by three standard deviations or more."""
+    channels = lines.slope.shape[1]
+    information = np.einsum("pii->pi", lines.information)[:, :channels]
+    return np.asarray(np.median(lines.slope * np.sqrt(np.maximum(information, 0.0)), axis=1) > 3.0)
