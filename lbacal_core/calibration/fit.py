@@ -232,7 +232,11 @@ def _fit_paths(paths: _Paths, lines: Lines, instrument: Instrument) -> list[Cali
 
 
 def _sees_the_sky_vary(lines: Lines) -> NDArray[np.bool_]:
-    """Whether the slope of the typical channel differs from zero by three standard deviations or more."""
+    """Whether the typical channel's slope, its intercept free, differs from zero by three standard deviations."""
     channels = lines.slope.shape[1]
-    information = np.einsum("pii->pi", lines.information)[:, :channels]
-    return np.asarray(np.median(lines.slope * np.sqrt(np.maximum(information, 0.0)), axis=1) > 3.0)
+    of_slope = np.einsum("pii->pi", lines.information)[:, :channels]
+    of_intercept = np.einsum("pii->pi", lines.information)[:, channels:]
+    shared = np.einsum("pii->pi", lines.information[:, :channels, channels:])
+    alone = 1.0 - shared**2 / (of_slope * of_intercept)
+    significance = lines.slope * np.sqrt(of_slope * np.where(alone > 1e-10, alone, 0.0))
+    return np.asarray(np.median(significance, axis=1) > 3.0)
