@@ -237,6 +237,6 @@ def _sees_the_sky_vary(lines: Lines) -> NDArray[np.bool_]:
     of_slope = np.einsum("pii->pi", lines.information)[:, :channels]
     of_intercept = np.einsum("pii->pi", lines.information)[:, channels:]
     shared = np.einsum("pii->pi", lines.information[:, :channels, channels:])
-    alone = 1.0 - shared**2 / (of_slope * of_intercept)
+    alone = 1.0 - shared**2 / np.maximum(of_slope * of_intercept, 1e-300)
     significance = lines.slope * np.sqrt(of_slope * np.where(alone > 1e-10, alone, 0.0))
     return np.asarray(np.median(significance, axis=1) > 3.0)
