@@ -10,6 +10,7 @@ import typer
 
 from lbacal_core.errors import BadInputError, LbacalError, UnknownNameError, UnreadableFileError
 from service.cli.fit import fit
+from service.cli.lst_curve import lst_curve
 
 app = typer.Typer(
     name="lbacal",
@@ -21,6 +22,7 @@ app = typer.Typer(
 )
 
 app.command()(fit)
+app.command()(lst_curve)
 
 
 def _print_version(is_asked: bool) -> None:

@@ -1,0 +1,134 @@
+"""A measured LST curve: band power against local sidereal time, and its file (docs/formats.md)."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from lbacal_core.data.tables import SHIPPED
+from lbacal_core.errors import BadInputError, UnreadableFileError
+from lbacal_core.grids import Floats
+from lbacal_core.instrument import DIPOLES
+from lbacal_core.provenance import hash_arrays
+
+COLUMNS = ("lst_h", "x_db", "y_db", "error_db")
+CENTRE_LINE = "# lst: centre"
+FEWEST_POINTS = 4
+"""Per dipole: fewer cannot be compared with anything after a noise share and an offset are fitted."""
+
+
+@dataclass(frozen=True)
+class LstCurve:
+    """Band power of both dipoles, averaged over antennas, relative to LST 0.
+
+    Attributes
+    ----------
+    lst_hours
+        Shape (point,), hours, the middle of each bin.
+    variation_db
+        For each dipole letter, shape (point,), dB; NaN where there is no point.
+    error_db
+        Shape (point,), dB, one standard deviation as drawn or stated; NaN where there is no point at all.
+    bin_hours
+        Width of a bin.
+    is_centre_stated
+        Whether the file says that its LST are bin centres; otherwise they were read as left edges, and half a bin
+        is a systematic uncertainty.
+    """
+
+    lst_hours: Floats
+    variation_db: Mapping[str, Floats]
+    error_db: Floats
+    bin_hours: float
+    is_centre_stated: bool
+    origin: str = "LST curve"
+
+    def __post_init__(self) -> None:
+        for dipole in DIPOLES:
+            found = int(np.isfinite(self.variation_db[dipole]).sum())
+            if found < FEWEST_POINTS:
+                column = f"{dipole.lower()}_db"
+                raise BadInputError(f"{self.origin}: {column}", f"at least {FEWEST_POINTS} points", f"{found}")
+
+    def has_point(self, dipole: str) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+        """Where the dipole was measured, shape (point,)."""
+        return np.isfinite(self.variation_db[dipole])
+
+    def digest(self) -> str:
+        """Hash of the numbers, which names this curve in provenance."""
+        return hash_arrays(self.lst_hours, *(self.variation_db[dipole] for dipole in DIPOLES), self.error_db)
+
+
+def measured_curve() -> Path:
+    """The shipped LST variation of the LOFAR low band, as a file that `read_lst_curve` reads."""
+    return Path(str(SHIPPED / "measured_lst_variation.csv"))
+
+
+def read_lst_curve(path: Path) -> LstCurve:
+    """Read an LST curve, naming the line of whatever is wrong."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise UnreadableFileError(f"{path}: cannot be read ({error.strerror})") from error
+    except UnicodeDecodeError as error:
+        raise UnreadableFileError(f"{path}: expected a CSV file, found something that is not text") from error
+    place = path.name
+    numbered = [(k, line) for k, line in enumerate(text.splitlines(), start=1) if line.strip()]
+    is_centre_stated = any(line.strip().lower() == CENTRE_LINE for _, line in numbered)
+    numbered = [(k, line) for k, line in numbered if not line.lstrip().startswith("#")]
+    if not numbered:
+        raise UnreadableFileError(f"{path}: expected the columns {', '.join(COLUMNS)}, found an empty file")
+    header = [name.strip() for name in next(csv.reader([numbered[0][1]]))]
+    missing = [name for name in COLUMNS if name not in header]
+    if missing:
+        raise BadInputError(place, f"the columns {', '.join(COLUMNS)}", f"no {', '.join(missing)}")
+    rows = [_parse_row(header, line, f"{place}: line {k}") for k, line in numbered[1:]]
+    if not rows:
+        raise BadInputError(place, "at least one row below the header", "none")
+    table = dict(zip(COLUMNS, np.array(rows).T, strict=True))
+    lst = table["lst_h"]
+    order = np.argsort(lst, kind="stable")
+    twice = order[1:][np.diff(lst[order]) == 0]
+    if twice.size:
+        raise BadInputError(
+            f"{place}: line {numbered[1 + int(twice[0])][0]}", "one row an LST", f"{lst[twice[0]]:g} twice"
+        )
+    bin_hours = float(np.median(np.diff(lst[order]))) if lst.size > 1 else 0.0
+    return LstCurve(
+        lst_hours=lst if is_centre_stated else (lst + bin_hours / 2) % 24.0,
+        variation_db={"X": table["x_db"], "Y": table["y_db"]},
+        error_db=table["error_db"],
+        bin_hours=bin_hours,
+        is_centre_stated=is_centre_stated,
+        origin=place,
+    )
+
+
+def _parse_row(header: list[str], line: str, place: str) -> list[float]:
+    cells = next(csv.reader([line]))
+    if len(cells) != len(header):
+        raise BadInputError(place, f"{len(header)} cells as in the header", f"{len(cells)}")
+    row = dict(zip(header, cells, strict=True))
+    values = {name: _parse_cell(row[name], f"{place}: {name}") for name in COLUMNS}
+    if not 0 <= values["lst_h"] < 24:
+        raise BadInputError(f"{place}: lst_h", "hours from 0 to 24", row["lst_h"].strip() or "an empty cell")
+    if not (math.isnan(values["x_db"]) and math.isnan(values["y_db"])) and not values["error_db"] > 0:
+        raise BadInputError(f"{place}: error_db", "dB > 0 beside a point", row["error_db"].strip() or "an empty cell")
+    return [values[name] for name in COLUMNS]
+
+
+def _parse_cell(text: str, place: str) -> float:
+    if not text.strip():
+        return math.nan
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise BadInputError(place, "a finite number, or an empty cell for no point", text.strip())
+    return value

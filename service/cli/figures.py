@@ -1,0 +1,65 @@
+"""The figures of reports: each takes core values and returns a matplotlib figure, drawn without a display."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from lbacal_core.grids import Floats
+from lbacal_core.instrument import DIPOLES
+from lbacal_core.lstcurve.compare import Comparison, in_db
+
+COLOURS = {"X": "#b3322b", "Y": "#2b5fb3"}
+GREY = "#666666"
+FULL_DAY = np.linspace(0.0, 24.0, 289)
+
+
+def draw_lst_comparison(comparison: Comparison, simulated: dict[str, Floats]) -> Figure:
+    """Measured LST curve, the simulation with and without noise, and what is left.
+
+    Parameters
+    ----------
+    simulated
+        Relative sky power of the band on `FULL_DAY`, for each dipole letter.
+    """
+    figure = Figure(figsize=(9.5, 6.2), layout="constrained")
+    axes: Any = figure.subplots(2, 2, sharex=True, sharey="row", height_ratios=[2, 1])
+    curve = comparison.curve
+    for column, dipole in enumerate(DIPOLES):
+        colour, top, below = COLOURS[dipole], axes[0, column], axes[1, column]
+        points = {"fmt": "o", "ms": 3.5, "lw": 0.8, "color": colour}
+        top.errorbar(curve.lst_hours, curve.variation_db[dipole], curve.error_db, label=f"measured, {dipole}", **points)
+        for has_noise, style in ((False, "--"), (True, "-")):
+            fit = comparison.of(dipole, has_noise=has_noise)
+            words = f"sky and {100 * fit.noise_share:.0f} % noise" if has_noise else "sky alone"
+            level = in_db(simulated[dipole], fit.noise_share) + fit.offset_db
+            label = f"{words}: chi² per point {fit.chi2 / fit.points:.1f}"
+            top.plot(FULL_DAY, level, style, color="black" if has_noise else GREY, lw=1.3, label=label)
+        below.errorbar(
+            curve.lst_hours,
+            comparison.of(dipole, has_noise=True).residual_db,
+            curve.error_db,
+            label="with noise",
+            **points,
+        )
+        below.plot(
+            curve.lst_hours,
+            comparison.of(dipole, has_noise=False).residual_db,
+            "x",
+            ms=4,
+            color=GREY,
+            label="sky alone",
+        )
+        below.axhline(0.0, color="black", lw=0.8)
+        top.legend(fontsize=8, frameon=False)
+        below.legend(fontsize=8, frameon=False, ncols=2)
+        below.set_xlabel("local sidereal time (h)")
+    axes[0, 0].set_ylabel("band power, relative to LST 0 (dB)")
+    axes[1, 0].set_ylabel("measured - simulated (dB)")
+    axes[0, 0].set_xlim(0, 24)
+    axes[0, 0].set_xticks(range(0, 25, 4))
+    low, high = comparison.band_mhz
+    figure.suptitle(f"LOFAR low band, {low:g}-{high:g} MHz: only noise share and offset fitted", fontsize=11)
+    return figure

@@ -1,0 +1,145 @@
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lbacal_core.data.tables import read_table
+from lbacal_core.errors import BadInputError
+from lbacal_core.instrument import Instrument
+from lbacal_core.lstcurve.compare import (
+    AS_RECORDED,
+    FLAT,
+    band_weights,
+    compare_lst_curve,
+    estimate_point_noise,
+    in_db,
+    published_noise_share,
+    simulate_band_power,
+)
+from lbacal_core.lstcurve.curve import LstCurve
+from lbacal_core.skypower.table import SkyPower
+
+BAND = (30.0, 80.0)
+LST = np.arange(48) * 0.5 + 0.25
+SHARES = {"X": 0.2, "Y": 0.45}
+
+
+@pytest.fixture
+def noiseless(lst_instrument: Instrument, lst_sky: SkyPower) -> LstCurve:
+    """What an instrument with these noise shares would record."""
+    weights = band_weights(lst_instrument, AS_RECORDED, BAND)
+    variation = {d: in_db(simulate_band_power(lst_sky, d, LST, weights), SHARES[d]) - 0.7 for d in "XY"}
+    return LstCurve(LST, variation, np.full(48, 0.11), 0.5, is_centre_stated=True)
+
+
+@pytest.fixture(scope="module")
+def lst_instrument() -> Instrument:
+    frequency = np.arange(30.0, 81.0)
+    return Instrument(
+        "plain", 52.9, 6.87, 49.0, frequency, {"X": 45.0, "Y": 135.0},
+        1.0 / (1.0 + ((frequency - 58.0) / 5.0) ** 2), np.ones(51), {"80": np.full(51, 0.3)}, (),
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def lst_sky(lst_instrument: Instrument) -> SkyPower:
+    lst = np.arange(96) * 0.25
+    shape = {"X": 1 + 0.3 * np.cos((lst - 19) * np.pi / 12), "Y": 1 + 0.25 * np.cos((lst - 17.5) * np.pi / 12)}
+    steeper = (lst_instrument.frequency_mhz[None, :] / 55.0) ** (-0.5 - 0.1 * np.cos(lst * np.pi / 12))[:, None]
+    return SkyPower(lst_instrument.frequency_mhz, lst, {d: shape[d][:, None] * steeper for d in "XY"})
+
+
+def test_noise_share_and_offset_are_recovered_exactly(
+    noiseless: LstCurve, lst_sky: SkyPower, lst_instrument: Instrument
+) -> None:
+    comparison = compare_lst_curve(noiseless, lst_sky, lst_instrument)
+    for dipole, share in SHARES.items():
+        fit = comparison.of(dipole, has_noise=True)
+        assert fit.noise_share == pytest.approx(share, abs=1e-5)  # tolerance of the scalar minimiser
+        assert fit.offset_db == pytest.approx(-0.7, abs=1e-4)
+        assert fit.chi2 < 1e-6
+        assert comparison.of(dipole, has_noise=False).chi2 / fit.points > 1
+
+
+def test_the_stated_error_of_the_share_is_its_scatter(
+    noiseless: LstCurve, lst_sky: SkyPower, lst_instrument: Instrument
+) -> None:
+    rng = np.random.default_rng(1)
+    shares = []
+    for _ in range(300):
+        noisy = {d: noiseless.variation_db[d] + rng.normal(scale=0.11, size=48) for d in "XY"}
+        comparison = compare_lst_curve(replace(noiseless, variation_db=noisy), lst_sky, lst_instrument)
+        shares.append(comparison.of("X", has_noise=True).noise_share)
+    fit = compare_lst_curve(noiseless, lst_sky, lst_instrument).of("X", has_noise=True)
+    assert np.std(shares) == pytest.approx(fit.noise_share_sigma, rel=0.12)  # 300 draws: 4 % one sigma
+    assert np.mean(shares) == pytest.approx(0.2, abs=3 * np.std(shares) / 300**0.5 + 1e-3)
+
+
+def test_the_share_stays_between_nothing_and_everything(
+    noiseless: LstCurve, lst_sky: SkyPower, lst_instrument: Instrument
+) -> None:
+    for stretch, bound in ((3.0, 0.0), (-1.0, 1.0)):
+        stretched = {d: stretch * noiseless.variation_db[d] for d in "XY"}
+        comparison = compare_lst_curve(replace(noiseless, variation_db=stretched), lst_sky, lst_instrument)
+        assert comparison.of("X", has_noise=True).noise_share == bound
+
+
+def test_points_that_are_absent_change_nothing(
+    noiseless: LstCurve, lst_sky: SkyPower, lst_instrument: Instrument
+) -> None:
+    variation = {d: noiseless.variation_db[d].copy() for d in "XY"}
+    variation["X"][5:9] = np.nan
+    fit = compare_lst_curve(replace(noiseless, variation_db=variation), lst_sky, lst_instrument).of("X", has_noise=True)
+    assert fit.points == 44
+    assert fit.noise_share == pytest.approx(0.2, abs=1e-5)
+    assert np.isnan(fit.residual_db[5:9]).all()
+
+
+def test_weights_follow_c_and_the_antenna_and_stay_inside_the_band(lst_instrument: Instrument) -> None:
+    c = read_table("published_calibration")["c"]
+    weights = band_weights(lst_instrument, AS_RECORDED, (40.0, 60.0))
+    assert weights.sum() == pytest.approx(1.0)
+    assert np.flatnonzero(weights).tolist() == list(range(10, 31))
+    ratio = lst_instrument.antenna_gain[20] / c[20] ** 2 / (lst_instrument.antenna_gain[15] / c[15] ** 2)
+    assert weights[20] / weights[15] == pytest.approx(ratio)
+    np.testing.assert_allclose(band_weights(lst_instrument, FLAT, BAND), 1 / 51)
+
+
+@pytest.mark.parametrize("band", [(60.0, 40.0), (10.0, 20.0), (55.0, 55.0)])
+def test_a_band_without_channels_is_refused(lst_instrument: Instrument, band: tuple[float, float]) -> None:
+    with pytest.raises(BadInputError, match="band"):
+        band_weights(lst_instrument, AS_RECORDED, band)
+
+
+def test_the_point_noise_is_found_about_a_smooth_curve() -> None:
+    rng = np.random.default_rng(2)
+    lst = np.arange(0, 24, 0.1)
+    smooth = np.cos((lst - 19) * np.pi / 12) + 0.3 * np.sin(lst * np.pi / 4)
+    curve = LstCurve(
+        lst,
+        {d: smooth + rng.normal(scale=0.05, size=240) for d in "XY"},
+        np.full(240, 0.11),
+        0.1,
+        is_centre_stated=True,
+    )
+    assert estimate_point_noise(curve, "X") == pytest.approx(0.05, rel=0.15)  # 227 degrees of freedom: 5 %
+
+
+def test_the_published_terms_make_a_third_to_a_half_of_the_band_noise() -> None:
+    """Fig. 5: the sky dominates at 40-65 MHz, where the weight is, and the LNA alone has 0.35-0.5 of the sky."""
+    share = published_noise_share(BAND)
+    assert share is not None
+    assert 0.3 < share < 0.5
+
+
+def test_the_report_is_json_without_nan(noiseless: LstCurve, lst_sky: SkyPower, lst_instrument: Instrument) -> None:
+    variation = {d: noiseless.variation_db[d].copy() for d in "XY"}
+    variation["Y"][0] = np.nan
+    comparison = compare_lst_curve(replace(noiseless, variation_db=variation), lst_sky, lst_instrument)
+    content = json.loads(json.dumps(comparison.as_dict(), allow_nan=False))
+    assert content["points"] == 95
+    assert len(content["comparisons"]) == 8
+    assert {one["weights"] for one in content["comparisons"]} == {AS_RECORDED, FLAT}
