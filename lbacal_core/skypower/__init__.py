@@ -1,1 +1,1 @@
-"""P_sky(LST, nu): read `table` (the value and its file), then `direct` (the plain sum over the sky)."""
+"""P_sky(LST, nu): read `model`, then `modes` (the Fourier series) and `direct` (the plain sum it is tested against)."""

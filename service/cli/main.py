@@ -11,6 +11,7 @@ import typer
 from lbacal_core.errors import BadInputError, LbacalError, UnknownNameError, UnreadableFileError
 from service.cli.fit import fit
 from service.cli.lst_curve import lst_curve
+from service.cli.sky_power import sky_power
 
 app = typer.Typer(
     name="lbacal",
@@ -23,6 +24,7 @@ app = typer.Typer(
 
 app.command()(fit)
 app.command()(lst_curve)
+app.command(name="sky-power")(sky_power)
 
 
 def _print_version(is_asked: bool) -> None:

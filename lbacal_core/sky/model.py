@@ -1,0 +1,103 @@
+"""A sky model: brightness temperature by direction and frequency, as a few multipole maps and their spectra."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from lbacal_core.errors import BadInputError
+from lbacal_core.grids import Floats, require_channels
+from lbacal_core.provenance import hash_arrays
+from lbacal_core.sky.multipoles import Complexes
+
+T_CMB_K = 2.725
+
+
+@dataclass(frozen=True)
+class SkyModel:
+    """T(nu, n) = level(nu) sum_k weight_k(nu) sum_lm multipoles_klm Y_lm(n), plus the CMB where it is not inside.
+
+    The form of the principal-component sky models (de Oliveira-Costa et al. 2008, MNRAS 388, 247, eq. 6).
+
+    Attributes
+    ----------
+    frequency_mhz
+        Shape (node,), MHz, of the tabulated spectra.
+    level
+        Shape (node,), K; interpolated by a cubic spline in ln level against ln nu.
+    weight
+        Shape (node, component); interpolated by a cubic spline against ln nu.
+    multipoles
+        Shape (component, l, m), ICRS, orthonormal spherical harmonics.
+    has_cmb, has_isotropic
+        Whether the cosmic microwave background and the isotropic extragalactic emission are inside the maps.
+    origin
+        Where the numbers come from.
+    """
+
+    name: str
+    frequency_mhz: Floats
+    level: Floats
+    weight: Floats
+    multipoles: Complexes
+    has_cmb: bool
+    has_isotropic: bool
+    origin: str
+
+    def __post_init__(self) -> None:
+        place = f"sky {self.name}"
+        require_channels(place, self.frequency_mhz)
+        nodes, components = self.weight.shape
+        if self.level.shape != (nodes,) or self.frequency_mhz.shape != (nodes,):
+            raise BadInputError(f"{place}: level", f"{nodes} numbers, one a node", f"shape {self.level.shape}")
+        if self.multipoles.shape[0] != components or self.multipoles.shape[1] != self.multipoles.shape[2]:
+            raise BadInputError(
+                f"{place}: multipoles", f"shape ({components}, lmax+1, lmax+1)", f"{self.multipoles.shape}"
+            )
+        if not (np.all(self.level > 0) and np.all(np.isfinite(self.weight)) and np.all(np.isfinite(self.multipoles))):
+            raise BadInputError(place, "finite numbers and levels > 0", "others")
+
+    @property
+    def lmax(self) -> int:
+        """The highest multipole kept."""
+        return int(self.multipoles.shape[1]) - 1
+
+    def spectra(self, frequency_mhz: Floats) -> Floats:
+        """Spectrum of each component, shape (freq, component), K.
+
+        Raises
+        ------
+        BadInputError
+            Outside the tabulated range, where a spline would invent numbers.
+        """
+        low, high = self.frequency_mhz[0], self.frequency_mhz[-1]
+        outside = (frequency_mhz < low) | (frequency_mhz > high)
+        if np.any(outside):
+            raise BadInputError(
+                f"sky {self.name}: frequency_mhz", f"{low:g} to {high:g} MHz", f"{frequency_mhz[outside][0]:g} MHz"
+            )
+        nodes, x = np.log(self.frequency_mhz), np.log(frequency_mhz)
+        level = np.exp(CubicSpline(nodes, np.log(self.level))(x))
+        return np.asarray(level[:, None] * CubicSpline(nodes, self.weight)(x))
+
+    def isotropic_k(self, frequency_mhz: Floats) -> Floats:
+        """Isotropic brightness to be added to the maps, shape (freq,), K: the CMB unless it is inside.
+
+        And, unless it is inside, the extragalactic part of Lawson et al. 1987 as in the paper's appendix on the sky.
+        """
+        cmb = 0.0 if self.has_cmb else T_CMB_K
+        extragalactic = 0.0 if self.has_isotropic else 50.0 * (150.0 / frequency_mhz) ** 2.75
+        return np.asarray(cmb + extragalactic + np.zeros_like(frequency_mhz))
+
+    def temperature(self, frequency_mhz: Floats) -> Complexes:
+        """Multipoles of the brightness temperature, CMB included, shape (freq, l, m), K, ICRS."""
+        total = np.tensordot(self.spectra(frequency_mhz), self.multipoles, axes=1)
+        total[:, 0, 0] += np.sqrt(4 * np.pi) * self.isotropic_k(frequency_mhz)
+        return np.asarray(total)
+
+    def digest(self) -> str:
+        """Hash of the numbers, which names the model in provenance."""
+        flags = np.array([self.has_cmb, self.has_isotropic], dtype=float)
+        return hash_arrays(self.frequency_mhz, self.level, self.weight, self.multipoles, flags)

@@ -1,0 +1,41 @@
+"""Sky models by name."""
+
+from __future__ import annotations
+
+import json
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+
+from lbacal_core.errors import UnknownNameError
+from lbacal_core.sky.model import SkyModel
+
+DEFAULT_SKY = "gsm"
+
+
+def load_sky(name_or_file: str) -> SkyModel:
+    """The sky model of a name."""
+    folder = files("lbacal_core") / "data/skies"
+    shipped = {path.name.removesuffix(".json"): path for path in folder.iterdir() if path.name.endswith(".json")}
+    if name_or_file in shipped:
+        return _parse_sky(json.loads(shipped[name_or_file].read_text()))
+    raise UnknownNameError("sky model", name_or_file, sorted(shipped))
+
+
+def _parse_sky(content: dict[str, Any]) -> SkyModel:
+    rows = np.array(content["multipoles"]["rows"], dtype=float)
+    order, m = rows[:, 0].astype(int), rows[:, 1].astype(int)
+    components = (rows.shape[1] - 2) // 2
+    multipoles = np.zeros((components, order.max() + 1, order.max() + 1), dtype=complex)
+    multipoles[:, order, m] = (rows[:, 2::2] + 1j * rows[:, 3::2]).T
+    return SkyModel(
+        name=content["name"],
+        frequency_mhz=np.array(content["frequency_mhz"]),
+        level=np.array(content["level_k"]),
+        weight=np.array(content["weight"]),
+        multipoles=multipoles,
+        has_cmb=content["has_cmb"],
+        has_isotropic=content["has_isotropic"],
+        origin=content["origin"],
+    )

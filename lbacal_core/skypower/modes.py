@@ -1,0 +1,84 @@
+"""P_sky as an exact Fourier series in LST, from the multipoles of sky and beam (m-modes).
+
+With T in multipoles a_lm on the equator of date and D in multipoles beta_lm' on the local horizon (polar axis: the
+zenith), the rotation from the one to the other is a turn about the pole by the LST and about the east by the
+colatitude, so
+
+    P(t) = sum_m exp(i m t) sum_l a_lm g_lm,   g_lm = sum_m' conj(beta_lm') d^l_{m'm}(-colatitude)
+
+(m-mode formalism: Shaw et al. 2014, ApJ 781, 57). D has few azimuthal orders and needs no more multipoles than the
+sky has, and the horizon is exact because beta_lm' comes from a Gauss-Legendre rule over the hemisphere.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.special import sph_harm_y
+
+from lbacal_core.antenna.model import AntennaModel, directional_response
+from lbacal_core.grids import Floats
+from lbacal_core.sky.frames import DATA_EPOCH
+from lbacal_core.sky.model import SkyModel
+from lbacal_core.sky.multipoles import Complexes, precess_multipoles, wigner_d, with_negative_orders
+from lbacal_core.skypower.power import power_per_kelvin_sr
+
+ZENITH_NODES = 96
+AZIMUTHS = 32
+
+
+def beam_multipoles(antenna: AntennaModel, frequency_mhz: Floats, lmax: int) -> Complexes:
+    """b_lm' of D about the zenith, with the azimuth from the arm as longitude; shape (freq, l, m'), m' >= 0."""
+    nodes, weights = np.polynomial.legendre.leggauss(ZENITH_NODES)
+    cosine, weights = (nodes + 1) / 2, weights / 2
+    zenith = np.arccos(cosine)
+    azimuth = np.arange(AZIMUTHS) * 2 * np.pi / AZIMUTHS
+    response = directional_response(antenna, frequency_mhz, *np.meshgrid(zenith, azimuth, indexing="ij"))
+    in_azimuth = np.fft.fft(response, axis=-1)[..., : AZIMUTHS // 2] * (2 * np.pi / AZIMUTHS)
+    multipoles = np.zeros((frequency_mhz.size, lmax + 1, lmax + 1), dtype=complex)
+    for m in range(min(lmax + 1, AZIMUTHS // 2)):
+        legendre = sph_harm_y(np.arange(m, lmax + 1)[:, None], m, zenith, 0.0).real
+        multipoles[:, m:, m] = (in_azimuth[..., m] * weights) @ legendre.T
+    return multipoles
+
+
+def beam_on_equator(beam: Complexes, arm_azimuth_deg: float, latitude_deg: float) -> Complexes:
+    """g_lm: what multiplies the sky's a_lm in P(t) = sum_m exp(i m t) sum_l a_lm g_lm; shape (freq, l, m), m >= 0.
+
+    Parameters
+    ----------
+    beam
+        Shape (freq, l, m'), from `beam_multipoles`.
+    """
+    lmax = beam.shape[-1] - 1
+    equator = np.zeros_like(beam)
+    for order, matrix in enumerate(wigner_d(lmax, -np.radians(90.0 - latitude_deg))):
+        m = np.arange(-order, order + 1)
+        # The horizon frame is the equatorial one turned about the east by the colatitude: its x axis is south, its
+        # longitude 180 deg - azimuth. In it D has the multipoles conj(beta_m) = (-1)^m b_m exp(-i m arm).
+        local = with_negative_orders(beam, order) * (-1.0) ** m * np.exp(-1j * m * np.radians(arm_azimuth_deg))
+        equator[:, order, : order + 1] = (local @ matrix)[:, order:]
+    return equator
+
+
+def sky_power_modes(
+    sky: SkyModel,
+    antenna: AntennaModel,
+    arm_azimuth_deg: float,
+    latitude_deg: float,
+    frequency_mhz: Floats,
+    epoch: float = DATA_EPOCH,
+) -> Complexes:
+    """Fourier terms c_m of P_sky of one dipole, shape (m, freq), m >= 0, W m^-2 MHz^-1.
+
+    P(t) = c_0 + 2 Re sum_{m>0} c_m exp(i m t), t the local mean sidereal time.
+    """
+    temperature = precess_multipoles(sky.temperature(frequency_mhz), epoch)
+    beam = beam_on_equator(beam_multipoles(antenna, frequency_mhz, sky.lmax), arm_azimuth_deg, latitude_deg)
+    return np.asarray(np.einsum("flm,flm->mf", temperature, beam) * power_per_kelvin_sr(frequency_mhz))
+
+
+def sky_power_at(modes: Complexes, lst_hours: Floats) -> Floats:
+    """P_sky at any LST from its Fourier terms, shape (lst, freq)."""
+    order = np.arange(modes.shape[0])
+    phase = np.exp(1j * np.pi / 12.0 * np.outer(lst_hours, order)) * np.where(order == 0, 1.0, 2.0)
+    return np.asarray((phase @ modes).real)

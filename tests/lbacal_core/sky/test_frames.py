@@ -1,0 +1,71 @@
+from __future__ import annotations
+
+import astropy.units as u
+import erfa
+import numpy as np
+import pytest
+from astropy.coordinates import AltAz, EarthLocation, SkyCoord
+from astropy.time import Time
+
+from lbacal_core.sidereal import local_sidereal_time
+from lbacal_core.sky.frames import local_direction, precess
+
+LATITUDE, LONGITUDE = 52.91512, 6.86983
+CAS_A = (350.866, 58.812)
+CYG_A = (299.868, 40.734)
+ARCMIN = np.radians(1 / 60)
+
+
+def direction_at(unix: float, source: tuple[float, float], longitude: float = LONGITUDE) -> tuple[float, float]:
+    lst = local_sidereal_time(np.array([unix]), longitude)
+    epoch = 2000.0 + (unix - 946_728_000.0) / (365.25 * 86400)
+    zenith, azimuth = local_direction(lst, *precess(*np.radians(source), epoch), LATITUDE)
+    return float(zenith[0]), float(azimuth[0])
+
+
+@pytest.mark.parametrize("source", [CAS_A, CYG_A, (83.633, 22.014), (187.706, 12.391)])
+@pytest.mark.parametrize("instant", ["2012-02-03T04:05:06", "2016-08-21T18:00:00"])
+def test_directions_agree_with_astropy(source: tuple[float, float], instant: str) -> None:
+    place = EarthLocation.from_geodetic(LONGITUDE * u.deg, LATITUDE * u.deg, 49 * u.m)
+    when = Time(instant, scale="utc")
+    seen = SkyCoord(*source, unit="deg").transform_to(AltAz(obstime=when, location=place))
+    zenith, azimuth = direction_at(when.unix, source)
+    # One arcminute: aberration (20 arcsec), nutation (17 arcsec) and UT1 - UTC (up to 0.9 s = 14 arcsec) together.
+    assert zenith == pytest.approx(seen.zen.rad, abs=ARCMIN)
+    assert (azimuth - seen.az.rad) * np.sin(zenith) == pytest.approx(0, abs=ARCMIN)
+
+
+def test_precession_agrees_with_erfa() -> None:
+    matrix = erfa.pmat06(2_400_000.5, erfa.epj2jd(2018.0)[1])
+    ra, dec = np.radians([10.0, 200.0, 300.0]), np.radians([80.0, -20.0, 45.0])
+    vector = matrix @ np.array([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)])
+    moved_ra, moved_dec = precess(ra, dec, 2018.0)
+    # 0.03 arcsec: the frame bias, which ours leaves out.
+    assert np.angle(np.exp(1j * (moved_ra - np.arctan2(vector[1], vector[0])))) == pytest.approx(0, abs=1e-6)
+    assert moved_dec == pytest.approx(np.arcsin(vector[2]), abs=2e-7)
+
+
+def test_a_source_is_on_the_meridian_when_lst_equals_its_right_ascension() -> None:
+    ra, dec = np.radians([120.0]), np.radians([20.0])
+    zenith, azimuth = local_direction(np.array([8.0]), ra, dec, LATITUDE)
+    assert np.degrees(zenith) == pytest.approx(LATITUDE - 20.0)
+    assert np.degrees(azimuth) == pytest.approx(180.0)
+
+
+def test_a_source_is_in_the_east_before_its_transit() -> None:
+    _, azimuth = local_direction(np.array([5.0, 11.0]), np.radians(120.0), np.radians(20.0), LATITUDE)
+    assert 0 < azimuth[0] < np.pi
+    assert np.pi < azimuth[1] < 2 * np.pi
+
+
+def test_cassiopeia_a_never_sets_at_the_superterp() -> None:
+    zenith, _ = local_direction(np.arange(0, 24, 0.1), *precess(*np.radians(CAS_A), 2015.0), LATITUDE)
+    assert np.degrees(zenith.max()) == pytest.approx(180.0 - LATITUDE - 58.9, abs=0.2)
+    assert zenith.max() < np.pi / 2
+
+
+def test_one_degree_further_east_a_source_transits_four_minutes_earlier() -> None:
+    unix = Time("2014-05-01T12:00:00", scale="utc").unix
+    sidereal = 240 * 0.99726957
+    earlier = direction_at(unix - sidereal, CYG_A, LONGITUDE + 1)
+    assert earlier == pytest.approx(direction_at(unix, CYG_A), abs=1e-5)

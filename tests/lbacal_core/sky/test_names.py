@@ -1,0 +1,42 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lbacal_core.errors import BadInputError, UnknownNameError
+from lbacal_core.sky.names import load_sky
+
+
+def test_the_embedded_sky_has_the_mean_temperature_of_its_source() -> None:
+    sky = load_sky("gsm")
+    mean = sky.temperature(np.array([50.0, 72.2222]))[:, 0, 0].real / np.sqrt(4 * np.pi)
+    # Means of the source map at these frequencies (gsm_galactic.skyh5), plus the CMB, which it does not contain.
+    # A map on 768 pixels is no exact quadrature of its own multipoles: 1e-3.
+    assert mean == pytest.approx([6185.48 + 2.725, 2552.07 + 2.725], rel=1e-3)
+
+
+def test_the_embedded_sky_steepens_as_galactic_synchrotron_does() -> None:
+    sky = load_sky("gsm")
+    mean = sky.temperature(np.array([40.0, 60.0]))[:, 0, 0].real
+    assert -2.6 < np.log(mean[1] / mean[0]) / np.log(1.5) < -2.3
+
+
+def test_the_galactic_centre_outshines_the_galactic_poles() -> None:
+    import healpy as hp
+
+    sky = load_sky("gsm")
+    packed = sky.temperature(np.array([55.0]))[0].T[np.triu_indices(sky.lmax + 1)]
+    values = hp.alm2map(packed, 32, lmax=sky.lmax)
+    centre = values[hp.ang2pix(32, 266.4, -28.9, lonlat=True)]
+    pole = values[hp.ang2pix(32, 192.9, 27.1, lonlat=True)]
+    assert centre > 5 * pole > 0
+
+
+def test_an_unknown_sky_is_refused_with_the_names_that_exist() -> None:
+    with pytest.raises(UnknownNameError, match="known: gsm"):
+        load_sky("nowhere")
+
+
+def test_frequencies_beyond_the_table_are_refused() -> None:
+    with pytest.raises(BadInputError, match="10 to 120 MHz"):
+        load_sky("gsm").temperature(np.array([150.0]))

@@ -1,0 +1,30 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lbacal_core.instrument import load_instrument
+from lbacal_core.skypower.model import compute_sky_power
+
+
+def test_the_sky_of_the_superterp_has_a_physical_size() -> None:
+    power = compute_sky_power(load_instrument("lofar-superterp"))
+    mean = np.mean([power.power[dipole].mean(axis=0) for dipole in "XY"], axis=0)
+    # k_B Z_0 nu^2 / (c^2 R_r) T Omega with T = 3999 K at 60 MHz (all-sky mean) and Omega between pi/2 and pi.
+    per_kelvin = 1.380649e-23 * 376.73 * (60e6 / 2.99792458e8) ** 2 / 50 * 1e6
+    assert per_kelvin * 3999 * np.pi / 2 < mean[30] < per_kelvin * 3999 * np.pi
+
+
+def test_the_galactic_centre_passes_first_over_the_ne_sw_dipole() -> None:
+    power = compute_sky_power(load_instrument("lofar-superterp"))
+    peak = {dipole: power.lst_hours[power.power[dipole].sum(axis=1).argmax()] for dipole in "XY"}
+    assert 17 < peak["X"] < 19
+    assert 19.5 < peak["Y"] < 21
+
+
+def test_the_grid_does_not_matter_between_its_points() -> None:
+    instrument = load_instrument("lofar-superterp")
+    coarse = compute_sky_power(instrument, lst_hours=np.arange(48) / 2 + 0.1)
+    fine = compute_sky_power(instrument)
+    lst = np.array([0.3, 7.77, 19.01])
+    assert coarse.at("X", lst) == pytest.approx(fine.at("X", lst), rel=1e-9)

@@ -1,0 +1,104 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lbacal_core.antenna.hamaker import load_hamaker
+from lbacal_core.antenna.ideal import IsotropicAntenna, ShortDipole
+from lbacal_core.antenna.model import AntennaModel, directional_response
+from lbacal_core.sky.frames import local_direction, precess
+from lbacal_core.sky.model import SkyModel
+from lbacal_core.sky.names import load_sky
+from lbacal_core.skypower.direct import sum_over_pixels
+from lbacal_core.skypower.modes import beam_multipoles, sky_power_at, sky_power_modes
+from lbacal_core.skypower.power import power_per_kelvin_sr
+
+LATITUDE = 52.91512
+FREQUENCY_MHZ = np.array([30.0, 55.0, 80.0])
+LST = np.arange(0, 24, 2.7)
+
+
+def sky_of(multipoles: np.ndarray) -> SkyModel:
+    """A flat spectrum, nothing to be added."""
+    nodes = np.array([20.0, 50.0, 100.0])
+    return SkyModel("test", nodes, np.ones(3), np.ones((3, 1)), multipoles[None], True, True, "test")
+
+
+def uniform_sky(temperature_k: float) -> SkyModel:
+    multipoles = np.zeros((3, 3), dtype=complex)
+    multipoles[0, 0] = temperature_k * np.sqrt(4 * np.pi)
+    return sky_of(multipoles)
+
+
+def solid_angle(antenna: AntennaModel) -> np.ndarray:
+    modes = sky_power_modes(uniform_sky(1.0), antenna, 45.0, LATITUDE, FREQUENCY_MHZ)
+    return sky_power_at(modes, LST) / power_per_kelvin_sr(FREQUENCY_MHZ)
+
+
+def test_a_uniform_sky_seen_isotropically_is_two_pi_steradian() -> None:
+    assert solid_angle(IsotropicAntenna()) == pytest.approx(2 * np.pi, rel=1e-12)
+
+
+def test_the_plain_sum_of_a_uniform_sky_seen_isotropically_is_two_pi_steradian() -> None:
+    power = sum_over_pixels(uniform_sky(1.0), IsotropicAntenna(), 45.0, LATITUDE, LST, FREQUENCY_MHZ)
+    # 1e-3: a pixel of nside 64 counts wholly or not at all at the horizon.
+    assert power / power_per_kelvin_sr(FREQUENCY_MHZ) == pytest.approx(2 * np.pi, rel=1e-3)
+
+
+def test_a_short_dipole_over_a_perfect_plane_has_its_closed_form() -> None:
+    dipole = ShortDipole(height_m=1.5)
+    expected = np.broadcast_to(dipole.solid_angle(FREQUENCY_MHZ), (LST.size, 3))
+    assert solid_angle(dipole) == pytest.approx(expected, rel=1e-12)
+
+
+def test_a_short_dipole_close_to_the_plane_has_16_pi_over_15() -> None:
+    # s -> cos(theta): the integral of (cos^2 cos^2(phi) + sin^2(phi)) cos^2 is pi (1/3 + 1/5).
+    assert ShortDipole(height_m=1e-3).solid_angle(FREQUENCY_MHZ) == pytest.approx(np.pi * 8 / 15, rel=1e-4)
+
+
+@pytest.mark.parametrize("arm", [45.0, 135.0, 20.0])
+def test_the_fourier_series_agrees_with_the_plain_sum(arm: float) -> None:
+    sky, antenna = load_sky("gsm"), load_hamaker()
+    series = sky_power_at(sky_power_modes(sky, antenna, arm, LATITUDE, FREQUENCY_MHZ), LST)
+    plain = sum_over_pixels(sky, antenna, arm, LATITUDE, LST, FREQUENCY_MHZ)
+    assert series == pytest.approx(plain, rel=1e-4)
+
+
+def point_source(right_ascension: float, declination: float, lmax: int) -> SkyModel:
+    """Multipoles of a unit point (T dOmega = 1 K sr) at a place of the equator of J2000."""
+    from scipy.special import sph_harm_y
+
+    order, m = np.mgrid[: lmax + 1, : lmax + 1]
+    values = sph_harm_y(order, np.minimum(m, order), np.pi / 2 - declination, right_ascension).conj()
+    return sky_of(np.tril(np.ones_like(values)) * values)
+
+
+@pytest.mark.parametrize("source", [(350.866, 58.812), (299.868, 40.734), (83.633, 22.014)])
+def test_a_point_source_is_seen_with_the_response_of_its_direction(source: tuple[float, float]) -> None:
+    ra, dec = np.radians(source)
+    lmax = 90
+    # A dipole just above the plane: a smooth response, of which l <= 90 keeps all but 1e-3 of its maximum.
+    antenna = ShortDipole(height_m=0.1)
+    modes = sky_power_modes(point_source(ra, dec, lmax), antenna, 45.0, LATITUDE, FREQUENCY_MHZ)
+    seen = sky_power_at(modes, LST) / power_per_kelvin_sr(FREQUENCY_MHZ)
+    zenith, azimuth = local_direction(LST, *precess(ra, dec, 2015.0), LATITUDE)
+    expected = directional_response(antenna, FREQUENCY_MHZ, zenith, azimuth - np.radians(45.0)).T
+    assert seen == pytest.approx(expected, abs=1e-3)
+
+
+def test_turning_the_arm_by_180_degrees_changes_nothing() -> None:
+    sky = load_sky("gsm")
+    one, other = (sky_power_modes(sky, load_hamaker(), arm, LATITUDE, FREQUENCY_MHZ) for arm in (45.0, 225.0))
+    assert one == pytest.approx(other, rel=1e-12)
+
+
+def test_few_fourier_terms_carry_the_whole_variation() -> None:
+    modes = sky_power_modes(load_sky("gsm"), load_hamaker(), 45.0, LATITUDE, FREQUENCY_MHZ)
+    lst = np.arange(240) / 10
+    assert sky_power_at(modes[:9], lst) == pytest.approx(sky_power_at(modes, lst), rel=1e-4)
+
+
+def test_the_beam_has_no_multipole_beyond_its_azimuthal_orders() -> None:
+    beam = beam_multipoles(load_hamaker(), FREQUENCY_MHZ, 12)
+    assert np.abs(beam[..., 7:]).max() < 1e-12
+    assert np.abs(beam[..., 1::2]).max() < 1e-12

@@ -1,0 +1,37 @@
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lbacal_core.instrument import load_instrument
+
+
+def test_the_superterp_has_six_stations_of_48_antennas() -> None:
+    instrument = load_instrument("lofar-superterp")
+    assert Counter(record.station for record in instrument.antennas) == {f"CS00{n}": 48 for n in range(2, 8)}
+    assert {record.cable for record in instrument.antennas} == {"50", "80", "115"}
+
+
+def test_the_doubtful_cable_of_cs002_is_the_one_that_the_gain_table_shows() -> None:
+    assert load_instrument("lofar-superterp").cable_of("CS002", 42, 1.4e9) == "115"
+
+
+def test_the_antenna_resonates_near_58_mhz() -> None:
+    instrument = load_instrument("lofar-superterp")
+    assert 57 <= instrument.frequency_mhz[instrument.antenna_gain.argmax()] <= 60
+
+
+@pytest.mark.shared
+def test_g_ant_is_the_simulated_one_within_its_documented_error(shared: Path) -> None:
+    table = np.load(shared / "data/antenna/lba_vout.npz")
+    simulated = (np.abs(table["v_theta"]) ** 2 + np.abs(table["v_phi"]) ** 2)[20:71, 0].mean(axis=1)
+    instrument = load_instrument("lofar-superterp")
+    ratio = instrument.antenna_gain / simulated
+    band = (instrument.frequency_mhz >= 40) & (instrument.frequency_mhz <= 70)
+    ratio /= np.median(ratio[band])
+    assert np.std(ratio[band]) < 0.03  # 2 % and the reading of a figure
+    assert ratio[0] == pytest.approx(1.10, abs=0.03)
+    assert ratio[-1] == pytest.approx(0.83, abs=0.03)

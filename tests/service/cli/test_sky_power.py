@@ -1,0 +1,20 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+from typer.testing import CliRunner
+
+from lbacal_core.skypower.table import read_sky_power
+from service.cli.main import app
+
+
+def test_sky_power_writes_a_file_that_reads_back(tmp_path: Path) -> None:
+    target = tmp_path / "P.json"
+    result = CliRunner().invoke(app, ["sky-power", "--instrument", "lofar-superterp", "--output", str(target)])
+    assert result.exit_code == 0, result.output
+    assert "X (arm at 45 deg)" in result.output
+    assert read_sky_power(target).power["Y"].shape == (96, 51)
+
+
+def test_sky_power_has_an_example() -> None:
+    assert "Example: lbacal sky-power" in CliRunner().invoke(app, ["sky-power", "--help"]).output
