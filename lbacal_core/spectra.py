@@ -71,7 +71,7 @@ class Spectra:
         if not (np.isfinite(self.resistance_ohm) and self.resistance_ohm > 0):
             raise BadInputError(f"{self.origin}: resistance_ohm", "Ohm > 0", f"{self.resistance_ohm!r}")
         self._require("power", np.all(np.isfinite(self.power) & (self.power > 0), axis=1), "finite power > 0")
-        self._require("time_unix", self.time_unix >= EARLIEST_UNIX, "an instant of 2009 or later (s UTC)")
+        self._require("time_unix", np.isfinite(self.time_unix) & (self.time_unix > 0), "an instant (s UTC)")
         self._require("dipole", np.isin(self.dipole, DIPOLES), "X or Y")
         self._require("antenna", self.antenna >= 0, "a number >= 0")
         self._require("blocks", self.blocks > 0, "a count > 0")
@@ -126,7 +126,8 @@ class Spectra:
         )
 
     def require_past(self, now_unix: float) -> None:
-        """Refuse spectra of more than a day ahead of `now_unix`, s UTC."""
+        """Refuse spectra from before 2009 (LOFAR's first dumps are older) or of more than a day ahead of `now_unix`."""
+        self._require("time_unix", self.time_unix >= EARLIEST_UNIX, "an instant of 2009 or later (s UTC)")
         limit = f"an instant not after {datetime.fromtimestamp(now_unix, UTC):%Y-%m-%d} (s UTC)"
         self._require("time_unix", self.time_unix <= now_unix + DAY_S, limit)
 

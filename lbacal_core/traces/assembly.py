@@ -1,0 +1,132 @@
+"""Backgrounds of many station events to one `Spectra`, and the facts that came with them."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lbacal_core.errors import BadInputError, UnreadableFileError
+from lbacal_core.grids import Floats
+from lbacal_core.spectra import Spectra
+from lbacal_core.traces.background import CleaningSettings, PathBackground
+from lbacal_core.traces.discovery import StationEvent
+
+COVARIATES = ("temperature_c", "rain_mm_h")
+
+
+@dataclass(frozen=True)
+class EventFacts:
+    """What is known of events besides their traces: when the cosmic ray came, and the weather.
+
+    Attributes
+    ----------
+    pulse_unix
+        By event id: instant expected by the particle detectors, s UTC.
+    environment
+        By event id and covariate (`temperature_c`, `rain_mm_h`).
+    """
+
+    pulse_unix: Mapping[str, float] = field(default_factory=dict)
+    environment: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+
+
+def read_event_facts(path: Path) -> EventFacts:
+    """Read a CSV with the columns event_id and any of pulse_unix, temperature_c, rain_mm_h; empty means unknown."""
+    try:
+        lines = [line for line in path.read_text().splitlines() if line.strip() and not line.startswith("#")]
+    except (OSError, UnicodeDecodeError) as error:
+        raise UnreadableFileError(f"{path}: expected a CSV file, found something unreadable") from error
+    reader = csv.DictReader(lines)
+    known = {"event_id", "pulse_unix", *COVARIATES}
+    columns = set(reader.fieldnames or ())
+    if "event_id" not in columns or not columns <= known:
+        raise BadInputError(
+            str(path), "event_id and any of pulse_unix, temperature_c, rain_mm_h", ", ".join(sorted(columns))
+        )
+    pulses: dict[str, float] = {}
+    environment: dict[str, dict[str, float]] = {}
+    for number, row in enumerate(reader, start=1):
+        values = {name: _number(row[name], f"{path}: {name}, row {number}") for name in columns - {"event_id"}}
+        event = row["event_id"]
+        if np.isfinite(values.get("pulse_unix", np.nan)):
+            pulses[event] = values["pulse_unix"]
+        environment[event] = {name: values[name] for name in COVARIATES if name in values}
+    return EventFacts(pulses, environment)
+
+
+def _number(text: str | None, place: str) -> float:
+    if text is None or not text.strip():
+        return float("nan")
+    try:
+        value = float(text)
+    except ValueError as error:
+        raise BadInputError(place, "a number, or nothing where unknown", repr(text)) from error
+    if not np.isfinite(value):
+        raise BadInputError(place, "a finite number, or nothing where unknown", repr(text))
+    return value
+
+
+def record_background(event: StationEvent, background: PathBackground, settings: CleaningSettings) -> dict[str, Any]:
+    """Everything worth keeping of one path in one event, as JSON values."""
+    reference = background.reference
+    low = settings.frequency_mhz[0] - settings.width_mhz / 2
+    high = settings.frequency_mhz[-1] + settings.width_mhz / 2
+    in_band = (background.channel_mhz >= low) & (background.channel_mhz <= high)
+    lines = background.line_mhz[(background.line_mhz >= low) & (background.line_mhz <= high)]
+    return {
+        "event_id": event.event_id,
+        "station": reference.station,
+        "rcu": reference.rcu,
+        "antenna": reference.antenna,
+        "dipole": reference.dipole,
+        "antenna_set": reference.antenna_set,
+        "file": reference.path.name,
+        "time_unix": reference.time_unix,
+        "sample_rate_hz": reference.sample_rate_hz,
+        "blocks": background.blocks,
+        "rms_adc": background.rms,
+        "dropped_blocks": dict(background.dropped),
+        "faults": dict(background.faults),
+        "pulse_blocks": list(background.pulses),
+        "line_mhz": [round(float(line), 4) for line in lines],
+        "flagged_fraction": float(np.mean(background.is_flagged[in_band])),
+        "filled_mhz": settings.frequency_mhz[background.is_filled].tolist(),
+        "excluded": background.excluded,
+        "power": [] if background.excluded else background.power.tolist(),
+    }
+
+
+def assemble_spectra(
+    records: Sequence[Mapping[str, Any]], settings: CleaningSettings, facts: EventFacts | None = None
+) -> Spectra:
+    """Lay the records of usable backgrounds out as spectra, in order of time, station and receiver."""
+    usable = [record for record in records if not record["excluded"]]
+    usable.sort(key=lambda record: (record["time_unix"], record["station"], record["rcu"]))
+    facts = facts or EventFacts()
+    environment = {}
+    for name in COVARIATES:
+        of_event = {event: values[name] for event, values in facts.environment.items() if name in values}
+        if of_event:
+            environment[name] = _column([of_event.get(record["event_id"], np.nan) for record in usable])
+    return Spectra(
+        frequency_mhz=np.array(settings.frequency_mhz),
+        power=_column([record["power"] for record in usable]).reshape(len(usable), settings.frequency_mhz.size),
+        event_id=np.array([record["event_id"] for record in usable], dtype=np.str_),
+        time_unix=_column([record["time_unix"] for record in usable]),
+        station=np.array([record["station"] for record in usable], dtype=np.str_),
+        antenna=np.array([record["antenna"] for record in usable], dtype=np.int64),
+        dipole=np.array([record["dipole"] for record in usable], dtype=np.str_),
+        blocks=np.array([record["blocks"] for record in usable], dtype=np.int64),
+        resistance_ohm=settings.resistance_ohm,
+        environment=environment,
+        origin="traces",
+    )
+
+
+def _column(values: list[Any]) -> Floats:
+    return np.array(values, dtype=float)

@@ -1,0 +1,372 @@
+"""The traces of one station in one event to background spectra P_m(nu) = |F(nu)|^2 / R_r (section 3.1 of the paper).
+
+Traces are read one after another; of each only its spectra stay in memory (and, of a few, the transforms that the phase
+test compares), so the memory of a station event is that of one trace and a few spectra.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lbacal_core.errors import BadInputError
+from lbacal_core.grids import Floats, require_channels
+from lbacal_core.instrument import DIPOLES
+from lbacal_core.traces.density import (
+    CHUNK_SAMPLES,
+    bin_weights,
+    channel_frequencies,
+    density_per_square,
+    power_density,
+    sum_of_squares,
+    transform_blocks,
+)
+from lbacal_core.traces.discovery import read_trace
+from lbacal_core.traces.interference import (
+    BOXES,
+    LARGEST_LEAK,
+    FineSpectrum,
+    Flags,
+    estimate_baseline,
+    find_excess,
+    find_station_excess,
+    find_steady_phases,
+    line_leakage,
+    phase_stability,
+)
+from lbacal_core.traces.selection import select_background
+from lbacal_core.traces.trace import BLOCK_SAMPLES, Trace, TraceReference
+
+FACTORS = (16, 8, 4, 2)
+FEWEST_SEGMENTS = 12
+"""Segments are as long as leaves this many of them: below, a single carrier cannot be told from noise."""
+
+FEWEST_BLOCKS = 20
+"""Fewer background blocks than this make no spectrum: 10 % noise in a bin of 1 MHz, and no search for lines."""
+
+FEWEST_CHANNELS = 1.0
+"""A bin with fewer unflagged channels than this is filled from the neighbourhood."""
+
+MOST_FILLED = 0.25
+"""A spectrum with more of its bins filled than this is left out."""
+
+QUIET_ADC = 0.3
+"""Below this r.m.s. (ADC units) a trace is the converter's own rounding (12^-1/2 = 0.29): nothing is connected."""
+
+PHASE_TRACES = 6
+"""Traces of each dipole whose transforms are kept for the phase test."""
+
+MEGAHERTZ_GRID = np.arange(30.0, 81.0)
+MEGAHERTZ_GRID.setflags(write=False)
+
+
+@dataclass(frozen=True)
+class CleaningSettings:
+    """What a user may choose; everything else is a named constant with its reason.
+
+    Attributes
+    ----------
+    frequency_mhz
+        Centres of the bins of the result, MHz, evenly spaced.
+    blocks
+        Number of background blocks to average, spread evenly over the trace; None for all.
+    resistance_ohm
+        R_r, one constant that cancels in C.
+    """
+
+    frequency_mhz: Floats = field(default_factory=lambda: np.array(MEGAHERTZ_GRID))
+    blocks: int | None = None
+    resistance_ohm: float = 50.0
+
+    def __post_init__(self) -> None:
+        require_channels("settings", self.frequency_mhz)
+        steps = np.diff(self.frequency_mhz)
+        if steps.size and not np.allclose(steps, steps[0], rtol=1e-6):
+            raise BadInputError(
+                "settings: frequency_mhz", "evenly spaced channels", f"steps {steps.min()}-{steps.max()}"
+            )
+        if self.blocks is not None and self.blocks < FEWEST_BLOCKS:
+            raise BadInputError("settings: blocks", f"at least {FEWEST_BLOCKS}", str(self.blocks))
+
+    @property
+    def width_mhz(self) -> float:
+        """Width of a bin, MHz."""
+        return float(self.frequency_mhz[1] - self.frequency_mhz[0]) if self.frequency_mhz.size > 1 else 1.0
+
+
+@dataclass(frozen=True)
+class PathBackground:
+    """The background of one path in one event, and how it was got.
+
+    Attributes
+    ----------
+    power
+        Shape (freq,), ADC^2/Ohm/MHz.
+    blocks
+        Number of blocks averaged.
+    channel_mhz, density, is_flagged
+        Shape (channel,): the 1024-sample channels, their mean density (ADC^2/MHz), and which were left out.
+    line_mhz
+        Shape (line,): where interference was found.
+    is_filled
+        Shape (freq,): bins without a clean channel, filled from the smooth spectrum.
+    rms
+        Root mean square of the background blocks, ADC units.
+    dropped, faults
+        Blocks dropped by reason, and what is wrong with the file, with counts.
+    excluded
+        Why this spectrum must not be used; empty if it may.
+    """
+
+    reference: TraceReference
+    power: Floats
+    blocks: int
+    channel_mhz: Floats
+    density: Floats
+    is_flagged: Flags
+    line_mhz: Floats
+    is_filled: Flags
+    rms: float
+    dropped: Mapping[str, int]
+    faults: Mapping[str, int]
+    pulses: tuple[int, ...]
+    excluded: str = ""
+
+
+@dataclass(frozen=True)
+class _Reduced:
+    """One trace after its samples have been let go."""
+
+    trace: TraceReference
+    coarse: Floats
+    blocks: int
+    fine: FineSpectrum
+    baseline: Floats
+    segment_ids: NDArray[np.int64]
+    transforms: NDArray[np.complex64] | None
+    rms: float
+    dropped: Mapping[str, int]
+    faults: Mapping[str, int]
+    pulses: tuple[int, ...]
+
+
+def measure_background(
+    references: Sequence[TraceReference],
+    settings: CleaningSettings,
+    pulse_unix: float | None = None,
+) -> list[PathBackground]:
+    """Measure the background spectra of the traces of one station event.
+
+    Parameters
+    ----------
+    pulse_unix
+        When the particle detectors expect the cosmic ray, s UTC.
+
+    Returns
+    -------
+    One background a trace, in the order given; unusable ones say why.
+    """
+    kept_phases = dict.fromkeys(DIPOLES, 0)
+    reduced: list[_Reduced | PathBackground] = []
+    for reference in references:
+        keep = kept_phases[reference.dipole] < PHASE_TRACES and len(references) > 1
+        result = _reduce_trace(read_trace(reference), settings, pulse_unix, keep_transforms=keep)
+        if isinstance(result, _Reduced) and result.transforms is not None:
+            kept_phases[reference.dipole] += 1
+        reduced.append(result)
+    usable = [item for item in reduced if isinstance(item, _Reduced)]
+    station_lines = _find_station_lines(usable)
+    return [item if isinstance(item, PathBackground) else _finish(item, station_lines, settings) for item in reduced]
+
+
+def measure_trace(trace: Trace, settings: CleaningSettings, pulse_unix: float | None = None) -> PathBackground:
+    """Measure the background spectrum of a single trace in memory, without the help of a station."""
+    result = _reduce_trace(trace, settings, pulse_unix, keep_transforms=False)
+    return result if isinstance(result, PathBackground) else _finish(result, None, settings)
+
+
+def _reduce_trace(
+    trace: Trace, settings: CleaningSettings, pulse_unix: float | None, *, keep_transforms: bool
+) -> _Reduced | PathBackground:
+    selection = select_background(trace, pulse_unix)
+    clean = np.flatnonzero(selection.is_background)
+    rate = trace.reference.sample_rate_hz
+    wanted = settings.blocks or FEWEST_BLOCKS
+    rms = float(np.sqrt(np.mean(trace.samples[clean].astype(np.float32) ** 2, dtype=float))) if clean.size else 0.0
+    reason = ""
+    if clean.size < wanted:
+        reason = f"too few background blocks: {clean.size}, {wanted} are needed"
+    elif float(np.std(trace.samples[clean])) < QUIET_ADC:
+        reason = f"dead: r.m.s. below {QUIET_ADC} ADC units"
+    if reason:
+        return _unusable(trace, settings, clean.size, rms, selection.dropped, selection.pulses, reason)
+    chosen = clean if settings.blocks is None else clean[_spread(clean.size, settings.blocks)]
+    fine, ids, transforms = _fine_spectrum(trace, clean, keep_transforms=keep_transforms)
+    return _Reduced(
+        trace=trace.reference,
+        coarse=power_density(trace.samples[chosen], rate),
+        blocks=len(chosen),
+        fine=fine,
+        baseline=estimate_baseline(fine),
+        segment_ids=ids,
+        transforms=transforms,
+        rms=rms,
+        dropped=selection.dropped,
+        faults=trace.faults,
+        pulses=selection.pulses,
+    )
+
+
+def _spread(available: int, wanted: int) -> NDArray[np.int64]:
+    return (np.arange(wanted) * available) // wanted
+
+
+def _fine_spectrum(
+    trace: Trace, clean: NDArray[np.int64], *, keep_transforms: bool
+) -> tuple[FineSpectrum, NDArray[np.int64], NDArray[np.complex64] | None]:
+    """Mean power in segments of as many consecutive clean blocks as leave enough segments."""
+    position = trace.position[clean]
+    for factor in FACTORS:
+        ids, first, counts = np.unique(position // factor, return_index=True, return_counts=True)
+        is_whole = counts == factor
+        if np.sum(is_whole) >= FEWEST_SEGMENTS:
+            break
+    else:
+        factor, ids, first, is_whole = 1, position, np.arange(clean.size), np.ones(clean.size, dtype=bool)
+    rows = clean[first[is_whole][:, None] + np.arange(factor)]
+    length = factor * BLOCK_SAMPLES
+    total = np.zeros(length // 2 + 1)
+    kept = []
+    step = max(1, CHUNK_SAMPLES // length)
+    for start in range(0, len(rows), step):
+        chunk = trace.samples[rows[start : start + step]].reshape(-1, length)
+        transform = transform_blocks(chunk)
+        total += sum_of_squares(transform)
+        if keep_transforms:
+            kept.append(transform)
+    rate = trace.reference.sample_rate_hz
+    density = total * density_per_square(length, rate) / len(rows)
+    fine = FineSpectrum(density, len(rows), factor, 1e-6 * rate / length)
+    return fine, ids[is_whole], np.concatenate(kept) if kept else None
+
+
+def _find_station_lines(usable: Sequence[_Reduced]) -> Flags | None:
+    """Lines that a station sees as a whole; None where its traces cannot be compared."""
+    if len(usable) < 2 or len({(item.fine.factor, item.fine.density.size) for item in usable}) != 1:
+        return None
+    ratios = np.stack([item.fine.density / item.baseline for item in usable])
+    averages = float(np.mean([item.fine.segments for item in usable]))
+    is_line = find_station_excess(ratios, averages)
+    stability = np.zeros(ratios.shape[1])
+    pairs = 0
+    for dipole in DIPOLES:
+        group = [item for item in usable if item.transforms is not None and item.trace.dipole == dipole]
+        for left, right in pairwise(group):
+            _, at_left, at_right = np.intersect1d(
+                left.segment_ids, right.segment_ids, assume_unique=True, return_indices=True
+            )
+            if at_left.size >= FEWEST_SEGMENTS and left.transforms is not None and right.transforms is not None:
+                stability += phase_stability(left.transforms[at_left], right.transforms[at_right])
+                pairs += 1
+    if pairs:
+        is_line |= find_steady_phases(stability, pairs, usable[0].fine.channel_mhz)
+    return is_line
+
+
+def _finish(item: _Reduced, station_lines: Flags | None, settings: CleaningSettings) -> PathBackground:
+    """Flag the channels, bin to the grid, and fill what cannot be measured."""
+    fine = item.fine
+    ratio = fine.density / item.baseline
+    is_line = find_excess(ratio, fine.segments, BOXES)
+    if station_lines is not None and station_lines.size == is_line.size:
+        is_line = is_line | station_lines
+    leak = line_leakage(is_line, ratio - 1.0, fine.factor, item.coarse.size)
+    is_flagged = leak > LARGEST_LEAK
+    channel_mhz = channel_frequencies(BLOCK_SAMPLES, item.trace.sample_rate_hz)
+    shape = item.baseline[:: fine.factor]
+    power, is_filled = bin_spectrum(item.coarse - leak * shape, shape, is_flagged, channel_mhz, settings)
+    excluded = ""
+    if np.mean(is_filled) > MOST_FILLED:
+        excluded = f"interference: {np.sum(is_filled)} of {is_filled.size} bins have no clean channel"
+    elif not np.all(np.isfinite(power) & (power > 0)):
+        excluded = "no power in some bins"
+    return PathBackground(
+        reference=item.trace,
+        power=power,
+        blocks=item.blocks,
+        channel_mhz=channel_mhz,
+        density=item.coarse,
+        is_flagged=is_flagged,
+        line_mhz=_line_frequencies(is_line, ratio, fine.channel_mhz),
+        is_filled=is_filled,
+        rms=item.rms,
+        dropped=item.dropped,
+        faults=item.faults,
+        pulses=item.pulses,
+        excluded=excluded,
+    )
+
+
+def bin_spectrum(
+    density: Floats, shape: Floats, is_flagged: Flags, channel_mhz: Floats, settings: CleaningSettings
+) -> tuple[Floats, Flags]:
+    """Mean power in the bins of the grid, from the unflagged channels only.
+
+    P = sum_k u_k c_k p_k / sum_k u_k c_k s_k x sum_k u_k s_k / sum_k u_k, with u the overlap of channel and bin,
+    c = 1 for clean channels, and s the smooth shape of the spectrum: what is left of a bin on a slope stands for
+    the whole bin without bias. Without flags s cancels.
+
+    Returns
+    -------
+    Power, shape (freq,), ADC^2/Ohm/MHz, and which bins had too few clean channels and hold the smooth spectrum.
+    """
+    weights = bin_weights(channel_mhz, settings.frequency_mhz, settings.width_mhz)
+    if np.any(weights.sum(axis=1) < FEWEST_CHANNELS):
+        outside = settings.frequency_mhz[weights.sum(axis=1) < FEWEST_CHANNELS][0]
+        raise BadInputError("settings: frequency_mhz", f"channels within 0-{channel_mhz[-1]:g} MHz", f"{outside:g} MHz")
+    clean = weights * ~is_flagged
+    expected = weights @ shape / weights.sum(axis=1)
+    seen = clean @ shape
+    is_filled = clean.sum(axis=1) < FEWEST_CHANNELS
+    scale = np.divide(clean @ density, seen, out=np.ones_like(seen), where=~is_filled & (seen > 0))
+    return expected * scale / settings.resistance_ohm, is_filled
+
+
+def _line_frequencies(is_line: Flags, ratio: Floats, channel_mhz: float) -> Floats:
+    """The strongest channel of every run of flagged channels, MHz."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], is_line.astype(np.int8), [0]])))
+    peaks = [start + int(np.argmax(ratio[start:stop])) for start, stop in zip(edges[::2], edges[1::2], strict=True)]
+    return np.array(peaks, dtype=float) * channel_mhz
+
+
+def _unusable(
+    trace: Trace,
+    settings: CleaningSettings,
+    blocks: int,
+    rms: float,
+    dropped: Mapping[str, int],
+    pulses: tuple[int, ...],
+    reason: str,
+) -> PathBackground:
+    channel_mhz = channel_frequencies(BLOCK_SAMPLES, trace.reference.sample_rate_hz)
+    nothing = np.zeros(channel_mhz.size)
+    bins = settings.frequency_mhz.size
+    return PathBackground(
+        reference=trace.reference,
+        power=np.zeros(bins),
+        blocks=blocks,
+        channel_mhz=channel_mhz,
+        density=nothing,
+        is_flagged=nothing.astype(bool),
+        line_mhz=np.array([]),
+        is_filled=np.zeros(bins, dtype=bool),
+        rms=rms,
+        dropped=dropped,
+        faults=trace.faults,
+        pulses=pulses,
+        excluded=reason,
+    )
