@@ -12,6 +12,7 @@ from lbacal_core.errors import BadInputError, LbacalError, UnknownNameError, Unr
 from service.cli.fit import fit
 from service.cli.lst_curve import lst_curve
 from service.cli.sky_power import sky_power
+from service.cli.spectra import spectra
 
 app = typer.Typer(
     name="lbacal",
@@ -25,6 +26,7 @@ app = typer.Typer(
 app.command()(fit)
 app.command()(lst_curve)
 app.command(name="sky-power")(sky_power)
+app.command()(spectra)
 
 
 def _print_version(is_asked: bool) -> None:

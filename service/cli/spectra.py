@@ -1,0 +1,163 @@
+"""`lbacal spectra`: raw antenna traces to background spectra."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+LOFAR_CORE_LONGITUDE_DEG = 6.87
+"""Of the Superterp (van Haarlem et al. 2013); good to 0.01 deg, 2 s of sidereal time, for printing and for the cut."""
+
+
+def spectra(
+    traces: Annotated[list[Path], typer.Argument(help="Raw traces (TBB frames or HDF5), or folders of them.")],
+    output: Annotated[Path | None, typer.Option(help="Spectra file to write (HDF5).")] = None,
+    blocks: Annotated[
+        int | None, typer.Option(help="Average this many background blocks a trace; without it all.")
+    ] = None,
+    event_id: Annotated[
+        str | None, typer.Option(help="Name of the event; without it the UTC second in which it starts.")
+    ] = None,
+    events: Annotated[
+        Path | None,
+        typer.Option(help="CSV of event_id, pulse_unix, temperature_c, rain_mm_h (all but the first optional)."),
+    ] = None,
+    antenna_set: Annotated[
+        str | None, typer.Option(help="LBA_OUTER or LBA_INNER, overriding the file; decides which receiver is X.")
+    ] = None,
+    instrument: Annotated[
+        str | None, typer.Option(help="Instrument (name or JSON file) whose channels and longitude to use.")
+    ] = None,
+    inspect: Annotated[
+        Path | None, typer.Option(help="Draw the first trace (PNG): samples, spectrum before and after, flags.")
+    ] = None,
+    dask: Annotated[str | None, typer.Option(help="Address of a dask scheduler; LBACAL_DASK by default.")] = None,
+) -> None:
+    """Clean and average raw antenna traces to background spectra, one spectrum a trace.
+
+    Example: lbacal spectra dumps/2011-07-19 --output S.h5
+
+    Finished station events are kept in S.h5.parts, so a run that was stopped is simply repeated; S.h5.report.json
+    says for every trace what was flagged, dropped or excluded, and why. Exit 1 if some traces failed (the others are
+    written).
+    """
+    from lbacal_core.errors import BadInputError
+    from lbacal_core.instrument import load_instrument
+    from lbacal_core.traces.assembly import EventFacts, read_event_facts
+    from lbacal_core.traces.background import CleaningSettings
+    from lbacal_core.traces.discovery import find_files, group_traces, list_traces
+
+    if output is None and inspect is None:
+        raise BadInputError("lbacal spectra", "--output or --inspect", "neither")
+    chain = load_instrument(instrument) if instrument else None
+    settings = CleaningSettings(blocks=blocks) if chain is None else CleaningSettings(chain.frequency_mhz, blocks)
+    facts = read_event_facts(events) if events else EventFacts()
+    files = find_files(traces)
+    if not files:
+        raise BadInputError(", ".join(str(path) for path in traces), "traces (.h5, .hdf5, .dat)", "none")
+    references = [reference for file in files for reference in list_traces(file, antenna_set)]
+    work = [(event, facts.pulse_unix.get(event.event_id)) for event in group_traces(references, event_id)]
+    if inspect is not None:
+        _draw(work[0], settings, inspect)
+    if output is not None:
+        longitude = chain.longitude_deg if chain else LOFAR_CORE_LONGITUDE_DEG
+        _reduce(work, settings, facts, output, longitude, dask or os.environ.get("LBACAL_DASK") or None)
+
+
+def _reduce(work: list[Any], settings: Any, facts: Any, output: Path, longitude: float, dask: str | None) -> None:
+    """Measure all station events, cut the anomalous, write spectra and report."""
+    from lbacal_core.errors import LbacalError
+    from lbacal_core.spectra import write_spectra
+    from lbacal_core.traces.anomalies import find_anomalous_spectra
+    from lbacal_core.traces.assembly import assemble_spectra
+    from service.cli.trace_batch import TraceBatch
+
+    batch = TraceBatch(work, settings, output.with_name(output.name + ".parts"))
+    records, failures = [], []
+    with _progress(len(work)) as say:
+        for event, result, is_old in batch.run(dask):
+            if isinstance(result, str):
+                failures.append({"event_id": event.event_id, "station": event.station, "error": result})
+                say(f"{event.name}: failed: {result}")
+                continue
+            records += result
+            say(_describe(event.name, result, longitude, is_old))
+    measured = assemble_spectra(records, settings, facts)
+    reasons = find_anomalous_spectra(measured, longitude)
+    for record in records:
+        key = (record["event_id"], record["station"], record["antenna"], record["dipole"])
+        record["excluded"] = record["excluded"] or reasons.get(key, "")
+    measured = assemble_spectra(records, settings, facts)
+    report = output.with_name(output.name + ".report.json")
+    facts_of_paths = [{name: value for name, value in record.items() if name != "power"} for record in records]
+    report.write_text(json.dumps({"paths": facts_of_paths, "failures": failures}, indent=1))
+    for record in records:
+        if record["excluded"]:
+            print(f"{record['event_id']} {record['station']} RCU {record['rcu']} excluded: {record['excluded']}")
+    if len(measured) == 0:
+        raise LbacalError(f"no usable spectrum in {len(records)} traces; {report} says why")
+    write_spectra(measured, output)
+    print(f"wrote {output}: {len(measured)} spectra of {len(records)} traces; {report} says what was left out")
+    if failures:
+        raise typer.Exit(1)
+
+
+def _describe(name: str, records: list[dict[str, Any]], longitude: float, is_old: bool) -> str:
+    """One line on a station event."""
+    import numpy as np
+
+    from lbacal_core.sidereal import local_sidereal_time
+
+    usable = [record for record in records if not record["excluded"]]
+    lst = float(local_sidereal_time(np.array(records[0]["time_unix"]), longitude))
+    blocks = f"{min(r['blocks'] for r in usable)}-{max(r['blocks'] for r in usable)} blocks" if usable else "no blocks"
+    flagged = 100 * float(np.mean([record["flagged_fraction"] for record in usable])) if usable else 0.0
+    faults = sorted({fault for record in records for fault in record["faults"]})
+    words = (
+        f"{name}: {len(usable)} of {len(records)} paths, {blocks}, {flagged:.0f} % of channels flagged, LST {lst:.2f} h"
+    )
+    return words + (f", {', '.join(faults)}" if faults else "") + (" (done before)" if is_old else "")
+
+
+class _progress:  # noqa: N801  (reads as a function where it is used)
+    """A progress bar on a terminal, one line a step elsewhere."""
+
+    def __init__(self, steps: int) -> None:
+        from rich.console import Console
+        from rich.progress import Progress
+
+        console = Console()
+        self.bar = Progress(console=console) if console.is_terminal else None
+        self.steps = steps
+
+    def __enter__(self) -> Any:
+        if self.bar is None:
+            return lambda line: print(line, flush=True)
+        bar = self.bar
+        bar.start()
+        task = bar.add_task("station events", total=self.steps)
+
+        def say(line: str) -> None:
+            bar.update(task, advance=1, description=line[:60])
+
+        return say
+
+    def __exit__(self, *_: object) -> None:
+        if self.bar is not None:
+            self.bar.stop()
+
+
+def _draw(item: Any, settings: Any, path: Path) -> None:
+    """Draw the first trace of a station event."""
+    from lbacal_core.traces.background import measure_background
+    from lbacal_core.traces.discovery import read_trace
+    from lbacal_core.traces.inspection import draw_inspection
+
+    event, pulse_unix = item
+    background = measure_background(event.references, settings, pulse_unix)[0]
+    draw_inspection(read_trace(event.references[0]), background, settings).savefig(path, dpi=110)
+    print(f"wrote {path}: {event.event_id} {background.reference.name}")

@@ -1,0 +1,112 @@
+"""Many station events to backgrounds: resumable, here or on the machines of a dask scheduler."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from lbacal_core.errors import LbacalError
+from lbacal_core.provenance import hash_content
+from lbacal_core.traces.assembly import record_background
+from lbacal_core.traces.background import CleaningSettings, measure_background
+from lbacal_core.traces.discovery import StationEvent
+
+Work = tuple[StationEvent, float | None]
+"""A station event, and when the particle detectors expect its pulse (s UTC)."""
+
+METHOD = 1
+"""Raised when the same traces and settings give other spectra, so that kept parts are made anew."""
+
+RETRIES = 5
+
+
+class TraceBatch:
+    """Station events with a folder in which each finished one leaves its result at once.
+
+    A run that is killed is repeated and finds what was done; a result counts only for the same files (by size and
+    time of change), the same settings and the same method.
+    """
+
+    def __init__(self, work: Sequence[Work], settings: CleaningSettings, folder: Path) -> None:
+        self.work = work
+        self.settings = settings
+        self.folder = folder
+
+    def run(self, dask_address: str | None = None) -> Iterator[tuple[StationEvent, list[dict[str, Any]] | str, bool]]:
+        """Yield every station event with its records, or one sentence why it failed, and whether it was done before."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        waiting = []
+        for item in self.work:
+            part = self._part(item)
+            if part.is_file():
+                yield item[0], json.loads(part.read_text()), True
+            else:
+                waiting.append(item)
+        results = (
+            _run_here(waiting, self.settings)
+            if dask_address is None
+            else _run_on_dask(waiting, self.settings, dask_address)
+        )
+        for item, result in results:
+            if not isinstance(result, str):
+                self._keep(item, result)
+            yield item[0], result, False
+
+    def _part(self, item: Work) -> Path:
+        event, pulse_unix = item
+        files = sorted({reference.path for reference in event.references})
+        identity = {
+            "method": METHOD,
+            "event": event.event_id,
+            "files": [[str(path.resolve()), path.stat().st_size, path.stat().st_mtime_ns] for path in files],
+            "traces": [[reference.dataset, reference.dipole, reference.start_sample] for reference in event.references],
+            "frequency_mhz": self.settings.frequency_mhz.tolist(),
+            "blocks": self.settings.blocks,
+            "resistance_ohm": self.settings.resistance_ohm,
+            "pulse_unix": pulse_unix,
+        }
+        return self.folder / f"{event.event_id}-{event.station}-{hash_content(identity)[:16]}.json"
+
+    def _keep(self, item: Work, records: list[dict[str, Any]]) -> None:
+        part = self._part(item)
+        unfinished = part.with_suffix(".unfinished")
+        unfinished.write_text(json.dumps(records, allow_nan=False))
+        unfinished.replace(part)
+
+
+def reduce_station_event(item: Work, settings: CleaningSettings) -> list[dict[str, Any]] | str:
+    """Measure one station event; a failure is returned as its sentence, so that one bad file stops nothing."""
+    event, pulse_unix = item
+    try:
+        backgrounds = measure_background(event.references, settings, pulse_unix)
+    except (LbacalError, OSError) as error:
+        return str(error)
+    return [record_background(event, background, settings) for background in backgrounds]
+
+
+def _run_here(work: Sequence[Work], settings: CleaningSettings) -> Iterator[tuple[Work, list[dict[str, Any]] | str]]:
+    for item in work:
+        yield item, reduce_station_event(item, settings)
+
+
+def _run_on_dask(
+    work: Sequence[Work], settings: CleaningSettings, address: str
+) -> Iterator[tuple[Work, list[dict[str, Any]] | str]]:
+    """Send station events to a dask scheduler; events of a worker that dies go to another one.
+
+    The workers read the files themselves, under the same paths. Results arrive as they finish and are kept at once.
+    """
+    from distributed import Client, as_completed
+
+    with Client(address) as client:
+        futures = {
+            client.submit(reduce_station_event, item, settings, retries=RETRIES, pure=False): item for item in work
+        }
+        for future in as_completed(futures):
+            if future.status == "error":
+                yield futures[future], f"the work failed on dask: {future.exception()}"
+            else:
+                yield futures[future], future.result()
+            future.release()
