@@ -8,9 +8,11 @@ from lbacal_core.antenna.model import AntennaModel
 from lbacal_core.antenna.names import DEFAULT_ANTENNA, load_antenna
 from lbacal_core.grids import Floats
 from lbacal_core.instrument import Instrument
+from lbacal_core.sky.frames import DATA_EPOCH
 from lbacal_core.sky.model import SkyModel
+from lbacal_core.sky.multipoles import precess_multipoles
 from lbacal_core.sky.names import DEFAULT_SKY, load_sky
-from lbacal_core.skypower.modes import sky_power_at, sky_power_modes
+from lbacal_core.skypower.modes import beam_multipoles, combine, sky_power_at
 from lbacal_core.skypower.table import SkyPower
 
 LST_HOURS = np.arange(96) / 4.0
@@ -39,11 +41,12 @@ def compute_sky_power(
     sky_model = load_sky(sky) if isinstance(sky, str) else sky
     antenna_model = load_antenna(antenna) if isinstance(antenna, str) else antenna
     lst = LST_HOURS if lst_hours is None else np.asarray(lst_hours, dtype=float)
+    frequency_mhz = instrument.frequency_mhz
+    temperature = precess_multipoles(sky_model.temperature(frequency_mhz), DATA_EPOCH)
+    beam = beam_multipoles(antenna_model, frequency_mhz, sky_model.lmax)
     power = {
-        dipole: sky_power_at(
-            sky_power_modes(sky_model, antenna_model, arm, instrument.latitude_deg, instrument.frequency_mhz), lst
-        )
+        dipole: sky_power_at(combine(temperature, beam, arm, instrument.latitude_deg, frequency_mhz), lst)
         for dipole, arm in instrument.dipole_azimuth_deg.items()
     }
     origin = f"sky {sky_model.name}, antenna {antenna_model.name}"
-    return SkyPower(instrument.frequency_mhz, lst, power, origin)
+    return SkyPower(frequency_mhz, lst, power, origin)

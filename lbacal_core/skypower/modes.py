@@ -22,7 +22,7 @@ from lbacal_core.sky.model import SkyModel
 from lbacal_core.sky.multipoles import Complexes, precess_multipoles, wigner_d, with_negative_orders
 from lbacal_core.skypower.power import power_per_kelvin_sr
 
-ZENITH_NODES = 96
+ZENITH_NODES = 64
 AZIMUTHS = 32
 
 
@@ -72,9 +72,17 @@ def sky_power_modes(
 
     P(t) = c_0 + 2 Re sum_{m>0} c_m exp(i m t), t the local mean sidereal time.
     """
+    beam = beam_multipoles(antenna, frequency_mhz, sky.lmax)
     temperature = precess_multipoles(sky.temperature(frequency_mhz), epoch)
-    beam = beam_on_equator(beam_multipoles(antenna, frequency_mhz, sky.lmax), arm_azimuth_deg, latitude_deg)
-    return np.asarray(np.einsum("flm,flm->mf", temperature, beam) * power_per_kelvin_sr(frequency_mhz))
+    return combine(temperature, beam, arm_azimuth_deg, latitude_deg, frequency_mhz)
+
+
+def combine(
+    temperature: Complexes, beam: Complexes, arm_azimuth_deg: float, latitude_deg: float, frequency_mhz: Floats
+) -> Complexes:
+    """Fourier terms of P_sky from the sky's multipoles on the equator of date and those of the beam."""
+    seen = beam_on_equator(beam, arm_azimuth_deg, latitude_deg)
+    return np.asarray(np.einsum("flm,flm->mf", temperature, seen) * power_per_kelvin_sr(frequency_mhz))
 
 
 def sky_power_at(modes: Complexes, lst_hours: Floats) -> Floats:

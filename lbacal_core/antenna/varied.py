@@ -1,0 +1,104 @@
+"""Beam variations: the same antenna turned, tilted, wider or narrower."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lbacal_core.antenna.model import AntennaModel, Complexes, directional_response
+from lbacal_core.errors import BadInputError
+from lbacal_core.grids import Floats
+from lbacal_core.provenance import hash_content
+
+
+@dataclass(frozen=True)
+class VariedAntenna:
+    """An antenna model with a changed beam.
+
+    Attributes
+    ----------
+    azimuth_deg
+        The arm is turned by this much, north through east.
+    tilt_deg, tilt_towards_deg
+        The antenna leans by `tilt_deg` towards an azimuth, counted from the arm; the horizon stays where it is.
+    zenith_exponent
+        The power pattern is multiplied by cos(zenith)^n: a wrong power of the cosine in the sky integral.
+    zenith_gain
+        The power pattern at zenith changes by this fraction at fixed total power: it is multiplied by 1 + f h with
+        h = (cos(theta) - mean)/(1 - mean), mean the average of cos(theta) over the pattern of each frequency, so
+        that h is 1 at zenith and the integral of D h vanishes.
+    """
+
+    base: AntennaModel
+    azimuth_deg: float = 0.0
+    tilt_deg: float = 0.0
+    tilt_towards_deg: float = 0.0
+    zenith_exponent: float = 0.0
+    zenith_gain: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not abs(self.zenith_gain) <= 0.4:
+            raise BadInputError(
+                "zenith_gain", "-0.4 to 0.4 (beyond, the pattern turns negative)", f"{self.zenith_gain}"
+            )
+        if not abs(self.tilt_deg) <= 20.0:
+            raise BadInputError("tilt_deg", "-20 to 20", f"{self.tilt_deg}")
+
+    @property
+    def name(self) -> str:
+        """Name in provenance."""
+        changes = {key: value for key, value in self._settings().items() if value}
+        return f"{self.base.name}({', '.join(f'{key}={value:g}' for key, value in changes.items())})"
+
+    def jones(self, frequency_mhz: Floats, zenith: Floats, azimuth_from_arm: Floats) -> tuple[Complexes, Complexes]:
+        """The base's Jones terms at the turned direction, scaled; the polarisation basis does not follow a tilt."""
+        cosine = np.cos(zenith)
+        seen_zenith, seen_azimuth = self._direction(np.asarray(zenith, dtype=float), np.asarray(azimuth_from_arm))
+        theta, phi = self.base.jones(frequency_mhz, seen_zenith, seen_azimuth)
+        visible = cosine > 0
+        factor = np.where(visible, cosine, 0.0) ** self.zenith_exponent * visible
+        if self.zenith_gain:
+            mean = mean_cosine(self.base, frequency_mhz).reshape((-1,) + (1,) * cosine.ndim)
+            factor = factor * (1 + self.zenith_gain * (cosine - mean) / (1 - mean))
+        return theta * np.sqrt(factor), phi * np.sqrt(factor)
+
+    def digest(self) -> str:
+        """Hash of the base and the changes."""
+        return hash_content([self.base.digest(), self._settings()])
+
+    def _settings(self) -> dict[str, float]:
+        names = ("azimuth_deg", "tilt_deg", "tilt_towards_deg", "zenith_exponent", "zenith_gain")
+        return {name: getattr(self, name) for name in names}
+
+    def _direction(self, zenith: Floats, azimuth_from_arm: Floats) -> tuple[Floats, Floats]:
+        azimuth = azimuth_from_arm - np.radians(self.azimuth_deg)
+        if not self.tilt_deg:
+            return zenith, azimuth
+        towards, tilt = np.radians(self.tilt_towards_deg), np.radians(self.tilt_deg)
+        along = np.sin(zenith) * np.cos(azimuth - towards)
+        across = np.sin(zenith) * np.sin(azimuth - towards)
+        up = np.cos(zenith)
+        along, up = np.cos(tilt) * along - np.sin(tilt) * up, np.sin(tilt) * along + np.cos(tilt) * up
+        return np.arccos(np.clip(up, -1.0, 1.0)), np.arctan2(across, along) + towards
+
+
+def mean_cosine(antenna: AntennaModel, frequency_mhz: Floats) -> Floats:
+    """Mean of cos(zenith angle) over the power pattern, shape (freq,)."""
+    response, weight, cosine = on_hemisphere(antenna, frequency_mhz)
+    return np.asarray((response * weight * cosine).sum(axis=(1, 2)) / (response * weight).sum(axis=(1, 2)))
+
+
+def beam_solid_angle(antenna: AntennaModel, frequency_mhz: Floats) -> Floats:
+    """Integral of D over the hemisphere, shape (freq,), sr."""
+    response, weight, _ = on_hemisphere(antenna, frequency_mhz)
+    return np.asarray((response * weight).sum(axis=(1, 2)))
+
+
+def on_hemisphere(antenna: AntennaModel, frequency_mhz: Floats) -> tuple[Floats, Floats, Floats]:
+    """D on a Gauss-Legendre x uniform grid: response (freq, zenith, azimuth), weights in sr and cos(zenith)."""
+    nodes, weights = np.polynomial.legendre.leggauss(32)
+    cosine, weights = (nodes + 1) / 2, weights / 2
+    azimuth = np.arange(16) * np.pi / 8
+    response = directional_response(antenna, frequency_mhz, *np.meshgrid(np.arccos(cosine), azimuth, indexing="ij"))
+    return response, weights[:, None] * np.pi / 8, cosine[:, None]
