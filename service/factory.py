@@ -1,0 +1,59 @@
+"""The one place where use cases are put together; API, worker, scheduler, commands and tests all come here."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from functools import cached_property
+
+from lbacal_core.instrument import Instrument, load_instrument
+from lbacal_core.validity import Instant
+from service.config import Settings
+from service.storage.database import Database
+from service.usecases.calibrations import Calibrations
+from service.usecases.intake import Intake
+from service.usecases.keys import Keys
+from service.usecases.promotions import Promotions
+
+
+def read_clock() -> Instant:
+    """Now, in whole microseconds since 1970."""
+    return time.time_ns() // 1000
+
+
+class Factory:
+    """Use cases on one database with one instrument."""
+
+    def __init__(self, settings: Settings, clock: Callable[[], Instant] = read_clock) -> None:
+        self.settings = settings
+        self.clock = clock
+
+    @cached_property
+    def database(self) -> Database:
+        """The database of the settings."""
+        return Database(self.settings.sqlalchemy_url)
+
+    @cached_property
+    def instrument(self) -> Instrument:
+        """The instrument whose spectra are kept here."""
+        return load_instrument(self.settings.instrument)
+
+    @cached_property
+    def intake(self) -> Intake:
+        """Spectra in."""
+        return Intake(self.database, self.instrument, self.settings.resistance_ohm, self.clock)
+
+    @cached_property
+    def calibrations(self) -> Calibrations:
+        """In effect on a date, and versions."""
+        return Calibrations(self.database, self.instrument, self.clock)
+
+    @cached_property
+    def promotions(self) -> Promotions:
+        """The ledger."""
+        return Promotions(self.database, self.instrument, self.clock)
+
+    @cached_property
+    def keys(self) -> Keys:
+        """API keys."""
+        return Keys(self.database, self.clock, self.settings.open_reads)

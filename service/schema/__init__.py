@@ -1,0 +1,1 @@
+"""The tables; read `tables`. Their history is in `migrations/`."""

@@ -1,0 +1,169 @@
+"""The tables, the same on SQLite and PostgreSQL. A column `*_us` is an instant: whole microseconds since 1970."""
+
+from __future__ import annotations
+
+from sqlalchemy import (
+    BigInteger,
+    Boolean,
+    Column,
+    Float,
+    ForeignKey,
+    Index,
+    Integer,
+    LargeBinary,
+    MetaData,
+    Table,
+    Text,
+    UniqueConstraint,
+)
+
+metadata = MetaData(
+    naming_convention={
+        "ix": "ix_%(table_name)s_%(column_0_N_name)s",
+        "uq": "uq_%(table_name)s_%(column_0_N_name)s",
+        "fk": "fk_%(table_name)s_%(column_0_N_name)s",
+        "pk": "pk_%(table_name)s",
+    }
+)
+
+BigNumber = BigInteger().with_variant(Integer, "sqlite")  # SQLite counts rows in INTEGER PRIMARY KEY only
+
+event = Table(
+    "event",
+    metadata,
+    Column("id", BigNumber, primary_key=True),
+    Column("event_id", Text, nullable=False, unique=True),
+    Column("time_us", BigInteger, nullable=False, index=True),
+    Column("env", Text, comment="covariates by name, JSON"),
+    Column("flag", Text, comment="why the event is left out of fits; its history is in event_flag"),
+)
+
+event_flag = Table(
+    "event_flag",
+    metadata,
+    Column("id", BigNumber, primary_key=True),
+    Column("event", BigNumber, ForeignKey("event.id"), nullable=False, index=True),
+    Column("flag", Text),
+    Column("reason", Text, nullable=False),
+    Column("by", Text, nullable=False),
+    Column("at_us", BigInteger, nullable=False),
+)
+
+path = Table(
+    "path",
+    metadata,
+    Column("id", Integer, primary_key=True),
+    Column("station", Text, nullable=False),
+    Column("antenna", Integer, nullable=False),
+    Column("dipole", Text, nullable=False),
+    UniqueConstraint("station", "antenna", "dipole"),
+)
+
+spectrum = Table(
+    "spectrum",
+    metadata,
+    Column("path", Integer, ForeignKey("path.id"), primary_key=True),
+    Column("event", BigNumber, ForeignKey("event.id"), primary_key=True),
+    Column("time_us", BigInteger, nullable=False),
+    Column("blocks", Integer, nullable=False),
+    Column("power", LargeBinary, nullable=False, comment="little-endian f8, one a channel, ADC^2/Ohm/MHz"),
+    Index(None, "path", "time_us"),
+)
+
+calibration = Table(
+    "calibration",
+    metadata,
+    Column("id", Text, primary_key=True, comment="SHA-256 of the inputs"),
+    Column("scope", Text, nullable=False, index=True, comment="array, CS002 or CS002/17/X"),
+    Column("station", Text),
+    Column("antenna", Integer),
+    Column("dipole", Text),
+    Column("since_us", BigInteger, nullable=False),
+    Column("until_us", BigInteger, nullable=False),
+    Column("status", Text, nullable=False),
+    Column("events", Integer, nullable=False),
+    Column("inputs", Text, nullable=False, comment="canonical JSON, hashed into id"),
+    Column("curves", Text, nullable=False, comment="canonical JSON, hashed into payload_sha256"),
+    Column("payload_sha256", Text, nullable=False),
+    Column("gate", Text, comment="why it was not promoted; null where it passed or nobody asked"),
+    Column("made_us", BigInteger, nullable=False),
+    Column("made_by", Text, nullable=False),
+    Column("reason", Text, nullable=False),
+)
+
+calibration_mean = Table(
+    "calibration_mean",
+    metadata,
+    Column("calibration", Text, ForeignKey("calibration.id"), primary_key=True),
+    Column("dipole", Text, primary_key=True),
+    Column("c", Float, nullable=False, comment="mean of C over the band, V per ADC unit"),
+    Column("c_sigma", Float, nullable=False, comment="its standard deviation, channels fully correlated"),
+)
+
+promotion = Table(
+    "promotion",
+    metadata,
+    Column("id", BigNumber, primary_key=True),
+    Column("scope", Text, nullable=False),
+    Column("station", Text),
+    Column("antenna", Integer),
+    Column("dipole", Text),
+    Column("valid_from_us", BigInteger, nullable=False),
+    Column("valid_to_us", BigInteger),
+    Column("calibration", Text, ForeignKey("calibration.id")),
+    Column("at_us", BigInteger, nullable=False, index=True),
+    Column("by", Text, nullable=False),
+    Column("reason", Text, nullable=False),
+    Index(None, "scope", "at_us"),
+)
+
+job = Table(
+    "job",
+    metadata,
+    Column("id", BigNumber, primary_key=True),
+    Column("kind", Text, nullable=False),
+    Column("request", Text, nullable=False, comment="JSON"),
+    Column("reason", Text, nullable=False),
+    Column("by", Text, nullable=False),
+    Column("created_us", BigInteger, nullable=False),
+    Column("due_key", Text, unique=True, comment="names scheduled work, so that it is enqueued once"),
+    Column("is_cancelled", Boolean, nullable=False),
+)
+
+job_part = Table(
+    "job_part",
+    metadata,
+    Column("id", BigNumber, primary_key=True),
+    Column("job", BigNumber, ForeignKey("job.id"), nullable=False, index=True),
+    Column("request", Text, nullable=False, comment="JSON"),
+    Column("state", Text, nullable=False, comment="queued, running, done, failed or cancelled"),
+    Column("worker", Text, comment="who holds the lease"),
+    Column("lease_until_us", BigInteger),
+    Column("attempts", Integer, nullable=False),
+    Column("result", Text, comment="JSON"),
+    Column("error", Text),
+    Column("ended_us", BigInteger),
+    Index(None, "state", "id"),
+)
+
+api_key = Table(
+    "api_key",
+    metadata,
+    Column("id", Integer, primary_key=True),
+    Column("sha256", Text, nullable=False, unique=True),
+    Column("scopes", Text, nullable=False, comment="JSON"),
+    Column("created_us", BigInteger, nullable=False),
+    Column("expires_us", BigInteger),
+    Column("revoked_us", BigInteger),
+)
+
+monthly_gain = Table(
+    "monthly_gain",
+    metadata,
+    Column("path", Integer, ForeignKey("path.id"), primary_key=True),
+    Column("month_us", BigInteger, primary_key=True, comment="the month's first instant"),
+    Column("reference", Text, ForeignKey("calibration.id"), nullable=False),
+    Column("c_ratio", Float, nullable=False, comment="band-mean C of the month over that of the reference"),
+    Column("c_ratio_sigma", Float, nullable=False),
+    Column("events", Integer, nullable=False),
+)

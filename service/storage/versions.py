@@ -1,0 +1,190 @@
+"""Calibration versions: stored once under the hash of their inputs, never changed."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from sqlalchemy import Connection, Row, select
+from sqlalchemy.dialects.postgresql import insert as postgresql_insert
+from sqlalchemy.dialects.sqlite import insert as sqlite_insert
+
+from lbacal_core.curves import STATUSES, CalibrationCurve, parse_curve
+from lbacal_core.provenance import canonical_json, hash_content
+from lbacal_core.validity import Instant, Scope
+from service.errors import NotFoundError
+from service.schema.tables import calibration, calibration_mean
+
+
+@dataclass(frozen=True)
+class Version:
+    """The result of one fit over the window [since, until) for one scope.
+
+    `gate` says why it was not promoted by itself; None where it passed or nobody asked.
+    """
+
+    scope: Scope
+    since: Instant
+    until: Instant
+    inputs: Mapping[str, Any]
+    curves: Sequence[CalibrationCurve]
+    made: Instant
+    made_by: str
+    reason: str
+    gate: str | None = None
+
+    @property
+    def id(self) -> str:
+        """The hash of the inputs."""
+        return hash_content(self.inputs)
+
+    @property
+    def payload(self) -> list[dict[str, Any]]:
+        """The curves as JSON values; `payload_sha256` is the hash of this list as canonical JSON."""
+        return [curve.as_dict() for curve in self.curves]
+
+    @property
+    def payload_sha256(self) -> str:
+        """What clients verify."""
+        return hash_content(self.payload)
+
+    @property
+    def status(self) -> str:
+        """The worst status of its curves."""
+        return max((curve.status for curve in self.curves), key=STATUSES.index)
+
+    @property
+    def events(self) -> int:
+        """The largest number of events behind any of its curves."""
+        return max(curve.events for curve in self.curves)
+
+    def curve_of(self, dipole: str) -> CalibrationCurve:
+        """The curve that serves a dipole."""
+        return next(curve for curve in self.curves if curve.dipole in (dipole, None))
+
+
+@dataclass(frozen=True)
+class MeanC:
+    """The band mean of C of one curve of a version, V per ADC unit, and its standard deviation."""
+
+    calibration: str
+    scope: Scope
+    dipole: str
+    since: Instant
+    until: Instant
+    events: int
+    c: float
+    c_sigma: float
+
+
+def mean_over_band(curve: CalibrationCurve) -> tuple[float, float] | None:
+    """Mean of C over the channels; its error is the mean error, because the errors of channels move together."""
+    if curve.c is None or curve.c_sigma_stat is None:
+        return None
+    return float(np.mean(curve.c)), float(np.mean(curve.c_sigma_stat))
+
+
+class VersionStore:
+    """Versions by their id."""
+
+    def __init__(self, connection: Connection) -> None:
+        self._connection = connection
+        self._insert: Any = sqlite_insert if connection.dialect.name == "sqlite" else postgresql_insert
+
+    def add(self, versions: Sequence[Version]) -> None:
+        """Store versions; one whose inputs are stored already stays as it is."""
+        rows, means = [], []
+        for version in sorted(versions, key=lambda version: version.id):
+            rows.append(
+                {
+                    "id": version.id, "scope": version.scope.key, "station": version.scope.station,
+                    "antenna": version.scope.antenna, "dipole": version.scope.dipole,
+                    "since_us": version.since, "until_us": version.until, "status": version.status,
+                    "events": version.events, "inputs": canonical_json(version.inputs),
+                    "curves": canonical_json(version.payload), "payload_sha256": version.payload_sha256,
+                    "gate": version.gate, "made_us": version.made, "made_by": version.made_by, "reason": version.reason,
+                }
+            )  # fmt: skip
+            for curve in version.curves:
+                mean = mean_over_band(curve)
+                if mean is not None:
+                    c, c_sigma = mean
+                    means.append({"calibration": version.id, "dipole": curve.dipole or "", "c": c, "c_sigma": c_sigma})
+        if rows:
+            self._connection.execute(self._insert(calibration).on_conflict_do_nothing(), rows)
+        if means:
+            self._connection.execute(self._insert(calibration_mean).on_conflict_do_nothing(), means)
+
+    def get(self, version_id: str) -> Version:
+        """One version by its id."""
+        found = self.get_many([version_id])
+        if not found:
+            raise NotFoundError(f"no calibration {version_id!r}; GET /v1/calibrations lists them")
+        return found[version_id]
+
+    def get_many(self, ids: Iterable[str]) -> dict[str, Version]:
+        """Versions by their ids; unknown ids are left out."""
+        wanted = sorted(set(ids))
+        found: dict[str, Version] = {}
+        for start in range(0, len(wanted), 500):
+            rows = self._connection.execute(
+                select(calibration).where(calibration.c.id.in_(wanted[start : start + 500]))
+            )
+            found |= {row.id: _value(row) for row in rows}
+        return found
+
+    def known(self, ids: Iterable[str]) -> set[str]:
+        """Which of some ids are stored."""
+        return set(
+            self._connection.execute(select(calibration.c.id).where(calibration.c.id.in_(sorted(set(ids))))).scalars()
+        )
+
+    def search(self, scope: Scope | None, status: str | None, cursor: str, limit: int) -> list[Version]:
+        """Versions with an id after a cursor, in order of id."""
+        statement = select(calibration).where(calibration.c.id > cursor).order_by(calibration.c.id).limit(limit)
+        if scope is not None:
+            statement = statement.where(calibration.c.scope == scope.key)
+        if status is not None:
+            statement = statement.where(calibration.c.status == status)
+        return [_value(row) for row in self._connection.execute(statement)]
+
+    def newest(self, limit: int) -> list[Version]:
+        """The versions made last, newest first."""
+        statement = select(calibration).order_by(calibration.c.made_us.desc(), calibration.c.id).limit(limit)
+        return [_value(row) for row in self._connection.execute(statement)]
+
+    def means(self, scopes: Sequence[Scope] | None = None) -> list[MeanC]:
+        """Band means of C of the converged curves of some scopes (None = all), in order of their windows."""
+        columns = [
+            calibration.c.id, calibration.c.station, calibration.c.antenna, calibration.c.dipole.label("scope_dipole"),
+            calibration.c.since_us, calibration.c.until_us, calibration.c.events,
+            calibration_mean.c.dipole, calibration_mean.c.c, calibration_mean.c.c_sigma,
+        ]  # fmt: skip
+        statement = select(*columns).join(calibration, calibration.c.id == calibration_mean.c.calibration)
+        if scopes is not None:
+            statement = statement.where(calibration.c.scope.in_([scope.key for scope in scopes]))
+        statement = statement.order_by(calibration.c.since_us, calibration.c.made_us, calibration_mean.c.dipole)
+        return [
+            MeanC(
+                row.id, Scope(row.station, row.antenna, row.scope_dipole), row.dipole,
+                row.since_us, row.until_us, row.events, row.c, row.c_sigma,
+            )
+            for row in self._connection.execute(statement)
+        ]  # fmt: skip
+
+
+def _value(row: Row[Any]) -> Version:
+    return Version(
+        scope=Scope(row.station, row.antenna, row.dipole),
+        since=row.since_us,
+        until=row.until_us,
+        inputs=json.loads(row.inputs),
+        curves=tuple(parse_curve(curve) for curve in json.loads(row.curves)),
+        made=row.made_us,
+        made_by=row.made_by,
+        reason=row.reason,
+        gate=row.gate,
+    )

@@ -1,0 +1,141 @@
+"""The calibration in effect on a date, and the versions behind it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+from lbacal_core.curves import CalibrationCurve
+from lbacal_core.errors import BadInputError
+from lbacal_core.instrument import DIPOLES, Instrument
+from lbacal_core.validity import Instant, Promotion, Scope, Stretch, neighbours, timeline
+from service.errors import NotInEffectError
+from service.storage.database import Database, Stores
+from service.storage.versions import Version
+from service.wire.instants import format_instant
+
+
+@dataclass(frozen=True)
+class CurveInEffect:
+    """The curve that answers for a path, by which promotion, and what each scope said on the way.
+
+    `is_held` tells that nothing is in effect and the nearest in time answers instead.
+    """
+
+    path: Scope
+    curve: CalibrationCurve
+    promotion: Promotion
+    is_held: bool
+    trace: Sequence[Promotion]
+
+
+@dataclass(frozen=True)
+class InEffect:
+    """The answer for some paths at an instant; `missing` are those for which nothing is in effect."""
+
+    at: Instant
+    curves: Sequence[CurveInEffect]
+    missing: Sequence[Scope]
+
+
+def select_paths(instrument: Instrument, station: str | None, antenna: int | None, dipole: str | None) -> list[Scope]:
+    """The paths of an instrument that a query means."""
+    if antenna is not None and station is None:
+        raise BadInputError("antenna", "a station beside it", f"antenna {antenna} alone")
+    if dipole not in (None, *DIPOLES):
+        raise BadInputError("dipole", "X or Y", repr(dipole))
+    known = sorted({(record.station, record.antenna) for record in instrument.antennas})
+    stations = sorted({name for name, _ in known})
+    if station not in (None, *stations):
+        raise BadInputError("station", f"one of {', '.join(stations)}", repr(station))
+    chosen = [(s, a) for s, a in known if station in (None, s) and antenna in (None, a)]
+    if not chosen:
+        raise BadInputError("antenna", f"an antenna of {station}", str(antenna))
+    return [Scope(s, a, d) for s, a in chosen for d in DIPOLES if dipole in (None, d)]
+
+
+@dataclass(frozen=True)
+class Calibrations:
+    """Answers which calibration was in effect when, as known when."""
+
+    database: Database
+    instrument: Instrument
+    clock: Callable[[], Instant]
+
+    def in_effect(
+        self, at: Instant, paths: Sequence[Scope], as_of: Instant | None = None, *, hold: bool = False
+    ) -> InEffect:
+        """What answers for paths at an instant; an error naming the neighbours if nothing does for any of them."""
+        if as_of is not None and as_of > self.clock():
+            raise BadInputError("as_of", "an instant not later than now", format_instant(as_of))
+        with self.database.read() as stores:
+            asked = stores.ledger.answers(paths, at, as_of)
+            decisive = {path: said[-1] for path, said in asked.items() if said and said[-1].calibration is not None}
+            held: dict[Scope, Promotion] = {}
+            missing = [path for path in paths if path not in decisive]
+            if missing and (hold or not decisive):
+                timelines = _timelines(stores, missing, as_of)
+                if hold:
+                    held = {path: p for path in missing if (p := _nearest(timelines[path], at)) is not None}
+                if not decisive and not held:
+                    raise NotInEffectError(_explain_gap(missing, timelines[missing[0]], at))
+            answers = decisive | held
+            versions = stores.versions.get_many(str(promotion.calibration) for promotion in answers.values())
+        curves = [
+            CurveInEffect(
+                path=path,
+                curve=versions[str(answers[path].calibration)].curve_of(str(path.dipole)),
+                promotion=answers[path],
+                is_held=path in held,
+                trace=asked[path],
+            )
+            for path in paths
+            if path in answers
+        ]
+        return InEffect(at, curves, [path for path in paths if path not in answers])
+
+    def get(self, version_id: str) -> tuple[Version, list[Promotion]]:
+        """A version and everything the ledger says of it."""
+        with self.database.read() as stores:
+            return stores.versions.get(version_id), stores.ledger.of_calibration(version_id)
+
+    def pair(self, first: str, second: str) -> tuple[Version, Version]:
+        """Two versions, to be compared."""
+        with self.database.read() as stores:
+            return stores.versions.get(first), stores.versions.get(second)
+
+    def search(self, scope: Scope | None, status: str | None, cursor: str, limit: int) -> list[Version]:
+        """Versions in order of id, after a cursor."""
+        with self.database.read() as stores:
+            return stores.versions.search(scope, status, cursor, limit)
+
+
+def _timelines(stores: Stores, paths: Sequence[Scope], as_of: Instant | None) -> Mapping[Scope, list[Stretch]]:
+    scopes = {scope for path in paths for scope in path.widening}
+    of_scope: dict[Scope, list[Promotion]] = {scope: [] for scope in scopes}
+    for promotion in stores.ledger.of_scopes(scopes, as_of):
+        of_scope[promotion.scope].append(promotion)
+    return {path: timeline([p for scope in path.widening for p in of_scope[scope]], path) for path in paths}
+
+
+def _nearest(stretches: Sequence[Stretch], at: Instant) -> Promotion | None:
+    before, after = neighbours(stretches, at)
+    since = at - before.end if before is not None and before.end is not None else None
+    until = after.start - at if after is not None and after.start is not None else None
+    if since is None or (until is not None and until < since):
+        return after.promotion if after else None
+    return before.promotion if before else None
+
+
+def _explain_gap(missing: Sequence[Scope], stretches: Sequence[Stretch], at: Instant) -> str:
+    before, after = neighbours(stretches, at)
+    path = missing[0].key if len(missing) == 1 else f"{missing[0].key} or any of the {len(missing)} paths asked for"
+    sentence = f"no calibration is in effect for {path} at {format_instant(at)}"
+    if before is None and after is None:
+        return f"{sentence}, and none was or will be at another time"
+    named = []
+    if before is not None and before.end is not None:
+        named.append(f"{before.calibration} was until {format_instant(before.end)}")
+    if after is not None and after.start is not None:
+        named.append(f"{after.calibration} is from {format_instant(after.start)}")
+    return f"{sentence}: {' and '.join(named)}; gap=hold answers with the nearest"

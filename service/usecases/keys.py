@@ -1,0 +1,87 @@
+"""API keys: made once, shown once, kept as a hash."""
+
+from __future__ import annotations
+
+import hashlib
+import secrets
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from lbacal_core.errors import BadInputError
+from lbacal_core.validity import Instant
+from service.errors import ForbiddenError, UnauthenticatedError
+from service.storage.database import Database
+from service.storage.keys import Key
+
+SCOPES = ("read", "spectra:write", "refits:run", "calibrations:promote", "admin")
+DAY_US = 86_400_000_000
+
+
+@dataclass(frozen=True)
+class Caller:
+    """Who asks: a key, or nobody in particular."""
+
+    name: str
+    scopes: frozenset[str]
+
+    def may(self, scope: str) -> bool:
+        """Whether a scope was granted; `admin` holds all."""
+        return scope in self.scopes or "admin" in self.scopes
+
+
+@dataclass(frozen=True)
+class Keys:
+    """Makes keys and checks them."""
+
+    database: Database
+    clock: Callable[[], Instant]
+    open_reads: bool = True
+
+    def create(self, scopes: tuple[str, ...], days: float | None = None) -> tuple[int, str]:
+        """Make a key; its text exists only in this answer."""
+        unknown = [scope for scope in scopes if scope not in SCOPES]
+        if unknown or not scopes:
+            raise BadInputError("scope", f"one or more of {', '.join(SCOPES)}", unknown[0] if unknown else "none")
+        if days is not None and not 0 < days < 36_525:
+            raise BadInputError("expires", "days > 0", f"{days:g}")
+        text = "lbacal_" + secrets.token_urlsafe(32)
+        now = self.clock()
+        expires = None if days is None else now + round(days * DAY_US)
+        with self.database.write() as stores:
+            return stores.keys.add(_sha256(text), scopes, created=now, expires=expires), text
+
+    def list(self) -> list[Key]:
+        """All keys, without their texts."""
+        with self.database.read() as stores:
+            return stores.keys.all()
+
+    def revoke(self, number: int) -> None:
+        """Close a key for good."""
+        with self.database.write() as stores:
+            stores.keys.revoke(number, self.clock())
+
+    def require(self, authorization: str | None, *scopes: str) -> Caller:
+        """Who asks, if they may: `authorization` is the header, None where it is absent."""
+        caller = self._identify(authorization)
+        for scope in scopes:
+            if not caller.may(scope):
+                if authorization is None:
+                    raise UnauthenticatedError(f"this needs a key with scope {scope}: Authorization: Bearer KEY")
+                raise ForbiddenError(f"{caller.name} has no scope {scope}, only {', '.join(sorted(caller.scopes))}")
+        return caller
+
+    def _identify(self, authorization: str | None) -> Caller:
+        if authorization is None:
+            return Caller("anyone", frozenset({"read"} if self.open_reads else ()))
+        scheme, _, text = authorization.partition(" ")
+        if scheme.lower() != "bearer":
+            raise UnauthenticatedError("the header Authorization is not of the form: Bearer KEY")
+        with self.database.read() as stores:
+            key = stores.keys.find(_sha256(text.strip()))
+        if key is None or not key.is_valid(self.clock()):
+            raise UnauthenticatedError("the key is unknown, expired or revoked")
+        return Caller(f"key {key.number}", frozenset(key.scopes) | {"read"})
+
+
+def _sha256(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()

@@ -1,0 +1,66 @@
+"""JSON answers: how values of the service look on the wire. Every function is pure: the same value, the same bytes."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from typing import Any
+
+from lbacal_core.curves import CalibrationCurve
+from lbacal_core.validity import Instant, Promotion, Scope
+from service.wire.instants import format_instant, format_optional
+
+
+def to_json(content: Any) -> bytes:
+    """Write an answer; never NaN."""
+    return json.dumps(content, allow_nan=False, separators=(",", ":"), ensure_ascii=False).encode()
+
+
+def describe_scope(scope: Scope) -> dict[str, Any]:
+    """Station, antenna and dipole, null where they do not apply."""
+    return {"station": scope.station, "antenna": scope.antenna, "dipole": scope.dipole}
+
+
+def describe_promotion(promotion: Promotion) -> dict[str, Any]:
+    """One line of the ledger."""
+    return {
+        "promotion": promotion.number,
+        "scope": promotion.scope.level,
+        **describe_scope(promotion.scope),
+        "valid_from": format_instant(promotion.valid_from),
+        "valid_to": format_optional(promotion.valid_to),
+        "calibration": promotion.calibration,
+        "at": format_instant(promotion.at),
+        "by": promotion.by,
+        "reason": promotion.reason,
+    }
+
+
+def describe_curve_in_effect(
+    path: Scope, curve: CalibrationCurve, promotion: Promotion, trace: Sequence[Promotion], *, is_held: bool
+) -> dict[str, Any]:
+    """A curve as in fit.json, named after the path that asked, with the version and the scope that answered."""
+    return {
+        **curve.as_dict(),
+        **describe_scope(path),
+        "calibration": promotion.calibration,
+        "answered_by": promotion.scope.level,
+        "valid": {"from": format_instant(promotion.valid_from), "to": format_optional(promotion.valid_to)},
+        "held": is_held,
+        "trace": [
+            {"scope": p.scope.level, "promotion": p.number, "calibration": p.calibration, "at": format_instant(p.at)}
+            for p in trace
+        ],
+    }
+
+
+def describe_in_effect(
+    at: Instant, as_of: str | None, curves: list[dict[str, Any]], missing: list[Scope]
+) -> dict[str, Any]:
+    """The answer to "in effect at"; `missing` names paths for which nothing is in effect."""
+    return {
+        "at": format_instant(at),
+        "as_of": as_of,
+        "curves": curves,
+        "missing": [describe_scope(path) for path in missing],
+    }
