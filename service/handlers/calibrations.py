@@ -1,0 +1,203 @@
+"""The calibration in effect, the versions behind it, and promotion."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from fastapi import APIRouter, Depends, Query, Request, Response
+
+from lbacal_core.curves import STATUSES
+from lbacal_core.validity import Promotion, Scope
+from service.handlers.problems import document
+from service.handlers.request import (
+    IMMUTABLE,
+    REVALIDATE,
+    JsonBody,
+    Limit,
+    UseCases,
+    answer,
+    caller_with,
+    describes,
+    require_read,
+)
+from service.storage.versions import Version
+from service.usecases.calibrations import select_paths
+from service.usecases.comparison import compare_curves
+from service.usecases.keys import Caller
+from service.usecases.promotions import Change
+from service.wire.answers import describe_curve_in_effect, describe_in_effect, describe_promotion, describe_scope
+from service.wire.bodies import PromotionBody, parse_body
+from service.wire.instants import format_instant, format_optional, parse_at, parse_instant
+from service.wire.tables import FORMATS, choose_format, write_format
+
+router = APIRouter(tags=["calibrations"])
+SETTLED_US = 60_000_000
+"""What the ledger said at an instant cannot change once this has passed: promotions commit within 5 s of their `at`."""
+
+
+@router.get(
+    "/v1/calibrations/effective",
+    summary="The calibration in effect on a date",
+    description="`at` (or `mjd`) is when the data were taken, `as_of` when the question is asked: pin it to get the "
+    "same answer for ever. A path is answered by its own version, else its station's, else the array's.",
+    responses=document(401, 404, 422, 503),
+    dependencies=[Depends(require_read)],
+)
+def get_in_effect(
+    request: Request,
+    use: UseCases,
+    at: str | None = None,
+    mjd: str | None = None,
+    station: str | None = None,
+    antenna: Annotated[int | None, Query(ge=0)] = None,
+    dipole: str | None = None,
+    as_of: str | None = None,
+    gap: Literal["error", "hold"] = "error",
+    format: str | None = None,  # noqa: A002 - its name on the wire
+) -> Response:
+    kind = choose_format(format, request.headers.get("accept"))
+    paths = select_paths(use.calibrations.instrument, station, antenna, dipole)
+    known_at = None if as_of is None else parse_instant("as_of", as_of)
+    found = use.calibrations.in_effect(parse_at(at, mjd), paths, known_at, hold=gap == "hold")
+    curves = [describe_curve_in_effect(c.path, c.curve, c.promotion, c.trace, is_held=c.is_held) for c in found.curves]
+    content = describe_in_effect(found.at, as_of, curves, list(found.missing))
+    is_settled = known_at is not None and known_at < use.clock() - SETTLED_US
+    return answer(
+        request,
+        content if kind == "json" else write_format(kind, content),
+        media_type=FORMATS[kind],
+        cache=IMMUTABLE if is_settled else REVALIDATE,
+    )
+
+
+@router.get(
+    "/v1/calibrations",
+    summary="List versions",
+    description="In order of id, without their curves; `next` is the cursor of the next page.",
+    responses=document(401, 422, 503),
+    dependencies=[Depends(require_read)],
+)
+def list_versions(
+    request: Request,
+    use: UseCases,
+    scope: Annotated[Literal["array"] | None, Query(description="array: its versions only")] = None,
+    station: Annotated[str | None, Query(pattern=r"^[^\x00-\x1f]{1,200}$")] = None,
+    antenna: Annotated[int | None, Query(ge=0, le=2**31 - 1)] = None,
+    dipole: str | None = None,
+    status: Literal[STATUSES] | None = None,  # type: ignore[valid-type] # a closed list, written once
+    cursor: Annotated[str, Query(pattern=r"^[0-9a-f]{0,64}$")] = "",
+    limit: Limit = 100,
+) -> Response:
+    is_everything = (scope, station, antenna, dipole) == (None, None, None, None)
+    wanted = None if is_everything else Scope(station, antenna, dipole)
+    versions = use.calibrations.search(wanted, status, cursor, limit)
+    following = versions[-1].id if len(versions) == limit else None
+    return answer(request, {"calibrations": [describe_version(version) for version in versions], "next": following})
+
+
+@router.get(
+    "/v1/calibrations/{version_id}",
+    summary="One version",
+    description="Its inputs, curves and `payload_sha256`, the SHA-256 of `curves` as canonical JSON.",
+    responses=document(401, 404, 503),
+    dependencies=[Depends(require_read)],
+)
+def get_version(request: Request, use: UseCases, version_id: str) -> Response:
+    version, _ = use.calibrations.get(version_id)
+    return answer(request, {**describe_version(version), "curves": version.payload}, cache=IMMUTABLE)
+
+
+@router.get(
+    "/v1/calibrations/{first}/diff/{second}",
+    summary="How two versions differ",
+    description="Per dipole the change of C from the first to the second, as a fraction and in standard deviations.",
+    responses=document(401, 404, 422, 503),
+    dependencies=[Depends(require_read)],
+)
+def get_diff(request: Request, use: UseCases, first: str, second: str) -> Response:
+    a, b = use.calibrations.pair(first, second)
+    return answer(request, describe_diff(a, b), cache=IMMUTABLE)
+
+
+@router.post(
+    "/v1/promotions",
+    status_code=201,
+    summary="Promote a version for an interval, or withdraw",
+    description="`dry_run=true` answers 200 with the changes and writes nothing.",
+    responses=document(400, 401, 403, 404, 409, 415, 422, 503),
+    openapi_extra=describes(PromotionBody),
+)
+def promote(
+    request: Request,
+    use: UseCases,
+    caller: Annotated[Caller, caller_with("calibrations:promote")],
+    body: JsonBody,
+    dry_run: bool = False,
+) -> Response:
+    wanted = parse_body(PromotionBody, body)
+    if dry_run:
+        return answer(request, describe_changes(None, use.promotions.preview(wanted, caller.name)))
+    promotion, changes = use.promotions.promote(wanted, caller.name)
+    return answer(request, describe_changes(promotion, changes), status=201)
+
+
+def describe_version(version: Version) -> dict[str, Any]:
+    """A version as JSON values, without its curves."""
+    return {
+        "id": version.id,
+        "scope": version.scope.level,
+        **describe_scope(version.scope),
+        "since": format_instant(version.since),
+        "until": format_instant(version.until),
+        "status": version.status,
+        "events": version.events,
+        "gate": version.gate,
+        "made_at": format_instant(version.made),
+        "made_by": version.made_by,
+        "reason": version.reason,
+        "payload_sha256": version.payload_sha256,
+        "inputs": dict(version.inputs),
+    }
+
+
+def describe_diff(first: Version, second: Version) -> dict[str, Any]:
+    """The difference of two versions: their curves by dipole, and the inputs that are not the same."""
+    curves = []
+    for curve in first.curves:
+        other = next((c for c in second.curves if c.dipole == curve.dipole), None)
+        if other is not None and curve.c is not None and other.c is not None:
+            change = compare_curves(curve, other)
+            curves.append(
+                {
+                    "dipole": curve.dipole,
+                    "frequency_mhz": change.frequency_mhz.tolist(),
+                    "fraction": change.fraction.tolist(),
+                    "sigma": change.sigma.tolist(),
+                    "max_fraction": change.max_fraction,
+                    "max_sigma": change.max_sigma,
+                }
+            )
+    names = sorted({*first.inputs, *second.inputs})
+    inputs = {
+        name: {"first": first.inputs.get(name), "second": second.inputs.get(name)}
+        for name in names
+        if first.inputs.get(name) != second.inputs.get(name)
+    }
+    return {"first": first.id, "second": second.id, "curves": curves, "inputs": inputs}
+
+
+def describe_changes(promotion: Promotion | None, changes: list[Change]) -> dict[str, Any]:
+    """What a promotion changes, path by path; with the promotion itself where it was made."""
+    listed = [
+        {
+            **describe_scope(change.path),
+            "from": format_instant(change.start),
+            "to": format_optional(change.end),
+            "before": change.before,
+            "after": change.after,
+            "max_fraction": change.curve_change and change.curve_change.max_fraction,
+            "max_sigma": change.curve_change and change.curve_change.max_sigma,
+        }
+        for change in changes
+    ]
+    return {**(describe_promotion(promotion) if promotion else {}), "changes": listed}

@@ -1,0 +1,115 @@
+"""What handlers ask of a request: the factory, the body, the caller; and how they answer."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import AsyncIterator
+from typing import Annotated, Any, cast
+
+from fastapi import Depends, Query, Request, Response
+from pydantic import BaseModel
+
+from lbacal_core.errors import BadInputError
+from service.errors import TooLargeError, UnsupportedMediaError
+from service.factory import Factory
+from service.usecases.keys import Caller
+from service.wire.answers import to_json
+
+IMMUTABLE = "public, max-age=31536000, immutable"
+REVALIDATE = "no-cache"
+Limit = Annotated[int, Query(ge=1, le=1000, description="most items in the answer")]
+
+
+def get_factory(request: Request) -> Factory:
+    """The use cases of this application."""
+    return cast("Factory", request.app.state.factory)
+
+
+UseCases = Annotated[Factory, Depends(get_factory)]
+
+
+def require_read(request: Request, use: UseCases) -> Caller:
+    """A caller who may read."""
+    return use.keys.require(request.headers.get("authorization"), "read")
+
+
+def require_known_query(request: Request) -> None:
+    """Refuse a query parameter that the route does not have: a misspelt filter must not answer about everything."""
+    known = {parameter.alias for parameter in request.scope["route"].dependant.query_params}
+    seen: set[str] = set()
+    for name, _ in request.query_params.multi_items():
+        if name not in known:
+            raise BadInputError("query", f"only {', '.join(sorted(known)) or 'no parameter'}", name[:60])
+        if name in seen:
+            raise BadInputError("query", f"{name} once", "it twice")
+        seen.add(name)
+
+
+def caller_with(*scopes: str) -> Any:
+    """A dependency that yields a caller who holds the scopes."""
+
+    def require(request: Request, use: UseCases) -> Caller:
+        return use.keys.require(request.headers.get("authorization"), *scopes)
+
+    return Depends(require)
+
+
+async def read_json_body(request: Request, use: UseCases) -> bytes:
+    """The body of a JSON request, up to the largest size allowed."""
+    media = request.headers.get("content-type", "").partition(";")[0].strip().lower()
+    if media != "application/json":
+        raise UnsupportedMediaError(f"this route reads application/json, not {media or 'an unnamed type'}")
+    limit = round(use.settings.max_body_mb * 1e6)
+    announced = request.headers.get("content-length", "0")
+    if announced.isdigit() and int(announced) > limit:
+        raise TooLargeError(f"the body has {announced} bytes, {limit} are allowed (LBACAL_MAX_BODY_MB)")
+    return b"".join([chunk async for chunk in _limited(request.stream(), limit)])
+
+
+async def _limited(chunks: AsyncIterator[bytes], limit: int) -> AsyncIterator[bytes]:
+    size = 0
+    async for chunk in chunks:
+        size += len(chunk)
+        if size > limit:
+            raise TooLargeError(f"the body has more than the {limit} bytes allowed (LBACAL_MAX_BODY_MB)")
+        yield chunk
+
+
+JsonBody = Annotated[bytes, Depends(read_json_body)]
+
+
+def answer(
+    request: Request,
+    content: bytes | Any,
+    *,
+    status: int = 200,
+    media_type: str = "application/json",
+    cache: str = REVALIDATE,
+) -> Response:
+    """Answer with content; a client that holds the same bytes gets 304."""
+    body = content if isinstance(content, bytes) else to_json(content)
+    etag = f'"{hashlib.sha256(body).hexdigest()}"'
+    headers = {"ETag": etag, "Cache-Control": cache, "Vary": "Accept"}
+    known = [tag.strip().removeprefix("W/") for tag in request.headers.get("if-none-match", "").split(",")]
+    if request.method in ("GET", "HEAD") and etag in known:
+        return Response(status_code=304, headers=headers)
+    return Response(body, status, headers, media_type)
+
+
+def describes(body: type[BaseModel]) -> dict[str, Any]:
+    """The part of the OpenAPI document that tells what a body looks like."""
+    return {"requestBody": {"required": True, "content": {"application/json": {"schema": _inline(body)}}}}
+
+
+def _inline(body: type[BaseModel]) -> dict[str, Any]:
+    """The JSON schema of a body with its parts written out where they are used."""
+    schema = body.model_json_schema()
+    parts = schema.pop("$defs", {})
+
+    def fill(node: Any) -> Any:
+        if isinstance(node, dict):
+            name = str(node.get("$ref", "")).rpartition("/")[2]
+            return fill(parts[name]) if name else {key: fill(value) for key, value in node.items()}
+        return [fill(value) for value in node] if isinstance(node, list) else node
+
+    return cast("dict[str, Any]", fill(schema))
