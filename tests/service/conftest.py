@@ -1,0 +1,162 @@
+from __future__ import annotations
+
+import itertools
+import json
+import os
+from collections.abc import Callable, Iterator
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import psycopg
+import pytest
+from fastapi.testclient import TestClient
+
+from lbacal_core.curves import CONVERGED, CalibrationCurve
+from lbacal_core.instrument import Instrument, load_instrument
+from lbacal_core.validity import Scope
+from proofs._postgres import run_postgres
+from service.app import make_app
+from service.config import Settings
+from service.factory import Factory
+from service.storage.migration import upgrade
+from service.storage.versions import Version
+
+CHANNELS = 4
+MHZ = [30.0, 45.0, 60.0, 80.0]
+DAY_US = 86_400_000_000
+
+
+def instant(text: str) -> int:
+    moment = datetime.fromisoformat(text).replace(tzinfo=UTC)
+    return round(moment.timestamp() * 1_000_000)
+
+
+class Clock:
+    """A clock that stands until it is moved; every reading is one microsecond later than the one before."""
+
+    def __init__(self) -> None:
+        self.now = instant("2020-01-01")
+
+    def __call__(self) -> int:
+        self.now += 1
+        return self.now
+
+
+@pytest.fixture(scope="session")
+def instrument_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    content = {
+        "name": "two small stations", "latitude_deg": 52.9, "longitude_deg": 6.9, "height_m": 50.0,
+        "frequency_mhz": MHZ, "dipoles": {"X": {"azimuth_deg": 45.0}, "Y": {"azimuth_deg": 135.0}},
+        "antenna_gain": [0.1] * CHANNELS, "receiver_gain": [1.0] * CHANNELS, "cables": {"80m": [0.5] * CHANNELS},
+        "antennas": [{"station": s, "antenna": a, "cable": "80m"} for s in ("CS001", "CS002") for a in range(3)],
+    }  # fmt: skip
+    path = tmp_path_factory.mktemp("instrument") / "instrument.json"
+    path.write_text(json.dumps(content))
+    return path
+
+
+@pytest.fixture(scope="session")
+def instrument(instrument_file: Path) -> Instrument:
+    return load_instrument(str(instrument_file))
+
+
+@pytest.fixture(scope="session")
+def postgres() -> Iterator[str]:
+    try:
+        with run_postgres() as url:
+            yield url
+    except FileNotFoundError as error:
+        if os.environ.get("CI"):
+            raise
+        pytest.skip(str(error))
+
+
+_names = itertools.count()
+
+
+@pytest.fixture(params=["sqlite", "postgresql"])
+def database_url(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[str]:
+    """An empty database of either kind."""
+    if request.param == "sqlite":
+        yield str(tmp_path / "lbacal.sqlite")
+        return
+    server = request.getfixturevalue("postgres")
+    name = f"test_{os.getpid()}_{next(_names)}"
+    with psycopg.connect(server, autocommit=True) as connection:
+        connection.execute(f"CREATE DATABASE {name}")
+    yield server.replace("/postgres?", f"/{name}?", 1)
+    with psycopg.connect(server, autocommit=True) as connection:
+        connection.execute(f"DROP DATABASE {name} WITH (FORCE)")
+
+
+@pytest.fixture
+def clock() -> Clock:
+    return Clock()
+
+
+@pytest.fixture
+def factory(database_url: str, instrument_file: Path, clock: Clock) -> Iterator[Factory]:
+    made = Factory(Settings(database_url=database_url, instrument=str(instrument_file)), clock)
+    upgrade(made.database)
+    yield made
+    made.database.close()
+
+
+@pytest.fixture
+def client(factory: Factory) -> Iterator[TestClient]:
+    _, key = factory.keys.create(("admin",))
+    with TestClient(make_app(factory), raise_server_exceptions=False) as made:
+        made.headers["Authorization"] = f"Bearer {key}"
+        yield made
+
+
+def _curve(scope: Scope, dipole: str, level: float = 1.0, status: str = CONVERGED) -> CalibrationCurve:
+    good = status == CONVERGED
+    return CalibrationCurve(
+        station=scope.station,
+        antenna=scope.antenna,
+        dipole=dipole,
+        status=status,
+        events=100,
+        frequency_mhz=np.array(MHZ),
+        c=level * np.array([1.0, 2.0, 3.0, 4.0]) if good else None,
+        c_sigma_stat=np.full(CHANNELS, 0.01) if good else None,
+        c_sigma_sys=None,
+        chi2_per_dof=1.0 if good else None,
+        lst_coverage=1.0,
+        parameters={},
+    )
+
+
+def _version(scope: Scope, name: str, level: float = 1.0, status: str = CONVERGED, **more: Any) -> Version:
+    """A version whose inputs are just its name."""
+    dipoles = [scope.dipole] if scope.dipole else ["X", "Y"]
+    content = {
+        "since": instant("2014-01-01"), "until": instant("2015-01-01"), "made": instant("2019-12-31"),
+        "made_by": "test", "reason": "test", **more,
+    }  # fmt: skip
+    curves = tuple(_curve(scope, dipole, level, status) for dipole in dipoles)
+    return Version(scope=scope, inputs={"name": name}, curves=curves, **content)
+
+
+@pytest.fixture
+def stored(factory: Factory) -> dict[str, Version]:
+    """One version for the array, one station and one path, none promoted."""
+    versions = {
+        "array": _version(Scope(), "array", 1.0),
+        "station": _version(Scope("CS001"), "station", 1.1),
+        "path": _version(Scope("CS001", 0, "X"), "path", 1.2),
+        "other": _version(Scope("CS001", 0, "X"), "other", 1.3),
+        "failed": _version(Scope("CS001", 0, "X"), "failed", status="too_few_events"),
+    }
+    with factory.database.write() as stores:
+        stores.versions.add(list(versions.values()))
+    return versions
+
+
+@pytest.fixture(scope="session")
+def new_version() -> Callable[..., Version]:
+    """Makes a version for a scope whose inputs are just a name."""
+    return _version

@@ -1,0 +1,239 @@
+from __future__ import annotations
+
+import csv
+import hashlib
+import io
+from typing import Any
+
+import numpy as np
+import pytest
+from astropy.table import Table
+from fastapi.testclient import TestClient
+
+from lbacal_core.provenance import canonical_json
+from service.storage.versions import Version
+
+Stored = dict[str, Version]
+
+
+def promote(client: TestClient, version: Version | None, start: str, end: str | None = None, **scope: Any) -> Any:
+    body = {"calibration": version and version.id, "valid_from": start, "valid_to": end, "reason": "test", **scope}
+    answer = client.post("/v1/promotions", json=body)
+    assert answer.status_code == 201, answer.text
+    return answer.json()
+
+
+def ask(client: TestClient, at: str = "2014-06-01", **params: Any) -> Any:
+    return client.get("/v1/calibrations/effective", params={"at": at, **params})
+
+
+PATH = {"station": "CS001", "antenna": 0, "dipole": "X"}
+
+
+def test_the_narrowest_scope_in_effect_answers_and_says_so(client: TestClient, stored: Stored) -> None:
+    promote(client, stored["array"], "2013-01-01")
+    promote(client, stored["station"], "2014-01-01", "2015-01-01")
+    promote(client, stored["path"], "2014-03-01", "2014-04-01")
+    found = [
+        ask(client, at, **PATH).json()["curves"][0]["answered_by"]
+        for at in ("2013-01-01", "2014-01-01", "2014-03-01", "2014-04-01", "2014-12-31T23:59:59.999999Z", "2015-01-01")
+    ]
+    assert found == ["array", "station", "antenna", "station", "station", "array"]
+    curve = ask(client, "2014-03-05", **PATH).json()["curves"][0]
+    assert curve["c"] == [1.2, 2.4, 1.2 * 3.0, 4.8]
+    assert curve["calibration"] == stored["path"].id
+    assert curve["valid"] == {"from": "2014-03-01T00:00:00Z", "to": "2014-04-01T00:00:00Z"}
+    assert curve["held"] is False
+    assert [step["scope"] for step in curve["trace"]] == ["antenna"]
+
+
+def test_a_station_has_all_its_paths_and_no_station_all_paths(client: TestClient, stored: Stored) -> None:
+    promote(client, stored["array"], "2013-01-01")
+    whole, station = ask(client).json()["curves"], ask(client, station="CS002").json()["curves"]
+    assert [(c["station"], c["antenna"], c["dipole"]) for c in station] == [
+        ("CS002", a, d) for a in range(3) for d in "XY"
+    ]
+    assert len(whole) == 12
+    assert len(ask(client, dipole="Y").json()["curves"]) == 6
+
+
+def test_rollback_is_promoting_the_old_version_again(client: TestClient, stored: Stored) -> None:
+    first = promote(client, stored["path"], "2014-01-01")
+    second = promote(client, stored["other"], "2014-01-01")
+    promote(client, stored["path"], "2014-01-01")
+    now = ask(client, **PATH).json()
+    assert now["curves"][0]["calibration"] == stored["path"].id
+    then = ask(client, as_of=second["at"], **PATH).json()
+    assert (then["as_of"], then["curves"][0]["calibration"]) == (second["at"], stored["other"].id)
+    assert ask(client, as_of=first["at"], **PATH).json()["curves"][0]["calibration"] == stored["path"].id
+    assert ask(client, as_of="2019-01-01", **PATH).status_code == 404
+
+
+def test_withdrawal_uncovers_the_wider_scope(client: TestClient, stored: Stored) -> None:
+    promote(client, stored["array"], "2013-01-01")
+    promote(client, stored["path"], "2014-01-01")
+    promote(client, None, "2014-05-01", "2014-07-01", **PATH)
+    curve = ask(client, **PATH).json()["curves"][0]
+    assert curve["answered_by"] == "array"
+    assert [(step["scope"], step["calibration"]) for step in curve["trace"]] == [
+        ("antenna", None),
+        ("array", stored["array"].id),
+    ]
+
+
+def test_a_gap_names_its_neighbours_and_can_be_held(client: TestClient, stored: Stored) -> None:
+    promote(client, stored["path"], "2014-01-01", "2014-02-01")
+    promote(client, stored["other"], "2014-07-01", "2014-08-01")
+    answer = ask(client, "2014-06-20", **PATH)
+    assert answer.status_code == 404
+    detail = answer.json()["detail"]
+    assert f"{stored['path'].id} was until 2014-02-01T00:00:00Z" in detail
+    assert f"{stored['other'].id} is from 2014-07-01T00:00:00Z" in detail
+    held = [
+        ask(client, at, gap="hold", **PATH).json()["curves"][0]
+        for at in ("2014-02-02", "2014-06-20", "2030-01-01", "1990-01-01")
+    ]
+    assert [c["calibration"] for c in held] == [stored[n].id for n in ("path", "other", "other", "path")]
+    assert all(c["held"] for c in held)
+    assert ask(client, "2014-06-20", station="CS002").json()["detail"].endswith("none was or will be at another time")
+
+
+def test_paths_with_nothing_in_effect_are_named_as_missing(client: TestClient, stored: Stored) -> None:
+    promote(client, stored["path"], "2014-01-01")
+    content = ask(client, station="CS001").json()
+    assert len(content["curves"]) == 1
+    assert len(content["missing"]) == 5
+
+
+@pytest.mark.parametrize(
+    "params",
+    [
+        {"at": "2014"}, {"at": "20140501"}, {"at": "56778"}, {"at": ""}, {}, {"at": "2014-06-01", "mjd": "56778"},
+        {"mjd": "2014-06-01"}, {"at": "2014-06-01", "as_of": "2030-01-01"}, {"at": "2014-06-01", "as_of": "2014"},
+        {"at": "2014-06-01", "antenna": 0}, {"at": "2014-06-01", "station": "CS009"},
+        {"at": "2014-06-01", "station": "CS001", "antenna": 77},
+        {"at": "2014-06-01", "station": "CS001", "antenna": "x"},
+        {"at": "2014-06-01", "dipole": "Z"}, {"at": "2014-06-01", "format": "xml"}, {"at": "2014-06-01", "gap": "fill"},
+        {"at": "2014-06-01", "sation": "CS001"}, {"at": ["2014-06-01", "2014-06-02"]},
+        {"at": "2014-06-01", "station": "CS001", "format": "nuradio"},
+    ],
+)  # fmt: skip
+def test_a_bad_question_is_refused(client: TestClient, stored: Stored, params: dict[str, Any]) -> None:
+    promote(client, stored["array"], "2013-01-01")
+    answer = client.get("/v1/calibrations/effective", params=params)
+    assert answer.status_code == 422, answer.text
+    assert answer.headers["content-type"] == "application/problem+json"
+
+
+def test_the_date_may_be_given_as_mjd(client: TestClient, stored: Stored) -> None:
+    promote(client, stored["array"], "2013-01-01")
+    answer = client.get("/v1/calibrations/effective", params={"mjd": "56809.5"})
+    assert answer.json()["at"] == "2014-06-01T12:00:00Z"
+
+
+def test_the_same_question_has_the_same_bytes_and_a_settled_one_never_expires(
+    client: TestClient, stored: Stored, clock: Any
+) -> None:
+    at = promote(client, stored["array"], "2013-01-01")["at"]
+    fresh = ask(client, as_of=at)
+    clock.now += 61_000_000
+    settled = ask(client, as_of=at)
+    assert settled.content == fresh.content
+    assert "immutable" not in fresh.headers["cache-control"]
+    assert "immutable" in settled.headers["cache-control"]
+    assert "immutable" not in ask(client).headers["cache-control"]
+    etag = {"If-None-Match": settled.headers["etag"]}
+    again = client.get("/v1/calibrations/effective", params={"at": "2014-06-01", "as_of": at}, headers=etag)
+    assert (again.status_code, again.content) == (304, b"")
+
+
+def test_all_formats_carry_the_same_rows(client: TestClient, stored: Stored) -> None:
+    promote(client, stored["station"], "2014-01-01", "2015-01-01")
+    content = ask(client, station="CS001").json()
+    expected = [value for curve in content["curves"] for value in curve["c"]]
+    rows = list(csv.DictReader(io.StringIO(ask(client, station="CS001", format="csv").text)))
+    assert [float(row["c"]) for row in rows] == expected
+    assert {(row["valid_from"], row["c_sigma_sys"]) for row in rows} == {("2014-01-01T00:00:00Z", "")}
+    table = Table.read(ask(client, station="CS001", format="ecsv").text, format="ascii.ecsv")
+    assert np.array_equal(table["c"], expected)
+    assert (str(table["c"].unit), str(table["frequency_mhz"].unit)) == ("V", "MHz")
+    accepted = client.get(
+        "/v1/calibrations/effective", params={"at": "2014-06-01", "station": "CS001"}, headers={"Accept": "text/csv"}
+    )
+    assert accepted.headers["content-type"].startswith("text/csv")
+    text = ask(client, format="nuradio", **PATH).text
+    values = np.loadtxt(io.StringIO(text))
+    assert values.shape == (101,)
+    assert (values[29], values[30], values[45], values[80], values[81]) == (0.0, 1.1, 2.2, 4.4, 0.0)
+
+
+def test_versions_are_listed_and_verified_by_their_hashes(client: TestClient, stored: Stored) -> None:
+    first = client.get("/v1/calibrations", params={"limit": 3}).json()
+    rest = client.get("/v1/calibrations", params={"limit": 3, "cursor": first["next"]}).json()
+    assert {v["id"] for v in first["calibrations"] + rest["calibrations"]} == {v.id for v in stored.values()}
+    answer = client.get(f"/v1/calibrations/{stored['path'].id}")
+    content = answer.json()
+    assert hashlib.sha256(canonical_json(content["inputs"]).encode()).hexdigest() == content["id"]
+    assert hashlib.sha256(canonical_json(content["curves"]).encode()).hexdigest() == content["payload_sha256"]
+    assert "immutable" in answer.headers["cache-control"]
+    assert client.get("/v1/calibrations/none").status_code == 404
+    of_path = client.get("/v1/calibrations", params=PATH).json()["calibrations"]
+    assert {v["id"] for v in of_path} == {stored[n].id for n in ("path", "other", "failed")}
+    assert len(client.get("/v1/calibrations", params={"status": "too_few_events"}).json()["calibrations"]) == 1
+
+
+def test_two_versions_differ_by_a_fraction_of_c(client: TestClient, stored: Stored) -> None:
+    content = client.get(f"/v1/calibrations/{stored['path'].id}/diff/{stored['other'].id}").json()
+    assert content["curves"][0]["fraction"] == pytest.approx([1.3 / 1.2 - 1.0] * 4)
+    assert content["curves"][0]["max_sigma"] == pytest.approx(0.4 / np.hypot(0.01, 0.01))
+    assert content["inputs"] == {"name": {"first": "path", "second": "other"}}
+
+
+def test_a_dry_run_tells_the_changes_and_writes_nothing(client: TestClient, stored: Stored) -> None:
+    promote(client, stored["station"], "2014-01-01", "2015-01-01")
+    body = {"calibration": stored["path"].id, "valid_from": "2014-07-01", "valid_to": "2015-07-01", "reason": "x"}
+    tried = client.post("/v1/promotions?dry_run=true", json=body)
+    assert tried.status_code == 200
+    changes = tried.json()["changes"]
+    assert [(c["from"], c["to"], c["before"], c["after"]) for c in changes] == [
+        ("2014-07-01T00:00:00Z", "2015-01-01T00:00:00Z", stored["station"].id, stored["path"].id),
+        ("2015-01-01T00:00:00Z", "2015-07-01T00:00:00Z", None, stored["path"].id),
+    ]
+    assert changes[0]["max_fraction"] == pytest.approx(1.2 / 1.1 - 1.0)
+    assert changes[1]["max_fraction"] is None
+    assert ask(client, "2014-08-01", **PATH).json()["curves"][0]["answered_by"] == "station"
+    done = client.post("/v1/promotions", json=body).json()
+    assert done["changes"] == changes
+
+
+@pytest.mark.parametrize(
+    ("change", "status"),
+    [
+        ({"calibration": "0" * 64}, 404),
+        ({"valid_to": "2014-01-01"}, 422),
+        ({"valid_from": "2014"}, 422),
+        ({"reason": ""}, 422),
+        ({"station": "CS002"}, 422),
+        ({"antenna": 0}, 422),
+        ({"calibration": None, "antenna": 0, "dipole": "X"}, 422),
+        ({"calibration": None, "station": "CS009"}, 422),
+        ({"calibration": None, "station": "CS001", "antenna": 99, "dipole": "X"}, 422),
+        ({"valid_form": "2014-01-01"}, 422),
+    ],
+)
+def test_a_bad_promotion_is_refused(client: TestClient, stored: Stored, change: dict[str, Any], status: int) -> None:
+    body = {"calibration": stored["array"].id, "valid_from": "2014-01-01", "valid_to": None, "reason": "x", **change}
+    answer = client.post("/v1/promotions", json=body)
+    assert answer.status_code == status, answer.text
+    assert ask(client).status_code == 404
+
+
+def test_a_version_that_did_not_converge_cannot_be_promoted(client: TestClient, stored: Stored) -> None:
+    body = {"calibration": stored["failed"].id, "valid_from": "2014-01-01", "reason": "x"}
+    assert client.post("/v1/promotions", json=body).status_code == 409
+
+
+def test_promoting_needs_its_own_scope(client: TestClient, stored: Stored, factory: Any) -> None:
+    body = {"calibration": stored["array"].id, "valid_from": "2014-01-01", "reason": "x"}
+    _, key = factory.keys.create(("spectra:write", "refits:run"))
+    assert client.post("/v1/promotions", json=body, headers={"Authorization": f"Bearer {key}"}).status_code == 403

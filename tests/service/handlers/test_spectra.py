@@ -1,0 +1,198 @@
+from __future__ import annotations
+
+import json
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import pytest
+from fastapi.testclient import TestClient
+
+MHZ = [30.0, 45.0, 60.0, 80.0]
+
+
+def spectrum(event: int = 0, **more: Any) -> dict[str, Any]:
+    return {
+        "event_id": f"e{event}", "time_utc": f"2014-03-{1 + event % 28:02d}T12:00:00.123456Z", "station": "CS001",
+        "antenna": 0, "dipole": "X", "blocks": 100, "power": [1.0 + event, 2.0, 3.0, 4.0], **more,
+    }  # fmt: skip
+
+
+def batch(*spectra: dict[str, Any], mhz: list[float] | None = None) -> dict[str, Any]:
+    return {"frequency_mhz": mhz or MHZ, "spectra": list(spectra)}
+
+
+def count(client: TestClient) -> int:
+    return sum(event["spectra"] for event in client.get("/v1/events").json()["events"])
+
+
+def test_a_batch_is_stored_once_however_often_it_is_sent(client: TestClient) -> None:
+    body = batch(spectrum(0), spectrum(0, dipole="Y"), spectrum(1))
+    first = client.post("/v1/spectra", json=body)
+    assert (first.status_code, first.json()) == (201, {"received": 3, "stored": 3, "duplicates": 0})
+    again = client.post("/v1/spectra", json=body)
+    assert (again.status_code, again.json()) == (200, {"received": 3, "stored": 0, "duplicates": 3})
+    more = client.post("/v1/spectra", json=batch(spectrum(1), spectrum(2)))
+    assert (more.status_code, more.json()) == (201, {"received": 2, "stored": 1, "duplicates": 1})
+    assert count(client) == 4
+
+
+def test_a_spectrum_twice_in_one_batch_counts_as_duplicate(client: TestClient) -> None:
+    answer = client.post("/v1/spectra", json=batch(spectrum(0), spectrum(0)))
+    assert (answer.status_code, answer.json()) == (201, {"received": 2, "stored": 1, "duplicates": 1})
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        ({"power": [1.0, 2.0, 3.0, 4.0000000000000009]}, "power"),
+        ({"blocks": 99}, "blocks"),
+        ({"time_utc": "2014-03-01T12:00:00.123459Z"}, "time"),
+    ],
+)
+def test_another_spectrum_under_a_stored_key_is_a_conflict_that_names_the_row(
+    client: TestClient, change: dict[str, Any], named: str
+) -> None:
+    client.post("/v1/spectra", json=batch(spectrum(0)))
+    answer = client.post("/v1/spectra", json=batch(spectrum(5), {**spectrum(0), **change}))
+    assert answer.status_code == 409
+    assert answer.headers["content-type"] == "application/problem+json"
+    assert f"e0, CS001 antenna 0 X ({named})" in answer.json()["detail"]
+    assert count(client) == 1, "nothing of a refused batch is stored"
+    assert client.post("/v1/spectra", json=batch(spectrum(0), {**spectrum(0), **change})).status_code == 409
+
+
+def test_a_time_off_by_a_microsecond_is_the_same_spectrum(client: TestClient) -> None:
+    client.post("/v1/spectra", json=batch(spectrum(0)))
+    again = client.post("/v1/spectra", json=batch(spectrum(0, time_utc="2014-03-01T13:00:00.123457+01:00")))
+    assert again.json() == {"received": 1, "stored": 0, "duplicates": 1}
+
+
+def test_covariates_belong_to_the_event_and_the_first_value_stays(client: TestClient) -> None:
+    client.post("/v1/spectra", json=batch(spectrum(0, env={"temperature_c": 4.0, "rain_mm_h": None})))
+    again = client.post("/v1/spectra", json=batch(spectrum(0, env={"temperature_c": 9.0, "rain_mm_h": 1.5})))
+    assert again.status_code == 200
+    assert client.get("/v1/events").json()["events"][0]["env"] == {"temperature_c": 4.0, "rain_mm_h": 1.5}
+
+
+BAD = {
+    "another grid": batch(spectrum(), mhz=[30.0, 45.0, 60.0, 81.0]),
+    "fewer channels": batch(spectrum(power=[1.0, 2.0]), mhz=[30.0, 45.0]),
+    "a short row": batch(spectrum(power=[1.0, 2.0])),
+    "unknown station": batch(spectrum(station="CS003")),
+    "unknown antenna": batch(spectrum(antenna=3)),
+    "negative antenna": batch(spectrum(antenna=-1)),
+    "huge antenna": batch(spectrum(antenna=2**70)),
+    "unknown dipole": batch(spectrum(dipole="Z")),
+    "zero power": batch(spectrum(power=[1.0, 0.0, 3.0, 4.0])),
+    "negative power": batch(spectrum(power=[1.0, -2.0, 3.0, 4.0])),
+    "null power": batch(spectrum(power=[1.0, None, 3.0, 4.0])),
+    "power as text": batch(spectrum(power=[1.0, "2.0", 3.0, 4.0])),
+    "power as bool": batch(spectrum(power=[1.0, True, 3.0, 4.0])),
+    "no blocks": batch(spectrum(blocks=0)),
+    "half a block": batch(spectrum(blocks=1.5)),
+    "before 2009": batch(spectrum(time_utc="2008-12-31T23:59:59Z")),
+    "the future": batch(spectrum(time_utc="2020-01-02T01:00:00Z")),
+    "a year": batch(spectrum(time_utc="2014")),
+    "a number": batch(spectrum(time_utc=1.4e9)),
+    "no event": batch(spectrum(event_id="")),
+    "control character": batch(spectrum(event_id="a\x00b")),
+    "unknown field": batch(spectrum(antena=1)),
+    "missing field": batch({key: value for key, value in spectrum().items() if key != "blocks"}),
+    "no spectra": batch(),
+    "a list": [spectrum()],
+    "a covariate as text": batch(spectrum(env={"temperature_c": "cold"})),
+    "another resistance": {**batch(spectrum()), "resistance_ohm": 75.0},
+}
+
+
+@pytest.mark.parametrize("body", BAD.values(), ids=BAD.keys())
+def test_a_bad_batch_is_refused_whole(client: TestClient, body: Any) -> None:
+    if isinstance(body, dict) and body["spectra"]:
+        body = {**body, "spectra": [spectrum(7), *body["spectra"]]}
+    answer = client.post("/v1/spectra", json=body)
+    assert answer.status_code == 422, answer.text
+    assert answer.json()["code" if "code" in answer.json() else "type"] == "urn:lbacal:bad_input"
+    assert count(client) == 0
+
+
+@pytest.mark.parametrize("literal", ["NaN", "Infinity", "-Infinity", "1e999"])
+def test_power_that_is_no_number_is_refused(client: TestClient, literal: str) -> None:
+    text = json.dumps(batch(spectrum())).replace("2.0", literal)
+    answer = client.post("/v1/spectra", content=text, headers={"Content-Type": "application/json"})
+    assert answer.status_code == 422, answer.text
+    assert count(client) == 0
+
+
+@pytest.mark.parametrize(
+    ("content", "media", "status"),
+    [
+        (b"{", "application/json", 400),
+        (b"", "application/json", 400),
+        (b"\xff\xfe", "application/json", 400),
+        (b"{}", "text/plain", 415),
+        (b"{}", "", 415),
+    ],
+)
+def test_a_body_that_is_not_json(client: TestClient, content: bytes, media: str, status: int) -> None:
+    answer = client.post("/v1/spectra", content=content, headers={"Content-Type": media})
+    assert answer.status_code == status, answer.text
+
+
+def test_a_body_above_the_limit_is_refused_also_without_a_length(client: TestClient) -> None:
+    size = 65 * 10**6
+    assert (
+        client.post("/v1/spectra", content=b" " * size, headers={"Content-Type": "application/json"}).status_code == 413
+    )
+    chunks = (b" " * 10**6 for _ in range(65))
+    assert client.post("/v1/spectra", content=chunks, headers={"Content-Type": "application/json"}).status_code == 413
+
+
+def test_writing_needs_a_key_with_the_scope(client: TestClient, factory: Any) -> None:
+    body = batch(spectrum())
+    del client.headers["Authorization"]
+    nobody = client.post("/v1/spectra", json=body)
+    assert (nobody.status_code, nobody.headers["www-authenticate"]) == (401, "Bearer")
+    assert client.post("/v1/spectra", json=body, headers={"Authorization": "Bearer no"}).status_code == 401
+    _, reader = factory.keys.create(("read", "refits:run"))
+    assert client.post("/v1/spectra", json=body, headers={"Authorization": f"Bearer {reader}"}).status_code == 403
+    number, writer = factory.keys.create(("spectra:write",))
+    assert client.post("/v1/spectra", json=body, headers={"Authorization": f"Bearer {writer}"}).status_code == 201
+    factory.keys.revoke(number)
+    assert client.post("/v1/spectra", json=body, headers={"Authorization": f"Bearer {writer}"}).status_code == 401
+
+
+def test_events_are_listed_in_pages_and_filtered(client: TestClient) -> None:
+    client.post("/v1/spectra", json=batch(*[spectrum(k) for k in range(5)], spectrum(5, station="CS002")))
+    first = client.get("/v1/events", params={"limit": 4}).json()
+    rest = client.get("/v1/events", params={"limit": 4, "cursor": first["next"]}).json()
+    assert [e["event_id"] for e in first["events"] + rest["events"]] == [f"e{k}" for k in range(6)]
+    assert rest["next"] is None
+    since = client.get("/v1/events", params={"since": "2014-03-02T12:00:00.123456Z", "until": "2014-03-04"}).json()
+    assert [e["event_id"] for e in since["events"]] == ["e1", "e2"]
+    assert [e["event_id"] for e in client.get("/v1/events?station=CS002").json()["events"]] == ["e5"]
+    assert client.get("/v1/events?statoin=CS002").status_code == 422
+
+
+def test_a_flag_is_set_found_and_cleared(client: TestClient) -> None:
+    client.post("/v1/spectra", json=batch(spectrum(0), spectrum(1)))
+    flagged = client.post("/v1/events/e1/flag", json={"flag": "thunderstorm", "reason": "lightning log"})
+    assert flagged.json()["flag"] == "thunderstorm"
+    assert [e["event_id"] for e in client.get("/v1/events?flag=thunderstorm").json()["events"]] == ["e1"]
+    assert client.post("/v1/events/e1/flag", json={"flag": None, "reason": "log was wrong"}).json()["flag"] is None
+    assert client.post("/v1/events/e9/flag", json={"flag": None, "reason": "x"}).status_code == 404
+    assert client.post("/v1/events/e1/flag", json={"flag": "bad", "reason": " "}).status_code == 422
+
+
+def test_four_clients_that_send_the_same_events_store_each_spectrum_once(client: TestClient) -> None:
+    events = [batch(*[spectrum(k, antenna=a, dipole=d) for a in range(3) for d in "XY"]) for k in range(12)]
+
+    def send(order: int) -> tuple[set[int], int]:
+        bodies = events[order * 3 :] + events[: order * 3]
+        answers = [client.post("/v1/spectra", json=body) for body in bodies for _ in range(2)]
+        return {a.status_code for a in answers}, sum(a.json()["stored"] for a in answers)
+
+    with ThreadPoolExecutor(4) as pool:
+        results = list(pool.map(send, range(4)))
+    assert all(statuses <= {200, 201} for statuses, _ in results)
+    assert sum(stored for _, stored in results) == 12 * 6
+    assert count(client) == 12 * 6

@@ -1,0 +1,149 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from lbacal_core.validity import Promotion, Scope
+from service.factory import Factory
+from service.storage.versions import Version
+
+PATHS = tuple(Scope("CS001", a, d) for a in (0, 1) for d in "XY")
+SCOPES = (*PATHS, Scope("CS001"), Scope("CS002"), Scope())
+NAMES = ("a", "b", "c")
+
+
+@dataclass(frozen=True)
+class Line:
+    """One line of the ledger as the oracle sees it: plain tuples, no code of the ledger."""
+
+    number: int
+    scope: tuple[str | None, int | None, str | None]
+    start: int
+    end: int | None
+    version: str | None
+    at: int
+
+
+def brute_force(lines: list[Line], path: Scope, instant: int, as_of: int | None) -> tuple[int, str] | None:
+    """Read the whole ledger from its start, overwriting: what stands at the end answers, narrowest first."""
+    standing: dict[tuple[str | None, int | None, str | None], Line] = {}
+    for line in sorted(lines, key=lambda line: (line.at, line.number)):
+        is_known = as_of is None or line.at <= as_of
+        if is_known and line.start <= instant and (line.end is None or instant < line.end):
+            standing[line.scope] = line
+    for scope in ((path.station, path.antenna, path.dipole), (path.station, None, None), (None, None, None)):
+        line = standing.get(scope)
+        if line is not None and line.version is not None:
+            return line.number, line.version
+    return None
+
+
+def fill(factory: Factory, names: tuple[str, ...], new_version: Callable[..., Version]) -> dict[str, str]:
+    versions = {name: new_version(Scope(), name) for name in names}
+    with factory.database.write() as stores:
+        stores.versions.add(list(versions.values()))
+    return {name: version.id for name, version in versions.items()}
+
+
+def append(factory: Factory, scope: Scope, start: int, end: int | None, version: str | None, at: int) -> Line:
+    with factory.database.write() as stores:
+        made = stores.ledger.append([Promotion(0, scope, start, end, version, 0)], lambda: at)[0]
+    return Line(made.number, (scope.station, scope.antenna, scope.dipole), start, end, version, made.at)
+
+
+promotions = st.tuples(
+    st.sampled_from(SCOPES), st.integers(0, 9), st.one_of(st.none(), st.integers(1, 9)),
+    st.sampled_from([None, *NAMES]), st.integers(1000, 1010),
+)  # fmt: skip
+
+
+@given(st.lists(promotions, max_size=15), st.data())
+@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_the_ledger_answers_as_brute_force_does(
+    factory: Factory,
+    new_version: Callable[..., Version],
+    wanted: list[tuple[Scope, int, int | None, str | None, int]],
+    data: st.DataObject,
+) -> None:
+    ids = fill(factory, NAMES, new_version)
+    with factory.database.engine.begin() as connection:
+        connection.exec_driver_sql("DELETE FROM promotion")
+    lines = [
+        append(factory, scope, start, None if length is None else start + length, ids.get(str(name)), at)
+        for scope, start, length, name, at in wanted
+    ]
+    # every boundary, one before, one after; every `at` of the ledger, one before, one after, and no as_of
+    instants = sorted({t + d for line in lines for t in (line.start, line.end or 0) for d in (-1, 0, 1)} | {0})
+    known = [None, *sorted({line.at + d for line in lines for d in (-1, 0, 1)})]
+    for instant in data.draw(st.lists(st.sampled_from(instants), min_size=1, max_size=6)):
+        for as_of in data.draw(st.lists(st.sampled_from(known), min_size=1, max_size=4)):
+            with factory.database.read() as stores:
+                answers = stores.ledger.answers(PATHS, instant, as_of)
+            for path in PATHS:
+                said = answers[path]
+                found = (said[-1].number, said[-1].calibration) if said and said[-1].calibration else None
+                assert found == brute_force(lines, path, instant, as_of)
+
+
+def test_a_long_ledger_answers_as_brute_force_does(factory: Factory, new_version: Callable[..., Version]) -> None:
+    rng = np.random.default_rng(20140501)
+    ids = list(fill(factory, NAMES, new_version).values())
+    lines = []
+    for _ in range(40):
+        wanted = []
+        for _ in range(25):
+            start = int(rng.integers(0, 1000))
+            end = None if rng.random() < 0.1 else start + int(rng.integers(1, 400))
+            version = None if rng.random() < 0.15 else ids[rng.integers(len(ids))]
+            wanted.append(Promotion(0, SCOPES[rng.integers(len(SCOPES))], start, end, version, 0))
+        with factory.database.write() as stores:
+            for made in stores.ledger.append(wanted, lambda: int(rng.integers(1000, 3000))):
+                scope = (made.scope.station, made.scope.antenna, made.scope.dipole)
+                lines.append(Line(made.number, scope, made.valid_from, made.valid_to, made.calibration, made.at))
+    for _ in range(100):
+        line = lines[rng.integers(len(lines))]
+        instant = int(rng.choice([line.start, line.start - 1, line.end or 5000, (line.end or 5000) - 1]))
+        as_of = None if rng.random() < 0.2 else line.at + int(rng.integers(-1, 2))
+        with factory.database.read() as stores:
+            answers = stores.ledger.answers(PATHS, instant, as_of)
+        for path, said in answers.items():
+            found = (said[-1].number, said[-1].calibration) if said and said[-1].calibration else None
+            assert found == brute_force(lines, path, instant, as_of)
+
+
+def test_a_promotion_is_later_than_every_one_before_even_if_the_clock_goes_back(
+    factory: Factory, new_version: Callable[..., Version]
+) -> None:
+    version = fill(factory, ("a",), new_version)["a"]
+    first = append(factory, Scope(), 0, None, version, 5000)
+    second = append(factory, Scope(), 0, None, None, 4000)
+    assert (first.at, second.at) == (5000, 5001)
+
+
+def test_promotions_at_once_are_ordered_and_never_share_an_instant(
+    factory: Factory, new_version: Callable[..., Version]
+) -> None:
+    version = fill(factory, ("a",), new_version)["a"]
+    with ThreadPoolExecutor(4) as pool:
+        lines = list(pool.map(lambda k: append(factory, Scope(), 0, k + 1, version, 1000), range(24)))
+    assert len({line.at for line in lines}) == 24
+    assert [line.number for line in sorted(lines, key=lambda line: line.at)] == sorted(line.number for line in lines)
+
+
+def test_the_promotions_of_one_act_share_their_instant(factory: Factory, new_version: Callable[..., Version]) -> None:
+    version = fill(factory, ("a",), new_version)["a"]
+    with factory.database.write() as stores:
+        made = stores.ledger.append([Promotion(0, path, 0, None, version, 0) for path in PATHS], lambda: 1000)
+    assert {promotion.at for promotion in made} == {1000}
+    assert [promotion.scope for promotion in made] == list(PATHS)
+
+
+def test_a_promotion_of_an_unknown_version_is_refused(factory: Factory) -> None:
+    with pytest.raises(Exception, match=r"(?i)foreign key"):
+        append(factory, Scope(), 0, None, "nothing", 1000)
