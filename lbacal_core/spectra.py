@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from functools import cached_property
 from pathlib import Path
 
 import h5py
@@ -19,8 +20,10 @@ from lbacal_core.provenance import hash_arrays
 FORMAT = "lbacal-spectra-1"
 EARLIEST_UNIX = datetime(2009, 1, 1, tzinfo=UTC).timestamp()
 DAY_S = 86_400.0
+_ROWS_AT_ONCE = 4096
 
 _COLUMNS = ("event_id", "time_unix", "station", "antenna", "dipole", "blocks")
+_KEY = ("station", "antenna", "dipole", "event_id")
 _KINDS = {"event_id": "OS", "station": "OS", "dipole": "OS", "antenna": "iu", "blocks": "iu", "time_unix": "f"}
 
 
@@ -97,12 +100,10 @@ class Spectra:
         raise BadInputError(f"{self.origin}: {name}, row {row}", expected, f"{found}{more}")
 
     def _require_unique_keys(self) -> None:
-        if len(self.event_id) == 0:
-            return
-        codes = np.stack([np.unique(getattr(self, n), return_inverse=True)[1] for n in _COLUMNS if n in _KEY])
-        _, first, counts = np.unique(codes, axis=1, return_index=True, return_counts=True)
-        if np.any(counts > 1):
-            row = int(first[counts > 1][0])
+        rising = np.sort(self._keys)
+        repeated = rising[1:][rising[1:] == rising[:-1]]
+        if repeated.size:
+            row = int(np.flatnonzero(self._keys == repeated[0])[1])
             key = f"{self.event_id[row]}, {self.station[row]}, antenna {self.antenna[row]}, {self.dipole[row]}"
             raise BadInputError(f"{self.origin}: row {row}", "one spectrum per event, station, antenna and dipole", key)
 
@@ -133,12 +134,23 @@ class Spectra:
 
     def digest(self) -> str:
         """Hash of every value that a fit sees; rows count in key order, so their order in the file does not."""
-        order = np.lexsort((self.event_id, self.dipole, self.antenna, self.station))
-        columns = [getattr(self, name)[order] for name in _COLUMNS]
-        return hash_arrays(self.frequency_mhz, [self.resistance_ohm], self.power[order], *columns)
+        order = np.argsort(self._keys)
+        # gathered in parts that stay in the cache
+        parts = [order[k : k + _ROWS_AT_ONCE] for k in range(0, order.size, _ROWS_AT_ONCE)]
+        power = [hash_arrays(self.power[part]) for part in parts]
+        names = [np.unique(getattr(self, name)) for name in _KEY]
+        numbers = (self._keys[order], self.time_unix[order], self.blocks[order])
+        return hash_arrays(self.frequency_mhz, [self.resistance_ohm], power, *names, *numbers)
 
-
-_KEY = ("event_id", "station", "antenna", "dipole")
+    @cached_property
+    def _keys(self) -> NDArray[np.int64]:
+        """One number a row that puts rows in order of station, antenna, dipole and event, shape (row,)."""
+        keys = np.zeros(len(self), dtype=np.int64)
+        for name in _KEY:
+            values = getattr(self, name)
+            names = np.unique(values)
+            keys = keys * names.size + np.searchsorted(names, values)
+        return keys
 
 
 def read_spectra(path: Path, now_unix: float | None = None) -> Spectra:
@@ -270,13 +282,16 @@ class SpectraBlock:
 
 def split_into_blocks(spectra: Spectra) -> list[SpectraBlock]:
     """Lay spectra out as one dense block per station and dipole, stations and dipoles in alphabetical order."""
-    blocks = []
+    return list(iterate_blocks(spectra))
+
+
+def iterate_blocks(spectra: Spectra) -> Iterator[SpectraBlock]:
+    """The blocks of `split_into_blocks` one by one: a year of an array need not be in memory twice."""
     for station in np.unique(spectra.station):
         for dipole in DIPOLES:
             rows = np.flatnonzero((spectra.station == station) & (spectra.dipole == dipole))
             if rows.size:
-                blocks.append(_block_of_rows(spectra, rows, str(station), dipole))
-    return blocks
+                yield _block_of_rows(spectra, rows, str(station), dipole)
 
 
 def _block_of_rows(spectra: Spectra, rows: NDArray[np.int64], station: str, dipole: str) -> SpectraBlock:
@@ -285,13 +300,11 @@ def _block_of_rows(spectra: Spectra, rows: NDArray[np.int64], station: str, dipo
     order = np.lexsort((events, spectra.time_unix[rows][first]))
     event_at = np.argsort(order)[event_at]
     first = rows[first[order]]
-    shape = (antennas.size, events.size)
-    power = np.ones((*shape, spectra.frequency_mhz.size))
-    power[antenna_at, event_at] = spectra.power[rows]
-    is_present = np.zeros(shape, dtype=bool)
-    is_present[antenna_at, event_at] = True
-    blocks = np.zeros(shape, dtype=np.int64)
-    blocks[antenna_at, event_at] = spectra.blocks[rows]
+    row_at = np.full((antennas.size, events.size), -1)
+    row_at[antenna_at, event_at] = rows
+    is_present = row_at >= 0
+    power = spectra.power[row_at]
+    power[~is_present] = 1.0
     return SpectraBlock(
         station=station,
         dipole=dipole,
@@ -301,6 +314,6 @@ def _block_of_rows(spectra: Spectra, rows: NDArray[np.int64], station: str, dipo
         time_unix=spectra.time_unix[first],
         power=power,
         is_present=is_present,
-        blocks=blocks,
+        blocks=np.where(is_present, spectra.blocks[row_at], 0),
         environment={name: values[first] for name, values in spectra.environment.items()},
     )

@@ -33,7 +33,7 @@ from lbacal_core.instrument import Instrument
 from lbacal_core.provenance import Provenance
 from lbacal_core.sidereal import local_sidereal_time
 from lbacal_core.skypower.table import SkyPower
-from lbacal_core.spectra import Spectra, SpectraBlock, split_into_blocks
+from lbacal_core.spectra import Spectra, SpectraBlock, iterate_blocks, split_into_blocks
 
 SCOPES = ("array", "station", "antenna")
 MIN_EVENTS = 60
@@ -88,12 +88,13 @@ def fit_calibration(spectra: Spectra, instrument: Instrument, sky_power: SkyPowe
 
     # NumPy leaves the interpreter's lock in its loops, so blocks of paths share the cores as threads.
     with ThreadPoolExecutor(os.cpu_count()) as pool:
+        digest = pool.submit(spectra.digest)
         batches = list(pool.map(fit_paths, _paths_of_scope(spectra, instrument, sky_power, scope)))
     curves = [curve for batch in batches for curve in batch]
     curves.sort(key=lambda c: (c.station or "", -1 if c.antenna is None else c.antenna, c.dipole or ""))
     provenance = Provenance(
         inputs={
-            "spectra": spectra.digest(),
+            "spectra": digest.result(),
             "instrument": instrument.digest(),
             "sky_power": sky_power.digest(),
         },
@@ -119,12 +120,12 @@ def _require_one_cable_each(spectra: Spectra, instrument: Instrument) -> None:
 
 
 def _paths_of_scope(spectra: Spectra, instrument: Instrument, sky_power: SkyPower, scope: str) -> Iterable[_Paths]:
-    blocks = split_into_blocks(spectra)
     typical = float(np.median(spectra.blocks))
     if scope == "antenna":
-        for block in blocks:
+        for block in iterate_blocks(spectra):
             yield _paths_of_block(block, instrument, typical)
         return
+    blocks = split_into_blocks(spectra)
     groups = {(block.station if scope == "station" else None, block.dipole) for block in blocks}
     for station, dipole in sorted(groups, key=lambda key: (key[0] or "", key[1])):
         members = [b for b in blocks if b.dipole == dipole and station in (None, b.station)]
