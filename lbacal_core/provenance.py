@@ -35,7 +35,7 @@ def hash_arrays(*arrays: Any) -> str:
         else:
             values = np.ascontiguousarray(values, dtype=values.dtype.newbyteorder("<"))
             digest.update(f"{values.dtype.str}{values.shape}".encode())
-            digest.update(values.reshape(-1).view(np.uint8))
+            digest.update(values.reshape(-1).view(np.uint8).data)
     return digest.hexdigest()
 
 
