@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -35,6 +35,8 @@ class SkyModel:
         Whether the cosmic microwave background and the isotropic extragalactic emission are inside the maps.
     origin
         Where the numbers come from.
+    extra_isotropic
+        Isotropic brightness added on top, in units of the extragalactic level of Lawson et al. 1987.
     """
 
     name: str
@@ -45,6 +47,7 @@ class SkyModel:
     has_cmb: bool
     has_isotropic: bool
     origin: str
+    extra_isotropic: float = 0.0
 
     def __post_init__(self) -> None:
         place = f"sky {self.name}"
@@ -88,8 +91,8 @@ class SkyModel:
         And, unless it is inside, the extragalactic part of Lawson et al. 1987 as in the paper's appendix on the sky.
         """
         cmb = 0.0 if self.has_cmb else T_CMB_K
-        extragalactic = 0.0 if self.has_isotropic else 50.0 * (150.0 / frequency_mhz) ** 2.75
-        return np.asarray(cmb + extragalactic + np.zeros_like(frequency_mhz))
+        levels = self.extra_isotropic + (0.0 if self.has_isotropic else 1.0)
+        return np.asarray(cmb + levels * 50.0 * (150.0 / frequency_mhz) ** 2.75)
 
     def temperature(self, frequency_mhz: Floats) -> Complexes:
         """Multipoles of the brightness temperature, CMB included, shape (freq, l, m), K, ICRS."""
@@ -97,7 +100,24 @@ class SkyModel:
         total[:, 0, 0] += np.sqrt(4 * np.pi) * self.isotropic_k(frequency_mhz)
         return np.asarray(total)
 
+    def changed(self, scale: float = 1.0, spectral_index: float = 0.0, extra_isotropic: float = 0.0) -> SkyModel:
+        """The model times `scale` (nu / 60 MHz)^-spectral_index, with isotropic brightness added."""
+        if not scale > 0:
+            raise BadInputError("scale", "a factor > 0", f"{scale}")
+        changes = (("scale", scale, 1.0), ("index", spectral_index, 0.0), ("isotropic", extra_isotropic, 0.0))
+        words = [f"{word}={value:g}" for word, value, plain in changes if value != plain]
+        return replace(
+            self,
+            name=f"{self.name}({', '.join(words)})" if words else self.name,
+            level=self.level * scale * (self.frequency_mhz / 60.0) ** -spectral_index,
+            extra_isotropic=self.extra_isotropic + extra_isotropic,
+        )
+
+    def truncated(self, lmax: int) -> SkyModel:
+        """The model with multipoles up to `lmax` only."""
+        return replace(self, multipoles=self.multipoles[:, : lmax + 1, : lmax + 1])
+
     def digest(self) -> str:
         """Hash of the numbers, which names the model in provenance."""
-        flags = np.array([self.has_cmb, self.has_isotropic], dtype=float)
+        flags = np.array([self.has_cmb, self.has_isotropic, self.extra_isotropic], dtype=float)
         return hash_arrays(self.frequency_mhz, self.level, self.weight, self.multipoles, flags)

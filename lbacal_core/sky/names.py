@@ -1,26 +1,35 @@
-"""Sky models by name."""
+"""Sky models by name or file."""
 
 from __future__ import annotations
 
 import json
 from importlib.resources import files
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from lbacal_core.errors import UnknownNameError
+from lbacal_core.sky.maps import PYGDSM_NAMES, make_pygdsm_model, read_component_maps, read_fits_maps
 from lbacal_core.sky.model import SkyModel
 
 DEFAULT_SKY = "gsm"
 
 
 def load_sky(name_or_file: str) -> SkyModel:
-    """The sky model of a name."""
+    """The sky model of a name, of a file of component maps (.npz), or of FITS maps (a file or a folder)."""
     folder = files("lbacal_core") / "data/skies"
     shipped = {path.name.removesuffix(".json"): path for path in folder.iterdir() if path.name.endswith(".json")}
     if name_or_file in shipped:
         return _parse_sky(json.loads(shipped[name_or_file].read_text()))
-    raise UnknownNameError("sky model", name_or_file, sorted(shipped))
+    if name_or_file in PYGDSM_NAMES:
+        return make_pygdsm_model(name_or_file)
+    path = Path(name_or_file)
+    if path.suffix == ".npz" and path.is_file():
+        return read_component_maps(path)
+    if path.is_dir() or (path.suffix == ".fits" and path.is_file()):
+        return read_fits_maps(path)
+    raise UnknownNameError("sky model", name_or_file, sorted([*shipped, *PYGDSM_NAMES]))
 
 
 def _parse_sky(content: dict[str, Any]) -> SkyModel:

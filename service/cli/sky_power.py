@@ -13,6 +13,13 @@ def sky_power(
     output: Annotated[Path, typer.Option(help="Sky power file to write (JSON).")],
     sky: Annotated[str | None, typer.Option(help="Sky model: a name, or a file.")] = None,
     antenna: Annotated[str | None, typer.Option(help="Antenna model: a name, or a file.")] = None,
+    scale: Annotated[float, typer.Option(help="Factor on the brightness of the sky model.")] = 1.0,
+    spectral_index: Annotated[float, typer.Option(help="Added to the index b of T ~ nu^-b, about 60 MHz.")] = 0.0,
+    isotropic: Annotated[float, typer.Option(help="Isotropic brightness to add, in units of the extragalactic.")] = 0.0,
+    source: Annotated[
+        list[str] | None, typer.Option(help="Point source to add: cas-a, cyg-a, tau-a, vir-a; may be repeated.")
+    ] = None,
+    year: Annotated[float, typer.Option(help="Year of the sources (Cas A fades).")] = 2015.0,
 ) -> None:
     """Compute the directional sky power of both dipoles against local sidereal time and frequency.
 
@@ -20,12 +27,16 @@ def sky_power(
     """
     from lbacal_core.antenna.names import DEFAULT_ANTENNA
     from lbacal_core.instrument import load_instrument
-    from lbacal_core.sky.names import DEFAULT_SKY
+    from lbacal_core.sky.names import DEFAULT_SKY, load_sky
+    from lbacal_core.sky.sources import find_sources
     from lbacal_core.skypower.model import compute_sky_power
+    from lbacal_core.skypower.sources import add_sources
     from lbacal_core.skypower.table import write_sky_power
 
     chain = load_instrument(instrument)
-    result = compute_sky_power(chain, sky or DEFAULT_SKY, antenna or DEFAULT_ANTENNA)
+    model = load_sky(sky or DEFAULT_SKY).changed(scale, spectral_index, isotropic)
+    result = compute_sky_power(chain, model, antenna or DEFAULT_ANTENNA)
+    result = add_sources(result, chain, find_sources(source or []), year, antenna or DEFAULT_ANTENNA)
     write_sky_power(result, output)
     for dipole, values in result.power.items():
         variation = values.sum(axis=1)
