@@ -77,11 +77,10 @@ def add_sources(
     antenna: str | AntennaModel = DEFAULT_ANTENNA,
 ) -> SkyPower:
     """P_sky with point sources added; maps that resolve them contain them already (docs/explanation)."""
-    power = dict(sky_power.power)
-    for source in sources:
-        for dipole in power:
-            power[dipole] = power[dipole] + source_sky_power(
-                instrument, source, dipole, sky_power.lst_hours, year, antenna
-            )
+    power = {
+        dipole: values
+        + sum(source_sky_power(instrument, one, dipole, sky_power.lst_hours, year, antenna) for one in sources)
+        for dipole, values in sky_power.power.items()
+    }
     names = "".join(f" + {source.name} {year:g}" for source in sources)
     return replace(sky_power, power=power, origin=sky_power.origin + names)
