@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+LONGEST_FOUND = 120
+"""Characters of what was found that a message shows: a file may hold megabytes in the wrong place."""
+
 
 class LbacalError(Exception):
-    """An expected failure. `status` is its HTTP status, `code` its stable short name."""
+    """An expected failure, told in one line. `status` is its HTTP status, `code` its stable short name."""
 
     status = 500
     code = "failed"
+
+    def __init__(self, sentence: str) -> None:
+        super().__init__(_on_one_line(sentence))
 
 
 class BadInputError(LbacalError):
@@ -20,10 +26,12 @@ class BadInputError(LbacalError):
     code = "bad_input"
 
     def __init__(self, place: str, expected: str, found: str) -> None:
-        super().__init__(f"{place}: expected {expected}, found {found}")
         self.place = place
         self.expected = expected
-        self.found = found
+        self.found = _on_one_line(found)
+        if len(self.found) > LONGEST_FOUND:
+            self.found = f"{self.found[:LONGEST_FOUND]}..."
+        super().__init__(f"{place}: expected {expected}, found {self.found}")
 
 
 class UnreadableFileError(LbacalError):
@@ -41,3 +49,7 @@ class UnknownNameError(LbacalError):
 
     def __init__(self, kind: str, name: str, known: list[str]) -> None:
         super().__init__(f"unknown {kind} {name!r}; known: {', '.join(known)}, or the path of a file")
+
+
+def _on_one_line(text: str) -> str:
+    return " ".join(text.split())

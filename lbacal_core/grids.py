@@ -45,8 +45,9 @@ def require_channels(place: str, frequency_mhz: Floats) -> None:
     """Refuse a frequency axis that is empty, not finite, not positive or not rising."""
     if frequency_mhz.ndim != 1 or frequency_mhz.size == 0:
         raise BadInputError(f"{place}: frequency_mhz", "a list of channels", f"shape {frequency_mhz.shape}")
-    if not np.all(np.isfinite(frequency_mhz)) or frequency_mhz[0] <= 0:
-        raise BadInputError(f"{place}: frequency_mhz", "finite positive MHz", f"{frequency_mhz.tolist()[:3]}...")
+    bad = np.flatnonzero(~(np.isfinite(frequency_mhz) & (frequency_mhz > 0)))
+    if bad.size:
+        raise BadInputError(f"{place}: frequency_mhz, channel {bad[0]}", "finite MHz > 0", f"{frequency_mhz[bad[0]]:g}")
     if np.any(np.diff(frequency_mhz) <= 0):
         k = int(np.flatnonzero(np.diff(frequency_mhz) <= 0)[0])
         raise BadInputError(

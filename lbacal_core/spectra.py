@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -14,6 +15,17 @@ from numpy.typing import NDArray
 
 from lbacal_core.errors import BadInputError, UnreadableFileError
 from lbacal_core.grids import Floats, require_channels
+from lbacal_core.hdf5 import (
+    FLOATS,
+    HDF5_FAILURES,
+    INTEGERS,
+    NUMBERS,
+    STRINGS,
+    is_in_file,
+    open_dataset,
+    read_text,
+    read_values,
+)
 from lbacal_core.instrument import DIPOLES
 from lbacal_core.provenance import hash_arrays
 
@@ -24,7 +36,16 @@ _ROWS_AT_ONCE = 4096
 
 _COLUMNS = ("event_id", "time_unix", "station", "antenna", "dipole", "blocks")
 _KEY = ("station", "antenna", "dipole", "event_id")
-_KINDS = {"event_id": "OS", "station": "OS", "dipole": "OS", "antenna": "iu", "blocks": "iu", "time_unix": "f"}
+_KINDS = {
+    "frequency_mhz": NUMBERS,
+    "power": FLOATS,
+    "event_id": STRINGS,
+    "time_unix": FLOATS,
+    "station": STRINGS,
+    "antenna": INTEGERS,
+    "dipole": STRINGS,
+    "blocks": INTEGERS,
+}
 
 
 @dataclass(frozen=True)
@@ -92,10 +113,10 @@ class Spectra:
             return
         row = int(bad[0])
         values = self.environment[name.removeprefix("env/")] if name.startswith("env/") else getattr(self, name)
-        found = values[row]
+        found = repr(str(values[row])) if name in ("event_id", "station", "dipole") else f"{values[row]}"
         if name == "power":
-            channel = int(np.flatnonzero(~(np.isfinite(found) & (found > 0)))[0])
-            found = f"{found[channel]} at {self.frequency_mhz[channel]:g} MHz"
+            channel = int(np.flatnonzero(~(np.isfinite(values[row]) & (values[row] > 0)))[0])
+            found = f"{values[row, channel]} at {self.frequency_mhz[channel]:g} MHz"
         more = f" (and {bad.size - 1} more rows)" if bad.size > 1 else ""
         raise BadInputError(f"{self.origin}: {name}, row {row}", expected, f"{found}{more}")
 
@@ -156,84 +177,76 @@ class Spectra:
 def read_spectra(path: Path, now_unix: float | None = None) -> Spectra:
     """Read a spectra file; with `now_unix`, refuse spectra of the future."""
     if not path.is_file():
-        raise UnreadableFileError(f"{path}: no such file")
+        raise UnreadableFileError(
+            f"{path}: expected a spectra file, found {'a folder' if path.is_dir() else 'no file'}"
+        )
     if path.stat().st_size == 0:
         raise UnreadableFileError(f"{path}: expected a spectra file (HDF5), found an empty file")
     try:
         with h5py.File(path, "r") as file:
-            spectra = _read_open_file(file, path.name)
-    except OSError as error:
-        raise UnreadableFileError(f"{path}: expected a spectra file (HDF5), found something unreadable") from error
+            content = _read_open_file(file, path.name)
+    except HDF5_FAILURES as error:
+        reason = str(error)[:120]
+        raise UnreadableFileError(
+            f"{path}: expected a spectra file (HDF5), found something unreadable ({reason})"
+        ) from error
+    spectra = Spectra(**content, origin=path.name)
     if now_unix is not None:
         spectra.require_past(now_unix)
     return spectra
 
 
-def _read_open_file(file: h5py.File, place: str) -> Spectra:
-    found_format = _text(file.attrs.get("format", "none"))
-    if found_format != FORMAT:
-        raise BadInputError(f"{place}: attribute format", FORMAT, found_format)
-    expected = {"frequency_mhz", "power", *_COLUMNS}
-    unknown = sorted(set(file) - expected - {"env"})
-    missing = sorted(expected - set(file))
+def _read_open_file(file: h5py.File, place: str) -> dict[str, Any]:
+    """Everything in the file by the names of `Spectra`; types and shapes are settled before any data are read."""
+    found_format = file.attrs.get("format", "none")
+    if not isinstance(found_format, str | bytes) or read_text(found_format, f"{place}: attribute format") != FORMAT:
+        raise BadInputError(f"{place}: attribute format", FORMAT, repr(found_format))
+    names = set(file)
+    missing, unknown = sorted(set(_KINDS) - names), sorted(names - set(_KINDS) - {"env"})
     if missing or unknown:
-        found = "; ".join(
-            f"{word} {', '.join(names)}" for word, names in (("no", missing), ("unknown", unknown)) if names
-        )
-        raise BadInputError(place, f"the datasets {', '.join(sorted(expected))} and the group env", found)
-    columns = {name: _dataset(file, name, _KINDS[name], 1, place) for name in _COLUMNS}
-    resistance = np.unique(np.asarray(file.attrs.get("resistance_ohm", 50.0), dtype=float))
-    if resistance.size != 1:
-        raise BadInputError(f"{place}: attribute resistance_ohm", "one constant", f"{resistance.tolist()}")
-    environment = {}
-    if "env" in file:
-        group = file.get("env", getlink=True)
-        if not isinstance(group, h5py.HardLink) or not isinstance(file["env"], h5py.Group):
-            raise BadInputError(f"{place}: env", "a group", "something else")
-        environment = {name: _dataset(file, f"env/{name}", "fiu", 1, place).astype(float) for name in file["env"]}
-    return Spectra(
-        frequency_mhz=_dataset(file, "frequency_mhz", "fiu", 1, place).astype(float),
-        power=_dataset(file, "power", "f", 2, place).astype(float),
-        event_id=_strings(columns["event_id"]),
-        time_unix=columns["time_unix"].astype(float),
-        station=_strings(columns["station"]),
-        antenna=columns["antenna"].astype(np.int64),
-        dipole=_strings(columns["dipole"]),
-        blocks=columns["blocks"].astype(np.int64),
-        resistance_ohm=float(resistance[0]),
-        environment=environment,
-        origin=place,
-    )
+        found = [f"{word} {_listed(some)}" for word, some in (("no", missing), ("unknown", unknown)) if some]
+        raise BadInputError(place, f"the datasets {', '.join(_KINDS)} and the group env", "; ".join(found))
+    kinds = dict(_KINDS)
+    if "env" in names:
+        if not is_in_file(file, "env") or not isinstance(file["env"], h5py.Group):
+            raise BadInputError(f"{place}: env", "a group in this file", "something else")
+        kinds |= {f"env/{name}": NUMBERS for name in file["env"]}
+    datasets = {name: open_dataset(file, name, kind, f"{place}: {name}") for name, kind in kinds.items()}
+    _require_shapes(datasets, place)
+    values = {name: read_values(datasets[name], kind, f"{place}: {name}") for name, kind in kinds.items()}
+    return {
+        **{name: values[name] for name in _KINDS},
+        "resistance_ohm": _resistance(file, place),
+        "environment": {name.removeprefix("env/"): values[name] for name in values if name not in _KINDS},
+    }
 
 
-def _dataset(file: h5py.File, name: str, kinds: str, dimensions: int, place: str) -> NDArray[np.generic]:
-    """Read one dataset, refusing whatever could make the HDF5 library read elsewhere or run a filter of its own."""
-    here = f"{place}: {name}"
-    if not isinstance(file.get(name, getlink=True), h5py.HardLink):
-        raise BadInputError(here, "a dataset in this file", "a link")
-    dataset = file[name]
-    if not isinstance(dataset, h5py.Dataset):
-        raise BadInputError(here, "a dataset", "a group")
-    if dataset.external or dataset.is_virtual:
-        raise BadInputError(here, "a dataset stored in this file", "external or virtual storage")
-    filters = dataset.id.get_create_plist()
-    codes = [filters.get_filter(k)[0] for k in range(filters.get_nfilters())]
-    if not set(codes) <= {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE}:
-        raise BadInputError(here, "no filter, gzip or shuffle", f"HDF5 filters {codes}")
-    if dataset.dtype.kind not in kinds or dataset.ndim != dimensions:
-        wanted = {"f": "floats", "fiu": "numbers", "iu": "integers", "OS": "strings"}[kinds]
-        raise BadInputError(
-            here, f"{wanted} in {dimensions} dimension(s)", f"{dataset.dtype} in {dataset.ndim} dimension(s)"
-        )
-    return np.asarray(dataset[()])
+def _require_shapes(datasets: Mapping[str, h5py.Dataset], place: str) -> None:
+    """One row per entry of event_id, one channel per entry of frequency_mhz."""
+    for name in ("event_id", "frequency_mhz"):
+        if datasets[name].ndim != 1 or datasets[name].shape is None:
+            raise BadInputError(f"{place}: {name}", "one dimension", f"shape {datasets[name].shape}")
+    rows, channels = datasets["event_id"].shape[0], datasets["frequency_mhz"].shape[0]
+    for name, dataset in datasets.items():
+        if name == "power" and dataset.shape != (rows, channels):
+            expected = f"{rows} rows as in event_id and {channels} channels as in frequency_mhz"
+            raise BadInputError(f"{place}: power", expected, f"shape {dataset.shape}")
+        if name not in ("power", "frequency_mhz") and dataset.shape != (rows,):
+            raise BadInputError(f"{place}: {name}", f"{rows} rows as in event_id", f"shape {dataset.shape}")
 
 
-def _strings(values: NDArray[np.generic]) -> NDArray[np.str_]:
-    return np.array([_text(value) for value in values], dtype=np.str_)
+def _resistance(file: h5py.File, place: str) -> float:
+    found = file.attrs.get("resistance_ohm", 50.0)
+    values = np.unique(np.asarray(found))
+    if values.size != 1 or values.dtype.kind not in "fiu":
+        raise BadInputError(f"{place}: attribute resistance_ohm", "one number", repr(found))
+    return float(values[0])
 
 
-def _text(value: object) -> str:
-    return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
+def _listed(names: list[str]) -> str:
+    """Names for a sentence: in quotes where they are odd, and not thousands of them."""
+    shown = [name if name.isprintable() and len(name) < 40 else ascii(name)[:40] for name in names[:5]]
+    return ", ".join(shown) + (f" and {len(names) - 5} more" if len(names) > 5 else "")
 
 
 def write_spectra(spectra: Spectra, path: Path) -> None:

@@ -1,0 +1,451 @@
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from lbacal_core.errors import BadInputError, LbacalError, UnreadableFileError
+from lbacal_core.spectra import Spectra, read_spectra, split_into_blocks, write_spectra
+
+FREQUENCY = np.array([30.0, 31.0, 32.0, 33.0])
+START = 1_400_000_000.0
+NOW = 1_500_000_000.0
+
+
+def make_spectra(events: int = 3) -> Spectra:
+    """Events of two stations with two antennas each, both dipoles."""
+    keys = [
+        (event, station, antenna, dipole)
+        for event in range(events)
+        for station in ("CS002", "CS003")
+        for antenna in (0, 7)
+        for dipole in "XY"
+    ]
+    event, station, antenna, dipole = (np.array(column) for column in zip(*keys, strict=True))
+    return Spectra(
+        frequency_mhz=FREQUENCY,
+        power=np.random.default_rng(1).uniform(1, 2, (len(keys), FREQUENCY.size)),
+        event_id=np.array([f"event {k}" for k in event]),
+        time_unix=START + 3600.0 * event,
+        station=station,
+        antenna=antenna,
+        dipole=dipole,
+        blocks=np.full(len(keys), 100),
+        environment={"temperature_c": 10.0 + event, "rain_mm_h": np.where(event == 0, np.nan, 0.0)},
+    )
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    write_spectra(make_spectra(), tmp_path / "s.h5")
+    return tmp_path / "s.h5"
+
+
+def refusal(path: Path) -> str:
+    """The one sentence with which the reader refuses a file."""
+    with pytest.raises(LbacalError) as caught:
+        read_spectra(path, NOW)
+    sentence = str(caught.value)
+    assert "\n" not in sentence
+    assert len(sentence) < 400
+    assert sentence.isprintable()
+    return sentence
+
+
+def put(name: str, data: object, **storage: object) -> Callable[[h5py.File], None]:
+    """Replace a dataset."""
+
+    def change(file: h5py.File) -> None:
+        if name in file:
+            del file[name]
+        file.create_dataset(name, data=data, **storage)
+
+    return change
+
+
+def put_value(name: str, row: int, value: object) -> Callable[[h5py.File], None]:
+    """Replace one row, or one channel of it."""
+
+    def change(file: h5py.File) -> None:
+        values = file[name][()]
+        values[row] = value
+        put(name, values)(file)
+
+    return change
+
+
+def put_power(row: int, channel: int, value: float) -> Callable[[h5py.File], None]:
+    def change(file: h5py.File) -> None:
+        file["power"][row, channel] = value
+
+    return change
+
+
+def remove(name: str) -> Callable[[h5py.File], None]:
+    return lambda file: file.__delitem__(name)
+
+
+def attribute(name: str, value: object) -> Callable[[h5py.File], None]:
+    return lambda file: file.attrs.__setitem__(name, value)
+
+
+def put_unwritten(name: str, shape: tuple[int, ...]) -> Callable[[h5py.File], None]:
+    def change(file: h5py.File) -> None:
+        del file[name]
+        file.create_dataset(name, shape=shape, dtype="f8", chunks=True)
+
+    return change
+
+
+def as_virtual(file: h5py.File) -> None:
+    layout = h5py.VirtualLayout(shape=(24,), dtype="f8")
+    layout[:] = h5py.VirtualSource("other.h5", "time_unix", shape=(24,))
+    del file["time_unix"]
+    file.create_virtual_dataset("time_unix", layout)
+
+
+ROWS = 24
+WRONG_CONTENT: dict[str, tuple[Callable[[h5py.File], None], str]] = {
+    # the format itself
+    "no format": (lambda file: file.attrs.__delitem__("format"), "attribute format: expected lbacal-spectra-1, found"),
+    "other format": (attribute("format", "lbacal-spectra-2"), "found 'lbacal-spectra-2'"),
+    "format is a number": (attribute("format", 1), "attribute format: expected lbacal-spectra-1"),
+    "format is an array": (attribute("format", np.arange(40)), r"found array\(\[ 0,  ?1,"),
+    "format not UTF-8": (attribute("format", np.bytes_(b"\xff\xfe")), "attribute format: expected UTF-8"),
+    "missing column": (remove("blocks"), "no blocks"),
+    "two missing": (lambda file: [file.__delitem__(n) for n in ("power", "dipole")], "no dipole, power"),
+    "unknown dataset": (put("powers", np.ones(3)), "unknown powers"),
+    "unknown group": (lambda file: file.create_group("extra"), "unknown extra"),
+    "a thousand unknown": (
+        lambda file: [file.create_group(f"g{k:04d}") for k in range(1000)],
+        "unknown g0000, g0001, g0002, g0003, g0004 and 995 more",
+    ),
+    # lengths and shapes
+    "short column": (put("antenna", np.zeros(23, dtype=int)), "antenna: expected 24 rows as in event_id, found"),
+    "short power": (
+        put("power", np.ones((23, 4))),
+        r"power: expected 24 rows .* and 4 channels .* found shape \(23, 4",
+    ),
+    "narrow power": (put("power", np.ones((24, 3))), r"4 channels as in frequency_mhz, found shape \(24, 3\)"),
+    "flat power": (put("power", np.ones(96)), r"found shape \(96,\)"),
+    "0-d times": (put("time_unix", 1.4e9), r"time_unix: expected 24 rows as in event_id, found shape \(\)"),
+    "0-d events": (put("event_id", "one"), "event_id: expected one dimension"),
+    "null data": (put("time_unix", h5py.Empty("f8")), "time_unix: expected 24 rows as in event_id, found shape None"),
+    "null frequency": (put("frequency_mhz", h5py.Empty("f8")), "frequency_mhz: expected one dimension"),
+    "no channels": (
+        lambda file: [put("frequency_mhz", np.ones(0))(file), put("power", np.ones((24, 0)))(file)],
+        "frequency_mhz: expected a list of channels",
+    ),
+    "short env": (put("env/temperature_c", np.ones(3)), "env/temperature_c: expected 24 rows"),
+    # types
+    "antenna as float": (put("antenna", np.zeros(24)), "antenna: expected integers, found float64"),
+    "integer time": (put("time_unix", np.full(24, 1_400_000_000)), "time_unix: expected 8-byte floats, found int64"),
+    "time as float32": (put("time_unix", np.full(24, 1.4e9, "f4")), "time_unix: expected 8-byte floats, found float32"),
+    "power as text": (put("power", np.full((24, 4), b"1.0")), "power: expected 8-byte floats"),
+    "complex power": (put("power", np.ones((24, 4), complex)), "power: expected 8-byte floats, found complex128"),
+    "station as number": (put("station", np.full(24, 2)), "station: expected strings, found int64"),
+    "lists as dipole": (
+        put("dipole", np.array([np.ones(2)] * 24 + [None], dtype=object)[:24], dtype=h5py.vlen_dtype(float)),
+        "dipole: expected strings",
+    ),
+    "references as event": (
+        lambda file: put("event_id", np.array([file.ref] * 24, dtype=h5py.ref_dtype))(file),
+        "event_id: expected strings",
+    ),
+    "compound blocks": (put("blocks", np.zeros(24, dtype=[("n", int)])), "blocks: expected integers"),
+    "antenna beyond 63 bits": (
+        put("antenna", np.full(24, 2**64 - 1, dtype=np.uint64)),
+        r"antenna: expected integers below 2\*\*63, found 18446744073709551615",
+    ),
+    "text in env": (put("env/rain_mm_h", np.full(24, b"wet")), "env/rain_mm_h: expected numbers"),
+    "a group as column": (lambda file: [file.__delitem__("blocks"), file.create_group("blocks")], "found a group"),
+    "a type as column": (
+        lambda file: [file.__delitem__("blocks"), file.__setitem__("blocks", np.dtype("f8"))],
+        "blocks: expected a dataset, found a datatype",
+    ),
+    "env is a dataset": (
+        lambda file: [file.__delitem__("env"), put("env", np.ones(24))(file)],
+        "env: expected a group",
+    ),
+    "a group in env": (lambda file: file.create_group("env/more"), "env/more: expected a dataset, found a group"),
+    # values
+    "NaN": (put_power(5, 2, np.nan), "power, row 5: expected finite power > 0, found nan at 32 MHz"),
+    "infinity": (put_power(0, 0, np.inf), "power, row 0: expected finite power > 0, found inf at 30 MHz"),
+    "zero power": (put_power(23, 3, 0.0), "power, row 23: expected finite power > 0, found 0.0 at 33 MHz"),
+    "negative power": (put_power(1, 1, -2.5), "power, row 1: expected finite power > 0, found -2.5 at 31 MHz"),
+    "many bad rows": (put("power", np.zeros((24, 4))), r"row 0: .* \(and 23 more rows\)"),
+    "before 2009": (put_value("time_unix", 3, 1.2e9), "time_unix, row 3: expected an instant of 2009 or later"),
+    "a Julian date": (put("time_unix", np.full(24, 56_000.0)), "time_unix, row 0: .*found 56000.0"),
+    "NaN time": (put_value("time_unix", 2, np.nan), "time_unix, row 2: .*found nan"),
+    "infinite time": (put_value("time_unix", 2, np.inf), "time_unix, row 2: .*found inf"),
+    "future": (put_value("time_unix", 9, NOW + 86_401), "time_unix, row 9: expected an instant not after 2017-07-14"),
+    "unknown dipole": (put_value("dipole", 4, b"Z"), "dipole, row 4: expected X or Y, found 'Z'"),
+    "lower-case dipole": (put_value("dipole", 4, b"x"), "dipole, row 4: expected X or Y, found 'x'"),
+    "negative antenna": (put_value("antenna", 6, -1), "antenna, row 6: expected a number >= 0, found -1"),
+    "no blocks averaged": (put_value("blocks", 6, 0), "blocks, row 6: expected a count > 0, found 0"),
+    "empty station": (put_value("station", 8, b""), "station, row 8: expected a name, found ''"),
+    "empty event": (put_value("event_id", 8, b""), "event_id, row 8: expected a name, found ''"),
+    "event not UTF-8": (put_value("event_id", 3, b"caf\xe9"), r"event_id, row 3: expected UTF-8 text, found b'caf"),
+    "event of two lines": (
+        put_value("event_id", 3, b"a\nb"),
+        r"event_id, row 3: expected printable text, found 'a\\nb'",
+    ),
+    "the same key twice": (put("event_id", [b"one"] * 24), "row .*: expected one spectrum per event, station, antenna"),
+    "infinite temperature": (put_value("env/temperature_c", 2, np.inf), "env/temperature_c, row 2: .*found inf"),
+    "NaN frequency": (put_value("frequency_mhz", 1, np.nan), "frequency_mhz, channel 1: expected finite MHz > 0"),
+    "falling frequency": (
+        put("frequency_mhz", FREQUENCY[::-1]),
+        "channel 1: expected more than 33 MHz .* found 32 MHz",
+    ),
+    "frequency 0": (put_value("frequency_mhz", 0, 0.0), "frequency_mhz, channel 0: expected finite MHz > 0, found 0"),
+    # R_r
+    "unequal resistances": (attribute("resistance_ohm", [50.0, 60.0]), "attribute resistance_ohm: expected one number"),
+    "resistance in words": (attribute("resistance_ohm", "fifty"), "attribute resistance_ohm: expected one number"),
+    "negative resistance": (attribute("resistance_ohm", -50.0), "resistance_ohm: expected Ohm > 0, found -50"),
+    "no resistance value": (attribute("resistance_ohm", h5py.Empty("f8")), "resistance_ohm: expected one number"),
+    # what would make the library read elsewhere, or never end
+    "external link": (
+        lambda file: [file.__delitem__("power"), file.__setitem__("power", h5py.ExternalLink("other.h5", "/power"))],
+        "power: expected a dataset in this file, found a link",
+    ),
+    "soft link": (
+        lambda file: [file.__delitem__("power"), file.__setitem__("power", h5py.SoftLink("/env/temperature_c"))],
+        "power: expected a dataset in this file, found a link",
+    ),
+    "env elsewhere": (
+        lambda file: [file.__delitem__("env"), file.__setitem__("env", h5py.ExternalLink("other.h5", "/env"))],
+        "env: expected a group in this file",
+    ),
+    "link in env": (
+        lambda file: file.__setitem__("env/wind", h5py.ExternalLink("other.h5", "/wind")),
+        "env/wind: expected a dataset in this file, found a link",
+    ),
+    "env is the root": (
+        lambda file: [file.__delitem__("env"), file.__setitem__("env", file["/"])],
+        "env/env: expected a dataset, found a group|expected numbers",
+    ),
+    "external storage": (
+        lambda file: [
+            file.__delitem__("time_unix"),
+            file.create_dataset("time_unix", shape=(24,), dtype="f8", external=[("/etc/passwd", 0, 192)]),
+        ],
+        "time_unix: expected a dataset stored in this file",
+    ),
+    "virtual dataset": (as_virtual, "time_unix: expected a dataset stored in this file"),
+    "checksum filter": (
+        put("blocks", np.ones(24, int), fletcher32=True),
+        "blocks: expected no filter, gzip or shuffle",
+    ),
+    "lzf filter": (put("blocks", np.ones(24, int), compression="lzf"), "blocks: expected no filter, gzip or shuffle"),
+    "scale filter": (put("blocks", np.ones(24, int), scaleoffset=0), "blocks: expected no filter, gzip or shuffle"),
+    "huge power": (put_unwritten("power", (24, 10**12)), r"power: .*found shape \(24, 1000000000000\)"),
+    "never written": (put_unwritten("power", (24, 4)), "power: expected 96 values, found 0 bytes"),
+    "hugely never written": (
+        lambda file: [put_unwritten("frequency_mhz", (10**9,))(file), put_unwritten("power", (24, 10**9))(file)],
+        "(frequency_mhz|power): expected .* values, found 0 bytes, too few to hold them",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", WRONG_CONTENT)
+def test_wrong_content_is_named_with_field_and_row(path: Path, case: str) -> None:
+    change, sentence = WRONG_CONTENT[case]
+    with h5py.File(path, "a") as file:
+        change(file)
+    with pytest.raises(BadInputError, match=sentence):
+        read_spectra(path, NOW)
+    assert refusal(path).startswith("s.h5")
+
+
+def test_a_missing_empty_or_other_file_is_named(tmp_path: Path) -> None:
+    assert refusal(tmp_path / "none.h5").endswith("none.h5: expected a spectra file, found no file")
+    assert refusal(tmp_path).endswith("expected a spectra file, found a folder")
+    empty = tmp_path / "empty.h5"
+    empty.write_bytes(b"")
+    assert "found an empty file" in refusal(empty)
+    text = tmp_path / "text.h5"
+    text.write_text("frequency_mhz,power\n30,1\n")
+    assert "expected a spectra file (HDF5), found something unreadable" in refusal(text)
+
+
+def test_every_truncation_is_a_sentence(path: Path) -> None:
+    content = path.read_bytes()
+    cut = path.with_name("cut.h5")
+    for length in [*range(1, 64), *range(64, len(content), 331), len(content) - 1]:
+        cut.write_bytes(content[:length])
+        refusal(cut)
+
+
+@given(content=st.binary(max_size=4096))
+@settings(max_examples=50, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_random_bytes_are_a_sentence(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "random.h5").write_bytes(b"\x89HDF\r\n\x1a\n" + content)
+    with pytest.raises(UnreadableFileError):
+        read_spectra(tmp_path / "random.h5")
+
+
+MUTANTS = 120
+CHILD = """
+import signal, sys
+from pathlib import Path
+from lbacal_core.errors import LbacalError
+from lbacal_core.spectra import read_spectra
+for name in sys.argv[1:]:
+    signal.alarm(2)  # an endless loop inside the HDF5 library ends the process like a crash
+    print(Path(name).name, end=" ", flush=True)
+    try:
+        read_spectra(Path(name), 1.5e9)
+        print("read", flush=True)
+    except LbacalError as error:
+        is_sentence = "\\n" not in str(error) and len(str(error)) < 400
+        print("sentence" if is_sentence else f"not a sentence: {error!r}", flush=True)
+    except BaseException as error:
+        print(f"escaped: {error!r}", flush=True)
+"""
+
+
+@pytest.mark.parametrize("storage", ["contiguous", "gzip"])
+def test_flipped_bytes_give_a_sentence_or_numbers_unless_the_hdf5_library_itself_dies(
+    path: Path, tmp_path: Path, storage: str
+) -> None:
+    if storage == "gzip":
+        with h5py.File(path, "a") as file:
+            put("power", file["power"][()], compression="gzip", shuffle=True)(file)
+    rng = np.random.default_rng(20)
+    content = np.frombuffer(path.read_bytes(), dtype=np.uint8)
+    # Most of a small file is unused space; bytes that are not zero are its structure and its numbers.
+    used = np.flatnonzero(content)
+    for k in range(MUTANTS):
+        mutant = content.copy()
+        at = rng.choice(used, size=int(rng.integers(1, 6)))
+        mutant[at] = rng.integers(0, 256, size=at.size)
+        (tmp_path / f"m{k:04d}").write_bytes(mutant.tobytes())
+    todo = sorted(str(name) for name in tmp_path.glob("m*"))
+    outcomes: list[str] = []
+    deaths = 0
+    while todo:
+        child = subprocess.run([sys.executable, "-c", CHILD, *todo], capture_output=True, text=True, check=False)
+        lines = child.stdout.splitlines()
+        outcomes += [line.partition(" ")[2] for line in lines]
+        deaths += child.returncode != 0
+        assert lines, child.stderr
+        todo = todo[len(lines) :]
+    assert len(outcomes) == MUTANTS
+    assert not [outcome for outcome in outcomes if outcome not in {"read", "sentence", ""}]
+    # A file changed in its structure is refused, one changed in its numbers may be read; both must occur.
+    assert {"read", "sentence"} <= set(outcomes)
+    assert deaths < MUTANTS / 10
+
+
+def test_a_file_returns_what_was_written(path: Path) -> None:
+    written, read = make_spectra(), read_spectra(path)
+    assert read.digest() == written.digest()
+    for name in ("power", "time_unix", "station", "antenna", "dipole", "blocks", "event_id"):
+        np.testing.assert_array_equal(getattr(read, name), getattr(written, name))
+    np.testing.assert_array_equal(read.environment["rain_mm_h"], written.environment["rain_mm_h"])
+    assert read.resistance_ohm == 50.0
+    assert len(read) == ROWS
+
+
+@pytest.mark.parametrize("change", ["fixed strings", "big endian", "gzip", "int32", "no env", "no resistance"])
+def test_storage_that_changes_no_value_is_welcome(path: Path, change: str) -> None:
+    before = read_spectra(path).digest()
+    with h5py.File(path, "a") as file:
+        if change == "fixed strings":
+            for name in ("station", "event_id", "dipole"):
+                put(name, file[name][()].astype("S12"))(file)
+        if change == "big endian":
+            put("power", file["power"][()].astype(">f8"))(file)
+        if change == "gzip":
+            for name in ("power", "station"):
+                put(name, file[name][()], compression="gzip", shuffle=True)(file)
+        if change == "int32":
+            put("antenna", file["antenna"][()].astype("i4"))(file)
+            put("frequency_mhz", file["frequency_mhz"][()].astype("i4"))(file)
+        if change == "no env":
+            del file["env"]
+        if change == "no resistance":
+            del file.attrs["resistance_ohm"]
+    assert read_spectra(path).digest() == before
+
+
+def test_a_highly_compressible_file_is_not_taken_for_an_unwritten_one(tmp_path: Path) -> None:
+    spectra = make_spectra()
+    rows = 20_000
+    many = Spectra(
+        FREQUENCY,
+        np.ones((rows, 4)),
+        np.array([f"e{k}" for k in range(rows)]),
+        np.full(rows, START),
+        np.full(rows, "CS002"),
+        np.zeros(rows, dtype=np.int64),
+        np.full(rows, "X"),
+        np.ones(rows, dtype=np.int64),
+    )
+    write_spectra(many, tmp_path / "s.h5")
+    with h5py.File(tmp_path / "s.h5", "a") as file:
+        put("power", many.power, compression="gzip", compression_opts=9, chunks=(rows, 4))(file)
+    assert read_spectra(tmp_path / "s.h5").digest() == many.digest() != spectra.digest()
+
+
+def test_a_time_within_the_next_day_is_welcome(path: Path) -> None:
+    assert len(read_spectra(path, now_unix=START + 7200 - 86_400)) == ROWS
+    with pytest.raises(BadInputError, match="row 16"):
+        read_spectra(path, now_unix=START + 7199 - 86_400)
+
+
+def test_the_digest_sees_every_value_but_not_the_order_of_rows() -> None:
+    spectra = make_spectra()
+    shuffled = spectra.select(np.random.default_rng(2).permutation(ROWS))
+    assert shuffled.digest() == spectra.digest()
+    power = spectra.power.copy()
+    power[3, 1] = np.nextafter(power[3, 1], 2)
+    for changed in (
+        replace(spectra, power=power),
+        replace(spectra, time_unix=spectra.time_unix + 1e-3),
+        replace(spectra, blocks=spectra.blocks + 1),
+        replace(spectra, resistance_ohm=60.0),
+        replace(spectra, event_id=np.char.add(spectra.event_id, "'")),
+    ):
+        assert changed.digest() != spectra.digest()
+
+
+def test_blocks_hold_every_spectrum_in_its_place() -> None:
+    spectra = make_spectra()
+    kept = np.ones(ROWS, dtype=bool)
+    kept[[0, 9]] = False
+    # events in the file in the reverse order of time, and not all antennas in each
+    partial = spectra.select(np.flatnonzero(kept)[::-1])
+    blocks = split_into_blocks(partial)
+    assert [(b.station, b.dipole) for b in blocks] == [(s, d) for s in ("CS002", "CS003") for d in "XY"]
+    assert sum(int(b.is_present.sum()) for b in blocks) == ROWS - 2
+    for block in blocks:
+        assert np.all(np.diff(block.time_unix) > 0)
+        assert np.all((block.blocks > 0) == block.is_present)
+        for row, antenna in enumerate(block.antennas):
+            for column, event in enumerate(block.event_id):
+                at = np.flatnonzero(
+                    (partial.station == block.station)
+                    & (partial.dipole == block.dipole)
+                    & (partial.antenna == antenna)
+                    & (partial.event_id == event)
+                )
+                assert block.is_present[row, column] == (at.size == 1)
+                expected = partial.power[at[0]] if at.size else np.ones(4)
+                np.testing.assert_array_equal(block.power[row, column], expected)
+        np.testing.assert_array_equal(block.environment["temperature_c"], 10 + (block.time_unix - START) / 3600)
+
+
+@pytest.mark.shared
+def test_the_example_data_set_is_readable(shared: Path) -> None:
+    spectra = read_spectra(shared / "examples" / "spectra.h5", NOW)
+    assert len(np.unique(spectra.event_id)) == 400
+    assert spectra.frequency_mhz.size == 51
