@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from difflib import get_close_matches
 from importlib.resources import files
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -86,6 +89,30 @@ class Instrument:
                 raise BadInputError(
                     f"{place}: antennas, row {row}: cable", f"one of {', '.join(self.cables)}", repr(record.cable)
                 )
+            if record.since is not None and record.until is not None and record.since >= record.until:
+                raise BadInputError(f"{place}: antennas, row {row}: until", "a date after since", "one that is not")
+        self._require_one_record_at_a_time()
+
+    def _require_one_record_at_a_time(self) -> None:
+        """Hardware changes: the records of one antenna may follow each other, never overlap."""
+        order = sorted(
+            range(len(self.antennas)),
+            key=lambda row: (
+                self.antennas[row].station,
+                self.antennas[row].antenna,
+                -math.inf if self.antennas[row].since is None else self.antennas[row].since,
+            ),
+        )
+        for row, later_row in pairwise(order):
+            record, later = self.antennas[row], self.antennas[later_row]
+            if (record.station, record.antenna) != (later.station, later.antenna):
+                continue
+            if record.until is None or later.since is None or later.since < record.until:
+                raise BadInputError(
+                    f"instrument {self.name}: antennas, rows {row} and {later_row}",
+                    f"one record at a time for station {record.station}, antenna {record.antenna}",
+                    "two whose since and until overlap",
+                )
 
     def _require_gain(self, field: str, values: Floats, largest: float) -> None:
         place = f"instrument {self.name}: {field}"
@@ -98,19 +125,27 @@ class Instrument:
 
     def cable_of(self, station: str, antenna: int, time_unix: float) -> str:
         """Name of the cable of an antenna at an instant."""
+        return self.cables_between(station, antenna, time_unix, time_unix)[0]
+
+    def cables_between(self, station: str, antenna: int, first_unix: float, last_unix: float) -> list[str]:
+        """Names of the cables that an antenna had from one instant to another, each once."""
+        place = f"station {station}, antenna {antenna}"
         records = [r for r in self.antennas if r.station == station and r.antenna == antenna]
         if not records:
-            raise BadInputError(
-                f"station {station}, antenna {antenna}", f"an antenna of instrument {self.name}", "no such antenna"
-            )
-        for record in records:
-            if record.covers(time_unix):
-                return record.cable
-        raise BadInputError(
-            f"station {station}, antenna {antenna}",
-            f"a cable on record in instrument {self.name} at {datetime.fromtimestamp(time_unix, UTC):%Y-%m-%d}",
-            "records of other dates only",
-        )
+            raise BadInputError(place, f"an antenna of instrument {self.name}", "no such antenna")
+        for instant in (first_unix, last_unix):
+            if not any(record.covers(instant) for record in records):
+                raise BadInputError(
+                    place,
+                    f"a cable on record in instrument {self.name} at {datetime.fromtimestamp(instant, UTC):%Y-%m-%d}",
+                    "records of other dates only",
+                )
+        held = [
+            r
+            for r in records
+            if (r.since is None or r.since <= last_unix) and (r.until is None or first_unix < r.until)
+        ]
+        return list(dict.fromkeys(record.cable for record in held))
 
     def as_dict(self) -> dict[str, Any]:
         """The content of an instrument file (docs/formats.md)."""
@@ -136,9 +171,9 @@ def load_instrument(name_or_file: str) -> Instrument:
     """Load an instrument that ships with the package by its name, or any other from its JSON file."""
     shipped = {path.name.removesuffix(".json"): path for path in (files("lbacal_core") / "data/instruments").iterdir()}
     if name_or_file in shipped:
-        return parse_instrument(json.loads(shipped[name_or_file].read_text()), name_or_file)
+        return parse_instrument(json.loads(shipped[name_or_file].read_text(encoding="utf-8")), name_or_file)
     path = Path(name_or_file)
-    if not path.is_file():
+    if not path.exists():
         raise UnknownNameError("instrument", name_or_file, sorted(shipped))
     return parse_instrument(read_json(path), str(path))
 
@@ -146,15 +181,28 @@ def load_instrument(name_or_file: str) -> Instrument:
 def read_json(path: Path) -> Any:
     """Read a JSON file, with one clear sentence when it is not one."""
     try:
-        return json.loads(path.read_text())
+        text = path.read_text(encoding="utf-8")
+        if not text.strip():
+            raise UnreadableFileError(f"{path}: expected JSON, found an empty file")
+        return json.loads(text, object_pairs_hook=_unique_fields)
     except OSError as error:
         raise UnreadableFileError(f"{path}: cannot be read ({error.strerror})") from error
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+    except (ValueError, RecursionError) as error:
         raise UnreadableFileError(f"{path}: expected JSON, found something else ({error})") from error
 
 
+def _unique_fields(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """A JSON object, refused when it gives a field twice: one of the two would be lost."""
+    content = dict(pairs)
+    if len(content) < len(pairs):
+        names = [name for name, _ in pairs]
+        twice = next(name for name in names if names.count(name) > 1)
+        raise ValueError(f"the field {twice!r} twice in one object")
+    return content
+
+
 def parse_instrument(content: Any, place: str) -> Instrument:
-    """Make an instrument from the content of its file."""
+    """Make an instrument from the content of its file; fields it does not know are left alone."""
     if not isinstance(content, dict):
         raise BadInputError(place, "a JSON object", type(content).__name__)
     fields = ["name", "latitude_deg", "longitude_deg", "height_m", "frequency_mhz", "dipoles"]
@@ -166,7 +214,7 @@ def parse_instrument(content: Any, place: str) -> Instrument:
     if not isinstance(dipoles, dict) or not isinstance(cables, dict) or not isinstance(antennas, list):
         raise BadInputError(place, "dipoles and cables as objects, antennas as a list", "another shape")
     return Instrument(
-        name=str(content["name"]),
+        name=_name(content["name"], f"{place}: name"),
         latitude_deg=_number(content["latitude_deg"], f"{place}: latitude_deg"),
         longitude_deg=_number(content["longitude_deg"], f"{place}: longitude_deg"),
         height_m=_number(content["height_m"], f"{place}: height_m"),
@@ -190,21 +238,34 @@ def parse_numbers(values: Any, place: str) -> Floats:
 
 
 def _number(value: Any, place: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
-        raise BadInputError(place, "a finite number", repr(value))
-    return float(value)
+    try:
+        if not isinstance(value, bool) and isinstance(value, int | float) and math.isfinite(value):
+            return float(value)
+    except OverflowError:  # an integer of more than 308 digits
+        pass
+    raise BadInputError(place, "a finite number", repr(value))
+
+
+def _name(value: Any, place: str) -> str:
+    if not isinstance(value, str) or not value or not value.isprintable():
+        raise BadInputError(place, "a name", repr(value))
+    return value
 
 
 def _parse_record(record: Any, place: str) -> AntennaRecord:
     if not isinstance(record, dict) or not {"station", "antenna", "cable"} <= set(record):
-        raise BadInputError(place, "station, antenna and cable", repr(record)[:80])
+        raise BadInputError(place, "station, antenna and cable", repr(record))
+    for field in set(record) - {"station", "antenna", "cable", "since", "until"}:
+        # Other fields are somebody else's, but a misspelt `since` would give the antenna a cable at the wrong time.
+        for meant in get_close_matches(field.lower(), ("since", "until")):
+            raise BadInputError(f"{place}: {meant}", f"the field {meant!r} or none", f"{field!r}")
     antenna = record["antenna"]
     if isinstance(antenna, bool) or not isinstance(antenna, int) or antenna < 0:
         raise BadInputError(f"{place}: antenna", "a whole number >= 0", repr(antenna))
     return AntennaRecord(
-        station=str(record["station"]),
+        station=_name(record["station"], f"{place}: station"),
         antenna=antenna,
-        cable=str(record["cable"]),
+        cable=_name(record["cable"], f"{place}: cable"),
         since=_instant(record.get("since"), f"{place}: since"),
         until=_instant(record.get("until"), f"{place}: until"),
     )
@@ -215,9 +276,9 @@ def _instant(text: Any, place: str) -> float | None:
         return None
     try:
         instant = datetime.fromisoformat(text)
-    except (TypeError, ValueError) as error:
+        return (instant if instant.tzinfo else instant.replace(tzinfo=UTC)).astimezone(UTC).timestamp()
+    except (TypeError, ValueError, OverflowError) as error:
         raise BadInputError(place, "an ISO 8601 date", repr(text)) from error
-    return (instant if instant.tzinfo else instant.replace(tzinfo=UTC)).timestamp()
 
 
 def _record_as_dict(record: AntennaRecord) -> dict[str, Any]:

@@ -108,14 +108,17 @@ def _require_one_cable_each(spectra: Spectra, instrument: Instrument) -> None:
     first, last = float(spectra.time_unix.min()), float(spectra.time_unix.max())
     for station in np.unique(spectra.station):
         for antenna in np.unique(spectra.antenna[spectra.station == station]):
-            before = instrument.cable_of(str(station), int(antenna), first)
-            after = instrument.cable_of(str(station), int(antenna), last)
-            if before != after:
-                place = f"station {station}, antenna {antenna}"
+            try:
+                cables = instrument.cables_between(str(station), int(antenna), first, last)
+            except BadInputError as error:
+                row = int(np.flatnonzero((spectra.station == station) & (spectra.antenna == antenna))[0])
+                place = f"{spectra.origin}: antenna, row {row}: {error.place}"
+                raise BadInputError(place, error.expected, error.found) from error
+            if len(cables) > 1:
                 raise BadInputError(
-                    place,
+                    f"{spectra.origin}: station {station}, antenna {antenna}",
                     "one cable over the window: fit the time before and after the change separately",
-                    f"cable {before} at its start and {after} at its end",
+                    f"cables {', '.join(cables)}",
                 )
 
 

@@ -1,0 +1,224 @@
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from lbacal_core.errors import BadInputError, LbacalError, UnknownNameError, UnreadableFileError
+from lbacal_core.instrument import AntennaRecord, load_instrument, parse_instrument
+
+
+def make_content() -> dict[str, Any]:
+    """The smallest instrument with a hardware change."""
+    return {
+        "name": "two antennas",
+        "latitude_deg": 52.9,
+        "longitude_deg": 6.9,
+        "height_m": 49,
+        "frequency_mhz": [30, 50, 80],
+        "dipoles": {"X": {"azimuth_deg": 45}, "Y": {"azimuth_deg": 135}},
+        "antenna_gain": [0.1, 0.5, 0.2],
+        "receiver_gain": [1, 1, 0.3],
+        "cables": {"50 m": [0.6, 0.5, 0.4], "80 m": [0.4, 0.3, 0.2]},
+        "antennas": [
+            {"station": "CS002", "antenna": 0, "cable": "50 m", "until": "2013-05-01"},
+            {"station": "CS002", "antenna": 0, "cable": "80 m", "since": "2013-05-01T00:00:00Z"},
+            {"station": "CS002", "antenna": 1, "cable": "80 m"},
+        ],
+    }
+
+
+def unix(text: str) -> float:
+    return datetime.fromisoformat(text).replace(tzinfo=UTC).timestamp()
+
+
+def put(*place_and_value: Any) -> Callable[[dict[str, Any]], None]:
+    """Set the value at the end of a path of fields and rows."""
+
+    def change(content: Any) -> None:
+        *path, last, value = place_and_value
+        for step in path:
+            content = content[step]
+        content[last] = value
+
+    return change
+
+
+def remove(field: str) -> Callable[[dict[str, Any]], None]:
+    return lambda content: content.pop(field)
+
+
+def append(record: dict[str, Any]) -> Callable[[dict[str, Any]], None]:
+    return lambda content: content["antennas"].append(record)
+
+
+WRONG_CONTENT: dict[str, tuple[Callable[[dict[str, Any]], None], str]] = {
+    "missing field": (remove("receiver_gain"), "expected the fields name, .* found no receiver_gain"),
+    "name of spaces": (put("name", ""), "name: expected a name, found ''"),
+    "name is a number": (put("name", 7), "name: expected a name, found 7"),
+    "latitude in text": (put("latitude_deg", "52.9"), "latitude_deg: expected a finite number, found '52.9'"),
+    "latitude NaN": (put("latitude_deg", float("nan")), "latitude_deg: expected a finite number, found nan"),
+    "latitude too far": (put("latitude_deg", 99), "latitude_deg: expected -90 to 90, found 99"),
+    "longitude too far": (put("longitude_deg", -200), "longitude_deg: expected -180 to 360, found -200"),
+    "height in space": (put("height_m", 1e6), "height_m: expected -500 to 9000"),
+    "huge integer": (put("height_m", 10**400), "height_m: expected a finite number, found 1000"),
+    "falling channels": (put("frequency_mhz", [80, 50, 30]), "channel 1: expected more than 80 MHz"),
+    "no channels": (put("frequency_mhz", []), "frequency_mhz: expected a list of channels"),
+    "frequency as number": (put("frequency_mhz", 30), "frequency_mhz: expected a list of numbers, found int"),
+    "negative frequency": (put("frequency_mhz", 0, -30), "channel 0: expected finite MHz > 0, found -30"),
+    "one dipole": (lambda c: c["dipoles"].pop("Y"), "dipoles: expected X and Y, found X"),
+    "no dipoles": (put("dipoles", {}), "dipoles: expected X and Y, found none"),
+    "dipoles as list": (put("dipoles", [45, 135]), "expected dipoles and cables as objects, antennas as a list"),
+    "azimuth as number": (put("dipoles", "X", 45), "dipoles.X: expected a finite number"),
+    "no azimuth": (put("dipoles", "X", {}), "dipoles.X: expected a finite number, found None"),
+    "short gain": (put("antenna_gain", [1, 1]), r"antenna_gain: expected 3 numbers, one a channel, found shape \(2,\)"),
+    "gain zero": (put("receiver_gain", 2, 0), "receiver_gain, channel 2: expected a finite power factor > 0, found"),
+    "gain in dB": (put("antenna_gain", 1, -3.0), "antenna_gain, channel 1: expected a finite power factor > 0, found"),
+    "gain infinite": (put("antenna_gain", 1, float("inf")), "antenna_gain, entry 1: expected a finite number, found"),
+    "gain null": (put("antenna_gain", 1, None), "antenna_gain, entry 1: expected a finite number, found None"),
+    "amplifying cable": (put("cables", "50 m", 0, 1.2), "cables.50 m, channel 0: .* > 0 and <= 1, found"),
+    "cable as number": (put("cables", "50 m", 0.5), "cables.50 m: expected a list of numbers, found float"),
+    "no cables": (put("cables", {}), "antennas, row 0: cable: expected one of"),
+    "unknown cable": (put("antennas", 2, "cable", "90 m"), "row 2: cable: expected one of 50 m, 80 m, found '90 m'"),
+    "cable as length": (put("antennas", 2, "cable", 80), "antennas, row 2: cable: expected a name, found 80"),
+    "antenna as text": (put("antennas", 2, "antenna", "1"), "row 2: antenna: expected a whole number >= 0, found '1'"),
+    "antenna as float": (put("antennas", 2, "antenna", 1.0), "row 2: antenna: expected a whole number >= 0, found 1.0"),
+    "antenna negative": (put("antennas", 2, "antenna", -1), "row 2: antenna: expected a whole number >= 0, found -1"),
+    "no station": (lambda c: c["antennas"][1].pop("station"), "antennas, row 1: expected station, antenna and cable"),
+    "station as number": (put("antennas", 0, "station", 2), "antennas, row 0: station: expected a name, found 2"),
+    "record as list": (put("antennas", 0, ["CS002", 0]), "antennas, row 0: expected station, antenna and cable"),
+    "since in words": (put("antennas", 1, "since", "May"), "row 1: since: expected an ISO 8601 date, found 'May'"),
+    "since as number": (put("antennas", 1, "since", 56413), "row 1: since: expected an ISO 8601 date, found 56413"),
+    "since before time": (put("antennas", 1, "since", "0001-01-01T00:00+14:00"), "row 1: since: expected an ISO 8601"),
+    "until before since": (put("antennas", 1, "until", "2012-01-01"), "antennas, row 1: until: expected a date after"),
+    "misspelt since": (
+        lambda c: c["antennas"][1].__setitem__("sinse", c["antennas"][1].pop("since")),
+        "antennas, row 1: since: expected the field 'since' or none, found 'sinse'",
+    ),
+    "capital until": (
+        lambda c: c["antennas"][0].__setitem__("Until", c["antennas"][0].pop("until")),
+        "antennas, row 0: until: expected the field 'until' or none, found 'Until'",
+    ),
+    "the same antenna twice": (
+        append({"station": "CS002", "antenna": 1, "cable": "50 m"}),
+        "antennas, rows 2 and 3: expected one record at a time for station CS002, antenna 1, found two",
+    ),
+    "overlap of a day": (
+        put("antennas", 1, "since", "2013-04-30"),
+        "antennas, rows 0 and 1: expected one record at a time for station CS002, antenna 0",
+    ),
+    "record inside another": (
+        append({"station": "CS002", "antenna": 1, "cable": "50 m", "since": "2012-01-01", "until": "2012-02-01"}),
+        "antennas, rows 2 and 3: expected one record at a time",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", WRONG_CONTENT)
+def test_wrong_content_is_named_with_field_and_row(tmp_path: Path, case: str) -> None:
+    change, sentence = WRONG_CONTENT[case]
+    content = make_content()
+    change(content)
+    path = tmp_path / "i.json"
+    path.write_text(json.dumps(content))
+    with pytest.raises(BadInputError, match=sentence) as caught:
+        load_instrument(str(path))
+    assert "\n" not in str(caught.value)
+    assert str(caught.value).startswith((str(path), "instrument two antennas"))
+
+
+@pytest.mark.parametrize("content", [[], 3, "text", None])
+def test_json_of_another_kind_is_refused(content: object) -> None:
+    with pytest.raises(BadInputError, match=r"i\.json: expected a JSON object, found"):
+        parse_instrument(content, "i.json")
+
+
+@pytest.mark.parametrize(
+    ("content", "found"),
+    [
+        (b"", "an empty file"),
+        (b" \n", "an empty file"),
+        (b"{", "something else"),
+        (b"\xff\xfe\x00", "something else"),
+        (b"\x89HDF\r\n", "something else"),
+        (b"[" * 200_000, "something else"),
+        (b"9" * 5000, "something else"),
+        (b'{"name": "a", "name": "b"}', "the field 'name' twice in one object"),
+    ],
+)
+def test_a_file_that_is_not_json_is_one_sentence(tmp_path: Path, content: bytes, found: str) -> None:
+    path = tmp_path / "i.json"
+    path.write_bytes(content)
+    with pytest.raises(UnreadableFileError, match=found) as caught:
+        load_instrument(str(path))
+    assert str(caught.value).startswith(f"{path}: expected JSON")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_folder_is_named_as_such(tmp_path: Path) -> None:
+    with pytest.raises(UnreadableFileError, match=r"cannot be read \(Is a directory\)"):
+        load_instrument(str(tmp_path))
+
+
+def test_a_name_that_nothing_answers_to_is_answered_with_the_names_that_exist() -> None:
+    with pytest.raises(UnknownNameError, match=r"unknown instrument 'lofar'; known: .*or the path of a file"):
+        load_instrument("lofar")
+
+
+def test_every_truncation_is_a_sentence(tmp_path: Path) -> None:
+    text = json.dumps(make_content())
+    path = tmp_path / "i.json"
+    for length in range(len(text)):
+        path.write_text(text[:length])
+        with pytest.raises(LbacalError):
+            load_instrument(str(path))
+
+
+def test_an_instrument_returns_as_the_file_it_came_from() -> None:
+    instrument = parse_instrument(make_content(), "i.json")
+    again = parse_instrument(json.loads(json.dumps(instrument.as_dict())), "i.json")
+    assert again.digest() == instrument.digest()
+    assert again.as_dict() == instrument.as_dict()
+
+
+def test_fields_of_others_are_left_alone_and_not_part_of_the_digest() -> None:
+    content = make_content()
+    content["remark"] = {"anything": [1, 2]}
+    content["antennas"][0]["x_m"] = 12.5
+    assert parse_instrument(content, "i.json").digest() == parse_instrument(make_content(), "i.json").digest()
+
+
+def test_the_cable_changes_at_the_instant_of_the_record() -> None:
+    instrument = parse_instrument(make_content(), "i.json")
+    change = unix("2013-05-01")
+    assert instrument.cable_of("CS002", 0, change - 1e-6) == "50 m"
+    assert instrument.cable_of("CS002", 0, change) == "80 m"
+    assert instrument.cables_between("CS002", 0, change - 10, change - 1) == ["50 m"]
+    assert instrument.cables_between("CS002", 0, change - 10, change) == ["50 m", "80 m"]
+    assert instrument.cables_between("CS002", 1, 0.0, 2e9) == ["80 m"]
+
+
+def test_an_antenna_or_a_date_without_a_record_is_named() -> None:
+    content = make_content()
+    content["antennas"][1]["until"] = "2014-01-01"
+    instrument = parse_instrument(content, "i.json")
+    with pytest.raises(BadInputError, match="station CS002, antenna 9: expected an antenna of instrument two antennas"):
+        instrument.cable_of("CS002", 9, unix("2013-01-01"))
+    with pytest.raises(BadInputError, match=r"CS002, antenna 0: expected a cable on record .* at 2014-01-01, found"):
+        instrument.cable_of("CS002", 0, unix("2014-01-01"))
+
+
+def test_a_record_covers_its_first_instant_and_not_its_last() -> None:
+    record = AntennaRecord("CS002", 0, "50 m", since=10.0, until=20.0)
+    assert [record.covers(instant) for instant in (9.9, 10.0, 19.9, 20.0)] == [False, True, True, False]
+
+
+def test_a_longitude_may_be_counted_to_either_side() -> None:
+    for longitude in (-173.1, 186.9):
+        content = make_content()
+        content["longitude_deg"] = longitude
+        assert parse_instrument(content, "i.json").longitude_deg == longitude
