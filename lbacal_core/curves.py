@@ -69,6 +69,8 @@ class CalibrationCurve:
         if (self.status == CONVERGED) != (self.c is not None):
             raise ValueError("a curve has values exactly when its status is converged")
         for values in (self.c, self.c_sigma_stat, self.c_sigma_sys):
+            if values is not None and values.shape != self.frequency_mhz.shape:
+                raise ValueError(f"{values.shape} values for {self.frequency_mhz.size} channels")
             if values is not None and not (np.all(np.isfinite(values)) and np.all(values > 0)):
                 raise ValueError("C and its errors are finite and positive")
 

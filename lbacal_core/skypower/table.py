@@ -15,6 +15,9 @@ from lbacal_core.grids import Floats, require_channels
 from lbacal_core.instrument import DIPOLES, parse_numbers, read_json
 from lbacal_core.provenance import hash_arrays
 
+LST_TOLERANCE_HOURS = 1e-6
+"""4 ms: what rounding in a file may leave of a regular grid."""
+
 
 @dataclass(frozen=True)
 class SkyPower:
@@ -41,11 +44,15 @@ class SkyPower:
     def __post_init__(self) -> None:
         require_channels(self.origin, self.frequency_mhz)
         lst = self.lst_hours
-        if lst.ndim != 1 or lst.size < 3 or not np.allclose(np.diff(lst), 24.0 / lst.size, atol=1e-6):
+        if lst.ndim != 1 or lst.size < 3:
+            raise BadInputError(f"{self.origin}: lst_hours", "a list of at least 3 instants", f"shape {lst.shape}")
+        steps = np.diff(lst)
+        bad = np.flatnonzero(~(np.abs(steps - 24.0 / lst.size) < LST_TOLERANCE_HOURS))
+        if bad.size:
             raise BadInputError(
-                f"{self.origin}: lst_hours",
-                "at least 3 instants, 24 h / their number apart, rising",
-                f"{lst.size} others",
+                f"{self.origin}: lst_hours, row {bad[0] + 1}",
+                f"24 h / {lst.size} = {24.0 / lst.size:g} h after the row before",
+                f"{steps[bad[0]]:g} h after it",
             )
         for dipole in DIPOLES:
             values = self.power.get(dipole)
@@ -99,7 +106,9 @@ def read_sky_power(path: Path) -> SkyPower:
     """Read a sky power file."""
     content = read_json(path)
     fields = ["frequency_mhz", "lst_hours", *DIPOLES]
-    missing = [name for name in fields if not isinstance(content, dict) or name not in content]
+    if not isinstance(content, dict):
+        raise BadInputError(str(path), f"a JSON object with the fields {', '.join(fields)}", type(content).__name__)
+    missing = [name for name in fields if name not in content]
     if missing:
         raise BadInputError(str(path), f"the fields {', '.join(fields)}", f"no {', '.join(missing)}")
     frequency_mhz = parse_numbers(content["frequency_mhz"], f"{path}: frequency_mhz")

@@ -1,0 +1,118 @@
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from astropy import units as u
+from astropy.table import Table
+
+from lbacal_core.curves import (
+    CONVERGED,
+    STATUSES,
+    TOO_FEW_EVENTS,
+    CalibrationCurve,
+    FitReport,
+    Parameter,
+    parse_curve,
+    write_calibration_table,
+    write_fit_report,
+)
+from lbacal_core.provenance import Provenance
+
+FREQUENCY = np.array([30.0, 31.0, 32.0])
+GOOD = CalibrationCurve(
+    station="CS002",
+    antenna=17,
+    dipole="X",
+    status=CONVERGED,
+    events=900,
+    frequency_mhz=FREQUENCY,
+    c=np.array([1.0, 2.0, 3.0]) / 7,
+    c_sigma_stat=np.array([0.01, 0.02, 0.03]),
+    c_sigma_sys=None,
+    chi2_per_dof=1.1,
+    lst_coverage=0.9,
+    parameters={"n_lna": Parameter(0.5, 0.01), "n_rcu": Parameter(0.1, 0.002), "n_adc": Parameter(0.01, 0.001)},
+)
+FAILED = replace(
+    GOOD, antenna=3, status=TOO_FEW_EVENTS, c=None, c_sigma_stat=None, chi2_per_dof=None, events=5, parameters={}
+)
+STATION = replace(GOOD, antenna=None, c_sigma_sys=np.full(3, 0.1))
+REPORT = FitReport((GOOD, FAILED, STATION), Provenance({"spectra": "ab"}))
+
+
+@pytest.mark.parametrize("curve", [GOOD, FAILED, STATION])
+def test_a_curve_returns_from_json_bit_by_bit(curve: CalibrationCurve) -> None:
+    content = json.loads(json.dumps(curve.as_dict(), allow_nan=False))
+    assert parse_curve(content).as_dict() == curve.as_dict()
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"status": "fine"},
+        {"status": TOO_FEW_EVENTS},
+        {"c": None},
+        {"c": np.array([1.0, np.nan, 2.0])},
+        {"c": np.array([1.0, 2.0])},
+        {"c_sigma_stat": np.array([0.1, 0.0, 0.1])},
+        {"c_sigma_sys": np.array([0.1, -1.0, 0.1])},
+    ],
+)
+def test_a_curve_refuses_values_that_contradict_its_status_or_its_channels(change: dict[str, object]) -> None:
+    with pytest.raises(ValueError, match=r"status|values|finite|channels"):
+        replace(GOOD, **change)
+
+
+def test_a_curve_is_named_as_people_name_it() -> None:
+    assert GOOD.name == "CS002 antenna 17 X"
+    assert STATION.name == "CS002 X"
+    assert replace(STATION, station=None, dipole=None).name == "array"
+
+
+def test_the_status_of_a_report_is_that_of_its_worst_curve() -> None:
+    assert REPORT.status == TOO_FEW_EVENTS
+    assert replace(REPORT, curves=(GOOD, STATION)).status == CONVERGED
+    assert STATUSES[0] == CONVERGED
+
+
+def test_the_report_file_holds_every_curve_and_no_nan(tmp_path: Path) -> None:
+    write_fit_report(REPORT, tmp_path / "fit.json")
+    text = (tmp_path / "fit.json").read_text()
+    assert "NaN" not in text
+    content = json.loads(text)
+    assert content["status"] == TOO_FEW_EVENTS
+    assert [curve["status"] for curve in content["curves"]] == [CONVERGED, TOO_FEW_EVENTS, CONVERGED]
+    assert content["curves"][1]["c"] is None
+    assert content["curves"][0]["parameters"]["n_lna"] == {"value": 0.5, "sigma": 0.01}
+    assert content["provenance"]["inputs"] == {"spectra": "ab"}
+
+
+def test_the_table_has_a_row_per_path_and_channel_with_units_and_provenance(tmp_path: Path) -> None:
+    write_calibration_table(REPORT, tmp_path / "c.ecsv")
+    table = Table.read(tmp_path / "c.ecsv", format="ascii.ecsv")
+    assert table.colnames == [
+        "station",
+        "antenna",
+        "dipole",
+        "frequency_mhz",
+        "c",
+        "c_sigma_stat",
+        "c_sigma_sys",
+        "flag",
+    ]
+    assert len(table) == 6
+    assert table["frequency_mhz"].unit == u.MHz
+    assert {table[name].unit for name in ("c", "c_sigma_stat", "c_sigma_sys")} == {u.V}
+    assert all(table[name].info.description for name in table.colnames)
+    np.testing.assert_array_equal(table["c"][:3], GOOD.c)
+    assert list(table["antenna"]) == [17] * 3 + [-1] * 3
+    assert table.meta["provenance"]["inputs"] == {"spectra": "ab"}
+
+
+def test_a_table_without_a_converged_curve_is_empty_and_still_readable(tmp_path: Path) -> None:
+    write_calibration_table(replace(REPORT, curves=(FAILED,)), tmp_path / "c.ecsv")
+    assert len(Table.read(tmp_path / "c.ecsv", format="ascii.ecsv")) == 0
