@@ -9,6 +9,8 @@ from typing import Annotated
 
 import typer
 
+from service.cli.outputs import require_outputs
+
 
 class Scope(StrEnum):
     """What one curve belongs to."""
@@ -40,6 +42,10 @@ def fit(
     from lbacal_core.skypower.table import read_sky_power
     from lbacal_core.spectra import read_spectra
 
+    require_outputs(
+        {"--output": output, "--report": report},
+        {"SPECTRA": spectra, "--instrument": instrument, "--sky-power": sky_power},
+    )
     chain = load_instrument(instrument)
     measured = read_spectra(spectra, now_unix=time.time())
     sky = None if sky_power is None else read_sky_power(sky_power)

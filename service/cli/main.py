@@ -47,6 +47,7 @@ def options(
 EXIT_FAILED = 1
 EXIT_BAD_INPUT = 2
 _BAD_INPUT = (BadInputError, UnreadableFileError, UnknownNameError)
+_UNUSABLE_FILES = (FileNotFoundError, IsADirectoryError, NotADirectoryError, PermissionError)
 
 
 def main() -> None:
@@ -56,9 +57,12 @@ def main() -> None:
     except LbacalError as error:
         print(f"lbacal: {error}", file=sys.stderr)
         sys.exit(EXIT_BAD_INPUT if isinstance(error, _BAD_INPUT) else EXIT_FAILED)
-    except OSError as error:
+    except _UNUSABLE_FILES as error:
         print(f"lbacal: {error.filename}: {error.strerror}; name a file that can be used here", file=sys.stderr)
         sys.exit(EXIT_BAD_INPUT)
+    except OSError as error:
+        print(f"lbacal: the work failed: {error}", file=sys.stderr)
+        sys.exit(EXIT_FAILED)
 
 
 if __name__ == "__main__":

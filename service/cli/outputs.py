@@ -1,0 +1,29 @@
+"""What a command is asked to write, checked before the work is done."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from lbacal_core.errors import BadInputError
+
+
+def require_outputs(outputs: Mapping[str, Path | None], inputs: Mapping[str, str | Path | None]) -> None:
+    """Refuse outputs that cannot be written, that are the same file, or that would replace an input.
+
+    Parameters
+    ----------
+    outputs, inputs
+        The value of each option by its name as the user wrote it (``--report``); None where it was not given.
+    """
+    taken = {Path(value).resolve(): option for option, value in inputs.items() if value is not None}
+    for option, path in outputs.items():
+        if path is None:
+            continue
+        if path.is_dir():
+            raise BadInputError(f"{option} {path}", "a file to write", "a folder")
+        if not path.parent.is_dir():
+            raise BadInputError(f"{option} {path}", "a file in a folder that exists", f"no folder {path.parent}")
+        if path.resolve() in taken:
+            raise BadInputError(f"{option} {path}", "a file of its own", f"the file of {taken[path.resolve()]}")
+        taken[path.resolve()] = option

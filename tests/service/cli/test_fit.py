@@ -1,0 +1,216 @@
+from __future__ import annotations
+
+import json
+import re
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from astropy.table import Table
+
+from service.cli.main import main
+
+OUTPUTS = ["--output", "C.ecsv", "--report", "fit.json"]
+FIT = ["fit", "spectra.h5", "--instrument", "instrument.json", "--sky-power", "sky_power.json", *OUTPUTS]
+
+
+@pytest.fixture
+def lbacal(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Callable[..., tuple[int, str, str]]:
+    """Run `lbacal` in the folder of files: exit code, standard output and standard error."""
+    monkeypatch.chdir(folder)
+
+    def run(*arguments: str) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["lbacal", *arguments])
+        with pytest.raises(SystemExit) as caught:
+            main()
+        captured = capsys.readouterr()
+        return int(caught.value.code or 0), captured.out, captured.err
+
+    return run
+
+
+Lbacal = Callable[..., tuple[int, str, str]]
+
+
+@pytest.mark.parametrize(("scope", "curves"), [("antenna", 4), ("station", 2), ("array", 2)])
+def test_curves_of_a_scope_go_to_table_and_report(folder: Path, lbacal: Lbacal, scope: str, curves: int) -> None:
+    code, out, err = lbacal(*FIT, "--scope", scope)
+    assert (code, err) == (0, "")
+    assert f"{curves} of {curves} curves converged" in out
+    report = json.loads((folder / "fit.json").read_text())
+    assert len(report["curves"]) == curves
+    for curve in report["curves"]:
+        # 120 events of 2 % noise give about 0.3 % per channel: five times that.
+        np.testing.assert_allclose(curve["c"], 0.5, rtol=0.03)
+    assert len(Table.read(folder / "C.ecsv", format="ascii.ecsv")) == curves * 51
+
+
+def test_the_antenna_is_the_scope_unless_another_is_given(folder: Path, lbacal: Lbacal) -> None:
+    lbacal(*FIT)
+    assert json.loads((folder / "fit.json").read_text())["provenance"]["settings"]["scope"] == "antenna"
+
+
+def cut_to(rows: int) -> Callable[[Path], None]:
+    def change(folder: Path) -> None:
+        with h5py.File(folder / "spectra.h5", "a") as file:
+            for name in ("event_id", "time_unix", "station", "antenna", "dipole", "blocks", "power"):
+                values = file[name][:rows]
+                del file[name]
+                file[name] = values
+
+    return change
+
+
+def test_too_few_events_exit_with_1_and_leave_a_report(folder: Path, lbacal: Lbacal) -> None:
+    cut_to(20)(folder)
+    code, out, err = lbacal(*FIT)
+    assert (code, err) == (1, "")
+    assert "CS002 antenna 0 X: too_few_events (20 events" in out
+    report = json.loads((folder / "fit.json").read_text())
+    assert (report["status"], report["curves"][0]["c"]) == ("too_few_events", None)
+    assert len(Table.read(folder / "C.ecsv", format="ascii.ecsv")) == 0
+
+
+def change_json(name: str, change: Callable[[dict[str, list[object]]], object]) -> Callable[[Path], None]:
+    def apply(folder: Path) -> None:
+        content = json.loads((folder / name).read_text())
+        change(content)
+        (folder / name).write_text(json.dumps(content))
+
+    return apply
+
+
+def change_spectra(change: Callable[[h5py.File], object]) -> Callable[[Path], None]:
+    def apply(folder: Path) -> None:
+        with h5py.File(folder / "spectra.h5", "a") as file:
+            change(file)
+
+    return apply
+
+
+def write(name: str, content: bytes) -> Callable[[Path], None]:
+    return lambda folder: (folder / name).write_bytes(content) and None
+
+
+def make_folder(name: str) -> Callable[[Path], None]:
+    def apply(folder: Path) -> None:
+        (folder / name).unlink(missing_ok=True)
+        (folder / name).mkdir()
+
+    return apply
+
+
+def narrow(content: dict[str, list[object]]) -> None:
+    for rows in (content["X"], content["Y"], [content["frequency_mhz"]]):
+        for row in rows:
+            row.pop()  # type: ignore[attr-defined]
+
+
+BAD_INPUT: dict[str, tuple[Callable[[Path], None], str]] = {
+    "no spectra": (
+        lambda folder: (folder / "spectra.h5").unlink(),
+        "spectra.h5: expected a spectra file, found no file",
+    ),
+    "spectra are a folder": (make_folder("spectra.h5"), "spectra.h5: expected a spectra file, found a folder"),
+    "empty spectra": (write("spectra.h5", b""), "found an empty file"),
+    "random spectra": (write("spectra.h5", bytes(range(256)) * 40), "found something unreadable"),
+    "no rows": (cut_to(0), "spectra.h5: expected at least one spectrum, found none"),
+    "NaN": (change_spectra(lambda f: f["power"].__setitem__((7, 3), np.nan)), "power, row 7: .* found nan at 33 MHz"),
+    "future": (change_spectra(lambda f: f["time_unix"].__setitem__(7, 4e9)), "time_unix, row 7: .*found 4000000000.0"),
+    "unknown antenna": (
+        change_spectra(lambda f: f["antenna"].__setitem__(slice(240, 480), 9)),
+        "spectra.h5: antenna, row 240: station CS002, antenna 9: expected an antenna of instrument one station, found",
+    ),
+    "unknown station": (
+        change_spectra(lambda f: f["station"].__setitem__(slice(0, 480), b"CS009")),
+        "row 0: station CS009, antenna 0: expected an antenna of instrument one station",
+    ),
+    "channels between ours": (
+        change_spectra(lambda f: f["frequency_mhz"].__setitem__(slice(None), f["frequency_mhz"][()] + 0.5)),
+        "spectra.h5: frequency_mhz, channel 0: expected 30 MHz as in instrument one station, found 30.5 MHz",
+    ),
+    "sky power of fewer channels": (
+        change_json("sky_power.json", narrow),
+        "sky_power.json: frequency_mhz: expected the 51 channels of instrument one station, found 50 channels",
+    ),
+    "no sky power": (lambda folder: (folder / "sky_power.json").unlink(), "sky_power.json: cannot be read"),
+    "sky power is a folder": (make_folder("sky_power.json"), r"sky_power.json: cannot be read \(Is a directory\)"),
+    "empty sky power": (write("sky_power.json", b""), "sky_power.json: expected JSON, found an empty file"),
+    "truncated sky power": (write("sky_power.json", b'{"X": [[1.0, 2'), "sky_power.json: expected JSON"),
+    "no instrument": (lambda folder: (folder / "instrument.json").unlink(), "unknown instrument 'instrument.json'"),
+    "instrument without gain": (
+        change_json("instrument.json", lambda content: content.pop("antenna_gain")),
+        "instrument.json: expected the fields .* found no antenna_gain",
+    ),
+    "instrument is a folder": (make_folder("instrument.json"), "instrument.json: cannot be read"),
+    "table is a folder": (make_folder("C.ecsv"), "--output C.ecsv: expected a file to write, found a folder"),
+    "cable changed": (
+        change_json(
+            "instrument.json",
+            lambda content: [
+                content["cables"].__setitem__("50 m", [0.9] * 51),
+                content["antennas"][0].__setitem__("until", "2014-10-01"),
+                content["antennas"].append({"station": "CS002", "antenna": 0, "cable": "50 m", "since": "2014-10-01"}),
+            ],
+        ),
+        "station CS002, antenna 0: expected one cable over the window: .* found cables 80 m, 50 m",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", BAD_INPUT)
+def test_bad_input_exits_with_2_and_one_clear_sentence(folder: Path, lbacal: Lbacal, case: str) -> None:
+    change, sentence = BAD_INPUT[case]
+    change(folder)
+    code, out, err = lbacal(*FIT)
+    assert (code, out) == (2, "")
+    assert err.startswith("lbacal: ")
+    assert err.count("\n") == 1
+    assert re.search(sentence, err), err
+    assert not (folder / "fit.json").exists()
+
+
+@pytest.mark.parametrize(
+    ("outputs", "sentence"),
+    [
+        (
+            ["none/C.ecsv", "fit.json"],
+            "--output none/C.ecsv: expected a file in a folder that exists, found no folder none",
+        ),
+        (
+            ["C.ecsv", "none/fit.json"],
+            "--report none/fit.json: expected a file in a folder that exists, found no folder",
+        ),
+        (["same", "same"], "--report same: expected a file of its own, found the file of --output"),
+        (
+            ["C.ecsv", "sky_power.json"],
+            "--report sky_power.json: expected a file of its own, found the file of --sky-power",
+        ),
+    ],
+)
+def test_outputs_are_refused_before_the_work(folder: Path, lbacal: Lbacal, outputs: list[str], sentence: str) -> None:
+    before = sorted(path.name for path in folder.iterdir())
+    code, out, err = lbacal(*FIT[:6], "--output", outputs[0], "--report", outputs[1])
+    assert (code, out) == (2, "")
+    assert sentence in err
+    assert sorted(path.name for path in folder.iterdir()) == before
+
+
+def test_an_unknown_scope_is_refused_with_the_known_ones(lbacal: Lbacal) -> None:
+    code, _, err = lbacal(*FIT, "--scope", "planet")
+    assert code == 2
+    assert all(scope in err for scope in ("array", "station", "antenna"))
+
+
+@pytest.mark.shared
+def test_every_path_of_the_example_data_set_converges(shared: Path, lbacal: Lbacal) -> None:
+    example = shared / "examples"
+    files = [str(example / "spectra.h5"), "--instrument", str(example / "instrument.json")]
+    code, out, _ = lbacal("fit", *files, "--sky-power", str(example / "sky_power.json"), *OUTPUTS)
+    assert code == 0
+    assert "12 of 12 curves converged" in out

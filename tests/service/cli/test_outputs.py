@@ -1,0 +1,42 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from lbacal_core.errors import BadInputError
+from service.cli.outputs import require_outputs
+
+
+def test_new_files_and_files_to_be_replaced_are_welcome(tmp_path: Path) -> None:
+    (tmp_path / "old.json").write_text("old")
+    require_outputs(
+        {"--output": tmp_path / "new.ecsv", "--report": tmp_path / "old.json", "--plot": None},
+        {"SPECTRA": tmp_path / "s.h5", "--sky-power": None, "--instrument": "lofar-superterp"},
+    )
+
+
+def test_a_folder_that_does_not_exist_is_named(tmp_path: Path) -> None:
+    with pytest.raises(BadInputError, match=r"--output .*expected a file in a folder that exists, found no folder"):
+        require_outputs({"--output": tmp_path / "none" / "c.ecsv"}, {})
+
+
+def test_a_file_in_place_of_a_folder_is_named(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(BadInputError, match="found no folder"):
+        require_outputs({"--output": tmp_path / "file" / "c.ecsv"}, {})
+
+
+def test_a_folder_in_place_of_a_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(BadInputError, match="expected a file to write, found a folder"):
+        require_outputs({"--report": tmp_path}, {})
+
+
+def test_two_outputs_never_share_a_file(tmp_path: Path) -> None:
+    with pytest.raises(BadInputError, match=r"--report .*expected a file of its own, found the file of --output"):
+        require_outputs({"--output": tmp_path / "c", "--report": tmp_path / "." / "c"}, {})
+
+
+def test_an_output_never_replaces_an_input(tmp_path: Path) -> None:
+    with pytest.raises(BadInputError, match="found the file of SPECTRA"):
+        require_outputs({"--output": tmp_path / "s.h5"}, {"SPECTRA": str(tmp_path / "s.h5")})
