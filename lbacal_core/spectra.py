@@ -159,7 +159,7 @@ class Spectra:
         # gathered in parts that stay in the cache
         parts = [order[k : k + _ROWS_AT_ONCE] for k in range(0, order.size, _ROWS_AT_ONCE)]
         power = [hash_arrays(self.power[part]) for part in parts]
-        names = [np.unique(getattr(self, name)) for name in _KEY]
+        names = self._names.values()
         numbers = (self._keys[order], self.time_unix[order], self.blocks[order])
         return hash_arrays(self.frequency_mhz, [self.resistance_ohm], power, *names, *numbers)
 
@@ -167,11 +167,14 @@ class Spectra:
     def _keys(self) -> NDArray[np.int64]:
         """One number a row that puts rows in order of station, antenna, dipole and event, shape (row,)."""
         keys = np.zeros(len(self), dtype=np.int64)
-        for name in _KEY:
-            values = getattr(self, name)
-            names = np.unique(values)
-            keys = keys * names.size + np.searchsorted(names, values)
+        for name, names in self._names.items():
+            keys = keys * names.size + np.searchsorted(names, getattr(self, name))
         return keys
+
+    @cached_property
+    def _names(self) -> dict[str, NDArray[np.generic]]:
+        """What occurs in each column of the key, in order."""
+        return {name: np.unique(getattr(self, name)) for name in _KEY}
 
 
 def read_spectra(path: Path, now_unix: float | None = None) -> Spectra:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from lbacal_core.calibration.lines import Lines, fit_lines
 from lbacal_core.calibration.separable import solve_separable
@@ -86,8 +87,9 @@ def fit_calibration(spectra: Spectra, instrument: Instrument, sky_power: SkyPowe
         sky = sky_power.at(paths.owners[0][2], paths.lst_hours)
         return _fit_paths(paths, fit_lines(paths.power, sky, paths.excess), instrument)
 
-    # NumPy leaves the interpreter's lock in its loops, so blocks of paths share the cores as threads.
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
+    # NumPy leaves the interpreter's lock in its loops, so blocks of paths share the cores as threads; the threads that
+    # BLAS would start within each cost twice the time.
+    with threadpool_limits(1), ThreadPoolExecutor(os.cpu_count()) as pool:
         digest = pool.submit(spectra.digest)
         batches = list(pool.map(fit_paths, _paths_of_scope(spectra, instrument, sky_power, scope)))
     curves = [curve for batch in batches for curve in batch]
@@ -164,9 +166,10 @@ def _mean_path(parts: list[_Paths], blocks: list[SpectraBlock], sky_power: SkyPo
         has_enough = np.isfinite(part.excess).sum(axis=1) >= MIN_EVENTS
         if not np.any(has_enough):
             continue
-        lines = fit_lines(part.power[has_enough], sky_power.at(dipole, part.lst_hours), part.excess[has_enough])
-        precision = np.where(np.isfinite(part.excess[has_enough]), 1.0 / part.excess[has_enough], 0.0)
-        deviation[at] += np.einsum("pe,pef->ef", precision, lines.residual)
+        power, precision = part.power[has_enough], 1.0 / part.excess[has_enough]
+        sky = sky_power.at(dipole, part.lst_hours)
+        lines = fit_lines(power, sky, part.excess[has_enough])
+        deviation[at] += np.einsum("pe,pef->ef", precision, power / lines.power(sky) - 1.0)
         weight[at] += precision.sum(axis=0)
         slope += lines.slope.sum(axis=0)
         intercept += lines.intercept.sum(axis=0)

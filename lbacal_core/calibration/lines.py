@@ -30,15 +30,16 @@ class Lines:
         Inverse covariance of (s, b), shape (path, 2 freq, 2 freq), all s first.
     levels
         The noise levels estimated on the way.
-    residual
-        Relative deviations of the spectra from the lines, shape (path, event, freq); 0 where absent.
     """
 
     slope: Floats
     intercept: Floats
     information: Floats
     levels: NoiseLevels
-    residual: Floats
+
+    def power(self, sky_power: Floats) -> Floats:
+        """The power on the lines, shape (path, event, freq), for P_sky, shape (event, freq)."""
+        return self.slope[:, None, :] * sky_power + self.intercept[:, None, :]
 
 
 def fit_lines(power: Floats, sky_power: Floats, excess: Floats) -> Lines:
@@ -56,8 +57,8 @@ def fit_lines(power: Floats, sky_power: Floats, excess: Floats) -> Lines:
     excess
         Variance of the radiometer noise over that of the typical spectrum, shape (path, event); infinite where absent.
     """
-    parts = range(0, power.shape[0], PATHS_AT_ONCE)
-    lines = [_fit_part(power, sky_power, excess, slice(k, k + PATHS_AT_ONCE)) for k in parts]
+    parts = [slice(k, k + PATHS_AT_ONCE) for k in range(0, power.shape[0], PATHS_AT_ONCE)]
+    lines = [_fit_part(power[part], sky_power, excess[part]) for part in parts]
     return Lines(
         np.concatenate([part.slope for part in lines]),
         np.concatenate([part.intercept for part in lines]),
@@ -66,95 +67,84 @@ def fit_lines(power: Floats, sky_power: Floats, excess: Floats) -> Lines:
             np.concatenate([part.levels.radiometer for part in lines]),
             np.concatenate([part.levels.event_gain for part in lines]),
         ),
-        np.concatenate([part.residual for part in lines]),
     )
 
 
-def _fit_part(power: Floats, sky_power: Floats, excess: Floats, part: slice) -> Lines:
-    power, excess = power[part], excess[part]
-    is_present = np.isfinite(excess).astype(float)
+def _fit_part(power: Floats, sky_power: Floats, excess: Floats) -> Lines:
+    slope, intercept = _unweighted_lines(power, sky_power, np.isfinite(excess).astype(float))
+    inverse_model = slope[:, None, :] * sky_power
+    inverse_model += intercept[:, None, :]
+    np.reciprocal(inverse_model, out=inverse_model)
+    residual = power * inverse_model
+    residual -= 1.0
+    levels = estimate_noise_levels(residual, excess, fitted_per_channel=2)
+    step, information = _correlated_step(residual, sky_power, inverse_model, excess, levels)
+    return Lines(slope + step[:, 0], intercept + step[:, 1], information, levels)
+
+
+def _unweighted_lines(power: Floats, sky_power: Floats, is_present: Floats) -> tuple[Floats, Floats]:
+    """Ordinary least-squares lines of each channel: s and b, shape (path, freq)."""
     mean_sky = sky_power.mean(axis=0)
     sky = sky_power / mean_sky - 1.0
-    level, tilt = _unweighted_lines(power, sky, is_present)
-    mean_power = level
-    tilt, level = tilt / mean_power, np.ones_like(level)
-
-    inverse_model = 1.0 / (1.0 + tilt[:, None, :] * sky)
-    residual = (power / mean_power[:, None, :] * inverse_model - 1.0) * is_present[:, :, None]
-    levels = estimate_noise_levels(residual, excess, fitted_per_channel=2)
-    step, information = _correlated_step(residual, sky, inverse_model, excess, levels)
-    channels = sky_power.shape[1]
-    change = step[:, None, :channels] + step[:, None, channels:] * sky
-    residual -= change * inverse_model * is_present[:, :, None]
-    level, tilt = level + step[:, :channels], tilt + step[:, channels:]
-    return Lines(
-        slope=tilt * mean_power / mean_sky,
-        intercept=(level - tilt) * mean_power,
-        information=_transform(information, _relative_from_lines(mean_power, mean_sky)),
-        levels=levels,
-        residual=residual,
-    )
-
-
-def _unweighted_lines(power: Floats, sky: Floats, is_present: Floats) -> tuple[Floats, Floats]:
-    """Ordinary least-squares lines in (P_sky / mean - 1) of each channel: level and tilt, shape (path, freq)."""
     w0 = np.maximum(is_present.sum(axis=1), 1.0)[:, None]
     w1, w2 = is_present @ sky, is_present @ sky**2
-    y0 = np.matmul(is_present[:, None, :], power)[:, 0, :]
-    y1 = np.einsum("pe,ef,pef->pf", is_present, sky, power, optimize=False)
+    y0 = _sum_events(is_present, power)
+    y1 = _sum_events(is_present, power * sky)
     determinant = w0 * w2 - w1**2
     # a sky that varies by less than a millionth says nothing about the slope
     has_spread = determinant > 1e-12 * w0**2
     tilt = np.where(has_spread, (w0 * y1 - w1 * y0) / np.where(has_spread, determinant, 1.0), 0.0)
-    return np.maximum((y0 - w1 * tilt) / w0, 1e-6 * y0 / w0 + 1e-300), tilt
+    level = np.maximum((y0 - w1 * tilt) / w0, np.where(y0 > 0, 1e-6 * y0 / w0, 1.0))
+    return tilt / mean_sky, level - tilt
 
 
 def _correlated_step(
-    residual: Floats, sky: Floats, inverse_model: Floats, excess: Floats, levels: NoiseLevels
+    residual: Floats, sky_power: Floats, inverse_model: Floats, excess: Floats, levels: NoiseLevels
 ) -> tuple[Floats, Floats]:
-    """One step to the generalised least-squares lines, and their information matrix (level first, then tilt)."""
-    channels = sky.shape[1]
-    weight = levels.channel_weight(excess)
-    shared = levels.shared_weight(weight)
-    # V_i times the derivative of the relative model by (level, tilt), one row an event
-    weighted = np.empty((*residual.shape[:2], 2 * channels))
-    np.multiply(weight, inverse_model, out=weighted[:, :, :channels])
-    np.multiply(weighted[:, :, :channels], sky, out=weighted[:, :, channels:])
-    common = np.einsum("pef,pef->pe", weight, residual)
-    gradient = (weighted * np.concatenate([residual, residual], axis=2)).sum(axis=1)
-    gradient -= np.matmul((shared * common)[:, None, :], weighted)[:, 0, :]
+    """One step to the generalised least-squares lines, shape (path, 2, freq), and their information matrix.
 
-    scaled = weighted * np.sqrt(shared)[:, :, None]
-    information = -np.matmul(scaled.transpose(0, 2, 1), scaled)
-    own = weighted[:, :, :channels] * inverse_model
-    at = np.arange(channels)
-    information[:, at, at] += own.sum(axis=1)
-    cross = np.einsum("pef,ef->pf", own, sky)
-    information[:, at, channels + at] += cross
-    information[:, channels + at, at] += cross
-    information[:, channels + at, channels + at] += np.einsum("pef,ef->pf", own, sky**2)
-    scale = 1.0 / np.sqrt(np.maximum(np.einsum("pii->pi", information), 1e-300))
-    ridge = 1e-14 * np.eye(2 * channels)
-    normalised = information * scale[:, :, None] * scale[:, None, :] + ridge
-    step = scale * np.linalg.solve(normalised, (scale * gradient)[:, :, None])[:, :, 0]
-    return step, information
-
-
-def _relative_from_lines(mean_power: Floats, mean_sky: Floats) -> Floats:
-    """Derivative of (level, tilt) by (s, b) in each channel, shape (path, freq, 2, 2).
-
-    level + tilt (P_sky / mean_sky - 1) = (s P_sky + b) / mean_power gives tilt = s mean_sky / mean_power and
-    level = tilt + b / mean_power.
+    The derivative of the relative model of an event by (s, b) is d = (P_sky, 1) / model in each channel. With
+    C_i^-1 = V_i - c_i V_i 1 1^T V_i and V_i = diag(v) / k_i the information is the sum over events of d V d less that
+    of c (d V 1) (d V 1)^T. Overwrites `inverse_model`.
     """
-    derivative = np.zeros((*mean_power.shape, 2, 2))
-    derivative[..., 0, 0] = derivative[..., 1, 0] = mean_sky / mean_power
-    derivative[..., 0, 1] = 1.0 / mean_power
-    return derivative
+    paths, events, channels = residual.shape
+    precision = 1.0 / excess
+    weight = levels.radiometer**-2
+    shared = levels.shared_weight(excess)
+    common = precision * np.matmul(residual, weight[:, :, None])[:, :, 0]
+
+    rows = np.empty((paths, events, 2 * channels))
+    np.multiply(inverse_model, (np.sqrt(shared) * precision)[:, :, None], out=rows[:, :, channels:])
+    np.multiply(rows[:, :, channels:], sky_power, out=rows[:, :, :channels])
+    twice = np.concatenate([weight, weight], axis=1)
+    information = np.matmul(rows.transpose(0, 2, 1), rows)
+    information *= -twice[:, :, None] * twice[:, None, :]
+
+    # what is left of the residual once the event's common gain has taken its share
+    gradient = np.empty((paths, 2, channels))
+    pull = residual - (shared * common)[:, :, None]
+    pull *= inverse_model
+    gradient[:, 1] = weight * _sum_events(precision, pull)
+    pull *= sky_power
+    gradient[:, 0] = weight * _sum_events(precision, pull)
+
+    s, b = np.arange(channels), np.arange(channels, 2 * channels)
+    square = np.multiply(inverse_model, inverse_model, out=inverse_model)
+    information[:, b, b] += weight * _sum_events(precision, square)
+    square *= sky_power
+    cross = weight * _sum_events(precision, square)
+    information[:, s, b] += cross
+    information[:, b, s] += cross
+    square *= sky_power
+    information[:, s, s] += weight * _sum_events(precision, square)
+
+    scale = 1.0 / np.sqrt(np.maximum(np.einsum("pii->pi", information), 1e-300))
+    normalised = information * scale[:, :, None] * scale[:, None, :]
+    normalised[:, np.r_[s, b], np.r_[s, b]] += 1e-12
+    step = scale * np.linalg.solve(normalised, (scale * gradient.reshape(paths, -1))[:, :, None])[:, :, 0]
+    return step.reshape(paths, 2, channels), information
 
 
-def _transform(information: Floats, derivative: Floats) -> Floats:
-    """Information about (s, b) from that about (level, tilt)."""
-    paths, channels = derivative.shape[:2]
-    blocks = information.reshape(paths, 2, channels, 2, channels)
-    turned = np.einsum("pfai,pafbg,pgbj->pifjg", derivative, blocks, derivative, optimize=True)
-    return np.ascontiguousarray(turned.reshape(paths, 2 * channels, 2 * channels))
+def _sum_events(weight: Floats, values: Floats) -> Floats:
+    """Weighted sum over events, shape (path, freq)."""
+    return np.asarray(np.matmul(weight[:, None, :], values)[:, 0, :])

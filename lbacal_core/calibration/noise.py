@@ -32,17 +32,13 @@ class NoiseLevels:
     radiometer: Floats
     event_gain: Floats
 
-    def channel_weight(self, excess: Floats) -> Floats:
-        """Inverse radiometer variance, shape (path, event, freq), for the variance factors k_i, shape (path, event).
+    def shared_weight(self, excess: Floats) -> Floats:
+        """The c_i of C_i^-1 = V_i - c_i V_i 1 1^T V_i (Sherman-Morrison), V_i = diag(sigma_f^-2) / k_i.
 
-        A spectrum that is absent has an infinite factor and weighs nothing.
+        Shape (path, event), for the variance factors k_i, shape (path, event), infinite where there is no spectrum.
         """
-        return np.asarray(1.0 / (self.radiometer[:, None, :] ** 2 * excess[:, :, None]))
-
-    def shared_weight(self, weight: Floats) -> Floats:
-        """The c_i of C_i^-1 = V_i - c_i V_i 1 1^T V_i (Sherman-Morrison), shape (path, event), V_i = diag(weight)."""
         variance = self.event_gain[:, None] ** 2
-        return np.asarray(variance / (1.0 + variance * weight.sum(axis=2)))
+        return np.asarray(variance / (1.0 + variance * np.sum(self.radiometer**-2, axis=1)[:, None] / excess))
 
 
 def estimate_noise_levels(residual: Floats, excess: Floats, fitted_per_channel: int) -> NoiseLevels:
@@ -55,7 +51,7 @@ def estimate_noise_levels(residual: Floats, excess: Floats, fitted_per_channel: 
     Parameters
     ----------
     residual
-        Relative residuals, shape (path, event, freq); 0 where absent.
+        Relative residuals, shape (path, event, freq); any finite number where absent.
     excess
         k_i, shape (path, event); infinite where absent.
     fitted_per_channel
@@ -65,18 +61,17 @@ def estimate_noise_levels(residual: Floats, excess: Floats, fitted_per_channel: 
     dof = np.maximum(is_present.sum(axis=1) - fitted_per_channel, 1)
     inverse_excess = np.where(is_present, 1.0 / excess, 0.0)
     mean_excess = np.where(is_present, excess, 0.0).sum(axis=1) / np.maximum(is_present.sum(axis=1), 1)
-    channels = residual.shape[2]
-    weight = np.ones((residual.shape[0], channels))
+    weight = np.ones((residual.shape[0], residual.shape[2]))
+    squares = np.matmul(inverse_excess[:, None, :], residual**2)[:, 0, :]
     for _ in range(2):
         share = weight / weight.sum(axis=1, keepdims=True)
         common = np.matmul(residual, share[:, :, None])[:, :, 0]
-        # sum over events of (r - common)^2 / k without forming the differences
-        squares = np.einsum("pef,pef,pe->pf", residual, residual, inverse_excess, optimize=False)
+        # the sum over events of (r - common)^2 / k
         cross = np.matmul((inverse_excess * common)[:, None, :], residual)[:, 0, :]
         spread = (squares - 2 * cross + np.sum(inverse_excess * common**2, axis=1)[:, None]) / dof[:, None]
         floor = 1.0 / (1.0 / np.maximum(spread, 1e-300)).sum(axis=1)
         variance = np.maximum(spread + floor[:, None], 1e-12)
         weight = 1.0 / variance
-    of_mean = np.sum(common**2, axis=1) / dof
+    of_mean = np.sum(is_present * common**2, axis=1) / dof
     event_gain = np.sqrt(np.maximum(of_mean - mean_excess / weight.sum(axis=1), 0.0))
     return NoiseLevels(np.sqrt(variance), event_gain)

@@ -75,7 +75,7 @@ def solve_separable(x: Floats, y: Floats, information: Floats, design: Floats) -
     measured = np.concatenate([x / x_unit, y / y_unit], axis=1)
     scaled_design = design * (q_unit / y_unit)[:, None, :]
 
-    n = np.zeros(problems)
+    n = _start(measured[:, :size], measured[:, size:], np.einsum("pii->pi", weight[:, size:, size:]), scaled_design)
     is_converged = np.zeros(problems, dtype=bool)
     for _ in range(MAX_ITERATIONS):
         optimum = _solve_linear(n, scaled_design, weight, measured)
@@ -99,6 +99,14 @@ def solve_separable(x: Floats, y: Floats, information: Floats, design: Floats) -
         is_converged=is_converged,
         is_identifiable=is_identifiable,
     )
+
+
+def _start(x: Floats, y: Floats, weight: Floats, design: Floats) -> Floats:
+    """N of the weighted regression of y on x and H, as if x were without error; shape (problem,)."""
+    columns = np.concatenate([x[:, :, None], design], axis=2)
+    weighted = columns * weight[:, :, None]
+    target = np.matmul(weighted.transpose(0, 2, 1), y[:, :, None])
+    return _solve_scaled(np.matmul(weighted.transpose(0, 2, 1), columns), target)[:, 0, 0]
 
 
 def _typical(values: Floats) -> Floats:
