@@ -1,20 +1,31 @@
-"""Antenna models by name."""
+"""Antenna models by name or file."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 
+from lbacal_core.antenna.circuit import ResonanceCircuit, ResonantAntenna
+from lbacal_core.antenna.files import read_jones_npz, read_jones_text
 from lbacal_core.antenna.hamaker import load_hamaker
-from lbacal_core.antenna.ideal import IsotropicAntenna
+from lbacal_core.antenna.ideal import IsotropicAntenna, ShortDipole
 from lbacal_core.antenna.model import AntennaModel
 from lbacal_core.errors import UnknownNameError
 
 DEFAULT_ANTENNA = "hamaker"
-ANTENNAS: dict[str, Callable[[], AntennaModel]] = {"hamaker": load_hamaker, "isotropic": IsotropicAntenna}
+ANTENNAS: dict[str, Callable[[], AntennaModel]] = {
+    "hamaker": load_hamaker,
+    "hamaker-resonant": lambda: ResonantAntenna(load_hamaker(), ResonanceCircuit()),
+    "short-dipole": lambda: ShortDipole(height_m=1.5),
+    "isotropic": IsotropicAntenna,
+}
 
 
 def load_antenna(name_or_file: str) -> AntennaModel:
-    """The antenna model of a name."""
+    """The antenna model of a name, or of a file of Jones terms (see `antenna.files`)."""
     if name_or_file in ANTENNAS:
         return ANTENNAS[name_or_file]()
+    path = Path(name_or_file)
+    if path.is_file():
+        return read_jones_npz(path) if path.suffix == ".npz" else read_jones_text(path)
     raise UnknownNameError("antenna model", name_or_file, sorted(ANTENNAS))
