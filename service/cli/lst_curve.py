@@ -8,6 +8,8 @@ from typing import Annotated
 
 import typer
 
+from service.cli.outputs import require_outputs
+
 
 def lst_curve(
     curve: Annotated[Path, typer.Argument(help="LST curve (CSV: lst_h, x_db, y_db, error_db).")],
@@ -31,6 +33,9 @@ def lst_curve(
     from lbacal_core.lstcurve.curve import read_lst_curve
     from lbacal_core.skypower.table import read_sky_power
 
+    require_outputs(
+        {"--report": report, "--plot": plot}, {"CURVE": curve, "--instrument": instrument, "--sky-power": sky_power}
+    )
     measured = read_lst_curve(curve)
     chain = load_instrument(instrument)
     if sky_power is None:

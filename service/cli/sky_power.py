@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from service.cli.outputs import require_outputs
+
 
 def sky_power(
     instrument: Annotated[str, typer.Option(help="Instrument: a name such as lofar-superterp, or a JSON file.")],
@@ -33,6 +35,7 @@ def sky_power(
     from lbacal_core.skypower.sources import add_sources
     from lbacal_core.skypower.table import write_sky_power
 
+    require_outputs({"--output": output}, {"--instrument": instrument, "--sky": sky, "--antenna": antenna})
     chain = load_instrument(instrument)
     model = load_sky(sky or DEFAULT_SKY).changed(scale, spectral_index, isotropic)
     result = compute_sky_power(chain, model, antenna or DEFAULT_ANTENNA)

@@ -9,6 +9,8 @@ from typing import Annotated, Any
 
 import typer
 
+from service.cli.outputs import require_outputs
+
 LOFAR_CORE_LONGITUDE_DEG = 6.87
 """Of the Superterp (van Haarlem et al. 2013); good to 0.01 deg, 2 s of sidereal time, for printing and for the cut."""
 
@@ -53,6 +55,8 @@ def spectra(
 
     if output is None and inspect is None:
         raise BadInputError("lbacal spectra", "--output or --inspect", "neither")
+    inputs = {"--instrument": instrument, "--events": events, **{str(trace): trace for trace in traces}}
+    require_outputs({"--output": output, "--inspect": inspect}, inputs)
     chain = load_instrument(instrument) if instrument else None
     settings = CleaningSettings(blocks=blocks) if chain is None else CleaningSettings(chain.frequency_mhz, blocks)
     facts = read_event_facts(events) if events else EventFacts()

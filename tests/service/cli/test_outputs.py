@@ -1,10 +1,12 @@
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import pytest
 
 from lbacal_core.errors import BadInputError
+from service.cli.main import main
 from service.cli.outputs import require_outputs
 
 
@@ -40,3 +42,26 @@ def test_two_outputs_never_share_a_file(tmp_path: Path) -> None:
 def test_an_output_never_replaces_an_input(tmp_path: Path) -> None:
     with pytest.raises(BadInputError, match="found the file of SPECTRA"):
         require_outputs({"--output": tmp_path / "s.h5"}, {"SPECTRA": str(tmp_path / "s.h5")})
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["fit", "in.h5", "--instrument", "lofar-superterp", "--output", "C.ecsv", "--report", "none/out"],
+        ["fit", "in.h5", "--instrument", "lofar-superterp", "--output", "none/out", "--report", "fit.json"],
+        ["sky-power", "--instrument", "lofar-superterp", "--output", "none/out"],
+        ["lst-curve", "in.csv", "--report", "none/out"],
+        ["lst-curve", "in.csv", "--report", "R.json", "--plot", "none/out"],
+        ["spectra", "in.dat", "--output", "none/out"],
+        ["spectra", "in.dat", "--inspect", "none/out"],
+    ],
+)
+def test_every_command_refuses_an_output_before_it_looks_at_its_input(
+    arguments: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["lbacal", *arguments])
+    with pytest.raises(SystemExit) as caught:
+        main()
+    assert caught.value.code == 2
+    assert capsys.readouterr().err.endswith("none/out: expected a file in a folder that exists, found no folder none\n")
