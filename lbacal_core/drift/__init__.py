@@ -1,0 +1,1 @@
+"""How the calibration of a path changes with time: `monthly` measures it, `steps` finds where it jumps."""
