@@ -7,13 +7,18 @@ from collections.abc import Callable
 from functools import cached_property
 
 from lbacal_core.instrument import Instrument, load_instrument
+from lbacal_core.skypower.table import SkyPower, read_sky_power
 from lbacal_core.validity import Instant
 from service.config import Settings
 from service.storage.database import Database
 from service.usecases.calibrations import Calibrations
+from service.usecases.drift import Drift
+from service.usecases.due import DueWork
+from service.usecases.gate import Gate
 from service.usecases.intake import Intake
 from service.usecases.keys import Keys
 from service.usecases.promotions import Promotions
+from service.usecases.refits import Jobs, Refits
 
 
 def read_clock() -> Instant:
@@ -52,6 +57,41 @@ class Factory:
     def promotions(self) -> Promotions:
         """The ledger."""
         return Promotions(self.database, self.instrument, self.clock)
+
+    @cached_property
+    def sky_power(self) -> SkyPower:
+        """P_sky of the settings' file, or the package's own."""
+        if self.settings.sky_power is not None:
+            return read_sky_power(self.settings.sky_power)
+        from lbacal_core.skypower.model import compute_sky_power  # a second to import, and only fits need it
+
+        return compute_sky_power(self.instrument)
+
+    @cached_property
+    def refits(self) -> Refits:
+        """New versions."""
+        gate = Gate(self.settings.gate_change, self.settings.gate_error)
+        sky, resistance = self._get_sky_power, self.settings.resistance_ohm
+        return Refits(self.database, self.instrument, sky, resistance, gate, self.clock)
+
+    @cached_property
+    def drift(self) -> Drift:
+        """C over time."""
+        sky, resistance = self._get_sky_power, self.settings.resistance_ohm
+        return Drift(self.database, self.instrument, sky, resistance, self.clock)
+
+    @cached_property
+    def due(self) -> DueWork:
+        """What the night finds to do."""
+        return DueWork(self.database, self.instrument, self._get_sky_power, self.clock)
+
+    @cached_property
+    def jobs(self) -> Jobs:
+        """What was asked for and how far it is."""
+        return Jobs(self.database, self.clock)
+
+    def _get_sky_power(self) -> SkyPower:
+        return self.sky_power
 
     @cached_property
     def keys(self) -> Keys:

@@ -130,16 +130,16 @@ def upgrade() -> None:
         batch_op.create_index(batch_op.f("ix_job_part_state_id"), ["state", "id"], unique=False)
 
     op.create_table(
-        "monthly_gain",
+        "monthly_ratio",
         sa.Column("path", sa.Integer(), nullable=False),
         sa.Column("month_us", sa.BigInteger(), nullable=False, comment="the month's first instant"),
         sa.Column("reference", sa.Text(), nullable=False),
         sa.Column("c_ratio", sa.Float(), nullable=False, comment="band-mean C of the month over that of the reference"),
         sa.Column("c_ratio_sigma", sa.Float(), nullable=False),
         sa.Column("events", sa.Integer(), nullable=False),
-        sa.ForeignKeyConstraint(["path"], ["path.id"], name=op.f("fk_monthly_gain_path")),
-        sa.ForeignKeyConstraint(["reference"], ["calibration.id"], name=op.f("fk_monthly_gain_reference")),
-        sa.PrimaryKeyConstraint("path", "month_us", name=op.f("pk_monthly_gain")),
+        sa.ForeignKeyConstraint(["path"], ["path.id"], name=op.f("fk_monthly_ratio_path")),
+        sa.ForeignKeyConstraint(["reference"], ["calibration.id"], name=op.f("fk_monthly_ratio_reference")),
+        sa.PrimaryKeyConstraint("path", "month_us", name=op.f("pk_monthly_ratio")),
     )
     op.create_table(
         "promotion",
@@ -190,7 +190,7 @@ def downgrade() -> None:
         batch_op.drop_index(batch_op.f("ix_promotion_at_us"))
 
     op.drop_table("promotion")
-    op.drop_table("monthly_gain")
+    op.drop_table("monthly_ratio")
     with op.batch_alter_table("job_part", schema=None) as batch_op:
         batch_op.drop_index(batch_op.f("ix_job_part_state_id"))
         batch_op.drop_index(batch_op.f("ix_job_part_job"))

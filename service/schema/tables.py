@@ -157,8 +157,8 @@ api_key = Table(
     Column("revoked_us", BigInteger),
 )
 
-monthly_gain = Table(
-    "monthly_gain",
+monthly_ratio = Table(
+    "monthly_ratio",
     metadata,
     Column("path", Integer, ForeignKey("path.id"), primary_key=True),
     Column("month_us", BigInteger, primary_key=True, comment="the month's first instant"),

@@ -12,6 +12,7 @@ from sqlalchemy import Connection, Engine, create_engine, event, make_url, text
 from sqlalchemy.exc import DBAPIError, OperationalError
 
 from service.errors import UnavailableError
+from service.storage.drift import DriftStore
 from service.storage.jobs import JobStore
 from service.storage.keys import KeyStore
 from service.storage.ledger import LedgerStore
@@ -46,6 +47,11 @@ class Stores:
     def jobs(self) -> JobStore:
         """Refits asked for and due."""
         return JobStore(self._connection)
+
+    @cached_property
+    def drift(self) -> DriftStore:
+        """Monthly ratios of C."""
+        return DriftStore(self._connection)
 
     @cached_property
     def keys(self) -> KeyStore:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from sqlalchemy import Connection, Row, select
+from sqlalchemy import ColumnElement, Connection, Row, select
 from sqlalchemy.dialects.postgresql import insert as postgresql_insert
 from sqlalchemy.dialects.sqlite import insert as sqlite_insert
 
@@ -40,6 +40,15 @@ class Version:
     def id(self) -> str:
         """The hash of the inputs."""
         return hash_content(self.inputs)
+
+    @property
+    def window(self) -> tuple[Instant, Instant]:
+        """The half-open interval whose spectra it was made from."""
+        return self.since, self.until
+
+    def with_gate(self, objection: str | None) -> Version:
+        """The same version with what the gate says of it."""
+        return replace(self, gate=objection)
 
     @property
     def payload(self) -> list[dict[str, Any]]:
@@ -156,17 +165,25 @@ class VersionStore:
         statement = select(calibration).order_by(calibration.c.made_us.desc(), calibration.c.id).limit(limit)
         return [_value(row) for row in self._connection.execute(statement)]
 
-    def means(self, scopes: Sequence[Scope] | None = None) -> list[MeanC]:
-        """Band means of C of the converged curves of some scopes (None = all), in order of their windows."""
+    def means(self, scopes: Sequence[Scope]) -> list[MeanC]:
+        """Band means of C of the converged curves of some scopes, in order of their windows."""
+        return self._means(calibration.c.scope.in_([scope.key for scope in scopes]))
+
+    def means_of_station(self, station: str | None) -> list[MeanC]:
+        """Band means of C of all paths of a station (None = of all stations), in order of their windows."""
+        is_path = calibration.c.antenna.is_not(None)
+        return self._means(is_path if station is None else is_path & (calibration.c.station == station))
+
+    def _means(self, condition: ColumnElement[bool]) -> list[MeanC]:
         columns = [
             calibration.c.id, calibration.c.station, calibration.c.antenna, calibration.c.dipole.label("scope_dipole"),
             calibration.c.since_us, calibration.c.until_us, calibration.c.events,
             calibration_mean.c.dipole, calibration_mean.c.c, calibration_mean.c.c_sigma,
         ]  # fmt: skip
         statement = select(*columns).join(calibration, calibration.c.id == calibration_mean.c.calibration)
-        if scopes is not None:
-            statement = statement.where(calibration.c.scope.in_([scope.key for scope in scopes]))
-        statement = statement.order_by(calibration.c.since_us, calibration.c.made_us, calibration_mean.c.dipole)
+        statement = statement.where(condition).order_by(
+            calibration.c.since_us, calibration.c.made_us, calibration_mean.c.dipole
+        )
         return [
             MeanC(
                 row.id, Scope(row.station, row.antenna, row.scope_dipole), row.dipole,

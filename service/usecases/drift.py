@@ -1,0 +1,186 @@
+"""Drift: C of every path, station and the array over time, against the first year; and where it jumps."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lbacal_core.drift.monthly import measure_monthly_ratios
+from lbacal_core.drift.steps import find_steps
+from lbacal_core.grids import Floats
+from lbacal_core.instrument import Instrument
+from lbacal_core.skypower.table import SkyPower
+from lbacal_core.spectra import SpectraBlock, split_into_blocks
+from lbacal_core.validity import Instant, Scope
+from service.storage.database import Database, Stores
+from service.storage.drift import MonthlyRatio
+from service.storage.jobs import Part
+from service.storage.spectra import Window
+from service.storage.versions import MeanC, Version
+
+KIND = "drift"
+BAND = (16.0, 50.0, 84.0)
+"""Percentiles of the paths of a station: median and the middle 68 %."""
+SHORTEST_YEAR_US = 365 * 86_400_000_000
+
+
+@dataclass(frozen=True)
+class MonthPoint:
+    """A month of one path: C over that of the reference; or of many: the median and the middle 68 % of their ratios."""
+
+    month: Instant
+    c_ratio: float
+    low: float
+    high: float
+    paths: int
+    events: int
+    calibration: str | None
+
+
+@dataclass(frozen=True)
+class Step:
+    """A jump of a path against its station's median: C changes by the fraction `size`."""
+
+    path: Scope
+    date: Instant
+    size: float
+    sigma: float
+    calibration: str | None
+
+    @property
+    def significance(self) -> float:
+        """|size| / sigma, not corrected for having tried every month."""
+        return abs(self.size) / self.sigma
+
+
+@dataclass(frozen=True)
+class DriftSeries:
+    """What is known of a scope over time; steps ranked from the most significant."""
+
+    scope: Scope
+    versions: Sequence[MeanC]
+    months: Sequence[MonthPoint]
+    steps: Sequence[Step]
+
+
+def find_references(stores: Stores, station: str) -> dict[Scope, str]:
+    """Of every path of a station, the version of the first whole year, the one made last if there are several."""
+    found: dict[Scope, MeanC] = {}
+    for mean in stores.versions.means_of_station(station):
+        is_first = mean.scope not in found or mean.since == found[mean.scope].since
+        if mean.until - mean.since >= SHORTEST_YEAR_US and is_first:
+            found[mean.scope] = mean
+    return {scope: mean.calibration for scope, mean in found.items()}
+
+
+@dataclass(frozen=True)
+class Drift:
+    """Measures drift and tells it."""
+
+    database: Database
+    instrument: Instrument
+    sky_power: Callable[[], SkyPower]
+    resistance_ohm: float
+    clock: Callable[[], Instant]
+
+    def run(self, part: Part, worker: str) -> None:
+        """Do a part: the monthly ratios of a station's year, replaced whole."""
+        station, since, until = part.request["station"], part.request["since"], part.request["until"]
+        with self.database.read() as stores:
+            references = find_references(stores, station)
+            versions = stores.versions.get_many(references.values())
+            window = Window(since, until, Scope(station))
+            spectra = stores.spectra.load(window, self.instrument.frequency_mhz, self.resistance_ohm)
+        by_path = {scope: versions[name] for scope, name in references.items()}
+        blocks = [] if spectra is None else split_into_blocks(spectra)
+        ratios = [ratio for block in blocks for ratio in self._measure(block, by_path)]
+        with self.database.write() as stores:
+            stores.drift.replace(station, since, until, ratios)
+            stores.jobs.complete(part, worker, {"calibrations": []}, self.clock())
+
+    def _measure(self, block: SpectraBlock, references: Mapping[Scope, Version]) -> list[MonthlyRatio]:
+        of_block = {s: v for s, v in references.items() if s.dipole == block.dipole}
+        curves = {int(str(scope.antenna)): version.curves[0] for scope, version in of_block.items()}
+        found = measure_monthly_ratios(block, curves, self.instrument, self.sky_power())
+        months = found.months.astype("datetime64[us]").astype(np.int64)
+        ratios = []
+        for k, m in np.argwhere(np.isfinite(found.c_ratio)):
+            path = Scope(block.station, int(found.antennas[k]), block.dipole)
+            c_ratio, sigma = float(found.c_ratio[k, m]), float(found.c_ratio_sigma[k, m])
+            events = int(found.events[k, m])
+            ratios.append(MonthlyRatio(path, int(months[m]), of_block[path].id, c_ratio, sigma, events))
+        return ratios
+
+    def series(self, scope: Scope) -> DriftSeries:
+        """Versions, months and steps of a scope."""
+        with self.database.read() as stores:
+            ratios = stores.drift.ratios(Scope(scope.station))
+            of_paths = stores.versions.means_of_station(scope.station)
+            of_scope = stores.versions.means([scope])
+        steps = [step for step in _rank_steps(ratios, of_paths) if scope in step.path.widening]
+        own = [ratio for ratio in ratios if scope in ratio.path.widening]
+        return DriftSeries(scope, of_scope, _months(own, of_scope), steps)
+
+
+def _months(ratios: Sequence[MonthlyRatio], versions: Sequence[MeanC]) -> list[MonthPoint]:
+    by_month: dict[Instant, list[MonthlyRatio]] = {}
+    for ratio in ratios:
+        by_month.setdefault(ratio.month, []).append(ratio)
+    points = []
+    for month, of_month in sorted(by_month.items()):
+        low, median, high = (float(v) for v in np.percentile([ratio.c_ratio for ratio in of_month], BAND))
+        if len(of_month) == 1:
+            low, high = median - of_month[0].c_ratio_sigma, median + of_month[0].c_ratio_sigma
+        events = max(ratio.events for ratio in of_month)
+        points.append(MonthPoint(month, median, low, high, len(of_month), events, _version_at(versions, month)))
+    return points
+
+
+def _version_at(versions: Sequence[MeanC], instant: Instant) -> str | None:
+    """The version whose window holds an instant, the one made last."""
+    return next((v.calibration for v in reversed(versions) if v.since <= instant < v.until), None)
+
+
+def _rank_steps(ratios: Sequence[MonthlyRatio], versions: Sequence[MeanC]) -> list[Step]:
+    """The best step of every path against the median of its station, the most significant first.
+
+    What a station's paths have in common (the gain of an event, the season) divides out.
+    """
+    by_station: dict[str, list[MonthlyRatio]] = {}
+    of_path: dict[Scope, list[MeanC]] = {}
+    for ratio in ratios:
+        by_station.setdefault(str(ratio.path.station), []).append(ratio)
+    for mean in versions:
+        of_path.setdefault(mean.scope, []).append(mean)
+    steps = []
+    for of_station in by_station.values():
+        paths, months, values, sigmas = _as_matrix(of_station)
+        with np.errstate(invalid="ignore"):
+            median = np.array([np.median(column[np.isfinite(column)]) for column in values.T])
+        found = find_steps(values / median, sigmas / median)
+        for k, path in enumerate(paths):
+            if np.isfinite(found.size[k]):
+                date = _within_month(int(months[found.month[k]]), float(found.passed[k]))
+                version = _version_at(of_path.get(path, []), date)
+                steps.append(Step(path, date, float(found.size[k]), float(found.sigma[k]), version))
+    return sorted(steps, key=lambda step: (-step.significance, step.path.key))
+
+
+def _as_matrix(ratios: Sequence[MonthlyRatio]) -> tuple[list[Scope], NDArray[np.int64], Floats, Floats]:
+    paths = list(dict.fromkeys(ratio.path for ratio in ratios))
+    months = np.unique([ratio.month for ratio in ratios])
+    row = {path: k for k, path in enumerate(paths)}
+    values, sigmas = np.full((2, len(paths), months.size), np.nan)
+    for ratio in ratios:
+        at = row[ratio.path], int(np.searchsorted(months, ratio.month))
+        values[at], sigmas[at] = ratio.c_ratio, ratio.c_ratio_sigma
+    return paths, months, values, sigmas
+
+
+def _within_month(month: Instant, passed: float) -> Instant:
+    start = np.datetime64(month, "us").astype("datetime64[M]")
+    end = int((start + 1).astype("datetime64[us]").astype(np.int64))
+    return month + round(passed * (end - month))

@@ -1,0 +1,51 @@
+"""The gate: which new versions go into effect by themselves, and why the others wait for a human.
+
+A version passes if every curve converged, the mean statistical error of C is small enough, and the mean of C differs by
+less than the limit from the version of the same scope that was in effect for the window, or else nearest to it in time.
+The limits are settings; a jump beyond them is either a fault or news, and both deserve a look.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from lbacal_core.curves import CONVERGED
+from lbacal_core.validity import Instant, Promotion, Scope, neighbours, newest_covering, timeline
+from service.storage.versions import Version, mean_over_band
+
+
+@dataclass(frozen=True)
+class Gate:
+    """Limits, as fractions of C."""
+
+    change: float
+    error: float
+
+    def objection(self, version: Version, predecessor: Version | None) -> str | None:
+        """Why a version may not go into effect by itself; None if it may."""
+        if predecessor and predecessor.made > version.made and predecessor.window == version.window:
+            return f"{predecessor.id[:12]} was made from later data and is in effect"
+        for curve in version.curves:
+            mean = mean_over_band(curve)
+            if curve.status != CONVERGED or mean is None:
+                return f"{curve.name}: {curve.status} with {curve.events} events"
+            c, sigma = mean
+            if sigma > self.error * c:
+                return f"{curve.name}: error of C {sigma / c:.1%}, at most {self.error:.1%} passes"
+            before = mean_over_band(predecessor.curve_of(str(curve.dipole))) if predecessor else None
+            if before is not None and abs(c / before[0] - 1.0) > self.change:
+                change = f"{c / before[0] - 1.0:+.1%}"
+                return f"{curve.name}: mean C differs by {change} from before, at most {self.change:.1%} passes"
+        return None
+
+
+def find_predecessor(promotions: Sequence[Promotion], scope: Scope, middle: Instant) -> str | None:
+    """The version of a scope in effect at the middle of a window, or else nearest to it in time."""
+    of_scope = [promotion for promotion in promotions if promotion.scope == scope]
+    decisive = newest_covering(of_scope, middle)
+    if decisive is not None and decisive.calibration is not None:
+        return decisive.calibration
+    before, after = neighbours(timeline(of_scope, scope), middle)
+    nearest = before or after
+    return nearest.calibration if nearest else None

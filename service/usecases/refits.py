@@ -1,0 +1,177 @@
+"""Refits: asked for by an admin, or due because the night found new events; done part by part."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lbacal_core.calibration.fit import fit_calibration
+from lbacal_core.curves import CalibrationCurve, FitReport
+from lbacal_core.errors import BadInputError
+from lbacal_core.instrument import Instrument
+from lbacal_core.skypower.table import SkyPower
+from lbacal_core.spectra import Spectra
+from lbacal_core.validity import Instant, Promotion, Scope, newest_covering
+from service.errors import ConflictError
+from service.storage.database import Database, Stores
+from service.storage.jobs import Job, Order, Part
+from service.storage.spectra import Window
+from service.storage.versions import Version
+from service.usecases.calibrations import select_paths
+from service.usecases.gate import Gate, find_predecessor
+from service.wire.bodies import RefitBody
+from service.wire.instants import format_instant, parse_instant
+
+KIND = "refit"
+
+
+@dataclass(frozen=True)
+class Refits:
+    """Makes versions from stored spectra."""
+
+    database: Database
+    instrument: Instrument
+    sky_power: Callable[[], SkyPower]
+    resistance_ohm: float
+    gate: Gate
+    clock: Callable[[], Instant]
+
+    def request(self, body: RefitBody, by: str) -> int:
+        """Enqueue what an admin asks for: one part for the array, else one a station."""
+        since, until = parse_instant("body.since", body.since), parse_instant("body.until", body.until)
+        if until <= since:
+            raise BadInputError("body.until", "an instant after since", body.until)
+        scope = Scope(body.station, body.antenna, body.dipole)
+        select_paths(self.instrument, scope.station, scope.antenna, scope.dipole)
+        is_too_narrow = {"array": scope != Scope(), "station": scope.antenna is not None, "antenna": False}
+        if is_too_narrow[body.scope]:
+            raise BadInputError("body", f"nothing narrower than the scope {body.scope}", scope.key)
+        with self.database.write() as stores:
+            stations = [scope.station] if scope.station else stores.spectra.stations()
+            if not stations:
+                raise ConflictError("no spectra are stored: ingest some, then ask for a refit")
+            wanted = [Scope()] if body.scope == "array" else [Scope(s, scope.antenna, scope.dipole) for s in stations]
+            parts = [describe_part(body.scope, one, since, until, promote=body.promote) for one in wanted]
+            number = stores.jobs.add(Order(KIND, body.model_dump(), parts, body.reason, by), self.clock())
+        if number is None:
+            raise ConflictError("the job could not be made")
+        return number
+
+    def run(self, part: Part, worker: str) -> None:
+        """Do a part: read, fit, then write versions, promotions and the end of the part in one transaction."""
+        wanted = part.request
+        window = Window(wanted["since"], wanted["until"], Scope(wanted["station"], wanted["antenna"], wanted["dipole"]))
+        made = self.clock()
+        with self.database.read() as stores:
+            spectra = stores.spectra.load(window, self.instrument.frequency_mhz, self.resistance_ohm)
+        if spectra is None:
+            since, until = format_instant(window.since), format_instant(window.until)
+            raise ConflictError(f"no usable spectra of {window.scope.key} between {since} and {until}")
+        report = fit_calibration(spectra, self.instrument, self.sky_power(), wanted["scope"])
+        versions = self._versions(spectra, report, part, made)
+        with self.database.write() as stores:
+            kept = self._keep(stores, versions, part)
+            # the end of the part before the promotions, whose instant must be the last thing before the commit
+            stores.jobs.complete(part, worker, kept.result, self.clock())
+            stores.ledger.append(kept.promotions, self.clock)
+
+    def _versions(self, spectra: Spectra, report: FitReport, part: Part, made: Instant) -> list[Version]:
+        groups: dict[Scope, list[CalibrationCurve]] = {}
+        for curve in report.curves:
+            dipole = None if curve.antenna is None else curve.dipole
+            groups.setdefault(Scope(curve.station, curve.antenna, dipole), []).append(curve)
+        return [
+            Version(
+                scope=scope,
+                since=part.request["since"],
+                until=part.request["until"],
+                inputs={
+                    **report.provenance.inputs,
+                    "spectra": _of_scope(spectra, scope).digest(),
+                    "scope": scope.key,
+                    "settings": dict(report.provenance.settings),
+                    "model_version": report.provenance.model_version,
+                },
+                curves=tuple(group),
+                made=made,
+                made_by=part.by,
+                reason=part.reason,
+            )
+            for scope, group in groups.items()
+        ]
+
+    def _keep(self, stores: Stores, made: list[Version], part: Part) -> _Kept:
+        """Store new versions, each with the objection of the gate if promotion was asked for."""
+        ids = [version.id for version in made]
+        if not part.request["promote"]:
+            stores.versions.add(made)
+            return _Kept({"calibrations": ids, "promoted": [], "gated": {}}, [])
+        since, until = part.request["since"], part.request["until"]
+        middle = (since + until) // 2
+        promotions = stores.ledger.of_scopes(version.scope for version in made)
+        of_scope: dict[Scope, list[Promotion]] = {version.scope: [] for version in made}
+        for promotion in promotions:
+            of_scope[promotion.scope].append(promotion)
+        before = {v.id: find_predecessor(of_scope[v.scope], v.scope, middle) for v in made}
+        predecessors = stores.versions.get_many(name for name in before.values() if name)
+        gated = {v.id: self.gate.objection(v, predecessors.get(before[v.id] or "")) for v in made}
+        stores.versions.add([v.with_gate(gated[v.id]) for v in made])
+        decisive = {v.id: newest_covering(of_scope[v.scope], middle) for v in made}
+        standing = {name for name, promotion in decisive.items() if promotion and promotion.calibration == name}
+        passed = [v for v in made if gated[v.id] is None and v.id not in standing]
+        promoted = [Promotion(0, v.scope, since, until, v.id, 0, part.by, part.reason) for v in passed]
+        objections = {name: objection for name, objection in gated.items() if objection is not None}
+        return _Kept({"calibrations": ids, "promoted": [v.id for v in passed], "gated": objections}, promoted)
+
+
+@dataclass(frozen=True)
+class _Kept:
+    """What a part left behind."""
+
+    result: Mapping[str, Any]
+    promotions: list[Promotion]
+
+
+def describe_part(scope: str, of: Scope, since: Instant, until: Instant, *, promote: bool) -> dict[str, Any]:
+    """A part of a refit as JSON: the scope of its versions, and whose spectra they are made from."""
+    return {
+        "scope": scope, "station": of.station, "antenna": of.antenna, "dipole": of.dipole,
+        "since": since, "until": until, "promote": promote,
+    }  # fmt: skip
+
+
+def _of_scope(spectra: Spectra, scope: Scope) -> Spectra:
+    rows: NDArray[np.bool_] = np.ones(len(spectra), dtype=bool)
+    if scope.station is not None:
+        rows &= spectra.station == scope.station
+    if scope.antenna is not None:
+        rows &= (spectra.antenna == scope.antenna) & (spectra.dipole == scope.dipole)
+    return spectra.select(rows)
+
+
+@dataclass(frozen=True)
+class Jobs:
+    """What was asked for and how far it is."""
+
+    database: Database
+    clock: Callable[[], Instant]
+
+    def get(self, number: int) -> Job:
+        """One job."""
+        with self.database.read() as stores:
+            return stores.jobs.get(number)
+
+    def newest(self, *, before: int | None = None, limit: int = 100) -> list[Job]:
+        """Jobs, newest first."""
+        with self.database.read() as stores:
+            return stores.jobs.newest(before=before, limit=limit)
+
+    def cancel(self, number: int) -> Job:
+        """Stop a job; what it has already stored stays."""
+        with self.database.write() as stores:
+            stores.jobs.cancel(number, self.clock())
+            return stores.jobs.get(number)

@@ -1,0 +1,103 @@
+"""The worker: claims parts one by one, does them, and tells meanwhile that it lives."""
+
+from __future__ import annotations
+
+import os
+import socket
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import structlog
+from threadpoolctl import threadpool_limits
+
+from lbacal_core.errors import LbacalError
+from service.errors import UnavailableError
+from service.factory import Factory
+from service.storage.jobs import LeaseLostError, Part
+from service.usecases.drift import KIND as DRIFT
+from service.usecases.refits import KIND as REFIT
+
+log = structlog.get_logger()
+RENEWALS = 4
+"""How often a lease is renewed within its time."""
+
+
+class Worker:
+    """Does parts of jobs, for as long as there are any or until it is stopped."""
+
+    def __init__(self, factory: Factory, name: str | None = None) -> None:
+        self._factory = factory
+        self._name = name or f"{socket.gethostname()}:{os.getpid()}"
+        self._deeds: dict[str, Callable[[Part, str], None]] = {REFIT: factory.refits.run, DRIFT: factory.drift.run}
+        self._lease_us = round(factory.settings.lease_s * 1e6)
+
+    def run(self, stop: threading.Event, *, until_idle: bool = False) -> None:
+        """Work until told to stop, or with `until_idle` until nothing is left to claim."""
+        with threadpool_limits(1):
+            while not stop.is_set():
+                try:
+                    part = self._claim()
+                    if part is not None:
+                        self._do(part)
+                        continue
+                except UnavailableError as error:
+                    log.warning("database away", error=str(error))
+                if until_idle:
+                    return
+                stop.wait(self._factory.settings.poll_s)
+
+    def _claim(self) -> Part | None:
+        with self._factory.database.write() as stores:
+            return stores.jobs.claim(self._name, now=self._factory.clock(), lease_us=self._lease_us)
+
+    def _do(self, part: Part) -> None:
+        told = log.bind(job=part.job, part=part.number, kind=part.kind)
+        told.info("part begins", request=dict(part.request))
+        try:
+            with self._alive(part):
+                self._deeds[part.kind](part, self._name)
+            told.info("part done")
+        except UnavailableError:
+            raise
+        except LeaseLostError as error:
+            told.warning("part given up", error=str(error))
+        except LbacalError as error:
+            self._fail(part, str(error))
+        except Exception as error:  # noqa: BLE001 - one part that fails in a new way must not stop the worker
+            told.exception("part failed unexpectedly")
+            self._fail(part, f"unexpected {type(error).__name__}: {error}")
+        else:
+            if part.kind == REFIT and part.request["scope"] == "antenna":
+                self._factory.due.enqueue_drift(part.request["station"])
+
+    def _fail(self, part: Part, reason: str) -> None:
+        log.warning("part failed", job=part.job, part=part.number, error=reason)
+        try:
+            with self._factory.database.write() as stores:
+                stores.jobs.fail(part, self._name, reason, self._factory.clock())
+        except LeaseLostError as error:
+            log.warning("part given up", error=str(error))
+
+    @contextmanager
+    def _alive(self, part: Part) -> Iterator[None]:
+        """Renew the lease of a part while the block runs."""
+        is_done = threading.Event()
+
+        def renew() -> None:
+            while not is_done.wait(self._factory.settings.lease_s / RENEWALS):
+                try:
+                    with self._factory.database.write() as stores:
+                        now = self._factory.clock()
+                        stores.jobs.renew(part, self._name, now=now, lease_us=self._lease_us)
+                except LbacalError as error:
+                    # a lost lease shows when the part ends; a database that is away may be back by then
+                    log.warning("lease not renewed", part=part.number, error=str(error))
+
+        thread = threading.Thread(target=renew, daemon=True)
+        thread.start()
+        try:
+            yield
+        finally:
+            is_done.set()
+            thread.join()
