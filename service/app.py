@@ -9,7 +9,7 @@ from fastapi import Depends, FastAPI, Request, Response
 from fastapi_offline import FastAPIOffline
 
 from service.factory import Factory
-from service.handlers import calibrations, health, problems, spectra
+from service.handlers import calibrations, drift, health, jobs, problems, spectra
 from service.handlers.request import require_known_query
 
 _ELSEWHERE = "img-src 'self' data:; connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
@@ -29,7 +29,7 @@ def make_app(factory: Factory) -> FastAPI:
         dependencies=[Depends(require_known_query)],
     )
     app.state.factory = factory
-    for router in (spectra.router, calibrations.router, health.router):
+    for router in (spectra.router, calibrations.router, jobs.router, drift.router, health.router):
         app.include_router(router)
     problems.install(app)
 

@@ -4,6 +4,7 @@ import itertools
 import json
 import os
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,13 @@ from fastapi.testclient import TestClient
 
 from lbacal_core.curves import CONVERGED, CalibrationCurve
 from lbacal_core.instrument import Instrument, load_instrument
+from lbacal_core.skypower.model import compute_sky_power
+from lbacal_core.skypower.table import read_sky_power, write_sky_power
+from lbacal_core.spectra import Spectra
+from lbacal_core.twin.campaign import simulate_campaign
+from lbacal_core.twin.fault import Fault, Where
+from lbacal_core.twin.settings import TwinSettings
+from lbacal_core.twin.stages import Scene, Stages
 from lbacal_core.validity import Scope
 from proofs._postgres import run_postgres
 from service.app import make_app
@@ -160,3 +168,51 @@ def stored(factory: Factory) -> dict[str, Version]:
 def new_version() -> Callable[..., Version]:
     """Makes a version for a scope whose inputs are just a name."""
     return _version
+
+
+@dataclass(frozen=True, kw_only=True)
+class GainStep(Fault):
+    """The power gain of some paths changes by the fraction `size` at an instant, s UTC."""
+
+    since_unix: float
+
+    def alter(self, stages: Stages, scene: Scene) -> Stages:
+        is_after = (scene.time_unix >= self.since_unix)[None, None, :, None]
+        return replace(stages, gain=stages.gain * (1.0 + self.size * self.where.mask(scene) * is_after))
+
+
+STEP = GainStep(
+    size=0.15, since_unix=datetime(2015, 4, 11, tzinfo=UTC).timestamp(), where=Where(antennas=(2,), dipoles=("Y",))
+)
+
+
+@pytest.fixture(scope="session")
+def superterp() -> Instrument:
+    return load_instrument("lofar-superterp")
+
+
+@pytest.fixture(scope="session")
+def sky_power_file(superterp: Instrument, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("sky") / "sky_power.json"
+    write_sky_power(compute_sky_power(superterp, lst_hours=np.arange(24.0)), path)
+    return path
+
+
+@pytest.fixture(scope="session")
+def campaign(superterp: Instrument, sky_power_file: Path) -> Spectra:
+    """The years 2014 and 2015 of four antennas of CS002, 400 events each, with `STEP` in one path."""
+    settings = TwinSettings(stations=("CS002",), antennas=4, years=1.99, events_per_year=400)
+    sky = read_sky_power(sky_power_file)
+    return simulate_campaign(settings, superterp, sky, np.random.default_rng(2014), [STEP]).spectra
+
+
+@pytest.fixture
+def station(database_url: str, sky_power_file: Path, campaign: Spectra, clock: Clock) -> Iterator[Factory]:
+    """A service that holds the campaign."""
+    settings = Settings(database_url=database_url, sky_power=sky_power_file, poll_s=0.01, lease_s=5)
+    made = Factory(settings, clock)
+    upgrade(made.database)
+    with made.database.write() as stores:
+        stores.spectra.add(campaign)
+    yield made
+    made.database.close()

@@ -1,0 +1,85 @@
+"""Refits on demand, and how far they are."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Depends, Query, Request, Response
+
+from service.handlers.problems import document
+from service.handlers.request import JsonBody, Limit, UseCases, answer, caller_with, describes, require_read
+from service.storage.jobs import Job
+from service.usecases.keys import Caller
+from service.wire.bodies import RefitBody, parse_body
+from service.wire.instants import format_instant
+
+router = APIRouter(tags=["jobs"])
+Runner = Annotated[Caller, caller_with("refits:run")]
+
+
+@router.post(
+    "/v1/refits",
+    status_code=202,
+    summary="Ask for new fits",
+    description="One window, one fit a version. `promote` puts those that pass the gate into effect for the window and "
+    "also needs the scope `calibrations:promote`.",
+    responses=document(400, 401, 403, 409, 415, 422, 503),
+    openapi_extra=describes(RefitBody),
+)
+def request_refit(request: Request, use: UseCases, caller: Runner, body: JsonBody) -> Response:
+    wanted = parse_body(RefitBody, body)
+    if wanted.promote:
+        use.keys.require(request.headers.get("authorization"), "calibrations:promote")
+    return answer(request, {"job": use.refits.request(wanted, caller.name)}, status=202)
+
+
+@router.get(
+    "/v1/jobs",
+    summary="List jobs",
+    description="Newest first; `next` is the cursor of the next page.",
+    responses=document(401, 422, 503),
+    dependencies=[Depends(require_read)],
+)
+def list_jobs(
+    request: Request,
+    use: UseCases,
+    cursor: Annotated[int | None, Query(ge=0, le=2**63 - 1)] = None,
+    limit: Limit = 100,
+) -> Response:
+    jobs = use.jobs.newest(before=cursor, limit=limit)
+    following = jobs[-1].number if len(jobs) == limit else None
+    return answer(request, {"jobs": [describe_job(job) for job in jobs], "next": following})
+
+
+@router.get(
+    "/v1/jobs/{number}",
+    summary="One job",
+    responses=document(401, 404, 503),
+    dependencies=[Depends(require_read)],
+)
+def get_job(request: Request, use: UseCases, number: int) -> Response:
+    return answer(request, describe_job(use.jobs.get(number)))
+
+
+@router.post("/v1/jobs/{number}/cancel", summary="Stop a job", responses=document(401, 403, 404, 503))
+def cancel_job(request: Request, use: UseCases, _caller: Runner, number: int) -> Response:
+    return answer(request, describe_job(use.jobs.cancel(number)))
+
+
+def describe_job(job: Job) -> dict[str, Any]:
+    """A job as JSON values."""
+    return {
+        "job": job.number,
+        "kind": job.kind,
+        "state": job.state,
+        "progress": job.progress,
+        "calibrations": [name for result in job.results for name in result["calibrations"]],
+        "promoted": [name for result in job.results for name in result.get("promoted", [])],
+        "gated": {name: why for result in job.results for name, why in result.get("gated", {}).items()},
+        "results": [],
+        "error": "; ".join(job.errors) or None,
+        "request": dict(job.request),
+        "reason": job.reason,
+        "by": job.by,
+        "created_at": format_instant(job.created),
+    }

@@ -1,0 +1,242 @@
+from __future__ import annotations
+
+import threading
+from typing import Any
+
+import numpy as np
+import pytest
+from fastapi.testclient import TestClient
+
+from lbacal_core.calibration.fit import fit_calibration
+from lbacal_core.spectra import Spectra
+from service.app import make_app
+from service.factory import Factory
+from service.scheduler import look_for_due_work
+from service.storage.jobs import LeaseLostError
+from service.worker import Worker
+
+YEAR = {"since": "2014-01-01", "until": "2015-01-01"}
+
+
+@pytest.fixture
+def http(station: Factory) -> Any:
+    _, key = station.keys.create(("admin",))
+    with TestClient(make_app(station)) as made:
+        made.headers["Authorization"] = f"Bearer {key}"
+        yield made
+
+
+def work(factory: Factory) -> None:
+    Worker(factory, "worker").run(threading.Event(), until_idle=True)
+
+
+def refit(http: TestClient, **body: Any) -> Any:
+    answer = http.post("/v1/refits", json={"scope": "antenna", **YEAR, "reason": "test", "promote": True, **body})
+    assert answer.status_code == 202, answer.text
+    return answer.json()["job"]
+
+
+def test_a_refit_makes_the_versions_that_the_fit_alone_makes(
+    station: Factory, http: TestClient, campaign: Spectra
+) -> None:
+    number = refit(http)
+    assert http.get(f"/v1/jobs/{number}").json()["state"] == "queued"
+    work(station)
+    job = http.get(f"/v1/jobs/{number}").json()
+    assert (job["state"], job["progress"], job["error"]) == ("done", 1.0, None)
+    assert len(job["calibrations"]) == len(job["promoted"]) == 8
+    window = campaign.select(campaign.time_unix < np.datetime64("2015-01-01", "s").astype(float))
+    expected = {c.name: c for c in fit_calibration(window, station.instrument, station.sky_power, "antenna").curves}
+    answer = http.get("/v1/calibrations/effective", params={"at": "2014-07-01", "station": "CS002"}).json()
+    assert len(answer["curves"]) == 8
+    for curve in answer["curves"]:
+        # times are stored to the microsecond; nothing else differs
+        name = f"{curve['station']} antenna {curve['antenna']} {curve['dipole']}"
+        assert curve["c"] == pytest.approx(expected[name].c, rel=1e-9)
+        assert curve["c_sigma_stat"] == pytest.approx(expected[name].c_sigma_stat, rel=1e-6)
+
+
+def test_the_same_refit_again_returns_the_same_versions_and_promotes_nothing(
+    station: Factory, http: TestClient
+) -> None:
+    first, second = refit(http), refit(http)
+    work(station)
+    jobs = [http.get(f"/v1/jobs/{number}").json() for number in (first, second)]
+    assert jobs[0]["calibrations"] == jobs[1]["calibrations"]
+    assert (len(jobs[0]["promoted"]), jobs[1]["promoted"], jobs[1]["gated"]) == (8, [], {})
+
+
+def test_station_and_array_refits_answer_where_no_antenna_version_does(station: Factory, http: TestClient) -> None:
+    refit(http, scope="station")
+    refit(http, scope="array")
+    refit(http, station="CS002", antenna=1, dipole="X")
+    work(station)
+    answer = http.get("/v1/calibrations/effective", params={"at": "2014-07-01", "dipole": "X"}).json()
+    by = {(c["station"], c["antenna"]): c["answered_by"] for c in answer["curves"]}
+    assert (by[("CS002", 1)], by[("CS002", 2)], by[("CS003", 0)]) == ("antenna", "station", "array")
+
+
+def test_without_promotion_a_refit_makes_candidates(station: Factory, http: TestClient) -> None:
+    number = refit(http, promote=False)
+    work(station)
+    assert http.get(f"/v1/jobs/{number}").json()["promoted"] == []
+    assert http.get("/v1/calibrations/effective?at=2014-07-01").status_code == 404
+
+
+def test_the_gate_keeps_back_what_has_too_few_events_and_says_so(station: Factory, http: TestClient) -> None:
+    number = refit(http, since="2014-01-01", until="2014-02-01")
+    work(station)
+    job = http.get(f"/v1/jobs/{number}").json()
+    assert (job["state"], job["promoted"]) == ("done", [])
+    assert "too_few_events" in next(iter(job["gated"].values()))
+    version = http.get(f"/v1/calibrations/{job['calibrations'][0]}").json()
+    assert "too_few_events" in version["gate"]
+
+
+def test_the_gate_keeps_back_a_jump(station: Factory, http: TestClient) -> None:
+    refit(http)
+    work(station)
+    tight = Factory(station.settings.model_copy(update={"gate_change": 0.045}), station.clock)
+    number = refit(http, since="2015-01-01", until="2016-01-01")
+    work(tight)
+    tight.database.close()
+    gated = http.get(f"/v1/jobs/{number}").json()["gated"]
+    assert len(gated) == 1
+    assert next(iter(gated.values())).startswith("CS002 antenna 2 Y: mean C differs by -")
+
+
+def test_a_flagged_event_is_left_out(station: Factory, http: TestClient) -> None:
+    number = refit(http)
+    work(station)
+    name = http.get("/v1/events?limit=1").json()["events"][0]["event_id"]
+    http.post(f"/v1/events/{name}/flag", json={"flag": "thunderstorm", "reason": "test"})
+    again = refit(http)
+    work(station)
+    events = [
+        http.get(f"/v1/calibrations/{http.get(f'/v1/jobs/{n}').json()['calibrations'][0]}").json()["events"]
+        for n in (number, again)
+    ]
+    assert events[0] - events[1] == 1
+
+
+@pytest.mark.parametrize(
+    ("change", "status"),
+    [
+        ({"scope": "path"}, 422), ({"since": "2014"}, 422), ({"until": "2014-01-01"}, 422), ({"reason": ""}, 422),
+        ({"scope": "array", "station": "CS002"}, 422), ({"station": "CS999"}, 422), ({"antenna": 1}, 422),
+        ({"scope": "station", "station": "CS002", "antenna": 1, "dipole": "X"}, 422), ({"promote": "yes"}, 422),
+    ],
+)  # fmt: skip
+def test_a_bad_refit_is_refused(http: TestClient, change: dict[str, Any], status: int) -> None:
+    body = {"scope": "antenna", **YEAR, "reason": "test", "promote": False, **change}
+    assert http.post("/v1/refits", json=body).status_code == status
+    assert http.get("/v1/jobs").json()["jobs"] == []
+
+
+def test_a_refit_with_promotion_needs_both_scopes(station: Factory, http: TestClient) -> None:
+    _, key = station.keys.create(("refits:run",))
+    headers = {"Authorization": f"Bearer {key}"}
+    body = {"scope": "antenna", **YEAR, "reason": "test", "promote": True}
+    assert http.post("/v1/refits", json=body, headers=headers).status_code == 403
+    assert http.post("/v1/refits", json={**body, "promote": False}, headers=headers).status_code == 202
+
+
+def test_a_window_without_spectra_fails_with_one_sentence(station: Factory, http: TestClient) -> None:
+    number = refit(http, since="2012-01-01", until="2013-01-01")
+    work(station)
+    job = http.get(f"/v1/jobs/{number}").json()
+    assert job["state"] == "failed"
+    assert job["error"] == "no usable spectra of CS002 between 2012-01-01T00:00:00Z and 2013-01-01T00:00:00Z"
+
+
+def test_a_cancelled_job_is_not_done(station: Factory, http: TestClient) -> None:
+    number = refit(http)
+    assert http.post(f"/v1/jobs/{number}/cancel").json()["state"] == "cancelled"
+    work(station)
+    assert http.get(f"/v1/jobs/{number}").json()["calibrations"] == []
+    assert http.get("/v1/calibrations").json()["calibrations"] == []
+
+
+def test_a_part_whose_worker_died_is_taken_over_and_the_dead_one_writes_nothing(
+    station: Factory, http: TestClient, clock: Any
+) -> None:
+    number = refit(http)
+    with station.database.write() as stores:
+        part = stores.jobs.claim("dead", now=clock(), lease_us=5_000_000)
+        assert part is not None
+        assert stores.jobs.claim("other", now=clock(), lease_us=5_000_000) is None
+    clock.now += 5_000_001
+    work(station)
+    assert http.get(f"/v1/jobs/{number}").json()["state"] == "done"
+    with pytest.raises(LeaseLostError):
+        station.refits.run(part, "dead")
+
+
+def test_a_part_that_kills_its_workers_is_given_up(station: Factory, http: TestClient, clock: Any) -> None:
+    number = refit(http)
+    for _ in range(11):
+        with station.database.write() as stores:
+            stores.jobs.claim("dying", now=clock(), lease_us=1)
+        clock.now += 10
+    job = http.get(f"/v1/jobs/{number}").json()
+    assert (job["state"], job["error"]) == ("failed", "given up: 10 workers died on it")
+
+
+def test_the_night_finds_every_year_station_and_antenna_once(station: Factory, http: TestClient) -> None:
+    assert len(look_for_due_work(station)) == 6, "two years, scopes array, station and antenna"
+    assert look_for_due_work(station) == [], "a second look, or a second scheduler, finds nothing new"
+    work(station)
+    jobs = http.get("/v1/jobs").json()["jobs"]
+    assert {job["state"] for job in jobs} == {"done"}
+    assert sorted((job["kind"], job["request"].get("scope", "")) for job in jobs) == sorted(
+        2 * [("refit", scope) for scope in ("antenna", "station", "array")] + 2 * [("drift", "")]
+    )
+    assert look_for_due_work(station) == []
+    answer = http.get("/v1/calibrations/effective", params={"at": "2015-12-30"}).json()
+    assert len(answer["curves"]) == 576
+    assert sum(curve["answered_by"] == "antenna" for curve in answer["curves"]) == 8
+
+
+def test_late_spectra_a_flag_and_another_sky_make_a_window_due_again(
+    station: Factory, http: TestClient, campaign: Spectra
+) -> None:
+    look_for_due_work(station)
+    work(station)
+    name = http.get("/v1/events?limit=1").json()["events"][0]["event_id"]
+    http.post(f"/v1/events/{name}/flag", json={"flag": "bad", "reason": "test"})
+    assert len(look_for_due_work(station)) == 4, "one year: array, station, antenna, and its drift"
+    late = campaign.select(campaign.event_id == campaign.event_id[0])
+    last = late.time_unix + 86_400.0 * 400
+    moved = Spectra(
+        late.frequency_mhz, late.power, np.array([f"late{e}" for e in late.event_id]), last, late.station, late.antenna,
+        late.dipole, late.blocks,
+    )  # fmt: skip
+    with station.database.write() as stores:
+        stores.spectra.add(moved)
+    assert len(look_for_due_work(station)) == 4
+    other = Factory(
+        station.settings.model_copy(update={"instrument": "lofar-superterp", "sky_power": None}), station.clock
+    )
+    assert len(look_for_due_work(other)) == 8, "two years: array, station, antenna, drift"
+    other.database.close()
+
+
+def test_the_planted_step_is_first_with_its_antenna_and_date(station: Factory, http: TestClient) -> None:
+    look_for_due_work(station)
+    work(station)
+    drift = http.get("/v1/drift", params={"station": "CS002"}).json()
+    first, second = drift["steps"][:2]
+    assert (first["antenna"], first["dipole"]) == (2, "Y")
+    assert abs(np.datetime64(first["date"]) - np.datetime64("2015-04-11")) <= np.timedelta64(15, "D")
+    # the power gain rises by 15 %: C falls by 1 - 1.15^-1/2 = 6.7 %
+    assert abs(first["size"] + (1 - 1.15**-0.5)) < 4 * first["sigma"]
+    assert first["significance"] > 2 * second["significance"]
+    assert http.get(f"/v1/calibrations/{first['calibration']}").json()["since"].startswith("2015")
+    assert len(drift["months"]) == 24
+    assert {m["paths"] for m in drift["months"]} == {8}
+    path = http.get("/v1/drift", params={"station": "CS002", "antenna": 2, "dipole": "Y"}).json()
+    assert len(path["versions"]) == 2
+    change = path["versions"][1]["c"] / path["versions"][0]["c"] - 1
+    assert -0.08 < change < -0.03
+    whole = http.get("/v1/drift").json()
+    assert (whole["scope"], len(whole["months"]), len(whole["steps"])) == ("array", 24, 8)
