@@ -1,5 +1,8 @@
 from __future__ import annotations
 
+import json
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -32,3 +35,15 @@ def test_the_response_is_one_at_zenith_and_nothing_below_the_horizon() -> None:
 
 def test_the_element_beam_has_no_resonance() -> None:
     assert zenith_gain(load_hamaker(), np.arange(30.0, 81.0)) == pytest.approx(1.0, abs=0.02)
+
+
+def test_both_dipoles_agree_with_everybeam() -> None:
+    content = json.loads((Path(__file__).parent / "everybeam_values.json").read_text())
+    antenna = load_hamaker()
+    assert len(content["rows"]) == 20
+    for nu, zenith, angle, *values in content["rows"]:
+        matrix = (np.array(values[::2]) + 1j * np.array(values[1::2])).reshape(2, 2)
+        for row, arm in zip(matrix, (0.0, np.pi / 2), strict=True):
+            ours = antenna.jones(np.array([nu]), np.array(zenith), np.array(angle - arm))
+            # Rounding of double precision: the same polynomials.
+            assert np.array(ours)[:, 0] == pytest.approx(row, abs=1e-13)
