@@ -1,0 +1,95 @@
+"""`./dev docs`: the reference pages that follow from the code, docs/commands.md and docs/settings.md."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Iterator
+from enum import StrEnum
+from pathlib import Path
+from typing import Any
+
+import typer
+from pydantic_core import PydanticUndefined
+
+from service.cli.main import app
+from service.config import Settings
+
+DOCS = Path(__file__).parents[2] / "docs"
+
+_COMMANDS = """# Commands
+Written by `./dev docs` from the commands themselves: do not edit. Every command exits with 0 when it is done, 1 when
+the work failed, and 2 on bad usage or bad input, with one sentence on standard error that names the place, what was
+expected and what was found.
+"""
+_SETTINGS = """# Settings
+Written by `./dev docs` from `service/config.py`: do not edit. Each setting is an environment variable.
+
+| setting | meaning | default |
+|---|---|---|
+"""
+_OTHER_SETTINGS = {
+    "LBACAL_DASK": ("address of a dask scheduler for work that outgrows a machine (traces by the terabyte)", "none"),
+    "LBACAL_TEST_PG": ("PostgreSQL server for the tests, as postgresql://user@host/name", "server binaries found here"),
+}
+
+
+def describe_commands() -> str:
+    """The content of docs/commands.md."""
+    return _COMMANDS + "".join(_describe(["lbacal"], typer.main.get_command(app)))
+
+
+def describe_settings() -> str:
+    """The content of docs/settings.md."""
+    rows = {}
+    for name, field in Settings.model_fields.items():
+        default = "required" if field.default is PydanticUndefined else field.default
+        rows[f"LBACAL_{name.upper()}"] = (field.description or "", "none" if default is None else str(default))
+    rows |= {name: row for name, row in _OTHER_SETTINGS.items() if name not in rows}
+    return _SETTINGS + "".join(f"| `{name}` | {text} | {default} |\n" for name, (text, default) in rows.items())
+
+
+def _describe(path: list[str], command: Any) -> Iterator[str]:
+    """One section a command, those of a group after its own."""
+    arguments = [f"{p.name.upper()}{'...' if p.nargs < 0 else ''}" for p in command.params if _is_argument(p)]
+    yield f"\n## `{' '.join([*path, *arguments])}`\n"
+    for paragraph in inspect.cleandoc(command.help or "").split("\n\n"):
+        text = " ".join(paragraph.split())
+        example = text.removeprefix("Example: ")
+        yield f"{text}\n\n" if example == text else f"Example: `{example}`\n\n"
+    rows = [_describe_parameter(p) for p in command.params if "--help" not in p.opts]
+    if rows:
+        yield "| argument or option | meaning | default |\n|---|---|---|\n"
+        yield from rows
+    for name, one in getattr(command, "commands", {}).items():
+        yield from _describe([*path, name], one)
+
+
+def _is_argument(parameter: Any) -> bool:
+    return not parameter.opts[0].startswith("-")
+
+
+def _describe_parameter(parameter: Any) -> str:
+    name = parameter.name.upper() if _is_argument(parameter) else " / ".join(parameter.opts + parameter.secondary_opts)
+    kind = parameter.type_descriptor.annotation
+    choices = f" One of {', '.join(kind)}." if isinstance(kind, type) and issubclass(kind, StrEnum) else ""
+    return f"| `{name}` | {parameter.help or ''}{choices} | {_default(parameter)} |\n"
+
+
+def _default(parameter: Any) -> str:
+    if parameter.required:
+        return "required"
+    value = parameter.default
+    if value is None or value is False or value == ():
+        return ""
+    value = getattr(value, "value", value)
+    return " ".join(map(str, value)) if isinstance(value, tuple | list) else str(value)
+
+
+def main() -> None:
+    """Write both pages."""
+    (DOCS / "commands.md").write_text(describe_commands(), encoding="utf-8")
+    (DOCS / "settings.md").write_text(describe_settings(), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

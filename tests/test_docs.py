@@ -1,0 +1,125 @@
+"""The documentation says what the code does: commands, settings, fields of formats, links."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from lbacal_core import spectra
+from lbacal_core.curves import CalibrationCurve, FitReport
+from lbacal_core.instrument import load_instrument
+from lbacal_core.lstcurve import curve as lst_curve
+from lbacal_core.provenance import Provenance
+from lbacal_core.traces.assembly import COVARIATES
+from service.cli.reference import describe_commands, describe_settings
+
+LINK = re.compile(r"(?<!\\)\]\(([^)\s]+)\)")
+FENCE = re.compile(r"^ *```.*?^ *```", re.MULTILINE | re.DOTALL)
+
+
+def test_the_page_of_commands_is_that_of_the_commands(repository: Path) -> None:
+    assert (repository / "docs/commands.md").read_text() == describe_commands(), "run ./dev docs"
+
+
+def test_the_page_of_settings_is_that_of_the_settings(repository: Path) -> None:
+    assert (repository / "docs/settings.md").read_text() == describe_settings(), "run ./dev docs"
+
+
+def test_every_setting_that_code_names_is_documented(repository: Path, tracked: list[Path]) -> None:
+    page = (repository / "docs/settings.md").read_text()
+    named = set()
+    for path in tracked:
+        if path.suffix in (".py", ".yml", ".yaml") or path.name == "dev":
+            named |= set(re.findall(r"\bLBACAL_[A-Z][A-Z_]*[A-Z]\b", (repository / path).read_text()))
+    assert {name for name in named if f"`{name}`" not in page} == set()
+
+
+def section(repository: Path, title: str) -> str:
+    """The text below a heading of docs/formats.md."""
+    page = (repository / "docs/formats.md").read_text()
+    found = re.search(rf"^## {title}\n(.*?)(?=^## |\Z)", page, re.MULTILINE | re.DOTALL)
+    assert found is not None, title
+    return found[1]
+
+
+def example_report() -> FitReport:
+    instrument = load_instrument("lofar-superterp")
+    curve = CalibrationCurve(
+        "CS002", 0, "X", "too_few_events", 1, instrument.frequency_mhz, None, None, None, None, 0.0, {}
+    )
+    return FitReport((curve,), Provenance({"spectra": "", "instrument": "", "sky_power": ""}))
+
+
+def fields_of_formats() -> list[tuple[str, str]]:
+    """Section and field of everything that readers and writers name."""
+    instrument = load_instrument("lofar-superterp")
+    report = example_report().as_dict()
+    return [
+        *(("Spectra", name) for name in (*spectra._KINDS, "format", "resistance_ohm", spectra.FORMAT)),
+        *(("Spectra", f"env/{name}") for name in COVARIATES),
+        *(("Instrument", name) for name in (*instrument.as_dict(), "station", "antenna", "cable", "since", "until")),
+        *(("Sky power", name) for name in ("frequency_mhz", "lst_hours", "X", "Y")),
+        *(("LST curve", name) for name in (*lst_curve.COLUMNS, lst_curve.CENTRE_LINE)),
+        *(("Event facts", name) for name in ("event_id", "pulse_unix", *COVARIATES)),
+        *(("Calibration table", name) for name in ("station", "antenna", "dipole", "frequency_mhz", "flag")),
+        *(("Calibration table", name) for name in ("c", "c_sigma_stat", "c_sigma_sys")),
+        *(("Fit report", name) for name in (*report, *report["curves"][0], *report["provenance"])),
+        *(("Fit report", name) for name in ("n_lna", "n_rcu", "n_adc", "inputs")),
+    ]
+
+
+@pytest.mark.parametrize(("title", "field"), fields_of_formats())
+def test_every_field_of_a_format_is_documented(repository: Path, title: str, field: str) -> None:
+    text = section(repository, title)
+    assert f"`{field}`" in text or f'"{field}"' in text
+
+
+def anchors_of(page: Path) -> set[str]:
+    headings = re.findall(r"^#+ (.*)$", FENCE.sub("", page.read_text()), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+def test_every_link_inside_the_repository_leads_somewhere(repository: Path, tracked: list[Path]) -> None:
+    broken = []
+    for path in tracked:
+        if path.suffix != ".md":
+            continue
+        for target in LINK.findall(FENCE.sub("", (repository / path).read_text())):
+            if re.match(r"[a-z]+:", target):
+                continue
+            name, _, anchor = target.partition("#")
+            there = (repository / path.parent / name).resolve() if name else repository / path
+            if not there.exists() or (anchor and anchor not in anchors_of(there)):
+                broken.append(f"{path}: {target}")
+    assert broken == []
+
+
+def test_every_page_is_reached_from_the_first_one(repository: Path, tracked: list[Path]) -> None:
+    pages = {repository / path for path in tracked if path.suffix == ".md" and path.parts[0] == "docs"}
+    first = repository / "docs/README.md"
+    linked = {(first.parent / target.partition("#")[0]).resolve() for target in LINK.findall(first.read_text())}
+    unreached = [page for page in pages - {first} if page not in linked and page.parent not in linked]
+    assert unreached == []
+
+
+def test_the_main_path_is_three_clicks_from_the_readme(repository: Path) -> None:
+    assert "docs/README.md" in LINK.findall((repository / "README.md").read_text())
+    assert "../lbacal_core/pipeline.py" in LINK.findall((repository / "docs/README.md").read_text())
+
+
+# Spelt in two halves, so that this file does not name them itself.
+MACHINE_PATHS = ["/wo" + "rk/", "/ro" + "ot/", "/ho" + "me/", "file:" + "///"]
+REGISTRIES = ["pypi" + ".org", "pythonhosted" + ".org", "npmjs" + ".org", "deb.debian" + ".org", "index-" + "url"]
+
+
+def test_no_machine_and_no_registry_is_named_in_a_file(repository: Path, tracked: list[Path]) -> None:
+    named = []
+    for path in tracked:
+        try:
+            text = (repository / path).read_text(encoding="utf-8")
+        except UnicodeDecodeError:
+            continue
+        named += [f"{path}: {word}" for word in MACHINE_PATHS + REGISTRIES if word in text]
+    assert named == []

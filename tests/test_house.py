@@ -1,0 +1,63 @@
+"""The rules of the house that no linter knows."""
+
+from __future__ import annotations
+
+import ast
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+PACKAGES = ("lbacal", "lbacal_core", "service", "proofs", "migrations")
+
+
+def python_files(tracked: list[Path], *folders: str) -> list[Path]:
+    return [path for path in tracked if path.suffix == ".py" and path.parts[0] in folders]
+
+
+def test_imports_go_down_the_stack(repository: Path) -> None:
+    lint = Path(sys.executable).with_name("lint-imports")
+    done = subprocess.run([lint, "--no-cache"], cwd=repository, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout
+
+
+def test_one_version_of_uv(repository: Path) -> None:
+    project = tomllib.loads((repository / "pyproject.toml").read_text())
+    in_script = re.search(r"^UV_VERSION=([0-9.]+)", (repository / "dev").read_text(), re.MULTILINE)
+    assert in_script is not None
+    assert f"uv=={in_script[1]}" in project["project"]["optional-dependencies"]["dev"]
+
+
+def test_files_are_short_enough_to_read(repository: Path, tracked: list[Path]) -> None:
+    files = [path for path in tracked if path.suffix == ".py" and path.parts[0] != "tests"]
+    lengths = {str(path): len((repository / path).read_text().splitlines()) for path in files}
+    assert {path: length for path, length in lengths.items() if length >= 400} == {}
+
+
+def test_tests_mirror_the_tree(repository: Path, tracked: list[Path]) -> None:
+    astray = []
+    for path in python_files(tracked, "tests"):
+        if len(path.parts) < 3 or path.parts[1] not in PACKAGES or not path.name.startswith("test_"):
+            continue
+        tested = repository.joinpath(*path.parts[1:-1], path.name.removeprefix("test_"))
+        if not tested.is_file() and not tested.with_suffix("").is_dir():
+            astray.append(str(path))
+    assert astray == []
+
+
+def test_packages_hold_one_docstring_and_import_nothing(repository: Path, tracked: list[Path]) -> None:
+    for path in python_files(tracked, "lbacal_core", "service"):
+        if path.name == "__init__.py":
+            body = ast.parse((repository / path).read_text()).body
+            assert len(body) == 1, path
+            assert isinstance(body[0], ast.Expr), path
+
+
+def test_every_name_of_a_file_has_a_meaning(tracked: list[Path]) -> None:
+    empty_words = {"utils", "util", "helpers", "common", "manager", "misc"}
+    assert [str(path) for path in python_files(tracked, *PACKAGES, "tests") if path.stem in empty_words] == []
+
+
+def test_tests_are_found_by_path(tracked: list[Path]) -> None:
+    assert [str(path) for path in python_files(tracked, "tests") if path.name == "__init__.py"] == []
