@@ -75,10 +75,17 @@ def read_values(dataset: h5py.Dataset, kind: Kind, here: str) -> NDArray[Any]:
         raise BadInputError(here, f"{dataset.size} values", f"{stored} bytes, too few to hold them")
     values = dataset[()]
     if kind is STRINGS:
-        values = [read_text(value, f"{here}, row {row}") for row, value in enumerate(values)]
+        values = _read_texts(values.tolist(), here)
     elif kind is INTEGERS and np.any(values > np.iinfo(np.int64).max):
         raise BadInputError(here, "integers below 2**63", f"{values.max()}")
     return np.asarray(values, dtype=kind.read_as)
+
+
+def _read_texts(values: list[object], here: str) -> list[str]:
+    """Make texts, each distinct one once: a column of names has few."""
+    first_row = {value: row for row, value in zip(range(len(values) - 1, -1, -1), reversed(values), strict=True)}
+    texts = {value: read_text(value, f"{here}, row {row}") for value, row in first_row.items()}
+    return [texts[value] for value in values]
 
 
 def read_text(value: object, here: str) -> str:
