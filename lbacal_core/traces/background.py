@@ -6,7 +6,7 @@ test compares), so the memory of a station event is that of one trace and a few 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 
@@ -27,18 +27,16 @@ from lbacal_core.traces.density import (
 )
 from lbacal_core.traces.discovery import read_trace
 from lbacal_core.traces.interference import (
-    BOXES,
     LARGEST_LEAK,
     FineSpectrum,
     Flags,
-    estimate_baseline,
-    find_excess,
+    find_lines,
     find_station_excess,
     find_steady_phases,
     line_leakage,
     phase_stability,
 )
-from lbacal_core.traces.selection import select_background
+from lbacal_core.traces.selection import find_keyed_blocks, select_background
 from lbacal_core.traces.trace import BLOCK_SAMPLES, Trace, TraceReference
 
 FACTORS = (16, 8, 4, 2)
@@ -146,6 +144,7 @@ class _Reduced:
     blocks: int
     fine: FineSpectrum
     baseline: Floats
+    is_line: Flags
     segment_ids: NDArray[np.int64]
     transforms: NDArray[np.complex64] | None
     rms: float
@@ -170,23 +169,31 @@ def measure_background(
     -------
     One background a trace, in the order given; unusable ones say why.
     """
+    return measure_traces(map(read_trace, references), settings, pulse_unix, is_station=len(references) > 1)
+
+
+def measure_traces(
+    traces: Iterable[Trace], settings: CleaningSettings, pulse_unix: float | None = None, *, is_station: bool = True
+) -> list[PathBackground]:
+    """Measure the background spectra of one station's traces, consumed one by one.
+
+    Parameters
+    ----------
+    is_station
+        Whether the traces are several of one station, so that lines may be looked for in all of them together.
+    """
     kept_phases = dict.fromkeys(DIPOLES, 0)
     reduced: list[_Reduced | PathBackground] = []
-    for reference in references:
-        keep = kept_phases[reference.dipole] < PHASE_TRACES and len(references) > 1
-        result = _reduce_trace(read_trace(reference), settings, pulse_unix, keep_transforms=keep)
+    for trace in traces:
+        dipole = trace.reference.dipole
+        keep = is_station and kept_phases[dipole] < PHASE_TRACES
+        result = _reduce_trace(trace, settings, pulse_unix, keep_transforms=keep)
         if isinstance(result, _Reduced) and result.transforms is not None:
-            kept_phases[reference.dipole] += 1
+            kept_phases[dipole] += 1
         reduced.append(result)
     usable = [item for item in reduced if isinstance(item, _Reduced)]
-    station_lines = _find_station_lines(usable)
+    station_lines = _find_station_lines(usable) if is_station else None
     return [item if isinstance(item, PathBackground) else _finish(item, station_lines, settings) for item in reduced]
-
-
-def measure_trace(trace: Trace, settings: CleaningSettings, pulse_unix: float | None = None) -> PathBackground:
-    """Measure the background spectrum of a single trace in memory, without the help of a station."""
-    result = _reduce_trace(trace, settings, pulse_unix, keep_transforms=False)
-    return result if isinstance(result, PathBackground) else _finish(result, None, settings)
 
 
 def _reduce_trace(
@@ -204,18 +211,28 @@ def _reduce_trace(
         reason = f"dead: r.m.s. below {QUIET_ADC} ADC units"
     if reason:
         return _unusable(trace, settings, clean.size, rms, selection.dropped, selection.pulses, reason)
-    chosen = clean if settings.blocks is None else clean[_spread(clean.size, settings.blocks)]
     fine, ids, transforms = _fine_spectrum(trace, clean, keep_transforms=keep_transforms)
+    is_line, baseline = find_lines(fine)
+    strength = line_leakage(is_line, fine.density / baseline - 1.0, fine.factor, BLOCK_SAMPLES // 2 + 1)
+    is_keyed = find_keyed_blocks(trace.samples[clean], strength, baseline[:: fine.factor], rate)
+    dropped = dict(selection.dropped)
+    if np.any(is_keyed) and np.sum(~is_keyed) >= wanted:
+        clean = clean[~is_keyed]
+        dropped["keyed"] = int(np.sum(is_keyed))
+        fine, ids, transforms = _fine_spectrum(trace, clean, keep_transforms=keep_transforms)
+        is_line, baseline = find_lines(fine)
+    chosen = clean if settings.blocks is None else clean[_spread(clean.size, settings.blocks)]
     return _Reduced(
         trace=trace.reference,
         coarse=power_density(trace.samples[chosen], rate),
         blocks=len(chosen),
         fine=fine,
-        baseline=estimate_baseline(fine),
+        baseline=baseline,
+        is_line=is_line,
         segment_ids=ids,
         transforms=transforms,
         rms=rms,
-        dropped=selection.dropped,
+        dropped=dropped,
         faults=trace.faults,
         pulses=selection.pulses,
     )
@@ -281,7 +298,7 @@ def _finish(item: _Reduced, station_lines: Flags | None, settings: CleaningSetti
     """Flag the channels, bin to the grid, and fill what cannot be measured."""
     fine = item.fine
     ratio = fine.density / item.baseline
-    is_line = find_excess(ratio, fine.segments, BOXES)
+    is_line = item.is_line
     if station_lines is not None and station_lines.size == is_line.size:
         is_line = is_line | station_lines
     leak = line_leakage(is_line, ratio - 1.0, fine.factor, item.coarse.size)

@@ -36,6 +36,13 @@ STATION_BOXES = (1, 2, 4)
 reflections in 115 m of cable make every MHz."""
 
 BASELINE_WIDTH_MHZ = 0.4
+FEWEST_IN_GROUP = 0.25
+"""A group with less of it clean than this is interpolated from its neighbours."""
+
+SEARCHES = 2
+REACH = 40
+"""Fine channels on either side of a line in which its leakage is looked at; beyond, it is 1e-11 of the line."""
+
 WIDE_EXCESS = 0.25
 WIDE_GROUPS = 9
 """A group of 0.4 MHz that exceeds the median of the 9 around it by a quarter is interference as a whole; the 58 MHz
@@ -68,23 +75,58 @@ class FineSpectrum:
     channel_mhz: float
 
 
-def estimate_baseline(spectrum: FineSpectrum) -> Floats:
+def find_lines(spectrum: FineSpectrum) -> tuple[Flags, Floats]:
+    """Find the lines of one trace, and its spectrum without them.
+
+    Lines distort the first baseline, so it is drawn again without the channels they reach, and searched again.
+
+    Returns
+    -------
+    Flagged channels, shape (fine,), and the baseline, ADC^2/MHz, shape (fine,).
+    """
+    is_line = np.zeros(spectrum.density.size, dtype=bool)
+    baseline = estimate_baseline(spectrum, is_line)
+    for _ in range(SEARCHES):
+        is_line = find_excess(spectrum.density / baseline, spectrum.segments, BOXES)
+        baseline = estimate_baseline(spectrum, _reached_by(is_line, spectrum.density / baseline - 1.0))
+    return is_line, baseline
+
+
+def _reached_by(is_line: Flags, excess: Floats) -> Flags:
+    """Fine channels that get more than `LARGEST_LEAK` of their noise from the lines."""
+    if not np.any(is_line):
+        return is_line
+    response = line_response(np.arange(-REACH, REACH + 1.0))
+    leak = np.convolve(np.where(is_line, np.maximum(excess, 0.0), 0.0), response / response[REACH], mode="same")
+    return is_line | (leak > LARGEST_LEAK)
+
+
+def estimate_baseline(spectrum: FineSpectrum, is_line: Flags) -> Floats:
     """The smooth spectrum under the lines, ADC^2/MHz, shape (fine,).
 
-    Medians of groups of 0.4 MHz, brought to the mean by the ratio of median and mean of the Gamma distribution,
-    smoothed over three groups and interpolated, both in the logarithm: power laws stay what they are.
+    Medians over what is not a line in groups of 0.4 MHz, brought to the mean by the ratio of median and mean of the
+    Gamma distribution, smoothed over three groups and interpolated, both in the logarithm: power laws stay what they
+    are.
     """
     density = spectrum.density
     size = max(3, round(BASELINE_WIDTH_MHZ / spectrum.channel_mhz))
     count = max(density.size // size, 1)
+    is_clean = ~is_line[: count * size].reshape(count, -1)
     groups = density[: count * size].reshape(count, -1)
+    clean = is_clean.sum(axis=1)
+    ordered = np.sort(np.where(is_clean, groups, np.inf), axis=1)
+    rows = np.arange(count)
+    middle = (ordered[rows, np.maximum(clean - 1, 0) // 2] + ordered[rows, np.minimum(clean // 2, size - 1)]) / 2
+    centre = (rows + 0.5) * size - 0.5
+    is_known = (clean >= FEWEST_IN_GROUP * size) & (middle > 0)
+    if not np.any(is_known):
+        return np.full(density.size, max(float(np.median(density)), np.finfo(float).tiny))
     to_mean = spectrum.segments / float(gamma.median(spectrum.segments))
-    level = np.log(np.maximum(np.median(groups, axis=1) * to_mean, np.finfo(float).tiny))
+    level = np.interp(centre, centre[is_known], np.log(middle[is_known] * to_mean))
     around = median_filter(level, size=WIDE_GROUPS, mode="nearest")
     level = np.where(level - around > np.log1p(WIDE_EXCESS), around, level)
     padded = np.pad(level, 1, mode="reflect", reflect_type="odd") if count > 1 else np.repeat(level, 3)
     smooth = (padded[:-2] + 2 * padded[1:-1] + padded[2:]) / 4
-    centre = (np.arange(count) + 0.5) * size - 0.5
     return np.asarray(np.exp(np.interp(np.arange(density.size), centre, smooth)))
 
 

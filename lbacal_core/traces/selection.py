@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lbacal_core.grids import Floats
+from lbacal_core.traces.density import density_per_square, hann
 from lbacal_core.traces.trace import ADC_HIGHEST, ADC_LOWEST, BLOCK_SAMPLES, Trace
 
 PULSE_REACH = 5
@@ -19,6 +21,19 @@ stays below adds less than 1e-4 to the power: 7^2 x 5 samples in 400,000."""
 
 BURST_SIGMA = 8.0
 """A block whose power exceeds the median by this many robust sigma (20 % and more) is a burst."""
+
+
+KEYED_LEVEL = 20.0
+"""A channel is on in a block if it has this many times its noise there: chance, 2e-9. Switching a carrier on or off
+spreads it over the band as 1/d^2 at d channels, which no window prevents; weaker ones spread less than 0.3 % of the
+noise in any bin that is not left out anyway."""
+
+OFF_LEVEL = 2.0
+"""A channel whose median is above this many times its noise (pure noise: 0.7) is on most of the time: a carrier,
+perhaps modulated, whose fluctuations must not be taken for keying."""
+
+MOST_KEYED = 0.5
+KEYED_CHANNELS = 16
 
 
 @dataclass(frozen=True)
@@ -84,3 +99,44 @@ def select_background(trace: Trace, pulse_unix: float | None = None) -> BlockSel
             dropped[reason] = count
         is_background &= ~is_bad
     return BlockSelection(is_background, dropped, tuple(int(p) for p in np.unique(pulses)))
+
+
+def find_keyed_blocks(
+    blocks: NDArray[np.int16], line_strength: Floats, noise: Floats, rate_hz: float
+) -> NDArray[np.bool_]:
+    """Find the blocks in which a transmitter is on that is off in most: those and their neighbours hold its switching.
+
+    Parameters
+    ----------
+    blocks
+        Shape (block, 1024), ADC units.
+    line_strength
+        Shape (channel,): mean power of lines over the noise.
+    noise
+        Shape (channel,): noise density, ADC^2/MHz.
+
+    Returns
+    -------
+    Shape (block,). Transmitters that are on in more than half of the blocks are not counted: nothing would be left.
+    """
+    padded = np.pad(line_strength, 1)
+    is_peak = (line_strength >= padded[:-2]) & (line_strength >= padded[2:]) & (line_strength > 0.1)
+    channels = np.flatnonzero(is_peak)
+    channels = channels[np.argsort(line_strength[channels])[-KEYED_CHANNELS:]]
+    is_keyed = np.zeros(len(blocks), dtype=bool)
+    if channels.size == 0:
+        return is_keyed
+    turn = np.outer(np.arange(BLOCK_SAMPLES), channels) % BLOCK_SAMPLES
+    wave = np.exp(-2j * np.pi * turn / BLOCK_SAMPLES) * hann(BLOCK_SAMPLES)[:, None]
+    parts = np.hstack([wave.real, wave.imag]).astype(np.float32)
+    spectrum = (blocks.astype(np.float32) @ parts).reshape(len(blocks), 2, channels.size)
+    power = np.sum(spectrum.astype(float) ** 2, axis=1) * density_per_square(BLOCK_SAMPLES, rate_hz)[channels]
+    is_on = (power > KEYED_LEVEL * noise[channels]) & (np.median(power, axis=0) < OFF_LEVEL * noise[channels])
+    share = is_on.mean(axis=0)
+    for channel in np.argsort(share):
+        candidate = is_keyed | is_on[:, channel]
+        candidate[1:] |= is_on[:-1, channel]
+        candidate[:-1] |= is_on[1:, channel]
+        if candidate.mean() <= MOST_KEYED:
+            is_keyed = candidate
+    return is_keyed

@@ -1,0 +1,126 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lbacal_core.errors import BadInputError
+from lbacal_core.traces.background import CleaningSettings, bin_spectrum, measure_background, measure_traces
+from lbacal_core.traces.density import channel_frequencies
+from lbacal_core.traces.discovery import group_traces, list_traces
+from lbacal_core.traces.trace import Trace
+from lbacal_core.twin.voltages import Transmitter
+
+MakeTrace = Callable[..., Trace]
+SETTINGS = CleaningSettings()
+CHANNELS = channel_frequencies(1024, 200e6)
+
+
+def test_white_noise_gives_its_density_over_the_resistance(make_trace: MakeTrace) -> None:
+    (found,) = measure_traces([make_trace(1)], SETTINGS, is_station=False)
+    assert found.blocks == 400
+    assert found.excluded == ""
+    assert np.mean(found.power) == pytest.approx((4.0 + 1 / 1200) / 50, rel=0.015)  # 2.9 % / sqrt(51), 3 sigma
+    (half,) = measure_traces([make_trace(1)], CleaningSettings(resistance_ohm=100.0), is_station=False)
+    assert np.allclose(2 * half.power, found.power)
+
+
+def test_bins_on_a_slope_are_unbiased_whatever_is_flagged() -> None:
+    shape = (CHANNELS + 1.0) ** -2.5
+    rng = np.random.default_rng(2)
+    for _ in range(20):
+        is_flagged = rng.random(CHANNELS.size) < 0.4
+        power, is_filled = bin_spectrum(np.where(is_flagged, 1e9, 3 * shape), shape, is_flagged, CHANNELS, SETTINGS)
+        expected, _ = bin_spectrum(3 * shape, shape, np.zeros(CHANNELS.size, bool), CHANNELS, SETTINGS)
+        assert np.allclose(power[~is_filled], expected[~is_filled], rtol=1e-9)
+        assert np.allclose(power[is_filled] * 3, expected[is_filled], rtol=1e-9)  # the shape itself, filled
+
+
+def test_without_flags_a_bin_is_the_plain_weighted_mean() -> None:
+    density = np.random.default_rng(3).gamma(50, 1 / 50, CHANNELS.size)
+    power, is_filled = bin_spectrum(density, np.exp(-CHANNELS / 9), np.zeros(CHANNELS.size, bool), CHANNELS, SETTINGS)
+    low, high = 44.5 * 1024 / 200 + 0.5, 45.5 * 1024 / 200 + 0.5  # in channels, edges at integers
+    edges = np.arange(int(low), int(high) + 1)
+    overlap = np.minimum(edges + 1, high) - np.maximum(edges, low)
+    assert not np.any(is_filled)
+    assert power[15] * 50 == pytest.approx(np.sum(overlap * density[edges]) / 5.12, rel=1e-9)
+
+
+def test_a_number_of_blocks_is_spread_over_the_trace(make_trace: MakeTrace) -> None:
+    trace = make_trace(4)
+    (found,) = measure_traces([trace], CleaningSettings(blocks=100), is_station=False)
+    rows = (np.arange(100) * 400) // 100
+    (same,) = measure_traces(
+        [replace(trace, samples=trace.samples[rows], position=trace.position[:100], is_intact=trace.is_intact[rows])],
+        SETTINGS,
+        is_station=False,
+    )
+    assert found.blocks == 100
+    assert np.allclose(found.power, same.power, rtol=1e-5)
+
+
+def test_gaps_are_bridged_without_segments_across_them(make_trace: MakeTrace) -> None:
+    trace = make_trace(5, disturbances=[Transmitter(45.0, 2.0)])
+    keep = np.ones(400, dtype=bool)
+    keep[37::41] = False
+    holed = Trace(trace.reference, trace.samples[keep], trace.position[keep], trace.is_intact[keep], {"lost_frames": 9})
+    (found,) = measure_traces([holed], SETTINGS, is_station=False)
+    assert found.blocks == np.sum(keep)
+    assert found.faults == {"lost_frames": 9}
+    assert np.any(np.abs(found.line_mhz - 45.0) < 0.1)
+
+
+def test_unusable_traces_say_why(make_trace: MakeTrace) -> None:
+    trace = make_trace(6)
+    short = Trace(trace.reference, trace.samples[:10], trace.position[:10], trace.is_intact[:10], {})
+    dead = replace(trace, samples=np.zeros_like(trace.samples))
+    few, silent, good = measure_traces([short, dead, trace], SETTINGS)
+    assert few.excluded.startswith("too few background blocks: 10")
+    assert silent.excluded.startswith("dead")
+    assert good.excluded == ""
+
+
+def test_a_band_full_of_interference_is_excluded(make_trace: MakeTrace) -> None:
+    lines = [Transmitter(f, 40.0, phase=f**2) for f in np.arange(31.0, 80.0, 1.0)]
+    (found,) = measure_traces([make_trace(7, disturbances=lines)], SETTINGS, is_station=False)
+    assert found.excluded.startswith("interference")
+
+
+def test_settings_check_themselves() -> None:
+    with pytest.raises(BadInputError, match="evenly"):
+        CleaningSettings(frequency_mhz=np.array([30.0, 31.0, 33.0]))
+    with pytest.raises(BadInputError, match="blocks"):
+        CleaningSettings(blocks=5)
+    with pytest.raises(BadInputError, match="150 MHz"):
+        bin_spectrum(
+            np.ones(513), np.ones(513), np.zeros(513, bool), CHANNELS, CleaningSettings(np.array([50.0, 100.0, 150.0]))
+        )
+
+
+@pytest.mark.shared
+def test_the_real_dumps_show_the_resonance_and_known_transmitters(shared: Path) -> None:
+    files = sorted((shared / "data/tbb").glob("*.dat"))
+    (event,) = group_traces([reference for file in files for reference in list_traces(file)])
+    found = measure_background(event.references, SETTINGS)
+    assert [item.blocks for item in found] == [1000] * 4
+    for item in found:
+        assert item.excluded == ""
+        assert abs(SETTINGS.frequency_mhz[np.argmax(item.power)] - 58) <= 2
+        assert item.power[28] / item.power[0] > 5
+        # Carriers of analogue television in band I: sound of R1 and E2, vision of R2 and E4 (ITU-R BT.470).
+        for line in (53.75, 56.25, 59.25, 62.25):
+            assert np.min(np.abs(item.line_mhz - line)) < 0.1
+        assert np.max(item.power[1:] / item.power[:-1]) < 1.6  # no line survives
+
+
+@pytest.mark.shared
+def test_the_dump_of_2008_shows_its_glitches_and_its_band(shared: Path) -> None:
+    (reference,) = list_traces(shared / "data/tbb/rw_20080701_162002_0109.h5")
+    (found,) = measure_background([reference], SETTINGS)
+    assert found.dropped == {"pulse": 22}  # two samples of 2000 ADC units in a noise of 141
+    assert found.rms == pytest.approx(141, abs=1)
+    assert abs(SETTINGS.frequency_mhz[np.argmax(found.power)] - 57) <= 1
+    assert np.sum(found.is_filled) == 0

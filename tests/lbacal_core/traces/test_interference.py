@@ -1,0 +1,109 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lbacal_core.grids import Floats
+from lbacal_core.traces.density import channel_frequencies, power_density
+from lbacal_core.traces.interference import (
+    FALSE_FLAG_RATE,
+    FineSpectrum,
+    estimate_baseline,
+    find_excess,
+    find_lines,
+    find_station_excess,
+    find_steady_phases,
+    line_leakage,
+    phase_stability,
+)
+
+FACTOR, SEGMENTS = 16, 25
+CHANNEL_MHZ = 200.0 / 1024 / FACTOR
+FINE = 8193
+
+
+def spectrum_of(density: Floats, segments: int = SEGMENTS) -> FineSpectrum:
+    return FineSpectrum(density, segments, FACTOR, CHANNEL_MHZ)
+
+
+def noise(seed: int, segments: int = SEGMENTS, size: int = FINE) -> Floats:
+    return np.random.default_rng(seed).gamma(segments, 1 / segments, size)
+
+
+def test_baseline_follows_a_resonance_without_bias() -> None:
+    mhz = np.arange(FINE) * CHANNEL_MHZ
+    truth = 0.1 + 1 / (1 + ((mhz - 58) / 5) ** 2)
+    found = np.mean([estimate_baseline(spectrum_of(truth * noise(k)), np.zeros(FINE, bool)) for k in range(60)], axis=0)
+    in_band = (mhz > 29) & (mhz < 81)
+    assert np.abs(found / truth - 1)[in_band].max() < 0.02  # 60 x 2 % noise a group, 0.4 % of smoothing
+    assert np.mean(found[in_band] / truth[in_band]) == pytest.approx(1.0, abs=2e-3)
+
+
+def test_a_strong_line_leaves_the_baseline_alone() -> None:
+    density = noise(1)
+    density[4000:4003] += [3e3, 2e4, 5e3]
+    is_line, baseline = find_lines(spectrum_of(density))
+    clean = find_lines(spectrum_of(noise(1)))[1]
+    assert np.all(is_line[4000:4003])
+    assert np.abs(baseline / clean - 1).max() < 0.05  # a group loses some of its channels: other noise, no bias
+
+
+def test_interference_wider_than_a_group_is_found() -> None:
+    density = noise(2)
+    density[3000:3050] += 1.5
+    is_line, baseline = find_lines(spectrum_of(density))
+    assert is_line[3000:3050].mean() > 0.8
+    assert np.abs(np.log(baseline[2980:3070])).max() < 0.25
+
+
+def test_noise_is_flagged_at_the_stated_rate() -> None:
+    trials = 120
+    flagged = sum(int(find_excess(noise(10 + k), SEGMENTS, (1,)).sum()) for k in range(trials))
+    assert flagged <= 6  # trials x FINE x FALSE_FLAG_RATE = 1 expected; P(>6) < 1e-4
+    assert trials * FINE * FALSE_FLAG_RATE == pytest.approx(1.0, abs=0.1)
+
+
+def test_many_traces_together_see_what_one_cannot() -> None:
+    ratios = np.stack([noise(200 + k) for k in range(40)])
+    ratios[:, 5000] += 0.4
+    assert not np.any([find_excess(ratio, SEGMENTS, (1, 2, 4))[5000] for ratio in ratios[:5]])
+    found = find_station_excess(ratios, SEGMENTS)
+    assert found[5000]
+    assert found.sum() <= 8  # the boxes that reach it
+
+
+def test_steady_phases_are_told_from_noise_and_from_the_common_sky() -> None:
+    rng = np.random.default_rng(7)
+    shape = (SEGMENTS, 2000)
+
+    def draw() -> np.ndarray:
+        return rng.normal(size=shape) + 1j * rng.normal(size=shape)
+
+    sky = draw()
+    left, right = (0.3 * sky + draw() for _ in range(2))  # near antennas share 8 % of their power
+    left[:, 700] += 2.5
+    right[:, 700] += 2.5 * np.exp(1.1j)
+    stability = phase_stability(left.astype(np.complex64), right.astype(np.complex64))
+    found = find_steady_phases(stability, 1, CHANNEL_MHZ)
+    assert np.flatnonzero(found).tolist() == [700]
+
+
+def test_leakage_is_what_a_line_really_leaves_in_each_channel() -> None:
+    time = np.arange(400 * 1024) / 200e6
+    carrier = 900 * np.cos(2 * np.pi * 45.03e6 * time)
+    samples = np.rint(carrier + np.random.default_rng(8).normal(scale=8, size=time.size)).astype(np.int16)
+    fine = power_density(samples.reshape(-1, 16 * 1024), 200e6)
+    coarse = power_density(samples.reshape(-1, 1024), 200e6)
+    is_line, baseline = find_lines(spectrum_of(fine))
+    leak = line_leakage(is_line, fine / baseline - 1, FACTOR, 513)
+    true_noise = (64 + 1 / 12) / 100
+    measured = coarse / true_noise - 1
+    offset = np.abs(channel_frequencies(1024, 200e6) - 45.03) / (200 / 1024)
+    strong = offset < 3
+    assert np.allclose(measured[strong], leak[strong], rtol=0.06)
+    far = (offset > 3) & (offset < 7)
+    assert np.allclose(measured[far], leak[far], rtol=0.1, atol=0.2)  # 5 % noise a channel
+
+
+def test_without_lines_nothing_leaks() -> None:
+    assert not np.any(line_leakage(np.zeros(FINE, bool), noise(9), FACTOR, 513))
