@@ -47,11 +47,11 @@ def spectra(
     says for every trace what was flagged, dropped or excluded, and why. Exit 1 if some traces failed (the others are
     written).
     """
-    from lbacal_core.errors import BadInputError
+    from lbacal_core.errors import BadInputError, UnreadableFileError
     from lbacal_core.instrument import load_instrument
     from lbacal_core.traces.assembly import EventFacts, read_event_facts
     from lbacal_core.traces.background import CleaningSettings
-    from lbacal_core.traces.discovery import find_files, group_traces, list_traces
+    from lbacal_core.traces.discovery import find_files, group_traces
 
     if output is None and inspect is None:
         raise BadInputError("lbacal spectra", "--output or --inspect", "neither")
@@ -63,16 +63,44 @@ def spectra(
     files = find_files(traces)
     if not files:
         raise BadInputError(", ".join(str(path) for path in traces), "traces (.h5, .hdf5, .dat)", "none")
-    references = [reference for file in files for reference in list_traces(file, antenna_set)]
+    references, failures = _list_all(files, set(traces), antenna_set)
+    if not references:
+        raise UnreadableFileError(failures[0]["error"])
     work = [(event, facts.pulse_unix.get(event.event_id)) for event in group_traces(references, event_id)]
     if inspect is not None:
         _draw(work[0], settings, inspect)
     if output is not None:
         longitude = chain.longitude_deg if chain else LOFAR_CORE_LONGITUDE_DEG
-        _reduce(work, settings, facts, output, longitude, dask or os.environ.get("LBACAL_DASK") or None)
+        _reduce(work, settings, facts, output, longitude, dask or os.environ.get("LBACAL_DASK") or None, failures)
 
 
-def _reduce(work: list[Any], settings: Any, facts: Any, output: Path, longitude: float, dask: str | None) -> None:
+def _list_all(files: list[Path], named: set[Path], antenna_set: str | None) -> tuple[list[Any], list[dict[str, str]]]:
+    """List the traces of all files; what is wrong with a file found in a folder must not stop the others."""
+    from lbacal_core.errors import LbacalError
+    from lbacal_core.traces.discovery import list_traces
+
+    references: list[Any] = []
+    failures = []
+    for file in files:
+        try:
+            references += list_traces(file, antenna_set)
+        except LbacalError as error:
+            if file in named:
+                raise
+            print(f"left out: {error}")
+            failures.append({"file": str(file), "error": str(error)})
+    return references, failures
+
+
+def _reduce(
+    work: list[Any],
+    settings: Any,
+    facts: Any,
+    output: Path,
+    longitude: float,
+    dask: str | None,
+    failures: list[dict[str, str]],
+) -> None:
     """Measure all station events, cut the anomalous, write spectra and report."""
     from lbacal_core.errors import LbacalError
     from lbacal_core.spectra import write_spectra
@@ -81,7 +109,7 @@ def _reduce(work: list[Any], settings: Any, facts: Any, output: Path, longitude:
     from service.cli.trace_batch import TraceBatch
 
     batch = TraceBatch(work, settings, output.with_name(output.name + ".parts"))
-    records, failures = [], []
+    records: list[dict[str, Any]] = []
     with _progress(len(work)) as say:
         for event, result, is_old in batch.run(dask):
             if isinstance(result, str):
