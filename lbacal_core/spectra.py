@@ -159,22 +159,23 @@ class Spectra:
         # gathered in parts that stay in the cache
         parts = [order[k : k + _ROWS_AT_ONCE] for k in range(0, order.size, _ROWS_AT_ONCE)]
         power = [hash_arrays(self.power[part]) for part in parts]
-        names = self._names.values()
+        names = [names for names, _ in self.key_codes.values()]
         numbers = (self._keys[order], self.time_unix[order], self.blocks[order])
         return hash_arrays(self.frequency_mhz, [self.resistance_ohm], power, *names, *numbers)
+
+    @cached_property
+    def key_codes(self) -> Mapping[str, tuple[NDArray[Any], NDArray[np.int64]]]:
+        """For each column of the key what occurs in it, rising, and which of these each row has, shape (row,)."""
+        names = {name: np.unique(getattr(self, name)) for name in _KEY}
+        return {name: (found, np.searchsorted(found, getattr(self, name))) for name, found in names.items()}
 
     @cached_property
     def _keys(self) -> NDArray[np.int64]:
         """One number a row that puts rows in order of station, antenna, dipole and event, shape (row,)."""
         keys = np.zeros(len(self), dtype=np.int64)
-        for name, names in self._names.items():
-            keys = keys * names.size + np.searchsorted(names, getattr(self, name))
+        for names, codes in self.key_codes.values():
+            keys = keys * names.size + codes
         return keys
-
-    @cached_property
-    def _names(self) -> dict[str, NDArray[np.generic]]:
-        """What occurs in each column of the key, in order."""
-        return {name: np.unique(getattr(self, name)) for name in _KEY}
 
 
 def read_spectra(path: Path, now_unix: float | None = None) -> Spectra:
@@ -303,17 +304,19 @@ def split_into_blocks(spectra: Spectra) -> list[SpectraBlock]:
 
 def iterate_blocks(spectra: Spectra) -> Iterator[SpectraBlock]:
     """The blocks of `split_into_blocks` one by one: a year of an array need not be in memory twice."""
-    for station in np.unique(spectra.station):
-        for dipole in DIPOLES:
-            rows = np.flatnonzero((spectra.station == station) & (spectra.dipole == dipole))
+    (stations, station_at), (dipoles, dipole_at) = spectra.key_codes["station"], spectra.key_codes["dipole"]
+    for s, station in enumerate(stations):
+        for d, dipole in enumerate(dipoles):
+            rows = np.flatnonzero((station_at == s) & (dipole_at == d))
             if rows.size:
-                yield _block_of_rows(spectra, rows, str(station), dipole)
+                yield _block_of_rows(spectra, rows, str(station), str(dipole))
 
 
 def _block_of_rows(spectra: Spectra, rows: NDArray[np.int64], station: str, dipole: str) -> SpectraBlock:
     antennas, antenna_at = np.unique(spectra.antenna[rows], return_inverse=True)
-    events, first, event_at = np.unique(spectra.event_id[rows], return_index=True, return_inverse=True)
-    order = np.lexsort((events, spectra.time_unix[rows][first]))
+    events, code = spectra.key_codes["event_id"]
+    found, first, event_at = np.unique(code[rows], return_index=True, return_inverse=True)
+    order = np.lexsort((found, spectra.time_unix[rows][first]))
     event_at = np.argsort(order)[event_at]
     first = rows[first[order]]
     row_at = np.full((antennas.size, events.size), -1)
@@ -326,7 +329,7 @@ def _block_of_rows(spectra: Spectra, rows: NDArray[np.int64], station: str, dipo
         dipole=dipole,
         frequency_mhz=spectra.frequency_mhz,
         antennas=antennas,
-        event_id=events[order],
+        event_id=events[found[order]],
         time_unix=spectra.time_unix[first],
         power=power,
         is_present=is_present,

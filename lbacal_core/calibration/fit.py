@@ -108,8 +108,9 @@ def fit_calibration(spectra: Spectra, instrument: Instrument, sky_power: SkyPowe
 def _require_one_cable_each(spectra: Spectra, instrument: Instrument) -> None:
     """Every antenna is known to the instrument and keeps its cable over the window."""
     first, last = float(spectra.time_unix.min()), float(spectra.time_unix.max())
-    for station in np.unique(spectra.station):
-        for antenna in np.unique(spectra.antenna[spectra.station == station]):
+    stations, station_at = spectra.key_codes["station"]
+    for k, station in enumerate(stations):
+        for antenna in np.unique(spectra.antenna[station_at == k]):
             try:
                 cables = instrument.cables_between(str(station), int(antenna), first, last)
             except BadInputError as error:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from lbacal_core.grids import Floats
 
 MAX_ITERATIONS = 50
-STEP_TOLERANCE = 1e-6
+STEP_TOLERANCE = 1e-5
 """Converged when n moves by less than this fraction of its standard deviation."""
 SMALLEST_EIGENVALUE = 1e-11
 """Below this eigenvalue of the unit-diagonal information matrix of (n, q) the data do not determine them."""
