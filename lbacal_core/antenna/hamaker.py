@@ -38,23 +38,20 @@ class HamakerAntenna:
         """J_theta and J_phi of the dipole, shape (freq, ...), dimensionless: 1 at zenith along the arm."""
         x = (frequency_mhz - CENTRE_MHZ) / RANGE_MHZ
         visible = np.asarray(zenith) < np.pi / 2
-        shape = (frequency_mhz.size, *visible.shape)
-        theta, phi = np.zeros(shape, dtype=complex), np.zeros(shape, dtype=complex)
+        powers = np.stack([np.asarray(zenith, dtype=float) ** power for power in range(self.coefficients.shape[1])])
+        theta: Complexes | float = 0.0
+        phi: Complexes | float = 0.0
         for harmonic, table in enumerate(self.coefficients):
             kappa = (-1) ** harmonic * (2 * harmonic + 1)
             in_frequency = polyval(x, np.moveaxis(table, 1, 0))  # (theta power, component, freq)
-            by_angle = [np.tensordot(in_frequency[:, part].T, _powers(zenith, table.shape[0]), 1) for part in (0, 1)]
-            theta += by_angle[0] * np.cos(kappa * np.asarray(azimuth_from_arm))
-            phi -= by_angle[1] * np.sin(kappa * np.asarray(azimuth_from_arm))
-        return theta * visible, phi * visible
+            by_angle = [np.tensordot(in_frequency[:, part].T, powers, 1) * visible for part in (0, 1)]
+            theta = theta + by_angle[0] * np.cos(kappa * np.asarray(azimuth_from_arm))
+            phi = phi - by_angle[1] * np.sin(kappa * np.asarray(azimuth_from_arm))
+        return np.asarray(theta), np.asarray(phi)
 
     def digest(self) -> str:
         """Hash of the coefficients."""
         return hash_arrays(self.coefficients)
-
-
-def _powers(zenith: Floats, count: int) -> Floats:
-    return np.stack([np.asarray(zenith, dtype=float) ** power for power in range(count)])
 
 
 def load_hamaker() -> HamakerAntenna:

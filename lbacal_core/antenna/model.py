@@ -32,7 +32,7 @@ class AntennaModel(Protocol):
         frequency_mhz
             Shape (freq,), MHz.
         zenith, azimuth_from_arm
-            Shape (...), rad; below the horizon the response is zero.
+            Rad, of equally many axes, which broadcast to (...); below the horizon the response is zero.
 
         Returns
         -------

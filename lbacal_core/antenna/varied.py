@@ -100,5 +100,5 @@ def on_hemisphere(antenna: AntennaModel, frequency_mhz: Floats) -> tuple[Floats,
     nodes, weights = np.polynomial.legendre.leggauss(32)
     cosine, weights = (nodes + 1) / 2, weights / 2
     azimuth = np.arange(16) * np.pi / 8
-    response = directional_response(antenna, frequency_mhz, *np.meshgrid(np.arccos(cosine), azimuth, indexing="ij"))
+    response = directional_response(antenna, frequency_mhz, np.arccos(cosine)[:, None], azimuth[None, :])
     return response, weights[:, None] * np.pi / 8, cosine[:, None]

@@ -32,7 +32,7 @@ def beam_multipoles(antenna: AntennaModel, frequency_mhz: Floats, lmax: int) -> 
     cosine, weights = (nodes + 1) / 2, weights / 2
     zenith = np.arccos(cosine)
     azimuth = np.arange(AZIMUTHS) * 2 * np.pi / AZIMUTHS
-    response = directional_response(antenna, frequency_mhz, *np.meshgrid(zenith, azimuth, indexing="ij"))
+    response = directional_response(antenna, frequency_mhz, zenith[:, None], azimuth[None, :])
     in_azimuth = np.fft.fft(response, axis=-1)[..., : AZIMUTHS // 2] * (2 * np.pi / AZIMUTHS)
     multipoles = np.zeros((frequency_mhz.size, lmax + 1, lmax + 1), dtype=complex)
     for m in range(min(lmax + 1, AZIMUTHS // 2)):
