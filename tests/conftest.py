@@ -3,7 +3,13 @@ from __future__ import annotations
 import subprocess
 from pathlib import Path
 
+import numpy as np
 import pytest
+
+from lbacal_core.instrument import AntennaRecord, Instrument
+from lbacal_core.skypower.table import SkyPower
+
+FREQUENCY = np.arange(30.0, 81.0)
 
 
 @pytest.fixture(scope="session")
@@ -28,3 +34,35 @@ def tracked(repository: Path) -> list[Path]:
     if listed.returncode:
         pytest.skip("needs a git checkout")
     return [Path(name) for name in listed.stdout.split("\0") if name and (repository / name).is_file()]
+
+
+@pytest.fixture(scope="session")
+def low_band() -> Instrument:
+    """A small resonant instrument: two stations of six antennas, three cables."""
+    cables = {
+        name: 10 ** (-length * 0.008 * (FREQUENCY / 30) ** 0.5 / 10)
+        for name, length in (("50", 50), ("80", 80), ("115", 115))
+    }
+    records = [AntennaRecord(s, a, ("50", "80", "115")[a % 3]) for s in ("CS002", "CS003") for a in range(6)]
+    return Instrument(
+        name="resonant",
+        latitude_deg=52.9153,
+        longitude_deg=6.8698,
+        height_m=49.0,
+        frequency_mhz=FREQUENCY,
+        dipole_azimuth_deg={"X": 45.0, "Y": 135.0},
+        antenna_gain=0.01 + 1.0 / (1.0 + ((FREQUENCY - 58.0) / 5.0) ** 2),
+        receiver_gain=1.0 / (1.0 + (FREQUENCY / 78.0) ** 12),
+        cables=cables,
+        antennas=records,
+    )
+
+
+@pytest.fixture(scope="session")
+def two_waves() -> SkyPower:
+    """A sky of two harmonics, enough for every stage of the chain to matter."""
+    lst = np.arange(96) * 0.25 + 0.125
+    angle = 2 * np.pi * lst / 24
+    spectrum = (FREQUENCY / 55.0) ** -0.55
+    shape = {"X": 1 + 0.25 * np.cos(angle - 4.9), "Y": 1 + 0.22 * np.cos(angle - 4.5) + 0.05 * np.cos(2 * angle)}
+    return SkyPower(FREQUENCY, lst, {name: np.outer(values, spectrum) for name, values in shape.items()}, "two waves")

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
+from lbacal_core.calibration.residuals import noise_at_input
+from lbacal_core.curves import CalibrationCurve
+from lbacal_core.data.tables import read_table
 from lbacal_core.grids import Floats
-from lbacal_core.instrument import DIPOLES
+from lbacal_core.instrument import DIPOLES, Instrument
 from lbacal_core.lstcurve.compare import Comparison, in_db
+from lbacal_core.skypower.table import SkyPower
 
 COLOURS = {"X": "#b3322b", "Y": "#2b5fb3"}
 GREY = "#666666"
@@ -62,4 +67,78 @@ def draw_lst_comparison(comparison: Comparison, simulated: dict[str, Floats]) ->
     axes[0, 0].set_xticks(range(0, 25, 4))
     low, high = comparison.band_mhz
     figure.suptitle(f"LOFAR low band, {low:g}-{high:g} MHz: only noise share and offset fitted", fontsize=11)
+    return figure
+
+
+def draw_calibration(
+    stations: Sequence[CalibrationCurve], paths: Sequence[CalibrationCurve], truth: dict[str, Floats]
+) -> Figure:
+    """C(nu) of a station's two dipoles with the spread of its paths, beside the published curve and the planted one."""
+    figure = Figure(figsize=(9.5, 6.2), layout="constrained")
+    axes: Any = figure.subplots(2, 2, sharex=True, sharey="row", height_ratios=[2, 1])
+    published = read_table("published_calibration")
+    for column, station in enumerate(stations):
+        if station.c is None or station.c_sigma_stat is None or station.dipole is None:
+            continue
+        top, below, colour = axes[0, column], axes[1, column], COLOURS[station.dipole]
+        frequency, planted = station.frequency_mhz, truth[station.dipole]
+        spread = np.percentile([p.c for p in paths if p.c is not None and p.dipole == station.dipole], [16, 84], axis=0)
+        top.fill_between(frequency, *(1e6 * spread), color=GREY, alpha=0.25, lw=0, label="68 % of its paths")
+        top.plot(frequency, 1e6 * station.c, color=colour, lw=1.5, label=f"{station.name}, fitted")
+        top.plot(frequency, 1e6 * planted, ":", color="black", lw=1.5, label="planted in the simulation")
+        top.plot(published["mhz"], 1e6 * published["c"], color=GREY, lw=1.0, label="published (Mulrey et al. 2019)")
+        error = station.c_sigma_stat / planted
+        ratio = station.c / planted - 1.0
+        below.fill_between(frequency, 100 * (ratio - error), 100 * (ratio + error), color=colour, alpha=0.25, lw=0)
+        below.plot(frequency, 100 * ratio, color=colour, lw=1.3, label="fitted / planted - 1, 1 standard deviation")
+        below.axhline(0.0, color="black", lw=0.8)
+        top.legend(fontsize=8, frameon=False)
+        below.legend(fontsize=8, frameon=False)
+        below.set_xlabel("frequency (MHz)")
+    axes[0, 0].set_ylabel("C (µV per ADC unit)")
+    axes[1, 0].set_ylabel("error of the fit (%)")
+    return figure
+
+
+def draw_noise(curve: CalibrationCurve, instrument: Instrument, sky_power: SkyPower) -> Figure:
+    """Sky and noise terms referred to the start of the chain, fitted and published.
+
+    The published terms are brought to our unit by one factor, the ratio of the two sky powers (geometric mean).
+    """
+    figure = Figure(figsize=(9.5, 4.6), layout="constrained")
+    axes = figure.subplots()
+    frequency, terms = instrument.frequency_mhz, read_table("noise_terms")
+    sky = sky_power.power[curve.dipole or DIPOLES[0]].mean(axis=0)
+    published_sky = np.interp(frequency, terms["mhz"], terms["sky"])
+    factor = float(np.exp(np.log(sky / published_sky).mean()))
+    ours = {"sky": sky, **noise_at_input(curve, instrument)}
+    words = {"sky": "sky", "lna": "N_LNA", "rcu": "N_RCU", "adc": "N_ADC"}
+    colours = {"sky": "black", "lna": "#2b8a5f", "rcu": "#b3322b", "adc": "#2b5fb3"}
+    for name, label in words.items():
+        axes.plot(frequency, ours[name], color=colours[name], lw=1.6, label=f"{label}, this fit")
+        axes.plot(terms["mhz"], factor * terms[name], "--", color=colours[name], lw=1.0, label=f"{label}, published")
+    axes.set_yscale("log")
+    axes.set_xlabel("frequency (MHz)")
+    axes.set_ylabel("power at the start of the chain (W m$^{-2}$ MHz$^{-1}$)")
+    axes.set_title(f"{curve.name}", fontsize=11)
+    axes.legend(fontsize=8, frameon=False, ncols=4)
+    return figure
+
+
+def draw_residuals(maps: dict[str, Floats], frequency_mhz: Floats) -> Figure:
+    """Measured over predicted power minus 1, LST against frequency, one panel for each dipole letter."""
+    figure = Figure(figsize=(9.5, 4.6), layout="constrained")
+    axes: Any = figure.subplots(1, len(maps), sharey=True)
+    limit = 100 * float(np.nanpercentile(np.abs(np.stack(list(maps.values()))), 99))
+    extent = (frequency_mhz[0] - 0.5, frequency_mhz[-1] + 0.5, 0.0, 24.0)
+    image = None
+    for panel, (dipole, values) in zip(np.atleast_1d(axes), maps.items(), strict=True):
+        image = panel.imshow(
+            100 * values, origin="lower", aspect="auto", extent=extent, cmap="RdBu_r", vmin=-limit, vmax=limit
+        )
+        panel.set_xlabel("frequency (MHz)")
+        panel.set_title(f"dipole {dipole}", fontsize=11)
+    np.atleast_1d(axes)[0].set_ylabel("local sidereal time (h)")
+    if image is not None:
+        figure.colorbar(image, ax=axes, label="measured / predicted - 1 (%), mean over antennas")
     return figure

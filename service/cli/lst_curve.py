@@ -36,6 +36,8 @@ def lst_curve(
     require_outputs(
         {"--report": report, "--plot": plot}, {"CURVE": curve, "--instrument": instrument, "--sky-power": sky_power}
     )
+    if plot is not None and plot.suffix.lower() not in (".png", ".pdf", ".svg"):
+        raise BadInputError(f"--plot {plot}", "a file ending in .png, .pdf or .svg", plot.suffix or "no ending")
     measured = read_lst_curve(curve)
     chain = load_instrument(instrument)
     if sky_power is None:
@@ -51,10 +53,7 @@ def lst_curve(
 
         weights = band_weights(chain, AS_RECORDED, band)
         simulated = {dipole: simulate_band_power(sky, dipole, FULL_DAY, weights) for dipole in ("X", "Y")}
-        figure = draw_lst_comparison(result, simulated)
-        if plot.suffix[1:].lower() not in figure.canvas.get_supported_filetypes():
-            raise BadInputError("--plot", "a file ending in .png, .pdf or .svg", plot.name)
-        figure.savefig(plot, dpi=150)
+        draw_lst_comparison(result, simulated).savefig(plot, dpi=150)
     for has_noise in (False, True):
         for dipole in ("X", "Y"):
             one = result.of(dipole, has_noise=has_noise)

@@ -14,8 +14,8 @@ from lbacal_core.twin.truth import Truth, seal_truth, unseal_truth
 
 
 @pytest.fixture
-def truth(instrument: Instrument, sky_power: SkyPower) -> Truth:
-    return simulate_campaign(TwinSettings(events_per_year=3), instrument, sky_power, np.random.default_rng(1)).truth
+def truth(low_band: Instrument, two_waves: SkyPower) -> Truth:
+    return simulate_campaign(TwinSettings(events_per_year=3), low_band, two_waves, np.random.default_rng(1)).truth
 
 
 def test_a_sealed_truth_opens_to_what_was_planted(truth: Truth, tmp_path: Path) -> None:

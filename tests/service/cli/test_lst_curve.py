@@ -48,8 +48,9 @@ def test_the_measured_curve_ends_in_a_report_and_a_plot(inputs: list[str], tmp_p
     ("arguments", "message"),
     [
         (["--band", "90", "95"], "band: expected"),
-        (["--plot", "f.xyz"], "--plot: expected"),
+        (["--plot", "f.xyz"], "--plot f.xyz: expected"),
         (["--instrument", "nowhere"], "unknown instrument"),
+        (["--plot", "nowhere/f.png"], "a folder that exists"),
     ],
 )
 def test_bad_usage_is_one_sentence_and_exit_2(

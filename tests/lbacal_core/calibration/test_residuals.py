@@ -1,0 +1,74 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lbacal_core.calibration.fit import fit_calibration
+from lbacal_core.calibration.residuals import map_residuals, noise_at_input, predict_power
+from lbacal_core.curves import CONVERGED, CalibrationCurve, Parameter
+from lbacal_core.instrument import Instrument
+from lbacal_core.sidereal import local_sidereal_time
+from lbacal_core.skypower.table import SkyPower
+from lbacal_core.spectra import split_into_blocks
+from lbacal_core.twin.campaign import Campaign, simulate_campaign
+from lbacal_core.twin.settings import TwinSettings
+
+
+@pytest.fixture(scope="module")
+def campaign(low_band: Instrument, two_waves: SkyPower) -> Campaign:
+    settings = TwinSettings(events_per_year=300, stations=("CS002",), antennas=3)
+    return simulate_campaign(settings, low_band, two_waves, np.random.default_rng(3))
+
+
+def _planted_curve(campaign: Campaign, antenna: int, dipole: str) -> CalibrationCurve:
+    truth = campaign.truth.stations[0]
+    c = campaign.truth.curve(dipole, "CS002", antenna)
+    parameters = {name: Parameter(getattr(truth, name), 1.0) for name in ("n_lna", "n_rcu", "n_adc")}
+    frequency = campaign.truth.frequency_mhz
+    return CalibrationCurve(
+        "CS002", antenna, dipole, CONVERGED, 300, frequency, c, 0.01 * c, None, 1.0, 1.0, parameters
+    )  # fmt: skip
+
+
+def test_the_planted_curve_predicts_the_spectra_within_their_scatter(
+    campaign: Campaign, low_band: Instrument, two_waves: SkyPower
+) -> None:
+    block = split_into_blocks(campaign.spectra)[0]
+    curve = _planted_curve(campaign, 1, "X")
+    sky = two_waves.at("X", local_sidereal_time(block.time_unix, low_band.longitude_deg))
+    deviation = block.power[1] / predict_power(curve, low_band, sky) - 1.0
+    # Event gain 5 % and radiometer noise 4.4 % in squares; 300 events, so the mean is known to 0.3 %.
+    assert abs(deviation.mean()) < 0.01
+    assert deviation.std() == pytest.approx((0.05**2 + 0.0442**2) ** 0.5, rel=0.1)
+
+
+def test_noise_terms_at_the_input_add_up_to_the_predicted_power(campaign: Campaign, low_band: Instrument) -> None:
+    curve = _planted_curve(campaign, 0, "Y")
+    assert curve.c is not None
+    terms = noise_at_input(curve, low_band)
+    assert set(terms) == {"lna", "rcu", "adc"}
+    silent = predict_power(curve, low_band, np.zeros((1, low_band.frequency_mhz.size)))[0]
+    np.testing.assert_allclose(sum(terms.values()) * low_band.antenna_gain / curve.c**2, silent)
+    assert terms["adc"] == pytest.approx(curve.parameters["n_adc"].value * curve.c**2 / low_band.antenna_gain)
+
+
+def test_the_residual_map_shows_what_was_added_and_nothing_else(
+    campaign: Campaign, low_band: Instrument, two_waves: SkyPower
+) -> None:
+    curves = fit_calibration(campaign.spectra, low_band, two_waves).curves
+    spectra = campaign.spectra
+    lst = local_sidereal_time(spectra.time_unix, low_band.longitude_deg)
+    power = spectra.power.copy()
+    is_evening = (lst >= 6) & (lst < 8)
+    power[np.ix_(is_evening, np.arange(51) == 20)] *= 1.3
+    marked = split_into_blocks(replace(spectra, power=power))[0]
+    plain = split_into_blocks(spectra)[0]
+    difference = map_residuals(marked, curves, low_band, two_waves, 12) - map_residuals(
+        plain, curves, low_band, two_waves, 12
+    )
+    assert difference.shape == (12, 51)
+    assert difference[3, 20] == pytest.approx(0.3, abs=0.02)
+    difference[3, 20] = 0.0
+    assert np.abs(difference).max() == 0.0

@@ -1,0 +1,37 @@
+from __future__ import annotations
+
+import re
+
+import pytest
+
+from lbacal_core.instrument import Instrument
+from lbacal_core.skypower.table import SkyPower
+from lbacal_core.twin.settings import TwinSettings
+from service.cli.demo import SHOWN_MHZ, Demonstration, demonstrate, describe_recovery, render_report, tabulate
+
+
+@pytest.fixture(scope="module")
+def shown(low_band: Instrument, two_waves: SkyPower) -> Demonstration:
+    settings = TwinSettings(events_per_year=300, stations=("CS002",), antennas=3)
+    return demonstrate(low_band, two_waves, settings, seed=1)
+
+
+def test_the_demonstration_fits_every_path_and_the_station(shown: Demonstration) -> None:
+    assert shown.paths.status == shown.station.status == "converged"
+    assert (len(shown.paths.curves), len(shown.station.curves)) == (6, 2)
+    assert describe_recovery(shown).startswith("6 of 6 paths converged")
+
+
+def test_the_table_has_fitted_planted_and_published_values(shown: Demonstration) -> None:
+    rows = tabulate(shown)
+    assert {len(row) for row in rows} == {1 + len(SHOWN_MHZ)}
+    assert rows[0][0] == "CS002 antenna 0 X"
+    assert "±" in rows[0][1]
+    assert rows[-1][:2] == ["published", "13.73"]  # the first value of the published table, 1.373e-5 V at 30 MHz
+
+
+def test_the_report_is_one_page_that_loads_nothing(shown: Demonstration) -> None:
+    page = render_report(shown)
+    assert page.count("data:image/png;base64,") == 4
+    assert not re.findall(r'(?:src|href)="(?!data:)', page)
+    assert "http" not in re.sub(r"base64,[^\"]*", "", page)
