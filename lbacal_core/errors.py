@@ -52,4 +52,6 @@ class UnknownNameError(LbacalError):
 
 
 def _on_one_line(text: str) -> str:
-    return " ".join(text.split())
+    words = " ".join(text.split())
+    # Bytes from a file could steer the terminal that shows them.
+    return words if words.isprintable() else "".join(c if c.isprintable() else "?" for c in words)

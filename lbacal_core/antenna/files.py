@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from lbacal_core.antenna.table import JonesTable
 from lbacal_core.errors import BadInputError, UnreadableFileError
 from lbacal_core.grids import Floats
+from lbacal_core.npz import read_npz
 
 COLUMNS = ("frequency_mhz", "zenith_deg", "azimuth_deg", "theta_re", "theta_im", "phi_re", "phi_im")
 
@@ -28,15 +29,8 @@ Row = tuple[float, float, float, complex, complex]
 
 def read_jones_npz(path: Path) -> JonesTable:
     """Read arrays frequency_mhz, zenith_deg, azimuth_deg, v_theta, v_phi (freq, zenith, azimuth)."""
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            content = {key: file[key] for key in file.files}
-    except (OSError, ValueError) as error:
-        raise UnreadableFileError(f"{path}: expected a NumPy .npz file of Jones terms ({error})") from error
     wanted = ("frequency_mhz", "zenith_deg", "azimuth_deg", "v_theta", "v_phi")
-    missing = [key for key in wanted if key not in content]
-    if missing:
-        raise BadInputError(str(path), f"the arrays {', '.join(wanted)}", f"no {', '.join(missing)}")
+    content = read_npz(path, wanted, "Jones terms")
     frequency_mhz, zenith, azimuth = (np.asarray(content[key], dtype=float) for key in wanted[:3])
     theta, phi = (np.asarray(content[key], dtype=complex) for key in wanted[3:])
     if azimuth.size > 1 and azimuth[-1] == 360.0:

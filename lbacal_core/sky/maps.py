@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,7 @@ import numpy as np
 
 from lbacal_core.errors import BadInputError, UnknownNameError, UnreadableFileError
 from lbacal_core.grids import Floats
+from lbacal_core.npz import read_npz
 from lbacal_core.sky.model import SkyModel
 from lbacal_core.sky.multipoles import Complexes
 
@@ -35,14 +37,7 @@ def read_component_maps(path: Path) -> SkyModel:
     Arrays `maps` (pixel, component), `freqs` (node,) in MHz, `comps` (node, component), `sigmas` (node,) in K,
     `ra` and `dec` (pixel,) in rad of each pixel, and optionally `has_cmb` and `has_isotropic`.
     """
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            content = {key: file[key] for key in file.files}
-    except (OSError, ValueError) as error:
-        raise UnreadableFileError(f"{path}: expected a NumPy .npz file of component maps ({error})") from error
-    missing = [key for key in ("maps", "freqs", "comps", "sigmas", "ra", "dec") if key not in content]
-    if missing:
-        raise BadInputError(str(path), "the arrays maps, freqs, comps, sigmas, ra, dec", f"no {', '.join(missing)}")
+    content = read_npz(path, ("maps", "freqs", "comps", "sigmas", "ra", "dec"), "component maps")
     maps = np.asarray(content["maps"], dtype=float)
     if maps.ndim != 2:
         raise BadInputError(f"{path}: maps", "shape (pixel, component)", f"{maps.shape}")
@@ -162,9 +157,13 @@ def _frame_of_pixels(right_ascension: Floats, declination: Floats, pixels: int, 
 
 def _read_fits(path: Path) -> tuple[float, Floats, str, bool, bool]:
     from astropy.io import fits
+    from astropy.utils.exceptions import AstropyWarning
 
     try:
-        with fits.open(path) as file:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", AstropyWarning)  # of a file that is refused, the refusal says enough
+            file = fits.open(path)
+        with file:
             unit = next((one for one in file if one.header.get("NAXIS", 0) and one.data is not None), None)
             if unit is None:
                 raise UnreadableFileError(f"{path}: expected a map, found no data")

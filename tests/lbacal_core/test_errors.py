@@ -35,3 +35,7 @@ def test_every_error_has_a_code_of_its_own() -> None:
 @pytest.mark.parametrize("kind", every_error())
 def test_every_error_has_an_http_status_of_a_failure(kind: type[LbacalError]) -> None:
     assert 400 <= kind.status < 600
+
+
+def test_what_a_file_holds_never_steers_the_terminal() -> None:
+    assert str(BadInputError("file", "a name", "\x1b[2Jgone\x00")) == "file: expected a name, found ?[2Jgone?"
