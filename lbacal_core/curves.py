@@ -168,7 +168,7 @@ def write_calibration_table(report: FitReport, path: Path) -> None:
         "antenna": "antenna number; -1 where one curve serves the whole station or array",
         "dipole": "X or Y; empty where one curve serves both",
         "frequency_mhz": "centre of the 1 MHz channel",
-        "c": "calibration factor C(nu), V per ADC unit",
+        "c": "calibration factor C(nu), V per ADC unit; relative unless P_sky is W m^-2 MHz^-1 and G_ant m^2",
         "c_sigma_stat": "statistical standard deviation of c",
         "c_sigma_sys": "systematic standard deviation of c; NaN until a budget exists",
         "flag": "empty where the value is good",

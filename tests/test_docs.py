@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
 
 import pytest
 
 from lbacal_core import spectra
-from lbacal_core.curves import CalibrationCurve, FitReport
+from lbacal_core.curves import CalibrationCurve, FitReport, parse_curve
 from lbacal_core.instrument import load_instrument
 from lbacal_core.lstcurve import curve as lst_curve
 from lbacal_core.provenance import Provenance
-from lbacal_core.traces.assembly import COVARIATES
+from lbacal_core.skypower.table import read_sky_power
+from lbacal_core.traces.assembly import COVARIATES, read_event_facts
 from service.cli.reference import describe_commands, describe_settings
 
 LINK = re.compile(r"(?<!\\)\]\(([^)\s]+)\)")
@@ -74,6 +76,30 @@ def fields_of_formats() -> list[tuple[str, str]]:
 def test_every_field_of_a_format_is_documented(repository: Path, title: str, field: str) -> None:
     text = section(repository, title)
     assert f"`{field}`" in text or f'"{field}"' in text
+
+
+def example(repository: Path, title: str) -> str:
+    """The first block of code below a heading of docs/formats.md."""
+    found = re.search(r"^```\w*\n(.*?)^```", section(repository, title), re.MULTILINE | re.DOTALL)
+    assert found is not None, title
+    return found[1]
+
+
+def test_the_example_of_each_format_is_read(repository: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    exec(example(repository, "Spectra"), {})  # noqa: S102  (our own page)
+    assert len(spectra.read_spectra(Path("spectra.h5"), now_unix=1.5e9)) == 2
+    for title, read in (
+        ("Instrument", lambda path: load_instrument(str(path))),
+        ("Sky power", read_sky_power),
+        ("LST curve", lst_curve.read_lst_curve),
+        ("Event facts", read_event_facts),
+    ):
+        Path("example").write_text(example(repository, title), encoding="utf-8")
+        read(Path("example"))
+    report = json.loads(example(repository, "Fit report"))
+    assert set(report) == set(example_report().as_dict())
+    assert parse_curve(report["curves"][0]).as_dict() == report["curves"][0]
 
 
 def anchors_of(page: Path) -> set[str]:
