@@ -1,1 +1,1 @@
-"""Antenna models: the directional response of a dipole and its gain."""
+"""Antenna models: read `model` (what one answers), `hamaker`, `table` and `files`, `varied`, `circuit`, `effective`."""

@@ -1,1 +1,1 @@
-"""Sky models: brightness temperature by direction and frequency."""
+"""Sky models: read `model` (what one is), `names`, `maps`, `sources` (where they come from), `frames`, `multipoles`."""

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from lbacal_core.errors import UnknownNameError
+from lbacal_core.errors import UnknownNameError, UnreadableFileError
 from lbacal_core.sky.maps import PYGDSM_NAMES, make_pygdsm_model, read_component_maps, read_fits_maps
 from lbacal_core.sky.model import SkyModel
 
@@ -29,6 +29,8 @@ def load_sky(name_or_file: str) -> SkyModel:
         return read_component_maps(path)
     if path.is_dir() or (path.suffix == ".fits" and path.is_file()):
         return read_fits_maps(path)
+    if path.is_file():
+        raise UnreadableFileError(f"{path}: expected a sky model, a file that ends in .npz or .fits")
     raise UnknownNameError("sky model", name_or_file, sorted([*shipped, *PYGDSM_NAMES]))
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lbacal_core.errors import UnknownNameError
+from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
 
 
@@ -52,5 +52,5 @@ def find_sources(names: Sequence[str]) -> list[PointSource]:
     """The sources of some names."""
     unknown = [name for name in names if name not in SOURCES]
     if unknown:
-        raise UnknownNameError("point source", unknown[0], sorted(SOURCES))
+        raise BadInputError("point source", f"one of {', '.join(sorted(SOURCES))}", repr(unknown[0]))
     return [SOURCES[name] for name in names]

@@ -1,9 +1,11 @@
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from lbacal_core.errors import BadInputError, UnknownNameError
+from lbacal_core.errors import BadInputError, UnknownNameError, UnreadableFileError
 from lbacal_core.sky.names import load_sky
 
 
@@ -35,6 +37,13 @@ def test_the_galactic_centre_outshines_the_galactic_poles() -> None:
 def test_an_unknown_sky_is_refused_with_the_names_that_exist() -> None:
     with pytest.raises(UnknownNameError, match="known: gsm"):
         load_sky("nowhere")
+
+
+def test_a_file_of_another_kind_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "sky.txt"
+    path.write_text("hello")
+    with pytest.raises(UnreadableFileError, match=r"ends in \.npz or \.fits"):
+        load_sky(str(path))
 
 
 def test_frequencies_beyond_the_table_are_refused() -> None:

@@ -6,6 +6,7 @@ import pytest
 from lbacal_core.antenna.hamaker import load_hamaker
 from lbacal_core.antenna.ideal import IsotropicAntenna, ShortDipole
 from lbacal_core.antenna.model import AntennaModel, directional_response
+from lbacal_core.antenna.varied import VariedAntenna
 from lbacal_core.sky.frames import local_direction, precess
 from lbacal_core.sky.model import SkyModel
 from lbacal_core.sky.names import load_sky
@@ -62,6 +63,22 @@ def test_the_fourier_series_agrees_with_the_plain_sum(arm: float) -> None:
     series = sky_power_at(sky_power_modes(sky, antenna, arm, LATITUDE, FREQUENCY_MHZ), LST)
     plain = sum_over_pixels(sky, antenna, arm, LATITUDE, LST, FREQUENCY_MHZ)
     assert series == pytest.approx(plain, rel=1e-4)
+
+
+@pytest.mark.parametrize("latitude", [-35.2, 0.0, 78.9])
+def test_the_fourier_series_agrees_with_the_plain_sum_from_other_sites(latitude: float) -> None:
+    sky, antenna = load_sky("gsm"), load_hamaker()
+    series = sky_power_at(sky_power_modes(sky, antenna, 0.0, latitude, FREQUENCY_MHZ), LST[:3])
+    plain = sum_over_pixels(sky, antenna, 0.0, latitude, LST[:3], FREQUENCY_MHZ)
+    assert series == pytest.approx(plain, rel=1e-4)
+
+
+def test_a_tilted_antenna_agrees_with_the_plain_sum() -> None:
+    # The tilt breaks every symmetry of the pattern: odd azimuthal orders, and a cut at the horizon.
+    sky, antenna = load_sky("gsm"), VariedAntenna(load_hamaker(), tilt_deg=6.0, tilt_towards_deg=30.0)
+    series = sky_power_at(sky_power_modes(sky, antenna, 45.0, LATITUDE, FREQUENCY_MHZ), LST)
+    plain = sum_over_pixels(sky, antenna, 45.0, LATITUDE, LST, FREQUENCY_MHZ)
+    assert series == pytest.approx(plain, rel=3e-4)  # the step at the horizon falls between pixels
 
 
 def point_source(right_ascension: float, declination: float, lmax: int) -> SkyModel:
