@@ -105,7 +105,7 @@ def _rows_of_nec(lines: list[str], path: Path) -> Iterator[Row]:
     is_pattern = False
     for number, line in enumerate(lines, start=1):
         if found := re.search(r"FREQUENCY\s*[=:]\s*([0-9.E+-]+)\s*MHZ", line, re.IGNORECASE):
-            nu, is_pattern = float(found[1]), False
+            nu, is_pattern = _numbers([found[1]], f"{path}, line {number}")[0], False
         elif "RADIATION PATTERNS" in line:
             is_pattern = True
         elif is_pattern and nu is not None:

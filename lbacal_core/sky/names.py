@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from lbacal_core.errors import UnknownNameError, UnreadableFileError
-from lbacal_core.sky.maps import PYGDSM_NAMES, make_pygdsm_model, read_component_maps, read_fits_maps
+from lbacal_core.sky.maps import PYGDSM_NAMES, make_pygdsm_model, read_component_maps
 from lbacal_core.sky.model import SkyModel
 
 DEFAULT_SKY = "gsm"
@@ -28,6 +28,8 @@ def load_sky(name_or_file: str) -> SkyModel:
     if path.suffix == ".npz" and path.is_file():
         return read_component_maps(path)
     if path.is_dir() or (path.suffix == ".fits" and path.is_file()):
+        from lbacal_core.sky.fits_maps import read_fits_maps  # astropy.io.fits takes time to load
+
         return read_fits_maps(path)
     if path.is_file():
         raise UnreadableFileError(f"{path}: expected a sky model, a file that ends in .npz or .fits")

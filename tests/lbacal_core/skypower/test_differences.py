@@ -5,7 +5,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lbacal_core.errors import BadInputError
 from lbacal_core.instrument import load_instrument
 from lbacal_core.skypower.differences import model_difference_modes, model_level_spread
 from lbacal_core.skypower.model import compute_sky_power
@@ -39,9 +38,17 @@ def test_the_level_of_the_models_spreads_by_ten_to_twenty_percent() -> None:
         assert np.all((values > 0.08) & (values < 0.25))
 
 
-def test_frequencies_beyond_the_table_are_refused() -> None:
-    with pytest.raises(BadInputError, match="30 to 80 MHz"):
-        model_difference_modes(np.array([25.0]), LST)
+def test_frequencies_beyond_the_table_have_the_modes_of_its_edge() -> None:
+    modes = model_difference_modes(np.array([25.0, 30.0, 80.0, 85.0]), LST)["X"]
+    assert modes[..., 0] == pytest.approx(modes[..., 1])
+    assert modes[..., 3] == pytest.approx(modes[..., 2])
+
+
+def test_a_letter_gets_the_modes_of_its_arm() -> None:
+    named = model_difference_modes(NU, LST)
+    exchanged = model_difference_modes(NU, LST, {"X": 310.0, "Y": 230.0})
+    assert exchanged["X"] == pytest.approx(named["Y"])
+    assert exchanged["Y"] == pytest.approx(named["X"])
 
 
 @pytest.mark.shared
