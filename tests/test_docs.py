@@ -132,7 +132,7 @@ def test_every_page_is_reached_from_the_first_one(repository: Path, tracked: lis
 
 def test_the_first_screen_shows_both_commands_and_a_plot(repository: Path) -> None:
     first_screen = "\n".join((repository / "README.md").read_text().splitlines()[:45])
-    assert all(command in first_screen for command in ("$ ./dev demo", "$ ./dev test", "](docs/img/"))
+    assert all(command in first_screen for command in ("$ ./dev demo", "$ ./dev test", "](docs/images/"))
 
 
 def test_the_main_path_is_three_clicks_from_the_readme(repository: Path) -> None:
