@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import subprocess
+import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -66,3 +68,54 @@ def two_waves() -> SkyPower:
     spectrum = (FREQUENCY / 55.0) ** -0.55
     shape = {"X": 1 + 0.25 * np.cos(angle - 4.9), "Y": 1 + 0.22 * np.cos(angle - 4.5) + 0.05 * np.cos(2 * angle)}
     return SkyPower(FREQUENCY, lst, {name: np.outer(values, spectrum) for name, values in shape.items()}, "two waves")
+
+
+FLIP_CHILD = """
+import signal, sys
+from pathlib import Path
+from lbacal_core.errors import LbacalError
+{imports}
+for name in sys.argv[1:]:
+    signal.alarm(2)  # an endless loop inside the HDF5 library ends the process like a crash
+    print("file", end=" ", flush=True)
+    try:
+        {read}
+        print("read", flush=True)
+    except LbacalError as error:
+        is_sentence = "\\n" not in str(error) and len(str(error)) < 400
+        print("sentence" if is_sentence else f"not a sentence: {{error!r}}", flush=True)
+    except BaseException as error:
+        print(f"escaped: {{error!r}}", flush=True)
+"""
+
+
+@pytest.fixture
+def flip_bytes(tmp_path: Path) -> Callable[..., list[str]]:
+    """Read copies of a file with a few bytes changed, in child processes: what came of each.
+
+    An outcome is `read`, `sentence` (one line that refuses the file), `died` (the HDF5 library crashed or never
+    returned, which only another process can contain), or a description of what must not happen.
+    """
+
+    def outcomes(content: bytes, count: int, imports: str, read: str, structure: slice = slice(None)) -> list[str]:
+        original = np.frombuffer(content, dtype=np.uint8)
+        rng = np.random.default_rng(20)
+        # Most of a small file is unused space; bytes that are not zero are its structure and its numbers.
+        used = np.flatnonzero(original)[structure]
+        names = [str(tmp_path / f"flipped{k:04d}.h5") for k in range(count)]
+        for name in names:
+            mutant = original.copy()
+            at = rng.choice(used, size=int(rng.integers(1, 6)))
+            mutant[at] = rng.integers(0, 256, size=at.size)
+            Path(name).write_bytes(mutant.tobytes())
+        script = FLIP_CHILD.format(imports=imports, read=read)
+        found: list[str] = []
+        while names:
+            child = subprocess.run([sys.executable, "-c", script, *names], capture_output=True, text=True, check=False)
+            lines = [line.partition(" ")[2] or "died" for line in child.stdout.splitlines()]
+            assert lines, child.stderr
+            found += lines
+            names = names[len(lines) :]
+        return found
+
+    return outcomes

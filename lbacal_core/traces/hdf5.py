@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lbacal_core.errors import BadInputError, UnreadableFileError
+from lbacal_core.hdf5 import HDF5_FAILURES
 from lbacal_core.traces.trace import BLOCK_SAMPLES, UNKNOWN_ANTENNA_SET, Trace, TraceReference, name_station
 
 _DIPOLE = re.compile(r"(?:DIPOLE_?)?(\d{3})(\d{3})(\d{3})", re.IGNORECASE)
@@ -28,7 +29,7 @@ def list_hdf5_traces(path: Path, antenna_set: str | None = None) -> list[TraceRe
     try:
         with h5py.File(path, "r") as file:
             references = _list_open_file(file, path, antenna_set)
-    except OSError as error:
+    except HDF5_FAILURES as error:
         raise UnreadableFileError(f"{path}: expected a TBB file (HDF5), found something unreadable") from error
     if not references:
         raise UnreadableFileError(f"{path}: expected station groups with dipole datasets, found none")
@@ -74,15 +75,15 @@ def read_hdf5_trace(reference: TraceReference) -> Trace:
             dataset = file[reference.dataset]
             samples = np.asarray(dataset[()])
             declared = int(_attribute(dataset, "DATA_LENGTH", samples.size))
-            flags = _attribute(dataset, "FLAG_OFFSETS", None)
-    except (OSError, KeyError) as error:
+            count = samples.size // BLOCK_SAMPLES
+            is_in_flags = _blocks_in_ranges(_attribute(dataset, "FLAG_OFFSETS", None), count)
+    except HDF5_FAILURES as error:
         raise UnreadableFileError(f"{reference.path}: dataset {reference.dataset} cannot be read ({error})") from error
     if samples.size and (samples.min() < -32768 or samples.max() > 32767):
         raise BadInputError(f"{reference.path}: {reference.dataset}", "16-bit samples", f"{samples.dtype}")
-    count = samples.size // BLOCK_SAMPLES
     blocks = samples[: count * BLOCK_SAMPLES].reshape(count, BLOCK_SAMPLES).astype(np.int16)
     is_lost = ~np.any(blocks, axis=1)
-    is_flagged = _blocks_in_ranges(flags, count) & ~is_lost
+    is_flagged = is_in_flags & ~is_lost
     faults = {
         "lost_frames": int(np.sum(is_lost)),
         "flagged_blocks": int(np.sum(is_flagged)),

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -129,3 +130,16 @@ def test_the_real_file_of_2008_says_what_it_is(shared: Path) -> None:
     trace = read_hdf5_trace(reference)
     assert trace.samples.shape == (2000, 1024)
     assert trace.faults == {}
+
+
+def test_flipped_bytes_give_a_sentence_or_samples(
+    tmp_path: Path, samples: NDArray[np.int16], flip_bytes: Callable[..., list[str]]
+) -> None:
+    path = tmp_path / "early.h5"
+    _write_early(path, samples)
+    structure = slice(0, 1500)  # the samples follow it: any bytes are samples
+    imports = "from lbacal_core.traces.discovery import list_traces, read_trace"
+    read = "[read_trace(reference) for reference in list_traces(Path(name))]"
+    outcomes = flip_bytes(path.read_bytes(), 120, imports, read, structure)
+    assert {"read", "sentence"} <= set(outcomes) <= {"read", "sentence", "died"}
+    assert outcomes.count("died") < 12
