@@ -8,6 +8,7 @@ from lbacal_core.antenna.model import AntennaModel
 from lbacal_core.antenna.names import DEFAULT_ANTENNA, load_antenna
 from lbacal_core.grids import Floats
 from lbacal_core.instrument import Instrument
+from lbacal_core.provenance import hash_content
 from lbacal_core.sky.frames import DATA_EPOCH
 from lbacal_core.sky.model import SkyModel
 from lbacal_core.sky.multipoles import precess_multipoles
@@ -49,4 +50,13 @@ def compute_sky_power(
         for dipole, arm in instrument.dipole_azimuth_deg.items()
     }
     origin = f"sky {sky_model.name}, antenna {antenna_model.name}"
-    return SkyPower(frequency_mhz, lst, power, origin)
+    inputs = {
+        "sky": sky_model.digest(),
+        "antenna": antenna_model.digest(),
+        "latitude_deg": instrument.latitude_deg,
+        "dipole_azimuth_deg": dict(instrument.dipole_azimuth_deg),
+        "frequency_mhz": frequency_mhz.tolist(),
+        "lst_hours": lst.tolist(),
+        "epoch": DATA_EPOCH,
+    }
+    return SkyPower(frequency_mhz, lst, power, origin).of_inputs(hash_content(inputs))

@@ -11,6 +11,7 @@ from lbacal_core.antenna.model import AntennaModel, directional_response
 from lbacal_core.antenna.names import DEFAULT_ANTENNA, load_antenna
 from lbacal_core.grids import Floats
 from lbacal_core.instrument import Instrument
+from lbacal_core.provenance import hash_content
 from lbacal_core.sky.frames import DATA_EPOCH, local_direction, precess
 from lbacal_core.sky.sources import PointSource
 from lbacal_core.skypower.power import IMPEDANCE_OF_FREE_SPACE, RESISTANCE_OHM
@@ -77,10 +78,15 @@ def add_sources(
     antenna: str | AntennaModel = DEFAULT_ANTENNA,
 ) -> SkyPower:
     """P_sky with point sources added; maps that resolve them contain them already (docs/explanation)."""
+    if not sources:
+        return sky_power
+    model = load_antenna(antenna) if isinstance(antenna, str) else antenna
     power = {
         dipole: values
-        + sum(source_sky_power(instrument, one, dipole, sky_power.lst_hours, year, antenna) for one in sources)
+        + sum(source_sky_power(instrument, one, dipole, sky_power.lst_hours, year, model) for one in sources)
         for dipole, values in sky_power.power.items()
     }
     names = "".join(f" + {source.name} {year:g}" for source in sources)
-    return replace(sky_power, power=power, origin=sky_power.origin + names)
+    inputs = [sky_power.digest(), names, year, instrument.digest(), model.digest()]
+    added = replace(sky_power, power=power, origin=sky_power.origin + names)
+    return added.of_inputs(hash_content(inputs))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -34,12 +34,15 @@ class SkyPower:
         W/MHz with G_ant in m^2; any other common unit makes C relative.
     origin
         Sky model and antenna model, or the file it was read from.
+    inputs_digest
+        Hash of what it was computed from, set by `of_inputs` alone: a table made from another by `replace` has none.
     """
 
     frequency_mhz: Floats
     lst_hours: Floats
     power: Mapping[str, Floats]
     origin: str = "sky power"
+    inputs_digest: str | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
         require_channels(self.origin, self.frequency_mhz)
@@ -97,9 +100,21 @@ class SkyPower:
             **{dipole: self.power[dipole].tolist() for dipole in DIPOLES},
         }
 
+    def of_inputs(self, digest: str) -> SkyPower:
+        """The same table, named by the hash of its inputs.
+
+        Computed numbers differ in their last bits between machines and thread counts; inputs do not, and version
+        ids must not either.
+        """
+        named = replace(self)
+        object.__setattr__(named, "inputs_digest", digest)
+        return named
+
     def digest(self) -> str:
-        """Hash of the numbers, which names this sky power in provenance and version ids."""
-        return hash_arrays(self.frequency_mhz, self.lst_hours, *(self.power[dipole] for dipole in DIPOLES))
+        """Hash that names this sky power in provenance and version ids: of its inputs, else of its numbers."""
+        return self.inputs_digest or hash_arrays(
+            self.frequency_mhz, self.lst_hours, *(self.power[dipole] for dipole in DIPOLES)
+        )
 
 
 def read_sky_power(path: Path) -> SkyPower:

@@ -9,6 +9,7 @@ from lbacal_core.antenna.names import DEFAULT_ANTENNA, load_antenna
 from lbacal_core.antenna.varied import VariedAntenna
 from lbacal_core.grids import Floats
 from lbacal_core.instrument import Instrument
+from lbacal_core.provenance import hash_content
 from lbacal_core.sky.model import SkyModel
 from lbacal_core.sky.names import DEFAULT_SKY
 from lbacal_core.skypower.model import compute_sky_power
@@ -36,4 +37,5 @@ def vary_sky_power(
     varied = VariedAntenna(base, azimuth_deg, tilt_deg, tilt_towards_deg, zenith_exponent, zenith_gain_fraction)
     result = compute_sky_power(instrument, sky, varied, lst_hours)
     gain = zenith_gain(varied, instrument.frequency_mhz) / zenith_gain(base, instrument.frequency_mhz)
-    return replace(result, power={dipole: values * gain for dipole, values in result.power.items()})
+    received = replace(result, power={dipole: values * gain for dipole, values in result.power.items()})
+    return received.of_inputs(hash_content([result.digest(), "gain of the base", base.digest()]))

@@ -1,12 +1,17 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from lbacal_core.instrument import load_instrument
+from lbacal_core.sky.names import load_sky
+from lbacal_core.sky.sources import find_sources
 from lbacal_core.skypower.model import compute_sky_power
+from lbacal_core.skypower.sources import add_sources
+from lbacal_core.skypower.variation import vary_sky_power
 
 
 def test_the_sky_of_the_superterp_has_a_physical_size() -> None:
@@ -43,3 +48,36 @@ def test_the_grid_does_not_matter_between_its_points() -> None:
     fine = compute_sky_power(instrument)
     lst = np.array([0.3, 7.77, 19.01])
     assert coarse.at("X", lst) == pytest.approx(fine.at("X", lst), rel=1e-9)
+
+
+def test_the_digest_of_a_computed_table_is_that_of_its_inputs() -> None:
+    instrument = load_instrument("lofar-superterp")
+    one, again = compute_sky_power(instrument), compute_sky_power(instrument)
+    rounded = replace(one, power={dipole: values * (1 + 1e-15) for dipole, values in one.power.items()})
+    assert one.digest() == again.digest()
+    # Numbers without inputs are named by their bits, and a changed table never keeps the name of the old one.
+    assert rounded.digest() != one.digest()
+    assert rounded.of_inputs(one.digest()).digest() == one.digest()
+
+
+def test_another_sky_antenna_arm_or_place_is_another_digest() -> None:
+    instrument = load_instrument("lofar-superterp")
+    turned = replace(instrument, dipole_azimuth_deg={"X": 46.0, "Y": 136.0})
+    moved = replace(instrument, latitude_deg=50.0)
+    tables = [
+        compute_sky_power(instrument),
+        compute_sky_power(instrument, load_sky("gsm").changed(scale=1.1)),
+        compute_sky_power(instrument, antenna="short-dipole"),
+        compute_sky_power(turned),
+        compute_sky_power(moved),
+        vary_sky_power(instrument, zenith_gain_fraction=0.1),
+        add_sources(compute_sky_power(instrument), instrument, find_sources(["cas-a"])),
+    ]
+    assert len({table.digest() for table in tables}) == len(tables)
+
+
+def test_another_gain_of_the_same_antenna_is_the_same_sky_power() -> None:
+    # The gain is the instrument's; a fit names that input by itself.
+    instrument = load_instrument("lofar-superterp")
+    louder = replace(instrument, antenna_gain=2 * instrument.antenna_gain)
+    assert compute_sky_power(instrument).digest() == compute_sky_power(louder).digest()
