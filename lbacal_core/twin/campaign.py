@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,13 +14,15 @@ from lbacal_core.instrument import DIPOLES, Instrument
 from lbacal_core.sidereal import local_sidereal_time
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra import Spectra
-from lbacal_core.twin.fault import Fault
-from lbacal_core.twin.hardware import build_station
+from lbacal_core.twin.faults.fault import Fault
+from lbacal_core.twin.hardware import build_station, path_calibration
+from lbacal_core.twin.nuisances import NONE, Nuisances, depart, lose_spectra
 from lbacal_core.twin.scatter import draw_scatter
 from lbacal_core.twin.settings import TwinSettings
 from lbacal_core.twin.stages import Scene, Stages
 from lbacal_core.twin.truth import Truth
-from lbacal_core.twin.weather import draw_event_times, draw_rain, draw_temperature
+from lbacal_core.twin.view import View
+from lbacal_core.twin.weather import draw_event_times, draw_weather
 
 UNIX_2010 = 1_262_304_000
 """LOFAR names an event by the whole seconds since 2010-01-01 UTC."""
@@ -40,18 +42,21 @@ def simulate_campaign(
     sky_power: SkyPower,
     rng: np.random.Generator,
     faults: Sequence[Fault] = (),
+    nuisances: Nuisances = NONE,
+    view: View | None = None,
 ) -> Campaign:
     """Simulate the spectra of every event, station, antenna and dipole.
 
     The random numbers of the weather, the hardware and the noise are independent of the faults: the same `rng` with
-    and without a fault differs by the fault alone.
+    and without a fault differs by the fault alone. A `view` made once for the instrument saves the seconds that the
+    first fault with a direction takes to build it.
     """
     require_same_grid(sky_power.origin, sky_power.frequency_mhz, instrument.frequency_mhz, instrument.name)
     stations = _stations(settings, instrument)
-    of_events, *of_stations = rng.spawn(1 + len(stations))
+    of_events, of_losses, *of_stations = rng.spawn(2 + len(stations))
     time_unix = draw_event_times(settings.start_unix, settings.years, settings.event_count, of_events)
-    temperature_c = draw_temperature(time_unix, instrument.longitude_deg, of_events)
-    rain_mm_h = draw_rain(time_unix, of_events)
+    weather = draw_weather(time_unix, instrument.longitude_deg, of_events)
+    own_view = View(instrument)
     truths, blocks, powers, scenes = [], [], [], []
     for station, of_station in zip(stations, of_stations, strict=True):
         antennas = np.array(sorted({r.antenna for r in instrument.antennas if r.station == station}), dtype=np.int64)
@@ -65,22 +70,38 @@ def simulate_campaign(
             cables=np.array([instrument.cable_of(station, int(a), float(time_unix[0])) for a in antennas]),
             time_unix=time_unix,
             lst_hours=local_sidereal_time(time_unix, instrument.longitude_deg),
-            temperature_c=temperature_c,
-            rain_mm_h=rain_mm_h,
+            temperature_c=weather.temperature_at(time_unix),
+            rain_mm_h=weather.rain_at(time_unix),
             sky_power=sky_power,
+            weather=weather,
+            view=view or own_view,
         )
-        of_hardware, of_noise = of_station.spawn(2)
+        of_hardware, of_noise, of_departures = of_station.spawn(3)
         stages, truth = build_station(settings, instrument, scene, of_hardware)
+        if nuisances.departures > 0:
+            stages = depart(stages, nuisances.departures, of_departures)
+            truth = replace(truth, c=path_calibration(stages, instrument))
         power = expected_power(stages, scene, faults)
         counts = of_noise.integers(settings.fewest_blocks, settings.most_blocks + 1, size=power.shape[:3])
-        power *= draw_scatter(settings, counts, power.shape[3], of_noise)
+        scatter = draw_scatter(settings, counts, power.shape[3], of_noise, nuisances.sky_correlation)
+        if station in nuisances.noisy_stations:
+            scatter = 1.0 + nuisances.noise_factor * (scatter - 1.0)
+        power *= scatter
         truths.append(truth)
         scenes.append(scene)
         blocks.append(counts)
         powers.append(power)
+    spectra = _gather(scenes, powers, blocks)
+    if nuisances != NONE:
+        spectra = lose_spectra(spectra, nuisances, instrument.longitude_deg, of_losses)
     return Campaign(
-        _gather(scenes, powers, blocks),
-        Truth(settings.as_dict(), instrument.frequency_mhz, truths, [fault.as_dict() for fault in faults]),
+        spectra,
+        Truth(
+            settings.as_dict() | {"nuisances": nuisances.as_dict()},
+            instrument.frequency_mhz,
+            truths,
+            [fault.as_dict() for fault in faults],
+        ),
     )
 
 

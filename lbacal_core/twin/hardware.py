@@ -57,17 +57,22 @@ def build_station(
         receiver=receiver[None, None, None, :],
         adc_noise=np.full((1, 1, 1, 1), levels["adc"]),
     )
-    power_gain = gain * antenna / instrument.antenna_gain * loss[:, :, :1] * receiver
     truth = StationTruth(
         station=scene.station,
         antennas=scene.antennas,
-        c=power_gain[:, :, 0] ** -0.5,
+        c=path_calibration(stages, instrument),
         path_gain=gain[:, :, 0, 0],
         n_lna=levels["lna"],
         n_rcu=levels["rcu"] * scale,
         n_adc=levels["adc"],
     )
     return stages, truth
+
+
+def path_calibration(stages: Stages, instrument: Instrument) -> Floats:
+    """C(nu) of every path with the cable of the first event, shape (antenna, dipole, freq)."""
+    power_gain = stages.gain * stages.antenna / instrument.antenna_gain * stages.cable[:, :, :1] * stages.receiver
+    return np.asarray(power_gain[:, :, 0] ** -0.5)
 
 
 def _cable_loss(instrument: Instrument, scene: Scene) -> Floats:

@@ -9,11 +9,17 @@ from lbacal_core.grids import Floats
 from lbacal_core.twin.settings import TwinSettings
 
 
-def draw_scatter(settings: TwinSettings, blocks: NDArray[np.int64], channels: int, rng: np.random.Generator) -> Floats:
+def draw_scatter(
+    settings: TwinSettings,
+    blocks: NDArray[np.int64],
+    channels: int,
+    rng: np.random.Generator,
+    sky_correlation: float = 0.0,
+) -> Floats:
     """Draw what scatters a measured power about its expectation, as a factor of mean 1.
 
     A power averaged over n independent samples follows a gamma distribution of shape n; the gain of an event is flat
-    along frequency.
+    along frequency. Antennas that see the same sky share a part `sky_correlation` of the radiometer variance.
 
     Returns
     -------
@@ -21,14 +27,14 @@ def draw_scatter(settings: TwinSettings, blocks: NDArray[np.int64], channels: in
     """
     antennas, dipoles, events = blocks.shape
     variance = settings.radiometer**2 * 100.0 / blocks[..., None]
-    own = (1.0 - settings.sky_correlation) * variance
+    own = (1.0 - sky_correlation) * variance
     if settings.radiometer > 0:
         scatter = rng.standard_gamma(np.broadcast_to(1.0 / own, (*blocks.shape, channels)))
         scatter *= own
     else:
         scatter = np.ones((*blocks.shape, channels))
-    if settings.sky_correlation > 0:
-        scatter *= 1.0 + np.sqrt(settings.sky_correlation * variance) * rng.normal(size=(1, dipoles, events, channels))
+    if sky_correlation > 0:
+        scatter *= 1.0 + np.sqrt(sky_correlation * variance) * rng.normal(size=(1, dipoles, events, channels))
     scatter *= 1.0 + settings.event_gain_common * rng.normal(size=(1, 1, events, 1))
     scatter *= 1.0 + settings.event_gain_path * rng.normal(size=(antennas, dipoles, events, 1))
     return scatter

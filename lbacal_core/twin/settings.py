@@ -39,8 +39,6 @@ class TwinSettings:
         Smooth departure of A(nu) of a station's polarisation from the curve that the published C(nu) implies.
     noise_level
         Spread of the three noise levels from station to station.
-    sky_correlation
-        Part of the radiometer variance that all antennas of a station share, because they see the same sky.
     """
 
     start_unix: float = START_2014
@@ -56,13 +54,11 @@ class TwinSettings:
     radiometer: float = 512**-0.5
     response: float = 0.03
     noise_level: float = 0.05
-    sky_correlation: float = 0.0
 
     def __post_init__(self) -> None:
         scatters = ("path_gain", "event_gain_common", "event_gain_path", "radiometer", "response", "noise_level")
         for field in scatters:
             self._require(field, 0 <= getattr(self, field) < 0.3, "a fraction, 0 to 0.3")
-        self._require("sky_correlation", 0 <= self.sky_correlation < 1, "a fraction, 0 to 1")
         self._require("years", self.years > 0, "years > 0")
         self._require("events_per_year", self.events_per_year > 0, "a count > 0")
         self._require("antennas", self.antennas is None or self.antennas > 0, "a count > 0")

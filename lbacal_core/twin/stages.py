@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 from lbacal_core.grids import Floats
 from lbacal_core.instrument import DIPOLES
 from lbacal_core.skypower.table import SkyPower
+from lbacal_core.twin.view import View
+from lbacal_core.twin.weather import Weather
 
 
 @dataclass(frozen=True)
@@ -27,6 +29,10 @@ class Scene:
         Shape (event,).
     sky_power
         P_sky of both dipoles at any LST.
+    weather
+        The weather at any instant, for what follows it with a delay.
+    view
+        Our own sky and antenna by direction, for what has a direction.
     """
 
     station: str
@@ -40,6 +46,8 @@ class Scene:
     temperature_c: Floats
     rain_mm_h: Floats
     sky_power: SkyPower
+    weather: Weather
+    view: View
 
     def sky_at(self, lst_hours: Floats) -> Floats:
         """P_sky at one LST per event, shape (1, dipole, event, freq)."""
@@ -49,6 +57,16 @@ class Scene:
     def mean_sky(self) -> Floats:
         """P_sky averaged over LST, shape (1, dipole, 1, freq)."""
         return np.stack([self.sky_power.power[dipole].mean(axis=0) for dipole in DIPOLES])[None, :, None]
+
+    @property
+    def warmth(self) -> Floats:
+        """Air temperature above 10 degrees Celsius in units of 10 K, shape (event, 1)."""
+        return (self.temperature_c[:, None] - 10.0) / 10.0
+
+    @property
+    def utc_hours(self) -> Floats:
+        """UTC hour of day, shape (event, 1)."""
+        return (self.time_unix[:, None] / 3600.0) % 24.0
 
 
 @dataclass(frozen=True)

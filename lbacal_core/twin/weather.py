@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from lbacal_core.grids import Floats
@@ -13,12 +15,14 @@ MEAN_C, SEASON_C, DAILY_C, PASSING_C = 10.0, 7.5, 4.0, 3.0
 COLDEST_DAY, WARMEST_HOUR = 20.0, 15.0
 WET_HOURS = 0.08
 """Fraction of hours with rain."""
+SPELL_S = 10_800.0
+"""Rain comes in spells of three hours."""
 HEAVY_MM_H = 1.5
 """Mean intensity of a wet hour."""
 
 
 def draw_event_times(start_unix: float, years: float, count: int, rng: np.random.Generator) -> Floats:
-    """Instants of `count` events, uniform over the campaign, at least one in different UTC seconds each.
+    """Instants of `count` events, uniform over the campaign, no two in the same UTC second.
 
     Returns
     -------
@@ -28,34 +32,46 @@ def draw_event_times(start_unix: float, years: float, count: int, rng: np.random
     return np.sort(start_unix + seconds + rng.random(count))
 
 
-def draw_temperature(time_unix: Floats, longitude_deg: float, rng: np.random.Generator) -> Floats:
-    """Air temperature: season, time of day, and weather that passes within days.
+@dataclass(frozen=True)
+class Weather:
+    """The weather of a campaign at any instant of it, also between the events.
 
-    Returns
-    -------
-    Shape (event,), degrees Celsius.
+    Attributes
+    ----------
+    first_day
+        Days since 1970 of the first entry of `passing`.
+    passing
+        Shape (day,), temperature of passing weather in units of its spread.
+    rain_mm_h
+        Shape (spell,), intensity in each spell of three hours from `first_day` on, 0 when dry.
     """
-    day = time_unix / DAY_S
-    season = -np.cos(2 * np.pi * (time_unix % YEAR_S - COLDEST_DAY * DAY_S) / YEAR_S)
-    hour = (time_unix / 3600.0 + longitude_deg / 15.0) % 24.0
-    daily = np.cos(2 * np.pi * (hour - WARMEST_HOUR) / 24.0)
-    first, last = int(day.min()) - 1, int(day.max()) + 2
-    weather = rng.normal(size=last - first + 4)
-    weather = np.convolve(weather, [0.25, 0.5, 0.75, 0.5, 0.25], mode="valid") / 1.0897
-    passing = np.interp(day, np.arange(first, last), weather)
-    return MEAN_C + SEASON_C * season + DAILY_C * daily + PASSING_C * passing
+
+    longitude_deg: float
+    first_day: int
+    passing: Floats
+    rain_mm_h: Floats
+
+    def temperature_at(self, time_unix: Floats) -> Floats:
+        """Air temperature: season, time of day, and weather that passes within days; degrees Celsius."""
+        day = time_unix / DAY_S
+        season = -np.cos(2 * np.pi * (time_unix % YEAR_S - COLDEST_DAY * DAY_S) / YEAR_S)
+        hour = (time_unix / 3600.0 + self.longitude_deg / 15.0) % 24.0
+        daily = np.cos(2 * np.pi * (hour - WARMEST_HOUR) / 24.0)
+        passing = np.interp(day, self.first_day + np.arange(self.passing.size), self.passing)
+        return np.asarray(MEAN_C + SEASON_C * season + DAILY_C * daily + PASSING_C * passing)
+
+    def rain_at(self, time_unix: Floats) -> Floats:
+        """Rain, mm per hour, 0 when dry."""
+        spell = np.floor(time_unix / SPELL_S).astype(np.int64) - self.first_day * round(DAY_S / SPELL_S)
+        return np.asarray(self.rain_mm_h[np.clip(spell, 0, self.rain_mm_h.size - 1)])
 
 
-def draw_rain(time_unix: Floats, rng: np.random.Generator) -> Floats:
-    """Rain: hours are wet by chance, with an exponential intensity; an hour's neighbours share it often.
-
-    Returns
-    -------
-    Shape (event,), mm per hour, 0 when dry.
-    """
-    spell = (time_unix // 10_800.0).astype(np.int64)
-    first = int(spell.min())
-    length = int(spell.max()) - first + 1
-    wet = rng.random(length) < WET_HOURS
-    intensity = rng.exponential(HEAVY_MM_H, size=length)
-    return np.asarray(np.where(wet, intensity, 0.0)[spell - first], dtype=float)
+def draw_weather(time_unix: Floats, longitude_deg: float, rng: np.random.Generator) -> Weather:
+    """Draw the weather from five days before the first instant to two days after the last."""
+    first, last = int(time_unix.min() / DAY_S) - 5, int(time_unix.max() / DAY_S) + 2
+    days = last - first
+    smoothing = np.array([0.25, 0.5, 0.75, 0.5, 0.25])
+    passing = np.convolve(rng.normal(size=days + 4), smoothing / np.sqrt(np.sum(smoothing**2)), mode="valid")
+    spells = days * round(DAY_S / SPELL_S)
+    is_wet = rng.random(spells) < WET_HOURS
+    return Weather(longitude_deg, first, passing, np.where(is_wet, rng.exponential(HEAVY_MM_H, size=spells), 0.0))
