@@ -20,7 +20,7 @@ from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.table import read_sky_power, write_sky_power
 from lbacal_core.spectra import Spectra
 from lbacal_core.twin.campaign import simulate_campaign
-from lbacal_core.twin.fault import Fault, Where
+from lbacal_core.twin.faults.fault import Fault, Where
 from lbacal_core.twin.settings import TwinSettings
 from lbacal_core.twin.stages import Scene, Stages
 from lbacal_core.validity import Scope
