@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from lbacal_core.grids import Floats
 from lbacal_core.traces.background import CleaningSettings, PathBackground, measure_traces
 from lbacal_core.traces.density import bin_weights, effective_channels
-from lbacal_core.traces.selection import BlockSelection
+from lbacal_core.traces.selection import select_background
 from lbacal_core.traces.trace import BLOCK_SAMPLES, Trace, TraceReference
 from lbacal_core.twin.voltages import Shower, Transmitter, digitise, draw_noise
 
@@ -249,7 +249,9 @@ def _measure_everything(trace: Trace) -> PathBackground:
     """Measure a trace as if nobody had thought of pulses."""
     from unittest.mock import patch
 
-    everything = BlockSelection(np.ones(len(trace.samples), dtype=bool), {}, ())
+    everything = replace(
+        select_background(trace), is_background=np.ones(len(trace.samples), dtype=bool), dropped={}, pulses=()
+    )
     with patch("lbacal_core.traces.background.select_background", return_value=everything):
         return measure(trace)
 

@@ -21,7 +21,6 @@ from lbacal_core.traces.density import (
     bin_weights,
     channel_frequencies,
     density_per_square,
-    power_density,
     sum_of_squares,
     transform_blocks,
 )
@@ -36,7 +35,7 @@ from lbacal_core.traces.interference import (
     line_leakage,
     phase_stability,
 )
-from lbacal_core.traces.selection import find_keyed_blocks, select_background
+from lbacal_core.traces.selection import BlockSelection, find_keyed_blocks, select_background
 from lbacal_core.traces.trace import BLOCK_SAMPLES, Trace, TraceReference
 
 FACTORS = (16, 8, 4, 2)
@@ -203,43 +202,49 @@ def _reduce_trace(
     clean = np.flatnonzero(selection.is_background)
     rate = trace.reference.sample_rate_hz
     wanted = settings.blocks or FEWEST_BLOCKS
-    rms = float(np.sqrt(np.mean(trace.samples[clean].astype(np.float32) ** 2, dtype=float))) if clean.size else 0.0
     reason = ""
     if clean.size < wanted:
         reason = f"too few background blocks: {clean.size}, {wanted} are needed"
-    elif float(np.std(trace.samples[clean])) < QUIET_ADC:
+    elif selection.spread < QUIET_ADC:
         reason = f"dead: r.m.s. below {QUIET_ADC} ADC units"
     if reason:
-        return _unusable(trace, settings, clean.size, rms, selection.dropped, selection.pulses, reason)
+        return _unusable(trace, settings, selection, reason)
     fine, ids, transforms = _fine_spectrum(trace, clean, keep_transforms=keep_transforms)
     is_line, baseline = find_lines(fine)
     strength = line_leakage(is_line, fine.density / baseline - 1.0, fine.factor, BLOCK_SAMPLES // 2 + 1)
-    is_keyed = find_keyed_blocks(trace.samples[clean], strength, baseline[:: fine.factor], rate)
+    coarse = _transform_in_chunks(trace.samples, clean)
+    is_keyed = find_keyed_blocks(coarse, strength, baseline[:: fine.factor], rate)
     dropped = dict(selection.dropped)
     if np.any(is_keyed) and np.sum(~is_keyed) >= wanted:
-        clean = clean[~is_keyed]
+        clean, coarse = clean[~is_keyed], coarse[~is_keyed]
         dropped["keyed"] = int(np.sum(is_keyed))
         fine, ids, transforms = _fine_spectrum(trace, clean, keep_transforms=keep_transforms)
         is_line, baseline = find_lines(fine)
-    chosen = clean if settings.blocks is None else clean[_spread(clean.size, settings.blocks)]
+    if settings.blocks is not None:
+        coarse = coarse[(np.arange(settings.blocks) * clean.size) // settings.blocks]
     return _Reduced(
         trace=trace.reference,
-        coarse=power_density(trace.samples[chosen], rate),
-        blocks=len(chosen),
+        coarse=sum_of_squares(coarse) * density_per_square(BLOCK_SAMPLES, rate) / len(coarse),
+        blocks=len(coarse),
         fine=fine,
         baseline=baseline,
         is_line=is_line,
         segment_ids=ids,
         transforms=transforms,
-        rms=rms,
+        rms=selection.rms,
         dropped=dropped,
         faults=trace.faults,
         pulses=selection.pulses,
     )
 
 
-def _spread(available: int, wanted: int) -> NDArray[np.int64]:
-    return (np.arange(wanted) * available) // wanted
+def _transform_in_chunks(samples: NDArray[np.int16], rows: NDArray[np.int64]) -> NDArray[np.complex64]:
+    """Transform the blocks in some rows, shape (row, channel), a cache-sized chunk at a time."""
+    transform = np.empty((rows.size, BLOCK_SAMPLES // 2 + 1), dtype=np.complex64)
+    step = CHUNK_SAMPLES // BLOCK_SAMPLES
+    for start in range(0, rows.size, step):
+        transform[start : start + step] = transform_blocks(samples[rows[start : start + step]])
+    return transform
 
 
 def _fine_spectrum(
@@ -360,30 +365,21 @@ def _line_frequencies(is_line: Flags, ratio: Floats, channel_mhz: float) -> Floa
     return np.array(peaks, dtype=float) * channel_mhz
 
 
-def _unusable(
-    trace: Trace,
-    settings: CleaningSettings,
-    blocks: int,
-    rms: float,
-    dropped: Mapping[str, int],
-    pulses: tuple[int, ...],
-    reason: str,
-) -> PathBackground:
+def _unusable(trace: Trace, settings: CleaningSettings, selection: BlockSelection, reason: str) -> PathBackground:
     channel_mhz = channel_frequencies(BLOCK_SAMPLES, trace.reference.sample_rate_hz)
-    nothing = np.zeros(channel_mhz.size)
     bins = settings.frequency_mhz.size
     return PathBackground(
         reference=trace.reference,
         power=np.zeros(bins),
-        blocks=blocks,
+        blocks=int(np.sum(selection.is_background)),
         channel_mhz=channel_mhz,
-        density=nothing,
-        is_flagged=nothing.astype(bool),
+        density=np.zeros(channel_mhz.size),
+        is_flagged=np.zeros(channel_mhz.size, dtype=bool),
         line_mhz=np.array([]),
         is_filled=np.zeros(bins, dtype=bool),
-        rms=rms,
-        dropped=dropped,
+        rms=selection.rms,
+        dropped=selection.dropped,
         faults=trace.faults,
-        pulses=pulses,
+        pulses=selection.pulses,
         excluded=reason,
     )

@@ -62,8 +62,9 @@ def power_density(blocks: NDArray[np.int16], sample_rate_hz: float) -> Floats:
 
 def sum_of_squares(transform: NDArray[np.complex64]) -> Floats:
     """Sum over blocks of |F|^2, shape (block, channel) to (channel,)."""
-    parts = transform.view(np.float32).reshape(*transform.shape, 2)
-    return np.asarray(np.einsum("bkc,bkc->k", parts, parts), dtype=float)
+    parts = transform.view(np.float32)
+    squares = np.einsum("bp,bp->p", parts, parts)  # real and imaginary parts alternate along the last axis
+    return np.asarray(squares[0::2] + squares[1::2], dtype=float)
 
 
 def density_per_square(length: int, sample_rate_hz: float) -> Floats:

@@ -16,11 +16,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
-from scipy.stats import gamma
+from scipy.special import gammainccinv, gammaincinv
 
 from lbacal_core.grids import Floats
 from lbacal_core.traces.density import HANN_NEIGHBOUR_CORRELATION, line_response
@@ -39,7 +40,6 @@ BASELINE_WIDTH_MHZ = 0.4
 FEWEST_IN_GROUP = 0.25
 """A group with less of it clean than this is interpolated from its neighbours."""
 
-SEARCHES = 2
 REACH = 40
 """Fine channels on either side of a line in which its leakage is looked at; beyond, it is 1e-11 of the line."""
 
@@ -84,18 +84,16 @@ def find_lines(spectrum: FineSpectrum) -> tuple[Flags, Floats]:
     -------
     Flagged channels, shape (fine,), and the baseline, ADC^2/MHz, shape (fine,).
     """
-    is_line = np.zeros(spectrum.density.size, dtype=bool)
-    baseline = estimate_baseline(spectrum, is_line)
-    for _ in range(SEARCHES):
-        is_line = find_excess(spectrum.density / baseline, spectrum.segments, BOXES)
+    baseline = estimate_baseline(spectrum, np.zeros(spectrum.density.size, dtype=bool))
+    is_line = find_excess(spectrum.density / baseline, spectrum.segments, BOXES)
+    if np.any(is_line):
         baseline = estimate_baseline(spectrum, _reached_by(is_line, spectrum.density / baseline - 1.0))
+        is_line = find_excess(spectrum.density / baseline, spectrum.segments, BOXES)
     return is_line, baseline
 
 
 def _reached_by(is_line: Flags, excess: Floats) -> Flags:
     """Fine channels that get more than `LARGEST_LEAK` of their noise from the lines."""
-    if not np.any(is_line):
-        return is_line
     response = line_response(np.arange(-REACH, REACH + 1.0))
     leak = np.convolve(np.where(is_line, np.maximum(excess, 0.0), 0.0), response / response[REACH], mode="same")
     return is_line | (leak > LARGEST_LEAK)
@@ -121,7 +119,7 @@ def estimate_baseline(spectrum: FineSpectrum, is_line: Flags) -> Floats:
     is_known = (clean >= FEWEST_IN_GROUP * size) & (middle > 0)
     if not np.any(is_known):
         return np.full(density.size, max(float(np.median(density)), np.finfo(float).tiny))
-    to_mean = spectrum.segments / float(gamma.median(spectrum.segments))
+    to_mean = spectrum.segments / float(gammaincinv(spectrum.segments, 0.5))
     level = np.interp(centre, centre[is_known], np.log(middle[is_known] * to_mean))
     around = median_filter(level, size=WIDE_GROUPS, mode="nearest")
     level = np.where(level - around > np.log1p(WIDE_EXCESS), around, level)
@@ -145,21 +143,22 @@ def find_excess(ratio: Floats, averages: float, boxes: Sequence[int]) -> Flags:
     remaining = np.where(np.isfinite(ratio), ratio, 1.0)
     is_flagged = np.zeros(ratio.size, dtype=bool)
     for box in boxes:
-        shape = averages * _independent_channels(box)
-        threshold = float(gamma.isf(FALSE_FLAG_RATE, shape)) / shape
-        sums = np.convolve(remaining, np.ones(box) / box, mode="valid")
-        is_high = sums > threshold
-        reached = np.convolve(is_high, np.ones(box), mode="full") > 0
-        is_flagged |= reached
-        remaining = np.where(is_flagged, 1.0, remaining)
+        threshold = _threshold(averages, box)
+        running = np.concatenate([[0.0], np.cumsum(remaining)])
+        is_high = running[box:] - running[:-box] > box * threshold
+        if np.any(is_high):
+            is_flagged |= np.convolve(is_high, np.ones(box), mode="full") > 0
+            remaining = np.where(is_flagged, 1.0, remaining)
     return is_flagged
 
 
-def _independent_channels(box: int) -> float:
-    """Independent values in the mean of `box` neighbouring Hann channels."""
+@lru_cache(maxsize=256)
+def _threshold(averages: float, box: int) -> float:
+    """What the mean of `box` neighbouring Hann channels of noise, each averaged, exceeds at the false-flag rate."""
     apart = np.abs(np.subtract.outer(np.arange(box), np.arange(box)))
     correlation = np.append(HANN_NEIGHBOUR_CORRELATION, 0.0)[np.minimum(apart, 3)]
-    return float(box**2 / correlation.sum())
+    shape = averages * float(box**2 / correlation.sum())
+    return float(gammainccinv(shape, FALSE_FLAG_RATE)) / shape
 
 
 def find_station_excess(ratios: Floats, averages: float) -> Flags:
@@ -184,8 +183,8 @@ def find_steady_phases(stability: Floats, pairs: int, channel_mhz: float) -> Fla
     size = max(3, round(5 * BASELINE_WIDTH_MHZ / channel_mhz)) | 1
     coarse = stability[: stability.size // size * size].reshape(-1, size)
     centre = (np.arange(len(coarse)) + 0.5) * size - 0.5
-    level = np.interp(np.arange(stability.size), centre, np.median(coarse, axis=1)) / float(gamma.median(pairs))
-    return np.asarray(stability > np.maximum(level, 1.0) * float(gamma.isf(FALSE_FLAG_RATE, pairs)))
+    level = np.interp(np.arange(stability.size), centre, np.median(coarse, axis=1)) / float(gammaincinv(pairs, 0.5))
+    return np.asarray(stability > np.maximum(level, 1.0) * float(gammainccinv(pairs, FALSE_FLAG_RATE)))
 
 
 def phase_stability(left: NDArray[np.complex64], right: NDArray[np.complex64]) -> Floats:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lbacal_core.grids import Floats
-from lbacal_core.traces.density import density_per_square, hann
+from lbacal_core.traces.density import density_per_square
 from lbacal_core.traces.trace import ADC_HIGHEST, ADC_LOWEST, BLOCK_SAMPLES, Trace
 
 PULSE_REACH = 5
@@ -48,11 +48,28 @@ class BlockSelection:
         Number of blocks by reason; a block counts for its first reason.
     pulses
         Position of every pulse, known or found.
+    mean, mean_square
+        Shape (block,), ADC and ADC^2.
     """
 
     is_background: NDArray[np.bool_]
     dropped: Mapping[str, int]
     pulses: tuple[int, ...]
+    mean: Floats
+    mean_square: Floats
+
+    @property
+    def rms(self) -> float:
+        """Root mean square of the background, ADC."""
+        return float(np.sqrt(np.mean(self.mean_square[self.is_background]))) if np.any(self.is_background) else 0.0
+
+    @property
+    def spread(self) -> float:
+        """Standard deviation of the background, ADC."""
+        if not np.any(self.is_background):
+            return 0.0
+        mean = float(np.mean(self.mean[self.is_background]))
+        return float(np.sqrt(max(self.rms**2 - mean**2, 0.0)))
 
 
 def select_background(trace: Trace, pulse_unix: float | None = None) -> BlockSelection:
@@ -65,11 +82,11 @@ def select_background(trace: Trace, pulse_unix: float | None = None) -> BlockSel
     """
     highest, lowest = trace.samples.max(axis=1), trace.samples.min(axis=1)
     blocks = trace.samples.astype(np.float32)
-    mean = blocks.mean(axis=1, dtype=float)
+    mean = trace.samples.sum(axis=1, dtype=np.int32) / BLOCK_SAMPLES
     mean_square = np.einsum("bt,bt->b", blocks, blocks).astype(float) / BLOCK_SAMPLES
     typical = np.median(mean_square[trace.is_intact]) if np.any(trace.is_intact) else 0.0
-    variance = max(typical - float(np.median(mean)) ** 2, 0.0)
     centre = float(np.median(mean))
+    variance = max(typical - centre**2, 0.0)
     peak = np.maximum(highest - centre, centre - lowest)
 
     is_saturated = (highest >= ADC_HIGHEST) | (lowest <= ADC_LOWEST)
@@ -80,7 +97,7 @@ def select_background(trace: Trace, pulse_unix: float | None = None) -> BlockSel
         pulses.append(int((pulse_unix - start) * trace.reference.sample_rate_hz // BLOCK_SAMPLES))
     is_near = np.zeros(len(peak), dtype=bool)
     if pulses:
-        centres = np.unique(pulses)
+        centres = np.unique(np.array(pulses, dtype=np.int64))
         after = np.searchsorted(centres, trace.position)
         left = np.abs(trace.position - centres[np.clip(after - 1, 0, None)])
         right = np.abs(trace.position - centres[np.clip(after, None, len(centres) - 1)])
@@ -98,18 +115,18 @@ def select_background(trace: Trace, pulse_unix: float | None = None) -> BlockSel
         if count:
             dropped[reason] = count
         is_background &= ~is_bad
-    return BlockSelection(is_background, dropped, tuple(int(p) for p in np.unique(pulses)))
+    return BlockSelection(is_background, dropped, tuple(int(p) for p in np.unique(pulses)), mean, mean_square)
 
 
 def find_keyed_blocks(
-    blocks: NDArray[np.int16], line_strength: Floats, noise: Floats, rate_hz: float
+    transform: NDArray[np.complex64], line_strength: Floats, noise: Floats, rate_hz: float
 ) -> NDArray[np.bool_]:
     """Find the blocks in which a transmitter is on that is off in most: those and their neighbours hold its switching.
 
     Parameters
     ----------
-    blocks
-        Shape (block, 1024), ADC units.
+    transform
+        Shape (block, channel): windowed transform of the blocks.
     line_strength
         Shape (channel,): mean power of lines over the noise.
     noise
@@ -123,14 +140,11 @@ def find_keyed_blocks(
     is_peak = (line_strength >= padded[:-2]) & (line_strength >= padded[2:]) & (line_strength > 0.1)
     channels = np.flatnonzero(is_peak)
     channels = channels[np.argsort(line_strength[channels])[-KEYED_CHANNELS:]]
-    is_keyed = np.zeros(len(blocks), dtype=bool)
+    is_keyed = np.zeros(len(transform), dtype=bool)
     if channels.size == 0:
         return is_keyed
-    turn = np.outer(np.arange(BLOCK_SAMPLES), channels) % BLOCK_SAMPLES
-    wave = np.exp(-2j * np.pi * turn / BLOCK_SAMPLES) * hann(BLOCK_SAMPLES)[:, None]
-    parts = np.hstack([wave.real, wave.imag]).astype(np.float32)
-    spectrum = (blocks.astype(np.float32) @ parts).reshape(len(blocks), 2, channels.size)
-    power = np.sum(spectrum.astype(float) ** 2, axis=1) * density_per_square(BLOCK_SAMPLES, rate_hz)[channels]
+    seen = transform[:, channels]
+    power = (seen.real**2 + seen.imag**2) * density_per_square(BLOCK_SAMPLES, rate_hz)[channels]
     is_on = (power > KEYED_LEVEL * noise[channels]) & (np.median(power, axis=0) < OFF_LEVEL * noise[channels])
     share = is_on.mean(axis=0)
     for channel in np.argsort(share):

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from lbacal_core.traces.density import transform_blocks
 from lbacal_core.traces.selection import find_keyed_blocks, select_background
 from lbacal_core.traces.trace import Trace
 from lbacal_core.twin.voltages import Shower, Transmitter
@@ -66,7 +67,7 @@ def test_only_a_transmitter_that_is_mostly_silent_costs_blocks(
     trace = make_trace(6, disturbances=[line])
     strength = np.zeros(513)
     strength[round(45.0 * 1024 / 200)] = 10.0
-    found = find_keyed_blocks(trace.samples, strength, np.full(513, 4.0), 200e6)
+    found = find_keyed_blocks(transform_blocks(trace.samples), strength, np.full(513, 4.0), 200e6)
     on = (np.arange(400) * 1024 / 200e6 / 4e-4) % 1.0 < duty
     if is_keyed:
         assert np.all(found[on])
