@@ -49,7 +49,7 @@ def header_checksums(frames: Frames) -> NDArray[np.uint16]:
     table = np.arange(256, dtype=np.uint32) << 8
     for _ in range(8):
         table = np.where(table & 0x8000, (table << 1) ^ _CRC16_POLYNOMIAL, table << 1) & 0xFFFF
-    raw = np.frombuffer(frames.tobytes(), dtype=np.uint8).reshape(len(frames), FRAME.itemsize)
+    raw = np.ascontiguousarray(frames).view(np.uint8).reshape(len(frames), FRAME.itemsize)
     header = raw[:, :_HEADER_BYTES].copy()
     header[:, _SEQUENCE_BYTES] = 0
     words_high_first = header.reshape(len(frames), -1, 2)[:, :, ::-1].reshape(len(frames), -1)

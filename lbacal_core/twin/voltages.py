@@ -97,7 +97,8 @@ def draw_noise(density: Floats, density_mhz: Floats, samples: int, rng: np.rando
     Shape (sample,), ADC units.
     """
     frequency = np.fft.rfftfreq(samples, 1e6 / SAMPLE_RATE_HZ)
-    outside = np.maximum(density_mhz[0] - frequency, 0.0) + np.maximum(frequency - density_mhz[-1], 0.0)
+    half = (density_mhz[1] - density_mhz[0]) / 2.0  # the outermost channels are as wide as the others
+    outside = np.maximum(density_mhz[0] - half - frequency, 0.0) + np.maximum(frequency - density_mhz[-1] - half, 0.0)
     level = np.exp(np.interp(frequency, density_mhz, np.log(density)) - outside / EDGE_MHZ)
     amplitude = np.sqrt(level * 1e-6 * SAMPLE_RATE_HZ * samples / 4.0)
     spectrum = amplitude * (rng.normal(size=frequency.size) + 1j * rng.normal(size=frequency.size))

@@ -9,6 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
+from lbacal_core.spectra import Spectra
 from service.cli.outputs import require_outputs
 
 LOFAR_CORE_LONGITUDE_DEG = 6.87
@@ -37,6 +38,9 @@ def spectra(
     inspect: Annotated[
         Path | None, typer.Option(help="Draw the first trace (PNG): samples, spectrum before and after, flags.")
     ] = None,
+    url: Annotated[
+        str | None, typer.Option(help="Send the spectra to this service as well (key: LBACAL_API_KEY).")
+    ] = None,
     dask: Annotated[str | None, typer.Option(help="Address of a dask scheduler; LBACAL_DASK by default.")] = None,
 ) -> None:
     """Clean and average raw antenna traces to background spectra, one spectrum a trace.
@@ -54,7 +58,7 @@ def spectra(
     from lbacal_core.traces.discovery import find_files, group_traces
 
     if output is None and inspect is None:
-        raise BadInputError("lbacal spectra", "--output or --inspect", "neither")
+        raise BadInputError("lbacal spectra", "--output or --inspect", "--url alone" if url else "neither")
     inputs = {"--instrument": instrument, "--events": events, **{str(trace): trace for trace in traces}}
     require_outputs({"--output": output, "--inspect": inspect}, inputs)
     chain = load_instrument(instrument) if instrument else None
@@ -71,7 +75,15 @@ def spectra(
         _draw(work[0], settings, inspect)
     if output is not None:
         longitude = chain.longitude_deg if chain else LOFAR_CORE_LONGITUDE_DEG
-        _reduce(work, settings, facts, output, longitude, dask or os.environ.get("LBACAL_DASK") or None, failures)
+        address = dask or os.environ.get("LBACAL_DASK") or None
+        measured = _reduce(work, settings, facts, output, longitude, address, failures)
+        if url is not None:
+            from service.cli.trace_upload import send_spectra
+
+            receipt = send_spectra(measured, url, os.environ.get("LBACAL_API_KEY"))
+            print(f"{url}: " + ", ".join(f"{count} {word}" for word, count in receipt.items()))
+    if failures:
+        raise typer.Exit(1)
 
 
 def _list_all(files: list[Path], named: set[Path], antenna_set: str | None) -> tuple[list[Any], list[dict[str, str]]]:
@@ -100,7 +112,7 @@ def _reduce(
     longitude: float,
     dask: str | None,
     failures: list[dict[str, str]],
-) -> None:
+) -> Spectra:
     """Measure all station events, cut the anomalous, write spectra and report."""
     from lbacal_core.errors import LbacalError
     from lbacal_core.spectra import write_spectra
@@ -134,8 +146,7 @@ def _reduce(
         raise LbacalError(f"no usable spectrum in {len(records)} traces; {report} says why")
     write_spectra(measured, output)
     print(f"wrote {output}: {len(measured)} spectra of {len(records)} traces; {report} says what was left out")
-    if failures:
-        raise typer.Exit(1)
+    return measured
 
 
 def _describe(name: str, records: list[dict[str, Any]], longitude: float, is_old: bool) -> str:
