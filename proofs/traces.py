@@ -246,13 +246,17 @@ def try_pulses(peaks: Floats, trials: int, blocks: int, seed: int) -> Floats:
 
 
 def _measure_everything(trace: Trace) -> PathBackground:
-    """Measure a trace as if nobody had thought of pulses."""
+    """Measure a trace as if nobody had thought of pulses or of anything else that comes and goes."""
     from unittest.mock import patch
 
     everything = replace(
         select_background(trace), is_background=np.ones(len(trace.samples), dtype=bool), dropped={}, pulses=()
     )
-    with patch("lbacal_core.traces.background.select_background", return_value=everything):
+    no_block = np.zeros(len(trace.samples), dtype=bool)
+    with (
+        patch("lbacal_core.traces.background.select_background", return_value=everything),
+        patch("lbacal_core.traces.background.find_keyed_blocks", return_value=no_block),
+    ):
         return measure(trace)
 
 

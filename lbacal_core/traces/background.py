@@ -26,9 +26,11 @@ from lbacal_core.traces.density import (
 )
 from lbacal_core.traces.discovery import read_trace
 from lbacal_core.traces.interference import (
+    COARSE_BOXES,
     LARGEST_LEAK,
     FineSpectrum,
     Flags,
+    find_excess,
     find_lines,
     find_station_excess,
     find_steady_phases,
@@ -213,7 +215,11 @@ def _reduce_trace(
     is_line, baseline = find_lines(fine)
     strength = line_leakage(is_line, fine.density / baseline - 1.0, fine.factor, BLOCK_SAMPLES // 2 + 1)
     coarse = _transform_in_chunks(trace.samples, clean)
-    is_keyed = find_keyed_blocks(coarse, strength, baseline[:: fine.factor], rate)
+    to_density = density_per_square(BLOCK_SAMPLES, rate)
+    noise = baseline[:: fine.factor]
+    excess = sum_of_squares(coarse) * to_density / (len(coarse) * noise) - 1.0
+    is_seen = find_excess(excess + 1.0, len(coarse), COARSE_BOXES)
+    is_keyed = find_keyed_blocks(coarse, np.where(is_seen, np.maximum(strength, excess), strength), noise, rate)
     dropped = dict(selection.dropped)
     if np.any(is_keyed) and np.sum(~is_keyed) >= wanted:
         clean, coarse = clean[~is_keyed], coarse[~is_keyed]
@@ -224,7 +230,7 @@ def _reduce_trace(
         coarse = coarse[(np.arange(settings.blocks) * clean.size) // settings.blocks]
     return _Reduced(
         trace=trace.reference,
-        coarse=sum_of_squares(coarse) * density_per_square(BLOCK_SAMPLES, rate) / len(coarse),
+        coarse=sum_of_squares(coarse) * to_density / len(coarse),
         blocks=len(coarse),
         fine=fine,
         baseline=baseline,
@@ -308,8 +314,10 @@ def _finish(item: _Reduced, station_lines: Flags | None, settings: CleaningSetti
         is_line = is_line | station_lines
     leak = line_leakage(is_line, ratio - 1.0, fine.factor, item.coarse.size)
     is_flagged = leak > LARGEST_LEAK
-    channel_mhz = channel_frequencies(BLOCK_SAMPLES, item.trace.sample_rate_hz)
     shape = item.baseline[:: fine.factor]
+    unexplained = item.coarse / shape - leak  # blocks beside a dropped one are in no segment of the search
+    is_flagged |= np.convolve(find_excess(unexplained, item.blocks, COARSE_BOXES), np.ones(3), mode="same") > 0
+    channel_mhz = channel_frequencies(BLOCK_SAMPLES, item.trace.sample_rate_hz)
     power, is_filled = bin_spectrum(item.coarse - leak * shape, shape, is_flagged, channel_mhz, settings)
     excluded = ""
     if np.mean(is_filled) > MOST_FILLED:

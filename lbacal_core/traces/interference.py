@@ -36,6 +36,9 @@ STATION_BOXES = (1, 2, 4)
 """Averaged over a station the noise is so small that wide boxes would flag ripples of a few per cent, such as
 reflections in 115 m of cable make every MHz."""
 
+COARSE_BOXES = (1, 2)
+"""The 1024-sample channels are searched as well: blocks beside a dropped one are in no segment of the fine search."""
+
 BASELINE_WIDTH_MHZ = 0.4
 FEWEST_IN_GROUP = 0.25
 """A group with less of it clean than this is interpolated from its neighbours."""
