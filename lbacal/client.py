@@ -1,0 +1,215 @@
+"""What a pipeline does with the service: ask for the calibration in effect, send spectra, ask for fits."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterator
+from datetime import UTC, datetime, timedelta
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+
+from lbacal.transport import TRIES, Transport
+from lbacal_core.errors import BadInputError
+
+if TYPE_CHECKING:
+    from astropy.table import QTable
+
+    from lbacal_core.spectra import Spectra
+
+DEFAULT_URL = "http://127.0.0.1:8000"
+ENDED = ("done", "failed", "cancelled")
+POLL_S = 0.5
+_COLUMNS = {
+    "c": "calibration factor C(nu), V per ADC unit",
+    "c_sigma_stat": "statistical standard deviation of c",
+    "c_sigma_sys": "systematic standard deviation of c; NaN until a budget exists",
+}
+
+
+class Client:
+    """A server and a key; by default those of `LBACAL_URL` and `LBACAL_API_KEY`."""
+
+    def __init__(self, url: str | None = None, api_key: str | None = None, tries: int = TRIES) -> None:
+        address = url or os.environ.get("LBACAL_URL") or DEFAULT_URL
+        self._transport = Transport(address, api_key or os.environ.get("LBACAL_API_KEY") or None, tries)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the connection."""
+        self._transport.close()
+
+    def get(self, path: str, **params: Any) -> Any:
+        """The JSON at a path of the API."""
+        return self._transport.request("GET", path, params=params).json()
+
+    def ask(
+        self, station: str | None = None, antenna: int | None = None, dipole: str | None = None, *,
+        at: Any, as_of: Any = None, gap: str | None = None, kind: str = "json",
+    ) -> str:  # fmt: skip
+        """The calibration in effect as the server writes it, in one of its formats."""
+        params = {"station": station, "antenna": antenna, "dipole": dipole, "gap": gap, "format": kind}
+        params |= {"at": format_time(at), "as_of": None if as_of is None else format_time(as_of)}
+        return self._transport.request("GET", "/v1/calibrations/effective", params=params).text
+
+    def effective(
+        self, station: str | None = None, antenna: int | None = None, dipole: str | None = None, *,
+        at: Any, as_of: Any = None, gap: str | None = None,
+    ) -> QTable:  # fmt: skip
+        """The calibration in effect at `at`, one row per path and frequency.
+
+        Parameters
+        ----------
+        at, as_of
+            When the data were taken, and when the question is asked (None: now): an astropy Time, a datetime
+            (naive = UTC) or ISO 8601 text.
+        gap
+            ``hold`` answers with the nearest in time where nothing is in effect; such rows are flagged ``held``.
+        """
+        import json
+
+        return make_table(json.loads(self.ask(station, antenna, dipole, at=at, as_of=as_of, gap=gap)))
+
+    def ingest(
+        self, spectra: Path | str | Spectra, on_event: Callable[[int, int], None] | None = None
+    ) -> dict[str, int]:
+        """Send spectra, one event a request; what is stored already counts as duplicate, so it can be run again.
+
+        Parameters
+        ----------
+        on_event
+            Called with the number of events sent and their total.
+        """
+        from lbacal_core.spectra import read_spectra
+
+        measured = read_spectra(Path(spectra)) if isinstance(spectra, str | Path) else spectra
+        total = {"received": 0, "stored": 0, "duplicates": 0}
+        events = len(np.unique(measured.event_id))
+        for k, body in enumerate(bodies_of_events(measured), start=1):
+            receipt = self._transport.request("POST", "/v1/spectra", body=body).json()
+            total = {name: total[name] + receipt[name] for name in total}
+            if on_event:
+                on_event(k, events)
+        return total
+
+    def refit(
+        self, scope: str, since: Any, until: Any, *, reason: str, station: str | None = None,
+        antenna: int | None = None, dipole: str | None = None, promote: bool = False, wait: bool = True,
+    ) -> dict[str, Any]:  # fmt: skip
+        """Ask for fits over [since, until); with `wait` until they have ended. Returns the job."""
+        body = {
+            "scope": scope, "since": format_time(since), "until": format_time(until), "station": station,
+            "antenna": antenna, "dipole": dipole, "reason": reason, "promote": promote,
+        }  # fmt: skip
+        number = self._transport.request("POST", "/v1/refits", body=body).json()["job"]
+        return self.wait_for(number) if wait else self.job(number)
+
+    def job(self, number: int) -> dict[str, Any]:
+        """A job as it is now."""
+        found: dict[str, Any] = self.get(f"/v1/jobs/{number}")
+        return found
+
+    def wait_for(self, number: int) -> dict[str, Any]:
+        """A job when it has ended."""
+        while (job := self.job(number))["state"] not in ENDED:
+            time.sleep(POLL_S)
+        return job
+
+
+def effective(
+    station: str | None = None, antenna: int | None = None, dipole: str | None = None, *,
+    at: Any, as_of: Any = None, gap: str | None = None,
+) -> QTable:  # fmt: skip
+    """The calibration in effect at `at`; see `Client.effective`."""
+    with Client() as client:
+        return client.effective(station, antenna, dipole, at=at, as_of=as_of, gap=gap)
+
+
+def ingest(spectra: Path | str | Spectra) -> dict[str, int]:
+    """Send spectra; see `Client.ingest`."""
+    with Client() as client:
+        return client.ingest(spectra)
+
+
+def refit(scope: str, since: Any, until: Any, *, reason: str, **more: Any) -> dict[str, Any]:
+    """Ask for fits; see `Client.refit`."""
+    with Client() as client:
+        return client.refit(scope, since, until, reason=reason, **more)
+
+
+def format_time(instant: Any) -> str:
+    """ISO 8601 of an astropy Time, a datetime (naive = UTC) or text, which is sent as it is."""
+    if isinstance(instant, str):
+        return instant
+    if hasattr(instant, "utc") and hasattr(instant, "to_datetime"):
+        instant = instant.utc.to_datetime(timezone=UTC)
+    if not isinstance(instant, datetime):
+        raise BadInputError("at", "an astropy Time, a datetime or ISO 8601 text", repr(instant)[:80])
+    moment = instant if instant.tzinfo else instant.replace(tzinfo=UTC)
+    return moment.astimezone(UTC).isoformat().replace("+00:00", "Z")
+
+
+def bodies_of_events(spectra: Spectra) -> Iterator[dict[str, Any]]:
+    """One request body per event, in order of time."""
+    epoch = datetime(1970, 1, 1, tzinfo=UTC)
+    order = np.lexsort((spectra.event_id, spectra.time_unix))
+    names = spectra.event_id[order]
+    starts = [0, *(np.flatnonzero(names[1:] != names[:-1]) + 1).tolist(), len(names)]
+    for start, end in pairwise(starts):
+        rows = []
+        for k in order[start:end].tolist():
+            env = {name: float(values[k]) for name, values in spectra.environment.items() if np.isfinite(values[k])}
+            time_utc = epoch + timedelta(microseconds=round(float(spectra.time_unix[k]) * 1e6))
+            rows.append(
+                {
+                    "event_id": str(spectra.event_id[k]), "time_utc": format_time(time_utc),
+                    "station": str(spectra.station[k]), "antenna": int(spectra.antenna[k]),
+                    "dipole": str(spectra.dipole[k]), "blocks": int(spectra.blocks[k]),
+                    "power": spectra.power[k].tolist(), **({"env": env} if env else {}),
+                }
+            )  # fmt: skip
+        if rows:
+            yield {
+                "frequency_mhz": spectra.frequency_mhz.tolist(),
+                "resistance_ohm": spectra.resistance_ohm,
+                "spectra": rows,
+            }
+
+
+def make_table(answer: dict[str, Any]) -> QTable:
+    """The rows of an answer to "in effect at" as a table with units; the versions are in its column `calibration`."""
+    from astropy import units as u
+    from astropy.table import QTable
+
+    curves = answer["curves"]
+    counts = [len(curve["c"]) for curve in curves]
+
+    def repeat(values: list[Any], kind: Any) -> Any:
+        return np.repeat(np.array(values, dtype=kind), counts)
+
+    def join(name: str) -> Any:
+        return np.concatenate([curve[name] or [np.nan] * len(curve["c"]) for curve in curves]).astype(float)
+
+    table = QTable()
+    table["station"] = repeat([curve["station"] for curve in curves], np.str_)
+    table["antenna"] = repeat([curve["antenna"] for curve in curves], np.int64)
+    table["dipole"] = repeat([curve["dipole"] for curve in curves], np.str_)
+    table["frequency_mhz"] = join("frequency_mhz") * u.MHz
+    for name, text in _COLUMNS.items():
+        table[name] = join(name) * u.V
+        table[name].info.description = text
+    table["flag"] = repeat(["held" if curve["held"] else "" for curve in curves], np.str_)
+    table["calibration"] = repeat([curve["calibration"] for curve in curves], np.str_)
+    table["answered_by"] = repeat([curve["answered_by"] for curve in curves], np.str_)
+    table["valid_from"] = repeat([curve["valid"]["from"] for curve in curves], np.str_)
+    table["valid_to"] = repeat([curve["valid"]["to"] or "" for curve in curves], np.str_)
+    table.meta = {"at": answer["at"], "as_of": answer["as_of"], "missing": answer["missing"]}
+    return table
