@@ -9,12 +9,14 @@ from fastapi import Depends, FastAPI, Request, Response
 from fastapi_offline import FastAPIOffline
 
 from service.factory import Factory
-from service.handlers import calibrations, drift, health, jobs, problems, spectra
+from service.handlers import calibrations, drift, health, jobs, pages, problems, spectra
 from service.handlers.request import require_known_query
 
 _ELSEWHERE = "img-src 'self' data:; connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
-STRICT = f"default-src 'none'; script-src 'self'; style-src 'self'; {_ELSEWHERE}"
-"""A browser loads what this host serves, and nothing written into a page."""
+_PLOTS = "style-src 'self' 'sha256-47DEQpj8HBSa+/TImW+5JCeuQeRkm5NMpJWZG3hSuFU='; style-src-attr 'unsafe-inline'"
+"""Plotly makes one empty style element (the hash is that of nothing) and writes style attributes into its SVG."""
+STRICT = f"default-src 'none'; script-src 'self'; {_PLOTS}; {_ELSEWHERE}"
+"""A browser loads what this host serves, and runs no script written into a page."""
 DOCS = f"default-src 'none'; script-src 'self' 'unsafe-inline'; style-src 'self' 'unsafe-inline'; {_ELSEWHERE}"
 """The pages of FastAPI's documentation carry a script in the page; they show nothing that anybody sent."""
 
@@ -29,7 +31,15 @@ def make_app(factory: Factory) -> FastAPI:
         dependencies=[Depends(require_known_query)],
     )
     app.state.factory = factory
-    for router in (spectra.router, calibrations.router, jobs.router, drift.router, health.router):
+    for router in (
+        spectra.router,
+        calibrations.router,
+        jobs.router,
+        drift.router,
+        health.router,
+        pages.router,
+        pages.assets,
+    ):
         app.include_router(router)
     problems.install(app)
 

@@ -98,13 +98,22 @@ def list_versions(
 @router.get(
     "/v1/calibrations/{version_id}",
     summary="One version",
-    description="Its inputs, curves and `payload_sha256`, the SHA-256 of `curves` as canonical JSON.",
-    responses=document(401, 404, 503),
+    description="Its inputs, curves and `payload_sha256`, the SHA-256 of `curves` as canonical JSON. The other formats "
+    "have the columns of `effective`, the window of the fit as interval.",
+    responses=document(401, 404, 422, 503),
     dependencies=[Depends(require_read)],
 )
-def get_version(request: Request, use: UseCases, version_id: str) -> Response:
+def get_version(
+    request: Request,
+    use: UseCases,
+    version_id: str,
+    format: str | None = None,  # noqa: A002 - its name on the wire
+) -> Response:
+    kind = choose_format(format, request.headers.get("accept"))
     version, _ = use.calibrations.get(version_id)
-    return answer(request, {**describe_version(version), "curves": version.payload}, cache=IMMUTABLE)
+    content = {**describe_version(version), "curves": version.payload}
+    body = content if kind == "json" else write_format(kind, describe_version_rows(version))
+    return answer(request, body, media_type=FORMATS[kind], cache=IMMUTABLE)
 
 
 @router.get(
@@ -158,6 +167,14 @@ def describe_version(version: Version) -> dict[str, Any]:
         "payload_sha256": version.payload_sha256,
         "inputs": dict(version.inputs),
     }
+
+
+def describe_version_rows(version: Version) -> dict[str, Any]:
+    """The converged curves of a version in the shape of an answer to "in effect at"."""
+    window = {"from": format_instant(version.since), "to": format_instant(version.until)}
+    more = {"calibration": version.id, "answered_by": version.scope.level, "valid": window, "held": False}
+    curves = [{**curve.as_dict(), **more} for curve in version.curves if curve.c is not None]
+    return {"at": window["from"], "as_of": None, "curves": curves}
 
 
 def describe_diff(first: Version, second: Version) -> dict[str, Any]:

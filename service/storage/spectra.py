@@ -183,6 +183,10 @@ class SpectraStore:
         row = self._connection.execute(select(func.min(event.c.time_us), func.max(event.c.time_us))).one()
         return None if row[0] is None else (int(row[0]), int(row[1]))
 
+    def count_events(self) -> int:
+        """How many events are stored."""
+        return int(self._connection.execute(select(func.count()).select_from(event)).scalar_one())
+
     def content(self, window: Window) -> tuple[int, int]:
         """What a window holds: the count of its usable spectra, and the number of the last flag set in it.
 

@@ -114,6 +114,22 @@ class Drift:
             ratios.append(MonthlyRatio(path, int(months[m]), of_block[path].id, c_ratio, sigma, events))
         return ratios
 
+    def stations(self) -> list[str]:
+        """Stations with spectra."""
+        with self.database.read() as stores:
+            return stores.spectra.stations()
+
+    def ratios(self, station: str) -> list[MonthlyRatio]:
+        """The months of all paths of a station."""
+        with self.database.read() as stores:
+            return stores.drift.ratios(Scope(station))
+
+    def means_of_paths(self, station: str) -> list[MeanC]:
+        """Band means of C of all versions of a station's paths, path by path."""
+        with self.database.read() as stores:
+            means = stores.versions.means_of_station(station)
+        return sorted(means, key=lambda mean: (mean.scope.antenna or 0, mean.dipole, mean.since))
+
     def series(self, scope: Scope) -> DriftSeries:
         """Versions, months and steps of a scope."""
         with self.database.read() as stores:
@@ -145,10 +161,7 @@ def _version_at(versions: Sequence[MeanC], instant: Instant) -> str | None:
 
 
 def _rank_steps(ratios: Sequence[MonthlyRatio], versions: Sequence[MeanC]) -> list[Step]:
-    """The best step of every path against the median of its station, the most significant first.
-
-    What a station's paths have in common (the gain of an event, the season) divides out.
-    """
+    """The best step of every path against the median of its station, the most significant first."""
     by_station: dict[str, list[MonthlyRatio]] = {}
     of_path: dict[Scope, list[MeanC]] = {}
     for ratio in ratios:
@@ -157,27 +170,37 @@ def _rank_steps(ratios: Sequence[MonthlyRatio], versions: Sequence[MeanC]) -> li
         of_path.setdefault(mean.scope, []).append(mean)
     steps = []
     for of_station in by_station.values():
-        paths, months, values, sigmas = _as_matrix(of_station)
-        with np.errstate(invalid="ignore"):
-            median = np.array([np.median(column[np.isfinite(column)]) for column in values.T])
-        found = find_steps(values / median, sigmas / median)
-        for k, path in enumerate(paths):
+        matrix = relative_to_station(of_station)
+        found = find_steps(matrix.values, matrix.sigmas)
+        for k, path in enumerate(matrix.paths):
             if np.isfinite(found.size[k]):
-                date = _within_month(int(months[found.month[k]]), float(found.passed[k]))
+                date = _within_month(int(matrix.months[found.month[k]]), float(found.passed[k]))
                 version = _version_at(of_path.get(path, []), date)
                 steps.append(Step(path, date, float(found.size[k]), float(found.sigma[k]), version))
     return sorted(steps, key=lambda step: (-step.significance, step.path.key))
 
 
-def _as_matrix(ratios: Sequence[MonthlyRatio]) -> tuple[list[Scope], NDArray[np.int64], Floats, Floats]:
+@dataclass(frozen=True)
+class PathMatrix:
+    """Paths of one station by month: their ratios over the station's median, shape (path, month); NaN where unknown."""
+
+    paths: Sequence[Scope]
+    months: NDArray[np.int64]
+    values: Floats
+    sigmas: Floats
+
+
+def relative_to_station(ratios: Sequence[MonthlyRatio]) -> PathMatrix:
+    """Divide out what the paths of a station have in common: the gain of an event, the season."""
     paths = list(dict.fromkeys(ratio.path for ratio in ratios))
-    months = np.unique([ratio.month for ratio in ratios])
+    months = np.unique(np.array([ratio.month for ratio in ratios], dtype=np.int64))
     row = {path: k for k, path in enumerate(paths)}
     values, sigmas = np.full((2, len(paths), months.size), np.nan)
     for ratio in ratios:
         at = row[ratio.path], int(np.searchsorted(months, ratio.month))
         values[at], sigmas[at] = ratio.c_ratio, ratio.c_ratio_sigma
-    return paths, months, values, sigmas
+    median = np.array([np.median(column[np.isfinite(column)]) for column in values.T])
+    return PathMatrix(paths, months, values / median, sigmas / median)
 
 
 def _within_month(month: Instant, passed: float) -> Instant:

@@ -102,7 +102,7 @@ def _differences(path: Scope, before: Sequence[Stretch], after: Sequence[Stretch
     """The stretches over which the version that answers differs."""
     edges = sorted({s.start for s in (*before, *after) if s.start is not None})
     changes: list[Change] = []
-    for start, end in zip(edges, [*edges[1:], None], strict=True):
+    for start, end in zip(edges, [*edges, None][1:], strict=True):
         old, new = _at(before, start), _at(after, start)
         if old == new:
             continue

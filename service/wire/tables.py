@@ -17,6 +17,8 @@ COLUMNS = (
 NURADIO_MHZ = np.arange(101.0)
 FORMATS = {"json": "application/json", "csv": "text/csv", "ecsv": "text/x-ecsv", "nuradio": "text/plain"}
 
+VERSION_FORMATS = tuple(FORMATS)
+
 
 def choose_format(wanted: str | None, accept: str | None) -> str:
     """The format of an answer: `format=` wins over the header Accept."""
@@ -87,7 +89,7 @@ def write_ecsv(answer: dict[str, Any]) -> bytes:
         if name in units:
             column = Column(np.array([np.nan if v is None else v for v in values], dtype=float), unit=units[name])
         elif name == "antenna":
-            column = Column(np.array(values, dtype=np.int64))
+            column = Column(np.array([-1 if v is None else v for v in values], dtype=np.int64))
         else:
             column = Column(np.array(["" if v is None else v for v in values], dtype=np.str_))
         column.description = described.get(name)

@@ -206,6 +206,10 @@ def test_a_dry_run_tells_the_changes_and_writes_nothing(client: TestClient, stor
     assert done["changes"] == changes
 
 
+def test_withdrawing_where_nothing_was_changes_nothing(client: TestClient) -> None:
+    assert promote(client, None, "2014-01-01")["changes"] == []
+
+
 @pytest.mark.parametrize(
     ("change", "status"),
     [

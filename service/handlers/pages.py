@@ -1,0 +1,149 @@
+"""The page, for humans: the same use cases as the API, filled into templates."""
+
+from __future__ import annotations
+
+from itertools import groupby
+from typing import Any
+
+import numpy as np
+from fastapi import APIRouter, Depends, Request, Response
+
+from lbacal_core.validity import Scope
+from service.handlers.request import IMMUTABLE, UseCases, answer, require_read
+from service.page.assets import find_asset
+from service.page.render import format_day, name_scope, render_page
+from service.storage.versions import MeanC
+from service.usecases.calibrations import select_paths
+from service.usecases.drift import DriftSeries, relative_to_station
+from service.usecases.overview import look_over
+from service.wire.instants import format_instant
+from service.wire.tables import VERSION_FORMATS
+
+router = APIRouter(include_in_schema=False, dependencies=[Depends(require_read)])
+assets = APIRouter(include_in_schema=False)
+HTML = "text/html; charset=utf-8"
+STEPS_SHOWN = 25
+
+
+def _page(request: Request, use: UseCases, name: str, here: str, **content: Any) -> Response:
+    body = render_page(name, here=here, instrument=use.instrument.name, **content)
+    return answer(request, body, media_type=HTML)
+
+
+@assets.get("/static/{digest}/{name}")
+def get_asset(request: Request, digest: str, name: str) -> Response:
+    asset = find_asset(digest, name)
+    return answer(request, asset.content, media_type=asset.media_type, cache=IMMUTABLE)
+
+
+@router.get("/")
+def show_overview(request: Request, use: UseCases) -> Response:
+    overview = look_over(use.database, use.instrument, use.clock)
+    steps = use.drift.series(Scope()).steps[:5]
+    return _page(request, use, "overview.html", "/", overview=overview, steps=steps)
+
+
+@router.get("/jobs")
+def show_jobs(request: Request, use: UseCases) -> Response:
+    jobs = use.jobs.newest(limit=200)
+    is_open = any(job.state in ("queued", "running") for job in jobs)
+    return _page(request, use, "jobs.html", "/jobs", jobs=jobs, is_open=is_open, nightly=use.settings.nightly_utc)
+
+
+@router.get("/drift")
+def show_drift(request: Request, use: UseCases) -> Response:
+    whole = use.drift.series(Scope())
+    stations = use.drift.stations()
+    series = [*(use.drift.series(Scope(station)) for station in stations), *([whole] if len(stations) > 1 else [])]
+    rows = [row for one in series for row in _version_rows(one)]
+    plot = {"series": [_plot_of_series(one) for one in series]}
+    return _page(request, use, "drift.html", "/drift", plot=plot, steps=whole.steps[:STEPS_SHOWN], rows=rows)
+
+
+@router.get("/stations/{station}")
+def show_station(request: Request, use: UseCases, station: str) -> Response:
+    select_paths(use.instrument, station, None, None)
+    series = use.drift.series(Scope(station))
+    means = use.drift.means_of_paths(station)
+    plot = _plot_of_matrix(use, station, means)
+    steps = series.steps[:STEPS_SHOWN]
+    return _page(request, use, "station.html", "/", station=station, plot=plot, steps=steps, means=means)
+
+
+@router.get("/calibrations/{version_id}")
+def show_calibration(request: Request, use: UseCases, version_id: str) -> Response:
+    version, promotions = use.calibrations.get(version_id)
+    curves = [
+        {"name": c.name, **{k: getattr(c, k).tolist() for k in ("frequency_mhz", "c", "c_sigma_stat")}}
+        for c in version.curves
+        if c.c is not None
+    ]
+    return _page(
+        request, use, "calibration.html", "/", version=version, promotions=promotions, plot={"curves": curves},
+        downloads=[name for name in VERSION_FORMATS if name != "nuradio" or version.scope.antenna is not None],
+    )  # fmt: skip
+
+
+def _version_rows(series: DriftSeries) -> list[dict[str, Any]]:
+    """Versions of a scope in order of dipole and time, each against the first of its dipole."""
+    rows = []
+    ordered = sorted(series.versions, key=lambda version: (version.dipole, version.since, version.calibration))
+    for dipole, of_dipole in groupby(ordered, key=lambda version: version.dipole):
+        versions = list(of_dipole)
+        rows += [
+            {
+                "name": name_scope(series.scope),
+                "dipole": dipole,
+                "calibration": version.calibration,
+                "window": f"{format_day(version.since)} to {format_day(version.until)}",
+                "middle": format_instant((version.since + version.until) // 2)[:10],
+                "c": version.c,
+                "c_sigma": version.c_sigma,
+                "change": version.c / versions[0].c - 1.0,
+                "url": f"/calibrations/{version.calibration}",
+            }
+            for version in versions
+        ]
+    return rows
+
+
+def _plot_of_series(series: DriftSeries) -> dict[str, Any]:
+    station = series.scope.station
+    fallback = f"/stations/{station}" if station else "/"
+    return {
+        "name": name_scope(series.scope),
+        "months": [
+            {
+                "month": format_instant(point.month)[:7],
+                "c_ratio": point.c_ratio,
+                "low": point.low,
+                "high": point.high,
+                "paths": point.paths,
+                "events": point.events,
+                "url": f"/calibrations/{point.calibration}" if point.calibration else fallback,
+            }
+            for point in series.months
+        ],
+        "versions": [
+            {
+                "middle": row["middle"], "window": row["window"], "dipole": row["dipole"], "url": row["url"],
+                "ratio": 1.0 + row["change"], "sigma": row["c_sigma"] / row["c"],
+            }
+            for row in _version_rows(series)
+        ],
+    }  # fmt: skip
+
+
+def _plot_of_matrix(use: UseCases, station: str, means: list[MeanC]) -> dict[str, Any]:
+    found = relative_to_station(use.drift.ratios(station))
+    urls = []
+    for path in found.paths:
+        own = [mean for mean in means if mean.scope == path]
+        of_month = [next((m.calibration for m in reversed(own) if m.since <= t < m.until), None) for t in found.months]
+        urls.append([f"/calibrations/{name}" if name else None for name in of_month])
+    return {
+        "months": [format_instant(int(month))[:7] for month in found.months],
+        "paths": [f"{path.antenna} {path.dipole}" for path in found.paths],
+        "values": [[float(v) - 1.0 if np.isfinite(v) else None for v in row] for row in found.values],
+        "urls": urls,
+    }

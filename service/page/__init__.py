@@ -1,0 +1,1 @@
+"""The page: templates, style, plots and the vendored chart library. `assets` serves files, `render` fills templates."""

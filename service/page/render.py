@@ -1,0 +1,55 @@
+"""Fill the templates; every page is complete without script, which only adds plots and polling."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from functools import cache
+from typing import Any
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from lbacal_core.validity import Instant, Scope
+from service.page.assets import load_assets
+from service.wire.instants import format_instant
+
+
+@cache
+def _environment() -> Environment:
+    environment = Environment(
+        loader=PackageLoader("service.page", "templates"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters |= {"day": format_day, "moment": format_moment, "percent": format_percent, "scope": name_scope}
+    environment.filters |= {"short": lambda text: text[:10]}
+    environment.globals["assets"] = {name: asset.url for name, asset in load_assets().items()}
+    return environment
+
+
+def render_page(name: str, **content: Any) -> bytes:
+    """A page as HTML."""
+    return _environment().get_template(name).render(**content).encode()
+
+
+def format_day(instant: Instant | None) -> str:
+    """The date of an instant; an open end in words."""
+    return "further notice" if instant is None else format_instant(instant)[:10]
+
+
+def format_moment(instant: Instant) -> str:
+    """An instant to the second."""
+    return datetime.fromtimestamp(instant // 1_000_000, UTC).strftime("%Y-%m-%d %H:%M:%S")
+
+
+def format_percent(fraction: float | None, digits: int = 1) -> str:
+    """A signed change in percent."""
+    return "" if fraction is None else f"{100 * fraction:+.{digits}f} %"
+
+
+def name_scope(scope: Scope) -> str:
+    """A scope in words."""
+    if scope.antenna is not None:
+        return f"{scope.station} antenna {scope.antenna} {scope.dipole}"
+    return scope.station or "array"

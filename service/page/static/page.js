@@ -1,0 +1,80 @@
+// Plots and polling. The data of a plot stand in the page as JSON; a page without script shows them as tables.
+"use strict";
+
+const INK = "#1d2b36", LINE = "#dfe5ea";
+const COLOURS = ["#1b5e8c", "#d1731f", "#2c7a4b", "#8b3a62", "#6b5b95", "#4d8f9c", "#a68a00", "#7a4a2b"];
+const CONFIG = { displaylogo: false, responsive: true, showSendToCloud: false, modeBarButtonsToRemove: ["select2d", "lasso2d"] };
+const LAYOUT = {
+  font: { family: "system-ui, sans-serif", color: INK, size: 13 }, margin: { l: 70, r: 20, t: 20, b: 50 },
+  paper_bgcolor: "#fff", plot_bgcolor: "#fff", hovermode: "closest", legend: { orientation: "h", y: 1.08 },
+};
+const axis = (title, more) => ({ title: { text: title }, gridcolor: LINE, zeroline: false, linecolor: LINE, ticks: "outside", ...more });
+const faded = (colour, alpha) => colour + Math.round(255 * alpha).toString(16).padStart(2, "0");
+
+// A band as one closed outline, behind its median.
+function band(x, low, high, colour, name) {
+  return { x: [...x, ...[...x].reverse()], y: [...high, ...[...low].reverse()], fill: "toself", fillcolor: faded(colour, 0.18),
+    line: { width: 0 }, mode: "lines", hoverinfo: "skip", legendgroup: name, showlegend: false };
+}
+
+function drift(data) {
+  const traces = [];
+  data.series.forEach((one, k) => {
+    const colour = COLOURS[k % COLOURS.length], x = one.months.map((m) => m.month + "-15");
+    traces.push(band(x, one.months.map((m) => m.low), one.months.map((m) => m.high), colour, one.name));
+    traces.push({ x, y: one.months.map((m) => m.c_ratio), mode: "lines+markers", name: one.name, legendgroup: one.name,
+      line: { color: colour, width: 2 }, marker: { size: 6 }, customdata: one.months.map((m) => m.url),
+      text: one.months.map((m) => `${m.paths} paths, ${m.events} events`), hovertemplate: "%{x|%Y-%m}: %{y:.4f}<br>%{text}<extra>" + one.name + "</extra>" });
+    one.versions.forEach((v) => traces.push({ x: [v.middle], y: [v.ratio], error_y: { type: "data", array: [v.sigma], color: colour },
+      mode: "markers", marker: { size: 11, symbol: v.dipole === "Y" ? "square-open" : "diamond-open", color: colour, line: { width: 2 } },
+      name: `${one.name} ${v.dipole} version`, legendgroup: one.name, showlegend: false, customdata: [v.url],
+      hovertemplate: `version ${v.window}, ${v.dipole}: %{y:.4f}<extra>${one.name}</extra>` }));
+  });
+  const layout = { ...LAYOUT, xaxis: axis("month (UTC)", { type: "date" }), yaxis: axis("C / C of the first year") };
+  return [traces, layout];
+}
+
+function matrix(data) {
+  const span = Math.max(0.02, ...data.values.flat().filter((v) => v !== null).map((v) => Math.abs(v)));
+  const trace = { type: "heatmap", x: data.months.map((m) => m + "-15"), y: data.paths, z: data.values.map((row) => row.map((v) => v === null ? null : 100 * v)),
+    customdata: data.urls, colorscale: [[0, "#b2452d"], [0.5, "#f7f7f5"], [1, "#1b5e8c"]], zmin: -100 * span, zmax: 100 * span,
+    colorbar: { title: { text: "change of C, %" } }, hovertemplate: "%{y}, %{x|%Y-%m}: %{z:+.2f} %<extra></extra>" };
+  const layout = { ...LAYOUT, margin: { l: 90, r: 20, t: 20, b: 50 }, xaxis: axis("month (UTC)", { type: "date" }),
+    yaxis: axis("antenna and dipole", { type: "category", autorange: "reversed" }) };
+  return [[trace], layout];
+}
+
+function curve(data) {
+  const traces = [];
+  data.curves.forEach((one, k) => {
+    const colour = COLOURS[k % COLOURS.length], x = one.frequency_mhz;
+    traces.push(band(x, one.c.map((c, j) => c - one.c_sigma_stat[j]), one.c.map((c, j) => c + one.c_sigma_stat[j]), colour, one.name));
+    traces.push({ x, y: one.c, mode: "lines", name: one.name, legendgroup: one.name, line: { color: colour, width: 2 },
+      hovertemplate: "%{x} MHz: %{y:.4g} V<extra>" + one.name + "</extra>" });
+  });
+  const layout = { ...LAYOUT, margin: { l: 95, r: 20, t: 20, b: 50 }, xaxis: axis("frequency, MHz"), yaxis: axis("C(ν), V per ADC unit", { exponentformat: "power", rangemode: "tozero" }) };
+  return [traces, layout];
+}
+
+const PLOTS = { drift, matrix, curve };
+document.querySelectorAll(".plot").forEach((place) => {
+  const data = JSON.parse(document.getElementById(place.dataset.source).textContent);
+  const [traces, layout] = PLOTS[place.dataset.plot](data);
+  Plotly.newPlot(place, traces, layout, CONFIG).then(() => place.setAttribute("data-ready", "yes"));
+  place.on("plotly_click", (event) => { const url = event.points[0].customdata; if (typeof url === "string") location.assign(url); });
+});
+
+// The page of jobs asks again while something is open.
+const jobs = document.querySelector("[data-poll]");
+if (jobs) {
+  const poll = async () => {
+    const answer = await fetch(location.href, { headers: { Accept: "text/html" } });
+    if (answer.ok) {
+      const fresh = new DOMParser().parseFromString(await answer.text(), "text/html").querySelector("[data-poll]");
+      jobs.replaceChildren(...fresh.childNodes);
+      jobs.dataset.poll = fresh.dataset.poll;
+    }
+    if (jobs.dataset.poll === "open") setTimeout(poll, 2000);
+  };
+  if (jobs.dataset.poll === "open") setTimeout(poll, 2000);
+}
