@@ -5,8 +5,13 @@ from __future__ import annotations
 from functools import cached_property
 from pathlib import Path
 
-from pydantic import Field
+from pydantic import Field, ValidationError
 from pydantic_settings import BaseSettings, SettingsConfigDict
+
+from lbacal_core.errors import BadInputError
+
+_TIME_OF_DAY = "^([01][0-9]|2[0-3]):[0-5][0-9]$"
+_LEVEL = "^(debug|info|warning|error)$"
 
 
 class Settings(BaseSettings):
@@ -14,18 +19,18 @@ class Settings(BaseSettings):
 
     model_config = SettingsConfigDict(env_prefix="LBACAL_", frozen=True, extra="ignore")
 
-    database_url: str = Field("./var/lbacal.sqlite", description="SQLite file, or postgresql://user@host/name")
-    instrument: str = Field("lofar-superterp", description="name of a shipped instrument, or an instrument file")
-    sky_power: Path | None = Field(None, description="sky power file; none = the package's own sky")
-    resistance_ohm: float = Field(50.0, gt=0, description="R_r of all spectra, Ohm: one constant, it cancels in C")
-    max_body_mb: float = Field(64, gt=0, description="largest request body, MB")
-    open_reads: bool = Field(True, description="reads need no key")
-    lease_s: float = Field(120, gt=0, description="a worker silent for this long has lost its part, s")
-    poll_s: float = Field(1, gt=0, description="pause of an idle worker between two looks for work, s")
-    nightly_utc: str = Field("02:00", pattern=r"^[0-2][0-9]:[0-5][0-9]$", description="when due refits are found, UTC")
-    gate_change: float = Field(0.1, gt=0, description="largest change of the mean C that passes the gate, fraction")
-    gate_error: float = Field(0.05, gt=0, description="largest mean statistical error that passes the gate, fraction")
-    log_level: str = Field("info", pattern="^(debug|info|warning|error)$", description="least level written")
+    database_url: str = Field(default="./var/lbacal.sqlite", description="SQLite file, or postgresql://user@host/name")
+    instrument: str = Field(default="lofar-superterp", description="name of a shipped instrument, or a file")
+    sky_power: Path | None = Field(default=None, description="sky power file; none = the package's own sky")
+    resistance_ohm: float = Field(default=50.0, gt=0, description="R_r of all spectra, Ohm; it cancels in C")
+    max_body_mb: float = Field(default=64, gt=0, description="largest request body, MB")
+    open_reads: bool = Field(default=True, description="reads need no key")
+    lease_s: float = Field(default=120, gt=0, description="a worker silent for this long has lost its part, s")
+    poll_s: float = Field(default=1, gt=0, description="pause of an idle worker between two looks for work, s")
+    nightly_utc: str = Field(default="02:00", pattern=_TIME_OF_DAY, description="when due refits are found, UTC")
+    gate_change: float = Field(default=0.1, gt=0, description="largest change of mean C that passes, fraction")
+    gate_error: float = Field(default=0.05, gt=0, description="largest mean error of C that passes, fraction")
+    log_level: str = Field(default="info", pattern=_LEVEL, description="debug, info, warning or error")
 
     @cached_property
     def sqlalchemy_url(self) -> str:
@@ -40,3 +45,13 @@ class Settings(BaseSettings):
     def is_sqlite(self) -> bool:
         """Whether the embedded database is used."""
         return self.sqlalchemy_url.startswith("sqlite")
+
+
+def read_settings() -> Settings:
+    """The settings of the environment, or one sentence about the first that is wrong."""
+    try:
+        return Settings()
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        name = "LBACAL_" + "_".join(str(part) for part in first["loc"]).upper()
+        raise BadInputError(name, first["msg"].lower(), repr(first["input"])) from error

@@ -9,8 +9,12 @@ from typing import Annotated
 import typer
 
 from lbacal_core.errors import BadInputError, LbacalError, UnknownNameError, UnreadableFileError
+from service.cli.client import effective, ingest, jobs, refit
+from service.cli.database import db, keys
 from service.cli.fit import fit
 from service.cli.lst_curve import lst_curve
+from service.cli.processes import scheduler, worker
+from service.cli.serve import serve
 from service.cli.sky_power import sky_power
 from service.cli.spectra import spectra
 
@@ -27,6 +31,10 @@ app.command()(fit)
 app.command()(lst_curve)
 app.command(name="sky-power")(sky_power)
 app.command()(spectra)
+for command in (serve, scheduler, worker, ingest, refit, effective, jobs):
+    app.command()(command)
+app.add_typer(db, name="db")
+app.add_typer(keys, name="keys")
 
 
 def _print_version(is_asked: bool) -> None:
@@ -47,6 +55,7 @@ def options(
 EXIT_FAILED = 1
 EXIT_BAD_INPUT = 2
 _BAD_INPUT = (BadInputError, UnreadableFileError, UnknownNameError)
+_BAD_REQUEST = (400, 413, 415, 422)
 _UNUSABLE_FILES = (FileNotFoundError, IsADirectoryError, NotADirectoryError, PermissionError)
 
 
@@ -56,7 +65,8 @@ def main() -> None:
         app()
     except LbacalError as error:
         print(f"lbacal: {error}", file=sys.stderr)
-        sys.exit(EXIT_BAD_INPUT if isinstance(error, _BAD_INPUT) else EXIT_FAILED)
+        is_bad_input = isinstance(error, _BAD_INPUT) or error.status in _BAD_REQUEST
+        sys.exit(EXIT_BAD_INPUT if is_bad_input else EXIT_FAILED)
     except _UNUSABLE_FILES as error:
         print(f"lbacal: {error.filename}: {error.strerror}; name a file that can be used here", file=sys.stderr)
         sys.exit(EXIT_BAD_INPUT)

@@ -29,6 +29,7 @@ Written by `./dev docs` from `service/config.py`: do not edit. Each setting is a
 """
 _OTHER_SETTINGS = {
     "LBACAL_DASK": ("address of a dask scheduler for work that outgrows a machine (traces by the terabyte)", "none"),
+    "LBACAL_URL": ("address of the server, for the client", "http://127.0.0.1:8000"),
     "LBACAL_API_KEY": ("key of the client; reads need none unless the server says so", "none"),
     "LBACAL_TEST_PG": ("PostgreSQL server for the tests, as postgresql://user@host/name", "server binaries found here"),
 }

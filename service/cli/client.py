@@ -1,0 +1,147 @@
+"""`lbacal ingest`, `effective`, `refit`, `jobs`: the client on the command line (`LBACAL_URL`, `LBACAL_API_KEY`)."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from lbacal.client import Client
+
+Station = Annotated[str | None, typer.Option(help="Station such as CS002.")]
+Antenna = Annotated[int | None, typer.Option(help="Antenna number.", min=0)]
+Dipole = Annotated[str | None, typer.Option(help="X or Y.")]
+
+
+class Format(StrEnum):
+    """How an answer is written."""
+
+    table = "table"
+    json = "json"
+    csv = "csv"
+    ecsv = "ecsv"
+    nuradio = "nuradio"
+
+
+def ingest(spectra: Annotated[Path, typer.Argument(help="Spectra file (HDF5, lbacal-spectra-1).")]) -> None:
+    """Send spectra to the server, one event a request; it can be run again.
+
+    Example: lbacal ingest spectra.h5
+    """
+    with Client() as client, _progress("events") as on_event:
+        total = client.ingest(spectra, on_event)
+    print(f"{total['received']} spectra sent: {total['stored']} stored, {total['duplicates']} there already")
+
+
+def effective(
+    at: Annotated[str, typer.Option(help="When the data were taken: ISO 8601, UTC.")],
+    station: Station = None,
+    antenna: Antenna = None,
+    dipole: Dipole = None,
+    as_of: Annotated[str | None, typer.Option(help="Answer as it was known at this instant.")] = None,
+    gap: Annotated[str | None, typer.Option(help="hold: answer with the nearest where nothing is in effect.")] = None,
+    kind: Annotated[Format, typer.Option("--format", help="How to print.")] = Format.table,
+) -> None:
+    """Print the calibration in effect on a date.
+
+    Example: lbacal effective --station CS002 --antenna 17 --dipole X --at 2014-05-01
+    """
+    with Client() as client:
+        wire = "json" if kind is Format.table else kind.value
+        text = client.ask(station, antenna, dipole, at=at, as_of=as_of, gap=gap, kind=wire)
+    if kind is not Format.table:
+        sys.stdout.write(text)
+        return
+    for curve in json.loads(text)["curves"]:
+        print_curve(curve)
+
+
+def refit(
+    scope: Annotated[str, typer.Option(help="array, station or antenna: what one version belongs to.")],
+    since: Annotated[str, typer.Option(help="First instant of the window, ISO 8601, UTC.")],
+    until: Annotated[str, typer.Option(help="End of the window, not included.")],
+    reason: Annotated[str, typer.Option(help="Why; it is kept.")],
+    station: Station = None,
+    antenna: Antenna = None,
+    dipole: Dipole = None,
+    promote: Annotated[bool, typer.Option("--promote", help="Put into effect what passes the gate.")] = False,
+    wait: Annotated[bool, typer.Option(help="Wait until the fits have ended.")] = True,
+) -> None:
+    """Ask for new fits over a window, one fit a version.
+
+    Example: lbacal refit --scope antenna --since 2014-01-01 --until 2015-01-01 --reason "new cables" --promote
+    """
+    with Client() as client:
+        job = client.refit(
+            scope,
+            since,
+            until,
+            reason=reason,
+            station=station,
+            antenna=antenna,
+            dipole=dipole,
+            promote=promote,
+            wait=wait,
+        )
+    print_job(job)
+    if job["state"] == "failed":
+        raise typer.Exit(1)
+
+
+def jobs(number: Annotated[int | None, typer.Argument(help="One job; without it the newest.")] = None) -> None:
+    """Show what was asked for and how far it is.
+
+    Example: lbacal jobs 12
+    """
+    with Client() as client:
+        found = [client.job(number)] if number is not None else client.get("/v1/jobs", limit=20)["jobs"]
+    for job in found:
+        print_job(job)
+
+
+def print_curve(curve: dict[str, Any]) -> None:
+    """Print a curve in effect: who answers, for how long, and C(nu)."""
+    held = ", held: nothing is in effect, this is the nearest" if curve["held"] else ""
+    print(f"{curve['station']} antenna {curve['antenna']} {curve['dipole']}: version {curve['calibration'][:12]}")
+    valid = curve["valid"]
+    print(
+        f"  answered by {curve['answered_by']}, valid from {valid['from']} to {valid['to'] or 'further notice'}{held}"
+    )
+    print("  frequency_mhz             c  c_sigma_stat   (V per ADC unit)")
+    for frequency, c, sigma in zip(curve["frequency_mhz"], curve["c"], curve["c_sigma_stat"], strict=True):
+        print(f"  {frequency:13g} {c:13.6g} {sigma:13.3g}")
+
+
+def print_job(job: dict[str, Any]) -> None:
+    """Print one line about a job, and why it failed or what the gate kept back."""
+    name = " ".join(str(job["request"][k]) for k in ("scope", "station") if job["request"].get(k))
+    made = f"{len(job['calibrations'])} versions, {len(job['promoted'])} promoted"
+    print(f"job {job['job']}: {job['kind']} {name}, {job['state']} ({job['progress']:.0%}), {made}; {job['reason']}")
+    if job["error"]:
+        print(f"  {job['error']}")
+    for version, why in job["gated"].items():
+        print(f"  {version[:12]} waits: {why}")
+
+
+@contextmanager
+def _progress(what: str) -> Iterator[Callable[[int, int], None]]:
+    """A bar on a terminal, else one line at each tenth."""
+    if not sys.stderr.isatty():
+        yield lambda k, total: _print_tenth(what, k, total)
+        return
+    from rich.progress import Progress
+
+    with Progress(transient=True) as bar:
+        task = bar.add_task(what)
+        yield lambda k, total: bar.update(task, completed=k, total=total)
+
+
+def _print_tenth(what: str, k: int, total: int) -> None:
+    if k == total or k % max(1, total // 10) == 0:
+        print(f"{k} of {total} {what}", file=sys.stderr, flush=True)

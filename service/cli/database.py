@@ -1,0 +1,84 @@
+"""`lbacal db` and `lbacal keys`: for whoever keeps the database."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from service.factory import Factory
+
+db = typer.Typer(help="The database's schema. Example: lbacal db upgrade", no_args_is_help=True)
+keys = typer.Typer(help="API keys. Example: lbacal keys create --scope spectra:write", no_args_is_help=True)
+
+
+@db.command()
+def upgrade() -> None:
+    """Bring the schema to what this version needs.
+
+    Example: LBACAL_DATABASE_URL=postgresql://lbacal@db/lbacal lbacal db upgrade
+    """
+    from service.storage import migration
+
+    database = _factory().database
+    migration.upgrade(database)
+    print(f"schema {migration.find_revision(database)}")
+
+
+@db.command()
+def check() -> None:
+    """Exit 0 if the database answers and has the schema this version needs, else 1.
+
+    Example: lbacal db check
+    """
+    from service.storage import migration
+
+    database = _factory().database
+    migration.require_current(database)
+    print(f"schema {migration.find_revision(database)}, as needed")
+
+
+@keys.command()
+def create(
+    scope: Annotated[list[str], typer.Option(help="read, spectra:write, refits:run, calibrations:promote or admin.")],
+    expires: Annotated[float | None, typer.Option(help="Days until the key ends; without it, never.")] = None,
+) -> None:
+    """Make a key and print it, alone on the last line; it cannot be shown again.
+
+    Example: lbacal keys create --scope spectra:write --expires 365
+    """
+    number, text = _factory().keys.create(tuple(scope), expires)
+    print(f"key {number} with scope {', '.join(scope)}; keep it now, it is not shown again:")
+    print(text)
+
+
+@keys.command(name="list")
+def list_keys() -> None:
+    """List keys, without their texts.
+
+    Example: lbacal keys list
+    """
+    from service.wire.instants import format_optional
+
+    for key in _factory().keys.list():
+        ends = f"expires {format_optional(key.expires) or 'never'}"
+        revoked = f", revoked {format_optional(key.revoked)}" if key.revoked is not None else ""
+        print(f"{key.number}: {', '.join(key.scopes)}; made {format_optional(key.created)}, {ends}{revoked}")
+
+
+@keys.command()
+def revoke(number: Annotated[int, typer.Argument(metavar="ID", help="Number of the key.")]) -> None:
+    """Close a key for good.
+
+    Example: lbacal keys revoke 3
+    """
+    _factory().keys.revoke(number)
+    print(f"key {number} is revoked")
+
+
+def _factory() -> Factory:
+    from service.config import read_settings
+    from service.factory import Factory
+
+    return Factory(read_settings())
