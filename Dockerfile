@@ -1,0 +1,18 @@
+# One image for API, scheduler, worker and migration: the wheel with exactly the locked dependencies.
+FROM python:3.11-slim AS build
+WORKDIR /src
+COPY . .
+RUN pip install --no-cache-dir uv==0.13.9 \
+    && uv build --wheel --out-dir /wheel \
+    && uv venv /venv \
+    && uv pip install --python /venv/bin/python --constraints requirements.lock "$(ls /wheel/*.whl)[server,dask]"
+
+FROM python:3.11-slim
+RUN useradd --system --create-home --home-dir /data lbacal
+COPY --from=build /venv /venv
+ENV PATH=/venv/bin:$PATH OPENBLAS_NUM_THREADS=1
+USER lbacal
+WORKDIR /data
+EXPOSE 8000
+ENTRYPOINT ["lbacal"]
+CMD ["serve", "--host", "0.0.0.0"]

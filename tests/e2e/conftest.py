@@ -1,0 +1,113 @@
+from __future__ import annotations
+
+import os
+import shutil
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import httpx2
+import numpy as np
+import pytest
+from playwright.sync_api import Browser, sync_playwright
+
+from lbacal_core.instrument import load_instrument
+from lbacal_core.skypower.model import compute_sky_power
+from lbacal_core.spectra import write_spectra
+from lbacal_core.twin.campaign import simulate_campaign
+from lbacal_core.twin.settings import TwinSettings
+
+QUIET = [
+    "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
+    "--disable-component-update", "--disable-sync",
+]  # fmt: skip
+Run = Callable[..., subprocess.CompletedProcess[str]]
+
+
+@dataclass(frozen=True)
+class Service:
+    """A running `lbacal serve`, with the environment that reaches it."""
+
+    url: str
+    environment: dict[str, str]
+    spectra: Path
+
+    def run(self, *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+        """Run a command of `lbacal` as a user would."""
+        return subprocess.run(
+            [sys.executable, "-m", "service.cli.main", *arguments], env={**self.environment, **environment},
+            capture_output=True, text=True, check=False, timeout=120,
+        )  # fmt: skip
+
+
+@pytest.fixture(scope="session")
+def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
+    """Two years of two antennas, served, ingested and fitted with the commands of the README."""
+    folder = tmp_path_factory.mktemp("service")
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    url = f"http://127.0.0.1:{port}"
+    environment = os.environ | {
+        "LBACAL_DATABASE_URL": str(folder / "lbacal.sqlite"), "LBACAL_URL": url, "LBACAL_POLL_S": "0.1",
+        "LBACAL_GATE_ERROR": "0.3", "LBACAL_GATE_CHANGE": "0.5", "COLUMNS": "200",
+    }  # fmt: skip
+    spectra = folder / "spectra.h5"
+    instrument = load_instrument("lofar-superterp")
+    settings = TwinSettings(stations=("CS002",), antennas=2, years=1.99, events_per_year=100)
+    sky = compute_sky_power(instrument)
+    write_spectra(simulate_campaign(settings, instrument, sky, np.random.default_rng(5)).spectra, spectra)
+    with (folder / "log").open("wb") as log:
+        command = [sys.executable, "-m", "service.cli.main", "serve", "--port", str(port)]
+        server = subprocess.Popen(command, env=environment, stdout=log, stderr=log)
+        try:
+            _wait_until(lambda: _answers(url), "the server to answer")
+            made = Service(url, environment, spectra)
+            key = made.run("keys", "create", "--scope", "admin").stdout.splitlines()[-1]
+            made.environment["LBACAL_API_KEY"] = key
+            assert made.run("ingest", str(spectra)).returncode == 0
+            assert made.run("scheduler", "--once").returncode == 0
+            _wait_until(lambda: _is_idle(url), "the refits to end")
+            yield made
+        finally:
+            server.terminate()
+            server.wait(20)
+
+
+def _wait_until(is_so: Callable[[], bool], what: str) -> None:
+    for _ in range(600):
+        if is_so():
+            return
+        time.sleep(0.1)
+    raise TimeoutError(f"waited 60 s for {what}")
+
+
+def _answers(url: str) -> bool:
+    try:
+        return httpx2.get(f"{url}/readyz").is_success
+    except httpx2.TransportError:
+        return False
+
+
+def _is_idle(url: str) -> bool:
+    jobs = httpx2.get(f"{url}/v1/jobs").json()["jobs"]
+    is_drift_done = sum(job["kind"] == "drift" for job in jobs) == 2
+    return is_drift_done and all(job["state"] in ("done", "failed") for job in jobs)
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Browser]:
+    """Debian's Chromium, which talks to nobody by itself."""
+    executable = shutil.which("chromium")
+    if executable is None:
+        if os.environ.get("CI"):
+            raise FileNotFoundError("no chromium: apt-get install chromium")
+        pytest.skip("needs chromium")
+    with sync_playwright() as playwright:
+        made = playwright.chromium.launch(executable_path=executable, args=QUIET)
+        yield made
+        made.close()

@@ -1,0 +1,134 @@
+from __future__ import annotations
+
+import os
+from datetime import datetime
+from typing import Any
+
+import numpy as np
+import pytest
+from astropy.time import Time
+
+import lbacal
+from lbacal_core.spectra import read_spectra
+
+
+def test_ingest_can_be_run_again(service: Any) -> None:
+    again = service.run("ingest", str(service.spectra))
+    assert again.returncode == 0, again.stderr
+    assert again.stdout == "796 spectra sent: 0 stored, 796 there already\n"
+    assert "199 of 199 events" in again.stderr
+
+
+def test_effective_prints_the_calibration_on_a_date(service: Any) -> None:
+    said = service.run("effective", "--station", "CS002", "--antenna", "1", "--dipole", "X", "--at", "2014-05-01")
+    assert said.returncode == 0, said.stderr
+    assert said.stdout.startswith("CS002 antenna 1 X: version ")
+    assert "answered by antenna, valid from 2014-01-01T00:00:00Z to 2015-01-01T00:00:00Z" in said.stdout
+    assert len(said.stdout.splitlines()) == 3 + 51
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "sentence"),
+    [
+        (("effective", "--at", "2014"), 2, "at: expected an ISO 8601 date"),
+        (("effective", "--at", "2004-01-01"), 1, "no calibration is in effect"),
+        (("effective", "--at", "2014-05-01", "--antenna", "1"), 2, "antenna: expected a station beside it"),
+        (("ingest", "nothing.h5"), 2, "nothing.h5: expected a spectra file"),
+        (("refit", "--scope", "path", "--since", "2014-01-01", "--until", "2015-01-01", "--reason", "x"), 2, "scope"),
+        (("jobs", "999"), 1, "no job 999"),
+        (("keys", "create", "--scope", "write"), 2, "scope: expected one or more of read"),
+        (("keys", "revoke", "999"), 1, "no key 999"),
+    ],
+)
+def test_a_failure_is_one_sentence_and_an_exit_code(
+    service: Any, arguments: tuple[str, ...], code: int, sentence: str
+) -> None:
+    said = service.run(*arguments)
+    assert (said.returncode, said.stdout) == (code, "")
+    assert sentence in said.stderr
+    assert len(said.stderr.splitlines()) == 1
+
+
+def test_a_wrong_key_and_a_wrong_setting_are_named(service: Any) -> None:
+    refused = service.run(
+        "refit",
+        "--scope",
+        "array",
+        "--since",
+        "2014-01-01",
+        "--until",
+        "2015-01-01",
+        "--reason",
+        "x",
+        LBACAL_API_KEY="no",
+    )
+    assert (refused.returncode, refused.stderr) == (1, "lbacal: the key is unknown, expired or revoked\n")
+    wrong = service.run("worker", LBACAL_LEASE_S="soon")
+    assert wrong.returncode == 2
+    assert wrong.stderr.startswith("lbacal: LBACAL_LEASE_S: expected ")
+
+
+def test_an_admin_refits_and_sees_the_job(service: Any) -> None:
+    asked = service.run(
+        "refit", "--scope", "station", "--since", "2014-03-01", "--until", "2015-03-01", "--reason", "half a year later"
+    )
+    assert asked.returncode == 0, asked.stderr
+    assert "refit station, done (100%), 1 versions, 0 promoted; half a year later" in asked.stdout
+    assert "half a year later" in service.run("jobs").stdout
+
+
+def test_the_schema_is_checked(service: Any, tmp_path: Any) -> None:
+    assert service.run("db", "check").stdout == "schema 0001, as needed\n"
+    empty = service.run("db", "check", LBACAL_DATABASE_URL=str(tmp_path / "empty.sqlite"))
+    assert empty.returncode == 1
+    assert "run `lbacal db upgrade`" in empty.stderr
+
+
+def test_keys_are_listed_without_their_text(service: Any) -> None:
+    made = service.run(
+        "keys", "create", "--scope", "read", "--scope", "refits:run", "--expires", "7"
+    ).stdout.splitlines()
+    number = made[0].split()[1]
+    listed = service.run("keys", "list").stdout
+    assert made[-1] not in listed
+    assert f"{number}: read, refits:run; made " in listed
+    assert service.run("keys", "revoke", number).stdout == f"key {number} is revoked\n"
+
+
+@pytest.fixture
+def client(service: Any, monkeypatch: pytest.MonkeyPatch) -> Any:
+    for name in ("LBACAL_URL", "LBACAL_API_KEY"):
+        monkeypatch.setitem(os.environ, name, service.environment[name])
+    return service
+
+
+@pytest.mark.usefixtures("client")
+@pytest.mark.parametrize("at", [Time("2014-05-01"), datetime(2014, 5, 1), "2014-05-01"])  # noqa: DTZ001 - naive is UTC
+def test_the_client_answers_with_a_table_of_quantities(at: Any) -> None:
+    table = lbacal.effective("CS002", antenna=1, dipole="X", at=at)
+    assert table.meta["at"] == "2014-05-01T00:00:00Z"
+    assert (len(table), str(table["c"].unit), str(table["frequency_mhz"].unit)) == (51, "V", "MHz")
+    assert set(table["answered_by"]) == {"antenna"}
+    # the twin takes its C from the published curve, around 2e-5 V per ADC unit
+    assert 1e-6 < np.median(table["c"].value) < 1e-3
+
+
+def test_the_client_sends_spectra_and_asks_for_fits(client: Any) -> None:
+    spectra = read_spectra(client.spectra)
+    some = spectra.select(np.isin(spectra.event_id, np.unique(spectra.event_id)[:3]))
+    assert lbacal.ingest(some) == {"received": 12, "stored": 0, "duplicates": 12}
+    job = lbacal.refit("antenna", "2014-01-01", "2015-01-01", reason="test", station="CS002", antenna=1, dipole="X")
+    assert (job["state"], len(job["calibrations"])) == ("done", 1)
+    assert job["calibrations"][0] in set(lbacal.effective("CS002", at="2014-05-01")["calibration"])
+
+
+@pytest.mark.usefixtures("client")
+def test_a_refusal_and_an_absent_server_are_exceptions_with_a_sentence() -> None:
+    with pytest.raises(lbacal.RefusedError, match="ISO 8601") as refused:
+        lbacal.effective("CS002", at="2014")
+    assert (refused.value.status, refused.value.code) == (422, "bad_input")
+    with (
+        lbacal.Client("http://127.0.0.1:9", tries=2) as absent,
+        pytest.raises(lbacal.UnreachableError, match="LBACAL_URL"),
+    ):
+        absent.get("/healthz")

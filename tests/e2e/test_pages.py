@@ -1,0 +1,63 @@
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from playwright.sync_api import Browser, Page, expect
+
+
+@pytest.fixture
+def page(browser: Browser, service: Any) -> Any:
+    """A page that notes whatever a user should never see: console output, script errors, requests off the host."""
+    made = browser.new_page(viewport={"width": 1240, "height": 900})
+    noted: list[str] = []
+    made.on("console", lambda message: noted.append(f"console {message.type}: {message.text}"))
+    made.on("pageerror", lambda error: noted.append(f"script: {error}"))
+    made.on("request", lambda request: None if request.url.startswith(service.url) else noted.append(request.url))
+    made.on("response", lambda answer: noted.append(f"{answer.status} {answer.url}") if answer.status >= 400 else None)
+    yield made
+    assert noted == []
+    made.close()
+
+
+@pytest.mark.parametrize("address", ["/", "/jobs", "/docs"])
+def test_a_page_shows_without_complaint(page: Page, service: Any, address: str) -> None:
+    page.goto(service.url + address, wait_until="networkidle")
+    expect(page.locator("h1, h2").first).to_be_visible()
+
+
+def test_the_drift_is_plotted_and_leads_to_a_version(page: Page, service: Any) -> None:
+    page.goto(service.url + "/drift")
+    expect(page.locator(".plot[data-ready=yes] .main-svg").first).to_be_visible()
+    assert page.locator(".plot .scatterlayer .trace").count() >= 2
+    page.locator("table a[href^='/calibrations/']").first.click()
+    expect(page.locator(".plot[data-ready=yes] .main-svg").first).to_be_visible()
+    expect(page.locator("h1")).to_contain_text("CS002")
+
+
+def test_a_click_on_a_point_leads_to_its_version(page: Page, service: Any) -> None:
+    page.goto(service.url + "/drift")
+    expect(page.locator(".plot[data-ready=yes]")).to_be_visible()
+    point = page.locator(".scatterlayer .points path.point").first
+    box = point.bounding_box()
+    assert box is not None
+    page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2, steps=4)
+    expect(page.locator(".hoverlayer .hovertext").first).to_be_visible()
+    with page.expect_navigation():
+        page.mouse.click(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    assert "/calibrations/" in page.url
+
+
+def test_a_station_shows_its_paths_month_by_month(page: Page, service: Any) -> None:
+    page.goto(service.url + "/stations/CS002")
+    expect(page.locator(".plot[data-ready=yes] .heatmaplayer")).to_be_attached()
+    assert page.locator("table").count() == 2
+
+
+def test_without_script_the_tables_say_it_all(browser: Browser, service: Any) -> None:
+    context = browser.new_context(java_script_enabled=False)
+    page = context.new_page()
+    page.goto(service.url + "/drift")
+    expect(page.get_by_text("CS002 antenna 1 Y")).to_be_visible()
+    expect(page.locator("noscript p")).to_be_visible()
+    context.close()
