@@ -53,7 +53,7 @@ def simulate_campaign(
     """
     require_same_grid(sky_power.origin, sky_power.frequency_mhz, instrument.frequency_mhz, instrument.name)
     stations = _stations(settings, instrument)
-    of_events, of_losses, *of_stations = rng.spawn(2 + len(stations))
+    of_events, *of_stations, of_losses = rng.spawn(2 + len(stations))
     time_unix = draw_event_times(settings.start_unix, settings.years, settings.event_count, of_events)
     weather = draw_weather(time_unix, instrument.longitude_deg, of_events)
     own_view = View(instrument)
