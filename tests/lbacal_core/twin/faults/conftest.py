@@ -12,6 +12,7 @@ from lbacal_core.sidereal import local_sidereal_time
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.twin.campaign import simulate_campaign
 from lbacal_core.twin.faults.fault import Fault
+from lbacal_core.twin.faults.sky import IsotropicLevel
 from lbacal_core.twin.settings import TwinSettings
 from lbacal_core.twin.view import View
 
@@ -64,3 +65,10 @@ def plant(low_band: Instrument, two_waves: SkyPower, view: View) -> Plant:
         )
 
     return run
+
+
+@pytest.fixture
+def slope(plant) -> Floats:
+    """Recorded power per sky power, shape (antenna, dipole, freq), and so C^-2 G_ant, from two flat skies."""
+    added = plant(IsotropicLevel(size=1.0))
+    return (added.power - added.clean)[:, :, 0]
