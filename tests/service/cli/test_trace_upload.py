@@ -7,13 +7,12 @@ import threading
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from lbacal_core.errors import LbacalError
-from lbacal_core.spectra import Spectra, read_spectra
+from lbacal_core.spectra import Spectra
 from service.cli.trace_upload import send_spectra
 
 
@@ -69,18 +68,20 @@ def spectra() -> Spectra:
         antenna=np.array([1, 1, 1, 1]),
         dipole=np.array(["X", "Y", "X", "Y"]),
         blocks=np.full(4, 400),
+        environment={"temperature_c": np.array([np.nan, np.nan, 4.5, np.nan])},
     )
 
 
-def test_every_event_is_one_spectra_file_with_the_key(server: Server, spectra: Spectra, tmp_path: Path) -> None:
+def test_every_event_is_one_request_with_the_key_and_exact_numbers(server: Server, spectra: Spectra) -> None:
     assert send_spectra(spectra, server.url, "secret") == {"received": 4, "stored": 4, "duplicates": 0}
-    assert [sent["Content-Type"] for sent in server.headers] == ["application/x-hdf5"] * 2
     assert server.headers[0]["Authorization"] == "Bearer secret"
-    path = tmp_path / "sent.h5"
-    path.write_bytes(server.bodies[1])
-    sent = read_spectra(path)
-    assert sent.event_id.tolist() == ["b", "b"]
-    assert np.array_equal(sent.power, spectra.power[2:])
+    sent = json.loads(server.bodies[1])
+    assert sent["frequency_mhz"] == spectra.frequency_mhz.tolist()
+    assert [row["event_id"] for row in sent["spectra"]] == ["b", "b"]
+    assert sent["spectra"][0]["time_utc"] == "2017-07-14T02:40:00.000000+00:00"
+    assert sent["spectra"][0]["env"] == {"temperature_c": 4.5}
+    assert "env" not in sent["spectra"][1]
+    assert np.array_equal([row["power"] for row in sent["spectra"]], spectra.power[2:])
 
 
 def test_a_busy_server_is_asked_again(server: Server, spectra: Spectra) -> None:
