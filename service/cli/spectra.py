@@ -78,9 +78,10 @@ def spectra(
         address = dask or os.environ.get("LBACAL_DASK") or None
         measured = _reduce(work, settings, facts, output, longitude, address, failures)
         if url is not None:
-            from service.cli.trace_upload import send_spectra
+            from lbacal.client import Client
 
-            receipt = send_spectra(measured, url, os.environ.get("LBACAL_API_KEY"))
+            with Client(url) as client:
+                receipt = client.ingest(measured)
             print(f"{url}: " + ", ".join(f"{count} {word}" for word, count in receipt.items()))
     if failures:
         raise typer.Exit(1)

@@ -2,7 +2,10 @@ from __future__ import annotations
 
 import json
 import os
+import threading
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -145,3 +148,42 @@ def test_all_real_dumps_in_one_go(shared: Path, tmp_path: Path, monkeypatch: pyt
     found = read_spectra(tmp_path / "S.h5")
     assert sorted(set(found.event_id)) == ["20080701T162002", "20110719T110541"]
     assert found.blocks.tolist() == [1978, 1000, 1000, 1000, 1000]
+
+
+def test_spectra_go_straight_into_a_service_one_event_a_request(
+    dumps: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_dump(dumps, 10, start_s=1_311_080_000)
+    received: list[tuple[str | None, dict[str, Any]]] = []
+
+    class Handler(BaseHTTPRequestHandler):
+        def do_POST(self) -> None:
+            body = json.loads(self.rfile.read(int(self.headers["Content-Length"])))
+            received.append((self.headers["Authorization"], body))
+            count = len(body["spectra"])
+            answer = json.dumps({"received": count, "stored": count, "duplicates": 0}).encode()
+            self.send_response(201)
+            self.send_header("Content-Type", "application/json")
+            self.send_header("Content-Length", str(len(answer)))
+            self.end_headers()
+            self.wfile.write(answer)
+
+        def log_message(self, *_: object) -> None:
+            pass
+
+    monkeypatch.setenv("LBACAL_API_KEY", "secret")
+    with ThreadingHTTPServer(("127.0.0.1", 0), Handler) as listener:
+        thread = threading.Thread(target=listener.serve_forever)
+        thread.start()
+        url = f"http://127.0.0.1:{listener.server_port}"
+        code = run(monkeypatch, dumps, "--output", tmp_path / "S.h5", "--url", url)
+        listener.shutdown()
+        thread.join()
+    assert code == 0
+    assert "4 received, 4 stored, 0 duplicates" in capsys.readouterr().out
+    assert [key for key, _ in received] == ["Bearer secret"] * 2
+    written = read_spectra(tmp_path / "S.h5")
+    sent = [row["power"] for _, body in received for row in body["spectra"]]
+    assert np.array_equal(sent, written.power)
+    assert run(monkeypatch, dumps, "--output", tmp_path / "S.h5", "--url", url) == 1
+    assert capsys.readouterr().err.count("\n") == 1
