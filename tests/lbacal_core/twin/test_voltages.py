@@ -17,7 +17,9 @@ from lbacal_core.twin.hardware import build_station
 from lbacal_core.twin.scatter import draw_scatter
 from lbacal_core.twin.settings import TwinSettings
 from lbacal_core.twin.stages import Scene, Stages
+from lbacal_core.twin.view import View
 from lbacal_core.twin.voltages import Shower, Transmitter, digitise, draw_chain_voltage, draw_noise
+from lbacal_core.twin.weather import draw_weather
 
 FREQUENCY = np.arange(30.0, 81.0)
 
@@ -69,6 +71,8 @@ def _station(instrument: Instrument, sky_power: SkyPower) -> tuple[Stages, Scene
         temperature_c=np.array([10.0]),
         rain_mm_h=np.array([0.0]),
         sky_power=sky_power,
+        weather=draw_weather(np.array([1.4e9]), instrument.longitude_deg, np.random.default_rng(5)),
+        view=View(instrument),
     )
     return build_station(TwinSettings(), instrument, scene, np.random.default_rng(2))[0], scene
 
