@@ -36,7 +36,8 @@ def prove(arguments: list[str]) -> tuple[bool, list[str]]:
     whole = simulate_campaign(TwinSettings(stations=("CS002",)), instrument, sky, np.random.default_rng(0))
     seconds = time.perf_counter() - started
     lines = [f"A station-year of {len(whole.spectra):,} spectra is simulated in {seconds:.1f} s.", ""]
-    lines += ["| nuisances | scope | curves | campaigns | mean pull | standard deviation of pulls | at |", "|" + "---|" * 7]
+    lines += ["| nuisances | scope | curves | campaigns | mean pull | standard deviation of pulls | at |"]
+    lines += ["|" + "---|" * 7]
     holds = True
     for name, nuisances in (("none", NONE), ("realistic", REALISTIC)):
         pulls: dict[str, list[np.ndarray]] = {"antenna": [], "station": []}
@@ -47,11 +48,13 @@ def prove(arguments: list[str]) -> tuple[bool, list[str]]:
             for scope, values in pulls.items():
                 fitted = fit_calibration(campaign.spectra, instrument, sky, scope).curves
                 values.append(
-                    np.array([
-                        (curve.c - planted_curve(campaign, curve)) / curve.c_sigma_stat
-                        for curve in fitted
-                        if curve.c is not None
-                    ])
+                    np.array(
+                        [
+                            (curve.c - planted_curve(campaign, curve)) / curve.c_sigma_stat
+                            for curve in fitted
+                            if curve.c is not None
+                        ]
+                    )
                 )
         for scope, values in pulls.items():
             for label, channel in CHANNELS.items():
@@ -68,8 +71,8 @@ def prove(arguments: list[str]) -> tuple[bool, list[str]]:
                     holds &= 0.85 < spread < 1.15 and abs(mean) < 3 * error + 0.1
     lines += [
         "",
-        "The curve of a station is that of its antennas with enough events. Against the mean of all its antennas, some of",
-        "which died early in the realistic campaigns, the pulls of stations have a standard deviation of 2.2 to 4.0: which",
-        "antennas are averaged matters more than the noise, because their cables differ.",
+        "The curve of a station is that of its antennas with enough events. Against the mean of all its antennas,",
+        "some of which died early in the realistic campaigns, the pulls of stations have a standard deviation of 2.2 to",
+        "4.0 (40 campaigns): which antennas are averaged matters more than the noise, because their cables differ.",
     ]
     return holds, lines
