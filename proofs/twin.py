@@ -72,7 +72,7 @@ def prove(arguments: list[str]) -> tuple[bool, list[str]]:
     lines += [
         "",
         "The curve of a station is that of its antennas with enough events. Against the mean of all its antennas,",
-        "some of which died early in the realistic campaigns, the pulls of stations have a standard deviation of 2.2 to",
-        "4.0 (40 campaigns): which antennas are averaged matters more than the noise, because their cables differ.",
+        "some of which died early in the realistic campaigns, the pulls of stations have a standard deviation of 2.2",
+        "to 4.0 (40 campaigns): which antennas are averaged matters more than the noise, because their cables differ.",
     ]
     return holds, lines
