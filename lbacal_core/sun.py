@@ -1,0 +1,42 @@
+"""Where the Sun stands, to a hundredth of a degree."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lbacal_core.grids import Floats
+from lbacal_core.sidereal import UNIX_J2000, local_sidereal_time
+
+
+def sun_position(time_unix: Floats, latitude_deg: float, longitude_deg: float) -> tuple[Floats, Floats]:
+    """Altitude and azimuth of the Sun.
+
+    The low-precision formulae of the Astronomical Almanac (0.01 deg, 1950-2050), without refraction.
+
+    Parameters
+    ----------
+    time_unix
+        Shape (event,), s UTC.
+
+    Returns
+    -------
+    Altitude and azimuth (north through east), each of shape (event,), rad.
+    """
+    days = (np.asarray(time_unix) - UNIX_J2000) / 86_400.0
+    anomaly = np.radians(357.528 + 0.9856003 * days)
+    mean_longitude = 280.460 + 0.9856474 * days
+    longitude = np.radians(mean_longitude + 1.915 * np.sin(anomaly) + 0.020 * np.sin(2 * anomaly))
+    obliquity = np.radians(23.439 - 0.0000004 * days)
+    right_ascension = np.arctan2(np.cos(obliquity) * np.sin(longitude), np.cos(longitude))
+    declination = np.arcsin(np.sin(obliquity) * np.sin(longitude))
+    hour_angle = np.radians(15.0 * local_sidereal_time(time_unix, longitude_deg)) - right_ascension
+    return altitude_azimuth(hour_angle, declination, latitude_deg)
+
+
+def altitude_azimuth(hour_angle: Floats, declination: Floats, latitude_deg: float) -> tuple[Floats, Floats]:
+    """Horizontal coordinates of hour angles and declinations (rad), azimuth north through east, rad."""
+    latitude = np.radians(latitude_deg)
+    sin_altitude = np.sin(latitude) * np.sin(declination) + np.cos(latitude) * np.cos(declination) * np.cos(hour_angle)
+    east = -np.cos(declination) * np.sin(hour_angle)
+    north = np.sin(declination) * np.cos(latitude) - np.cos(declination) * np.sin(latitude) * np.cos(hour_angle)
+    return np.arcsin(np.clip(sin_altitude, -1.0, 1.0)), np.arctan2(east, north) % (2 * np.pi)

@@ -1,0 +1,149 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lbacal_core.causes.catalogue import CAUSES, NEVER_HERE, STATIC_CAUSES
+from lbacal_core.causes.terms import SCOPES, ChainTerms, Conditions, Law, signature
+
+IDENTIFIERS = {
+    "dipole_swap",
+    "dipole_azimuth",
+    "lst_offset",
+    "zenith_weighting",
+    "pattern_width",
+    "isotropic_level",
+    "point_source",
+    "solar_emission",
+    "ionospheric_absorption",
+    "resonance_shift",
+    "resonance_width",
+    "filter_shift",
+    "missing_noise",
+    "lna_noise_slope",
+    "lna_noise_temperature",
+    "gain_temperature",
+    "cable_length",
+    "cable_reflection",
+    "cable_temperature",
+    "gain_step",
+    "gain_drift",
+    "adc_noise_step",
+    "compression",
+    "adc_jitter",
+    "rfi_line",
+    "rfi_broadband",
+}
+"""The catalogue of docs/formats.md."""
+
+
+@pytest.fixture(scope="module")
+def conditions() -> Conditions:
+    rng = np.random.default_rng(1)
+    frequency = np.arange(30.0, 81.0)
+    events = 200
+    time_unix = np.sort(1.39e9 + rng.uniform(0, 3.2e7, events))
+    lst = rng.uniform(0, 24, events)
+    rain = np.where(rng.random(events) < 0.2, rng.exponential(2.0, events), 0.0)
+
+    def sky_at(hours):
+        relative = (frequency / 55.0) ** -0.5
+        phases = (0.0, 1.2)
+        return np.stack([(1 + 0.3 * np.sin(np.pi * hours / 12 + p))[:, None] * relative for p in phases])
+
+    sky = sky_at(lst)
+    keys = ("dipole_azimuth", "zenith_weighting", "pattern_width", "Cas A", "Cyg A", "Tau A", "Vir A")
+    return Conditions(
+        frequency_mhz=frequency,
+        time_unix=time_unix,
+        lst_hours=lst,
+        utc_hours=(time_unix / 3600) % 24,
+        sun_altitude=rng.uniform(-1, 1, events),
+        sun_azimuth=rng.uniform(0, 6, events),
+        temperature_c=10 + 8 * rng.standard_normal(events),
+        rain_mm_h=rain,
+        dipoles=["X", "Y"],
+        cables=["80", "80"],
+        mean_sky=sky.mean(axis=1),
+        other_sky=sky[::-1],
+        sky_at=sky_at,
+        antenna_gain=0.01 + 1 / (1 + ((frequency - 58) / 4) ** 2),
+        receiver_gain=1.1 / (1 + np.exp((frequency - 78) / 2)),
+        cable_log_loss=np.stack([-0.12 * np.sqrt(frequency)] * 2),
+        sky_change={
+            key: 0.1 * np.sin(np.outer(lst, np.ones(51)) + k) * np.ones((2, 1, 1)) for k, key in enumerate(keys)
+        },
+        sun_response=np.ones((2, events, 51)),
+    )
+
+
+@pytest.fixture(scope="module")
+def terms(conditions) -> ChainTerms:
+    front = (conditions.antenna_gain * conditions.receiver_gain * 1000)[None, None, :]
+    return ChainTerms(
+        sky=conditions.sky_at(conditions.lst_hours),
+        n_lna=np.array(0.2),
+        front=front,
+        receiver_noise=5.0 * conditions.receiver_gain,
+        adc_noise=np.array(3.0),
+        whole=np.array(1.0),
+    )
+
+
+def test_every_cause_of_the_catalogue_is_looked_for_or_said_to_be_impossible():
+    named = [cause.identifier for cause in (*CAUSES, *STATIC_CAUSES)] + list(NEVER_HERE)
+    assert len(named) == len(set(named)) == 26
+    assert set(named) == IDENTIFIERS
+
+
+@pytest.mark.parametrize("cause", CAUSES, ids=lambda cause: cause.identifier)
+def test_a_cause_of_size_zero_changes_nothing_and_a_small_one_acts_in_proportion(cause, terms, conditions):
+    laws = cause.laws(conditions)
+    assert laws, "these conditions show every cause"
+    assert cause.why_not(conditions) is None
+    assert set(cause.scopes) <= set(SCOPES)
+    plain = terms.power()
+    for law in (laws[0], laws[-1]):
+        np.testing.assert_allclose(cause.apply(terms, conditions, law, 0.0).power(), plain, rtol=1e-12)
+        slope = signature(cause, terms, conditions, law)
+        assert slope.shape == plain.shape
+        assert np.max(np.abs(slope)) > 1e-6
+        step = cause.step
+        changed = cause.apply(terms, conditions, law, step).power() / plain - 1.0
+        # second order in a step made small for that
+        assert np.linalg.norm(changed - step * slope) < 0.03 * np.linalg.norm(changed)
+
+
+def test_signatures_of_gain_and_noise_are_their_shares_of_the_power(terms, conditions):
+    causes = {cause.identifier: cause for cause in CAUSES}
+    power = terms.power()
+    law = Law({"date_unix": float(np.median(conditions.time_unix))})
+    after = conditions.after(law.parameters["date_unix"])
+    front_share = (terms.sky + terms.n_lna) * terms.front / power
+    step = signature(causes["gain_step"], terms, conditions, law)
+    np.testing.assert_allclose(step, after * front_share, atol=1e-9)
+    adc = signature(causes["adc_noise_step"], terms, conditions, law)
+    np.testing.assert_allclose(adc, after * terms.adc_noise / power, atol=1e-9)
+    warmth = conditions.warmth()
+    lna = signature(causes["lna_noise_temperature"], terms, conditions, Law())
+    np.testing.assert_allclose(lna, warmth * terms.n_lna * terms.front / power, atol=1e-9)
+
+
+def test_an_exchange_of_dipoles_is_a_swap_of_size_one(terms, conditions):
+    swap = next(cause for cause in CAUSES if cause.identifier == "dipole_swap")
+    changed = swap.apply(terms, conditions, Law(), 1.0)
+    np.testing.assert_allclose(changed.sky, terms.sky[::-1])
+
+
+def test_without_temperature_and_rain_their_causes_say_what_is_missing(conditions):
+    bare = replace(
+        conditions, temperature_c=None, rain_mm_h=None, time_unix=conditions.time_unix[:1] + np.arange(200.0)
+    )
+    for cause in CAUSES:
+        if cause.identifier in ("gain_temperature", "cable_temperature", "lna_noise_temperature"):
+            assert cause.laws(bare) == []
+            assert "temperature" in cause.why_not(bare)
+        if cause.identifier in ("resonance_shift", "resonance_width"):
+            assert "static" in cause.why_not(bare)
