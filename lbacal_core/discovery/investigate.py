@@ -1,0 +1,259 @@
+"""What does the simulation get wrong in these data? Read `investigate_station` from top to bottom.
+
+Fit the baseline; score every cause; take the best, fit everything again with it, keep it if data not used become more
+probable; repeat on what is left; then ask without a catalogue whether anything is left.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lbacal_core.causes.cable import log_loss_per_metre
+from lbacal_core.causes.catalogue import CAUSES, NEVER_HERE, STATIC_CAUSES
+from lbacal_core.causes.terms import Law
+from lbacal_core.discovery.baseline import StationData
+from lbacal_core.discovery.extend import (
+    Effect,
+    Extension,
+    chi_squared,
+    fit_extension,
+    held_out_gain,
+)
+from lbacal_core.discovery.leftover import Leftover, find_leftover
+from lbacal_core.discovery.scan import Scan, Score, p_of, scan, sigma_of
+from lbacal_core.discovery.statics import FEWEST_OTHERS, StaticScore, scan_static
+from lbacal_core.discovery.targets import Target, list_targets
+from lbacal_core.grids import Floats
+
+FALSE_ALARM_RATE = 0.005
+"""Probability of anything but `consistent` where nothing is hidden, shared among the three questions below."""
+ALPHA_CATALOGUE, ALPHA_STATIC, ALPHA_LEFTOVER = 0.0025, 0.0005, 0.002
+MAX_FINDINGS = 5
+INDISTINGUISHABLE = 9.0
+"""SNR^2 (1 - r^2) below this: the other signature fits as well (3 standard deviations)."""
+RIVALS = 4
+"""Candidates that are fitted without linearising before one is named."""
+AXES = {
+    "dipole_swap": {"lst"}, "dipole_azimuth": {"lst"}, "lst_offset": {"lst"}, "zenith_weighting": {"lst"},
+    "pattern_width": {"lst"}, "isotropic_level": {"lst"}, "point_source": {"lst"}, "compression": {"lst"},
+    "adc_jitter": {"lst"}, "lna_noise_slope": {"lst"}, "solar_emission": {"utc", "date"},
+    "ionospheric_absorption": {"utc", "date"}, "rfi_line": {"utc"}, "rfi_broadband": {"utc"},
+    "gain_step": {"date"}, "gain_drift": {"date"}, "adc_noise_step": {"date"},
+    "filter_shift": {"date", "temperature"}, "resonance_shift": {"temperature", "rain", "date"},
+    "resonance_width": {"temperature", "rain", "date"}, "lna_noise_temperature": {"temperature"},
+    "gain_temperature": {"temperature", "utc", "date"}, "cable_temperature": {"temperature"},
+}  # fmt: skip
+"""Axes of the data along which a cause acts."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A cause that these data show, with the evidence."""
+
+    effect: Effect
+    score: Score
+    p_value: float
+    indistinguishable: list[tuple[str, float]]
+    chi2_before: float
+    chi2_after: float
+    dof: int
+    held_out_gain: float
+    held_out_events: int
+    calibration_change: Floats
+
+
+@dataclass(frozen=True)
+class StationReport:
+    """What one station's data say.
+
+    Attributes
+    ----------
+    first_scan
+        The scores of every cause before anything was added, for the report.
+    similar
+        Causes that resemble structure that none explains.
+    """
+
+    data: StationData
+    findings: list[Finding]
+    static: list[tuple[StaticScore, float]]
+    leftover: Leftover | None
+    similar: list[Finding]
+    first_scan: Scan
+    first: Extension
+    last: Extension
+    unidentifiable: dict[str, str]
+
+
+def investigate_station(
+    data: StationData,
+    *,
+    modes: Floats | None = None,
+    stations: int = 1,
+    seed: int = 0,
+    progress: Callable[[str], None] = lambda _: None,
+) -> StationReport:
+    """Find what the simulation gets wrong in one station's data.
+
+    Parameters
+    ----------
+    modes
+        Relative changes of P_sky by which sky and antenna models differ, when the sky is the package's own.
+    stations
+        Number of stations that are asked the same question: shares the false-alarm rate.
+    seed
+        Of the look-elsewhere simulation.
+    progress
+        Told each step.
+    """
+    targets = list_targets(data)
+    progress(f"{data.station}: fitting the baseline of {len(data.antenna)} paths")
+    current = first = fit_extension(data, [], modes=modes)
+    findings: list[Finding] = []
+    first_scan = None
+    while len(findings) < MAX_FINDINGS:
+        progress(f"{data.station}: scoring {len(CAUSES)} causes for {len(targets)} targets")
+        scores = scan(data, current.residuals, current.nuisance, current.baseline.terms, CAUSES, targets, seed)
+        first_scan = first_scan or scores
+        significant = [s for s in scores.best if p_of(abs(s.z), scores.trials) < ALPHA_CATALOGUE / stations]
+        if not significant:
+            break
+        progress(f"{data.station}: fitting everything again with {significant[0].cause.identifier}")
+        found = _extend(data, current, scores, significant, modes)
+        if found is None:
+            break
+        current, finding = found
+        findings.append(finding)
+    if first_scan is None:
+        raise AssertionError("the first scan always runs")
+    findings = [_with_final_size(finding, effect) for finding, effect in zip(findings, current.effects, strict=True)]
+    static = [
+        (score, p_of(abs(score.z), score.trials * len(STATIC_CAUSES)))
+        for score in scan_static(data, current.baseline, targets, seed)
+    ]
+    static = [(score, p) for score, p in static[:1] if p < ALPHA_STATIC / stations]
+    progress(f"{data.station}: looking for structure that no cause explains")
+    rest = find_leftover(data, current.residuals, current.nuisance, np.random.default_rng(seed))
+    leftover = rest if rest.p_value < ALPHA_LEFTOVER / stations else None
+    similar = [f for f in findings if leftover is not None and _lives_there(f, leftover)]
+    return StationReport(
+        data=data,
+        findings=[f for f in findings if f not in similar],
+        static=static,
+        leftover=leftover,
+        similar=similar,
+        first_scan=first_scan,
+        first=first,
+        last=current,
+        unidentifiable=_unidentifiable(data, first_scan),
+    )
+
+
+def _extend(
+    data: StationData, before: Extension, scores: Scan, significant: Sequence[Score], modes: Floats | None
+) -> tuple[Extension, Finding] | None:
+    """The model extended by the candidate that fits best without linearising, if held-out data agree."""
+    tried = []
+    for score in _rivals(significant):
+        effect = Effect(score.cause, score.law, score.target, 0.0)
+        after = fit_extension(data, [*before.effects, effect], before, modes)
+        chi2_after, dof = chi_squared(data, after.residuals, after.nuisance, after.residuals)
+        chi2_before, _ = chi_squared(data, before.residuals, before.nuisance, after.residuals)
+        tried.append((chi2_before - chi2_after - 2 * np.log(score.trials), after, score, chi2_before, chi2_after, dof))
+    tried.sort(key=lambda item: -item[0])
+    for _, after, score, chi2_before, chi2_after, dof in tried:
+        effect = after.effects[-1]
+        laws = _nearby_laws(effect, data)
+        gain, events = held_out_gain(data, before, effect, laws)
+        if gain > 0:
+            return after, Finding(
+                effect=effect,
+                score=score,
+                p_value=p_of(abs(score.z), scores.trials),
+                indistinguishable=_indistinguishable(score, effect, scores),
+                chi2_before=chi2_before,
+                chi2_after=chi2_after,
+                dof=dof,
+                held_out_gain=gain,
+                held_out_events=events,
+                calibration_change=_calibration_change(before, after, effect.target),
+            )
+    return None
+
+
+def _rivals(significant: Sequence[Score]) -> list[Score]:
+    """The best few candidates; those far behind the best cannot win by a better fit."""
+    ranking = sorted(significant, key=lambda s: -(s.z**2 - 2 * np.log(s.trials)))
+    return [s for s in ranking[:RIVALS] if abs(s.z) > 0.6 * abs(ranking[0].z)]
+
+
+def _nearby_laws(effect: Effect, data: StationData) -> list[Law]:
+    """The laws among which the held-out test chooses again; of lines those of the same channel."""
+    laws = effect.cause.laws(data.conditions)
+    if effect.cause.identifier == "rfi_line":
+        channel = effect.law.parameters["frequency_mhz"]
+        laws = [law for law in laws if law.parameters["frequency_mhz"] == channel]
+    return laws
+
+
+def _with_final_size(finding: Finding, effect: Effect) -> Finding:
+    return replace(finding, effect=effect)
+
+
+def _indistinguishable(score: Score, effect: Effect, scores: Scan) -> list[tuple[str, float]]:
+    """Causes whose signature, under some law, cannot be told from this one at the size found, with the correlation."""
+    is_station = effect.target.scope == "station"
+    table = scores.station_correlation if is_station else scores.path_correlation
+    entries = scores.station_laws if is_station else scores.path_laws
+    own = [k for k, (cause, law) in enumerate(entries) if cause is score.cause and law == score.law]
+    if not own:
+        return []
+    correlation = table[own[0]]
+    snr = abs(effect.size / effect.sigma)
+    found: dict[str, float] = {}
+    for (cause, _), r in zip(entries, correlation.tolist(), strict=True):
+        if cause is score.cause or (not is_station and effect.target.scope not in cause.scopes):
+            continue
+        if snr**2 * (1 - min(abs(r), 1.0) ** 2) < INDISTINGUISHABLE:
+            found[cause.identifier] = max(found.get(cause.identifier, 0.0), abs(r))
+    return sorted(found.items(), key=lambda item: -item[1])
+
+
+def _calibration_change(before: Extension, after: Extension, target: Target) -> Floats:
+    """Relative change of C of the paths concerned, shape (path, freq): C goes as the slope to the power -1/2."""
+    old, new = before.baseline.solution.x[target.is_member], after.baseline.solution.x[target.is_member]
+    return np.asarray(np.sqrt(old / new) - 1.0)
+
+
+def _lives_there(finding: Finding, leftover: Leftover) -> bool:
+    """Whether structure is left along an axis of the finding's signature, for the same kind of target."""
+    axis = leftover.axis.split(",", maxsplit=1)[0]
+    is_wide = finding.effect.target.scope in ("station", "cable")
+    return axis in AXES[finding.effect.cause.identifier] and is_wide == (leftover.target == "station")
+
+
+def _unidentifiable(data: StationData, scores: Scan) -> dict[str, str]:
+    reasons = dict(NEVER_HERE)
+    seen = {score.cause.identifier for score in scores.best}
+    for cause in CAUSES:
+        why = cause.why_not(data.conditions)
+        if why is not None:
+            reasons[cause.identifier] = why
+        elif cause.identifier not in seen:
+            reasons[cause.identifier] = "what the fit leaves free absorbs its signature"
+    cables = dict(zip(data.conditions.cables, np.exp(data.conditions.cable_log_loss), strict=True))
+    for static in STATIC_CAUSES:
+        why = static.why_not(log_loss_per_metre(cables))
+        if why is None and np.bincount(data.class_of).max() <= FEWEST_OTHERS:
+            why = "needs five antennas of the same cable name or more to compare"
+        if why is not None:
+            reasons[static.identifier] = why
+    return reasons
+
+
+def significance(p_value: float) -> float:
+    """Two-sided normal equivalent of a probability."""
+    return sigma_of(p_value)

@@ -1,0 +1,52 @@
+"""A small station simulated by the twin, which shares no code with what is tested here."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from lbacal_core.discovery.baseline import StationData, fit_baseline, gather_stations
+from lbacal_core.instrument import Instrument, load_instrument
+from lbacal_core.skypower.model import compute_sky_power
+from lbacal_core.skypower.table import SkyPower
+from lbacal_core.spectra import Spectra
+from lbacal_core.twin.campaign import simulate_campaign
+from lbacal_core.twin.faults.fault import Fault
+from lbacal_core.twin.settings import TwinSettings
+
+SETTINGS = TwinSettings(stations=("CS002",), antennas=8, events_per_year=300)
+SEED = 20140101
+
+
+@pytest.fixture(scope="session")
+def chain() -> Instrument:
+    return load_instrument("lofar-superterp")
+
+
+@pytest.fixture(scope="session")
+def sky(chain) -> SkyPower:
+    return compute_sky_power(chain)
+
+
+@pytest.fixture(scope="session")
+def clean(chain, sky) -> Spectra:
+    """A year of eight antennas of CS002, nothing hidden."""
+    return simulate_campaign(SETTINGS, chain, sky, np.random.default_rng(SEED)).spectra
+
+
+@pytest.fixture(scope="session")
+def spoil(chain, sky) -> Callable[[Fault], Spectra]:
+    """The same year with one fault, planted by the twin."""
+    return lambda fault: simulate_campaign(SETTINGS, chain, sky, np.random.default_rng(SEED), [fault]).spectra
+
+
+@pytest.fixture(scope="session")
+def station(clean, chain, sky) -> StationData:
+    return gather_stations(clean, chain, sky)[0]
+
+
+@pytest.fixture(scope="session")
+def baseline(station):
+    return fit_baseline(station)

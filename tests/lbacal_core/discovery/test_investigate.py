@@ -1,0 +1,55 @@
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lbacal_core.discovery.report import investigate
+from lbacal_core.twin.faults.antenna import GainStep
+from lbacal_core.twin.faults.fault import Where
+from lbacal_core.twin.faults.uncatalogued import WorkingWeek
+
+pytestmark = pytest.mark.timeout(900)
+
+
+def test_a_clean_station_is_consistent_and_says_what_it_could_never_show(clean, chain, sky):
+    report, _ = investigate(clean, chain, sky)
+    assert report["verdict"] == "consistent"
+    assert report["findings"] == []
+    assert report["unexplained"] is None
+    assert "missing_noise" in {one["cause"] for one in report["unidentifiable"]}
+    json.dumps(report, allow_nan=False)
+
+
+def test_a_gain_step_of_one_path_is_named_with_its_date_size_and_antenna(spoil, chain, sky):
+    step = GainStep(size=0.05, where=Where(antennas=(2,), dipoles=("Y",)), date="2014-08-07")
+    spectra = spoil(step)
+    report, _ = investigate(spectra, chain, sky)
+    assert report["verdict"] == "explained"
+    (finding,) = report["findings"]
+    assert finding["cause"] == "gain_step"
+    assert finding["where"]["antennas"] == [2]
+    assert finding["where"]["dipoles"] == ["Y"]
+    assert abs(finding["size"]["value"] - 0.05) < 3 * finding["size"]["sigma"]
+    found = np.datetime64(finding["parameters"]["date"].rstrip("Z"))
+    assert abs(found - np.datetime64("2014-08-07")) < np.timedelta64(25, "D")
+    assert finding["gain"]["held_out_log_likelihood_gain"] > 0
+    assert finding["gain"]["chi2_after"] < finding["gain"]["chi2_before"]
+
+
+def test_exchanged_letters_are_a_dipole_swap_of_one(clean, chain, sky):
+    letters = np.where(clean.dipole == "X", "Y", "X")
+    report, _ = investigate(replace(clean, dipole=letters), chain, sky)
+    named = {finding["cause"]: finding for finding in report["findings"]}
+    assert "dipole_swap" in named
+    size = named["dipole_swap"]["size"]
+    assert abs(size["value"] - 1.0) < 4 * size["sigma"]
+
+
+def test_a_weekly_rhythm_is_unexplained_and_lives_along_the_date(spoil, chain, sky):
+    report, _ = investigate(spoil(WorkingWeek(size=0.05)), chain, sky)
+    assert report["verdict"] == "unexplained"
+    assert report["unexplained"]["where"]["axis"].startswith("date")
+    assert report["unexplained"]["where"]["target"] == "station"
