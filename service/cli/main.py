@@ -12,6 +12,7 @@ from lbacal_core.errors import BadInputError, LbacalError, UnknownNameError, Unr
 from service.cli.client import effective, ingest, jobs, refit
 from service.cli.database import db, keys
 from service.cli.fit import fit
+from service.cli.investigate import investigate
 from service.cli.lst_curve import lst_curve
 from service.cli.processes import scheduler, worker
 from service.cli.serve import serve
@@ -28,6 +29,7 @@ app = typer.Typer(
 )
 
 app.command()(fit)
+app.command()(investigate)
 app.command()(lst_curve)
 app.command(name="sky-power")(sky_power)
 app.command()(spectra)

@@ -1,0 +1,60 @@
+"""The HTML report of an investigation: one file with its figures inside."""
+
+from __future__ import annotations
+
+import base64
+import io
+from collections.abc import Sequence
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment
+from matplotlib.figure import Figure
+
+from lbacal_core.discovery.investigate import Finding, StationReport
+from service.cli.investigation_figures import (
+    draw_calibration_change,
+    draw_finding,
+    draw_residual_maps,
+    draw_scores,
+)
+
+
+def write_investigation_page(content: dict[str, Any], reports: Sequence[StationReport], path: Path) -> None:
+    """Write the report of `lbacal_core.discovery.report.investigate` as a page."""
+    template = (files("service.cli") / "templates/investigation.html").read_text()
+    page = Environment(autoescape=True).from_string(template)
+    path.write_text(page.render(report=content, stations=[_station(report) for report in reports]))
+
+
+def _station(report: StationReport) -> dict[str, Any]:
+    shown = [*report.findings, *report.similar]
+    target = shown[0].effect.target if shown else None
+    return {
+        "name": report.data.station,
+        "findings": [_finding(report, finding) for finding in shown],
+        "maps": _picture(draw_residual_maps(report, target)),
+        "scores": _picture(draw_scores(report)),
+    }
+
+
+def _finding(report: StationReport, finding: Finding) -> dict[str, Any]:
+    effect = finding.effect
+    return {
+        "cause": effect.cause.identifier,
+        "figure": _picture(draw_finding(report, finding)),
+        "calibration": _picture(draw_calibration_change(report, finding)),
+        "size": f"{effect.size:.4g} ± {effect.sigma:.2g} {effect.cause.unit}",
+        "parameters": ", ".join(f"{key} {value}" for key, value in effect.law.parameters.items()) or "none",
+        "chi2": f"{finding.chi2_before:.0f} before, {finding.chi2_after:.0f} after, {finding.dof} degrees of freedom",
+        "held_out": f"ln L + {finding.held_out_gain:.1f} on {finding.held_out_events} events in four folds",
+        "indistinguishable": ", ".join(f"{name} (r = {r:.2f})" for name, r in finding.indistinguishable) or "nothing",
+        "confirm": effect.cause.confirm,
+    }
+
+
+def _picture(figure: Figure) -> str:
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=110)
+    return base64.b64encode(buffer.getvalue()).decode()
