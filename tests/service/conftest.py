@@ -4,7 +4,6 @@ import itertools
 import json
 import os
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -20,9 +19,9 @@ from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.table import read_sky_power, write_sky_power
 from lbacal_core.spectra import Spectra
 from lbacal_core.twin.campaign import simulate_campaign
-from lbacal_core.twin.faults.fault import Fault, Where
+from lbacal_core.twin.faults.antenna import GainStep
+from lbacal_core.twin.faults.fault import Where
 from lbacal_core.twin.settings import TwinSettings
-from lbacal_core.twin.stages import Scene, Stages
 from lbacal_core.validity import Scope
 from proofs._postgres import run_postgres
 from service.app import make_app
@@ -170,20 +169,7 @@ def new_version() -> Callable[..., Version]:
     return _version
 
 
-@dataclass(frozen=True, kw_only=True)
-class GainStep(Fault):
-    """The power gain of some paths changes by the fraction `size` at an instant, s UTC."""
-
-    since_unix: float
-
-    def alter(self, stages: Stages, scene: Scene) -> Stages:
-        is_after = (scene.time_unix >= self.since_unix)[None, None, :, None]
-        return replace(stages, gain=stages.gain * (1.0 + self.size * self.where.mask(scene) * is_after))
-
-
-STEP = GainStep(
-    size=0.15, since_unix=datetime(2015, 4, 11, tzinfo=UTC).timestamp(), where=Where(antennas=(2,), dipoles=("Y",))
-)
+STEP = GainStep(size=0.15, date="2015-04-11", where=Where(antennas=(2,), dipoles=("Y",)))
 
 
 @pytest.fixture(scope="session")
