@@ -1,10 +1,11 @@
-"""`./dev demo`: the main job end to end on simulated data and the measured LST curve; writes var/report.html."""
+"""`./dev demo`: the main job end to end, by the fit alone and through the service; writes var/report.html."""
 
 from __future__ import annotations
 
 import base64
 import io
 import sys
+import threading
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -34,7 +35,15 @@ from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra import split_into_blocks
 from lbacal_core.twin.campaign import Campaign, simulate_campaign
 from lbacal_core.twin.settings import TwinSettings
-from service.cli.figures import FULL_DAY, draw_calibration, draw_lst_comparison, draw_noise, draw_residuals
+from service.cli.demo_service import ServedRun, describe_served, serve_demonstration
+from service.cli.figures import (
+    FULL_DAY,
+    draw_calibration,
+    draw_drift,
+    draw_lst_comparison,
+    draw_noise,
+    draw_residuals,
+)
 
 STATION = "CS002"
 SHOWN_ANTENNAS = 3
@@ -114,8 +123,8 @@ def describe_real(comparison: Comparison) -> str:
     return " ".join(sentences)
 
 
-def render_report(shown: Demonstration) -> str:
-    """The report as one self-contained page."""
+def render_report(shown: Demonstration, served: ServedRun | None = None) -> str:
+    """The report as one self-contained page; with what the service found, if it was asked."""
     spectra, station = shown.campaign.spectra, shown.campaign.truth.stations[0]
     weights = band_weights(shown.instrument, AS_RECORDED, BAND_MHZ)
     sky_curves = {d: simulate_band_power(shown.sky_power, d, FULL_DAY, weights) for d in DIPOLES}
@@ -132,6 +141,8 @@ def render_report(shown: Demonstration) -> str:
         "residuals": draw_residuals(maps, shown.instrument.frequency_mhz),
         "lst": draw_lst_comparison(shown.real, sky_curves),
     }
+    if served is not None:
+        figures["drift"] = draw_drift(served.station, served.path)
     template = Environment(autoescape=True).from_string(
         (files("service.cli") / "templates/report.html").read_text(encoding="utf-8")
     )
@@ -145,12 +156,19 @@ def render_report(shown: Demonstration) -> str:
         figures={name: _embed(figure) for name, figure in figures.items()},
         recovery=describe_recovery(shown),
         real=describe_real(shown.real),
+        served=None if served is None else describe_served(served),
         sky=shown.sky_power.origin,
     )
 
 
-def main(output: Path = Path("var/report.html")) -> int:
-    """Run the demonstration on the shipped instrument and sky; exit 0 when every curve converged."""
+def main(arguments: Sequence[str] = (), output: Path = Path("var/report.html")) -> int:
+    """Run the demonstration on the shipped instrument and sky; exit 0 when every curve converged and the step is found.
+
+    With ``--serve`` the service stays up until Ctrl-C.
+    """
+    if unknown := [argument for argument in arguments if argument != "--serve"]:
+        print(f"usage: ./dev demo [--serve], found {unknown[0]!r}", file=sys.stderr)
+        return 2
     from lbacal_core.skypower.model import compute_sky_power
 
     with _step("sky power of the embedded Galaxy over lofar-superterp"):
@@ -160,15 +178,42 @@ def main(output: Path = Path("var/report.html")) -> int:
     print(f"\nC(nu) in µV per ADC unit, {STATION}, one simulated year:")
     _print_rows([["path", *[f"{mhz} MHz" for mhz in SHOWN_MHZ]], *tabulate(shown)])
     print(f"\n{describe_recovery(shown)}\n\nMeasured LST variation against our sky:\n{describe_real(shown.real)}\n")
-    with _step("draw the report"):
-        output.parent.mkdir(parents=True, exist_ok=True)
-        output.write_text(render_report(shown), encoding="utf-8")
-    print(f"wrote {output}")
-    return 0 if shown.paths.status == "converged" else 1
+    print("The same through the service, two years with a gain step in one path:")
+    with serve_demonstration(instrument, sky_power, output.parent / "demo", tell=_tell) as served:
+        print(f"\n{describe_served(served)}")
+        _print_curve(served)
+        with _step("draw the report"):
+            output.write_text(render_report(shown, served), encoding="utf-8")
+        print(f"wrote {output}")
+        if "--serve" in arguments:
+            print(f"the page is {served.url}/drift, the interface {served.url}/docs; Ctrl-C ends", flush=True)
+            _wait_for_interrupt()
+    return 0 if shown.paths.status == "converged" and served.is_found else 1
 
 
 def _planted(campaign: Campaign, curve: CalibrationCurve) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
     return np.asarray(campaign.truth.curve(curve.dipole or DIPOLES[0], curve.station, curve.antenna))
+
+
+def _print_curve(served: ServedRun) -> None:
+    curve = served.curve
+    at = [curve["frequency_mhz"].index(mhz) for mhz in SHOWN_MHZ]
+    cells = [f"{1e6 * curve['c'][k]:.2f} ± {1e6 * curve['c_sigma_stat'][k]:.2f}" for k in at]
+    name = f"{curve['station']} antenna {curve['antenna']} {curve['dipole']}"
+    print("C(nu) in effect, in µV per ADC unit:")
+    _print_rows([["path", *[f"{mhz} MHz" for mhz in SHOWN_MHZ]], [name, *cells]])
+    print()
+
+
+def _tell(sentence: str) -> None:
+    print(f"  {sentence}", flush=True)
+
+
+def _wait_for_interrupt() -> None:
+    try:
+        threading.Event().wait()
+    except KeyboardInterrupt:
+        print()
 
 
 def _embed(figure: Figure) -> str:
@@ -193,4 +238,4 @@ def _step(name: str) -> Iterator[None]:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main(sys.argv[1:]))

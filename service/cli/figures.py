@@ -142,3 +142,46 @@ def draw_residuals(maps: dict[str, Floats], frequency_mhz: Floats) -> Figure:
     if image is not None:
         figure.colorbar(image, ax=axes, label="measured / predicted - 1 (%), mean over antennas")
     return figure
+
+
+def draw_drift(station: dict[str, Any], path: dict[str, Any]) -> Figure:
+    """C of every month against the first year: a station's paths as a band, and one path with its step.
+
+    Parameters
+    ----------
+    station, path
+        Answers of ``GET /v1/drift``.
+    """
+    figure = Figure(figsize=(9.5, 4.2), layout="constrained")
+    axes: Any = figure.subplots()
+
+    def month(points: list[dict[str, Any]]) -> Any:
+        return np.array([point["month"] for point in points], dtype="datetime64[M]") + np.timedelta64(14, "D")
+
+    def values(points: list[dict[str, Any]], name: str) -> Floats:
+        return np.array([point[name] for point in points])
+
+    band, one = station["months"], path["months"]
+    label = f"{station['station']}, {band[0]['paths']} paths: "
+    axes.fill_between(
+        month(band),
+        values(band, "low"),
+        values(band, "high"),
+        color=GREY,
+        alpha=0.25,
+        lw=0,
+        label=label + "middle 68 %",
+    )
+    axes.plot(month(band), values(band, "c_ratio"), color=GREY, label=label + "median")
+    c_ratio = values(one, "c_ratio")
+    name = f"antenna {path['antenna']} {path['dipole']}"
+    error = values(one, "high") - c_ratio
+    axes.errorbar(month(one), c_ratio, error, fmt="o", ms=4, lw=1, color=COLOURS[path["dipole"]], label=name)
+    for step in path["steps"][:1]:
+        when = np.datetime64(step["date"])
+        text = f"step of {name}: {100 * step['size']:+.1f} ± {100 * step['sigma']:.1f} %, {step['date']}"
+        axes.axvline(when, color="black", lw=0.9, ls="--", label=text)
+    axes.set(xlabel="month (UTC)", ylabel="C / C of the first year")
+    axes.grid(alpha=0.3)
+    axes.legend(fontsize=9)
+    return figure
