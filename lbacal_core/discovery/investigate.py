@@ -23,7 +23,7 @@ from lbacal_core.discovery.extend import (
     held_out_gain,
 )
 from lbacal_core.discovery.leftover import Leftover, find_leftover
-from lbacal_core.discovery.scan import Scan, Score, p_of, scan, sigma_of
+from lbacal_core.discovery.scan import Scan, Score, p_of, scan, significance
 from lbacal_core.discovery.statics import FEWEST_OTHERS, StaticScore, scan_static
 from lbacal_core.discovery.targets import Target, list_targets
 from lbacal_core.grids import Floats
@@ -56,6 +56,7 @@ class Finding:
     effect: Effect
     score: Score
     p_value: float
+    significance: float
     indistinguishable: list[tuple[str, float]]
     chi2_before: float
     chi2_after: float
@@ -173,6 +174,7 @@ def _extend(
                 effect=effect,
                 score=score,
                 p_value=p_of(abs(score.z), scores.trials),
+                significance=significance(abs(score.z), scores.trials),
                 indistinguishable=_indistinguishable(score, effect, scores),
                 chi2_before=chi2_before,
                 chi2_after=chi2_after,
@@ -252,8 +254,3 @@ def _unidentifiable(data: StationData, scores: Scan) -> dict[str, str]:
         if why is not None:
             reasons[static.identifier] = why
     return reasons
-
-
-def significance(p_value: float) -> float:
-    """Two-sided normal equivalent of a probability."""
-    return sigma_of(p_value)

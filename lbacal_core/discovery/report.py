@@ -134,7 +134,7 @@ def _finding(finding: Finding, report: StationReport) -> dict[str, Any]:
         "indistinguishable": [name for name, _ in finding.indistinguishable],
         "size": {"value": effect.size, "sigma": effect.sigma, "unit": effect.cause.unit},
         "parameters": _plain(effect.law.parameters),
-        "significance_sigma": sigma_of(finding.p_value),
+        "significance_sigma": finding.significance,
         "p_value": finding.p_value,
         "where": _where(effect, report),
         "gain": {

@@ -83,6 +83,12 @@ def p_of(z: float, trials: float) -> float:
     return float(-np.expm1(-trials * erfc(z / np.sqrt(2.0))))
 
 
+def significance(z: float, trials: float) -> float:
+    """The score as a normal number after the look-elsewhere correction, however small the probability."""
+    p_value = p_of(z, trials)
+    return sigma_of(p_value) if p_value > 1e-250 else float(np.sqrt(z**2 - 2 * np.log(trials)))
+
+
 def sigma_of(p_value: float) -> float:
     """The two-sided normal equivalent of a probability, standard deviations."""
     return float(np.sqrt(2.0) * erfcinv(np.clip(p_value, 1e-300, 1.0)))
