@@ -73,6 +73,10 @@ class Process:
     def stop(self) -> int:
         """Ask it to end, and return its exit code."""
         self._running.terminate()
+        return self.wait()
+
+    def wait(self) -> int:
+        """Wait for it to end by itself, and return its exit code."""
         return self._running.wait(60)
 
 

@@ -33,6 +33,7 @@ from proofs._postgres import run_postgres
 from proofs._processes import Process, find_free_port, is_ready, run_command, running, wait_until
 from service.config import Settings
 from service.factory import Factory
+from service.logs import configure_logs
 from service.storage.database import Database
 from service.storage.migration import upgrade
 from service.usecases.calibrations import select_paths
@@ -65,6 +66,7 @@ class Record:
 
 def prove(arguments: list[str]) -> tuple[bool, list[str]]:
     """Run on one kind of database and compare with the calm run."""
+    configure_logs("warning")
     kind = arguments[0] if arguments else "sqlite"
     kills = int(arguments[1]) if len(arguments) > 1 else KILLS
     with tempfile.TemporaryDirectory(prefix="lbacal-kills-") as name, _database(kind, Path(name)) as url:

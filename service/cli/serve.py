@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import subprocess
 import sys
 import threading
@@ -45,6 +46,8 @@ def serve(
     require_current(factory.database)
     has_child = settings.is_sqlite if all_in_one is None else all_in_one
     child = _Child() if has_child else None
+    for name in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(name, lambda *_: sys.exit(0))  # uvicorn ends what it began, then raises the signal again
     print(f"lbacal serves {factory.instrument.name} on http://{host}:{port} (documentation: /docs)", flush=True)
     try:
         uvicorn.run(make_app(factory), host=host, port=port, log_level=settings.log_level, access_log=False)

@@ -1,0 +1,87 @@
+"""No container engine runs here: the commands and environments of the compose file are run by hand instead."""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from lbacal.client import Client
+from lbacal_core.spectra import read_spectra
+from proofs._postgres import find_binaries, run_postgres
+from proofs._processes import Process, find_free_port, is_ready, run_command, running, wait_until
+
+
+@pytest.fixture(scope="module")
+def compose(request: pytest.FixtureRequest) -> dict[str, Any]:
+    content: dict[str, Any] = yaml.safe_load((request.config.rootpath / "docker-compose.yml").read_text())
+    return content
+
+
+def environment_of(service: dict[str, Any], database_url: str) -> dict[str, str]:
+    """The environment of a service, its variables filled with their defaults and the database with ours."""
+    filled = {name: re.sub(r"\$\{\w+:-([^}]*)\}", r"\1", value) for name, value in service["environment"].items()}
+    assert re.fullmatch(r"postgresql://lbacal:\$\{POSTGRES_PASSWORD:\?.*\}@db/lbacal", filled["LBACAL_DATABASE_URL"])
+    return filled | {"LBACAL_DATABASE_URL": database_url}
+
+
+def test_services_wait_for_what_they_need(compose: dict[str, Any]) -> None:
+    services = compose["services"]
+    assert set(services) == {"db", "migrate", "api", "scheduler", "worker"}
+    assert services["migrate"]["depends_on"] == {"db": {"condition": "service_healthy"}}
+    for name in ("api", "scheduler", "worker"):
+        assert services[name]["depends_on"] == {"migrate": {"condition": "service_completed_successfully"}}
+        assert services[name]["build"] == "."
+    known = {
+        "build",
+        "image",
+        "restart",
+        "environment",
+        "depends_on",
+        "command",
+        "ports",
+        "healthcheck",
+        "deploy",
+        "volumes",
+    }
+    assert all(set(service) <= known for service in services.values())
+    assert set(compose["volumes"]) == {"db"}
+
+
+def test_the_image_starts_the_command(request: pytest.FixtureRequest) -> None:
+    text = (request.config.rootpath / "Dockerfile").read_text()
+    assert 'ENTRYPOINT ["lbacal"]' in text
+    assert "USER lbacal" in text
+
+
+def test_the_commands_of_the_compose_file_are_a_service(compose: dict[str, Any], service: Any, tmp_path: Path) -> None:
+    if not (os.environ.get("CI") or os.environ.get("LBACAL_TEST_PG") or find_binaries()):
+        pytest.skip("needs PostgreSQL server binaries, or LBACAL_TEST_PG")
+    services, log = compose["services"], tmp_path / "log"
+    with run_postgres() as url:
+        environment = {name: environment_of(services[name], url) for name in ("migrate", "api", "scheduler", "worker")}
+        refused = Process(environment["api"], log, *services["api"]["command"])
+        assert refused.wait() == 1, "on PostgreSQL an empty schema is refused"
+        assert "run `lbacal db upgrade`" in log.read_text()
+        run_command(environment["migrate"], *services["migrate"]["command"])
+        key = run_command(environment["api"], "keys", "create", "--scope", "admin").splitlines()[-1]
+        port = find_free_port()
+        command = [str(port) if part == "8000" else part for part in services["api"]["command"]]
+        processes = [
+            Process(environment["api"], log, *command),
+            Process(environment["scheduler"], log, *services["scheduler"]["command"]),
+            *(Process(environment["worker"], log, *services["worker"]["command"]) for _ in range(2)),
+        ]
+        address = f"http://127.0.0.1:{port}"
+        with running(*processes), Client(address, key) as client:
+            wait_until(lambda: is_ready(address), "the api")
+            spectra = read_spectra(service.spectra)
+            client.ingest(spectra.select(spectra.time_unix < 1_420_070_400.0))
+            job = client.refit("station", "2014-01-01", "2015-01-01", reason="compose", promote=True)
+            assert job["state"] == "done", job
+            assert len(client.effective("CS002", at="2014-05-01")) == 96 * 51
+        assert [process.stop() for process in processes] == [0, 0, 0, 0]
