@@ -6,19 +6,29 @@ import json
 import sys
 import time
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 
 def investigate(
-    spectra: Annotated[Path, typer.Argument(help="Spectra file (HDF5, lbacal-spectra-1).")],
-    instrument: Annotated[str, typer.Option(help="Instrument: a name such as lofar-superterp, or a JSON file.")],
     report: Annotated[Path, typer.Option(help="Report to write (JSON).")],
+    spectra: Annotated[Path | None, typer.Argument(help="Spectra file (HDF5, lbacal-spectra-1).")] = None,
+    lst_curve: Annotated[
+        Path | None, typer.Option(help="Ask a band-averaged LST curve instead (CSV: lst_h, x_db, y_db, error_db).")
+    ] = None,
+    instrument: Annotated[
+        str | None,
+        typer.Option(help="Instrument: a name or a JSON file; lofar-superterp for an LST curve unless given."),
+    ] = None,
     sky_power: Annotated[
         Path | None, typer.Option(help="P_sky(LST, nu) file (JSON); without it the package's own sky and antenna.")
     ] = None,
-    html: Annotated[Path | None, typer.Option(help="The report as a page with its figures (HTML).")] = None,
+    band: Annotated[tuple[float, float], typer.Option(help="First and last channel of the LST curve's band, MHz.")] = (
+        30.0,
+        80.0,
+    ),
+    html: Annotated[Path | None, typer.Option(help="The report of spectra as a page with its figures (HTML).")] = None,
 ) -> None:
     """Find what the simulation gets wrong: name the cause, extend the model, measure the gain.
 
@@ -26,29 +36,57 @@ def investigate(
 
     Exit 0 for every verdict: consistent, explained, unexplained.
     """
-    from lbacal_core.discovery.report import investigate as ask
     from lbacal_core.instrument import load_instrument
     from lbacal_core.skypower.model import compute_sky_power
     from lbacal_core.skypower.table import read_sky_power
-    from lbacal_core.spectra import read_spectra
     from service.cli.outputs import require_outputs
 
-    inputs: dict[str, str | Path | None] = {"SPECTRA": spectra, "--instrument": instrument, "--sky-power": sky_power}
-    require_outputs({"--report": report, "--html": html}, inputs)
-    chain = load_instrument(instrument)
-    measured = read_spectra(spectra, now_unix=time.time())
+    if (spectra is None) == (lst_curve is None):
+        raise typer.BadParameter("name a spectra file or --lst-curve, one of the two")
+    if spectra is not None and instrument is None:
+        raise typer.BadParameter("spectra need --instrument, a name such as lofar-superterp or a JSON file")
+    if lst_curve is not None and html is not None:
+        raise typer.BadParameter("--html goes with spectra; lbacal lst-curve --plot draws an LST curve")
+    inputs: dict[str, str | Path | None] = {"SPECTRA": spectra, "--lst-curve": lst_curve, "--sky-power": sky_power}
+    require_outputs({"--report": report, "--html": html}, {**inputs, "--instrument": instrument})
+    chain = load_instrument(instrument or "lofar-superterp")
     sky = compute_sky_power(chain) if sky_power is None else read_sky_power(sky_power)
-    content, stations = ask(measured, chain, sky, is_own_sky=sky_power is None, progress=_say)
+    if spectra is not None:
+        content = _ask_spectra(spectra, chain, sky, sky_power is None, html)
+    else:
+        content = _ask_curve(lst_curve, chain, sky, sky_power is None, band)
     report.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n")
+    print(f"{content['verdict']}; wrote {report}{f' and {html}' if html else ''}")
+    for finding in content["findings"]:
+        print(f"  {finding['significance_sigma']:.1f} sigma: {finding['sentence']}")
+        if finding["indistinguishable"]:
+            print(f"    these data cannot tell it from {', '.join(finding['indistinguishable'])}")
+    if content["unexplained"]:
+        print(f"  {content['unexplained']['description']} (p = {content['unexplained']['p_value']:.1e})")
+
+
+def _ask_spectra(spectra: Path, chain: Any, sky: Any, is_own_sky: bool, html: Path | None) -> dict[str, Any]:
+    from lbacal_core.discovery.report import investigate as ask
+    from lbacal_core.spectra import read_spectra
+
+    measured = read_spectra(spectra, now_unix=time.time())
+    content, stations = ask(measured, chain, sky, is_own_sky=is_own_sky, progress=_say)
     if html is not None:
         from service.cli.investigation_page import write_investigation_page
 
         write_investigation_page(content, stations, html)
-    print(f"{content['verdict']}; wrote {report}{f' and {html}' if html else ''}")
-    for finding in content["findings"]:
-        print(f"  {finding['significance_sigma']:.1f} sigma: {finding['sentence']}")
-    if content["unexplained"]:
-        print(f"  {content['unexplained']['description']} (p = {content['unexplained']['p_value']:.1e})")
+    return content
+
+
+def _ask_curve(path: Path | None, chain: Any, sky: Any, is_own_sky: bool, band: tuple[float, float]) -> dict[str, Any]:
+    from lbacal_core.discovery.lst_curve import describe_curve, investigate_curve
+    from lbacal_core.lstcurve.curve import measured_curve, read_lst_curve
+    from lbacal_core.provenance import Provenance
+
+    curve = read_lst_curve(path or measured_curve())
+    found = investigate_curve(curve, sky, chain, band, is_own_sky=is_own_sky)
+    inputs = {"lst_curve": curve.digest(), "sky_power": sky.digest(), "instrument": chain.digest()}
+    return describe_curve(found, Provenance(inputs, {"band_mhz": list(band), "own_sky": is_own_sky}))
 
 
 def _say(step: str) -> None:
