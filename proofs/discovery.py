@@ -1,7 +1,7 @@
 """What `lbacal investigate` finds in simulated stations: nothing where nothing is hidden, and each planted cause.
 
-Options: --clean N (data sets with nothing hidden), --realistic N (with the twin's nuisances), --causes (one data set for
-each cause of the twin's catalogue, at the twin's typical size), --others (one for each effect that no catalogue lists).
+Options: --clean N (data sets with nothing hidden), --realistic N (with the twin's nuisances), --causes (one data set
+for each cause of the twin's catalogue, at the twin's typical size), --others (one for each effect in no catalogue).
 """
 
 from __future__ import annotations
@@ -79,7 +79,8 @@ def _false_alarms(name: str, count: int, nuisances: Nuisances) -> tuple[bool, st
     wrong = [answer for answer in answers if answer.verdict != "consistent"]
     interval = binomtest(len(wrong), count).proportion_ci(method="wilson")
     what = "; ".join(f"{answer.verdict} {'+'.join(answer.named) or answer.axis}" for answer in wrong)
-    text = f"Nothing hidden, {name}: {len(wrong)} of {count} not consistent, 95 % interval {interval.low:.4f}-{interval.high:.4f}"
+    between = f"95 % interval {interval.low:.4f}-{interval.high:.4f}"
+    text = f"Nothing hidden, {name}: {len(wrong)} of {count} not consistent, {between}"
     return interval.low <= FALSE_ALARM_LIMIT, f"{text}{f' ({what})' if what else ''}."
 
 
