@@ -3,6 +3,7 @@ from __future__ import annotations
 import itertools
 import json
 import os
+import shutil
 from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
 from pathlib import Path
@@ -27,6 +28,7 @@ from proofs._postgres import run_postgres
 from service.app import make_app
 from service.config import Settings
 from service.factory import Factory
+from service.storage.database import Database
 from service.storage.migration import upgrade
 from service.storage.versions import Version
 
@@ -83,16 +85,38 @@ def postgres() -> Iterator[str]:
 _names = itertools.count()
 
 
+@pytest.fixture(scope="session")
+def sqlite_template(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("template") / "lbacal.sqlite"
+    database = Database(f"sqlite:///{path}")
+    upgrade(database)
+    # closing the last connection leaves all of it in the one file that is copied
+    database.close()
+    return path
+
+
+@pytest.fixture(scope="session")
+def postgres_template(postgres: str) -> str:
+    name = f"template_{os.getpid()}"
+    with psycopg.connect(postgres, autocommit=True) as connection:
+        connection.execute(f"CREATE DATABASE {name}")
+    database = Database(Settings(database_url=postgres.replace("/postgres?", f"/{name}?", 1)).sqlalchemy_url)
+    upgrade(database)
+    database.close()
+    return name
+
+
 @pytest.fixture(params=["sqlite", "postgresql"])
 def database_url(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[str]:
-    """An empty database of either kind."""
+    """A database of either kind with the schema and nothing in it."""
     if request.param == "sqlite":
+        shutil.copy(request.getfixturevalue("sqlite_template"), tmp_path / "lbacal.sqlite")
         yield str(tmp_path / "lbacal.sqlite")
         return
-    server = request.getfixturevalue("postgres")
+    server, template = request.getfixturevalue("postgres"), request.getfixturevalue("postgres_template")
     name = f"test_{os.getpid()}_{next(_names)}"
     with psycopg.connect(server, autocommit=True) as connection:
-        connection.execute(f"CREATE DATABASE {name}")
+        connection.execute(f"CREATE DATABASE {name} TEMPLATE {template}")
     yield server.replace("/postgres?", f"/{name}?", 1)
     with psycopg.connect(server, autocommit=True) as connection:
         connection.execute(f"DROP DATABASE {name} WITH (FORCE)")
@@ -106,7 +130,6 @@ def clock() -> Clock:
 @pytest.fixture
 def factory(database_url: str, instrument_file: Path, clock: Clock) -> Iterator[Factory]:
     made = Factory(Settings(database_url=database_url, instrument=str(instrument_file)), clock)
-    upgrade(made.database)
     yield made
     made.database.close()
 
@@ -197,7 +220,6 @@ def station(database_url: str, sky_power_file: Path, campaign: Spectra, clock: C
     """A service that holds the campaign."""
     settings = Settings(database_url=database_url, sky_power=sky_power_file, poll_s=0.01, lease_s=5)
     made = Factory(settings, clock)
-    upgrade(made.database)
     with made.database.write() as stores:
         stores.spectra.add(campaign)
     yield made
