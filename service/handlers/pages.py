@@ -52,9 +52,8 @@ def show_jobs(request: Request, use: UseCases) -> Response:
 
 @router.get("/drift")
 def show_drift(request: Request, use: UseCases) -> Response:
-    whole = use.drift.series(Scope())
-    stations = use.drift.stations()
-    series = [*(use.drift.series(Scope(station)) for station in stations), *([whole] if len(stations) > 1 else [])]
+    whole, stations = use.drift.overall()
+    series = [*stations, *([whole] if len(stations) > 1 else [])]
     rows = [row for one in series for row in _version_rows(one)]
     plot = {"series": [_plot_of_series(one) for one in series]}
     return _page(request, use, "drift.html", "/drift", plot=plot, steps=whole.steps[:STEPS_SHOWN], rows=rows)

@@ -114,11 +114,6 @@ class Drift:
             ratios.append(MonthlyRatio(path, int(months[m]), of_block[path].id, c_ratio, sigma, events))
         return ratios
 
-    def stations(self) -> list[str]:
-        """Stations with spectra."""
-        with self.database.read() as stores:
-            return stores.spectra.stations()
-
     def ratios(self, station: str) -> list[MonthlyRatio]:
         """The months of all paths of a station."""
         with self.database.read() as stores:
@@ -136,9 +131,26 @@ class Drift:
             ratios = stores.drift.ratios(Scope(scope.station))
             of_paths = stores.versions.means_of_station(scope.station)
             of_scope = stores.versions.means([scope])
-        steps = [step for step in _rank_steps(ratios, of_paths) if scope in step.path.widening]
-        own = [ratio for ratio in ratios if scope in ratio.path.widening]
-        return DriftSeries(scope, of_scope, _months(own, of_scope), steps)
+        return _gather(scope, ratios, of_scope, _rank_steps(ratios, of_paths))
+
+    def overall(self) -> tuple[DriftSeries, list[DriftSeries]]:
+        """The array, and every station with spectra."""
+        with self.database.read() as stores:
+            ratios = stores.drift.ratios(Scope())
+            of_paths = stores.versions.means_of_station(None)
+            scopes = [Scope(), *(Scope(station) for station in stores.spectra.stations())]
+            of_scope = {scope: stores.versions.means([scope]) for scope in scopes}
+        steps = _rank_steps(ratios, of_paths)
+        array, *stations = (_gather(scope, ratios, of_scope[scope], steps) for scope in scopes)
+        return array, stations
+
+
+def _gather(
+    scope: Scope, ratios: Sequence[MonthlyRatio], versions: Sequence[MeanC], steps: Sequence[Step]
+) -> DriftSeries:
+    """Of everything, what belongs to a scope."""
+    own = [ratio for ratio in ratios if scope in ratio.path.widening]
+    return DriftSeries(scope, versions, _months(own, versions), [step for step in steps if scope in step.path.widening])
 
 
 def _months(ratios: Sequence[MonthlyRatio], versions: Sequence[MeanC]) -> list[MonthPoint]:
