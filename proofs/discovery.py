@@ -1,7 +1,7 @@
 """What `lbacal investigate` finds in simulated stations: nothing where nothing is hidden, and each planted cause.
 
 Options: --clean N (data sets with nothing hidden), --realistic N (with the twin's nuisances), --causes (one data set
-for each cause of the twin's catalogue, at the twin's typical size), --others (one for each effect in no catalogue).
+for each cause of the twin's catalogue, at a size made for 10 sigma), --others (one for each effect in no catalogue).
 """
 
 from __future__ import annotations
@@ -24,6 +24,8 @@ from lbacal_core.twin.nuisances import NONE, REALISTIC, Nuisances
 from lbacal_core.twin.settings import TwinSettings
 
 SETTINGS = TwinSettings(stations=("CS002",), antennas=6, events_per_year=250)
+SIZES = 5.4
+"""The twin's typical sizes are some 10 standard deviations for 48 antennas and 900 events: larger here by the root of both."""
 FALSE_ALARM_LIMIT = 0.01
 """Asked for; a run does not hold when even the lower end of its interval is above."""
 
@@ -85,12 +87,13 @@ def _false_alarms(name: str, count: int, nuisances: Nuisances) -> tuple[bool, st
 
 
 def _causes() -> list[str]:
-    head = "| planted, at the twin's typical size | verdict | named | cannot be told from |"
+    head = "| planted | verdict | named | cannot be told from |"
     rows = ["", head, "|---|---|---|---|"]
     hits = 0
     names = sorted(catalogue_faults())
     for seed, name in enumerate(names):
-        fault = draw_fault(name, np.random.default_rng(seed), SETTINGS)
+        size = SIZES * catalogue_faults()[name].typical
+        fault = draw_fault(name, np.random.default_rng(seed), SETTINGS, 1.0 if name == "dipole_swap" else size)
         answer = ask(1000 + seed, [fault])
         hits += name in answer.named[:1] or name in answer.set_of_first
         rows.append(f"| {name} | {answer.verdict} | {', '.join(answer.named)} | {', '.join(answer.set_of_first[1:])} |")
@@ -100,6 +103,6 @@ def _causes() -> list[str]:
 def _others() -> list[str]:
     rows = ["", "| planted, in no catalogue | verdict | axis | named |", "|---|---|---|---|"]
     for seed, (name, kind) in enumerate(uncatalogued_faults().items()):
-        answer = ask(2000 + seed, [kind(size=0.05)])
+        answer = ask(2000 + seed, [kind(size=0.2)])
         rows.append(f"| {kind.__name__} ({name}) | {answer.verdict} | {answer.axis} | {', '.join(answer.named)} |")
     return rows

@@ -36,6 +36,9 @@ INDISTINGUISHABLE = 9.0
 """SNR^2 (1 - r^2) below this: the other signature fits as well (3 standard deviations)."""
 RIVALS = 4
 """Candidates that are fitted without linearising before one is named."""
+MORE_THAN_ONCE = {"gain_step", "adc_noise_step", "filter_shift", "rfi_line", "point_source"}
+"""Causes of which a target can have several: dates, channels, sources. Any other that comes up again for the same target
+does not have the shape that the data ask for."""
 AXES = {
     "dipole_swap": {"lst"}, "dipole_azimuth": {"lst"}, "lst_offset": {"lst"}, "zenith_weighting": {"lst"},
     "pattern_width": {"lst"}, "isotropic_level": {"lst"}, "point_source": {"lst"}, "compression": {"lst"},
@@ -114,13 +117,16 @@ def investigate_station(
     progress(f"{data.station}: fitting the baseline of {len(data.antenna)} paths")
     current = first = fit_extension(data, [], modes=modes)
     findings: list[Finding] = []
-    first_scan = None
+    first_scan, misfits = None, set[str]()
     while len(findings) < MAX_FINDINGS:
         progress(f"{data.station}: scoring {len(CAUSES)} causes for {len(targets)} targets")
         scores = scan(data, current.residuals, current.nuisance, current.baseline.terms, CAUSES, targets, seed)
         first_scan = first_scan or scores
         significant = [s for s in scores.best if p_of(abs(s.z), scores.trials) < ALPHA_CATALOGUE / stations]
         if not significant:
+            break
+        if _comes_up_again(significant[0], findings):
+            misfits.add(significant[0].cause.identifier)
             break
         progress(f"{data.station}: fitting everything again with {significant[0].cause.identifier}")
         found = _extend(data, current, scores, significant, modes)
@@ -139,7 +145,11 @@ def investigate_station(
     progress(f"{data.station}: looking for structure that no cause explains")
     rest = find_leftover(data, current.residuals, current.nuisance, np.random.default_rng(seed))
     leftover = rest if rest.p_value < ALPHA_LEFTOVER / stations else None
-    similar = [f for f in findings if leftover is not None and _lives_there(f, leftover)]
+    similar = [
+        f
+        for f in findings
+        if leftover is not None and (_lives_there(f, leftover) or f.effect.cause.identifier in misfits)
+    ]
     return StationReport(
         data=data,
         findings=[f for f in findings if f not in similar],
@@ -199,6 +209,13 @@ def _nearby_laws(effect: Effect, data: StationData) -> list[Law]:
         channel = effect.law.parameters["frequency_mhz"]
         laws = [law for law in laws if law.parameters["frequency_mhz"] == channel]
     return laws
+
+
+def _comes_up_again(score: Score, findings: Sequence[Finding]) -> bool:
+    """Whether a cause is wanted a second time for the same target, under another law."""
+    name = score.cause.identifier
+    earlier = [f.effect.target.label for f in findings if f.effect.cause.identifier == name]
+    return name not in MORE_THAN_ONCE and score.target.label in earlier
 
 
 def _with_final_size(finding: Finding, effect: Effect) -> Finding:
