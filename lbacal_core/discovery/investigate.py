@@ -37,8 +37,8 @@ INDISTINGUISHABLE = 9.0
 RIVALS = 4
 """Candidates that are fitted without linearising before one is named."""
 MORE_THAN_ONCE = {"gain_step", "adc_noise_step", "filter_shift", "rfi_line", "point_source"}
-"""Causes of which a target can have several: dates, channels, sources. Any other that comes up again for the same target
-does not have the shape that the data ask for."""
+"""Causes of which a target can have several: dates, channels, sources. Any other that comes up again for the same
+target does not have the shape that the data ask for."""
 AXES = {
     "dipole_swap": {"lst"}, "dipole_azimuth": {"lst"}, "lst_offset": {"lst"}, "zenith_weighting": {"lst"},
     "pattern_width": {"lst"}, "isotropic_level": {"lst"}, "point_source": {"lst"}, "compression": {"lst"},
