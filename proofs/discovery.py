@@ -25,7 +25,7 @@ from lbacal_core.twin.settings import TwinSettings
 
 SETTINGS = TwinSettings(stations=("CS002",), antennas=6, events_per_year=250)
 SIZES = 5.4
-"""The twin's typical sizes are some 10 standard deviations for 48 antennas and 900 events: larger here by the root of both."""
+"""The twin's typical sizes are some 10 sigma for 48 antennas and 900 events; this makes up for fewer of both."""
 FALSE_ALARM_LIMIT = 0.01
 """Asked for; a run does not hold when even the lower end of its interval is above."""
 

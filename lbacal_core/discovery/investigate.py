@@ -244,7 +244,9 @@ def _indistinguishable(score: Score, effect: Effect, scores: Scan) -> list[tuple
 def _calibration_change(before: Extension, after: Extension, target: Target) -> Floats:
     """Relative change of C of the paths concerned, shape (path, freq): C goes as the slope to the power -1/2."""
     old, new = before.baseline.solution.x[target.is_member], after.baseline.solution.x[target.is_member]
-    return np.asarray(np.sqrt(old / new) - 1.0)
+    # A slope that the noise makes negative, in the weakest channels, has no C to change.
+    has_c = (old > 0) & (new > 0)
+    return np.asarray(np.sqrt(np.divide(old, new, out=np.ones_like(old), where=has_c)) - 1.0)
 
 
 def _lives_there(finding: Finding, leftover: Leftover) -> bool:
