@@ -142,7 +142,7 @@ def test_the_main_path_is_three_clicks_from_the_readme(repository: Path) -> None
 
 # Spelt in two halves, so that this file does not name them itself.
 MACHINE_PATHS = ["/wo" + "rk/", "/ro" + "ot/", "/ho" + "me/", "file:" + "///"]
-REGISTRIES = ["pypi" + ".org", "pythonhosted" + ".org", "npmjs" + ".org", "deb.debian" + ".org", "index-" + "url"]
+REGISTRIES = ["py" + "pi.org", "python" + "hosted.org", "npm" + "js.org", "deb.deb" + "ian.org", "index-" + "url"]
 
 
 def test_no_machine_and_no_registry_is_named_in_a_file(repository: Path, tracked: list[Path]) -> None:
