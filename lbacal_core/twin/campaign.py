@@ -20,7 +20,7 @@ from lbacal_core.twin.nuisances import NONE, Nuisances, depart, lose_spectra
 from lbacal_core.twin.scatter import draw_scatter
 from lbacal_core.twin.settings import TwinSettings
 from lbacal_core.twin.stages import Scene, Stages
-from lbacal_core.twin.truth import Truth
+from lbacal_core.twin.truth import StationTruth, Truth
 from lbacal_core.twin.view import View
 from lbacal_core.twin.weather import draw_event_times, draw_weather
 
@@ -51,13 +51,62 @@ def simulate_campaign(
     and without a fault differs by the fault alone. A `view` made once for the instrument saves the seconds that the
     first fault with a direction takes to build it.
     """
+    drawn, of_losses = draw_stations(settings, instrument, sky_power, rng, nuisances, view)
+    blocks, powers = [], []
+    for one in drawn:
+        power = expected_power(one.stages, one.scene, faults)
+        counts = one.of_noise.integers(settings.fewest_blocks, settings.most_blocks + 1, size=power.shape[:3])
+        scatter = draw_scatter(settings, counts, power.shape[3], one.of_noise, nuisances.sky_correlation)
+        if one.scene.station in nuisances.noisy_stations:
+            scatter = 1.0 + nuisances.noise_factor * (scatter - 1.0)
+        power *= scatter
+        blocks.append(counts)
+        powers.append(power)
+    spectra = _gather([one.scene for one in drawn], powers, blocks)
+    if nuisances != NONE:
+        spectra = lose_spectra(spectra, nuisances, instrument.longitude_deg, of_losses)
+    return Campaign(
+        spectra,
+        Truth(
+            settings.as_dict() | {"nuisances": nuisances.as_dict()},
+            instrument.frequency_mhz,
+            [one.truth for one in drawn],
+            [fault.as_dict() for fault in faults],
+        ),
+    )
+
+
+@dataclass(frozen=True)
+class DrawnStation:
+    """One station of a campaign before its noise: `expected_power` of it is exact, with any faults or none."""
+
+    scene: Scene
+    stages: Stages
+    truth: StationTruth
+    of_noise: np.random.Generator
+
+
+def draw_stations(
+    settings: TwinSettings,
+    instrument: Instrument,
+    sky_power: SkyPower,
+    rng: np.random.Generator,
+    nuisances: Nuisances = NONE,
+    view: View | None = None,
+) -> tuple[list[DrawnStation], np.random.Generator]:
+    """Draw events, weather and hardware as `simulate_campaign` does from the same `rng`.
+
+    Returns
+    -------
+    The stations, and the random numbers that decide which spectra are lost.
+    """
     require_same_grid(sky_power.origin, sky_power.frequency_mhz, instrument.frequency_mhz, instrument.name)
     stations = _stations(settings, instrument)
     of_events, *of_stations, of_losses = rng.spawn(2 + len(stations))
     time_unix = draw_event_times(settings.start_unix, settings.years, settings.event_count, of_events)
     weather = draw_weather(time_unix, instrument.longitude_deg, of_events)
-    own_view = View(instrument)
-    truths, blocks, powers, scenes = [], [], [], []
+    own_view = view or View(instrument)
+    drawn = []
     for station, of_station in zip(stations, of_stations, strict=True):
         antennas = np.array(sorted({r.antenna for r in instrument.antennas if r.station == station}), dtype=np.int64)
         antennas = antennas[: settings.antennas]
@@ -74,35 +123,15 @@ def simulate_campaign(
             rain_mm_h=weather.rain_at(time_unix),
             sky_power=sky_power,
             weather=weather,
-            view=view or own_view,
+            view=own_view,
         )
         of_hardware, of_noise, of_departures = of_station.spawn(3)
         stages, truth = build_station(settings, instrument, scene, of_hardware)
         if nuisances.departures > 0:
             stages = depart(stages, nuisances.departures, of_departures)
             truth = replace(truth, c=path_calibration(stages, instrument))
-        power = expected_power(stages, scene, faults)
-        counts = of_noise.integers(settings.fewest_blocks, settings.most_blocks + 1, size=power.shape[:3])
-        scatter = draw_scatter(settings, counts, power.shape[3], of_noise, nuisances.sky_correlation)
-        if station in nuisances.noisy_stations:
-            scatter = 1.0 + nuisances.noise_factor * (scatter - 1.0)
-        power *= scatter
-        truths.append(truth)
-        scenes.append(scene)
-        blocks.append(counts)
-        powers.append(power)
-    spectra = _gather(scenes, powers, blocks)
-    if nuisances != NONE:
-        spectra = lose_spectra(spectra, nuisances, instrument.longitude_deg, of_losses)
-    return Campaign(
-        spectra,
-        Truth(
-            settings.as_dict() | {"nuisances": nuisances.as_dict()},
-            instrument.frequency_mhz,
-            truths,
-            [fault.as_dict() for fault in faults],
-        ),
-    )
+        drawn.append(DrawnStation(scene, stages, truth, of_noise))
+    return drawn, of_losses
 
 
 def expected_power(stages: Stages, scene: Scene, faults: Sequence[Fault]) -> Floats:
