@@ -1,20 +1,78 @@
+"""Small instances of the proof of discovery, with the same code."""
+
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from lbacal_core.twin.faults.catalogue import draw_fault
+from lbacal_core.twin.faults.antenna import GainDrift
+from lbacal_core.twin.faults.interference import RfiLine
 from proofs import discovery
+from proofs._hidden import DataSet, Planted, draw_one, is_in_family, moving_causes, realistic, reported_size
+from proofs._one_effect import Outcome
+from proofs._several_effects import draw_several
 
 
 @pytest.mark.timeout(600)
 def test_a_small_instance_of_the_proof_finds_nothing_in_clean_data():
-    holds, lines = discovery.prove(["--clean", "2"])
+    holds, lines = discovery.prove(["--part", "clean", "--count", "1"])
     assert holds
-    assert lines[1].startswith("Nothing hidden, clean: 0 of 2 not consistent")
+    assert "not consistent in 0 of 1" in lines[2]
 
 
-@pytest.mark.timeout(600)
-def test_a_typical_drift_is_named():
-    fault = draw_fault("gain_drift", np.random.default_rng(1), discovery.SETTINGS, size=0.08)
-    assert "gain_drift" in discovery.ask(3, [fault]).named
+def test_the_size_for_a_wanted_signal_to_noise_has_it():
+    data = DataSet(1)
+    rng = np.random.default_rng(1)
+    for _ in range(3):
+        planted = draw_one(data, 6.0, rng, moving_causes())
+        assert data.snr(planted) == pytest.approx(6.0, rel=0.01)
+
+
+def test_the_same_seed_gives_the_same_noise_with_a_fault_and_without():
+    data = DataSet(2)
+    fault = GainDrift(size=0.05)
+    ratio = data.spectra([fault]).power / data.spectra().power
+    change = data.detector.template([fault]).reshape(len(ratio), -1)
+    np.testing.assert_allclose(np.sort(ratio.ravel()), np.sort(1 + change.ravel()), rtol=1e-12)
+
+
+def test_halves_share_the_hardware_and_no_event():
+    halves = [DataSet(3, events=60, half=half).spectra() for half in (0, 1)]
+    assert not set(halves[0].event_id) & set(halves[1].event_id)
+    assert len(halves[0]) == len(halves[1]) == 60 / 2 * 12
+
+
+def test_realistic_data_sets_have_noisy_stations_and_gaps():
+    noisy, quiet = realistic(0), realistic(1)
+    assert noisy.nuisances.noisy_stations != quiet.nuisances.noisy_stations
+    # Two of six antennas die somewhere in the year, a tenth of the rest is missing.
+    assert len(quiet.spectra()) < 0.9 * 12 * quiet.events
+
+
+def test_several_effects_have_the_signal_to_noise_given_the_others():
+    data = DataSet(4)
+    rng = np.random.default_rng(1)
+    planted, correlation = next(found for _ in range(100) if (found := draw_several(data, 2, rng)))
+    assert correlation < 0.9
+    information = data.detector.information(np.stack([data.detector.template([one.fault]) for one in planted]))
+    # Faults of some per cent are linear to some per cent.
+    np.testing.assert_allclose(1 / np.sqrt(np.diag(np.linalg.inv(information))), 10.0, rtol=0.1)
+
+
+def test_a_line_between_channels_is_reported_as_strong_as_in_its_channel():
+    scene = DataSet(1).scene
+    line = Planted(
+        "rfi_line", RfiLine(size=0.01, line_mhz=66.8, width_mhz=0.5, hours=(6.0, 18.0)), "station", "station"
+    )
+    # 0.2 MHz from the channel at 67 MHz, of a Gaussian of 0.5 MHz full width at half maximum.
+    assert reported_size(line, scene) == pytest.approx(0.01 * 0.5 ** ((0.2 / 0.25) ** 2), rel=1e-3)
+    assert is_in_family(line)
+
+
+def test_a_name_counts_only_from_a_small_set():
+    small, large = ["a", "b", "true"], ["a", "b", "c", "true"]
+    planted = Planted("true", GainDrift(size=0.0), "station", "station")
+    assert Outcome(10.0, "true", planted, "explained", [small]).is_named
+    assert not Outcome(10.0, "true", planted, "explained", [large]).is_named
+    assert Outcome(10.0, "true", planted, "explained", [["true", "a", "b", "c"]]).is_named
+    assert not Outcome(10.0, "true", planted, "explained", [["a"], ["true"]]).is_named

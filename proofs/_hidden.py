@@ -1,0 +1,285 @@
+"""Data sets with something hidden: a small station, a fault of a wanted ideal SNR, and what the finder answers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cache, cached_property
+from typing import Any
+
+import numpy as np
+
+from lbacal_core.discovery.investigate import StationReport
+from lbacal_core.discovery.report import investigate
+from lbacal_core.grids import Floats
+from lbacal_core.instrument import DIPOLES, Instrument, load_instrument
+from lbacal_core.skypower.model import compute_sky_power
+from lbacal_core.skypower.table import SkyPower
+from lbacal_core.spectra import Spectra
+from lbacal_core.twin.campaign import draw_stations, simulate_campaign
+from lbacal_core.twin.faults.antenna import ResonanceFault
+from lbacal_core.twin.faults.catalogue import catalogue_faults, draw_fault
+from lbacal_core.twin.faults.drivers import driver
+from lbacal_core.twin.faults.fault import EVERYWHERE, Fault, Where
+from lbacal_core.twin.faults.interference import RfiBroadband, RfiLine
+from lbacal_core.twin.nuisances import NONE, REALISTIC, Nuisances
+from lbacal_core.twin.settings import TwinSettings
+from lbacal_core.twin.stages import Scene
+from lbacal_core.twin.view import View
+from proofs._ideal import IdealDetector, ideal_detector
+
+STATION = "CS002"
+SMALL = (0, 1, 3, 4, 10, 11)
+"""Antennas of three cable lengths, two of each."""
+ALIKE = (0, 1, 2, 6, 7, 8, 9, 12, 3, 4)
+"""Eight antennas of one cable length, to be compared, and two of another."""
+EVENTS = 250
+STATIC = ("cable_length", "cable_reflection")
+LARGEST_CHANGE = 0.5
+"""A fault that has to change the power by more than this fraction somewhere to be seen counts as not identifiable."""
+
+SCOPES: dict[str, tuple[str, ...]] = {
+    "dipole_swap": ("station", "antenna"),
+    "dipole_azimuth": ("station", "antenna"),
+    "resonance_shift": ("station", "antenna"),
+    "resonance_width": ("station", "antenna"),
+    "filter_shift": ("station", "antenna", "path"),
+    "lna_noise_temperature": ("station", "antenna", "path"),
+    "gain_temperature": ("station", "antenna", "path"),
+    "cable_length": ("antenna",),
+    "cable_reflection": ("antenna",),
+    "cable_temperature": ("station", "cable"),
+    "gain_step": ("path", "antenna", "cable", "station"),
+    "gain_drift": ("path", "antenna", "cable", "station"),
+    "adc_noise_step": ("path", "antenna", "cable", "station"),
+    "compression": ("station", "antenna", "path"),
+    "adc_jitter": ("station", "path"),
+    "rfi_line": ("station", "antenna"),
+}
+"""Whom a cause can concern; the station where nothing is said. Of the contract, and where it is silent of the physics:
+the sky is common to a station, a plug belongs to an antenna, a receiver to a path."""
+
+
+@dataclass(frozen=True)
+class Planted:
+    """A fault and whom it concerns, in the words of a report."""
+
+    cause: str
+    fault: Fault
+    scope: str
+    label: str
+
+    def sized(self, size: float) -> Planted:
+        """The same fault of another size."""
+        return replace(self, fault=replace(self.fault, size=size))
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What the finder says of one data set.
+
+    Attributes
+    ----------
+    findings
+        As in the report, most significant first.
+    scores
+        Of the first scan: cause, target and score in standard deviations.
+    """
+
+    verdict: str
+    findings: Sequence[dict[str, Any]]
+    unexplained: dict[str, Any] | None
+    scores: Sequence[tuple[str, str, float]]
+
+    @property
+    def named(self) -> list[str]:
+        """Causes named, most significant first."""
+        return [str(finding["cause"]) for finding in self.findings]
+
+    @property
+    def sets(self) -> list[list[str]]:
+        """Each cause named, with those that the data cannot tell from it."""
+        return [[finding["cause"], *finding["indistinguishable"]] for finding in self.findings]
+
+    @property
+    def axis(self) -> str:
+        """Axis along which structure is left, empty if none is."""
+        return str(self.unexplained["where"]["axis"]) if self.unexplained else ""
+
+    def score(self, planted: Planted) -> float:
+        """Largest |score| of the true cause for the true target, 0 where another target scored better."""
+        own = [abs(z) for cause, label, z in self.scores if (cause, label) == (planted.cause, planted.label)]
+        return max(own, default=0.0)
+
+
+@dataclass(frozen=True)
+class DataSet:
+    """One simulated station-year, with nothing hidden until faults are given.
+
+    Attributes
+    ----------
+    seed
+        Of events, weather, hardware and noise, and of the finder.
+    half
+        0 or 1: only every second event, from the first or the second on; None: all.
+    """
+
+    seed: int
+    antennas: tuple[int, ...] = SMALL
+    nuisances: Nuisances = NONE
+    events: int = EVENTS
+    half: int | None = None
+
+    @property
+    def settings(self) -> TwinSettings:
+        """What is simulated."""
+        return TwinSettings(stations=(STATION,), events_per_year=self.events)
+
+    @property
+    def instrument(self) -> Instrument:
+        """The Superterp, of which only some antennas of one station are used."""
+        return _instrument(self.antennas)
+
+    def rng(self) -> np.random.Generator:
+        """The same random numbers at every call."""
+        return np.random.default_rng([20261121, self.seed])
+
+    @cached_property
+    def detector(self) -> IdealDetector:
+        """Who knows everything."""
+        (station,), _ = draw_stations(self.settings, self.instrument, sky_power(), self.rng(), self.nuisances, _view())
+        return ideal_detector(self.settings, self.nuisances, station, self.spectra())
+
+    @property
+    def scene(self) -> Scene:
+        """What surrounds the station."""
+        return self.detector.station.scene
+
+    def spectra(self, faults: Sequence[Fault] = ()) -> Spectra:
+        """The spectra with faults; events, weather, hardware and noise are the same with any."""
+        campaign = simulate_campaign(
+            self.settings, self.instrument, sky_power(), self.rng(), faults, self.nuisances, _view()
+        )
+        if self.half is None:
+            return campaign.spectra
+        _, event = np.unique(campaign.spectra.time_unix, return_inverse=True)
+        return campaign.spectra.select(event % 2 == self.half)
+
+    def report(self, faults: Sequence[Fault] = ()) -> tuple[dict[str, Any], list[StationReport]]:
+        """What the finder reports of the data with the faults; the sky power is given and taken at its word."""
+        return investigate(self.spectra(faults), self.instrument, sky_power(), seed=self.seed)
+
+    def ask(self, faults: Sequence[Fault] = ()) -> Answer:
+        """The report in short."""
+        report, stations = self.report(faults)
+        scores = [
+            (score.cause.identifier, score.target.label, float(score.z))
+            for station in stations
+            for score in station.first_scan.best
+        ]
+        return Answer(report["verdict"], report["findings"], report["unexplained"], scores)
+
+    def draw(self, cause: str, rng: np.random.Generator) -> Planted:
+        """A fault of a cause: its law, and whom it concerns."""
+        scopes = SCOPES.get(cause, ("station",))
+        scope = scopes[rng.integers(len(scopes))]
+        where, label = self._choose(scope, rng)
+        return Planted(cause, draw_fault(cause, rng, self.settings, where=where), scope, label)
+
+    def _choose(self, scope: str, rng: np.random.Generator) -> tuple[Where, str]:
+        antenna = int(rng.choice(self.antennas))
+        if scope == "antenna":
+            return Where(antennas=(antenna,)), f"antenna {antenna}"
+        if scope == "path":
+            dipole = str(rng.choice(DIPOLES))
+            return Where(antennas=(antenna,), dipoles=(dipole,)), f"antenna {antenna} {dipole}"
+        if scope == "cable":
+            cable = str(rng.choice(np.unique(self.scene.cables)))
+            return Where(cables=(cable,)), f"cable {cable}"
+        return EVERYWHERE, "station"
+
+    def snr(self, planted: Planted) -> float:
+        """The ideal SNR of a fault."""
+        if planted.cause in STATIC:
+            return self.detector.snr_against_others(planted.fault, planted.fault.where.antennas[0])
+        return self.detector.snr([planted.fault])
+
+    def with_snr(self, planted: Planted, snr: float) -> Planted | None:
+        """The fault with the size that has a wanted ideal SNR, or None where no sensible size has it.
+
+        Almost all faults are linear: scaled once, and once more for what is not.
+        """
+        for _ in range(2):
+            now = self.snr(planted)
+            size = planted.fault.size * snr / now if now > 1e-9 else np.inf
+            if not np.isfinite(size) or (planted.cause == "dipole_swap" and abs(size) > 1):
+                return None
+            planted = planted.sized(size)
+            if np.abs(self.detector.template([planted.fault])).max() > LARGEST_CHANGE:
+                return None
+        return planted
+
+
+def realistic(seed: int) -> DataSet:
+    """A data set with every nuisance; in every third the station itself is the noisy one."""
+    noisy = STATION if seed % 3 == 0 else "CS003"
+    return DataSet(seed, nuisances=replace(REALISTIC, noisy_stations=(noisy,)))
+
+
+def draw_one(data: DataSet, snr: float, rng: np.random.Generator, causes: Sequence[str]) -> Planted:
+    """A fault of the wanted ideal SNR, of a cause drawn among those that the data set can show."""
+    for _ in range(200):
+        sized = data.with_snr(data.draw(str(rng.choice(list(causes))), rng), snr)
+        if sized is not None:
+            return sized
+    raise RuntimeError(f"data set {data.seed} can show no fault of SNR {snr:g}")
+
+
+def moving_causes() -> list[str]:
+    """Causes that act from event to event and that a complete model of the noise stages leaves to be found."""
+    return sorted(set(catalogue_faults()) - {"missing_noise", *STATIC})
+
+
+def is_in_family(planted: Planted) -> bool:
+    """Whether the planted law is one that the contract or the docs list, not one beside it."""
+    fault = planted.fault
+    if isinstance(fault, ResonanceFault):
+        return not fault.is_circuit
+    if isinstance(fault, RfiLine) and fault.width_mhz > 1.0:
+        return False
+    return fault.hours == (6.0, 18.0) if isinstance(fault, (RfiLine, RfiBroadband)) else True
+
+
+def reported_size(planted: Planted, scene: Scene) -> float:
+    """The planted size in the unit of the contract's report."""
+    fault = planted.fault
+    if isinstance(fault, RfiLine):  # of the channel's power, where a line beside the channel's centre is weaker
+        offset = scene.frequency_mhz - fault.line_mhz
+        return fault.size * float(np.exp(-0.5 * (offset / (fault.width_mhz / 2.355)) ** 2).max())
+    if isinstance(fault, ResonanceFault) and fault.follows == "rain":  # at full wetness, not per mm/h
+        return fault.size * float(driver("rain", scene).max())
+    return fault.size
+
+
+@cache
+def _instrument(antennas: tuple[int, ...]) -> Instrument:
+    whole = load_instrument("lofar-superterp")
+    return replace(whole, antennas=[r for r in whole.antennas if r.station == STATION and r.antenna in antennas])
+
+
+@cache
+def sky_power() -> SkyPower:
+    """P_sky of the Superterp."""
+    return compute_sky_power(load_instrument("lofar-superterp"))
+
+
+@cache
+def _view() -> View:
+    """Made once in each process: the first fault with a direction takes seconds to build it."""
+    return View(load_instrument("lofar-superterp"))
+
+
+def correlations(information: Floats) -> Floats:
+    """Correlations of signatures from their inner products."""
+    scale = np.sqrt(np.diag(information))
+    return np.asarray(information / scale / scale[:, None])

@@ -1,0 +1,49 @@
+"""The ladder of hidden effects: one, two, and one that nobody catalogued; nothing hidden is in tests/proofs.
+
+The same code as `./dev prove discovery`, which measures the rates; here one data set of each rung.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from proofs._held_out import hide_in_halves
+from proofs._no_catalogue import hide_unknown
+from proofs._one_effect import Wanted, hide_one
+from proofs._several_effects import hide_several
+from proofs._trials import run_trials
+
+
+@pytest.mark.timeout(600)
+def test_a_strong_drift_is_detected_named_and_measured():
+    (outcome,) = run_trials(hide_one, [Wanted(3, 12.0, "gain_drift")], "one")
+    assert outcome.is_detected
+    assert outcome.is_named
+    # The score of 12 ideal standard deviations scatters by one; a tenth of it may be lost.
+    assert outcome.score > 7.5
+    assert outcome.pull is None or abs(outcome.pull) < 4
+
+
+@pytest.mark.timeout(600)
+def test_two_effects_at_once_come_out_one_after_the_other():
+    (outcome,) = run_trials(hide_several, [(1, 2)], "two")
+    assert outcome.are_all_named, (outcome.planted, outcome.sets)
+
+
+@pytest.mark.timeout(600)
+def test_an_effect_of_no_catalogue_is_called_unexplained_along_its_axis():
+    (outcome,) = run_trials(hide_unknown, [("temperature", 1)], "unknown")
+    assert outcome is not None
+    assert outcome.verdict == "unexplained"
+    assert outcome.is_right_axis
+
+
+@pytest.mark.timeout(600)
+def test_what_was_found_in_half_the_events_is_gone_from_the_other_half():
+    (outcome,) = run_trials(hide_in_halves, [3], "halves")
+    assert outcome is not None
+    # SNR 10 raises chi^2 by 100 +- 20; what the error of one fitted size leaves is a few.
+    assert outcome.before > 40
+    assert outcome.after < 0.3 * outcome.before
+    assert np.isfinite(outcome.pull)
