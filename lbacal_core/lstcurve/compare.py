@@ -13,6 +13,7 @@ from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats, require_same_grid
 from lbacal_core.instrument import DIPOLES, Instrument
 from lbacal_core.lstcurve.curve import LstCurve
+from lbacal_core.lstcurve.noise import estimate_point_noise
 from lbacal_core.provenance import Provenance
 from lbacal_core.skypower.table import SkyPower
 
@@ -20,8 +21,6 @@ BAND_MHZ = (30.0, 80.0)
 AS_RECORDED = "c^-2 g_ant"
 FLAT = "flat"
 WEIGHTS = (AS_RECORDED, FLAT)
-SMOOTH_HARMONICS = 6
-"""Of a smooth curve through the points whose residual estimates the point noise: the sky has fewer (|m| <= 4)."""
 
 
 @dataclass(frozen=True)
@@ -214,27 +213,6 @@ def _share_sigma(relative: Floats, share: float, precision: Floats) -> float:
     slope = 10.0 / np.log(10.0) * (1.0 - relative) / ((1.0 - share) * relative + share)
     slope = slope - precision @ slope / precision.sum()
     return float((precision @ slope**2) ** -0.5)
-
-
-def estimate_point_noise(curve: LstCurve, dipole: str) -> float | None:
-    """Scatter of the points about a smooth curve (a Fourier series), dB; None with too few points.
-
-    Smaller than the drawn bars where these contain what all points share.
-    """
-    has_point = curve.has_point(dipole)
-    order = np.arange(1, SMOOTH_HARMONICS + 1)
-    angle = 2 * np.pi / 24.0 * np.outer(curve.lst_hours[has_point], order)
-    design = np.concatenate([np.ones((angle.shape[0], 1)), np.cos(angle), np.sin(angle)], axis=1)
-    free = design.shape[0] - design.shape[1]
-    if free < FEWEST_FREE:
-        return None
-    measured = curve.variation_db[dipole][has_point]
-    smooth, *_ = np.linalg.lstsq(design, measured, rcond=None)
-    return float(np.sqrt(np.sum((measured - design @ smooth) ** 2) / free))
-
-
-FEWEST_FREE = 5
-"""Degrees of freedom below which a point noise is not worth stating (32 % uncertain)."""
 
 
 def published_noise_share(band_mhz: tuple[float, float]) -> float | None:

@@ -14,7 +14,6 @@ from lbacal_core.lstcurve.compare import (
     FLAT,
     band_weights,
     compare_lst_curve,
-    estimate_point_noise,
     in_db,
     published_noise_share,
     simulate_band_power,
@@ -112,20 +111,6 @@ def test_weights_follow_c_and_the_antenna_and_stay_inside_the_band(lst_instrumen
 def test_a_band_without_channels_is_refused(lst_instrument: Instrument, band: tuple[float, float]) -> None:
     with pytest.raises(BadInputError, match="band"):
         band_weights(lst_instrument, AS_RECORDED, band)
-
-
-def test_the_point_noise_is_found_about_a_smooth_curve() -> None:
-    rng = np.random.default_rng(2)
-    lst = np.arange(0, 24, 0.1)
-    smooth = np.cos((lst - 19) * np.pi / 12) + 0.3 * np.sin(lst * np.pi / 4)
-    curve = LstCurve(
-        lst,
-        {d: smooth + rng.normal(scale=0.05, size=240) for d in "XY"},
-        np.full(240, 0.11),
-        0.1,
-        is_centre_stated=True,
-    )
-    assert estimate_point_noise(curve, "X") == pytest.approx(0.05, rel=0.15)  # 227 degrees of freedom: 5 %
 
 
 def test_the_published_terms_make_a_third_to_a_half_of_the_band_noise() -> None:
