@@ -1,395 +1,270 @@
-"""The same question asked of band-averaged LST curves: fewer axes, fewer causes, but published of the real instrument.
+"""What a simulation gets wrong, asked of a band-averaged LST curve: fewer axes, but published of the real instrument.
 
-The model is the band power of P_sky relative to its level at LST 0, an offset a dipole free. Causes are added one by
-one, each time the one that makes the points most probable, all sizes fitted together. The point noise is estimated from
-the scatter about a smooth curve; with the package's own sky the spread of sky and antenna models is part of the
-covariance.
+The model is the band power of P_sky relative to its level at LST 0, an offset a dipole free. Sets of causes are fitted
+together, the best sets of each size extended by one cause more, because the best pair need not contain the best single
+cause. A larger set is kept if the points become more probable than chance allows over the whole catalogue, and if
+blocks of LST that were not fitted become more probable too.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from scipy.linalg import solve_triangular
-from scipy.optimize import least_squares
-from scipy.stats import chi2 as chi_squared
+from scipy.stats import f as f_distribution
+from threadpoolctl import threadpool_limits
 
-from lbacal_core.discovery.baseline import SOURCE_KEYS, relative_sky_changes
-from lbacal_core.discovery.scan import p_of, significance
-from lbacal_core.errors import BadInputError
+from lbacal_core.discovery.curve_causes import CurveCause, curve_causes
+from lbacal_core.discovery.curve_fit import CurveFit, CurveFitter
+from lbacal_core.discovery.scan import p_of, sigma_of
 from lbacal_core.grids import Floats, require_same_grid
-from lbacal_core.instrument import DIPOLES, Instrument
-from lbacal_core.lstcurve.compare import AS_RECORDED, band_weights, estimate_point_noise
+from lbacal_core.instrument import Instrument
+from lbacal_core.lstcurve.compare import AS_RECORDED, band_weights
 from lbacal_core.lstcurve.curve import LstCurve
-from lbacal_core.provenance import Provenance
-from lbacal_core.skypower.differences import model_difference_modes
+from lbacal_core.lstcurve.noise import PointNoise, estimate_noise
 from lbacal_core.skypower.table import SkyPower
 
 ALPHA_CATALOGUE, ALPHA_LEFTOVER = 0.0025, 0.002
 MAX_FINDINGS = 4
-FOLDS = 4
+WIDTH = 6
+"""Sets of each size that are extended."""
 INDISTINGUISHABLE = 9.0
-OTHER = {"X": "Y", "Y": "X"}
-NEEDS_MORE_AXES = (
-    "solar_emission", "ionospheric_absorption", "resonance_shift", "resonance_width", "filter_shift", "lna_noise_slope",
-    "lna_noise_temperature", "gain_temperature", "cable_length", "cable_reflection", "cable_temperature", "gain_step",
-    "gain_drift", "adc_noise_step", "compression", "adc_jitter", "rfi_line", "rfi_broadband",
-)  # fmt: skip
-"""Causes that act along frequency, time of day, date or temperature."""
+"""SNR^2 (1 - r^2), or chi^2 by which a refit is worse, from which on the data exclude a hypothesis (3 sigma)."""
 
 
 @dataclass(frozen=True)
-class CurveCause:
-    """A cause that acts on P_sky of a dipole, with the range of its size.
+class Rival:
+    """Another cause in the place of one that was named.
 
     Attributes
     ----------
-    act
-        (P_sky by dipole on the grid, sky power, size) -> changed P_sky by dipole.
+    correlation
+        Of the two signatures at the sizes found.
+    is_excluded
+        Whether the data tell the two apart.
     """
-
-    identifier: str
-    unit: str
-    meaning: str
-    confirm: str
-    lowest: float
-    highest: float
-    act: Callable[[Mapping[str, Floats], SkyPower, float], dict[str, Floats]]
-    parameters: Mapping[str, str]
-
-    @property
-    def label(self) -> str:
-        """Identifier, with the source where it names one."""
-        return " ".join([self.identifier, *self.parameters.values()])
-
-
-@dataclass(frozen=True)
-class CurveFit:
-    """Sizes of causes fitted together, and what is left.
-
-    Attributes
-    ----------
-    sizes, sigmas
-        Shape (cause,).
-    offsets_db
-        By dipole.
-    residual_db
-        Measured minus model by dipole, shape (point,), NaN where there is no point.
-    chi2, chi2_drawn
-        With the estimated covariance, and with the drawn bars.
-    """
-
-    causes: list[CurveCause]
-    sizes: Floats
-    sigmas: Floats
-    residual_db: Mapping[str, Floats]
-    chi2: float
-    chi2_drawn: float
-    points: int
-
-
-@dataclass(frozen=True)
-class CurveStep:
-    """One finding: the fit before and after, its rivals with their chi^2, and the gain on points not used."""
 
     cause: CurveCause
-    before: CurveFit
-    after: CurveFit
-    rivals: list[tuple[CurveCause, float]]
-    p_value: float
+    fit: CurveFit
+    correlation: float
+    is_excluded: bool
+
+
+@dataclass(frozen=True)
+class CurveFinding:
+    """One cause of the set named: the fit without it, and with it replaced by each other cause.
+
+    Attributes
+    ----------
+    place
+        Of the cause in the set.
+    rivals
+        Every other cause in its place, best first.
+    z
+        Standard deviations before the look-elsewhere correction.
+    """
+
+    cause: CurveCause
+    place: int
+    without: CurveFit
+    rivals: list[Rival]
     z: float
-    trials: float
+    p_value: float
     held_out_gain: float
-    calibration_change: Floats
 
 
 @dataclass(frozen=True)
 class CurveInvestigation:
-    """What an LST curve says of a simulation."""
+    """What an LST curve says of a simulation.
 
-    steps: list[CurveStep]
+    Attributes
+    ----------
+    findings
+        Most significant first.
+    single
+        Every cause fitted by itself, best first.
+    alternatives
+        Other sets, no more than one cause larger, that fit as well as the one named, best first.
+    """
+
+    curve: LstCurve
+    band_mhz: tuple[float, float]
+    noise: PointNoise
+    fitter: CurveFitter
     first: CurveFit
     last: CurveFit
+    findings: list[CurveFinding]
+    single: list[CurveFit]
+    alternatives: list[CurveFit]
     leftover_p: float
-    point_noise_db: Mapping[str, float]
-    tried: list[tuple[CurveCause, float]]
-
-
-def curve_causes(instrument: Instrument, sky_power: SkyPower) -> list[CurveCause]:
-    """The causes that a band-averaged LST curve can show."""
-
-    def scaled(change: SkyPower) -> Callable[[Mapping[str, Floats], SkyPower, float], dict[str, Floats]]:
-        relative = {d: np.log(change.at(d, sky_power.lst_hours)) for d in DIPOLES}
-        return lambda power, _, size: {d: power[d] * np.exp(size * relative[d]) for d in DIPOLES}
-
-    def swapped(power: Mapping[str, Floats], _: SkyPower, size: float) -> dict[str, Floats]:
-        return {d: (1 - size) * power[d] + size * power[OTHER[d]] for d in DIPOLES}
-
-    def moved(power: Mapping[str, Floats], sky: SkyPower, size: float) -> dict[str, Floats]:
-        table = SkyPower(sky.frequency_mhz, sky.lst_hours, power, "moved")
-        return {d: table.at(d, sky.lst_hours + size) for d in DIPOLES}
-
-    def raised(power: Mapping[str, Floats], sky: SkyPower, size: float) -> dict[str, Floats]:
-        return {d: power[d] + size * sky.power[d].mean(axis=0) for d in DIPOLES}
-
-    none: dict[str, str] = {}
-    causes = [
-        CurveCause("dipole_swap", "share, 1 = exchanged", "the dipoles X and Y are mixed or exchanged",
-                   "unplug one dipole, or compare the azimuths of the arms with the file that names them",
-                   0.0, 1.0, swapped, none),
-        CurveCause("lst_offset", "h", "the sidereal time of data or simulation is off",
-                   "ask whether lst_h is the edge or the centre of the bin", -3.0, 3.0, moved, none),
-        CurveCause("missing_noise", "fraction of the mean sky power at each frequency", "a noise stage is missing",
-                   "measure the noise with a dummy load", 0.0, 10.0, raised, none),
-        CurveCause("isotropic_level", "fraction of the mean sky power", "the isotropic part of the sky is wrong",
-                   "compare with an absolute measurement of the sky minimum", -0.5, 10.0, raised, none),
-    ]  # fmt: skip
-    changes = relative_sky_changes(instrument)
-    for key, unit, meaning, confirm, span in (
-        ("dipole_azimuth", "deg", "the arms of the dipoles stand at another azimuth", "survey the antennas", 50.0),
-        ("zenith_weighting", "exponent", "the sky integral weighs with a wrong power of cos(zenith)",
-         "repeat the integral for a uniform sky", 1.5),
-        ("pattern_width", "fraction", "the antenna pattern is too wide or too narrow",
-         "measure the pattern with a source on a drone", 0.6),
-    ):  # fmt: skip
-        if key in changes:
-            causes.append(CurveCause(key, unit, meaning, confirm, -span, span, scaled(changes[key]), none))
-    for name in SOURCE_KEYS:
-        if name in changes:
-            act = scaled(changes[name])
-            confirm = "follow the excess through the source's transit at several frequencies"
-            causes.append(CurveCause("point_source", "fraction of its flux", f"{name} is wrong in the sky model",
-                                     confirm, -1.5, 5.0, act, {"source": name}))  # fmt: skip
-    return causes
+    is_own_sky: bool
 
 
 def investigate_curve(
-    curve: LstCurve, sky_power: SkyPower, instrument: Instrument, band_mhz: tuple[float, float], *, is_own_sky: bool
+    curve: LstCurve,
+    sky_power: SkyPower,
+    instrument: Instrument,
+    band_mhz: tuple[float, float],
+    *,
+    is_own_sky: bool,
+    weights: str = AS_RECORDED,
+    noise: PointNoise | None = None,
 ) -> CurveInvestigation:
-    """Ask an LST curve what a simulated sky power gets wrong."""
+    """Ask an LST curve what a simulated sky power gets wrong.
+
+    Parameters
+    ----------
+    is_own_sky
+        Whether the spread of sky and antenna models counts as noise; a sky power that was given is taken at its word.
+    weights
+        How channels weigh in the band: one of `lstcurve.compare.WEIGHTS`.
+    noise
+        Of the points; estimated where it is not given.
+    """
     require_same_grid(sky_power.origin, sky_power.frequency_mhz, instrument.frequency_mhz, instrument.name)
-    weights = band_weights(instrument, AS_RECORDED, band_mhz)
-    noise = {d: estimate_point_noise(curve, d) for d in DIPOLES}
-    if any(value is None for value in noise.values()):
-        raise BadInputError(curve.origin, "20 points or more a dipole", "too few to estimate their noise")
-    fitter = _Fitter(curve, sky_power, weights, {d: float(v or 0.0) for d, v in noise.items()}, is_own_sky, instrument)
-    causes = curve_causes(instrument, sky_power)
-    first = current = fitter.fit([])
-    steps: list[CurveStep] = []
-    tried: list[tuple[CurveCause, float]] = []
-    while len(steps) < MAX_FINDINGS:
-        left = [c for c in causes if c.label not in {one.label for one in current.causes}]
-        fits = sorted(((c, fitter.fit([*current.causes, c])) for c in left), key=lambda item: item[1].chi2)
-        tried = tried or [(c, first.chi2 - fit.chi2) for c, fit in fits]
-        cause, after = fits[0]
-        z = float(np.sqrt(max(current.chi2 - after.chi2, 0.0)))
-        p_value = p_of(z, float(len(causes)))
-        if p_value >= ALPHA_CATALOGUE:
-            break
-        gain = fitter.held_out_gain(current.causes, cause)
-        if gain <= 0:
-            break
-        rivals = [(c, fit.chi2) for c, fit in fits[1:] if fit.chi2 - after.chi2 < INDISTINGUISHABLE]
-        change = fitter.calibration_change(current, after)
-        steps.append(CurveStep(cause, current, after, rivals, p_value, z, float(len(causes)), gain, change))
-        current = after
-    dof = max(current.points - len(DIPOLES) - len(current.causes), 1)
-    leftover = float(chi_squared.sf(current.chi2, dof))
-    return CurveInvestigation(steps, first, current, leftover, fitter.noise_db, tried)
+    of_channels = band_weights(instrument, weights, band_mhz)
+    known = noise or estimate_noise(curve)
+    with threadpool_limits(1):  # the arrays are small: threads cost ten times what they gain
+        return _investigate(curve, sky_power, instrument, band_mhz, of_channels, known, is_own_sky=is_own_sky)
 
 
-class _Fitter:
-    """Fits of sets of causes to one curve."""
+def _investigate(
+    curve: LstCurve,
+    sky_power: SkyPower,
+    instrument: Instrument,
+    band_mhz: tuple[float, float],
+    of_channels: Floats,
+    known: PointNoise,
+    *,
+    is_own_sky: bool,
+) -> CurveInvestigation:
+    fitter = CurveFitter(curve, sky_power, of_channels, known, instrument if is_own_sky else None)
+    search = _Search(fitter, curve_causes(instrument, fitter.sky, of_channels))
+    last = search.best_set()
+    findings = [search.finding(last, place) for place in range(len(last.causes))]
+    findings.sort(key=lambda finding: -finding.z)
+    leftover = float(f_distribution.sf(last.chi2 / last.dof, last.dof, known.free))
+    first = search.fits[frozenset()]
+    single = sorted((fit for fit in search.fits.values() if len(fit.causes) == 1), key=_by_chi2)
+    return CurveInvestigation(
+        curve,
+        band_mhz,
+        known,
+        fitter,
+        first,
+        last,
+        findings,
+        single,
+        search.alternatives(last),
+        leftover,
+        is_own_sky,
+    )
 
-    def __init__(
-        self,
-        curve: LstCurve,
-        sky_power: SkyPower,
-        weights: Floats,
-        noise_db: Mapping[str, float],
-        is_own_sky: bool,
-        instrument: Instrument,
-    ) -> None:
-        self.curve, self.sky, self.weights, self.noise_db = curve, sky_power, weights, noise_db
-        self.has_point = {d: curve.has_point(d) for d in DIPOLES}
-        self.measured = np.concatenate([curve.variation_db[d][self.has_point[d]] for d in DIPOLES])
-        drawn = np.broadcast_to(curve.error_db, curve.lst_hours.shape)
-        self.drawn = np.concatenate([drawn[self.has_point[d]] for d in DIPOLES])
-        counts = [int(self.has_point[d].sum()) for d in DIPOLES]
-        self.offsets = np.repeat(np.eye(len(DIPOLES)), counts, axis=0)
-        covariance = np.diag(np.repeat([noise_db[d] ** 2 for d in DIPOLES], counts))
-        if is_own_sky:
-            spread = self._mode_columns(instrument)
-            covariance = covariance + spread.T @ spread
-        self.root = np.linalg.cholesky(covariance)
 
-    def _mode_columns(self, instrument: Instrument) -> Floats:
-        modes = model_difference_modes(self.sky.frequency_mhz, self.sky.lst_hours, instrument.dipole_azimuth_deg)
-        plain = self.model_db([], np.zeros(0))
-        columns = []
-        for d in DIPOLES:
-            for mode in modes[d]:
-                power = {**self.sky.power, d: self.sky.power[d] * np.exp(mode)}
-                columns.append(self._band_db(power) - plain)
-        return np.array(columns)
+def best_without(found: CurveInvestigation, instrument: Instrument, kind: str, most: int = 3) -> CurveFit:
+    """The best set of up to `most` causes none of which does what `kind` does: what a name has to beat."""
+    causes = curve_causes(instrument, found.fitter.sky, found.fitter.weights)
+    with threadpool_limits(1):
+        search = _Search(found.fitter, [cause for cause in causes if kind not in cause.kinds])
+        parents = [search.fits[frozenset()]]
+        for _ in range(most):
+            parents = sorted((fit for parent in parents for fit in search.children(parent)), key=_by_chi2)[:WIDTH]
+    return min(search.fits.values(), key=lambda fit: fit.chi2)
 
-    def _band_db(self, power: Mapping[str, Floats]) -> Floats:
-        table = SkyPower(self.sky.frequency_mhz, self.sky.lst_hours, power, "with causes")
-        parts = []
-        for d in DIPOLES:
-            band = table.at(d, self.curve.lst_hours[self.has_point[d]]) @ self.weights
-            parts.append(10 * np.log10(np.maximum(band / float((power[d] @ self.weights).mean()), 1e-6)))
-        return np.concatenate(parts)
 
-    def power_with(self, causes: Sequence[CurveCause], sizes: Floats) -> dict[str, Floats]:
-        """P_sky with causes applied, in the order given."""
-        power = dict(self.sky.power)
-        for cause, size in zip(causes, sizes.tolist(), strict=True):
-            changed = cause.act(power, self.sky, size)
-            power = {d: np.maximum(values, 1e-6 * values.max()) for d, values in changed.items()}
-        return power
+class _Search:
+    """Sets of causes fitted to one curve, each once."""
 
-    def model_db(self, causes: Sequence[CurveCause], sizes: Floats) -> Floats:
-        """Band power of all points in dB about its mean over LST, offsets left out."""
-        return self._band_db(self.power_with(causes, sizes))
+    def __init__(self, fitter: CurveFitter, causes: Sequence[CurveCause]) -> None:
+        self.fitter, self.causes = fitter, causes
+        self.trials = float(len({kind for cause in causes for kind in cause.kinds}))
+        self.fits: dict[frozenset[str], CurveFit] = {frozenset(): fitter.fit([])}
 
-    def fit(self, causes: Sequence[CurveCause], rows: Floats | None = None) -> CurveFit:
-        """Sizes and offsets that make the points (of `rows`, if given) most probable."""
-        kept = np.arange(self.measured.size) if rows is None else np.flatnonzero(rows)
-        root = np.linalg.cholesky((self.root @ self.root.T)[np.ix_(kept, kept)])
-        design = solve_triangular(root, self.offsets[kept], lower=True)
+    def extended(self, parent: CurveFit, cause: CurveCause) -> CurveFit:
+        """The parent's set with one cause more, fitted from where the parent ended."""
+        labels = frozenset([*parent.labels, cause.label])
+        if labels not in self.fits:
+            known = dict(zip(parent.labels, parent.sizes.tolist(), strict=True))
+            chosen = [one for one in self.causes if one.label in labels]
+            starts = [[known.get(one.label, start) for one in chosen] for start in cause.starts]
+            self.fits[labels] = self.fitter.fit(chosen, starts=starts)
+        return self.fits[labels]
 
-        def residual(sizes: Floats) -> Floats:
-            difference = self.measured[kept] - self.model_db(causes, sizes)[kept]
-            white = solve_triangular(root, difference, lower=True)
-            return np.asarray(white - design @ np.linalg.lstsq(design, white, rcond=None)[0])
+    def children(self, parent: CurveFit) -> list[CurveFit]:
+        """The parent's set with each cause that it does not contain in other words."""
+        taken = {kind for cause in parent.causes for kind in cause.kinds}
+        return [self.extended(parent, cause) for cause in self.causes if not taken & cause.kinds]
 
-        sizes, sigmas = np.zeros(len(causes)), np.zeros(len(causes))
-        if causes:
-            bounds = (np.array([c.lowest for c in causes]), np.array([c.highest for c in causes]))
-            span = np.minimum(bounds[1] - bounds[0], 2.0)
-            starts = [np.clip(fraction * span, *bounds) for fraction in (0.02, 0.35, -0.2)]
-            found = min(
-                (least_squares(residual, s, bounds=bounds, x_scale=span, method="trf", max_nfev=60) for s in starts),
-                key=lambda one: one.cost,
+    def best_set(self) -> CurveFit:
+        """The largest set each of whose causes the data ask for."""
+        best, parents = self.fits[frozenset()], [self.fits[frozenset()]]
+        while len(best.causes) < MAX_FINDINGS:
+            grown = sorted(
+                {fit.labels: fit for parent in parents for fit in self.children(parent)}.values(), key=_by_chi2
             )
-            sizes = np.asarray(found.x)
-            information = found.jac.T @ found.jac + 1e-12 * np.eye(len(causes))
-            sigmas = np.sqrt(np.diag(np.linalg.inv(information)))
-        white = residual(sizes)
-        difference = self.measured - self.model_db(causes, sizes)
-        full = np.linalg.lstsq(design, solve_triangular(root, difference[kept], lower=True), rcond=None)[0]
-        difference = difference - self.offsets @ full
-        drawn = (
-            difference
-            - self.offsets @ np.linalg.lstsq(self.offsets / self.drawn[:, None], difference / self.drawn, rcond=None)[0]
+            named = [fit for fit in grown if not (fit.is_at_edge or any(cause.is_alias for cause in fit.causes))]
+            accepted = next((fit for fit in named[:3] if self._is_better(best, fit)), None)
+            if accepted is None:
+                return best
+            best, parents = accepted, grown[:WIDTH]
+        return best
+
+    def _is_better(self, fewer: CurveFit, more: CurveFit) -> bool:
+        return self.p_value(fewer, more)[1] < ALPHA_CATALOGUE and self.fitter.held_out_gain(fewer, more) > 0
+
+    def p_value(self, fewer: CurveFit, more: CurveFit) -> tuple[float, float]:
+        """Standard deviations that one cause more is worth, and their probability over the whole catalogue.
+
+        The noise level is known from the scatter of the points themselves, or from what the larger set leaves: the
+        gain in chi^2 follows an F, not a chi^2 distribution.
+        """
+        gain = max(fewer.chi2 - more.chi2, 0.0) / more.scale
+        z = sigma_of(float(f_distribution.sf(gain, 1, self.fitter.noise.free)))
+        return z, p_of(z, self.trials)
+
+    def finding(self, last: CurveFit, place: int) -> CurveFinding:
+        """One cause of the set with what speaks for it and what could stand in its place."""
+        cause = last.causes[place]
+        others = [one for one in last.causes if one is not cause]
+        known = dict(zip(last.labels, last.sizes.tolist(), strict=True))
+        without = self.fits.get(frozenset(one.label for one in others))
+        if without is None:
+            without = self.fitter.fit(others, starts=[[known[one.label] for one in others]] if others else ())
+        own = self.fitter.signature(without, last)
+        separable = (without.chi2 - last.chi2) / last.scale
+        rivals = []
+        for fit in sorted(self.children(without), key=_by_chi2):
+            (new,) = set(fit.labels) - set(without.labels)
+            if new == cause.label:
+                continue
+            r = _correlation(own, self.fitter.signature(without, fit))
+            is_excluded = min((fit.chi2 - last.chi2) / last.scale, separable * (1 - r**2)) >= INDISTINGUISHABLE
+            rivals.append(Rival(fit.causes[fit.labels.index(new)], fit, r, is_excluded))
+        z, p_value = self.p_value(without, last)
+        gain = self.fitter.held_out_gain(without, last)
+        return CurveFinding(cause, place, without, rivals, z, p_value, gain)
+
+    def alternatives(self, last: CurveFit) -> list[CurveFit]:
+        """Sets that fit as well, at most one cause larger, and that do not merely add to the set named."""
+        return sorted(
+            (
+                fit
+                for labels, fit in self.fits.items()
+                if fit.chi2 < last.chi2 + INDISTINGUISHABLE * last.scale
+                and len(fit.causes) <= len(last.causes) + 1
+                and fit.causes
+                and labels != frozenset(last.labels)
+            ),
+            key=_by_chi2,
         )
-        left = {}
-        start = 0
-        for d in DIPOLES:
-            values = np.full(self.curve.lst_hours.shape, np.nan)
-            stop = start + int(self.has_point[d].sum())
-            values[self.has_point[d]] = difference[start:stop]
-            left[d], start = values, stop
-        return CurveFit(
-            list(causes), sizes, sigmas, left, float(white @ white), float(np.sum((drawn / self.drawn) ** 2)), kept.size
-        )
-
-    def held_out_gain(self, causes: Sequence[CurveCause], cause: CurveCause) -> float:
-        """Gain in log-likelihood on blocks of 2 h of LST that were not fitted."""
-        lst = np.concatenate([self.curve.lst_hours[self.has_point[d]] for d in DIPOLES])
-        fold = (lst // 2).astype(int) % FOLDS
-        noise = np.concatenate([np.full(int(self.has_point[d].sum()), self.noise_db[d]) for d in DIPOLES])
-        gain = 0.0
-        for k in range(FOLDS):
-            is_test = fold == k
-            squares = []
-            for chosen in (list(causes), [*causes, cause]):
-                fitted = self.fit(chosen, ~is_test)
-                left = np.concatenate([fitted.residual_db[d][self.has_point[d]] for d in DIPOLES])
-                squares.append(float(np.sum((left[is_test] / noise[is_test]) ** 2)))
-            gain += 0.5 * (squares[0] - squares[1])
-        return gain
-
-    def calibration_change(self, before: CurveFit, after: CurveFit) -> Floats:
-        """Relative change of C: C^2 goes as the LST variation of P_sky, which sets the slope; shape (dipole, freq)."""
-        old, new = self.power_with(before.causes, before.sizes), self.power_with(after.causes, after.sizes)
-        ratio = [np.std(new[d], axis=0) / np.std(old[d], axis=0) for d in DIPOLES]
-        return np.asarray(np.sqrt(ratio) - 1.0)
 
 
-def describe_curve(found: CurveInvestigation, provenance: Provenance) -> dict[str, Any]:
-    """The report of an LST curve as JSON values, in the form of an investigation report."""
-    is_left = found.leftover_p < ALPHA_LEFTOVER
-    verdict = "unexplained" if is_left else "explained" if found.steps else "consistent"
-    return {
-        "verdict": verdict,
-        "findings": [_finding(found, k) for k in range(len(found.steps))],
-        "unexplained": _unexplained(found) if is_left else None,
-        "unidentifiable": [
-            {"cause": cause, "why": "a band-averaged LST curve has no axis that shows it"} for cause in NEEDS_MORE_AXES
-        ],
-        "noise": {"point_noise_db": dict(found.point_noise_db)},
-        "chi2": {
-            "points": found.first.points,
-            "before": {"estimated": found.first.chi2, "drawn_bars": found.first.chi2_drawn},
-            "after": {"estimated": found.last.chi2, "drawn_bars": found.last.chi2_drawn},
-        },
-        "scores": [{"cause": cause.label, "chi2_gain": gain} for cause, gain in found.tried],
-        "provenance": provenance.as_dict(),
-    }
+def _by_chi2(fit: CurveFit) -> tuple[int, float]:
+    """Sets of equal chi^2 keep the order of the catalogue."""
+    return len(fit.causes), round(fit.chi2, 2)
 
 
-def _finding(found: CurveInvestigation, k: int) -> dict[str, Any]:
-    step, last = found.steps[k], found.last
-    size, sigma = float(last.sizes[k]), float(last.sigmas[k])
-    change = np.abs(step.calibration_change)
-    return {
-        "cause": step.cause.identifier,
-        "indistinguishable": list(dict.fromkeys(c.identifier for c, _ in step.rivals)),
-        "size": {"value": size, "sigma": sigma, "unit": step.cause.unit},
-        "parameters": dict(step.cause.parameters),
-        "significance_sigma": significance(step.z, step.trials),
-        "p_value": step.p_value,
-        "where": {
-            "frequency_mhz": None,
-            "lst_h": [0.0, 24.0],
-            "utc_h": None,
-            "dates": None,
-            "antennas": [],
-            "dipoles": list(DIPOLES),
-        },
-        "gain": {
-            "chi2_before": step.before.chi2,
-            "chi2_after": step.after.chi2,
-            "chi2_per_point_drawn_bars": [
-                step.before.chi2_drawn / step.before.points,
-                step.after.chi2_drawn / step.after.points,
-            ],
-            "dof": step.after.points - len(DIPOLES) - len(step.after.causes),
-            "held_out_log_likelihood_gain": step.held_out_gain,
-            "held_out_events": step.after.points,
-            "residual_variance_explained": 1.0 - step.after.chi2 / step.before.chi2,
-        },
-        "calibration_change": {"max_fraction": float(change.max()), "median_fraction": float(np.median(change))},
-        "sentence": f"In this curve {step.cause.meaning}: {size:.3g} +- {sigma:.2g} ({step.cause.unit}).",
-        "evidence": {
-            "confirm": step.cause.confirm,
-            "chi2_of_rivals": {c.label: value for c, value in step.rivals},
-            "note": "acts by ratio where it needs a direction: P_sky times own(with)/own(without)",
-        },
-    }
-
-
-def _unexplained(found: CurveInvestigation) -> dict[str, Any]:
-    return {
-        "p_value": found.leftover_p,
-        "where": {"axis": "lst"},
-        "description": "the points scatter about the extended model by more than about a smooth curve: structure in "
-        "LST that no cause of the catalogue explains",
-        "gain": {"chi2": found.last.chi2, "terms": 0, "held_out_log_likelihood_gain": None},
-        "similar_to": [],
-    }
+def _correlation(one: Floats, other: Floats) -> float:
+    scale = float(np.sqrt((one @ one) * (other @ other)))
+    return float(one @ other) / scale if scale > 0 else 0.0

@@ -6,10 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lbacal_core.discovery.lst_curve import describe_curve, investigate_curve
+from lbacal_core.discovery.curve_report import describe_curve
+from lbacal_core.discovery.lst_curve import investigate_curve
 from lbacal_core.lstcurve.compare import AS_RECORDED, band_weights
-from lbacal_core.lstcurve.curve import LstCurve, measured_curve, read_lst_curve
+from lbacal_core.lstcurve.curve import LstCurve
 from lbacal_core.provenance import Provenance
+from lbacal_core.skypower.variation import vary_sky_power
 
 BAND = (30.0, 80.0)
 pytestmark = pytest.mark.timeout(600)
@@ -54,7 +56,9 @@ def test_noise_in_the_data_is_a_missing_stage_or_an_isotropic_level_and_both_are
     (finding,) = report["findings"]
     assert {finding["cause"], *finding["indistinguishable"]} >= {"missing_noise", "isotropic_level"}
     # a share of 0.3 of the total is 0.3 / 0.7 of the sky
-    assert abs(finding["size"]["value"] - 0.3 / 0.7) < 4 * finding["size"]["sigma"]
+    relative = finding["size"]["sigma"] / finding["size"]["value"]
+    share = finding["parameters"]["fraction_of_mean_sky_power"]
+    assert abs(share / (0.3 / 0.7) - 1) < 4 * relative
 
 
 def test_a_shift_in_sidereal_time_comes_out_in_hours(chain, sky, lst_hours):
@@ -65,11 +69,46 @@ def test_a_shift_in_sidereal_time_comes_out_in_hours(chain, sky, lst_hours):
     assert abs(report["findings"][0]["size"]["value"] - 0.5) < 4 * report["findings"][0]["size"]["sigma"]
 
 
-def test_the_measured_curve_says_that_the_letters_are_exchanged(chain, sky):
-    curve = read_lst_curve(measured_curve())
-    found = investigate_curve(curve, sky, chain, BAND, is_own_sky=True)
+def test_a_pair_is_found_although_neither_fits_alone(chain, sky, lst_hours):
+    exchanged = replace(sky, power={"X": sky.power["Y"], "Y": sky.power["X"]})
+    curve = simulated(chain, exchanged, lst_hours, noise_share=0.25)
+    report = describe_curve(investigate_curve(curve, sky, chain, BAND, is_own_sky=False), Provenance({}))
+    named = {finding["cause"]: {finding["cause"], *finding["indistinguishable"]} for finding in report["findings"]}
+    assert "dipole_swap" in named
+    assert any("missing_noise" in names for names in named.values())
+    assert report["verdict"] == "explained"
+
+
+def test_half_a_cosine_too_many_in_the_sky_integral_is_named_beside_a_wider_pattern(chain, sky, lst_hours):
+    wrong = vary_sky_power(chain, zenith_exponent=0.5)
+    found = investigate_curve(simulated(chain, sky, lst_hours), wrong, chain, BAND, is_own_sky=False)
     report = describe_curve(found, Provenance({}))
-    assert report["findings"][0]["cause"] == "dipole_swap"
-    assert report["findings"][0]["gain"]["held_out_log_likelihood_gain"] > 0
-    assert report["chi2"]["after"]["drawn_bars"] < 0.5 * report["chi2"]["before"]["drawn_bars"]
-    json.dumps(report, allow_nan=False)
+    (finding,) = report["findings"]
+    assert {finding["cause"], *finding["indistinguishable"]} == {"zenith_weighting", "pattern_width"}
+    # by ratio, P own(n)/own(0), which is not quite P(0)/P(0.5)
+    assert finding["size"]["value"] == pytest.approx(-0.5, abs=0.12)
+
+
+def test_by_ratio_a_whole_cosine_too_many_reads_as_three_quarters(chain, sky, lst_hours):
+    wrong = vary_sky_power(chain, zenith_exponent=1.0)
+    found = investigate_curve(simulated(chain, sky, lst_hours), wrong, chain, BAND, is_own_sky=False)
+    assert found.single[0].labels == ("zenith_weighting",)
+    assert found.single[0].sizes[0] == pytest.approx(-0.77, abs=0.06)  # 0.02 one sigma
+
+
+def test_what_no_cause_describes_is_unexplained(chain, sky, lst_hours):
+    curve = simulated(chain, sky, lst_hours)
+    ripple = 0.3 * np.sin(2 * np.pi * 5 * lst_hours / 24)
+    odd = replace(curve, variation_db={d: curve.variation_db[d] + ripple for d in "XY"})
+    report = describe_curve(investigate_curve(odd, sky, chain, BAND, is_own_sky=False), Provenance({}))
+    assert report["verdict"] == "unexplained"
+    assert report["unexplained"]["where"]["axis"] == "lst"
+    assert report["findings"] == [] or report["findings"][0]["gain"]["residual_variance_explained"] < 0.5
+
+
+def test_the_same_curve_gives_the_same_report(chain, sky, lst_hours):
+    curve = simulated(chain, sky, lst_hours, noise_share=0.2)
+    once, again = (
+        describe_curve(investigate_curve(curve, sky, chain, BAND, is_own_sky=False), Provenance({})) for _ in range(2)
+    )
+    assert json.dumps(once) == json.dumps(again)

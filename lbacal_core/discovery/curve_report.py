@@ -1,0 +1,210 @@
+"""The report of an LST curve as JSON values, in the form of an investigation report (docs/formats.md)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from lbacal_core.discovery.curve_causes import NEEDS_MORE_AXES, CurveCause
+from lbacal_core.discovery.curve_fit import CurveFit
+from lbacal_core.discovery.lst_curve import ALPHA_LEFTOVER, CurveFinding, CurveInvestigation, Rival
+from lbacal_core.grids import Floats
+from lbacal_core.instrument import DIPOLES
+from lbacal_core.lstcurve.noise import PointNoise
+from lbacal_core.provenance import Provenance
+
+REPORTED_MHZ = (30.0, 40.0, 50.0, 55.0, 60.0, 70.0, 80.0)
+MOST_ALTERNATIVES = 12
+
+
+def describe_curve(found: CurveInvestigation, provenance: Provenance) -> dict[str, Any]:
+    """The report of an LST curve."""
+    is_left = found.leftover_p < ALPHA_LEFTOVER
+    verdict = "unexplained" if is_left else "explained" if found.findings else "consistent"
+    hypotheses = [found.last, *found.alternatives[:MOST_ALTERNATIVES], *found.single]
+    distinct = {fit.labels: fit for fit in reversed(hypotheses) if fit.causes}
+    ordered = [fit for fit in dict.fromkeys(fit.labels for fit in hypotheses) if fit in distinct]
+    return {
+        "verdict": verdict,
+        "sentence": _summary(found, verdict),
+        "findings": [_finding(found, finding) for finding in found.findings],
+        "unexplained": _unexplained(found) if is_left else None,
+        "unidentifiable": [{"cause": cause, "why": why} for cause, why in NEEDS_MORE_AXES.items()],
+        "noise": _noise(found.noise, found),
+        "chi2": {
+            "points": found.first.points,
+            "before": {"estimated": found.first.chi2, "drawn_bars": found.first.chi2_drawn},
+            "after": {"estimated": found.last.chi2, "drawn_bars": found.last.chi2_drawn},
+            "per_point_before": _per_point(found.first),
+            "per_point_after": _per_point(found.last),
+            "scale": found.last.scale,
+        },
+        "hypotheses": [_hypothesis(found, distinct[labels]) for labels in ordered],
+        "scores": [
+            {"cause": fit.labels[0], "chi2_gain": found.first.chi2 - fit.chi2, "size": float(fit.sizes[0])}
+            for fit in found.single
+        ],
+        "provenance": provenance.as_dict(),
+    }
+
+
+def _summary(found: CurveInvestigation, verdict: str) -> str:
+    if not found.findings:
+        return "The points and the simulation agree." if verdict == "consistent" else "No cause of the catalogue helps."
+    names = "; ".join(_words(one.cause, found.last, one.place) for one in found.findings)
+    before, after = _per_point(found.first), _per_point(found.last)
+    return (
+        f"What the simulation gets wrong: {names}. Chi^2 per point falls from {before['estimated']:.1f} to "
+        f"{after['estimated']:.1f} with the estimated noise, from {before['drawn_bars']:.1f} to "
+        f"{after['drawn_bars']:.1f} with the drawn bars."
+    )
+
+
+def _words(cause: CurveCause, fit: CurveFit, place: int) -> str:
+    size, sigma = _size(cause, fit, place)
+    share = f", {fit.sizes[place]:.2f} of the mean sky power" if cause.reported != 1 else ""
+    return f"{cause.meaning} ({cause.label} {size:.3g} +- {sigma:.2g} {cause.unit}{share})"
+
+
+def _size(cause: CurveCause, fit: CurveFit, place: int) -> tuple[float, float]:
+    """Size and its standard deviation in the cause's unit; what the fit leaves widens it."""
+    scale = cause.reported * float(np.sqrt(fit.scale))
+    return float(fit.sizes[place]) * cause.reported, float(fit.sigmas[place]) * scale
+
+
+def _parameters(cause: CurveCause, fit: CurveFit, place: int) -> dict[str, Any]:
+    relative = {"fraction_of_mean_sky_power": float(fit.sizes[place])} if cause.reported != 1 else {}
+    return {**cause.parameters, **relative}
+
+
+def _per_point(fit: CurveFit) -> dict[str, float]:
+    return {"estimated": fit.chi2 / fit.points, "drawn_bars": fit.chi2_drawn / fit.points}
+
+
+def _noise(noise: PointNoise, found: CurveInvestigation) -> dict[str, Any]:
+    return {
+        "point_noise_db": dict(noise.sigma_db),
+        "correlation_of_x_and_y": noise.correlation,
+        "degrees_of_freedom": noise.free,
+        "drawn_bar_db": float(np.nanmedian(found.curve.error_db)),
+        "spread_of_models_added": found.is_own_sky,
+        "lst_convention": "bin centre, stated"
+        if found.curve.is_centre_stated
+        else "left edge, assumed: half a bin, "
+        f"{found.curve.bin_hours / 2:g} h, is a systematic uncertainty of lst_offset",
+    }
+
+
+def _finding(found: CurveInvestigation, finding: CurveFinding) -> dict[str, Any]:
+    last, cause = found.last, finding.cause
+    size, sigma = _size(cause, last, finding.place)
+    change = found.fitter.calibration_change(finding.without, last)
+    every = np.abs(np.concatenate([change[d] for d in DIPOLES]))
+    names = [rival.cause.identifier for rival in finding.rivals if not rival.is_excluded]
+    return {
+        "cause": cause.identifier,
+        "indistinguishable": [name for name in dict.fromkeys(names) if name != cause.identifier],
+        "size": {"value": size, "sigma": sigma, "unit": cause.unit},
+        "parameters": _parameters(cause, last, finding.place),
+        "significance_sigma": finding.z,
+        "p_value": finding.p_value,
+        "where": {
+            "frequency_mhz": list(found.band_mhz),
+            "lst_h": [0.0, 24.0],
+            "utc_h": None,
+            "dates": None,
+            "antennas": [],
+            "dipoles": list(DIPOLES),
+        },
+        "gain": {
+            "chi2_before": finding.without.chi2,
+            "chi2_after": last.chi2,
+            "chi2_per_point_before": _per_point(finding.without),
+            "chi2_per_point_after": _per_point(last),
+            "dof": last.dof,
+            "held_out_log_likelihood_gain": finding.held_out_gain,
+            "held_out_events": last.points,
+            "residual_variance_explained": 1.0 - last.chi2 / finding.without.chi2,
+        },
+        "calibration_change": {
+            "max_fraction": float(every.max()),
+            "median_fraction": float(np.median(every)),
+            **_change(found, change),
+        },
+        "sentence": f"In this curve {_words(cause, last, finding.place)}.",
+        "evidence": {
+            "would_decide": cause.confirm,
+            "in_its_place": [_rival(last, rival) for rival in finding.rivals],
+            "note": "causes that need a direction act by ratio: P_sky times own(with)/own(without)",
+        },
+    }
+
+
+def _rival(last: CurveFit, rival: Rival) -> dict[str, Any]:
+    place = rival.fit.causes.index(rival.cause)
+    size, _ = _size(rival.cause, rival.fit, place)
+    return {
+        "cause": rival.cause.label,
+        "size": size,
+        "unit": rival.cause.unit,
+        "chi2": rival.fit.chi2,
+        "chi2_above_named": rival.fit.chi2 - last.chi2,
+        "chi2_drawn_bars_above_named": rival.fit.chi2_drawn - last.chi2_drawn,
+        "correlation": rival.correlation,
+        "is_excluded": rival.is_excluded,
+        "is_at_edge_of_its_range": rival.cause.is_at_edge(float(rival.fit.sizes[place])),
+        "would_decide": rival.cause.confirm,
+    }
+
+
+def _hypothesis(found: CurveInvestigation, fit: CurveFit) -> dict[str, Any]:
+    """One set of causes: what it says, how well it fits, and what it would do to C(nu)."""
+    causes = []
+    for place, cause in enumerate(fit.causes):
+        size, sigma = _size(cause, fit, place)
+        causes.append(
+            {
+                "cause": cause.identifier,
+                "size": {"value": size, "sigma": sigma, "unit": cause.unit},
+                "parameters": _parameters(cause, fit, place),
+                "is_at_edge_of_its_range": cause.is_at_edge(float(fit.sizes[place])),
+                "would_decide": cause.confirm,
+            }
+        )
+    is_named = fit.labels == found.last.labels
+    return {
+        "causes": causes,
+        "standing": "named" if is_named else "not excluded" if fit in found.alternatives else "excluded",
+        "chi2": fit.chi2,
+        "dof": fit.dof,
+        "chi2_per_point": _per_point(fit),
+        "chi2_above_named": fit.chi2 - found.last.chi2,
+        "calibration_change": _change(found, found.fitter.calibration_change(found.first, fit)),
+    }
+
+
+def _change(found: CurveInvestigation, change: dict[str, Floats]) -> dict[str, Any]:
+    """C with over C without, minus 1, of each dipole."""
+    frequency = found.fitter.sky.frequency_mhz
+    low, high = found.band_mhz
+    inside = (frequency >= low) & (frequency <= high)
+    shown = [nu for nu in REPORTED_MHZ if frequency[0] <= nu <= frequency[-1]]
+    return {
+        d: {
+            "median_fraction": float(np.median(change[d][inside])),
+            "at_mhz": {f"{nu:g}": float(np.interp(nu, frequency, change[d])) for nu in shown},
+        }
+        for d in DIPOLES
+    }
+
+
+def _unexplained(found: CurveInvestigation) -> dict[str, Any]:
+    return {
+        "p_value": found.leftover_p,
+        "where": {"axis": "lst"},
+        "description": "the points scatter about the extended model by more than about a smooth curve: structure in "
+        "LST that no set of up to four causes describes to the noise; the sizes are widened by its scatter",
+        "gain": {"chi2": found.last.chi2, "terms": 0, "held_out_log_likelihood_gain": None},
+        "similar_to": [],
+    }
