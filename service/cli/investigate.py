@@ -28,7 +28,7 @@ def investigate(
         30.0,
         80.0,
     ),
-    html: Annotated[Path | None, typer.Option(help="The report of spectra as a page with its figures (HTML).")] = None,
+    html: Annotated[Path | None, typer.Option(help="The report as a page with its figures (HTML).")] = None,
 ) -> None:
     """Find what the simulation gets wrong: name the cause, extend the model, measure the gain.
 
@@ -45,8 +45,6 @@ def investigate(
         raise typer.BadParameter("name a spectra file or --lst-curve, one of the two")
     if spectra is not None and instrument is None:
         raise typer.BadParameter("spectra need --instrument, a name such as lofar-superterp or a JSON file")
-    if lst_curve is not None and html is not None:
-        raise typer.BadParameter("--html goes with spectra; lbacal lst-curve --plot draws an LST curve")
     inputs: dict[str, str | Path | None] = {"SPECTRA": spectra, "--lst-curve": lst_curve, "--sky-power": sky_power}
     require_outputs({"--report": report, "--html": html}, {**inputs, "--instrument": instrument})
     chain = load_instrument(instrument or "lofar-superterp")
@@ -54,7 +52,7 @@ def investigate(
     if spectra is not None:
         content = _ask_spectra(spectra, chain, sky, sky_power is None, html)
     else:
-        content = _ask_curve(lst_curve, chain, sky, sky_power is None, band)
+        content = _ask_curve(lst_curve, chain, sky, sky_power is None, band, html)
     report.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n")
     print(f"{content['verdict']}; wrote {report}{f' and {html}' if html else ''}")
     for finding in content["findings"]:
@@ -78,15 +76,23 @@ def _ask_spectra(spectra: Path, chain: Any, sky: Any, is_own_sky: bool, html: Pa
     return content
 
 
-def _ask_curve(path: Path | None, chain: Any, sky: Any, is_own_sky: bool, band: tuple[float, float]) -> dict[str, Any]:
-    from lbacal_core.discovery.lst_curve import describe_curve, investigate_curve
+def _ask_curve(
+    path: Path | None, chain: Any, sky: Any, is_own_sky: bool, band: tuple[float, float], html: Path | None
+) -> dict[str, Any]:
+    from lbacal_core.discovery.curve_report import describe_curve
+    from lbacal_core.discovery.lst_curve import investigate_curve
     from lbacal_core.lstcurve.curve import measured_curve, read_lst_curve
     from lbacal_core.provenance import Provenance
 
     curve = read_lst_curve(path or measured_curve())
     found = investigate_curve(curve, sky, chain, band, is_own_sky=is_own_sky)
     inputs = {"lst_curve": curve.digest(), "sky_power": sky.digest(), "instrument": chain.digest()}
-    return describe_curve(found, Provenance(inputs, {"band_mhz": list(band), "own_sky": is_own_sky}))
+    content = describe_curve(found, Provenance(inputs, {"band_mhz": list(band), "own_sky": is_own_sky}))
+    if html is not None:
+        from service.cli.curve_page import write_curve_page
+
+        write_curve_page(content, found, html)
+    return content
 
 
 def _say(step: str) -> None:

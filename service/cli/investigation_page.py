@@ -34,8 +34,8 @@ def _station(report: StationReport) -> dict[str, Any]:
     return {
         "name": report.data.station,
         "findings": [_finding(report, finding) for finding in shown],
-        "maps": _picture(draw_residual_maps(report, target)),
-        "scores": _picture(draw_scores(report)),
+        "maps": embed(draw_residual_maps(report, target)),
+        "scores": embed(draw_scores(report)),
     }
 
 
@@ -43,8 +43,8 @@ def _finding(report: StationReport, finding: Finding) -> dict[str, Any]:
     effect = finding.effect
     return {
         "cause": effect.cause.identifier,
-        "figure": _picture(draw_finding(report, finding)),
-        "calibration": _picture(draw_calibration_change(report, finding)),
+        "figure": embed(draw_finding(report, finding)),
+        "calibration": embed(draw_calibration_change(report, finding)),
         "size": f"{effect.size:.4g} ± {effect.sigma:.2g} {effect.cause.unit}",
         "parameters": ", ".join(f"{key} {value}" for key, value in effect.law.parameters.items()) or "none",
         "chi2": f"{finding.chi2_before:.0f} before, {finding.chi2_after:.0f} after, {finding.dof} degrees of freedom",
@@ -54,7 +54,8 @@ def _finding(report: StationReport, finding: Finding) -> dict[str, Any]:
     }
 
 
-def _picture(figure: Figure) -> str:
+def embed(figure: Figure) -> str:
+    """The figure as a base64 PNG."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=110)
     return base64.b64encode(buffer.getvalue()).decode()

@@ -1,0 +1,153 @@
+"""The figures of an LST curve: what was measured, the simulation before and after, and what each hypothesis does."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from lbacal_core.discovery.curve_fit import GRID_HOURS, CurveFit
+from lbacal_core.discovery.lst_curve import CurveInvestigation
+from lbacal_core.grids import Floats
+from lbacal_core.instrument import DIPOLES
+
+COLOURS = {"X": "#b3322b", "Y": "#2b5fb3", "X - Y": "#2b8a5f"}
+GREY = "#8a94a6"
+SMOOTH_HOURS = np.linspace(0.0, 24.0, 193)
+MOST_LINES = 5
+
+
+def draw_curve(found: CurveInvestigation, title: str) -> Figure:
+    """X, Y and their difference with both error bars, the simulation before and after, and what both leave."""
+    figure = Figure(figsize=(11.5, 6.0), layout="constrained")
+    axes: Any = figure.subplots(2, 3, sharex=True, height_ratios=[2, 1])
+    curve, hours = found.curve, found.curve.lst_hours
+    per_point = {id(fit): fit.chi2_drawn / fit.points for fit in (found.first, found.last)}
+    for column, name in enumerate(COLOURS):
+        top, below, colour = axes[0, column], axes[1, column], COLOURS[name]
+        estimated, drawn = _errors(found, name)
+        measured = _combine(curve.variation_db, name)
+        top.errorbar(hours, measured, drawn, fmt="none", ecolor=GREY, lw=0.6, label=_bar_label(found, name))
+        top.errorbar(hours, measured, estimated, fmt="o", ms=3, lw=1.3, color=colour, label=f"measured, {name}")
+        for fit, style, words in ((found.first, "--", "before"), (found.last, "-", "after")):
+            line = _smooth(_combine(fit.curve_db, name))
+            label = f"simulation {words}: chi² per point {per_point[id(fit)]:.1f}" if column == 0 else None
+            top.plot(SMOOTH_HOURS, line, style, color="black", lw=1.3, label=label)
+        if found.is_own_sky:
+            spread = _spread(found, name)
+            middle = _smooth(_combine(found.last.curve_db, name))
+            top.fill_between(
+                SMOOTH_HOURS, middle - spread, middle + spread, color="black", alpha=0.1, lw=0,
+                label="spread of sky and antenna models" if column == 0 else None,
+            )  # fmt: skip
+        below.plot(hours, _combine(found.first.residual_db, name), "x", ms=4, color=GREY, label="before")
+        left = _combine(found.last.residual_db, name)
+        below.errorbar(hours, left, estimated, fmt="o", ms=3, lw=1.1, color=colour, label="after")
+        below.axhline(0.0, color="black", lw=0.8)
+        top.set_title(name if name in DIPOLES else "difference X - Y", fontsize=10)
+        top.legend(fontsize=7.5, frameon=False)
+        below.legend(fontsize=7.5, frameon=False, ncols=2)
+        below.set_xlabel("local sidereal time (h)")
+    axes[0, 0].set_ylabel("band power, relative to LST 0 (dB)")
+    axes[1, 0].set_ylabel("measured - simulated (dB)")
+    axes[0, 0].set_xlim(0, 24)
+    axes[0, 0].set_xticks(range(0, 25, 4))
+    low, high = found.band_mhz
+    named = ", ".join(name_hypothesis(found.last)) or "nothing found"
+    figure.suptitle(f"{title}, {low:g}-{high:g} MHz: {named}", fontsize=11)
+    return figure
+
+
+def draw_ranking(found: CurveInvestigation) -> Figure:
+    """Chi^2 of every cause by itself, and of the sets that the data cannot exclude."""
+    sets = [found.last, *found.alternatives[: 2 * MOST_LINES]]
+    rows = [*dict.fromkeys([*(fit.labels for fit in sets), *(fit.labels for fit in found.single)])]
+    by_labels = {fit.labels: fit for fit in [*found.single, *sets] if fit.causes}
+    shown = [by_labels[labels] for labels in rows if labels in by_labels][::-1]
+    figure = Figure(figsize=(10.5, 0.27 * len(shown) + 1.4), layout="constrained")
+    axes: Any = figure.subplots()
+    for row, fit in enumerate(shown):
+        is_named, is_open = fit.labels == found.last.labels, fit in found.alternatives
+        colour = COLOURS["X"] if is_named else "#d99a2b" if is_open else GREY
+        axes.barh(row, fit.chi2 / fit.points, color=colour)
+        words = f"  {fit.chi2 / fit.points:.2f}  (drawn bars {fit.chi2_drawn / fit.points:.2f})"
+        axes.text(fit.chi2 / fit.points, row, words, va="center", fontsize=7)
+    before = found.first.chi2 / found.first.points
+    axes.axvline(before, color="black", lw=0.9, ls="--", label=f"no cause: {before:.1f}")
+    axes.axvline(1.0, color="black", lw=0.9, ls=":", label="the noise")
+    for words, colour in (("named", COLOURS["X"]), ("not excluded", "#d99a2b"), ("excluded", GREY)):
+        axes.barh([0], [0], color=colour, label=words)
+    axes.set_yticks(range(len(shown)), [" + ".join(name_hypothesis(fit)) for fit in shown], fontsize=7.5)
+    axes.set_xscale("log")
+    axes.set_xlim(right=6 * before)
+    axes.set_xlabel("chi² per point, estimated noise")
+    axes.legend(fontsize=8, frameon=False, loc="lower right")
+    return figure
+
+
+def draw_change(found: CurveInvestigation) -> Figure:
+    """What the named set and the alternatives would do to C(nu) of each dipole."""
+    figure = Figure(figsize=(10.5, 3.6), layout="constrained")
+    axes: Any = figure.subplots(1, 2, sharey=True)
+    frequency = found.fitter.sky.frequency_mhz
+    inside = (frequency >= found.band_mhz[0]) & (frequency <= found.band_mhz[1])
+    for rank, fit in enumerate([found.last, *found.alternatives[:MOST_LINES]]):
+        change = found.fitter.calibration_change(found.first, fit)
+        for panel, d in zip(axes, DIPOLES, strict=True):
+            is_named = rank == 0
+            style: dict[str, Any] = {"color": "black", "lw": 2.0} if is_named else {"lw": 1.1, "ls": "--"}
+            label = " + ".join(name_hypothesis(fit))
+            panel.plot(frequency[inside], 100 * change[d][inside], label=label, **style)
+    for panel, d in zip(axes, DIPOLES, strict=True):
+        panel.axhline(0.0, color=GREY, lw=0.8)
+        panel.set_title(f"dipole {d}", fontsize=10)
+        panel.set_xlabel("frequency (MHz)")
+    axes[0].set_ylabel("change of C (%)")
+    figure.legend(
+        *axes[0].get_legend_handles_labels(), loc="outside lower center", fontsize=7.5, frameon=False, ncols=2
+    )
+    return figure
+
+
+def name_hypothesis(fit: CurveFit) -> list[str]:
+    """Each cause of a set with its size."""
+    units = {"dipole_azimuth": "°", "lst_offset": " h"}
+    return [
+        f"{' '.join([cause.identifier.replace('_', ' '), cause.parameters.get('source', '')]).strip()} "
+        f"{size:.2f}{units.get(cause.identifier, '')}"
+        for cause, size in zip(fit.causes, fit.sizes.tolist(), strict=True)
+    ]
+
+
+def _combine(by_dipole: Any, name: str) -> Floats:
+    return np.asarray(by_dipole["X"] - by_dipole["Y"] if name == "X - Y" else by_dipole[name])
+
+
+def _errors(found: CurveInvestigation, name: str) -> tuple[float, Floats]:
+    """Estimated and drawn error of a point; drawn bars of the difference as if the dipoles were independent."""
+    sigma, drawn = found.noise.sigma_db, found.curve.error_db
+    if name in DIPOLES:
+        return sigma[name], drawn
+    shared = 2 * found.noise.correlation * sigma["X"] * sigma["Y"]
+    return float(np.sqrt(sigma["X"] ** 2 + sigma["Y"] ** 2 - shared)), drawn * np.sqrt(2.0)
+
+
+def _bar_label(found: CurveInvestigation, name: str) -> str:
+    estimated, _ = _errors(found, name)
+    return f"bars as drawn; estimated {estimated:.3f} dB"
+
+
+def _smooth(values: Floats) -> Floats:
+    """From the grid of the fit to a fine one, by its Fourier series."""
+    count = GRID_HOURS.size
+    terms = np.fft.rfft(values) / count
+    order = np.arange(1, count // 2)
+    angle = 2 * np.pi / 24.0 * np.outer(SMOOTH_HOURS, order)
+    return np.asarray(terms[0].real + 2 * (np.cos(angle) @ terms.real[1:-1] - np.sin(angle) @ terms.imag[1:-1]))
+
+
+def _spread(found: CurveInvestigation, name: str) -> float:
+    """Standard deviation by which models differ, the same at every LST."""
+    variance = dict(zip(DIPOLES, found.fitter.model_variance, strict=True))
+    return float(np.sqrt(sum(variance.values()) if name == "X - Y" else variance[name]))
