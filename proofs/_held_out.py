@@ -17,7 +17,6 @@ from lbacal_core.discovery.investigate import StationReport
 from lbacal_core.grids import Floats
 from lbacal_core.instrument import DIPOLES
 from lbacal_core.spectra import Spectra
-from lbacal_core.twin.campaign import expected_power
 from proofs._hidden import EVENTS, DataSet, draw_one, moving_causes, sky_power
 from proofs._trials import Rate, run_trials
 
@@ -90,20 +89,15 @@ def found_ratio(station: StationReport, data: DataSet, spectra: Spectra) -> Floa
     return whole
 
 
-def chi_squared(data: DataSet, spectra: Spectra, ratio: Floats | float = 1.0) -> float:
-    """Chi^2 of spectra about the truth without effects, less what the fit absorbs."""
+def chi_squared(data: DataSet, spectra: Spectra, ratio: Floats | None = None) -> float:
+    """Chi^2 of spectra, divided by a ratio, about the chains that fit them best."""
     scene = data.scene
-    plain = expected_power(data.detector.station.stages, scene, ())
-    deviation = np.zeros_like(plain)
+    power = data.detector.power(()).copy()  # where a spectrum is absent; it has no weight
     antenna = np.searchsorted(scene.antennas, spectra.antenna)
     dipole = np.array([DIPOLES.index(str(letter)) for letter in spectra.dipole])
-    event = np.searchsorted(scene.time_unix, spectra.time_unix)
-    measured = np.ones_like(plain)
-    measured[antenna, dipole, event] = spectra.power
-    measured = measured / np.reshape(ratio, plain.shape) if np.ndim(ratio) else measured
-    deviation[antenna, dipole, event] = (measured / plain - 1.0)[antenna, dipole, event]
-    paths = deviation.reshape(-1, *deviation.shape[2:])
-    return float(data.detector.information(paths[None])[0, 0])
+    path, event = len(DIPOLES) * antenna + dipole, np.searchsorted(scene.time_unix, spectra.time_unix)
+    power[path, event] = spectra.power if ratio is None else spectra.power / ratio[path, event]
+    return data.detector.chi_squared(power)
 
 
 def prove_held_out(count: int) -> tuple[bool, list[str]]:

@@ -183,11 +183,18 @@ class DataSet:
         """A fault of a cause: its law, and whom it concerns."""
         scopes = SCOPES.get(cause, ("station",))
         scope = scopes[rng.integers(len(scopes))]
-        where, label = self._choose(scope, rng)
+        where, label = self._choose(scope, rng, self._comparable if cause in STATIC else self.antennas)
         return Planted(cause, draw_fault(cause, rng, self.settings, where=where), scope, label)
 
-    def _choose(self, scope: str, rng: np.random.Generator) -> tuple[Where, str]:
-        antenna = int(rng.choice(self.antennas))
+    @property
+    def _comparable(self) -> tuple[int, ...]:
+        """Antennas of the most common cable, which have others to be compared with."""
+        scene = self.scene
+        names, counts = np.unique(scene.cables, return_counts=True)
+        return tuple(int(a) for a in scene.antennas[scene.cables == names[np.argmax(counts)]])
+
+    def _choose(self, scope: str, rng: np.random.Generator, antennas: Sequence[int]) -> tuple[Where, str]:
+        antenna = int(rng.choice(antennas))
         if scope == "antenna":
             return Where(antennas=(antenna,)), f"antenna {antenna}"
         if scope == "path":

@@ -17,7 +17,7 @@ No code is shared with what searches (`lbacal_core.discovery`, `lbacal_core.caus
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -104,6 +104,49 @@ def count_blocks(spectra: Spectra, scene: Scene) -> NDArray[np.int64]:
 
 
 @dataclass(frozen=True)
+class PathChains:
+    """The chain of every path, as a fit leaves it free: (sky + n_lna) front + n_rcu receiver + n_adc.
+
+    Attributes
+    ----------
+    sky, receiver
+        Known, shape (path, event, freq).
+    front
+        G_ant A g L G_RCU S, shape (path, event, freq); a fit moves each channel of a path by one factor.
+    n_lna, n_rcu, n_adc
+        Shape (path, 1, 1).
+    """
+
+    sky: Floats
+    receiver: Floats
+    front: Floats
+    n_lna: Floats
+    n_rcu: Floats
+    n_adc: Floats
+
+    @cached_property
+    def power(self) -> Floats:
+        """Shape (path, event, freq)."""
+        return np.asarray((self.sky + self.n_lna) * self.front + self.n_rcu * self.receiver + self.n_adc)
+
+    @cached_property
+    def columns(self) -> tuple[Floats, Floats]:
+        """Relative changes of the power by what is free.
+
+        By ln A in a channel, shape (path, event, freq), nonzero in that channel; by N_LNA, N_RCU and N_ADC, shape
+        (3, path, event, freq).
+        """
+        front = self.front / self.power
+        return (self.sky + self.n_lna) * front, np.stack([front, self.receiver / self.power, 1.0 / self.power])
+
+    def moved(self, slopes: Floats, constants: Floats) -> PathChains:
+        """After a step in ln A, shape (path, freq), and in the constants, shape (path, 3)."""
+        n_lna, n_rcu, n_adc = (constants[:, k, None, None] for k in range(3))
+        front = self.front * (1.0 + slopes[:, None, :])
+        return replace(self, front=front, n_lna=self.n_lna + n_lna, n_rcu=self.n_rcu + n_rcu, n_adc=self.n_adc + n_adc)
+
+
+@dataclass(frozen=True)
 class IdealDetector:
     """What could be seen of a fault in one station's data by who knows everything but its size.
 
@@ -116,16 +159,22 @@ class IdealDetector:
     departure
         Covariance by which ln A(nu) of each path departs from that of the next, shape (freq, freq); 0 where paths are
         alike.
+    chains
+        The chain about which the fit is linear: the true one without faults, or one fitted to data with them.
     """
 
     station: DrawnStation
     noise: Noise
     departure: Floats
+    chains: PathChains
+
+    def power(self, faults: Sequence[Fault]) -> Floats:
+        """The expected power with faults, shape (path, event, freq)."""
+        return self._paths(expected_power(self.station.stages, self.station.scene, faults))
 
     def template(self, faults: Sequence[Fault]) -> Floats:
         """Relative change of the expected power, shape (path, event, freq)."""
-        with_faults = expected_power(self.station.stages, self.station.scene, faults)
-        return np.asarray(self._paths(with_faults) / self._plain - 1.0)
+        return np.asarray(self.power(faults) / self.power(()) - 1.0)
 
     def information(self, templates: Floats) -> Floats:
         """Inner products of templates less what the fit absorbs, shape (k, path, event, freq) -> (k, k).
@@ -137,16 +186,34 @@ class IdealDetector:
         total = np.einsum("kpef,lpef->kl", templates, weighed, optimize=True)
         return np.asarray(total - absorbed @ cho_solve(self._normal_factor, absorbed.T))
 
+    def fitted_to(self, power: Floats) -> IdealDetector:
+        """The detector about the chains that fit a power best, shape (path, event, freq); Newton's first step."""
+        onto = self._onto_columns(self.noise.weigh((power / self.chains.power - 1.0)[None]))[0]
+        step = (cho_solve(self._normal_factor, onto) * self._scale).reshape(len(power), -1)
+        return replace(self, chains=self.chains.moved(step[:, :-3], step[:, -3:]))
+
+    def chi_squared(self, power: Floats) -> float:
+        """Chi^2 of a power about the chains that fit it best."""
+        best = self.fitted_to(power)
+        return float(best.information((power / best.chains.power - 1.0)[None])[0, 0])
+
     def snr(self, faults: Sequence[Fault]) -> float:
         """Ideal signal-to-noise ratio of faults that act together."""
-        return float(np.sqrt(np.maximum(self.information(self.template(faults)[None])[0, 0], 0.0)))
+        return float(np.sqrt(max(self.chi_squared(self.power(faults)), 0.0)))
+
+    def information_together(self, faults: Sequence[Fault]) -> Floats:
+        """Inner products of what each of some faults adds to the others, shape (fault, fault)."""
+        everything = self.power(faults)
+        best = self.fitted_to(everything)
+        without = [self.power([other for other in faults if other is not one]) for one in faults]
+        return best.information((everything - np.stack(without)) / best.chains.power)
 
     def snr_against_others(self, fault: Fault, antenna: int) -> float:
         """Ideal SNR of a static fault of one antenna's front gain, against the antennas of the same cable."""
         scene = self.station.scene
         changed = np.log(_front(fault.alter(self.station.stages, scene)) / _front(self.station.stages))
-        shape = np.broadcast_to(changed, (*self._plain_shape[:2], *changed.shape[2:])).mean(axis=2)
-        channels = shape.shape[2]
+        seen_of_path = np.broadcast_to(changed, (len(scene.antennas), len(DIPOLES), *changed.shape[2:])).mean(axis=2)
+        channels = seen_of_path.shape[2]
         own = scene.antennas == antenna
         others = (scene.cables == scene.cables[own][0]) & ~own
         contrast = own.astype(float) - others / others.sum()
@@ -154,40 +221,15 @@ class IdealDetector:
         covariance = np.einsum("p,pfqg,q->fg", share, self._slope_covariance, share, optimize=True)
         covariance = covariance + np.sum(share**2) * self.departure
         free_gain = 1e3 * np.trace(covariance) * np.ones((channels, channels))
-        seen = np.einsum("p,pf->f", share, shape.reshape(-1, channels))
+        seen = np.einsum("p,pf->f", share, seen_of_path.reshape(-1, channels))
         return float(np.sqrt(seen @ np.linalg.solve(covariance + free_gain, seen)))
 
-    @property
-    def _plain_shape(self) -> tuple[int, ...]:
-        scene = self.station.scene
-        return (len(scene.antennas), len(DIPOLES), len(scene.time_unix), len(scene.frequency_mhz))
-
     def _paths(self, stage: Floats) -> Floats:
-        """A stage of the chain for every path, shape (path, event, freq)."""
-        shape = self._plain_shape
-        return np.broadcast_to(stage, shape).reshape(-1, *shape[2:])
-
-    @cached_property
-    def _plain(self) -> Floats:
-        return self._paths(expected_power(self.station.stages, self.station.scene, ()))
-
-    @cached_property
-    def _columns(self) -> tuple[Floats, Floats]:
-        """What a path's fit leaves free, as relative changes of its power, scaled to similar size.
-
-        Of ln A in a channel, shape (path, event, freq), nonzero in that channel; of the noise constants, shape
-        (constant, path, event, freq).
-        """
-        stages = self.station.stages
-        front = self._paths(_front(stages)) / self._plain
-        sky = self._paths(stages.sky + stages.lna_noise)
-        constants = np.stack([front, self._paths(stages.receiver) / self._plain, 1.0 / self._plain])
-        constants /= np.sqrt(np.mean(constants**2, axis=(2, 3), keepdims=True))
-        return sky * front, constants
+        return _of_paths(stage, self.station.scene)
 
     def _onto_columns(self, weighed: Floats) -> Floats:
         """Products of vectors (k, path, event, freq) with the columns, shape (k, path x column)."""
-        slopes, constants = self._columns
+        slopes, constants = self.chains.columns
         of_slopes = np.einsum("pef,kpef->kpf", slopes, weighed)
         of_constants = np.einsum("cpef,kpef->kpc", constants, weighed, optimize=True)
         joined = np.concatenate([of_slopes, of_constants], axis=2).reshape(len(weighed), -1)
@@ -196,7 +238,7 @@ class IdealDetector:
     @cached_property
     def _normal(self) -> Floats:
         """N' V^-1 N, shape (path x column, path x column), path pair by path pair."""
-        slopes, constants = self._columns
+        slopes, constants = self.chains.columns
         paths, _, channels = slopes.shape
         size = channels + len(constants)
         normal = np.empty((paths, size, paths, size))
@@ -235,7 +277,7 @@ class IdealDetector:
     @cached_property
     def _slope_covariance(self) -> Floats:
         """Covariance of the fitted ln A(nu) of all paths, shape (path, freq, path, freq)."""
-        paths, _, channels = self._columns[0].shape
+        paths, _, channels = self.chains.columns[0].shape
         inverse = cho_solve(self._normal_factor, np.diag(self._scale)) * self._scale[:, None]
         return np.asarray(inverse.reshape(paths, -1, paths, channels + 3)[:, :channels, :, :channels])
 
@@ -248,7 +290,24 @@ def ideal_detector(
     channels = len(station.scene.frequency_mhz)
     noise = noise_of(settings, nuisances, station.scene.station, blocks, channels)
     wave = np.cos(np.pi * np.outer(np.linspace(0.0, 1.0, channels), [1, 2, 3, 4]))
-    return IdealDetector(station, noise, nuisances.departures**2 / 2 * wave @ wave.T)
+    stages, scene = station.stages, station.scene
+    known = {
+        name: _of_paths(values, scene)
+        for name, values in {"sky": stages.sky, "receiver": stages.receiver, "front": _front(stages)}.items()
+    }
+    constants = {
+        name: _of_paths(values, scene)[:, :1, :1]
+        for name, values in {
+            "n_lna": stages.lna_noise, "n_rcu": stages.rcu_noise, "n_adc": stages.adc_noise,
+        }.items()
+    }  # fmt: skip
+    return IdealDetector(station, noise, nuisances.departures**2 / 2 * wave @ wave.T, PathChains(**known, **constants))
+
+
+def _of_paths(stage: Floats, scene: Scene) -> Floats:
+    """A stage of the chain for every path, shape (path, event, freq)."""
+    shape = (len(scene.antennas), len(DIPOLES), len(scene.time_unix), len(scene.frequency_mhz))
+    return np.broadcast_to(stage, shape).reshape(-1, *shape[2:])
 
 
 def _front(stages: Stages) -> Floats:

@@ -43,7 +43,7 @@ def draw_several(data: DataSet, count: int, rng: np.random.Generator) -> tuple[l
     planted = [one for one in drawn if one is not None]
     if len(planted) < count:
         return None
-    information = data.detector.information(np.stack([data.detector.template([one.fault]) for one in planted]))
+    information = data.detector.information_together([one.fault for one in planted])
     largest = float(np.abs(np.triu(correlations(information), 1)).max())
     if largest >= LARGEST_CORRELATION:
         return None

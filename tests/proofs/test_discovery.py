@@ -54,7 +54,7 @@ def test_several_effects_have_the_signal_to_noise_given_the_others():
     rng = np.random.default_rng(1)
     planted, correlation = next(found for _ in range(100) if (found := draw_several(data, 2, rng)))
     assert correlation < 0.9
-    information = data.detector.information(np.stack([data.detector.template([one.fault]) for one in planted]))
+    information = data.detector.information_together([one.fault for one in planted])
     # Faults of some per cent are linear to some per cent.
     np.testing.assert_allclose(1 / np.sqrt(np.diag(np.linalg.inv(information))), 10.0, rtol=0.1)
 

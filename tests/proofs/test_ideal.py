@@ -133,3 +133,30 @@ def test_what_paths_depart_by_hides_a_static_fault_and_no_other(low_band: Instru
         snr[size] = detector.snr_against_others(longer, 2), detector.snr([GainTemperature(size=0.01)])
     assert snr[0.02][0] < 0.7 * snr[0.0][0]
     assert snr[0.02][1] == pytest.approx(snr[0.0][1], rel=0.05)
+
+
+def test_what_the_fit_leaves_free_has_no_chi_squared_however_large(low_band: Instrument, two_waves: SkyPower) -> None:
+    """Three tenths of gain along frequency and of every noise: bent far beyond the first derivative."""
+    detector = _detector(low_band, two_waves)
+    stages, scene = detector.station.stages, detector.station.scene
+    bent = replace(
+        stages,
+        antenna=stages.antenna * (1 + 0.3 * np.cos(scene.frequency_mhz / 3.0)),
+        lna_noise=1.3 * stages.lna_noise,
+        rcu_noise=0.7 * stages.rcu_noise,
+        adc_noise=1.3 * stages.adc_noise,
+    )
+    power = expected_power(bent, scene, ()).reshape(detector.power(()).shape)
+    linear = detector.information((power / detector.power(()) - 1.0)[None])[0, 0]
+    assert linear > 10.0
+    assert detector.chi_squared(power) < 0.02 * linear
+
+
+def test_two_faults_share_what_they_have_in_common(low_band: Instrument, two_waves: SkyPower) -> None:
+    detector = _detector(low_band, two_waves)
+    faults = [GainTemperature(size=0.01), GainTemperature(size=0.01, delay_h=3.0)]
+    together = detector.information_together(faults)
+    alone = detector.information(np.stack([detector.template([one]) for one in faults]))
+    # Small faults: what one adds to the other is its own template, but for products of 1 %.
+    np.testing.assert_allclose(together, alone, rtol=0.05)
+    assert 1 / np.linalg.inv(together)[0, 0] < 0.9 * together[0, 0]
