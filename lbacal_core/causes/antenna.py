@@ -4,15 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from scipy.interpolate import make_smoothing_spline
 
-from lbacal_core.causes.terms import ChainTerms, Conditions, Law, read_between
+from lbacal_core.antenna.circuit import ResonanceCircuit
+from lbacal_core.causes.terms import Cause, ChainTerms, Conditions, Law, read_between
 from lbacal_core.grids import Floats
+
+SEASON_SPAN_S = 250 * 86_400.0
+"""Shorter data cannot tell a season from a drift."""
+
+
+CIRCUIT = ResonanceCircuit()
 
 
 @dataclass(frozen=True)
-class DipoleSwap:
+class DipoleSwap(Cause):
     """Each dipole records a share of the other's sky; a share of 1 is an exchange."""
 
     identifier: str = "dipole_swap"
@@ -20,96 +29,121 @@ class DipoleSwap:
     meaning: str = "the dipoles X and Y are mixed or exchanged"
     confirm: str = "unplug one dipole, or look at the polarisation of a bright source"
     scopes: Sequence[str] = ("station", "antenna")
-    step: float = 1e-3
 
-    def laws(self, conditions: Conditions) -> list[Law]:  # noqa: ARG002
-        """One law."""
-        return [Law()]
-
-    def why_not(self, conditions: Conditions) -> str | None:  # noqa: ARG002
-        """Dipoles of different azimuth see a different sky at any site."""
-        return None
-
-    def apply(self, terms: ChainTerms, conditions: Conditions, law: Law, size: float) -> ChainTerms:  # noqa: ARG002
+    def act(self, terms: ChainTerms, conditions: Conditions, law: Law, amount: Floats) -> ChainTerms:  # noqa: ARG002
         """P_X -> (1 - f) P_X + f P_Y."""
-        return replace(terms, sky=(1.0 - size) * terms.sky + size * conditions.other_sky)
-
-
-def follow_conditions(conditions: Conditions) -> list[Law]:
-    """What a mechanical or chemical property can follow: temperature, season, wetness."""
-    laws = [Law({"follows": "temperature"})] if conditions.warmth() is not None else []
-    if np.ptp(conditions.time_unix) > 250 * 86_400.0:
-        laws += [Law({"follows": "season", "phase_deg": phase}) for phase in (0.0, 45.0, 90.0, 135.0)]
-    laws += [
-        Law({"follows": "wetness", "law": law})
-        for law in ("flag", "linear", "saturating")
-        if conditions.wetness(law) is not None
-    ]
-    return laws
-
-
-def followed(conditions: Conditions, law: Law) -> Floats:
-    """The course of what a law follows, shape (event, 1)."""
-    kind = law.parameters["follows"]
-    if kind == "season":
-        year = 2 * np.pi * conditions.time_unix / (365.25 * 86_400.0)
-        return np.asarray(np.cos(year - np.radians(law.parameters["phase_deg"]))[:, None])
-    course = conditions.warmth() if kind == "temperature" else conditions.wetness(law.parameters["law"])
-    if course is None:
-        raise ValueError(f"no {kind} in these data")
-    return course
+        return replace(terms, sky=(1.0 - amount) * terms.sky + amount * conditions.other_sky)
 
 
 @dataclass(frozen=True)
-class ResonanceShift:
+class ResonanceCause(Cause):
+    """Something of the resonance that follows temperature, season or wetness.
+
+    What it does along frequency depends on what resonates: the curve of G_ant as a whole (``curve``), or the circuit of
+    dipole and LNA behind which the other losses stay (``circuit``).
+    """
+
+    needs: str = "no temperature, rain or season in these data; what is static is in A"
+    axes: Sequence[str] = ("temperature", "rain", "date")
+    scopes: Sequence[str] = ("station", "antenna")
+    shaped_by: Sequence[str] = ("model",)
+
+    def laws(self, conditions: Conditions) -> list[Law]:
+        """What a mechanical or chemical property can follow."""
+        followed: list[dict[str, Any]] = [{"follows": "temperature"}] if conditions.warmth() is not None else []
+        if np.ptp(conditions.time_unix) > SEASON_SPAN_S:
+            followed += [{"follows": "season", "phase_deg": phase} for phase in (0.0, 45.0, 90.0, 135.0)]
+        wet = [law for law in ("flag", "linear", "saturating") if conditions.wetness(law) is not None]
+        followed += [{"follows": "wetness", "law": law} for law in wet]
+        return [Law(one | {"model": model}) for model in ("curve", "circuit") for one in followed]
+
+    def course(self, conditions: Conditions, law: Law) -> Floats:
+        """What is followed."""
+        kind = law.parameters["follows"]
+        if kind == "season":
+            return conditions.season(law.parameters["phase_deg"])
+        if kind == "temperature":
+            return conditions.known(conditions.warmth())
+        return conditions.known(conditions.wetness(law.parameters["law"]))
+
+    def act(self, terms: ChainTerms, conditions: Conditions, law: Law, amount: Floats) -> ChainTerms:
+        """Another G_ant in front."""
+        if law.parameters["model"] == "circuit":
+            change = self.of_circuit(conditions, amount)
+        else:
+            change = self.of_curve(conditions.frequency_mhz, fitted_log_gain(terms, conditions), amount)
+        return replace(terms, front=terms.front * np.exp(change))
+
+    def of_curve(self, frequency_mhz: Floats, log_gain: Floats, amount: Floats) -> Floats:
+        """Change of ln G_ant by an amount, from the curve that was fitted; broadcast over (event, freq)."""
+        raise NotImplementedError
+
+    def of_circuit(self, conditions: Conditions, amount: Floats) -> Floats:
+        """Change of ln G_ant by an amount, to first order, from the circuit of dipole and LNA."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class ResonanceShift(ResonanceCause):
     """The resonance moves with the weather."""
 
     identifier: str = "resonance_shift"
     unit: str = "MHz per 10 K, or at full season or wetness"
     meaning: str = "the antenna's resonance moves with temperature, season or wetness"
     confirm: str = "measure the antenna's impedance warm and cold, dry and wet"
-    scopes: Sequence[str] = ("station", "antenna")
     step: float = 0.01
 
-    def laws(self, conditions: Conditions) -> list[Law]:
-        """Temperature, season, wetness."""
-        return follow_conditions(conditions)
-
-    def why_not(self, conditions: Conditions) -> str | None:
-        """A static shift is absorbed by A(nu)."""
-        return None if self.laws(conditions) else "no temperature, rain or season in these data; what is static is in A"
-
-    def apply(self, terms: ChainTerms, conditions: Conditions, law: Law, size: float) -> ChainTerms:
+    def of_curve(self, frequency_mhz: Floats, log_gain: Floats, amount: Floats) -> Floats:
         """G_ant read at nu - shift."""
-        frequency, log_gain = conditions.frequency_mhz, np.log(conditions.antenna_gain)
-        moved = read_between(frequency, log_gain, frequency - size * followed(conditions, law))
-        return replace(terms, front=terms.front * np.exp(moved - log_gain))
+        return read_between(frequency_mhz, log_gain, frequency_mhz - amount) - log_gain
+
+    def of_circuit(self, conditions: Conditions, amount: Floats) -> Floats:
+        """Longer arms, whose resonance is lower."""
+        longer, shorter = (replace(CIRCUIT, arm_m=CIRCUIT.arm_m * factor) for factor in (1.001, 0.999))
+        change = np.log(longer.gain(conditions.frequency_mhz) / shorter.gain(conditions.frequency_mhz))
+        return np.asarray(amount * change / (_peak_mhz(longer) - _peak_mhz(shorter)))
 
 
 @dataclass(frozen=True)
-class ResonanceWidth:
+class ResonanceWidth(ResonanceCause):
     """The resonance widens with the weather."""
 
     identifier: str = "resonance_width"
     unit: str = "fraction per 10 K, or at full season or wetness"
     meaning: str = "the antenna's resonance widens with temperature, season or wetness"
     confirm: str = "measure the antenna's impedance warm and cold, dry and wet"
-    scopes: Sequence[str] = ("station", "antenna")
     step: float = 0.002
 
-    def laws(self, conditions: Conditions) -> list[Law]:
-        """Temperature, season, wetness."""
-        return follow_conditions(conditions)
-
-    def why_not(self, conditions: Conditions) -> str | None:
-        """A static width is absorbed by A(nu)."""
-        return None if self.laws(conditions) else "no temperature, rain or season in these data; what is static is in A"
-
-    def apply(self, terms: ChainTerms, conditions: Conditions, law: Law, size: float) -> ChainTerms:
+    def of_curve(self, frequency_mhz: Floats, log_gain: Floats, amount: Floats) -> Floats:
         """G_ant read closer to its resonance: the peak keeps its height and widens."""
-        frequency, log_gain = conditions.frequency_mhz, np.log(conditions.antenna_gain)
-        centre = frequency[np.argmax(conditions.antenna_gain)]
-        moved = read_between(
-            frequency, log_gain, centre + (frequency - centre) * np.exp(-size * followed(conditions, law))
+        centre = frequency_mhz[np.argmax(log_gain)]
+        closer = centre + (frequency_mhz - centre) * np.exp(-amount)
+        return read_between(frequency_mhz, log_gain, closer) - log_gain
+
+    def of_circuit(self, conditions: Conditions, amount: Floats) -> Floats:
+        """More resistance in the dipole."""
+        more, less = (replace(CIRCUIT, resistance_ohm=CIRCUIT.resistance_ohm * factor) for factor in (1.001, 0.999))
+        return np.asarray(
+            amount * np.log(more.gain(conditions.frequency_mhz) / less.gain(conditions.frequency_mhz)) / 0.002
         )
-        return replace(terms, front=terms.front * np.exp(moved - log_gain))
+
+
+def fitted_log_gain(terms: ChainTerms, conditions: Conditions) -> Floats:
+    """Ln (G_ant A) of the station as fitted, mean over classes and smoothed in frequency, shape (freq,).
+
+    The spline's stiffness follows from the scatter of the channels (generalised cross-validation).
+    """
+    behind = conditions.receiver_gain * np.exp(conditions.cable_log_loss[:, None, :])
+    ratio = np.broadcast_to(terms.front / behind, (len(conditions.dipoles), 1, conditions.frequency_mhz.size))
+    own = np.log(np.maximum(ratio, 1e-300) / conditions.antenna_gain)
+    smooth = make_smoothing_spline(conditions.frequency_mhz, np.median(own, axis=(0, 1)))
+    return np.asarray(smooth(conditions.frequency_mhz) + np.log(conditions.antenna_gain))
+
+
+def _peak_mhz(circuit: ResonanceCircuit) -> float:
+    """Frequency of the circuit's resonance, by a parabola through the highest points of a fine grid."""
+    grid = np.arange(40.0, 75.0, 0.05)
+    gain = circuit.gain(grid)
+    k = int(np.argmax(gain))
+    before, at, after = gain[k - 1 : k + 2]
+    return float(grid[k] + 0.025 * (before - after) / (before - 2 * at + after))

@@ -7,82 +7,75 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lbacal_core.causes.terms import ChainTerms, Conditions, Law
+from lbacal_core.causes.terms import Cause, ChainTerms, Conditions, Law
+from lbacal_core.grids import Floats
 
-WINDOWS = tuple((begin, (begin + 12) % 24) for begin in range(0, 24, 2)) + tuple(
-    (begin, (begin + 6) % 24) for begin in range(0, 24, 3)
-)
-"""UTC hours that are tried: halves and quarters of the day."""
-
-
-def has_all_hours(conditions: Conditions) -> bool:
-    """Whether the events cover day and night, so that hours can be told apart."""
-    return bool(np.histogram(conditions.utc_hours, bins=8, range=(0, 24))[0].min() > 3)
+WINDOWS = ((0, 24), *((begin, (begin + hours) % 24) for hours in (12, 6) for begin in range(24)))
+"""UTC hours that are tried: the whole day, and halves and quarters of it from every hour."""
 
 
 @dataclass(frozen=True)
-class RfiLine:
-    """A narrow line left in one channel or two at some hours."""
+class InterferenceCause(Cause):
+    """Power from outside at some hours of the day."""
+
+    needs: str = "the events do not cover all hours of the day"
+    axes: Sequence[str] = ("utc",)
+
+    def course(self, conditions: Conditions, law: Law) -> Floats:
+        """1 within the hours."""
+        return conditions.in_hours(*law.parameters["utc_h"])
+
+
+@dataclass(frozen=True)
+class RfiLine(InterferenceCause):
+    """A narrow line left in one channel or a few at some hours."""
 
     identifier: str = "rfi_line"
     unit: str = "fraction of the mean power there"
-    meaning: str = "a narrow line of interference is left at some hours"
+    meaning: str = "a narrow line of interference is left"
     confirm: str = "look at the unbinned spectra of those hours"
     scopes: Sequence[str] = ("station", "antenna")
-    step: float = 1e-3
+    shaped_by: Sequence[str] = ("frequency_mhz", "width_mhz")
+    can_repeat: bool = True
 
     def laws(self, conditions: Conditions) -> list[Law]:
-        """Every channel, one or two channels wide, at halves and quarters of the day."""
-        if self.why_not(conditions):
+        """Every channel, one channel or some three wide, at halves and quarters of the day."""
+        if not conditions.has_all_hours:
             return []
-        frequency = conditions.frequency_mhz
         return [
-            Law({"frequency_mhz": float(centre), "utc_h": [begin, end]})
-            for centre in frequency
-            for begin, end in WINDOWS
+            Law({"frequency_mhz": float(centre), "width_mhz": width, "utc_h": list(window)})
+            for centre in conditions.frequency_mhz
+            for width in (0.5, 2.0)
+            for window in WINDOWS
         ]
 
-    def why_not(self, conditions: Conditions) -> str | None:
-        """A line that never stops is absorbed by A(nu) and the noise constants."""
-        return None if has_all_hours(conditions) else "the events do not cover day and night"
-
-    def apply(self, terms: ChainTerms, conditions: Conditions, law: Law, size: float) -> ChainTerms:
-        """Power added to a channel within the hours."""
-        channel = (np.abs(conditions.frequency_mhz - law.parameters["frequency_mhz"]) < 1e-6).astype(float)
-        inside = conditions.in_hours(*law.parameters["utc_h"])
+    def act(self, terms: ChainTerms, conditions: Conditions, law: Law, amount: Floats) -> ChainTerms:
+        """Power added about a frequency, a Gaussian of the law's full width at half maximum."""
+        distance = conditions.frequency_mhz - law.parameters["frequency_mhz"]
+        line = np.exp(-4 * np.log(2.0) * (distance / law.parameters["width_mhz"]) ** 2)
         mean = terms.power().mean(axis=1, keepdims=True)
-        return replace(terms, adc_noise=terms.adc_noise + size * inside * channel * mean)
+        return replace(terms, adc_noise=terms.adc_noise + amount * line * mean)
 
 
 @dataclass(frozen=True)
-class RfiBroadband:
+class RfiBroadband(InterferenceCause):
     """Broad-band interference at some hours, with a power law in frequency."""
 
     identifier: str = "rfi_broadband"
-    unit: str = "fraction of the mean power at 55 MHz"
-    meaning: str = "broad-band interference is left at some hours"
+    unit: str = "fraction of the mean sky power at 55 MHz"
+    meaning: str = "broad-band interference is left"
     confirm: str = "look for its direction by correlating antennas at those hours"
-    scopes: Sequence[str] = ("station",)
-    step: float = 1e-3
+    shaped_by: Sequence[str] = ("spectral_index",)
 
     def laws(self, conditions: Conditions) -> list[Law]:
         """Spectral indices 0 to -4 at halves and quarters of the day."""
-        if self.why_not(conditions):
+        if not conditions.has_all_hours:
             return []
-        return [
-            Law({"spectral_index": index, "utc_h": [begin, end]})
-            for index in (0.0, -1.0, -2.0, -3.0, -4.0)
-            for begin, end in WINDOWS
-        ]
+        indices = (0.0, -1.0, -2.0, -3.0, -4.0)
+        return [Law({"spectral_index": index, "utc_h": list(window)}) for index in indices for window in WINDOWS]
 
-    def why_not(self, conditions: Conditions) -> str | None:
-        """Needs day and night."""
-        return None if has_all_hours(conditions) else "the events do not cover day and night"
-
-    def apply(self, terms: ChainTerms, conditions: Conditions, law: Law, size: float) -> ChainTerms:
+    def act(self, terms: ChainTerms, conditions: Conditions, law: Law, amount: Floats) -> ChainTerms:
         """Power in front of the antenna's amplifier, as a fraction of the mean sky power at 55 MHz."""
-        inside = conditions.in_hours(*law.parameters["utc_h"])
         ratio = conditions.frequency_mhz / 55.0
-        at_55 = np.array([np.interp(55.0, conditions.frequency_mhz, sky) for sky in conditions.mean_sky])
-        added = at_55[:, None, None] * ratio ** law.parameters["spectral_index"] * inside
-        return replace(terms, sky=terms.sky + size * added)
+        added = conditions.sky_at_55[:, None, None] * ratio ** law.parameters["spectral_index"]
+        return replace(terms, sky=terms.sky + amount * added)

@@ -9,13 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
 from lbacal_core.grids import Floats
 
+YEAR_S = 365.25 * 86_400.0
 SCOPES = ("path", "antenna", "cable", "station")
 """Whom a cause can concern: one path, the two paths of an antenna, all paths of a cable name, the whole station."""
 
@@ -36,8 +37,6 @@ class ChainTerms:
         N_RCU S G_RCU, at the output.
     adc_noise
         N_ADC, at the output.
-    whole
-        A factor on the recorded power.
     """
 
     sky: Floats
@@ -45,12 +44,10 @@ class ChainTerms:
     front: Floats
     receiver_noise: Floats
     adc_noise: Floats
-    whole: Floats
 
     def power(self) -> Floats:
         """Recorded power (eq. full_chain), shape (class, event, freq)."""
-        noise = self.receiver_noise + self.adc_noise
-        return np.asarray(((self.sky + self.n_lna) * self.front + noise) * self.whole)
+        return np.asarray((self.sky + self.n_lna) * self.front + self.receiver_noise + self.adc_noise)
 
 
 @dataclass(frozen=True)
@@ -123,7 +120,7 @@ class Conditions:
     def _diurnal_waves(self, delay_h: float) -> Floats:
         """Constant, season, and first two harmonics of the day with a seasonal amplitude, shape (event, 13)."""
         day = 2 * np.pi * (self.utc_hours - delay_h) / 24.0
-        year = 2 * np.pi * self.time_unix / (365.25 * 86_400.0)
+        year = 2 * np.pi * self.time_unix / YEAR_S
         season = [np.ones_like(year), np.cos(year), np.sin(year)]
         waves = [np.cos(day), np.sin(day), np.cos(2 * day), np.sin(2 * day)]
         return np.stack([*season, *(wave * s for wave in waves[:2] for s in season), *waves[2:]], axis=1)
@@ -136,17 +133,43 @@ class Conditions:
         wet = {"flag": (rain > 0).astype(float), "linear": rain / rain.max(), "saturating": np.tanh(rain)}[law]
         return np.asarray(wet[:, None])
 
+    def season(self, phase_deg: float) -> Floats:
+        """A wave of one year, 1 at a phase after 1 January, shape (event, 1)."""
+        year = 2 * np.pi * self.time_unix / YEAR_S
+        return np.asarray(np.cos(year - np.radians(phase_deg))[:, None])
+
+    def known(self, course: Floats | None) -> Floats:
+        """A course that the laws asked for only because it is known."""
+        if course is None:
+            raise ValueError("these data have no such column")
+        return course
+
+    @property
+    def sky_at_55(self) -> Floats:
+        """Mean P_sky at 55 MHz of each class, shape (class,)."""
+        return np.array([np.interp(55.0, self.frequency_mhz, sky) for sky in self.mean_sky])
+
+    @property
+    def has_day_and_night(self) -> bool:
+        """Whether the Sun rises and sets in the data."""
+        return bool(0.02 < (self.sun_altitude > 0).mean() < 0.98)
+
+    @property
+    def has_all_hours(self) -> bool:
+        """Whether the events cover all UTC hours, so that hours can be told apart."""
+        return bool(np.histogram(self.utc_hours, bins=8, range=(0, 24))[0].min() > 3)
+
     def after(self, date_unix: float) -> Floats:
         """0 before an instant and 1 from it on, shape (event, 1)."""
         return np.asarray((self.time_unix >= date_unix).astype(float)[:, None])
 
     def in_hours(self, begin: float, end: float) -> Floats:
         """1 within UTC hours from `begin` until `end` (over midnight where end < begin), shape (event, 1)."""
-        inside = (self.utc_hours - begin) % 24.0 < (end - begin) % 24.0
+        inside = (self.utc_hours - begin) % 24.0 < ((end - begin) % 24.0 or 24.0)
         return np.asarray(inside.astype(float)[:, None])
 
-    def step_dates(self, number: int = 48) -> list[float]:
-        """Instants between events at which a step is tried: quantiles of the event times, margins kept."""
+    def step_dates(self, number: int = 60) -> list[float]:
+        """Instants at which a step is tried: quantiles of the event times, margins kept."""
         inner = np.quantile(self.time_unix, np.linspace(0.02, 0.98, number))
         return [float(instant) for instant in inner]
 
@@ -175,54 +198,77 @@ class Law:
     parameters: Mapping[str, Any] = field(default_factory=dict)
 
 
-class Cause(Protocol):
-    """A physical mechanism with a place in the chain, a few parameters and a signature in the data."""
+@dataclass(frozen=True)
+class Cause:
+    """A physical mechanism with a place in the chain, a few parameters and a signature in the data.
 
-    @property
-    def identifier(self) -> str:
-        """Name in the report."""
-        ...
+    It acts by an amount at each event: its size times the course of its law (a temperature, an hour, a date).
 
-    @property
-    def unit(self) -> str:
-        """Unit of its size."""
-        ...
+    Attributes
+    ----------
+    identifier
+        Name in the report.
+    unit
+        Of its size.
+    meaning
+        What it is, in one clause.
+    confirm
+        How it could be confirmed by other means.
+    needs
+        Why data show nothing of it when it has no law for them.
+    axes
+        Axes of the data along which it acts: ``lst``, ``utc``, ``date``, ``temperature``, ``rain``.
+    scopes
+        Whom it can concern, a subset of `SCOPES`.
+    shaped_by
+        Names of the parameters that shape what it does; all others say when.
+    can_repeat
+        Whether a target can have several: dates, channels, sources.
+    step
+        A small size, for the derivative of the model.
+    """
 
-    @property
-    def meaning(self) -> str:
-        """What it is, in one clause."""
-        ...
+    identifier: str
+    unit: str
+    meaning: str
+    confirm: str
+    needs: str = ""
+    axes: Sequence[str] = ("lst",)
+    scopes: Sequence[str] = ("station",)
+    shaped_by: Sequence[str] = ()
+    can_repeat: bool = False
+    step: float = 1e-3
 
-    @property
-    def confirm(self) -> str:
-        """How it could be confirmed by other means."""
-        ...
-
-    @property
-    def scopes(self) -> Sequence[str]:
-        """Whom it can concern, a subset of `SCOPES`."""
-        ...
-
-    @property
-    def step(self) -> float:
-        """A small size, for the derivative of the model."""
-        ...
-
-    def laws(self, conditions: Conditions) -> list[Law]:
+    def laws(self, conditions: Conditions) -> list[Law]:  # noqa: ARG002 - most have one law whatever the data
         """The members of the family to be tried on these data; empty where they can show none."""
-        ...
+        return [Law()]
 
-    def why_not(self, conditions: Conditions) -> str | None:
-        """Why these data can never show it, or None."""
-        ...
+    def course(self, conditions: Conditions, law: Law) -> Floats:  # noqa: ARG002
+        """When it acts: the factor on its size at each event, shape (event, 1)."""
+        return np.ones((conditions.time_unix.size, 1))
+
+    def act(self, terms: ChainTerms, conditions: Conditions, law: Law, amount: Floats) -> ChainTerms:
+        """The model with this cause by an amount, shape (event, 1) or scalar; an amount of 0 changes nothing."""
+        raise NotImplementedError
 
     def apply(self, terms: ChainTerms, conditions: Conditions, law: Law, size: float) -> ChainTerms:
         """The model with this cause at a size."""
-        ...
+        return self.act(terms, conditions, law, size * self.course(conditions, law))
+
+    def shape_of(self, law: Law) -> tuple[Any, ...]:
+        """What tells apart laws that do different things; laws of one shape differ in their course alone."""
+        return tuple(law.parameters[name] for name in self.shaped_by)
 
 
 def signature(cause: Cause, terms: ChainTerms, conditions: Conditions, law: Law, size: float = 0.0) -> Floats:
     """Relative change of the recorded power per unit of size, shape (class, event, freq): a central difference."""
     above = cause.apply(terms, conditions, law, size + cause.step).power()
     below = cause.apply(terms, conditions, law, size - cause.step).power()
+    return np.asarray((above - below) / (cause.step * (above + below)))
+
+
+def shape_signature(cause: Cause, terms: ChainTerms, conditions: Conditions, law: Law) -> Floats:
+    """Relative change of the recorded power per unit of amount: `signature` at size 0 is this times the course."""
+    above = cause.act(terms, conditions, law, np.array(cause.step)).power()
+    below = cause.act(terms, conditions, law, np.array(-cause.step)).power()
     return np.asarray((above - below) / (cause.step * (above + below)))

@@ -271,7 +271,6 @@ def _mean_terms(data: StationData, solution: SeparableSolution) -> ChainTerms:
         front=slope[:, None, :],
         receiver_noise=receiver,
         adc_noise=np.array(max(float(noise[1]), 0.0)),
-        whole=np.array(1.0),
     )
 
 

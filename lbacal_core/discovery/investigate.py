@@ -15,16 +15,11 @@ from lbacal_core.causes.cable import log_loss_per_metre
 from lbacal_core.causes.catalogue import CAUSES, NEVER_HERE, STATIC_CAUSES
 from lbacal_core.causes.terms import Law
 from lbacal_core.discovery.baseline import StationData
-from lbacal_core.discovery.extend import (
-    Effect,
-    Extension,
-    chi_squared,
-    fit_extension,
-    held_out_gain,
-)
+from lbacal_core.discovery.evidence import Evidence
+from lbacal_core.discovery.extend import Effect, Extension, fit_extension, held_out_gain
 from lbacal_core.discovery.leftover import Leftover, find_leftover
-from lbacal_core.discovery.scan import Scan, Score, p_of, scan, significance
-from lbacal_core.discovery.statics import FEWEST_OTHERS, StaticScore, scan_static
+from lbacal_core.discovery.scan import Score, correlate_with, scan
+from lbacal_core.discovery.statics import FEWEST_COMPARISONS, StaticScore, count_comparisons, scan_static
 from lbacal_core.discovery.targets import Target, list_targets
 from lbacal_core.grids import Floats
 
@@ -36,20 +31,6 @@ INDISTINGUISHABLE = 9.0
 """SNR^2 (1 - r^2) below this: the other signature fits as well (3 standard deviations)."""
 RIVALS = 4
 """Candidates that are fitted without linearising before one is named."""
-MORE_THAN_ONCE = {"gain_step", "adc_noise_step", "filter_shift", "rfi_line", "point_source"}
-"""Causes of which a target can have several: dates, channels, sources. Any other that comes up again for the same
-target does not have the shape that the data ask for."""
-AXES = {
-    "dipole_swap": {"lst"}, "dipole_azimuth": {"lst"}, "lst_offset": {"lst"}, "zenith_weighting": {"lst"},
-    "pattern_width": {"lst"}, "isotropic_level": {"lst"}, "point_source": {"lst"}, "compression": {"lst"},
-    "adc_jitter": {"lst"}, "lna_noise_slope": {"lst"}, "solar_emission": {"utc", "date"},
-    "ionospheric_absorption": {"utc", "date"}, "rfi_line": {"utc"}, "rfi_broadband": {"utc"},
-    "gain_step": {"date"}, "gain_drift": {"date"}, "adc_noise_step": {"date"},
-    "filter_shift": {"date", "temperature"}, "resonance_shift": {"temperature", "rain", "date"},
-    "resonance_width": {"temperature", "rain", "date"}, "lna_noise_temperature": {"temperature"},
-    "gain_temperature": {"temperature", "utc", "date"}, "cable_temperature": {"temperature"},
-}  # fmt: skip
-"""Axes of the data along which a cause acts."""
 
 
 @dataclass(frozen=True)
@@ -83,10 +64,10 @@ class StationReport:
 
     data: StationData
     findings: list[Finding]
-    static: list[tuple[StaticScore, float]]
+    static: list[StaticScore]
     leftover: Leftover | None
     similar: list[Finding]
-    first_scan: Scan
+    first_scan: list[Score]
     first: Extension
     last: Extension
     unidentifiable: dict[str, str]
@@ -117,19 +98,20 @@ def investigate_station(
     progress(f"{data.station}: fitting the baseline of {len(data.antenna)} paths")
     current = first = fit_extension(data, [], modes=modes)
     findings: list[Finding] = []
-    first_scan, misfits = None, set[str]()
+    first_scan: list[Score] | None = None
+    misfits = set[str]()
     while len(findings) < MAX_FINDINGS:
         progress(f"{data.station}: scoring {len(CAUSES)} causes for {len(targets)} targets")
-        scores = scan(data, current.residuals, current.nuisance, current.baseline.terms, CAUSES, targets, seed)
+        scores = scan(current.evidence, CAUSES, targets, seed)
         first_scan = first_scan or scores
-        significant = [s for s in scores.best if p_of(abs(s.z), scores.trials) < ALPHA_CATALOGUE / stations]
+        significant = [s for s in scores if s.p_value < ALPHA_CATALOGUE / stations]
         if not significant:
             break
         if _comes_up_again(significant[0], findings):
             misfits.add(significant[0].cause.identifier)
             break
         progress(f"{data.station}: fitting everything again with {significant[0].cause.identifier}")
-        found = _extend(data, current, scores, significant, modes)
+        found = _extend(data, current, significant, modes)
         if found is None:
             break
         current, finding = found
@@ -137,14 +119,9 @@ def investigate_station(
     if first_scan is None:
         raise AssertionError("the first scan always runs")
     findings = [_with_final_size(finding, effect) for finding, effect in zip(findings, current.effects, strict=True)]
-    static = [
-        (score, p_of(abs(score.z), score.trials * len(STATIC_CAUSES)))
-        for score in scan_static(data, current.baseline, targets, seed)
-    ]
-    static = [(score, p) for score, p in static[:1] if p < ALPHA_STATIC / stations]
+    static = scan_static(data, current.baseline, targets, seed)[:1]
     progress(f"{data.station}: looking for structure that no cause explains")
-    rest = find_leftover(data, current.residuals, current.nuisance, np.random.default_rng(seed))
-    leftover = rest if rest.p_value < ALPHA_LEFTOVER / stations else None
+    leftover = find_leftover(current.evidence, np.random.default_rng(seed), ALPHA_LEFTOVER / stations)
     similar = [
         f
         for f in findings
@@ -153,7 +130,7 @@ def investigate_station(
     return StationReport(
         data=data,
         findings=[f for f in findings if f not in similar],
-        static=static,
+        static=[score for score in static if score.p_value < ALPHA_STATIC / stations],
         leftover=leftover,
         similar=similar,
         first_scan=first_scan,
@@ -164,28 +141,27 @@ def investigate_station(
 
 
 def _extend(
-    data: StationData, before: Extension, scores: Scan, significant: Sequence[Score], modes: Floats | None
+    data: StationData, before: Extension, significant: Sequence[Score], modes: Floats | None
 ) -> tuple[Extension, Finding] | None:
     """The model extended by the candidate that fits best without linearising, if held-out data agree."""
     tried = []
     for score in _rivals(significant):
         effect = Effect(score.cause, score.law, score.target, 0.0)
         after = fit_extension(data, [*before.effects, effect], before, modes)
-        chi2_after, dof = chi_squared(data, after.residuals, after.nuisance, after.residuals)
-        chi2_before, _ = chi_squared(data, before.residuals, before.nuisance, after.residuals)
+        chi2_after, dof = after.evidence.chi_squared()
+        chi2_before, _ = before.evidence.with_levels(after.residuals.levels).chi_squared()
         tried.append((chi2_before - chi2_after - 2 * np.log(score.trials), after, score, chi2_before, chi2_after, dof))
     tried.sort(key=lambda item: -item[0])
     for _, after, score, chi2_before, chi2_after, dof in tried:
         effect = after.effects[-1]
-        laws = _nearby_laws(effect, data)
-        gain, events = held_out_gain(data, before, effect, laws)
+        gain, events = held_out_gain(before, effect, _nearby_laws(effect, data))
         if gain > 0:
             return after, Finding(
                 effect=effect,
                 score=score,
-                p_value=p_of(abs(score.z), scores.trials),
-                significance=significance(abs(score.z), scores.trials),
-                indistinguishable=_indistinguishable(score, effect, scores),
+                p_value=score.p_value,
+                significance=score.significance,
+                indistinguishable=find_similar(before.evidence, effect),
                 chi2_before=chi2_before,
                 chi2_after=chi2_after,
                 dof=dof,
@@ -203,41 +179,30 @@ def _rivals(significant: Sequence[Score]) -> list[Score]:
 
 
 def _nearby_laws(effect: Effect, data: StationData) -> list[Law]:
-    """The laws among which the held-out test chooses again; of lines those of the same channel."""
-    laws = effect.cause.laws(data.conditions)
-    if effect.cause.identifier == "rfi_line":
-        channel = effect.law.parameters["frequency_mhz"]
-        laws = [law for law in laws if law.parameters["frequency_mhz"] == channel]
-    return laws
+    """The laws among which the held-out test chooses again: those that do the same at another time."""
+    shape = effect.cause.shape_of(effect.law)
+    return [law for law in effect.cause.laws(data.conditions) if effect.cause.shape_of(law) == shape]
 
 
 def _comes_up_again(score: Score, findings: Sequence[Finding]) -> bool:
     """Whether a cause is wanted a second time for the same target, under another law."""
     name = score.cause.identifier
     earlier = [f.effect.target.label for f in findings if f.effect.cause.identifier == name]
-    return name not in MORE_THAN_ONCE and score.target.label in earlier
+    return not score.cause.can_repeat and score.target.label in earlier
 
 
 def _with_final_size(finding: Finding, effect: Effect) -> Finding:
     return replace(finding, effect=effect)
 
 
-def _indistinguishable(score: Score, effect: Effect, scores: Scan) -> list[tuple[str, float]]:
+def find_similar(evidence: Evidence, effect: Effect) -> list[tuple[str, float]]:
     """Causes whose signature, under some law, cannot be told from this one at the size found, with the correlation."""
-    is_station = effect.target.scope == "station"
-    table = scores.station_correlation if is_station else scores.path_correlation
-    entries = scores.station_laws if is_station else scores.path_laws
-    own = [k for k, (cause, law) in enumerate(entries) if cause is score.cause and law == score.law]
-    if not own:
-        return []
-    correlation = table[own[0]]
+    others = [cause for cause in CAUSES if cause is not effect.cause and effect.target.scope in cause.scopes]
     snr = abs(effect.size / effect.sigma)
     found: dict[str, float] = {}
-    for (cause, _), r in zip(entries, correlation.tolist(), strict=True):
-        if cause is score.cause or (not is_station and effect.target.scope not in cause.scopes):
-            continue
-        if snr**2 * (1 - min(abs(r), 1.0) ** 2) < INDISTINGUISHABLE:
-            found[cause.identifier] = max(found.get(cause.identifier, 0.0), abs(r))
+    for cause, largest in correlate_with(evidence, effect.cause, effect.law, effect.target, others):
+        if snr**2 * (1 - min(largest, 1.0) ** 2) < INDISTINGUISHABLE:
+            found[cause.identifier] = max(found.get(cause.identifier, 0.0), largest)
     return sorted(found.items(), key=lambda item: -item[1])
 
 
@@ -253,23 +218,22 @@ def _lives_there(finding: Finding, leftover: Leftover) -> bool:
     """Whether structure is left along an axis of the finding's signature, for the same kind of target."""
     axis = leftover.axis.split(",", maxsplit=1)[0]
     is_wide = finding.effect.target.scope in ("station", "cable")
-    return axis in AXES[finding.effect.cause.identifier] and is_wide == (leftover.target == "station")
+    return axis in finding.effect.cause.axes and is_wide == (leftover.target == "station")
 
 
-def _unidentifiable(data: StationData, scores: Scan) -> dict[str, str]:
+def _unidentifiable(data: StationData, scores: Sequence[Score]) -> dict[str, str]:
     reasons = dict(NEVER_HERE)
-    seen = {score.cause.identifier for score in scores.best}
+    seen = {score.cause.identifier for score in scores}
     for cause in CAUSES:
-        why = cause.why_not(data.conditions)
-        if why is not None:
-            reasons[cause.identifier] = why
+        if not cause.laws(data.conditions):
+            reasons[cause.identifier] = cause.needs
         elif cause.identifier not in seen:
             reasons[cause.identifier] = "what the fit leaves free absorbs its signature"
     cables = dict(zip(data.conditions.cables, np.exp(data.conditions.cable_log_loss), strict=True))
     for static in STATIC_CAUSES:
         why = static.why_not(log_loss_per_metre(cables))
-        if why is None and np.bincount(data.class_of).max() <= FEWEST_OTHERS:
-            why = "needs five antennas of the same cable name or more to compare"
+        if why is None and count_comparisons(data) < FEWEST_COMPARISONS:
+            why = "needs more antennas of the same cable name to compare"
         if why is not None:
             reasons[static.identifier] = why
     return reasons

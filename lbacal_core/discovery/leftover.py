@@ -11,18 +11,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from lbacal_core.discovery.baseline import StationData
-from lbacal_core.discovery.extend import FOLDS, event_of_mean, event_of_path, held_out_fold
-from lbacal_core.discovery.targets import Nuisance
-from lbacal_core.discovery.whitening import Residuals
+from lbacal_core.discovery.evidence import Evidence
+from lbacal_core.discovery.extend import FOLDS, held_out_fold
 from lbacal_core.grids import Floats
 
 HARMONICS = 5
 POLYNOMIALS = 4
 NOISE_DRAWS = 60
+SMALLEST_SIZE = 1e-6
 
 
 @dataclass(frozen=True)
@@ -75,113 +74,147 @@ def axis_functions(data: StationData) -> dict[str, Floats]:
     return functions
 
 
-def find_leftover(data: StationData, residuals: Residuals, nuisance: Nuisance, rng: np.random.Generator) -> Leftover:
-    """The most significant structure that is left."""
+def find_leftover(evidence: Evidence, rng: np.random.Generator, alpha: float) -> Leftover | None:
+    """The most significant structure that is left; None where chance gives as much with a probability above alpha."""
+    data = evidence.data
     functions = axis_functions(data)
     smooth = np.asarray(np.polynomial.legendre.legvander(np.linspace(-1, 1, data.power.shape[2]), 5).T, dtype=float)
-    found = [_station_axis(data, residuals, nuisance, axis, rows, smooth) for axis, rows in functions.items()]
-    found.append(_any_events(residuals, nuisance, rng))
-    if len(data.antenna) > len(residuals.letters):
-        found += _path_axes(data, residuals, nuisance, functions, smooth[:4])
-    best = min(found, key=lambda leftover: (leftover.p_value, -leftover.gain))
-    tests = len(found)
-    corrected = float(-np.expm1(tests * np.log1p(-min(best.p_value, 1 - 1e-12))))
-    return Leftover(best.axis, best.target, corrected, best.gain, best.dof, best.held_out_gain, best.channel_share)
+    found = [_station_axis(evidence, axis, rows, smooth) for axis, rows in functions.items()]
+    found.append(_any_events(evidence, rng))
+    if len(data.antenna) > len(evidence.paths_of):
+        found += [_path_axis(evidence, axis, rows, smooth[:4]) for axis, rows in functions.items()]
+    best = min(found, key=lambda structure: (structure.p_value, -structure.gain))
+    corrected = float(-np.expm1(len(found) * np.log1p(-min(best.p_value, 1 - 1e-12))))
+    if corrected >= alpha:
+        return None
+    held_out, share = _describe(evidence, best, functions, smooth)
+    return Leftover(best.axis, best.target, corrected, best.gain, best.dof, held_out, share)
 
 
-def _station_axis(
-    data: StationData, residuals: Residuals, nuisance: Nuisance, axis: str, functions: Floats, smooth: Floats
-) -> Leftover:
-    dipoles = len(residuals.letters)
+@dataclass(frozen=True)
+class _Structure:
+    """Chi^2 that smooth functions of an axis gain: of the station's mean, or of the path that shows it most."""
+
+    axis: str
+    target: str
+    path: int
+    p_value: float
+    gain: float
+    dof: int
+
+
+def _station_axis(evidence: Evidence, axis: str, functions: Floats, smooth: Floats) -> _Structure:
+    dual = evidence.mean_dual
+    signs = _signs(len(dual))
+    score = np.einsum("he,def,lf,sd->shl", functions, dual, smooth, signs, optimize=True).ravel()
+    weight = np.ones(functions.shape[1])
+    absorbed, information = evidence.mean_space.products_of(functions, smooth, signs, weight)
+    gain, dof = _gain(score, information - absorbed @ evidence.mean_inverse @ absorbed.T)
+    return _Structure(axis, "station", -1, float(chi2.sf(gain, dof)), gain, dof)
+
+
+def _signs(letters: int) -> Floats:
+    """Sum and difference of the dipole letters, shape (combination, letter)."""
+    return np.array([[1.0, 1.0], [1.0, -1.0]])[:letters, :letters]
+
+
+def _station_vectors(evidence: Evidence, functions: Floats, smooth: Floats) -> Floats:
+    """Functions of an axis times functions of frequency, for sum and difference of the letters."""
     products = np.einsum("ke,lf->klef", functions, smooth).reshape(-1, functions.shape[1], smooth.shape[1])
-    signs = np.array([[1.0, 1.0], [1.0, -1.0]])[:dipoles, :dipoles]
-    rows = np.einsum("kef,sd->skdef", products, signs).reshape(-1, dipoles, *products.shape[1:])
-    vectors = nuisance.clean_mean(residuals.whiten_mean(rows))
-    of_mean = nuisance.clean_mean(residuals.whiten_mean(residuals.mean))
-    gain, dof, held_out, fitted = _project(vectors, of_mean, event_of_mean(residuals), held_out_fold(data))
-    in_channels = fitted[: residuals.mean.size].reshape(residuals.mean.shape)
-    return Leftover(axis, "station", float(chi2.sf(gain, dof)), gain, dof, held_out, _share(in_channels))
+    signs = _signs(len(evidence.paths_of))
+    return np.asarray(np.einsum("kef,sd->skdef", products, signs).reshape(-1, signs.shape[1], *products.shape[1:]))
 
 
-def _path_axes(
-    data: StationData, residuals: Residuals, nuisance: Nuisance, functions: Mapping[str, Floats], smooth: Floats
-) -> list[Leftover]:
-    """For each axis the path that shows most structure, its probability corrected for the number of paths."""
-    found = []
-    folds = held_out_fold(data)
-    of_path = residuals.whiten_path(residuals.deviation) / residuals.levels.path_scale[:, None]
-    event_of = event_of_path(residuals)
-    for axis, rows in functions.items():
-        products = np.einsum("ke,lf->klef", rows, smooth).reshape(-1, rows.shape[1], smooth.shape[1])
-        whitened = residuals.whiten_path(products)
-        best: tuple[float, int, int] = (-1.0, 0, 1)
-        for index in range(len(data.conditions.dipoles)):
-            members = np.flatnonzero(data.class_of == index)
-            basis = _basis(nuisance.clean_path(whitened, index))
-            share = 1.0 - 1.0 / np.array([np.sum(data.dipole == data.dipole[k]) for k in members])
-            gains = np.sum((of_path[members] @ basis) ** 2, axis=1) / (share * residuals.presence[members])
-            k = int(np.argmax(gains))
-            if gains[k] > best[0]:
-                best = (float(gains[k]), int(members[k]), basis.shape[1])
-        gain, path, dof = best
-        p_value = float(-np.expm1(len(data.antenna) * np.log1p(-min(chi2.sf(gain, dof), 1 - 1e-12))))
-        vectors = nuisance.clean_path(whitened, int(data.class_of[path]))
-        _, _, held_out, fitted = _project(vectors, of_path[path], event_of, folds)
-        in_channels = fitted[: products[0].size].reshape(1, *products.shape[1:])
-        label = f"antenna {data.antenna[path]} {data.dipole[path]}"
-        found.append(Leftover(axis, label, p_value, gain, dof, held_out, _share(in_channels)))
-    return found
+def _path_axis(evidence: Evidence, axis: str, functions: Floats, smooth: Floats) -> _Structure:
+    """The path that shows most structure along an axis, its probability corrected for the number of paths."""
+    best: tuple[float, float, int, int] = (2.0, 0.0, 0, 1)
+    signs = np.ones((1, 1))
+    for c, (space, members) in enumerate(zip(evidence.path_spaces, evidence.members, strict=True)):
+        for k in members:
+            score = functions @ (evidence.path_dual[k] @ smooth.T)
+            absorbed, information = space.products_of(functions, smooth, signs, evidence.weight[k])
+            information -= absorbed @ evidence.path_inverse[k] @ absorbed.T
+            others = 1.0 - evidence.residuals.in_mean[k] / evidence.paths_of[evidence.letter_of[c]]
+            gain, dof = _gain(score.ravel(), others * information)
+            p_value = float(chi2.sf(gain, dof))
+            best = min(best, (p_value, gain, dof, int(k)))
+    p_value, gain, dof, path = best
+    corrected = float(-np.expm1(len(evidence.data.antenna) * np.log1p(-min(p_value, 1 - 1e-12))))
+    label = f"antenna {evidence.data.antenna[path]} {evidence.data.dipole[path]}"
+    return _Structure(axis, label, path, corrected, gain, dof)
 
 
-def _any_events(residuals: Residuals, nuisance: Nuisance, rng: np.random.Generator) -> Leftover:
+def _gain(score: Floats, information: Floats) -> tuple[float, int]:
+    """Chi^2 gained by vectors and the number of them that are independent."""
+    size = np.sqrt(np.maximum(np.diag(information), 0.0))
+    kept = size > SMALLEST_SIZE * size.max(initial=SMALLEST_SIZE)
+    scaled = information[np.ix_(kept, kept)] / np.outer(size[kept], size[kept])
+    values, vectors = np.linalg.eigh(scaled)
+    is_own = values > SMALLEST_SIZE * values[-1]
+    amplitude = (score[kept] / size[kept]) @ vectors[:, is_own]
+    return float(np.sum(amplitude**2 / values[is_own])), int(is_own.sum())
+
+
+def _describe(
+    evidence: Evidence, structure: _Structure, functions: Mapping[str, Floats], smooth: Floats
+) -> tuple[float, Floats]:
+    """Gain of the empirical term on events not used for it, and its share in each channel."""
+    if structure.axis == "event":
+        rest = _whiten_rest(evidence)
+        return 0.0, np.linalg.svd(rest, full_matrices=False)[2][0] ** 2
+    folds = held_out_fold(evidence.data)
+    if structure.path < 0:
+        clean = evidence.clean_mean(_station_vectors(evidence, functions[structure.axis], smooth))
+        weighed, dual = evidence.mean_space.weigh(clean), evidence.mean_dual
+    else:
+        k = structure.path
+        rows = np.einsum("ke,lf->klef", functions[structure.axis], smooth[:4]).reshape(
+            -1, 1, *evidence.mean_dual.shape[1:]
+        )
+        clean = evidence.clean_path(rows[:, 0], k)[:, None]
+        space = evidence.path_spaces[int(evidence.data.class_of[k])]
+        weighed = space.weigh(clean) * evidence.weight[k][:, None]
+        dual = evidence.path_dual[k][None]
+    held_out = 0.0
+    flat = clean.reshape(len(clean), -1)
+    for fold in range(FOLDS):
+        is_test = (folds == fold)[:, None]
+        product = flat @ np.where(is_test, weighed, 0.0).reshape(len(clean), -1).T
+        of_test = flat @ np.where(is_test, dual, 0.0).ravel()
+        score, information = flat @ dual.ravel() - of_test, flat @ weighed.reshape(len(clean), -1).T - product
+        size = np.linalg.lstsq(information, score, rcond=SMALLEST_SIZE)[0]
+        held_out += float(size @ of_test - 0.5 * size @ product @ size)
+    size = np.linalg.lstsq(flat @ weighed.reshape(len(clean), -1).T, flat @ dual.ravel(), rcond=SMALLEST_SIZE)[0]
+    squares = np.sum(np.tensordot(size, clean, axes=1) ** 2, axis=(0, 1))
+    return held_out, squares / max(float(squares.sum()), 1e-300)
+
+
+def _any_events(evidence: Evidence, rng: np.random.Generator) -> _Structure:
     """Largest singular value of the whitened events x channels matrix of the station's mean, against noise."""
-    dipoles, events, channels = residuals.mean.shape
-    of_mean = nuisance.clean_mean(residuals.whiten_mean(residuals.mean))
-    rest = of_mean[: residuals.mean.size].reshape(dipoles, events, channels)
-    combined = rest.sum(axis=0) / np.sqrt(dipoles)
-    _, values, right = np.linalg.svd(combined, full_matrices=False)
-    squares = np.sum(combined**2)
+    rest = _whiten_rest(evidence)
+    events, channels = rest.shape
+    values = np.linalg.svd(rest, compute_uv=False)
     noise = np.array([_largest_of_noise(rng, events, channels) for _ in range(NOISE_DRAWS)])
     # the same total, so that a wrong level is not taken for structure
-    observed = values[0] ** 2 / squares * (events * (channels - 1))
+    observed = values[0] ** 2 / np.sum(rest**2) * (events * (channels - 1))
     mean, spread = float(noise.mean()), float(noise.std())
     # Upper tail of the largest eigenvalue (Johnstone 2001): exponential in the 3/2 power, e^(-2/3 s^1.5) at s spreads.
     excess = max((observed - mean) / spread, 0.0)
     p_value = float(min(np.exp(-2.0 / 3.0 * (0.8 * excess) ** 1.5), 1.0))
-    gain = float(observed - mean)
-    return Leftover("event", "station", p_value, gain, events + channels, 0.0, right[0] ** 2)
+    return _Structure("event", "station", -1, p_value, float(observed - mean), events + channels)
+
+
+def _whiten_rest(evidence: Evidence) -> Floats:
+    """What is not flat in frequency of the station's mean, both letters together, in standard deviations."""
+    clean = evidence.clean_mean(evidence.residuals.mean)
+    rest = (clean - clean.mean(axis=-1, keepdims=True)) * np.sqrt(evidence.mean_space.channel)[..., None]
+    return np.asarray(rest.sum(axis=0) / np.sqrt(len(rest)))
 
 
 def _largest_of_noise(rng: np.random.Generator, events: int, channels: int) -> float:
     noise = rng.standard_normal((events, channels))
     noise -= noise.mean(axis=1, keepdims=True)
     return float(np.linalg.eigvalsh(noise.T @ noise)[-1])
-
-
-def _project(
-    vectors: Floats, values: Floats, event_of: NDArray[np.int64], folds: NDArray[np.int64]
-) -> tuple[float, int, float, Floats]:
-    """Chi^2 explained by the span of vectors, its dimension, the gain on held-out events, and the fitted values."""
-    basis = _basis(vectors)
-    coefficients = basis.T @ values
-    held_out = 0.0
-    fold_of = folds[event_of]
-    for k in range(FOLDS):
-        is_test = fold_of == k
-        train = basis[~is_test]
-        fitted = np.linalg.lstsq(train.T @ train + 1e-9 * np.eye(basis.shape[1]), train.T @ values[~is_test])[0]
-        predicted = basis[is_test] @ fitted
-        held_out += float(predicted @ values[is_test] - 0.5 * predicted @ predicted)
-    return float(coefficients @ coefficients), basis.shape[1], held_out, basis @ coefficients
-
-
-def _basis(vectors: Floats) -> Floats:
-    """Orthonormal columns spanning rows that keep at least a millionth of their norm, shape (n, rank)."""
-    norm = np.linalg.norm(vectors, axis=1)
-    scaled = vectors[norm > 1e-6] / norm[norm > 1e-6, None]
-    values, turned = np.linalg.eigh(scaled @ scaled.T)
-    kept = values > 1e-6 * values[-1]
-    return np.asarray((scaled.T @ turned[:, kept]) / np.sqrt(values[kept]))
 
 
 def _harmonics(phase: Floats, number: int) -> Floats:
@@ -191,8 +224,3 @@ def _harmonics(phase: Floats, number: int) -> Floats:
 
 def _unit(values: Floats) -> Floats:
     return np.asarray((values - values.min()) / max(float(np.ptp(values)), 1e-300))
-
-
-def _share(fitted: Floats) -> Floats:
-    squares = np.sum(fitted**2, axis=(0, 1))
-    return np.asarray(squares / max(float(squares.sum()), 1e-300))

@@ -7,6 +7,7 @@ from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from lbacal_core.discovery.baseline import gather_stations, model_modes
 from lbacal_core.discovery.extend import Effect
@@ -53,17 +54,19 @@ def investigate(
     require_same_grid(
         sky_power.origin, sky_power.frequency_mhz, instrument.frequency_mhz, f"instrument {instrument.name}"
     )
-    stations = gather_stations(spectra, instrument, sky_power)
-    reports = [
-        investigate_station(
-            data,
-            modes=model_modes(data, instrument) if is_own_sky else None,
-            stations=len(stations),
-            seed=seed,
-            progress=progress,
-        )
-        for data in stations
-    ]
+    # Many small products: threads of the linear algebra would only wait for each other.
+    with threadpool_limits(1):
+        stations = gather_stations(spectra, instrument, sky_power)
+        reports = [
+            investigate_station(
+                data,
+                modes=model_modes(data, instrument) if is_own_sky else None,
+                stations=len(stations),
+                seed=seed,
+                progress=progress,
+            )
+            for data in stations
+        ]
     provenance = Provenance(
         inputs={"spectra": spectra.digest(), "instrument": instrument.digest(), "sky_power": sky_power.digest()},
         settings={"false_alarm_rate": FALSE_ALARM_RATE, "seed": seed, "own_sky": is_own_sky},
@@ -74,7 +77,7 @@ def investigate(
 def describe(reports: Sequence[StationReport], provenance: Provenance) -> dict[str, Any]:
     """The report of all stations as JSON values."""
     findings = [_finding(f, report) for report in reports for f in report.findings]
-    findings += [_static_finding(score, p, report) for report in reports for score, p in report.static]
+    findings += [_static_finding(score, report) for report in reports for score in report.static]
     findings.sort(key=lambda finding: -finding["significance_sigma"])
     left = [(report, report.leftover) for report in reports if report.leftover is not None]
     unexplained = None
@@ -101,8 +104,8 @@ def _noise(report: StationReport) -> dict[str, Any]:
     return {
         "radiometer_per_mhz": levels.path_channel,
         "path_event_gain": levels.path_band,
-        "station_event_gain": levels.mean_sum,
-        "mean_per_mhz": levels.mean_channel.tolist(),
+        "station_event_gain": levels.common_sum / 2**0.5,
+        "common_per_mhz": levels.common_channel.tolist(),
         "noisy_paths": [
             {"antenna": int(a), "dipole": str(d), "scale": float(s)}
             for a, d, s in zip(report.data.antenna, report.data.dipole, levels.path_scale, strict=True)
@@ -121,7 +124,7 @@ def _scores(report: StationReport) -> list[dict[str, Any]]:
             "size": float(score.size),
             "p_value": float(score.p_value),
         }
-        for score in report.first_scan.best
+        for score in report.first_scan
     ]
 
 
@@ -194,18 +197,18 @@ def _sentence(effect: Effect, report: StationReport) -> str:
     return f"In {whom}, {effect.cause.meaning}: {size}{f' with {law}' if law else ''}."
 
 
-def _static_finding(score: StaticScore, p_value: float, report: StationReport) -> dict[str, Any]:
+def _static_finding(score: StaticScore, report: StationReport) -> dict[str, Any]:
     data = report.data
     members = score.target.is_member
     change = np.abs(0.5 * score.size * (score.departure - score.departure.mean()))
     frequency = data.conditions.frequency_mhz
     return {
         "cause": score.cause.identifier,
-        "indistinguishable": [],
+        "indistinguishable": [name for name, _ in score.similar],
         "size": {"value": score.size, "sigma": score.sigma, "unit": score.cause.unit},
         "parameters": _plain(score.parameters),
-        "significance_sigma": sigma_of(p_value),
-        "p_value": p_value,
+        "significance_sigma": sigma_of(score.p_value),
+        "p_value": score.p_value,
         "where": {
             "station": data.station,
             "frequency_mhz": [float(frequency[0]), float(frequency[-1])],
@@ -226,7 +229,13 @@ def _static_finding(score: StaticScore, p_value: float, report: StationReport) -
         "calibration_change": {"max_fraction": float(change.max()), "median_fraction": float(np.median(change))},
         "sentence": f"In station {data.station}, {score.target.label}, {score.cause.meaning}: "
         f"{score.size:.3g} +- {score.sigma:.2g} ({score.cause.unit}).",
-        "evidence": {"score_sigma": score.z, "trials": score.trials, "confirm": score.cause.confirm},
+        "evidence": {
+            "score_sigma": score.z,
+            "trials": score.trials,
+            "confirm": score.cause.confirm,
+            "target": score.target.label,
+            "correlations": dict(score.similar),
+        },
     }
 
 

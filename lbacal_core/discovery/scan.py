@@ -1,30 +1,36 @@
-"""The score test: the significance of every cause, law and target from one matrix product, without a refit.
+"""The score test: the significance of every cause, law and target without a refit.
 
-The score of a signature t in whitened residuals e, with what the fit absorbs projected out of t, is t.e / |t|: a
-standard normal number where nothing is hidden. Look-elsewhere: the distribution of the largest score is simulated with
-the correlations that the signatures have in the data at hand, and carried on to small probabilities as that of the
-equivalent number of independent scores.
+The score of a signature divided by the root of its information is a standard normal number where nothing is hidden. A
+signature is what a cause does, its *shape*, times when it does it, its *course*; shapes are few, so dates and hours are
+scanned at the price of sums over events. Look-elsewhere: the distribution of each cause's largest score is simulated
+with the correlations that its signatures have in the data at hand, and carried on to small probabilities as that of the
+equivalent number of independent scores; causes count alike, whatever the size of their families.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import erfc, erfcinv
 
-from lbacal_core.causes.interference import RfiLine
-from lbacal_core.causes.terms import Cause, ChainTerms, Law, signature
-from lbacal_core.discovery.baseline import StationData
-from lbacal_core.discovery.targets import Nuisance, Target, mean_over_paths
-from lbacal_core.discovery.whitening import Residuals
+from lbacal_core.causes.terms import Cause, Law, shape_signature, signature
+from lbacal_core.discovery.evidence import Evidence, Space
+from lbacal_core.discovery.targets import Target
 from lbacal_core.grids import Floats
 
-BATCH = 48
-DRAWS = 4000
+DRAWS = 2000
+MANY_COURSES, MANY_SHAPES = 8, 8
 SMALLEST_INFORMATION = 1e-6
 """Below this a unit of size moves the data by a thousandth of a standard deviation."""
+SMALLEST_SHARE = 1e-6
+"""Below this share of its information a signature counts as absorbed by the fit."""
+SPREAD = 1e-4
+"""Classes of paths whose signatures differ by less (variance over square) say nothing against each other."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +45,8 @@ class Score:
         The size that fits best, to first order, in the cause's unit; `z` is size over its standard deviation.
     trials
         Equivalent number of independent scores of this cause in this scan.
+    causes
+        Number of causes that were looked for, each with the same right to a false alarm.
     """
 
     cause: Cause
@@ -47,35 +55,62 @@ class Score:
     z: float
     size: float
     trials: float
+    causes: int
 
     @property
     def p_value(self) -> float:
-        """Probability of such a score from this cause's whole family and all targets where nothing is hidden."""
-        return p_of(abs(self.z), self.trials)
+        """Probability of such a score from any cause's whole family and any target where nothing is hidden."""
+        return p_of(abs(self.z), self.trials * self.causes)
+
+    @property
+    def significance(self) -> float:
+        """The score as a normal number after the look-elsewhere correction, however small the probability."""
+        return significance(abs(self.z), self.trials * self.causes)
 
 
 @dataclass(frozen=True)
-class Scan:
-    """All scores of a station, best of each (cause, target scope), and what is needed to compare signatures.
+class Courses:
+    """When laws act: their courses, and the sets of events that all of them treat alike.
 
     Attributes
     ----------
-    best
-        The best score of each cause, most significant first.
-    trials
-        Equivalent number of independent scores of the whole scan.
-    station_laws, station_correlation
-        The (cause, law) that can concern the station and the correlation of their signatures, shape (law, law).
-    path_laws, path_correlation
-        The same for one path of the most common class.
+    values
+        Shape (law, event).
+    order, begins
+        Events sorted by set, and where each set begins.
+    by_set
+        Shape (law, set).
     """
 
-    best: list[Score]
-    trials: float
-    station_laws: list[tuple[Cause, Law]]
-    station_correlation: Floats
-    path_laws: list[tuple[Cause, Law]]
-    path_correlation: Floats
+    values: Floats
+    order: NDArray[np.int64]
+    begins: NDArray[np.int64]
+    by_set: Floats
+
+    def sum(self, values: Floats) -> Floats:
+        """Sums over the events of values times each course, (k, event, n) -> (k, law, n)."""
+        if len(self.begins) == len(self.order):
+            return self.values @ values
+        return np.asarray(self.by_set @ np.add.reduceat(values[:, self.order], self.begins, axis=1))
+
+
+def make_courses(values: Floats) -> Courses:
+    """Courses with their sets of events, where they are many, such as hours and dates."""
+    if len(values) <= MANY_COURSES:
+        events = np.arange(values.shape[1])
+        return Courses(values, events, events, values)
+    by_set, set_of = np.unique(values, axis=1, return_inverse=True)
+    order = np.argsort(set_of.ravel(), kind="stable")
+    return Courses(values, order, np.searchsorted(set_of.ravel()[order], np.arange(by_set.shape[1])), by_set)
+
+
+@dataclass(frozen=True)
+class Shape:
+    """What a cause does under laws that differ only in when."""
+
+    cause: Cause
+    laws: Sequence[Law]
+    courses: Courses
 
 
 def p_of(z: float, trials: float) -> float:
@@ -94,270 +129,222 @@ def sigma_of(p_value: float) -> float:
     return float(np.sqrt(2.0) * erfcinv(np.clip(p_value, 1e-300, 1.0)))
 
 
-def equivalent_trials(correlation: Floats, groups: Sequence[int], copies: Sequence[float], seed: int) -> Floats:
-    """Equivalent independent scores of groups of correlated ones, and of all of them together (last).
+def equivalent_trials(correlation: Floats, seed: int) -> float:
+    """Equivalent number of independent scores of correlated ones, shape (score, score).
 
-    Parameters
-    ----------
-    correlation
-        Of the signatures, shape (law, law).
-    groups
-        Group of each law.
-    copies
-        How often the group is repeated independently (antennas); shape (group,).
+    From the 90 % quantile of simulated largest scores, where they are many and the tail has begun.
     """
-    rng = np.random.default_rng(seed)
+    if len(correlation) == 1:
+        return 1.0
     values, vectors = np.linalg.eigh(correlation)
     root = vectors * np.sqrt(np.maximum(values, 0.0))
-    draws = np.abs(rng.standard_normal((DRAWS, root.shape[1])) @ root.T)
-    membership = np.asarray(groups)
-    largest = np.stack([draws[:, membership == g].max(axis=1, initial=0.0) for g in range(len(copies))])
-    trials = np.array([_trials_of(row) * count for row, count in zip(largest, copies, strict=True)])
-    weights = np.asarray(copies)
-    # All groups together: equal copies share draws, so that correlated groups are not counted twice.
-    together = sum(
-        _trials_of(largest[weights >= count].max(axis=0)) * (count - below)
-        for below, count in zip([0.0, *sorted(set(weights.tolist()))[:-1]], sorted(set(weights.tolist())), strict=True)
-    )
-    return np.append(trials, together)
+    draws = np.random.default_rng(seed).standard_normal((DRAWS, root.shape[1])) @ root.T
+    quantile = float(np.quantile(np.abs(draws).max(axis=1), 0.9))
+    return float(max(-np.log(0.9) / max(float(erfc(quantile / np.sqrt(2.0))), 1e-300), 1.0))
 
 
-def _trials_of(largest: Floats) -> float:
-    """Equivalent trials from the draws' 90 % quantile, where they are many and the tail has begun."""
-    quantile = float(np.quantile(largest, 0.9))
-    tail = max(float(erfc(quantile / np.sqrt(2.0))), 1e-300)
-    return float(max(-np.log(0.9) / tail, 1.0))
+def list_shapes(evidence: Evidence, causes: Sequence[Cause]) -> list[Shape]:
+    """The shapes of all laws of causes on these data."""
+    conditions = evidence.data.conditions
+    shapes = []
+    for cause in causes:
+        groups: dict[tuple[object, ...], list[Law]] = {}
+        for law in cause.laws(conditions):
+            groups.setdefault(cause.shape_of(law), []).append(law)
+        courses: dict[str, Courses] = {}
+        for laws in groups.values():
+            when = [{k: v for k, v in law.parameters.items() if k not in cause.shaped_by} for law in laws]
+            key = str(when)
+            if key not in courses:
+                courses[key] = make_courses(np.stack([cause.course(conditions, law)[:, 0] for law in laws]))
+            shapes.append(Shape(cause, laws, courses[key]))
+    return shapes
 
 
-def scan(
-    data: StationData,
-    residuals: Residuals,
-    nuisance: Nuisance,
-    terms: ChainTerms,
-    causes: Sequence[Cause],
-    targets: Sequence[Target],
-    seed: int = 0,
-) -> Scan:
-    """Score every cause under every law for every target that it can concern.
-
-    Nothing is whitened but the residuals: with g = W^T (1 - Q Q^T) W e for them and H = W^T Q for the orthonormal Q
-    that the fit absorbs, the score of a signature t is t.g and its information |W t|^2 - |H^T t|^2.
-    """
-    scores = _Scores(data, residuals, nuisance, list(targets))
-    for batch in _batches([(cause, law) for cause in causes for law in cause.laws(data.conditions)]):
-        if all(isinstance(cause, RfiLine) for cause, _ in batch):
-            scores.add_lines(batch, terms)
-        else:
-            values = [signature(cause, terms, data.conditions, law) for cause, law in batch]
-            scores.add(batch, np.stack(values).astype(np.float32))
-    return scores.finish(seed)
-
-
-def _batches(entries: list[tuple[Cause, Law]]) -> list[list[tuple[Cause, Law]]]:
-    """Laws in batches that fit into memory; all lines together, because they are scored by a shorter way."""
-    lines = [entry for entry in entries if isinstance(entry[0], RfiLine)]
-    others = [entry for entry in entries if not isinstance(entry[0], RfiLine)]
-    return [others[k : k + BATCH] for k in range(0, len(others), BATCH)] + ([lines] if lines else [])
+def scan(evidence: Evidence, causes: Sequence[Cause], targets: Sequence[Target], seed: int = 0) -> list[Score]:
+    """The best score of each cause, most significant first."""
+    shapes = list_shapes(evidence, causes)
+    scorer = _Scorer(evidence, targets)
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        answers = list(pool.map(scorer.score, shapes))
+    best: dict[str, Score] = {}
+    for shape, (scores, information) in zip(shapes, answers, strict=True):
+        # A signature that the fit absorbs has no information left and no significance.
+        is_seen = information > SMALLEST_INFORMATION
+        z = np.where(is_seen, scores / np.sqrt(np.where(is_seen, information, 1.0)), 0.0)
+        t, k = np.unravel_index(int(np.argmax(np.abs(z))), z.shape)
+        name = shape.cause.identifier
+        if is_seen[t, k] and (name not in best or abs(z[t, k]) > abs(best[name].z)):
+            size = float(scores[t, k] / information[t, k])
+            best[name] = Score(shape.cause, shape.laws[int(k)], targets[int(t)], float(z[t, k]), size, 1.0, 1)
+    families = {name: [shape for shape in shapes if shape.cause.identifier == name] for name in best}
+    found = [
+        replace(score, trials=_count_trials(evidence, families[name], targets, seed), causes=len(best))
+        for name, score in best.items()
+    ]
+    return sorted(found, key=lambda score: (score.p_value, -abs(score.z)))
 
 
-class _Scores:
-    """Scores gathered batch by batch."""
+class _Scorer:
+    """Scores of a shape under all its laws for all its targets."""
 
-    def __init__(self, data: StationData, residuals: Residuals, nuisance: Nuisance, targets: list[Target]) -> None:
-        self.data, self.residuals, self.targets = data, residuals, targets
-        self.rows: list[tuple[Cause, Law, int, float, float]] = []
-        self.wide_units: list[tuple[list[tuple[Cause, Law]], Floats, Floats]] = []
-        self.path_units: list[tuple[list[tuple[Cause, Law]], Floats, Floats]] = []
-        self.line_correlation: Floats | None = None
-        self.line_rows: list[tuple[Cause, Law]] = []
-        scale = residuals.levels.path_scale
-        of_mean = nuisance.clean_mean(residuals.whiten_mean(residuals.mean))
-        self.mean_dual = residuals.pull_back_mean(of_mean).astype(np.float32)
-        self.mean_absorbed = nuisance.dual_mean(residuals).astype(np.float32)
-        self.path_dual = np.empty(residuals.deviation.shape, dtype=np.float32)
-        self.path_absorbed: dict[int, Floats] = {}
-        self.weight = residuals.presence / scale**2
-        self.has_single = any(target.scope in ("path", "antenna") for target in targets)
-        for index in np.unique(data.class_of).tolist():
-            members = np.flatnonzero(data.class_of == index)
-            whitened = nuisance.clean_path(residuals.whiten_path(residuals.deviation[members]), index)
-            self.path_dual[members] = residuals.pull_back_path(whitened) / scale[members][:, None, None] ** 2
-            self.path_absorbed[index] = nuisance.dual_path(residuals, index).astype(np.float32)
+    def __init__(self, evidence: Evidence, targets: Sequence[Target]) -> None:
+        self.evidence, self.targets = evidence, targets
+        self.is_member = np.stack([target.is_member for target in targets]).astype(float)
+        self.share = np.stack([evidence.share_of_mean(target.is_member) for target in targets])
+        self.counts = evidence.paths_of[evidence.letter_of].astype(float)
+        # Computed here once, before the threads ask for them.
+        _ = (evidence.path_dual, evidence.mean_dual, evidence.letter_inverse, evidence.letter_spaces)
 
-    def add(self, batch: list[tuple[Cause, Law]], signatures: Floats) -> None:
-        """Score a batch with signatures of shape (law, class, event, freq) for all its targets."""
-        paths = len(self.data.antenna)
-        score, information = np.zeros((len(batch), paths)), np.zeros((len(batch), paths))
-        if len(self.targets) > 1:
-            common = int(np.bincount(self.data.class_of).argmax())
-            for index, absorbed in self.path_absorbed.items():
-                members = np.flatnonzero(self.data.class_of == index)
-                own = signatures[:, index].reshape(len(batch), -1)
-                lost = own @ absorbed.reshape(len(absorbed), -1).T
-                norm = self.residuals.norm_path(signatures[:, index]) - np.sum(lost**2, axis=1)
-                score[:, members] = own @ self.path_dual[members].reshape(members.size, -1).T
-                information[:, members] = norm[:, None] * self.weight[members]
-                if index == common:
-                    self._remember_path(batch, signatures[:, index], lost)
-        self._score_targets(batch, signatures, score, information)
-
-    def _remember_path(self, batch: list[tuple[Cause, Law]], own: Floats, lost: Floats) -> None:
-        local = [k for k, (cause, _) in enumerate(batch) if set(cause.scopes) & {"path", "antenna"}]
-        if local and self.has_single:
-            self.path_units.append(([batch[k] for k in local], own[local], lost[local]))
-
-    def _score_targets(
-        self, batch: list[tuple[Cause, Law]], signatures: Floats, score: Floats, information: Floats
-    ) -> None:
-        for k, target in enumerate(self.targets):
-            chosen = [b for b, (cause, _) in enumerate(batch) if target.scope in cause.scopes]
-            if not chosen:
-                continue
-            rest = 1.0 - self._share(target)
-            s = score[chosen][:, target.is_member].sum(axis=1)
-            f = rest * information[chosen][:, target.is_member].sum(axis=1)
-            if target.scope in ("cable", "station"):
-                mean = mean_over_paths(self.data, self.residuals, signatures[chosen], target.is_member)
-                flat = mean.reshape(len(chosen), -1)
-                lost = flat @ self.mean_absorbed.reshape(len(self.mean_absorbed), -1).T
-                own = np.array([self.residuals.gram_mean(row[None], row[None])[0, 0] for row in mean])
-                own = own - np.sum(lost**2, axis=1)
-                if target.scope == "station":
-                    s, f = flat @ self.mean_dual.ravel(), own
-                    self.wide_units.append(([batch[b] for b in chosen], mean, lost))
-                else:
-                    s, f = s + flat @ self.mean_dual.ravel(), f + own
-            self._keep([batch[b] for b in chosen], k, s, f)
-
-    def add_lines(self, batch: list[tuple[Cause, Law]], terms: ChainTerms) -> None:
-        """Score interference lines: each lives in one channel, so hours x channels come from one product."""
-        conditions = self.data.conditions
-        windows = list(dict.fromkeys(tuple(law.parameters["utc_h"]) for _, law in batch))
-        inside: Floats = np.concatenate([conditions.in_hours(*window) for window in windows], axis=1).T
-        power = terms.power()
-        shape: Floats = power.mean(axis=1, keepdims=True) / power
-        channels = shape.shape[2]
-        order = {(law.parameters["frequency_mhz"], tuple(law.parameters["utc_h"])): (c, law) for c, law in batch}
-        rows = [order[f, window] for window in windows for f in conditions.frequency_mhz.tolist()]
-        single = [k for k, target in enumerate(self.targets) if target.scope == "antenna"]
-        if single:
-            score, information = self._lines_of_paths(inside, shape, channels)
-            for k in single:
-                target = self.targets[k]
-                rest = 1.0 - self._share(target)
-                f = rest * information[..., target.is_member].sum(axis=-1)
-                self._keep(rows, k, score[..., target.is_member].sum(axis=-1).ravel(), f.ravel())
-        mean_shape = mean_over_paths(self.data, self.residuals, shape[None])[0]
-        s = np.einsum("we,def->wf", inside, self.mean_dual * mean_shape, optimize=True)
-        lost = np.einsum("we,rdef->wfr", inside, self.mean_absorbed * mean_shape, optimize=True)
-        f = self._line_norm(inside, mean_shape, channels) - np.sum(lost**2, axis=-1)
-        self._keep(rows, self._station(), s.ravel(), f.ravel())
-        self._remember_lines(rows, inside, mean_shape, lost, f)
-
-    def _lines_of_paths(self, inside: Floats, shape: Floats, channels: int) -> tuple[Floats, Floats]:
-        """Score and information of every window, channel and path, each of shape (window, freq, path)."""
-        paths = len(self.data.antenna)
-        score, information = np.zeros((2, len(inside), channels, paths))
-        levels = self.residuals.levels
-        per_square = (1 - 1 / channels) / levels.path_channel**2 + 1 / (channels * levels.path_band) ** 2
-        for index, absorbed in self.path_absorbed.items():
-            members = np.flatnonzero(self.data.class_of == index)
-            score[..., members] = np.einsum(
-                "we,pef->wfp", inside, self.path_dual[members] * shape[index], optimize=True
-            )
-            lost = np.einsum("we,ref->wfr", inside, absorbed * shape[index], optimize=True)
-            norm = (inside @ shape[index] ** 2) * per_square - np.sum(lost**2, axis=-1)
-            information[..., members] = norm[:, :, None] * self.weight[members]
+    def score(self, shape: Shape) -> tuple[Floats, Floats]:
+        """Score and information, shape (target, law); no information where the cause cannot concern a target."""
+        evidence, cause = self.evidence, shape.cause
+        signature = shape_signature(cause, evidence.terms, evidence.data.conditions, shape.laws[0])
+        score, information = np.zeros((2, len(self.targets), len(shape.laws)))
+        wide = [t for t, target in enumerate(self.targets) if target.scope == "station" and "station" in cause.scopes]
+        local = [
+            t for t, target in enumerate(self.targets) if target.scope != "station" and target.scope in cause.scopes
+        ]
+        is_spread = self._differs(signature)
+        of_mean, mean_information = self._of_classes(shape, signature)
+        share = self.share
+        for t in (*wide, *local):
+            at = np.flatnonzero(share[t])
+            score[t] = share[t, at] @ of_mean[at]
+            information[t] = np.einsum("c,cgn,g->n", share[t, at], mean_information[np.ix_(at, at)], share[t, at])
+        if local or (wide and is_spread):
+            of_path, path_information = self._of_paths(shape, signature)
+            typical = np.stack([path_information[members].mean(axis=0) for members in evidence.members])
+            score[local] += self.is_member[local] @ of_path
+            information[local] += self.is_member[local] @ path_information
+            information[local] -= (self.counts * share[local] ** 2) @ typical
+            if wide and is_spread:
+                score[wide] += self.is_member[wide] @ of_path
+                information[wide] += self.is_member[wide] @ path_information - self._of_letters(shape, signature)
         return score, information
 
-    def _line_norm(self, inside: Floats, mean_shape: Floats, channels: int) -> Floats:
-        """Squared norm of whitened station-wide lines, shape (window, freq)."""
-        levels, weight = self.residuals.levels, self.residuals.weight
-        square = mean_shape**2 * (weight / levels.mean_channel[:, None] ** 2)[:, :, None] * (1 - 1 / channels)
-        joint = weight.min(axis=0)[:, None] / 2 / channels**2
-        square = square.sum(axis=0) + joint * mean_shape.sum(axis=0) ** 2 / levels.mean_sum**2
-        if len(mean_shape) == 2:
-            square = square + joint * (mean_shape[0] - mean_shape[1]) ** 2 / levels.mean_difference**2
-        return np.asarray(inside @ square)
+    def _differs(self, signature: Floats) -> bool:
+        """Whether the classes of a letter show different signatures."""
+        for d in range(len(self.evidence.paths_of)):
+            own = signature[self.evidence.letter_of == d]
+            if np.sum((own - own.mean(axis=0)) ** 2) > SPREAD * np.sum(own**2):
+                return True
+        return False
 
-    def _remember_lines(
-        self, rows: list[tuple[Cause, Law]], inside: Floats, shape: Floats, lost: Floats, information: Floats
-    ) -> None:
-        """Correlations of the windows of one channel, which stand for those of every channel."""
-        middle = shape.shape[2] // 2
-        both = inside[:, None, :] * inside[None, :, :]
-        gram = self._line_norm(both.reshape(-1, both.shape[2]), shape, shape.shape[2])[:, middle]
-        gram = gram.reshape(len(inside), len(inside)) - lost[:, middle] @ lost[:, middle].T
-        norm = np.sqrt(np.maximum(information[:, middle], 1e-12))
-        self.line_correlation = gram / np.outer(norm, norm)
-        self.line_rows = rows
+    def _of_paths(self, shape: Shape, signature: Floats) -> tuple[Floats, Floats]:
+        """Score and information of the deviations of every path, shape (path, law)."""
+        evidence = self.evidence
+        score, information = np.empty((2, len(evidence.data.antenna), len(shape.laws)))
+        for c, (space, members) in enumerate(zip(evidence.path_spaces, evidence.members, strict=True)):
+            own = signature[c]
+            weighed = space.weigh(own[None])
+            weight = evidence.weight[members]
+            score[members] = np.einsum("kef,ef->ke", evidence.path_dual[members], own) @ shape.courses.values.T
+            square = np.einsum("ef,ef->e", own, weighed[0])
+            lost = shape.courses.sum(weight[:, :, None] * space.absorbed_of(weighed))
+            information[members] = (weight * square) @ shape.courses.values.T**2
+            information[members] -= np.einsum(
+                "kni,kij,knj->kn", lost, evidence.path_inverse[members], lost, optimize=True
+            )
+        return score, information
 
-    def _station(self) -> int:
-        return next(k for k, target in enumerate(self.targets) if target.scope == "station")
+    def _of_classes(self, shape: Shape, signature: Floats) -> tuple[Floats, Floats]:
+        """Score (class, law) and information (class, class, law) of each class in the station's mean."""
+        evidence, space = self.evidence, self.evidence.mean_space
+        letters = evidence.letter_of
+        alone = np.zeros((len(letters), *space.front.shape))
+        alone[np.arange(len(letters)), letters] = signature
+        score = np.einsum("cef,cef->ce", signature, evidence.mean_dual[letters]) @ shape.courses.values.T
+        return score, _class_information(space, evidence.mean_inverse, alone, shape)
 
-    def _share(self, target: Target) -> float:
-        """Share of a letter's paths that a target holds: what it has in common with the mean it is compared to."""
-        letters = self.data.dipole[target.is_member]
-        return float(np.mean([np.sum(letters == letter) / np.sum(self.data.dipole == letter) for letter in letters]))
+    def _of_letters(self, shape: Shape, signature: Floats) -> Floats:
+        """Information that the deviations lose because their mean is taken out, shape (law,)."""
+        evidence = self.evidence
+        everyone = np.ones(len(evidence.data.antenna), dtype=bool)
+        mean = evidence.mean_of(signature, everyone)
+        lost = np.zeros(len(shape.laws))
+        for d, count in enumerate(evidence.paths_of):
+            own = mean[d][None, None]
+            lost += count * _class_information(evidence.letter_spaces[d], evidence.letter_inverse[d], own, shape)[0, 0]
+        return lost
 
-    def _keep(self, rows: list[tuple[Cause, Law]], target: int, s: Floats, f: Floats) -> None:
-        for (cause, law), value, information in zip(rows, s.tolist(), f.tolist(), strict=True):
-            # A signature that the fit absorbs has no information left and no significance.
-            if information > SMALLEST_INFORMATION:
-                self.rows.append((cause, law, target, value / information**0.5, value / information))
 
-    def finish(self, seed: int) -> Scan:
-        """The best score of each cause, with trials from the correlations of the signatures."""
-        antennas = len(np.unique(self.data.antenna))
-        cables = sum(target.scope == "cable" for target in self.targets)
-        wide_rows, wide = self._correlations(self.wide_units, self.residuals.gram_mean)
-        path_rows, own = self._correlations(self.path_units, self._gram_path)
-        trials: dict[str, float] = {}
-        total = 0.0
-        for rows, correlation, weights in (
-            (wide_rows, wide, {"station": 1.0, "cable": float(cables)}),
-            (path_rows, own, {"path": 2.0 * antennas, "antenna": 1.0 * antennas}),
-        ):
-            if not rows:
-                continue
-            names = sorted({cause.identifier for cause, _ in rows})
-            scopes = {cause.identifier: cause.scopes for cause, _ in rows}
-            copies = [sum(weight for scope, weight in weights.items() if scope in scopes[name]) for name in names]
-            group = [names.index(cause.identifier) for cause, _ in rows]
-            found = equivalent_trials(correlation, group, copies, seed)
-            for name, value in zip(names, found[:-1], strict=True):
-                trials[name] = trials.get(name, 0.0) + float(value)
-            total += float(found[-1])
-        if self.line_correlation is not None:
-            channels = self.data.conditions.frequency_mhz.size
-            copies = [channels * (1.0 + (antennas if self.has_single else 0))]
-            found = equivalent_trials(self.line_correlation, [0] * len(self.line_correlation), copies, seed)
-            trials["rfi_line"] = float(found[0])
-            total += float(found[0])
-        best: dict[str, Score] = {}
-        for cause, law, target, z, size in self.rows:
-            old = best.get(cause.identifier)
-            if old is None or abs(z) > abs(old.z):
-                count = trials.get(cause.identifier, 1.0)
-                best[cause.identifier] = Score(cause, law, self.targets[target], z, size, count)
-        ranking = sorted(best.values(), key=lambda score: (score.p_value, -abs(score.z)))
-        return Scan(ranking, max(total, 1.0), wide_rows, wide, path_rows, own)
+def _class_information(space: Space, inverse: Floats, values: Floats, shape: Shape) -> Floats:
+    """Information of vectors of shape (k, row, event, freq) under each course, shape (k, k, law)."""
+    weighed = space.weigh(values)
+    absorbed = shape.courses.sum(space.absorbed_of(weighed))
+    both = np.einsum("cref,gref->cge", values, weighed)
+    lost = np.einsum("cni,gni->cgn", absorbed @ inverse, absorbed)
+    return np.asarray(both @ shape.courses.values.T**2 - lost)
 
-    def _gram_path(self, left: Floats, right: Floats) -> Floats:
-        a, b = self.residuals.whiten_path(left), self.residuals.whiten_path(right)
-        return np.asarray(a @ b.T)
 
-    def _correlations(
-        self,
-        units: list[tuple[list[tuple[Cause, Law]], Floats, Floats]],
-        gram: Callable[[Floats, Floats], Floats],
-    ) -> tuple[list[tuple[Cause, Law]], Floats]:
-        """Correlations of signatures with what the fit absorbs taken out."""
-        if not units:
-            return [], np.zeros((0, 0))
-        rows = [entry for batch, _, _ in units for entry in batch]
-        values = np.concatenate([part for _, part, _ in units])
-        lost = np.concatenate([part for _, _, part in units])
-        product = gram(values, values) - lost @ lost.T
-        norm = np.sqrt(np.maximum(np.diag(product), SMALLEST_INFORMATION))
-        return rows, np.asarray(product / np.outer(norm, norm), dtype=float)
+def _count_trials(evidence: Evidence, shapes: Sequence[Shape], targets: Sequence[Target], seed: int) -> float:
+    """Equivalent number of independent scores of one cause: of its laws, for all its targets."""
+    cause = shapes[0].cause
+    copies = float(len(shapes)) if len(shapes) > MANY_SHAPES else 1.0
+    chosen = shapes[len(shapes) // 2 :][:1] if copies > 1 else shapes
+    number = {scope: sum(target.scope == scope for target in targets) for scope in cause.scopes}
+    signatures = np.stack(
+        [shape_signature(cause, evidence.terms, evidence.data.conditions, shape.laws[0]) for shape in chosen]
+    )
+    total = 0.0
+    if number.get("station"):
+        everyone = np.ones(len(evidence.data.antenna), dtype=bool)
+        vectors = evidence.mean_of(signatures, everyone)
+        correlation = correlate(evidence.mean_space, evidence.mean_inverse, vectors, chosen)
+        total += equivalent_trials(correlation, seed)
+    local = sum(count for scope, count in number.items() if scope != "station")
+    if local:
+        c = int(np.argmax([len(members) for members in evidence.members]))
+        d = int(evidence.letter_of[c])
+        correlation = correlate(
+            evidence.letter_spaces[d], evidence.letter_inverse[d], signatures[:, c][:, None], chosen
+        )
+        total += local * equivalent_trials(correlation, seed)
+    return copies * max(total, 1.0)
+
+
+def correlate(space: Space, inverse: Floats, values: Floats, shapes: Sequence[Shape]) -> Floats:
+    """Correlations of all laws of shapes whose vectors have shape (shape, row, event, freq)."""
+    weighed = space.weigh(values)
+    absorbed = space.absorbed_of(weighed)
+    both = np.einsum("iref,jref->ije", values, weighed, optimize=True)
+    lost = np.concatenate([shape.courses.values @ own for shape, own in zip(shapes, absorbed, strict=True)])
+    blocks = [
+        [(left.courses.values * both[i, j]) @ right.courses.values.T for j, right in enumerate(shapes)]
+        for i, left in enumerate(shapes)
+    ]
+    product = np.block(blocks) - lost @ inverse @ lost.T
+    size = np.sqrt(np.maximum(np.diag(product), SMALLEST_INFORMATION))
+    return np.asarray(product / np.outer(size, size))
+
+
+def correlate_with(
+    evidence: Evidence, cause: Cause, law: Law, target: Target, others: Sequence[Cause]
+) -> list[tuple[Cause, float]]:
+    """The largest correlation that each shape of other causes has, under any law, with a signature of a target."""
+    conditions = evidence.data.conditions
+    shapes = list_shapes(evidence, others)
+    values = [signature(cause, evidence.terms, conditions, law)]
+    values += [shape_signature(shape.cause, evidence.terms, conditions, shape.laws[0]) for shape in shapes]
+    if target.scope == "station":
+        space, inverse = evidence.mean_space, evidence.mean_inverse
+        vectors = evidence.mean_of(np.stack(values), target.is_member)
+    else:
+        c = int(evidence.data.class_of[np.flatnonzero(target.is_member)[0]])
+        d = int(evidence.letter_of[c])
+        space, inverse = evidence.letter_spaces[d], evidence.letter_inverse[d]
+        vectors = np.stack(values)[:, c][:, None]
+    own = space.weigh(vectors[0])
+    absorbed = space.absorbed_of(own).sum(axis=0)
+    size = float(np.sum(vectors[0] * own) - absorbed @ inverse @ absorbed) ** 0.5
+    found = []
+    for shape, vector in zip(shapes, vectors[1:], strict=True):
+        weighed = space.weigh(vector)
+        lost = shape.courses.values @ space.absorbed_of(weighed)
+        square = shape.courses.values**2 @ np.einsum("ref,ref->e", vector, weighed)
+        square -= np.einsum("ni,ij,nj->n", lost, inverse, lost, optimize=True)
+        product = shape.courses.values @ np.einsum("ref,ref->e", vector, own) - lost @ inverse @ absorbed
+        r = np.abs(product) / (size * np.sqrt(np.maximum(square, SMALLEST_INFORMATION)))
+        found.append((shape.cause, float(r.max())))
+    return found

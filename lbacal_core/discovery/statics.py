@@ -1,27 +1,32 @@
 """Static departures of single antennas along frequency: wrong lengths, reflections.
 
 A(nu) is common to a station's antennas. Every antenna departs from it a little, and how much along each shape is seen
-from the antennas themselves: one is claimed only if it lies outside the prediction interval of the others of its cable
-name (Student's t, leave one out). No error of the fit enters, only how antennas scatter.
+from all antennas against others of their cable name: one is claimed only if it lies outside the prediction interval of
+the rest (Student's t, leave one out). Antennas of one cable name are not compared with those of another: the noise of
+the common event gain moves the slopes of short and long cables apart, all together.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import solve_triangular
+from numpy.typing import NDArray
 from scipy.stats import t as student
 
-from lbacal_core.causes.cable import CableLength, CableReflection, log_loss_per_metre
+from lbacal_core.causes.cable import CableLength, CableReflection, StaticShape, log_loss_per_metre
 from lbacal_core.causes.catalogue import STATIC_CAUSES
 from lbacal_core.discovery.baseline import Baseline, StationData
 from lbacal_core.discovery.scan import equivalent_trials, p_of, sigma_of
 from lbacal_core.discovery.targets import Target
 from lbacal_core.grids import Floats
 
-FEWEST_OTHERS = 4
-"""An antenna is compared with those of the same cable name, of which there must be so many."""
+FEWEST_COMPARISONS = 3
+"""Antennas less cable names: so many independent comparisons there must be."""
+NEIGHBOURS = 4
+"""Delays on either side over which antennas' departures are taken to be alike."""
+INDISTINGUISHABLE = 9.0
 
 
 @dataclass(frozen=True)
@@ -33,11 +38,13 @@ class StaticScore:
     z
         Normal equivalent of Student's t of the antenna against the others, with its sign.
     size, sigma
-        Departure from the mean of the others and their scatter, in the cause's unit.
+        Departure from the mean of the others and its standard deviation, in the cause's unit.
     trials
-        Equivalent number of independent scores.
+        Equivalent number of independent scores of the cause.
     departure
         The shape, change of ln (A L_coax) per unit of size, shape (freq,).
+    similar
+        Other static causes that fit as well, with their correlation.
     """
 
     cause: CableLength | CableReflection
@@ -48,78 +55,137 @@ class StaticScore:
     sigma: float
     trials: float
     departure: Floats
+    similar: list[tuple[str, float]]
 
     @property
     def p_value(self) -> float:
-        """Probability of such a score from the whole family where nothing is hidden."""
-        return p_of(abs(self.z), self.trials)
+        """Probability of such a score from any static cause where nothing is hidden."""
+        return p_of(abs(self.z), self.trials * len(STATIC_CAUSES))
 
 
-def scan_static(data: StationData, baseline: Baseline, targets: list[Target], seed: int = 0) -> list[StaticScore]:
+def scan_static(data: StationData, baseline: Baseline, targets: Sequence[Target], seed: int = 0) -> list[StaticScore]:
     """The best score of each static cause, most significant first."""
     antennas = [target for target in targets if target.scope == "antenna"]
-    if not antennas:
+    if count_comparisons(data) < FEWEST_COMPARISONS:
         return []
-    departure, root = _departures(data, baseline, antennas)
-    cable = np.array([data.conditions.cables[data.class_of[np.flatnonzero(t.is_member)[0]]] for t in antennas])
-    compared = [name for name in np.unique(cable) if np.sum(cable == name) > FEWEST_OTHERS]
+    departure, roots, is_compared = _departures(data, baseline, antennas)
     cables = dict(zip(data.conditions.cables, np.exp(data.conditions.cable_log_loss), strict=True))
+    shapes = {
+        cause: found
+        for cause in STATIC_CAUSES
+        if (found := cause.shapes(data.conditions.frequency_mhz, log_loss_per_metre(cables)))
+    }
+    whitened = {cause: _whiten(found, roots) for cause, found in shapes.items()}
     scores = []
-    for cause in STATIC_CAUSES:
-        shapes = cause.shapes(data.conditions.frequency_mhz, log_loss_per_metre(cables))
-        if not shapes or not compared:
-            continue
-        flat = np.eye(root.shape[0]) - 1.0 / root.shape[0]
-        vectors = solve_triangular(root, flat @ np.stack([shape.departure for shape in shapes]).T, lower=True).T
-        norm = np.sum(vectors**2, axis=1)
-        sizes = departure @ vectors.T / norm
-        unit = vectors / np.sqrt(norm)[:, None]
-        count = float(sum(np.sum(cable == name) for name in compared))
-        trials = float(equivalent_trials(unit @ unit.T, [0] * len(shapes), [count], seed)[0])
-        z, change, scatter = np.zeros_like(sizes), np.zeros_like(sizes), np.ones_like(sizes)
-        for name in compared:
-            rows = np.flatnonzero(cable == name)
-            z[rows], change[rows], scatter[rows] = _against_others(sizes[rows])
+    for cause, vectors in whitened.items():
+        norm = np.linalg.norm(vectors, axis=2)
+        amplitude, opposed = np.einsum("akf,maf->mak", vectors, departure) / norm
+        unit = vectors[0] / norm[0][:, None]
+        z, scatter = _against_others(amplitude, opposed, is_compared, unit @ unit.T, _neighbours(shapes[cause]))
         a, k = np.unravel_index(int(np.argmax(np.abs(z))), z.shape)
+        trials = int(is_compared.sum()) * equivalent_trials(unit @ unit.T, seed)
+        size, sigma = amplitude[a, k] / norm[a, k], scatter[a, k] / norm[a, k]
+        similar = []
+        for other, others in whitened.items():
+            r = float(np.max(np.abs(others[a] @ vectors[a, k]) / np.linalg.norm(others[a], axis=1) / norm[a, k]))
+            if other is not cause and z[a, k] ** 2 * (1 - min(r, 1.0) ** 2) < INDISTINGUISHABLE:
+                similar.append((other.identifier, r))
+        shape = shapes[cause][int(k)]
         scores.append(
             StaticScore(
-                cause,
-                shapes[k].parameters,
-                antennas[a],
-                float(z[a, k]),
-                float(change[a, k]),
-                float(scatter[a, k]),
-                trials,
-                shapes[k].departure,
+                cause, shape.parameters, antennas[int(a)], float(z[a, k]), float(size), float(sigma), trials,
+                shape.departure, similar,
             )
-        )
+        )  # fmt: skip
     return sorted(scores, key=lambda score: score.p_value)
 
 
-def _against_others(sizes: Floats) -> tuple[Floats, Floats, Floats]:
-    """Each antenna against the prediction interval of the others: normal equivalent, difference, scatter."""
-    others = sizes.shape[0] - 1
-    mean = (sizes.sum(axis=0) - sizes) / others
-    square = (np.sum(sizes**2, axis=0) - sizes**2) / others - mean**2
-    scatter = np.sqrt(np.maximum(square, 1e-300) * others / (others - 1) * (1 + 1 / others))
-    ratio = (sizes - mean) / scatter
-    p_value = 2 * student.sf(np.abs(ratio), others - 1)
-    return np.sign(ratio) * np.vectorize(sigma_of)(p_value), sizes - mean, scatter
+def count_comparisons(data: StationData) -> int:
+    """Independent comparisons of antennas with others of their cable name."""
+    names = np.array(data.conditions.cables)[data.class_of]
+    pairs = {(str(name), int(antenna)) for name, antenna in zip(names, data.antenna, strict=True)}
+    counts = [sum(name == other for other, _ in pairs) for name in {name for name, _ in pairs}]
+    return sum(count - 1 for count in counts)
 
 
-def _departures(data: StationData, baseline: Baseline, antennas: list[Target]) -> tuple[Floats, Floats]:
-    """Whitened log slopes of each antenna, mean of its dipoles, and the root that whitens the noise of the fit."""
+def _neighbours(shapes: Sequence[StaticShape]) -> NDArray[np.bool_]:
+    """Shapes along which antennas depart about as much, shape (shape, shape): neighbouring delays."""
+    if "delay_us" not in shapes[0].parameters:
+        return np.eye(len(shapes), dtype=bool)
+    delay = np.array([shape.parameters["delay_us"] for shape in shapes])
+    place = np.searchsorted(np.unique(delay), delay)
+    return np.asarray(np.abs(place[:, None] - place) <= NEIGHBOURS)
+
+
+def _against_others(
+    amplitude: Floats,
+    opposed: Floats,
+    is_compared: NDArray[np.bool_],
+    correlation: Floats,
+    neighbours: NDArray[np.bool_],
+) -> tuple[Floats, Floats]:
+    """Each antenna against the scatter of the others along shapes alike: normal equivalent and scatter.
+
+    Parameters
+    ----------
+    amplitude, opposed
+        Departure over its error by the fit, mean and half difference of the dipoles, shape (antenna, shape).
+    correlation, neighbours
+        Of the shapes, and which of them are alike; shape (shape, shape).
+    """
+    alike = neighbours.astype(float)
+    both = np.where(is_compared[:, None], amplitude**2 + opposed**2, 0.0)
+    square = both @ alike.T / alike.sum(axis=1)
+    others = (is_compared.sum() - 1) * (2 if np.any(opposed) else 1)
+    scatter = np.sqrt(np.maximum((square.sum(axis=0) - square) / others, 1e-300))
+    # Correlated shapes count as fewer: the number of equal independent ones with the same scatter of their sum.
+    independent = alike.sum(axis=1) ** 2 / np.einsum("ki,ij,kj->k", alike, correlation**2, alike)
+    ratio = np.where(is_compared[:, None], amplitude / scatter, 0.0)
+    p_value = 2 * student.sf(np.abs(ratio), others * np.maximum(independent, 1.0))
+    return np.sign(ratio) * np.vectorize(sigma_of)(p_value), scatter
+
+
+def _whiten(shapes: Sequence[StaticShape], roots: Floats) -> Floats:
+    """Shapes without their flat part in units of each antenna's error, shape (antenna, shape, freq)."""
+    values = np.stack([shape.departure - shape.departure.mean() for shape in shapes])
+    return np.swapaxes(np.linalg.solve(roots, np.broadcast_to(values.T, (len(roots), *values.T.shape))), 1, 2)
+
+
+def _departures(
+    data: StationData, baseline: Baseline, antennas: Sequence[Target]
+) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+    """Log slopes against the others of the same cable name, mean and half difference of the dipoles, in their errors.
+
+    Returns
+    -------
+    Departures, shape (mean or half difference, antenna, freq); the roots that whiten, shape (antenna, freq, freq);
+    whether there are others.
+    """
     channels = data.power.shape[2]
     solution = baseline.solution
-    log_slope = np.log(np.maximum(solution.x, 1e-300))
-    for index in np.unique(data.class_of):
-        members = np.flatnonzero(data.class_of == index)
-        log_slope[members] -= np.median(log_slope[members], axis=0)
-    log_slope -= log_slope.mean(axis=1, keepdims=True)
-    covariance = solution.covariance[:, :channels, :channels] / (solution.x[:, :, None] * solution.x[:, None, :])
-    trace = np.einsum("pii->p", covariance)
-    typical = np.nanargmin(np.abs(trace - np.nanmedian(trace)))
-    # A gain that is flat in frequency is free: a wide variance for the constant.
-    root = np.linalg.cholesky(covariance[typical] + np.ones((channels, channels)))
-    of_antenna = np.stack([log_slope[target.is_member].mean(axis=0) for target in antennas])
-    return solve_triangular(root, of_antenna.T, lower=True).T, root
+    slope = np.where(solution.x > 0, solution.x, np.nan)
+    log_slope, covariance = np.zeros((2, len(antennas), channels)), np.empty((len(antennas), channels, channels))
+    cable = np.array([data.conditions.cables[data.class_of[np.flatnonzero(t.is_member)[0]]] for t in antennas])
+    of_path = solution.covariance[:, :channels, :channels] / (slope[:, :, None] * slope[:, None, :])
+    for a, target in enumerate(antennas):
+        own = np.log(slope[target.is_member])
+        log_slope[0, a] = own.mean(axis=0)
+        log_slope[1, a] = (own[0] - own[-1]) / 2
+        covariance[a] = of_path[target.is_member].sum(axis=0) / target.is_member.sum() ** 2
+    log_slope -= log_slope.mean(axis=2, keepdims=True)
+    is_fitted = np.all(np.isfinite(covariance), axis=(1, 2))
+    log_slope[:, ~is_fitted] = 0.0
+    precision = np.where(is_fitted, 1.0 / np.einsum("aff->a", np.where(is_fitted[:, None, None], covariance, 1.0)), 0.0)
+    departure, is_compared = np.zeros_like(log_slope), np.zeros(len(antennas), dtype=bool)
+    roots = np.broadcast_to(np.eye(channels), covariance.shape).copy()
+    for a in np.flatnonzero(is_fitted).tolist():
+        weight = np.where((cable == cable[a]) & (np.arange(len(antennas)) != a), precision, 0.0)
+        if not np.any(weight):
+            continue
+        weight /= weight.sum()
+        is_compared[a] = True
+        own = covariance[a] + np.tensordot(weight[weight > 0] ** 2, covariance[weight > 0], axes=1)
+        # A gain that is flat in frequency is free: a wide variance for the constant.
+        roots[a] = np.linalg.cholesky(own + np.ones((channels, channels)))
+        departure[:, a] = np.linalg.solve(roots[a], (log_slope[:, a] - weight @ log_slope).T).T
+    return departure, roots, is_compared

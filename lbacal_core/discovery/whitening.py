@@ -1,9 +1,9 @@
-"""Whitened residuals of a station: its mean over paths, and each path against that mean.
+"""Residuals of a station split into its mean over paths and each path against that mean, and their noise levels.
 
 The relative noise of a spectrum is radiometer noise in each channel plus an event gain that is flat in frequency,
 part of it common to the station, and antennas that see the same sky share a little of the radiometer noise. Mean and
 deviations from the mean are then independent, and in each of them what is flat in frequency and what is not: their
-levels are all taken from the data. In this basis the noise has unit variance.
+levels are all taken from the data.
 """
 
 from __future__ import annotations
@@ -17,6 +17,9 @@ from lbacal_core.discovery.baseline import StationData
 from lbacal_core.grids import Floats
 
 SMALLEST = 1e-9
+COMPLETE = 0.8
+"""Paths with less than this part of the events of the most complete one are left out of the mean: an antenna that dies
+would change what the mean is made of, and look like a step."""
 
 
 @dataclass(frozen=True)
@@ -25,111 +28,50 @@ class Levels:
 
     Attributes
     ----------
-    mean_channel
-        Of the mean over paths, in a channel, for each dipole letter, shape (dipole,).
-    mean_sum, mean_difference
-        Of the band mean of the mean over paths: half sum and half difference of the dipole letters, each times sqrt 2.
     path_channel, path_band
         Of a path against the mean: in a channel, and of its band mean.
     path_scale
         Of each path over the typical one, shape (path,).
+    common_channel
+        What all paths of a letter share, in a channel, shape (letter,).
+    common_sum, common_difference
+        What they share of the band mean: (X + Y) and (X - Y), each over root 2.
     """
 
-    mean_channel: Floats
-    mean_sum: float
-    mean_difference: float
     path_channel: float
     path_band: float
     path_scale: Floats
+    common_channel: Floats
+    common_sum: float
+    common_difference: float
 
 
 @dataclass(frozen=True)
 class Residuals:
-    """Residuals before and after whitening.
+    """Residuals and their noise.
 
     Attributes
     ----------
+    letters
+        Dipole letters, shape (letter,).
+    in_mean
+        Whether a path takes part in the mean, shape (path,).
     mean
-        Mean over the paths of each dipole letter, shape (dipole, event, freq).
+        Mean over these paths of each dipole letter, shape (letter, event, freq).
     deviation
-        Each path against the mean of its letter, shape (path, event, freq).
-    weight
-        Paths present over all, shape (dipole, event).
-    presence
-        Spectra present over events, shape (path,).
+        Each path against the mean of its letter, shape (path, event, freq); 0 where absent.
+    spread
+        Variance of the mean over that of one path, as far as paths are independent, shape (letter, event).
     levels
         The noise levels.
     """
 
     letters: NDArray[np.str_]
+    in_mean: NDArray[np.bool_]
     mean: Floats
     deviation: Floats
-    weight: Floats
-    presence: Floats
+    spread: Floats
     levels: Levels
-
-    def whiten_mean(self, values: Floats) -> Floats:
-        """Whiten station-wide vectors, shape (..., dipole, event, freq) -> (..., n)."""
-        dipoles, events, channels = self.mean.shape
-        band = values.mean(axis=-1)
-        rest = (values - band[..., None]) * (np.sqrt(self.weight) / self.levels.mean_channel[:, None])[:, :, None]
-        root = np.sqrt(self.weight.min(axis=0) / 2)
-        parts = [band.sum(axis=-2) * root / self.levels.mean_sum]
-        if dipoles == 2:
-            parts.append((band[..., 0, :] - band[..., 1, :]) * root / self.levels.mean_difference)
-        shape = (*values.shape[:-3], dipoles * events * channels)
-        return np.concatenate([rest.reshape(shape), *parts], axis=-1)
-
-    def pull_back_mean(self, whitened: Floats) -> Floats:
-        """The transpose of `whiten_mean`, shape (..., n) -> (..., dipole, event, freq)."""
-        dipoles, events, channels = self.mean.shape
-        rest = whitened[..., : self.mean.size].reshape(*whitened.shape[:-1], dipoles, events, channels)
-        rest = rest * (np.sqrt(self.weight) / self.levels.mean_channel[:, None])[:, :, None]
-        rest = rest - rest.mean(axis=-1, keepdims=True)
-        root = np.sqrt(self.weight.min(axis=0) / 2) / channels
-        band = whitened[..., self.mean.size :].reshape(*whitened.shape[:-1], dipoles, events)
-        common = band[..., 0, :] * root / self.levels.mean_sum
-        if dipoles == 1:
-            return np.asarray(rest + common[..., None, :, None])
-        opposed = band[..., 1, :] * root / self.levels.mean_difference
-        return np.asarray(rest + np.stack([common + opposed, common - opposed], axis=-2)[..., None])
-
-    def pull_back_path(self, whitened: Floats) -> Floats:
-        """The transpose of `whiten_path`, shape (..., n) -> (..., event, freq)."""
-        _, events, channels = self.mean.shape
-        rest = whitened[..., : events * channels].reshape(*whitened.shape[:-1], events, channels)
-        rest = (rest - rest.mean(axis=-1, keepdims=True)) / self.levels.path_channel
-        band = whitened[..., events * channels :] / (self.levels.path_band * channels)
-        return np.asarray(rest + band[..., None])
-
-    def gram_mean(self, left: Floats, right: Floats) -> Floats:
-        """Inner products of whitened station-wide vectors, from (k, dipole, event, freq) and (l, ...): (k, l)."""
-        channels = left.shape[-1]
-        a, b = left.mean(axis=-1), right.mean(axis=-1)
-        weight = (self.weight / self.levels.mean_channel[:, None] ** 2).astype(left.dtype)
-        scaled = left * weight[:, :, None]
-        total = scaled.reshape(len(left), -1) @ right.reshape(len(right), -1).T
-        total -= channels * ((a * weight).reshape(len(a), -1) @ b.reshape(len(b), -1).T)
-        joint = self.weight.min(axis=0) / 2
-        total += ((a.sum(axis=1) * joint) @ b.sum(axis=1).T) / self.levels.mean_sum**2
-        if left.shape[1] == 2:
-            opposed, other = a[:, 0] - a[:, 1], b[:, 0] - b[:, 1]
-            total += ((opposed * joint) @ other.T) / self.levels.mean_difference**2
-        return np.asarray(total)
-
-    def norm_path(self, values: Floats) -> Floats:
-        """Squared norms of whitened vectors of one path, shape (..., event, freq) -> (...)."""
-        channels = values.shape[-1]
-        band = np.sum(values.mean(axis=-1) ** 2, axis=-1)
-        squares = np.einsum("...ef,...ef->...", values, values)
-        return np.asarray((squares - channels * band) / self.levels.path_channel**2 + band / self.levels.path_band**2)
-
-    def whiten_path(self, values: Floats) -> Floats:
-        """Whiten vectors of one path, shape (..., event, freq) -> (..., n); the path's own scale is left out."""
-        band = values.mean(axis=-1)
-        rest = (values - band[..., None]) / self.levels.path_channel
-        flat = rest.reshape(*values.shape[:-2], values.shape[-2] * values.shape[-1])
-        return np.concatenate([flat, band / self.levels.path_band], axis=-1)
 
 
 def split_residuals(data: StationData, residual: Floats) -> Residuals:
@@ -141,49 +83,64 @@ def split_residuals(data: StationData, residual: Floats) -> Residuals:
         Relative, shape (path, event, freq); 0 where absent.
     """
     is_present = data.is_present
-    letters = np.unique(data.dipole)
-    mean, weight = [], []
+    letters, letter_of = np.unique(data.dipole, return_inverse=True)
+    count = is_present.sum(axis=1)
+    in_mean = count >= COMPLETE * np.array([count[data.dipole == letter].max() for letter in letters])[letter_of]
+    mean = np.empty((letters.size, *residual.shape[1:]))
     deviation = np.empty_like(residual)
-    for letter in letters:
-        members = np.flatnonzero(data.dipole == letter)
-        count = is_present[members].sum(axis=0)
-        average = residual[members].sum(axis=0) / np.maximum(count, 1)[:, None]
-        mean.append(average)
-        weight.append(count / members.size)
-        deviation[members] = (residual[members] - average) * is_present[members][:, :, None]
-    presence = is_present.mean(axis=1)
-    return Residuals(
-        letters, np.stack(mean), deviation, np.stack(weight), presence,
-        _estimate_levels(data, np.stack(mean), deviation, np.stack(weight)),
-    )  # fmt: skip
+    for d in range(letters.size):
+        members, everyone = np.flatnonzero(in_mean & (letter_of == d)), np.flatnonzero(letter_of == d)
+        present = is_present[members].sum(axis=0)
+        mean[d] = residual[members].sum(axis=0) / np.maximum(present, 1)[:, None]
+        # Where no path of the mean is present nothing is known of the mean.
+        deviation[everyone] = (residual[everyone] - mean[d]) * (is_present[everyone] & (present > 0))[:, :, None]
+    channel, band, scale = _path_levels(data, deviation, in_mean, letter_of)
+    spread = np.empty(mean.shape[:2])
+    for d in range(letters.size):
+        members = np.flatnonzero(in_mean & (letter_of == d))
+        present = is_present[members].sum(axis=0)
+        spread[d] = scale[members] ** 2 @ is_present[members] / np.maximum(present, 1) ** 2
+    levels = Levels(channel, band, scale, *_common_levels(mean, spread, channel, band))
+    return Residuals(letters, in_mean, mean, deviation, spread, levels)
 
 
-def _estimate_levels(data: StationData, mean: Floats, deviation: Floats, weight: Floats) -> Levels:
-    _, events, channels = mean.shape
+def _path_levels(
+    data: StationData, deviation: Floats, in_mean: NDArray[np.bool_], letter_of: NDArray[np.int64]
+) -> tuple[float, float, Floats]:
+    """Noise of a typical path in a channel and of its band mean, and of each path over the typical one."""
+    channels = deviation.shape[2]
     # Each channel's line takes two degrees of freedom of a path's events, the mean of n paths a share 1/n.
-    dof = max(events - 2, 1)
-    band = mean.mean(axis=-1)
-    rest = (mean - band[..., None]) * np.sqrt(weight)[:, :, None]
-    mean_channel = np.sqrt(np.sum(rest**2, axis=(1, 2)) / (dof * (channels - 1)))
-    joint = np.sqrt(weight.min(axis=0))
-    pair = [band.sum(axis=0), band[0] - band[-1]]
-    mean_sum, mean_difference = (float(np.sqrt(np.sum((part * joint) ** 2) / (2 * dof))) for part in pair)
-    own_band = deviation.mean(axis=-1)
-    path_dof = np.maximum(data.is_present.sum(axis=1) - 2, 1)
-    share = 1.0 - 1.0 / np.array([np.sum(data.dipole == letter) for letter in data.dipole])
-    share = np.maximum(share, 1e-3)
-    square = np.sum((deviation - own_band[:, :, None]) ** 2, axis=(1, 2)) / (path_dof * (channels - 1) * share)
-    band_square = np.sum(own_band**2, axis=1) / (path_dof * share)
-    path_channel, path_band = np.sqrt(np.median(square)), np.sqrt(np.median(band_square))
-    ratio = square / max(path_channel**2, SMALLEST**2)
+    dof = np.maximum(data.is_present.sum(axis=1) - 2, 1)
+    in_letter = np.bincount(letter_of, weights=in_mean)[letter_of]
+    share = np.maximum(np.where(in_mean, 1.0 - 1.0 / in_letter, 1.0 + 1.0 / in_letter), 1e-3)
+    band = deviation.mean(axis=-1)
+    square = np.sum((deviation - band[:, :, None]) ** 2, axis=(1, 2)) / (dof * (channels - 1) * share)
+    band_square = np.sum(band**2, axis=1) / (dof * share)
+    typical = np.median(square[in_mean])
+    ratio = square / max(typical, SMALLEST**2)
     # Scatter of the estimate itself is left alone: only a path that is noisier than chance gets a scale of its own.
-    scatter = np.sqrt(2.0 / (path_dof * (channels - 1)))
-    path_scale = np.sqrt(np.where(np.abs(ratio - 1.0) > 4 * scatter, ratio, 1.0))
-    return Levels(
-        np.maximum(mean_channel, SMALLEST),
-        max(mean_sum, SMALLEST),
-        max(mean_difference, SMALLEST),
-        max(float(path_channel), SMALLEST),
-        max(float(path_band), SMALLEST),
-        np.maximum(path_scale, SMALLEST),
+    scatter = np.sqrt(2.0 / (dof * (channels - 1)))
+    scale = np.sqrt(np.where(np.abs(ratio - 1.0) > 4 * scatter, ratio, 1.0))
+    typical_band = np.median((band_square / scale**2)[in_mean])
+    return (
+        max(float(np.sqrt(typical)), SMALLEST),
+        max(float(np.sqrt(typical_band)), SMALLEST),
+        np.maximum(scale, SMALLEST),
     )
+
+
+def _common_levels(mean: Floats, spread: Floats, channel: float, band: float) -> tuple[Floats, float, float]:
+    """What the paths share: the scatter of the mean beyond that of independent paths."""
+    letters, events, channels = mean.shape
+    used = events / max(events - 2, 1)
+    level = mean.mean(axis=-1)
+    square = np.mean((mean - level[..., None]) ** 2, axis=(1, 2)) * channels / (channels - 1) * used
+    of_channel = np.sqrt(np.maximum(square - channel**2 * spread.mean(axis=1), 0.0))
+    if letters == 1:
+        common = float(np.mean(level**2) * used - band**2 * spread.mean())
+        return of_channel, max(common, 0.0) ** 0.5, 0.0
+    pair = [
+        float(np.mean(part**2) / 2 * used - band**2 * spread.mean())
+        for part in (level.sum(axis=0), level[0] - level[1])
+    ]
+    return of_channel, max(pair[0], 0.0) ** 0.5, max(pair[1], 0.0) ** 0.5

@@ -20,7 +20,7 @@ ALARM_P = 0.0025
 
 def draw_scores(report: StationReport) -> Figure:
     """The best score of every cause in the first scan, with the probability that chance gives it."""
-    scores = report.first_scan.best[::-1]
+    scores = report.first_scan[::-1]
     figure = Figure(figsize=(9.5, 0.27 * len(scores) + 1.2), layout="constrained")
     axes: Any = figure.subplots()
     colours = ["#b3322b" if score.p_value < ALARM_P else "#8a94a6" for score in scores]

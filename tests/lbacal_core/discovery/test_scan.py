@@ -6,58 +6,68 @@ from scipy.stats import norm
 
 from lbacal_core.causes.catalogue import CAUSES
 from lbacal_core.causes.terms import signature
-from lbacal_core.discovery.scan import equivalent_trials, p_of, scan, sigma_of
-from lbacal_core.discovery.targets import find_nuisance, list_targets, mean_over_paths
-from lbacal_core.discovery.whitening import split_residuals
+from lbacal_core.discovery.extend import fit_extension
+from lbacal_core.discovery.scan import (
+    correlate_with,
+    equivalent_trials,
+    list_shapes,
+    make_courses,
+    p_of,
+    scan,
+    sigma_of,
+)
+from lbacal_core.discovery.targets import list_targets
 
 
 @pytest.fixture(scope="module")
-def parts(station, baseline):
-    residuals = split_residuals(station, baseline.residual)
-    nuisance = find_nuisance(station, residuals, baseline.terms, None)
-    chosen = [c for c in CAUSES if c.identifier in ("gain_step", "lst_offset", "rfi_line", "gain_temperature")]
-    targets = list_targets(station)
-    return residuals, nuisance, chosen, targets, scan(station, residuals, nuisance, baseline.terms, chosen, targets)
+def evidence(station):
+    return fit_extension(station, []).evidence
 
 
-def slow_score(station, baseline, residuals, nuisance, score):
-    """Whiten signature and residuals, take out what the fit absorbs, and multiply."""
-    values = signature(score.cause, baseline.terms, station.conditions, score.law)
-    if score.target.scope == "station":
-        vector = nuisance.clean_mean(residuals.whiten_mean(mean_over_paths(station, residuals, values)))
-        observed = nuisance.clean_mean(residuals.whiten_mean(residuals.mean))
-        return vector @ observed / np.linalg.norm(vector)
-    total, square = 0.0, 0.0
-    for k in np.flatnonzero(score.target.is_member):
-        index = int(station.class_of[k])
-        vector = nuisance.clean_path(residuals.whiten_path(values[index]), index)
-        observed = nuisance.clean_path(residuals.whiten_path(residuals.deviation[k]), index)
-        scale = residuals.levels.path_scale[k]
-        total += vector @ observed / scale**2
-        share = 1 - 1 / np.sum(station.dipole == station.dipole[k])
-        square += share * vector @ vector * residuals.presence[k] / scale**2
-    return total / np.sqrt(square)
+def test_shapes_times_courses_are_the_signatures_of_all_laws(evidence):
+    conditions = evidence.data.conditions
+    for shape in list_shapes(evidence, CAUSES)[::7]:
+        for k in (0, -1):
+            law = shape.laws[k]
+            base = signature(shape.cause, evidence.terms, conditions, shape.laws[0])
+            course = shape.cause.course(conditions, law)
+            first = shape.cause.course(conditions, shape.laws[0])
+            both = (course[:, 0] != 0) & (first[:, 0] != 0)
+            direct = signature(shape.cause, evidence.terms, conditions, law)
+            expected = base[:, both] / first[both] * course[both]
+            np.testing.assert_allclose(direct[:, both], expected, rtol=2e-3, atol=2e-5 * np.abs(direct).max())
 
 
-def test_scores_equal_the_slow_ones_lines_included(station, baseline, parts):
-    residuals, nuisance, chosen, _, found = parts
-    assert {score.cause.identifier for score in found.best} == {cause.identifier for cause in chosen}
-    for score in found.best:
-        if score.target.scope in ("station", "path", "antenna"):
-            slow = slow_score(station, baseline, residuals, nuisance, score)
-            np.testing.assert_allclose(score.z, slow, rtol=1e-3, atol=1e-3)  # signatures are kept in single precision
+def test_sums_over_sets_of_events_equal_plain_sums():
+    rng = np.random.default_rng(2)
+    hours = rng.uniform(0, 24, 70)
+    values = np.stack([(hours >= begin) & (hours < begin + 6) for begin in range(20)]).astype(float)
+    vectors = rng.standard_normal((3, 70, 5))
+    np.testing.assert_allclose(make_courses(values).sum(vectors), values @ vectors, atol=1e-12)
 
 
-def test_scores_of_a_clean_station_are_not_significant(parts):
-    *_, found = parts
-    assert p_of(max(abs(score.z) for score in found.best), found.trials) > 0.003
+def test_scores_of_a_clean_station_are_not_significant(evidence):
+    found = scan(evidence, CAUSES, list_targets(evidence.data))
+    assert {score.cause.identifier for score in found} == {cause.identifier for cause in CAUSES}
+    assert min(score.p_value for score in found) > 0.003
+
+
+def test_a_cause_correlates_fully_with_itself_and_less_with_others(evidence):
+    targets = {target.label: target for target in list_targets(evidence.data)}
+    named = {cause.identifier: cause for cause in CAUSES}
+    drift = named["gain_drift"]
+    (law,) = drift.laws(evidence.data.conditions)
+    found = {
+        cause.identifier: r
+        for cause, r in correlate_with(evidence, drift, law, targets["station"], [drift, named["lst_offset"]])
+    }
+    assert found["gain_drift"] > 1 - 1e-6
+    assert found["lst_offset"] < 0.5
 
 
 def test_independent_scores_count_each_and_equal_ones_count_once():
-    trials = equivalent_trials(np.eye(50), [0] * 50, [1.0], seed=1)
-    assert 40 < trials[0] < 62  # the 90 % quantile of 4000 draws: 5 % of 10 %
-    same = equivalent_trials(np.ones((50, 50)), [0] * 50, [1.0], seed=1)
-    assert same[0] < 1.3
+    assert 38 < equivalent_trials(np.eye(50), seed=1) < 64  # the 90 % quantile of 2000 draws: 7 % of 10 %
+    assert equivalent_trials(np.ones((50, 50)), seed=1) < 1.3
 
 
 def test_probability_and_sigma_are_each_others_inverse():

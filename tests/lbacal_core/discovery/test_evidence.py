@@ -1,0 +1,139 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lbacal_core.causes.catalogue import CAUSES
+from lbacal_core.causes.terms import signature
+from lbacal_core.discovery.baseline import gather_stations
+from lbacal_core.discovery.extend import fit_extension
+from lbacal_core.discovery.scan import scan
+from lbacal_core.discovery.targets import list_targets
+from lbacal_core.twin.campaign import simulate_campaign
+from lbacal_core.twin.nuisances import Nuisances
+from lbacal_core.twin.settings import TwinSettings
+
+CHOSEN = ("gain_step", "lst_offset", "rfi_line", "gain_temperature", "cable_temperature")
+
+
+@pytest.fixture(scope="module")
+def evidence(chain, sky):
+    """A small station with gaps and a dead antenna."""
+    settings = TwinSettings(stations=("CS002",), antennas=6, events_per_year=90)
+    rough = Nuisances(missing=0.05, dead_antennas=1)
+    spectra = simulate_campaign(settings, chain, sky, np.random.default_rng(5), nuisances=rough).spectra
+    return fit_extension(gather_stations(spectra, chain, sky)[0], []).evidence
+
+
+def slow_product(covariance, absorbed, left, right):
+    """left . C^-1 . right with the absorbed vectors projected out of both, by a dense covariance event by event.
+
+    Vectors have shape (event, n), absorbed ones (vector, event, n), the covariance (event, n, n), infinite = absent.
+    """
+    inverse = np.zeros_like(covariance)
+    for e, matrix in enumerate(covariance):
+        if np.all(np.isfinite(matrix)):
+            inverse[e] = np.linalg.inv(matrix)
+    size = np.sqrt(np.einsum("ken,enm,kem->k", absorbed, inverse, absorbed, optimize=True))
+    scaled = absorbed[size > 0] / size[size > 0, None, None]
+    gram = np.einsum("ken,enm,lem->kl", scaled, inverse, scaled, optimize=True)
+    of_left, of_right = (np.einsum("ken,enm,em->k", scaled, inverse, v, optimize=True) for v in (left, right))
+    whole = np.einsum("en,enm,em->", left, inverse, right, optimize=True)
+    return whole - of_left @ np.linalg.pinv(gram, rcond=1e-10, hermitian=True) @ of_right
+
+
+def covariance_of(channel, band, channels):
+    """Noise that is flat and noise that is not, of one path: shape (freq, freq)."""
+    flat = np.ones((channels, channels)) / channels
+    return channel**2 * (np.eye(channels) - flat) + band**2 * channels * flat
+
+
+def absorbed_of(space):
+    rows, events, channels = space.front.shape
+    own = np.zeros((rows * channels, rows, events, channels))
+    for r in range(rows):
+        for f in range(channels):
+            own[r * channels + f, r, :, f] = space.front[r, :, f]
+    return np.concatenate([own, space.dense])
+
+
+def test_scores_of_paths_equal_those_of_a_dense_covariance(evidence):
+    data, levels = evidence.data, evidence.residuals.levels
+    channels = data.power.shape[2]
+    targets = [target for target in list_targets(data) if target.scope == "path"]
+    score = next(s for s in scan(evidence, CAUSES, targets) if s.cause.identifier == "gain_step")
+    values = signature(score.cause, evidence.terms, data.conditions, score.law)
+    mean = evidence.mean_of(values, score.target.is_member)
+    k = int(np.flatnonzero(score.target.is_member)[0])
+    c = int(data.class_of[k])
+    d = int(evidence.letter_of[c])
+    own = covariance_of(levels.path_channel, levels.path_band, channels) * levels.path_scale[k] ** 2
+    full = np.full((data.power.shape[1], channels, channels), np.inf)
+    full[data.is_present[k]] = own
+    absorbed = absorbed_of(evidence.path_spaces[c])[:, 0]
+    observed = evidence.residuals.deviation[k]
+    s = slow_product(full, absorbed, values[c], observed)
+    f = slow_product(full, absorbed, values[c], values[c])
+    members = evidence.members[c]
+    typical = []
+    for other in members:
+        full = np.full((data.power.shape[1], channels, channels), np.inf)
+        full[data.is_present[other]] = covariance_of(levels.path_channel, levels.path_band, channels)
+        full *= levels.path_scale[other] ** 2
+        typical.append(slow_product(full, absorbed, values[c], values[c]))
+    f -= evidence.paths_of[d] * evidence.share_of_mean(score.target.is_member)[c] ** 2 * np.mean(typical)
+    s_mean, f_mean = slow_mean(evidence, mean)
+    np.testing.assert_allclose(score.z, (s + s_mean) / np.sqrt(f + f_mean), rtol=1e-6)
+
+
+def slow_mean(evidence, mean):
+    """Score and information of a vector of the mean, with a dense covariance."""
+    levels, spread = evidence.residuals.levels, evidence.residuals.spread
+    letters, events, channels = mean.shape
+    covariance = np.empty((events, letters * channels, letters * channels))
+    for e in range(events):
+        joint = spread[:, e].mean() * levels.path_band**2
+        plus, minus = levels.common_sum**2 + joint, levels.common_difference**2 + joint
+        flat = np.ones((channels, channels)) / channels
+        blocks = [[(plus + minus) / 2 if i == j else (plus - minus) / 2 for j in range(2)] for i in range(2)]
+        matrix = np.block([[b * channels * flat for b in row] for row in blocks])
+        for i in range(letters):
+            at = slice(i * channels, (i + 1) * channels)
+            own = levels.common_channel[i] ** 2 + levels.path_channel**2 * spread[i, e]
+            matrix[at, at] += own * (np.eye(channels) - flat)
+        covariance[e] = matrix
+
+    def lay(values):
+        return np.moveaxis(values, -3, -2).reshape(*values.shape[:-3], events, letters * channels)
+
+    absorbed = lay(absorbed_of(evidence.mean_space))
+    return tuple(slow_product(covariance, absorbed, lay(mean), lay(other)) for other in (evidence.residuals.mean, mean))
+
+
+def test_scores_of_the_station_equal_those_of_a_dense_covariance(evidence):
+    targets = [target for target in list_targets(evidence.data) if target.scope == "station"]
+    found = scan(evidence, [cause for cause in CAUSES if cause.identifier in CHOSEN], targets)
+    assert {score.cause.identifier for score in found} == set(CHOSEN)
+    for score in found:
+        values = signature(score.cause, evidence.terms, evidence.data.conditions, score.law)
+        mean = evidence.mean_of(values, score.target.is_member)
+        s, f = slow_mean(evidence, mean)
+        np.testing.assert_allclose(np.sum(mean * evidence.mean_dual), s, rtol=1e-6)
+        np.testing.assert_allclose(evidence.mean_information(mean[None])[0, 0], f, rtol=1e-6)
+        # What the cables' classes say against each other comes on top, the same way in the scan and in the fit.
+        own_score, own_information = evidence.products([values], [score.target])
+        np.testing.assert_allclose(score.z, own_score[0] / np.sqrt(own_information[0, 0]), rtol=1e-3)
+
+
+def test_what_the_fit_absorbs_has_no_information(evidence):
+    gain = evidence.terms.front * (evidence.terms.sky + evidence.terms.n_lna) / evidence.terms.power()
+    wave = np.cos(np.linspace(0, 9, gain.shape[2]))
+    (target,) = [target for target in list_targets(evidence.data) if target.scope == "station"]
+    _, information = evidence.products([gain * wave, gain], [target, target])
+    _, of_step = evidence.products([gain * (np.arange(gain.shape[1]) > 40)[:, None]], [target])
+    assert np.all(np.abs(information) < 1e-6 * of_step)
+
+
+def test_chi_squared_of_noise_is_its_degrees_of_freedom(evidence):
+    chi2, dof = evidence.chi_squared()
+    assert abs(chi2 / dof - 1) < 0.05  # the levels come from the same data
