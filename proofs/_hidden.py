@@ -175,7 +175,7 @@ class DataSet:
         scores = [
             (score.cause.identifier, score.target.label, float(score.z))
             for station in stations
-            for score in station.first_scan.best
+            for score in station.first_scan
         ]
         return Answer(report["verdict"], report["findings"], report["unexplained"], scores)
 

@@ -182,19 +182,21 @@ class Evidence:
         front = np.broadcast_to((self.terms.sky + self.terms.n_lna) * self.terms.front / power, power.shape)
         columns = (self.terms.front / power, self.data.conditions.receiver_gain / power, 1.0 / power)
         dense = np.stack([np.broadcast_to(column, power.shape) for column in columns])
-        return [self._path_space(front[c], dense[:, c]) for c in range(len(power))]
+        everyone = np.ones(power.shape[1])
+        return [self._path_space(front[c], dense[:, c], everyone) for c in range(len(power))]
 
-    def _path_space(self, front: Floats, dense: Floats) -> Space:
-        events, levels = front.shape[0], self.residuals.levels
-        channel = np.full((1, events), levels.path_channel**-2)
-        band = np.full((1, 1, events), levels.path_band**-2)
-        return Space(channel, band, front[None], dense[:, None])
+    def _path_space(self, front: Floats, dense: Floats, weight: Floats) -> Space:
+        levels = self.residuals.levels
+        channel, band = weight / levels.path_channel**2, weight / levels.path_band**2
+        return Space(channel[None], band[None, None], front[None], dense[:, None])
 
     @cached_property
     def letter_spaces(self) -> list[Space]:
-        """Deviations of a path of each letter, of the mean class."""
+        """Deviations of a path of each letter, of the mean class with the mean weights."""
         front, dense = self._class_means
-        return [self._path_space(front[d], dense[:, d]) for d in range(len(self.residuals.letters))]
+        letter, in_mean = self.letter_of[self.data.class_of], self.residuals.in_mean
+        weights = [self.weight[in_mean & (letter == d)].mean(axis=0) for d in range(len(self.residuals.letters))]
+        return [self._path_space(front[d], dense[:, d], weight) for d, weight in enumerate(weights)]
 
     @cached_property
     def _class_means(self) -> tuple[Floats, Floats]:
@@ -247,7 +249,7 @@ class Evidence:
 
     @cached_property
     def letter_inverse(self) -> list[Floats]:
-        """The same for a path of each letter with all events."""
+        """The same for the mean path of each letter."""
         everyone = np.ones((1, self.data.power.shape[1]))
         return [space.invert_gram(everyone)[0] for space in self.letter_spaces]
 
@@ -302,6 +304,17 @@ class Evidence:
         counts = np.array([np.sum((is_member & self.residuals.in_mean)[members]) for members in self.members])
         return np.asarray(counts / self.paths_of[self.letter_of])
 
+    def share_of_deviation(self, is_member: NDArray[np.bool_]) -> Floats:
+        """Part of an effect that shows in the deviation of each path, shape (path,).
+
+        A member of the mean shows all of it, and the members together less what the mean shows; a path outside shows
+        what it has more than the mean.
+        """
+        in_mean, letter = self.residuals.in_mean, self.letter_of[self.data.class_of]
+        of_letter = np.zeros(len(self.paths_of))
+        np.add.at(of_letter, self.letter_of, self.share_of_mean(is_member))
+        return np.asarray(is_member * np.where(in_mean, 1.0, 1.0 - of_letter[letter]))
+
     def products(self, signatures: Sequence[Floats], targets: Sequence[Target]) -> tuple[Floats, Floats]:
         """Score, shape (effect,), and information, shape (effect, effect), of effects with their targets.
 
@@ -315,14 +328,14 @@ class Evidence:
         information = self._inner(self.mean_space, self.mean_inverse, means)
         for d, count in enumerate(self.paths_of):
             information -= count * self._inner(self.letter_spaces[d], self.letter_inverse[d], means[:, d : d + 1])
-        is_member = np.stack([target.is_member for target in targets])
+        share = np.stack([self.share_of_deviation(target.is_member) for target in targets])
         for c, (space, members) in enumerate(zip(self.path_spaces, self.members, strict=True)):
             own = np.stack([signature[c] for signature in signatures])
             weighed = space.weigh(own[:, None])
             absorbed = space.absorbed_of(weighed)
             both = np.einsum("ief,jef->ije", own, weighed[:, 0], optimize=True)
-            for k in members[is_member[:, members].any(axis=0)]:
-                concerned = is_member[:, k]
+            for k in members[share[:, members].any(axis=0)]:
+                concerned = share[:, k]
                 lost = np.einsum("e,ien->in", self.weight[k], absorbed)
                 matrix = both @ self.weight[k] - lost @ self.path_inverse[k] @ lost.T
                 information += matrix * np.outer(concerned, concerned)

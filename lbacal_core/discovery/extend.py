@@ -148,10 +148,11 @@ def _by_event(before: Extension, effect: Effect) -> tuple[Floats, Floats]:
     mean = evidence.clean_mean(evidence.mean_of(values, is_member))
     score = np.einsum("def,def->e", mean, evidence.mean_dual)
     information = np.einsum("def,def->e", mean, evidence.mean_space.weigh(mean))
-    for k in np.flatnonzero(is_member).tolist():
+    share = evidence.share_of_deviation(is_member)
+    for k in np.flatnonzero(share).tolist():
         c = int(data.class_of[k])
-        others = 1.0 - float(evidence.share_of_mean(is_member)[c])
-        own = evidence.clean_path(values[c], k)
+        others = 1.0 - evidence.residuals.in_mean[k] * float(evidence.share_of_mean(is_member)[c])
+        own = share[k] * evidence.clean_path(values[c], k)
         score += np.einsum("ef,ef->e", own, evidence.path_dual[k])
         weighed = evidence.path_spaces[c].weigh(own[None])[0]
         information += others * evidence.weight[k] * np.einsum("ef,ef->e", own, weighed)

@@ -190,7 +190,7 @@ class _Scorer:
 
     def __init__(self, evidence: Evidence, targets: Sequence[Target]) -> None:
         self.evidence, self.targets = evidence, targets
-        self.is_member = np.stack([target.is_member for target in targets]).astype(float)
+        self.share_of_path = np.stack([evidence.share_of_deviation(target.is_member) for target in targets])
         self.share = np.stack([evidence.share_of_mean(target.is_member) for target in targets])
         self.counts = evidence.paths_of[evidence.letter_of].astype(float)
         # Computed here once, before the threads ask for them.
@@ -215,12 +215,14 @@ class _Scorer:
         if local or (wide and is_spread):
             of_path, path_information = self._of_paths(shape, signature)
             typical = np.stack([path_information[members].mean(axis=0) for members in evidence.members])
-            score[local] += self.is_member[local] @ of_path
-            information[local] += self.is_member[local] @ path_information
+            score[local] += self.share_of_path[local] @ of_path
+            information[local] += self.share_of_path[local] ** 2 @ path_information
             information[local] -= (self.counts * share[local] ** 2) @ typical
             if wide and is_spread:
-                score[wide] += self.is_member[wide] @ of_path
-                information[wide] += self.is_member[wide] @ path_information - self._of_letters(shape, signature)
+                score[wide] += self.share_of_path[wide] @ of_path
+                information[wide] += self.share_of_path[wide] ** 2 @ path_information - self._of_letters(
+                    shape, signature
+                )
         return score, information
 
     def _differs(self, signature: Floats) -> bool:

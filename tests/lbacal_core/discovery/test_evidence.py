@@ -120,9 +120,9 @@ def test_scores_of_the_station_equal_those_of_a_dense_covariance(evidence):
         s, f = slow_mean(evidence, mean)
         np.testing.assert_allclose(np.sum(mean * evidence.mean_dual), s, rtol=1e-6)
         np.testing.assert_allclose(evidence.mean_information(mean[None])[0, 0], f, rtol=1e-6)
-        # What the cables' classes say against each other comes on top, the same way in the scan and in the fit.
+        # What the cables' classes say against each other comes on top; the scan leaves it out where it is little.
         own_score, own_information = evidence.products([values], [score.target])
-        np.testing.assert_allclose(score.z, own_score[0] / np.sqrt(own_information[0, 0]), rtol=1e-3)
+        np.testing.assert_allclose(score.z, own_score[0] / np.sqrt(own_information[0, 0]), rtol=5e-3)
 
 
 def test_what_the_fit_absorbs_has_no_information(evidence):
