@@ -1,6 +1,6 @@
 """The traces of one station in one event to background spectra P_m(nu) = |F(nu)|^2 / R_r (section 3.1 of the paper).
 
-Traces are read one after another; of each only its spectra stay in memory (and, of a few, the transforms that the phase
+Traces are read one after another; of each only its spectra stay in memory (and, of a few, the phases that the phase
 test compares), so the memory of a station event is that of one trace and a few spectra.
 """
 
@@ -16,13 +16,17 @@ from numpy.typing import NDArray
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats, require_channels
 from lbacal_core.instrument import DIPOLES
+from lbacal_core.traces.blocks import (
+    FEWEST_SEGMENTS,
+    find_segments,
+    transform_segments,
+    transform_trace,
+)
 from lbacal_core.traces.density import (
-    CHUNK_SAMPLES,
     bin_weights,
     channel_frequencies,
     density_per_square,
     sum_of_squares,
-    transform_blocks,
 )
 from lbacal_core.traces.discovery import read_trace
 from lbacal_core.traces.interference import (
@@ -40,10 +44,6 @@ from lbacal_core.traces.interference import (
 from lbacal_core.traces.selection import BlockSelection, find_keyed_blocks, select_background
 from lbacal_core.traces.trace import BLOCK_SAMPLES, Trace, TraceReference
 
-FACTORS = (16, 8, 4, 2)
-FEWEST_SEGMENTS = 12
-"""Segments are as long as leaves this many of them: below, a single carrier cannot be told from noise."""
-
 FEWEST_BLOCKS = 20
 """Fewer background blocks than this make no spectrum: 10 % noise in a bin of 1 MHz, and no search for lines."""
 
@@ -56,8 +56,11 @@ MOST_FILLED = 0.25
 QUIET_ADC = 0.3
 """Below this r.m.s. (ADC units) a trace is the converter's own rounding (12^-1/2 = 0.29): nothing is connected."""
 
+MARGIN_MHZ = 2.0
+"""Lines are looked for so far beyond the bins: what comes from farther is 1e-7 of its line."""
+
 PHASE_TRACES = 6
-"""Traces of each dipole whose transforms are kept for the phase test."""
+"""Traces of each dipole whose phases are kept for the phase test."""
 
 MEGAHERTZ_GRID = np.arange(30.0, 81.0)
 MEGAHERTZ_GRID.setflags(write=False)
@@ -108,7 +111,8 @@ class PathBackground:
     blocks
         Number of blocks averaged.
     channel_mhz, density, is_flagged
-        Shape (channel,): the 1024-sample channels, their mean density (ADC^2/MHz), and which were left out.
+        Shape (channel,): the 1024-sample channels of the band, their mean density (ADC^2/MHz), and which were left
+        out.
     line_mhz
         Shape (line,): where interference was found.
     is_filled
@@ -141,13 +145,14 @@ class _Reduced:
     """One trace after its samples have been let go."""
 
     trace: TraceReference
+    channel_mhz: Floats
     coarse: Floats
     blocks: int
     fine: FineSpectrum
     baseline: Floats
     is_line: Flags
     segment_ids: NDArray[np.int64]
-    transforms: NDArray[np.complex64] | None
+    phases: NDArray[np.complex64] | None
     rms: float
     dropped: Mapping[str, int]
     faults: Mapping[str, int]
@@ -188,8 +193,8 @@ def measure_traces(
     for trace in traces:
         dipole = trace.reference.dipole
         keep = is_station and kept_phases[dipole] < PHASE_TRACES
-        result = _reduce_trace(trace, settings, pulse_unix, keep_transforms=keep)
-        if isinstance(result, _Reduced) and result.transforms is not None:
+        result = _reduce_trace(trace, settings, pulse_unix, keep_phases=keep)
+        if isinstance(result, _Reduced) and result.phases is not None:
             kept_phases[dipole] += 1
         reduced.append(result)
     usable = [item for item in reduced if isinstance(item, _Reduced)]
@@ -198,11 +203,13 @@ def measure_traces(
 
 
 def _reduce_trace(
-    trace: Trace, settings: CleaningSettings, pulse_unix: float | None, *, keep_transforms: bool
+    trace: Trace, settings: CleaningSettings, pulse_unix: float | None, *, keep_phases: bool
 ) -> _Reduced | PathBackground:
-    selection = select_background(trace, pulse_unix)
-    clean = np.flatnonzero(selection.is_background)
     rate = trace.reference.sample_rate_hz
+    searched = _searched_channels(settings, rate)
+    transform, statistics = transform_trace(trace.samples, searched)
+    selection = select_background(trace, pulse_unix, statistics)
+    clean = np.flatnonzero(selection.is_background)
     wanted = settings.blocks or FEWEST_BLOCKS
     reason = ""
     if clean.size < wanted:
@@ -211,32 +218,28 @@ def _reduce_trace(
         reason = f"dead: r.m.s. below {QUIET_ADC} ADC units"
     if reason:
         return _unusable(trace, settings, selection, reason)
-    fine, ids, transforms = _fine_spectrum(trace, clean, keep_transforms=keep_transforms)
-    is_line, baseline = find_lines(fine)
-    strength = line_leakage(is_line, fine.density / baseline - 1.0, fine.factor, BLOCK_SAMPLES // 2 + 1)
-    coarse = _transform_in_chunks(trace.samples, clean)
-    to_density = density_per_square(BLOCK_SAMPLES, rate)
-    noise = baseline[:: fine.factor]
-    excess = sum_of_squares(coarse) * to_density / (len(coarse) * noise) - 1.0
-    is_seen = find_excess(excess + 1.0, len(coarse), COARSE_BOXES)
-    is_keyed = find_keyed_blocks(coarse, np.where(is_seen, np.maximum(strength, excess), strength), noise, rate)
     dropped = dict(selection.dropped)
+    if clean.size < len(transform):
+        transform = transform[clean]
+    is_keyed = find_keyed_blocks(transform)
     if np.any(is_keyed) and np.sum(~is_keyed) >= wanted:
-        clean, coarse = clean[~is_keyed], coarse[~is_keyed]
         dropped["keyed"] = int(np.sum(is_keyed))
-        fine, ids, transforms = _fine_spectrum(trace, clean, keep_transforms=keep_transforms)
-        is_line, baseline = find_lines(fine)
+        clean, transform = clean[~is_keyed], transform[~is_keyed]
+    rows, segment_ids = find_segments(trace.position[clean])
+    fine, phases = transform_segments(trace.samples, clean[rows], searched, rate, keep=keep_phases)
+    is_line, baseline = find_lines(fine)
     if settings.blocks is not None:
-        coarse = coarse[(np.arange(settings.blocks) * clean.size) // settings.blocks]
+        transform = transform[(np.arange(settings.blocks) * clean.size) // settings.blocks]
     return _Reduced(
         trace=trace.reference,
-        coarse=sum_of_squares(coarse) * to_density / len(coarse),
-        blocks=len(coarse),
+        channel_mhz=channel_frequencies(BLOCK_SAMPLES, rate)[searched],
+        coarse=sum_of_squares(transform) * density_per_square(BLOCK_SAMPLES, rate)[searched] / len(transform),
+        blocks=len(transform),
         fine=fine,
         baseline=baseline,
         is_line=is_line,
-        segment_ids=ids,
-        transforms=transforms,
+        segment_ids=segment_ids,
+        phases=phases,
         rms=selection.rms,
         dropped=dropped,
         faults=trace.faults,
@@ -244,42 +247,13 @@ def _reduce_trace(
     )
 
 
-def _transform_in_chunks(samples: NDArray[np.int16], rows: NDArray[np.int64]) -> NDArray[np.complex64]:
-    """Transform the blocks in some rows, shape (row, channel), a cache-sized chunk at a time."""
-    transform = np.empty((rows.size, BLOCK_SAMPLES // 2 + 1), dtype=np.complex64)
-    step = CHUNK_SAMPLES // BLOCK_SAMPLES
-    for start in range(0, rows.size, step):
-        transform[start : start + step] = transform_blocks(samples[rows[start : start + step]])
-    return transform
-
-
-def _fine_spectrum(
-    trace: Trace, clean: NDArray[np.int64], *, keep_transforms: bool
-) -> tuple[FineSpectrum, NDArray[np.int64], NDArray[np.complex64] | None]:
-    """Mean power in segments of as many consecutive clean blocks as leave enough segments."""
-    position = trace.position[clean]
-    for factor in FACTORS:
-        ids, first, counts = np.unique(position // factor, return_index=True, return_counts=True)
-        is_whole = counts == factor
-        if np.sum(is_whole) >= FEWEST_SEGMENTS:
-            break
-    else:
-        factor, ids, first, is_whole = 1, position, np.arange(clean.size), np.ones(clean.size, dtype=bool)
-    rows = clean[first[is_whole][:, None] + np.arange(factor)]
-    length = factor * BLOCK_SAMPLES
-    total = np.zeros(length // 2 + 1)
-    kept = []
-    step = max(1, CHUNK_SAMPLES // length)
-    for start in range(0, len(rows), step):
-        chunk = trace.samples[rows[start : start + step]].reshape(-1, length)
-        transform = transform_blocks(chunk)
-        total += sum_of_squares(transform)
-        if keep_transforms:
-            kept.append(transform)
-    rate = trace.reference.sample_rate_hz
-    density = total * density_per_square(length, rate) / len(rows)
-    fine = FineSpectrum(density, len(rows), factor, 1e-6 * rate / length)
-    return fine, ids[is_whole], np.concatenate(kept) if kept else None
+def _searched_channels(settings: CleaningSettings, rate_hz: float) -> slice:
+    """The channels that are looked at: those of the bins and `MARGIN_MHZ` on either side, without 0 and the last."""
+    width = 1e-6 * rate_hz / BLOCK_SAMPLES
+    low = settings.frequency_mhz[0] - settings.width_mhz / 2 - MARGIN_MHZ
+    high = settings.frequency_mhz[-1] + settings.width_mhz / 2 + MARGIN_MHZ
+    last = BLOCK_SAMPLES // 2
+    return slice(min(max(int(low / width), 1), last - 1), max(min(int(high / width) + 1, last), 2))
 
 
 def _find_station_lines(usable: Sequence[_Reduced]) -> Flags | None:
@@ -292,13 +266,16 @@ def _find_station_lines(usable: Sequence[_Reduced]) -> Flags | None:
     stability = np.zeros(ratios.shape[1])
     pairs = 0
     for dipole in DIPOLES:
-        group = [item for item in usable if item.transforms is not None and item.trace.dipole == dipole]
+        group = [item for item in usable if item.phases is not None and item.trace.dipole == dipole]
         for left, right in pairwise(group):
-            _, at_left, at_right = np.intersect1d(
-                left.segment_ids, right.segment_ids, assume_unique=True, return_indices=True
-            )
-            if at_left.size >= FEWEST_SEGMENTS and left.transforms is not None and right.transforms is not None:
-                stability += phase_stability(left.transforms[at_left], right.transforms[at_right])
+            if left.phases is None or right.phases is None:
+                continue
+            pair = left.phases, right.phases
+            if not np.array_equal(left.segment_ids, right.segment_ids):
+                _, *at = np.intersect1d(left.segment_ids, right.segment_ids, assume_unique=True, return_indices=True)
+                pair = left.phases[at[0]], right.phases[at[1]]
+            if len(pair[0]) >= FEWEST_SEGMENTS:
+                stability += phase_stability(*pair)
                 pairs += 1
     if pairs:
         is_line |= find_steady_phases(stability, pairs, usable[0].fine.channel_mhz)
@@ -317,7 +294,7 @@ def _finish(item: _Reduced, station_lines: Flags | None, settings: CleaningSetti
     shape = item.baseline[:: fine.factor]
     unexplained = item.coarse / shape - leak  # blocks beside a dropped one are in no segment of the search
     is_flagged |= np.convolve(find_excess(unexplained, item.blocks, COARSE_BOXES), np.ones(3), mode="same") > 0
-    channel_mhz = channel_frequencies(BLOCK_SAMPLES, item.trace.sample_rate_hz)
+    channel_mhz = item.channel_mhz
     power, is_filled = bin_spectrum(item.coarse - leak * shape, shape, is_flagged, channel_mhz, settings)
     excluded = ""
     if np.mean(is_filled) > MOST_FILLED:
@@ -331,7 +308,7 @@ def _finish(item: _Reduced, station_lines: Flags | None, settings: CleaningSetti
         channel_mhz=channel_mhz,
         density=item.coarse,
         is_flagged=is_flagged,
-        line_mhz=_line_frequencies(is_line, ratio, fine.channel_mhz),
+        line_mhz=channel_mhz[0] + _line_frequencies(is_line, ratio, fine.channel_mhz),
         is_filled=is_filled,
         rms=item.rms,
         dropped=item.dropped,
@@ -357,7 +334,8 @@ def bin_spectrum(
     weights = bin_weights(channel_mhz, settings.frequency_mhz, settings.width_mhz)
     if np.any(weights.sum(axis=1) < FEWEST_CHANNELS):
         outside = settings.frequency_mhz[weights.sum(axis=1) < FEWEST_CHANNELS][0]
-        raise BadInputError("settings: frequency_mhz", f"channels within 0-{channel_mhz[-1]:g} MHz", f"{outside:g} MHz")
+        expected_range = f"channels within {channel_mhz[0]:g}-{channel_mhz[-1]:g} MHz"
+        raise BadInputError("settings: frequency_mhz", expected_range, f"{outside:g} MHz")
     clean = weights * ~is_flagged
     expected = weights @ shape / weights.sum(axis=1)
     seen = clean @ shape
@@ -374,7 +352,8 @@ def _line_frequencies(is_line: Flags, ratio: Floats, channel_mhz: float) -> Floa
 
 
 def _unusable(trace: Trace, settings: CleaningSettings, selection: BlockSelection, reason: str) -> PathBackground:
-    channel_mhz = channel_frequencies(BLOCK_SAMPLES, trace.reference.sample_rate_hz)
+    rate = trace.reference.sample_rate_hz
+    channel_mhz = channel_frequencies(BLOCK_SAMPLES, rate)[_searched_channels(settings, rate)]
     bins = settings.frequency_mhz.size
     return PathBackground(
         reference=trace.reference,

@@ -37,7 +37,13 @@ def transform_blocks(blocks: NDArray[np.int16]) -> NDArray[np.complex64]:
 
     Single precision: 1e-7 of the largest line, when the noise that matters is 1e-4 of it.
     """
-    return np.asarray(scipy.fft.rfft(blocks * hann(blocks.shape[1]), axis=1), dtype=np.complex64)
+    return transform_in_place(blocks.astype(np.float32))
+
+
+def transform_in_place(blocks: NDArray[np.float32]) -> NDArray[np.complex64]:
+    """Fourier transform of blocks that may be overwritten."""
+    blocks *= hann(blocks.shape[1])
+    return np.asarray(scipy.fft.rfft(blocks, axis=1, overwrite_x=True), dtype=np.complex64)
 
 
 def power_density(blocks: NDArray[np.int16], sample_rate_hz: float) -> Floats:

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from lbacal_core.traces.background import CleaningSettings, PathBackground
-from lbacal_core.traces.density import bin_weights, effective_channels
+from lbacal_core.traces.density import bin_weights, channel_frequencies, effective_channels, power_density
 from lbacal_core.traces.trace import BLOCK_SAMPLES, Trace
 
 
@@ -28,12 +28,14 @@ def draw_inspection(trace: Trace, background: PathBackground, settings: Cleaning
     top.legend(loc="upper right")
 
     ohm = settings.resistance_ohm
-    middle.semilogy(background.channel_mhz, background.density / ohm, "C0", lw=0.7, label="before (0.195 MHz channels)")
+    whole_mhz = channel_frequencies(BLOCK_SAMPLES, rate)
+    whole = power_density(trace.samples, rate) / ohm
+    middle.semilogy(whole_mhz, whole, "C0", lw=0.7, label="before: all blocks, channels of 0.195 MHz")
     flagged = background.is_flagged
     middle.semilogy(
         background.channel_mhz[flagged], background.density[flagged] / ohm, "C3x", ms=4, label="channels left out"
     )
-    middle.set(xlabel="frequency (MHz)", ylabel="power (ADC²/Ω/MHz)", xlim=(0, background.channel_mhz[-1]))
+    middle.set(xlabel="frequency (MHz)", ylabel="power (ADC²/Ω/MHz)", xlim=(0, whole_mhz[-1]))
     middle.legend()
 
     low, high = settings.frequency_mhz[0] - 1, settings.frequency_mhz[-1] + 1

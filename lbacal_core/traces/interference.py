@@ -97,9 +97,12 @@ def find_lines(spectrum: FineSpectrum) -> tuple[Flags, Floats]:
 
 def _reached_by(is_line: Flags, excess: Floats) -> Flags:
     """Fine channels that get more than `LARGEST_LEAK` of their noise from the lines."""
+    lines = np.flatnonzero(is_line)
     response = line_response(np.arange(-REACH, REACH + 1.0))
-    leak = np.convolve(np.where(is_line, np.maximum(excess, 0.0), 0.0), response / response[REACH], mode="same")
-    return is_line | (leak > LARGEST_LEAK)
+    share = np.maximum(excess[lines], 0.0)[:, None] * response / response[REACH]
+    place = lines[:, None] + np.arange(2 * REACH + 1)
+    leak = np.bincount(place.ravel(), weights=share.ravel(), minlength=is_line.size + 2 * REACH)[REACH:-REACH]
+    return np.asarray(is_line | (leak > LARGEST_LEAK))
 
 
 def estimate_baseline(spectrum: FineSpectrum, is_line: Flags) -> Floats:
@@ -141,17 +144,20 @@ def find_excess(ratio: Floats, averages: float, boxes: Sequence[int]) -> Flags:
     averages
         Independent spectra averaged in `ratio`.
     boxes
-        Widths tested, channels, rising.
+        Widths tested, channels, powers of 2, rising.
     """
     remaining = np.where(np.isfinite(ratio), ratio, 1.0)
     is_flagged = np.zeros(ratio.size, dtype=bool)
     for box in boxes:
-        threshold = _threshold(averages, box)
-        running = np.concatenate([[0.0], np.cumsum(remaining)])
-        is_high = running[box:] - running[:-box] > box * threshold
-        if np.any(is_high):
-            is_flagged |= np.convolve(is_high, np.ones(box), mode="full") > 0
-            remaining = np.where(is_flagged, 1.0, remaining)
+        running = remaining
+        width = 1
+        while width < box:
+            running = running[:-width] + running[width:]
+            width *= 2
+        high = np.flatnonzero(running > box * _threshold(averages, box))
+        if high.size:
+            is_flagged[(high[:, None] + np.arange(box)).ravel()] = True
+            remaining[is_flagged] = 1.0
     return is_flagged
 
 
@@ -190,12 +196,16 @@ def find_steady_phases(stability: Floats, pairs: int, channel_mhz: float) -> Fla
     return np.asarray(stability > np.maximum(level, 1.0) * float(gammainccinv(pairs, FALSE_FLAG_RATE)))
 
 
+def unit_phases(transform: NDArray[np.complex64]) -> NDArray[np.complex64]:
+    """A transform with all amplitudes set to 1 (0 stays 0)."""
+    power = transform.real**2 + transform.imag**2
+    return np.asarray(transform / np.sqrt(np.maximum(power, np.finfo(np.float32).tiny)))
+
+
 def phase_stability(left: NDArray[np.complex64], right: NDArray[np.complex64]) -> Floats:
-    """Segments x |mean exp(i delta phi)|^2 of two antennas, shape (segment, fine) to (fine,)."""
-    product = left * np.conj(right)
-    size = np.abs(product)
-    direction = np.divide(product, size, out=np.zeros_like(product), where=size > 0)
-    return np.asarray(np.abs(direction.sum(axis=0)) ** 2 / len(left), dtype=float)
+    """Segments x |mean exp(i delta phi)|^2 of the `unit_phases` of two antennas, shape (segment, fine) to (fine,)."""
+    together = np.sum(left * np.conj(right), axis=0)
+    return np.asarray((together.real**2 + together.imag**2) / len(left), dtype=float)
 
 
 def line_leakage(is_line: Flags, excess: Floats, factor: int, channels: int) -> Floats:

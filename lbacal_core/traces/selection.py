@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lbacal_core.grids import Floats
-from lbacal_core.traces.density import density_per_square
+from lbacal_core.traces.blocks import BlockStatistics, transform_trace
+from lbacal_core.traces.density import sum_of_squares
 from lbacal_core.traces.trace import ADC_HIGHEST, ADC_LOWEST, BLOCK_SAMPLES, Trace
 
 PULSE_REACH = 5
@@ -33,7 +34,8 @@ OFF_LEVEL = 2.0
 perhaps modulated, whose fluctuations must not be taken for keying."""
 
 MOST_KEYED = 0.5
-KEYED_CHANNELS = 16
+NOISE_CHANNELS = 6
+"""Channels of 0.2 MHz of whose mean powers the median is the noise that keying is judged by."""
 
 
 @dataclass(frozen=True)
@@ -72,18 +74,25 @@ class BlockSelection:
         return float(np.sqrt(max(self.rms**2 - mean**2, 0.0)))
 
 
-def select_background(trace: Trace, pulse_unix: float | None = None) -> BlockSelection:
+def select_background(
+    trace: Trace, pulse_unix: float | None = None, statistics: BlockStatistics | None = None
+) -> BlockSelection:
     """Choose the background blocks of a trace.
 
     Parameters
     ----------
     pulse_unix
         When the cosmic ray is expected (from the particle detectors), s UTC; the blocks around it go, seen or not.
+    statistics
+        Of the blocks, where they are known already.
     """
-    highest, lowest = trace.samples.max(axis=1), trace.samples.min(axis=1)
-    blocks = trace.samples.astype(np.float32)
-    mean = trace.samples.sum(axis=1, dtype=np.int32) / BLOCK_SAMPLES
-    mean_square = np.einsum("bt,bt->b", blocks, blocks).astype(float) / BLOCK_SAMPLES
+    statistics = statistics or transform_trace(trace.samples)[1]
+    highest, lowest, mean, mean_square = (
+        statistics.highest,
+        statistics.lowest,
+        statistics.mean,
+        statistics.mean_square,
+    )
     typical = np.median(mean_square[trace.is_intact]) if np.any(trace.is_intact) else 0.0
     centre = float(np.median(mean))
     variance = max(typical - centre**2, 0.0)
@@ -118,36 +127,35 @@ def select_background(trace: Trace, pulse_unix: float | None = None) -> BlockSel
     return BlockSelection(is_background, dropped, tuple(int(p) for p in np.unique(pulses)), mean, mean_square)
 
 
-def find_keyed_blocks(
-    transform: NDArray[np.complex64], line_strength: Floats, noise: Floats, rate_hz: float
-) -> NDArray[np.bool_]:
+def find_keyed_blocks(transform: NDArray[np.complex64]) -> NDArray[np.bool_]:
     """Find the blocks in which a transmitter is on that is off in most: those and their neighbours hold its switching.
 
     Parameters
     ----------
     transform
-        Shape (block, channel): windowed transform of the blocks.
-    line_strength
-        Shape (channel,): mean power of lines over the noise.
-    noise
-        Shape (channel,): noise density, ADC^2/MHz.
+        Shape (block, channel): transform of windowed blocks.
 
     Returns
     -------
     Shape (block,). Transmitters that are on in more than half of the blocks are not counted: nothing would be left.
     """
-    padded = np.pad(line_strength, 1)
-    is_peak = (line_strength >= padded[:-2]) & (line_strength >= padded[2:]) & (line_strength > 0.1)
-    channels = np.flatnonzero(is_peak)
-    channels = channels[np.argsort(line_strength[channels])[-KEYED_CHANNELS:]]
+    mean = sum_of_squares(transform) / len(transform)
+    count = max(mean.size // NOISE_CHANNELS, 1)
+    level = np.median(mean[: count * NOISE_CHANNELS].reshape(count, -1), axis=1)
+    noise = np.interp(np.arange(mean.size), (np.arange(count) + 0.5) * NOISE_CHANNELS - 0.5, level)
+    parts = transform.view(np.float32)
+    largest = (
+        np.maximum(parts.max(axis=0), -parts.min(axis=0)) ** 2
+    )  # of real and imaginary part: half of |F|^2 at least
+    channels = np.flatnonzero(largest.reshape(-1, 2).max(axis=1) > KEYED_LEVEL / 2 * noise)
     is_keyed = np.zeros(len(transform), dtype=bool)
     if channels.size == 0:
         return is_keyed
     seen = transform[:, channels]
-    power = (seen.real**2 + seen.imag**2) * density_per_square(BLOCK_SAMPLES, rate_hz)[channels]
+    power = seen.real**2 + seen.imag**2
     is_on = (power > KEYED_LEVEL * noise[channels]) & (np.median(power, axis=0) < OFF_LEVEL * noise[channels])
-    share = is_on.mean(axis=0)
-    for channel in np.argsort(share):
+    is_on = is_on[:, np.any(is_on, axis=0)]
+    for channel in np.argsort(is_on.mean(axis=0)):
         candidate = is_keyed | is_on[:, channel]
         candidate[1:] |= is_on[:-1, channel]
         candidate[:-1] |= is_on[1:, channel]

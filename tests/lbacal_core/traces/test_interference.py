@@ -15,6 +15,7 @@ from lbacal_core.traces.interference import (
     find_steady_phases,
     line_leakage,
     phase_stability,
+    unit_phases,
 )
 
 FACTOR, SEGMENTS = 16, 25
@@ -83,7 +84,7 @@ def test_steady_phases_are_told_from_noise_and_from_the_common_sky() -> None:
     left, right = (0.3 * sky + draw() for _ in range(2))  # near antennas share 8 % of their power
     left[:, 700] += 2.5
     right[:, 700] += 2.5 * np.exp(1.1j)
-    stability = phase_stability(left.astype(np.complex64), right.astype(np.complex64))
+    stability = phase_stability(unit_phases(left.astype(np.complex64)), unit_phases(right.astype(np.complex64)))
     found = find_steady_phases(stability, 1, CHANNEL_MHZ)
     assert np.flatnonzero(found).tolist() == [700]
 

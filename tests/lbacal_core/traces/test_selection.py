@@ -65,9 +65,7 @@ def test_only_a_transmitter_that_is_mostly_silent_costs_blocks(
 ) -> None:
     line = Transmitter(45.0, mean_square=60.0, duty=duty, period_s=4e-4)
     trace = make_trace(6, disturbances=[line])
-    strength = np.zeros(513)
-    strength[round(45.0 * 1024 / 200)] = 10.0
-    found = find_keyed_blocks(transform_blocks(trace.samples), strength, np.full(513, 4.0), 200e6)
+    found = find_keyed_blocks(transform_blocks(trace.samples)[:, 140:420])
     on = (np.arange(400) * 1024 / 200e6 / 4e-4) % 1.0 < duty
     if is_keyed:
         assert np.all(found[on])
