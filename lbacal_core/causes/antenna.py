@@ -18,6 +18,8 @@ SEASON_SPAN_S = 250 * 86_400.0
 
 
 CIRCUIT = ResonanceCircuit()
+STIFFNESS = (10.0 / (2 * np.pi)) ** 4
+"""Of the spline through ln A(nu): it halves waves of 10 MHz, in channels of 1 MHz."""
 
 
 @dataclass(frozen=True)
@@ -131,12 +133,12 @@ class ResonanceWidth(ResonanceCause):
 def fitted_log_gain(terms: ChainTerms, conditions: Conditions) -> Floats:
     """Ln (G_ant A) of the station as fitted, mean over classes and smoothed in frequency, shape (freq,).
 
-    The spline's stiffness follows from the scatter of the channels (generalised cross-validation).
+    What varies within some 10 MHz is the noise of the fit; A(nu) departs from G_ant more slowly.
     """
     behind = conditions.receiver_gain * np.exp(conditions.cable_log_loss[:, None, :])
     ratio = np.broadcast_to(terms.front / behind, (len(conditions.dipoles), 1, conditions.frequency_mhz.size))
     own = np.log(np.maximum(ratio, 1e-300) / conditions.antenna_gain)
-    smooth = make_smoothing_spline(conditions.frequency_mhz, np.median(own, axis=(0, 1)))
+    smooth = make_smoothing_spline(conditions.frequency_mhz, np.median(own, axis=(0, 1)), lam=STIFFNESS)
     return np.asarray(smooth(conditions.frequency_mhz) + np.log(conditions.antenna_gain))
 
 

@@ -77,16 +77,21 @@ class Space:
         band = smooth.mean(axis=1)
         rest = smooth - band[:, None]
         joint = np.einsum("rte,st->sre", self.band, signs)
-        single = signs[:, :, None] * self.channel
-        own = np.einsum("sre,he,ref,lf->shlrf", single, courses * weight, self.front, rest, optimize=True)
-        own += np.einsum("sre,he,ref,l->shlrf", joint, courses * weight, self.front, band / channels, optimize=True)
-        other = np.einsum("sre,he,jref,lf->shlj", single, courses * weight, self.dense, rest, optimize=True)
-        flat = self.dense.sum(axis=3) / channels
-        other += np.einsum("sre,he,jre,l->shlj", joint, courses * weight, flat, band, optimize=True)
-        between = np.einsum("sre,tr,he,ge,e->shtg", single, signs, courses, courses, weight, optimize=True)
-        gram = np.einsum("shtg,lf,mf->shltgm", between, rest, rest, optimize=True)
-        between = np.einsum("sre,tr,he,ge,e->shtg", joint, signs, courses, courses, weight, optimize=True)
-        gram += np.einsum("shtg,l,m->shltgm", between, band, band, optimize=True)
+        shape = (len(signs), len(courses), len(smooth))
+        own = np.empty((*shape, rows, channels))
+        other = np.zeros((*shape, len(self.dense)))
+        gram = np.zeros((*shape, *shape))
+        of_rest, of_band = rest @ rest.T, np.outer(band, band)
+        for s, r in np.ndindex(len(signs), rows):
+            single, both = courses * (weight * signs[s, r] * self.channel[r]), courses * (weight * joint[s, r])
+            own[s, :, :, r] = (single @ self.front[r])[:, None] * rest
+            own[s, :, :, r] += (both @ self.front[r])[:, None] * band[:, None] / channels
+            for j, dense in enumerate(self.dense[:, r]):
+                other[s, :, :, j] += single @ (dense @ rest.T) + np.outer(both @ dense.mean(axis=1), band)
+            for t in range(len(signs)):
+                of_single, of_both = single @ (signs[t, r] * courses).T, both @ (signs[t, r] * courses).T
+                gram[s, :, :, t] += of_single[:, None, :, None] * of_rest[None, :, None]
+                gram[s, :, :, t] += of_both[:, None, :, None] * of_band[None, :, None]
         size = len(signs) * len(courses) * len(smooth)
         absorbed = np.concatenate([own.reshape(size, rows * channels), other.reshape(size, -1)], axis=1)
         return absorbed, gram.reshape(size, size)

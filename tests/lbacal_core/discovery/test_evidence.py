@@ -137,3 +137,16 @@ def test_what_the_fit_absorbs_has_no_information(evidence):
 def test_chi_squared_of_noise_is_its_degrees_of_freedom(evidence):
     chi2, dof = evidence.chi_squared()
     assert abs(chi2 / dof - 1) < 0.05  # the levels come from the same data
+
+
+def test_products_of_functions_equal_those_of_the_vectors_they_make(evidence):
+    rng = np.random.default_rng(4)
+    space = evidence.mean_space
+    rows, events, channels = space.front.shape
+    courses, smooth = rng.standard_normal((3, events)), rng.standard_normal((2, channels))
+    signs, weight = np.array([[1.0, 1.0], [1.0, -1.0]]), rng.uniform(0, 1, events)
+    vectors = np.einsum("he,lf,sr->shlref", courses, smooth, signs).reshape(-1, rows, events, channels)
+    weighed = space.weigh(vectors) * weight[:, None]
+    absorbed, gram = space.products_of(courses, smooth, signs, weight)
+    np.testing.assert_allclose(absorbed, space.absorbed_of(weighed).sum(axis=-2), rtol=1e-8, atol=1e-6)
+    np.testing.assert_allclose(gram, np.einsum("aref,bref->ab", vectors, weighed), rtol=1e-8, atol=1e-6)
