@@ -45,7 +45,7 @@ class Outcome:
     @property
     def is_detected(self) -> bool:
         """Whether anything is said."""
-        return self.verdict != "consistent"
+        return self.verdict in {"explained", "unexplained"}
 
     @property
     def is_named(self) -> bool:
