@@ -21,6 +21,8 @@ from lbacal_core.grids import Floats
 
 MAX_ROUNDS = 8
 LARGEST_STEP = {"dipole_swap": 0.7}
+SMALLEST_DIFFERENCE = 1e-3
+"""Of signatures that are fitted together: 1 - r^2 of one against the others."""
 DATE_BLOCKS, LST_BLOCKS, FOLDS = 8, 12, 4
 
 
@@ -50,6 +52,23 @@ class Extension:
         return self.evidence.residuals
 
 
+def fit_plain(data: StationData, modes: Floats | None = None) -> Extension:
+    """The chain of every path fitted without any effect."""
+    baseline = fit_baseline(data)
+    return Extension(
+        [], baseline, Evidence(data, split_residuals(data, baseline.residual), baseline.terms, modes), True
+    )
+
+
+def _can_be_told_apart(information: Floats) -> bool:
+    """Whether every effect is seen, and none is a mixture of the others."""
+    seen = np.diag(information)
+    if not np.all(np.isfinite(information)) or np.any(seen <= 0):
+        return False
+    size = np.sqrt(seen)
+    return bool(np.linalg.eigvalsh(information / np.outer(size, size))[0] > SMALLEST_DIFFERENCE)
+
+
 def power_ratio(data: StationData, terms: ChainTerms, effects: Sequence[Effect]) -> Floats | None:
     """Power with the effects over power without, shape (path, event, freq); None where there are none."""
     if not effects:
@@ -75,27 +94,27 @@ def _groups(data: StationData, effects: Sequence[Effect]) -> list[tuple[NDArray[
 
 
 def fit_extension(
-    data: StationData, effects: Sequence[Effect], before: Extension | None = None, modes: Floats | None = None
-) -> Extension:
-    """Fit the chain of every path and the sizes of all effects together.
+    data: StationData, effects: Sequence[Effect], before: Extension, modes: Floats | None = None
+) -> Extension | None:
+    """Fit the chain of every path and the sizes of all effects together; None where data cannot tell them apart.
 
     Parameters
     ----------
     before
-        The model that is extended; without it the plain baseline is fitted.
+        The model that is extended.
     modes
         Relative changes of P_sky by which sky and antenna models differ, shape (mode, class, event, freq), or None.
     """
-    baseline = fit_baseline(data, None if before is None else power_ratio(data, before.baseline.terms, effects))
+    baseline = fit_baseline(data, power_ratio(data, before.baseline.terms, effects))
     evidence = Evidence(data, split_residuals(data, baseline.residual), baseline.terms, modes)
-    if not effects or before is None:
-        return Extension([], baseline, evidence, True)
     current, is_converged = list(effects), False
     for _ in range(MAX_ROUNDS):
         # The weights stay those of the model before until the sizes stand still: they only weigh.
         weighed = evidence.with_levels(before.residuals.levels)
         signatures = [signature(e.cause, baseline.terms, data.conditions, e.law, e.size) for e in current]
         score, information = weighed.products(signatures, [effect.target for effect in current])
+        if not _can_be_told_apart(information):
+            return None
         step = np.linalg.solve(information, score)
         sigma = np.sqrt(np.diag(np.linalg.inv(information)))
         limit = np.array([LARGEST_STEP.get(effect.cause.identifier, np.inf) for effect in current])

@@ -16,7 +16,7 @@ from lbacal_core.causes.catalogue import CAUSES, NEVER_HERE, STATIC_CAUSES
 from lbacal_core.causes.terms import Law
 from lbacal_core.discovery.baseline import StationData
 from lbacal_core.discovery.evidence import Evidence
-from lbacal_core.discovery.extend import Effect, Extension, fit_extension, held_out_gain
+from lbacal_core.discovery.extend import Effect, Extension, fit_extension, fit_plain, held_out_gain
 from lbacal_core.discovery.leftover import Leftover, find_leftover
 from lbacal_core.discovery.scan import Score, correlate_with, scan
 from lbacal_core.discovery.statics import FEWEST_COMPARISONS, StaticScore, count_comparisons, scan_static
@@ -96,7 +96,7 @@ def investigate_station(
     """
     targets = list_targets(data)
     progress(f"{data.station}: fitting the baseline of {len(data.antenna)} paths")
-    current = first = fit_extension(data, [], modes=modes)
+    current = first = fit_plain(data, modes)
     findings: list[Finding] = []
     first_scan: list[Score] | None = None
     misfits = set[str]()
@@ -148,6 +148,8 @@ def _extend(
     for score in _rivals(significant):
         effect = Effect(score.cause, score.law, score.target, 0.0)
         after = fit_extension(data, [*before.effects, effect], before, modes)
+        if after is None:
+            continue
         chi2_after, dof = after.evidence.chi_squared()
         chi2_before, _ = before.evidence.with_levels(after.residuals.levels).chi_squared()
         tried.append((chi2_before - chi2_after - 2 * np.log(score.trials), after, score, chi2_before, chi2_after, dof))

@@ -27,6 +27,8 @@ DRAWS = 2000
 MANY_COURSES, MANY_SHAPES = 8, 8
 SMALLEST_INFORMATION = 1e-6
 """Below this a unit of size moves the data by a thousandth of a standard deviation."""
+WORTH_THREADS = 1_000_000
+"""Values of a data set; below, threads wait for each other more than they compute."""
 SMALLEST_SHARE = 1e-6
 """Below this share of its information a signature counts as absorbed by the fit."""
 SPREAD = 1e-4
@@ -165,8 +167,11 @@ def scan(evidence: Evidence, causes: Sequence[Cause], targets: Sequence[Target],
     """The best score of each cause, most significant first."""
     shapes = list_shapes(evidence, causes)
     scorer = _Scorer(evidence, targets)
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        answers = list(pool.map(scorer.score, shapes))
+    if evidence.data.power.size > WORTH_THREADS:
+        with ThreadPoolExecutor(os.cpu_count()) as pool:
+            answers = list(pool.map(scorer.score, shapes))
+    else:
+        answers = [scorer.score(shape) for shape in shapes]
     best: dict[str, Score] = {}
     for shape, (scores, information) in zip(shapes, answers, strict=True):
         # A signature that the fit absorbs has no information left and no significance.

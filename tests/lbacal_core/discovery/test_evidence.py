@@ -6,7 +6,7 @@ import pytest
 from lbacal_core.causes.catalogue import CAUSES
 from lbacal_core.causes.terms import signature
 from lbacal_core.discovery.baseline import gather_stations
-from lbacal_core.discovery.extend import fit_extension
+from lbacal_core.discovery.extend import fit_plain
 from lbacal_core.discovery.scan import scan
 from lbacal_core.discovery.targets import list_targets
 from lbacal_core.twin.campaign import simulate_campaign
@@ -22,7 +22,7 @@ def evidence(chain, sky):
     settings = TwinSettings(stations=("CS002",), antennas=6, events_per_year=90)
     rough = Nuisances(missing=0.05, dead_antennas=1)
     spectra = simulate_campaign(settings, chain, sky, np.random.default_rng(5), nuisances=rough).spectra
-    return fit_extension(gather_stations(spectra, chain, sky)[0], []).evidence
+    return fit_plain(gather_stations(spectra, chain, sky)[0]).evidence
 
 
 def slow_product(covariance, absorbed, left, right):

@@ -6,7 +6,7 @@ from scipy.stats import norm
 
 from lbacal_core.causes.catalogue import CAUSES
 from lbacal_core.causes.terms import signature
-from lbacal_core.discovery.extend import fit_extension
+from lbacal_core.discovery.extend import fit_plain
 from lbacal_core.discovery.scan import (
     correlate_with,
     equivalent_trials,
@@ -21,7 +21,7 @@ from lbacal_core.discovery.targets import list_targets
 
 @pytest.fixture(scope="module")
 def evidence(station):
-    return fit_extension(station, []).evidence
+    return fit_plain(station).evidence
 
 
 def test_shapes_times_courses_are_the_signatures_of_all_laws(evidence):
