@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -9,13 +10,18 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from lbacal_core.causes.terms import signature
-from lbacal_core.discovery.extend import Extension
-from lbacal_core.discovery.investigate import Finding, StationReport
+from lbacal_core.discovery.investigate import AXES, Finding, StationReport
+from lbacal_core.discovery.leftover import Leftover
 from lbacal_core.discovery.targets import Target
 from lbacal_core.grids import Floats
 
 BINS = 24
+MAP_BINS, MAP_CHANNELS = 16, 3
+"""Of a map: few enough that a weak effect rises above the noise of a cell."""
+SHAPES = 6
 ALARM_P = 0.0025
+RED = "#b3322b"
+POINTS: dict[str, Any] = {"fmt": "o", "ms": 3, "lw": 0.9, "color": "#444"}
 
 
 def draw_scores(report: StationReport) -> Figure:
@@ -23,7 +29,7 @@ def draw_scores(report: StationReport) -> Figure:
     scores = report.first_scan[::-1]
     figure = Figure(figsize=(9.5, 0.27 * len(scores) + 1.2), layout="constrained")
     axes: Any = figure.subplots()
-    colours = ["#b3322b" if score.p_value < ALARM_P else "#8a94a6" for score in scores]
+    colours = [RED if score.p_value < ALARM_P else "#8a94a6" for score in scores]
     axes.barh([score.cause.identifier for score in scores], [abs(score.z) for score in scores], color=colours)
     for k, score in enumerate(scores):
         axes.text(abs(score.z), k, f"  {score.target.label}, p = {score.p_value:.2g}", va="center", fontsize=7)
@@ -33,22 +39,22 @@ def draw_scores(report: StationReport) -> Figure:
     return figure
 
 
-def draw_residual_maps(report: StationReport, target: Target | None) -> Figure:
-    """Residuals before and after along LST, UTC and date, against frequency, mean over the paths concerned."""
-    axes_of = _axes(report)
-    figure = Figure(figsize=(9.5, 3.0 * len(axes_of)), layout="constrained")
-    panels: Any = figure.subplots(len(axes_of), 2, squeeze=False, sharex=True)
-    is_member = np.ones(len(report.data.antenna), dtype=bool) if target is None else target.is_member
+def draw_residual_maps(report: StationReport, target: Target | None, axes: Sequence[str]) -> Figure:
+    """Residuals before and after along the axes named, against frequency, of the paths concerned."""
+    values_of = _axes(report, axes)
+    figure = Figure(figsize=(9.5, 2.9 * len(values_of) + 0.3), layout="constrained")
+    panels: Any = figure.subplots(len(values_of), 2, squeeze=False, sharex=True, sharey="row")
+    stages = [_shown(stage.baseline.residual, report, target) for stage in (report.first, report.last)]
     frequency = report.data.conditions.frequency_mhz
-    for row, (label, values) in zip(panels, axes_of.items(), strict=True):
-        maps = [_binned(stage, values, is_member) for stage in (report.first, report.last)]
+    for row, (label, values) in zip(panels, values_of.items(), strict=True):
+        maps = [_map(values, stage) for stage in stages]
         limit = 100 * float(np.nanpercentile(np.abs(np.stack(maps)), 99))
         extent = (frequency[0] - 0.5, frequency[-1] + 0.5, values.min(), values.max())
         for panel, shown, title in zip(row, maps, ("before", "after"), strict=True):
             image = panel.imshow(
                 100 * shown, origin="lower", aspect="auto", extent=extent, cmap="RdBu_r", vmin=-limit, vmax=limit
             )
-            panel.set_title(title, fontsize=10)
+            panel.set_title(f"{title}: {100 * np.sqrt(np.nanmean(shown**2)):.2f} % rms", fontsize=10)
         row[0].set_ylabel(label)
         figure.colorbar(image, ax=row.tolist(), label="measured / model - 1 (%)")
     for panel in panels[-1]:
@@ -57,32 +63,92 @@ def draw_residual_maps(report: StationReport, target: Target | None) -> Figure:
 
 
 def draw_finding(report: StationReport, finding: Finding) -> Figure:
-    """The finding's signature at its size beside the residual of the baseline, along the axis where it acts most."""
+    """The finding's signature at its size beside the residual that it explains, along its main axis and in frequency.
+
+    The signature is close to one profile of the events times one of the channels: each panel shows the residual
+    projected on the other profile.
+    """
     data, effect = report.data, finding.effect
-    members = effect.target.is_member
-    shape = effect.size * signature(effect.cause, report.last.baseline.terms, data.conditions, effect.law)
-    expected = np.mean(shape[data.class_of[members]], axis=0)
-    observed = _mean(report.first, members)
+    expected, axis = _expected(report, finding), axes_of(report, finding)[0]
+    observed = _shown(report.first.baseline.residual, report, effect.target)
+    events, channels = expected.shape
+    expected, observed = expected - expected.mean(axis=0), observed - observed.mean(axis=0)
+    of_event, _, of_channel = np.linalg.svd(expected, full_matrices=False)
+    along, across = of_channel[0] / np.sqrt(channels), of_event[:, 0] / np.sqrt(events)
+    sign = 1.0 if along.sum() >= 0 else -1.0
+    along, across = sign * along, sign * across
     figure = Figure(figsize=(9.5, 3.4), layout="constrained")
     panels: Any = figure.subplots(1, 2)
-    label, values = max(_axes(report).items(), key=lambda item: float(np.var(_bins(item[1], expected.mean(axis=1))[0])))
-    centres = _centres(values)
-    mean, error = _bins(values, observed.mean(axis=1) - observed.mean())
-    shown, _ = _bins(values, expected.mean(axis=1) - expected.mean())
-    panels[0].errorbar(centres, 100 * mean, 100 * error, fmt="o", ms=3, color="#444", label="residual before")
-    panels[0].plot(centres, 100 * shown, color="#b3322b", label=effect.cause.identifier)
+    ((label, values),) = _axes(report, [axis]).items()
+    mean, error = _bins(values, observed @ along)
+    panels[0].errorbar(_centres(values), 100 * mean, 100 * error, label="residual before", **POINTS)
+    panels[0].plot(_centres(values), 100 * _bins(values, expected @ along)[0], color=RED, label=effect.cause.identifier)
     panels[0].set_xlabel(label)
-    weight = expected.mean(axis=1) - expected.mean()
-    weight = weight / max(float(weight @ weight), 1e-300)
+    panels[0].set_ylabel("relative power, mean over channels (%)")
     frequency = data.conditions.frequency_mhz
-    panels[1].plot(frequency, 100 * (weight @ observed) * weight.std() ** -1 / weight.size, "o", ms=3, color="#444")
-    panels[1].plot(frequency, 100 * (weight @ expected) * weight.std() ** -1 / weight.size, color="#b3322b")
+    scatter = 100 * np.std(observed - expected, axis=0) / np.sqrt(events)
+    panels[1].errorbar(frequency, 100 * across @ observed, scatter, **POINTS)
+    panels[1].plot(frequency, 100 * across @ expected, color=RED)
     panels[1].set_xlabel("frequency (MHz)")
+    panels[1].set_ylabel("relative power, rms over events (%)")
     for panel in panels:
-        panel.set_ylabel("relative power (%)")
         panel.axhline(0, color="#bbb", lw=0.8)
     panels[0].legend(fontsize=8, frameon=False)
     return figure
+
+
+def draw_leftover(report: StationReport, leftover: Leftover) -> Figure:
+    """Structure that no cause explains: what is left after everything, along its axis and in frequency."""
+    labels = np.array([f"antenna {a} {d}" for a, d in zip(report.data.antenna, report.data.dipole, strict=True)])
+    target = None if leftover.target == "station" else Target("path", leftover.target, labels == leftover.target)
+    left = _shown(report.last.baseline.residual, report, target)
+    ((label, values),) = _axes(report, [leftover.axis]).items()
+    phase = (values - values.min()) / max(float(np.ptp(values)), 1e-9)
+    shapes = np.cos(np.pi * np.outer(phase, np.arange(SHAPES + 1)))
+    smooth = shapes[:, 1:] @ np.linalg.lstsq(shapes, left, rcond=None)[0][1:]
+    of_channel = np.linalg.svd(smooth, full_matrices=False)[2][0]
+    along = of_channel / np.sqrt(of_channel.size) * (1.0 if of_channel[0] >= 0 else -1.0)
+    figure = Figure(figsize=(9.5, 3.4), layout="constrained")
+    panels: Any = figure.subplots(1, 2)
+    mean, error = _bins(values, left @ along)
+    panels[0].errorbar(_centres(values), 100 * mean, 100 * error, label="left after everything", **POINTS)
+    order = np.argsort(values)
+    panels[0].plot(values[order], 100 * (smooth @ along)[order], color=RED, lw=1, label="smooth along the axis")
+    panels[0].set_xlabel(label)
+    panels[0].set_ylabel("relative power, in its channels (%)")
+    panels[0].legend(fontsize=8, frameon=False)
+    panels[1].plot(report.data.conditions.frequency_mhz, along * along.size, color=RED)
+    panels[1].set_xlabel("frequency (MHz)")
+    panels[1].set_ylabel("shape in frequency (rms 1)")
+    for panel in panels:
+        panel.axhline(0, color="#bbb", lw=0.8)
+    return figure
+
+
+def axes_of(report: StationReport, finding: Finding) -> list[str]:
+    """Axes along which a cause acts and which these data have, the one first where its signature varies most."""
+    names = [name for name in sorted(AXES.get(finding.effect.cause.identifier, {"lst"})) if _axes(report, [name])]
+    expected = _expected(report, finding)
+
+    def variation(name: str) -> float:
+        ((_, values),) = _axes(report, [name]).items()
+        return float(np.nanvar(_map(values, expected), axis=0).sum())
+
+    return sorted(names, key=variation, reverse=True) or ["lst"]
+
+
+def _expected(report: StationReport, finding: Finding) -> Floats:
+    """The finding's signature at its size as `_shown` would show it, shape (event, freq)."""
+    data, effect = report.data, finding.effect
+    shape = effect.size * signature(effect.cause, report.last.baseline.terms, data.conditions, effect.law)
+    whole = shape[data.class_of] * effect.target.is_member[:, None, None] * data.is_present[:, :, None]
+    return _shown(whole, report, effect.target)
+
+
+def _map(values: Floats, residual: Floats) -> Floats:
+    """Mean in bins of an axis and in groups of channels, shape (bin, group)."""
+    groups = np.array_split(np.arange(residual.shape[1]), max(residual.shape[1] // MAP_CHANNELS, 1))
+    return np.stack([_bins(values, residual[:, group].mean(axis=1), MAP_BINS)[0] for group in groups], axis=1)
 
 
 def draw_calibration_change(report: StationReport, finding: Finding) -> Figure:
@@ -92,8 +158,8 @@ def draw_calibration_change(report: StationReport, finding: Finding) -> Figure:
     figure = Figure(figsize=(9.5, 2.8), layout="constrained")
     axes: Any = figure.subplots()
     low, middle, high = np.percentile(change, [16, 50, 84], axis=0)
-    axes.fill_between(frequency, low, high, color="#b3322b", alpha=0.25, lw=0, label="68 % of the paths concerned")
-    axes.plot(frequency, middle, color="#b3322b", label="median")
+    axes.fill_between(frequency, low, high, color=RED, alpha=0.25, lw=0, label="68 % of the paths concerned")
+    axes.plot(frequency, middle, color=RED, label="median")
     axes.axhline(0, color="#bbb", lw=0.8)
     axes.set_xlabel("frequency (MHz)")
     axes.set_ylabel("change of C (%)")
@@ -101,35 +167,57 @@ def draw_calibration_change(report: StationReport, finding: Finding) -> Figure:
     return figure
 
 
-def _axes(report: StationReport) -> dict[str, Floats]:
+def _axes(report: StationReport, names: Sequence[str]) -> dict[str, Floats]:
+    """Value of every event on each axis that these data have, by its label; all where the name is not known."""
     conditions = report.data.conditions
     days = (conditions.time_unix - conditions.time_unix.min()) / 86_400.0
-    return {
-        "local sidereal time (h)": conditions.lst_hours,
-        "UTC (h)": conditions.utc_hours,
-        "days since the first event": days,
+    known: dict[str, tuple[str, Floats | None]] = {
+        "lst": ("local sidereal time (h)", conditions.lst_hours),
+        "utc": ("UTC (h)", conditions.utc_hours),
+        "date": ("days since the first event", days),
+        "event": ("event, in order of time", np.arange(days.size, dtype=float)),
+        "temperature": ("temperature (degrees C)", conditions.temperature_c),
+        "rain": ("rain (mm/h)", conditions.rain_mm_h),
     }
+    shown = {}
+    for name in names:
+        if ", period " in name:
+            period = float(name.split()[-2])
+            shown[f"day of a period of {period:g} days"] = (conditions.time_unix / 86_400.0) % period
+            continue
+        label, values = known[name]
+        if values is not None:
+            shown[label] = np.nan_to_num(values, nan=float(np.nanmean(values)))
+    return shown
 
 
-def _mean(stage: Extension, is_member: NDArray[np.bool_]) -> Floats:
-    residual = stage.baseline.residual[is_member]
-    count = np.maximum((residual[:, :, 0] != 0).sum(axis=0), 1)
-    return np.asarray(residual.sum(axis=0) / count[:, None])
+def _shown(residual: Floats, report: StationReport, target: Target | None) -> Floats:
+    """What a finding is judged by: its paths less the others, or the station less each event's gain; (event, freq).
+
+    That gain is common to all paths and channels and fluctuates by some percent, far more than most effects.
+    """
+    present = report.data.is_present
+    everywhere = np.ones(len(present), dtype=bool)
+    is_member = everywhere if target is None else target.is_member
+
+    def mean(rows: NDArray[np.bool_]) -> Floats:
+        count = np.maximum(present[rows].sum(axis=0), 1)
+        return np.asarray(residual[rows].sum(axis=0) / count[:, None])
+
+    if not np.all(is_member):
+        return np.asarray(mean(is_member) - mean(~is_member))
+    whole = mean(everywhere)
+    return np.asarray(whole - whole.mean(axis=1, keepdims=True))
 
 
-def _binned(stage: Extension, values: Floats, is_member: NDArray[np.bool_]) -> Floats:
-    residual = _mean(stage, is_member)
-    return np.stack([_bins(values, channel)[0] for channel in residual.T], axis=1)
-
-
-def _bins(values: Floats, quantity: Floats) -> tuple[Floats, Floats]:
+def _bins(values: Floats, quantity: Floats, bins: int = BINS) -> tuple[Floats, Floats]:
     """Mean and its standard error in equal bins of an axis; NaN where there is no event."""
-    edges = np.linspace(values.min(), values.max() + 1e-9, BINS + 1)
-    place = np.clip(np.digitize(values, edges) - 1, 0, BINS - 1)
-    count = np.bincount(place, minlength=BINS).astype(float)
+    edges = np.linspace(values.min(), values.max() + 1e-9, bins + 1)
+    place = np.clip(np.digitize(values, edges) - 1, 0, bins - 1)
+    count = np.bincount(place, minlength=bins).astype(float)
     count[count == 0] = np.nan
-    mean = np.bincount(place, weights=quantity, minlength=BINS) / count
-    square = np.bincount(place, weights=quantity**2, minlength=BINS) / count
+    mean = np.bincount(place, weights=quantity, minlength=bins) / count
+    square = np.bincount(place, weights=quantity**2, minlength=bins) / count
     return mean, np.sqrt(np.maximum(square - mean**2, 0.0) / count)
 
 

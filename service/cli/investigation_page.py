@@ -9,13 +9,16 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from jinja2 import Environment
 from matplotlib.figure import Figure
 
 from lbacal_core.discovery.investigate import Finding, StationReport
 from service.cli.investigation_figures import (
+    axes_of,
     draw_calibration_change,
     draw_finding,
+    draw_leftover,
     draw_residual_maps,
     draw_scores,
 )
@@ -30,27 +33,38 @@ def write_investigation_page(content: dict[str, Any], reports: Sequence[StationR
 
 def _station(report: StationReport) -> dict[str, Any]:
     shown = [*report.findings, *report.similar]
-    target = shown[0].effect.target if shown else None
+    leftover = report.leftover
     return {
         "name": report.data.station,
-        "findings": [_finding(report, finding) for finding in shown],
-        "maps": embed(draw_residual_maps(report, target)),
+        "paths": len(report.data.antenna),
+        "events": len(report.data.event_id),
+        "findings": [_finding(report, finding, is_named=finding in report.findings) for finding in shown],
+        "leftover": embed(draw_leftover(report, leftover)) if leftover else None,
+        "maps": embed(draw_residual_maps(report, None, ["lst", "utc", "date"])),
         "scores": embed(draw_scores(report)),
     }
 
 
-def _finding(report: StationReport, finding: Finding) -> dict[str, Any]:
+def _finding(report: StationReport, finding: Finding, *, is_named: bool) -> dict[str, Any]:
     effect = finding.effect
+    axes = axes_of(report, finding)
+    parameters = {key: value for key, value in effect.law.parameters.items() if not key.endswith("_unix")}
+    change = 100 * finding.calibration_change
     return {
         "cause": effect.cause.identifier,
+        "target": effect.target.label,
+        "is_named": is_named,
         "figure": embed(draw_finding(report, finding)),
+        "maps": embed(draw_residual_maps(report, effect.target, axes)),
         "calibration": embed(draw_calibration_change(report, finding)),
         "size": f"{effect.size:.4g} ± {effect.sigma:.2g} {effect.cause.unit}",
-        "parameters": ", ".join(f"{key} {value}" for key, value in effect.law.parameters.items()) or "none",
-        "chi2": f"{finding.chi2_before:.0f} before, {finding.chi2_after:.0f} after, {finding.dof} degrees of freedom",
+        "parameters": ", ".join(f"{key} {value}" for key, value in parameters.items()) or "none",
+        "chi2": f"{finding.chi2_before:.0f} before, {finding.chi2_after:.0f} after "
+        f"({finding.chi2_before - finding.chi2_after:.0f} gained; {finding.dof} degrees of freedom)",
         "held_out": f"ln L + {finding.held_out_gain:.1f} on {finding.held_out_events} events in four folds",
         "indistinguishable": ", ".join(f"{name} (r = {r:.2f})" for name, r in finding.indistinguishable) or "nothing",
         "confirm": effect.cause.confirm,
+        "change": f"{np.median(change):+.2f} % in the median, {change.flat[np.argmax(np.abs(change))]:+.2f} % at most",
     }
 
 

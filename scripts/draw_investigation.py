@@ -1,0 +1,52 @@
+"""Draw docs/images/investigation-*.png: what `lbacal investigate` shows of two simulated stations.
+
+    .venv/bin/python scripts/draw_investigation.py
+
+One station has a daytime ionosphere and a gain step of one path, the other follows the working week.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from lbacal_core.discovery.investigate import StationReport
+from lbacal_core.discovery.report import investigate
+from lbacal_core.instrument import load_instrument
+from lbacal_core.skypower.model import compute_sky_power
+from lbacal_core.twin.campaign import simulate_campaign
+from lbacal_core.twin.faults.antenna import GainStep
+from lbacal_core.twin.faults.fault import Fault, Where
+from lbacal_core.twin.faults.sky import IonosphericAbsorption
+from lbacal_core.twin.faults.uncatalogued import WorkingWeek
+from lbacal_core.twin.settings import TwinSettings
+from service.cli.investigation_figures import draw_finding, draw_leftover, draw_residual_maps
+
+IMAGES = Path(__file__).parents[1] / "docs/images"
+SETTINGS = TwinSettings(stations=("CS002",), antennas=12, events_per_year=400)
+STEP = GainStep(size=0.05, where=Where(antennas=(2,), dipoles=("Y",)), date="2014-08-07")
+
+
+def ask(faults: list[Fault]) -> StationReport:
+    instrument = load_instrument("lofar-superterp")
+    sky = compute_sky_power(instrument)
+    spectra = simulate_campaign(SETTINGS, instrument, sky, np.random.default_rng(5), faults).spectra
+    content, (report,) = investigate(spectra, instrument, sky, is_own_sky=True)
+    print(content["verdict"], [finding["sentence"] for finding in content["findings"]])
+    return report
+
+
+def main() -> None:
+    spoiled = ask([IonosphericAbsorption(size=0.02), STEP])
+    for finding in spoiled.findings:
+        draw_finding(spoiled, finding).savefig(IMAGES / f"investigation-{finding.effect.cause.identifier}.png", dpi=100)
+    step = spoiled.findings[0]
+    draw_residual_maps(spoiled, step.effect.target, ["date"]).savefig(IMAGES / "investigation-maps.png", dpi=100)
+    odd = ask([WorkingWeek(size=0.05)])
+    if odd.leftover is not None:
+        draw_leftover(odd, odd.leftover).savefig(IMAGES / "investigation-unexplained.png", dpi=100)
+
+
+if __name__ == "__main__":
+    main()

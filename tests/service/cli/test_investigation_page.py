@@ -1,0 +1,63 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lbacal_core.discovery.report import investigate
+from lbacal_core.instrument import load_instrument
+from lbacal_core.skypower.model import compute_sky_power
+from lbacal_core.twin.campaign import simulate_campaign
+from lbacal_core.twin.faults.antenna import GainStep
+from lbacal_core.twin.faults.fault import Where
+from lbacal_core.twin.faults.uncatalogued import WorkingWeek
+from lbacal_core.twin.settings import TwinSettings
+from service.cli.investigation_page import write_investigation_page
+
+pytestmark = pytest.mark.timeout(300)
+SETTINGS = TwinSettings(stations=("CS002",), antennas=6, events_per_year=250)
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    """The page of a station in which one path stepped, and which follows the working week besides."""
+    chain = load_instrument("lofar-superterp")
+    sky = compute_sky_power(chain)
+    faults = [
+        GainStep(size=0.08, where=Where(antennas=(2,), dipoles=("Y",)), date="2014-08-07"),
+        WorkingWeek(size=0.08),
+    ]
+    spectra = simulate_campaign(SETTINGS, chain, sky, np.random.default_rng(8), faults).spectra
+    content, reports = investigate(spectra, chain, sky)
+    path = tmp_path_factory.mktemp("page") / "r.html"
+    write_investigation_page(content, reports, path)
+    return content, path.read_text()
+
+
+def test_a_finding_has_its_signature_its_maps_and_its_change_of_c(written):
+    content, page = written
+    assert [finding["cause"] for finding in content["findings"]] == ["gain_step"]
+    for words in ("signature of gain_step", "residual maps before and after", "change of C"):
+        assert words in page
+
+
+def test_structure_that_no_cause_explains_is_drawn_along_its_axis(written):
+    content, page = written
+    assert content["verdict"] == "unexplained"
+    assert "What no cause explains" in page
+
+
+def test_every_picture_is_inside_the_page(written):
+    _, page = written
+    assert page.count("<img") == page.count("data:image/png;base64,") == 6
+    assert "http" not in page
+
+
+def test_the_sentence_the_gain_and_what_it_changes_in_c_are_said(written):
+    content, page = written
+    for words in (
+        content["findings"][0]["sentence"],
+        "gain on events not used",
+        "cannot be told from",
+        "in the median",
+    ):
+        assert words in page
