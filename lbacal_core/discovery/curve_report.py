@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -99,7 +100,7 @@ def _noise(noise: PointNoise, found: CurveInvestigation) -> dict[str, Any]:
 def _finding(found: CurveInvestigation, finding: CurveFinding) -> dict[str, Any]:
     last, cause = found.last, finding.cause
     size, sigma = _size(cause, last, finding.place)
-    change = found.fitter.calibration_change(finding.without, last)
+    change = found.fitter.calibration_change(_less(last, finding.place), last)
     every = np.abs(np.concatenate([change[d] for d in DIPOLES]))
     names = [rival.cause.identifier for rival in finding.rivals if not rival.is_excluded]
     return {
@@ -139,6 +140,12 @@ def _finding(found: CurveInvestigation, finding: CurveFinding) -> dict[str, Any]
             "note": "causes that need a direction act by ratio: P_sky times own(with)/own(without)",
         },
     }
+
+
+def _less(fit: CurveFit, place: int) -> CurveFit:
+    """The set without one of its causes, the others as they are: for what this one does by itself."""
+    causes = fit.causes[:place] + fit.causes[place + 1 :]
+    return replace(fit, causes=causes, sizes=np.delete(fit.sizes, place), sigmas=np.delete(fit.sigmas, place))
 
 
 def _rival(last: CurveFit, rival: Rival) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from lbacal_core.causes.terms import signature
-from lbacal_core.discovery.investigate import AXES, Finding, StationReport
+from lbacal_core.discovery.investigate import Finding, StationReport
 from lbacal_core.discovery.leftover import Leftover
 from lbacal_core.discovery.targets import Target
 from lbacal_core.grids import Floats
@@ -19,6 +19,8 @@ BINS = 24
 MAP_BINS, MAP_CHANNELS = 16, 3
 """Of a map: few enough that a weak effect rises above the noise of a cell."""
 SHAPES = 6
+WEAKEST_AXIS = 0.2
+"""Of the variance of a signature along its strongest axis: below, an axis is not shown."""
 ALARM_P = 0.0025
 RED = "#b3322b"
 POINTS: dict[str, Any] = {"fmt": "o", "ms": 3, "lw": 0.9, "color": "#444"}
@@ -126,15 +128,16 @@ def draw_leftover(report: StationReport, leftover: Leftover) -> Figure:
 
 
 def axes_of(report: StationReport, finding: Finding) -> list[str]:
-    """Axes along which a cause acts and which these data have, the one first where its signature varies most."""
-    names = [name for name in sorted(AXES.get(finding.effect.cause.identifier, {"lst"})) if _axes(report, [name])]
+    """Axes along which the signature varies in these data, the strongest first."""
     expected = _expected(report, finding)
-
-    def variation(name: str) -> float:
-        ((_, values),) = _axes(report, [name]).items()
-        return float(np.nanvar(_map(values, expected), axis=0).sum())
-
-    return sorted(names, key=variation, reverse=True) or ["lst"]
+    variation = {}
+    for name in ("lst", "utc", "date", "temperature", "rain"):
+        for values in _axes(report, [name]).values():
+            count = np.histogram(values, MAP_BINS)[0] / values.size
+            means = np.nan_to_num(_map(values, expected - expected.mean(axis=0)))
+            variation[name] = float(np.sum(count[:, None] * means**2))
+    ordered = sorted(variation, key=lambda name: variation[name], reverse=True)
+    return [name for name in ordered if variation[name] > WEAKEST_AXIS * variation[ordered[0]]]
 
 
 def _expected(report: StationReport, finding: Finding) -> Floats:

@@ -76,6 +76,10 @@ def test_a_pair_is_found_although_neither_fits_alone(chain, sky, lst_hours):
     named = {finding["cause"]: {finding["cause"], *finding["indistinguishable"]} for finding in report["findings"]}
     assert "dipole_swap" in named
     assert any("missing_noise" in names for names in named.values())
+    # each by itself: noise changes no slope, however much the exchange does
+    level = next(finding for finding in report["findings"] if finding["cause"] != "dipole_swap")
+    if level["cause"] != "compression":
+        assert abs(level["calibration_change"]["X"]["median_fraction"]) < 1e-6
     assert report["verdict"] == "explained"
 
 
