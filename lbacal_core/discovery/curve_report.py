@@ -182,7 +182,7 @@ def _hypothesis(found: CurveInvestigation, fit: CurveFit) -> dict[str, Any]:
     is_named = fit.labels == found.last.labels
     return {
         "causes": causes,
-        "standing": "named" if is_named else "not excluded" if fit in found.alternatives else "excluded",
+        "standing": "named" if is_named else "not excluded" if found.is_open(fit) else "excluded",
         "chi2": fit.chi2,
         "dof": fit.dof,
         "chi2_per_point": _per_point(fit),

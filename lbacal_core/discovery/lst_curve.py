@@ -100,6 +100,11 @@ class CurveInvestigation:
     leftover_p: float
     is_own_sky: bool
 
+    def is_open(self, fit: CurveFit) -> bool:
+        """Whether the data do not exclude a set other than the one named."""
+        rivals = [rival for finding in self.findings for rival in finding.rivals if not rival.is_excluded]
+        return any(fit.labels == one.labels for one in [*self.alternatives, *(rival.fit for rival in rivals)])
+
 
 def investigate_curve(
     curve: LstCurve,

@@ -68,7 +68,7 @@ def draw_ranking(found: CurveInvestigation) -> Figure:
     figure = Figure(figsize=(10.5, 0.27 * len(shown) + 1.4), layout="constrained")
     axes: Any = figure.subplots()
     for row, fit in enumerate(shown):
-        is_named, is_open = fit.labels == found.last.labels, fit in found.alternatives
+        is_named, is_open = fit.labels == found.last.labels, found.is_open(fit)
         colour = COLOURS["X"] if is_named else "#d99a2b" if is_open else GREY
         axes.barh(row, fit.chi2 / fit.points, color=colour)
         words = f"  {fit.chi2 / fit.points:.2f}  (drawn bars {fit.chi2_drawn / fit.points:.2f})"

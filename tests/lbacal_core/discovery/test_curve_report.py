@@ -30,6 +30,10 @@ def test_the_measured_curve_says_that_the_letters_are_exchanged(report):
 
 def test_a_turn_by_a_right_angle_is_listed_because_it_exchanges_the_letters_too(report):
     assert "dipole_azimuth" in report["findings"][0]["indistinguishable"]
+    turned = next(
+        one for one in report["hypotheses"] if [c["parameters"].get("near") for c in one["causes"]] == ["90 deg"]
+    )
+    assert turned["standing"] == "not excluded"
 
 
 def test_chi2_per_point_is_quoted_with_the_estimated_noise_and_the_drawn_bars(report):
