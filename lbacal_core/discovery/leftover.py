@@ -75,7 +75,11 @@ def axis_functions(data: StationData) -> dict[str, Floats]:
 
 
 def find_leftover(evidence: Evidence, rng: np.random.Generator, alpha: float) -> Leftover | None:
-    """The most significant structure that is left; None where chance gives as much with a probability above alpha."""
+    """The most significant structure that is left, or None.
+
+    It counts where chance gives as much with a probability below alpha, and where it makes events more probable that
+    were not used to describe it.
+    """
     data = evidence.data
     functions = axis_functions(data)
     smooth = np.asarray(np.polynomial.legendre.legvander(np.linspace(-1, 1, data.power.shape[2]), 5).T, dtype=float)
@@ -88,6 +92,8 @@ def find_leftover(evidence: Evidence, rng: np.random.Generator, alpha: float) ->
     if corrected >= alpha:
         return None
     held_out, share = _describe(evidence, best, functions, smooth)
+    if best.axis != "event" and held_out <= 0:
+        return None
     return Leftover(best.axis, best.target, corrected, best.gain, best.dof, held_out, share)
 
 

@@ -24,8 +24,9 @@ from lbacal_core.grids import Floats
 
 FEWEST_COMPARISONS = 3
 """Antennas less cable names: so many independent comparisons there must be."""
-NEIGHBOURS = 4
-"""Delays on either side over which antennas' departures are taken to be alike."""
+REACH_US, SMOOTH_US = 0.08, 0.1
+"""Delays so close are taken to scatter alike between antennas; below the second each by itself, because the smooth
+departures of antennas are larger the smoother they are."""
 INDISTINGUISHABLE = 9.0
 
 
@@ -113,8 +114,10 @@ def _neighbours(shapes: Sequence[StaticShape]) -> NDArray[np.bool_]:
     if "delay_us" not in shapes[0].parameters:
         return np.eye(len(shapes), dtype=bool)
     delay = np.array([shape.parameters["delay_us"] for shape in shapes])
-    place = np.searchsorted(np.unique(delay), delay)
-    return np.asarray(np.abs(place[:, None] - place) <= NEIGHBOURS)
+    # In channels of 1 MHz a delay and its complement to 1 us make the same ripple.
+    seen = np.minimum(delay, 1.0 - delay)
+    reach = np.where(seen < SMOOTH_US, 0.01, REACH_US)
+    return np.asarray(np.abs(seen[:, None] - seen) <= np.minimum(reach[:, None], reach) + 1e-9)
 
 
 def _against_others(
