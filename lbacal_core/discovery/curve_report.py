@@ -10,6 +10,7 @@ import numpy as np
 from lbacal_core.discovery.curve_causes import NEEDS_MORE_AXES, CurveCause
 from lbacal_core.discovery.curve_fit import CurveFit
 from lbacal_core.discovery.lst_curve import ALPHA_LEFTOVER, CurveFinding, CurveInvestigation, Rival
+from lbacal_core.discovery.scan import sigma_of
 from lbacal_core.grids import Floats
 from lbacal_core.instrument import DIPOLES
 from lbacal_core.lstcurve.noise import PointNoise
@@ -108,7 +109,7 @@ def _finding(found: CurveInvestigation, finding: CurveFinding) -> dict[str, Any]
         "indistinguishable": [name for name in dict.fromkeys(names) if name != cause.identifier],
         "size": {"value": size, "sigma": sigma, "unit": cause.unit},
         "parameters": _parameters(cause, last, finding.place),
-        "significance_sigma": finding.z,
+        "significance_sigma": sigma_of(finding.p_value),
         "p_value": finding.p_value,
         "where": {
             "frequency_mhz": list(found.band_mhz),
@@ -135,6 +136,7 @@ def _finding(found: CurveInvestigation, finding: CurveFinding) -> dict[str, Any]
         },
         "sentence": f"In this curve {_words(cause, last, finding.place)}.",
         "evidence": {
+            "score_sigma": finding.z,
             "would_decide": cause.confirm,
             "in_its_place": [_rival(last, rival) for rival in finding.rivals],
             "note": "causes that need a direction act by ratio: P_sky times own(with)/own(without)",

@@ -36,6 +36,11 @@ def test_a_turn_by_a_right_angle_is_listed_because_it_exchanges_the_letters_too(
     assert turned["standing"] == "not excluded"
 
 
+def test_the_significance_is_the_one_after_the_look_elsewhere_correction(report):
+    (finding,) = report["findings"]
+    assert 5 < finding["significance_sigma"] < finding["evidence"]["score_sigma"]
+
+
 def test_chi2_per_point_is_quoted_with_the_estimated_noise_and_the_drawn_bars(report):
     before, after = report["chi2"]["per_point_before"], report["chi2"]["per_point_after"]
     assert before["drawn_bars"] > 4 * after["drawn_bars"]
