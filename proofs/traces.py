@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from lbacal_core.grids import Floats
 from lbacal_core.traces.background import CleaningSettings, PathBackground, measure_traces
@@ -27,11 +26,6 @@ BINS = SETTINGS.frequency_mhz
 GRID_MHZ = np.arange(25.0, 86.0)
 ROUNDING = 1.0 / 12.0 / 100.0
 """Density of the converter's rounding noise: 1/12 ADC^2 over 100 MHz."""
-
-LINES_MHZ = np.arange(33.0, 80.0, 6.0)
-"""Every trial has a line in each of these bins: on the flat, on both flanks of the resonance, and at both edges."""
-
-LINE_BINS = (LINES_MHZ - BINS[0]).astype(int)
 
 
 def band_shape(rms_adc: float = 15.0) -> Floats:
@@ -118,99 +112,6 @@ def try_noise(trials: int, blocks: int, seed: int, rms_adc: float = 15.0) -> Noi
     return NoiseTrial(np.array(rows), theory, false_lines)
 
 
-@dataclass(frozen=True)
-class LineTrial:
-    """What a line of each strength did.
-
-    Attributes
-    ----------
-    strength
-        Shape (strength,): mean power of the line over the noise in 1 MHz.
-    found
-        Shape (strength,): share of the lines that were found.
-    change
-        Shape (strength, trial): change of the lines' bins against the same trace without lines, relative, mean of the
-        bins.
-    """
-
-    strength: Floats
-    found: Floats
-    change: Floats
-
-    @property
-    def bias(self) -> Floats:
-        """Mean change at every strength, shape (strength,)."""
-        return np.asarray(self.change.mean(axis=1))
-
-    @property
-    def bias_error(self) -> Floats:
-        """Its standard error, shape (strength,)."""
-        return np.asarray(self.change.std(axis=1, ddof=1) / np.sqrt(self.change.shape[1]))
-
-    def mean_bias(self, is_meant: NDArray[np.bool_]) -> tuple[float, float]:
-        """Mean over some strengths, and its error from the scatter between trials (strengths share their noise)."""
-        if not np.any(is_meant):
-            return 0.0, float("inf")
-        of_trial = self.change[is_meant].mean(axis=0)
-        return float(of_trial.mean()), float(of_trial.std(ddof=1) / np.sqrt(of_trial.size))
-
-    @property
-    def limit(self) -> float:
-        """Strength from which on at least 95 % are found (interpolated in the logarithm)."""
-        above = np.flatnonzero(np.minimum.accumulate(self.found[::-1])[::-1] >= 0.95)
-        if above.size == 0 or above[0] == 0:
-            return float(self.strength[above[0]]) if above.size else float("inf")
-        k = above[0]
-        low, high = self.found[k - 1], self.found[k]
-        share = (0.95 - low) / (high - low) if high > low else 1.0
-        return float(np.exp(np.interp(share, [0, 1], np.log(self.strength[k - 1 : k + 1]))))
-
-
-KINDS = {
-    "steady": Transmitter(50.0, 0.0),
-    "drifting 50 kHz/ms": Transmitter(50.0, 0.0, drift_mhz_per_ms=0.05),
-    "on 20 % of the time": Transmitter(50.0, 0.0, duty=0.2, period_s=4e-4),
-}
-
-
-def try_lines(
-    kind: Transmitter, strengths: Floats, trials: int, blocks: int, seed: int, antennas: int = 1
-) -> LineTrial:
-    """Add lines of several strengths at random frequencies and phases to the same noise, and measure."""
-    density = band_shape()
-    truth = true_bins(density)[LINE_BINS]
-    found = np.zeros((strengths.size, trials))
-    change = np.zeros((strengths.size, trials))
-    for number in range(trials):
-        rng = np.random.default_rng([seed, number])
-        frequencies = LINES_MHZ + rng.uniform(-0.4, 0.3, LINES_MHZ.size)
-        voltages = [draw_noise(density, GRID_MHZ, blocks * BLOCK_SAMPLES, rng) for _ in range(antennas)]
-        phases = rng.uniform(0, 2 * np.pi, (antennas, LINES_MHZ.size))
-        clean = _measure_together(voltages, [() for _ in voltages])[0]
-        for row, strength in enumerate(strengths):
-            mean_squares = strength * truth / kind.duty
-            lines = [
-                [
-                    replace(kind, frequency_mhz=float(f), mean_square=float(p), phase=float(phase))
-                    for f, p, phase in zip(frequencies, mean_squares, of_antenna, strict=True)
-                ]
-                for of_antenna in phases
-            ]
-            result = _measure_together(voltages, lines)[0]
-            near = np.abs(result.line_mhz[:, None] - frequencies - kind.drift_mhz_per_ms) < 0.3
-            is_silenced = bool(result.dropped)  # its blocks are left out as pulses, bursts or keying
-            found[row, number] = 1.0 if is_silenced else np.mean(np.any(near, axis=0))
-            change[row, number] = np.mean((power_of(result) - power_of(clean))[LINE_BINS] / truth)
-    return LineTrial(strengths, found.mean(axis=1), change)
-
-
-def _measure_together(
-    voltages: Sequence[Floats], disturbances: Sequence[Sequence[Transmitter | Shower]]
-) -> list[PathBackground]:
-    traces = (trace_of(v, 2 * k, d) for k, (v, d) in enumerate(zip(voltages, disturbances, strict=True)))
-    return measure_traces(traces, SETTINGS, is_station=len(voltages) > 1)
-
-
 def try_gains(rms_adc: Floats, trials: int, blocks: int, seed: int) -> tuple[Floats, Floats]:
     """Band power measured over true, without and with 1/12 ADC^2 of rounding noise in the truth, shape (2, gain).
 
@@ -265,7 +166,6 @@ def prove(arguments: list[str]) -> tuple[bool, list[str]]:
     thin = int(arguments[0]) if arguments else 1
     lines: list[str] = []
     holds = _prove_noise(thin, lines)
-    holds &= _prove_lines(thin, lines)
     holds &= _prove_gains_and_pulses(thin, lines)
     return holds, lines
 
@@ -282,45 +182,6 @@ def _prove_noise(thin: int, lines: list[str]) -> bool:
         lines.append(f"- noise over theory {one.noise_over_theory:.4f} ({blocks} blocks, theory {theory})")
     lines.append(f"- lines found where there are none: {trial.false_lines} in {len(trial.ratio)} traces")
     return abs(bias) < 0.002 + 2 * error and all(abs(t.noise_over_theory - 1) < 0.03 for t in (trial, hundred))
-
-
-def _prove_lines(thin: int, lines: list[str]) -> bool:
-    strengths = np.array([0.006, 0.012, 0.025, 0.045, 0.08, 0.2, 1.0, 10.0, 50.0])
-    figure = Figure(figsize=(9, 8), layout="constrained")
-    top, bottom = figure.subplots(2, 1, sharex=True)
-    lines += [
-        "",
-        "| line | blocks | antennas | 95 % found from | mean bias above | worst bias above | worst bias below |",
-    ]
-    lines.append("|---|---|---|---|---|---|---|")
-    holds = True
-    cases = [(name, 400, 1) for name in KINDS] + [("steady", 2000, 1), ("steady", 400, 12)]
-    for number, (name, blocks, antennas) in enumerate(cases):
-        trials = max(4, (24 if antennas == 1 and blocks == 400 else 10) // thin)
-        trial = try_lines(KINDS[name], strengths, trials, blocks, 10 + number, antennas)
-        above = strengths >= trial.limit
-        worst_above = np.argmax(np.abs(trial.bias) * above)
-        worst_below = np.argmax(np.abs(trial.bias) * ~above)
-        mean, mean_error = trial.mean_bias(above)
-        holds &= name != "steady" or abs(mean) < 0.002 + 2 * mean_error
-        lines.append(
-            f"| {name} | {blocks} | {antennas} | {100 * trial.limit:.1f} % | "
-            f"{100 * mean:+.2f} ± {100 * mean_error:.2f} % | "
-            f"{100 * trial.bias[worst_above]:+.2f} ± {100 * trial.bias_error[worst_above]:.2f} % | "
-            f"{100 * trial.bias[worst_below]:+.2f} ± {100 * trial.bias_error[worst_below]:.2f} % |"
-        )
-        label = f"{name}, {blocks * BLOCK_SAMPLES / 2e5:.1f} ms, {antennas} antenna{'s' * (antennas > 1)}"
-        top.semilogx(100 * strengths, trial.found, "o-", ms=3, label=label)
-        bottom.errorbar(100 * strengths, 100 * trial.bias, 100 * trial.bias_error, fmt="o-", ms=3, capsize=2)
-    bottom.plot(100 * strengths, 100 * strengths, "k:", label="no cleaning at all")
-    bottom.set(ylim=(-1.5, 6), xlabel="power of the line / noise in 1 MHz (%)", ylabel="bias of its bin (%)")
-    bottom.axhspan(-0.2, 0.2, color="0.85", label="±0.2 %")
-    bottom.legend()
-    top.set(ylabel="share found", title="Lines found, and what they do to the power of their bin")
-    top.legend()
-    IMAGES.mkdir(exist_ok=True)
-    figure.savefig(IMAGES / "traces-lines.png", dpi=110)
-    return holds
 
 
 def _prove_gains_and_pulses(thin: int, lines: list[str]) -> bool:

@@ -34,6 +34,7 @@ from lbacal_core.traces.interference import (
     LARGEST_LEAK,
     FineSpectrum,
     Flags,
+    estimate_baseline,
     find_excess,
     find_lines,
     find_station_excess,
@@ -58,6 +59,9 @@ QUIET_ADC = 0.3
 
 MARGIN_MHZ = 2.0
 """Lines are looked for so far beyond the bins: what comes from farther is 1e-7 of its line."""
+
+WIDE_CHANNELS = 16
+"""Fine channels found by the station alone above which a trace's baseline is drawn again without them."""
 
 PHASE_TRACES = 6
 """Traces of each dipole whose phases are kept for the phase test."""
@@ -221,19 +225,23 @@ def _reduce_trace(
     dropped = dict(selection.dropped)
     if clean.size < len(transform):
         transform = transform[clean]
-    is_keyed = find_keyed_blocks(transform)
-    if np.any(is_keyed) and np.sum(~is_keyed) >= wanted:
-        dropped["keyed"] = int(np.sum(is_keyed))
-        clean, transform = clean[~is_keyed], transform[~is_keyed]
     rows, segment_ids = find_segments(trace.position[clean])
     fine, phases = transform_segments(trace.samples, clean[rows], searched, rate, keep=keep_phases)
     is_line, baseline = find_lines(fine)
+    to_density = density_per_square(BLOCK_SAMPLES, rate)[searched]
+    is_keyed = _find_switching(transform, to_density, fine, is_line, baseline)
+    if np.any(is_keyed) and np.sum(~is_keyed) >= wanted:
+        dropped["keyed"] = int(np.sum(is_keyed))
+        clean, transform = clean[~is_keyed], transform[~is_keyed]
+        rows, segment_ids = find_segments(trace.position[clean])
+        fine, phases = transform_segments(trace.samples, clean[rows], searched, rate, keep=keep_phases)
+        is_line, baseline = find_lines(fine)
     if settings.blocks is not None:
         transform = transform[(np.arange(settings.blocks) * clean.size) // settings.blocks]
     return _Reduced(
         trace=trace.reference,
         channel_mhz=channel_frequencies(BLOCK_SAMPLES, rate)[searched],
-        coarse=sum_of_squares(transform) * density_per_square(BLOCK_SAMPLES, rate)[searched] / len(transform),
+        coarse=sum_of_squares(transform) * to_density / len(transform),
         blocks=len(transform),
         fine=fine,
         baseline=baseline,
@@ -245,6 +253,18 @@ def _reduce_trace(
         faults=trace.faults,
         pulses=selection.pulses,
     )
+
+
+def _find_switching(
+    transform: NDArray[np.complex64], to_density: Floats, fine: FineSpectrum, is_line: Flags, baseline: Floats
+) -> Flags:
+    """Blocks in which one of the lines, or what stands out in the blocks alone, is on now and then, shape (block,)."""
+    noise = baseline[:: fine.factor]
+    strength = line_leakage(is_line, fine.density / baseline - 1.0, fine.factor, noise.size)
+    excess = sum_of_squares(transform) * to_density / (len(transform) * noise) - 1.0
+    is_seen = find_excess(excess + 1.0, len(transform), COARSE_BOXES)
+    strength = np.where(is_seen, np.maximum(strength, excess), strength)
+    return find_keyed_blocks(transform, strength, noise, to_density)
 
 
 def _searched_channels(settings: CleaningSettings, rate_hz: float) -> slice:
@@ -285,13 +305,17 @@ def _find_station_lines(usable: Sequence[_Reduced]) -> Flags | None:
 def _finish(item: _Reduced, station_lines: Flags | None, settings: CleaningSettings) -> PathBackground:
     """Flag the channels, bin to the grid, and fill what cannot be measured."""
     fine = item.fine
-    ratio = fine.density / item.baseline
+    baseline = item.baseline
     is_line = item.is_line
     if station_lines is not None and station_lines.size == is_line.size:
+        is_unknown = station_lines & ~is_line
         is_line = is_line | station_lines
+        if np.sum(is_unknown) > WIDE_CHANNELS:
+            baseline = estimate_baseline(fine, is_line)  # which had taken wide interference for sky
+    ratio = fine.density / baseline
     leak = line_leakage(is_line, ratio - 1.0, fine.factor, item.coarse.size)
     is_flagged = leak > LARGEST_LEAK
-    shape = item.baseline[:: fine.factor]
+    shape = baseline[:: fine.factor]
     unexplained = item.coarse / shape - leak  # blocks beside a dropped one are in no segment of the search
     is_flagged |= np.convolve(find_excess(unexplained, item.blocks, COARSE_BOXES), np.ones(3), mode="same") > 0
     channel_mhz = item.channel_mhz

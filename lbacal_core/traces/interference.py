@@ -36,6 +36,9 @@ STATION_BOXES = (1, 2, 4)
 """Averaged over a station the noise is so small that wide boxes would flag ripples of a few per cent, such as
 reflections in 115 m of cable make every MHz."""
 
+PHASE_BOXES = (1, 4, 16, 64)
+"""The wide ones are for interference that is wide and weak: 0.8 MHz of it are as steady in phase as a line."""
+
 COARSE_BOXES = (1, 2)
 """The 1024-sample channels are searched as well: blocks beside a dropped one are in no segment of the fine search."""
 
@@ -193,7 +196,7 @@ def find_steady_phases(stability: Floats, pairs: int, channel_mhz: float) -> Fla
     coarse = stability[: stability.size // size * size].reshape(-1, size)
     centre = (np.arange(len(coarse)) + 0.5) * size - 0.5
     level = np.interp(np.arange(stability.size), centre, np.median(coarse, axis=1)) / float(gammaincinv(pairs, 0.5))
-    return np.asarray(stability > np.maximum(level, 1.0) * float(gammainccinv(pairs, FALSE_FLAG_RATE)))
+    return find_excess(stability / (pairs * np.maximum(level, 1.0)), pairs, PHASE_BOXES)
 
 
 def unit_phases(transform: NDArray[np.complex64]) -> NDArray[np.complex64]:

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from lbacal_core.grids import Floats
 from lbacal_core.traces.blocks import BlockStatistics, transform_trace
-from lbacal_core.traces.density import sum_of_squares
 from lbacal_core.traces.trace import ADC_HIGHEST, ADC_LOWEST, BLOCK_SAMPLES, Trace
 
 PULSE_REACH = 5
@@ -26,16 +25,17 @@ BURST_SIGMA = 8.0
 
 KEYED_LEVEL = 20.0
 """A channel is on in a block if it has this many times its noise there: chance, 2e-9. Switching a carrier on or off
-spreads it over the band as 1/d^2 at d channels, which no window prevents; weaker ones spread less than 0.3 % of the
-noise in any bin that is not left out anyway."""
+spreads it over the band as 1/d^2 at d channels, which no window prevents; weaker ones spread less than 0.4 % of the
+noise into their bin. To ask for less does harm: the blocks in which a weak line happens to be strong would go, and what
+is left of it would hide from the search."""
 
 OFF_LEVEL = 2.0
 """A channel whose median is above this many times its noise (pure noise: 0.7) is on most of the time: a carrier,
 perhaps modulated, whose fluctuations must not be taken for keying."""
 
 MOST_KEYED = 0.5
-NOISE_CHANNELS = 6
-"""Channels of 0.2 MHz of whose mean powers the median is the noise that keying is judged by."""
+KEYED_CHANNELS = 16
+KEYED_STRENGTH = 0.1
 
 
 @dataclass(frozen=True)
@@ -127,34 +127,38 @@ def select_background(
     return BlockSelection(is_background, dropped, tuple(int(p) for p in np.unique(pulses)), mean, mean_square)
 
 
-def find_keyed_blocks(transform: NDArray[np.complex64]) -> NDArray[np.bool_]:
+def find_keyed_blocks(
+    transform: NDArray[np.complex64], line_strength: Floats, noise: Floats, to_density: Floats
+) -> NDArray[np.bool_]:
     """Find the blocks in which a transmitter is on that is off in most: those and their neighbours hold its switching.
 
     Parameters
     ----------
     transform
-        Shape (block, channel): transform of windowed blocks.
+        Shape (block, channel): windowed transform of the blocks.
+    line_strength
+        Shape (channel,): mean power of lines over the noise.
+    noise
+        Shape (channel,): noise density, ADC^2/MHz.
+    to_density
+        Shape (channel,): from |F|^2 to density.
 
     Returns
     -------
     Shape (block,). Transmitters that are on in more than half of the blocks are not counted: nothing would be left.
     """
-    mean = sum_of_squares(transform) / len(transform)
-    count = max(mean.size // NOISE_CHANNELS, 1)
-    level = np.median(mean[: count * NOISE_CHANNELS].reshape(count, -1), axis=1)
-    noise = np.interp(np.arange(mean.size), (np.arange(count) + 0.5) * NOISE_CHANNELS - 0.5, level)
-    parts = transform.view(np.float32)
-    largest = (
-        np.maximum(parts.max(axis=0), -parts.min(axis=0)) ** 2
-    )  # of real and imaginary part: half of |F|^2 at least
-    channels = np.flatnonzero(largest.reshape(-1, 2).max(axis=1) > KEYED_LEVEL / 2 * noise)
+    padded = np.pad(line_strength, 1)
+    is_peak = (line_strength >= padded[:-2]) & (line_strength >= padded[2:]) & (line_strength > KEYED_STRENGTH)
+    channels = np.flatnonzero(is_peak)
+    channels = channels[np.argsort(line_strength[channels])[-KEYED_CHANNELS:]]
     is_keyed = np.zeros(len(transform), dtype=bool)
     if channels.size == 0:
         return is_keyed
     seen = transform[:, channels]
-    power = seen.real**2 + seen.imag**2
-    is_on = (power > KEYED_LEVEL * noise[channels]) & (np.median(power, axis=0) < OFF_LEVEL * noise[channels])
-    is_on = is_on[:, np.any(is_on, axis=0)]
+    power = (seen.real**2 + seen.imag**2) * (to_density[channels] / noise[channels])
+    is_mostly_off = np.median(power, axis=0) < OFF_LEVEL
+    is_on = power > KEYED_LEVEL
+    is_on = is_on[:, is_mostly_off & np.any(is_on, axis=0)]
     for channel in np.argsort(is_on.mean(axis=0)):
         candidate = is_keyed | is_on[:, channel]
         candidate[1:] |= is_on[:-1, channel]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from proofs.traces import KINDS, band_shape, true_bins, try_gains, try_lines, try_noise, try_pulses
+from proofs.traces import band_shape, true_bins, try_gains, try_noise, try_pulses
 
 
 def test_noise_is_measured_without_bias_and_with_the_noise_of_theory() -> None:
@@ -16,26 +16,6 @@ def test_noise_is_measured_without_bias_and_with_the_noise_of_theory() -> None:
     # 60 x 51 values: the scatter is known to 1.3 %; neighbouring bins share channels.
     assert abs(trial.noise_over_theory - 1) < 0.03 + 0.013
     assert trial.false_lines <= 8  # 0.03 a trace expected
-
-
-def test_strong_lines_are_found_and_leave_no_bias() -> None:
-    trial = try_lines(KINDS["steady"], np.array([0.1, 10.0]), trials=10, blocks=200, seed=2)
-    assert np.all(trial.found > 0.95)
-    assert np.all(np.abs(trial.bias) < 0.002 + 3 * trial.bias_error)
-    assert np.all(trial.bias_error < 0.008)
-
-
-def test_weak_lines_are_not_found_and_bias_by_their_own_power_at_most() -> None:
-    trial = try_lines(KINDS["drifting 50 kHz/ms"], np.array([0.005]), trials=4, blocks=200, seed=3)
-    assert trial.found[0] < 0.1
-    assert 0.0 < trial.bias[0] < 0.0075
-
-
-def test_several_antennas_find_weaker_lines() -> None:
-    strength = np.array([0.02])
-    alone = try_lines(KINDS["steady"], strength, trials=2, blocks=200, seed=4)
-    together = try_lines(KINDS["steady"], strength, trials=2, blocks=200, seed=4, antennas=8)
-    assert together.found[0] > alone.found[0] + 0.5
 
 
 def test_rounding_adds_a_twelfth_unless_the_gain_is_too_low() -> None:

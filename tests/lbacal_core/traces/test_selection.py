@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lbacal_core.traces.density import transform_blocks
+from lbacal_core.traces.density import density_per_square, transform_blocks
 from lbacal_core.traces.selection import find_keyed_blocks, select_background
 from lbacal_core.traces.trace import Trace
 from lbacal_core.twin.voltages import Shower, Transmitter
@@ -65,7 +65,10 @@ def test_only_a_transmitter_that_is_mostly_silent_costs_blocks(
 ) -> None:
     line = Transmitter(45.0, mean_square=60.0, duty=duty, period_s=4e-4)
     trace = make_trace(6, disturbances=[line])
-    found = find_keyed_blocks(transform_blocks(trace.samples)[:, 140:420])
+    strength = np.zeros(513)
+    strength[round(45.0 * 1024 / 200)] = 10.0
+    to_density = density_per_square(1024, 200e6)
+    found = find_keyed_blocks(transform_blocks(trace.samples), strength, np.full(513, 4.0), to_density)
     on = (np.arange(400) * 1024 / 200e6 / 4e-4) % 1.0 < duty
     if is_keyed:
         assert np.all(found[on])

@@ -1,0 +1,261 @@
+"""Lines in traces: which are found, and what those that are not, and those that are, do to the power of their bin.
+
+`./dev prove traces_lines` simulates voltages, digitises them and measures them back; the suite runs small instances of
+the same functions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from lbacal_core.grids import Floats
+from lbacal_core.traces.background import PathBackground, measure_traces
+from lbacal_core.traces.density import bin_weights, line_response
+from lbacal_core.traces.interference import LARGEST_LEAK
+from lbacal_core.traces.trace import BLOCK_SAMPLES
+from lbacal_core.twin.voltages import SAMPLE_RATE_HZ, Transmitter, draw_noise
+from proofs.traces import BINS, GRID_MHZ, IMAGES, ROUNDING, SETTINGS, band_shape, power_of, trace_of, true_bins
+
+LINES_MHZ = np.arange(33.0, 80.0, 6.0)
+"""Every trial has a line in each of these bins: on the flat, on both flanks of the resonance, and at both edges."""
+
+LINE_BINS = (LINES_MHZ - BINS[0]).astype(int)
+
+
+@dataclass(frozen=True)
+class LineTrial:
+    """What a line of each strength did.
+
+    Attributes
+    ----------
+    strength
+        Shape (strength,): mean power of the line over the noise in 1 MHz.
+    found
+        Shape (strength, trial): share of the lines that were found.
+    change
+        Shape (strength, trial): measured power of the lines' bins over the true one, minus 1, mean of the bins and
+        of the antennas, with the noise taken out that any estimate from the same clean channels would have.
+    """
+
+    strength: Floats
+    found: Floats
+    change: Floats
+
+    @property
+    def bias(self) -> Floats:
+        """Mean change at every strength, shape (strength,)."""
+        return np.asarray(self.change.mean(axis=1))
+
+    @property
+    def bias_error(self) -> Floats:
+        """Its standard error, shape (strength,)."""
+        return np.asarray(self.change.std(axis=1, ddof=1) / np.sqrt(self.change.shape[1]))
+
+    @property
+    def found_from(self) -> float:
+        """Weakest strength from which on at least 95 % of the lines are found."""
+        share = self.found.mean(axis=1)
+        above = np.flatnonzero(np.minimum.accumulate(share[::-1])[::-1] >= 0.95)
+        return float(self.strength[above[0]]) if above.size else float("inf")
+
+
+FOUND = 0.98
+"""From its limit on, so many lines of a kind are found, whatever their place between the channels."""
+
+KINDS = {
+    "steady": Transmitter(50.0, 0.0),
+    "drifting 50 kHz/ms": Transmitter(50.0, 0.0, drift_mhz_per_ms=0.05),
+    "on 20 % of the time": Transmitter(50.0, 0.0, duty=0.2, period_s=4e-4),
+}
+
+
+def try_lines(
+    kind: Transmitter, strengths: Floats, trials: int, blocks: int, seed: int, antennas: int = 1
+) -> LineTrial:
+    """Add lines of several strengths at random frequencies and phases to the same noise, and measure.
+
+    The noise of a measurement hides a bias of 0.2 %, but most of it is known: the mean of the channels that a line of
+    this frequency and strength cannot reach, in the same trace without lines, is off by the same noise and right on
+    average, whatever the cleaning does. The measurement is compared with that.
+    """
+    density = band_shape()
+    truth = true_bins(density)[LINE_BINS]
+    found = np.zeros((strengths.size, trials))
+    change = np.zeros((strengths.size, trials))
+    samples = blocks * BLOCK_SAMPLES
+    for number in range(trials):
+        rng = np.random.default_rng([seed, number])
+        frequencies = LINES_MHZ + rng.uniform(-0.4, 0.3, LINES_MHZ.size)
+        voltages, carriers = [], []
+        for _ in range(antennas):
+            voltages.append(draw_noise(density, GRID_MHZ, samples, rng))
+            phases = rng.uniform(0, 2 * np.pi, LINES_MHZ.size)
+            lines = [
+                replace(kind, frequency_mhz=float(f), mean_square=float(p) / kind.duty, phase=float(phase))
+                for f, p, phase in zip(frequencies, truth, phases, strict=True)
+            ]
+            carriers.append(np.sum([line.voltage(samples, SAMPLE_RATE_HZ) for line in lines], axis=0))
+        clean = measure_together(voltages)
+        middle = frequencies + kind.drift_mhz_per_ms * samples / SAMPLE_RATE_HZ * 1e3 / 2.0
+        reach = abs(middle - frequencies)
+        for row, strength in enumerate(strengths):
+            expected = [_power_of_unreached(item, density, middle, reach, float(strength)) for item in clean]
+            amplitude = np.sqrt(strength)
+            results = measure_together(
+                [voltage + amplitude * carrier for voltage, carrier in zip(voltages, carriers, strict=True)]
+            )
+            is_silenced = [bool(result.dropped) for result in results]  # left out as pulses, bursts or keying
+            near = [np.any(np.abs(r.line_mhz[:, None] - middle) < 0.3 + reach, axis=0) for r in results]
+            found[row, number] = np.mean([1.0 if s else np.mean(n) for s, n in zip(is_silenced, near, strict=True)])
+            powers = np.array([power_of(result)[LINE_BINS] for result in results])
+            change[row, number] = np.mean((powers - np.array(expected)) / truth)
+    return LineTrial(strengths, found, change)
+
+
+def _power_of_unreached(
+    clean: PathBackground, density: Floats, line_mhz: Floats, half_mhz: Floats, strength: float
+) -> Floats:
+    """Power of the lines' bins in a trace without lines, from the channels that a line would not reach."""
+    shape = np.exp(np.interp(clean.channel_mhz, GRID_MHZ, np.log(density))) + ROUNDING
+    width = clean.channel_mhz[1] - clean.channel_mhz[0]
+    path = line_mhz[:, None] + half_mhz[:, None] * np.linspace(-1, 1, 9)
+    offset = (clean.channel_mhz[:, None, None] - path) / width
+    level = strength * true_bins(density)[LINE_BINS] / width
+    leak = (line_response(offset).mean(axis=2) @ level) / shape
+    weights = bin_weights(clean.channel_mhz, BINS, 1.0)[LINE_BINS]
+    kept = weights * (leak < LARGEST_LEAK)
+    kept = np.where(kept.sum(axis=1, keepdims=True) > 0.5, kept, weights)
+    expected = weights @ shape / weights.sum(axis=1)
+    return np.asarray(expected * (kept @ clean.density) / (kept @ shape))
+
+
+def measure_together(voltages: Sequence[Floats]) -> list[PathBackground]:
+    traces = (trace_of(voltage, 2 * number) for number, voltage in enumerate(voltages))
+    return measure_traces(traces, SETTINGS, is_station=len(voltages) > 1)
+
+
+@dataclass(frozen=True)
+class LineClaim:
+    """What is stated about lines of one kind: from `limit` on (power over the noise in 1 MHz) they are found.
+
+    `allowed` is the bias that they leave then.
+    """
+
+    kind: str
+    blocks: int
+    antennas: int
+    trials: int
+    limit: float
+    below: tuple[float, ...]
+    above: tuple[float, ...]
+    allowed: float = 0.002
+
+    @property
+    def name(self) -> str:
+        """The case in words."""
+        plural = "s" * (self.antennas > 1)
+        return f"{self.kind}, {self.blocks * BLOCK_SAMPLES / 2e5:.1f} ms, {self.antennas} antenna{plural}"
+
+
+CLAIMS = (
+    LineClaim("steady", 400, 1, 240, 0.05, (0.006, 0.012, 0.025, 0.04), (0.05, 0.08, 0.3, 2.0, 20.0)),
+    LineClaim("steady", 2000, 1, 50, 0.025, (0.006, 0.012, 0.018), (0.025, 0.08, 2.0, 20.0)),
+    LineClaim("steady", 400, 12, 36, 0.012, (0.003, 0.006, 0.009), (0.012, 0.03, 0.3, 20.0)),
+    LineClaim("drifting 50 kHz/ms", 400, 1, 200, 0.15, (0.012, 0.04, 0.08, 0.11), (0.15, 0.3, 2.0, 20.0)),
+    LineClaim("on 20 % of the time", 400, 1, 200, 0.06, (0.012, 0.025, 0.045), (0.06, 0.1, 0.3, 1.0, 20.0), 0.005),
+)
+"""Switched lines are not claimed to 0.2 %: see KEYED_LEVEL."""
+
+
+def _prove_lines(thin: int, lines: list[str]) -> bool:
+    figure = Figure(figsize=(9, 8), layout="constrained")
+    top, bottom = figure.subplots(2, 1, sharex=True)
+    lines += ["", "Bias of a line's bin by its strength (power over the noise in 1 MHz), with 95 % intervals:", ""]
+    lines += ["| line | limit | 95 % found from | below the limit | from the limit on | stated | holds |"]
+    lines += ["|---|---|---|---|---|---|---|"]
+    holds = True
+    for number, claim in enumerate(CLAIMS):
+        strengths = np.array(claim.below + claim.above)
+        trials = max(4, claim.trials // thin)
+        trial = try_lines(KINDS[claim.kind], strengths, trials, claim.blocks, 10 + number, claim.antennas)
+        is_above = strengths >= claim.limit
+        reach = 1.96 * trial.bias_error
+        is_kept = bool(np.all(np.abs(trial.bias)[is_above] <= claim.allowed + reach[is_above]))
+        is_kept &= bool(np.all(trial.found.mean(axis=1)[is_above] >= FOUND))
+        holds &= is_kept
+        words = [
+            f"{100 * s:g} %: {100 * b:+.2f} ± {100 * e:.2f}"
+            for s, b, e in zip(strengths, trial.bias, reach, strict=True)
+        ]
+        below, above = ("; ".join(np.array(words)[chosen]) for chosen in (~is_above, is_above))
+        lines.append(
+            f"| {claim.name} ({trials} x {LINES_MHZ.size}) | {100 * claim.limit:g} % | {100 * trial.found_from:g} % | "
+            f"{below} | {above} | {100 * claim.allowed:g} % | {'yes' if is_kept else 'no'} |"
+        )
+        top.semilogx(100 * strengths, trial.found.mean(axis=1), "o-", ms=3, label=claim.name)
+        bottom.errorbar(100 * strengths, 100 * trial.bias, 100 * reach, fmt="o-", ms=3, capsize=2)
+    weak = np.geomspace(0.2, 6.0, 20)
+    bottom.plot(weak, weak, "k:", label="no cleaning at all")
+    bottom.set(ylim=(-1, 4), xlabel="power of the line / noise in 1 MHz (%)", ylabel="bias of its bin (%)")
+    bottom.axhspan(-0.2, 0.2, color="0.85", label="±0.2 %")
+    bottom.legend()
+    top.set(ylabel="share found", title="Lines found, and what they do to the power of their bin")
+    top.legend()
+    IMAGES.mkdir(exist_ok=True)
+    figure.savefig(IMAGES / "traces-lines.png", dpi=110)
+    return holds
+
+
+def try_wide(
+    strengths: Floats, width_mhz: float, trials: int, blocks: int, seed: int, antennas: int
+) -> tuple[Floats, Floats]:
+    """Add a band of noise from one far transmitter (the same in all antennas, delayed) and measure.
+
+    Returns
+    -------
+    Share of the bands of which something is flagged, and bias of their bins, shape (strength,).
+    """
+    density = band_shape()
+    samples = blocks * BLOCK_SAMPLES
+    found = np.zeros((strengths.size, trials))
+    change = np.zeros((strengths.size, trials))
+    centres = LINES_MHZ[1::2]
+    bins = (centres - BINS[0]).astype(int)
+    for number in range(trials):
+        rng = np.random.default_rng([seed, number])
+        fine_mhz = np.arange(GRID_MHZ[0], GRID_MHZ[-1], 0.02)
+        is_in = np.any(np.abs(fine_mhz[:, None] - centres) < width_mhz / 2, axis=1)
+        shape = np.exp(np.interp(fine_mhz, GRID_MHZ, np.log(density))) * np.where(is_in, 1.0, 1e-12)
+        band = draw_noise(shape, fine_mhz, samples, rng)
+        voltages = [draw_noise(density, GRID_MHZ, samples, rng) for _ in range(antennas)]
+        bands = [np.roll(band, int(delay)) for delay in rng.integers(0, 12, antennas)]  # 0 to 60 ns
+        clean = measure_together(voltages)
+        for row, strength in enumerate(strengths):
+            results = measure_together([v + np.sqrt(strength) * b for v, b in zip(voltages, bands, strict=True)])
+            near = [np.any(np.abs(r.line_mhz[:, None] - centres) < width_mhz / 2 + 0.1, axis=0) for r in results]
+            found[row, number] = np.mean(near)
+            ratios = [power_of(r)[bins] / power_of(c)[bins] for r, c in zip(results, clean, strict=True)]
+            change[row, number] = np.mean(ratios) - 1.0
+    return found.mean(axis=1), change.mean(axis=1)
+
+
+def _prove_wide(thin: int, lines: list[str]) -> None:
+    strengths = np.array([0.05, 0.1, 0.2, 0.3, 0.5, 1.0])
+    lines += ["", "Noise-like interference 0.8 MHz wide, by its density over the noise: found in, bias of its bin:"]
+    for antennas in (1, 12):
+        found, bias = try_wide(strengths, 0.8, max(2, (24 if antennas == 1 else 6) // thin), 400, 50, antennas)
+        words = [f"{s:g}: {f:.2f}, {100 * b:+.1f} %" for s, f, b in zip(strengths, found, bias, strict=True)]
+        lines.append(f"- {antennas} antenna{'s' * (antennas > 1)}: " + "; ".join(words))
+
+
+def prove(arguments: list[str]) -> tuple[bool, list[str]]:
+    """Run everything; with an argument, that many times fewer trials."""
+    thin = int(arguments[0]) if arguments else 1
+    lines: list[str] = []
+    holds = _prove_lines(thin, lines)
+    _prove_wide(thin, lines)
+    return holds, lines
