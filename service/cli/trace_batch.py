@@ -16,7 +16,7 @@ from lbacal_core.traces.discovery import StationEvent
 Work = tuple[StationEvent, float | None]
 """A station event, and when the particle detectors expect its pulse (s UTC)."""
 
-METHOD = 1
+METHOD = 2
 """Raised when the same traces and settings give other spectra, so that kept parts are made anew."""
 
 RETRIES = 5

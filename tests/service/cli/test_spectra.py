@@ -2,29 +2,36 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import threading
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+import time
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
+import uvicorn
 
+from lbacal.client import Client
 from lbacal_core.spectra import read_spectra
 from lbacal_core.traces.trace import TraceReference
 from lbacal_core.twin.voltages import Transmitter, digitise, draw_noise, write_frames
+from service.app import make_app
 from service.cli.main import main
+from service.config import Settings
+from service.factory import Factory
 
 FREQUENCY = np.arange(30.0, 81.0)
 BLOCKS = 60
 
 
-def write_dump(folder: Path, rcu: int, start_s: int = 1_311_073_541, scale: float = 1.0, seed: int = 0) -> Path:
+def write_dump(folder: Path, rcu: int, start_s: int = 1_311_073_541, seed: int = 0, station: int = 11) -> Path:
     rng = np.random.default_rng([seed, rcu, start_s])
-    voltage = scale**0.5 * draw_noise(np.full(51, 4.0), FREQUENCY, BLOCKS * 1024, rng)
+    voltage = draw_noise(np.full(51, 4.0), FREQUENCY, BLOCKS * 1024, rng)
     path = folder / f"dump_{start_s}_{rcu}.dat"
     samples = digitise(voltage, [Transmitter(45.0, 40.0, phase=float(rng.uniform(0, 6)))])
-    write_frames(path, samples, TraceReference(path, str(rcu), "CS011", rcu, start_s, 1024 * rcu, 200e6), 11)
+    reference = TraceReference(path, str(rcu), f"CS{station:03d}", rcu, start_s, 1024 * rcu, 200e6)
+    write_frames(path, samples, reference, station)
     return path
 
 
@@ -150,40 +157,39 @@ def test_all_real_dumps_in_one_go(shared: Path, tmp_path: Path, monkeypatch: pyt
     assert found.blocks.tolist() == [1978, 1000, 1000, 1000, 1000]
 
 
-def test_spectra_go_straight_into_a_service_one_event_a_request(
-    dumps: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+@pytest.fixture
+def service(sqlite_template: Path, tmp_path: Path) -> Iterator[tuple[str, Factory]]:
+    """The service itself, with an empty database, on loopback."""
+    shutil.copy(sqlite_template, tmp_path / "lbacal.sqlite")
+    factory = Factory(Settings(database_url=str(tmp_path / "lbacal.sqlite"), instrument="lofar-superterp"))
+    server = uvicorn.Server(uvicorn.Config(make_app(factory), port=0, log_level="warning", access_log=False))
+    thread = threading.Thread(target=server.run)
+    thread.start()
+    while not server.started and thread.is_alive():
+        time.sleep(0.01)
+    yield f"http://127.0.0.1:{server.servers[0].sockets[0].getsockname()[1]}", factory
+    server.should_exit = True
+    thread.join()
+    factory.database.close()
+
+
+def test_spectra_go_straight_into_a_service_and_can_be_asked_for(
+    service: tuple[str, Factory], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    write_dump(dumps, 10, start_s=1_311_080_000)
-    received: list[tuple[str | None, dict[str, Any]]] = []
-
-    class Handler(BaseHTTPRequestHandler):
-        def do_POST(self) -> None:
-            body = json.loads(self.rfile.read(int(self.headers["Content-Length"])))
-            received.append((self.headers["Authorization"], body))
-            count = len(body["spectra"])
-            answer = json.dumps({"received": count, "stored": count, "duplicates": 0}).encode()
-            self.send_response(201)
-            self.send_header("Content-Type", "application/json")
-            self.send_header("Content-Length", str(len(answer)))
-            self.end_headers()
-            self.wfile.write(answer)
-
-        def log_message(self, *_: object) -> None:
-            pass
-
-    monkeypatch.setenv("LBACAL_API_KEY", "secret")
-    with ThreadingHTTPServer(("127.0.0.1", 0), Handler) as listener:
-        thread = threading.Thread(target=listener.serve_forever)
-        thread.start()
-        url = f"http://127.0.0.1:{listener.server_port}"
-        code = run(monkeypatch, dumps, "--output", tmp_path / "S.h5", "--url", url)
-        listener.shutdown()
-        thread.join()
-    assert code == 0
-    assert "4 received, 4 stored, 0 duplicates" in capsys.readouterr().out
-    assert [key for key, _ in received] == ["Bearer secret"] * 2
-    written = read_spectra(tmp_path / "S.h5")
-    sent = [row["power"] for _, body in received for row in body["spectra"]]
-    assert np.array_equal(sent, written.power)
-    assert run(monkeypatch, dumps, "--output", tmp_path / "S.h5", "--url", url) == 1
+    url, factory = service
+    dumps = tmp_path / "dumps"
+    dumps.mkdir()
+    for rcu, start_s in ((10, 1_311_073_541), (11, 1_311_073_541), (10, 1_311_080_000)):
+        write_dump(dumps, rcu, start_s, station=2)
+    output = tmp_path / "S.h5"
+    monkeypatch.delenv("LBACAL_API_KEY", raising=False)
+    assert run(monkeypatch, dumps, "--output", output, "--url", url) != 0
     assert capsys.readouterr().err.count("\n") == 1
+    monkeypatch.setenv("LBACAL_API_KEY", factory.keys.create(("spectra:write", "read"))[1])
+    assert run(monkeypatch, dumps, "--output", output, "--url", url) == 0
+    assert "3 received, 3 stored, 0 duplicates" in capsys.readouterr().out
+    assert run(monkeypatch, dumps, "--output", output, "--url", url) == 0
+    assert "3 received, 0 stored, 3 duplicates" in capsys.readouterr().out
+    with Client(url) as client:
+        events = client.get("/v1/events")["events"]
+    assert sorted(event["event_id"] for event in events) == ["20110719T110541", "20110719T125320"]

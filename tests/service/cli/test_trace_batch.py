@@ -2,8 +2,10 @@ from __future__ import annotations
 
 import os
 import signal
+import threading
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -57,21 +59,40 @@ def test_a_run_that_stops_midway_keeps_what_it_did(work: list[Work], tmp_path: P
 def test_a_dask_worker_killed_midway_loses_nothing(work: list[Work], tmp_path: Path) -> None:
     distributed = pytest.importorskip("distributed")
     here = dict(_by_event(TraceBatch(work, CleaningSettings(), tmp_path / "here")))
+    signs = tmp_path / "signs"
+    signs.mkdir()
+
+    def wait_in_every_task() -> None:
+        """In a worker: say that a task has begun, and go on with it when told to."""
+        from service.cli import trace_batch
+
+        measure = trace_batch.measure_background
+
+        def measure_when_told(*arguments: Any) -> Any:
+            (signs / str(os.getpid())).touch()
+            while not (signs / "go").exists():
+                time.sleep(0.01)
+            return measure(*arguments)
+
+        trace_batch.measure_background = measure_when_told
+
+    def kill_one_at_work(victim: int) -> None:
+        while not (signs / str(victim)).exists():
+            time.sleep(0.01)
+        os.kill(victim, signal.SIGKILL)
+        (signs / "go").touch()
+
     cluster = distributed.LocalCluster(
         n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, memory_limit=0
     )
-    with cluster:
+    with cluster, distributed.Client(cluster.scheduler_address) as client:
+        client.run(wait_in_every_task)
         victim = next(iter(cluster.workers.values())).pid
-        killed = False
-        results = {}
+        killer = threading.Thread(target=kill_one_at_work, args=(victim,), daemon=True)
+        killer.start()
         run = TraceBatch(work, CleaningSettings(), tmp_path / "there").run(cluster.scheduler_address)
-        for event, result, _ in run:
-            if not killed:
-                os.kill(victim, signal.SIGKILL)
-                killed = True
-                time.sleep(0.1)
-            assert not isinstance(result, str), result
-            results[event.event_id] = result
+        results = {event.event_id: result for event, result, _ in run}
+        killer.join()
     assert len(results) == EVENTS
     for name, records in here.items():
         assert results[name] == records
