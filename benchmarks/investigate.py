@@ -1,0 +1,73 @@
+"""How long one station-year takes to question, and how that grows: .venv/bin/python -m benchmarks.investigate.
+
+Nothing hidden: every cause is scanned for every path, antenna, cable and the station, calibrated for look-elsewhere;
+then structure is looked for without a catalogue. With a gain that follows temperature: the refits, the held-out test and a
+second scan come on top. The reference of the same run is one refit for each law and target, from the time of one.
+"""
+
+from __future__ import annotations
+
+import resource
+import time
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from lbacal_core.causes.catalogue import CAUSES
+from lbacal_core.discovery.baseline import gather_stations
+from lbacal_core.discovery.extend import Effect, fit_extension, fit_plain
+from lbacal_core.discovery.report import investigate
+from lbacal_core.discovery.scan import scan
+from lbacal_core.discovery.targets import list_targets
+from lbacal_core.instrument import Instrument, load_instrument
+from lbacal_core.skypower.model import compute_sky_power
+from lbacal_core.skypower.table import SkyPower
+from lbacal_core.spectra import Spectra
+from lbacal_core.twin.campaign import simulate_campaign
+from lbacal_core.twin.faults.antenna import GainTemperature
+from lbacal_core.twin.settings import TwinSettings
+
+SIZES = ((900, 48), (450, 48), (900, 24), (450, 24))
+
+
+def simulate(events: int, antennas: int, chain: Instrument, sky: SkyPower, size: float = 0.0) -> Spectra:
+    """One year of one station."""
+    settings = TwinSettings(stations=("CS002",), antennas=antennas, events_per_year=events)
+    faults = [GainTemperature(size=size)] if size else []
+    return simulate_campaign(settings, chain, sky, np.random.default_rng(1), faults).spectra
+
+
+def question(spectra: Spectra, chain: Instrument, sky: SkyPower) -> str:
+    """Investigate, and say how long it took."""
+    started, processor = time.perf_counter(), time.process_time()
+    report, _ = investigate(spectra, chain, sky)
+    wall, processor = time.perf_counter() - started, time.process_time() - processor
+    return f"{wall:.1f} s ({processor:.1f} s of processor time), {report['verdict']}"
+
+
+def main() -> None:
+    chain = load_instrument("lofar-superterp")
+    sky = compute_sky_power(chain)
+    for events, antennas in SIZES:
+        print(f"{events} events, {antennas} antennas: {question(simulate(events, antennas, chain, sky), chain, sky)}")
+    spectra = simulate(900, 48, chain, sky, 0.01)
+    print(f"900 events, 48 antennas, a gain that follows temperature: {question(spectra, chain, sky)}")
+    print(f"largest memory: {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20:.2f} GiB")
+    with threadpool_limits(1):
+        (data,) = gather_stations(spectra, chain, sky)
+        plain, targets = fit_plain(data), list_targets(data)
+        started = time.perf_counter()
+        found = scan(plain.evidence, CAUSES, targets)
+        scanned = time.perf_counter() - started
+        started = time.perf_counter()
+        fit_extension(data, [Effect(found[0].cause, found[0].law, found[0].target, 0.0)], plain)
+        refit = time.perf_counter() - started
+    number = sum(
+        len(cause.laws(data.conditions)) * sum(target.scope in cause.scopes for target in targets) for cause in CAUSES
+    )
+    print(f"scan of {number} (cause, law, target): {scanned:.1f} s; one refit {refit:.1f} s, all by refits")
+    print(f"{number * refit / 3600:.0f} h: {number * refit / scanned:.0f} times as long")
+
+
+if __name__ == "__main__":
+    main()
