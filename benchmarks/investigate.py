@@ -1,7 +1,7 @@
 """How long one station-year takes to question, and how that grows: .venv/bin/python -m benchmarks.investigate.
 
 Nothing hidden: every cause is scanned for every path, antenna, cable and the station, calibrated for look-elsewhere;
-then structure is looked for without a catalogue. With a gain that follows temperature: the refits, the held-out test and a
+then structure is looked for without a catalogue. With a gain that follows temperature: refits, the held-out test and a
 second scan come on top. The reference of the same run is one refit for each law and target, from the time of one.
 """
 

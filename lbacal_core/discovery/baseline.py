@@ -259,18 +259,24 @@ def fit_baseline(data: StationData, ratio: Floats | None = None) -> Baseline:
 def _mean_terms(data: StationData, solution: SeparableSolution) -> ChainTerms:
     """The chain of the mean path of each class: noise constants of the station, slopes of the class."""
     classes = len(data.conditions.dipoles)
+    # Where no path of a class is identifiable all of them have to do.
     is_good = np.isfinite(solution.covariance[:, 0, 0])
-    members = [np.flatnonzero((data.class_of == index) & is_good) for index in range(classes)]
-    n_lna = float(np.median(solution.n[is_good]))
-    noise = np.median(solution.q[is_good], axis=0)
+    of_class = [data.class_of == index for index in range(classes)]
+    members = [np.flatnonzero(own & is_good if np.any(own & is_good) else own) for own in of_class]
+    is_good |= not np.any(is_good)
+    channels = solution.x.shape[1]
+    # A level that comes out at zero or below may still be wrong by its error: causes act on at least half of that.
+    variance = np.diagonal(solution.covariance[is_good], axis1=1, axis2=2)[:, channels:]
+    floor = 0.5 * np.sqrt(np.nan_to_num(np.median(variance, axis=0)))
+    levels = np.column_stack([solution.n[is_good], solution.q[is_good]])
+    n_lna, *noise = np.maximum(np.median(levels, axis=0), floor)
     slope = np.stack([np.median(solution.x[rows], axis=0) for rows in members])
-    receiver = np.maximum(noise[0], 0.0) * data.conditions.receiver_gain
     return ChainTerms(
         sky=data.sky,
-        n_lna=np.array(max(n_lna, 0.0)),
+        n_lna=np.array(n_lna),
         front=slope[:, None, :],
-        receiver_noise=receiver,
-        adc_noise=np.array(max(float(noise[1]), 0.0)),
+        receiver_noise=noise[0] * data.conditions.receiver_gain,
+        adc_noise=np.array(noise[1]),
     )
 
 

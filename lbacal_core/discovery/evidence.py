@@ -240,7 +240,9 @@ class Evidence:
         if self.modes is not None and self.modes.size:
             sky_share = self.terms.sky * self.terms.front / self.terms.power()
             everyone = np.ones(len(self.data.antenna), dtype=bool)
-            dense = np.concatenate([dense, self.mean_of(self.modes * sky_share, everyone)])
+            # Models differ for each polarisation by itself: a mode of one says nothing of the other.
+            shown = self.mean_of(self.modes * sky_share, everyone)
+            dense = np.concatenate([dense, *(shown * (np.arange(letters) == d)[:, None, None] for d in range(letters))])
         return Space(channel, band, front, dense)
 
     @cached_property

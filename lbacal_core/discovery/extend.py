@@ -21,6 +21,8 @@ from lbacal_core.grids import Floats
 
 MAX_ROUNDS = 8
 LARGEST_STEP = {"dipole_swap": 0.7}
+LARGEST_CHANGE = 50.0
+"""Factor on the power beyond which a fit has run away."""
 SMALLEST_DIFFERENCE = 1e-3
 """Of signatures that are fitted together: 1 - r^2 of one against the others."""
 DATE_BLOCKS, LST_BLOCKS, FOLDS = 8, 12, 4
@@ -69,10 +71,8 @@ def _can_be_told_apart(information: Floats) -> bool:
     return bool(np.linalg.eigvalsh(information / np.outer(size, size))[0] > SMALLEST_DIFFERENCE)
 
 
-def power_ratio(data: StationData, terms: ChainTerms, effects: Sequence[Effect]) -> Floats | None:
-    """Power with the effects over power without, shape (path, event, freq); None where there are none."""
-    if not effects:
-        return None
+def power_ratio(data: StationData, terms: ChainTerms, effects: Sequence[Effect]) -> Floats:
+    """Power with the effects over power without, shape (path, event, freq)."""
     plain = terms.power()
     ratio = np.empty_like(data.power)
     for members, index, concerned in _groups(data, effects):
@@ -96,7 +96,9 @@ def _groups(data: StationData, effects: Sequence[Effect]) -> list[tuple[NDArray[
 def fit_extension(
     data: StationData, effects: Sequence[Effect], before: Extension, modes: Floats | None = None
 ) -> Extension | None:
-    """Fit the chain of every path and the sizes of all effects together; None where data cannot tell them apart.
+    """Fit the chain of every path and the sizes of all effects together.
+
+    None where data cannot tell them apart, or where the fit runs away.
 
     Parameters
     ----------
@@ -124,7 +126,10 @@ def fit_extension(
             replace(effect, size=effect.size + float(d), sigma=float(s))
             for effect, d, s in zip(current, step, sigma, strict=True)
         ]
-        baseline = fit_baseline(data, power_ratio(data, baseline.terms, current))
+        ratio = power_ratio(data, baseline.terms, current)
+        if not np.all((ratio > LARGEST_CHANGE**-1) & (ratio < LARGEST_CHANGE)):
+            return None
+        baseline = fit_baseline(data, ratio)
         evidence = Evidence(data, split_residuals(data, baseline.residual), baseline.terms, modes)
         if is_converged:
             break
