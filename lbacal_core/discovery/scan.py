@@ -27,6 +27,7 @@ DRAWS = 2000
 MANY_COURSES, MANY_SHAPES = 8, 8
 SMALLEST_INFORMATION = 1e-6
 """Below this a unit of size moves the data by a thousandth of a standard deviation."""
+BATCH_SIZE = 200_000
 WORTH_THREADS = 1_000_000
 """Values of a data set; below, threads wait for each other more than they compute."""
 SMALLEST_SHARE = 1e-6
@@ -90,10 +91,10 @@ class Courses:
     by_set: Floats
 
     def sum(self, values: Floats) -> Floats:
-        """Sums over the events of values times each course, (k, event, n) -> (k, law, n)."""
+        """Sums over the events of values times each course, (..., event, n) -> (..., law, n)."""
         if len(self.begins) == len(self.order):
             return self.values @ values
-        return np.asarray(self.by_set @ np.add.reduceat(values[:, self.order], self.begins, axis=1))
+        return np.asarray(self.by_set @ np.add.reduceat(values[..., self.order, :], self.begins, axis=-2))
 
 
 def make_courses(values: Floats) -> Courses:
@@ -166,22 +167,23 @@ def list_shapes(evidence: Evidence, causes: Sequence[Cause]) -> list[Shape]:
 def scan(evidence: Evidence, causes: Sequence[Cause], targets: Sequence[Target], seed: int = 0) -> list[Score]:
     """The best score of each cause, most significant first."""
     shapes = list_shapes(evidence, causes)
+    batches = _batches(shapes, evidence.data.power[0].size)
     scorer = _Scorer(evidence, targets)
     if evidence.data.power.size > WORTH_THREADS:
         with ThreadPoolExecutor(os.cpu_count()) as pool:
-            answers = list(pool.map(scorer.score, shapes))
+            answers = list(pool.map(scorer.score, batches))
     else:
-        answers = [scorer.score(shape) for shape in shapes]
+        answers = [scorer.score(batch) for batch in batches]
     best: dict[str, Score] = {}
-    for shape, (scores, information) in zip(shapes, answers, strict=True):
+    for batch, (scores, information) in zip(batches, answers, strict=True):
         # A signature that the fit absorbs has no information left and no significance.
         is_seen = information > SMALLEST_INFORMATION
         z = np.where(is_seen, scores / np.sqrt(np.where(is_seen, information, 1.0)), 0.0)
-        t, k = np.unravel_index(int(np.argmax(np.abs(z))), z.shape)
-        name = shape.cause.identifier
-        if is_seen[t, k] and (name not in best or abs(z[t, k]) > abs(best[name].z)):
-            size = float(scores[t, k] / information[t, k])
-            best[name] = Score(shape.cause, shape.laws[int(k)], targets[int(t)], float(z[t, k]), size, 1.0, 1)
+        at = s, t, k = np.unravel_index(int(np.argmax(np.abs(z))), z.shape)
+        cause, law = batch[int(s)].cause, batch[int(s)].laws[int(k)]
+        if is_seen[at] and (cause.identifier not in best or abs(z[at]) > abs(best[cause.identifier].z)):
+            size = float(scores[at] / information[at])
+            best[cause.identifier] = Score(cause, law, targets[int(t)], float(z[at]), size, 1.0, 1)
     families = {name: [shape for shape in shapes if shape.cause.identifier == name] for name in best}
     found = [
         replace(score, trials=_count_trials(evidence, families[name], targets, seed), causes=len(best))
@@ -190,8 +192,21 @@ def scan(evidence: Evidence, causes: Sequence[Cause], targets: Sequence[Target],
     return sorted(found, key=lambda score: (score.p_value, -abs(score.z)))
 
 
+def _batches(shapes: Sequence[Shape], size: int) -> list[list[Shape]]:
+    """Shapes of one cause with the same courses together, as many as fit into a fast memory."""
+    most = max(1, BATCH_SIZE // size)
+    batches: list[list[Shape]] = []
+    for shape in shapes:
+        last = batches[-1] if batches else []
+        if last and last[0].cause is shape.cause and last[0].courses is shape.courses and len(last) < most:
+            last.append(shape)
+        else:
+            batches.append([shape])
+    return batches
+
+
 class _Scorer:
-    """Scores of a shape under all its laws for all its targets."""
+    """Scores of shapes under all their laws for all targets."""
 
     def __init__(self, evidence: Evidence, targets: Sequence[Target]) -> None:
         self.evidence, self.targets = evidence, targets
@@ -201,88 +216,90 @@ class _Scorer:
         # Computed here once, before the threads ask for them.
         _ = (evidence.path_dual, evidence.mean_dual, evidence.letter_inverse, evidence.letter_spaces)
 
-    def score(self, shape: Shape) -> tuple[Floats, Floats]:
-        """Score and information, shape (target, law); no information where the cause cannot concern a target."""
-        evidence, cause = self.evidence, shape.cause
-        signature = shape_signature(cause, evidence.terms, evidence.data.conditions, shape.laws[0])
-        score, information = np.zeros((2, len(self.targets), len(shape.laws)))
-        wide = [t for t, target in enumerate(self.targets) if target.scope == "station" and "station" in cause.scopes]
-        local = [
-            t for t, target in enumerate(self.targets) if target.scope != "station" and target.scope in cause.scopes
-        ]
-        is_spread = self._differs(signature)
-        of_mean, mean_information = self._of_classes(shape, signature)
-        share = self.share
-        for t in (*wide, *local):
-            at = np.flatnonzero(share[t])
-            score[t] = share[t, at] @ of_mean[at]
-            information[t] = np.einsum("c,cgn,g->n", share[t, at], mean_information[np.ix_(at, at)], share[t, at])
-        if local or (wide and is_spread):
-            of_path, path_information = self._of_paths(shape, signature)
-            typical = np.stack([path_information[members].mean(axis=0) for members in evidence.members])
-            score[local] += self.share_of_path[local] @ of_path
-            information[local] += self.share_of_path[local] ** 2 @ path_information
-            information[local] -= (self.counts * share[local] ** 2) @ typical
-            if wide and is_spread:
-                score[wide] += self.share_of_path[wide] @ of_path
-                information[wide] += self.share_of_path[wide] ** 2 @ path_information - self._of_letters(
-                    shape, signature
-                )
+    def score(self, batch: Sequence[Shape]) -> tuple[Floats, Floats]:
+        """Score and information, shape (shape, target, law); no information where a cause cannot concern a target."""
+        evidence, cause, courses = self.evidence, batch[0].cause, batch[0].courses
+        conditions = evidence.data.conditions
+        signatures = np.stack([shape_signature(cause, evidence.terms, conditions, one.laws[0]) for one in batch])
+        score, information = np.zeros((2, len(batch), len(self.targets), len(courses.values)))
+        concerned = [t for t, target in enumerate(self.targets) if target.scope in cause.scopes]
+        wide = [t for t in concerned if self.targets[t].scope == "station"]
+        local = [t for t in concerned if t not in wide]
+        is_spread = bool(wide) and self._differs(signatures)
+        of_mean, mean_information = self._of_classes(courses, signatures)
+        for t in concerned:
+            at = np.flatnonzero(self.share[t])
+            share = self.share[t, at]
+            score[:, t] = np.einsum("c,scn->sn", share, of_mean[:, at])
+            of_both = mean_information[:, at[:, None], at]
+            information[:, t] = np.einsum("c,g,scgn->sn", share, share, of_both)
+        if local or is_spread:
+            of_path, path_information = self._of_paths(courses, signatures)
+            typical = np.stack([path_information[:, members].mean(axis=1) for members in evidence.members], axis=1)
+            shown = concerned if is_spread else local
+            score[:, shown] += self.share_of_path[shown] @ of_path
+            information[:, shown] += self.share_of_path[shown] ** 2 @ path_information
+            information[:, local] -= (self.counts * self.share[local] ** 2) @ typical
+            if is_spread:
+                information[:, wide] -= self._of_letters(courses, signatures)[:, None]
         return score, information
 
-    def _differs(self, signature: Floats) -> bool:
+    def _differs(self, signatures: Floats) -> bool:
         """Whether the classes of a letter show different signatures."""
         for d in range(len(self.evidence.paths_of)):
-            own = signature[self.evidence.letter_of == d]
-            if np.sum((own - own.mean(axis=0)) ** 2) > SPREAD * np.sum(own**2):
+            own = signatures[:, self.evidence.letter_of == d]
+            if np.sum((own - own.mean(axis=1, keepdims=True)) ** 2) > SPREAD * np.sum(own**2):
                 return True
         return False
 
-    def _of_paths(self, shape: Shape, signature: Floats) -> tuple[Floats, Floats]:
-        """Score and information of the deviations of every path, shape (path, law)."""
+    def _of_paths(self, courses: Courses, signatures: Floats) -> tuple[Floats, Floats]:
+        """Score and information of the deviations of every path, shape (shape, path, law)."""
         evidence = self.evidence
-        score, information = np.empty((2, len(evidence.data.antenna), len(shape.laws)))
+        score, information = np.empty((2, len(signatures), len(evidence.data.antenna), len(courses.values)))
         for c, (space, members) in enumerate(zip(evidence.path_spaces, evidence.members, strict=True)):
-            own = signature[c]
-            weighed = space.weigh(own[None])
+            own = signatures[:, c]
+            weighed = space.weigh(own[:, None])
             weight = evidence.weight[members]
-            score[members] = np.einsum("kef,ef->ke", evidence.path_dual[members], own) @ shape.courses.values.T
-            square = np.einsum("ef,ef->e", own, weighed[0])
-            lost = shape.courses.sum(weight[:, :, None] * space.absorbed_of(weighed))
-            information[members] = (weight * square) @ shape.courses.values.T**2
-            information[members] -= np.einsum(
-                "kni,kij,knj->kn", lost, evidence.path_inverse[members], lost, optimize=True
-            )
+            by_event = np.einsum("kef,sef->ske", evidence.path_dual[members], own, optimize=True)
+            score[:, members] = by_event @ courses.values.T
+            square = np.einsum("sef,sef->se", own, weighed[:, 0])
+            absorbed = space.absorbed_of(weighed)
+            lost = courses.sum(weight[:, :, None] * absorbed[:, None])
+            whole = (weight * square[:, None]) @ courses.values.T**2
+            left = whole - np.sum((lost @ evidence.path_inverse[members]) * lost, axis=-1)
+            # Of a signature that the fit absorbs, such as a step after a path fell silent, rounding errors are left.
+            is_left = left > SMALLEST_SHARE * whole
+            information[:, members] = np.where(is_left, left, 0.0)
+            score[:, members] *= is_left
         return score, information
 
-    def _of_classes(self, shape: Shape, signature: Floats) -> tuple[Floats, Floats]:
-        """Score (class, law) and information (class, class, law) of each class in the station's mean."""
+    def _of_classes(self, courses: Courses, signatures: Floats) -> tuple[Floats, Floats]:
+        """Score (shape, class, law) and information (shape, class, class, law) in the station's mean."""
         evidence, space = self.evidence, self.evidence.mean_space
         letters = evidence.letter_of
-        alone = np.zeros((len(letters), *space.front.shape))
-        alone[np.arange(len(letters)), letters] = signature
-        score = np.einsum("cef,cef->ce", signature, evidence.mean_dual[letters]) @ shape.courses.values.T
-        return score, _class_information(space, evidence.mean_inverse, alone, shape)
+        alone = np.zeros((len(signatures), len(letters), *space.front.shape))
+        alone[:, np.arange(len(letters)), letters] = signatures
+        by_event = np.einsum("scef,cef->sce", signatures, evidence.mean_dual[letters])
+        return by_event @ courses.values.T, _class_information(space, evidence.mean_inverse, alone, courses)
 
-    def _of_letters(self, shape: Shape, signature: Floats) -> Floats:
-        """Information that the deviations lose because their mean is taken out, shape (law,)."""
+    def _of_letters(self, courses: Courses, signatures: Floats) -> Floats:
+        """Information that the deviations lose because their mean is taken out, shape (shape, law)."""
         evidence = self.evidence
-        everyone = np.ones(len(evidence.data.antenna), dtype=bool)
-        mean = evidence.mean_of(signature, everyone)
-        lost = np.zeros(len(shape.laws))
+        mean = evidence.mean_of(signatures, np.ones(len(evidence.data.antenna), dtype=bool))
+        lost = np.zeros((len(signatures), len(courses.values)))
         for d, count in enumerate(evidence.paths_of):
-            own = mean[d][None, None]
-            lost += count * _class_information(evidence.letter_spaces[d], evidence.letter_inverse[d], own, shape)[0, 0]
+            space, inverse = evidence.letter_spaces[d], evidence.letter_inverse[d]
+            lost += count * _class_information(space, inverse, mean[:, None, d : d + 1], courses)[:, 0, 0]
         return lost
 
 
-def _class_information(space: Space, inverse: Floats, values: Floats, shape: Shape) -> Floats:
-    """Information of vectors of shape (k, row, event, freq) under each course, shape (k, k, law)."""
+def _class_information(space: Space, inverse: Floats, values: Floats, courses: Courses) -> Floats:
+    """Information of vectors of shape (..., k, row, event, freq) under each course, shape (..., k, k, law)."""
     weighed = space.weigh(values)
-    absorbed = shape.courses.sum(space.absorbed_of(weighed))
-    both = np.einsum("cref,gref->cge", values, weighed)
-    lost = np.einsum("cni,gni->cgn", absorbed @ inverse, absorbed)
-    return np.asarray(both @ shape.courses.values.T**2 - lost)
+    absorbed = courses.sum(space.absorbed_of(weighed))
+    both = np.einsum("...cref,...gref->...cge", values, weighed)
+    lost = np.einsum("...cni,...gni->...cgn", absorbed @ inverse, absorbed)
+    return np.asarray(both @ courses.values.T**2 - lost)
 
 
 def _count_trials(evidence: Evidence, shapes: Sequence[Shape], targets: Sequence[Target], seed: int) -> float:
