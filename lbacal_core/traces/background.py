@@ -16,18 +16,8 @@ from numpy.typing import NDArray
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats, require_channels
 from lbacal_core.instrument import DIPOLES
-from lbacal_core.traces.blocks import (
-    FEWEST_SEGMENTS,
-    find_segments,
-    transform_segments,
-    transform_trace,
-)
-from lbacal_core.traces.density import (
-    bin_weights,
-    channel_frequencies,
-    density_per_square,
-    sum_of_squares,
-)
+from lbacal_core.traces.blocks import FEWEST_SEGMENTS, find_segments, transform_segments, transform_trace
+from lbacal_core.traces.density import bin_weights, channel_frequencies, density_per_square, sum_of_squares
 from lbacal_core.traces.discovery import read_trace
 from lbacal_core.traces.interference import (
     COARSE_BOXES,
@@ -146,7 +136,10 @@ class PathBackground:
 
 @dataclass(frozen=True)
 class _Reduced:
-    """One trace after its samples have been let go."""
+    """One trace after its samples have been let go.
+
+    `is_judge` are the channels by whose power blocks were dropped: what they hold in the others is biased by that.
+    """
 
     trace: TraceReference
     channel_mhz: Floats
@@ -155,6 +148,7 @@ class _Reduced:
     fine: FineSpectrum
     baseline: Floats
     is_line: Flags
+    is_judge: Flags
     segment_ids: NDArray[np.int64]
     phases: NDArray[np.complex64] | None
     rms: float
@@ -229,9 +223,12 @@ def _reduce_trace(
     fine, phases = transform_segments(trace.samples, clean[rows], searched, rate, keep=keep_phases)
     is_line, baseline = find_lines(fine)
     to_density = density_per_square(BLOCK_SAMPLES, rate)[searched]
-    is_keyed = _find_switching(transform, to_density, fine, is_line, baseline)
+    strength = _line_strength(transform, to_density, fine, is_line, baseline)
+    is_keyed = find_keyed_blocks(transform, strength, baseline[:: fine.factor], to_density)
+    is_judge = np.zeros(strength.size, dtype=bool)
     if np.any(is_keyed) and np.sum(~is_keyed) >= wanted:
         dropped["keyed"] = int(np.sum(is_keyed))
+        is_judge = strength > LARGEST_LEAK
         clean, transform = clean[~is_keyed], transform[~is_keyed]
         rows, segment_ids = find_segments(trace.position[clean])
         fine, phases = transform_segments(trace.samples, clean[rows], searched, rate, keep=keep_phases)
@@ -246,6 +243,7 @@ def _reduce_trace(
         fine=fine,
         baseline=baseline,
         is_line=is_line,
+        is_judge=is_judge,
         segment_ids=segment_ids,
         phases=phases,
         rms=selection.rms,
@@ -255,16 +253,15 @@ def _reduce_trace(
     )
 
 
-def _find_switching(
+def _line_strength(
     transform: NDArray[np.complex64], to_density: Floats, fine: FineSpectrum, is_line: Flags, baseline: Floats
-) -> Flags:
-    """Blocks in which one of the lines, or what stands out in the blocks alone, is on now and then, shape (block,)."""
+) -> Floats:
+    """Power of the lines, and of what stands out in the blocks alone, over the noise, shape (channel,)."""
     noise = baseline[:: fine.factor]
     strength = line_leakage(is_line, fine.density / baseline - 1.0, fine.factor, noise.size)
     excess = sum_of_squares(transform) * to_density / (len(transform) * noise) - 1.0
     is_seen = find_excess(excess + 1.0, len(transform), COARSE_BOXES)
-    strength = np.where(is_seen, np.maximum(strength, excess), strength)
-    return find_keyed_blocks(transform, strength, noise, to_density)
+    return np.where(is_seen, np.maximum(strength, excess), strength)
 
 
 def _searched_channels(settings: CleaningSettings, rate_hz: float) -> slice:
@@ -314,7 +311,7 @@ def _finish(item: _Reduced, station_lines: Flags | None, settings: CleaningSetti
             baseline = estimate_baseline(fine, is_line)  # which had taken wide interference for sky
     ratio = fine.density / baseline
     leak = line_leakage(is_line, ratio - 1.0, fine.factor, item.coarse.size)
-    is_flagged = leak > LARGEST_LEAK
+    is_flagged = (leak > LARGEST_LEAK) | item.is_judge
     shape = baseline[:: fine.factor]
     unexplained = item.coarse / shape - leak  # blocks beside a dropped one are in no segment of the search
     is_flagged |= np.convolve(find_excess(unexplained, item.blocks, COARSE_BOXES), np.ones(3), mode="same") > 0

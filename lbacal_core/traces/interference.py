@@ -91,9 +91,10 @@ def find_lines(spectrum: FineSpectrum) -> tuple[Flags, Floats]:
     Flagged channels, shape (fine,), and the baseline, ADC^2/MHz, shape (fine,).
     """
     baseline = estimate_baseline(spectrum, np.zeros(spectrum.density.size, dtype=bool))
-    is_line = find_excess(spectrum.density / baseline, spectrum.segments, BOXES)
+    ratio = spectrum.density / baseline
+    is_line = find_excess(ratio, spectrum.segments, BOXES)
     if np.any(is_line):
-        baseline = estimate_baseline(spectrum, _reached_by(is_line, spectrum.density / baseline - 1.0))
+        baseline = estimate_baseline(spectrum, _reached_by(is_line, ratio - 1.0))
         is_line = find_excess(spectrum.density / baseline, spectrum.segments, BOXES)
     return is_line, baseline
 
@@ -128,13 +129,19 @@ def estimate_baseline(spectrum: FineSpectrum, is_line: Flags) -> Floats:
     is_known = (clean >= FEWEST_IN_GROUP * size) & (middle > 0)
     if not np.any(is_known):
         return np.full(density.size, max(float(np.median(density)), np.finfo(float).tiny))
-    to_mean = spectrum.segments / float(gammaincinv(spectrum.segments, 0.5))
-    level = np.interp(centre, centre[is_known], np.log(middle[is_known] * to_mean))
+    level = np.interp(centre, centre[is_known], np.log(middle[is_known] * _median_to_mean(spectrum.segments)))
     around = median_filter(level, size=WIDE_GROUPS, mode="nearest")
     level = np.where(level - around > np.log1p(WIDE_EXCESS), around, level)
-    padded = np.pad(level, 1, mode="reflect", reflect_type="odd") if count > 1 else np.repeat(level, 3)
+    beyond = (2 * level[0] - level[1], 2 * level[-1] - level[-2]) if count > 1 else (level[0], level[0])
+    padded = np.concatenate([beyond[:1], level, beyond[1:]])
     smooth = (padded[:-2] + 2 * padded[1:-1] + padded[2:]) / 4
     return np.asarray(np.exp(np.interp(np.arange(density.size), centre, smooth)))
+
+
+@lru_cache(maxsize=64)
+def _median_to_mean(averages: float) -> float:
+    """Mean over median of noise power that was averaged."""
+    return averages / float(gammaincinv(averages, 0.5))
 
 
 def find_excess(ratio: Floats, averages: float, boxes: Sequence[int]) -> Flags:
@@ -201,8 +208,11 @@ def find_steady_phases(stability: Floats, pairs: int, channel_mhz: float) -> Fla
 
 def unit_phases(transform: NDArray[np.complex64]) -> NDArray[np.complex64]:
     """A transform with all amplitudes set to 1 (0 stays 0)."""
-    power = transform.real**2 + transform.imag**2
-    return np.asarray(transform / np.sqrt(np.maximum(power, np.finfo(np.float32).tiny)))
+    size = transform.real**2
+    size += transform.imag**2
+    np.maximum(size, np.finfo(np.float32).tiny, out=size)
+    np.sqrt(size, out=size)
+    return np.asarray(transform * np.reciprocal(size, out=size))
 
 
 def phase_stability(left: NDArray[np.complex64], right: NDArray[np.complex64]) -> Floats:

@@ -25,9 +25,14 @@ BURST_SIGMA = 8.0
 
 KEYED_LEVEL = 20.0
 """A channel is on in a block if it has this many times its noise there: chance, 2e-9. Switching a carrier on or off
-spreads it over the band as 1/d^2 at d channels, which no window prevents; weaker ones spread less than 0.4 % of the
-noise into their bin. To ask for less does harm: the blocks in which a weak line happens to be strong would go, and what
-is left of it would hide from the search."""
+spreads it over the band as 1/d^2 at d channels, which no window prevents."""
+
+SWITCHED_LEVEL = 12.0
+SWITCHED_SHARE = 0.007
+ON_LEVEL = 5.0
+"""Where one block in 140 exceeds the first (chance in 400 blocks, 1e-8), a transmitter is switched, and the channel is
+on in all blocks above the second (chance, 0.7 %). To ask for less does harm: the blocks in which a weak line happens to
+be strong would go, and what is left of it would hide from the search."""
 
 OFF_LEVEL = 2.0
 """A channel whose median is above this many times its noise (pure noise: 0.7) is on most of the time: a carrier,
@@ -157,7 +162,8 @@ def find_keyed_blocks(
     seen = transform[:, channels]
     power = (seen.real**2 + seen.imag**2) * (to_density[channels] / noise[channels])
     is_mostly_off = np.median(power, axis=0) < OFF_LEVEL
-    is_on = power > KEYED_LEVEL
+    is_switched = np.mean(power > SWITCHED_LEVEL, axis=0) > SWITCHED_SHARE
+    is_on = (power > KEYED_LEVEL) | (is_switched & (power > ON_LEVEL))
     is_on = is_on[:, is_mostly_off & np.any(is_on, axis=0)]
     for channel in np.argsort(is_on.mean(axis=0)):
         candidate = is_keyed | is_on[:, channel]
