@@ -14,6 +14,7 @@ import numpy as np
 import scipy.fft
 
 from lbacal_core.traces.background import CleaningSettings, measure_background, measure_traces
+from lbacal_core.traces.blocks import FACTORS, find_segments, transform_segments, transform_trace
 from lbacal_core.traces.discovery import group_traces, list_traces, read_trace
 from lbacal_core.traces.trace import BLOCK_SAMPLES, TraceReference
 from lbacal_core.twin.voltages import SAMPLE_RATE_HZ, Transmitter, digitise, draw_noise, write_frames
@@ -53,8 +54,17 @@ def main() -> None:
         (event,) = group_traces(references)
         traces = [read_trace(reference) for reference in references]
         blocks = [trace.samples.astype(np.float32) for trace in traces]
+        whole = BLOCKS // FACTORS[0] * FACTORS[0]
+        segments = [samples[:whole].reshape(-1, FACTORS[0] * BLOCK_SAMPLES) for samples in blocks]
+        band = slice(140, 424)  # 27.5 to 82.5 MHz
+        rows, _ = find_segments(np.arange(BLOCKS))
         steps = {
             "bare FFT, blocks of 1024, float32 in memory": lambda: [scipy.fft.rfft(b, axis=1) for b in blocks],
+            "bare FFT, segments of 16 blocks (the line search)": lambda: [scipy.fft.rfft(s, axis=1) for s in segments],
+            "both, with window, power and conversion from int16": lambda: [
+                (transform_trace(t.samples, band), transform_segments(t.samples, rows, band, 200e6, keep=False))
+                for t in traces
+            ],
             "cleaning and averaging, samples in memory": lambda: measure_traces(iter(traces), settings),
             "reading the bytes": lambda: [reference.path.read_bytes() for reference in references],
             "reading frames with their checksums": lambda: [read_trace(reference) for reference in references],

@@ -166,7 +166,7 @@ CLAIMS = (
     LineClaim("steady", 2000, 1, 60, 0.025, (0.006, 0.012, 0.018), (0.025, 0.08, 2.0, 20.0)),
     LineClaim("steady", 400, 12, 30, 0.012, (0.003, 0.006, 0.009), (0.012, 0.03, 0.3, 20.0)),
     LineClaim("drifting 50 kHz/ms", 400, 1, 300, 0.15, (0.012, 0.04, 0.08, 0.11), (0.15, 0.3, 2.0, 20.0)),
-    LineClaim("on 20 % of the time", 400, 1, 300, 0.07, (0.012, 0.025, 0.045), (0.07, 0.2, 0.5, 2.0, 20.0), 0.004),
+    LineClaim("on 20 % of the time", 400, 1, 300, 0.07, (0.012, 0.025, 0.045), (0.07, 0.2, 0.5, 1.0, 2.0, 20.0), 0.004),
 )
 """Lines that are switched are claimed to 0.4 %: those too weak to be seen in single blocks spread over their bin."""
 

@@ -20,7 +20,8 @@ PULSE_SIGMA = 7.0
 stays below adds less than 1e-4 to the power: 7^2 x 5 samples in 400,000."""
 
 BURST_SIGMA = 8.0
-"""A block whose power exceeds the median by this many robust sigma (20 % and more) is a burst."""
+"""A block whose power exceeds the median by this many robust sigma (20 % and more) is a burst, which begins and ends in
+the blocks beside it."""
 
 
 KEYED_LEVEL = 20.0
@@ -121,6 +122,8 @@ def select_background(
     quiet = deviation[trace.is_intact]
     spread = 1.4826 * float(np.median(quiet)) if quiet.size else 0.0
     is_burst = mean_square - typical > BURST_SIGMA * spread
+    is_burst[1:] |= is_burst[:-1].copy()
+    is_burst[:-1] |= is_burst[1:].copy()
     reasons = {"damaged": ~trace.is_intact, "saturated": is_saturated, "pulse": is_near, "burst": is_burst}
     is_background = np.ones(len(peak), dtype=bool)
     dropped = {}
