@@ -319,7 +319,7 @@ def _block_of_rows(spectra: Spectra, rows: NDArray[np.int64], station: str, dipo
     order = np.lexsort((found, spectra.time_unix[rows][first]))
     event_at = np.argsort(order)[event_at]
     first = rows[first[order]]
-    row_at = np.full((antennas.size, events.size), -1)
+    row_at = np.full((antennas.size, found.size), -1)
     row_at[antenna_at, event_at] = rows
     is_present = row_at >= 0
     power = spectra.power[row_at]

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from proofs._discovery_figure import draw_detection
 from proofs._held_out import prove_held_out
-from proofs._hidden import ALIKE, EVENTS, SMALL, STATION, DataSet, realistic
+from proofs._hidden import ALIKE, EVENTS, FEW_EVENTS, SMALL, SMALLEST, STATION, plain, realistic
 from proofs._no_catalogue import prove_unknown
 from proofs._one_effect import prove_detection, prove_efficiency
 from proofs._several_effects import prove_several
@@ -73,7 +73,7 @@ class Alarm:
 def look_at_clean(task: tuple[int, bool]) -> Alarm:
     """Ask the finder about data with nothing hidden, with nuisances or without."""
     seed, is_realistic = task
-    answer = (realistic(seed) if is_realistic else DataSet(seed)).ask()
+    answer = (realistic(seed) if is_realistic else plain(seed)).ask()
     if answer.verdict == "consistent":
         return Alarm("")
     return Alarm(f"{seed}: {answer.verdict} {'+'.join(answer.named) or answer.axis}")
@@ -81,7 +81,7 @@ def look_at_clean(task: tuple[int, bool]) -> Alarm:
 
 def prove_clean(count: int) -> tuple[bool, list[str]]:
     """`count` data sets without nuisances, and as many with."""
-    holds, lines = True, [""]
+    holds, lines = True, ["", f"{len(SMALLEST)} antennas, {FEW_EVENTS} events."]
     for name, is_realistic in (("without nuisances", False), ("with nuisances", True)):
         alarms = run_trials(look_at_clean, [(seed, is_realistic) for seed in range(count)], f"clean, {name}")
         rate = Rate(sum(alarm.is_false for alarm in alarms), count)

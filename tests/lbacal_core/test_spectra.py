@@ -404,6 +404,14 @@ def test_blocks_hold_every_spectrum_in_its_place() -> None:
         np.testing.assert_array_equal(block.environment["temperature_c"], 10 + (block.time_unix - START) / 3600)
 
 
+def test_an_event_that_one_dipole_lacks_altogether_is_not_in_its_block() -> None:
+    spectra = make_spectra(events=4)
+    lost = (spectra.event_id == spectra.event_id[-1]) & (spectra.dipole == "X")
+    blocks = {block.dipole: block for block in split_into_blocks(spectra.select(~lost))}
+    assert blocks["X"].power.shape[1] == len(blocks["X"].event_id) == 3
+    assert blocks["Y"].power.shape[1] == len(blocks["Y"].event_id) == 4
+
+
 @pytest.mark.shared
 def test_the_example_data_set_is_readable(shared: Path) -> None:
     spectra = read_spectra(shared / "examples" / "spectra.h5", NOW)
