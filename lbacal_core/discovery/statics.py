@@ -67,7 +67,8 @@ class StaticScore:
 def scan_static(data: StationData, baseline: Baseline, targets: Sequence[Target], seed: int = 0) -> list[StaticScore]:
     """The best score of each static cause, most significant first."""
     antennas = [target for target in targets if target.scope == "antenna"]
-    if count_comparisons(data) < FEWEST_COMPARISONS:
+    antennas = antennas or [target for target in targets if target.scope == "path"]
+    if not antennas or count_comparisons(data) < FEWEST_COMPARISONS:
         return []
     departure, roots, is_compared = _departures(data, baseline, antennas)
     cables = dict(zip(data.conditions.cables, np.exp(data.conditions.cable_log_loss), strict=True))

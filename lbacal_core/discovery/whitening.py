@@ -94,7 +94,13 @@ def split_residuals(data: StationData, residual: Floats) -> Residuals:
         mean[d] = residual[members].sum(axis=0) / np.maximum(present, 1)[:, None]
         # Where no path of the mean is present nothing is known of the mean.
         deviation[everyone] = (residual[everyone] - mean[d]) * (is_present[everyone] & (present > 0))[:, :, None]
-    channel, band, scale = _path_levels(data, deviation, in_mean, letter_of)
+    if np.all(np.bincount(letter_of) == 1):
+        # Nothing to compare with: all noise counts as the path's own.
+        level = mean.mean(axis=-1)
+        channel, band = float(np.std(mean - level[..., None])), float(np.std(level))
+        channel, band, scale = max(channel, SMALLEST), max(band, SMALLEST), np.ones(letter_of.size)
+    else:
+        channel, band, scale = _path_levels(data, deviation, in_mean, letter_of)
     spread = np.empty(mean.shape[:2])
     for d in range(letters.size):
         members = np.flatnonzero(in_mean & (letter_of == d))

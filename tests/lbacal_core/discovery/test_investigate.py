@@ -23,6 +23,24 @@ def test_a_clean_station_is_consistent_and_says_what_it_could_never_show(clean, 
     json.dumps(report, allow_nan=False)
 
 
+PARTS = {
+    "one path": lambda spectra: spectra.select((spectra.antenna == 2) & (spectra.dipole == "X")),
+    "one antenna": lambda spectra: spectra.select(spectra.antenna == 2),
+    "one dipole": lambda spectra: spectra.select(spectra.dipole == "X"),
+    "no weather": lambda spectra: replace(spectra, environment={}),
+}
+
+
+@pytest.mark.parametrize("part", PARTS)
+def test_data_with_little_to_compare_are_asked_what_they_can_show(part, clean, chain, sky):
+    report, _ = investigate(PARTS[part](clean), chain, sky)
+    assert report["verdict"] == "consistent"
+    impossible = {one["cause"] for one in report["unidentifiable"]}
+    assert ("gain_temperature" in impossible) == (part == "no weather")
+    assert ("cable_length" in impossible) == (part in ("one path", "one antenna"))
+    json.dumps(report, allow_nan=False)
+
+
 def test_a_gain_step_of_one_path_is_named_with_its_date_size_and_antenna(spoil, chain, sky):
     step = GainStep(size=0.05, where=Where(antennas=(2,), dipoles=("Y",)), date="2014-08-07")
     spectra = spoil(step)
