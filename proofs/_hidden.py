@@ -175,7 +175,7 @@ class DataSet:
         """The report in short; a finder that breaks down on the data is recorded, and never counts as right."""
         try:
             report, stations = self.report(faults)
-        except np.linalg.LinAlgError as error:
+        except (ArithmeticError, LookupError, ValueError) as error:
             return Answer(f"failed: {error}", [], None, [])
         scores = [
             (score.cause.identifier, score.target.label, float(score.z))

@@ -136,9 +136,9 @@ def fitted_log_gain(terms: ChainTerms, conditions: Conditions) -> Floats:
     What varies within some 10 MHz is the noise of the fit; A(nu) departs from G_ant more slowly.
     """
     behind = conditions.receiver_gain * np.exp(conditions.cable_log_loss[:, None, :])
-    ratio = np.broadcast_to(terms.front / behind, (len(conditions.dipoles), 1, conditions.frequency_mhz.size))
-    own = np.log(np.maximum(ratio, 1e-300) / conditions.antenna_gain)
-    smooth = make_smoothing_spline(conditions.frequency_mhz, np.median(own, axis=(0, 1)), lam=STIFFNESS)
+    # Other causes may have made the gain depend on the event: the mean counts.
+    own = np.log(np.maximum(np.mean(terms.front / behind, axis=1), 1e-300) / conditions.antenna_gain)
+    smooth = make_smoothing_spline(conditions.frequency_mhz, np.median(own, axis=0), lam=STIFFNESS)
     return np.asarray(smooth(conditions.frequency_mhz) + np.log(conditions.antenna_gain))
 
 

@@ -129,6 +129,17 @@ def test_signatures_of_gain_and_noise_are_their_shares_of_the_power(terms, condi
     np.testing.assert_allclose(lna, warmth * terms.n_lna * terms.front / power, atol=1e-9)
 
 
+@pytest.mark.parametrize("cause", CAUSES, ids=lambda cause: cause.identifier)
+def test_causes_act_one_after_the_other(cause, terms, conditions):
+    drift = next(one for one in CAUSES if one.identifier == "gain_drift")
+    moved = drift.apply(terms, conditions, Law(), 0.02)
+    both = cause.apply(moved, conditions, cause.laws(conditions)[0], cause.step).power()
+    alone = cause.apply(terms, conditions, cause.laws(conditions)[0], cause.step).power()
+    # the drift is 1 % at the ends of the year, so what the cause does changes by about as much
+    change, first = both / moved.power() - 1.0, alone / terms.power() - 1.0
+    assert np.linalg.norm(change - first) < 0.1 * np.linalg.norm(first)
+
+
 def test_an_exchange_of_dipoles_is_a_swap_of_size_one(terms, conditions):
     swap = next(cause for cause in CAUSES if cause.identifier == "dipole_swap")
     changed = swap.apply(terms, conditions, Law(), 1.0)
