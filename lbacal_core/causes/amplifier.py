@@ -36,7 +36,6 @@ class StepCause(Cause):
 
     axes: Sequence[str] = ("date",)
     scopes: Sequence[str] = SCOPES
-    can_repeat: bool = True
 
     def laws(self, conditions: Conditions) -> list[Law]:
         """Dates over the data."""
@@ -45,6 +44,10 @@ class StepCause(Cause):
     def course(self, conditions: Conditions, law: Law) -> Floats:
         """0 before the date and 1 from it on."""
         return conditions.after(law.parameters["date_unix"])
+
+    def is_another(self, law: Law, earlier: Law) -> bool:
+        """Another date."""
+        return bool(law.parameters["date_unix"] != earlier.parameters["date_unix"])
 
 
 @dataclass(frozen=True)

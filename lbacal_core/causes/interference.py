@@ -10,6 +10,8 @@ import numpy as np
 from lbacal_core.causes.terms import Cause, ChainTerms, Conditions, Law
 from lbacal_core.grids import Floats
 
+CLEAR_MHZ = 4.0
+"""Lines closer to each other are one disturbance, which has not the shape of a line."""
 WINDOWS = ((0, 24), *((begin, (begin + hours) % 24) for hours in (12, 6) for begin in range(24)))
 """UTC hours that are tried: the whole day, and halves and quarters of it from every hour."""
 
@@ -36,7 +38,6 @@ class RfiLine(InterferenceCause):
     confirm: str = "look at the unbinned spectra of those hours"
     scopes: Sequence[str] = ("station", "antenna")
     shaped_by: Sequence[str] = ("frequency_mhz", "width_mhz")
-    can_repeat: bool = True
 
     def laws(self, conditions: Conditions) -> list[Law]:
         """Every channel, one channel or some three wide, at halves and quarters of the day."""
@@ -48,6 +49,11 @@ class RfiLine(InterferenceCause):
             for width in (0.5, 2.0)
             for window in WINDOWS
         ]
+
+    def is_another(self, law: Law, earlier: Law) -> bool:
+        """Another line, clear of the first."""
+        distance = abs(law.parameters["frequency_mhz"] - earlier.parameters["frequency_mhz"])
+        return bool(distance > CLEAR_MHZ)
 
     def act(self, terms: ChainTerms, conditions: Conditions, law: Law, amount: Floats) -> ChainTerms:
         """Power added about a frequency, a Gaussian of the law's full width at half maximum."""

@@ -37,7 +37,6 @@ class FilterShift(Cause):
     confirm: str = "measure the pass band of the receiver again"
     axes: Sequence[str] = ("date", "temperature")
     scopes: Sequence[str] = ("station", "antenna", "path")
-    can_repeat: bool = True
     step: float = 1e-4
 
     def laws(self, conditions: Conditions) -> list[Law]:
@@ -50,6 +49,10 @@ class FilterShift(Cause):
         if "date_unix" in law.parameters:
             return conditions.after(law.parameters["date_unix"])
         return conditions.known(conditions.warmth())
+
+    def is_another(self, law: Law, earlier: Law) -> bool:
+        """Another date."""
+        return bool(law.parameters.get("date_unix") != earlier.parameters.get("date_unix"))
 
     def act(self, terms: ChainTerms, conditions: Conditions, law: Law, amount: Floats) -> ChainTerms:  # noqa: ARG002
         """G_RCU read at nu (1 + s)."""

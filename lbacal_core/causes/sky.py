@@ -56,11 +56,14 @@ class PointSource(Cause):
     confirm: str = "look whether the excess follows the source through its transit at each frequency"
     needs: str = NO_DIRECTIONS
     shaped_by: Sequence[str] = ("source",)
-    can_repeat: bool = True
 
     def laws(self, conditions: Conditions) -> list[Law]:
         """One law a source."""
         return [Law({"source": name}) for name in NAMED_SOURCES if name in conditions.sky_change]
+
+    def is_another(self, law: Law, earlier: Law) -> bool:
+        """Another source."""
+        return bool(law.parameters["source"] != earlier.parameters["source"])
 
     def act(self, terms: ChainTerms, conditions: Conditions, law: Law, amount: Floats) -> ChainTerms:
         """P_sky plus a fraction of the source's flux through D."""

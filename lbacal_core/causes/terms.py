@@ -222,8 +222,6 @@ class Cause:
         Whom it can concern, a subset of `SCOPES`.
     shaped_by
         Names of the parameters that shape what it does; all others say when.
-    can_repeat
-        Whether a target can have several: dates, channels, sources.
     step
         A small size, for the derivative of the model.
     """
@@ -236,7 +234,6 @@ class Cause:
     axes: Sequence[str] = ("lst",)
     scopes: Sequence[str] = ("station",)
     shaped_by: Sequence[str] = ()
-    can_repeat: bool = False
     step: float = 1e-3
 
     def laws(self, conditions: Conditions) -> list[Law]:  # noqa: ARG002 - most have one law whatever the data
@@ -254,6 +251,10 @@ class Cause:
     def apply(self, terms: ChainTerms, conditions: Conditions, law: Law, size: float) -> ChainTerms:
         """The model with this cause at a size."""
         return self.act(terms, conditions, law, size * self.course(conditions, law))
+
+    def is_another(self, law: Law, earlier: Law) -> bool:  # noqa: ARG002
+        """Whether a target can have the cause under both laws, as with dates, channels and sources."""
+        return False
 
     def shape_of(self, law: Law) -> tuple[Any, ...]:
         """What tells apart laws that do different things; laws of one shape differ in their course alone."""

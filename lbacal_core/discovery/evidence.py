@@ -148,16 +148,19 @@ class Evidence:
         The chain of the mean path of each class, from which the absorbed vectors follow.
     modes
         Relative changes of P_sky by which sky and antenna models differ, shape (mode, class, event, freq), or None.
+    empirical
+        Further vectors of the mean that count as absorbed, shape (vector, letter, event, freq), or None.
     """
 
     data: StationData
     residuals: Residuals
     terms: ChainTerms
     modes: Floats | None
+    empirical: Floats | None = None
 
     def with_levels(self, levels: Levels) -> Evidence:
         """The same residuals weighed with other noise levels."""
-        return Evidence(self.data, replace(self.residuals, levels=levels), self.terms, self.modes)
+        return replace(self, residuals=replace(self.residuals, levels=levels))
 
     @cached_property
     def letter_of(self) -> NDArray[np.int64]:
@@ -243,6 +246,8 @@ class Evidence:
             # Models differ for each polarisation by itself: a mode of one says nothing of the other.
             shown = self.mean_of(self.modes * sky_share, everyone)
             dense = np.concatenate([dense, *(shown * (np.arange(letters) == d)[:, None, None] for d in range(letters))])
+        if self.empirical is not None:
+            dense = np.concatenate([dense, self.empirical])
         return Space(channel, band, front, dense)
 
     @cached_property

@@ -13,12 +13,12 @@ import numpy as np
 
 from lbacal_core.causes.cable import log_loss_per_metre
 from lbacal_core.causes.catalogue import CAUSES, NEVER_HERE, STATIC_CAUSES
-from lbacal_core.causes.terms import Law
+from lbacal_core.causes.terms import Law, signature
 from lbacal_core.discovery.baseline import StationData
 from lbacal_core.discovery.evidence import Evidence
 from lbacal_core.discovery.extend import Effect, Extension, fit_extension, fit_plain, held_out_gain
 from lbacal_core.discovery.leftover import Leftover, find_leftover
-from lbacal_core.discovery.scan import Score, correlate_with, scan
+from lbacal_core.discovery.scan import Score, correlate_with, p_of, scan
 from lbacal_core.discovery.statics import FEWEST_COMPARISONS, StaticScore, count_comparisons, scan_static
 from lbacal_core.discovery.targets import Target, list_targets
 from lbacal_core.grids import Floats
@@ -27,6 +27,8 @@ FALSE_ALARM_RATE = 0.005
 """Probability of anything but `consistent` where nothing is hidden, shared among the three questions below."""
 ALPHA_CATALOGUE, ALPHA_STATIC, ALPHA_LEFTOVER = 0.0025, 0.0005, 0.002
 MAX_FINDINGS = 5
+STILL_SEEN = 0.05
+"""Probability by chance below which a finding stands beside structure that has no name."""
 INDISTINGUISHABLE = 9.0
 """SNR^2 (1 - r^2) below this: the other signature fits as well (3 standard deviations)."""
 RIVALS = 4
@@ -99,7 +101,7 @@ def investigate_station(
     current = first = fit_plain(data, modes)
     findings: list[Finding] = []
     first_scan: list[Score] | None = None
-    misfits = set[str]()
+    misfit: Score | None = None
     while len(findings) < MAX_FINDINGS:
         progress(f"{data.station}: scoring {len(CAUSES)} causes for {len(targets)} targets")
         scores = scan(current.evidence, CAUSES, targets, seed)
@@ -108,7 +110,7 @@ def investigate_station(
         if not significant:
             break
         if _comes_up_again(significant[0], findings):
-            misfits.add(significant[0].cause.identifier)
+            misfit = significant[0]
             break
         progress(f"{data.station}: fitting everything again with {significant[0].cause.identifier}")
         found = _extend(data, current, significant, modes)
@@ -121,15 +123,13 @@ def investigate_station(
     findings = [_with_final_size(finding, effect) for finding, effect in zip(findings, current.effects, strict=True)]
     static = scan_static(data, current.baseline, targets, seed)[:1]
     progress(f"{data.station}: looking for structure that no cause explains")
-    leftover = find_leftover(current.evidence, np.random.default_rng(seed), ALPHA_LEFTOVER / stations)
-    similar = [
-        f
-        for f in findings
-        if leftover is not None and (_lives_there(f, leftover) or f.effect.cause.identifier in misfits)
-    ]
+    leftover = find_leftover(
+        current.evidence, np.random.default_rng(seed), ALPHA_LEFTOVER / stations, misfit.p_value if misfit else None
+    )
+    similar = [] if leftover is None else _not_on_their_own(first, findings, leftover, misfit)
     return StationReport(
         data=data,
-        findings=[f for f in findings if f not in similar],
+        findings=[f for f in findings if not any(f is one for one in similar)],
         static=[score for score in static if score.p_value < ALPHA_STATIC / stations],
         leftover=leftover,
         similar=similar,
@@ -187,10 +187,9 @@ def _nearby_laws(effect: Effect, data: StationData) -> list[Law]:
 
 
 def _comes_up_again(score: Score, findings: Sequence[Finding]) -> bool:
-    """Whether a cause is wanted a second time for the same target, under another law."""
-    name = score.cause.identifier
-    earlier = [f.effect.target.label for f in findings if f.effect.cause.identifier == name]
-    return not score.cause.can_repeat and score.target.label in earlier
+    """Whether a cause is wanted again for the same target, though one of its kind would have done it all."""
+    earlier = [f.effect for f in findings if f.effect.cause is score.cause]
+    return any(e.target.label == score.target.label and not score.cause.is_another(score.law, e.law) for e in earlier)
 
 
 def _with_final_size(finding: Finding, effect: Effect) -> Finding:
@@ -214,6 +213,32 @@ def _calibration_change(before: Extension, after: Extension, target: Target) -> 
     # A slope that the noise makes negative, in the weakest channels, has no C to change.
     has_c = (old > 0) & (new > 0)
     return np.asarray(np.sqrt(np.divide(old, new, out=np.ones_like(old), where=has_c)) - 1.0)
+
+
+def _not_on_their_own(
+    first: Extension, findings: Sequence[Finding], leftover: Leftover, misfit: Score | None
+) -> list[Finding]:
+    """Findings that structure without a name may explain as well: they resemble it, and are no names for it.
+
+    A finding stands if it is still seen when the empirical term of what is left counts as absorbed.
+    """
+    wanted_again = misfit.cause if misfit else None
+    doubtful = [f for f in findings if _lives_there(f, leftover) or f.effect.cause is wanted_again]
+    if leftover.vectors is None or not findings:
+        return doubtful
+    evidence = replace(first.evidence, empirical=leftover.vectors)
+    conditions = evidence.data.conditions
+    signatures = [signature(f.effect.cause, evidence.terms, conditions, f.effect.law) for f in findings]
+    score, information = evidence.products(signatures, [f.effect.target for f in findings])
+    inverse = np.linalg.pinv(information, rcond=1e-6, hermitian=True)
+    z = np.abs(inverse @ score) / np.sqrt(np.maximum(np.diag(inverse), 1e-300))
+    for finding, own in zip(findings, z.tolist(), strict=True):
+        if (
+            not any(finding is one for one in doubtful)
+            and p_of(own, finding.score.trials * finding.score.causes) > STILL_SEEN
+        ):
+            doubtful.append(finding)
+    return doubtful
 
 
 def _lives_there(finding: Finding, leftover: Leftover) -> bool:

@@ -42,6 +42,8 @@ class Leftover:
         Log-likelihood gained on events not used.
     channel_share
         Share of the structure in each channel, shape (freq,).
+    vectors
+        That describe it in the station's mean, shape (vector, letter, event, freq); None where a path shows it.
     """
 
     axis: str
@@ -51,6 +53,7 @@ class Leftover:
     dof: int
     held_out_gain: float
     channel_share: Floats
+    vectors: Floats | None
 
 
 def axis_functions(data: StationData) -> dict[str, Floats]:
@@ -74,11 +77,14 @@ def axis_functions(data: StationData) -> dict[str, Floats]:
     return functions
 
 
-def find_leftover(evidence: Evidence, rng: np.random.Generator, alpha: float) -> Leftover | None:
+def find_leftover(
+    evidence: Evidence, rng: np.random.Generator, alpha: float, misfit: float | None = None
+) -> Leftover | None:
     """The most significant structure that is left, or None.
 
     It counts where chance gives as much with a probability below alpha, and where it makes events more probable that
-    were not used to describe it.
+    were not used to describe it. Or where a cause is still wanted whose shape is wrong, which chance would do with the
+    probability `misfit`: then the question is only along which axis.
     """
     data = evidence.data
     functions = axis_functions(data)
@@ -89,12 +95,18 @@ def find_leftover(evidence: Evidence, rng: np.random.Generator, alpha: float) ->
         found += [_path_axis(evidence, axis, rows, smooth[:4]) for axis, rows in functions.items()]
     best = min(found, key=lambda structure: (structure.p_value, -structure.gain))
     corrected = float(-np.expm1(len(found) * np.log1p(-min(best.p_value, 1 - 1e-12))))
-    if corrected >= alpha:
+    if corrected >= alpha and misfit is None:
         return None
     held_out, share = _describe(evidence, best, functions, smooth)
-    if best.axis != "event" and held_out <= 0:
+    if best.axis != "event" and held_out <= 0 and misfit is None:
         return None
-    return Leftover(best.axis, best.target, corrected, best.gain, best.dof, held_out, share)
+    vectors = None
+    if best.axis == "event":
+        vectors = _largest_pattern(evidence)
+    elif best.path < 0:
+        vectors = _station_vectors(evidence, functions[best.axis], smooth)
+    p_value = min(corrected, 1.0 if misfit is None else misfit)
+    return Leftover(best.axis, best.target, p_value, best.gain, best.dof, held_out, share, vectors)
 
 
 @dataclass(frozen=True)
@@ -208,6 +220,14 @@ def _any_events(evidence: Evidence, rng: np.random.Generator) -> _Structure:
     excess = max((observed - mean) / spread, 0.0)
     p_value = float(min(np.exp(-2.0 / 3.0 * (0.8 * excess) ** 1.5), 1.0))
     return _Structure("event", "station", -1, p_value, float(observed - mean), events + channels)
+
+
+def _largest_pattern(evidence: Evidence) -> Floats:
+    """The pattern of events x channels with the largest singular value, shape (1, letter, event, freq)."""
+    left, values, right = np.linalg.svd(_whiten_rest(evidence), full_matrices=False)
+    pattern = values[0] * np.outer(left[:, 0], right[0])
+    root = np.sqrt(np.maximum(evidence.mean_space.channel, 1e-300))
+    return np.asarray(pattern / root[..., None] * (evidence.mean_space.channel > 0)[..., None])[None]
 
 
 def _whiten_rest(evidence: Evidence) -> Floats:
