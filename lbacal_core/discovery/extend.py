@@ -151,7 +151,7 @@ def held_out_gain(before: Extension, effect: Effect, laws: Sequence[Law]) -> tup
     """
     data = before.evidence.data
     fold = held_out_fold(data)
-    rows = [_by_event(before, replace(effect, law=law)) for law in laws]
+    rows = [by_event(before, replace(effect, law=law)) for law in laws]
     score, information = (np.stack(part) for part in zip(*rows, strict=True))
     gain = 0.0
     for k in range(FOLDS):
@@ -163,21 +163,26 @@ def held_out_gain(before: Extension, effect: Effect, laws: Sequence[Law]) -> tup
     return gain, int(fold.size)
 
 
-def _by_event(before: Extension, effect: Effect) -> tuple[Floats, Floats]:
+def by_event(before: Extension, effect: Effect) -> tuple[Floats, Floats]:
     """Score and information of a small effect event by event, shape (event,)."""
     evidence = before.evidence
     data = evidence.data
     values = signature(effect.cause, before.baseline.terms, data.conditions, effect.law)
     is_member = effect.target.is_member
-    mean = evidence.clean_mean(evidence.mean_of(values, is_member))
+    shown = evidence.mean_of(values, is_member)
+    mean = evidence.clean_mean(shown)
     score = np.einsum("def,def->e", mean, evidence.mean_dual)
     information = np.einsum("def,def->e", mean, evidence.mean_space.weigh(mean))
+    # The deviations hold what each path shows, less what the mean of its letter shows.
     share = evidence.share_of_deviation(is_member)
     for k in np.flatnonzero(share).tolist():
         c = int(data.class_of[k])
-        others = 1.0 - evidence.residuals.in_mean[k] * float(evidence.share_of_mean(is_member)[c])
         own = share[k] * evidence.clean_path(values[c], k)
         score += np.einsum("ef,ef->e", own, evidence.path_dual[k])
-        weighed = evidence.path_spaces[c].weigh(own[None])[0]
-        information += others * evidence.weight[k] * np.einsum("ef,ef->e", own, weighed)
+        information += evidence.weight[k] * np.einsum("ef,ef->e", own, evidence.path_spaces[c].weigh(own[None])[0])
+    for d, count in enumerate(evidence.paths_of):
+        space, own = evidence.letter_spaces[d], shown[d : d + 1]
+        absorbed = space.absorbed_of(space.weigh(own)).sum(axis=0)
+        own = own - space.absorbed_sum(absorbed @ evidence.letter_inverse[d])
+        information -= count * np.einsum("def,def->e", own, space.weigh(own))
     return score, information

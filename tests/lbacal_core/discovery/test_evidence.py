@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from lbacal_core.causes.catalogue import CAUSES
-from lbacal_core.causes.terms import signature
-from lbacal_core.discovery.baseline import gather_stations
-from lbacal_core.discovery.extend import fit_plain
+from lbacal_core.causes.terms import Law, signature
+from lbacal_core.discovery.baseline import fit_baseline, gather_stations
+from lbacal_core.discovery.extend import Effect, Extension, by_event, fit_plain
 from lbacal_core.discovery.scan import scan
 from lbacal_core.discovery.targets import list_targets
 from lbacal_core.twin.campaign import simulate_campaign
@@ -150,3 +150,15 @@ def test_products_of_functions_equal_those_of_the_vectors_they_make(evidence):
     absorbed, gram = space.products_of(courses, smooth, signs, weight)
     np.testing.assert_allclose(absorbed, space.absorbed_of(weighed).sum(axis=-2), rtol=1e-8, atol=1e-6)
     np.testing.assert_allclose(gram, np.einsum("aref,bref->ab", vectors, weighed), rtol=1e-8, atol=1e-6)
+
+
+@pytest.mark.parametrize("scope", ["station", "cable", "antenna"])
+def test_events_add_up_to_the_score_and_the_information_of_the_whole(evidence, scope):
+    plain = Extension([], fit_baseline(evidence.data), evidence, is_converged=True)
+    drift = next(cause for cause in CAUSES if cause.identifier == "gain_drift")
+    target = next(target for target in list_targets(evidence.data) if target.scope == scope)
+    score, information = by_event(plain, Effect(drift, Law(), target, 0.0))
+    values = signature(drift, evidence.terms, evidence.data.conditions, Law())
+    whole, square = evidence.products([values], [target])
+    np.testing.assert_allclose(score.sum(), whole[0], rtol=1e-6, atol=1e-6 * square[0, 0] ** 0.5)
+    np.testing.assert_allclose(information.sum(), square[0, 0], rtol=1e-6)
