@@ -22,7 +22,8 @@ from lbacal_core.grids import Floats
 from lbacal_core.instrument import AntennaRecord, load_instrument
 from lbacal_core.sidereal import local_sidereal_time
 from lbacal_core.skypower.model import compute_sky_power
-from lbacal_core.spectra import Spectra, split_into_blocks
+from lbacal_core.spectra import Spectra
+from lbacal_core.spectra_blocks import split_into_blocks
 from proofs.fit import COMMON_GAIN, PATH_GAIN, RADIOMETER, YEAR_S, YEAR_START, Scene, scene_of_noise_terms
 
 REPEATS = 3

@@ -34,7 +34,8 @@ from lbacal_core.instrument import Instrument
 from lbacal_core.provenance import Provenance
 from lbacal_core.sidereal import local_sidereal_time
 from lbacal_core.skypower.table import SkyPower
-from lbacal_core.spectra import Spectra, SpectraBlock, iterate_blocks, split_into_blocks
+from lbacal_core.spectra import Spectra
+from lbacal_core.spectra_blocks import SpectraBlock, iterate_blocks, split_into_blocks
 
 SCOPES = ("array", "station", "antenna")
 MIN_EVENTS = 60

@@ -11,7 +11,7 @@ from lbacal_core.grids import Floats
 from lbacal_core.instrument import Instrument
 from lbacal_core.sidereal import local_sidereal_time
 from lbacal_core.skypower.table import SkyPower
-from lbacal_core.spectra import SpectraBlock
+from lbacal_core.spectra_blocks import SpectraBlock
 
 
 def noise_at_input(curve: CalibrationCurve, instrument: Instrument) -> dict[str, Floats]:

@@ -26,7 +26,8 @@ from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.sources import response_towards, source_sky_power
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.skypower.variation import vary_sky_power
-from lbacal_core.spectra import Spectra, SpectraBlock, split_into_blocks
+from lbacal_core.spectra import Spectra
+from lbacal_core.spectra_blocks import SpectraBlock, split_into_blocks
 from lbacal_core.sun import sun_position
 
 SOURCE_KEYS = {"Cas A": "cas-a", "Cyg A": "cyg-a", "Tau A": "tau-a", "Vir A": "vir-a"}

@@ -21,7 +21,7 @@ from lbacal_core.grids import Floats
 from lbacal_core.instrument import Instrument
 from lbacal_core.sidereal import local_sidereal_time
 from lbacal_core.skypower.table import SkyPower
-from lbacal_core.spectra import SpectraBlock
+from lbacal_core.spectra_blocks import SpectraBlock
 
 MIN_EVENTS = 5
 """Fewer events in a month leave its gain worse than 2.5 %."""

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from lbacal_core.grids import Floats
 from lbacal_core.sidereal import local_sidereal_time
-from lbacal_core.spectra import Spectra, SpectraBlock, split_into_blocks
+from lbacal_core.spectra import Spectra
+from lbacal_core.spectra_blocks import SpectraBlock, split_into_blocks
 
 CUT_SIGMA = 6.0
 SMALLEST_DEPARTURE = np.log(1.2)

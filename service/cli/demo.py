@@ -32,7 +32,7 @@ from lbacal_core.lstcurve.compare import (
 )
 from lbacal_core.lstcurve.curve import measured_curve, read_lst_curve
 from lbacal_core.skypower.table import SkyPower
-from lbacal_core.spectra import split_into_blocks
+from lbacal_core.spectra_blocks import split_into_blocks
 from lbacal_core.twin.campaign import Campaign, simulate_campaign
 from lbacal_core.twin.settings import TwinSettings
 from service.cli.demo_service import ServedRun, describe_served, serve_demonstration

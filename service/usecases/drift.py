@@ -13,7 +13,7 @@ from lbacal_core.drift.steps import find_steps
 from lbacal_core.grids import Floats
 from lbacal_core.instrument import Instrument
 from lbacal_core.skypower.table import SkyPower
-from lbacal_core.spectra import SpectraBlock, split_into_blocks
+from lbacal_core.spectra_blocks import SpectraBlock, split_into_blocks
 from lbacal_core.validity import Instant, Scope
 from service.storage.database import Database, Stores
 from service.storage.drift import MonthlyRatio

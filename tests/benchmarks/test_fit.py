@@ -8,7 +8,7 @@ import pytest
 from benchmarks.fit import OnePath, farthest, make_scene, make_spectra
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.sidereal import local_sidereal_time
-from lbacal_core.spectra import split_into_blocks
+from lbacal_core.spectra_blocks import split_into_blocks
 from proofs.fit import Scene
 
 

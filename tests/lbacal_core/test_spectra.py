@@ -11,39 +11,14 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from lbacal_core.errors import BadInputError, LbacalError, UnreadableFileError
-from lbacal_core.spectra import Spectra, read_spectra, split_into_blocks, write_spectra
+from lbacal_core.spectra import Spectra, read_spectra, write_spectra
 
-FREQUENCY = np.array([30.0, 31.0, 32.0, 33.0])
-START = 1_400_000_000.0
 NOW = 1_500_000_000.0
 
 
-def make_spectra(events: int = 3) -> Spectra:
-    """Events of two stations with two antennas each, both dipoles."""
-    keys = [
-        (event, station, antenna, dipole)
-        for event in range(events)
-        for station in ("CS002", "CS003")
-        for antenna in (0, 7)
-        for dipole in "XY"
-    ]
-    event, station, antenna, dipole = (np.array(column) for column in zip(*keys, strict=True))
-    return Spectra(
-        frequency_mhz=FREQUENCY,
-        power=np.random.default_rng(1).uniform(1, 2, (len(keys), FREQUENCY.size)),
-        event_id=np.array([f"event {k}" for k in event]),
-        time_unix=START + 3600.0 * event,
-        station=station,
-        antenna=antenna,
-        dipole=dipole,
-        blocks=np.full(len(keys), 100),
-        environment={"temperature_c": 10.0 + event, "rain_mm_h": np.where(event == 0, np.nan, 0.0)},
-    )
-
-
 @pytest.fixture
-def path(tmp_path: Path) -> Path:
-    write_spectra(make_spectra(), tmp_path / "s.h5")
+def path(two_stations: Spectra, tmp_path: Path) -> Path:
+    write_spectra(two_stations, tmp_path / "s.h5")
     return tmp_path / "s.h5"
 
 
@@ -200,7 +175,7 @@ WRONG_CONTENT: dict[str, tuple[Callable[[h5py.File], None], str]] = {
     "infinite temperature": (put_value("env/temperature_c", 2, np.inf), "env/temperature_c, row 2: .*found inf"),
     "NaN frequency": (put_value("frequency_mhz", 1, np.nan), "frequency_mhz, channel 1: expected finite MHz > 0"),
     "falling frequency": (
-        put("frequency_mhz", FREQUENCY[::-1]),
+        put("frequency_mhz", np.array([33.0, 32.0, 31.0, 30.0])),
         "channel 1: expected more than 33 MHz .* found 32 MHz",
     ),
     "frequency 0": (put_value("frequency_mhz", 0, 0.0), "frequency_mhz, channel 0: expected finite MHz > 0, found 0"),
@@ -305,12 +280,12 @@ def test_flipped_bytes_give_a_sentence_or_numbers_unless_the_hdf5_library_itself
     assert outcomes.count("died") < 12  # 1 % of 2000 in a longer run
 
 
-def test_a_file_returns_what_was_written(path: Path) -> None:
-    written, read = make_spectra(), read_spectra(path)
-    assert read.digest() == written.digest()
+def test_a_file_returns_what_was_written(two_stations: Spectra, path: Path) -> None:
+    read = read_spectra(path)
+    assert read.digest() == two_stations.digest()
     for name in ("power", "time_unix", "station", "antenna", "dipole", "blocks", "event_id"):
-        np.testing.assert_array_equal(getattr(read, name), getattr(written, name))
-    np.testing.assert_array_equal(read.environment["rain_mm_h"], written.environment["rain_mm_h"])
+        np.testing.assert_array_equal(getattr(read, name), getattr(two_stations, name))
+    np.testing.assert_array_equal(read.environment["rain_mm_h"], two_stations.environment["rain_mm_h"])
     assert read.resistance_ohm == 50.0
     assert len(read) == ROWS
 
@@ -337,14 +312,13 @@ def test_storage_that_changes_no_value_is_welcome(path: Path, change: str) -> No
     assert read_spectra(path).digest() == before
 
 
-def test_a_highly_compressible_file_is_not_taken_for_an_unwritten_one(tmp_path: Path) -> None:
-    spectra = make_spectra()
+def test_a_highly_compressible_file_is_not_taken_for_an_unwritten_one(two_stations: Spectra, tmp_path: Path) -> None:
     rows = 20_000
     many = Spectra(
-        FREQUENCY,
+        two_stations.frequency_mhz,
         np.ones((rows, 4)),
         np.array([f"e{k}" for k in range(rows)]),
-        np.full(rows, START),
+        np.full(rows, two_stations.time_unix[0]),
         np.full(rows, "CS002"),
         np.zeros(rows, dtype=np.int64),
         np.full(rows, "X"),
@@ -353,63 +327,29 @@ def test_a_highly_compressible_file_is_not_taken_for_an_unwritten_one(tmp_path: 
     write_spectra(many, tmp_path / "s.h5")
     with h5py.File(tmp_path / "s.h5", "a") as file:
         put("power", many.power, compression="gzip", compression_opts=9, chunks=(rows, 4))(file)
-    assert read_spectra(tmp_path / "s.h5").digest() == many.digest() != spectra.digest()
+    assert read_spectra(tmp_path / "s.h5").digest() == many.digest() != two_stations.digest()
 
 
-def test_a_time_within_the_next_day_is_welcome(path: Path) -> None:
-    assert len(read_spectra(path, now_unix=START + 7200 - 86_400)) == ROWS
+def test_a_time_within_the_next_day_is_welcome(two_stations: Spectra, path: Path) -> None:
+    last = two_stations.time_unix[16]
+    assert len(read_spectra(path, now_unix=last - 86_400)) == ROWS
     with pytest.raises(BadInputError, match="row 16"):
-        read_spectra(path, now_unix=START + 7199 - 86_400)
+        read_spectra(path, now_unix=last - 86_401)
 
 
-def test_the_digest_sees_every_value_but_not_the_order_of_rows() -> None:
-    spectra = make_spectra()
-    shuffled = spectra.select(np.random.default_rng(2).permutation(ROWS))
-    assert shuffled.digest() == spectra.digest()
-    power = spectra.power.copy()
+def test_the_digest_sees_every_value_but_not_the_order_of_rows(two_stations: Spectra) -> None:
+    shuffled = two_stations.select(np.random.default_rng(2).permutation(ROWS))
+    assert shuffled.digest() == two_stations.digest()
+    power = two_stations.power.copy()
     power[3, 1] = np.nextafter(power[3, 1], 2)
     for changed in (
-        replace(spectra, power=power),
-        replace(spectra, time_unix=spectra.time_unix + 1e-3),
-        replace(spectra, blocks=spectra.blocks + 1),
-        replace(spectra, resistance_ohm=60.0),
-        replace(spectra, event_id=np.char.add(spectra.event_id, "'")),
+        replace(two_stations, power=power),
+        replace(two_stations, time_unix=two_stations.time_unix + 1e-3),
+        replace(two_stations, blocks=two_stations.blocks + 1),
+        replace(two_stations, resistance_ohm=60.0),
+        replace(two_stations, event_id=np.char.add(two_stations.event_id, "'")),
     ):
-        assert changed.digest() != spectra.digest()
-
-
-def test_blocks_hold_every_spectrum_in_its_place() -> None:
-    spectra = make_spectra()
-    kept = np.ones(ROWS, dtype=bool)
-    kept[[0, 9]] = False
-    # events in the file in the reverse order of time, and not all antennas in each
-    partial = spectra.select(np.flatnonzero(kept)[::-1])
-    blocks = split_into_blocks(partial)
-    assert [(b.station, b.dipole) for b in blocks] == [(s, d) for s in ("CS002", "CS003") for d in "XY"]
-    assert sum(int(b.is_present.sum()) for b in blocks) == ROWS - 2
-    for block in blocks:
-        assert np.all(np.diff(block.time_unix) > 0)
-        assert np.all((block.blocks > 0) == block.is_present)
-        for row, antenna in enumerate(block.antennas):
-            for column, event in enumerate(block.event_id):
-                at = np.flatnonzero(
-                    (partial.station == block.station)
-                    & (partial.dipole == block.dipole)
-                    & (partial.antenna == antenna)
-                    & (partial.event_id == event)
-                )
-                assert block.is_present[row, column] == (at.size == 1)
-                expected = partial.power[at[0]] if at.size else np.ones(4)
-                np.testing.assert_array_equal(block.power[row, column], expected)
-        np.testing.assert_array_equal(block.environment["temperature_c"], 10 + (block.time_unix - START) / 3600)
-
-
-def test_an_event_that_one_dipole_lacks_altogether_is_not_in_its_block() -> None:
-    spectra = make_spectra(events=4)
-    lost = (spectra.event_id == spectra.event_id[-1]) & (spectra.dipole == "X")
-    blocks = {block.dipole: block for block in split_into_blocks(spectra.select(~lost))}
-    assert blocks["X"].power.shape[1] == len(blocks["X"].event_id) == 3
-    assert blocks["Y"].power.shape[1] == len(blocks["Y"].event_id) == 4
+        assert changed.digest() != two_stations.digest()
 
 
 @pytest.mark.shared

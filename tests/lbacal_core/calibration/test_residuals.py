@@ -11,7 +11,7 @@ from lbacal_core.curves import CONVERGED, CalibrationCurve, Parameter
 from lbacal_core.instrument import Instrument
 from lbacal_core.sidereal import local_sidereal_time
 from lbacal_core.skypower.table import SkyPower
-from lbacal_core.spectra import split_into_blocks
+from lbacal_core.spectra_blocks import split_into_blocks
 from lbacal_core.twin.campaign import Campaign, simulate_campaign
 from lbacal_core.twin.settings import TwinSettings
 

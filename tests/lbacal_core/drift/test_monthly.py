@@ -10,7 +10,7 @@ from lbacal_core.grids import Floats
 from lbacal_core.instrument import AntennaRecord, Instrument
 from lbacal_core.sidereal import local_sidereal_time
 from lbacal_core.skypower.table import SkyPower
-from lbacal_core.spectra import SpectraBlock
+from lbacal_core.spectra_blocks import SpectraBlock
 
 MHZ = np.array([30.0, 40.0, 55.0, 70.0])
 GAIN = np.array([0.1, 0.3, 1.0, 0.2])

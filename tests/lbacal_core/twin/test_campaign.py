@@ -11,7 +11,8 @@ from lbacal_core.errors import BadInputError, UnknownNameError
 from lbacal_core.instrument import AntennaRecord, Instrument
 from lbacal_core.sidereal import local_sidereal_time
 from lbacal_core.skypower.table import SkyPower
-from lbacal_core.spectra import read_spectra, split_into_blocks, write_spectra
+from lbacal_core.spectra import read_spectra, write_spectra
+from lbacal_core.spectra_blocks import split_into_blocks
 from lbacal_core.twin.campaign import simulate_campaign
 from lbacal_core.twin.settings import YEAR_S, TwinSettings
 
