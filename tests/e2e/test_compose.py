@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,7 @@ import yaml
 
 from lbacal.client import Client
 from lbacal_core.spectra import read_spectra
-from proofs._postgres import find_binaries, run_postgres
+from proofs._postgres import run_postgres
 from proofs._processes import Process, find_free_port, is_ready, run_command, running, wait_until
 
 
@@ -58,9 +57,8 @@ def test_the_image_starts_the_command(request: pytest.FixtureRequest) -> None:
     assert "USER lbacal" in text
 
 
+@pytest.mark.usefixtures("needs_postgres")
 def test_the_commands_of_the_compose_file_are_a_service(compose: dict[str, Any], service: Any, tmp_path: Path) -> None:
-    if not (os.environ.get("CI") or os.environ.get("LBACAL_TEST_PG") or find_binaries()):
-        pytest.skip("needs PostgreSQL server binaries, or LBACAL_TEST_PG")
     services, log = compose["services"], tmp_path / "log"
     with run_postgres() as url:
         environment = {name: environment_of(services[name], url) for name in ("migrate", "api", "scheduler", "worker")}

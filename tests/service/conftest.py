@@ -72,14 +72,10 @@ def instrument(instrument_file: Path) -> Instrument:
 
 
 @pytest.fixture(scope="session")
-def postgres() -> Iterator[str]:
-    try:
-        with run_postgres() as url:
-            yield url
-    except FileNotFoundError as error:
-        if os.environ.get("CI"):
-            raise
-        pytest.skip(str(error))
+def postgres(request: pytest.FixtureRequest) -> Iterator[str]:
+    request.getfixturevalue("needs_postgres")
+    with run_postgres() as url:
+        yield url
 
 
 _names = itertools.count()
