@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lbacal_core.errors import BadInputError, UnreadableFileError
-from lbacal_core.hdf5 import HDF5_FAILURES
+from lbacal_core.hdf5 import HDF5_FAILURES, is_in_file
 from lbacal_core.traces.trace import BLOCK_SAMPLES, UNKNOWN_ANTENNA_SET, Trace, TraceReference, name_station
 
 _DIPOLE = re.compile(r"(?:DIPOLE_?)?(\d{3})(\d{3})(\d{3})", re.IGNORECASE)
@@ -138,6 +138,6 @@ def _attribute(node: Any, name: str, default: Any) -> Any:
     return value.decode("utf-8", "replace") if isinstance(value, bytes) else value
 
 
-def _is_inside(group: h5py.Group, name: str, kind: type) -> bool:
-    """Whether a name is stored in this file (not a link out of it) and is of a kind."""
-    return isinstance(group.get(name, getlink=True), h5py.HardLink) and isinstance(group[name], kind)
+def _is_inside(parent: h5py.Group, name: str, kind: type) -> bool:
+    """Whether a name is of a kind and stored in this file."""
+    return is_in_file(parent, name) and isinstance(parent[name], kind)
