@@ -3,7 +3,6 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-import healpy as hp
 import numpy as np
 import pytest
 
@@ -11,35 +10,11 @@ from lbacal_core.errors import BadInputError, UnreadableFileError
 from lbacal_core.sky import maps
 from lbacal_core.sky.names import load_sky
 
-NSIDE = 16
-PIXELS = hp.nside2npix(NSIDE)
-GALACTIC_CENTRE = (266.405, -28.936)  # ICRS, degrees
 
-
-def directions(frame: str) -> tuple[np.ndarray, np.ndarray]:
-    theta, phi = hp.Rotator(coord=[frame, "C"])(*hp.pix2ang(NSIDE, np.arange(PIXELS)))
-    return phi, np.pi / 2 - theta
-
-
-def blob(frame: str) -> np.ndarray:
-    """1000 K, and 5 degrees wide 4000 K more at the Galactic centre."""
-    ra, dec = directions(frame)
-    centre = hp.ang2vec(*GALACTIC_CENTRE, lonlat=True)
-    cosine = hp.ang2vec(np.pi / 2 - dec, ra) @ centre
-    return 1000.0 + 4000.0 * np.exp((cosine - 1) / np.radians(10.0) ** 2)
-
-
-def brightness_at(sky: object, right_ascension_deg: float, declination_deg: float, nu: float = 50.0) -> float:
-    values = sky.temperature(np.array([nu]))[0]  # type: ignore[attr-defined]
-    lmax = values.shape[0] - 1
-    pixels = hp.alm2map(values.T[np.triu_indices(lmax + 1)], 64, lmax=lmax)
-    return float(hp.get_interp_val(pixels, right_ascension_deg, declination_deg, lonlat=True))
-
-
-def write_components(path: Path, frame: str, **more: object) -> Path:
-    ra, dec = directions(frame)
+def write_components(blob, path: Path, frame: str, **more: object) -> Path:
+    ra, dec = blob.directions(frame)
     content = {
-        "maps": np.stack([blob(frame) / 1000.0, np.ones(PIXELS)], axis=1),
+        "maps": np.stack([blob.as_map(frame) / 1000.0, np.ones(ra.size)], axis=1),
         "freqs": np.array([20.0, 40.0, 60.0, 90.0, 120.0]),
         "comps": np.stack([np.ones(5), np.zeros(5)], axis=1),
         "sigmas": 1000.0 * (np.array([20.0, 40.0, 60.0, 90.0, 120.0]) / 50.0) ** -2.5,
@@ -54,23 +29,23 @@ def write_components(path: Path, frame: str, **more: object) -> Path:
 
 
 @pytest.mark.parametrize("frame", ["G", "C"])
-def test_component_maps_are_brought_to_icrs_from_either_frame(tmp_path: Path, frame: str) -> None:
-    sky = load_sky(str(write_components(tmp_path / "sky.npz", frame)))
+def test_component_maps_are_brought_to_icrs_from_either_frame(tmp_path: Path, frame: str, blob, brightness_at) -> None:
+    sky = load_sky(str(write_components(blob, tmp_path / "sky.npz", frame)))
     # 2 %: what pixels of 3.7 degrees and l <= 47 leave of a blob 10 degrees wide.
-    assert brightness_at(sky, *GALACTIC_CENTRE) == pytest.approx(5000.0, rel=0.02)
+    assert brightness_at(sky, *blob.centre_deg) == pytest.approx(5000.0, rel=0.02)
     assert brightness_at(sky, 86.4, 28.9) == pytest.approx(1000.0, rel=0.02)
     assert brightness_at(sky, 86.4, 28.9, nu=25.0) == pytest.approx(1000.0 * 2**2.5, rel=0.02)
 
 
-def test_component_maps_that_do_not_say_what_they_contain_are_refused(tmp_path: Path) -> None:
-    path = write_components(tmp_path / "sky.npz", "C", has_cmb=None)
+def test_component_maps_that_do_not_say_what_they_contain_are_refused(tmp_path: Path, blob) -> None:
+    path = write_components(blob, tmp_path / "sky.npz", "C", has_cmb=None)
     with pytest.raises(BadInputError, match="has_cmb and has_isotropic"):
         load_sky(str(path))
 
 
-def test_component_maps_in_another_order_are_refused(tmp_path: Path) -> None:
-    ra, dec = directions("C")
-    path = write_components(tmp_path / "sky.npz", "C", ra=ra[::-1], dec=dec)
+def test_component_maps_in_another_order_are_refused(tmp_path: Path, blob) -> None:
+    ra, dec = blob.directions("C")
+    path = write_components(blob, tmp_path / "sky.npz", "C", ra=ra[::-1], dec=dec)
     with pytest.raises(BadInputError, match="HEALPix pixels in ring order"):
         load_sky(str(path))
 
@@ -82,21 +57,20 @@ def test_a_file_that_is_no_npz_is_unreadable(tmp_path: Path) -> None:
         load_sky(str(path))
 
 
-class FakeGlobalSkyModel:
-    def __init__(self, **settings: object) -> None:
-        assert settings == {"freq_unit": "MHz", "include_cmb": False}
+def test_pygdsm_models_are_read_in_galactic_coordinates(monkeypatch: pytest.MonkeyPatch, blob, brightness_at) -> None:
+    class FakeGlobalSkyModel:
+        def __init__(self, **settings: object) -> None:
+            assert settings == {"freq_unit": "MHz", "include_cmb": False}
 
-    def generate(self, nu: float) -> np.ndarray:
-        return blob("G") * (nu / 50.0) ** -2.5
+        def generate(self, nu: float) -> np.ndarray:
+            return blob.as_map("G") * (nu / 50.0) ** -2.5
 
-
-def test_pygdsm_models_are_read_in_galactic_coordinates(monkeypatch: pytest.MonkeyPatch) -> None:
     module = type(sys)("pygdsm")
     module.GlobalSkyModel = FakeGlobalSkyModel  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, "pygdsm", module)
     sky = load_sky("pygdsm-gsm2008")
     assert not sky.has_cmb
-    assert brightness_at(sky, *GALACTIC_CENTRE) == pytest.approx(5000.0, rel=0.02)
+    assert brightness_at(sky, *blob.centre_deg) == pytest.approx(5000.0, rel=0.02)
 
 
 def test_pygdsm_without_its_data_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -116,8 +90,8 @@ def test_without_pygdsm_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> N
         load_sky("pygdsm-gsm2008")
 
 
-def test_maps_with_holes_are_refused() -> None:
-    holes = blob("C")
+def test_maps_with_holes_are_refused(blob) -> None:
+    holes = blob.as_map("C")
     holes[17] = np.nan
     with pytest.raises(BadInputError, match="pixel 17"):
         maps.multipoles_of_maps(holes[None], "C", "map")
