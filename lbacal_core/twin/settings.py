@@ -8,7 +8,8 @@ from typing import Any
 
 from lbacal_core.errors import BadInputError
 
-YEAR_S = 365.25 * 86_400.0
+DAY_S = 86_400.0
+YEAR_S = 365.25 * DAY_S
 START_2014 = datetime(2014, 1, 1, tzinfo=UTC).timestamp()
 
 

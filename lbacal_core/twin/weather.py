@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from lbacal_core.grids import Floats
+from lbacal_core.twin.settings import DAY_S, YEAR_S
 
-DAY_S = 86_400.0
-YEAR_S = 365.25 * DAY_S
 MEAN_C, SEASON_C, DAILY_C, PASSING_C = 10.0, 7.5, 4.0, 3.0
 """Mean, half ranges of season and day, and spread of passing weather: the climate of Drenthe, rounded."""
 COLDEST_DAY, WARMEST_HOUR = 20.0, 15.0

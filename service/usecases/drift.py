@@ -20,11 +20,12 @@ from service.storage.drift import MonthlyRatio
 from service.storage.jobs import Part
 from service.storage.spectra import Window
 from service.storage.versions import MeanC, Version
+from service.wire.instants import DAY_US
 
 KIND = "drift"
 BAND = (16.0, 50.0, 84.0)
 """Percentiles of the paths of a station: median and the middle 68 %."""
-SHORTEST_YEAR_US = 365 * 86_400_000_000
+SHORTEST_YEAR_US = 365 * DAY_US
 
 
 @dataclass(frozen=True)

@@ -12,9 +12,9 @@ from lbacal_core.validity import Instant
 from service.errors import ForbiddenError, UnauthenticatedError
 from service.storage.database import Database
 from service.storage.keys import Key
+from service.wire.instants import DAY_US
 
 SCOPES = ("read", "spectra:write", "refits:run", "calibrations:promote", "admin")
-DAY_US = 86_400_000_000
 
 
 @dataclass(frozen=True)

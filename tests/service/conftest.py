@@ -34,7 +34,6 @@ from service.storage.versions import Version
 
 CHANNELS = 4
 MHZ = [30.0, 45.0, 60.0, 80.0]
-DAY_US = 86_400_000_000
 
 
 def instant(text: str) -> int:

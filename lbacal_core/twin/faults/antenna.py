@@ -10,6 +10,7 @@ from scipy.interpolate import CubicSpline
 from lbacal_core.grids import Floats
 from lbacal_core.twin.faults.drivers import driver, since
 from lbacal_core.twin.faults.fault import Fault
+from lbacal_core.twin.settings import YEAR_S
 from lbacal_core.twin.stages import Scene, Stages
 
 CAPACITANCE_F, RESISTANCE_OHM = 16e-12, 700.0
@@ -135,5 +136,5 @@ class GainDrift(Fault):
     def alter(self, stages: Stages, scene: Scene) -> Stages:
         """Ageing gain."""
         middle = 0.5 * (scene.time_unix.min() + scene.time_unix.max())
-        years = (scene.time_unix[:, None] - middle) / (365.25 * 86_400.0)
+        years = (scene.time_unix[:, None] - middle) / YEAR_S
         return replace(stages, gain=stages.gain * (1.0 + self.where.mask(scene) * self.size * years))

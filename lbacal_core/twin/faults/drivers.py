@@ -8,9 +8,9 @@ import numpy as np
 
 from lbacal_core.errors import UnknownNameError
 from lbacal_core.grids import Floats
+from lbacal_core.twin.settings import YEAR_S
 from lbacal_core.twin.stages import Scene
 
-YEAR_S = 365.25 * 86_400.0
 FOLLOWED = ("temperature", "season", "wet", "rain", "soaked")
 
 

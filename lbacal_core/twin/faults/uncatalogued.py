@@ -11,9 +11,8 @@ from lbacal_core.grids import Floats
 from lbacal_core.twin.bodies import horizontal, jupiter_position, sun_position
 from lbacal_core.twin.faults.fault import Fault
 from lbacal_core.twin.faults.sky import SkyFault
+from lbacal_core.twin.settings import DAY_S, YEAR_S
 from lbacal_core.twin.stages import Scene, Stages
-
-DAY_S = 86_400.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,7 +104,7 @@ class Thunderstorms(Fault):
         """Bursts of events with steep excess power; which six-hour spells have a storm is fixed by their number."""
         spell = (scene.time_unix // (6 * 3600.0)).astype(np.int64)
         chance = (spell * 2_654_435_761 % 4_294_967_296) / 4_294_967_296  # Knuth's multiplicative hash
-        summer = 0.5 + 0.5 * np.cos(2 * np.pi * (scene.time_unix / (365.25 * DAY_S) % 1.0 - 0.55))
+        summer = 0.5 + 0.5 * np.cos(2 * np.pi * (scene.time_unix / YEAR_S % 1.0 - 0.55))
         storm = (chance < 0.12 * summer)[:, None]
         spectrum = scene.mean_sky.mean(axis=(1, 2), keepdims=True)[..., :1] * (scene.frequency_mhz / 30.0) ** -3
         return replace(stages, sky=stages.sky + self.where.mask(scene) * self.size * spectrum * storm)
