@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-import base64
-import io
 import sys
 import threading
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
-from jinja2 import Environment
-from matplotlib.figure import Figure
 
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.calibration.residuals import map_residuals
@@ -44,6 +39,7 @@ from service.cli.figures import (
     draw_noise,
     draw_residuals,
 )
+from service.cli.report_pages import embed, fill_report
 
 STATION = "CS002"
 SHOWN_ANTENNAS = 3
@@ -143,17 +139,15 @@ def render_report(shown: Demonstration, served: ServedRun | None = None) -> str:
     }
     if served is not None:
         figures["drift"] = draw_drift(served.station, served.path)
-    template = Environment(autoescape=True).from_string(
-        (files("service.cli") / "templates/report.html").read_text(encoding="utf-8")
-    )
-    return template.render(
+    return fill_report(
+        "demo.html",
         opening=(
             f"One simulated year of station {station.station}: {len(spectra):,} background spectra of "
             f"{len(station.antennas)} antennas, two dipoles each, on {spectra.frequency_mhz.size} channels of 1 MHz. "
             "The fit sees the spectra and the simulated Galaxy, and finds the calibration that was planted."
         ),
         table={"frequencies": SHOWN_MHZ, "rows": tabulate(shown)},
-        figures={name: _embed(figure) for name, figure in figures.items()},
+        figures={name: embed(figure) for name, figure in figures.items()},
         recovery=describe_recovery(shown),
         real=describe_real(shown.real),
         served=None if served is None else describe_served(served),
@@ -214,12 +208,6 @@ def _wait_for_interrupt() -> None:
         threading.Event().wait()
     except KeyboardInterrupt:
         print()
-
-
-def _embed(figure: Figure) -> str:
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=120)
-    return base64.b64encode(buffer.getvalue()).decode()
 
 
 def _print_rows(rows: Sequence[Sequence[str]]) -> None:

@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-import base64
-import io
 from collections.abc import Sequence
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment
-from matplotlib.figure import Figure
 
 from lbacal_core.discovery.investigate import Finding, StationReport
 from service.cli.investigation_figures import (
@@ -22,13 +17,13 @@ from service.cli.investigation_figures import (
     draw_residual_maps,
     draw_scores,
 )
+from service.cli.report_pages import embed, fill_report
 
 
 def write_investigation_page(content: dict[str, Any], reports: Sequence[StationReport], path: Path) -> None:
     """Write the report of `lbacal_core.discovery.report.investigate` as a page."""
-    template = (files("service.cli") / "templates/investigation.html").read_text()
-    page = Environment(autoescape=True).from_string(template)
-    path.write_text(page.render(report=content, stations=[_station(report) for report in reports]))
+    stations = [_station(report) for report in reports]
+    path.write_text(fill_report("investigation.html", report=content, stations=stations), encoding="utf-8")
 
 
 def _station(report: StationReport) -> dict[str, Any]:
@@ -66,10 +61,3 @@ def _finding(report: StationReport, finding: Finding, *, is_named: bool) -> dict
         "confirm": effect.cause.confirm,
         "change": f"{np.median(change):+.2f} % in the median, {change.flat[np.argmax(np.abs(change))]:+.2f} % at most",
     }
-
-
-def embed(figure: Figure) -> str:
-    """The figure as a base64 PNG."""
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=110)
-    return base64.b64encode(buffer.getvalue()).decode()

@@ -1,0 +1,23 @@
+"""HTML reports of commands: one file, its style and its figures inside."""
+
+from __future__ import annotations
+
+import base64
+import io
+from typing import Any
+
+from jinja2 import Environment, PackageLoader
+from matplotlib.figure import Figure
+
+
+def fill_report(template: str, **content: Any) -> str:
+    """A report as HTML; every template fills the blocks of `base.html`."""
+    environment = Environment(loader=PackageLoader("service.cli", "templates"), autoescape=True)
+    return environment.get_template(template).render(**content)
+
+
+def embed(figure: Figure) -> str:
+    """The figure as a base64 PNG."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=120)
+    return base64.b64encode(buffer.getvalue()).decode()
