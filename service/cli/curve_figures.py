@@ -11,8 +11,9 @@ from lbacal_core.discovery.curve_fit import GRID_HOURS, CurveFit
 from lbacal_core.discovery.lst_curve import CurveInvestigation
 from lbacal_core.grids import Floats
 from lbacal_core.instrument import DIPOLES
+from service.cli.figures import DIPOLE_COLOURS, label_lst_panels
 
-COLOURS = {"X": "#b3322b", "Y": "#2b5fb3", "X - Y": "#2b8a5f"}
+COLOURS = DIPOLE_COLOURS | {"X - Y": "#2b8a5f"}
 GREY = "#8a94a6"
 SMOOTH_HOURS = np.linspace(0.0, 24.0, 193)
 MOST_LINES = 5
@@ -44,15 +45,8 @@ def draw_curve(found: CurveInvestigation, title: str) -> Figure:
         below.plot(hours, _combine(found.first.residual_db, name), "x", ms=4, color=GREY, label="before")
         left = _combine(found.last.residual_db, name)
         below.errorbar(hours, left, estimated, fmt="o", ms=3, lw=1.1, color=colour, label="after")
-        below.axhline(0.0, color="black", lw=0.8)
         top.set_title(name if name in DIPOLES else "difference X - Y", fontsize=10)
-        top.legend(fontsize=7.5, frameon=False)
-        below.legend(fontsize=7.5, frameon=False, ncols=2)
-        below.set_xlabel("local sidereal time (h)")
-    axes[0, 0].set_ylabel("band power, relative to LST 0 (dB)")
-    axes[1, 0].set_ylabel("measured - simulated (dB)")
-    axes[0, 0].set_xlim(0, 24)
-    axes[0, 0].set_xticks(range(0, 25, 4))
+    label_lst_panels(axes)
     low, high = found.band_mhz
     named = ", ".join(name_hypothesis(found.last)) or "nothing found"
     figure.suptitle(f"{title}, {low:g}-{high:g} MHz: {named}", fontsize=11)

@@ -16,7 +16,7 @@ from lbacal_core.instrument import DIPOLES, Instrument
 from lbacal_core.lstcurve.compare import Comparison, in_db
 from lbacal_core.skypower.table import SkyPower
 
-COLOURS = {"X": "#b3322b", "Y": "#2b5fb3"}
+DIPOLE_COLOURS = {"X": "#b3322b", "Y": "#2b5fb3"}
 GREY = "#666666"
 FULL_DAY = np.linspace(0.0, 24.0, 289)
 
@@ -33,7 +33,7 @@ def draw_lst_comparison(comparison: Comparison, simulated: dict[str, Floats]) ->
     axes: Any = figure.subplots(2, 2, sharex=True, sharey="row", height_ratios=[2, 1])
     curve = comparison.curve
     for column, dipole in enumerate(DIPOLES):
-        colour, top, below = COLOURS[dipole], axes[0, column], axes[1, column]
+        colour, top, below = DIPOLE_COLOURS[dipole], axes[0, column], axes[1, column]
         points = {"fmt": "o", "ms": 3.5, "lw": 0.8, "color": colour}
         top.errorbar(curve.lst_hours, curve.variation_db[dipole], curve.error_db, label=f"measured, {dipole}", **points)
         for has_noise, style in ((False, "--"), (True, "-")):
@@ -57,17 +57,23 @@ def draw_lst_comparison(comparison: Comparison, simulated: dict[str, Floats]) ->
             color=GREY,
             label="sky alone",
         )
+    label_lst_panels(axes)
+    low, high = comparison.band_mhz
+    figure.suptitle(f"LOFAR low band, {low:g}-{high:g} MHz: only noise share and offset fitted", fontsize=11)
+    return figure
+
+
+def label_lst_panels(axes: Any) -> None:
+    """Label an upper row of band power and a lower row of what is left of it, both over local sidereal time."""
+    for top, below in axes.T:
         below.axhline(0.0, color="black", lw=0.8)
-        top.legend(fontsize=8, frameon=False)
-        below.legend(fontsize=8, frameon=False, ncols=2)
+        top.legend(fontsize=7.5, frameon=False)
+        below.legend(fontsize=7.5, frameon=False, ncols=2)
         below.set_xlabel("local sidereal time (h)")
     axes[0, 0].set_ylabel("band power, relative to LST 0 (dB)")
     axes[1, 0].set_ylabel("measured - simulated (dB)")
     axes[0, 0].set_xlim(0, 24)
     axes[0, 0].set_xticks(range(0, 25, 4))
-    low, high = comparison.band_mhz
-    figure.suptitle(f"LOFAR low band, {low:g}-{high:g} MHz: only noise share and offset fitted", fontsize=11)
-    return figure
 
 
 def draw_calibration(
@@ -80,7 +86,7 @@ def draw_calibration(
     for column, station in enumerate(stations):
         if station.c is None or station.c_sigma_stat is None or station.dipole is None:
             continue
-        top, below, colour = axes[0, column], axes[1, column], COLOURS[station.dipole]
+        top, below, colour = axes[0, column], axes[1, column], DIPOLE_COLOURS[station.dipole]
         frequency, planted = station.frequency_mhz, truth[station.dipole]
         spread = np.percentile([p.c for p in paths if p.c is not None and p.dipole == station.dipole], [16, 84], axis=0)
         top.fill_between(frequency, *(1e6 * spread), color=GREY, alpha=0.25, lw=0, label="68 % of its paths")
@@ -176,7 +182,7 @@ def draw_drift(station: dict[str, Any], path: dict[str, Any]) -> Figure:
     c_ratio = values(one, "c_ratio")
     name = f"antenna {path['antenna']} {path['dipole']}"
     error = values(one, "high") - c_ratio
-    axes.errorbar(month(one), c_ratio, error, fmt="o", ms=4, lw=1, color=COLOURS[path["dipole"]], label=name)
+    axes.errorbar(month(one), c_ratio, error, fmt="o", ms=4, lw=1, color=DIPOLE_COLOURS[path["dipole"]], label=name)
     for step in path["steps"][:1]:
         when = np.datetime64(step["date"])
         text = f"step of {name}: {100 * step['size']:+.1f} ± {100 * step['sigma']:.1f} %, {step['date']}"
