@@ -19,7 +19,6 @@ from lbacal_core.spectra import Spectra
 from lbacal_core.twin.campaign import draw_stations, simulate_campaign
 from lbacal_core.twin.faults.antenna import ResonanceFault
 from lbacal_core.twin.faults.catalogue import catalogue_faults, draw_fault
-from lbacal_core.twin.faults.drivers import driver
 from lbacal_core.twin.faults.fault import EVERYWHERE, Fault, Where
 from lbacal_core.twin.faults.interference import RfiBroadband, RfiLine
 from lbacal_core.twin.nuisances import NONE, REALISTIC, Nuisances
@@ -265,17 +264,6 @@ def is_in_family(planted: Planted) -> bool:
     if isinstance(fault, RfiLine) and fault.width_mhz > 1.0:
         return False
     return fault.hours == (6.0, 18.0) if isinstance(fault, (RfiLine, RfiBroadband)) else True
-
-
-def reported_size(planted: Planted, scene: Scene) -> float:
-    """The planted size in the unit of the contract's report."""
-    fault = planted.fault
-    if isinstance(fault, RfiLine):  # of the channel's power, where a line beside the channel's centre is weaker
-        offset = scene.frequency_mhz - fault.line_mhz
-        return fault.size * float(np.exp(-0.5 * (offset / (fault.width_mhz / 2.355)) ** 2).max())
-    if isinstance(fault, ResonanceFault) and fault.follows == "rain":  # at full wetness, not per mm/h
-        return fault.size * float(driver("rain", scene).max())
-    return fault.size
 
 
 @cache

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from proofs._hidden import ALIKE, SMALL, STATIC, DataSet, Planted, draw_one, is_in_family, moving_causes, reported_size
+from proofs._hidden import ALIKE, SMALL, STATIC, DataSet, Planted, draw_one, is_in_family, moving_causes
+from proofs._sizes import size_pull
 from proofs._trials import DetectionCurve, Rate, fit_detection, run_trials
 
 GRID = (4.0, 5.0, 5.5, 6.0, 6.75, 7.5, 10.0)
@@ -66,10 +67,8 @@ def hide_one(wanted: Wanted) -> Outcome:
     if planted is None:
         return Outcome(wanted.snr, drawn, None)
     answer = data.ask([planted.fault])
-    pull = None
-    if answer.named[:1] == [planted.cause]:
-        size = answer.findings[0]["size"]
-        pull = (size["value"] - reported_size(planted, data.scene)) / size["sigma"]
+    is_first = answer.named[:1] == [planted.cause]
+    pull = size_pull(data, planted, answer.findings[0]) if is_first else None
     return Outcome(wanted.snr, planted.cause, planted, answer.verdict, answer.sets, answer.score(planted), pull)
 
 

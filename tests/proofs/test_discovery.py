@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from lbacal_core.twin.faults.antenna import GainDrift
-from lbacal_core.twin.faults.interference import RfiLine
 from proofs import discovery
-from proofs._hidden import DataSet, Planted, draw_one, is_in_family, moving_causes, realistic, reported_size
+from proofs._hidden import DataSet, Planted, draw_one, moving_causes, realistic
 from proofs._one_effect import Outcome
 from proofs._several_effects import draw_several
 
@@ -57,16 +56,6 @@ def test_several_effects_have_the_signal_to_noise_given_the_others():
     information = data.detector.information_together([one.fault for one in planted])
     # Faults of some per cent are linear to some per cent.
     np.testing.assert_allclose(1 / np.sqrt(np.diag(np.linalg.inv(information))), 10.0, rtol=0.1)
-
-
-def test_a_line_between_channels_is_reported_as_strong_as_in_its_channel():
-    scene = DataSet(1).scene
-    line = Planted(
-        "rfi_line", RfiLine(size=0.01, line_mhz=66.8, width_mhz=0.5, hours=(6.0, 18.0)), "station", "station"
-    )
-    # 0.2 MHz from the channel at 67 MHz, of a Gaussian of 0.5 MHz full width at half maximum.
-    assert reported_size(line, scene) == pytest.approx(0.01 * 0.5 ** ((0.2 / 0.25) ** 2), rel=1e-3)
-    assert is_in_family(line)
 
 
 def test_a_name_counts_only_from_a_small_set():

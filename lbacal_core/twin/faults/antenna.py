@@ -15,7 +15,8 @@ from lbacal_core.twin.stages import Scene, Stages
 
 CAPACITANCE_F, RESISTANCE_OHM = 16e-12, 700.0
 """Of the amplifier at the feed, as published for the LBA (15-17 pF, 700 Ohm)."""
-RADIATION_OHM = 70.0
+RADIATION_OHM, INDUCTANCE_H = 70.0, 3.3e-6
+"""Of the dipole, so that the loaded resonance is as narrow (5.3 MHz between its half-power points) as G_ant."""
 
 
 def circuit_response(frequency_mhz: Floats, resonance_mhz: Floats, width: Floats) -> Floats:
@@ -27,17 +28,17 @@ def circuit_response(frequency_mhz: Floats, resonance_mhz: Floats, width: Floats
     Parameters
     ----------
     width
-        Factor on the radiation resistance, 1 as built.
+        Factor on the resistance of dipole and amplifier together, and with it on the width; 1 as built.
     """
     omega = 2e6 * np.pi * frequency_mhz
     load = 1.0 / (1.0 / RESISTANCE_OHM + 1j * omega * CAPACITANCE_F)
     at_peak = 2e6 * np.pi * resonance_mhz
     load_at_peak = 1.0 / (1.0 / RESISTANCE_OHM + 1j * at_peak * CAPACITANCE_F)
     # Above its own resonance a dipole is inductive: X = L (omega - own / omega); X and the load cancel at the peak.
-    inductance = 1.2e-6
-    own = at_peak**2 + at_peak * load_at_peak.imag / inductance
-    source = RADIATION_OHM * width * (frequency_mhz / resonance_mhz) ** 2
-    reactance = inductance * (omega - own / omega)
+    own = at_peak**2 + at_peak * load_at_peak.imag / INDUCTANCE_H
+    resistance = RADIATION_OHM + (width - 1.0) * (RADIATION_OHM + load_at_peak.real)
+    source = resistance * (frequency_mhz / resonance_mhz) ** 2
+    reactance = INDUCTANCE_H * (omega - own / omega)
     return np.asarray(np.abs(load / (source + 1j * reactance + load)) ** 2)
 
 
