@@ -45,6 +45,10 @@ class StepCause(Cause):
         """0 before the date and 1 from it on."""
         return conditions.after(law.parameters["date_unix"])
 
+    def finer_laws(self, conditions: Conditions, law: Law) -> list[Law]:
+        """The dates of single events."""
+        return [step_law(instant) for instant in conditions.dates_about(law.parameters["date_unix"])]
+
     def is_another(self, law: Law, earlier: Law) -> bool:
         """Another date."""
         return bool(law.parameters["date_unix"] != earlier.parameters["date_unix"])
@@ -94,6 +98,10 @@ class GainTemperature(TemperatureCause):
         """Delays of 0 to 3 h."""
         known = super().laws(conditions)
         return [Law({"delay_h": delay}) for delay in (0.0, 1.0, 2.0, 3.0)] if known else []
+
+    def finer_laws(self, conditions: Conditions, law: Law) -> list[Law]:  # noqa: ARG002
+        """Delays by half hours."""
+        return [Law({"delay_h": 0.5 * k}) for k in range(7)]
 
     def act(self, terms: ChainTerms, conditions: Conditions, law: Law, amount: Floats) -> ChainTerms:  # noqa: ARG002
         """The front gain times (1 + a dT / 10 K)."""

@@ -60,6 +60,18 @@ class ResonanceCause(Cause):
         followed += [{"follows": "wetness", "law": law} for law in wet]
         return [Law(one | {"model": model}) for model in ("curve", "circuit") for one in followed]
 
+    def finer_laws(self, conditions: Conditions, law: Law) -> list[Law]:
+        """Every phase of the season, every kind of wetness, both models."""
+        alike = [one for one in self.laws(conditions) if one.parameters["follows"] == law.parameters["follows"]]
+        if law.parameters["follows"] != "season":
+            return alike
+        phases = np.arange(0.0, 360.0, 15.0).tolist()
+        return [
+            Law({"follows": "season", "phase_deg": phase, "model": model})
+            for model in ("curve", "circuit")
+            for phase in phases
+        ]
+
     def course(self, conditions: Conditions, law: Law) -> Floats:
         """What is followed."""
         kind = law.parameters["follows"]
@@ -91,7 +103,7 @@ class ResonanceShift(ResonanceCause):
     """The resonance moves with the weather."""
 
     identifier: str = "resonance_shift"
-    unit: str = "MHz per 10 K, or at full season or wetness"
+    unit: str = "MHz per 10 K, at full season or wetness, or per mm/h"
     meaning: str = "the antenna's resonance moves with temperature, season or wetness"
     confirm: str = "measure the antenna's impedance warm and cold, dry and wet"
     step: float = 0.01
@@ -112,7 +124,7 @@ class ResonanceWidth(ResonanceCause):
     """The resonance widens with the weather."""
 
     identifier: str = "resonance_width"
-    unit: str = "fraction per 10 K, or at full season or wetness"
+    unit: str = "fraction per 10 K, at full season or wetness, or per mm/h"
     meaning: str = "the antenna's resonance widens with temperature, season or wetness"
     confirm: str = "measure the antenna's impedance warm and cold, dry and wet"
     step: float = 0.002
@@ -124,11 +136,10 @@ class ResonanceWidth(ResonanceCause):
         return read_between(frequency_mhz, log_gain, closer) - log_gain
 
     def of_circuit(self, conditions: Conditions, amount: Floats) -> Floats:
-        """More resistance in the dipole."""
+        """More resistance in the dipole, by the change of the resonance's width between its half-power points."""
         more, less = (replace(CIRCUIT, resistance_ohm=CIRCUIT.resistance_ohm * factor) for factor in (1.001, 0.999))
-        return np.asarray(
-            amount * np.log(more.gain(conditions.frequency_mhz) / less.gain(conditions.frequency_mhz)) / 0.002
-        )
+        change = np.log(more.gain(conditions.frequency_mhz) / less.gain(conditions.frequency_mhz))
+        return np.asarray(amount * change / np.log(_half_power_mhz(more) / _half_power_mhz(less)))
 
 
 def fitted_log_gain(terms: ChainTerms, conditions: Conditions) -> Floats:
@@ -150,3 +161,11 @@ def _peak_mhz(circuit: ResonanceCircuit) -> float:
     k = int(np.argmax(gain))
     before, at, after = gain[k - 1 : k + 2]
     return float(grid[k] + 0.025 * (before - after) / (before - 2 * at + after))
+
+
+def _half_power_mhz(circuit: ResonanceCircuit) -> float:
+    """Width of the circuit's resonance between its half-power points."""
+    grid = np.arange(25.0, 90.0, 0.05)
+    level = np.log(2.0 * circuit.gain(grid) / circuit.gain(np.array([_peak_mhz(circuit)])))
+    top = int(np.argmax(level))
+    return float(np.interp(0.0, -level[top:], grid[top:]) - np.interp(0.0, level[: top + 1], grid[: top + 1]))

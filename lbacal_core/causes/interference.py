@@ -27,13 +27,25 @@ class InterferenceCause(Cause):
         """1 within the hours."""
         return conditions.in_hours(*law.parameters["utc_h"])
 
+    def finer_laws(self, conditions: Conditions, law: Law) -> list[Law]:  # noqa: ARG002
+        """Hours that begin and end some earlier or later, or all others: power cannot be missing."""
+        return [
+            Law({**what, "utc_h": list(window)})
+            for what in self.what_about(law)
+            for window in _windows_about(*law.parameters["utc_h"])
+        ]
+
+    def what_about(self, law: Law) -> list[dict[str, float]]:
+        """Frequencies, widths or indices about those of a law."""
+        raise NotImplementedError
+
 
 @dataclass(frozen=True)
 class RfiLine(InterferenceCause):
     """A narrow line left in one channel or a few at some hours."""
 
     identifier: str = "rfi_line"
-    unit: str = "fraction of the mean power there"
+    unit: str = "fraction of the mean power in its strongest channel"
     meaning: str = "a narrow line of interference is left"
     confirm: str = "look at the unbinned spectra of those hours"
     scopes: Sequence[str] = ("station", "antenna")
@@ -60,7 +72,13 @@ class RfiLine(InterferenceCause):
         distance = conditions.frequency_mhz - law.parameters["frequency_mhz"]
         line = np.exp(-4 * np.log(2.0) * (distance / law.parameters["width_mhz"]) ** 2)
         mean = terms.power().mean(axis=1, keepdims=True)
-        return replace(terms, adc_noise=terms.adc_noise + amount * line * mean)
+        return replace(terms, adc_noise=terms.adc_noise + amount * line / line.max() * mean)
+
+    def what_about(self, law: Law) -> list[dict[str, float]]:
+        """Between the channels, and other widths."""
+        centre = law.parameters["frequency_mhz"]
+        moved = [centre + 0.25 * k for k in range(-2, 3)]
+        return [{"frequency_mhz": at, "width_mhz": width} for at in moved for width in (0.5, 1.0, 2.0, 3.0)]
 
 
 @dataclass(frozen=True)
@@ -85,3 +103,19 @@ class RfiBroadband(InterferenceCause):
         ratio = conditions.frequency_mhz / 55.0
         added = conditions.sky_at_55[:, None, None] * ratio ** law.parameters["spectral_index"]
         return replace(terms, sky=terms.sky + amount * added)
+
+    def what_about(self, law: Law) -> list[dict[str, float]]:  # noqa: ARG002
+        """All indices, by halves."""
+        return [{"spectral_index": -0.5 * k} for k in range(9)]
+
+
+def _windows_about(begin: int, end: int) -> list[tuple[int, int]]:
+    """Windows that begin and last up to three hours more or less, and what is left of the day."""
+    if (begin, end) == (0, 24):
+        return [(0, 24)]
+    near = {
+        ((begin + b) % 24, (begin + b + hours) % 24)
+        for b in range(-3, 4)
+        for hours in range((end - begin) % 24 - 3, (end - begin) % 24 + 4)
+    }
+    return sorted(near | {(last, first) for first, last in near})

@@ -50,6 +50,12 @@ class FilterShift(Cause):
             return conditions.after(law.parameters["date_unix"])
         return conditions.known(conditions.warmth())
 
+    def finer_laws(self, conditions: Conditions, law: Law) -> list[Law]:
+        """The dates of single events."""
+        if "date_unix" not in law.parameters:
+            return [law]
+        return [step_law(instant) for instant in conditions.dates_about(law.parameters["date_unix"])]
+
     def is_another(self, law: Law, earlier: Law) -> bool:
         """Another date."""
         return bool(law.parameters.get("date_unix") != earlier.parameters.get("date_unix"))

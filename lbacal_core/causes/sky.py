@@ -102,6 +102,10 @@ class SolarEmission(Cause):
             return []
         return [Law({"spectral_index": index}) for index in (1.0, 1.5, 2.0)]
 
+    def finer_laws(self, conditions: Conditions, law: Law) -> list[Law]:  # noqa: ARG002
+        """All of them."""
+        return self.laws(conditions)
+
     def act(self, terms: ChainTerms, conditions: Conditions, law: Law, amount: Floats) -> ChainTerms:
         """P_sky plus the Sun through D."""
         ratio = conditions.frequency_mhz / 55.0
@@ -123,6 +127,10 @@ class IonosphericAbsorption(Cause):
     def laws(self, conditions: Conditions) -> list[Law]:
         """Exponents between 0.5 and 1, where the Sun rises and sets in the data."""
         return [Law({"exponent": n}) for n in (0.5, 0.75, 1.0)] if conditions.has_day_and_night else []
+
+    def finer_laws(self, conditions: Conditions, law: Law) -> list[Law]:  # noqa: ARG002
+        """All of them."""
+        return self.laws(conditions)
 
     def course(self, conditions: Conditions, law: Law) -> Floats:
         """(cos chi)^n by day, 0 by night."""

@@ -126,11 +126,11 @@ class Conditions:
         return np.stack([*season, *(wave * s for wave in waves[:2] for s in season), *waves[2:]], axis=1)
 
     def wetness(self, law: str) -> Floats | None:
-        """0 when dry and 1 in strong rain, shape (event, 1): ``flag``, ``linear`` or ``saturating``."""
+        """0 when dry, shape (event, 1): 1 in any rain (``flag``), mm/h (``linear``) or their tanh (``saturating``)."""
         if self.rain_mm_h is None or not np.all(np.isfinite(self.rain_mm_h)) or not np.any(self.rain_mm_h > 0):
             return None
         rain = self.rain_mm_h
-        wet = {"flag": (rain > 0).astype(float), "linear": rain / rain.max(), "saturating": np.tanh(rain)}[law]
+        wet = {"flag": (rain > 0).astype(float), "linear": rain, "saturating": np.tanh(rain)}[law]
         return np.asarray(wet[:, None])
 
     def season(self, phase_deg: float) -> Floats:
@@ -172,6 +172,13 @@ class Conditions:
         """Instants at which a step is tried: quantiles of the event times, margins kept."""
         inner = np.quantile(self.time_unix, np.linspace(0.02, 0.98, number))
         return [float(instant) for instant in inner]
+
+    def dates_about(self, date_unix: float) -> list[float]:
+        """Every instant between events at which a step may be, between the neighbours of one that was tried."""
+        times = np.sort(self.time_unix)
+        reach = -(-times.size // 60)
+        at = int(np.searchsorted(times, date_unix))
+        return [float(instant) for instant in times[max(at - reach, 1) : at + reach + 1]]
 
 
 def read_between(frequency_mhz: Floats, values: Floats, moved_mhz: Floats) -> Floats:
@@ -251,6 +258,10 @@ class Cause:
     def apply(self, terms: ChainTerms, conditions: Conditions, law: Law, size: float) -> ChainTerms:
         """The model with this cause at a size."""
         return self.act(terms, conditions, law, size * self.course(conditions, law))
+
+    def finer_laws(self, conditions: Conditions, law: Law) -> list[Law]:  # noqa: ARG002
+        """Laws about one that was found, closer together than those that are tried first."""
+        return [law]
 
     def is_another(self, law: Law, earlier: Law) -> bool:  # noqa: ARG002
         """Whether a target can have the cause under both laws, as with dates, channels and sources."""

@@ -30,13 +30,27 @@ DATE_BLOCKS, LST_BLOCKS, FOLDS = 8, 12, 4
 
 @dataclass(frozen=True)
 class Effect:
-    """A cause under a law for a target, at a size with its standard deviation."""
+    """A cause under a law for a target, at a size.
+
+    Attributes
+    ----------
+    sigma
+        Standard deviation of the size under the law.
+    law_sigma
+        Scatter of the size among the laws that the data leave open, as a fraction of the size.
+    """
 
     cause: Cause
     law: Law
     target: Target
     size: float
     sigma: float = np.inf
+    law_sigma: float = 0.0
+
+    @property
+    def uncertainty(self) -> float:
+        """Standard deviation of the size, the law not being known either."""
+        return float(np.hypot(self.sigma, self.law_sigma * self.size))
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,8 @@ from lbacal_core.discovery.baseline import StationData
 from lbacal_core.discovery.evidence import Evidence
 from lbacal_core.discovery.extend import Effect, Extension, fit_extension, fit_plain, held_out_gain
 from lbacal_core.discovery.leftover import Leftover, find_leftover
-from lbacal_core.discovery.scan import Score, correlate_with, p_of, scan
+from lbacal_core.discovery.refine import refine_law
+from lbacal_core.discovery.scan import INDISTINGUISHABLE, Score, correlate_with, p_of, scan
 from lbacal_core.discovery.statics import FEWEST_COMPARISONS, StaticScore, count_comparisons, scan_static
 from lbacal_core.discovery.targets import Target, list_targets
 from lbacal_core.grids import Floats
@@ -29,8 +30,6 @@ ALPHA_CATALOGUE, ALPHA_STATIC, ALPHA_LEFTOVER = 0.0025, 0.0005, 0.002
 MAX_FINDINGS = 5
 STILL_SEEN = 0.05
 """Probability by chance below which a finding stands beside structure that has no name."""
-INDISTINGUISHABLE = 9.0
-"""SNR^2 (1 - r^2) below this: the other signature fits as well (3 standard deviations)."""
 RIVALS = 4
 """Candidates that are fitted without linearising before one is named."""
 
@@ -99,13 +98,11 @@ def investigate_station(
     targets = list_targets(data)
     progress(f"{data.station}: fitting the baseline of {len(data.antenna)} paths")
     current = first = fit_plain(data, modes)
+    progress(f"{data.station}: scoring {len(CAUSES)} causes for {len(targets)} targets")
+    scores = first_scan = scan(current.evidence, CAUSES, targets, seed)
     findings: list[Finding] = []
-    first_scan: list[Score] | None = None
     misfit: Score | None = None
     while len(findings) < MAX_FINDINGS:
-        progress(f"{data.station}: scoring {len(CAUSES)} causes for {len(targets)} targets")
-        scores = scan(current.evidence, CAUSES, targets, seed)
-        first_scan = first_scan or scores
         significant = [s for s in scores if s.p_value < ALPHA_CATALOGUE / stations]
         if not significant:
             break
@@ -118,9 +115,10 @@ def investigate_station(
             break
         current, finding = found
         findings.append(finding)
-    if first_scan is None:
-        raise AssertionError("the first scan always runs")
-    findings = [_with_final_size(finding, effect) for finding, effect in zip(findings, current.effects, strict=True)]
+        progress(f"{data.station}: scoring what is left")
+        scores = scan(current.evidence, CAUSES, targets, seed)
+    # Every size is that of the last fit.
+    findings = [replace(finding, effect=effect) for finding, effect in zip(findings, current.effects, strict=True)]
     static = scan_static(data, current.baseline, targets, seed)[:1]
     progress(f"{data.station}: looking for structure that no cause explains")
     leftover = find_leftover(
@@ -146,7 +144,8 @@ def _extend(
     """The model extended by the candidate that fits best without linearising, if held-out data agree."""
     tried = []
     for score in _rivals(significant):
-        effect = Effect(score.cause, score.law, score.target, 0.0)
+        law, law_sigma = refine_law(before.evidence, score)
+        effect = Effect(score.cause, law, score.target, 0.0, law_sigma=law_sigma)
         after = fit_extension(data, [*before.effects, effect], before, modes)
         if after is None:
             continue
@@ -182,18 +181,15 @@ def _rivals(significant: Sequence[Score]) -> list[Score]:
 
 def _nearby_laws(effect: Effect, data: StationData) -> list[Law]:
     """The laws among which the held-out test chooses again: those that do the same at another time."""
-    shape = effect.cause.shape_of(effect.law)
-    return [law for law in effect.cause.laws(data.conditions) if effect.cause.shape_of(law) == shape]
+    cause, shape = effect.cause, effect.cause.shape_of(effect.law)
+    laws = [law for law in cause.laws(data.conditions) if cause.shape_of(law) == shape]
+    return [effect.law, *(law for law in laws if law != effect.law)]
 
 
 def _comes_up_again(score: Score, findings: Sequence[Finding]) -> bool:
     """Whether a cause is wanted again for the same target, though one of its kind would have done it all."""
     earlier = [f.effect for f in findings if f.effect.cause is score.cause]
     return any(e.target.label == score.target.label and not score.cause.is_another(score.law, e.law) for e in earlier)
-
-
-def _with_final_size(finding: Finding, effect: Effect) -> Finding:
-    return replace(finding, effect=effect)
 
 
 def find_similar(evidence: Evidence, effect: Effect) -> list[tuple[str, float]]:

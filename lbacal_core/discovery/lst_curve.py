@@ -17,7 +17,7 @@ from threadpoolctl import threadpool_limits
 
 from lbacal_core.discovery.curve_causes import CurveCause, curve_causes
 from lbacal_core.discovery.curve_fit import CurveFit, CurveFitter
-from lbacal_core.discovery.scan import p_of, sigma_of
+from lbacal_core.discovery.scan import INDISTINGUISHABLE, p_of, sigma_of
 from lbacal_core.grids import Floats, require_same_grid
 from lbacal_core.instrument import Instrument
 from lbacal_core.lstcurve.compare import AS_RECORDED, band_weights
@@ -29,8 +29,6 @@ ALPHA_CATALOGUE, ALPHA_LEFTOVER = 0.0025, 0.002
 MAX_FINDINGS = 4
 WIDTH = 6
 """Sets of each size that are extended."""
-INDISTINGUISHABLE = 9.0
-"""SNR^2 (1 - r^2), or chi^2 by which a refit is worse, from which on the data exclude a hypothesis (3 sigma)."""
 
 
 @dataclass(frozen=True)

@@ -135,7 +135,7 @@ def _finding(finding: Finding, report: StationReport) -> dict[str, Any]:
     return {
         "cause": effect.cause.identifier,
         "indistinguishable": [name for name, _ in finding.indistinguishable],
-        "size": {"value": effect.size, "sigma": effect.sigma, "unit": effect.cause.unit},
+        "size": {"value": effect.size, "sigma": effect.uncertainty, "unit": effect.cause.unit},
         "parameters": _plain(effect.law.parameters),
         "significance_sigma": finding.significance,
         "p_value": finding.p_value,
@@ -155,6 +155,7 @@ def _finding(finding: Finding, report: StationReport) -> dict[str, Any]:
             "trials": float(finding.score.trials),
             "confirm": effect.cause.confirm,
             "target": effect.target.label,
+            "sigma_of_size_under_this_law": effect.sigma,
             "correlations": dict(finding.indistinguishable),
             "note": _note(effect),
         },
@@ -193,7 +194,7 @@ def _sentence(effect: Effect, report: StationReport) -> str:
     if effect.target.scope != "station":
         whom += f", {effect.target.label}"
     law = "; ".join(f"{key} {value}" for key, value in _plain(effect.law.parameters).items() if key != "date_unix")
-    size = f"{effect.size:.3g} +- {effect.sigma:.2g} ({effect.cause.unit})"
+    size = f"{effect.size:.3g} +- {effect.uncertainty:.2g} ({effect.cause.unit})"
     return f"In {whom}, {effect.cause.meaning}: {size}{f' with {law}' if law else ''}."
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import erfc, erfcinv
 
-from lbacal_core.causes.terms import Cause, Law, shape_signature, signature
+from lbacal_core.causes.terms import Cause, Conditions, Law, shape_signature, signature
 from lbacal_core.discovery.evidence import Evidence, Space
 from lbacal_core.discovery.targets import Target
 from lbacal_core.grids import Floats
@@ -32,6 +32,8 @@ WORTH_THREADS = 1_000_000
 """Values of a data set; below, threads wait for each other more than they compute."""
 SMALLEST_SHARE = 1e-6
 """Below this share of its information a signature counts as absorbed by the fit."""
+INDISTINGUISHABLE = 9.0
+"""SNR^2 (1 - r^2) below this: the other signature fits as well (3 standard deviations)."""
 SPREAD = 1e-4
 """Classes of paths whose signatures differ by less (variance over square) say nothing against each other."""
 
@@ -146,27 +148,51 @@ def equivalent_trials(correlation: Floats, seed: int) -> float:
     return float(max(-np.log(0.9) / max(float(erfc(quantile / np.sqrt(2.0))), 1e-300), 1.0))
 
 
+def group_laws(conditions: Conditions, cause: Cause, laws: Sequence[Law]) -> list[Shape]:
+    """Laws of a cause by what they do; those that act at the same times share their courses."""
+    groups: dict[tuple[object, ...], list[Law]] = {}
+    for law in laws:
+        groups.setdefault(cause.shape_of(law), []).append(law)
+    shapes, courses = [], dict[str, Courses]()
+    for alike in groups.values():
+        when = [{k: v for k, v in law.parameters.items() if k not in cause.shaped_by} for law in alike]
+        key = str(when)
+        if key not in courses:
+            courses[key] = make_courses(np.stack([cause.course(conditions, law)[:, 0] for law in alike]))
+        shapes.append(Shape(cause, alike, courses[key]))
+    return shapes
+
+
 def list_shapes(evidence: Evidence, causes: Sequence[Cause]) -> list[Shape]:
     """The shapes of all laws of causes on these data."""
     conditions = evidence.data.conditions
-    shapes = []
-    for cause in causes:
-        groups: dict[tuple[object, ...], list[Law]] = {}
-        for law in cause.laws(conditions):
-            groups.setdefault(cause.shape_of(law), []).append(law)
-        courses: dict[str, Courses] = {}
-        for laws in groups.values():
-            when = [{k: v for k, v in law.parameters.items() if k not in cause.shaped_by} for law in laws]
-            key = str(when)
-            if key not in courses:
-                courses[key] = make_courses(np.stack([cause.course(conditions, law)[:, 0] for law in laws]))
-            shapes.append(Shape(cause, laws, courses[key]))
-    return shapes
+    return [shape for cause in causes for shape in group_laws(conditions, cause, cause.laws(conditions))]
 
 
 def scan(evidence: Evidence, causes: Sequence[Cause], targets: Sequence[Target], seed: int = 0) -> list[Score]:
     """The best score of each cause, most significant first."""
     shapes = list_shapes(evidence, causes)
+    best: dict[str, Score] = {}
+    for batch, z, size in score_shapes(evidence, shapes, targets):
+        at = s, t, k = np.unravel_index(int(np.argmax(np.abs(z))), z.shape)
+        cause, law = batch[int(s)].cause, batch[int(s)].laws[int(k)]
+        if z[at] and (cause.identifier not in best or abs(z[at]) > abs(best[cause.identifier].z)):
+            best[cause.identifier] = Score(cause, law, targets[int(t)], float(z[at]), float(size[at]), 1.0, 1)
+    families = {name: [shape for shape in shapes if shape.cause.identifier == name] for name in best}
+    found = [
+        replace(score, trials=_count_trials(evidence, families[name], targets, seed), causes=len(best))
+        for name, score in best.items()
+    ]
+    return sorted(found, key=lambda score: (score.p_value, -abs(score.z)))
+
+
+def score_shapes(
+    evidence: Evidence, shapes: Sequence[Shape], targets: Sequence[Target]
+) -> list[tuple[Sequence[Shape], Floats, Floats]]:
+    """Scores in standard deviations and sizes, shape (shape, target, law), of shapes batch by batch.
+
+    Both are 0 where the fit absorbs the signature, or where the cause cannot concern the target.
+    """
     batches = _batches(shapes, evidence.data.power[0].size)
     scorer = _Scorer(evidence, targets)
     if evidence.data.power.size > WORTH_THREADS:
@@ -174,22 +200,12 @@ def scan(evidence: Evidence, causes: Sequence[Cause], targets: Sequence[Target],
             answers = list(pool.map(scorer.score, batches))
     else:
         answers = [scorer.score(batch) for batch in batches]
-    best: dict[str, Score] = {}
-    for batch, (scores, information) in zip(batches, answers, strict=True):
-        # A signature that the fit absorbs has no information left and no significance.
+    found: list[tuple[Sequence[Shape], Floats, Floats]] = []
+    for batch, (score, information) in zip(batches, answers, strict=True):
         is_seen = information > SMALLEST_INFORMATION
-        z = np.where(is_seen, scores / np.sqrt(np.where(is_seen, information, 1.0)), 0.0)
-        at = s, t, k = np.unravel_index(int(np.argmax(np.abs(z))), z.shape)
-        cause, law = batch[int(s)].cause, batch[int(s)].laws[int(k)]
-        if is_seen[at] and (cause.identifier not in best or abs(z[at]) > abs(best[cause.identifier].z)):
-            size = float(scores[at] / information[at])
-            best[cause.identifier] = Score(cause, law, targets[int(t)], float(z[at]), size, 1.0, 1)
-    families = {name: [shape for shape in shapes if shape.cause.identifier == name] for name in best}
-    found = [
-        replace(score, trials=_count_trials(evidence, families[name], targets, seed), causes=len(best))
-        for name, score in best.items()
-    ]
-    return sorted(found, key=lambda score: (score.p_value, -abs(score.z)))
+        known = np.where(is_seen, information, 1.0)
+        found.append((batch, np.where(is_seen, score / np.sqrt(known), 0.0), np.where(is_seen, score / known, 0.0)))
+    return found
 
 
 def _batches(shapes: Sequence[Shape], size: int) -> list[list[Shape]]:

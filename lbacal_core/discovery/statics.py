@@ -18,7 +18,7 @@ from scipy.stats import t as student
 from lbacal_core.causes.cable import CableLength, CableReflection, StaticShape, log_loss_per_metre
 from lbacal_core.causes.catalogue import STATIC_CAUSES
 from lbacal_core.discovery.baseline import Baseline, StationData
-from lbacal_core.discovery.scan import equivalent_trials, p_of, sigma_of
+from lbacal_core.discovery.scan import INDISTINGUISHABLE, equivalent_trials, p_of, sigma_of
 from lbacal_core.discovery.targets import Target
 from lbacal_core.grids import Floats
 
@@ -27,7 +27,6 @@ FEWEST_COMPARISONS = 3
 REACH_US, SMOOTH_US = 0.08, 0.1
 """Delays so close are taken to scatter alike between antennas; below the second each by itself, because the smooth
 departures of antennas are larger the smoother they are."""
-INDISTINGUISHABLE = 9.0
 
 
 @dataclass(frozen=True)
