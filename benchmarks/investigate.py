@@ -60,7 +60,7 @@ def main() -> None:
         found = scan(plain.evidence, CAUSES, targets)
         scanned = time.perf_counter() - started
         started = time.perf_counter()
-        fit_extension(data, [Effect(found[0].cause, found[0].law, found[0].target, 0.0)], plain)
+        fit_extension(data, plain, Effect(found[0].cause, found[0].law, found[0].target, 0.0))
         refit = time.perf_counter() - started
     number = sum(
         len(cause.laws(data.conditions)) * sum(target.scope in cause.scopes for target in targets) for cause in CAUSES

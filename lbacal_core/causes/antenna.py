@@ -32,6 +32,7 @@ class DipoleSwap(Cause):
     meaning: str = "the dipoles X and Y are mixed or exchanged"
     confirm: str = "unplug one dipole, or look at the polarisation of a bright source"
     scopes: Sequence[str] = ("station", "antenna")
+    largest_step: float = 0.7
 
     def act(self, terms: ChainTerms, conditions: Conditions, law: Law, amount: Floats) -> ChainTerms:  # noqa: ARG002
         """P_X -> (1 - f) P_X + f P_Y."""

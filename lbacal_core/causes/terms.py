@@ -231,6 +231,8 @@ class Cause:
         Names of the parameters that shape what it does; all others say when.
     step
         A small size, for the derivative of the model.
+    largest_step
+        By which a fit moves the size at once; infinite where the model is close to linear.
     """
 
     identifier: str
@@ -242,6 +244,7 @@ class Cause:
     scopes: Sequence[str] = ("station",)
     shaped_by: Sequence[str] = ()
     step: float = 1e-3
+    largest_step: float = np.inf
 
     def laws(self, conditions: Conditions) -> list[Law]:  # noqa: ARG002 - most have one law whatever the data
         """The members of the family to be tried on these data; empty where they can show none."""

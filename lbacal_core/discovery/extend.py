@@ -20,7 +20,6 @@ from lbacal_core.discovery.whitening import Residuals, split_residuals
 from lbacal_core.grids import Floats
 
 MAX_ROUNDS = 8
-LARGEST_STEP = {"dipole_swap": 0.7}
 LARGEST_CHANGE = 50.0
 """Factor on the power beyond which a fit has run away."""
 SMALLEST_DIFFERENCE = 1e-3
@@ -107,10 +106,8 @@ def _groups(data: StationData, effects: Sequence[Effect]) -> list[tuple[NDArray[
     ]
 
 
-def fit_extension(
-    data: StationData, effects: Sequence[Effect], before: Extension, modes: Floats | None = None
-) -> Extension | None:
-    """Fit the chain of every path and the sizes of all effects together.
+def fit_extension(data: StationData, before: Extension, new: Effect, modes: Floats | None = None) -> Extension | None:
+    """Fit the chain of every path and the sizes of all effects together, those of the model before and a new one.
 
     None where data cannot tell them apart, or where the fit runs away.
 
@@ -118,36 +115,36 @@ def fit_extension(
     ----------
     before
         The model that is extended.
+    new
+        The effect added, at the size from which to start.
     modes
         Relative changes of P_sky by which sky and antenna models differ, shape (mode, class, event, freq), or None.
     """
-    baseline = fit_baseline(data, power_ratio(data, before.baseline.terms, effects))
-    evidence = Evidence(data, split_residuals(data, baseline.residual), baseline.terms, modes)
-    current, is_converged = list(effects), False
+    most = new.cause.largest_step
+    effects = [*before.effects, replace(new, size=float(np.clip(new.size, -most, most)))]
+    limit = np.array([effect.cause.largest_step for effect in effects])
+    baseline = before.baseline
     for _ in range(MAX_ROUNDS):
-        # The weights stay those of the model before until the sizes stand still: they only weigh.
-        weighed = evidence.with_levels(before.residuals.levels)
-        signatures = [signature(e.cause, baseline.terms, data.conditions, e.law, e.size) for e in current]
-        score, information = weighed.products(signatures, [effect.target for effect in current])
-        if not _can_be_told_apart(information):
-            return None
-        step = np.linalg.solve(information, score)
-        sigma = np.sqrt(np.diag(np.linalg.inv(information)))
-        limit = np.array([LARGEST_STEP.get(effect.cause.identifier, np.inf) for effect in current])
-        step = np.clip(step, -limit, limit)
-        is_converged = bool(np.all(np.abs(step) < 0.02 * sigma))
-        current = [
-            replace(effect, size=effect.size + float(d), sigma=float(s))
-            for effect, d, s in zip(current, step, sigma, strict=True)
-        ]
-        ratio = power_ratio(data, baseline.terms, current)
+        ratio = power_ratio(data, baseline.terms, effects)
         if not np.all((ratio > LARGEST_CHANGE**-1) & (ratio < LARGEST_CHANGE)):
             return None
         baseline = fit_baseline(data, ratio)
         evidence = Evidence(data, split_residuals(data, baseline.residual), baseline.terms, modes)
+        # The weights stay those of the model before until the sizes stand still: they only weigh.
+        weighed = evidence.with_levels(before.residuals.levels)
+        signatures = [signature(e.cause, baseline.terms, data.conditions, e.law, e.size) for e in effects]
+        score, information = weighed.products(signatures, [effect.target for effect in effects])
+        if not _can_be_told_apart(information):
+            return None
+        step = np.linalg.solve(information, score)
+        sigma = np.sqrt(np.diag(np.linalg.inv(information)))
+        step = np.clip(step, -limit, limit)
+        is_converged = bool(np.all(np.abs(step) < 0.02 * sigma))
+        fitted = [replace(effect, sigma=float(s)) for effect, s in zip(effects, sigma, strict=True)]
         if is_converged:
             break
-    return Extension(current, baseline, evidence, is_converged)
+        effects = [replace(effect, size=effect.size + float(d)) for effect, d in zip(fitted, step, strict=True)]
+    return Extension(fitted, baseline, evidence, is_converged)
 
 
 def held_out_fold(data: StationData) -> NDArray[np.int64]:

@@ -18,7 +18,7 @@ from lbacal_core.discovery.baseline import StationData
 from lbacal_core.discovery.evidence import Evidence
 from lbacal_core.discovery.extend import Effect, Extension, fit_extension, fit_plain, held_out_gain
 from lbacal_core.discovery.leftover import Leftover, find_leftover
-from lbacal_core.discovery.refine import refine_law
+from lbacal_core.discovery.refine import refine
 from lbacal_core.discovery.scan import INDISTINGUISHABLE, Score, correlate_with, p_of, scan
 from lbacal_core.discovery.statics import FEWEST_COMPARISONS, StaticScore, count_comparisons, scan_static
 from lbacal_core.discovery.targets import Target, list_targets
@@ -144,9 +144,7 @@ def _extend(
     """The model extended by the candidate that fits best without linearising, if held-out data agree."""
     tried = []
     for score in _rivals(significant):
-        law, law_sigma = refine_law(before.evidence, score)
-        effect = Effect(score.cause, law, score.target, 0.0, law_sigma=law_sigma)
-        after = fit_extension(data, [*before.effects, effect], before, modes)
+        after = fit_extension(data, before, refine(before.evidence, score), modes)
         if after is None:
             continue
         chi2_after, dof = after.evidence.chi_squared()

@@ -9,31 +9,32 @@ from __future__ import annotations
 
 import numpy as np
 
-from lbacal_core.causes.terms import Law
 from lbacal_core.discovery.evidence import Evidence
+from lbacal_core.discovery.extend import Effect
 from lbacal_core.discovery.scan import INDISTINGUISHABLE, Score, group_laws, score_shapes
 
 
-def refine_law(evidence: Evidence, score: Score) -> tuple[Law, float]:
-    """The best law about one that was found, and the scatter of the size among those left open, a fraction of it."""
+def refine(evidence: Evidence, score: Score) -> Effect:
+    """The effect that a scan found, under the best of the laws about the one tried, at the size to first order."""
     conditions, cause = evidence.data.conditions, score.cause
     laws = cause.finer_laws(conditions, score.law)
     if len(laws) == 1:
-        return laws[0], 0.0
-    found, z, effect = [], [], []
-    for batch, of_batch, size in score_shapes(evidence, group_laws(conditions, cause, laws), [score.target]):
-        # Sizes under other laws compare by what they do on average where they act.
+        return Effect(cause, laws[0], score.target, score.size)
+    found, scores, sizes, strengths = [], [], [], []
+    for batch, z, size in score_shapes(evidence, group_laws(conditions, cause, laws), [score.target]):
         course = batch[0].courses.values
         strength = np.abs(course).sum(axis=1) / np.maximum((course != 0).sum(axis=1), 1)
         found += [law for shape in batch for law in shape.laws]
-        z.append(of_batch[:, 0].ravel())
-        effect.append((size[:, 0] * strength).ravel())
-    gain, change = np.concatenate(z) ** 2, np.concatenate(effect)
+        scores.append(z[:, 0].ravel())
+        sizes.append(size[:, 0].ravel())
+        strengths.append(np.tile(strength, len(batch)))
+    gain, size = np.concatenate(scores) ** 2, np.concatenate(sizes)
     # What is there at some hours is not missing at the others.
-    is_positive = change > 0
-    if np.any(is_positive) and gain[is_positive].max() > gain.max() - INDISTINGUISHABLE:
-        gain = np.where(is_positive, gain, 0.0)
+    if np.any(size > 0) and gain[size > 0].max() > gain.max() - INDISTINGUISHABLE:
+        gain = np.where(size > 0, gain, 0.0)
     best = int(np.argmax(gain))
+    # Sizes under other laws compare by what they do on average where they act.
+    change = size * np.concatenate(strengths)
     weight = np.exp(0.5 * (gain - gain[best])) * (np.sign(change) == np.sign(change[best]))
     scatter = np.sqrt(weight @ (change / change[best] - 1.0) ** 2 / weight.sum())
-    return found[best], float(scatter)
+    return Effect(cause, found[best], score.target, float(size[best]), law_sigma=float(scatter))

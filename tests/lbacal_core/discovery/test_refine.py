@@ -9,7 +9,7 @@ from lbacal_core.causes.catalogue import CAUSES
 from lbacal_core.causes.terms import Law, signature
 from lbacal_core.discovery.baseline import gather_stations
 from lbacal_core.discovery.extend import fit_plain
-from lbacal_core.discovery.refine import refine_law
+from lbacal_core.discovery.refine import refine
 from lbacal_core.discovery.scan import Score, scan
 from lbacal_core.discovery.targets import list_targets
 from lbacal_core.twin.faults.antenna import GainStep
@@ -37,22 +37,22 @@ def test_the_laws_about_a_law_contain_it_or_its_like(cause, station):
 
 def test_hours_between_those_of_the_scan_are_found_and_power_is_not_missing(spoil, chain, sky):
     evidence, score = best_of(spoil(RfiBroadband(size=0.05, index=0.0, hours=(17.0, 2.0))), chain, sky, "rfi_broadband")
-    law, _ = refine_law(evidence, score)
+    law = refine(evidence, score).law
     assert law.parameters["utc_h"] == [17, 2]
     # As if the scan had preferred what is missing at all other hours.
     others = Law({**score.law.parameters, "utc_h": list(reversed(score.law.parameters["utc_h"]))})
-    law, _ = refine_law(evidence, replace(score, law=others))
+    law = refine(evidence, replace(score, law=others)).law
     assert law.parameters["utc_h"] == [17, 2]
 
 
 def test_the_date_of_a_strong_step_is_that_of_an_event(spoil, chain, sky):
     step = GainStep(size=0.2, where=Where(antennas=(2,)), date="2014-08-07")
     evidence, score = best_of(spoil(step), chain, sky, "gain_step")
-    law, scatter = refine_law(evidence, score)
+    effect = refine(evidence, score)
     date = np.datetime64("2014-08-07").astype("datetime64[s]").astype(float)
     times = evidence.data.conditions.time_unix
-    assert law.parameters["date_unix"] == times[times >= date].min()
-    assert scatter < 1e-3  # 100 standard deviations leave no other date open
+    assert effect.law.parameters["date_unix"] == times[times >= date].min()
+    assert effect.law_sigma < 1e-3  # 100 standard deviations leave no other date open
 
 
 def test_the_scatter_of_the_size_is_that_of_the_likelihood_over_the_laws(spoil, chain, sky):
@@ -60,7 +60,7 @@ def test_the_scatter_of_the_size_is_that_of_the_likelihood_over_the_laws(spoil, 
     evidence, score = best_of(
         spoil(RfiBroadband(size=0.004, index=-2.0, hours=(6.0, 18.0))), chain, sky, "rfi_broadband"
     )
-    law, scatter = refine_law(evidence, score)
+    effect = refine(evidence, score)
     conditions = evidence.data.conditions
     chi2, sizes, chosen = [], [], None
     for one in score.cause.finer_laws(conditions, score.law):
@@ -68,16 +68,18 @@ def test_the_scatter_of_the_size_is_that_of_the_likelihood_over_the_laws(spoil, 
         (product,), ((information,),) = evidence.products([vector], [score.target])
         chi2.append(product**2 / information)
         sizes.append(product / information)
-        chosen = len(sizes) - 1 if one == law else chosen
+        chosen = len(sizes) - 1 if one == effect.law else chosen
     chi2, sizes = np.array(chi2), np.array(sizes)
     weight = np.where(sizes > 0, np.exp((chi2 - chi2[chosen]) / 2), 0.0)
     expected = np.sqrt(np.average((sizes / sizes[chosen] - 1) ** 2, weights=weight))
-    assert scatter == pytest.approx(expected, rel=1e-3)
-    assert scatter > 0.01
+    assert effect.size == pytest.approx(sizes[chosen], rel=1e-3)
+    assert effect.law_sigma == pytest.approx(expected, rel=1e-3)
+    assert effect.law_sigma > 0.01
 
 
 def test_a_cause_of_one_law_keeps_it(clean, chain, sky):
     evidence = fit_plain(gather_stations(clean, chain, sky)[0]).evidence
     drift = NAMED["gain_drift"]
     score = Score(drift, Law(), list_targets(evidence.data)[0], 5.0, 0.1, 1.0, 1)
-    assert refine_law(evidence, score) == (Law(), 0.0)
+    effect = refine(evidence, score)
+    assert (effect.law, effect.size, effect.law_sigma) == (Law(), 0.1, 0.0)
