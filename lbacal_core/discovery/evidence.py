@@ -107,13 +107,18 @@ class Space:
             for s in range(rows):
                 at = self.band[r, s] / channels**2 - (self.channel[r] / channels if r == s else 0.0)
                 left = self.front[r] * (weight * at)[:, :, None]
-                gram[:, row_of_slice(r, channels), row_of_slice(s, channels)] = np.swapaxes(left, 1, 2) @ self.front[s]
+                gram[:, _channels_of(r, channels), _channels_of(s, channels)] = np.swapaxes(left, 1, 2) @ self.front[s]
         square = weight @ (flat**2 * self.channel.T[:, row_of])
         gram[:, np.arange(size), np.arange(size)] += square
         of_dense = self.absorbed_of(self.weigh(self.dense))
         gram[:, size:, :] = np.einsum("ke,jen->kjn", weight, of_dense, optimize=True)
         gram[:, :size, size:] = np.swapaxes(gram[:, size:, :size], 1, 2)
         return _invert(gram)
+
+    def clean(self, values: Floats, inverse: Floats, weight: Floats) -> Floats:
+        """Vectors less what the fit absorbs, shape (..., row, event, freq), with weights of shape (event,)."""
+        absorbed = np.einsum("e,...en->...n", weight, self.absorbed_of(self.weigh(values)))
+        return np.asarray(values - self.absorbed_sum(absorbed @ inverse))
 
     def absorbed_sum(self, amounts: Floats) -> Floats:
         """Absorbed vectors times amounts, (..., vector) -> (..., row, event, freq)."""
@@ -123,7 +128,7 @@ class Space:
         return np.asarray(self.front * own + other)
 
 
-def row_of_slice(row: int, channels: int) -> slice:
+def _channels_of(row: int, channels: int) -> slice:
     """Where the channels of a row stand among the absorbed vectors."""
     return slice(row * channels, (row + 1) * channels)
 
@@ -276,9 +281,7 @@ class Evidence:
         dual = np.empty_like(self.residuals.deviation)
         for space, members in zip(self.path_spaces, self.members, strict=True):
             for k in members:
-                observed = self.residuals.deviation[k][None]
-                absorbed = self.weight[k] @ space.absorbed_of(space.weigh(observed))
-                clean = observed - space.absorbed_sum(self.path_inverse[k] @ absorbed)
+                clean = space.clean(self.residuals.deviation[k][None], self.path_inverse[k], self.weight[k])
                 dual[k] = self.weight[k][:, None] * space.weigh(clean)[0]
         return dual
 
@@ -290,18 +293,13 @@ class Evidence:
 
     def clean_mean(self, values: Floats) -> Floats:
         """Vectors of the mean less what the fit absorbs, shape (..., letter, event, freq)."""
-        space = self.mean_space
-        absorbed = space.absorbed_of(space.weigh(values)).sum(axis=-2)
-        return np.asarray(values - space.absorbed_sum(absorbed @ self.mean_inverse))
+        return self.mean_space.clean(values, self.mean_inverse, np.ones(values.shape[-2]))
 
     def clean_path(self, values: Floats, path: int) -> Floats:
         """Vectors of one path less what its fit absorbs, shape (..., event, freq); 0 in absent events."""
         space = self.path_spaces[int(self.data.class_of[path])]
-        absorbed = np.einsum(
-            "e,...en->...n", self.weight[path], space.absorbed_of(space.weigh(values[..., None, :, :]))
-        )
-        clean = values - space.absorbed_sum(absorbed @ self.path_inverse[path])[..., 0, :, :]
-        return np.asarray(clean * self.data.is_present[path][:, None])
+        clean = space.clean(values[..., None, :, :], self.path_inverse[path], self.weight[path])
+        return np.asarray(clean[..., 0, :, :] * self.data.is_present[path][:, None])
 
     def mean_of(self, values: Floats, is_member: NDArray[np.bool_]) -> Floats:
         """What the means over paths show of some paths' effect, (..., class, event, freq) -> (..., letter, ...)."""

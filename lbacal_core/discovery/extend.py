@@ -192,8 +192,7 @@ def by_event(before: Extension, effect: Effect) -> tuple[Floats, Floats]:
         score += np.einsum("ef,ef->e", own, evidence.path_dual[k])
         information += evidence.weight[k] * np.einsum("ef,ef->e", own, evidence.path_spaces[c].weigh(own[None])[0])
     for d, count in enumerate(evidence.paths_of):
-        space, own = evidence.letter_spaces[d], shown[d : d + 1]
-        absorbed = space.absorbed_of(space.weigh(own)).sum(axis=0)
-        own = own - space.absorbed_sum(absorbed @ evidence.letter_inverse[d])
+        space = evidence.letter_spaces[d]
+        own = space.clean(shown[d : d + 1], evidence.letter_inverse[d], np.ones(len(score)))
         information -= count * np.einsum("def,def->e", own, space.weigh(own))
     return score, information

@@ -156,6 +156,7 @@ def _finding(finding: Finding, report: StationReport) -> dict[str, Any]:
             "confirm": effect.cause.confirm,
             "target": effect.target.label,
             "sigma_of_size_under_this_law": effect.sigma,
+            "is_converged": report.last.is_converged,
             "correlations": dict(finding.indistinguishable),
             "note": _note(effect),
         },
