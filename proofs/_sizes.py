@@ -11,6 +11,7 @@ from scipy.interpolate import CubicSpline
 
 from lbacal_core.grids import Floats
 from lbacal_core.twin.faults.antenna import ResonanceFault
+from lbacal_core.twin.faults.cable import CableReflection
 from lbacal_core.twin.faults.drivers import driver
 from lbacal_core.twin.faults.interference import RfiLine
 from proofs._hidden import DataSet, Planted
@@ -19,24 +20,29 @@ from proofs._hidden import DataSet, Planted
 def size_pull(data: DataSet, planted: Planted, finding: Mapping[str, Any]) -> float:
     """(Size reported - size planted) / its error.
 
-    What follows rain is compared by what it does in the mean rain of the data, whatever law is named.
+    What follows rain is compared by what it does in the mean rain of the data, whatever law is named; a ripple as it
+    is seen in channels of 1 MHz, which know its delay modulo 1 us.
     """
     rain = data.scene.rain_mm_h
     laws = {"flag": (rain > 0).astype(float), "linear": rain, "saturating": np.tanh(rain)}
     named = laws.get(finding["parameters"].get("law", ""))
     factor = 1.0 if named is None else float(named[rain > 0].mean())
+    if planted.cause == "cable_reflection":
+        factor = float(np.sinc(finding["parameters"]["delay_us"]))
     size = finding["size"]
     return float((size["value"] * factor - planted_size(data, planted)) / (size["sigma"] * factor))
 
 
 def planted_size(data: DataSet, planted: Planted) -> float:
-    """The planted size in the unit of the contract's report; of what follows rain in the mean rain of the data."""
+    """The planted size in the unit of the contract's report, of rain and ripples as `size_pull` compares them."""
     fault, scene = planted.fault, data.scene
     if isinstance(fault, RfiLine):
         # Of the recorded power, which has more noise than what reaches the converter, in the strongest channel.
         before, after = data.detector.power([]), data.detector.power([fault])
         of_path = ((after - before) / before.mean(axis=1, keepdims=True)).max(axis=(1, 2))
         return float(of_path[of_path > 0].mean())
+    if isinstance(fault, CableReflection):
+        return abs(fault.size * float(np.sinc(fault.delay_us)))
     if not isinstance(fault, ResonanceFault):
         return fault.size
     strength = driver(fault.follows, scene)
@@ -45,7 +51,7 @@ def planted_size(data: DataSet, planted: Planted) -> float:
 
 
 def _of_gain(data: DataSet, fault: ResonanceFault) -> float:
-    """What a circuit of another size does to the resonance of G_ant: its peak in MHz, or ln of its width."""
+    """What a circuit of another size does to the resonance of G_ant: its place in MHz, or ln of its width."""
     stages, scene = data.detector.station.stages, data.scene
     ratio = replace(fault, follows="wet").alter(stages, scene).antenna / stages.antenna
     wet = ratio[..., int(np.argmax(scene.rain_mm_h)), :].reshape(-1, scene.frequency_mhz.size)
@@ -57,9 +63,10 @@ def _of_gain(data: DataSet, fault: ResonanceFault) -> float:
 
 
 def _resonance(frequency_mhz: Floats, gain: Floats) -> tuple[float, float]:
-    """Peak, MHz, and ln of the width between the half-power points of a gain."""
+    """Middle of the half-power points of a gain, MHz, and ln of the width between them."""
     curve = CubicSpline(frequency_mhz, np.log(gain))
     extremes = curve.derivative().roots(extrapolate=False)
     peak = extremes[np.argmax(curve(extremes))]
     half = CubicSpline(frequency_mhz, np.log(2 * gain) - curve(peak)).roots(extrapolate=False)
-    return float(peak), float(np.log(half[half > peak].min() - half[half < peak].max()))
+    above, below = half[half > peak].min(), half[half < peak].max()
+    return float((above + below) / 2), float(np.log(above - below))

@@ -114,10 +114,10 @@ class ResonanceShift(ResonanceCause):
         return read_between(frequency_mhz, log_gain, frequency_mhz - amount) - log_gain
 
     def of_circuit(self, conditions: Conditions, amount: Floats) -> Floats:
-        """Longer arms, whose resonance is lower."""
+        """Longer arms, whose resonance is lower, by the place of the half-power points."""
         longer, shorter = (replace(CIRCUIT, arm_m=CIRCUIT.arm_m * factor) for factor in (1.001, 0.999))
         change = np.log(longer.gain(conditions.frequency_mhz) / shorter.gain(conditions.frequency_mhz))
-        return np.asarray(amount * change / (_peak_mhz(longer) - _peak_mhz(shorter)))
+        return np.asarray(amount * change / (np.mean(_half_power_mhz(longer)) - np.mean(_half_power_mhz(shorter))))
 
 
 @dataclass(frozen=True)
@@ -137,10 +137,10 @@ class ResonanceWidth(ResonanceCause):
         return read_between(frequency_mhz, log_gain, closer) - log_gain
 
     def of_circuit(self, conditions: Conditions, amount: Floats) -> Floats:
-        """More resistance in the dipole, by the change of the resonance's width between its half-power points."""
+        """More resistance in the dipole, by the width between the half-power points."""
         more, less = (replace(CIRCUIT, resistance_ohm=CIRCUIT.resistance_ohm * factor) for factor in (1.001, 0.999))
         change = np.log(more.gain(conditions.frequency_mhz) / less.gain(conditions.frequency_mhz))
-        return np.asarray(amount * change / np.log(_half_power_mhz(more) / _half_power_mhz(less)))
+        return np.asarray(amount * change / np.log(np.ptp(_half_power_mhz(more)) / np.ptp(_half_power_mhz(less))))
 
 
 def fitted_log_gain(terms: ChainTerms, conditions: Conditions) -> Floats:
@@ -155,18 +155,10 @@ def fitted_log_gain(terms: ChainTerms, conditions: Conditions) -> Floats:
     return np.asarray(smooth(conditions.frequency_mhz) + np.log(conditions.antenna_gain))
 
 
-def _peak_mhz(circuit: ResonanceCircuit) -> float:
-    """Frequency of the circuit's resonance, by a parabola through the highest points of a fine grid."""
-    grid = np.arange(40.0, 75.0, 0.05)
-    gain = circuit.gain(grid)
-    k = int(np.argmax(gain))
-    before, at, after = gain[k - 1 : k + 2]
-    return float(grid[k] + 0.025 * (before - after) / (before - 2 * at + after))
-
-
-def _half_power_mhz(circuit: ResonanceCircuit) -> float:
-    """Width of the circuit's resonance between its half-power points."""
-    grid = np.arange(25.0, 90.0, 0.05)
-    level = np.log(2.0 * circuit.gain(grid) / circuit.gain(np.array([_peak_mhz(circuit)])))
+def _half_power_mhz(circuit: ResonanceCircuit) -> tuple[float, float]:
+    """Frequencies at which the circuit's gain is half its largest, below and above."""
+    grid = np.arange(25.0, 90.0, 0.02)
+    level = np.log(circuit.gain(grid))
     top = int(np.argmax(level))
-    return float(np.interp(0.0, -level[top:], grid[top:]) - np.interp(0.0, level[: top + 1], grid[: top + 1]))
+    half = level[top] - np.log(2.0)
+    return float(np.interp(half, level[:top], grid[:top])), float(np.interp(-half, -level[top:], grid[top:]))

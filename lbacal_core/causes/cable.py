@@ -8,7 +8,7 @@ moves the slopes of short and long cables apart, all together and far beyond the
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,8 +16,8 @@ import numpy as np
 from lbacal_core.grids import Floats
 
 CHANNEL_WIDTH_MHZ = 1.0
-DELAYS_US = tuple(np.round(np.arange(0.03, 0.98, 0.02), 3))
-"""Delays tried; in channels 1 MHz apart a delay is known modulo 1 us only."""
+DELAYS_US = tuple(np.round(np.arange(0.03, 0.505, 0.01), 3).tolist())
+"""Delays tried. In channels 1 MHz apart a delay and its complement to 1 us make the same ripple."""
 
 
 @dataclass(frozen=True)
@@ -42,6 +42,14 @@ class CableLength:
         """Ln L_coax of one more metre."""
         return [] if log_loss_per_metre is None else [StaticShape({}, log_loss_per_metre + 0.0 * frequency_mhz)]
 
+    def shapes_about(self, shape: StaticShape, frequency_mhz: Floats) -> list[StaticShape]:  # noqa: ARG002
+        """There is one."""
+        return [shape]
+
+    def note(self, parameters: Mapping[str, float], size: float) -> str:  # noqa: ARG002
+        """Nothing that the size does not say."""
+        return ""
+
     def why_not(self, log_loss_per_metre: Floats | None) -> str | None:
         """Needs cables whose names are their lengths."""
         return "the names of the cables are not lengths in m" if log_loss_per_metre is None else None
@@ -58,18 +66,31 @@ class CableReflection:
     scopes: Sequence[str] = ("antenna",)
 
     def shapes(self, frequency_mhz: Floats, log_loss_per_metre: Floats | None) -> list[StaticShape]:  # noqa: ARG002
-        """Cosine and sine of each delay, damped by the channel width."""
-        shapes = []
-        for delay in DELAYS_US:
-            damping = np.sinc(delay * CHANNEL_WIDTH_MHZ)
-            for phase_deg in (0.0, 90.0):
-                ripple = damping * np.cos(2 * np.pi * delay * frequency_mhz - np.radians(phase_deg))
-                shapes.append(StaticShape({"delay_us": float(delay), "phase_deg": phase_deg}, ripple))
-        return shapes
+        """Ripples of each delay and four phases, whose negatives are the other four."""
+        return [_ripple(delay, phase, frequency_mhz) for delay in DELAYS_US for phase in (0.0, 45.0, 90.0, 135.0)]
+
+    def shapes_about(self, shape: StaticShape, frequency_mhz: Floats) -> list[StaticShape]:
+        """Delays between those that were tried, and phases all around."""
+        delays = shape.parameters["delay_us"] + np.arange(-0.008, 0.01, 0.002)
+        phases = np.arange(0.0, 360.0, 15.0)
+        return [_ripple(delay, phase, frequency_mhz) for delay in delays.tolist() for phase in phases.tolist()]
+
+    def note(self, parameters: Mapping[str, float], size: float) -> str:
+        """What else would look the same in channels of 1 MHz."""
+        delay, other = parameters["delay_us"], parameters["or_delay_us"]
+        larger = size * float(np.sinc(delay * CHANNEL_WIDTH_MHZ) / np.sinc(other * CHANNEL_WIDTH_MHZ))
+        return f"Channels of 1 MHz show the same of a delay of {other:.3g} us with an amplitude of {larger:.2g}."
 
     def why_not(self, log_loss_per_metre: Floats | None) -> str | None:  # noqa: ARG002
         """Any band can show it for one antenna or cable name; a ripple of all antennas is absorbed by A(nu)."""
         return None
+
+
+def _ripple(delay_us: float, phase_deg: float, frequency_mhz: Floats) -> StaticShape:
+    """A ripple of amplitude 1, as channels show it: their width damps it."""
+    wave = np.cos(2 * np.pi * delay_us * frequency_mhz - np.radians(phase_deg))
+    parameters = {"delay_us": delay_us, "phase_deg": phase_deg, "or_delay_us": 1.0 / CHANNEL_WIDTH_MHZ - delay_us}
+    return StaticShape(parameters, np.sinc(delay_us * CHANNEL_WIDTH_MHZ) * wave)
 
 
 def log_loss_per_metre(cables: dict[str, Floats]) -> Floats | None:

@@ -237,6 +237,7 @@ def _static_finding(score: StaticScore, report: StationReport) -> dict[str, Any]
             "confirm": score.cause.confirm,
             "target": score.target.label,
             "correlations": dict(score.similar),
+            "note": score.cause.note(score.parameters, score.size),
         },
     }
 

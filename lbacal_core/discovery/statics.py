@@ -85,20 +85,35 @@ def scan_static(data: StationData, baseline: Baseline, targets: Sequence[Target]
         z, scatter = _against_others(amplitude, opposed, is_compared, unit @ unit.T, _neighbours(shapes[cause]))
         a, k = np.unravel_index(int(np.argmax(np.abs(z))), z.shape)
         trials = int(is_compared.sum()) * equivalent_trials(unit @ unit.T, seed)
-        size, sigma = amplitude[a, k] / norm[a, k], scatter[a, k] / norm[a, k]
+        shape, size, length = _refine(cause, shapes[cause][int(k)], data, departure[0, a], roots[a])
         similar = []
         for other, others in whitened.items():
             r = float(np.max(np.abs(others[a] @ vectors[a, k]) / np.linalg.norm(others[a], axis=1) / norm[a, k]))
             if other is not cause and z[a, k] ** 2 * (1 - min(r, 1.0) ** 2) < INDISTINGUISHABLE:
                 similar.append((other.identifier, r))
-        shape = shapes[cause][int(k)]
+        signed = float(np.copysign(z[a, k], size))
+        sigma = float(scatter[a, k]) / length
         scores.append(
             StaticScore(
-                cause, shape.parameters, antennas[int(a)], float(z[a, k]), float(size), float(sigma), trials,
-                shape.departure, similar,
+                cause, shape.parameters, antennas[int(a)], signed, size, sigma, trials, shape.departure, similar
             )
-        )  # fmt: skip
+        )
     return sorted(scores, key=lambda score: score.p_value)
+
+
+def _refine(
+    cause: CableLength | CableReflection, shape: StaticShape, data: StationData, departure: Floats, root: Floats
+) -> tuple[StaticShape, float, float]:
+    """The best shape about one that was found, its size, and its length in units of the error of the fit.
+
+    Of a ripple and its negative the one with a positive size.
+    """
+    about = cause.shapes_about(shape, data.conditions.frequency_mhz)
+    vectors = _whiten(about, root[None])[0]
+    length = np.linalg.norm(vectors, axis=1)
+    amplitude = vectors @ departure / length
+    best = int(np.argmax(amplitude))
+    return about[best], float(amplitude[best] / length[best]), float(length[best])
 
 
 def count_comparisons(data: StationData) -> int:

@@ -108,7 +108,7 @@ def catalogue_faults() -> dict[str, Cause]:
             CableReflection,
             "relative amplitude of the power",
             0.005,
-            tuple({"delay_us": d, "phase_rad": p} for d in (0.2, 0.4, 0.65, 0.93) for p in (0.0, 1.5, 3.0, 4.5)),
+            tuple({"delay_us": d, "phase_rad": 0.7 * p} for d in (0.2, 0.36, 0.4, 0.575, 0.65, 0.93) for p in range(9)),
         ),
         "cable_temperature": Cause(CableTemperature, "fraction per 10 K", 0.002),
         "gain_step": Cause(GainStep, "fraction", 0.004, ({"date": None},)),
