@@ -78,7 +78,7 @@ class RfiLine(InterferenceCause):
         """Between the channels, and other widths."""
         centre = law.parameters["frequency_mhz"]
         moved = [centre + 0.25 * k for k in range(-2, 3)]
-        return [{"frequency_mhz": at, "width_mhz": width} for at in moved for width in (0.5, 1.0, 2.0, 3.0)]
+        return [{"frequency_mhz": at, "width_mhz": width} for at in moved for width in (0.5, 1.0, 1.5, 2.0)]
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from lbacal_core.causes.terms import Law, signature
 from lbacal_core.discovery.baseline import StationData
 from lbacal_core.discovery.evidence import Evidence
 from lbacal_core.discovery.extend import Effect, Extension, fit_extension, fit_plain, held_out_gain
-from lbacal_core.discovery.leftover import Leftover, find_leftover
+from lbacal_core.discovery.leftover import Leftover, find_leftover, share_of_channels
 from lbacal_core.discovery.refine import refine
 from lbacal_core.discovery.scan import INDISTINGUISHABLE, Score, correlate_with, p_of, scan
 from lbacal_core.discovery.statics import FEWEST_COMPARISONS, StaticScore, count_comparisons, scan_static
@@ -30,6 +30,8 @@ ALPHA_CATALOGUE, ALPHA_STATIC, ALPHA_LEFTOVER = 0.0025, 0.0005, 0.002
 MAX_FINDINGS = 5
 STILL_SEEN = 0.05
 """Probability by chance below which a finding stands beside structure that has no name."""
+SAME_SPECTRUM = 0.8
+"""Overlap (Bhattacharyya) of two spectra, each the share of the whitened structure in every channel, to be alike."""
 RIVALS = 4
 """Candidates that are fitted without linearising before one is named."""
 
@@ -97,34 +99,32 @@ def investigate_station(
     """
     targets = list_targets(data)
     progress(f"{data.station}: fitting the baseline of {len(data.antenna)} paths")
-    current = first = fit_plain(data, modes)
+    models = [fit_plain(data, modes)]
     progress(f"{data.station}: scoring {len(CAUSES)} causes for {len(targets)} targets")
-    scores = first_scan = scan(current.evidence, CAUSES, targets, seed)
+    scores = first_scan = scan(models[0].evidence, CAUSES, targets, seed)
     findings: list[Finding] = []
-    misfit: Score | None = None
+    misfit: Misfit | None = None
     while len(findings) < MAX_FINDINGS:
         significant = [s for s in scores if s.p_value < ALPHA_CATALOGUE / stations]
-        if not significant:
-            break
-        if _comes_up_again(significant[0], findings):
-            misfit = significant[0]
+        misfit = _find_misfit(significant[:1], findings)
+        if not significant or misfit is not None:
             break
         progress(f"{data.station}: fitting everything again with {significant[0].cause.identifier}")
-        found = _extend(data, current, significant, modes)
+        found = _extend(data, models[-1], significant, modes)
         if found is None:
             break
-        current, finding = found
-        findings.append(finding)
+        models.append(found[0])
+        findings.append(found[1])
         progress(f"{data.station}: scoring what is left")
-        scores = scan(current.evidence, CAUSES, targets, seed)
+        scores = scan(models[-1].evidence, CAUSES, targets, seed)
     # Every size is that of the last fit.
-    findings = [replace(finding, effect=effect) for finding, effect in zip(findings, current.effects, strict=True)]
-    static = scan_static(data, current.baseline, targets, seed)[:1]
+    findings = [replace(f, effect=effect) for f, effect in zip(findings, models[-1].effects, strict=True)]
+    static = scan_static(data, models[-1].baseline, targets, seed)[:1]
     progress(f"{data.station}: looking for structure that no cause explains")
-    leftover = find_leftover(
-        current.evidence, np.random.default_rng(seed), ALPHA_LEFTOVER / stations, misfit.p_value if misfit else None
-    )
-    similar = [] if leftover is None else _not_on_their_own(first, findings, leftover, misfit)
+    asked = models[-1] if misfit is None else _without(data, models, misfit.number, modes)
+    chance = None if misfit is None else misfit.score.p_value
+    leftover = find_leftover(asked.evidence, np.random.default_rng(seed), ALPHA_LEFTOVER / stations, chance)
+    similar = [] if leftover is None else _not_on_their_own(models[0], findings, leftover, misfit)
     return StationReport(
         data=data,
         findings=[f for f in findings if not any(f is one for one in similar)],
@@ -132,8 +132,8 @@ def investigate_station(
         leftover=leftover,
         similar=similar,
         first_scan=first_scan,
-        first=first,
-        last=current,
+        first=models[0],
+        last=models[-1],
         unidentifiable=_unidentifiable(data, first_scan),
     )
 
@@ -184,10 +184,35 @@ def _nearby_laws(effect: Effect, data: StationData) -> list[Law]:
     return [effect.law, *(law for law in laws if law != effect.law)]
 
 
-def _comes_up_again(score: Score, findings: Sequence[Finding]) -> bool:
-    """Whether a cause is wanted again for the same target, though one of its kind would have done it all."""
-    earlier = [f.effect for f in findings if f.effect.cause is score.cause]
-    return any(e.target.label == score.target.label and not score.cause.is_another(score.law, e.law) for e in earlier)
+@dataclass(frozen=True)
+class Misfit:
+    """A cause that is wanted again for the same target, though one of its kind would have done it all.
+
+    Attributes
+    ----------
+    number
+        Of the finding that named it first: structure that it describes badly.
+    """
+
+    score: Score
+    number: int
+
+
+def _find_misfit(best: Sequence[Score], findings: Sequence[Finding]) -> Misfit | None:
+    for score in best:
+        for number, earlier in enumerate(finding.effect for finding in findings):
+            is_same = earlier.cause is score.cause and earlier.target.label == score.target.label
+            if is_same and not score.cause.is_another(score.law, earlier.law):
+                return Misfit(score, number)
+    return None
+
+
+def _without(data: StationData, models: Sequence[Extension], number: int, modes: Floats | None) -> Extension:
+    """The model with all effects but one, whose structure is to be looked at whole."""
+    model = models[number]
+    for effect in models[-1].effects[number + 1 :]:
+        model = fit_extension(data, model, effect, modes) or model
+    return model
 
 
 def find_similar(evidence: Evidence, effect: Effect) -> list[tuple[str, float]]:
@@ -210,29 +235,42 @@ def _calibration_change(before: Extension, after: Extension, target: Target) -> 
 
 
 def _not_on_their_own(
-    first: Extension, findings: Sequence[Finding], leftover: Leftover, misfit: Score | None
+    first: Extension, findings: Sequence[Finding], leftover: Leftover, misfit: Misfit | None
 ) -> list[Finding]:
-    """Findings that structure without a name may explain as well: they resemble it, and are no names for it.
+    """Findings that structure without a name may explain as well: they resemble it, and are no names for it."""
+    is_seen = _seen_beside(first.evidence, findings, leftover)
+    return [
+        finding
+        for number, finding in enumerate(findings)
+        if (misfit is not None and number == misfit.number)
+        or _lives_there(finding, leftover)
+        or _has_its_spectrum(first.evidence, finding, leftover)
+        or not is_seen[number]
+    ]
 
-    A finding stands if it is still seen when the empirical term of what is left counts as absorbed.
-    """
-    wanted_again = misfit.cause if misfit else None
-    doubtful = [f for f in findings if _lives_there(f, leftover) or f.effect.cause is wanted_again]
+
+def _seen_beside(evidence: Evidence, findings: Sequence[Finding], leftover: Leftover) -> list[bool]:
+    """Whether each finding is still seen when the empirical term of what is left counts as absorbed."""
     if leftover.vectors is None or not findings:
-        return doubtful
-    evidence = replace(first.evidence, empirical=leftover.vectors)
-    conditions = evidence.data.conditions
-    signatures = [signature(f.effect.cause, evidence.terms, conditions, f.effect.law) for f in findings]
-    score, information = evidence.products(signatures, [f.effect.target for f in findings])
+        return [True] * len(findings)
+    beside = replace(evidence, empirical=leftover.vectors)
+    conditions = beside.data.conditions
+    signatures = [signature(f.effect.cause, beside.terms, conditions, f.effect.law) for f in findings]
+    score, information = beside.products(signatures, [f.effect.target for f in findings])
     inverse = np.linalg.pinv(information, rcond=1e-6, hermitian=True)
     z = np.abs(inverse @ score) / np.sqrt(np.maximum(np.diag(inverse), 1e-300))
-    for finding, own in zip(findings, z.tolist(), strict=True):
-        if (
-            not any(finding is one for one in doubtful)
-            and p_of(own, finding.score.trials * finding.score.causes) > STILL_SEEN
-        ):
-            doubtful.append(finding)
-    return doubtful
+    trials = [finding.score.trials * finding.score.causes for finding in findings]
+    return [p_of(own, many) <= STILL_SEEN for own, many in zip(z.tolist(), trials, strict=True)]
+
+
+def _has_its_spectrum(evidence: Evidence, finding: Finding, leftover: Leftover) -> bool:
+    """Whether structure in single events is left with the spectrum of the finding's signature."""
+    effect = finding.effect
+    if leftover.axis != "event" or effect.target.scope not in ("station", "cable"):
+        return False
+    shown = signature(effect.cause, evidence.terms, evidence.data.conditions, effect.law)
+    own = share_of_channels(evidence, evidence.mean_of(shown, effect.target.is_member))
+    return float(np.sum(np.sqrt(own * leftover.channel_share))) > SAME_SPECTRUM
 
 
 def _lives_there(finding: Finding, leftover: Leftover) -> bool:

@@ -93,7 +93,7 @@ def find_leftover(
     found.append(_any_events(evidence, rng))
     if len(data.antenna) > len(evidence.paths_of):
         found += [_path_axis(evidence, axis, rows, smooth[:4]) for axis, rows in functions.items()]
-    best = min(found, key=lambda structure: (structure.p_value, -structure.gain))
+    best = min(found, key=lambda structure: (structure.p_value, -structure.excess))
     corrected = float(-np.expm1(len(found) * np.log1p(-min(best.p_value, 1 - 1e-12))))
     if corrected >= alpha and misfit is None:
         return None
@@ -119,6 +119,12 @@ class _Structure:
     p_value: float
     gain: float
     dof: int
+
+    @property
+    def excess(self) -> float:
+        """Gain beyond chance in standard deviations (Wilson & Hilferty 1931), for probabilities that are 0."""
+        spread = 2.0 / (9.0 * self.dof)
+        return float((np.cbrt(self.gain / self.dof) - 1.0 + spread) / spread**0.5)
 
 
 def _station_axis(evidence: Evidence, axis: str, functions: Floats, smooth: Floats) -> _Structure:
@@ -178,7 +184,7 @@ def _describe(
 ) -> tuple[float, Floats]:
     """Gain of the empirical term on events not used for it, and its share in each channel."""
     if structure.axis == "event":
-        rest = _whiten_rest(evidence)
+        rest = _whiten_rest(evidence, evidence.residuals.mean)
         return 0.0, np.linalg.svd(rest, full_matrices=False)[2][0] ** 2
     folds = held_out_fold(evidence.data)
     if structure.path < 0:
@@ -209,7 +215,7 @@ def _describe(
 
 def _any_events(evidence: Evidence, rng: np.random.Generator) -> _Structure:
     """Largest singular value of the whitened events x channels matrix of the station's mean, against noise."""
-    rest = _whiten_rest(evidence)
+    rest = _whiten_rest(evidence, evidence.residuals.mean)
     events, channels = rest.shape
     values = np.linalg.svd(rest, compute_uv=False)
     noise = np.array([_largest_of_noise(rng, events, channels) for _ in range(NOISE_DRAWS)])
@@ -224,15 +230,21 @@ def _any_events(evidence: Evidence, rng: np.random.Generator) -> _Structure:
 
 def _largest_pattern(evidence: Evidence) -> Floats:
     """The pattern of events x channels with the largest singular value, shape (1, letter, event, freq)."""
-    left, values, right = np.linalg.svd(_whiten_rest(evidence), full_matrices=False)
+    left, values, right = np.linalg.svd(_whiten_rest(evidence, evidence.residuals.mean), full_matrices=False)
     pattern = values[0] * np.outer(left[:, 0], right[0])
     root = np.sqrt(np.maximum(evidence.mean_space.channel, 1e-300))
     return np.asarray(pattern / root[..., None] * (evidence.mean_space.channel > 0)[..., None])[None]
 
 
-def _whiten_rest(evidence: Evidence) -> Floats:
-    """What is not flat in frequency of the station's mean, both letters together, in standard deviations."""
-    clean = evidence.clean_mean(evidence.residuals.mean)
+def share_of_channels(evidence: Evidence, values: Floats) -> Floats:
+    """Share of each channel in a vector of the mean that is not flat in frequency, shape (freq,), the sum is 1."""
+    squares = np.sum(_whiten_rest(evidence, values) ** 2, axis=0)
+    return np.asarray(squares / max(float(squares.sum()), 1e-300))
+
+
+def _whiten_rest(evidence: Evidence, values: Floats) -> Floats:
+    """What is not flat in frequency of a vector of the mean, both letters together, in standard deviations."""
+    clean = evidence.clean_mean(values)
     rest = (clean - clean.mean(axis=-1, keepdims=True)) * np.sqrt(evidence.mean_space.channel)[..., None]
     return np.asarray(rest.sum(axis=0) / np.sqrt(len(rest)))
 
