@@ -1,7 +1,7 @@
 """What `lbacal investigate` finds in simulated stations, against an ideal detector that knows everything.
 
 Parts (`--part NAME`, several times; all of them without): clean (nothing hidden, with and without nuisances),
-clean-other (nothing hidden, ten antennas, and a sky that is the package's own), one (one effect of a drawn cause),
+clean-other (nothing hidden: ten antennas, the package's own sky, LST curves), one (one effect of a drawn cause),
 efficiency (cause by cause), several (two and three effects), unknown (effects in no catalogue), held-out (what was
 found, removed from unseen events). `--count N`: data sets of a part, or of each kind in it; the defaults are small.
 `--figure` draws docs/images/discovery.png from one and efficiency.
@@ -10,30 +10,17 @@ found, removed from unseen events). `--count N`: data sets of a part, or of each
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
 from pathlib import Path
 
+from proofs._clean import prove_clean, prove_clean_other
 from proofs._discovery_figure import draw_detection
 from proofs._held_out import prove_held_out
-from proofs._hidden import (
-    ALIKE,
-    EVENTS,
-    FEW_EVENTS,
-    SMALL,
-    SMALLEST,
-    STATION,
-    DataSet,
-    comparable,
-    plain,
-    realistic,
-)
+from proofs._hidden import ALIKE, EVENTS, SMALL, STATION
 from proofs._no_catalogue import prove_unknown
 from proofs._one_effect import prove_detection, prove_efficiency
 from proofs._several_effects import prove_several
-from proofs._trials import Rate, run_trials
 
-FALSE_ALARM_LIMIT = 0.01
 IMAGE = Path(__file__).parents[1] / "docs" / "images" / "discovery.png"
 PARTS = {"clean": 40, "clean-other": 20, "one": 8, "efficiency": 4, "several": 8, "unknown": 2, "held-out": 12}
 """Parts, and how many data sets they have unless said otherwise."""
@@ -69,61 +56,3 @@ def prove(arguments: list[str]) -> tuple[bool, list[str]]:
     if chosen.figure and outcomes and ratios:
         draw_detection(outcomes, ratios, IMAGE)
     return all(holds), lines
-
-
-@dataclass(frozen=True)
-class Alarm:
-    """What was said of data with nothing hidden."""
-
-    what: str
-
-    @property
-    def is_false(self) -> bool:
-        """Whether anything was said."""
-        return bool(self.what)
-
-
-@dataclass(frozen=True)
-class Clean:
-    """A kind of data set with nothing hidden."""
-
-    name: str
-    make: Callable[[int], DataSet]
-    is_own_sky: bool = False
-
-
-CLEAN = (Clean("without nuisances", plain), Clean("with nuisances", realistic))
-CLEAN_OTHER = (
-    Clean("ten antennas, compared for static causes", comparable),
-    Clean("with nuisances, differences between sky models projected out", realistic, is_own_sky=True),
-)
-
-
-def look_at_clean(task: tuple[int, Clean]) -> Alarm:
-    """Ask the finder about data with nothing hidden."""
-    seed, kind = task
-    answer = kind.make(seed).ask(is_own_sky=kind.is_own_sky)
-    if answer.verdict == "consistent":
-        return Alarm("")
-    return Alarm(f"{seed}: {answer.verdict} {'+'.join(answer.named) or answer.axis}")
-
-
-def prove_clean(count: int) -> tuple[bool, list[str]]:
-    """`count` data sets without nuisances, and as many with."""
-    return _count_alarms(CLEAN, count)
-
-
-def prove_clean_other(count: int) -> tuple[bool, list[str]]:
-    """`count` data sets of each of the other kinds."""
-    return _count_alarms(CLEAN_OTHER, count)
-
-
-def _count_alarms(kinds: Sequence[Clean], count: int) -> tuple[bool, list[str]]:
-    holds, lines = True, ["", f"{len(SMALLEST)} antennas unless said otherwise, {FEW_EVENTS} events."]
-    for kind in kinds:
-        alarms = run_trials(look_at_clean, [(seed, kind) for seed in range(count)], f"clean, {kind.name}")
-        rate = Rate(sum(alarm.is_false for alarm in alarms), count)
-        holds &= rate.is_at_most(FALSE_ALARM_LIMIT)
-        what = "; ".join(alarm.what for alarm in alarms if alarm.is_false)
-        lines.append(f"**Nothing hidden**, {kind.name}: not consistent in {rate}{f': {what}' if what else ''}.")
-    return holds, lines

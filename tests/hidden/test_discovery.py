@@ -32,11 +32,14 @@ def test_two_effects_at_once_come_out_one_after_the_other():
 
 
 @pytest.mark.timeout(600)
-def test_an_effect_of_no_catalogue_is_called_unexplained_along_its_axis():
-    (outcome,) = run_trials(hide_unknown, [("temperature", 1)], "unknown")
-    assert outcome is not None
-    assert outcome.verdict == "unexplained"
-    assert outcome.is_right_axis
+def test_effects_of_no_catalogue_are_called_unexplained_along_their_axes_and_get_no_name():
+    """Gain over temperature squared; a band that saturates, first taken for a line; lightning, for interference."""
+    kinds = ("temperature", "frequency, lst", "event, frequency")
+    for outcome in run_trials(hide_unknown, [(axes, 1) for axes in kinds], "unknown"):
+        assert outcome is not None
+        assert outcome.verdict == "unexplained", outcome
+        assert outcome.is_right_axis, outcome
+        assert outcome.named == [], outcome
 
 
 @pytest.mark.timeout(600)
