@@ -138,35 +138,48 @@ def investigate_station(
     )
 
 
+@dataclass(frozen=True)
+class Candidate:
+    """A significant score and the model that it would make."""
+
+    score: Score
+    model: Extension
+    chi2_before: float
+    chi2_after: float
+    dof: int
+
+    @property
+    def effect(self) -> Effect:
+        """The effect added."""
+        return self.model.effects[-1]
+
+    @property
+    def gain(self) -> float:
+        """Chi^2 gained, less what the best of so many scores gains by chance."""
+        return self.chi2_before - self.chi2_after - 2 * float(np.log(self.score.trials))
+
+
 def _extend(
     data: StationData, before: Extension, significant: Sequence[Score], modes: Floats | None
 ) -> tuple[Extension, Finding] | None:
     """The model extended by the candidate that fits best without linearising, if held-out data agree."""
-    tried = []
-    for score in _rivals(significant):
-        after = fit_extension(data, before, refine(before.evidence, score), modes)
-        if after is None:
-            continue
-        chi2_after, dof = after.evidence.chi_squared()
-        chi2_before, _ = before.evidence.with_levels(after.residuals.levels).chi_squared()
-        tried.append((chi2_before - chi2_after - 2 * np.log(score.trials), after, score, chi2_before, chi2_after, dof))
-    tried.sort(key=lambda item: -item[0])
-    for _, after, score, chi2_before, chi2_after, dof in tried:
-        effect = after.effects[-1]
-        gain, events = held_out_gain(before, effect, _nearby_laws(effect, data))
-        if gain > 0:
-            return after, Finding(
+    candidates = [one for score in _rivals(significant) if (one := _fit_candidate(data, before, score, modes))]
+    for best in sorted(candidates, key=lambda one: -one.gain):
+        effect = best.effect
+        held_out, events = held_out_gain(before, effect, _nearby_laws(effect, best.score.law, data))
+        if held_out > 0:
+            return best.model, Finding(
                 effect=effect,
-                score=score,
-                p_value=score.p_value,
-                significance=score.significance,
+                score=best.score,
+                p_value=best.score.p_value,
+                significance=best.score.significance,
                 indistinguishable=find_similar(before.evidence, effect),
-                chi2_before=chi2_before,
-                chi2_after=chi2_after,
-                dof=dof,
-                held_out_gain=gain,
+                chi2_before=best.chi2_before,
+                chi2_after=best.chi2_after,
+                dof=best.dof,
+                held_out_gain=held_out,
                 held_out_events=events,
-                calibration_change=_calibration_change(before, after, effect.target),
+                calibration_change=_calibration_change(before, best.model, effect.target),
             )
     return None
 
@@ -177,11 +190,21 @@ def _rivals(significant: Sequence[Score]) -> list[Score]:
     return [s for s in ranking[:RIVALS] if abs(s.z) > 0.6 * abs(ranking[0].z)]
 
 
-def _nearby_laws(effect: Effect, data: StationData) -> list[Law]:
+def _fit_candidate(data: StationData, before: Extension, score: Score, modes: Floats | None) -> Candidate | None:
+    model = fit_extension(data, before, refine(before.evidence, score), modes)
+    if model is None:
+        return None
+    chi2_after, dof = model.evidence.chi_squared()
+    chi2_before, _ = before.evidence.with_levels(model.residuals.levels).chi_squared()
+    return Candidate(score, model, chi2_before, chi2_after, dof)
+
+
+def _nearby_laws(effect: Effect, tried: Law, data: StationData) -> list[Law]:
     """The laws among which the held-out test chooses again: those that do the same at another time."""
-    cause, shape = effect.cause, effect.cause.shape_of(effect.law)
-    laws = [law for law in cause.laws(data.conditions) if cause.shape_of(law) == shape]
-    return [effect.law, *(law for law in laws if law != effect.law)]
+    cause = effect.cause
+    same = {name: effect.law.parameters[name] for name in cause.shaped_by}
+    laws = [law for law in cause.laws(data.conditions) if cause.shape_of(law) == cause.shape_of(tried)]
+    return [effect.law, *(Law({**law.parameters, **same}) for law in laws)]
 
 
 @dataclass(frozen=True)
