@@ -59,8 +59,8 @@ class StationReport:
 
     Attributes
     ----------
-    first_scan
-        The scores of every cause before anything was added, for the report.
+    first_scan, static_scan
+        The scores of every cause before anything was added, and of static ones after, for the report.
     similar
         Causes that resemble structure that none explains.
     """
@@ -71,6 +71,7 @@ class StationReport:
     leftover: Leftover | None
     similar: list[Finding]
     first_scan: list[Score]
+    static_scan: list[StaticScore]
     first: Extension
     last: Extension
     unidentifiable: dict[str, str]
@@ -119,7 +120,7 @@ def investigate_station(
         scores = scan(models[-1].evidence, CAUSES, targets, seed)
     # Every size is that of the last fit.
     findings = [replace(f, effect=effect) for f, effect in zip(findings, models[-1].effects, strict=True)]
-    static = scan_static(data, models[-1].baseline, targets, seed)[:1]
+    static_scan = scan_static(data, models[-1].baseline, targets, seed)
     progress(f"{data.station}: looking for structure that no cause explains")
     asked = models[-1] if misfit is None else _without(data, models, misfit.number, modes)
     chance = None if misfit is None else misfit.score.p_value
@@ -128,10 +129,11 @@ def investigate_station(
     return StationReport(
         data=data,
         findings=[f for f in findings if not any(f is one for one in similar)],
-        static=[score for score in static if score.p_value < ALPHA_STATIC / stations],
+        static=[score for score in static_scan[:1] if score.p_value < ALPHA_STATIC / stations],
         leftover=leftover,
         similar=similar,
         first_scan=first_scan,
+        static_scan=static_scan,
         first=models[0],
         last=models[-1],
         unidentifiable=_unidentifiable(data, first_scan),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
 from typing import Any
 
@@ -18,7 +18,7 @@ from lbacal_core.discovery.investigate import (
     investigate_station,
 )
 from lbacal_core.discovery.leftover import Leftover
-from lbacal_core.discovery.scan import sigma_of
+from lbacal_core.discovery.scan import Score, sigma_of
 from lbacal_core.discovery.statics import StaticScore
 from lbacal_core.grids import require_same_grid
 from lbacal_core.instrument import Instrument
@@ -115,16 +115,17 @@ def _noise(report: StationReport) -> dict[str, Any]:
 
 
 def _scores(report: StationReport) -> list[dict[str, Any]]:
+    scores: list[Score | StaticScore] = [*report.first_scan, *report.static_scan]
     return [
         {
             "cause": score.cause.identifier,
             "target": score.target.label,
-            "parameters": _plain(score.law.parameters),
+            "parameters": _plain(score.parameters),
             "score_sigma": float(score.z),
             "size": float(score.size),
             "p_value": float(score.p_value),
         }
-        for score in report.first_scan
+        for score in scores
     ]
 
 
@@ -194,9 +195,13 @@ def _sentence(effect: Effect, report: StationReport) -> str:
     whom = f"station {report.data.station}"
     if effect.target.scope != "station":
         whom += f", {effect.target.label}"
-    law = "; ".join(f"{key} {value}" for key, value in _plain(effect.law.parameters).items() if key != "date_unix")
     size = f"{effect.size:.3g} +- {effect.uncertainty:.2g} ({effect.cause.unit})"
-    return f"In {whom}, {effect.cause.meaning}: {size}{f' with {law}' if law else ''}."
+    return f"In {whom}, {effect.cause.meaning}: {size}{_with(effect.law.parameters)}."
+
+
+def _with(parameters: Mapping[str, Any]) -> str:
+    words = "; ".join(f"{key} {value}" for key, value in _plain(parameters).items() if key != "date_unix")
+    return f" with {words}" if words else ""
 
 
 def _static_finding(score: StaticScore, report: StationReport) -> dict[str, Any]:
@@ -230,7 +235,7 @@ def _static_finding(score: StaticScore, report: StationReport) -> dict[str, Any]
         },
         "calibration_change": {"max_fraction": float(change.max()), "median_fraction": float(np.median(change))},
         "sentence": f"In station {data.station}, {score.target.label}, {score.cause.meaning}: "
-        f"{score.size:.3g} +- {score.sigma:.2g} ({score.cause.unit}).",
+        f"{score.size:.3g} +- {score.sigma:.2g} ({score.cause.unit}){_with(score.parameters)}.",
         "evidence": {
             "score_sigma": score.z,
             "trials": score.trials,

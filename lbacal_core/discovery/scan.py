@@ -10,9 +10,10 @@ equivalent number of independent scores; causes count alike, whatever the size o
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,6 +62,11 @@ class Score:
     size: float
     trials: float
     causes: int
+
+    @property
+    def parameters(self) -> Mapping[str, Any]:
+        """Of its law."""
+        return self.law.parameters
 
     @property
     def p_value(self) -> float:

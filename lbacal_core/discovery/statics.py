@@ -43,6 +43,9 @@ class StaticScore:
         Equivalent number of independent scores of the cause.
     departure
         The shape, change of ln (A L_coax) per unit of size, shape (freq,).
+    observed, error
+        ln (A L_coax) of the antenna less that of the others, without its mean, and the error of each channel by the fit
+        given all others (errors of neighbours move together), shape (freq,).
     similar
         Other static causes that fit as well, with their correlation.
     """
@@ -55,6 +58,8 @@ class StaticScore:
     sigma: float
     trials: float
     departure: Floats
+    observed: Floats
+    error: Floats
     similar: list[tuple[str, float]]
 
     @property
@@ -91,11 +96,19 @@ def scan_static(data: StationData, baseline: Baseline, targets: Sequence[Target]
             r = float(np.max(np.abs(others[a] @ vectors[a, k]) / np.linalg.norm(others[a], axis=1) / norm[a, k]))
             if other is not cause and z[a, k] ** 2 * (1 - min(r, 1.0) ** 2) < INDISTINGUISHABLE:
                 similar.append((other.identifier, r))
-        signed = float(np.copysign(z[a, k], size))
-        sigma = float(scatter[a, k]) / length
         scores.append(
             StaticScore(
-                cause, shape.parameters, antennas[int(a)], signed, size, sigma, trials, shape.departure, similar
+                cause=cause,
+                parameters=shape.parameters,
+                target=antennas[int(a)],
+                z=float(np.copysign(z[a, k], size)),
+                size=size,
+                sigma=float(scatter[a, k]) / length,
+                trials=trials,
+                departure=shape.departure,
+                observed=roots[a] @ departure[0, a],
+                error=np.diag(np.linalg.inv(roots[a] @ roots[a].T)) ** -0.5,
+                similar=similar,
             )
         )
     return sorted(scores, key=lambda score: score.p_value)

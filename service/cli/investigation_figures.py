@@ -8,10 +8,13 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 
 from lbacal_core.causes.terms import signature
 from lbacal_core.discovery.investigate import Finding, StationReport
 from lbacal_core.discovery.leftover import Leftover
+from lbacal_core.discovery.scan import Score
+from lbacal_core.discovery.statics import StaticScore
 from lbacal_core.discovery.targets import Target
 from lbacal_core.grids import Floats
 
@@ -27,8 +30,9 @@ POINTS: dict[str, Any] = {"fmt": "o", "ms": 3, "lw": 0.9, "color": "#444"}
 
 
 def draw_scores(report: StationReport) -> Figure:
-    """The best score of every cause in the first scan, with the probability that chance gives it."""
-    scores = report.first_scan[::-1]
+    """The best score of every cause, with the probability that chance gives it."""
+    scores: list[Score | StaticScore] = [*report.first_scan, *report.static_scan]
+    scores.reverse()
     figure = Figure(figsize=(9.5, 0.27 * len(scores) + 1.2), layout="constrained")
     axes: Any = figure.subplots()
     colours = [RED if score.p_value < ALARM_P else "#8a94a6" for score in scores]
@@ -96,6 +100,23 @@ def draw_finding(report: StationReport, finding: Finding) -> Figure:
     for panel in panels:
         panel.axhline(0, color="#bbb", lw=0.8)
     panels[0].legend(fontsize=8, frameon=False)
+    return figure
+
+
+def draw_static(score: StaticScore, frequency_mhz: Floats) -> Figure:
+    """An antenna against the others of its cable along frequency, and the shape that was found."""
+    figure = Figure(figsize=(9.5, 3.4), layout="constrained")
+    axes: Any = figure.subplots()
+    level = score.observed.mean()
+    label = f"{score.target.label} less the others of its cable"
+    axes.errorbar(frequency_mhz, 100 * (score.observed - level), 100 * score.error, label=label, **POINTS)
+    fine = np.linspace(frequency_mhz[0], frequency_mhz[-1], 10 * frequency_mhz.size)
+    shape = score.size * (score.departure - score.departure.mean())
+    axes.plot(fine, 100 * CubicSpline(frequency_mhz, shape)(fine), color=RED, label=score.cause.identifier)
+    axes.axhline(0, color="#bbb", lw=0.8)
+    axes.set_xlabel("frequency (MHz)")
+    axes.set_ylabel("gain in front of the receiver (%)")
+    axes.legend(fontsize=8, frameon=False)
     return figure
 
 

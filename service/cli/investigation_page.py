@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from lbacal_core.discovery.investigate import Finding, StationReport
+from lbacal_core.discovery.statics import StaticScore
 from service.cli.investigation_figures import (
     axes_of,
     draw_calibration_change,
@@ -16,6 +17,7 @@ from service.cli.investigation_figures import (
     draw_leftover,
     draw_residual_maps,
     draw_scores,
+    draw_static,
 )
 from service.cli.report_pages import embed, fill_report
 
@@ -34,6 +36,7 @@ def _station(report: StationReport) -> dict[str, Any]:
         "paths": len(report.data.antenna),
         "events": len(report.data.event_id),
         "findings": [_finding(report, finding, is_named=finding in report.findings) for finding in shown],
+        "static": [_static(report, score) for score in report.static],
         "leftover": embed(draw_leftover(report, leftover)) if leftover else None,
         "maps": embed(draw_residual_maps(report, None, ["lst", "utc", "date"])),
         "scores": embed(draw_scores(report)),
@@ -52,7 +55,7 @@ def _finding(report: StationReport, finding: Finding, *, is_named: bool) -> dict
         "figure": embed(draw_finding(report, finding)),
         "maps": embed(draw_residual_maps(report, effect.target, axes)),
         "calibration": embed(draw_calibration_change(report, finding)),
-        "size": f"{effect.size:.4g} ± {effect.sigma:.2g} {effect.cause.unit}",
+        "size": f"{effect.size:.4g} ± {effect.uncertainty:.2g} {effect.cause.unit}",
         "parameters": ", ".join(f"{key} {value}" for key, value in parameters.items()) or "none",
         "chi2": f"{finding.chi2_before:.0f} before, {finding.chi2_after:.0f} after "
         f"({finding.chi2_before - finding.chi2_after:.0f} gained; {finding.dof} degrees of freedom)",
@@ -60,4 +63,19 @@ def _finding(report: StationReport, finding: Finding, *, is_named: bool) -> dict
         "indistinguishable": ", ".join(f"{name} (r = {r:.2f})" for name, r in finding.indistinguishable) or "nothing",
         "confirm": effect.cause.confirm,
         "change": f"{np.median(change):+.2f} % in the median, {change.flat[np.argmax(np.abs(change))]:+.2f} % at most",
+    }
+
+
+def _static(report: StationReport, score: StaticScore) -> dict[str, Any]:
+    change = 50 * np.abs(score.size * (score.departure - score.departure.mean()))
+    return {
+        "cause": score.cause.identifier,
+        "target": score.target.label,
+        "figure": embed(draw_static(score, report.data.conditions.frequency_mhz)),
+        "size": f"{score.size:.4g} ± {score.sigma:.2g} {score.cause.unit}",
+        "parameters": ", ".join(f"{key} {value:g}" for key, value in score.parameters.items()) or "none",
+        "note": score.cause.note(score.parameters, score.size),
+        "indistinguishable": ", ".join(f"{name} (r = {r:.2f})" for name, r in score.similar) or "nothing",
+        "confirm": score.cause.confirm,
+        "change": f"its own C contains it; the C of the station is up to {change.max():.2g} % off for this antenna",
     }

@@ -8,6 +8,7 @@ from lbacal_core.instrument import load_instrument
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.twin.campaign import simulate_campaign
 from lbacal_core.twin.faults.antenna import GainStep
+from lbacal_core.twin.faults.cable import CableReflection
 from lbacal_core.twin.faults.fault import Where
 from lbacal_core.twin.faults.uncatalogued import WorkingWeek
 from lbacal_core.twin.settings import TwinSettings
@@ -61,3 +62,24 @@ def test_the_sentence_the_gain_and_what_it_changes_in_c_are_said(written):
         "in the median",
     ):
         assert words in page
+
+
+def test_a_static_cause_is_drawn_as_an_antenna_against_the_others(tmp_path):
+    chain = load_instrument("lofar-superterp")
+    sky = compute_sky_power(chain)
+    settings = TwinSettings(stations=("CS002",), antennas=10, events_per_year=150)
+    reflection = CableReflection(size=0.1, delay_us=0.62, phase_rad=2.2, where=Where(antennas=(7,)))
+    spectra = simulate_campaign(settings, chain, sky, np.random.default_rng(8), [reflection]).spectra
+    content, reports = investigate(spectra, chain, sky)
+    (finding,) = content["findings"]
+    assert (finding["cause"], finding["where"]["antennas"]) == ("cable_reflection", [7])
+    # The delay is known modulo 1 us, and channels of 1 MHz damp it.
+    assert finding["parameters"]["delay_us"] == pytest.approx(0.38, abs=0.01)
+    assert finding["parameters"]["or_delay_us"] == pytest.approx(0.62, abs=0.01)
+    seen = 0.1 * np.sinc(0.62) / np.sinc(0.38)
+    assert abs(finding["size"]["value"] - seen) < 4 * finding["size"]["sigma"]
+    assert {"cable_length", "cable_reflection"} <= {score["cause"] for score in content["scores"]["CS002"]}
+    write_investigation_page(content, reports, tmp_path / "r.html")
+    page = (tmp_path / "r.html").read_text()
+    assert "antenna 7 against the others of its cable" in page
+    assert "with an amplitude of" in page
