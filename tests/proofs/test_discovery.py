@@ -13,10 +13,13 @@ from proofs._several_effects import draw_several
 
 
 @pytest.mark.timeout(600)
-def test_a_small_instance_of_the_proof_finds_nothing_in_clean_data():
-    holds, lines = discovery.prove(["--part", "clean", "--count", "1"])
+@pytest.mark.parametrize(("part", "kinds"), [("clean", 2), ("clean-other", 3)])
+def test_a_small_instance_of_the_proof_finds_nothing_in_clean_data(part, kinds):
+    holds, lines = discovery.prove(["--part", part, "--count", "1"])
     assert holds
-    assert "not consistent in 0 of 1" in lines[3]
+    assert len(lines) == 3 + kinds
+    for line in lines[3:]:
+        assert "not consistent in 0 of 1" in line
 
 
 def test_the_size_for_a_wanted_signal_to_noise_has_it():
