@@ -185,8 +185,14 @@ class Evidence:
 
     @cached_property
     def weight(self) -> Floats:
-        """Weight of each event of a path: 0 where absent, less for noisy paths, shape (path, event)."""
-        return self.data.is_present / self.residuals.levels.path_scale[:, None] ** 2
+        """Weight of each event of a path: 0 where absent, less for noisy paths, shape (path, event).
+
+        A path outside the mean is compared with it, and shows the noise of both.
+        """
+        residuals = self.residuals
+        own = residuals.levels.path_scale[:, None] ** 2
+        of_mean = residuals.spread[self.letter_of[self.data.class_of]]
+        return self.data.is_present / np.where(residuals.in_mean[:, None], own, own + of_mean)
 
     @cached_property
     def path_spaces(self) -> list[Space]:

@@ -15,11 +15,12 @@ from lbacal_core.causes.cable import log_loss_per_metre
 from lbacal_core.causes.catalogue import CAUSES, NEVER_HERE, STATIC_CAUSES
 from lbacal_core.causes.terms import Law, signature
 from lbacal_core.discovery.baseline import StationData
+from lbacal_core.discovery.chance import p_of
 from lbacal_core.discovery.evidence import Evidence
 from lbacal_core.discovery.extend import Effect, Extension, fit_extension, fit_plain, held_out_gain
 from lbacal_core.discovery.leftover import Leftover, find_leftover, share_of_channels
 from lbacal_core.discovery.refine import refine
-from lbacal_core.discovery.scan import INDISTINGUISHABLE, Score, correlate_with, p_of, scan
+from lbacal_core.discovery.scan import INDISTINGUISHABLE, Score, correlate_with, scan
 from lbacal_core.discovery.statics import FEWEST_COMPARISONS, StaticScore, count_comparisons, scan_static
 from lbacal_core.discovery.targets import Target, list_targets
 from lbacal_core.grids import Floats

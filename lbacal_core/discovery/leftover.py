@@ -172,6 +172,8 @@ def _gain(score: Floats, information: Floats) -> tuple[float, int]:
     """Chi^2 gained by vectors and the number of them that are independent."""
     size = np.sqrt(np.maximum(np.diag(information), 0.0))
     kept = size > SMALLEST_SIZE * size.max(initial=SMALLEST_SIZE)
+    if not np.any(kept):
+        return 0.0, 1
     scaled = information[np.ix_(kept, kept)] / np.outer(size[kept], size[kept])
     values, vectors = np.linalg.eigh(scaled)
     is_own = values > SMALLEST_SIZE * values[-1]

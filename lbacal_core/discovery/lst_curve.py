@@ -15,9 +15,10 @@ import numpy as np
 from scipy.stats import f as f_distribution
 from threadpoolctl import threadpool_limits
 
+from lbacal_core.discovery.chance import p_of, sigma_of
 from lbacal_core.discovery.curve_causes import CurveCause, curve_causes
 from lbacal_core.discovery.curve_fit import CurveFit, CurveFitter
-from lbacal_core.discovery.scan import INDISTINGUISHABLE, p_of, sigma_of
+from lbacal_core.discovery.scan import INDISTINGUISHABLE
 from lbacal_core.grids import Floats, require_same_grid
 from lbacal_core.instrument import Instrument
 from lbacal_core.lstcurve.compare import AS_RECORDED, band_weights

@@ -10,6 +10,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from lbacal_core.discovery.baseline import gather_stations, model_modes
+from lbacal_core.discovery.chance import sigma_of
 from lbacal_core.discovery.extend import Effect
 from lbacal_core.discovery.investigate import (
     FALSE_ALARM_RATE,
@@ -18,7 +19,7 @@ from lbacal_core.discovery.investigate import (
     investigate_station,
 )
 from lbacal_core.discovery.leftover import Leftover
-from lbacal_core.discovery.scan import Score, sigma_of
+from lbacal_core.discovery.scan import Score
 from lbacal_core.discovery.statics import StaticScore
 from lbacal_core.grids import require_same_grid
 from lbacal_core.instrument import Instrument

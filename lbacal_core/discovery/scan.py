@@ -17,14 +17,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import erfc, erfcinv
 
 from lbacal_core.causes.terms import Cause, Conditions, Law, shape_signature, signature
+from lbacal_core.discovery.chance import equivalent_trials, p_of, significance
 from lbacal_core.discovery.evidence import Evidence, Space
 from lbacal_core.discovery.targets import Target
 from lbacal_core.grids import Floats
 
-DRAWS = 2000
 MANY_COURSES, MANY_SHAPES = 8, 8
 SMALLEST_INFORMATION = 1e-6
 """Below this a unit of size moves the data by a thousandth of a standard deviation."""
@@ -122,36 +121,6 @@ class Shape:
     cause: Cause
     laws: Sequence[Law]
     courses: Courses
-
-
-def p_of(z: float, trials: float) -> float:
-    """Probability that the largest of `trials` independent standard normal numbers exceeds z in absolute value."""
-    return float(-np.expm1(-trials * erfc(z / np.sqrt(2.0))))
-
-
-def significance(z: float, trials: float) -> float:
-    """The score as a normal number after the look-elsewhere correction, however small the probability."""
-    p_value = p_of(z, trials)
-    return sigma_of(p_value) if p_value > 1e-250 else float(np.sqrt(z**2 - 2 * np.log(trials)))
-
-
-def sigma_of(p_value: float) -> float:
-    """The two-sided normal equivalent of a probability, standard deviations."""
-    return float(np.sqrt(2.0) * erfcinv(np.clip(p_value, 1e-300, 1.0)))
-
-
-def equivalent_trials(correlation: Floats, seed: int) -> float:
-    """Equivalent number of independent scores of correlated ones, shape (score, score).
-
-    From the 90 % quantile of simulated largest scores, where they are many and the tail has begun.
-    """
-    if len(correlation) == 1:
-        return 1.0
-    values, vectors = np.linalg.eigh(correlation)
-    root = vectors * np.sqrt(np.maximum(values, 0.0))
-    draws = np.random.default_rng(seed).standard_normal((DRAWS, root.shape[1])) @ root.T
-    quantile = float(np.quantile(np.abs(draws).max(axis=1), 0.9))
-    return float(max(-np.log(0.9) / max(float(erfc(quantile / np.sqrt(2.0))), 1e-300), 1.0))
 
 
 def group_laws(conditions: Conditions, cause: Cause, laws: Sequence[Law]) -> list[Shape]:
@@ -262,6 +231,10 @@ class _Scorer:
             score[:, shown] += self.share_of_path[shown] @ of_path
             information[:, shown] += self.share_of_path[shown] ** 2 @ path_information
             information[:, local] -= (self.counts * self.share[local] ** 2) @ typical
+            # A path that was silent all the time that a law acts shows nothing of it in the mean either.
+            is_shown = self.share_of_path[local] ** 2 @ path_information > 0
+            score[:, local] *= is_shown
+            information[:, local] *= is_shown
             if is_spread:
                 information[:, wide] -= self._of_letters(courses, signatures)[:, None]
         return score, information

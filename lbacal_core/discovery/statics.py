@@ -18,7 +18,8 @@ from scipy.stats import t as student
 from lbacal_core.causes.cable import CableLength, CableReflection, StaticShape, log_loss_per_metre
 from lbacal_core.causes.catalogue import STATIC_CAUSES
 from lbacal_core.discovery.baseline import Baseline, StationData
-from lbacal_core.discovery.scan import INDISTINGUISHABLE, equivalent_trials, p_of, sigma_of
+from lbacal_core.discovery.chance import equivalent_trials, p_of, sigma_of
+from lbacal_core.discovery.scan import INDISTINGUISHABLE
 from lbacal_core.discovery.targets import Target
 from lbacal_core.grids import Floats
 

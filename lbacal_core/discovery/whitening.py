@@ -17,9 +17,10 @@ from lbacal_core.discovery.baseline import StationData
 from lbacal_core.grids import Floats
 
 SMALLEST = 1e-9
-COMPLETE = 0.8
-"""Paths with less than this part of the events of the most complete one are left out of the mean: an antenna that dies
-would change what the mean is made of, and look like a step."""
+COMPLETE, COMPLETE_IN_PART = 0.8, 0.5
+"""Paths with less than this part of the events of the most complete one, in all or in a part of the time, are left out
+of the mean: an antenna that dies would change what the mean is made of, and look like a step."""
+PARTS, FEWEST_IN_PART = 8, 15
 
 
 @dataclass(frozen=True)
@@ -84,8 +85,7 @@ def split_residuals(data: StationData, residual: Floats) -> Residuals:
     """
     is_present = data.is_present
     letters, letter_of = np.unique(data.dipole, return_inverse=True)
-    count = is_present.sum(axis=1)
-    in_mean = count >= COMPLETE * np.array([count[data.dipole == letter].max() for letter in letters])[letter_of]
+    in_mean = _is_complete(is_present, letter_of)
     mean = np.empty((letters.size, *residual.shape[1:]))
     deviation = np.empty_like(residual)
     for d in range(letters.size):
@@ -108,6 +108,21 @@ def split_residuals(data: StationData, residual: Floats) -> Residuals:
         spread[d] = scale[members] ** 2 @ is_present[members] / np.maximum(present, 1) ** 2
     levels = Levels(channel, band, scale, *_common_levels(mean, spread, channel, band))
     return Residuals(letters, in_mean, mean, deviation, spread, levels)
+
+
+def _is_complete(is_present: NDArray[np.bool_], letter_of: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Which paths have most events of their letter, in the whole and in every part of the time, shape (path,)."""
+    events = is_present.shape[1]
+    parts = max(1, min(PARTS, events // FEWEST_IN_PART))
+    begins = np.arange(parts) * events // parts
+    count = np.column_stack([is_present.sum(axis=1), np.add.reduceat(is_present, begins, axis=1, dtype=int)])
+    asked = np.array([COMPLETE, *[COMPLETE_IN_PART] * parts])
+    is_complete = np.empty(len(count), dtype=bool)
+    for d in range(letter_of.max() + 1):
+        own = count[letter_of == d]
+        enough = np.all(own >= asked * own.max(axis=0), axis=1)
+        is_complete[letter_of == d] = enough if np.any(enough) else own[:, 0] == own[:, 0].max()
+    return is_complete
 
 
 def _path_levels(

@@ -1,14 +1,18 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from lbacal_core.causes.catalogue import CAUSES
 from lbacal_core.causes.terms import Law, signature
 from lbacal_core.discovery.baseline import fit_baseline, gather_stations
+from lbacal_core.discovery.evidence import Evidence
 from lbacal_core.discovery.extend import Effect, Extension, by_event, fit_plain
-from lbacal_core.discovery.scan import scan
+from lbacal_core.discovery.scan import group_laws, scan, score_shapes
 from lbacal_core.discovery.targets import list_targets
+from lbacal_core.discovery.whitening import split_residuals
 from lbacal_core.twin.campaign import simulate_campaign
 from lbacal_core.twin.nuisances import Nuisances
 from lbacal_core.twin.settings import TwinSettings
@@ -132,6 +136,41 @@ def test_what_the_fit_absorbs_has_no_information(evidence):
     _, information = evidence.products([gain * wave, gain], [target, target])
     _, of_step = evidence.products([gain * (np.arange(gain.shape[1]) > 40)[:, None]], [target])
     assert np.all(np.abs(information) < 1e-6 * of_step)
+
+
+def test_a_path_outside_the_mean_shows_the_noise_of_both(station):
+    rng = np.random.default_rng(6)
+    excess = station.excess.copy()
+    few = station.antenna < 3  # three of eight are in the mean: its noise is a third of theirs
+    excess[(station.antenna >= 3), 200:] = np.inf
+    damaged = replace(station, excess=excess)
+    noise = 0.05 * rng.standard_normal(station.power.shape) * damaged.is_present[:, :, None]
+    evidence = Evidence(damaged, split_residuals(damaged, noise), fit_baseline(station).terms, None)
+    assert np.array_equal(evidence.residuals.in_mean, few)
+    outside = evidence.residuals.deviation[~few, :200]
+    np.testing.assert_allclose(np.std(outside), 0.05 * (4 / 3) ** 0.5, rtol=0.01)
+    np.testing.assert_allclose(evidence.weight[~few, :200], 3 / 4, rtol=1e-9)
+    levels = evidence.residuals.levels
+    whitened = outside * np.sqrt(evidence.weight[~few, :200, None]) / levels.path_channel
+    # 0.2 % from 10 paths, the median of 6 levels, and the two numbers that a fit would have taken from each path.
+    assert abs(np.std(whitened) - 1.0) < 0.02
+
+
+def test_a_path_that_is_silent_from_a_date_on_shows_no_step_after_it(station):
+    excess = station.excess.copy()
+    dead = station.antenna == 2
+    excess[dead, 292:] = np.inf
+    damaged = replace(station, excess=excess)
+    plain = fit_plain(damaged)
+    assert np.all(plain.residuals.in_mean), "it died too late to leave the mean"
+    (cause,) = (one for one in CAUSES if one.identifier == "gain_step")
+    law = cause.finer_laws(damaged.conditions, Law({"date_unix": float(np.sort(damaged.conditions.time_unix)[292])}))
+    targets = [target for target in list_targets(damaged) if target.label == "antenna 2"]
+    times = np.sort(damaged.conditions.time_unix)
+    silent = [one for one in law if one.parameters["date_unix"] >= times[292]]
+    for _, z, size in score_shapes(plain.evidence, group_laws(damaged.conditions, cause, silent), targets):
+        assert np.all(z == 0)
+        assert np.all(size == 0)
 
 
 def test_chi_squared_of_noise_is_its_degrees_of_freedom(evidence):

@@ -2,20 +2,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.stats import norm
 
 from lbacal_core.causes.catalogue import CAUSES
 from lbacal_core.causes.terms import signature
 from lbacal_core.discovery.extend import fit_plain
-from lbacal_core.discovery.scan import (
-    correlate_with,
-    equivalent_trials,
-    list_shapes,
-    make_courses,
-    p_of,
-    scan,
-    sigma_of,
-)
+from lbacal_core.discovery.scan import correlate_with, list_shapes, make_courses, scan
 from lbacal_core.discovery.targets import list_targets
 
 
@@ -63,13 +54,3 @@ def test_a_cause_correlates_fully_with_itself_and_less_with_others(evidence):
     }
     assert found["gain_drift"] > 1 - 1e-6
     assert found["lst_offset"] < 0.5
-
-
-def test_independent_scores_count_each_and_equal_ones_count_once():
-    assert 38 < equivalent_trials(np.eye(50), seed=1) < 64  # the 90 % quantile of 2000 draws: 7 % of 10 %
-    assert equivalent_trials(np.ones((50, 50)), seed=1) < 1.3
-
-
-def test_probability_and_sigma_are_each_others_inverse():
-    np.testing.assert_allclose(p_of(5.0, 1.0), 2 * norm.sf(5.0), rtol=1e-6)
-    np.testing.assert_allclose(sigma_of(p_of(4.2, 1.0)), 4.2, rtol=1e-5)  # 1e-5 is what erfcinv keeps of p

@@ -38,6 +38,18 @@ def test_a_dead_antenna_leaves_the_mean_but_is_still_compared_with_it(station, n
     assert np.all(residuals.deviation[dead][:, :100] != 0.0)
 
 
+def test_an_antenna_that_dies_in_the_last_days_leaves_the_mean_and_one_with_gaps_does_not(station, noise):
+    rng = np.random.default_rng(5)
+    excess = station.excess.copy()
+    late, gappy = station.antenna == station.antenna[0], station.antenna == station.antenna[-1]
+    excess[late, 275:] = np.inf
+    excess[np.ix_(gappy, rng.choice(300, 45, replace=False))] = np.inf
+    damaged = replace(station, excess=excess)
+    in_mean = split_residuals(damaged, noise * damaged.is_present[:, :, None]).in_mean
+    assert not np.any(in_mean[late])
+    assert np.all(in_mean[~late])
+
+
 def test_a_noisy_path_gets_its_own_scale(station, noise):
     louder = noise.copy()
     louder[3] *= 2.0
