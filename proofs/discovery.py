@@ -3,8 +3,8 @@
 Parts (`--part NAME`, several times; all of them without): clean (nothing hidden), nuisances (nothing hidden but what
 real campaigns have), clean-other (nothing hidden: ten antennas, the package's own sky, LST curves), one (one effect of
 a drawn cause), efficiency (cause by cause), several (two and three effects), unknown (effects in no catalogue),
-held-out (what was found, removed from unseen events). `--count N`: data sets of a part, or of each kind in it; the defaults are
-small. `--figure` draws docs/images/discovery.png from one and efficiency.
+held-out (what was found, removed from unseen events). `--count N`: data sets of a part, or of each kind in it; the
+defaults are small. `--figure` draws docs/images/discovery.png from one and efficiency.
 """
 
 from __future__ import annotations
