@@ -146,8 +146,15 @@ def _saying(outcome: Outcome) -> str:
     return outcome.verdict
 
 
-def prove_efficiency(each: int) -> tuple[bool, list[str], dict[tuple[str, bool], list[float]]]:
-    """The score of the true cause and target over the ideal SNR, cause by cause.
+def prove_static(each: int) -> tuple[bool, list[str]]:
+    """Names and sizes of static causes at SNR 10, `each` data sets of either."""
+    wanted = [Wanted(20_000 + 1000 * i + k, NAMING_SNR, cause) for i, cause in enumerate(STATIC) for k in range(each)]
+    holds, lines = _names([o for o in run_trials(hide_one, wanted, "static") if o.planted])
+    return holds, ["", "**Static causes** of one antenna, compared with the others of its cable.", *lines]
+
+
+def prove_efficiency(each: int, only: str | None = None) -> tuple[bool, list[str], dict[tuple[str, bool], list[float]]]:
+    """The score of the true cause and target over the ideal SNR, cause by cause, or of one cause alone.
 
     Returns
     -------
@@ -155,7 +162,10 @@ def prove_efficiency(each: int) -> tuple[bool, list[str], dict[tuple[str, bool],
     """
     causes = moving_causes()
     wanted = [
-        Wanted(10_000 + 1000 * i + k, EFFICIENCY_SNR, cause) for i, cause in enumerate(causes) for k in range(each)
+        Wanted(10_000 + 1000 * i + k, EFFICIENCY_SNR, cause)
+        for i, cause in enumerate(causes)
+        for k in range(each)
+        if only in (None, cause)
     ]
     outcomes = run_trials(hide_one, wanted, "efficiency")
     ratios: dict[tuple[str, bool], list[float]] = {}
@@ -171,7 +181,7 @@ def prove_efficiency(each: int) -> tuple[bool, list[str], dict[tuple[str, bool],
         "|---|---|---|---|---|",
     ]
     holds = True
-    for cause in causes:
+    for cause in causes if only is None else [only]:
         cells = []
         for is_inside, asked in ((True, INSIDE), (False, BESIDE)):
             values = np.array(ratios.get((cause, is_inside), []))
@@ -183,10 +193,21 @@ def prove_efficiency(each: int) -> tuple[bool, list[str], dict[tuple[str, bool],
             holds &= bool(is_good)
             cells.append(f"{values.mean():.2f} +- {error:.2f}{'' if is_good else ' (!)'} | {values.size}")
         lines.append(f"| {cause} | {' | '.join(cells)} |")
+    lines += _by_scope(outcomes)
     absent = [o.cause for o in outcomes if o.planted is None]
     if absent:
         lines += ["", f"Not to be shown at SNR {EFFICIENCY_SNR:g} by these data: {_counted(absent)}."]
     return holds, lines, ratios
+
+
+def _by_scope(outcomes: Sequence[Outcome]) -> list[str]:
+    """The same by whom an effect concerns."""
+    ratios: dict[str, list[float]] = {}
+    for o in outcomes:
+        if o.planted is not None:
+            ratios.setdefault(o.planted.scope, []).append(o.score / o.snr)
+    means = [f"{scope} {np.mean(values):.2f} ({len(values)})" for scope, values in sorted(ratios.items())]
+    return ["", f"By whom it concerns, mean (data sets): {', '.join(means)}."]
 
 
 def _counted(names: Sequence[str]) -> str:

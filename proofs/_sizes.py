@@ -10,7 +10,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from lbacal_core.grids import Floats
-from lbacal_core.twin.faults.antenna import ResonanceFault
+from lbacal_core.twin.faults.antenna import ResonanceFault, ResonanceShift
 from lbacal_core.twin.faults.cable import CableReflection
 from lbacal_core.twin.faults.drivers import driver
 from lbacal_core.twin.faults.interference import RfiLine
@@ -58,7 +58,7 @@ def _of_gain(data: DataSet, fault: ResonanceFault) -> float:
     changed = wet[np.argmax(np.abs(wet - 1.0).sum(axis=1))]
     gain = data.instrument.antenna_gain
     before, after = (_resonance(scene.frequency_mhz, curve) for curve in (gain, gain * changed))
-    at = 0 if type(fault).__name__ == "ResonanceShift" else 1
+    at = 0 if isinstance(fault, ResonanceShift) else 1
     return float(after[at] - before[at])
 
 

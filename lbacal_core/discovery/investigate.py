@@ -108,8 +108,10 @@ def investigate_station(
     misfit: Misfit | None = None
     while len(findings) < MAX_FINDINGS:
         significant = [s for s in scores if s.p_value < ALPHA_CATALOGUE / stations]
-        misfit = _find_misfit(significant[:1], findings)
-        if not significant or misfit is not None:
+        if not significant:
+            break
+        misfit = _find_misfit(significant[0], findings)
+        if misfit is not None:
             break
         progress(f"{data.station}: fitting everything again with {significant[0].cause.identifier}")
         found = _extend(data, models[-1], significant, modes)
@@ -224,12 +226,11 @@ class Misfit:
     number: int
 
 
-def _find_misfit(best: Sequence[Score], findings: Sequence[Finding]) -> Misfit | None:
-    for score in best:
-        for number, earlier in enumerate(finding.effect for finding in findings):
-            is_same = earlier.cause is score.cause and earlier.target.label == score.target.label
-            if is_same and not score.cause.is_another(score.law, earlier.law):
-                return Misfit(score, number)
+def _find_misfit(score: Score, findings: Sequence[Finding]) -> Misfit | None:
+    for number, earlier in enumerate(finding.effect for finding in findings):
+        is_same = earlier.cause is score.cause and earlier.target.label == score.target.label
+        if is_same and not score.cause.is_another(score.law, earlier.law):
+            return Misfit(score, number)
     return None
 
 

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -32,11 +34,12 @@ def test_a_wave_over_the_day_is_left_along_utc_and_predicts_events_not_used(spoi
     assert found is not None
     assert (found.axis, found.target) == ("utc", "station")
     assert found.held_out_gain > 0
-    # The vectors that describe it span functions of UTC alone: they take the structure out.
+    # The vectors that describe it are functions of UTC times functions of frequency, and take the structure out.
     values = found.vectors.reshape(len(found.vectors), -1)
     rank = np.linalg.matrix_rank(values)
     assert rank == len(axis_functions(spoilt.data)["utc"]) * 6 * 2
     assert found.channel_share.sum() == pytest.approx(1.0)
+    assert find_leftover(replace(spoilt, empirical=found.vectors), np.random.default_rng(1), SIGNIFICANT) is None
 
 
 def test_the_spectrum_of_a_vector_is_where_it_is_not_flat(evidence):
