@@ -14,13 +14,13 @@ import argparse
 from collections.abc import Callable
 from pathlib import Path
 
-from proofs._clean import prove_clean, prove_clean_other, prove_nuisances
-from proofs._discovery_figure import draw_detection
-from proofs._held_out import prove_held_out
-from proofs._hidden import ALIKE, EVENTS, SMALL, STATION, moving_causes
-from proofs._no_catalogue import prove_unknown
-from proofs._one_effect import prove_detection, prove_efficiency, prove_static
-from proofs._several_effects import prove_several
+from proofs.hidden.clean import prove_clean, prove_clean_other, prove_nuisances
+from proofs.hidden.data_sets import ALIKE, EVENTS, SMALL, STATION, moving_causes
+from proofs.hidden.figure import draw_detection
+from proofs.hidden.held_out import prove_held_out
+from proofs.hidden.no_catalogue import prove_unknown
+from proofs.hidden.one_effect import prove_detection, prove_efficiency, prove_static
+from proofs.hidden.several_effects import prove_several
 
 IMAGE = Path(__file__).parents[1] / "docs" / "images" / "discovery.png"
 PARTS = {

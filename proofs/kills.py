@@ -29,8 +29,8 @@ from lbacal_core.skypower.table import write_sky_power
 from lbacal_core.spectra import Spectra
 from lbacal_core.twin.campaign import simulate_campaign
 from lbacal_core.twin.settings import TwinSettings
-from proofs._postgres import run_postgres
-from proofs._processes import Process, find_free_port, is_ready, run_command, running, wait_until
+from proofs.running.postgres import run_postgres
+from proofs.running.processes import Process, find_free_port, is_ready, run_command, running, wait_until
 from service.config import Settings
 from service.factory import Factory
 from service.logs import configure_logs

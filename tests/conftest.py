@@ -11,7 +11,7 @@ import pytest
 
 from lbacal_core.instrument import AntennaRecord, Instrument
 from lbacal_core.skypower.table import SkyPower
-from proofs._postgres import find_binaries
+from proofs.running.postgres import find_binaries
 
 FREQUENCY = np.arange(30.0, 81.0)
 

@@ -11,8 +11,8 @@ import yaml
 
 from lbacal.client import Client
 from lbacal_core.spectra import read_spectra
-from proofs._postgres import run_postgres
-from proofs._processes import Process, find_free_port, is_ready, run_command, running, wait_until
+from proofs.running.postgres import run_postgres
+from proofs.running.processes import Process, find_free_port, is_ready, run_command, running, wait_until
 
 
 @pytest.fixture(scope="module")

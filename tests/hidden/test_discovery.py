@@ -8,11 +8,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from proofs._held_out import hide_in_halves
-from proofs._no_catalogue import hide_unknown
-from proofs._one_effect import Wanted, hide_one
-from proofs._several_effects import hide_several
-from proofs._trials import run_trials
+from proofs.hidden.held_out import hide_in_halves
+from proofs.hidden.no_catalogue import hide_unknown
+from proofs.hidden.one_effect import Wanted, hide_one
+from proofs.hidden.several_effects import hide_several
+from proofs.machinery.trials import run_trials
 
 
 @pytest.mark.timeout(600)

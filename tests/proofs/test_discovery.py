@@ -7,9 +7,9 @@ import pytest
 
 from lbacal_core.twin.faults.antenna import GainDrift
 from proofs import discovery
-from proofs._hidden import DataSet, Planted, draw_one, moving_causes, realistic
-from proofs._one_effect import Outcome
-from proofs._several_effects import draw_several
+from proofs.hidden.data_sets import DataSet, Planted, draw_one, moving_causes, realistic
+from proofs.hidden.one_effect import Outcome
+from proofs.hidden.several_effects import draw_several
 
 
 @pytest.mark.timeout(600)

@@ -24,7 +24,7 @@ from lbacal_core.twin.faults.antenna import GainStep
 from lbacal_core.twin.faults.fault import Where
 from lbacal_core.twin.settings import TwinSettings
 from lbacal_core.validity import Scope
-from proofs._postgres import run_postgres
+from proofs.running.postgres import run_postgres
 from service.app import make_app
 from service.config import Settings
 from service.factory import Factory

@@ -7,14 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lbacal_core.discovery.curve_report import describe_curve
-from lbacal_core.discovery.lst_curve import investigate_curve
 from lbacal_core.instrument import DIPOLES, load_instrument
 from lbacal_core.lstcurve.compare import AS_RECORDED, band_weights
 from lbacal_core.lstcurve.curve import LstCurve
-from lbacal_core.provenance import Provenance
-from proofs._hidden import FEW_EVENTS, SMALLEST, Answer, comparable, plain, realistic, sky_power
-from proofs._trials import Rate, run_trials
+from proofs.hidden.data_sets import FEW_EVENTS, SMALLEST, comparable, plain, realistic, sky_power
+from proofs.hidden.finder import Answer, ask_of_curve
+from proofs.machinery.trials import Rate, run_trials
 
 FALSE_ALARM_LIMIT = 0.01
 BAND_MHZ = (30.0, 80.0)
@@ -62,8 +60,7 @@ def ask_curve(number: int) -> Answer:
         noise = shared + (1 - SHARED) ** 0.5 * rng.standard_normal(POINTS)
         variation[dipole] = 10 * np.log10(band / band.mean()) + POINT_NOISE_DB * noise
     curve = LstCurve(lst_hours, variation, np.full(POINTS, 0.11), 0.5, is_centre_stated=True, origin="simulated")
-    report = describe_curve(investigate_curve(curve, sky_power(), chain, BAND_MHZ, is_own_sky=False), Provenance({}))
-    return Answer(report["verdict"], report["findings"], report["unexplained"], [])
+    return ask_of_curve(curve, sky_power(), chain, BAND_MHZ)
 
 
 PLAIN = (Kind("without nuisances", ask_plain),)

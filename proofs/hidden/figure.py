@@ -9,8 +9,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.stats import norm
 
-from proofs._one_effect import BESIDE, GRID, INSIDE, Outcome, detection_curve
-from proofs._trials import Rate
+from proofs.hidden.one_effect import BESIDE, GRID, INSIDE, Outcome, detection_curve
+from proofs.machinery.trials import Rate
 
 
 def draw_detection(outcomes: Sequence[Outcome], ratios: Mapping[tuple[str, bool], Sequence[float]], path: Path) -> None:

@@ -6,8 +6,8 @@ import pytest
 from lbacal_core.twin.faults.antenna import ResonanceShift, ResonanceWidth
 from lbacal_core.twin.faults.fault import Where
 from lbacal_core.twin.faults.interference import RfiLine
-from proofs._hidden import DataSet, Planted, is_in_family
-from proofs._sizes import planted_size, size_pull
+from proofs.hidden.data_sets import DataSet, Planted, is_in_family
+from proofs.hidden.sizes import planted_size, size_pull
 
 
 @pytest.fixture(scope="module")

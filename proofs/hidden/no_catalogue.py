@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from lbacal_core.twin.faults.uncatalogued import uncatalogued_faults
-from proofs._hidden import DataSet, Planted
-from proofs._trials import Rate, run_trials
+from proofs.hidden.data_sets import DataSet, Planted
+from proofs.machinery.trials import Rate, run_trials
 
 SNR = 25.0
 FIRST_SEED = 400_000
@@ -47,8 +47,7 @@ def hide_unknown(task: tuple[str, int]) -> Outcome | None:
     if planted is None:
         return None
     answer = data.ask([planted.fault])
-    target = str(answer.unexplained["where"]["target"]) if answer.unexplained else ""
-    return Outcome(kind.__name__, axes, answer.verdict, answer.axis, target, answer.named)
+    return Outcome(kind.__name__, axes, answer.verdict, answer.axis, answer.target, answer.named)
 
 
 def prove_unknown(each: int) -> tuple[bool, list[str]]:

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from proofs._hidden import ALIKE, SMALL, STATIC, DataSet, Planted, draw_one, is_in_family, moving_causes
-from proofs._sizes import size_pull
-from proofs._trials import DetectionCurve, Rate, fit_detection, run_trials
+from proofs.hidden.data_sets import ALIKE, SMALL, STATIC, DataSet, Planted, draw_one, is_in_family, moving_causes
+from proofs.hidden.sizes import size_pull
+from proofs.machinery.trials import DetectionCurve, Rate, fit_detection, run_trials
 
 GRID = (4.0, 5.0, 5.5, 6.0, 6.75, 7.5, 10.0)
 NAMING_SNR, EFFICIENCY_SNR = 10.0, 12.0
@@ -69,7 +69,15 @@ def hide_one(wanted: Wanted) -> Outcome:
     answer = data.ask([planted.fault])
     is_first = answer.named[:1] == [planted.cause]
     pull = size_pull(data, planted, answer.findings[0]) if is_first else None
-    return Outcome(wanted.snr, planted.cause, planted, answer.verdict, answer.sets, answer.score(planted), pull)
+    return Outcome(
+        wanted.snr,
+        planted.cause,
+        planted,
+        answer.verdict,
+        answer.sets,
+        answer.score(planted.cause, planted.label),
+        pull,
+    )
 
 
 def prove_detection(each: int) -> tuple[bool, list[str], list[Outcome]]:

@@ -13,7 +13,7 @@ from lbacal_core.twin.faults.cable import CableLength, CableReflection
 from lbacal_core.twin.faults.fault import Where
 from lbacal_core.twin.nuisances import NONE, Nuisances
 from lbacal_core.twin.settings import TwinSettings
-from proofs._ideal import IdealDetector, count_blocks, ideal_detector
+from proofs.hidden.ideal import IdealDetector, count_blocks, ideal_detector
 
 SETTINGS = TwinSettings(stations=("CS002",), antennas=3, events_per_year=30, fewest_blocks=50, most_blocks=150)
 HARD = Nuisances(

@@ -5,12 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
-from typing import Any
 
 import numpy as np
 
-from lbacal_core.discovery.investigate import StationReport
-from lbacal_core.discovery.report import investigate
 from lbacal_core.grids import Floats
 from lbacal_core.instrument import DIPOLES, Instrument, load_instrument
 from lbacal_core.skypower.model import compute_sky_power
@@ -25,7 +22,8 @@ from lbacal_core.twin.nuisances import NONE, REALISTIC, Nuisances
 from lbacal_core.twin.settings import TwinSettings
 from lbacal_core.twin.stages import Scene
 from lbacal_core.twin.view import View
-from proofs._ideal import IdealDetector, ideal_detector
+from proofs.hidden.finder import Answer, FittedModel, ask_finder
+from proofs.hidden.ideal import IdealDetector, ideal_detector
 
 STATION = "CS002"
 SMALL = (0, 1, 3, 4, 10, 11)
@@ -73,44 +71,6 @@ class Planted:
     def sized(self, size: float) -> Planted:
         """The same fault of another size."""
         return replace(self, fault=replace(self.fault, size=size))
-
-
-@dataclass(frozen=True)
-class Answer:
-    """What the finder says of one data set.
-
-    Attributes
-    ----------
-    findings
-        As in the report, most significant first.
-    scores
-        Of the first scan: cause, target and score in standard deviations.
-    """
-
-    verdict: str
-    findings: Sequence[dict[str, Any]]
-    unexplained: dict[str, Any] | None
-    scores: Sequence[tuple[str, str, float]]
-
-    @property
-    def named(self) -> list[str]:
-        """Causes named, most significant first."""
-        return [str(finding["cause"]) for finding in self.findings]
-
-    @property
-    def sets(self) -> list[list[str]]:
-        """Each cause named, with those that the data cannot tell from it."""
-        return [[finding["cause"], *finding["indistinguishable"]] for finding in self.findings]
-
-    @property
-    def axis(self) -> str:
-        """Axis along which structure is left, empty if none is."""
-        return str(self.unexplained["where"]["axis"]) if self.unexplained else ""
-
-    def score(self, planted: Planted) -> float:
-        """Largest |score| of the true cause for the true target, 0 where another target scored better."""
-        own = [abs(z) for cause, label, z in self.scores if (cause, label) == (planted.cause, planted.label)]
-        return max(own, default=0.0)
 
 
 @dataclass(frozen=True)
@@ -166,27 +126,18 @@ class DataSet:
         _, event = np.unique(campaign.spectra.time_unix, return_inverse=True)
         return campaign.spectra.select(event % 2 == self.half)
 
-    def report(
-        self, faults: Sequence[Fault] = (), *, is_own_sky: bool = False
-    ) -> tuple[dict[str, Any], list[StationReport]]:
-        """What the finder reports of the data with the faults; the sky power is given and taken at its word.
+    def ask(self, faults: Sequence[Fault] = (), *, is_own_sky: bool = False) -> Answer:
+        """What the finder answers to the data with the faults; the sky power is given and taken at its word.
 
         Unless it counts as the package's own, whose differences from other models are projected out.
         """
-        return investigate(self.spectra(faults), self.instrument, sky_power(), is_own_sky=is_own_sky, seed=self.seed)
+        return self.ask_and_fit(faults, is_own_sky=is_own_sky)[0]
 
-    def ask(self, faults: Sequence[Fault] = (), *, is_own_sky: bool = False) -> Answer:
-        """The report in short; a finder that breaks down on the data is recorded, and never counts as right."""
-        try:
-            report, stations = self.report(faults, is_own_sky=is_own_sky)
-        except (ArithmeticError, LookupError, ValueError) as error:
-            return Answer(f"failed: {error}", [], None, [])
-        scores = [
-            (score.cause.identifier, score.target.label, float(score.z))
-            for station in stations
-            for score in station.first_scan
-        ]
-        return Answer(report["verdict"], report["findings"], report["unexplained"], scores)
+    def ask_and_fit(
+        self, faults: Sequence[Fault] = (), *, is_own_sky: bool = False
+    ) -> tuple[Answer, FittedModel | None]:
+        """The answer, and the fitted model with what was found; None where the finder broke down."""
+        return ask_finder(self.spectra(faults), self.instrument, sky_power(), is_own_sky=is_own_sky, seed=self.seed)
 
     def draw(self, cause: str, rng: np.random.Generator) -> Planted:
         """A fault of a cause: its law, and whom it concerns."""

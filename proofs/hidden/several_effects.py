@@ -8,8 +8,8 @@ from itertools import permutations
 
 import numpy as np
 
-from proofs._hidden import LARGEST_CHANGE, DataSet, Planted, correlations, moving_causes
-from proofs._trials import Rate, run_trials
+from proofs.hidden.data_sets import LARGEST_CHANGE, DataSet, Planted, correlations, moving_causes
+from proofs.machinery.trials import Rate, run_trials
 
 SNR = 10.0
 LARGEST_CORRELATION = 0.9

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from proofs._trials import Rate, fit_detection, run_trials
+from proofs.machinery.trials import Rate, fit_detection, run_trials
 
 
 def _square(number: int) -> int:

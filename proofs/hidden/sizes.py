@@ -14,7 +14,7 @@ from lbacal_core.twin.faults.antenna import ResonanceFault, ResonanceShift
 from lbacal_core.twin.faults.cable import CableReflection
 from lbacal_core.twin.faults.drivers import driver
 from lbacal_core.twin.faults.interference import RfiLine
-from proofs._hidden import DataSet, Planted
+from proofs.hidden.data_sets import DataSet, Planted
 
 
 def size_pull(data: DataSet, planted: Planted, finding: Mapping[str, Any]) -> float:

@@ -11,14 +11,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lbacal_core.discovery.baseline import gather_stations
-from lbacal_core.discovery.extend import power_ratio
-from lbacal_core.discovery.investigate import StationReport
 from lbacal_core.grids import Floats
 from lbacal_core.instrument import DIPOLES
 from lbacal_core.spectra import Spectra
-from proofs._hidden import EVENTS, DataSet, draw_one, moving_causes, sky_power
-from proofs._trials import Rate, run_trials
+from proofs.hidden.data_sets import EVENTS, DataSet, draw_one, moving_causes, sky_power
+from proofs.hidden.finder import FittedModel
+from proofs.machinery.trials import Rate, run_trials
 
 SNR = 10.0
 FIRST_SEED = 500_000
@@ -60,32 +58,28 @@ def hide_in_halves(number: int) -> Outcome | None:
     seen = DataSet(FIRST_SEED + number, events=2 * EVENTS, half=0)
     unseen = replace(seen, half=1)
     planted = draw_one(seen, SNR, rng, moving_causes())
-    report, (station,) = seen.report([planted.fault])
-    if not station.findings:
+    answer, model = seen.ask_and_fit([planted.fault])
+    if model is None or not answer.findings:
         return None
     with_effect, clean = unseen.spectra([planted.fault]), unseen.spectra()
-    ratio = found_ratio(station, unseen, with_effect)
+    ratio = found_ratio(model, unseen, with_effect)
     nothing = chi_squared(unseen, clean)
     return Outcome(
         planted.cause,
-        [str(finding["cause"]) for finding in report["findings"]],
-        float(sum(finding["gain"]["held_out_log_likelihood_gain"] or 0.0 for finding in report["findings"])),
+        answer.named,
+        answer.claimed_gain,
         chi_squared(unseen, with_effect) - nothing,
         chi_squared(unseen, with_effect, ratio) - nothing,
     )
 
 
-def found_ratio(station: StationReport, data: DataSet, spectra: Spectra) -> Floats:
+def found_ratio(model: FittedModel, data: DataSet, spectra: Spectra) -> Floats:
     """Power with what was found over power without, in other spectra; shape (path, event, freq) of the twin."""
-    (other,) = gather_stations(spectra, data.instrument, sky_power())
-    terms = replace(station.last.baseline.terms, sky=other.sky)
-    ratio = power_ratio(other, terms, station.last.effects)
-    antennas = data.scene.antennas
-    row = {(int(a), str(d)): k for k, (a, d) in enumerate(zip(other.antenna, other.dipole, strict=True))}
-    order = [row[int(antenna), dipole] for antenna in antennas for dipole in DIPOLES]
+    ratio, paths, times = model.ratio(spectra, data.instrument, sky_power())
+    row = {path: k for k, path in enumerate(paths)}
+    order = [row[int(antenna), dipole] for antenna in data.scene.antennas for dipole in DIPOLES]
     whole = np.ones((len(order), len(data.scene.time_unix), len(data.scene.frequency_mhz)))
-    if ratio is not None:
-        whole[:, np.searchsorted(data.scene.time_unix, other.conditions.time_unix)] = ratio[order]
+    whole[:, np.searchsorted(data.scene.time_unix, times)] = ratio[order]
     return whole
 
 
