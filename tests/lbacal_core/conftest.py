@@ -3,7 +3,20 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from lbacal_core.instrument import load_instrument
+from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.spectra import Spectra
+from lbacal_core.twin.settings import TwinSettings
+from lbacal_core.twin.view import View
+from tests.lbacal_core.discovery.worlds import World
+
+
+@pytest.fixture(scope="session")
+def world() -> World:
+    """A year of three antennas of CS002: 200 events, the noise of the real array."""
+    instrument = load_instrument("lofar-superterp")
+    settings = TwinSettings(stations=("CS002",), antennas=3, events_per_year=200)
+    return World(instrument, compute_sky_power(instrument), settings, View(instrument))
 
 
 @pytest.fixture(scope="session")

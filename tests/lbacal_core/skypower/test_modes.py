@@ -52,7 +52,7 @@ def test_a_short_dipole_over_a_perfect_plane_has_its_closed_form() -> None:
     assert solid_angle(dipole) == pytest.approx(expected, rel=1e-12)
 
 
-def test_a_short_dipole_close_to_the_plane_has_16_pi_over_15() -> None:
+def test_a_short_dipole_close_to_the_plane_has_8_pi_over_15() -> None:
     # s -> cos(theta): the integral of (cos^2 cos^2(phi) + sin^2(phi)) cos^2 is pi (1/3 + 1/5).
     assert ShortDipole(height_m=1e-3).solid_angle(FREQUENCY_MHZ) == pytest.approx(np.pi * 8 / 15, rel=1e-4)
 
