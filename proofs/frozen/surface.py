@@ -1,0 +1,114 @@
+"""The numbers that are frozen of a data set; the one file of `frozen` that knows the names inside discovery.
+
+A commit that renames what is inside discovery changes this file and no number.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from lbacal_core.causes.catalogue import CAUSES
+from lbacal_core.discovery.curve_report import describe_curve
+from lbacal_core.discovery.investigate import StationReport
+from lbacal_core.discovery.lst_curve import investigate_curve
+from lbacal_core.discovery.report import investigate
+from lbacal_core.discovery.scan import Score, list_shapes, score_shapes
+from lbacal_core.discovery.statics import StaticScore
+from lbacal_core.discovery.targets import list_targets
+from lbacal_core.lstcurve.compare import BAND_MHZ
+from lbacal_core.provenance import Provenance
+from lbacal_core.spectra import Spectra
+from proofs.frozen.data_sets import BandCurve, DataSet, StationSpectra, sky_power
+
+
+def frozen_numbers(data: DataSet) -> dict[str, Any]:
+    """The report, a summary of the data, and for spectra the scan of every station, as JSON values."""
+    return _of_curve(data) if isinstance(data, BandCurve) else _of_spectra(data)
+
+
+def _of_curve(data: BandCurve) -> dict[str, Any]:
+    """As `lbacal investigate --lst-curve` asks."""
+    curve = data.curve()
+    found = investigate_curve(curve, sky_power(), data.instrument, BAND_MHZ, is_own_sky=data.is_own_sky)
+    points = np.concatenate(list(curve.variation_db.values()))
+    return {
+        "data": {"points": int(np.isfinite(points).sum()), "square_db2": float(np.nansum(points**2))},
+        "report": _without_provenance(describe_curve(found, Provenance({}))),
+    }
+
+
+def _of_spectra(data: StationSpectra) -> dict[str, Any]:
+    """As `lbacal investigate` asks, with the seed of the data set."""
+    spectra = data.spectra()
+    report, stations = investigate(spectra, data.instrument, sky_power(), is_own_sky=data.is_own_sky, seed=data.seed)
+    return {
+        "data": _of_data(spectra),
+        "report": _without_provenance(report),
+        "scan": {station.data.station: _of_scan(station) for station in stations},
+    }
+
+
+def _of_data(spectra: Spectra) -> dict[str, Any]:
+    """Says whether the data themselves are the same, before anything is asked of the answer."""
+    log_power = np.log(spectra.power)
+    environment = {name: float(np.nansum(values)) for name, values in spectra.environment.items()}
+    return {"rows": len(spectra), "sum": float(log_power.sum()), "square": float(np.sum(log_power**2)), **environment}
+
+
+def _without_provenance(report: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in report.items() if key != "provenance"}
+
+
+def _of_scan(station: StationReport) -> dict[str, Any]:
+    """The best scores, and all scores in short, before anything is found and with everything that is."""
+    models = {"first": station.first.evidence}
+    if station.last is not station.first:
+        models["last"] = station.last.evidence
+    targets = list_targets(station.data)
+    with threadpool_limits(1):
+        whole = {name: score_shapes(one, list_shapes(one, CAUSES), targets) for name, one in models.items()}
+    return {
+        "best": _of_scores([*station.first_scan, *station.static_scan]),
+        **{
+            name: _summarise([(batch[0].cause.identifier, z, size) for batch, z, size in scores])
+            for name, scores in whole.items()
+        },
+    }
+
+
+def _of_scores(scores: Sequence[Score | StaticScore]) -> dict[str, Any]:
+    return {
+        score.cause.identifier: {
+            "z": float(score.z),
+            "size": float(score.size),
+            "parameters": {
+                key: value.item() if isinstance(value, np.generic) else value for key, value in score.parameters.items()
+            },
+            "target": score.target.label,
+            "trials": float(score.trials),
+            "p_value": float(score.p_value),
+        }
+        for score in scores
+    }
+
+
+def _summarise(scores: Sequence[tuple[str, np.ndarray, np.ndarray]]) -> dict[str, Any]:
+    """Of all scores of a cause: how many are not absorbed, sum, sum of squares, largest, mean ln sigma of the size."""
+    summary = {}
+    for cause in dict.fromkeys(name for name, _, _ in scores):
+        z = np.concatenate([one.ravel() for name, one, _ in scores if name == cause])
+        size = np.concatenate([one.ravel() for name, _, one in scores if name == cause])
+        is_seen = z != 0.0
+        summary[cause] = {
+            "scores": z.size,
+            "seen": int(is_seen.sum()),
+            "sum": float(z.sum()),
+            "square": float(np.sum(z**2)),
+            "largest": float(np.abs(z).max()),
+            "mean_ln_sigma": float(np.mean(np.log(size[is_seen] / z[is_seen]))) if is_seen.any() else None,
+        }
+    return summary
