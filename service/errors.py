@@ -61,8 +61,35 @@ class UnsupportedMediaError(LbacalError):
     code = "unsupported_media_type"
 
 
+class SlowBodyError(LbacalError):
+    """A body that does not come."""
+
+    status = 408
+    code = "slow_body"
+
+
+class TooManyError(LbacalError):
+    """A caller asks for more than its share; `retry_s` is when to ask again."""
+
+    status = 429
+    code = "too_many"
+
+    def __init__(self, sentence: str, retry_s: float) -> None:
+        super().__init__(sentence)
+        self.retry_s = retry_s
+
+
 class UnavailableError(LbacalError):
-    """The database does not answer, or its schema is not the one this code needs."""
+    """The database does not answer, or its schema is not the one this code needs.
+
+    The sentence is for everybody; `detail` is what the database said, which may name hosts and roles: it is for the log
+    and for whoever runs a command here. `is_passing` tells that waiting may cure it.
+    """
 
     status = 503
     code = "unavailable"
+
+    def __init__(self, sentence: str, detail: str = "", *, is_passing: bool = False) -> None:
+        super().__init__(sentence)
+        self.detail = " ".join(detail.split())
+        self.is_passing = is_passing

@@ -2,24 +2,36 @@
 
 from __future__ import annotations
 
+import shutil
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from sqlalchemy import Connection, Engine, create_engine, event, make_url, text
-from sqlalchemy.exc import DBAPIError, OperationalError
+from sqlalchemy import URL, Connection, Engine, create_engine, event, make_url
+from sqlalchemy.exc import SQLAlchemyError
 
 from service.errors import UnavailableError
 from service.storage.drift import DriftStore
+from service.storage.failures import explain_failure
 from service.storage.jobs import JobStore
 from service.storage.keys import KeyStore
 from service.storage.ledger import LedgerStore
 from service.storage.spectra import SpectraStore
 from service.storage.versions import VersionStore
 
-BUSY_S = 30
+BUSY_S = 10
+"""How long SQLite waits for another process that writes."""
+POOL_S = 5
+"""How long a use case waits for a connection."""
+PATIENCE = {
+    "statement_timeout": "60s",
+    "lock_timeout": "5s",
+    "idle_in_transaction_session_timeout": "60s",
+}
+"""What PostgreSQL ends by itself, on every connection. A promotion is given less (see `LedgerStore.lock`)."""
 
 
 class Stores:
@@ -60,54 +72,127 @@ class Stores:
 
 
 class Database:
-    """Opens transactions. One transaction a use case: it commits at the end of the block or leaves nothing."""
+    """Opens transactions. One transaction a use case: it commits at the end of the block or leaves nothing.
+
+    Those that only read have connections of their own, so that writers who wait for each other keep no reader waiting.
+    """
 
     def __init__(self, url: str) -> None:
         self.url = url
-        self.engine = _make_engine(url)
+        parsed = make_url(url)
+        self._file = _SqliteFile(parsed.database) if parsed.get_backend_name() == "sqlite" else None
+        self.engine = _make_writing_engine(parsed)
+        self._readers = _make_reading_engine(parsed)
+        self._open = threading.local()
 
     @contextmanager
     def read(self) -> Iterator[Stores]:
-        """A transaction that only reads."""
-        with self._transaction(is_writing=False) as connection:
+        """A transaction that only reads; everything in it sees the database at one instant."""
+        with self._transaction(self._readers) as connection:
             yield Stores(connection)
 
     @contextmanager
     def write(self) -> Iterator[Stores]:
-        """A transaction that may write; on SQLite it holds the one write lock from its start."""
-        with self._transaction(is_writing=True) as connection:
-            yield Stores(connection)
+        """A transaction that may write; on SQLite it holds the one write lock from its start.
+
+        Inside another one of the same use case it is a part of that: both commit at the end of the outer block.
+        """
+        outer: Stores | None = getattr(self._open, "stores", None)
+        if outer is not None:
+            yield outer
+            return
+        with self._transaction(self.engine) as connection:
+            self._open.stores = Stores(connection)
+            try:
+                yield self._open.stores
+            finally:
+                self._open.stores = None
 
     @contextmanager
-    def _transaction(self, *, is_writing: bool) -> Iterator[Connection]:
+    def _transaction(self, engine: Engine) -> Iterator[Connection]:
+        if self._file:
+            self._file.require_same()
         try:
-            with self.engine.execution_options(lbacal_writing=is_writing).begin() as connection:
+            with engine.begin() as connection:
                 yield connection
-        except OperationalError as error:
-            raise UnavailableError(f"the database does not answer: {error.orig}") from error
-        except DBAPIError as error:
-            if error.connection_invalidated:
-                raise UnavailableError(f"the connection to the database was lost: {error.orig}") from error
-            raise
+        except SQLAlchemyError as error:
+            unavailable = explain_failure(error)
+            if unavailable is None:
+                raise
+            raise unavailable from error
 
-    def ping(self) -> None:
-        """Ask the database for one number."""
-        with self._transaction(is_writing=False) as connection:
-            connection.execute(text("SELECT 1"))
+    @contextmanager
+    def connect(self) -> Iterator[Connection]:
+        """A connection that only reads, for those who look at the schema."""
+        with self._transaction(self._readers) as connection:
+            yield connection
+
+    @property
+    def free_bytes(self) -> int | None:
+        """Room on the disk that holds an SQLite file; None where the database keeps its disk to itself."""
+        return self._file.free_bytes if self._file else None
 
     def close(self) -> None:
         """Give all connections back."""
         self.engine.dispose()
+        self._readers.dispose()
 
 
-def _make_engine(url: str) -> Engine:
-    parsed = make_url(url)
-    if parsed.get_backend_name() != "sqlite":
-        return create_engine(url, pool_size=10, max_overflow=10, pool_pre_ping=True)
-    if parsed.database:
-        Path(parsed.database).parent.mkdir(parents=True, exist_ok=True)
-    engine = create_engine(url, connect_args={"timeout": BUSY_S, "isolation_level": None, "check_same_thread": False})
+class _SqliteFile:
+    """The file of an SQLite database: what is written into one that was removed is lost, though SQLite says nothing."""
 
+    def __init__(self, name: str | None) -> None:
+        self._path = Path(name or "")
+        self._number: int | None = None
+        if name:
+            self._path.parent.mkdir(parents=True, exist_ok=True)
+
+    def require_same(self) -> None:
+        """Refuse to go on when the file that was opened first is no longer there."""
+        try:
+            number = self._path.stat().st_ino
+        except OSError:
+            number = None
+        if self._number is None:
+            self._number = number
+        elif number != self._number:
+            raise UnavailableError(
+                "the database file was removed or replaced while it was in use: restart the service",
+                str(self._path.absolute()),
+            )
+
+    @property
+    def free_bytes(self) -> int:
+        """Room on its disk."""
+        return shutil.disk_usage(self._path.absolute().parent).free
+
+
+def _make_writing_engine(url: URL) -> Engine:
+    if url.get_backend_name() == "sqlite":
+        # one connection: those who write in this process wait in a fair queue, not in SQLite's
+        return _prepare_sqlite(_make_sqlite_engine(url, pool_size=1, max_overflow=0), "BEGIN IMMEDIATE")
+    return _make_postgresql_engine(url, pool_size=4, max_overflow=4)
+
+
+def _make_reading_engine(url: URL) -> Engine:
+    if url.get_backend_name() == "sqlite":
+        return _prepare_sqlite(_make_sqlite_engine(url, pool_size=10, max_overflow=30), "BEGIN")
+    engine = _make_postgresql_engine(url, pool_size=8, max_overflow=8)
+    return engine.execution_options(isolation_level="REPEATABLE READ", postgresql_readonly=True)
+
+
+def _make_postgresql_engine(url: URL, **pool: int) -> Engine:
+    options = " ".join(f"-c {name}={value}" for name, value in PATIENCE.items())
+    arguments = {"connect_timeout": POOL_S, "options": options}
+    return create_engine(url, connect_args=arguments, pool_timeout=POOL_S, pool_pre_ping=True, **pool)
+
+
+def _make_sqlite_engine(url: URL, **pool: int) -> Engine:
+    arguments = {"timeout": BUSY_S, "isolation_level": None, "check_same_thread": False}
+    return create_engine(url, connect_args=arguments, pool_timeout=POOL_S, **pool)
+
+
+def _prepare_sqlite(engine: Engine, begin: str) -> Engine:
     @event.listens_for(engine, "connect")
     def _prepare(connection: Any, _record: Any) -> None:
         cursor = connection.cursor()
@@ -119,7 +204,6 @@ def _make_engine(url: str) -> Engine:
     @event.listens_for(engine, "begin")
     def _begin(connection: Connection) -> None:
         # a deferred transaction that turns into a writing one fails at once when another writes; an immediate one waits
-        is_writing = connection.get_execution_options().get("lbacal_writing", True)
-        connection.exec_driver_sql("BEGIN IMMEDIATE" if is_writing else "BEGIN")
+        connection.exec_driver_sql(begin)
 
     return engine

@@ -38,5 +38,5 @@ def require_current(database: Database) -> None:
 
 def find_revision(database: Database) -> str | None:
     """The revision of the schema; None where there is none."""
-    with database.engine.connect() as connection:
+    with database.connect() as connection:
         return MigrationContext.configure(connection).get_current_revision()

@@ -1,0 +1,174 @@
+from __future__ import annotations
+
+import sqlite3
+import threading
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing, contextmanager
+from pathlib import Path
+
+import psycopg
+import pytest
+from fastapi.testclient import TestClient
+from sqlalchemy import text
+from sqlalchemy.exc import SQLAlchemyError
+
+from service.app import make_app
+from service.config import Settings
+from service.errors import UnavailableError
+from service.factory import Factory
+from service.storage import database as module
+from service.storage.database import Database
+
+
+@contextmanager
+def foreign_lock(url: str) -> Iterator[None]:
+    """Somebody else's session that keeps writers waiting."""
+    if url.startswith("postgresql"):
+        with psycopg.connect(url) as connection:
+            connection.execute("LOCK TABLE event IN EXCLUSIVE MODE")
+            yield
+        return
+    with closing(sqlite3.connect(url, isolation_level=None)) as connection:
+        connection.execute("BEGIN IMMEDIATE")
+        yield
+
+
+def execute(database: Database, statement: str) -> None:
+    with database.write() as stores:
+        stores._connection.execute(text(statement))
+
+
+@pytest.fixture
+def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Waits of fractions of a second."""
+    monkeypatch.setattr(module, "BUSY_S", 0.2)
+    monkeypatch.setattr(module, "POOL_S", 1)
+    monkeypatch.setitem(module.PATIENCE, "lock_timeout", "200ms")
+
+
+@pytest.mark.usefixtures("impatient")
+def test_a_foreign_lock_makes_writers_unavailable_and_keeps_no_reader_waiting(database_url: str) -> None:
+    database = Database(Settings(database_url=database_url).sqlalchemy_url)
+    refused: list[UnavailableError] = []
+
+    def write() -> None:
+        with pytest.raises(UnavailableError) as caught:
+            execute(database, "UPDATE event SET flag = 'x'")
+        refused.append(caught.value)
+
+    with foreign_lock(database_url):
+        writers = [threading.Thread(target=write) for _ in range(25)]
+        for writer in writers:
+            writer.start()
+        for _ in range(20):
+            with database.read() as stores:
+                assert stores.keys.all() == []
+        for writer in writers:
+            writer.join()
+    assert len(refused) == 25, "each is told, none fails in another way or waits for ever"
+    assert all(error.is_passing for error in refused)
+    execute(database, "UPDATE event SET flag = 'x'")
+    database.close()
+
+
+@pytest.mark.usefixtures("impatient")
+def test_a_lock_answers_503_to_who_writes_and_200_to_who_reads(factory: Factory, database_url: str) -> None:
+    _, key = factory.keys.create(("admin",))
+    execute(factory.database, "INSERT INTO event (event_id, time_us) VALUES ('e', 0)")
+    with TestClient(make_app(factory)) as client:
+        client.headers["Authorization"] = f"Bearer {key}"
+        ask = {"url": "/v1/events/e/flag", "json": {"flag": "x", "reason": "test"}}
+        with foreign_lock(database_url), ThreadPoolExecutor(45) as pool:
+            writing = [pool.submit(client.post, **ask) for _ in range(45)]
+            assert [client.get(url).status_code for url in ("/healthz", "/v1/jobs")] == [200, 200]
+            answers = [written.result() for written in writing]
+        assert {(answer.status_code, answer.headers["retry-after"]) for answer in answers} == {(503, "5")}
+        assert client.post(**ask).status_code == 200
+
+
+def test_a_transaction_inside_another_is_a_part_of_it(factory: Factory) -> None:
+    database = factory.database
+
+    def write_both() -> None:
+        with database.write() as outer:
+            outer.keys.add("outer", ("read",), created=0, expires=None)
+            with database.write() as inner:
+                inner.keys.add("inner", ("read",), created=0, expires=None)
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        write_both()
+    with database.read() as stores:
+        assert stores.keys.all() == []
+
+
+def test_a_reader_sees_the_database_at_one_instant(factory: Factory) -> None:
+    with factory.database.read() as stores:
+        assert stores.keys.all() == []
+        factory.keys.create(("read",))
+        assert stores.keys.all() == []
+
+
+def test_a_reader_cannot_write(factory: Factory, database_url: str) -> None:
+    if not database_url.startswith("postgresql"):
+        pytest.skip("SQLite does not know reading transactions")
+    with pytest.raises(UnavailableError, match="takes no writes"), factory.database.read() as stores:
+        stores.keys.add("x", ("read",), created=0, expires=None)
+
+
+def test_an_error_of_the_program_is_not_an_absent_database(factory: Factory) -> None:
+    with pytest.raises(SQLAlchemyError, match=r"SELECT 1 \+"):
+        execute(factory.database, "SELECT 1 +")
+
+
+def test_a_dropped_table_is_another_schema(factory: Factory) -> None:
+    execute(factory.database, "DROP TABLE monthly_ratio")
+    with pytest.raises(UnavailableError, match="lbacal db check"):
+        execute(factory.database, "DELETE FROM monthly_ratio")
+
+
+def test_a_database_that_takes_no_writes_is_unavailable(factory: Factory, database_url: str) -> None:
+    if database_url.startswith("postgresql"):
+        name = psycopg.conninfo.conninfo_to_dict(database_url)["dbname"]
+        with psycopg.connect(database_url, autocommit=True) as connection:
+            connection.execute(f"ALTER DATABASE {name} SET default_transaction_read_only = on")
+        factory.database.close()
+    else:
+        with factory.database.write() as stores:
+            stores._connection.exec_driver_sql("PRAGMA query_only = ON")
+    with pytest.raises(UnavailableError, match="the database"):
+        factory.keys.create(("read",))
+
+
+def test_a_full_disk_is_named(factory: Factory, database_url: str) -> None:
+    if database_url.startswith("postgresql"):
+        pytest.skip("needs a disk of its own")
+    with factory.database.write() as stores:
+        pages = stores._connection.exec_driver_sql("PRAGMA page_count").scalar_one()
+        stores._connection.exec_driver_sql(f"PRAGMA max_page_count = {pages}")
+    with pytest.raises(UnavailableError, match="the disk of the database is full"):
+        execute(factory.database, "CREATE TABLE filler AS SELECT randomblob(1000000) AS x")
+
+
+def test_a_removed_sqlite_file_takes_no_more_writes(tmp_path: Path, sqlite_template: Path) -> None:
+    path = tmp_path / "lbacal.sqlite"
+    path.write_bytes(sqlite_template.read_bytes())
+    factory = Factory(Settings(database_url=str(path)))
+    factory.keys.create(("read",))
+    path.unlink()
+    with pytest.raises(UnavailableError, match="removed or replaced") as caught:
+        factory.keys.create(("read",))
+    assert str(path) not in str(caught.value)
+    assert str(path) in caught.value.detail
+    factory.database.close()
+
+
+def test_an_absent_server_is_told_without_its_name(tmp_path: Path) -> None:
+    database = Database(Settings(database_url=f"postgresql://someone@/secret?host={tmp_path}").sqlalchemy_url)
+    with pytest.raises(UnavailableError) as caught, database.read():
+        pass
+    assert str(caught.value) == "the database does not answer"
+    assert str(tmp_path) in caught.value.detail
+    assert caught.value.is_passing
+    database.close()
