@@ -24,6 +24,10 @@ class Settings(BaseSettings):
     sky_power: Path | None = Field(default=None, description="sky power file; none = the package's own sky")
     resistance_ohm: float = Field(default=50.0, gt=0, description="R_r of all spectra, Ohm; it cancels in C")
     max_body_mb: float = Field(default=64, gt=0, description="largest request body, MB")
+    max_connections: int = Field(default=500, gt=0, description="connections of clients at once; more are closed")
+    max_rate: float = Field(
+        default=500, gt=0, description="requests a second of one address; ten seconds' worth at once"
+    )
     open_reads: bool = Field(default=True, description="reads need no key")
     lease_s: float = Field(default=120, gt=0, description="a worker silent for this long has lost its part, s")
     poll_s: float = Field(default=1, gt=0, description="pause of an idle worker between two looks for work, s")

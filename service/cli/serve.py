@@ -33,6 +33,7 @@ def serve(
     import uvicorn
 
     from service.app import make_app
+    from service.cli.connections import configure_server, listen
     from service.config import read_settings
     from service.factory import Factory
     from service.logs import configure_logs
@@ -44,13 +45,14 @@ def serve(
     if settings.is_sqlite:
         upgrade(factory.database)
     require_current(factory.database)
+    listening = listen(host, port)
     has_child = settings.is_sqlite if all_in_one is None else all_in_one
     child = _Child() if has_child else None
     for name in (signal.SIGTERM, signal.SIGINT):
         signal.signal(name, lambda *_: sys.exit(0))  # uvicorn ends what it began, then raises the signal again
     print(f"lbacal serves {factory.instrument.name} on http://{host}:{port} (documentation: /docs)", flush=True)
     try:
-        uvicorn.run(make_app(factory), host=host, port=port, log_level=settings.log_level, access_log=False)
+        uvicorn.Server(configure_server(make_app(factory), settings.max_connections)).run([listening])
     finally:
         if child:
             child.stop()

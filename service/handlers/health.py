@@ -12,7 +12,7 @@ router = APIRouter(tags=["health"])
 
 
 @router.get("/healthz", summary="The process lives")
-def get_health(request: Request) -> Response:
+async def get_health(request: Request) -> Response:
     return answer(request, {"status": "alive"})
 
 

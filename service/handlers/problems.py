@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from http import HTTPStatus
 from typing import Any
 
@@ -11,35 +12,47 @@ from fastapi.exceptions import RequestValidationError
 from starlette.exceptions import HTTPException
 
 from lbacal_core.errors import LbacalError
+from service.errors import TooManyError, UnavailableError
 from service.wire.answers import to_json
 
-RETRY_S = "5"
-STATUSES = {400: "not JSON", 401: "no valid key", 403: "scope missing", 404: "not found", 409: "conflict",
-            413: "too large", 415: "other content type", 422: "bad input", 503: "database away"}  # fmt: skip
+RETRY_S = 5
+STATUSES = {400: "not JSON", 401: "no valid key", 403: "scope missing", 404: "not found", 408: "body too slow",
+            409: "conflict", 413: "too large", 415: "other content type", 422: "bad input", 429: "too many requests",
+            503: "database away or busy"}  # fmt: skip
+log = structlog.get_logger()
 
 
-def problem(status: int, code: str, detail: str) -> Response:
-    """One problem."""
+def problem(status: int, code: str, detail: str, retry_s: float = RETRY_S) -> Response:
+    """One problem; `retry_s` is when to ask again, where that may help."""
     content = {"type": f"urn:lbacal:{code}", "title": HTTPStatus(status).phrase, "status": status, "detail": detail}
     headers = {}
     if status == HTTPStatus.UNAUTHORIZED:
         headers["WWW-Authenticate"] = "Bearer"
     if status in (HTTPStatus.TOO_MANY_REQUESTS, HTTPStatus.SERVICE_UNAVAILABLE):
-        headers["Retry-After"] = RETRY_S
+        headers["Retry-After"] = str(math.ceil(retry_s))
     return Response(to_json(content), status, headers, "application/problem+json")
 
 
+def problem_of(error: LbacalError) -> Response:
+    """An expected failure as a problem."""
+    retry_s = error.retry_s if isinstance(error, TooManyError) else RETRY_S
+    return problem(error.status, error.code, str(error), retry_s)
+
+
 def document(*statuses: int) -> dict[int | str, dict[str, Any]]:
-    """What a route's errors look like, for the OpenAPI document."""
-    return {s: {"description": STATUSES[s], "content": {"application/problem+json": {}}} for s in statuses}
+    """What a route's errors look like, for the OpenAPI document; any may be told to come later, and any body slow."""
+    every = sorted({*statuses, 429, 503, *([408] if 415 in statuses else [])})
+    return {s: {"description": STATUSES[s], "content": {"application/problem+json": {}}} for s in every}
 
 
 def install(app: FastAPI) -> None:
-    """Answer every failure with a problem."""
+    """Answer every expected failure with a problem; `Edge` answers the others."""
 
     @app.exception_handler(LbacalError)
     def _expected(_request: Request, error: LbacalError) -> Response:
-        return problem(error.status, error.code, str(error))
+        if isinstance(error, UnavailableError):
+            log.warning("unavailable", reason=str(error), detail=error.detail)
+        return problem_of(error)
 
     @app.exception_handler(RequestValidationError)
     def _bad_parameter(_request: Request, error: RequestValidationError) -> Response:
@@ -52,8 +65,3 @@ def install(app: FastAPI) -> None:
         answered = problem(error.status_code, "no_such_route", f"{request.method} {request.url.path}: {error.detail}")
         answered.headers.update(error.headers or {})
         return answered
-
-    @app.exception_handler(Exception)
-    def _unexpected(request: Request, error: Exception) -> Response:
-        structlog.get_logger().error("unexpected failure", path=request.url.path, exc_info=error)
-        return problem(500, "failed", "an unexpected failure, which the server's log describes")

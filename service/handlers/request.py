@@ -10,8 +10,9 @@ from fastapi import Depends, Query, Request, Response
 from pydantic import BaseModel
 
 from lbacal_core.errors import BadInputError
-from service.errors import TooLargeError, UnsupportedMediaError
+from service.errors import TooLargeError, UnauthenticatedError, UnsupportedMediaError
 from service.factory import Factory
+from service.handlers.limits import KeyGuard
 from service.usecases.keys import Caller
 from service.wire.answers import to_json
 
@@ -30,7 +31,22 @@ UseCases = Annotated[Factory, Depends(get_factory)]
 
 def require_read(request: Request, use: UseCases) -> Caller:
     """A caller who may read."""
-    return use.keys.require(request.headers.get("authorization"), "read")
+    return require_caller(request, use, "read")
+
+
+def require_caller(request: Request, use: Factory, *scopes: str) -> Caller:
+    """Who asks, if they may; an address that tries many wrong keys is told to wait."""
+    guard = cast("KeyGuard", request.app.state.guard)
+    address, authorization = request.client.host if request.client else "", request.headers.get("authorization")
+    guard.require_patience(address, authorization)
+    try:
+        caller = use.keys.require(authorization, *scopes)
+    except UnauthenticatedError:
+        guard.note_refused(authorization)
+        raise
+    guard.note_good(address, authorization)
+    request.state.caller = caller.name
+    return caller
 
 
 def require_known_query(request: Request) -> None:
@@ -49,7 +65,7 @@ def caller_with(*scopes: str) -> Any:
     """A dependency that yields a caller who holds the scopes."""
 
     def require(request: Request, use: UseCases) -> Caller:
-        return use.keys.require(request.headers.get("authorization"), *scopes)
+        return require_caller(request, use, *scopes)
 
     return Depends(require)
 
@@ -89,6 +105,9 @@ def answer(
     """Answer with content; a client that holds the same bytes gets 304."""
     body = content if isinstance(content, bytes) else to_json(content)
     etag = f'"{hashlib.sha256(body).hexdigest()}"'
+    if not get_factory(request).settings.open_reads:
+        # what needs a key is for its holder: no cache between may keep it for others (RFC 9111, 3.5)
+        cache = f"private, {cache.removeprefix('public, ')}"
     headers = {"ETag": etag, "Cache-Control": cache, "Vary": "Accept"}
     known = [tag.strip().removeprefix("W/") for tag in request.headers.get("if-none-match", "").split(",")]
     if request.method in ("GET", "HEAD") and etag in known:

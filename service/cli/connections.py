@@ -1,0 +1,92 @@
+"""Connections to the server: how many there may be, and how long one may stay silent before its request.
+
+What uvicorn does not bound by itself, this does, so that nobody can hold all connections by sending half a request.
+Encryption, and limits that hold over several servers, are the task of a proxy in front.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import resource
+import socket
+from typing import Any
+
+import uvicorn
+from fastapi import FastAPI
+from uvicorn.protocols.http.h11_impl import H11Protocol
+
+from lbacal_core.errors import LbacalError
+
+HEAD_S = 10.0
+"""A request's head comes within this time."""
+KEEP_ALIVE_S = 5
+SPARE_FILES = 100
+"""Files and sockets that the server needs besides connections."""
+
+
+class BoundedProtocol(H11Protocol):
+    """One connection: closed where there are too many, or when the head of its next request does not come."""
+
+    most = 500
+    _awaited: asyncio.TimerHandle | None = None
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """Begin to wait for the head of the first request."""
+        super().connection_made(transport)
+        if len(self.connections) > self.most:
+            transport.abort()
+        else:
+            self._await_head()
+
+    def data_received(self, data: bytes) -> None:
+        """Stop waiting when a request has begun."""
+        super().data_received(data)
+        if self.cycle is None or self.cycle.response_complete:
+            self._await_head()
+        else:
+            self._stop_waiting()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Stop waiting."""
+        self._stop_waiting()
+        super().connection_lost(exc)
+
+    def _await_head(self) -> None:
+        if self._awaited is None:
+            self._awaited = self.loop.call_later(HEAD_S, self._give_up)
+
+    def _stop_waiting(self) -> None:
+        if self._awaited is not None:
+            self._awaited.cancel()
+            self._awaited = None
+
+    def _give_up(self) -> None:
+        self._awaited = None
+        if self.cycle is None or self.cycle.response_complete:
+            self.transport.abort()
+
+
+def limit_connections(wanted: int) -> type[BoundedProtocol]:
+    """The protocol of a server with at most so many connections, and no more than the system has files for."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if soft < wanted + SPARE_FILES:
+        soft = wanted + SPARE_FILES if hard == resource.RLIM_INFINITY else min(wanted + SPARE_FILES, hard)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+    return type("LimitedProtocol", (BoundedProtocol,), {"most": max(1, min(wanted, soft - SPARE_FILES))})
+
+
+def listen(host: str, port: int) -> socket.socket:
+    """The address of the server, taken before anything else is begun."""
+    try:
+        family = socket.AF_INET6 if ":" in host else socket.AF_INET
+        return socket.create_server((host, port), family=family, backlog=2048)
+    except OSError as error:
+        reason = os.strerror(error.errno) if (error.errno or 0) > 0 else error.strerror
+        raise LbacalError(f"{host}, port {port}: {reason}; choose another with --port") from error
+
+
+def configure_server(app: FastAPI, connections: int) -> uvicorn.Config:
+    """How the application is served: our own log, our own limits."""
+    options: dict[str, Any] = {"log_config": None, "access_log": False, "timeout_keep_alive": KEEP_ALIVE_S}
+    return uvicorn.Config(app, http=limit_connections(connections), **options)

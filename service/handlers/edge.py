@@ -1,0 +1,197 @@
+"""What every request passes: its number, its deadlines, its line in the log, and the headers of every answer."""
+
+from __future__ import annotations
+
+import asyncio
+import re
+import time
+import uuid
+from collections.abc import MutableMapping
+from typing import Any
+
+import structlog
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.requests import ClientDisconnect
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from service.errors import SlowBodyError, TooManyError, UnavailableError
+from service.handlers.limits import Buckets
+from service.handlers.metrics import Traffic
+from service.handlers.problems import problem, problem_of
+
+_ELSEWHERE = "img-src 'self' data:; connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+_PLOTS = "style-src 'self' 'sha256-47DEQpj8HBSa+/TImW+5JCeuQeRkm5NMpJWZG3hSuFU='; style-src-attr 'unsafe-inline'"
+"""Plotly makes one empty style element (the hash is that of nothing) and writes style attributes into its SVG."""
+STRICT = f"default-src 'none'; script-src 'self'; {_PLOTS}; {_ELSEWHERE}"
+"""A browser loads what this host serves, and runs no script written into a page."""
+DOCS = f"default-src 'none'; script-src 'self' 'unsafe-inline'; style-src 'self' 'unsafe-inline'; {_ELSEWHERE}"
+"""The pages of FastAPI's documentation carry a script in the page; they show nothing that anybody sent."""
+
+ANSWER_S = 60.0
+"""An answer takes this long at most, from the end of the request's body."""
+BODY_S, BODY_BYTES_PER_S = 10.0, 50_000.0
+"""A body comes within ten seconds, and one more for every 50 kB of it."""
+WRITERS = 16
+"""Requests with a body that are worked on at once: fewer than there are threads, so that some are left for readers."""
+SLOT_S = 5.0
+CLIENT_LEFT = 499
+QUIET = ("/healthz", "/readyz", "/metrics", "/static/")
+_NUMBER = re.compile(r"[A-Za-z0-9._-]{1,64}")
+
+log = structlog.get_logger()
+
+
+class Edge:
+    """The outermost layer of the application."""
+
+    def __init__(self, app: ASGIApp, traffic: Traffic, max_rate: float) -> None:
+        self._app = app
+        self._traffic = traffic
+        self._rates = Buckets(max_rate, 10.0 * max_rate)
+        self._slots = asyncio.Semaphore(WRITERS)
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass a request on, and answer for it whatever happens inside."""
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        given = Headers(scope=scope).get("x-request-id", "")
+        number = given if _NUMBER.fullmatch(given) else uuid.uuid4().hex
+        exchange = _Exchange(scope, receive, send, number, self._slots)
+        with structlog.contextvars.bound_contextvars(request=number):
+            await self._serve(exchange)
+            self._tell(exchange)
+
+    async def _serve(self, exchange: _Exchange) -> None:
+        try:
+            self._require_share(exchange.address)
+            async with asyncio.timeout(ANSWER_S) as exchange.deadline:
+                await self._app(exchange.scope, exchange.receive, exchange.send)
+        except TooManyError as error:
+            await exchange.answer(problem_of(error))
+        except ClientDisconnect:
+            exchange.status = CLIENT_LEFT
+        except TimeoutError as error:
+            if exchange.deadline is None or not exchange.deadline.expired():
+                await exchange.fail(error)
+            elif exchange.is_body_awaited:
+                await exchange.answer(problem_of(SlowBodyError("the body came too slowly, or not to its end")))
+            else:
+                await exchange.answer(problem_of(UnavailableError(f"no answer within {ANSWER_S:g} s")))
+        except Exception as error:  # noqa: BLE001 - whatever a request does wrong, the server answers and goes on
+            await exchange.fail(error)
+        finally:
+            exchange.release()
+
+    def _require_share(self, address: str) -> None:
+        wait = self._rates.take(address)
+        if wait > 0:
+            raise TooManyError("too many requests came from this address", wait)
+
+    def _tell(self, exchange: _Exchange) -> None:
+        seconds = time.perf_counter() - exchange.begun
+        self._traffic.count(exchange.method, exchange.route, exchange.status, seconds)
+        write = log.debug if exchange.path.startswith(QUIET) else log.info
+        write(
+            "request", method=exchange.method, path=exchange.path, status=exchange.status,
+            ms=round(1000 * seconds, 1), client=exchange.address, caller=exchange.caller,
+        )  # fmt: skip
+
+
+class _Exchange:
+    """One request and its answer."""
+
+    def __init__(self, scope: Scope, receive: Receive, send: Send, number: str, slots: asyncio.Semaphore) -> None:
+        self.scope = scope
+        self.begun = time.perf_counter()
+        self.status = 0
+        self.deadline: asyncio.Timeout | None = None
+        self.is_body_awaited = False
+        self._receive, self._send, self._number, self._slots = receive, send, number, slots
+        self._body_begun: float | None = None
+        self._received = 0
+        self._has_slot = False
+
+    @property
+    def method(self) -> str:
+        """GET, POST, ..."""
+        return str(self.scope["method"])
+
+    @property
+    def path(self) -> str:
+        """What was asked for, without the query."""
+        return str(self.scope["path"])
+
+    @property
+    def route(self) -> str:
+        """The route as it is declared; the same for all paths that no route has."""
+        return str(getattr(self.scope.get("route"), "path", "none"))
+
+    @property
+    def address(self) -> str:
+        """Where the request came from."""
+        client = self.scope.get("client")
+        return str(client[0]) if client else "unknown"
+
+    @property
+    def caller(self) -> str | None:
+        """The number of the key that was accepted, never its text."""
+        state: MutableMapping[str, Any] = self.scope.get("state", {})
+        return state.get("caller")
+
+    async def receive(self) -> Message:
+        """The next part of the body; at its end the request takes its place among those that are worked on."""
+        now = asyncio.get_running_loop().time()
+        if self._body_begun is None:
+            self._body_begun, self.is_body_awaited = now, True
+            self._allow_until(now + BODY_S)
+        message = await self._receive()
+        if message["type"] == "http.request":
+            self._received += len(message.get("body", b""))
+            if message.get("more_body"):
+                self._allow_until(self._body_begun + BODY_S + self._received / BODY_BYTES_PER_S)
+            elif self.is_body_awaited:
+                self.is_body_awaited = False
+                self._allow_until(asyncio.get_running_loop().time() + SLOT_S + ANSWER_S)
+                await self._take_slot()
+        return message
+
+    def _allow_until(self, when: float) -> None:
+        if self.deadline is not None and not self.deadline.expired():
+            self.deadline.reschedule(when)
+
+    async def _take_slot(self) -> None:
+        try:
+            async with asyncio.timeout(SLOT_S):
+                await self._slots.acquire()
+        except TimeoutError as error:
+            raise UnavailableError("the server is busy with what others sent") from error
+        self._has_slot = True
+
+    def release(self) -> None:
+        """Leave the place to the next."""
+        if self._has_slot:
+            self._slots.release()
+
+    async def send(self, message: Message) -> None:
+        """Pass the answer on, with the headers of all answers."""
+        if message["type"] == "http.response.start":
+            self.status = int(message["status"])
+            headers = MutableHeaders(scope=message)
+            headers["Content-Security-Policy"] = DOCS if self.path == "/docs" else STRICT
+            headers["X-Content-Type-Options"] = "nosniff"
+            headers["Referrer-Policy"] = "same-origin"
+            headers["X-Request-ID"] = self._number
+            if self.is_body_awaited:
+                headers["Connection"] = "close"  # what is left of the body is not a request
+        await self._send(message)
+
+    async def answer(self, response: ASGIApp) -> None:
+        """Answer in place of the application, unless it has begun to."""
+        if self.status == 0:
+            await response(self.scope, self._receive, self.send)
+
+    async def fail(self, error: Exception) -> None:
+        """Log an error of this program once, and answer."""
+        log.error("unexpected failure", path=self.path, exc_info=error)
+        await self.answer(problem(500, "failed", "an unexpected failure, which the server's log describes"))

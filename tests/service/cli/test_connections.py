@@ -1,0 +1,78 @@
+from __future__ import annotations
+
+import socket
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import pytest
+import uvicorn
+from fastapi import FastAPI
+
+from lbacal_core.errors import LbacalError
+from service.cli import connections
+from service.cli.connections import configure_server, listen
+
+
+@contextmanager
+def serving(most: int) -> Iterator[tuple[str, int]]:
+    """A server that answers `alive`."""
+    app = FastAPI(openapi_url=None)
+    app.get("/")(lambda: "alive")
+    listening = listen("127.0.0.1", 0)
+    server = uvicorn.Server(configure_server(app, most))
+    thread = threading.Thread(target=server.run, args=([listening],))
+    thread.start()
+    try:
+        yield listening.getsockname()
+    finally:
+        server.should_exit = True
+        thread.join()
+
+
+def ask(address: tuple[str, int]) -> bytes:
+    with socket.create_connection(address) as connection:
+        connection.sendall(b"GET / HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n")
+        return b"".join(iter(lambda: connection.recv(4096), b""))
+
+
+def is_ended(connection: socket.socket) -> bool:
+    try:
+        return connection.recv(1) == b""
+    except ConnectionResetError:
+        return True
+
+
+def test_half_a_request_is_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(connections, "HEAD_S", 0.1)
+    with serving(10) as address:
+        for half in (b"", b"GET / HTTP/1.1\r\nHost:", b"GET / HTTP/1.1\r\nHost: x\r\n\r\nGET / HT"):
+            with socket.create_connection(address) as connection:
+                connection.sendall(half)
+                while not is_ended(connection):  # what comes before the end is the first answer
+                    pass
+        assert b"alive" in ask(address)
+
+
+def test_connections_above_the_limit_are_closed_and_the_others_served() -> None:
+    with serving(3) as address:
+        held = [socket.create_connection(address) for _ in range(3)]
+        with socket.create_connection(address) as fourth:
+            assert is_ended(fourth)
+        for connection in held:
+            connection.close()
+        # the server notices that they left on its next turns
+        while b"alive" not in _ask_or_nothing(address):
+            pass
+
+
+def _ask_or_nothing(address: tuple[str, int]) -> bytes:
+    try:
+        return ask(address)
+    except ConnectionError:
+        return b""
+
+
+def test_a_port_in_use_is_a_sentence() -> None:
+    with listen("127.0.0.1", 0) as taken, pytest.raises(LbacalError, match="in use; choose another with --port"):
+        listen("127.0.0.1", taken.getsockname()[1])
