@@ -4,11 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import kstest
 
 from lbacal_core.discovery.baseline import gather_stations
 from lbacal_core.discovery.extend import fit_plain
 from lbacal_core.discovery.leftover import axis_functions, find_leftover, share_of_channels
 from lbacal_core.twin.faults.uncatalogued import MainsHum
+from tests.lbacal_core.discovery.worlds import look_with_residual
 
 SIGNIFICANT = 0.002
 WHATEVER = 1.1
@@ -49,3 +51,78 @@ def test_the_spectrum_of_a_vector_is_where_it_is_not_flat(evidence):
     assert np.argmax(share) == 20
     assert share[20] > 0.9
     assert share.sum() == pytest.approx(1.0)
+
+
+@pytest.fixture(scope="module")
+def look(world):
+    return world.look()
+
+
+def test_the_probability_of_structure_in_noise_is_uniform(look):
+    rng = np.random.default_rng(1)
+    paths, events, channels = look.data.power.shape
+    p = []
+    for seed in range(40):
+        noise = 0.044 * rng.standard_normal((paths, events, channels))
+        noise += 0.04 * rng.standard_normal((paths, events, 1)) + 0.03 * rng.standard_normal((1, events, 1))
+        found = look_with_residual(look, noise).residual_structure(seed)
+        p.append(found.p_value)
+    assert kstest(p, "uniform").statistic < 0.26  # 40 draws leave 0.21 (95 %), 0.25 (99 %)
+    assert np.mean(np.array(p) < 0.1) < 0.25  # 0.1 +- 0.05
+
+
+def waves(conditions):
+    """A function of every axis, of mean square 1."""
+    days = conditions.time_unix / 86_400.0
+    span = (conditions.time_unix - conditions.time_unix.min()) / np.ptp(conditions.time_unix)
+    warmth = conditions.temperature_c - conditions.temperature_c.mean()
+    return {
+        "lst": np.cos(2 * np.pi * 3 * conditions.lst_hours / 24.0),
+        "utc": np.cos(2 * np.pi * 3 * conditions.utc_hours / 24.0),
+        "date": np.cos(2 * np.pi * 4 * span),
+        "temperature": warmth**2 - np.mean(warmth**2),
+        "rain": (conditions.rain_mm_h > 0).astype(float),
+        "date, period 7 d": np.cos(2 * np.pi * days / 7.0),
+        "date, period 27.3 d": np.cos(2 * np.pi * days / 27.3),
+        "date, period 29.53 d": np.cos(2 * np.pi * days / 29.53),
+    }
+
+
+AXES = ("lst", "utc", "date", "temperature", "rain", "date, period 7 d", "date, period 27.3 d", "date, period 29.53 d")
+
+
+@pytest.mark.parametrize("axis", AXES)
+@pytest.mark.parametrize("target", ["station", "antenna 1 Y"])
+def test_structure_is_found_along_the_axis_on_which_it_lives(axis, target, look):
+    wave = waves(look.data.conditions)[axis]
+    slope = 1.0 + np.linspace(-1, 1, look.data.power.shape[2])
+    shown = 0.008 * np.outer(wave / np.std(wave), slope)
+    paths = [f"antenna {a} {d}" for a, d in look.paths]
+    # What a path shows alone is three times as large: its noise is that of one, and the mean's is taken out of it.
+    amount = np.array([1.0 if target == "station" else 3.0 * (path == target) for path in paths])
+    spoilt = look_with_residual(look, look.model.baseline.residual + amount[:, None, None] * shown)
+    found = spoilt.residual_structure(alpha=SIGNIFICANT)
+    assert (found.axis, found.target) == (axis, target)
+    assert found.held_out_gain > 10
+    # The slope rises from 0 at 30 MHz to 2 at 80 MHz.
+    assert found.channel_share[40:].sum() > 2 * found.channel_share[:11].sum()
+
+
+def test_structure_in_single_events_is_found_without_an_axis(look):
+    events = np.zeros(look.data.power.shape[1])
+    events[[20, 50, 90, 130]] = 0.08
+    shown = np.outer(events, np.cos(9 * np.linspace(-1, 1, look.data.power.shape[2])))
+    found = look_with_residual(look, look.model.baseline.residual + shown).residual_structure(alpha=SIGNIFICANT)
+    assert (found.axis, found.target) == ("event", "station")
+
+
+def test_structure_counts_where_its_probability_is_below_the_one_asked_for(look):
+    wave = waves(look.data.conditions)["utc"]
+    shown = 0.004 * np.outer(wave / np.std(wave), 1.0 + np.linspace(-1, 1, look.data.power.shape[2]))
+    spoilt = look_with_residual(look, look.model.baseline.residual + shown)
+    whole = spoilt.residual_structure()
+    assert (whole.axis, whole.target) == ("utc", "station")
+    assert 1e-30 < whole.p_value < 0.05
+    assert whole.held_out_gain > 0
+    assert spoilt.residual_structure(alpha=1.1 * whole.p_value).p_value == whole.p_value
+    assert spoilt.residual_structure(alpha=0.9 * whole.p_value) is None

@@ -2,12 +2,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.stats import kstest
 
 from lbacal_core.causes.catalogue import CAUSES
 from lbacal_core.causes.terms import signature
 from lbacal_core.discovery.extend import fit_plain
 from lbacal_core.discovery.scan import correlate_with, list_shapes, make_courses, scan
 from lbacal_core.discovery.targets import list_targets
+from tests.lbacal_core.discovery.worlds import p_of_score, p_value_of
 
 
 @pytest.fixture(scope="module")
@@ -54,3 +56,99 @@ def test_a_cause_correlates_fully_with_itself_and_less_with_others(evidence):
     }
     assert found["gain_drift"] > 1 - 1e-6
     assert found["lst_offset"] < 0.5
+
+
+DRAWS = 500
+STATION_CAUSES = ("gain_step", "filter_shift", "lst_offset", "solar_emission", "lna_noise_slope", "rfi_broadband")
+LOCAL_CAUSES = ("gain_step", "gain_drift", "gain_temperature", "compression", "lst_offset")
+
+
+def drawn_scores(look, effects, seed):
+    """Score vectors of noise, shape (draw, effect): normal, with the covariance that the scores have."""
+    values, vectors = np.linalg.eigh(look.covariance_of_scores(effects))
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    return np.random.default_rng(seed).standard_normal((DRAWS, len(effects))) @ root.T
+
+
+@pytest.fixture(scope="module")
+def small(world):
+    return world.with_settings(antennas=2, events_per_year=100).look()
+
+
+def largest(look, causes, labels, seed):
+    """Best score of each cause in every draw, and the score of the scan that says how it is corrected."""
+    effects = look.effects(causes, labels)
+    drawn = np.abs(drawn_scores(look, effects, seed))
+    of_cause = np.array([cause for cause, *_ in effects])
+    scores = {score.cause.identifier: score for score in look.scan(causes, labels)}
+    assert set(scores) == set(causes)
+    return {cause: drawn[:, of_cause == cause].max(axis=1) for cause in causes}, scores
+
+
+@pytest.mark.parametrize("labels", [["station"], ["station", "antenna 0", "antenna 1", "antenna 0 X", "antenna 1 Y"]])
+def test_corrected_probabilities_of_noise_are_uniform(labels, small):
+    """The smallest corrected probability of each of 500 drawn scans, over all causes, is as rare as it says."""
+    causes = STATION_CAUSES if labels == ["station"] else LOCAL_CAUSES
+    best, scores = largest(small, causes, labels, seed=1)
+    p = np.min([[p_value_of(scores[cause], z) for z in best[cause]] for cause in causes], axis=0)
+    # Causes are taken for independent, and are not quite: the probabilities are a little too large, never too small.
+    assert kstest(p, "uniform").statistic < 0.12  # 0.06 is what 500 draws leave (95 %)
+    assert np.mean(p < 0.1) == pytest.approx(0.1, abs=0.04)  # 3 standard deviations of 500 draws
+    assert np.mean(p < 0.1) < 0.1 + 0.03
+
+
+@pytest.mark.parametrize("labels", [["station"], ["station", "antenna 0", "antenna 1", "antenna 0 X", "antenna 1 Y"]])
+def test_the_trials_of_a_cause_are_those_of_its_own_templates_and_targets(labels, small):
+    causes = STATION_CAUSES if labels == ["station"] else LOCAL_CAUSES
+    best, scores = largest(small, causes, labels, seed=2)
+    for cause in causes:
+        share = np.mean([p_of_score(z, scores[cause].trials) < 0.1 for z in best[cause]])
+        assert share == pytest.approx(0.1, abs=0.055), cause  # 4 standard deviations; 90 % quantile of 2000 draws: 7 %
+
+
+def test_every_cause_looked_for_has_the_same_right_to_a_false_alarm(small):
+    scores = small.scan(["gain_drift", "lst_offset", "gain_step"], ["station"])
+    alone = {s.cause.identifier: s for name in ("gain_drift", "lst_offset", "gain_step") for s in small.scan([name])}
+    for score in scores:
+        own = 1.0 - (1.0 - p_of_score(4.5, score.trials)) ** 3
+        assert p_value_of(score, 4.5) == pytest.approx(own, rel=1e-3)
+        assert p_value_of(score, 4.5) == p_value_of(score, -4.5)
+    assert alone["gain_step"].trials > 3 * alone["gain_drift"].trials
+
+
+def test_a_local_cause_has_the_trials_of_each_of_its_targets(small):
+    """Scores of different antennas are independent: 10 targets are 10 trials of a cause with one template."""
+    (station,) = small.scan(["gain_drift"], ["station"])
+    (everywhere,) = small.scan(["gain_drift"])
+    assert station.trials == pytest.approx(1.0)
+    # 4 paths, 2 antennas, the station.
+    assert everywhere.trials == pytest.approx(7.0)
+
+
+PAIRS = [("gain_temperature", "lna_noise_temperature"), ("zenith_weighting", "pattern_width")]
+
+
+@pytest.mark.parametrize(("one", "other"), [*PAIRS, *(pair[::-1] for pair in PAIRS)])
+def test_causes_with_nearly_the_same_signature_are_named_together_until_they_are_strong(one, other, world):
+    look = world.look()
+    template = look.template(one)
+    at_six = look.similar_to(one, template, 6.0)
+    assert at_six[other] > 0.97
+    assert 36.0 * (1.0 - at_six[other] ** 2) < 9.0
+    assert other not in look.similar_to(one, template, 40.0)
+    assert not {"lst_offset", "dipole_swap", "adc_jitter", one} & set(at_six)
+
+
+def test_what_nothing_else_looks_like_is_named_alone(world):
+    look = world.look()
+    assert look.similar_to("lst_offset", look.template("lst_offset"), 6.0) == {}
+
+
+def test_a_step_of_one_antenna_looks_like_a_drift_and_not_like_the_sky(world):
+    look = world.look()
+    template = look.template("gain_step", date_unix=float(np.median(look.data.conditions.time_unix)))
+    found = look.similar_to("gain_step", template, 5.0, "antenna 1")
+    assert "gain_drift" in found
+    assert not {"lst_offset", "zenith_weighting", "rfi_broadband"} & set(found), (
+        "nobody's own: those concern the station"
+    )

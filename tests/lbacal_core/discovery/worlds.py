@@ -29,11 +29,13 @@ from lbacal_core.discovery.extend import (
     fit_plain,
     held_out_fold,
     held_out_gain,
+    power_ratio,
 )
 from lbacal_core.discovery.leftover import Leftover, find_leftover
 from lbacal_core.discovery.refine import refine
 from lbacal_core.discovery.report import describe
 from lbacal_core.discovery.scan import Score, group_laws, scan, score_shapes
+from lbacal_core.discovery.statics import StaticScore, scan_static
 from lbacal_core.discovery.targets import Target, list_targets
 from lbacal_core.discovery.whitening import split_residuals
 from lbacal_core.grids import Floats
@@ -131,6 +133,10 @@ class Fitted:
     model: Extension
 
 
+class CannotBeFittedError(Exception):
+    """The data cannot tell the effects of a model apart, or the fit runs away."""
+
+
 @dataclass(frozen=True)
 class Look:
     """One station's data and a fitted model of them."""
@@ -203,6 +209,16 @@ class Look:
         chosen = list_targets(self.data) if targets is None else [self.target(label) for label in targets]
         return scan(self.model.evidence, [_NAMED[cause] for cause in causes], chosen)
 
+    def effects(self, causes: Sequence[str], labels: Sequence[str]) -> list[tuple[str, Law, str]]:
+        """Every (cause, template, target) that a scan of some causes and targets scores."""
+        return [
+            (cause, law, label)
+            for cause in causes
+            for law in self.templates(cause)
+            for label in labels
+            if self.target(label).scope in _NAMED[cause].scopes
+        ]
+
     def covariance_of_scores(self, effects: Sequence[tuple[str, Law, str]]) -> Floats:
         """Covariance of the scores of (cause, template, target), each of unit variance, shape (effect, effect)."""
         conditions, terms = self.data.conditions, self.model.baseline.terms
@@ -224,9 +240,27 @@ class Look:
 
     def _extend(self, effect: Effect) -> Fitted:
         model = fit_extension(self.data, self.model, effect, self.modes)
-        assert model is not None
+        if model is None:
+            raise CannotBeFittedError
         found = model.effects[-1]
         return Fitted(found.size, found.sigma, found.law_sigma, found.uncertainty, found.law.parameters, found, model)
+
+    def with_effect(self, fitted: Fitted, size: float) -> Look:
+        """The chains fitted again with the effect at a size."""
+        effects = [replace(fitted.effect, size=size)]
+        ratio = power_ratio(self.data, fitted.model.baseline.terms, effects)
+        return replace(self, model=fit_plain(replace(self.data, power=self.data.power / ratio), self.modes))
+
+    def chi_squared_by_event(self, like: Look) -> Floats:
+        """Chi^2 of each event, shape (event,), with the noise levels of another look."""
+        evidence = self.model.evidence.with_levels(like.model.residuals.levels)
+        residuals = evidence.residuals
+        of_mean = np.einsum("def,def->e", residuals.mean, evidence.mean_dual)
+        return np.asarray(of_mean + np.einsum("pef,pef->e", residuals.deviation, evidence.path_dual))
+
+    def change_of_c(self, fitted: Fitted) -> Floats:
+        """Relative change of C that a finding of this effect claims, shape (path of its target, freq)."""
+        return search._calibration_change(self.model, fitted.model, fitted.effect.target)
 
     def similar_to(self, cause: str, template: Law, significance: float, target: str = "station") -> dict[str, float]:
         """Causes that the data cannot tell from one found at a significance, with their correlation."""
@@ -259,6 +293,31 @@ class Look:
     def investigate(self, **options: Any) -> search.StationReport:
         """The whole search."""
         return search.investigate_station(self.data, modes=self.modes, **options)
+
+    def targets(self) -> list[tuple[str, str, list[tuple[int, str]]]]:
+        """Scope, label and paths of everything that a cause may touch."""
+        return [
+            (target.scope, target.label, [path for path, own in zip(self.paths, target.is_member, strict=True) if own])
+            for target in list_targets(self.data)
+        ]
+
+    def static_scores(self, seed: int = 0) -> list[StaticScore]:
+        """The best score of each static cause, most significant first."""
+        return scan_static(self.data, self.model.baseline, list_targets(self.data), seed)
+
+    @property
+    def residual(self) -> Floats:
+        """Relative deviation of the spectra from the fitted chains, shape (path, event, freq); 0 where absent."""
+        return self.model.baseline.residual
+
+    def noise_constants(self) -> Floats:
+        """N_LNA, N_RCU and N_ADC of each path as fitted, shape (path, constant)."""
+        solution = self.model.baseline.solution
+        return np.column_stack([solution.n, solution.q])
+
+    def modelled_power(self) -> Floats:
+        """Recorded power of the mean path of each class as the fitted chain has it, shape (path, event, freq)."""
+        return self.model.baseline.terms.power()[self.data.class_of]
 
     def slopes(self) -> Floats:
         """Slope of power against sky power, C^-2 up to a constant of the path, shape (path, freq)."""

@@ -1,0 +1,132 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lbacal_core.discovery.curve_causes import curve_causes
+from lbacal_core.discovery.curve_fit import CurveFitter
+from lbacal_core.lstcurve.compare import AS_RECORDED, band_weights
+from lbacal_core.lstcurve.curve import LstCurve
+from lbacal_core.lstcurve.noise import estimate_noise
+
+BAND = (30.0, 80.0)
+LST = np.arange(48) / 2.0 + 0.25
+NOISE_DB = 0.03
+
+
+@pytest.fixture(scope="module")
+def weights(chain):
+    return band_weights(chain, AS_RECORDED, BAND)
+
+
+@pytest.fixture(scope="module")
+def planted(chain, sky, weights):
+    """The causes as they act on the sky power of the file."""
+    return {cause.label: cause for cause in curve_causes(chain, sky, weights)}
+
+
+@pytest.fixture(scope="module")
+def causes(chain, fitter, weights):
+    """The same causes on the grid of the fits."""
+    return {cause.label: cause for cause in curve_causes(chain, fitter().sky, weights)}
+
+
+@pytest.fixture(scope="module")
+def fitter(sky, weights, planted):
+    """A fitter of the curve that some causes make at some sizes, with 0.03 dB of noise."""
+
+    def make(changes=(), seed=1, scatter=NOISE_DB, instrument=None):
+        power = sky.power
+        for label, size in changes:
+            power = planted[label].act(power, size)
+        rng = np.random.default_rng(seed)
+        variation = {}
+        for dipole in "XY":
+            on_grid = power[dipole] @ weights
+            angle = 2 * np.pi * np.subtract.outer(LST, sky.lst_hours) / 24
+            order = np.arange(1, 40)
+            series = (1 + 2 * np.cos(angle[..., None] * order).sum(axis=-1)) @ on_grid / on_grid.size
+            variation[dipole] = 10 * np.log10(series / series.mean()) + scatter * rng.standard_normal(LST.size)
+        curve = LstCurve(LST, variation, np.full(LST.size, 0.1), 0.5, True, "simulated")
+        return CurveFitter(curve, sky, weights, estimate_noise(curve), instrument)
+
+    return make
+
+
+def test_a_curve_of_the_simulation_leaves_its_noise(fitter):
+    plain = fitter().fit(())
+    assert plain.chi2 / plain.dof == pytest.approx(1.0, abs=0.35)  # 94 degrees of freedom, and their noise estimated
+    for dipole in "XY":
+        assert np.nanstd(plain.residual_db[dipole]) == pytest.approx(NOISE_DB, rel=0.35)
+
+
+SIZES = {"dipole_swap": 0.4, "lst_offset": -0.2, "zenith_weighting": 0.5, "isotropic_level": 0.3}
+
+
+@pytest.mark.parametrize("label", SIZES)
+def test_the_size_that_was_put_in_comes_out_within_its_error(label, fitter, causes):
+    cause, size = causes[label], SIZES[label]
+    one = fitter([(label, size)])
+    fewer, more = one.fit(()), one.fit((cause,))
+    assert fewer.chi2 > more.chi2 + 20
+    assert more.sizes[0] == pytest.approx(size, abs=4 * more.sigmas[0])
+    assert 0 < more.sigmas[0] < 0.3 * abs(size)
+    assert one.held_out_gain(fewer, more) > 5
+    assert not more.is_at_edge
+
+
+def test_the_error_of_a_size_is_its_scatter(fitter, causes):
+    cause = causes["lst_offset"]
+    fits = [fitter([("lst_offset", 0.1)], seed=seed).fit((cause,)) for seed in range(12)]
+    sizes, sigmas = np.array([one.sizes[0] for one in fits]), np.array([one.sigmas[0] for one in fits])
+    assert 0.5 < np.std(sizes, ddof=1) / np.median(sigmas) < 1.7  # 1.0 +- 0.2 of 12 sizes
+
+
+def test_a_cause_that_is_not_there_predicts_nothing(fitter, causes):
+    gains = []
+    for seed in range(8):
+        one = fitter(seed=seed)
+        gains.append(one.held_out_gain(one.fit(()), one.fit((causes["zenith_weighting"],))))
+    assert np.mean(gains) < 0.5
+
+
+def test_chi_squared_is_that_of_a_dense_covariance_with_a_free_offset_a_dipole(fitter):
+    one = fitter()
+    plain = one.fit(())
+    difference = one.measured - one.points_db(one.sky.power)
+    inverse = np.linalg.inv(one.covariance)
+    normal = one.offsets.T @ inverse @ one.offsets
+    offsets = np.linalg.solve(normal, one.offsets.T @ inverse @ difference)
+    left = difference - one.offsets @ offsets
+    assert plain.chi2 == pytest.approx(left @ inverse @ left, rel=1e-9)
+    assert plain.points == 96
+    assert plain.dof == 94
+
+
+def test_the_spread_of_models_makes_errors_larger_for_the_own_sky_alone(fitter, causes, chain):
+    cause = causes["zenith_weighting"]
+    given, own = fitter([(cause.label, 0.5)]), fitter([(cause.label, 0.5)], instrument=chain)
+    assert given.model_variance == (0.0, 0.0)
+    assert min(own.model_variance) > 1e-4
+    assert own.fit((cause,)).sigmas[0] > 1.5 * given.fit((cause,)).sigmas[0]
+    assert own.fit(()).chi2 < given.fit(()).chi2
+
+
+def test_points_that_scatter_more_than_their_noise_widen_the_errors(fitter):
+    plain = fitter().fit(())
+    assert plain.scale >= 1.0
+    wider = type(plain)(**{**vars(plain), "chi2": 4.0 * plain.dof})
+    assert wider.scale == pytest.approx(4.0)
+
+
+def test_the_change_of_c_is_the_root_of_the_slope_of_the_new_power_on_the_old(fitter, causes):
+    """Against the line of one channel by hand: recorded power over P_sky has the slope C^-2."""
+    one = fitter([("dipole_swap", 0.5)])
+    fewer, more = one.fit(()), one.fit((causes["dipole_swap"],))
+    change = one.calibration_change(fewer, more)
+    old = one.power_with(fewer.causes, fewer.sizes)
+    new = one.power_with(more.causes, more.sizes)
+    for dipole in "XY":
+        slopes = [np.polyfit(old[dipole][:, f], new[dipole][:, f], 1)[0] for f in range(51)]
+        # What follows the new model has, against the old one, that slope; its root is new C over old C.
+        assert change[dipole] == pytest.approx(np.sqrt(np.maximum(slopes, 0.0)) - 1.0, abs=1e-9)

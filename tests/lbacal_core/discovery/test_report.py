@@ -1,0 +1,136 @@
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lbacal_core.discovery.report import investigate
+from lbacal_core.errors import LbacalError
+from lbacal_core.skypower.differences import model_difference_modes
+from lbacal_core.twin.faults.antenna import GainStep, GainTemperature
+from lbacal_core.twin.faults.fault import Where
+from lbacal_core.twin.faults.interference import RfiBroadband
+from tests.lbacal_core.discovery.worlds import MOVING, STATIC, thresholds
+
+
+def ask(world, *faults, **options):
+    return investigate(world.spectra(*faults), world.instrument, world.sky, **options)
+
+
+@pytest.fixture(scope="module")
+def pair(world):
+    """CS002 and CS003, a step of the gain of one antenna of the second."""
+    two = world.with_settings(stations=("CS002", "CS003"), events_per_year=150)
+    step = GainStep(size=0.08, date="2014-07-01", where=Where(stations=("CS003",), antennas=(1,)))
+    return ask(two, step)
+
+
+def test_of_two_stations_the_one_with_the_fault_is_named(pair):
+    report, stations = pair
+    assert report["verdict"] == "explained"
+    assert [(f["cause"], f["where"]["station"], f["where"]["antennas"]) for f in report["findings"]] == [
+        ("gain_step", "CS003", [1])
+    ]
+    assert [station.data.station for station in stations] == ["CS002", "CS003"]
+    json.dumps(report, allow_nan=False)
+
+
+def test_the_noise_and_the_scores_of_both_stations_are_reported(pair):
+    report, _ = pair
+    assert set(report["noise"]) == set(report["scores"]) == {"CS002", "CS003"}
+    for noise in report["noise"].values():
+        assert noise["radiometer_per_mhz"] == pytest.approx(512**-0.5, rel=0.1)
+        assert noise["path_event_gain"] == pytest.approx(0.04, rel=0.25)
+        assert noise["station_event_gain"] == pytest.approx(0.03, rel=0.35)
+        assert len(noise["common_per_mhz"]) == 2
+    asked = {score["cause"] for score in report["scores"]["CS002"]}
+    assert asked <= {*MOVING, *STATIC}
+    assert len(asked) >= 20
+
+
+def test_the_false_alarm_rate_is_shared_by_all_stations(world):
+    """A finding that one station alone would make must be k times rarer where k stations are asked."""
+    look = world.look(GainTemperature(size=0.007))
+    report = look.investigate()
+    (finding,) = report.findings
+    assert 1e-12 < finding.p_value < thresholds()["catalogue"]
+    enough = int(thresholds()["catalogue"] / finding.p_value)
+    assert len(look.investigate(stations=int(0.9 * enough)).findings) == 1
+    assert look.investigate(stations=int(1.1 * enough) + 1).findings == []
+
+
+def test_the_thresholds_of_the_questions_add_up_to_the_rate_that_is_stated():
+    alpha = thresholds()
+    stated = alpha.pop("stated")
+    assert sum(alpha.values()) == pytest.approx(stated)
+    assert stated <= 0.01, "at most one data set in a hundred"
+    assert min(alpha.values()) > 0
+
+
+@pytest.fixture(scope="module")
+def wrong_sky(world):
+    """Data under a sky that differs from the own by one of the shapes in which models differ."""
+    modes = model_difference_modes(world.sky.frequency_mhz, world.sky.lst_hours, world.instrument.dipole_azimuth_deg)
+    power = {d: world.sky.power[d] * np.exp(modes[d][1]) for d in "XY"}
+    return replace(world, sky=replace(world.sky, power=power)).spectra()
+
+
+def test_a_sky_like_another_model_is_named_where_the_sky_is_taken_at_its_word(wrong_sky, world):
+    report, _ = investigate(wrong_sky, world.instrument, world.sky)
+    assert report["verdict"] != "consistent"
+    assert max(finding["significance_sigma"] for finding in report["findings"]) > 6
+
+
+def test_a_sky_like_another_model_is_consistent_where_models_may_differ(wrong_sky, world):
+    report, _ = investigate(wrong_sky, world.instrument, world.sky, is_own_sky=True)
+    assert report["verdict"] == "consistent"
+    assert report["provenance"]["settings"]["own_sky"] is True
+
+
+@pytest.fixture(scope="module")
+def found(world):
+    """A finding with an open template: hours and spectral index of interference."""
+    return ask(world, RfiBroadband(size=0.008, index=-2.0, hours=(6.0, 18.0)))
+
+
+def test_a_finding_reports_the_error_with_the_open_template(found):
+    report, (station,) = found
+    named = next(one for one in report["findings"] if one["cause"] == "rfi_broadband")
+    effect = next(one.effect for one in station.findings if one.effect.cause.identifier == "rfi_broadband")
+    size = named["size"]
+    assert size["sigma"] == pytest.approx(np.hypot(effect.sigma, effect.law_sigma * effect.size))
+    assert size["sigma"] >= named["evidence"]["sigma_of_size_under_this_law"]
+    assert size["value"] == pytest.approx(0.008, abs=3 * size["sigma"])
+
+
+def test_a_finding_says_where_when_and_what_it_gains(found):
+    report, (station,) = found
+    named = report["findings"][0]
+    where, gain = named["where"], named["gain"]
+    assert where["utc_h"] == [float(h) for h in named["parameters"]["utc_h"]]
+    assert where["antennas"] == [0, 1, 2]
+    assert where["dipoles"] == ["X", "Y"]
+    assert where["frequency_mhz"] == [30.0, 80.0]
+    assert gain["chi2_after"] < gain["chi2_before"]
+    assert gain["residual_variance_explained"] == pytest.approx(1 - gain["chi2_after"] / gain["chi2_before"])
+    assert gain["held_out_log_likelihood_gain"] > 0
+    # What a finding gains in chi^2 is about the square of its score.
+    score = named["evidence"]["score_sigma"]
+    assert gain["chi2_before"] - gain["chi2_after"] == pytest.approx(score**2, rel=0.35)
+    assert gain["chi2_after"] / gain["dof"] == pytest.approx(1.0, abs=0.05)
+    change = np.abs(station.findings[0].calibration_change)
+    assert named["calibration_change"] == {
+        "max_fraction": pytest.approx(change.max()),
+        "median_fraction": pytest.approx(np.median(change)),
+    }
+    assert 3 < named["significance_sigma"] < abs(score)
+    for word in ("CS002", "interference", "+-"):
+        assert word in named["sentence"]
+
+
+def test_channels_that_differ_are_refused(world):
+    other = replace(world.instrument, frequency_mhz=world.instrument.frequency_mhz + 0.5)
+    with pytest.raises(LbacalError):
+        investigate(world.spectra(), other, world.sky)

@@ -1,0 +1,84 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lbacal_core.twin.faults.cable import CableLength, CableReflection
+from lbacal_core.twin.faults.fault import Where
+from tests.lbacal_core.discovery.worlds import look_at, p_of_score
+
+
+@pytest.fixture(scope="module")
+def alike(world):
+    """Eight antennas of one cable name."""
+    records = [r for r in world.instrument.antennas if r.station == "CS002"]
+    names = [record.cable for record in records]
+    common = max(set(names), key=names.count)
+    chosen = [record for record in records if record.cable == common][:8]
+    return replace(world, instrument=replace(world.instrument, antennas=chosen)).with_settings(antennas=None)
+
+
+def best(look):
+    return look.static_scores()[0]
+
+
+def test_antennas_that_are_alike_show_no_departure(alike):
+    p = [best(replace(alike, seed=seed).look()).p_value for seed in range(6)]
+    assert min(p) > 0.01
+    assert np.median(p) < 0.95, "what is never significant cannot be found either"
+
+
+def length_score(look):
+    return next(score for score in look.static_scores() if score.cause.identifier == "cable_length")
+
+
+@pytest.mark.parametrize("metres", [3.0, -3.0])
+def test_a_wrong_length_has_its_antenna_its_sign_and_its_size(metres, alike):
+    antenna = int(alike.station.scene.antennas[3])
+    score = length_score(alike.look(CableLength(size=metres, where=Where(antennas=(antenna,)))))
+    assert score.target.label == f"antenna {antenna}"
+    assert score.p_value < 1e-3
+    assert score.size == pytest.approx(metres, abs=3 * score.sigma)
+    assert np.sign(score.z) == np.sign(metres)
+    assert score.sigma < 0.25 * abs(metres)
+
+
+def test_a_wrong_length_of_some_metres_is_named_as_such(alike):
+    antenna = int(alike.station.scene.antennas[3])
+    score = best(alike.look(CableLength(size=3.0, where=Where(antennas=(antenna,)))))
+    assert score.cause.identifier == "cable_length"
+    # The answer is that of both static causes: each has the same right to a false alarm.
+    assert score.p_value == pytest.approx(2 * p_of_score(abs(score.z), score.trials), rel=1e-3)
+
+
+def test_the_size_of_a_length_scatters_no_more_than_its_error(alike):
+    sizes, sigmas = [], []
+    antenna = int(alike.station.scene.antennas[3])
+    for seed in range(8):
+        score = length_score(replace(alike, seed=seed).look(CableLength(size=2.0, where=Where(antennas=(antenna,)))))
+        sizes.append(score.size)
+        sigmas.append(score.sigma)
+    assert np.mean(sizes) == pytest.approx(2.0, abs=3 * np.std(sizes) / 8**0.5)
+    assert 0.4 < np.std(sizes) / np.mean(sigmas) < 1.8  # 1.0 +- 0.25 of 8 sizes
+
+
+def test_a_reflection_is_named_with_its_delay_and_amplitude(alike):
+    antenna = int(alike.station.scene.antennas[5])
+    fault = CableReflection(size=0.04, delay_us=0.4, phase_rad=1.0, where=Where(antennas=(antenna,)))
+    score = best(alike.look(fault))
+    assert score.cause.identifier == "cable_reflection"
+    assert score.target.label == f"antenna {antenna}"
+    assert score.parameters["delay_us"] == pytest.approx(0.4, abs=0.01)
+    assert score.size == pytest.approx(0.04, abs=3 * score.sigma)
+    assert score.size > 0
+
+
+def test_without_others_of_its_cable_an_antenna_is_compared_with_none(world):
+    spectra = world.spectra()
+    assert look_at(spectra.select(spectra.antenna == 1), world.instrument, world.sky).static_scores() == []
+    # Three antennas of one cable make two comparisons: three are needed.
+    records = {r.antenna: r.cable for r in world.instrument.antennas if r.station == "CS002" and r.antenna < 3}
+    assert len(set(records.values())) == 1
+    assert world.look().static_scores() == []

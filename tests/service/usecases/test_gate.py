@@ -1,0 +1,99 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lbacal_core.curves import CONVERGED, TOO_FEW_EVENTS, CalibrationCurve
+from lbacal_core.validity import Promotion, Scope
+from service.storage.versions import Version
+from service.usecases.gate import Gate, find_predecessor
+
+GATE = Gate(change=0.1, error=0.05)
+FREQUENCY = np.arange(30.0, 81.0)
+CS002 = Scope("CS002", None, None)
+
+
+def curve(c=1e-3, error=0.01, dipole="X", status=CONVERGED):
+    has_c = status == CONVERGED
+    values = np.full(51, c) if has_c else None
+    errors = np.full(51, error * c) if has_c else None
+    return CalibrationCurve(
+        "CS002", None, dipole, status, 900 if has_c else 3, FREQUENCY, values, errors, errors, 1.0, 1.0, {}
+    )
+
+
+def version(*curves, made=100, window=(0, 50)):
+    inputs = {"made": made, "c": [None if one.c is None else one.c[0] for one in curves], "window": list(window)}
+    return Version(CS002, *window, inputs, curves, made, "somebody", "a test")
+
+
+BEFORE = version(curve(), curve(dipole="Y"))
+
+
+def test_a_version_like_the_one_before_passes_and_so_does_the_first():
+    new = version(curve(1.01e-3), curve(1.01e-3, dipole="Y"), made=200, window=(50, 100))
+    assert GATE.objection(new, BEFORE) is None
+    assert GATE.objection(new, None) is None
+
+
+@pytest.mark.parametrize(("factor", "passes"), [(1.099, True), (1.101, False), (0.901, True), (0.899, False)])
+@pytest.mark.parametrize("changed", ["X", "Y"])
+def test_a_jump_of_either_curve_beyond_the_limit_waits_in_both_directions(factor, passes, changed):
+    curves = [curve(1e-3 * (factor if dipole == changed else 1.0), dipole=dipole) for dipole in "XY"]
+    objection = GATE.objection(version(*curves, made=200, window=(50, 100)), BEFORE)
+    assert (objection is None) == passes
+    if objection:
+        assert f"CS002 {changed}: mean C differs by {factor - 1:+.1%}" in objection
+        assert "10.0%" in objection
+
+
+def test_each_dipole_is_compared_with_itself():
+    before = version(curve(1e-3), curve(2e-3, dipole="Y"))
+    same = version(curve(1e-3), curve(2e-3, dipole="Y"), made=200, window=(50, 100))
+    assert GATE.objection(same, before) is None
+    exchanged = version(curve(2e-3), curve(1e-3, dipole="Y"), made=200, window=(50, 100))
+    assert GATE.objection(exchanged, before) is not None
+
+
+@pytest.mark.parametrize(("error", "passes"), [(0.049, True), (0.051, False)])
+def test_an_error_above_the_limit_waits_even_without_a_version_before(error, passes):
+    new = version(curve(error=error), curve(dipole="Y"), made=200)
+    assert (GATE.objection(new, None) is None) == passes
+    if not passes:
+        assert "error of C 5.1%, at most 5.0% passes" in GATE.objection(new, None)
+
+
+def test_a_curve_that_did_not_converge_waits():
+    new = version(curve(), curve(dipole="Y", status=TOO_FEW_EVENTS), made=200)
+    assert "CS002 Y: too_few_events with 3 events" in GATE.objection(new, None)
+
+
+def test_a_version_made_from_earlier_data_of_the_same_window_does_not_replace_a_later_one():
+    late = replace(BEFORE, made=300)
+    assert "later data" in GATE.objection(version(curve(), curve(dipole="Y"), made=200), late)
+    other_window = version(curve(), curve(dipole="Y"), made=200, window=(50, 100))
+    assert GATE.objection(other_window, late) is None
+
+
+def promote(number, valid_from, valid_to, calibration, scope=CS002):
+    return Promotion(number, scope, valid_from, valid_to, calibration, number, "somebody", "a test")
+
+
+def test_the_predecessor_covers_the_middle_of_the_window_or_is_nearest_in_time():
+    ledger = [
+        promote(1, 0, 100, "old"),
+        promote(2, 100, 200, "new"),
+        promote(3, 0, 400, "other station", Scope("CS003", None, None)),
+    ]
+    assert find_predecessor(ledger, CS002, 50) == "old"
+    assert find_predecessor(ledger, CS002, 150) == "new"
+    assert find_predecessor(ledger, CS002, 300) == "new"
+    assert find_predecessor(ledger, CS002, -100) == "old"
+    assert find_predecessor(ledger, Scope("CS004", None, None), 50) is None
+
+
+def test_a_withdrawn_version_is_no_predecessor():
+    ledger = [promote(1, 0, 100, "old"), promote(2, 100, 200, "new"), promote(3, 100, 200, None)]
+    assert find_predecessor(ledger, CS002, 150) == "old"
