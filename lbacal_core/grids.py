@@ -31,7 +31,7 @@ def require_same_grid(place: str, frequency_mhz: Floats, expected_mhz: Floats, e
             f"the {expected_mhz.size} channels of {expected_from}",
             f"{frequency_mhz.size} channels",
         )
-    off = np.flatnonzero(np.abs(frequency_mhz - expected_mhz) > GRID_TOLERANCE_MHZ)
+    off = np.flatnonzero(~(np.abs(frequency_mhz - expected_mhz) <= GRID_TOLERANCE_MHZ))  # NaN is off too
     if off.size:
         k = int(off[0])
         raise BadInputError(

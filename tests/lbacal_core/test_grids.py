@@ -27,6 +27,12 @@ def test_the_first_channel_off_the_grid_is_named() -> None:
         require_same_grid("s.h5", off, GRID, "instrument a")
 
 
+def test_a_channel_that_is_no_number_is_off_every_grid() -> None:
+    """51 channels of NaN were stored."""
+    with pytest.raises(BadInputError, match="channel 0: expected 30 MHz as in instrument a, found nan MHz"):
+        require_same_grid("body", np.full(51, np.nan), GRID, "instrument a")
+
+
 @pytest.mark.parametrize(
     ("frequency", "sentence"),
     [

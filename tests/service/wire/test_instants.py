@@ -56,10 +56,31 @@ def test_mjd_counts_days_from_1858() -> None:
     assert parse_mjd("mjd", "56778.25") == round(expected.timestamp() * 1e6)
 
 
-@pytest.mark.parametrize("text", ["", "nan", "inf", "-1", "1e9", "2014-05-01", "0x10"])
+@pytest.mark.parametrize(
+    "text", ["", "nan", "inf", "-1", "1e9", "2014-05-01", "0x10", "4_0", "٥٦٧٧٨", "56778 ", "100000", "5e4", "."]
+)
 def test_what_is_no_mjd_is_an_error(text: str) -> None:
     with pytest.raises(BadInputError, match="mjd"):
         parse_mjd("mjd", text)
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["0001-01-01T00:00:00+01:00", "0001-01-01T00:00:00+14:00", "9999-12-31T23:59:59-23:59", "9999-12-31T23:59:59-0001"],
+)
+def test_a_local_instant_beyond_the_years_1_to_9999_is_refused_before_it_is_stored(text: str) -> None:
+    with pytest.raises(BadInputError, match="years 1 to 9999"):
+        parse_instant("at", text)
+
+
+@pytest.mark.parametrize("text", ["0001-01-01T00:00:00Z", "9999-12-31T23:59:59.999999Z", "0001-01-01T14:00:00+14:00"])
+def test_the_first_and_the_last_instant_are_written_back(text: str) -> None:
+    assert parse_instant("at", format_instant(parse_instant("at", text))) == parse_instant("at", text)
+
+
+def test_an_instant_stored_beyond_the_years_1_to_9999_does_not_break_what_lists_it() -> None:
+    assert format_instant(seconds(1, 1, 1) - 3_600_000_000) == "0001-01-01T00:00:00Z"
+    assert format_instant(2**63 - 1) == "9999-12-31T23:59:59.999999Z"
 
 
 @pytest.mark.parametrize(("at", "mjd"), [(None, None), ("2014-05-01", "56778")])
