@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -74,12 +75,12 @@ class Instrument:
         ):
             value = getattr(self, field)
             if not low <= value <= high:
-                raise BadInputError(f"{place}: {field}", f"{low:g} to {high:g}", f"{value!r}")
+                raise BadInputError(f"{place}: {field}", f"{low:g} to {high:g}", f"{value}")
         if set(self.dipole_azimuth_deg) != set(DIPOLES):
             raise BadInputError(f"{place}: dipoles", "X and Y", ", ".join(self.dipole_azimuth_deg) or "none")
         for dipole, azimuth in self.dipole_azimuth_deg.items():
             if not np.isfinite(azimuth):
-                raise BadInputError(f"{place}: dipoles.{dipole}.azimuth_deg", "finite degrees", f"{azimuth!r}")
+                raise BadInputError(f"{place}: dipoles.{dipole}.azimuth_deg", "finite degrees", f"{azimuth}")
         self._require_gain("antenna_gain", self.antenna_gain, np.inf)
         self._require_gain("receiver_gain", self.receiver_gain, np.inf)
         for cable, loss in self.cables.items():
@@ -121,7 +122,7 @@ class Instrument:
         bad = np.flatnonzero(~(np.isfinite(values) & (values > 0) & (values <= largest)))
         if bad.size:
             expected = "a finite power factor > 0" + (" and <= 1" if largest == 1.0 else "")
-            raise BadInputError(f"{place}, channel {bad[0]}", expected, f"{values[bad[0]]!r}")
+            raise BadInputError(f"{place}, channel {bad[0]}", expected, f"{values[bad[0]]}")
 
     def cable_of(self, station: str, antenna: int, time_unix: float) -> str:
         """Name of the cable of an antenna at an instant."""
@@ -184,19 +185,18 @@ def read_json(path: Path) -> Any:
         text = path.read_text(encoding="utf-8")
         if not text.strip():
             raise UnreadableFileError(f"{path}: expected JSON, found an empty file")
-        return json.loads(text, object_pairs_hook=_unique_fields)
+        return json.loads(text, object_pairs_hook=require_unique_fields)
     except OSError as error:
         raise UnreadableFileError(f"{path}: cannot be read ({error.strerror})") from error
     except (ValueError, RecursionError) as error:
         raise UnreadableFileError(f"{path}: expected JSON, found something else ({error})") from error
 
 
-def _unique_fields(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+def require_unique_fields(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     """A JSON object, refused when it gives a field twice: one of the two would be lost."""
     content = dict(pairs)
     if len(content) < len(pairs):
-        names = [name for name, _ in pairs]
-        twice = next(name for name in names if names.count(name) > 1)
+        twice = Counter(name for name, _ in pairs).most_common(1)[0][0]
         raise ValueError(f"the field {twice!r} twice in one object")
     return content
 

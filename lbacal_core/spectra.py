@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -32,6 +33,9 @@ from lbacal_core.provenance import hash_arrays
 FORMAT = "lbacal-spectra-1"
 EARLIEST_UNIX = datetime(2009, 1, 1, tzinfo=UTC).timestamp()
 DAY_S = 86_400.0
+MAX_COVARIATES = 16
+"""Covariates of one event."""
+_COVARIATE = re.compile(r"[a-z][a-z0-9_]{0,39}", re.ASCII)
 _ROWS_AT_ONCE = 4096
 
 _COLUMNS = ("event_id", "time_unix", "station", "antenna", "dipole", "blocks")
@@ -93,7 +97,7 @@ class Spectra:
         if self.power.shape != (rows, self.frequency_mhz.size):
             raise BadInputError(f"{self.origin}: power", f"{self.frequency_mhz.size} channels", f"{self.power.shape}")
         if not (np.isfinite(self.resistance_ohm) and self.resistance_ohm > 0):
-            raise BadInputError(f"{self.origin}: resistance_ohm", "Ohm > 0", f"{self.resistance_ohm!r}")
+            raise BadInputError(f"{self.origin}: resistance_ohm", "Ohm > 0", f"{self.resistance_ohm}")
         self._require("power", np.all(np.isfinite(self.power) & (self.power > 0), axis=1), "finite power > 0")
         self._require("time_unix", np.isfinite(self.time_unix) & (self.time_unix > 0), "an instant (s UTC)")
         self._require("dipole", np.isin(self.dipole, DIPOLES), "X or Y")
@@ -101,11 +105,23 @@ class Spectra:
         self._require("blocks", self.blocks > 0, "a count > 0")
         self._require("event_id", self.event_id != "", "a name")
         self._require("station", self.station != "", "a name")
+        self._require_covariates(rows)
+        self._require_unique_keys()
+
+    def _require_covariates(self, rows: int) -> None:
+        known = np.zeros(rows, dtype=np.int64)
         for name, values in self.environment.items():
+            if not _COVARIATE.fullmatch(name):
+                raise BadInputError(f"{self.origin}: env", "names such as rain_mm_h (40 characters)", repr(name[:60]))
             if values.shape != (rows,):
                 raise BadInputError(f"{self.origin}: env/{name}", f"{rows} numbers, one a row", f"{values.shape}")
             self._require(f"env/{name}", ~np.isinf(values), "a number, or NaN where unknown")
-        self._require_unique_keys()
+            known += np.isfinite(values)
+        if np.any(known > MAX_COVARIATES):
+            row = int(np.argmax(known))
+            raise BadInputError(
+                f"{self.origin}: env, row {row}", f"at most {MAX_COVARIATES} covariates", f"{known[row]}"
+            )
 
     def _require(self, name: str, is_good: NDArray[np.bool_], expected: str) -> None:
         bad = np.flatnonzero(~np.asarray(is_good))
@@ -125,8 +141,12 @@ class Spectra:
         repeated = rising[1:][rising[1:] == rising[:-1]]
         if repeated.size:
             row = int(np.flatnonzero(self._keys == repeated[0])[1])
-            key = f"{self.event_id[row]}, {self.station[row]}, antenna {self.antenna[row]}, {self.dipole[row]}"
-            raise BadInputError(f"{self.origin}: row {row}", "one spectrum per event, station, antenna and dipole", key)
+            expected = "one spectrum per event, station, antenna and dipole"
+            raise BadInputError(f"{self.origin}: row {row}", expected, f"{self.name_row(row)} again")
+
+    def name_row(self, row: int) -> str:
+        """Event, station, antenna and dipole of a row, in words."""
+        return f"{self.event_id[row]}, {self.station[row]} antenna {self.antenna[row]} {self.dipole[row]}"
 
     def __len__(self) -> int:
         return len(self.event_id)
@@ -243,7 +263,7 @@ def _resistance(file: h5py.File, place: str) -> float:
     found = file.attrs.get("resistance_ohm", 50.0)
     values = np.unique(np.asarray(found))
     if values.size != 1 or values.dtype.kind not in "fiu":
-        raise BadInputError(f"{place}: attribute resistance_ohm", "one number", repr(found))
+        raise BadInputError(f"{place}: attribute resistance_ohm", "one number", f"{found}")
     return float(values[0])
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from importlib.metadata import version
 
 from fastapi import Depends, FastAPI
@@ -28,6 +29,7 @@ def make_app(factory: Factory) -> FastAPI:
     app.state.factory = factory
     app.state.guard = KeyGuard()
     app.state.registry = CollectorRegistry()
+    app.state.large_bodies = asyncio.Semaphore(1)
     for router in (
         spectra.router,
         calibrations.router,

@@ -9,6 +9,7 @@ from pydantic import Field, ValidationError
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from lbacal_core.errors import BadInputError
+from service.refusals import describe_refusal
 
 _TIME_OF_DAY = "^([01][0-9]|2[0-3]):[0-5][0-9]$"
 _LEVEL = "^(debug|info|warning|error)$"
@@ -56,6 +57,6 @@ def read_settings() -> Settings:
     try:
         return Settings()
     except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        name = "LBACAL_" + "_".join(str(part) for part in first["loc"]).upper()
-        raise BadInputError(name, first["msg"].lower(), repr(first["input"])) from error
+        errors = error.errors(include_url=False)
+        name = "LBACAL_" + "_".join(str(part) for part in errors[0]["loc"]).upper()
+        raise BadInputError(name, *describe_refusal(errors)) from error

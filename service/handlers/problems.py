@@ -11,8 +11,9 @@ from fastapi import FastAPI, Request, Response
 from fastapi.exceptions import RequestValidationError
 from starlette.exceptions import HTTPException
 
-from lbacal_core.errors import LbacalError
+from lbacal_core.errors import BadInputError, LbacalError
 from service.errors import TooManyError, UnavailableError
+from service.refusals import describe_refusal
 from service.wire.answers import to_json
 
 RETRY_S = 5
@@ -56,9 +57,8 @@ def install(app: FastAPI) -> None:
 
     @app.exception_handler(RequestValidationError)
     def _bad_parameter(_request: Request, error: RequestValidationError) -> Response:
-        first = error.errors()[0]
-        place = ".".join(str(part) for part in first["loc"][1:]) or "query"
-        return problem(422, "bad_input", f"{place}: {first['msg'].lower()}, found {str(first.get('input'))[:60]!r}")
+        place = ".".join(str(part) for part in error.errors()[0]["loc"][1:]) or "query"
+        return problem(422, "bad_input", str(BadInputError(place, *describe_refusal(error.errors()))))
 
     @app.exception_handler(HTTPException)
     def _no_such_route(request: Request, error: HTTPException) -> Response:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Sequence
+from contextlib import AbstractAsyncContextManager, nullcontext
 from typing import Annotated, Any, cast
 
 from fastapi import Depends, Query, Request, Response
@@ -18,6 +19,10 @@ from service.wire.answers import to_json
 
 IMMUTABLE = "public, max-age=31536000, immutable"
 REVALIDATE = "no-cache"
+SMALL_BODY = 65_536
+"""Bytes of a body that changes one thing; the longest reason takes 24,000."""
+LARGE_BODY = 4_000_000
+"""Bytes from which a body waits for its turn: as values it takes ten times its size in memory."""
 Limit = Annotated[int, Query(ge=1, le=1000, description="most items in the answer")]
 
 
@@ -70,28 +75,38 @@ def caller_with(*scopes: str) -> Any:
     return Depends(require)
 
 
-async def read_json_body(request: Request, use: UseCases) -> bytes:
-    """The body of a JSON request, up to the largest size allowed."""
-    media = request.headers.get("content-type", "").partition(";")[0].strip().lower()
-    if media != "application/json":
-        raise UnsupportedMediaError(f"this route reads application/json, not {media or 'an unnamed type'}")
+async def read_json_body(request: Request) -> bytes:
+    """The body of a JSON request that changes one thing."""
+    return await _read_body(request, ("application/json",), SMALL_BODY, "")
+
+
+async def read_spectra_body(request: Request, use: UseCases) -> AsyncIterator[bytes]:
+    """The body of a batch of spectra, of the largest size allowed; large ones are worked on one at a time."""
     limit = round(use.settings.max_body_mb * 1e6)
+    body = await _read_body(request, ("application/json",), limit, " (LBACAL_MAX_BODY_MB)")
+    turn: AbstractAsyncContextManager[object] = request.app.state.large_bodies
+    async with turn if len(body) > LARGE_BODY else nullcontext():
+        yield body
+
+
+async def _read_body(request: Request, media_types: Sequence[str], limit: int, setting: str) -> bytes:
+    media = request.headers.get("content-type", "").partition(";")[0].strip().lower()
+    if media not in media_types:
+        expected = " or ".join(media_types)
+        raise UnsupportedMediaError(f"this route reads {expected}, not {media or 'an unnamed type'}")
     announced = request.headers.get("content-length", "0")
     if announced.isdigit() and int(announced) > limit:
-        raise TooLargeError(f"the body has {announced} bytes, {limit} are allowed (LBACAL_MAX_BODY_MB)")
-    return b"".join([chunk async for chunk in _limited(request.stream(), limit)])
-
-
-async def _limited(chunks: AsyncIterator[bytes], limit: int) -> AsyncIterator[bytes]:
-    size = 0
-    async for chunk in chunks:
-        size += len(chunk)
-        if size > limit:
-            raise TooLargeError(f"the body has more than the {limit} bytes allowed (LBACAL_MAX_BODY_MB)")
-        yield chunk
+        raise TooLargeError(f"the body has {announced} bytes, {limit} are allowed{setting}")
+    body = bytearray()
+    async for chunk in request.stream():
+        body += chunk
+        if len(body) > limit:
+            raise TooLargeError(f"the body has more than the {limit} bytes allowed{setting}")
+    return bytes(body)
 
 
 JsonBody = Annotated[bytes, Depends(read_json_body)]
+SpectraUpload = Annotated[bytes, Depends(read_spectra_body)]
 
 
 def answer(

@@ -7,7 +7,16 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Depends, Query, Request, Response
 
 from service.handlers.problems import document
-from service.handlers.request import JsonBody, Limit, UseCases, answer, caller_with, describes, require_read
+from service.handlers.request import (
+    JsonBody,
+    Limit,
+    SpectraUpload,
+    UseCases,
+    answer,
+    caller_with,
+    describes,
+    require_read,
+)
 from service.storage.spectra import StoredEvent
 from service.usecases.keys import Caller
 from service.wire.bodies import FlagBody, SpectraBody, parse_body
@@ -25,8 +34,8 @@ Writer = Annotated[Caller, caller_with("spectra:write")]
     responses=document(400, 401, 403, 409, 413, 415, 422, 503),
     openapi_extra=describes(SpectraBody),
 )
-def store_spectra(request: Request, use: UseCases, _caller: Writer, body: JsonBody) -> Response:
-    receipt = use.intake.store(parse_body(SpectraBody, body))
+def store_spectra(request: Request, use: UseCases, _caller: Writer, body: SpectraUpload) -> Response:
+    receipt = use.intake.store_body(parse_body(SpectraBody, body))
     content = {"received": receipt.received, "stored": receipt.stored, "duplicates": receipt.duplicates}
     return answer(request, content, status=201 if receipt.stored else 200)
 

@@ -14,10 +14,20 @@ from lbacal_core.instrument import AntennaRecord, Instrument
 from lbacal_core.spectra import Spectra
 from lbacal_core.validity import Instant
 from service.errors import ConflictError
+from service.storage.arrivals import EVENT_SPAN_US
 from service.storage.database import Database
 from service.storage.spectra import StoredEvent
-from service.wire.bodies import SpectraBody, SpectrumBody
-from service.wire.instants import parse_instant
+from service.wire.bodies import LONGEST_NAME, SpectraBody, SpectrumBody
+from service.wire.instants import format_instant, parse_instant
+
+MAX_NAMES_IN_BATCH = 64
+"""Names of covariates in one batch: each is a column of it in memory."""
+Place = Callable[[str, int], str]
+
+
+def name_row(column: str, row: int) -> str:
+    """Where a column's row stands in a spectra file."""
+    return f"body: {column}, row {row}"
 
 
 @dataclass(frozen=True)
@@ -49,54 +59,54 @@ class Intake:
             records.setdefault((record.station, record.antenna), []).append(record)
         return records
 
-    def store(self, body: SpectraBody) -> Receipt:
-        """Store a batch whole or not at all."""
-        rows, times = _without_repeats(body.spectra)
+    def store_body(self, body: SpectraBody) -> Receipt:
+        """Store the spectra of a JSON body whole or not at all; those it holds twice count as duplicates."""
         require_same_grid(
             "body", np.array(body.frequency_mhz, dtype=float), self.instrument.frequency_mhz,
             f"instrument {self.instrument.name}",
         )  # fmt: skip
-        if body.resistance_ohm not in (None, self.resistance_ohm):
-            raise BadInputError(
-                "body.resistance_ohm", f"{self.resistance_ohm:g} as set here", f"{body.resistance_ohm:g}"
-            )
-        for k, (row, time) in enumerate(zip(rows, times, strict=True)):
-            self._require_known(k, row, time)
-            if len(row.power) != self.instrument.frequency_mhz.size:
-                channels = f"{self.instrument.frequency_mhz.size} channels"
-                raise BadInputError(f"body.spectra[{k}].power", channels, str(len(row.power)))
-        spectra = self._as_spectra(rows, times)
+        times = _read_times(body.spectra)
+        rows = _without_repeats(body.spectra, times)
+        spectra = _as_spectra(body, rows, times, self.resistance_ohm)
+        return self.store(spectra, len(body.spectra), lambda column, k: f"body.spectra[{rows[k]}].{column}")
+
+    def store(self, spectra: Spectra, received: int | None = None, name_place: Place = name_row) -> Receipt:
+        """Store spectra whole or not at all.
+
+        Parameters
+        ----------
+        received
+            How many were sent, where some of them were sent twice.
+        name_place
+            Says where a column's row stands in what was sent.
+        """
+        instrument = f"instrument {self.instrument.name}"
+        require_same_grid(spectra.origin, spectra.frequency_mhz, self.instrument.frequency_mhz, instrument)
+        if spectra.resistance_ohm != self.resistance_ohm:
+            expected, found = f"{self.resistance_ohm:g} as set here", f"{spectra.resistance_ohm:g}"
+            raise BadInputError(f"{spectra.origin}: resistance_ohm", expected, found)
+        _require_names(spectra, name_place)
+        self._require_on_record(spectra, name_place)
         spectra.require_past(self.clock() / 1e6)
+        _require_one_time_an_event(spectra, name_place)
         with self.database.write() as stores:
-            return Receipt(len(body.spectra), stores.spectra.add(spectra))
+            return Receipt(received or len(spectra), stores.spectra.add(spectra))
 
-    def _require_known(self, k: int, row: SpectrumBody, time: Instant) -> None:
-        records = self._records.get((row.station, row.antenna))
-        if records is None:
-            stations = sorted({station for station, _ in self._records})
-            if row.station not in stations:
-                raise BadInputError(f"body.spectra[{k}].station", f"one of {', '.join(stations)}", repr(row.station))
-            raise BadInputError(f"body.spectra[{k}].antenna", f"an antenna of {row.station}", str(row.antenna))
-        if not any(record.covers(time / 1e6) for record in records):
-            expected = f"a time at which {row.station} antenna {row.antenna} is on record"
-            raise BadInputError(f"body.spectra[{k}].time_utc", expected, row.time_utc)
-
-    def _as_spectra(self, rows: Sequence[SpectrumBody], times: Sequence[Instant]) -> Spectra:
-        names = sorted({name for row in rows for name in row.env or {}})
-        env = [row.env or {} for row in rows]
-        return Spectra(
-            frequency_mhz=self.instrument.frequency_mhz,
-            power=np.array([row.power for row in rows], dtype=float),
-            event_id=np.array([row.event_id for row in rows], dtype=np.str_),
-            time_unix=np.array(times, dtype=np.int64) / 1e6,
-            station=np.array([row.station for row in rows], dtype=np.str_),
-            antenna=np.array([row.antenna for row in rows], dtype=np.int64),
-            dipole=np.array([row.dipole for row in rows], dtype=np.str_),
-            blocks=np.array([row.blocks for row in rows], dtype=np.int64),
-            resistance_ohm=self.resistance_ohm,
-            environment={n: np.array([np.nan if e.get(n) is None else e[n] for e in env], dtype=float) for n in names},
-            origin="body.spectra",
-        )
+    def _require_on_record(self, spectra: Spectra, name_place: Place) -> None:
+        """Refuse a station or an antenna that the instrument does not have, or does not have at that time."""
+        stations = sorted({station for station, _ in self._records})
+        for k, (station, antenna, time) in enumerate(
+            zip(spectra.station.tolist(), spectra.antenna.tolist(), spectra.time_unix.tolist(), strict=True)
+        ):
+            records = self._records.get((station, antenna))
+            if records is None:
+                if station not in stations:
+                    raise BadInputError(name_place("station", k), f"one of {', '.join(stations)}", repr(station))
+                raise BadInputError(name_place("antenna", k), f"an antenna of {station}", str(antenna))
+            if not any(record.covers(time) for record in records):
+                expected = f"a time at which {station} antenna {antenna} is on record"
+                found = format_instant(round(time * 1e6))
+                raise BadInputError(name_place("time_utc", k), expected, found)
 
     def events(
         self,
@@ -121,17 +131,71 @@ class Intake:
             return stores.spectra.event(event_id)
 
 
-def _without_repeats(spectra: Sequence[SpectrumBody]) -> tuple[list[SpectrumBody], list[Instant]]:
-    """Drop spectra that a batch holds twice with the same content; the same key with another content is a conflict."""
-    kept: dict[tuple[str, str, int, str], tuple[SpectrumBody, Instant]] = {}
+def _read_times(spectra: Sequence[SpectrumBody]) -> list[Instant]:
+    """The instants of a body; a batch repeats few of them many times."""
+    read: dict[str, Instant] = {}
     for k, row in enumerate(spectra):
-        time = parse_instant(f"body.spectra[{k}].time_utc", row.time_utc)
-        key = (row.event_id, row.station, row.antenna, row.dipole)
-        if key not in kept:
-            kept[key] = (row, time)
-        elif (kept[key][1], kept[key][0].blocks, kept[key][0].power) != (time, row.blocks, row.power):
+        if row.time_utc not in read:
+            read[row.time_utc] = parse_instant(f"body.spectra[{k}].time_utc", row.time_utc)
+    return [read[row.time_utc] for row in spectra]
+
+
+def _without_repeats(spectra: Sequence[SpectrumBody], times: Sequence[Instant]) -> list[int]:
+    """Which spectra of a batch to store, without repeats; another content under the same key is a conflict."""
+    kept: dict[tuple[str, str, int, str], int] = {}
+    for k, row in enumerate(spectra):
+        first = kept.setdefault((row.event_id, row.station, row.antenna, row.dipole), k)
+        if first != k and (times[first], spectra[first].blocks, spectra[first].power) != (
+            times[k],
+            row.blocks,
+            row.power,
+        ):
             raise ConflictError(
                 f"body.spectra[{k}]: the batch holds another spectrum of {row.event_id}, {row.station} "
                 f"antenna {row.antenna} {row.dipole}"
             )
-    return [row for row, _ in kept.values()], [time for _, time in kept.values()]
+    return list(kept.values())
+
+
+def _as_spectra(body: SpectraBody, rows: Sequence[int], times: Sequence[Instant], resistance_ohm: float) -> Spectra:
+    kept = [body.spectra[k] for k in rows]
+    env = [row.env or {} for row in kept]
+    names = sorted({name for given in env for name in given})
+    if len(names) > MAX_NAMES_IN_BATCH:
+        raise BadInputError("body", f"at most {MAX_NAMES_IN_BATCH} names in all its env", str(len(names)))
+    channels = len(body.frequency_mhz)
+    for k, row in zip(rows, kept, strict=True):
+        if len(row.power) != channels:
+            raise BadInputError(f"body.spectra[{k}].power", f"{channels} channels", str(len(row.power)))
+    return Spectra(
+        frequency_mhz=np.array(body.frequency_mhz, dtype=float),
+        power=np.array([row.power for row in kept], dtype=float),
+        event_id=np.array([row.event_id for row in kept], dtype=np.str_),
+        time_unix=np.array([times[k] for k in rows], dtype=np.int64) / 1e6,
+        station=np.array([row.station for row in kept], dtype=np.str_),
+        antenna=np.array([row.antenna for row in kept], dtype=np.int64),
+        dipole=np.array([row.dipole for row in kept], dtype=np.str_),
+        blocks=np.array([row.blocks for row in kept], dtype=np.int64),
+        resistance_ohm=resistance_ohm if body.resistance_ohm is None else body.resistance_ohm,
+        environment={n: np.array([np.nan if e.get(n) is None else e[n] for e in env], dtype=float) for n in names},
+        origin="body",
+    )
+
+
+def _require_names(spectra: Spectra, name_place: Place) -> None:
+    """Refuse events that no address could name."""
+    names, first = np.unique(spectra.event_id, return_index=True)
+    for name, k in zip(names.tolist(), first.tolist(), strict=True):
+        if len(name) > LONGEST_NAME or not name.isprintable() or "/" in name or name in (".", ".."):
+            expected = f"at most {LONGEST_NAME} printable characters, no '/', not '.' or '..'"
+            raise BadInputError(name_place("event_id", k), expected, repr(name))
+
+
+def _require_one_time_an_event(spectra: Spectra, name_place: Place) -> None:
+    """Refuse an event at two times: the sidereal time of its antennas would be wrong for one of them."""
+    names, first, of_row = np.unique(spectra.event_id, return_index=True, return_inverse=True)
+    apart = np.abs(spectra.time_unix - spectra.time_unix[first][of_row])
+    k = int(np.argmax(apart))
+    if apart[k] > EVENT_SPAN_US / 1e6:
+        expected = f"a time within {EVENT_SPAN_US / 1e6:g} s of the other spectra of event {names[of_row[k]]}"
+        raise BadInputError(name_place("time_utc", k), expected, f"{apart[k]:.0f} s")

@@ -2,20 +2,35 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, TypeVar
+import json
+from typing import Annotated, Any, Literal, NoReturn, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, StringConstraints, ValidationError
+from pydantic import BaseModel, ConfigDict, FailFast, Field, StringConstraints, ValidationError
 
 from lbacal_core.errors import BadInputError
-from service.errors import MalformedBodyError
+from lbacal_core.instrument import require_unique_fields
+from lbacal_core.spectra import MAX_COVARIATES
+from service.errors import MalformedBodyError, TooLargeError
+from service.refusals import describe_refusal
 
-Name = Annotated[str, StringConstraints(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f\x7f]+$")]
+MAX_SPECTRA = 100_000
+"""Spectra a batch: 174 events of the Superterp, or 64 MB of 51 channels."""
+LONGEST_NAME = 200
+MAX_FIELDS = 64
+"""Fields of one object; the largest body has nine."""
+_MOST = {"{": 2 * MAX_SPECTRA + 100, "[": MAX_SPECTRA + 100, ":": 30 * MAX_SPECTRA, ",": 80 * MAX_SPECTRA}
+"""Signs of structure in a body. What holds more of them than any batch takes many times its size in memory."""
+
+Name = Annotated[str, StringConstraints(min_length=1, max_length=LONGEST_NAME, pattern=r"^[^\x00-\x1f\x7f]+$")]
 Reason = Annotated[
     str,
     StringConstraints(
         min_length=1, max_length=2000, pattern=r"^[^\x00-\x08\x0b-\x1f\x7f]*\S[^\x00-\x08\x0b-\x1f\x7f]*$"
     ),
 ]
+CovariateName = Annotated[str, StringConstraints(pattern=r"^[a-z][a-z0-9_]{0,39}$")]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Power = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Number = Annotated[int, Field(ge=0, le=2**31 - 1)]
 
 
@@ -34,16 +49,16 @@ class SpectrumBody(Body):
     antenna: Number
     dipole: Literal["X", "Y"]
     blocks: Annotated[int, Field(gt=0, le=2**31 - 1)]
-    power: list[float]
-    env: dict[Name, float | None] | None = None
+    power: Annotated[list[Power], FailFast()]
+    env: Annotated[dict[CovariateName, Finite | None], Field(max_length=MAX_COVARIATES)] | None = None
 
 
 class SpectraBody(Body):
     """A batch of spectra on one frequency grid."""
 
-    frequency_mhz: list[float]
-    spectra: Annotated[list[SpectrumBody], Field(min_length=1)]
-    resistance_ohm: float | None = None
+    frequency_mhz: Annotated[list[Finite], FailFast()]
+    spectra: Annotated[list[SpectrumBody], Field(min_length=1, max_length=MAX_SPECTRA), FailFast()]
+    resistance_ohm: Finite | None = None
 
 
 class FlagBody(Body):
@@ -84,12 +99,31 @@ AnyBody = TypeVar("AnyBody", bound=Body)
 def parse_body(kind: type[AnyBody], content: bytes) -> AnyBody:
     """Read a body: not JSON is malformed, JSON of another shape is bad input at its place."""
     try:
-        return kind.model_validate_json(content)
+        return kind.model_validate(parse_json(content))
     except ValidationError as error:
-        first = error.errors(include_url=False, include_context=False)[0]
-        if first["type"] == "json_invalid":
-            raise MalformedBodyError(f"the body is not JSON: {first['msg']}") from error
-        place = "body" + "".join(f"[{k}]" if isinstance(k, int) else f".{k}" for k in first["loc"])
+        errors = error.errors(include_url=False)
+        expected, found = describe_refusal(errors)
+        place = "body" + "".join(f"[{k}]" if isinstance(k, int) else f".{k}" for k in errors[0]["loc"])
         more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
-        found = "nothing" if first["type"] == "missing" else repr(first["input"])[:80]
-        raise BadInputError(place, first["msg"].lower(), found + more) from error
+        raise BadInputError(place, expected, found + more) from error
+
+
+def parse_json(content: bytes) -> Any:
+    """Read JSON, within bounds: no field twice in an object, no NaN, and not more structure than any batch has."""
+    for sign, most in _MOST.items():
+        if (count := content.count(sign.encode())) > most:
+            raise TooLargeError(f"the body has {count} times {sign!r}, {most} are allowed: send smaller batches")
+    try:
+        return json.loads(content.decode(), object_pairs_hook=_make_object, parse_constant=_refuse_constant)
+    except (ValueError, RecursionError) as error:
+        raise MalformedBodyError(f"the body is not JSON: {error}") from error
+
+
+def _make_object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    if len(pairs) > MAX_FIELDS:
+        raise BadInputError("body", f"objects of at most {MAX_FIELDS} fields", str(len(pairs)))
+    return require_unique_fields(pairs)
+
+
+def _refuse_constant(name: str) -> NoReturn:
+    raise BadInputError("body", "JSON, whose numbers are finite", name)
