@@ -1,0 +1,41 @@
+from __future__ import annotations
+
+from datetime import UTC, datetime
+
+import numpy as np
+import pytest
+
+from lbacal_core.sun import sun_position
+
+LATITUDE, LONGITUDE = 52.9153, 6.8698
+
+
+def hours_of(day):
+    start = datetime.fromisoformat(day).replace(tzinfo=UTC).timestamp()
+    return start + np.arange(0, 86_400, 30.0)
+
+
+@pytest.mark.parametrize(
+    ("day", "declination"), [("2014-06-21", 23.44), ("2014-12-21", -23.44), ("2014-03-20", 0.0), ("2014-09-23", 0.0)]
+)
+def test_the_noon_altitude_is_that_of_the_season(day, declination):
+    altitude, azimuth = sun_position(hours_of(day), LATITUDE, LONGITUDE)
+    noon = int(np.argmax(altitude))
+    # 0.3 degrees: the equinoxes are not at noon, and the Sun's declination moves by 0.4 degrees a day.
+    assert np.degrees(altitude[noon]) == pytest.approx(90.0 - LATITUDE + declination, abs=0.3)
+    assert np.degrees(azimuth[noon]) % 360 == pytest.approx(180.0, abs=1.0)
+
+
+def test_local_noon_follows_longitude_and_the_equation_of_time():
+    times = hours_of("2014-11-03")  # the Sun is 16.4 minutes early
+    altitude, _ = sun_position(times, LATITUDE, LONGITUDE)
+    noon = (times[np.argmax(altitude)] % 86_400) / 3600
+    assert noon == pytest.approx(12.0 - LONGITUDE / 15.0 - 16.4 / 60, abs=0.03)
+
+
+def test_the_day_of_an_equinox_lasts_twelve_hours_and_the_sun_rises_in_the_east():
+    times = hours_of("2014-03-20")
+    altitude, azimuth = sun_position(times, LATITUDE, LONGITUDE)
+    assert np.mean(altitude > 0) * 24 == pytest.approx(12.0, abs=0.1)
+    rising = int(np.flatnonzero((altitude[1:] > 0) & (altitude[:-1] <= 0))[0])
+    assert np.degrees(azimuth[rising]) % 360 == pytest.approx(90.0, abs=1.0)
