@@ -1,37 +1,101 @@
-"""Run a proof and append its figures, with date and commit, to docs/proofs.md."""
+"""Run a proof, keep what it found in proofs/records and write docs/validation.md anew."""
 
 from __future__ import annotations
 
+import argparse
 import importlib
-import subprocess
 import sys
-import time
-from datetime import UTC, datetime
 from pathlib import Path
 
-HERE = Path(__file__).parent
-RECORD = HERE.parent / "docs" / "proofs.md"
+from proofs.machinery.page import PAGE, draw_figures, write_page
+from proofs.machinery.parts import parts_of, proof_names
+from proofs.machinery.quoted import QUOTES
+from proofs.machinery.quotes import renew_pages
+from proofs.machinery.records import Record, read_record, read_records
+from proofs.machinery.run import Order, RefusedError, run_and_record, take_in
+
+HELP = """\
+Every proof is made of parts; a part draws a data set from each seed of a block. An interrupted run goes on where it was
+when it is started again. To share the work, give each machine a block (--first, --count) and pool the records.
+"""
 
 
 def main(arguments: list[str]) -> int:
-    """Run the proof named first among the arguments; the rest are its own."""
-    names = sorted(path.stem for path in HERE.glob("*.py") if not path.stem.startswith("_"))
-    if not arguments or arguments[0] not in names:
-        print("usage: ./dev prove NAME [ARGS]\n\nproofs: " + ", ".join(names), file=sys.stderr)
+    """Run what is asked; 1 where a claim is refuted, 2 where the run is refused."""
+    parser = argparse.ArgumentParser(prog="./dev prove", description=HELP)
+    parser.add_argument("name", nargs="?", help="the proof; without it they are listed")
+    parser.add_argument("--part", action="append", help="only this part; may be given several times")
+    parser.add_argument("--first", type=int, help="first seed; the first that nobody has seen unless given")
+    parser.add_argument("--count", type=int, help="seeds of each part")
+    parser.add_argument("--workers", type=int, default=2, help="processes beside each other (2)")
+    parser.add_argument(
+        "--scratch", action="store_true", help="record nothing; seeds for debugging unless --first is given"
+    )
+    parser.add_argument("--repetition", action="store_true", help="seeds of an earlier record; decides nothing")
+    parser.add_argument("--pool", nargs="+", type=Path, metavar="FILE", help="take records of other machines in")
+    parser.add_argument("--page", action="store_true", help="write docs/validation.md and the figures of texts anew")
+    chosen = parser.parse_args(arguments)
+    if chosen.name is None and not chosen.pool and not chosen.page:
+        return _list_proofs()
+    try:
+        claims_hold = _prove(chosen) if chosen.name else True
+        if chosen.pool:
+            _pool(chosen.pool)
+    except (RefusedError, ValueError) as error:
+        print(f"./dev prove: {error}", file=sys.stderr)
         return 2
-    proof = importlib.import_module(f"proofs.{arguments[0]}")
-    started = time.monotonic()
-    is_proven, figures = proof.prove(arguments[1:])
-    git = ["git", "-C", str(HERE), "rev-parse", "--short", "HEAD"]
-    commit = subprocess.run(git, capture_output=True, text=True, check=False).stdout.strip() or "no commit"
-    verdict = "holds" if is_proven else "DOES NOT HOLD"
-    when = f"{datetime.now(UTC):%Y-%m-%d}, {commit}, {time.monotonic() - started:.0f} s"
-    heading = f"## {' '.join(arguments)}: {verdict} ({when})"
-    entry = "\n".join([heading, "", *figures, ""])
-    print(entry)
-    with RECORD.open("a") as record:
-        record.write("\n" + entry)
-    return 0 if is_proven else 1
+    if not chosen.scratch:
+        _write_pages()
+    return 0 if claims_hold else 1
+
+
+def _list_proofs() -> int:
+    for name in proof_names():
+        title = (importlib.import_module(f"proofs.{name}").__doc__ or "").partition("\n\n")[0]
+        print(f"{name:14} {', '.join(parts_of(name))}\n    {' '.join(title.split())}")
+    return 0
+
+
+def _prove(chosen: argparse.Namespace) -> bool:
+    if chosen.name not in proof_names():
+        raise RefusedError(f"no proof {chosen.name}; there are {', '.join(proof_names())}")
+    parts = parts_of(chosen.name)
+    unknown = set(chosen.part or []) - set(parts)
+    if unknown:
+        raise RefusedError(f"{chosen.name} has no part {', '.join(sorted(unknown))}; it has {', '.join(parts)}")
+    order = Order(chosen.first, chosen.count, chosen.workers, chosen.scratch, chosen.repetition)
+    verdicts = []
+    for name in chosen.part or parts:
+        record, is_written = run_and_record(chosen.name, parts[name], order)
+        print("\n".join([*_told(record), *parts[name].tell(record.rows), ""]), flush=True)
+        if is_written:
+            print(f"recorded in proofs/records/{record.file_name}", flush=True)
+        verdicts += [claim.verdict for claim in record.claims]
+    return "refuted" not in verdicts
+
+
+def _told(record: Record) -> list[str]:
+    seeds = f"{sum(block.count for block in record.blocks)} trials, {record.seeds}"
+    lines = [f"{record.name} at {record.commit}: {seeds}, {record.hours:.3g} h of one core"]
+    return lines + [
+        f"  {claim.verdict:9} {claim.claim}: {claim.words_found}, asked {claim.words_asked}" for claim in record.claims
+    ]
+
+
+def _pool(files: list[Path]) -> None:
+    """Take records in: those of the same part and code become one."""
+    for path in files:
+        record = read_record(path)
+        whole = take_in(record, parts_of(record.proof)[record.part], path.resolve())
+        print(f"pooled into proofs/records/{whole.file_name}")
+
+
+def _write_pages() -> None:
+    records = read_records()
+    draw_figures(records)
+    PAGE.write_text(write_page(records), encoding="utf-8")
+    for path, text in renew_pages(QUOTES, records).items():
+        path.write_text(text, encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -7,13 +7,11 @@ the fit. Errors are almost fully correlated along frequency, so a data set count
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from functools import cache
 
 import numpy as np
-from scipy.stats import chi2
 
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.curves import CONVERGED
@@ -21,14 +19,30 @@ from lbacal_core.data.tables import read_table
 from lbacal_core.grids import Floats
 from lbacal_core.instrument import Instrument, load_instrument
 from lbacal_core.sidereal import local_sidereal_time
+from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.table import SkyPower, read_sky_power
 from lbacal_core.spectra import Spectra, read_spectra
+from proofs.machinery.claims import (
+    Claim,
+    at_least,
+    at_most,
+    between,
+    claim_mean,
+    claim_rate,
+    claim_worst,
+    confidence_of_each,
+    mean_interval,
+    spread_interval,
+)
+from proofs.machinery.parts import SHARED, Part, Row
 
-EXAMPLES = Path(__file__).parents[2] / "shared" / "examples"
+EXAMPLES = SHARED / "examples"
 EVENTS = 900
 RADIOMETER, PATH_GAIN, COMMON_GAIN = 0.045, 0.03, 0.02
 YEAR_START, YEAR_S = 1_388_534_400.0, 365.25 * 86_400.0
 NAMES = ("n_lna", "n_rcu", "n_adc")
+AT_MHZ = np.arange(30.0, 81.0, 5.0)
+"""Channels that are kept of every data set; errors are almost fully correlated along frequency."""
 LARGEST_RATIO, LARGEST_MEAN, SPREAD = 1.1, 0.1, (0.9, 1.1)
 
 
@@ -107,16 +121,6 @@ class Scene:
         return np.concatenate([sigma[:channels] / 2, sigma[channels:]])
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """Results of data sets, shape (data set, freq + 3): relative errors of C and the constants, pulls, bounds."""
-
-    error: Floats
-    pull: Floats
-    bound: Floats
-    chi2_per_dof: Floats
-
-
 def scene_of_example(instrument: Instrument, sky_power: SkyPower, spectra: Spectra) -> Scene:
     """The slope and the noise constants that a fit of example spectra finds for their mean X dipole."""
     curve = fit_calibration(spectra, instrument, sky_power, "array").curves[0]
@@ -138,92 +142,94 @@ def scene_of_noise_terms(instrument: Instrument, sky_power: SkyPower) -> Scene:
     return Scene("noise_terms.csv", instrument, sky_power, at["sky"] / at["adc"] / mean_sky, (n_lna, n_rcu, 1.0))
 
 
-def fit_data_sets(scene: Scene, data_sets: int, seed: int) -> Outcome:
-    """Draw and fit independent data sets."""
-    results = []
-    for rng in np.random.default_rng(seed).spawn(data_sets):
-        spectra, sky = scene.draw(rng)
-        curve = fit_calibration(spectra, scene.instrument, scene.sky_power).curves[0]
-        assert curve.status == CONVERGED, curve.status  # noqa: S101
-        assert curve.c is not None  # noqa: S101
-        assert curve.c_sigma_stat is not None  # noqa: S101
-        fitted = [curve.parameters[name] for name in NAMES]
-        truth = np.concatenate([scene.true_c(), scene.noise])
-        error = np.concatenate([curve.c, [p.value for p in fitted]]) - truth
-        sigma = np.concatenate([curve.c_sigma_stat, [p.sigma for p in fitted]])
-        results.append((error / truth, error / sigma, scene.smallest_errors(sky), [curve.chi2_per_dof]))
-    return Outcome(*(np.array(part) for part in zip(*results, strict=True)))
+def fit_one(scene: Scene, rng: np.random.Generator) -> Row:
+    """Draw and fit a data set: errors over the Fisher bound and pulls of C at `AT_MHZ` and of the noise constants."""
+    spectra, sky = scene.draw(rng)
+    curve = fit_calibration(spectra, scene.instrument, scene.sky_power).curves[0]
+    if curve.status != CONVERGED or curve.c is None or curve.c_sigma_stat is None:
+        return {"status": curve.status}
+    fitted = [curve.parameters[name] for name in NAMES]
+    truth = np.concatenate([scene.true_c(), scene.noise])
+    error = np.concatenate([curve.c, [p.value for p in fitted]]) - truth
+    sigma = np.concatenate([curve.c_sigma_stat, [p.sigma for p in fitted]])
+    bound = scene.smallest_errors(sky)
+    at = np.concatenate([np.isin(scene.instrument.frequency_mhz, AT_MHZ), np.ones(len(NAMES), dtype=bool)])
+    return {
+        "status": curve.status,
+        "error_over_bound": np.round((error / truth / bound)[at], 4).tolist(),
+        "pull": np.round((error / sigma)[at], 4).tolist(),
+        "median_error": float(np.median(np.abs(error / truth)[: -len(NAMES)])),
+        "median_bound": float(np.median(bound[: -len(NAMES)])),
+        "chi2_per_dof": round(float(curve.chi2_per_dof), 5),
+    }
 
 
-def judge(outcome: Outcome) -> tuple[bool, list[str]]:
-    """Whether the claims hold, and the figures."""
-    n = len(outcome.error)
-    channels = outcome.error.shape[1] - len(NAMES)
-    ratio = np.sqrt(np.mean((outcome.error / outcome.bound) ** 2, axis=0))
-    mean, spread = outcome.pull.mean(axis=0), outcome.pull.std(axis=0, ddof=1)
-    # factors of the 95 % interval of a standard deviation, and its half-width for a mean of pulls
-    low, high = np.sqrt(n / chi2.ppf([0.975, 0.025], n))
-    of_mean = 1.96 / np.sqrt(n)
-    c = slice(0, channels)
-    per_dof = outcome.chi2_per_dof
-    lines = [
-        "| | bound % | RMS error / bound | mean of pulls | their standard deviation |",
-        "|---|---|---|---|---|",
-    ]
-    worst = int(np.argmax(ratio[c])), int(np.argmax(np.abs(mean[c]))), int(np.argmax(np.abs(spread[c] - 1)))
-    rows = [("C, channel farthest off", worst)] + [(name.upper(), (k, k, k)) for k, name in enumerate(NAMES, channels)]
-    for name, (r, m, s) in rows:
-        cells = (
-            name,
-            f"{100 * outcome.bound[:, r].mean():.2f}",
-            f"{ratio[r]:.3f} ({ratio[r] * low:.3f}-{ratio[r] * high:.3f})",
-            f"{mean[m]:+.3f} +- {of_mean:.3f}",
-            f"{spread[s]:.3f} ({spread[s] * low:.3f}-{spread[s] * high:.3f})",
-        )
-        lines.append(f"| {' | '.join(cells)} |")
-    bound = 100 * np.median(outcome.bound[:, c])
-    lines.append(
-        f"| C, all channels | {bound:.2f} | {ratio[c].mean():.3f} | {mean[c].mean():+.3f} | {spread[c].mean():.3f} |"
+def judge(rows: Sequence[Row]) -> list[Claim]:
+    """What the data sets show of a fit."""
+    good = [row for row in rows if row["status"] == CONVERGED]
+    ratio, pull = (np.array([row[name] for row in good]) for name in ("error_over_bound", "pull"))
+    n, confidence = len(good), confidence_of_each(ratio.shape[1])
+    rms, mean, spread = np.sqrt(np.mean(ratio**2, axis=0)), pull.mean(axis=0), pull.std(axis=0, ddof=1)
+    where = "at any channel or noise constant"
+    chi2 = np.array([row["chi2_per_dof"] for row in good])
+    median = np.array([row["median_error"] for row in good])
+    return [
+        claim_rate("converged", "The fit of one path and 900 events converges", at_least(0.99), n, len(rows)),
+        claim_worst(
+            "efficiency", f"Its r.m.s. error is within 10 % of the Fisher bound {where}", at_most(LARGEST_RATIO),
+            rms.tolist(), [spread_interval(r, n, confidence) for r in rms], n,
+        ),
+        claim_worst(
+            "bias", f"Its mean pull is within 0.1 of 0 {where}", between(-LARGEST_MEAN, LARGEST_MEAN), mean.tolist(),
+            [mean_interval(p, confidence) for p in pull.T], n,
+        ),
+        claim_worst(
+            "errors", f"The standard deviation of its pulls is within 0.1 of 1 {where}", between(*SPREAD),
+            spread.tolist(), [spread_interval(s, n, confidence) for s in spread], n,
+        ),
+        claim_mean("chi2", "chi2 per degree of freedom has mean 1", between(0.95, 1.05), chi2),
+        claim_mean("error", "Median error of C over the channels of a path", at_most(0.01), median, "%"),
+    ]  # fmt: skip
+
+
+def tell(rows: Sequence[Row]) -> list[str]:
+    """Channel by channel."""
+    good = [row for row in rows if row["status"] == CONVERGED]
+    ratio, pull = (np.array([row[name] for row in good]) for name in ("error_over_bound", "pull"))
+    lines = ["| | r.m.s. error / bound | mean pull | standard deviation of pulls |", "|---|---|---|---|"]
+    for k, name in enumerate([*(f"C at {mhz:g} MHz" for mhz in AT_MHZ), *(name.upper() for name in NAMES)]):
+        rms = float(np.sqrt(np.mean(ratio[:, k] ** 2)))
+        lines.append(f"| {name} | {rms:.3f} | {pull[:, k].mean():+.3f} | {pull[:, k].std(ddof=1):.3f} |")
+    return lines
+
+
+@cache
+def example_scene() -> Scene:
+    """The example beside the project: its instrument, sky power and the noise that a fit of its spectra finds."""
+    instrument = load_instrument(str(EXAMPLES / "instrument.json"))
+    return scene_of_example(
+        instrument, read_sky_power(EXAMPLES / "sky_power.json"), read_spectra(EXAMPLES / "spectra.h5")
     )
-    of_chi2 = 1.96 * per_dof.std(ddof=1) / np.sqrt(n)
-    median = 100 * np.median(np.abs(outcome.error[:, c]))
-    lines += ["", f"Median |error| of C {median:.3f} %; chi2_per_dof {per_dof.mean():.3f} +- {of_chi2:.3f}."]
-    is_efficient = bool(np.all(ratio[c] <= LARGEST_RATIO))
-    is_centred = bool(np.all(np.abs(mean) <= LARGEST_MEAN))
-    is_calibrated = bool(np.all((spread >= SPREAD[0]) & (spread <= SPREAD[1])))
-    return is_efficient and is_centred and is_calibrated, lines
 
 
-def load_scenes(instrument: str | None, sky_power: Path | None, spectra: Path | None) -> list[Scene]:
-    """The scenes of named files, of the examples where they exist, or of the package's own sky."""
-    if instrument is None and EXAMPLES.is_dir():
-        instrument = str(EXAMPLES / "instrument.json")
-        sky_power, spectra = sky_power or EXAMPLES / "sky_power.json", spectra or EXAMPLES / "spectra.h5"
-    loaded = load_instrument(instrument or "lofar-superterp")
-    if sky_power is None:
-        from lbacal_core.skypower.model import compute_sky_power
-
-        sky = compute_sky_power(loaded)
-    else:
-        sky = read_sky_power(sky_power)
-    scenes = [scene_of_noise_terms(loaded, sky)]
-    return [scene_of_example(loaded, sky, read_spectra(spectra)), *scenes] if spectra else scenes
+@cache
+def published_noise_scene() -> Scene:
+    """The Superterp with the package's own sky and the published noise."""
+    instrument = load_instrument("lofar-superterp")
+    return scene_of_noise_terms(instrument, compute_sky_power(instrument))
 
 
-def prove(arguments: Sequence[str]) -> tuple[bool, list[str]]:
-    parser = argparse.ArgumentParser(prog="./dev prove fit", description=__doc__)
-    parser.add_argument("--data-sets", type=int, default=1000)
-    parser.add_argument("--seed", type=int, default=20_141_101)
-    parser.add_argument("--instrument", help="name or file; the examples beside the project unless given")
-    parser.add_argument("--sky-power", type=Path, help="file; computed where it is not given")
-    parser.add_argument("--spectra", type=Path, help="file: its fitted noise constants are a scene of their own")
-    options = parser.parse_args(arguments)
-    figures, is_proven = [], True
-    for scene in load_scenes(options.instrument, options.sky_power, options.spectra):
-        holds, lines = judge(fit_data_sets(scene, options.data_sets, options.seed))
-        is_proven &= holds
-        title = f"**Noise of {scene.name}**, {options.data_sets} data sets: {'holds' if holds else 'DOES NOT HOLD'}"
-        figures += ["", title, "", *lines]
-    asked = f"RMS error of C within {LARGEST_RATIO} of the bound in every channel, mean of pulls within {LARGEST_MEAN}"
-    asked += f" and their standard deviation {SPREAD[0]}-{SPREAD[1]} for every channel and constant"
-    return is_proven, [f"One path, {EVENTS} events a data set. Asked: {asked}. 95 % intervals.", *figures]
+def fit_example(seed: int) -> Row:
+    """A data set with the noise of the example."""
+    return fit_one(example_scene(), np.random.default_rng([20_141_101, seed]))
+
+
+def fit_published_noise(seed: int) -> Row:
+    """A data set with the published noise."""
+    return fit_one(published_noise_scene(), np.random.default_rng([20_141_102, seed]))
+
+
+PARTS = (
+    Part("published-noise", fit_published_noise, judge, 1000, tell),
+    Part("example", fit_example, judge, 1000, tell, needs_shared=True),
+)

@@ -6,8 +6,9 @@ Needs ../shared. Nothing is tuned: the search of `lbacal investigate --lst-curve
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -23,11 +24,12 @@ from lbacal_core.lstcurve.noise import PointNoise, estimate_noise
 from lbacal_core.provenance import Provenance
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.table import SkyPower
-from proofs.sky_models import MAPS, SHARED, TABLES, WIPL, fourier_series_curve, published_tables
-from service.cli.curve_figures import draw_change, draw_curve, draw_ranking, name_hypothesis
+from proofs.machinery.claims import Claim, at_least, at_most, between, claim_exact, claim_worst
+from proofs.machinery.parts import Part, Row
+from proofs.sky_models import DATA, MAPS, TABLES, WIPL, fourier_series_curve, published_tables
+from service.cli.curve_figures import name_hypothesis
 
 BAND = (30.0, 80.0)
-IMAGES = Path(__file__).parents[1] / "docs/images"
 HARMONICS = 8
 """Of the published tables, which have 24 instants at LSTs rounded to 0.01 h; the beam leaves nothing above."""
 DIGITISED_DB = 0.012
@@ -120,23 +122,6 @@ def per_point(fit: CurveFit) -> str:
     return f"{fit.chi2 / fit.points:.2f} ({fit.chi2_drawn / fit.points:.2f})"
 
 
-def robustness_table(questions: list[Question], instrument: Instrument) -> tuple[list[str], bool]:
-    """One row a variant, and whether every one names the exchange of the letters."""
-    lines = [
-        "| choice | named | chi2 per point before | after | best of up to 3 causes without an exchange | verdict |",
-        "|---|---|---|---|---|---|",
-    ]
-    is_always = True
-    for question in questions:
-        found = question.ask(instrument)
-        report = describe_curve(found, Provenance({}))
-        rival = best_without(found, instrument, "exchange")
-        is_always &= "dipole_swap" in [finding["cause"] for finding in report["findings"]]
-        cells = [question.words, describe(found.last), per_point(found.first), per_point(found.last)]
-        lines.append("| " + " | ".join([*cells, per_point(rival), report["verdict"]]) + " |")
-    return lines, is_always
-
-
 def hypotheses_table(found: CurveInvestigation) -> list[str]:
     """What the report says of every hypothesis: chi^2, whether it is excluded, and what it would do to C."""
     lines = [
@@ -164,9 +149,9 @@ def hypotheses_table(found: CurveInvestigation) -> list[str]:
 def witnesses(instrument: Instrument, own: SkyPower, tables: SkyPower) -> list[Question]:
     """Published curves and simulations against each other, none of them the measured points."""
     known = PointNoise(dict.fromkeys(DIPOLES, DIGITISED_DB), 0.0, 60)
-    points = SHARED / "measured_lst_variation.csv"
+    points = DATA / "measured_lst_variation.csv"
     of_tables = published_tables(TABLES, instrument)[0]
-    series = fourier_series_curve(SHARED / "lst_fourier_series.csv")
+    series = fourier_series_curve(DATA / "lst_fourier_series.csv")
     smooth = PointNoise(dict.fromkeys(DIPOLES, 0.05), 0.0, 60)
     drawn = "simulation drawn in the figure"
     return [
@@ -204,55 +189,106 @@ def _other_skies(main: Question, instrument: Instrument) -> list[Question]:
     return [at_word, *(replace(main, words=words, sky=sky) for words, sky in models)]
 
 
-def prove(arguments: list[str]) -> tuple[bool, list[str]]:
-    """Both investigations, their hypotheses, every choice made otherwise, and what other publications say."""
-    if arguments:
-        return False, ["takes no arguments"]
-    if not SHARED.is_dir():
-        return False, ["needs the folder ../shared beside the project"]
-    instrument = load_instrument("lofar-superterp")
-    own, tables = main_questions(instrument)
-    found_own, found_tables = own.ask(instrument), tables.ask(instrument)
-    draw_curve(found_own, "Measured LOFAR curve against our sky").savefig(IMAGES / "measured-own.png", dpi=110)
-    draw_curve(found_tables, "Measured LOFAR curve against the published tables").savefig(
-        IMAGES / "measured-tables.png", dpi=110
-    )
-    draw_ranking(found_own).savefig(IMAGES / "measured-ranking.png", dpi=110)
-    draw_change(found_own).savefig(IMAGES / "measured-change.png", dpi=110)
-    own_rows, own_holds = robustness_table(variants(own, _other_skies(own, instrument)), instrument)
+@cache
+def _instrument() -> Instrument:
+    return load_instrument("lofar-superterp")
+
+
+@cache
+def own_questions() -> list[Question]:
+    """The measured curve against our sky, and every choice made otherwise."""
+    own, _ = main_questions(_instrument())
+    return variants(own, _other_skies(own, _instrument()))
+
+
+@cache
+def tables_questions() -> list[Question]:
+    """The measured curve against the published tables, and every choice made otherwise."""
+    _, tables = main_questions(_instrument())
+    one_gain = tables_as_sky_power(TABLES, _instrument(), one_gain=True)
     spread = replace(tables, words="spread of models added", is_own_sky=True)
-    gain = replace(tables, words="one gain for X and Y", sky=tables_as_sky_power(TABLES, instrument, one_gain=True))
-    tables_rows, tables_holds = robustness_table(variants(tables, [spread, gain]), instrument)
-    noise = found_own.noise
-    level = f"noise X {noise.sigma_db['X']:.3f} dB, Y {noise.sigma_db['Y']:.3f} dB, correlated by"
-    lines = [
-        f"{found_own.first.points} points; {level} {noise.correlation:.2f} ({noise.free} degrees of freedom).",
-        "Chi2 per point with the estimated noise, in brackets with the drawn bars.",
-        "",
-        *own_rows,
-        "",
-        *tables_rows,
-        "",
-        *(
-            f"Best without an exchange, {words}: {describe(best_without(found, instrument, 'exchange'))}."
-            for words, found in (("(a)", found_own), ("(b)", found_tables))
+    return variants(tables, [spread, replace(tables, words="one gain for X and Y", sky=one_gain)])
+
+
+@cache
+def other_questions() -> list[Question]:
+    """Published curves and simulations against each other."""
+    own, tables = main_questions(_instrument())
+    return witnesses(_instrument(), own.sky, tables.sky)
+
+
+def ask_one(questions: Callable[[], list[Question]], case: int) -> Row:
+    """What is found for one question; of the first also every hypothesis."""
+    question = questions()[case]
+    found = question.ask(_instrument())
+    report = describe_curve(found, Provenance({}))
+    row: Row = {
+        "words": question.words,
+        "named": describe(found.last),
+        "sizes": {
+            label: [round(float(size), 4), round(float(sigma * np.sqrt(found.last.scale)), 4)]
+            for label, size, sigma in zip(found.last.labels, found.last.sizes, found.last.sigmas, strict=True)
+        },
+        "chi2_before": per_point(found.first),
+        "chi2_after": per_point(found.last),
+        "verdict": report["verdict"],
+    }
+    if questions is not other_questions:
+        row["best_without_exchange"] = per_point(best_without(found, _instrument(), "exchange"))
+    if case == 0 and questions is not other_questions:
+        noise = found.noise
+        row["noise_db"] = {dipole: round(noise.sigma_db[dipole], 4) for dipole in DIPOLES}
+        row["correlation"], row["points"] = round(noise.correlation, 3), found.first.points
+        row["hypotheses"] = hypotheses_table(found)
+    return row
+
+
+def judge_variants(rows: Sequence[Row]) -> list[Claim]:
+    """Whether the exchange of the letters depends on a choice."""
+    named = sum("dipole_swap" in row["sizes"] for row in rows) / len(rows)
+    text = "Choices of noise, points, weights, sky and antenna for which X and Y are found exchanged"
+    claims = [claim_exact("exchange", text, at_least(1.0), named, "%", n=len(rows))]
+    for label, (size, sigma) in rows[0]["sizes"].items():
+        interval = (size - 1.96 * sigma, size + 1.96 * sigma)
+        asked = at_least(0.0) if size > 0 else at_most(0.0)
+        text = f"Size of `{label}` in the measured curve is not 0"
+        claims.append(Claim(label, text, asked, size, interval, rows[0]["points"], is_detail=label != "dipole_swap"))
+    return claims
+
+
+def judge_others(rows: Sequence[Row]) -> list[Claim]:
+    """The simulation drawn in the figure, and the tables against our sky."""
+    drawn = [row["sizes"].get("dipole_swap", [0.0, 1.0]) for row in rows[:2]]
+    zenith, sigma = rows[3]["sizes"].get("zenith_weighting", [0.0, 1.0])
+    return [
+        claim_worst(
+            "drawn_exchange", "Share of X and Y exchanged in the simulation drawn in the figure, against the tables",
+            between(0.9, 1.1), [s for s, _ in drawn], [(s - 1.96 * e, s + 1.96 * e) for s, e in drawn], 2,
         ),
-        "",
-        "Hypotheses, measured curve against our sky:",
-        "",
-        *hypotheses_table(found_own),
-        "",
-        "Hypotheses, measured curve against the published tables:",
-        "",
-        *hypotheses_table(found_tables),
-        "",
-        "Other publications, by the same search:",
-        "",
-        "| curve and simulation | named | chi2 per point before | after |",
-        "|---|---|---|---|",
+        Claim(
+            "zenith_weighting", "Cosines of the zenith angle too many in the published tables, against our sky",
+            between(0.8, 1.2), zenith, (zenith - 1.96 * sigma, zenith + 1.96 * sigma), 1,
+        ),
+    ]  # fmt: skip
+
+
+def tell(rows: Sequence[Row]) -> list[str]:
+    """One row a question, and the hypotheses of the first."""
+    lines = [
+        "| choice | named | chi2 per point before | after | best without an exchange | verdict |",
+        "|" + "---|" * 6,
     ]
-    for question in witnesses(instrument, own.sky, tables.sky):
-        found = question.ask(instrument)
-        cells = [question.words, describe(found.last), per_point(found.first), per_point(found.last)]
-        lines.append("| " + " | ".join(cells) + " |")
-    return own_holds and tables_holds, lines
+    names = ("words", "named", "chi2_before", "chi2_after", "best_without_exchange", "verdict")
+    lines += [f"| {' | '.join(str(row.get(name, '')) for name in names)} |" for row in rows]
+    return [*lines, "", *rows[0].get("hypotheses", [])]
+
+
+CODE = ("lbacal_core", "proofs", "service")
+PARTS = (
+    Part("own", partial(ask_one, own_questions), judge_variants, 16, tell, False, needs_shared=True, code=CODE),
+    Part("tables", partial(ask_one, tables_questions), judge_variants, 13, tell, False, needs_shared=True, code=CODE),
+    Part("others", partial(ask_one, other_questions), judge_others, 5, tell, False, needs_shared=True, code=CODE),
+)
+IMAGES = {
+    "measured-own.png": "Measured LOFAR curve, X, Y and their difference, with the simulation before and after",
+}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
@@ -21,11 +22,13 @@ from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.modes import sky_power_at, sky_power_modes
 from lbacal_core.skypower.power import IMPEDANCE_OF_FREE_SPACE, RESISTANCE_OHM
 from lbacal_core.skypower.table import SkyPower
+from proofs.machinery.claims import Claim, at_most, between, claim_exact, claim_worst
+from proofs.machinery.parts import SHARED, Part, Row
 
-SHARED = Path(__file__).parents[2] / "shared" / "data"
-MAPS = (SHARED / "sky/gsm-408locked.npz", SHARED / "sky/lfsm-5.1deg.npz")
-WIPL = SHARED / "antenna/lba_vout.npz"
-TABLES = SHARED / "published_sky_power.csv"
+DATA = SHARED / "data"
+MAPS = (DATA / "sky/gsm-408locked.npz", DATA / "sky/lfsm-5.1deg.npz")
+WIPL = DATA / "antenna/lba_vout.npz"
+TABLES = DATA / "published_sky_power.csv"
 BAND_MHZ = (30.0, 80.0)
 DRAWN_BAR_DB = 0.11
 LETTERS = {"as named": {"X": 45.0, "Y": 135.0}, "exchanged": {"X": 135.0, "Y": 45.0}}
@@ -115,18 +118,17 @@ def bare_level(tables: dict[str, Floats], instrument: Instrument) -> Floats:
     return np.asarray(tables["bare"].mean(axis=0) / ours * IMPEDANCE_OF_FREE_SPACE / RESISTANCE_OHM)
 
 
-def shapes_table(instrument: Instrument) -> list[str]:
-    """The embedded sky and truncated maps against the maps."""
-    lines = ["| sky | against | largest | rms |", "|---|---|---|---|"]
+def shapes(instrument: Instrument) -> list[tuple[str, str, float, float]]:
+    """Sky, what it is compared with, largest and rms difference in LST shape: the embedded sky and truncated maps."""
+    found = []
     for path in MAPS:
         full = load_sky(str(path))
         power = compute_sky_power(instrument, full)
-        largest, rms = shape_difference(compute_sky_power(instrument), power)
-        lines.append(f"| embedded (l <= 16) | {path.stem}, l <= {full.lmax} | {largest:.2%} | {rms:.2%} |")
+        found.append(("embedded (l <= 16)", path.stem, *shape_difference(compute_sky_power(instrument), power)))
         for lmax in (8, 10, 16, 24, 32):
-            largest, rms = shape_difference(compute_sky_power(instrument, full.truncated(lmax)), power)
-            lines.append(f"| {path.stem}, l <= {lmax} | itself, l <= {full.lmax} | {largest:.4%} | {rms:.4%} |")
-    return [*lines, "", "LST shape only, one factor a channel apart.", ""]
+            truncated = compute_sky_power(instrument, full.truncated(lmax))
+            found.append((f"{path.stem}, l <= {lmax}", "itself", *shape_difference(truncated, power)))
+    return found
 
 
 def comparison_table(instrument: Instrument) -> list[str]:
@@ -176,29 +178,58 @@ def shifts_table(instrument: Instrument) -> list[str]:
 
 def published_curves(instrument: Instrument) -> list[tuple[LstCurve, bool]]:
     """The curves compared with, and whether each contains electronic noise."""
-    series = fourier_series_curve(SHARED / "lst_fourier_series.csv")
+    series = fourier_series_curve(DATA / "lst_fourier_series.csv")
     return [(read_lst_curve(measured_curve()), True), (series, True), (published_tables(TABLES, instrument)[0], False)]
 
 
-def prove(arguments: list[str]) -> tuple[bool, list[str]]:
-    """Figures of models against each other, and the table against published data."""
-    if arguments:
-        return False, ["takes no arguments"]
-    if not SHARED.is_dir():
-        return False, ["needs the folder ../shared beside the project"]
+def compare_all(_case: int) -> Row:
+    """Every comparison, in one row."""
     instrument = load_instrument("lofar-superterp")
-    everybeam = everybeam_difference()
-    own = compare_with_plain_sum(instrument, "gsm", 64)
-    fine = compare_with_plain_sum(instrument, str(MAPS[0]), 128)
     level = bare_level(published_tables(TABLES, instrument)[1], instrument)
+    return {
+        "everybeam": everybeam_difference(),
+        "plain_sum_embedded": compare_with_plain_sum(instrument, "gsm", 64),
+        "plain_sum_map": compare_with_plain_sum(instrument, str(MAPS[0]), 128),
+        "published_level": [round(float(level.min()), 4), round(float(level.max()), 4)],
+        "shapes": shapes(instrument),
+        "published_curves": comparison_table(instrument),
+        "lst_shifts": shifts_table(instrument),
+    }
+
+
+def judge(rows: Sequence[Row]) -> list[Claim]:
+    """What must agree: our beam, our integral, and the embedded sky with the map it was made from."""
+    (row,) = rows
+    shape = {(sky, against): largest for sky, against, largest, _ in row["shapes"]}
+    claims = [
+        claim_exact("everybeam", "Largest difference of a Jones term from EveryBeam's, 20 directions",
+                    at_most(1e-12), row["everybeam"], n=20),
+        claim_exact("plain_sum", "Largest relative difference of P_sky from the plain sum over pixels, embedded sky",
+                    at_most(1e-4), row["plain_sum_embedded"], n=15),
+        claim_exact("plain_sum_map", "The same for a map of 5 degrees", at_most(1e-4), row["plain_sum_map"], n=15),
+        claim_worst("published_level", "Published sky power without antenna over ours", between(0.95, 1.05),
+                    row["published_level"], [(one, one) for one in row["published_level"]], 51),
+        claim_exact("embedded", "Largest difference in LST shape of P_sky, embedded sky against the full map",
+                    at_most(0.01), shape["embedded (l <= 16)", MAPS[0].stem], "%"),
+    ]  # fmt: skip
+    for lmax in (8, 10, 16):
+        text = f"Largest difference in LST shape of P_sky, multipoles up to {lmax} against all of a map"
+        found = shape[f"{MAPS[0].stem}, l <= {lmax}", "itself"]
+        claims.append(replace(claim_exact(f"l_{lmax}", text, at_most(0.01), found, "%"), is_detail=lmax != 16))
+    return claims
+
+
+def tell(rows: Sequence[Row]) -> list[str]:
+    """Tables of every comparison; nothing is tuned to published curves, and the tables are a simulation under test."""
+    (row,) = rows
     lines = [
-        f"- Hamaker beam, 20 directions, both dipoles: largest difference from EveryBeam {everybeam:.1e}.",
-        f"- Fourier series against the plain sum, 5 LST, 3 channels: {own:.1e}; map: {fine:.1e}.",
-        f"- Published sky without antenna over ours, with Z_0/R_r = 1: {level.min():.3f} to {level.max():.3f}.",
+        "LST shape only, one factor a channel apart.",
         "",
-        *shapes_table(instrument),
-        *comparison_table(instrument),
-        *shifts_table(instrument),
-        "A comparison: nothing was tuned to any of the three, and the tables are a simulation under test.",
+        "| sky | against | largest | rms |",
+        "|---|---|---|---|",
     ]
-    return everybeam < 1e-12 and own < 1e-4 and fine < 1e-4, lines
+    lines += [f"| {sky} | {against} | {largest:.4%} | {rms:.4%} |" for sky, against, largest, rms in row["shapes"]]
+    return [*lines, "", *row["published_curves"], *row["lst_shifts"]]
+
+
+PARTS = (Part("sky_models", compare_all, judge, 1, tell, has_chance=False, needs_shared=True),)

@@ -1,8 +1,13 @@
-"""The fit recovers what the twin planted: pulls of paths and stations, with and without nuisances."""
+"""The fit recovers what the twin planted: pulls of paths and stations, with and without nuisances.
+
+The curve of a station is that of its antennas with enough events: which antennas are averaged matters more than the
+noise, because their cables differ.
+"""
 
 from __future__ import annotations
 
-import time
+from collections.abc import Sequence
+from functools import cache, partial
 
 import numpy as np
 
@@ -10,11 +15,16 @@ from lbacal_core.calibration.fit import MIN_EVENTS, fit_calibration
 from lbacal_core.curves import CalibrationCurve
 from lbacal_core.instrument import DIPOLES, load_instrument
 from lbacal_core.skypower.model import compute_sky_power
+from lbacal_core.skypower.table import SkyPower
 from lbacal_core.twin.campaign import Campaign, simulate_campaign
-from lbacal_core.twin.nuisances import NONE, REALISTIC
+from lbacal_core.twin.nuisances import NONE, REALISTIC, Nuisances
 from lbacal_core.twin.settings import TwinSettings
+from proofs.machinery.claims import Claim, between, claim_worst, confidence_of_each, mean_interval
+from proofs.machinery.parts import Part, Row
 
 CHANNELS = {"35 MHz": 5, "55 MHz": 25, "75 MHz": 45}
+SCOPES = ("antenna", "station")
+LARGEST_MEAN, SPREAD = 0.2, (0.85, 1.15)
 
 
 def planted_curve(campaign: Campaign, curve: CalibrationCurve) -> np.ndarray:
@@ -27,52 +37,66 @@ def planted_curve(campaign: Campaign, curve: CalibrationCurve) -> np.ndarray:
     return np.asarray(gains.mean(axis=0) ** -0.5)
 
 
-def prove(arguments: list[str]) -> tuple[bool, list[str]]:
-    """Pulls over independent station-years of 12 antennas; `./dev prove twin 100` for more than 60 campaigns."""
-    campaigns = int(arguments[0]) if arguments else 60
+@cache
+def _sky_power() -> SkyPower:
+    return compute_sky_power(load_instrument("lofar-superterp"))
+
+
+def fit_campaign(nuisances: Nuisances, seed: int) -> Row:
+    """A station-year of 12 antennas: mean, mean square and number of the pulls of its curves, at three channels."""
     instrument = load_instrument("lofar-superterp")
-    sky = compute_sky_power(instrument)
-    started = time.perf_counter()
-    whole = simulate_campaign(TwinSettings(stations=("CS002",)), instrument, sky, np.random.default_rng(0))
-    seconds = time.perf_counter() - started
-    lines = [f"A station-year of {len(whole.spectra):,} spectra is simulated in {seconds:.1f} s.", ""]
-    lines += ["| nuisances | scope | curves | campaigns | mean pull | standard deviation of pulls | at |"]
-    lines += ["|" + "---|" * 7]
-    holds = True
-    for name, nuisances in (("none", NONE), ("realistic", REALISTIC)):
-        pulls: dict[str, list[np.ndarray]] = {"antenna": [], "station": []}
-        for seed in range(campaigns):
-            settings = TwinSettings(stations=("CS002",), antennas=12)
-            rng = np.random.default_rng([2019, seed])
-            campaign = simulate_campaign(settings, instrument, sky, rng, nuisances=nuisances)
-            for scope, values in pulls.items():
-                fitted = fit_calibration(campaign.spectra, instrument, sky, scope).curves
-                values.append(
-                    np.array(
-                        [
-                            (curve.c - planted_curve(campaign, curve)) / curve.c_sigma_stat
-                            for curve in fitted
-                            if curve.c is not None
-                        ]
-                    )
-                )
-        for scope, values in pulls.items():
-            for label, channel in CHANNELS.items():
-                at = [one[:, channel] for one in values]
-                spread = float(np.concatenate(at).std())
-                # Curves of one campaign share events and sky: a campaign is one draw of the mean.
-                mean = float(np.mean([one.mean() for one in at]))
-                error = float(np.std([one.mean() for one in at]) / campaigns**0.5)
-                count = sum(one.size for one in at)
-                lines.append(
-                    f"| {name} | {scope} | {count} | {campaigns} | {mean:+.2f} ± {error:.2f} | {spread:.2f} | {label} |"
-                )
-                if name == "none":
-                    holds &= 0.85 < spread < 1.15 and abs(mean) < 3 * error + 0.1
-    lines += [
-        "",
-        "The curve of a station is that of its antennas with enough events. Against the mean of all its antennas,",
-        "some of which died early in the realistic campaigns, the pulls of stations have a standard deviation of 2.2",
-        "to 4.0 (40 campaigns): which antennas are averaged matters more than the noise, because their cables differ.",
-    ]
-    return holds, lines
+    settings = TwinSettings(stations=("CS002",), antennas=12)
+    rng = np.random.default_rng([2019, seed])
+    campaign = simulate_campaign(settings, instrument, _sky_power(), rng, nuisances=nuisances)
+    row: Row = {}
+    for scope in SCOPES:
+        fitted = fit_calibration(campaign.spectra, instrument, _sky_power(), scope).curves
+        pulls = np.array([(c.c - planted_curve(campaign, c)) / c.c_sigma_stat for c in fitted if c.c is not None])
+        at = pulls[:, list(CHANNELS.values())]
+        row[scope] = {
+            "curves": len(at),
+            "mean": np.round(at.mean(axis=0), 4).tolist(),
+            "mean_square": np.round((at**2).mean(axis=0), 4).tolist(),
+        }
+    return row
+
+
+def judge(what: str, rows: Sequence[Row]) -> list[Claim]:
+    """Mean and spread of the pulls of paths and stations; curves of a campaign share events and sky: it is one draw."""
+    claims, confidence = [], confidence_of_each(len(CHANNELS))
+    for scope in SCOPES:
+        mean, square = (np.array([row[scope][name] for row in rows]) for name in ("mean", "mean_square"))
+        words = f"pulls of C of {'paths' if scope == 'antenna' else 'stations'} at 35, 55 and 75 MHz, {what}"
+        claims += [
+            claim_worst(
+                f"{scope}_mean", f"Mean of the {words}", between(-LARGEST_MEAN, LARGEST_MEAN),
+                mean.mean(axis=0).tolist(), [mean_interval(one, confidence) for one in mean.T], len(rows),
+            ),
+            claim_worst(
+                f"{scope}_spread", f"R.m.s. of the {words}", between(*SPREAD), np.sqrt(square.mean(axis=0)).tolist(),
+                [_root(mean_interval(one, confidence)) for one in square.T], len(rows),
+            ),
+        ]  # fmt: skip
+    return claims
+
+
+def _root(interval: tuple[float, float]) -> tuple[float, float]:
+    return max(interval[0], 0.0) ** 0.5, interval[1] ** 0.5
+
+
+def tell(rows: Sequence[Row]) -> list[str]:
+    """Channel by channel."""
+    lines = ["| scope | at | curves | mean pull | r.m.s. |", "|---|---|---|---|---|"]
+    for scope in SCOPES:
+        for k, name in enumerate(CHANNELS):
+            mean = np.mean([row[scope]["mean"][k] for row in rows])
+            rms = np.mean([row[scope]["mean_square"][k] for row in rows]) ** 0.5
+            count = sum(row[scope]["curves"] for row in rows)
+            lines.append(f"| {scope} | {name} | {count} | {mean:+.2f} | {rms:.2f} |")
+    return lines
+
+
+PARTS = tuple(
+    Part(name, partial(fit_campaign, nuisances), partial(judge, words), 200, tell)
+    for name, nuisances, words in (("clean", NONE, "no nuisances"), ("nuisances", REALISTIC, "realistic nuisances"))
+)

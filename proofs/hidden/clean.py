@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -12,20 +12,13 @@ from lbacal_core.lstcurve.compare import AS_RECORDED, band_weights
 from lbacal_core.lstcurve.curve import LstCurve
 from proofs.hidden.data_sets import FEW_EVENTS, SMALLEST, comparable, plain, realistic, sky_power
 from proofs.hidden.finder import Answer, ask_of_curve
-from proofs.machinery.trials import Rate, run_trials
+from proofs.machinery.claims import Claim, at_most, claim_rate
+from proofs.machinery.parts import Part, Row
 
 FALSE_ALARM_LIMIT = 0.01
 BAND_MHZ = (30.0, 80.0)
-POINTS, POINT_NOISE_DB, SHARED = 46, 0.05, 0.9
+POINTS, POINT_NOISE_DB, SHARED_VARIANCE = 46, 0.05, 0.9
 """Points of a curve, their noise, and the part of its variance that X and Y share: those of the measured curve."""
-
-
-@dataclass(frozen=True)
-class Kind:
-    """Data with nothing hidden: what they are, and what the finder answers to those of a number."""
-
-    name: str
-    ask: Callable[[int], Answer]
 
 
 def ask_plain(number: int) -> Answer:
@@ -53,55 +46,45 @@ def ask_curve(number: int) -> Answer:
     chain, rng = load_instrument("lofar-superterp"), np.random.default_rng([20261122, number])
     lst_hours = 24.0 * (np.arange(POINTS) + 0.5) / POINTS
     weights = band_weights(chain, AS_RECORDED, BAND_MHZ)
-    shared = SHARED**0.5 * rng.standard_normal(POINTS)
+    shared = SHARED_VARIANCE**0.5 * rng.standard_normal(POINTS)
     variation = {}
     for dipole in DIPOLES:
         band = sky_power().at(dipole, lst_hours) @ weights
-        noise = shared + (1 - SHARED) ** 0.5 * rng.standard_normal(POINTS)
+        noise = shared + (1 - SHARED_VARIANCE) ** 0.5 * rng.standard_normal(POINTS)
         variation[dipole] = 10 * np.log10(band / band.mean()) + POINT_NOISE_DB * noise
     curve = LstCurve(lst_hours, variation, np.full(POINTS, 0.11), 0.5, is_centre_stated=True, origin="simulated")
     return ask_of_curve(curve, sky_power(), chain, BAND_MHZ)
 
 
-PLAIN = (Kind("without nuisances", ask_plain),)
-NUISANCES = (Kind("with nuisances", ask_realistic),)
-OTHERS = (
-    Kind("ten antennas, compared for static causes", ask_comparable),
-    Kind("with nuisances, differences between sky models projected out", ask_own_sky),
-    Kind(f"LST curves of {POINTS} points", ask_curve),
+def listen(ask: Callable[[int], Answer], seed: int) -> Row:
+    """What is said of data with nothing hidden."""
+    answer = ask(seed)
+    return {"verdict": answer.verdict, "named": answer.named, "axis": answer.axis}
+
+
+def judge(what: str, rows: Sequence[Row]) -> list[Claim]:
+    """The rate of false alarms in data of a kind."""
+    alarms = sum(row["verdict"] != "consistent" for row in rows)
+    claim = f"Something is said of data with nothing hidden: {what}"
+    return [claim_rate("alarms", claim, at_most(FALSE_ALARM_LIMIT), alarms, len(rows))]
+
+
+def tell(rows: Sequence[Row]) -> list[str]:
+    """The false alarms, one by one."""
+    return [
+        f"- seed {row['seed']}: {row['verdict']} {'+'.join(row['named']) or row['axis']}"
+        for row in rows
+        if row["verdict"] != "consistent"
+    ]
+
+
+KINDS: dict[str, tuple[Callable[[int], Answer], str, int]] = {
+    "clean": (ask_plain, f"{len(SMALLEST)} antennas, {FEW_EVENTS} events", 500),
+    "nuisances": (ask_realistic, "the same with missing events, unequal antennas and other nuisances", 500),
+    "ten-antennas": (ask_comparable, "ten antennas, compared for static causes", 200),
+    "own-sky": (ask_own_sky, "nuisances, differences between sky models projected out", 200),
+    "lst-curves": (ask_curve, f"LST curves of {POINTS} points", 200),
+}
+PARTS = tuple(
+    Part(name, partial(listen, ask), partial(judge, what), count, tell) for name, (ask, what, count) in KINDS.items()
 )
-
-
-def listen(task: tuple[Kind, int]) -> str:
-    """What is said of data with nothing hidden; empty if nothing."""
-    kind, number = task
-    answer = kind.ask(number)
-    if answer.verdict == "consistent":
-        return ""
-    return f"{number}: {answer.verdict} {'+'.join(answer.named) or answer.axis}"
-
-
-def prove_clean(count: int) -> tuple[bool, list[str]]:
-    """`count` data sets without nuisances."""
-    return _count_alarms(PLAIN, count)
-
-
-def prove_nuisances(count: int) -> tuple[bool, list[str]]:
-    """`count` data sets with every nuisance."""
-    return _count_alarms(NUISANCES, count)
-
-
-def prove_clean_other(count: int) -> tuple[bool, list[str]]:
-    """`count` data of each of the other kinds."""
-    return _count_alarms(OTHERS, count)
-
-
-def _count_alarms(kinds: Sequence[Kind], count: int) -> tuple[bool, list[str]]:
-    holds, lines = True, ["", f"Stations of {len(SMALLEST)} antennas unless said otherwise, {FEW_EVENTS} events."]
-    for kind in kinds:
-        alarms = [said for said in run_trials(listen, [(kind, n) for n in range(count)], f"clean, {kind.name}") if said]
-        rate = Rate(len(alarms), count)
-        holds &= rate.is_at_most(FALSE_ALARM_LIMIT)
-        what = "; ".join(alarms)
-        lines.append(f"**Nothing hidden**, {kind.name}: not consistent in {rate}{f': {what}' if what else ''}.")
-    return holds, lines

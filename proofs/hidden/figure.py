@@ -2,25 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from pathlib import Path
+from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.figure import Figure
 from scipy.stats import norm
 
-from proofs.hidden.one_effect import BESIDE, GRID, INSIDE, Outcome, detection_curve
-from proofs.machinery.trials import Rate
+from proofs.hidden.one_effect import BESIDE, GRID, INSIDE, detection_curve, outcomes_of, ratios_of
+from proofs.machinery.claims import rate_interval
+from proofs.machinery.parts import Row
 
 
-def draw_detection(outcomes: Sequence[Outcome], ratios: Mapping[tuple[str, bool], Sequence[float]], path: Path) -> None:
-    """Draw both panels.
-
-    Parameters
-    ----------
-    ratios
-        Score over ideal SNR by cause and whether the law is in the documented family.
-    """
+def draw_detection(one: Sequence[Row], efficiency: Sequence[Row]) -> Figure:
+    """Draw both panels from the trials of both parts."""
+    outcomes, ratios = outcomes_of(one), ratios_of(efficiency)
     figure = Figure(figsize=(10, 5.6), layout="constrained")
     left, right = figure.subplots(1, 2, width_ratios=(1.1, 1))
     curve = detection_curve(outcomes)
@@ -30,8 +25,7 @@ def draw_detection(outcomes: Sequence[Outcome], ratios: Mapping[tuple[str, bool]
     left.plot(snr, curve.probability(snr), color="C0", label="fit")
     for point in GRID:
         here = [o.is_detected for o in outcomes if o.snr == point]
-        rate = Rate(sum(here), len(here))
-        share, (low, high) = rate.hits / max(rate.count, 1), rate.interval
+        share, (low, high) = sum(here) / max(len(here), 1), rate_interval(sum(here), len(here))
         left.errorbar(
             point, share, [[share - low], [high - share]], fmt="o", color="k", capsize=3,
             label=f"{len(outcomes)} data sets" if point == GRID[0] else None,
@@ -44,7 +38,7 @@ def draw_detection(outcomes: Sequence[Outcome], ratios: Mapping[tuple[str, bool]
     causes = sorted({cause for cause, _ in ratios}, reverse=True)
     for is_inside, marker, colour, name in ((True, "o", "C0", "law in the family"), (False, "s", "C1", "beside it")):
         rows = [k for k, cause in enumerate(causes) if (cause, is_inside) in ratios]
-        values = [np.array(ratios[causes[k], is_inside]) for k in rows]
+        values = [ratios[causes[k], is_inside] for k in rows]
         error = [max(v.std(), 1 / 12) / v.size**0.5 for v in values]
         shift = 0.12 if is_inside else -0.12
         right.errorbar(
@@ -56,4 +50,4 @@ def draw_detection(outcomes: Sequence[Outcome], ratios: Mapping[tuple[str, bool]
     right.set_xlim(0, 1.15)
     right.set_xlabel("score of the true cause / ideal signal-to-noise ratio")
     right.legend(loc="lower left")
-    figure.savefig(path, dpi=110)
+    return figure

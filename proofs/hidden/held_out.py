@@ -7,7 +7,7 @@ others. Chi^2 is the ideal detector's: exact covariance, and everything that the
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 
 import numpy as np
 
@@ -16,10 +16,13 @@ from lbacal_core.instrument import DIPOLES
 from lbacal_core.spectra import Spectra
 from proofs.hidden.data_sets import EVENTS, DataSet, draw_one, moving_causes, sky_power
 from proofs.hidden.finder import FittedModel
-from proofs.machinery.trials import Rate, run_trials
+from proofs.machinery.claims import Claim, at_least, at_most, claim_mean, claim_rate, median_interval
+from proofs.machinery.parts import Part, Row
 
 SNR = 10.0
 FIRST_SEED = 500_000
+FEWEST = 5
+"""Data sets behind a median."""
 
 
 @dataclass(frozen=True)
@@ -95,27 +98,50 @@ def chi_squared(data: DataSet, spectra: Spectra, ratio: Floats | None = None) ->
     return data.detector.fitted_to(power).chi_squared(power)
 
 
-def prove_held_out(count: int) -> tuple[bool, list[str]]:
-    """Data sets with one effect of SNR 10 in either half."""
-    outcomes = [o for o in run_trials(hide_in_halves, range(count), "held out") if o is not None]
-    if not outcomes:
-        return False, ["", "**Held out**: nothing was named in any data set."]
-    before, after = (np.array([getattr(o, name) for o in outcomes]) for name in ("before", "after"))
-    claimed, confirmed = (np.array([getattr(o, name) for o in outcomes]) for name in ("claimed", "confirmed"))
-    covered = Rate(sum(abs(o.pull) < 1.96 for o in outcomes), len(outcomes))
-    kept = Rate(sum(o.confirmed > 0 for o in outcomes), len(outcomes))
-    error = float(after.std(ddof=1) / after.size**0.5)
-    median = float(np.median(after))
-    had = f"{len(outcomes)} of {count} data sets with one effect of SNR {SNR:g} in each half had a finding"
-    left = f"{after.mean():.1f} +- {error:.1f} after what was found is divided out (median {median:.1f})"
-    gain = f"claimed {claimed.mean():.1f}, confirmed by the unseen events {confirmed.mean():.1f}"
-    lines = ["", f"**Held out**: {had}. Chi^2 of unseen events above that of the same data without the effect:"]
-    lines += [f"{before.mean():.1f} before, {left}. Gain in log-likelihood {gain};"]
-    lines += [f"claimed within 1.96 errors of confirmed in {covered}, asked 95 %; confirmed as a gain in {kept}."]
-    worst = sorted(outcomes, key=lambda o: -o.after)[:5]
-    lines += [
-        "",
-        "Least removed: " + "; ".join(f"{o.cause} as {'+'.join(o.named)}: {o.after:.0f}" for o in worst) + ".",
+def try_held_out(seed: int) -> Row:
+    """A data set with one effect in both halves of its events."""
+    outcome = hide_in_halves(seed)
+    if outcome is None:
+        return {"cause": ""}
+    row = asdict(outcome)
+    return {name: round(value, 3) if isinstance(value, float) else value for name, value in row.items()}
+
+
+def judge(rows: Sequence[Row]) -> list[Claim]:
+    """What is left in unseen events, and whether the gain that is claimed is the gain that they confirm."""
+    names = [field.name for field in fields(Outcome)]
+    outcomes = [Outcome(**{name: row[name] for name in names}) for row in rows if row["cause"]]
+    found = claim_rate(
+        "found", f"One effect of ideal SNR {SNR:g} has a finding", at_least(0.9), len(outcomes), len(rows)
+    )
+    if len(outcomes) < FEWEST:
+        return [found]
+    before, after, claimed, confirmed = (
+        np.array([getattr(o, name) for o in outcomes]) for name in ("before", "after", "claimed", "confirmed")
+    )
+    n, scale = len(outcomes), float(np.median(before))
+    low, high = median_interval(after)
+    left = "Part of an effect's chi2 that is left in unseen events when what was found is divided out (median)"
+    covered = sum(abs(o.pull) < 1.96 for o in outcomes)
+    return [
+        found,
+        Claim("left", left, at_most(0.1), float(np.median(after)) / scale, (low / scale, high / scale), n, "%"),
+        claim_rate("covered", "The gain claimed is within 1.96 errors of what unseen events confirm (nominal 95 %)",
+                   at_least(0.9), covered, n),
+        claim_rate("kept", "Unseen events confirm a gain", at_least(0.9), sum(o.confirmed > 0 for o in outcomes), n),
+        claim_mean("before", "chi2 of an effect in unseen events", at_least(0.0), before, is_detail=True),
+        claim_mean("after", "chi2 that is left in unseen events", at_most(10.0), after, is_detail=True),
+        claim_mean("claimed", "Gain in log-likelihood that is claimed", at_least(0.0), claimed, is_detail=True),
+        claim_mean("confirmed", "Gain that unseen events confirm", at_least(0.0), confirmed, is_detail=True),
+    ]  # fmt: skip
+
+
+def tell(rows: Sequence[Row]) -> list[str]:
+    """Data sets in which least was removed."""
+    worst = sorted((row for row in rows if row["cause"]), key=lambda row: -row["after"])[:5]
+    return [
+        f"- seed {row['seed']}: {row['cause']} as {'+'.join(row['named'])}, {row['after']:.0f} left" for row in worst
     ]
-    # One size is fitted: what its error leaves is chi^2 of one degree of freedom; a tenth of the effect is allowed.
-    return covered.is_at_least(0.95) and median < 0.1 * float(np.median(before)), lines
+
+
+PARTS = (Part("held-out", try_held_out, judge, 40, tell),)

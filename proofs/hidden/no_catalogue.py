@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 from lbacal_core.twin.faults.uncatalogued import uncatalogued_faults
 from proofs.hidden.data_sets import DataSet, Planted
-from proofs.machinery.trials import Rate, run_trials
+from proofs.machinery.claims import Claim, at_least, at_most, claim_rate
+from proofs.machinery.parts import Part, Row
 
 SNR = 25.0
 FIRST_SEED = 400_000
@@ -50,35 +51,47 @@ def hide_unknown(task: tuple[str, int]) -> Outcome | None:
     return Outcome(kind.__name__, axes, answer.verdict, answer.axis, answer.target, answer.named)
 
 
-def prove_unknown(each: int) -> tuple[bool, list[str]]:
-    """`each` data sets of every effect in no catalogue."""
+def try_unknown(seed: int) -> Row:
+    """A data set with an effect of no catalogue; the effects take turns."""
     kinds = list(uncatalogued_faults())
-    tasks = [(axes, 1000 * i + k) for i, axes in enumerate(kinds) for k in range(each)]
-    outcomes = [o for o in run_trials(hide_unknown, tasks, "not catalogued") if o is not None]
-    unexplained = Rate(sum(o.verdict == "unexplained" for o in outcomes), len(outcomes))
-    right = Rate(sum(o.is_right_axis for o in outcomes), len(outcomes))
-    forced = Rate(sum(bool(o.named) for o in outcomes), len(outcomes))
-    summary = (
-        f"**Not catalogued**, SNR {SNR:g}: unexplained in {unexplained}, asked 90 %; right axis in {right}, asked "
-        f"90 %; a name forced in {forced}, asked < 10 %."
+    axes = kinds[seed % len(kinds)]
+    outcome = hide_unknown((axes, seed))
+    if outcome is None:
+        return {"kind": uncatalogued_faults()[axes].__name__, "axes": axes, "verdict": ""}
+    return {**asdict(outcome), "is_right_axis": outcome.is_right_axis}
+
+
+def judge(rows: Sequence[Row]) -> list[Claim]:
+    """Rates of what should be said, and of names that should not be given."""
+    made = [row for row in rows if row["verdict"]]
+    unexplained, right, forced = (
+        sum(row["verdict"] == "unexplained" for row in made),
+        sum(row["is_right_axis"] for row in made),
+        sum(bool(row["named"]) for row in made),
     )
-    lines = [
-        "",
-        summary,
-        "",
-        "| effect | lives along | data sets | unexplained | right axis | axes said | name forced |",
-        "|" + "---|" * 7,
+    what = f"An effect of no catalogue, ideal SNR {SNR:g}"
+    return [
+        claim_rate("unexplained", f"{what}, is called unexplained", at_least(0.9), unexplained, len(made)),
+        claim_rate("right_axis", f"{what}, is seen along an axis on which it lives", at_least(0.9), right, len(made)),
+        claim_rate("forced", f"{what}, is given a name", at_most(0.1), forced, len(made)),
     ]
-    for axes in kinds:
-        here = [o for o in outcomes if o.axes == axes]
-        if not here:
-            lines.append(f"| {uncatalogued_faults()[axes].__name__} | {axes} | 0 | | | not to be shown | |")
-            continue
-        said = ", ".join(sorted({o.axis for o in here if o.axis}))
-        names = ", ".join(sorted({name for o in here for name in o.named}))
-        forced_here = sum(bool(o.named) for o in here)
-        lines.append(
-            f"| {here[0].kind} | {axes} | {len(here)} | {sum(o.verdict == 'unexplained' for o in here)} | "
-            f"{sum(o.is_right_axis for o in here)} | {said} | {forced_here}{f': {names}' if names else ''} |"
-        )
-    return unexplained.is_at_least(0.9) and right.is_at_least(0.9) and forced.is_at_most(0.1), lines
+
+
+def tell(rows: Sequence[Row]) -> list[str]:
+    """Effect by effect."""
+    lines = ["| effect | lives along | data sets | unexplained | right axis | axes said | name forced |"]
+    lines.append("|" + "---|" * 7)
+    for kind in sorted({row["kind"] for row in rows}):
+        here = [row for row in rows if row["kind"] == kind and row["verdict"]]
+        said = ", ".join(sorted({row["axis"] for row in here if row["axis"]}))
+        names = ", ".join(sorted({name for row in here for name in row["named"]}))
+        counts = [
+            sum(row["verdict"] == "unexplained" for row in here),
+            sum(row["is_right_axis"] for row in here),
+        ]
+        axes = next(row["axes"] for row in rows if row["kind"] == kind)
+        lines.append(f"| {kind} | {axes} | {len(here)} | {counts[0]} | {counts[1]} | {said} | {names} |")
+    return lines
+
+
+PARTS = (Part("unknown", try_unknown, judge, 32, tell),)

@@ -4,21 +4,41 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, fields
 
 import numpy as np
 
+from lbacal_core.grids import Floats
 from proofs.hidden.data_sets import ALIKE, SMALL, STATIC, DataSet, Planted, draw_one, is_in_family, moving_causes
+from proofs.hidden.detection import DetectionCurve, fit_detection
 from proofs.hidden.sizes import size_pull
-from proofs.machinery.trials import DetectionCurve, Rate, fit_detection, run_trials
+from proofs.machinery.claims import (
+    Claim,
+    at_least,
+    at_most,
+    claim_mean,
+    claim_rate,
+    claim_worst,
+    confidence_of_each,
+    mean_interval,
+)
+from proofs.machinery.parts import Part, Row
 
 GRID = (4.0, 5.0, 5.5, 6.0, 6.75, 7.5, 10.0)
 NAMING_SNR, EFFICIENCY_SNR = 10.0, 12.0
+CYCLE = (*GRID, NAMING_SNR, NAMING_SNR)
+"""Ideal SNR of one data set after the other: names and sizes are judged at SNR 10."""
 LARGEST_SET = 3
 FIRST_SEED = 100_000
 """Seeds of data sets with one effect; those of other parts begin elsewhere."""
+EFFICIENCY_FROM, STATIC_FROM = 100_000_000, 200_000_000
+"""What is added to the seed, so that parts share no data set."""
 INSIDE, BESIDE = 0.9, 0.75
 """Fraction of the ideal SNR that is asked for where the law is in the documented family, and beside it."""
+FEWEST_OF_CURVE, LARGEST_SNR = 50, 30.0
+"""Data sets from which on the curve of detection has an interval of its own: fewer may separate without an overlap."""
+FEWEST = 3
+"""Data sets behind the mean efficiency of a cause."""
 
 
 @dataclass(frozen=True)
@@ -32,16 +52,36 @@ class Wanted:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of one data set with one effect; without `planted` the data set cannot show the cause."""
+    """What came of one data set with one effect; without a label the data set cannot show the cause.
+
+    Attributes
+    ----------
+    scope, label
+        Whom the planted effect concerns, as a kind and in the words of a report.
+    is_in_family
+        Whether the planted law is one that the docs list.
+    sets
+        Each cause named, with those that the data cannot tell from it.
+    score
+        Of the true cause for the true target.
+    pull
+        (Size reported - size planted) / its error, where the true cause is named first.
+    """
 
     snr: float
     cause: str
-    planted: Planted | None
+    scope: str = ""
+    label: str = ""
+    is_in_family: bool = True
     verdict: str = ""
     sets: Sequence[Sequence[str]] = ()
     score: float = 0.0
     pull: float | None = None
-    """(Size reported - size planted) / its error, where the true cause is named first."""
+
+    @property
+    def is_made(self) -> bool:
+        """Whether the data set can show the cause."""
+        return bool(self.label)
 
     @property
     def is_detected(self) -> bool:
@@ -65,49 +105,43 @@ def hide_one(wanted: Wanted) -> Outcome:
     else:
         planted = next((sized for _ in range(10) if (sized := data.with_snr(data.draw(drawn, rng), wanted.snr))), None)
     if planted is None:
-        return Outcome(wanted.snr, drawn, None)
+        return Outcome(wanted.snr, drawn)
     answer = data.ask([planted.fault])
     is_first = answer.named[:1] == [planted.cause]
-    pull = size_pull(data, planted, answer.findings[0]) if is_first else None
     return Outcome(
         wanted.snr,
         planted.cause,
-        planted,
+        planted.scope,
+        planted.label,
+        is_in_family(planted),
         answer.verdict,
         answer.sets,
         answer.score(planted.cause, planted.label),
-        pull,
+        size_pull(data, planted, answer.findings[0]) if is_first else None,
     )
 
 
-def prove_detection(each: int) -> tuple[bool, list[str], list[Outcome]]:
-    """The curve of detection against the ideal SNR, and names and sizes at SNR 10, of causes drawn at random.
+def try_one(seed: int) -> Row:
+    """A data set with an effect of a drawn cause."""
+    return asdict(hide_one(Wanted(seed, CYCLE[seed % len(CYCLE)])))
 
-    Parameters
-    ----------
-    each
-        Data sets at each SNR of the grid; three times as many at SNR 10.
-    """
-    strengths = [snr for snr in GRID for _ in range(3 * each if snr == NAMING_SNR else each)]
-    wanted = [Wanted(number, snr) for number, snr in enumerate(strengths)]
-    outcomes = [o for o in run_trials(hide_one, wanted, "one effect") if o.planted]
-    curve = detection_curve(outcomes)
-    at_50, at_95 = curve.snr_at(0.5), curve.snr_at(0.95)
-    holds = [at_50[1] <= 5.5, at_95[1] <= 7.5]
-    lines = [
-        "",
-        f"**One effect** of a cause drawn among those that the data can show ({len(outcomes)} data sets).",
-        "",
-        "| ideal SNR | detected |",
-        "|---|---|",
-    ]
-    for snr in GRID:
-        here = [o.is_detected for o in outcomes if o.snr == snr]
-        lines.append(f"| {snr:g} | {Rate(sum(here), len(here))} |")
-    half = f"Detected in 50 % at SNR {at_50[0]:.2f} ({at_50[1]:.2f}-{at_50[2]:.2f}), asked 5.5"
-    lines += ["", f"{half}; in 95 % at {at_95[0]:.2f} ({at_95[1]:.2f}-{at_95[2]:.2f}), asked 7.5."]
-    named_holds, named_lines = _names([o for o in outcomes if o.snr == NAMING_SNR])
-    return all(holds) and named_holds, lines + named_lines, outcomes
+
+def try_efficiency(seed: int) -> Row:
+    """A data set with an effect of SNR 12; the causes take turns."""
+    causes = moving_causes()
+    return asdict(hide_one(Wanted(EFFICIENCY_FROM + seed, EFFICIENCY_SNR, causes[seed % len(causes)])))
+
+
+def try_static(seed: int) -> Row:
+    """A data set with a static cause of one antenna; the causes take turns."""
+    return asdict(hide_one(Wanted(STATIC_FROM + seed, NAMING_SNR, STATIC[seed % len(STATIC)])))
+
+
+def outcomes_of(rows: Sequence[Row]) -> list[Outcome]:
+    """Outcomes of the data sets that can show their cause."""
+    names = {field.name for field in fields(Outcome)}
+    outcomes = [Outcome(**{name: value for name, value in row.items() if name in names}) for row in rows]
+    return [outcome for outcome in outcomes if outcome.is_made]
 
 
 def detection_curve(outcomes: Sequence[Outcome]) -> DetectionCurve:
@@ -116,28 +150,83 @@ def detection_curve(outcomes: Sequence[Outcome]) -> DetectionCurve:
     return fit_detection(snr, np.array([float(o.is_detected) for o in outcomes]))
 
 
-def _names(outcomes: Sequence[Outcome]) -> tuple[bool, list[str]]:
-    named = Rate(sum(o.is_named for o in outcomes), len(outcomes))
-    place = f"the true cause is the one named, or in its set of at most {LARGEST_SET}"
-    lines = ["", f"At SNR {NAMING_SNR:g} {place}, in {named}; asked 95 %."]
-    holds = named.is_at_least(0.95)
-    for what, is_inside in (("in the documented family", True), ("beside it", False)):
-        here = [o for o in outcomes if o.planted and is_in_family(o.planted) == is_inside]
-        pulls = [abs(o.pull) for o in here if o.pull is not None]
-        named_here = Rate(sum(o.is_named for o in here), len(here))
-        close = Rate(sum(pull <= 2.0 for pull in pulls), len(pulls))
-        lines.append(f"Law {what}: named in {named_here}; size within 2 sigma in {close} of those named first.")
-    pulls = [abs(o.pull) for o in outcomes if o.pull is not None]
-    close = Rate(sum(pull <= 2.0 for pull in pulls), len(pulls))
-    lines += [f"Size within 2 sigma in {close}; asked 90 %.", "", *_confusion(outcomes)]
-    return holds and close.is_at_least(0.9), lines
+def judge_one(rows: Sequence[Row]) -> list[Claim]:
+    """Detection against the ideal SNR, names and sizes."""
+    outcomes = outcomes_of(rows)
+    curve = detection_curve(outcomes)
+    claims = []
+    for key, share, asked in (("snr_50", 0.5, 5.5), ("snr_95", 0.95, 7.5)):
+        found, low, high = curve.snr_at(share)
+        text = f"Ideal SNR at which one hidden effect of a drawn cause is detected in {100 * share:g} % of the cases"
+        if len(outcomes) < FEWEST_OF_CURVE:
+            low, high = 0.0, LARGEST_SNR
+        claims.append(Claim(key, text, at_most(asked), found, (low, high), len(outcomes)))
+    return claims + judge_names([o for o in outcomes if o.snr == NAMING_SNR], "hidden effects")
 
 
-def _confusion(outcomes: Sequence[Outcome]) -> list[str]:
-    lines = [
-        "| planted | data sets | named | size within 2 sigma | what was said where it was not named |",
-        "|" + "---|" * 5,
-    ]
+def judge_names(outcomes: Sequence[Outcome], what: str) -> list[Claim]:
+    """Names and sizes."""
+    named = sum(o.is_named for o in outcomes)
+    text = f"The true cause is named, or in the set of at most {LARGEST_SET}: {what} of ideal SNR {NAMING_SNR:g}"
+    claims = [claim_rate("named", text, at_least(0.95), named, len(outcomes))]
+    for key, inside, words in (
+        ("", None, ""),
+        ("_inside", True, ", law in the family"),
+        ("_beside", False, ", law beside it"),
+    ):
+        pulls = [abs(o.pull) for o in outcomes if o.pull is not None and inside in (None, o.is_in_family)]
+        text = f"The size is within two of its standard deviations: {what}{words}"
+        close = sum(pull <= 2.0 for pull in pulls)
+        if not pulls and key:
+            continue
+        claims.append(claim_rate(f"sizes{key}", text, at_least(0.9), close, len(pulls), is_detail=bool(key)))
+    return claims
+
+
+def judge_static(rows: Sequence[Row]) -> list[Claim]:
+    """Names and sizes of static causes."""
+    return judge_names(outcomes_of(rows), "static changes of one antenna's cable")
+
+
+def ratios_of(rows: Sequence[Row]) -> dict[tuple[str, bool], Floats]:
+    """Score over ideal SNR by cause and whether the law is in the documented family."""
+    ratios: dict[tuple[str, bool], list[float]] = {}
+    for o in outcomes_of(rows):
+        ratios.setdefault((o.cause, o.is_in_family), []).append(o.score / o.snr)
+    return {key: np.array(values) for key, values in sorted(ratios.items())}
+
+
+def judge_efficiency(rows: Sequence[Row]) -> list[Claim]:
+    """The worst cause, and every cause."""
+    ratios = {key: values for key, values in ratios_of(rows).items() if values.size >= FEWEST}
+    claims, details = [], []
+    for is_inside, asked, words in ((True, INSIDE, "in the family"), (False, BESIDE, "beside the family")):
+        here = {cause: values for (cause, inside), values in ratios.items() if inside == is_inside}
+        if not here:
+            continue
+        confidence = confidence_of_each(len(here))
+        claims.append(
+            claim_worst(
+                f"worst_{'inside' if is_inside else 'beside'}",
+                f"Part of the ideal SNR that a true cause's score keeps, worst of {len(here)} causes, law {words}",
+                at_least(asked),
+                [float(values.mean()) for values in here.values()],
+                [mean_interval(values, confidence) for values in here.values()],
+                sum(values.size for values in here.values()),
+            )
+        )
+        for cause, values in here.items():
+            text = f"The same for `{cause}`, law {words}"
+            key = f"{cause}_{'inside' if is_inside else 'beside'}"
+            details.append(claim_mean(key, text, at_least(asked), values, is_detail=True))
+    return [*claims, *details]
+
+
+def tell_names(rows: Sequence[Row]) -> list[str]:
+    """Cause by cause, and what was said where the cause was not named."""
+    lines = ["| planted | data sets | named | size within 2 sigma | what was said where it was not named |"]
+    lines.append("|" + "---|" * 5)
+    outcomes = [o for o in outcomes_of(rows) if o.snr == NAMING_SNR]
     for cause in sorted({o.cause for o in outcomes}):
         here = [o for o in outcomes if o.cause == cause]
         pulls = [abs(o.pull) for o in here if o.pull is not None]
@@ -154,69 +243,21 @@ def _saying(outcome: Outcome) -> str:
     return outcome.verdict
 
 
-def prove_static(each: int) -> tuple[bool, list[str]]:
-    """Names and sizes of static causes at SNR 10, `each` data sets of either."""
-    wanted = [Wanted(20_000 + 1000 * i + k, NAMING_SNR, cause) for i, cause in enumerate(STATIC) for k in range(each)]
-    holds, lines = _names([o for o in run_trials(hide_one, wanted, "static") if o.planted])
-    return holds, ["", "**Static causes** of one antenna, compared with the others of its cable.", *lines]
+def tell_efficiency(rows: Sequence[Row]) -> list[str]:
+    """Cause by cause and by whom it concerns."""
+    lines = ["| cause | law | scope | mean score / ideal SNR | data sets |", "|---|---|---|---|---|"]
+    ratios: dict[tuple[str, str, str], list[float]] = {}
+    for o in outcomes_of(rows):
+        ratios.setdefault((o.cause, "in the family" if o.is_in_family else "beside", o.scope), []).append(
+            o.score / o.snr
+        )
+    lines += [f"| {' | '.join(key)} | {np.mean(v):.2f} | {len(v)} |" for key, v in sorted(ratios.items())]
+    absent = Counter(row["cause"] for row in rows if not row["label"])
+    return [*lines, "", f"Not to be shown at this SNR by these data: {dict(absent)}."]
 
 
-def prove_efficiency(each: int, only: str | None = None) -> tuple[bool, list[str], dict[tuple[str, bool], list[float]]]:
-    """The score of the true cause and target over the ideal SNR, cause by cause, or of one cause alone.
-
-    Returns
-    -------
-    Whether it holds, the table, and the single ratios by cause and whether the law is in the family.
-    """
-    causes = moving_causes()
-    wanted = [
-        Wanted(10_000 + 1000 * i + k, EFFICIENCY_SNR, cause)
-        for i, cause in enumerate(causes)
-        for k in range(each)
-        if only in (None, cause)
-    ]
-    outcomes = run_trials(hide_one, wanted, "efficiency")
-    ratios: dict[tuple[str, bool], list[float]] = {}
-    for o in outcomes:
-        if o.planted is not None:
-            ratios.setdefault((o.cause, is_in_family(o.planted)), []).append(o.score / EFFICIENCY_SNR)
-    ratio = f"score of the true cause for the true target over the ideal SNR ({EFFICIENCY_SNR:g}), mean +- its error"
-    lines = [
-        "",
-        f"**Efficiency**: {ratio}. Asked: {INSIDE:g} where the law is in the documented family, {BESIDE:g} beside it.",
-        "",
-        "| cause | in the family | data sets | beside it | data sets |",
-        "|---|---|---|---|---|",
-    ]
-    holds = True
-    for cause in causes if only is None else [only]:
-        cells = []
-        for is_inside, asked in ((True, INSIDE), (False, BESIDE)):
-            values = np.array(ratios.get((cause, is_inside), []))
-            if not values.size:
-                cells.append("- | 0")
-                continue
-            error = max(float(values.std(ddof=1)) if values.size > 1 else 0.0, 1 / EFFICIENCY_SNR) / values.size**0.5
-            is_good = values.mean() + 2 * error >= asked
-            holds &= bool(is_good)
-            cells.append(f"{values.mean():.2f} +- {error:.2f}{'' if is_good else ' (!)'} | {values.size}")
-        lines.append(f"| {cause} | {' | '.join(cells)} |")
-    lines += _by_scope(outcomes)
-    absent = [o.cause for o in outcomes if o.planted is None]
-    if absent:
-        lines += ["", f"Not to be shown at SNR {EFFICIENCY_SNR:g} by these data: {_counted(absent)}."]
-    return holds, lines, ratios
-
-
-def _by_scope(outcomes: Sequence[Outcome]) -> list[str]:
-    """The same by whom an effect concerns."""
-    ratios: dict[str, list[float]] = {}
-    for o in outcomes:
-        if o.planted is not None:
-            ratios.setdefault(o.planted.scope, []).append(o.score / o.snr)
-    means = [f"{scope} {np.mean(values):.2f} ({len(values)})" for scope, values in sorted(ratios.items())]
-    return ["", f"By whom it concerns, mean (data sets): {', '.join(means)}."]
-
-
-def _counted(names: Sequence[str]) -> str:
-    return ", ".join(f"{name} ({count} of the draws)" for name, count in Counter(names).most_common())
+PARTS = (
+    Part("one", try_one, judge_one, 108, tell_names),
+    Part("efficiency", try_efficiency, judge_efficiency, 276, tell_efficiency),
+    Part("static", try_static, judge_static, 60, tell_names),
+)

@@ -9,7 +9,8 @@ from itertools import permutations
 import numpy as np
 
 from proofs.hidden.data_sets import LARGEST_CHANGE, DataSet, Planted, correlations, moving_causes
-from proofs.machinery.trials import Rate, run_trials
+from proofs.machinery.claims import Claim, at_least, claim_rate
+from proofs.machinery.parts import Part, Row
 
 SNR = 10.0
 LARGEST_CORRELATION = 0.9
@@ -66,22 +67,38 @@ def hide_several(task: tuple[int, int]) -> Outcome:
     return Outcome(planted[0], planted[1], answer.verdict, answer.sets)
 
 
-def prove_several(each: int) -> tuple[bool, list[str]]:
-    """Pairs and triples, `each` data sets of both."""
-    tasks = [(number, count) for count in (2, 3) for number in range(each)]
-    outcomes = run_trials(hide_several, tasks, "several effects")
-    lines = ["", f"**Several effects at once**, SNR {SNR:g} each given the others, signatures pairwise |r| < 0.9."]
-    holds = True
-    for count in (2, 3):
-        here = [o for o in outcomes if len(o.planted) == count]
-        rate = Rate(sum(o.are_all_named for o in here), len(here))
-        holds &= rate.is_at_least(ASKED)
-        lines.append(f"{count} effects: all named in {rate}; asked {100 * ASKED:g} %.")
-    failed = [o for o in outcomes if not o.are_all_named]
-    if failed:
-        lines += ["", "| planted | largest abs(r) | verdict | named |", "|---|---|---|---|"]
-    for o in failed:
-        said = "; ".join(" or ".join(names) for names in o.sets)
-        what = ", ".join(f"{one.cause} ({one.label})" for one in o.planted)
-        lines.append(f"| {what} | {o.correlation:.2f} | {o.verdict} | {said} |")
-    return holds, lines
+def try_several(seed: int) -> Row:
+    """A data set with two effects (even seeds) or three."""
+    outcome = hide_several((seed, 2 + seed % 2))
+    return {
+        "planted": [[one.cause, one.label] for one in outcome.planted],
+        "correlation": round(outcome.correlation, 4),
+        "verdict": outcome.verdict,
+        "sets": outcome.sets,
+        "are_all_named": outcome.are_all_named,
+    }
+
+
+def judge(rows: Sequence[Row]) -> list[Claim]:
+    """Rates of data sets of which all effects are named."""
+    claims = []
+    for key, count, words in (("two", 2, "Two"), ("three", 3, "Three")):
+        here = [row for row in rows if len(row["planted"]) == count]
+        text = f"{words} hidden effects at once, ideal SNR {SNR:g} each given the others: all are named"
+        claims.append(claim_rate(key, text, at_least(ASKED), sum(row["are_all_named"] for row in here), len(here)))
+    return claims
+
+
+def tell(rows: Sequence[Row]) -> list[str]:
+    """Data sets of which not all effects were named."""
+    lines = ["| seed | planted | largest abs(r) | verdict | named |", "|---|---|---|---|---|"]
+    for row in rows:
+        if row["are_all_named"]:
+            continue
+        said = "; ".join(" or ".join(names) for names in row["sets"])
+        what = ", ".join(f"{cause} ({label})" for cause, label in row["planted"])
+        lines.append(f"| {row['seed']} | {what} | {row['correlation']:.2f} | {row['verdict']} | {said} |")
+    return lines
+
+
+PARTS = (Part("several", try_several, judge, 40, tell),)

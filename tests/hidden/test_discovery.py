@@ -12,12 +12,11 @@ from proofs.hidden.held_out import hide_in_halves
 from proofs.hidden.no_catalogue import hide_unknown
 from proofs.hidden.one_effect import Wanted, hide_one
 from proofs.hidden.several_effects import hide_several
-from proofs.machinery.trials import run_trials
 
 
 @pytest.mark.timeout(600)
 def test_a_strong_drift_is_detected_named_and_measured():
-    (outcome,) = run_trials(hide_one, [Wanted(3, 12.0, "gain_drift")], "one")
+    outcome = hide_one(Wanted(3, 12.0, "gain_drift"))
     assert outcome.is_detected
     assert outcome.is_named
     # The score of 12 ideal standard deviations scatters by one; a tenth of it may be lost.
@@ -27,7 +26,7 @@ def test_a_strong_drift_is_detected_named_and_measured():
 
 @pytest.mark.timeout(600)
 def test_two_effects_at_once_come_out_one_after_the_other():
-    (outcome,) = run_trials(hide_several, [(1, 2)], "two")
+    outcome = hide_several((1, 2))
     assert outcome.are_all_named, (outcome.planted, outcome.sets)
 
 
@@ -35,7 +34,7 @@ def test_two_effects_at_once_come_out_one_after_the_other():
 def test_effects_of_no_catalogue_are_called_unexplained_along_their_axes_and_get_no_name():
     """Gain over temperature squared; a band that saturates, first taken for a line; lightning, for interference."""
     kinds = ("temperature", "frequency, lst", "event, frequency")
-    for outcome in run_trials(hide_unknown, [(axes, 1) for axes in kinds], "unknown"):
+    for outcome in (hide_unknown((axes, 1)) for axes in kinds):
         assert outcome is not None
         assert outcome.verdict == "unexplained", outcome
         assert outcome.is_right_axis, outcome
@@ -44,7 +43,7 @@ def test_effects_of_no_catalogue_are_called_unexplained_along_their_axes_and_get
 
 @pytest.mark.timeout(600)
 def test_what_was_found_in_half_the_events_is_gone_from_the_other_half():
-    (outcome,) = run_trials(hide_in_halves, [3], "halves")
+    outcome = hide_in_halves(3)
     assert outcome is not None
     # SNR 10 raises chi^2 by 100 +- 20; what the error of one fitted size leaves is a few.
     assert 40 < outcome.before < 160

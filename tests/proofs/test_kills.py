@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from proofs.kills import prove
+from proofs.kills import judge, kill_and_compare
 
 
 @pytest.mark.parametrize("kind", ["sqlite", "postgresql"])
@@ -10,5 +10,13 @@ def test_three_kills_lose_nothing_and_change_nothing(request: pytest.FixtureRequ
     """The suite's small instance of `./dev prove kills`."""
     if kind == "postgresql":
         request.getfixturevalue("needs_postgres")
-    holds, figures = prove([kind, "3"])
-    assert holds, "\n".join(figures)
+    row = kill_and_compare(kind, kills=3, seed=0)
+    assert row["broken"] == []
+
+
+def test_a_hundred_kills_without_a_broken_promise_show_that_fewer_than_one_in_twenty_breaks_one() -> None:
+    runs = [{"kills": 20, "broken": []} for _ in range(5)]
+    assert judge("sqlite", runs)[0].verdict == "shown"
+    assert judge("sqlite", runs[:2])[0].verdict == "undecided"
+    broken = [{"kills": 20, "broken": ["a claim"]} for _ in range(5)]
+    assert judge("sqlite", broken)[0].verdict == "undecided"

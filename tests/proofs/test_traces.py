@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from proofs.traces import band_shape, true_bins, try_gains, try_noise, try_pulses
+from proofs.traces import band_shape, collect_noise, measure_gains, measure_noise, measure_pulses, true_bins
 
 
 def test_noise_is_measured_without_bias_and_with_the_noise_of_theory() -> None:
-    trial = try_noise(trials=60, blocks=200, seed=1)
+    trial = collect_noise([measure_noise(200, np.random.default_rng([1, k])) for k in range(60)])
     bias, error = trial.bias
     assert error < 0.001
     assert abs(bias) < 0.002 + 2 * error
@@ -19,14 +19,16 @@ def test_noise_is_measured_without_bias_and_with_the_noise_of_theory() -> None:
 
 
 def test_rounding_adds_a_twelfth_unless_the_gain_is_too_low() -> None:
-    ratios, errors = try_gains(np.array([0.4, 1.0, 5.0]), trials=4, blocks=200, seed=5)
+    each = [measure_gains(np.array([0.4, 1.0, 5.0]), 200, np.random.default_rng([5, k])) for k in range(4)]
+    ratios, errors = np.mean(each, axis=0), np.std(each, axis=0, ddof=1) / 2
     assert ratios[0, 1] == pytest.approx(1 + 0.51 / 12 / 0.9, abs=0.01)  # 51 of 100 MHz, 90 % of the power
     assert np.all(np.abs(ratios[1, 1:] - 1) < 0.002 + 3 * errors[1, 1:])
     assert abs(ratios[1, 0] - 1) > 0.05  # rounding is no longer white noise
 
 
 def test_a_pulse_does_not_leak_and_forgetting_the_exclusion_matters() -> None:
-    ours, forgotten = try_pulses(np.array([300.0, 2000.0]), trials=3, blocks=200, seed=6)
+    each = [measure_pulses(np.array([300.0, 2000.0]), 200, np.random.default_rng([6, k])) for k in range(3)]
+    ours, forgotten = np.mean(each, axis=0)
     assert np.all(np.abs(ours) < 0.002)
     assert forgotten[1] > 0.05
 

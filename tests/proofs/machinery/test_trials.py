@@ -1,37 +1,67 @@
 from __future__ import annotations
 
-import numpy as np
-import pytest
-from scipy.stats import norm
+import json
+from collections.abc import Sequence
+from pathlib import Path
 
-from proofs.machinery.trials import Rate, fit_detection, run_trials
+import pytest
+
+from proofs.machinery.claims import Claim, at_least, claim_rate
+from proofs.machinery.parts import Part, Row
+from proofs.machinery.seeds import Block
+from proofs.machinery.trials import read_kept, run_part, run_trials
+
+DONE: list[int] = []
 
 
 def _square(number: int) -> int:
     return number * number
 
 
-def test_outcomes_come_in_the_order_of_their_tasks():
-    assert run_trials(_square, range(7), "squares") == [0, 1, 4, 9, 16, 25, 36]
+def _note(seed: int) -> Row:
+    DONE.append(seed)
+    if seed == 13:
+        raise KeyboardInterrupt
+    return {"square": seed * seed, "pair": (seed, seed)}
 
 
-def test_the_interval_of_a_rate_is_wilsons():
-    low, high = Rate(0, 2000).interval
-    # Wilson, no hits: z^2 / (n + z^2).
-    assert low == pytest.approx(0.0, abs=1e-12)
-    assert high == pytest.approx(1.96**2 / (2000 + 1.96**2), rel=1e-3)
-    assert Rate(12, 2000).is_at_most(0.005)
-    assert not Rate(40, 2000).is_at_most(0.01)
-    assert Rate(18, 20).is_at_least(0.95)
+def _judge(rows: Sequence[Row]) -> list[Claim]:
+    return [claim_rate("any", "There is a row", at_least(0.5), len(rows), len(rows))]
 
 
-def test_the_curve_of_detection_finds_what_drew_the_trials():
-    rng = np.random.default_rng(1)
-    snr = np.repeat([4.0, 5.0, 5.5, 6.0, 7.5, 10.0], 300)
-    detected = (rng.random(snr.size) < norm.cdf((snr - 5.4) / 1.1)).astype(float)
-    curve = fit_detection(snr, detected, draws=60)
-    for share in (0.5, 0.95):
-        middle, low, high = curve.snr_at(share)
-        assert low < middle < high
-        # 1800 trials know the curve to some 0.05; four times that.
-        assert middle == pytest.approx(5.4 + 1.1 * norm.ppf(share), abs=0.2)
+NOTED = Part("noted", _note, _judge, 5)
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_every_task_is_done_once_however_many_processes_do_it(workers: int):
+    assert sorted(run_trials(_square, range(7), "squares", workers)) == [0, 1, 4, 9, 16, 25, 36]
+
+
+def test_an_interrupted_run_goes_on_where_it_was(tmp_path: Path):
+    kept = tmp_path / "noted.jsonl"
+    DONE.clear()
+    with pytest.raises(KeyboardInterrupt):
+        run_part(NOTED, Block(10, 5), kept, workers=1)
+    assert sorted(read_kept(kept)) == [10, 11, 12]
+    DONE.clear()
+    rows = run_part(NOTED, Block(10, 3), kept, workers=1)
+    assert DONE == []
+    assert [row["square"] for row in rows] == [100, 121, 144]
+
+
+def test_a_row_that_was_cut_off_is_done_again(tmp_path: Path):
+    kept = tmp_path / "noted.jsonl"
+    run_part(NOTED, Block(1, 3), kept, workers=1)
+    text = kept.read_text()
+    kept.write_text(text[:-9])
+    DONE.clear()
+    rows = run_part(NOTED, Block(1, 3), kept, workers=1)
+    assert DONE == [3]
+    assert [row["seed"] for row in rows] == [1, 2, 3]
+    assert [json.loads(line)["seed"] for line in kept.read_text().splitlines()] == [1, 2, 3]
+
+
+def test_what_is_judged_is_what_is_stored(tmp_path: Path):
+    (row,) = run_part(NOTED, Block(2, 1), tmp_path / "noted.jsonl", workers=1)
+    assert row["pair"] == [2, 2]
+    assert row["seconds"] >= 0

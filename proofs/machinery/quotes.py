@@ -1,0 +1,70 @@
+"""Figures of records that README and explanations quote: where they stand, and how they are renewed."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import SimpleNamespace
+
+from proofs.machinery.claims import Claim
+from proofs.machinery.code import ROOT
+from proofs.machinery.records import Record, newest
+
+NUMBER = r"[-+]?\d[\d,]*(?:\.\d+)?"
+
+
+@dataclass(frozen=True)
+class Quote:
+    """A phrase of a page in which figures stand as `{proof.part.claim.field:format}`.
+
+    Fields: found, low, high, error, n, hits, verdict, percent, percent_low, percent_high. Hyphens of a part's name
+    become underscores.
+    """
+
+    page: str
+    phrase: str
+
+    @property
+    def _pieces(self) -> list[str]:
+        return re.split(r"(\{[^}]*\})", self.phrase)
+
+    def renewed(self, text: str, figures: Mapping[str, SimpleNamespace]) -> str:
+        """The page with the figures of the records; raises ValueError where it holds the phrase not exactly once."""
+        words = [r"\s+".join(map(re.escape, re.split(r"\s+", piece))) for piece in self._pieces[::2]]
+        found = list(re.finditer(f"({NUMBER})".join(words), text))
+        if len(found) != 1:
+            raise ValueError(f"{self.page} holds {len(found)} times: {self.phrase}")
+        for group, field in reversed(list(enumerate(self._pieces[1::2], 1))):
+            start, end = found[0].span(group)
+            text = text[:start] + field.format_map(dict(figures)) + text[end:]
+        return text
+
+
+def figures_of(records: Iterable[Record]) -> dict[str, SimpleNamespace]:
+    """Proof, part and claim as attributes, of the newest record of every part."""
+    proofs: dict[str, SimpleNamespace] = {}
+    for (proof, part), record in newest(records).items():
+        claims = SimpleNamespace(**{claim.key: _figure(claim) for claim in record.claims})
+        setattr(proofs.setdefault(proof, SimpleNamespace()), part.replace("-", "_"), claims)
+    return proofs
+
+
+def _figure(claim: Claim) -> SimpleNamespace:
+    low, high = claim.interval
+    percent = {"percent": 100 * claim.found, "percent_low": 100 * low, "percent_high": 100 * high}
+    return SimpleNamespace(
+        found=claim.found, low=low, high=high, n=claim.n, hits=round(claim.found * claim.n),
+        error=(high - low) / 4, verdict=claim.verdict, **percent,
+    )  # fmt: skip
+
+
+def renew_pages(quotes: Iterable[Quote], records: Iterable[Record], root: Path = ROOT) -> dict[Path, str]:
+    """The text of every page that quotes, with the figures of the records."""
+    figures = figures_of(records)
+    pages: dict[Path, str] = {}
+    for quote in quotes:
+        path = root / quote.page
+        pages[path] = quote.renewed(pages.get(path) or path.read_text(encoding="utf-8"), figures)
+    return pages

@@ -1,0 +1,42 @@
+"""docs/validation.md is that of the records."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from proofs.machinery.claims import at_least, claim_mean, claim_rate
+from proofs.machinery.page import draw_figures, write_page
+from proofs.machinery.records import Record, read_records
+
+
+def record(*claims, seeds: str = "fresh") -> Record:
+    return Record("twin", "clean", "1234567", "2027-01-01T00:00:00Z", "abc", (), seeds, 1.5, claims)
+
+
+def test_the_page_is_that_of_the_records(repository: Path) -> None:
+    assert (repository / "docs/validation.md").read_text() == write_page(read_records()), "run ./dev prove --page"
+
+
+def test_a_claim_is_a_row_and_what_is_open_is_said_again_below() -> None:
+    shown = claim_rate("a", "It is found", at_least(0.5), 99, 100)
+    refuted = claim_rate("b", "It is named", at_least(0.9), 50, 100)
+    detail = claim_mean("c", "A detail", at_least(0.0), np.array([1.0, 2.0]), is_detail=True)
+    page = write_page([record(shown, refuted, detail)])
+    assert (
+        "| It is found | >= 50 % | 99 % (94.6 to 99.8) | 100 | shown | `./dev prove twin --part clean` | 1234567 |"
+        in page
+    )
+    assert "| It is named | >= 90 % | 50 % (40.4 to 59.6) | 100 | **refuted** |" in page
+    assert "A detail" not in page
+    assert "- Refuted: It is named. Asked >= 90 %" in page.partition("## What is not shown")[2]
+
+
+def test_a_claim_of_data_sets_that_had_been_seen_says_so() -> None:
+    shown = claim_rate("a", "It is found", at_least(0.5), 99, 100).seen_before()
+    assert "| **undecided** (seen before) |" in write_page([record(shown, seeds="seen before")])
+
+
+def test_proofs_without_trials_on_record_draw_no_figure(tmp_path: Path) -> None:
+    assert draw_figures([record()], tmp_path) == []
