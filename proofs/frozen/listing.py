@@ -88,7 +88,7 @@ CAUSES: tuple[DataSet, ...] = (
 
 OTHERS: tuple[DataSet, ...] = (
     StationSpectra("clean", 700_040),
-    StationSpectra("clean-nuisances", 700_041, nuisances=NUISANCES),
+    StationSpectra("clean-nuisances", 700_051, nuisances=NUISANCES),
     StationSpectra("clean-alike", 700_042, antennas=TEN, events=150),
     StationSpectra(
         "pair-antennas",
@@ -109,12 +109,12 @@ OTHERS: tuple[DataSet, ...] = (
     StationSpectra("pair-station", 700_029, (LnaNoiseTemperature(size=0.02453), SolarEmission(size=0.02021))),
     StationSpectra("unknown-utc", 700_030, (MainsHum(size=0.01839),)),
     StationSpectra("unknown-bursts", 700_032, (JovianBursts(size=0.1168),)),
-    StationSpectra("two-stations-clean", 700_043, stations=("CS002", "CS003")),
+    StationSpectra("two-stations-clean", 700_043, stations=("CS002", "CS004")),
     StationSpectra(
         "two-stations-step",
         700_044,
-        (GainStep(size=0.06, where=Where(stations=("CS003",), antennas=(4,)), date="2014-07-15"),),
-        stations=("CS002", "CS003"),
+        (GainStep(size=0.06, where=Where(stations=("CS004",), antennas=(4,)), date="2014-07-15"),),
+        stations=("CS002", "CS004"),
     ),
     StationSpectra("own-sky-clean", 700_045, is_own_sky=True),
     StationSpectra("own-sky-filter", 700_046, (FilterShift(size=0.001, date="2014-06-07"),), is_own_sky=True),

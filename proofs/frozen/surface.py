@@ -16,8 +16,7 @@ from lbacal_core.discovery.curve_report import describe_curve
 from lbacal_core.discovery.investigate import StationReport
 from lbacal_core.discovery.lst_curve import investigate_curve
 from lbacal_core.discovery.report import investigate
-from lbacal_core.discovery.scan import Score, list_shapes, score_shapes
-from lbacal_core.discovery.statics import StaticScore
+from lbacal_core.discovery.scan import list_shapes, score_shapes
 from lbacal_core.discovery.targets import list_targets
 from lbacal_core.lstcurve.compare import BAND_MHZ
 from lbacal_core.provenance import Provenance
@@ -45,9 +44,13 @@ def _of_spectra(data: StationSpectra) -> dict[str, Any]:
     """As `lbacal investigate` asks, with the seed of the data set."""
     spectra = data.spectra()
     report, stations = investigate(spectra, data.instrument, sky_power(), is_own_sky=data.is_own_sky, seed=data.seed)
+    numbers = _without_provenance(report)
+    numbers["scores"] = {
+        station.data.station: _of_scores(report["scores"][station.data.station], station) for station in stations
+    }
     return {
         "data": _of_data(spectra),
-        "report": _without_provenance(report),
+        "report": numbers,
         "scan": {station.data.station: _of_scan(station) for station in stations},
     }
 
@@ -64,7 +67,7 @@ def _without_provenance(report: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _of_scan(station: StationReport) -> dict[str, Any]:
-    """The best scores, and all scores in short, before anything is found and with everything that is."""
+    """All scores in short, before anything is found and with everything that is."""
     models = {"first": station.first.evidence}
     if station.last is not station.first:
         models["last"] = station.last.evidence
@@ -72,28 +75,28 @@ def _of_scan(station: StationReport) -> dict[str, Any]:
     with threadpool_limits(1):
         whole = {name: score_shapes(one, list_shapes(one, CAUSES), targets) for name, one in models.items()}
     return {
-        "best": _of_scores([*station.first_scan, *station.static_scan]),
-        **{
-            name: _summarise([(batch[0].cause.identifier, z, size) for batch, z, size in scores])
-            for name, scores in whole.items()
-        },
+        name: _summarise([(batch[0].cause.identifier, z, size) for batch, z, size in scores])
+        for name, scores in whole.items()
     }
 
 
-def _of_scores(scores: Sequence[Score | StaticScore]) -> dict[str, Any]:
-    return {
-        score.cause.identifier: {
-            "z": float(score.z),
-            "size": float(score.size),
-            "parameters": {
-                key: value.item() if isinstance(value, np.generic) else value for key, value in score.parameters.items()
-            },
-            "target": score.target.label,
-            "trials": float(score.trials),
-            "p_value": float(score.p_value),
-        }
-        for score in scores
-    }
+def _of_scores(scores: Sequence[dict[str, Any]], station: StationReport) -> dict[str, Any]:
+    """The best score of every cause by its ID, with the trials factor."""
+    trials = {one.cause.identifier: float(one.trials) for one in (*station.first_scan, *station.static_scan)}
+    return {one["cause"]: {**in_first_window(one), "trials": trials[one["cause"]]} for one in scores}
+
+
+def in_first_window(score: dict[str, Any]) -> dict[str, Any]:
+    """Of two windows that share out the day, the one that does not contain midnight.
+
+    Power without a slope in one window, or as much less in the other: A(nu) and N_ADC absorb the difference, the two
+    scores are equal and opposite, and rounding decides which of them is the best.
+    """
+    begin, end = score["parameters"].get("utc_h", (0, 24))
+    if score["parameters"].get("spectral_index") != 0.0 or begin < end:
+        return score
+    turned = {**score["parameters"], "utc_h": [end, begin]}
+    return {**score, "parameters": turned, "score_sigma": -score["score_sigma"], "size": -score["size"]}
 
 
 def _summarise(scores: Sequence[tuple[str, np.ndarray, np.ndarray]]) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from lbacal_core.twin.faults.catalogue import catalogue_faults
 from proofs.frozen.__main__ import NUMBERS, compare_with_stored, main
 from proofs.frozen.comparison import ABSENT, list_differences, read_numbers, summarise, write_numbers
 from proofs.frozen.listing import CAUSES, DATA_SETS, OTHERS
-from proofs.frozen.surface import frozen_numbers
+from proofs.frozen.surface import frozen_numbers, in_first_window
 
 
 @pytest.mark.parametrize("name", ["curve-exchanged-late", "cable_reflection", "clean-nuisances", "compression"])
@@ -38,6 +38,25 @@ def test_numbers_differ_beyond_a_millionth():
     (found,) = list_differences("d", before, {"a": [1.0, {"z": 5.0 - 6e-6}]})
     assert (found.data_set, found.path) == ("d", "a/1/z")
     assert found.relative == pytest.approx(1.2e-6, rel=1e-3)
+
+
+def test_only_what_rounding_moves_has_a_wider_tolerance():
+    def changed(cause, key):
+        before = {"report": {"findings": [{"cause": cause, "evidence": {key: 10.0}}]}}
+        after = {"report": {"findings": [{"cause": cause, "evidence": {key: 12.0}}]}}
+        return list_differences("d", before, after)
+
+    assert changed("rfi_line", "trials") == []
+    assert len(changed("rfi_line", "score_sigma")) == 1
+    assert len(changed("gain_step", "trials")) == 1
+
+
+def test_of_two_windows_that_share_out_the_day_one_is_shown():
+    score = {"parameters": {"spectral_index": 0.0, "utc_h": [21, 9]}, "score_sigma": 3.0, "size": 0.1}
+    turned = {"parameters": {"spectral_index": 0.0, "utc_h": [9, 21]}, "score_sigma": -3.0, "size": -0.1}
+    assert in_first_window(score) == in_first_window(turned) == turned
+    steep = {**score, "parameters": {"spectral_index": -2.5, "utc_h": [21, 9]}}
+    assert in_first_window(steep) == steep
 
 
 def test_numbers_that_cancel_to_nothing_do_not_differ():
