@@ -7,11 +7,12 @@ the fit. Errors are almost fully correlated along frequency, so a data set count
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.curves import CONVERGED
@@ -230,6 +231,30 @@ def fit_published_noise(seed: int) -> Row:
 
 
 PARTS = (
-    Part("published-noise", fit_published_noise, judge, 1000, tell),
-    Part("example", fit_example, judge, 1000, tell, needs_shared=True),
+    Part("published-noise", fit_published_noise, judge, 2000, tell, ("efficiency", "bias", "errors")),
+    Part("example", fit_example, judge, 1000, tell, ("efficiency",), needs_shared=True),
 )
+IMAGES = {"fit.png": "Error of the fit over the Fisher bound, and spread of its pulls, with 95 % intervals"}
+
+
+def draw(rows: Mapping[str, Sequence[Row]]) -> dict[str, Figure]:
+    """Errors over the bound and spread of the pulls, channel by channel, of every scene."""
+    figure = Figure(figsize=(9, 4), layout="constrained")
+    panels = dict(zip(("error_over_bound", "pull"), figure.subplots(1, 2, sharey=True), strict=True))
+    names = [*(f"C at {mhz:g} MHz" for mhz in AT_MHZ), *(name.upper() for name in NAMES)]
+    for k, (part, trials) in enumerate(sorted(rows.items())):
+        good = [row for row in trials if row["status"] == CONVERGED]
+        for name, axes in panels.items():
+            rms = np.sqrt(np.mean(np.array([row[name] for row in good]) ** 2, axis=0))
+            ends = np.array([spread_interval(one, len(good)) for one in rms])
+            place = np.arange(len(names)) + 0.15 * (2 * k - 1)
+            axes.errorbar(rms, place, xerr=np.abs(ends.T - rms), fmt="o", ms=3, label=f"{part}, {len(good)} data sets")
+    for axes, (low, high) in zip(panels.values(), ((0.9, LARGEST_RATIO), SPREAD), strict=True):
+        axes.axvspan(low, high, color="0.9", zorder=0)
+        axes.axvline(1.0, color="0.6", lw=1)
+    panels["error_over_bound"].set(
+        xlabel="r.m.s. error / Fisher bound", yticks=range(len(names)), yticklabels=names, ylim=(len(names) - 0.5, -0.5)
+    )
+    panels["pull"].set(xlabel="r.m.s. pull")
+    panels["pull"].legend(loc="lower right", fontsize=8)
+    return {"fit.png": figure}

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -252,7 +253,7 @@ def judge_variants(rows: Sequence[Row]) -> list[Claim]:
         interval = (size - 1.96 * sigma, size + 1.96 * sigma)
         asked = at_least(0.0) if size > 0 else at_most(0.0)
         text = f"Size of `{label}` in the measured curve is not 0"
-        claims.append(Claim(label, text, asked, size, interval, rows[0]["points"], is_detail=label != "dipole_swap"))
+        claims.append(Claim(label, text, asked, size, interval, rows[0]["points"]))
     return claims
 
 
@@ -283,11 +284,11 @@ def tell(rows: Sequence[Row]) -> list[str]:
     return [*lines, "", *rows[0].get("hypotheses", [])]
 
 
-CODE = ("lbacal_core", "proofs", "service")
+FIXED: dict[str, Any] = {"has_chance": False, "needs_shared": True, "code": ("lbacal_core", "proofs", "service")}
 PARTS = (
-    Part("own", partial(ask_one, own_questions), judge_variants, 16, tell, False, needs_shared=True, code=CODE),
-    Part("tables", partial(ask_one, tables_questions), judge_variants, 13, tell, False, needs_shared=True, code=CODE),
-    Part("others", partial(ask_one, other_questions), judge_others, 5, tell, False, needs_shared=True, code=CODE),
+    Part("own", partial(ask_one, own_questions), judge_variants, 16, tell, ("exchange", "dipole_swap"), **FIXED),
+    Part("tables", partial(ask_one, tables_questions), judge_variants, 13, tell, ("exchange",), **FIXED),
+    Part("others", partial(ask_one, other_questions), judge_others, 5, tell, **FIXED),
 )
 IMAGES = {
     "measured-own.png": "Measured LOFAR curve, X, Y and their difference, with the simulation before and after",

@@ -298,17 +298,14 @@ def tell_bands(rows: Sequence[Row]) -> list[str]:
 PARTS = (
     *(
         Part(
-            claim.short,
-            partial(try_claim, claim),
-            partial(judge_lines, claim),
-            claim.trials,
-            partial(tell_lines, claim),
+            claim.short, partial(try_claim, claim), partial(judge_lines, claim), claim.trials,
+            partial(tell_lines, claim), ("bias",),
         )
         for claim in CLAIMS
     ),
     Part("wide-1", partial(try_bands, 1), partial(judge_bands, 1), 48, tell_bands),
     Part("wide-12", partial(try_bands, 12), partial(judge_bands, 12), 24, tell_bands),
-)
+)  # fmt: skip
 IMAGES = {"traces-lines.png": "Lines found by their strength, and what they do to the power of their bin"}
 
 

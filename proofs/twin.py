@@ -96,7 +96,8 @@ def tell(rows: Sequence[Row]) -> list[str]:
     return lines
 
 
-PARTS = tuple(
-    Part(name, partial(fit_campaign, nuisances), partial(judge, words), 200, tell)
-    for name, nuisances, words in (("clean", NONE, "no nuisances"), ("nuisances", REALISTIC, "realistic nuisances"))
+SPREADS = ("antenna_spread", "station_spread")
+PARTS = (
+    Part("clean", partial(fit_campaign, NONE), partial(judge, "no nuisances"), 300, tell, SPREADS),
+    Part("nuisances", partial(fit_campaign, REALISTIC), partial(judge, "realistic nuisances"), 300, tell, SPREADS),
 )

@@ -129,10 +129,10 @@ def judge(rows: Sequence[Row]) -> list[Claim]:
         claim_rate("covered", "The gain claimed is within 1.96 errors of what unseen events confirm (nominal 95 %)",
                    at_least(0.9), covered, n),
         claim_rate("kept", "Unseen events confirm a gain", at_least(0.9), sum(o.confirmed > 0 for o in outcomes), n),
-        claim_mean("before", "chi2 of an effect in unseen events", at_least(0.0), before, is_detail=True),
-        claim_mean("after", "chi2 that is left in unseen events", at_most(10.0), after, is_detail=True),
-        claim_mean("claimed", "Gain in log-likelihood that is claimed", at_least(0.0), claimed, is_detail=True),
-        claim_mean("confirmed", "Gain that unseen events confirm", at_least(0.0), confirmed, is_detail=True),
+        claim_mean("before", "chi2 of an effect in unseen events", at_least(0.0), before),
+        claim_mean("after", "chi2 that is left in unseen events", at_most(10.0), after),
+        claim_mean("claimed", "Gain in log-likelihood that is claimed", at_least(0.0), claimed),
+        claim_mean("confirmed", "Gain that unseen events confirm", at_least(0.0), confirmed),
     ]  # fmt: skip
 
 
@@ -144,4 +144,4 @@ def tell(rows: Sequence[Row]) -> list[str]:
     ]
 
 
-PARTS = (Part("held-out", try_held_out, judge, 40, tell),)
+PARTS = (Part("held-out", try_held_out, judge, 40, tell, ("left", "covered")),)

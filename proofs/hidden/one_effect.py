@@ -179,7 +179,7 @@ def judge_names(outcomes: Sequence[Outcome], what: str) -> list[Claim]:
         close = sum(pull <= 2.0 for pull in pulls)
         if not pulls and key:
             continue
-        claims.append(claim_rate(f"sizes{key}", text, at_least(0.9), close, len(pulls), is_detail=bool(key)))
+        claims.append(claim_rate(f"sizes{key}", text, at_least(0.9), close, len(pulls)))
     return claims
 
 
@@ -218,7 +218,7 @@ def judge_efficiency(rows: Sequence[Row]) -> list[Claim]:
         for cause, values in here.items():
             text = f"The same for `{cause}`, law {words}"
             key = f"{cause}_{'inside' if is_inside else 'beside'}"
-            details.append(claim_mean(key, text, at_least(asked), values, is_detail=True))
+            details.append(claim_mean(key, text, at_least(asked), values))
     return [*claims, *details]
 
 
@@ -257,7 +257,7 @@ def tell_efficiency(rows: Sequence[Row]) -> list[str]:
 
 
 PARTS = (
-    Part("one", try_one, judge_one, 108, tell_names),
-    Part("efficiency", try_efficiency, judge_efficiency, 276, tell_efficiency),
-    Part("static", try_static, judge_static, 60, tell_names),
+    Part("one", try_one, judge_one, 135, tell_names, ("snr_50", "named", "sizes")),
+    Part("efficiency", try_efficiency, judge_efficiency, 276, tell_efficiency, ("worst_inside",)),
+    Part("static", try_static, judge_static, 60, tell_names, ("named",)),
 )

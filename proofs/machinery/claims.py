@@ -7,7 +7,7 @@ Refuted: none of it is. Undecided: the interval reaches over the limit, or the d
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -70,8 +70,6 @@ class Claim:
         `%` for fractions, which are shown times 100.
     is_fresh
         Whether the data sets had never been seen when the code was written.
-    is_detail
-        Whether the claim stays in the record and is not shown in the page.
     """
 
     key: str
@@ -82,7 +80,6 @@ class Claim:
     n: int
     unit: str = ""
     is_fresh: bool = True
-    is_detail: bool = False
 
     def __post_init__(self) -> None:
         if not np.all(np.isfinite([self.found, *self.interval])):
@@ -100,13 +97,14 @@ class Claim:
         return {
             "key": self.key, "claim": self.claim, "asked": [self.asked.low, self.asked.high], "found": self.found,
             "interval": list(self.interval), "n": self.n, "unit": self.unit, "is_fresh": self.is_fresh,
-            "is_detail": self.is_detail, "verdict": self.verdict,
+            "verdict": self.verdict,
         }  # fmt: skip
 
     @classmethod
     def from_dict(cls, stored: dict[str, Any]) -> Claim:
         """Read what was stored; the verdict is decided again."""
-        values = {name: value for name, value in stored.items() if name != "verdict"}
+        names = {field.name for field in fields(cls)}
+        values = {name: value for name, value in stored.items() if name in names}
         return cls(**values | {"asked": Asked(*stored["asked"]), "interval": tuple(stored["interval"])})
 
     def seen_before(self) -> Claim:
@@ -168,14 +166,14 @@ def spread_interval(spread: float, n: int, confidence: float = CONFIDENCE) -> In
     return spread * float(low), spread * float(high)
 
 
-def claim_rate(key: str, claim: str, asked: Asked, hits: int, n: int, *, is_detail: bool = False) -> Claim:
+def claim_rate(key: str, claim: str, asked: Asked, hits: int, n: int) -> Claim:
     """A claim about a rate."""
-    return Claim(key, claim, asked, hits / max(n, 1), rate_interval(hits, n), n, "%", is_detail=is_detail)
+    return Claim(key, claim, asked, hits / max(n, 1), rate_interval(hits, n), n, "%")
 
 
-def claim_mean(key: str, claim: str, asked: Asked, values: Floats, unit: str = "", *, is_detail: bool = False) -> Claim:
+def claim_mean(key: str, claim: str, asked: Asked, values: Floats, unit: str = "") -> Claim:
     """A claim about a mean over data sets."""
-    return Claim(key, claim, asked, float(values.mean()), mean_interval(values), values.size, unit, is_detail=is_detail)
+    return Claim(key, claim, asked, float(values.mean()), mean_interval(values), values.size, unit)
 
 
 def claim_exact(key: str, claim: str, asked: Asked, found: float, unit: str = "", n: int = 1) -> Claim:

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from proofs.machinery.claims import REFUTED, SHOWN, Claim
 from proofs.machinery.code import ROOT
-from proofs.machinery.parts import proof_names
+from proofs.machinery.parts import parts_of, proof_names
 from proofs.machinery.records import Record, newest
 
 PAGE = ROOT / "docs" / "validation.md"
@@ -54,12 +54,17 @@ def _section(proof: str, records: Sequence[Record]) -> list[str]:
     lines = [f"## {proof}", "", " ".join(title.split()), ""]
     lines += ["| claim | asked | found (95 % interval) | n | verdict | command | commit |", "|" + "---|" * 7]
     for record in sorted(records, key=lambda r: order.index(r.part) if r.part in order else len(order)):
-        lines += [_row(claim, record) for claim in record.claims if not claim.is_detail]
+        lines += [_row(claim, record) for claim in record.claims if _is_headline(claim, record)]
     images = [name for name in getattr(module, "IMAGES", {}) if (IMAGES / name).is_file()]
     lines += [line for name in images for line in ("", f"![{module.IMAGES[name]}](images/{name})")]
     hours = sum(record.hours for record in records)
     lines += ["", f"{len(records)} records, {hours:.2g} hours of one core.", ""]
     return lines
+
+
+def _is_headline(claim: Claim, record: Record) -> bool:
+    headlines = parts_of(record.proof)[record.part].headlines
+    return not headlines or claim.key in headlines
 
 
 def _row(claim: Claim, record: Record) -> str:
@@ -71,11 +76,11 @@ def _row(claim: Claim, record: Record) -> str:
 
 
 def _open_claims(records: Iterable[Record]) -> list[str]:
-    """One line a claim that is refuted or undecided; of details only what is refuted."""
+    """One line a claim that is refuted, and one a headline that is undecided."""
     lines = []
     for record in sorted(records, key=lambda r: r.name):
         for claim in record.claims:
-            if claim.verdict == SHOWN or (claim.is_detail and claim.verdict != REFUTED):
+            if claim.verdict == SHOWN or (claim.verdict != REFUTED and not _is_headline(claim, record)):
                 continue
             why = "" if claim.is_fresh else f" (seeds: {record.seeds})"
             found = f"Asked {claim.words_asked}, found {claim.words_found}, n = {claim.n}"

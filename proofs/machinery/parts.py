@@ -36,6 +36,8 @@ class Part:
         Trials, unless said otherwise.
     tell
         Tables of the single outcomes, in Markdown, for who runs the proof.
+    headlines
+        Keys of the claims that stand in the page; all where nothing is said. The others stay in the record.
     has_chance
         Whether trials are drawn by chance; else the numbers 0 to count - 1 name fixed cases and no seeds are spent.
     is_parallel
@@ -51,6 +53,7 @@ class Part:
     judge: Callable[[Sequence[Row]], list[Claim]]
     count: int
     tell: Callable[[Sequence[Row]], list[str]] = tell_nothing
+    headlines: tuple[str, ...] = ()
     has_chance: bool = True
     is_parallel: bool = True
     needs_shared: bool = False

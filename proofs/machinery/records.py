@@ -80,6 +80,7 @@ class Record:
         for name, values in (("claims", [claim.as_dict() for claim in self.claims]), ("rows", self.rows)):
             items = ",\n".join(json.dumps(value, ensure_ascii=False) for value in values)
             lines.append(f'"{name}": [\n{items}\n]' if items else f'"{name}": []')
+        folder.mkdir(exist_ok=True)
         path = folder / self.file_name
         path.write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
         return path

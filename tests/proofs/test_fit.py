@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lbacal_core.skypower.table import SkyPower
-from proofs.fit import Scene, example_scene, fit_published_noise, judge, published_noise_scene
+from proofs.fit import Scene, draw, example_scene, fit_published_noise, judge, published_noise_scene
 from proofs.machinery.parts import Row
 
 DATA_SETS = 40
@@ -47,6 +47,10 @@ def test_the_bound_on_the_example_sky_is_that_of_an_independent_estimate():
     for scene, expected in ((example_scene(), 0.0040), (published_noise_scene(), 0.0062)):
         _, sky = scene.draw(np.random.default_rng(3))
         assert np.median(scene.smallest_errors(sky)[:-3]) == pytest.approx(expected, rel=0.04)
+
+
+def test_the_figure_is_drawn_from_stored_trials(rows: list[Row]):
+    assert list(draw({"published-noise": rows, "example": rows})) == ["fit.png"]
 
 
 def test_the_constants_give_the_published_shares(scene: Scene):

@@ -19,22 +19,22 @@ def test_the_page_is_that_of_the_records(repository: Path) -> None:
     assert (repository / "docs/validation.md").read_text() == write_page(read_records()), "run ./dev prove --page"
 
 
-def test_a_claim_is_a_row_and_what_is_open_is_said_again_below() -> None:
-    shown = claim_rate("a", "It is found", at_least(0.5), 99, 100)
-    refuted = claim_rate("b", "It is named", at_least(0.9), 50, 100)
-    detail = claim_mean("c", "A detail", at_least(0.0), np.array([1.0, 2.0]), is_detail=True)
+def test_a_headline_is_a_row_and_what_is_refuted_is_said_below_even_of_details() -> None:
+    shown = claim_rate("antenna_spread", "It is found", at_least(0.5), 99, 100)
+    refuted = claim_rate("station_mean", "It is named", at_least(0.9), 50, 100)
+    detail = claim_mean("antenna_mean", "A detail", at_least(0.0), np.array([1.0, 2.0]))
     page = write_page([record(shown, refuted, detail)])
     assert (
         "| It is found | >= 50 % | 99 % (94.6 to 99.8) | 100 | shown | `./dev prove twin --part clean` | 1234567 |"
         in page
     )
-    assert "| It is named | >= 90 % | 50 % (40.4 to 59.6) | 100 | **refuted** |" in page
     assert "A detail" not in page
     assert "- Refuted: It is named. Asked >= 90 %" in page.partition("## What is not shown")[2]
+    assert "It is found" not in page.partition("## What is not shown")[2]
 
 
 def test_a_claim_of_data_sets_that_had_been_seen_says_so() -> None:
-    shown = claim_rate("a", "It is found", at_least(0.5), 99, 100).seen_before()
+    shown = claim_rate("antenna_spread", "It is found", at_least(0.5), 99, 100).seen_before()
     assert "| **undecided** (seen before) |" in write_page([record(shown, seeds="seen before")])
 
 
