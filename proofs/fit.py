@@ -256,5 +256,5 @@ def draw(rows: Mapping[str, Sequence[Row]]) -> dict[str, Figure]:
         xlabel="r.m.s. error / Fisher bound", yticks=range(len(names)), yticklabels=names, ylim=(len(names) - 0.5, -0.5)
     )
     panels["pull"].set(xlabel="r.m.s. pull")
-    panels["pull"].legend(loc="lower right", fontsize=8)
+    figure.legend(*panels["pull"].get_legend_handles_labels(), loc="outside lower center", ncols=2)
     return {"fit.png": figure}

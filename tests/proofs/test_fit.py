@@ -70,11 +70,11 @@ def test_the_constants_give_the_published_shares(scene: Scene):
 def test_a_fit_that_is_off_is_refuted_and_one_that_is_not_is_shown(fault: str, key: str):
     rng = np.random.default_rng(2)
     rows: list[Row] = []
-    for draw in rng.standard_normal(4000):
-        error = (1.2 if fault == "too_wide" else 1.0) * draw
-        pull = (1.2 if fault == "wrong_sigma" else 1.0) * draw + (0.2 if fault == "off" else 0.0)
+    for normal in rng.standard_normal(4000):
+        error = (1.2 if fault == "too_wide" else 1.0) * normal
+        pull = (1.2 if fault == "wrong_sigma" else 1.0) * normal + (0.2 if fault == "off" else 0.0)
         row = {"status": "converged", "error_over_bound": [error] * 14, "pull": [pull] * 14}
-        rows.append(row | {"chi2_per_dof": 1.0 + 0.01 * draw, "median_error": 0.004 + 1e-4 * draw})
+        rows.append(row | {"chi2_per_dof": 1.0 + 0.01 * normal, "median_error": 0.004 + 1e-4 * normal})
     verdicts = {claim.key: claim.verdict for claim in judge(rows)}
     assert [name for name, verdict in verdicts.items() if verdict == "refuted"] == ([key] if key else [])
     assert fault != "none" or set(verdicts.values()) == {"shown"}
