@@ -8,13 +8,18 @@ from importlib.metadata import version
 from fastapi import Depends, FastAPI
 from fastapi_offline import FastAPIOffline
 from prometheus_client import CollectorRegistry
+from starlette.middleware.gzip import GZipMiddleware
 
 from service.factory import Factory
 from service.handlers import calibrations, drift, health, jobs, pages, problems, spectra
 from service.handlers.edge import Edge
+from service.handlers.head import AnswersHead
 from service.handlers.limits import KeyGuard
 from service.handlers.metrics import Traffic
 from service.handlers.request import require_known_query
+
+GZIP_FROM = 100_000
+"""Bytes from which an answer is compressed for those who accept that: the curves of a station, not of a path."""
 
 
 def make_app(factory: Factory) -> FastAPI:
@@ -42,5 +47,7 @@ def make_app(factory: Factory) -> FastAPI:
         app.include_router(router)
     problems.install(app)
 
+    app.add_middleware(GZipMiddleware, minimum_size=GZIP_FROM, compresslevel=1)
+    app.add_middleware(AnswersHead)
     app.add_middleware(Edge, traffic=Traffic(app.state.registry), max_rate=factory.settings.max_rate)
     return app
