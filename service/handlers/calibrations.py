@@ -12,6 +12,8 @@ from service.handlers.problems import document
 from service.handlers.request import (
     IMMUTABLE,
     REVALIDATE,
+    AntennaQuery,
+    InPath,
     JsonBody,
     Limit,
     UseCases,
@@ -25,7 +27,13 @@ from service.usecases.calibrations import select_paths
 from service.usecases.comparison import compare_curves
 from service.usecases.keys import Caller
 from service.usecases.promotions import Change
-from service.wire.answers import describe_curve_in_effect, describe_in_effect, describe_promotion, describe_scope
+from service.wire.answers import (
+    describe_curve_in_effect,
+    describe_in_effect,
+    describe_promotion,
+    describe_scope,
+    to_json,
+)
 from service.wire.bodies import PromotionBody, parse_body
 from service.wire.instants import format_instant, format_optional, parse_at, parse_instant
 from service.wire.tables import FORMATS, choose_format, write_format
@@ -49,7 +57,7 @@ def get_in_effect(
     at: str | None = None,
     mjd: str | None = None,
     station: str | None = None,
-    antenna: Annotated[int | None, Query(ge=0)] = None,
+    antenna: AntennaQuery = None,
     dipole: str | None = None,
     as_of: str | None = None,
     gap: Literal["error", "hold"] = "error",
@@ -82,7 +90,7 @@ def list_versions(
     use: UseCases,
     scope: Annotated[Literal["array"] | None, Query(description="array: its versions only")] = None,
     station: Annotated[str | None, Query(pattern=r"^[^\x00-\x1f]{1,200}$")] = None,
-    antenna: Annotated[int | None, Query(ge=0, le=2**31 - 1)] = None,
+    antenna: AntennaQuery = None,
     dipole: str | None = None,
     status: Literal[STATUSES] | None = None,  # type: ignore[valid-type] # a closed list, written once
     cursor: Annotated[str, Query(pattern=r"^[0-9a-f]{0,64}$")] = "",
@@ -106,7 +114,7 @@ def list_versions(
 def get_version(
     request: Request,
     use: UseCases,
-    version_id: str,
+    version_id: InPath,
     format: str | None = None,  # noqa: A002 - its name on the wire
 ) -> Response:
     kind = choose_format(format, request.headers.get("accept"))
@@ -123,7 +131,7 @@ def get_version(
     responses=document(401, 404, 422, 503),
     dependencies=[Depends(require_read)],
 )
-def get_diff(request: Request, use: UseCases, first: str, second: str) -> Response:
+def get_diff(request: Request, use: UseCases, first: InPath, second: InPath) -> Response:
     a, b = use.calibrations.pair(first, second)
     return answer(request, describe_diff(a, b), cache=IMMUTABLE)
 
@@ -146,8 +154,10 @@ def promote(
     wanted = parse_body(PromotionBody, body)
     if dry_run:
         return answer(request, describe_changes(None, use.promotions.preview(wanted, caller.name)))
-    promotion, changes = use.promotions.promote(wanted, caller.name)
-    return answer(request, describe_changes(promotion, changes), status=201)
+    content = use.promotions.promote(
+        wanted, caller.name, lambda made, changes: to_json(describe_changes(made, changes))
+    )
+    return answer(request, content, status=201)
 
 
 def describe_version(version: Version) -> dict[str, Any]:

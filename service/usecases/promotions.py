@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 from lbacal_core.curves import CONVERGED
 from lbacal_core.errors import BadInputError
@@ -18,6 +19,7 @@ from service.wire.bodies import PromotionBody
 from service.wire.instants import parse_instant
 
 LAST = 2**63 - 1
+Answer = TypeVar("Answer")
 
 
 @dataclass(frozen=True)
@@ -45,13 +47,13 @@ class Promotions:
         with self.database.read() as stores:
             return self._changes(stores, self._plan(stores, body, by))
 
-    def promote(self, body: PromotionBody, by: str) -> tuple[Promotion, list[Change]]:
-        """Promote, and tell what that changed."""
+    def promote(self, body: PromotionBody, by: str, describe: Callable[[Promotion, list[Change]], Answer]) -> Answer:
+        """Promote, and describe what that changed; what cannot be described is not promoted."""
         with self.database.write() as stores:
             wanted = self._plan(stores, body, by)
             stores.ledger.lock()
             changes = self._changes(stores, wanted)
-            return stores.ledger.append([wanted], self.clock)[0], changes
+            return describe(stores.ledger.append([wanted], self.clock)[0], changes)
 
     def _plan(self, stores: Stores, body: PromotionBody, by: str) -> Promotion:
         stated = Scope(body.station, body.antenna, body.dipole)
