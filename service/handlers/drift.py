@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Any
 
-from fastapi import APIRouter, Depends, Query, Request, Response
+from fastapi import APIRouter, Depends, Request, Response
 
 from lbacal_core.errors import BadInputError
 from lbacal_core.validity import Scope
 from service.handlers.problems import document
-from service.handlers.request import UseCases, answer, require_read
+from service.handlers.request import AntennaQuery, UseCases, answer, require_read
 from service.usecases.calibrations import select_paths
 from service.usecases.drift import DriftSeries
 from service.wire.answers import describe_scope
@@ -31,7 +31,7 @@ def get_drift(
     request: Request,
     use: UseCases,
     station: str | None = None,
-    antenna: Annotated[int | None, Query(ge=0)] = None,
+    antenna: AntennaQuery = None,
     dipole: str | None = None,
 ) -> Response:
     select_paths(use.drift.instrument, station, antenna, dipole)

@@ -7,7 +7,17 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Depends, Query, Request, Response
 
 from service.handlers.problems import document
-from service.handlers.request import JsonBody, Limit, UseCases, answer, caller_with, describes, require_read
+from service.handlers.request import (
+    JobNumber,
+    JsonBody,
+    Limit,
+    UseCases,
+    Whole,
+    answer,
+    caller_with,
+    describes,
+    require_read,
+)
 from service.storage.jobs import Job
 from service.usecases.keys import Caller
 from service.wire.bodies import RefitBody, parse_body
@@ -43,7 +53,7 @@ def request_refit(request: Request, use: UseCases, caller: Runner, body: JsonBod
 def list_jobs(
     request: Request,
     use: UseCases,
-    cursor: Annotated[int | None, Query(ge=0, le=2**63 - 1)] = None,
+    cursor: Annotated[Whole | None, Query(ge=0, le=2**63 - 1)] = None,
     limit: Limit = 100,
 ) -> Response:
     jobs = use.jobs.newest(before=cursor, limit=limit)
@@ -54,15 +64,20 @@ def list_jobs(
 @router.get(
     "/v1/jobs/{number}",
     summary="One job",
-    responses=document(401, 404, 503),
+    responses=document(401, 404, 422, 503),
     dependencies=[Depends(require_read)],
 )
-def get_job(request: Request, use: UseCases, number: int) -> Response:
+def get_job(request: Request, use: UseCases, number: JobNumber) -> Response:
     return answer(request, describe_job(use.jobs.get(number)))
 
 
-@router.post("/v1/jobs/{number}/cancel", summary="Stop a job", responses=document(401, 403, 404, 503))
-def cancel_job(request: Request, use: UseCases, _caller: Runner, number: int) -> Response:
+@router.post(
+    "/v1/jobs/{number}/cancel",
+    summary="Stop a job",
+    description="What it has stored stays. A job that has ended cannot be stopped (409).",
+    responses=document(401, 403, 404, 409, 422, 503),
+)
+def cancel_job(request: Request, use: UseCases, _caller: Runner, number: JobNumber) -> Response:
     return answer(request, describe_job(use.jobs.cancel(number)))
 
 
@@ -78,8 +93,13 @@ def describe_job(job: Job) -> dict[str, Any]:
         "gated": {name: why for result in job.results for name, why in result.get("gated", {}).items()},
         "results": [],
         "error": "; ".join(job.errors) or None,
-        "request": dict(job.request),
+        "request": {name: _on_the_wire(name, value) for name, value in job.request.items()},
         "reason": job.reason,
         "by": job.by,
         "created_at": format_instant(job.created),
     }
+
+
+def _on_the_wire(name: str, value: Any) -> Any:
+    """A field of a request; the scheduler writes instants as numbers."""
+    return format_instant(value) if name in ("since", "until") and isinstance(value, int) else value

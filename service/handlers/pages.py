@@ -9,7 +9,7 @@ import numpy as np
 from fastapi import APIRouter, Depends, Request, Response
 
 from lbacal_core.validity import Scope
-from service.handlers.request import IMMUTABLE, UseCases, answer, require_read
+from service.handlers.request import IMMUTABLE, InPath, UseCases, answer, require_read
 from service.page.assets import find_asset
 from service.page.render import format_day, name_scope, render_page
 from service.storage.versions import MeanC
@@ -60,7 +60,7 @@ def show_drift(request: Request, use: UseCases) -> Response:
 
 
 @router.get("/stations/{station}")
-def show_station(request: Request, use: UseCases, station: str) -> Response:
+def show_station(request: Request, use: UseCases, station: InPath) -> Response:
     select_paths(use.instrument, station, None, None)
     series = use.drift.series(Scope(station))
     means = use.drift.means_of_paths(station)
@@ -70,7 +70,7 @@ def show_station(request: Request, use: UseCases, station: str) -> Response:
 
 
 @router.get("/calibrations/{version_id}")
-def show_calibration(request: Request, use: UseCases, version_id: str) -> Response:
+def show_calibration(request: Request, use: UseCases, version_id: InPath) -> Response:
     version, promotions = use.calibrations.get(version_id)
     curves = [
         {"name": c.name, **{k: getattr(c, k).tolist() for k in ("frequency_mhz", "c", "c_sigma_stat")}}

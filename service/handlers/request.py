@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import AsyncIterator, Sequence
 from contextlib import AbstractAsyncContextManager, nullcontext
 from typing import Annotated, Any, cast
 
-from fastapi import Depends, Query, Request, Response
-from pydantic import BaseModel
+from fastapi import Depends, Path, Query, Request, Response
+from pydantic import BaseModel, BeforeValidator
 
 from lbacal_core.errors import BadInputError
 from service.errors import TooLargeError, UnauthenticatedError, UnsupportedMediaError
@@ -23,7 +24,21 @@ SMALL_BODY = 65_536
 """Bytes of a body that changes one thing; the longest reason takes 24,000."""
 LARGE_BODY = 4_000_000
 """Bytes from which a body waits for its turn: as values it takes ten times its size in memory."""
-Limit = Annotated[int, Query(ge=1, le=1000, description="most items in the answer")]
+
+
+def _require_digits(value: Any) -> Any:
+    """Pydantic also takes `1.0`, `1_0` and the digits of other scripts for the number they mean."""
+    if isinstance(value, str) and re.fullmatch("[0-9]{1,19}", value) is None:
+        raise ValueError("a whole number in digits")
+    return value
+
+
+Whole = Annotated[int, BeforeValidator(_require_digits)]
+Limit = Annotated[Whole, Query(ge=1, le=1000, description="most items in the answer")]
+AntennaQuery = Annotated[Whole | None, Query(ge=0, le=2**31 - 1)]
+JobNumber = Annotated[Whole, Path(ge=1, le=2**63 - 1)]
+InPath = Annotated[str, Path(pattern=r"^[^\x00-\x1f\x7f]{1,200}$")]
+"""A name in an address; PostgreSQL holds no text with NUL."""
 
 
 def get_factory(request: Request) -> Factory:

@@ -8,10 +8,12 @@ from fastapi import APIRouter, Depends, Query, Request, Response
 
 from service.handlers.problems import document
 from service.handlers.request import (
+    InPath,
     JsonBody,
     Limit,
     SpectraUpload,
     UseCases,
+    Whole,
     answer,
     caller_with,
     describes,
@@ -54,7 +56,7 @@ def list_events(
     since: str | None = None,
     until: str | None = None,
     flag: Annotated[str | None, Query(pattern=r"^[^\x00-\x1f]{1,200}$")] = None,
-    cursor: Annotated[int, Query(ge=0, le=2**63 - 1)] = 0,
+    cursor: Annotated[Whole, Query(ge=0, le=2**63 - 1)] = 0,
     limit: Limit = 100,
 ) -> Response:
     events = use.intake.events(
@@ -76,7 +78,7 @@ def list_events(
     responses=document(400, 401, 403, 404, 415, 422, 503),
     openapi_extra=describes(FlagBody),
 )
-def flag_event(request: Request, use: UseCases, caller: Writer, event_id: str, body: JsonBody) -> Response:
+def flag_event(request: Request, use: UseCases, caller: Writer, event_id: InPath, body: JsonBody) -> Response:
     wanted = parse_body(FlagBody, body)
     event = use.intake.set_flag(event_id, wanted.flag, reason=wanted.reason, by=caller.name)
     return answer(request, describe_event(event))

@@ -79,8 +79,8 @@ class Job:
 
     @property
     def progress(self) -> float:
-        """Fraction of the parts that ended."""
-        return sum(state in (DONE, FAILED, CANCELLED) for state in self.states) / len(self.states)
+        """Fraction of the parts that were worked on to their end."""
+        return sum(state in (DONE, FAILED) for state in self.states) / len(self.states)
 
 
 class JobStore:
@@ -142,8 +142,9 @@ class JobStore:
             raise LeaseLostError(f"part {part.number} of job {part.job} is no longer held by {holder}")
 
     def cancel(self, number: int, now: Instant) -> None:
-        """Stop a job: parts not yet done are dropped, running ones lose their lease."""
-        self.get(number)
+        """Stop a job: parts not yet done are dropped, running ones lose their lease. One that has ended stays so."""
+        if (state := self.get(number).state) in (DONE, FAILED):
+            raise ConflictError(f"job {number} is {state}: what it made is stored, and nothing is left to stop")
         self._connection.execute(update(job).where(job.c.id == number).values(is_cancelled=True))
         open_parts = and_(job_part.c.job == number, job_part.c.state.in_([QUEUED, RUNNING]))
         self._connection.execute(update(job_part).where(open_parts).values(state=CANCELLED, ended_us=now))

@@ -155,6 +155,16 @@ def test_a_cancelled_job_is_not_done(station: Factory, http: TestClient) -> None
     work(station)
     assert http.get(f"/v1/jobs/{number}").json()["calibrations"] == []
     assert http.get("/v1/calibrations").json()["calibrations"] == []
+    assert http.get(f"/v1/jobs/{number}").json()["progress"] == 0.0, "nobody worked on it"
+    assert http.post(f"/v1/jobs/{number}/cancel").status_code == 200
+
+
+def test_a_job_that_is_done_stays_done_when_somebody_cancels_it(station: Factory, http: TestClient) -> None:
+    number = refit(http)
+    work(station)
+    refused = http.post(f"/v1/jobs/{number}/cancel")
+    assert (refused.status_code, refused.json()["title"]) == (409, "Conflict")
+    assert http.get(f"/v1/jobs/{number}").json()["state"] == "done"
 
 
 def test_a_part_whose_worker_died_is_taken_over_and_the_dead_one_writes_nothing(

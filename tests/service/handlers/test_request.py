@@ -1,0 +1,68 @@
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from fastapi.testclient import TestClient
+
+LOCAL_MIN = "0001-01-01T00:00:00+14:00"
+
+
+@pytest.mark.parametrize(
+    ("method", "path"),
+    [
+        ("GET", "/v1/jobs/9223372036854775808"),
+        ("POST", "/v1/jobs/9223372036854775808/cancel"),
+        ("GET", "/v1/jobs/" + "9" * 5000),
+        ("GET", "/v1/jobs/1.0"),
+        ("GET", "/v1/jobs/-1"),
+        ("GET", "/v1/jobs/1_0"),
+        ("GET", "/v1/jobs/%D9%A1"),
+        ("GET", "/v1/jobs?cursor=1.0"),
+        ("GET", "/v1/events?limit=1_0"),
+        ("GET", "/v1/calibrations?antenna=1.0"),
+        ("GET", "/v1/calibrations/effective?at=2014-05-01&station=CS001&antenna=9223372036854775808"),
+        ("GET", "/v1/calibrations/%00"),
+        ("GET", "/calibrations/%00"),
+        ("GET", "/stations/%00"),
+        ("GET", "/v1/calibrations/a%00b/diff/c"),
+        ("GET", "/v1/calibrations/a/diff/%00"),
+        ("POST", "/v1/events/%00/flag"),
+    ],
+)
+def test_a_number_or_a_name_that_no_database_holds_is_refused_and_not_a_failure(
+    client: TestClient, method: str, path: str
+) -> None:
+    body = {"json": {"flag": "x", "reason": "x"}} if method == "POST" else {}
+    answer = client.request(method, path, **body)
+    assert answer.status_code == 422, answer.text
+    assert answer.headers["content-type"] == "application/problem+json"
+
+
+def test_a_job_beyond_all_others_is_not_found(client: TestClient) -> None:
+    assert client.get("/v1/jobs/9223372036854775807").status_code == 404
+
+
+@pytest.mark.parametrize(
+    ("path", "body"),
+    [
+        ("/v1/refits", {"scope": "station", "since": LOCAL_MIN, "until": "2014-10-01", "reason": "x"}),
+        ("/v1/promotions", {"calibration": None, "station": "CS001", "valid_from": LOCAL_MIN, "reason": "x"}),
+        (
+            "/v1/promotions",
+            {
+                "calibration": None, "station": "CS001", "valid_from": "2014-01-01",
+                "valid_to": "9999-12-31T23:59:59-01:00", "reason": "x",
+            },
+        ),
+    ],
+)  # fmt: skip
+@pytest.mark.usefixtures("stored")
+def test_a_local_datetime_min_poisoned_every_page_and_is_refused_now(
+    client: TestClient, path: str, body: dict[str, Any]
+) -> None:
+    assert client.post(path, json=body).status_code == 422
+    for page in ("/", "/stations/CS001", "/v1/calibrations", "/v1/jobs"):
+        assert client.get(page).status_code == 200
+    assert client.get("/v1/calibrations/effective", params={"at": LOCAL_MIN}).status_code == 422
+    assert client.get("/v1/calibrations/effective", params={"at": "0001-01-01"}).status_code == 404
