@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,7 @@ import numpy as np
 
 from lbacal_core.grids import Floats
 from lbacal_core.provenance import Provenance
+from lbacal_core.reference_chain import ReferenceChain
 
 CONVERGED = "converged"
 NOT_CONVERGED = "not_converged"
@@ -120,10 +121,17 @@ def parse_curve(content: Mapping[str, Any]) -> CalibrationCurve:
 
 @dataclass(frozen=True)
 class FitReport:
-    """The curves of one fit and where they came from."""
+    """The curves of one fit and where they came from.
+
+    Attributes
+    ----------
+    chains
+        What each curve belongs to, in the order of `curves`; None where there is no curve. Empty where nobody knows.
+    """
 
     curves: Sequence[CalibrationCurve]
     provenance: Provenance
+    chains: Sequence[ReferenceChain | None] = ()
 
     @property
     def status(self) -> str:
@@ -134,9 +142,14 @@ class FitReport:
         """The content of fit.json."""
         return {
             "status": self.status,
-            "curves": [curve.as_dict() for curve in self.curves],
+            "curves": [{**curve.as_dict(), "reference": chain} for curve, chain in self._with_reference()],
             "provenance": self.provenance.as_dict(),
         }
+
+    def _with_reference(self) -> Iterator[tuple[CalibrationCurve, dict[str, Any] | None]]:
+        """Each curve, and of a mean of paths its reference chain as JSON values."""
+        for curve, chain in zip(self.curves, self.chains or [None] * len(self.curves), strict=True):
+            yield curve, None if chain is None or curve.antenna is not None else chain.as_dict()
 
 
 def write_fit_report(report: FitReport, path: Path) -> None:

@@ -7,7 +7,7 @@ or the mean over the antennas of a station or of the array, which has the same c
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -17,6 +17,7 @@ from threadpoolctl import threadpool_limits
 
 from lbacal_core.calibration.lines import Lines, fit_lines
 from lbacal_core.calibration.separable import solve_separable
+from lbacal_core.calibration.spreads import SinglePaths, join_paths, measure_spreads
 from lbacal_core.chain.model import calibration_factor
 from lbacal_core.curves import (
     CONVERGED,
@@ -32,6 +33,7 @@ from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats, require_same_grid
 from lbacal_core.instrument import Instrument
 from lbacal_core.provenance import Provenance
+from lbacal_core.reference_chain import CableTable, ReferenceChain
 from lbacal_core.sidereal import local_sidereal_time
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra import Spectra
@@ -50,12 +52,17 @@ LARGEST_RELATIVE_ERROR = 0.5
 
 @dataclass(frozen=True)
 class _Paths:
-    """Paths to be fitted together: who they are, what was recorded and when."""
+    """Paths to be fitted together: who they are, what was recorded and when.
+
+    A mean of paths is one, with the (station, antenna) it is the mean of and what each of these gave by itself.
+    """
 
     owners: list[tuple[str | None, int | None, str]]
     power: Floats
     excess: Floats
     lst_hours: Floats
+    members: Sequence[tuple[str, int]] = ()
+    singles: SinglePaths | None = None
 
 
 def fit_calibration(spectra: Spectra, instrument: Instrument, sky_power: SkyPower, scope: str = "antenna") -> FitReport:
@@ -72,7 +79,8 @@ def fit_calibration(spectra: Spectra, instrument: Instrument, sky_power: SkyPowe
 
     Returns
     -------
-    One curve per path, station or array and dipole letter; a curve that could not be fitted says why in its status.
+    One curve per path, station or array and dipole letter; a curve that could not be fitted says why in its status. A
+    curve of a station or of the array is that of a reference chain, which the report states beside it.
     """
     if scope not in SCOPES:
         raise BadInputError("scope", ", ".join(SCOPES), repr(scope))
@@ -82,19 +90,21 @@ def fit_calibration(spectra: Spectra, instrument: Instrument, sky_power: SkyPowe
     )
     if len(spectra) == 0:
         raise BadInputError(spectra.origin, "at least one spectrum", "none")
-    _require_one_cable_each(spectra, instrument)
+    cable_of = _require_one_cable_each(spectra, instrument)
+    table = CableTable.of(instrument)
 
-    def fit_paths(paths: _Paths) -> list[CalibrationCurve]:
+    def fit_paths(paths: _Paths) -> list[tuple[CalibrationCurve, ReferenceChain | None]]:
         sky = sky_power.at(paths.owners[0][2], paths.lst_hours)
-        return _fit_paths(paths, fit_lines(paths.power, sky, paths.excess), instrument)
+        curves = _fit_paths(paths, fit_lines(paths.power, sky, paths.excess), instrument)
+        return [(curve, _chain_of(curve, paths, instrument, table, cable_of)) for curve in curves]
 
     # NumPy leaves the interpreter's lock in its loops, so blocks of paths share the cores as threads; the threads that
     # BLAS would start within each cost twice the time.
     with threadpool_limits(1), ThreadPoolExecutor(os.cpu_count()) as pool:
         digest = pool.submit(spectra.digest)
-        batches = list(pool.map(fit_paths, _paths_of_scope(spectra, instrument, sky_power, scope)))
-    curves = [curve for batch in batches for curve in batch]
-    curves.sort(key=lambda c: (c.station or "", -1 if c.antenna is None else c.antenna, c.dipole or ""))
+        batches = list(pool.map(fit_paths, _paths_of_scope(spectra, instrument, sky_power, scope, cable_of)))
+    fitted = [one for batch in batches for one in batch]
+    fitted.sort(key=lambda c: (c[0].station or "", -1 if c[0].antenna is None else c[0].antenna, c[0].dipole or ""))
     provenance = Provenance(
         inputs={
             "spectra": digest.result(),
@@ -103,11 +113,16 @@ def fit_calibration(spectra: Spectra, instrument: Instrument, sky_power: SkyPowe
         },
         settings={"scope": scope, "min_events": MIN_EVENTS, "min_lst_bins": MIN_LST_BINS},
     )
-    return FitReport(tuple(curves), provenance)
+    return FitReport(tuple(curve for curve, _ in fitted), provenance, tuple(chain for _, chain in fitted))
 
 
-def _require_one_cable_each(spectra: Spectra, instrument: Instrument) -> None:
-    """Every antenna is known to the instrument and keeps its cable over the window."""
+Cables = Mapping[tuple[str, int], str]
+"""The cable of each (station, antenna) over the window of a fit."""
+
+
+def _require_one_cable_each(spectra: Spectra, instrument: Instrument) -> Cables:
+    """Every antenna is known to the instrument and keeps its cable over the window: which one."""
+    found: dict[tuple[str, int], str] = {}
     first, last = float(spectra.time_unix.min()), float(spectra.time_unix.max())
     stations, station_at = spectra.key_codes["station"]
     for k, station in enumerate(stations):
@@ -124,9 +139,13 @@ def _require_one_cable_each(spectra: Spectra, instrument: Instrument) -> None:
                     "one cable over the window: fit the time before and after the change separately",
                     f"cables {', '.join(cables)}",
                 )
+            found[str(station), int(antenna)] = cables[0]
+    return found
 
 
-def _paths_of_scope(spectra: Spectra, instrument: Instrument, sky_power: SkyPower, scope: str) -> Iterable[_Paths]:
+def _paths_of_scope(
+    spectra: Spectra, instrument: Instrument, sky_power: SkyPower, scope: str, cable_of: Cables
+) -> Iterable[_Paths]:
     typical = float(np.median(spectra.blocks))
     if scope == "antenna":
         for block in iterate_blocks(spectra):
@@ -136,7 +155,8 @@ def _paths_of_scope(spectra: Spectra, instrument: Instrument, sky_power: SkyPowe
     groups = {(block.station if scope == "station" else None, block.dipole) for block in blocks}
     for station, dipole in sorted(groups, key=lambda key: (key[0] or "", key[1])):
         members = [b for b in blocks if b.dipole == dipole and station in (None, b.station)]
-        yield _mean_path([_paths_of_block(b, instrument, typical) for b in members], members, sky_power, station)
+        parts = [_paths_of_block(b, instrument, typical) for b in members]
+        yield _mean_path(parts, members, instrument, sky_power, station, cable_of)
 
 
 def _paths_of_block(block: SpectraBlock, instrument: Instrument, typical_blocks: float) -> _Paths:
@@ -150,8 +170,15 @@ def _paths_of_block(block: SpectraBlock, instrument: Instrument, typical_blocks:
     )
 
 
-def _mean_path(parts: list[_Paths], blocks: list[SpectraBlock], sky_power: SkyPower, station: str | None) -> _Paths:
-    """The mean over antennas as a path of its own.
+def _mean_path(
+    parts: list[_Paths],
+    blocks: list[SpectraBlock],
+    instrument: Instrument,
+    sky_power: SkyPower,
+    station: str | None,
+    cable_of: Cables,
+) -> _Paths:
+    """The mean over antennas as a path of its own, the reference chain.
 
     In each event the mean of the relative deviations from each antenna's own lines, over the antennas present, is put
     on the mean of the lines: an antenna missing from an event then does not pull the mean towards the others.
@@ -161,7 +188,9 @@ def _mean_path(parts: list[_Paths], blocks: list[SpectraBlock], sky_power: SkyPo
     channels = blocks[0].frequency_mhz.size
     deviation, weight = np.zeros((events.size, channels)), np.zeros(events.size)
     lst_hours = np.zeros(events.size)
-    slope, intercept, paths = np.zeros(channels), np.zeros(channels), 0
+    slope, intercept = np.zeros(channels), np.zeros(channels)
+    members: list[tuple[str, int]] = []
+    singles: list[SinglePaths] = []
     for part, block in zip(parts, blocks, strict=True):
         at = np.searchsorted(events, block.event_id)
         lst_hours[at] = part.lst_hours
@@ -175,16 +204,61 @@ def _mean_path(parts: list[_Paths], blocks: list[SpectraBlock], sky_power: SkyPo
         weight[at] += precision.sum(axis=0)
         slope += lines.slope.sum(axis=0)
         intercept += lines.intercept.sum(axis=0)
-        paths += int(has_enough.sum())
+        averaged = [(block.station, int(antenna)) for antenna in block.antennas[has_enough]]
+        members += averaged
+        singles.append(_single_paths(averaged, lines, instrument, cable_of))
     has_data = weight > 0
-    if paths == 0:
+    if not members:
         has_data[:] = False
     sky = sky_power.at(dipole, lst_hours)
-    mean = (slope * sky + intercept) / max(paths, 1)
+    mean = (slope * sky + intercept) / max(len(members), 1)
     power = np.where(has_data[:, None], mean * (1.0 + deviation / np.maximum(weight, 1e-300)[:, None]), 1.0)
     typical = np.median(weight[has_data]) if np.any(has_data) else 1.0
     excess = np.where(has_data, typical / np.where(has_data, weight, 1.0), np.inf)
-    return _Paths([(station, None, dipole)], power[None], excess[None], lst_hours)
+    return _Paths(
+        [(station, None, dipole)],
+        power[None],
+        excess[None],
+        lst_hours,
+        members,
+        join_paths(singles) if singles else None,
+    )
+
+
+def _single_paths(owners: list[tuple[str, int]], lines: Lines, instrument: Instrument, cable_of: Cables) -> SinglePaths:
+    """The slopes of paths fitted by themselves; NaN where the fit determined none."""
+    solution = solve_separable(lines.slope, lines.intercept, lines.information, _design(instrument))
+    channels = instrument.frequency_mhz.size
+    variance = np.einsum("pii->pi", solution.covariance)[:, :channels]
+    is_good = (solution.is_converged & solution.is_identifiable)[:, None] & np.isfinite(solution.x) & (variance > 0)
+    cables = [cable_of[owner] for owner in owners]
+    return SinglePaths(
+        stations=np.array([station for station, _ in owners]),
+        cables=np.array(cables),
+        slope=np.where(is_good, solution.x, np.nan),
+        sigma=np.sqrt(np.where(is_good, variance, np.nan)),
+        loss=np.array([instrument.cables[cable] for cable in cables]),
+    )
+
+
+def _chain_of(
+    curve: CalibrationCurve, paths: _Paths, instrument: Instrument, table: CableTable, cable_of: Cables
+) -> ReferenceChain | None:
+    """What a converged curve belongs to, with the departures of the paths behind it."""
+    if curve.c is None:
+        return None
+    if curve.antenna is not None:
+        own = (str(curve.station), curve.antenna)
+        return ReferenceChain((own,), instrument.cables[cable_of[own]], table, None)
+    mean_loss = np.mean([instrument.cables[cable_of[member]] for member in paths.members], axis=0)
+    slope = instrument.antenna_gain / curve.c**2
+    spreads = None if paths.singles is None else measure_spreads(paths.singles, slope, mean_loss)
+    return ReferenceChain(tuple(sorted(paths.members)), mean_loss, table, spreads)
+
+
+def _design(instrument: Instrument) -> Floats:
+    """What N_RCU S and N_ADC add to an intercept, shape (freq, 2)."""
+    return np.stack([instrument.receiver_gain, np.ones_like(instrument.receiver_gain)], axis=1)
 
 
 def _fit_paths(paths: _Paths, lines: Lines, instrument: Instrument) -> list[CalibrationCurve]:
@@ -197,13 +271,12 @@ def _fit_paths(paths: _Paths, lines: Lines, instrument: Instrument) -> list[Cali
     is_covered[path_at, bins[event_at]] = True
     covered = is_covered.sum(axis=1)
 
-    design = np.stack([instrument.receiver_gain, np.ones_like(instrument.receiver_gain)], axis=1)
     status = np.full(len(paths.owners), CONVERGED, dtype=object)
     status[~_sees_the_sky_vary(lines)] = NOT_IDENTIFIABLE
     status[covered < MIN_LST_BINS] = TOO_FEW_LST_BINS
     status[events < MIN_EVENTS] = TOO_FEW_EVENTS
     at = np.flatnonzero(status == CONVERGED)
-    solution = solve_separable(lines.slope[at], lines.intercept[at], lines.information[at], design)
+    solution = solve_separable(lines.slope[at], lines.intercept[at], lines.information[at], _design(instrument))
     channels = instrument.frequency_mhz.size
     variance = np.einsum("pii->pi", solution.covariance)
     with np.errstate(invalid="ignore", divide="ignore"):

@@ -1,0 +1,138 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lbacal_core.calibration.fit import fit_calibration
+from lbacal_core.calibration.own_cable import carry_to_path, tell_reference
+from lbacal_core.calibration.residuals import noise_at_input
+from lbacal_core.chain.model import calibration_factor
+from lbacal_core.instrument import AntennaRecord
+from lbacal_core.reference_chain import CableTable, ReferenceChain
+
+AT = 1_400_000_000.0
+
+
+@pytest.fixture(scope="module")
+def report(scene):
+    spectra = scene.spectra(np.random.default_rng(12), events=400)
+    return fit_calibration(spectra, scene.instrument, scene.sky_power, "station")
+
+
+@pytest.fixture(scope="module")
+def answer(report):
+    return report.curves[0], report.chains[0]
+
+
+def test_the_reference_chain_is_the_mean_of_exactly_the_paths_with_enough_events(scene):
+    spectra = scene.spectra(np.random.default_rng(13), events=200)
+    is_lost = (spectra.antenna == 0) & (spectra.dipole == "X") & (np.arange(len(spectra)) % 5 > 0)
+    curves = fit_calibration(spectra.select(~is_lost), scene.instrument, scene.sky_power, "station")
+    of_x, of_y = curves.chains
+    assert [antenna for _, antenna in of_x.members] == [1, 2, 3], "antenna 0 X has 40 events"
+    assert [antenna for _, antenna in of_y.members] == [0, 1, 2, 3]
+    cables = scene.instrument.cables
+    np.testing.assert_allclose(of_x.mean_loss, (2 * cables["80"] + cables["50"]) / 3)
+    np.testing.assert_allclose(of_y.mean_loss, (cables["80"] + cables["50"]) / 2)
+
+
+@pytest.mark.parametrize(("antenna", "cable"), [(0, "50"), (1, "80")])
+def test_a_path_is_told_the_curve_of_its_own_cable(scene, answer, antenna, cable):
+    told = carry_to_path(*answer, "CS002", antenna, "X", AT)
+    truth = calibration_factor(scene.slope(cable), scene.instrument.antenna_gain)
+    assert (told.curve.station, told.curve.antenna, told.curve.dipole, told.cable) == ("CS002", antenna, "X", cable)
+    # 400 events: the station's curve is known to 0.5 %, its cables differ by 15-50 % in power
+    assert np.max(np.abs(told.curve.c - truth) / told.curve.c_sigma_stat) < 4
+    assert np.min(np.abs(answer[0].c / truth - 1)) > 0.1
+    np.testing.assert_allclose(told.curve.c / answer[0].c, told.factor)
+    np.testing.assert_allclose(told.curve.c_sigma_stat / told.curve.c, answer[0].c_sigma_stat / answer[0].c)
+
+
+def test_the_noise_at_the_input_follows_the_cable_and_at_the_output_stays(scene, answer):
+    told = carry_to_path(*answer, "CS002", 1, "X", AT)
+    assert told.curve.parameters == answer[0].parameters
+    slope = scene.instrument.antenna_gain / told.curve.c**2
+    terms = noise_at_input(told.curve, scene.instrument)
+    np.testing.assert_allclose(terms["adc"] * slope, answer[0].parameters["n_adc"].value)
+    np.testing.assert_allclose(terms["lna"], answer[0].parameters["n_lna"].value)
+    np.testing.assert_allclose(terms["adc"] / noise_at_input(answer[0], scene.instrument)["adc"], told.factor**2)
+
+
+def test_the_error_told_holds_offset_and_spread_of_its_cable(answer):
+    curve, chain = answer
+    assert chain.spreads.by_cable == {}, "two paths a cable"
+    told = carry_to_path(curve, chain, "CS002", 0, "X", AT)
+    spread = chain.spreads.all_paths
+    np.testing.assert_allclose(told.curve.c_sigma_sys / told.curve.c, np.hypot(spread.offset, spread.spread) / 2)
+    assert (told.flag, told.reason) == ("ok", None)
+
+
+def test_another_station_is_flagged_and_without_spread_between_stations_its_error_is_unknown(answer):
+    told = carry_to_path(*answer, "CS003", 0, "X", AT)
+    assert (told.flag, told.curve.c_sigma_sys) == ("uncertain", None)
+    assert told.reason.startswith("there are no data of CS003")
+    assert "from one" in told.reason
+
+
+def test_a_station_without_data_is_told_a_larger_error_by_an_array_of_two(scene):
+    records = tuple(AntennaRecord("CS004", antenna, "50") for antenna in range(4))
+    wider = replace(scene.instrument, antennas=(*scene.instrument.antennas, *records))
+    spectra = scene.spectra(np.random.default_rng(14), events=200, stations=2)
+    array = fit_calibration(spectra, wider, scene.sky_power, "array")
+    near, far = (carry_to_path(array.curves[0], array.chains[0], s, 0, "X", AT) for s in ("CS003", "CS004"))
+    assert (near.flag, far.flag) == ("ok", "uncertain")
+    assert far.reason == "there are no data of CS004: this is the mean of other stations"
+    np.testing.assert_array_equal(near.curve.c, far.curve.c)
+    assert np.all(far.curve.c_sigma_sys >= near.curve.c_sigma_sys)
+
+
+def test_a_spread_that_was_not_measured_is_unknown_and_never_zero(answer):
+    told = carry_to_path(answer[0], replace(answer[1], spreads=None), "CS002", 0, "X", AT)
+    assert (told.flag, told.curve.c_sigma_sys) == ("uncertain", None)
+    assert "too few were fitted" in told.reason
+
+
+def test_without_a_known_chain_or_cable_the_stored_curve_is_told_with_a_flag(answer):
+    unknown = carry_to_path(answer[0], None, "CS002", 0, "X", AT)
+    absent = carry_to_path(*answer, "CS002", 77, "X", AT)
+    for told in (unknown, absent):
+        assert told.flag == "uncertain"
+        np.testing.assert_array_equal(told.factor, 1.0)
+    assert absent.reason == "no cable of CS002 antenna 77 X is on record at 2014-05-13"
+    assert carry_to_path(*answer, "CS002", 77, "X", -1e11).reason.endswith("-1199-02-15")
+
+
+def test_the_cable_is_that_of_the_instant(scene, answer):
+    change = AT + 1000.0
+    records = (AntennaRecord("CS002", 0, "50", None, change), AntennaRecord("CS002", 0, "80", change, None))
+    chain = replace(answer[1], cables=CableTable(scene.instrument.cables, records))
+    before, after = (carry_to_path(answer[0], chain, "CS002", 0, "X", t) for t in (AT, AT + 1000.0))
+    cables = scene.instrument.cables
+    np.testing.assert_allclose((after.curve.c / before.curve.c) ** 2, cables["50"] / cables["80"])
+
+
+def test_a_paths_own_curve_stays_until_its_cable_is_exchanged(scene, answer):
+    own = replace(answer[0], antenna=0)
+    change = AT + 1000.0
+    records = (AntennaRecord("CS002", 0, "50", None, change), AntennaRecord("CS002", 0, "80", change, None))
+    cables = scene.instrument.cables
+    chain = ReferenceChain((("CS002", 0),), cables["50"], CableTable(cables, records), None)
+    same, other = (carry_to_path(own, chain, "CS002", 0, "X", t) for t in (AT, change))
+    assert (same.flag, same.curve) == ("ok", own)
+    assert other.reason == "fitted with another cable than the 80 that the path has then"
+    np.testing.assert_allclose((other.curve.c / own.c) ** 2, cables["50"] / cables["80"])
+
+
+def test_fit_json_says_what_the_reference_chain_is(report):
+    content = report.as_dict()["curves"][0]["reference"]
+    assert content["members"] == [["CS002", antenna] for antenna in range(4)]
+    assert content["mean_cable_loss"] == report.chains[0].mean_loss.tolist()
+    assert content["spreads"]["all_paths"]["paths"] == 4
+    assert len(content["jensen"]) == len(content["mean_cable_loss"])
+
+
+def test_a_reference_chain_is_told_as_it_is(answer):
+    told = tell_reference(answer[0])
+    assert (told.curve, told.cable, told.flag) == (answer[0], None, "ok")
