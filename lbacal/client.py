@@ -26,7 +26,7 @@ POLL_S = 0.5
 _COLUMNS = {
     "c": "calibration factor C(nu), V per ADC unit",
     "c_sigma_stat": "statistical standard deviation of c",
-    "c_sigma_sys": "systematic standard deviation of c; NaN until a budget exists",
+    "c_sigma_sys": "systematic standard deviation of c: of single paths where a wider scope answers; else NaN",
 }
 
 
@@ -72,7 +72,12 @@ class Client:
             When the data were taken, and when the question is asked (None: now): an astropy Time, a datetime
             (naive = UTC) or ISO 8601 text.
         gap
-            ``hold`` answers with the nearest in time where nothing is in effect; such rows are flagged ``held``.
+            ``hold`` answers with the nearest in time where nothing is in effect; such rows are ``uncertain``.
+
+        Returns
+        -------
+        C of every path through its own cable, whichever scope answered. `flag` is ``ok``, or ``uncertain`` for the
+        reason in `flag_reason`; `factor` is c over that of the stored curve.
         """
         import json
 
@@ -206,7 +211,9 @@ def make_table(answer: dict[str, Any]) -> QTable:
     for name, text in _COLUMNS.items():
         table[name] = join(name) * u.V
         table[name].info.description = text
-    table["flag"] = repeat(["held" if curve["held"] else "" for curve in curves], np.str_)
+    table["factor"] = join("factor")
+    table["flag"] = np.concatenate([np.array(curve["flag"], dtype=np.str_) for curve in curves])
+    table["flag_reason"] = repeat([curve["flag_reason"] or "" for curve in curves], np.str_)
     table["calibration"] = repeat([curve["calibration"] for curve in curves], np.str_)
     table["answered_by"] = repeat([curve["answered_by"] for curve in curves], np.str_)
     table["valid_from"] = repeat([curve["valid"]["from"] for curve in curves], np.str_)

@@ -107,15 +107,18 @@ def jobs(number: Annotated[int | None, typer.Argument(help="One job; without it 
 
 def print_curve(curve: dict[str, Any]) -> None:
     """Print a curve in effect: who answers, for how long, and C(nu)."""
-    held = ", held: nothing is in effect, this is the nearest" if curve["held"] else ""
     print(f"{curve['station']} antenna {curve['antenna']} {curve['dipole']}: version {curve['calibration'][:12]}")
-    valid = curve["valid"]
-    print(
-        f"  answered by {curve['answered_by']}, valid from {valid['from']} to {valid['to'] or 'further notice'}{held}"
-    )
-    print("  frequency_mhz             c  c_sigma_stat   (V per ADC unit)")
-    for frequency, c, sigma in zip(curve["frequency_mhz"], curve["c"], curve["c_sigma_stat"], strict=True):
-        print(f"  {frequency:13g} {c:13.6g} {sigma:13.3g}")
+    valid, chain = curve["valid"], curve["reference"]
+    through = f" (mean of {chain['paths']} paths) through its own cable {chain['cable']}" if chain else ""
+    until = valid["to"] or "further notice"
+    print(f"  answered by {curve['answered_by']}{through}, valid from {valid['from']} to {until}")
+    if curve["flag_reason"]:
+        print(f"  {curve['flag'][0]}: {curve['flag_reason']}")
+    print("  frequency_mhz             c  c_sigma_stat  c_sigma_sys   (V per ADC unit)")
+    of_system = curve["c_sigma_sys"] or [None] * len(curve["c"])
+    rows = zip(curve["frequency_mhz"], curve["c"], curve["c_sigma_stat"], of_system, strict=True)
+    for frequency, c, sigma, system in rows:
+        print(f"  {frequency:13g} {c:13.6g} {sigma:13.3g} {'unknown' if system is None else f'{system:.3g}':>12}")
 
 
 def print_job(job: dict[str, Any]) -> None:

@@ -21,8 +21,9 @@ def upgrade() -> None:
     """
     from service.storage import migration
 
-    database = _factory().database
-    migration.upgrade(database)
+    factory = _factory()
+    database = factory.database
+    migration.upgrade(database, lambda: factory.instrument)
     print(f"schema {migration.find_revision(database)}")
 
 

@@ -7,8 +7,10 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import typer
 
+from lbacal_core.reference_chain import ReferenceChain
 from service.cli.outputs import require_outputs
 
 
@@ -18,6 +20,19 @@ class Scope(StrEnum):
     array = "array"
     station = "station"
     antenna = "antenna"
+
+
+def describe_chain(chain: ReferenceChain) -> str:
+    """What a curve of many paths belongs to, and how far single paths depart from it, in one sentence."""
+    if chain.spreads is None:
+        known = "too few paths could be fitted by themselves to know how far they depart from it"
+    else:
+        departures = [
+            f"{100 * np.median(one.offset):+.1f} % with a spread of {100 * np.median(one.spread):.1f} % (cable {cable})"
+            for cable, one in (chain.spreads.by_cable or {"any": chain.spreads.all_paths}).items()
+        ]
+        known = f"power gain of single paths against it: {', '.join(departures)}"
+    return f"reference chain of {len(chain.members)} paths, nobody's cable; {known}"
 
 
 def fit(
@@ -57,5 +72,8 @@ def fit(
     for curve in result.curves:
         if curve.status != CONVERGED:
             print(f"{curve.name}: {curve.status} ({curve.events} events, LST coverage {curve.lst_coverage:.2f})")
+    for curve, reference in zip(result.curves, result.chains, strict=True):
+        if reference is not None and curve.antenna is None:
+            print(f"{curve.name}: {describe_chain(reference)}")
     if not converged:
         raise typer.Exit(1)

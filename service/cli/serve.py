@@ -43,7 +43,7 @@ def serve(
     configure_logs(settings.log_level)
     factory = Factory(settings)
     if settings.is_sqlite:
-        upgrade(factory.database)
+        upgrade(factory.database, lambda: factory.instrument)
     require_current(factory.database)
     listening = listen(host, port)
     has_child = settings.is_sqlite if all_in_one is None else all_in_one

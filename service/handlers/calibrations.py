@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Depends, Query, Request, Response
 
+from lbacal_core.calibration.own_cable import OK
 from lbacal_core.curves import STATUSES
 from lbacal_core.validity import Promotion, Scope
 from service.handlers.problems import document
@@ -23,8 +24,8 @@ from service.handlers.request import (
     require_read,
 )
 from service.storage.versions import Version
-from service.usecases.calibrations import select_paths
-from service.usecases.comparison import compare_curves
+from service.usecases.calibrations import select_scope
+from service.usecases.comparison import compare_versions
 from service.usecases.keys import Caller
 from service.usecases.promotions import Change
 from service.wire.answers import (
@@ -47,7 +48,9 @@ SETTLED_US = 60_000_000
     "/v1/calibrations/effective",
     summary="The calibration in effect on a date",
     description="`at` (or `mjd`) is when the data were taken, `as_of` when the question is asked: pin it to get the "
-    "same answer for ever. A path is answered by its own version, else its station's, else the array's.",
+    "same answer for ever. A path is answered by its own version, else its station's, else the array's; a curve of a "
+    "station or of the array is carried through the path's own cable (`factor`), with the spread of single paths as "
+    "`c_sigma_sys`. `scope=array` asks for the array's reference chain itself, which is nobody's cable.",
     responses=document(401, 404, 422, 503),
     dependencies=[Depends(require_read)],
 )
@@ -56,6 +59,7 @@ def get_in_effect(
     use: UseCases,
     at: str | None = None,
     mjd: str | None = None,
+    scope: Annotated[Literal["array"] | None, Query(description="array: its reference chain")] = None,
     station: str | None = None,
     antenna: AntennaQuery = None,
     dipole: str | None = None,
@@ -64,10 +68,11 @@ def get_in_effect(
     format: str | None = None,  # noqa: A002 - its name on the wire
 ) -> Response:
     kind = choose_format(format, request.headers.get("accept"))
-    paths = select_paths(use.calibrations.instrument, station, antenna, dipole)
+    paths = select_scope(use.calibrations.instrument, scope, station, antenna, dipole)
     known_at = None if as_of is None else parse_instant("as_of", as_of)
     found = use.calibrations.in_effect(parse_at(at, mjd), paths, known_at, hold=gap == "hold")
-    curves = [describe_curve_in_effect(c.path, c.curve, c.promotion, c.trace, is_held=c.is_held) for c in found.curves]
+    wanted = [c for c in found.curves if dipole in (None, c.told.curve.dipole)]
+    curves = [describe_curve_in_effect(c.told, c.chain, c.promotion, c.trace, is_held=c.is_held) for c in wanted]
     content = describe_in_effect(found.at, as_of, curves, list(found.missing))
     is_settled = known_at is not None and known_at < use.clock() - SETTLED_US
     return answer(
@@ -119,7 +124,8 @@ def get_version(
 ) -> Response:
     kind = choose_format(format, request.headers.get("accept"))
     version, _ = use.calibrations.get(version_id)
-    content = {**describe_version(version), "curves": version.payload}
+    chains = {dipole: chain.as_dict() for dipole, chain in version.chains.items()}
+    content = {**describe_version(version), "curves": version.payload, "reference": chains or None}
     body = content if kind == "json" else write_format(kind, describe_version_rows(version))
     return answer(request, body, media_type=FORMATS[kind], cache=IMMUTABLE)
 
@@ -127,7 +133,8 @@ def get_version(
 @router.get(
     "/v1/calibrations/{first}/diff/{second}",
     summary="How two versions differ",
-    description="Per dipole the change of C from the first to the second, as a fraction and in standard deviations.",
+    description="Per dipole the change of C from the first to the second that one and the same path is told, as a "
+    "fraction and in standard deviations.",
     responses=document(401, 404, 422, 503),
     dependencies=[Depends(require_read)],
 )
@@ -183,27 +190,27 @@ def describe_version_rows(version: Version) -> dict[str, Any]:
     """The converged curves of a version in the shape of an answer to "in effect at"."""
     window = {"from": format_instant(version.since), "to": format_instant(version.until)}
     more = {"calibration": version.id, "answered_by": version.scope.level, "valid": window, "held": False}
-    curves = [{**curve.as_dict(), **more} for curve in version.curves if curve.c is not None]
+    curves = [
+        {**curve.as_dict(), **more, "flag": [OK] * len(curve.c), "flag_reason": None, "factor": [1.0] * len(curve.c)}
+        for curve in version.curves
+        if curve.c is not None
+    ]
     return {"at": window["from"], "as_of": None, "curves": curves}
 
 
 def describe_diff(first: Version, second: Version) -> dict[str, Any]:
     """The difference of two versions: their curves by dipole, and the inputs that are not the same."""
-    curves = []
-    for curve in first.curves:
-        other = next((c for c in second.curves if c.dipole == curve.dipole), None)
-        if other is not None and curve.c is not None and other.c is not None:
-            change = compare_curves(curve, other)
-            curves.append(
-                {
-                    "dipole": curve.dipole,
-                    "frequency_mhz": change.frequency_mhz.tolist(),
-                    "fraction": change.fraction.tolist(),
-                    "sigma": change.sigma.tolist(),
-                    "max_fraction": change.max_fraction,
-                    "max_sigma": change.max_sigma,
-                }
-            )
+    curves = [
+        {
+            "dipole": dipole,
+            "frequency_mhz": change.frequency_mhz.tolist(),
+            "fraction": change.fraction.tolist(),
+            "sigma": change.sigma.tolist(),
+            "max_fraction": change.max_fraction,
+            "max_sigma": change.max_sigma,
+        }
+        for dipole, change in compare_versions(first, second)
+    ]
     names = sorted({*first.inputs, *second.inputs})
     inputs = {
         name: {"first": first.inputs.get(name), "second": second.inputs.get(name)}

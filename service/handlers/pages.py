@@ -12,7 +12,7 @@ from lbacal_core.validity import Scope
 from service.handlers.request import IMMUTABLE, InPath, UseCases, answer, require_read
 from service.page.assets import find_asset
 from service.page.render import format_day, name_scope, render_page
-from service.storage.versions import MeanC
+from service.storage.versions import MeanC, Version
 from service.usecases.calibrations import select_paths
 from service.usecases.drift import DriftSeries, relative_to_station
 from service.usecases.overview import look_over
@@ -79,8 +79,28 @@ def show_calibration(request: Request, use: UseCases, version_id: InPath) -> Res
     ]
     return _page(
         request, use, "calibration.html", "/", version=version, promotions=promotions, plot={"curves": curves},
+        chains=_rows_of_chains(version),
         downloads=[name for name in VERSION_FORMATS if name != "nuradio" or version.scope.antenna is not None],
     )  # fmt: skip
+
+
+def _rows_of_chains(version: Version) -> list[dict[str, Any]]:
+    """Of a mean of paths, the departures of single paths by cable, at the median channel."""
+    rows = []
+    for dipole, chain in version.chains.items() if version.scope.antenna is None else ():
+        spreads = {} if chain.spreads is None else {**chain.spreads.by_cable, "all": chain.spreads.all_paths}
+        of_chain = {"dipole": dipole, "members": len(chain.members)}
+        rows += [
+            {
+                **of_chain,
+                "cable": cable,
+                "paths": one.paths,
+                "offset": float(np.median(one.offset)),
+                "spread": float(np.median(one.spread)),
+            }
+            for cable, one in spreads.items()
+        ] or [{**of_chain, "cable": "", "paths": 0, "offset": None, "spread": None}]
+    return rows
 
 
 def _version_rows(series: DriftSeries) -> list[dict[str, Any]]:

@@ -85,10 +85,18 @@ calibration = Table(
     Column("inputs", Text, nullable=False, comment="canonical JSON, hashed into id"),
     Column("curves", Text, nullable=False, comment="canonical JSON, hashed into payload_sha256"),
     Column("payload_sha256", Text, nullable=False),
+    Column("reference", Text, comment="the reference chains by dipole, JSON; cables and spreads by hash in chain_part"),
     Column("gate", Text, comment="why it was not promoted; null where it passed or nobody asked"),
     Column("made_us", BigInteger, nullable=False),
     Column("made_by", Text, nullable=False),
     Column("reason", Text, nullable=False),
+)
+
+chain_part = Table(
+    "chain_part",
+    metadata,
+    Column("sha256", Text, primary_key=True),
+    Column("content", Text, nullable=False, comment="canonical JSON of a cable table or of the spreads of A g"),
 )
 
 calibration_mean = Table(

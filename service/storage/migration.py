@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from importlib.resources import files
 
 from alembic import command
@@ -9,6 +10,7 @@ from alembic.config import Config
 from alembic.runtime.migration import MigrationContext
 from alembic.script import ScriptDirectory
 
+from lbacal_core.instrument import Instrument
 from service.errors import UnavailableError
 from service.storage.database import Database
 
@@ -21,9 +23,14 @@ def make_config(database: Database) -> Config:
     return config
 
 
-def upgrade(database: Database) -> None:
-    """Bring the schema to what this code needs."""
-    command.upgrade(make_config(database), "head")
+def upgrade(database: Database, instrument: Callable[[], Instrument] | None = None) -> None:
+    """Bring the schema to what this code needs.
+
+    `instrument` gives the one whose versions are stored: those of the first release name its hash only.
+    """
+    config = make_config(database)
+    config.attributes["instrument"] = instrument
+    command.upgrade(config, "head")
 
 
 def require_current(database: Database) -> None:

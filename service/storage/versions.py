@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -12,18 +12,25 @@ from sqlalchemy import ColumnElement, Connection, Row, select
 from sqlalchemy.dialects.postgresql import insert as postgresql_insert
 from sqlalchemy.dialects.sqlite import insert as sqlite_insert
 
+from lbacal_core.calibration.own_cable import ToldCurve, carry_to_path
 from lbacal_core.curves import STATUSES, CalibrationCurve, parse_curve
 from lbacal_core.provenance import canonical_json, hash_content
+from lbacal_core.reference_chain import ReferenceChain
 from lbacal_core.validity import Instant, Scope
 from service.errors import NotFoundError
 from service.schema.tables import calibration, calibration_mean
+from service.storage.chains import read_chains, write_chains
+
+MICROSECONDS = 1e6
+"""An instant in microseconds over this is in seconds."""
 
 
 @dataclass(frozen=True)
 class Version:
     """The result of one fit over the window [since, until) for one scope.
 
-    `gate` says why it was not promoted by itself; None where it passed or nobody asked.
+    `gate` says why it was not promoted by itself; None where it passed or nobody asked. `chains` holds the reference
+    chain of each curve by its dipole; a dipole that is not there has none that is known.
     """
 
     scope: Scope
@@ -35,6 +42,7 @@ class Version:
     made_by: str
     reason: str
     gate: str | None = None
+    chains: Mapping[str, ReferenceChain] = field(default_factory=dict)
 
     @property
     def id(self) -> str:
@@ -74,6 +82,13 @@ class Version:
         """The curve that serves a dipole."""
         return next(curve for curve in self.curves if curve.dipole in (dipole, None))
 
+    def tell(self, path: Scope, instant: Instant) -> ToldCurve:
+        """The curve as a path is told it, through the cable that the path has at an instant."""
+        station, antenna, dipole = str(path.station), int(str(path.antenna)), str(path.dipole)
+        return carry_to_path(
+            self.curve_of(dipole), self.chains.get(dipole), station, antenna, dipole, instant / MICROSECONDS
+        )
+
 
 @dataclass(frozen=True)
 class MeanC:
@@ -106,6 +121,7 @@ class VersionStore:
     def add(self, versions: Sequence[Version]) -> None:
         """Store versions; one whose inputs are stored already stays as it is."""
         rows, means = [], []
+        references = write_chains(self._connection, {version.id: version.chains for version in versions})
         for version in sorted(versions, key=lambda version: version.id):
             rows.append(
                 {
@@ -114,6 +130,7 @@ class VersionStore:
                     "since_us": version.since, "until_us": version.until, "status": version.status,
                     "events": version.events, "inputs": canonical_json(version.inputs),
                     "curves": canonical_json(version.payload), "payload_sha256": version.payload_sha256,
+                    "reference": references[version.id],
                     "gate": version.gate, "made_us": version.made, "made_by": version.made_by, "reason": version.reason,
                 }
             )  # fmt: skip
@@ -139,10 +156,9 @@ class VersionStore:
         wanted = sorted(set(ids))
         found: dict[str, Version] = {}
         for start in range(0, len(wanted), 500):
-            rows = self._connection.execute(
-                select(calibration).where(calibration.c.id.in_(wanted[start : start + 500]))
-            )
-            found |= {row.id: _value(row) for row in rows}
+            of_ids = calibration.c.id.in_(wanted[start : start + 500])
+            rows = self._connection.execute(select(calibration).where(of_ids)).all()
+            found |= {row.id: version for row, version in zip(rows, self._values(rows), strict=True)}
         return found
 
     def known(self, ids: Iterable[str]) -> set[str]:
@@ -158,12 +174,12 @@ class VersionStore:
             statement = statement.where(calibration.c.scope == scope.key)
         if status is not None:
             statement = statement.where(calibration.c.status == status)
-        return [_value(row) for row in self._connection.execute(statement)]
+        return self._values(self._connection.execute(statement).all())
 
     def newest(self, limit: int) -> list[Version]:
         """The versions made last, newest first."""
         statement = select(calibration).order_by(calibration.c.made_us.desc(), calibration.c.id).limit(limit)
-        return [_value(row) for row in self._connection.execute(statement)]
+        return self._values(self._connection.execute(statement).all())
 
     def means(self, scopes: Sequence[Scope]) -> list[MeanC]:
         """Band means of C of the converged curves of some scopes, in order of their windows."""
@@ -173,6 +189,10 @@ class VersionStore:
         """Band means of C of all paths of a station (None = of all stations), in order of their windows."""
         is_path = calibration.c.antenna.is_not(None)
         return self._means(is_path if station is None else is_path & (calibration.c.station == station))
+
+    def _values(self, rows: Sequence[Row[Any]]) -> list[Version]:
+        chains = read_chains(self._connection, {row.id: row.reference for row in rows})
+        return [_value(row, chains[row.id]) for row in rows]
 
     def _means(self, condition: ColumnElement[bool]) -> list[MeanC]:
         columns = [
@@ -193,7 +213,7 @@ class VersionStore:
         ]  # fmt: skip
 
 
-def _value(row: Row[Any]) -> Version:
+def _value(row: Row[Any], chains: Mapping[str, ReferenceChain]) -> Version:
     return Version(
         scope=Scope(row.station, row.antenna, row.dipole),
         since=row.since_us,
@@ -204,4 +224,5 @@ def _value(row: Row[Any]) -> Version:
         made_by=row.made_by,
         reason=row.reason,
         gate=row.gate,
+        chains=chains,
     )

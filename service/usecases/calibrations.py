@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-from lbacal_core.curves import CalibrationCurve
+from lbacal_core.calibration.own_cable import ToldCurve, tell_reference
 from lbacal_core.errors import BadInputError
 from lbacal_core.instrument import DIPOLES, Instrument
+from lbacal_core.reference_chain import ReferenceChain
 from lbacal_core.validity import Instant, Promotion, Scope, Stretch, neighbours, timeline
 from service.errors import NotInEffectError
 from service.storage.database import Database, Stores
@@ -19,11 +20,12 @@ from service.wire.instants import format_instant
 class CurveInEffect:
     """The curve that answers for a path, by which promotion, and what each scope said on the way.
 
+    `told` is the curve through the path's own cable; `chain` the reference chain where it is not the path's own curve.
     `is_held` tells that nothing is in effect and the nearest in time answers instead.
     """
 
-    path: Scope
-    curve: CalibrationCurve
+    told: ToldCurve
+    chain: ReferenceChain | None
     promotion: Promotion
     is_held: bool
     trace: Sequence[Promotion]
@@ -54,6 +56,18 @@ def select_paths(instrument: Instrument, station: str | None, antenna: int | Non
     return [Scope(s, a, d) for s, a in chosen for d in DIPOLES if dipole in (None, d)]
 
 
+def select_scope(
+    instrument: Instrument, scope: str | None, station: str | None, antenna: int | None, dipole: str | None
+) -> list[Scope]:
+    """The paths that a query means, or with the scope ``array`` the reference chain of the array."""
+    if scope is None:
+        return select_paths(instrument, station, antenna, dipole)
+    if (station, antenna) != (None, None):
+        raise BadInputError("scope", "no station or antenna beside scope=array", f"{station or 'antenna'}")
+    select_paths(instrument, None, None, dipole)
+    return [Scope()]
+
+
 @dataclass(frozen=True)
 class Calibrations:
     """Answers which calibration was in effect when, as known when."""
@@ -82,15 +96,10 @@ class Calibrations:
             answers = decisive | held
             versions = stores.versions.get_many(str(promotion.calibration) for promotion in answers.values())
         curves = [
-            CurveInEffect(
-                path=path,
-                curve=versions[str(answers[path].calibration)].curve_of(str(path.dipole)),
-                promotion=answers[path],
-                is_held=path in held,
-                trace=asked[path],
-            )
+            CurveInEffect(told, chain, answers[path], path in held, asked[path])
             for path in paths
             if path in answers
+            for told, chain in _tell(versions[str(answers[path].calibration)], path, at)
         ]
         return InEffect(at, curves, [path for path in paths if path not in answers])
 
@@ -108,6 +117,14 @@ class Calibrations:
         """Versions in order of id, after a cursor."""
         with self.database.read() as stores:
             return stores.versions.search(scope, status, cursor, limit)
+
+
+def _tell(version: Version, asked: Scope, at: Instant) -> list[tuple[ToldCurve, ReferenceChain | None]]:
+    """What a path is told; and of an array that was asked for by itself, its reference chains as they are."""
+    if asked.antenna is None:
+        return [(tell_reference(curve), version.chains.get(str(curve.dipole))) for curve in version.curves]
+    is_own = version.scope.antenna is not None
+    return [(version.tell(asked, at), None if is_own else version.chains.get(str(asked.dipole)))]
 
 
 def _timelines(stores: Stores, paths: Sequence[Scope], as_of: Instant | None) -> Mapping[Scope, list[Stretch]]:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from lbacal_core.curves import CalibrationCurve
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats, require_same_grid
+from service.storage.versions import Version
 
 
 @dataclass(frozen=True)
@@ -31,9 +32,43 @@ class CurveChange:
 
 
 def compare_curves(before: CalibrationCurve, after: CalibrationCurve) -> CurveChange:
-    """Compare two converged curves on the same channels; their errors count as independent."""
-    if before.c is None or after.c is None or before.c_sigma_stat is None or after.c_sigma_stat is None:
+    """Compare two converged curves on the same channels; their errors, all that are known, count as independent."""
+    if before.c is None or after.c is None:
         raise BadInputError("calibrations", "two converged curves", f"{before.status} and {after.status}")
     require_same_grid(after.name, after.frequency_mhz, before.frequency_mhz, before.name)
-    sigma = np.hypot(before.c_sigma_stat, after.c_sigma_stat)
+    sigma = np.hypot(_total_error(before), _total_error(after))
     return CurveChange(before.frequency_mhz, after.c / before.c - 1.0, (after.c - before.c) / sigma)
+
+
+def compare_versions(first: Version, second: Version) -> list[tuple[str | None, CurveChange]]:
+    """How the curves of two versions differ, by dipole, as one and the same path is told them.
+
+    If one of them is a path's own, the other is carried through that path's cable. Curves of two reference chains are
+    compared through one and the same cable, C L_ref^1/2: a change of which antennas were averaged is no change.
+    """
+    path = next((one.scope for one in (first, second) if one.scope.antenna is not None), None)
+    changes = []
+    for curve in first.curves:
+        other = next((c for c in second.curves if c.dipole == curve.dipole), None)
+        if other is None or curve.c is None or other.c is None:
+            continue
+        if path is None:
+            before, after = (through_common_cable(version, str(curve.dipole)) for version in (first, second))
+        else:
+            before, after = (version.tell(path, sum(version.window) // 2).curve for version in (first, second))
+        changes.append((curve.dipole, compare_curves(before, after)))
+    return changes
+
+
+def through_common_cable(version: Version, dipole: str) -> CalibrationCurve:
+    """The curve of a version with its cable taken out, C L_ref^1/2; as it is where the cables are not known."""
+    curve, chain = version.curve_of(dipole), version.chains.get(dipole)
+    if chain is None or curve.c is None or curve.c_sigma_stat is None:
+        return curve
+    factor = np.sqrt(chain.mean_loss)
+    return replace(curve, c=curve.c * factor, c_sigma_stat=curve.c_sigma_stat * factor)
+
+
+def _total_error(curve: CalibrationCurve) -> Floats:
+    of_noise = np.asarray(curve.c_sigma_stat, dtype=float)
+    return of_noise if curve.c_sigma_sys is None else np.hypot(of_noise, curve.c_sigma_sys)

@@ -184,6 +184,8 @@ def _rank_steps(ratios: Sequence[MonthlyRatio], versions: Sequence[MeanC]) -> li
     steps = []
     for of_station in by_station.values():
         matrix = relative_to_station(of_station)
+        if len(matrix.paths) < 2:
+            continue  # a path divided by itself has no step
         found = find_steps(matrix.values, matrix.sigmas)
         for k, path in enumerate(matrix.paths):
             if np.isfinite(found.size[k]):

@@ -1,7 +1,8 @@
 """The gate: which new versions go into effect by themselves, and why the others wait for a human.
 
 A version passes if every curve converged, the mean statistical error of C is small enough, and the mean of C differs by
-less than the limit from the version of the same scope that was in effect for the window, or else nearest to it in time.
+less than the limit from the version of the same scope that was in effect for the window, or else nearest to it in time,
+both through the same cable.
 The limits are settings; a jump beyond them is either a fault or news, and both deserve a look.
 """
 
@@ -13,6 +14,7 @@ from dataclasses import dataclass
 from lbacal_core.curves import CONVERGED
 from lbacal_core.validity import Instant, Promotion, Scope, neighbours, newest_covering, timeline
 from service.storage.versions import Version, mean_over_band
+from service.usecases.comparison import through_common_cable
 
 
 @dataclass(frozen=True)
@@ -33,11 +35,18 @@ class Gate:
             c, sigma = mean
             if sigma > self.error * c:
                 return f"{curve.name}: error of C {sigma / c:.1%}, at most {self.error:.1%} passes"
-            before = mean_over_band(predecessor.curve_of(str(curve.dipole))) if predecessor else None
-            if before is not None and abs(c / before[0] - 1.0) > self.change:
-                change = f"{c / before[0] - 1.0:+.1%}"
-                return f"{curve.name}: mean C differs by {change} from before, at most {self.change:.1%} passes"
+            change = _change_of_mean(version, predecessor, str(curve.dipole)) if predecessor else None
+            if change is not None and abs(change) > self.change:
+                return f"{curve.name}: mean C differs by {change:+.1%} from before, at most {self.change:.1%} passes"
         return None
+
+
+def _change_of_mean(version: Version, predecessor: Version, dipole: str) -> float | None:
+    """Change of the band mean of C through one and the same cable: which antennas were averaged is not a jump."""
+    is_known = dipole in version.chains and dipole in predecessor.chains
+    curves = [through_common_cable(v, dipole) if is_known else v.curve_of(dipole) for v in (version, predecessor)]
+    now, before = (mean_over_band(curve) for curve in curves)
+    return now[0] / before[0] - 1.0 if now and before else None
 
 
 def find_predecessor(promotions: Sequence[Promotion], scope: Scope, middle: Instant) -> str | None:

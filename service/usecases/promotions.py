@@ -24,7 +24,10 @@ Answer = TypeVar("Answer")
 
 @dataclass(frozen=True)
 class Change:
-    """What a promotion changes for a path over [start, end): the version before and after, and how far C moves."""
+    """What a promotion changes for a path over [start, end): the version before and after, and how far C moves.
+
+    C is what the path is told, through the cable that it has at `start`.
+    """
 
     path: Scope
     start: Instant
@@ -123,6 +126,6 @@ def _at(stretches: Sequence[Stretch], instant: Instant) -> str | None:
 def _with_size(change: Change, versions: dict[str, Version]) -> Change:
     if change.before is None or change.after is None:
         return change
-    dipole = str(change.path.dipole)
-    size = compare_curves(versions[change.before].curve_of(dipole), versions[change.after].curve_of(dipole))
+    before, after = (versions[name].tell(change.path, change.start).curve for name in (change.before, change.after))
+    size = compare_curves(before, after)
     return Change(change.path, change.start, change.end, change.before, change.after, size)

@@ -13,6 +13,7 @@ from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.curves import CalibrationCurve, FitReport
 from lbacal_core.errors import BadInputError
 from lbacal_core.instrument import Instrument
+from lbacal_core.reference_chain import ReferenceChain
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra import Spectra
 from lbacal_core.validity import Instant, Promotion, Scope, newest_covering
@@ -81,9 +82,12 @@ class Refits:
 
     def _versions(self, spectra: Spectra, report: FitReport, part: Part, made: Instant) -> list[Version]:
         groups: dict[Scope, list[CalibrationCurve]] = {}
-        for curve in report.curves:
-            dipole = None if curve.antenna is None else curve.dipole
-            groups.setdefault(Scope(curve.station, curve.antenna, dipole), []).append(curve)
+        chains: dict[Scope, dict[str, ReferenceChain]] = {}
+        for curve, chain in zip(report.curves, report.chains, strict=True):
+            scope = Scope(curve.station, curve.antenna, None if curve.antenna is None else curve.dipole)
+            groups.setdefault(scope, []).append(curve)
+            if chain is not None:
+                chains.setdefault(scope, {})[str(curve.dipole)] = chain
         return [
             Version(
                 scope=scope,
@@ -100,6 +104,7 @@ class Refits:
                 made=made,
                 made_by=part.by,
                 reason=part.reason,
+                chains=chains.get(scope, {}),
             )
             for scope, group in groups.items()
         ]

@@ -6,7 +6,8 @@ import json
 from collections.abc import Sequence
 from typing import Any
 
-from lbacal_core.curves import CalibrationCurve
+from lbacal_core.calibration.own_cable import OK, UNCERTAIN, ToldCurve
+from lbacal_core.reference_chain import ReferenceChain
 from lbacal_core.validity import Instant, Promotion, Scope
 from service.wire.instants import format_instant, format_optional
 
@@ -37,20 +38,42 @@ def describe_promotion(promotion: Promotion) -> dict[str, Any]:
 
 
 def describe_curve_in_effect(
-    path: Scope, curve: CalibrationCurve, promotion: Promotion, trace: Sequence[Promotion], *, is_held: bool
+    told: ToldCurve,
+    chain: ReferenceChain | None,
+    promotion: Promotion,
+    trace: Sequence[Promotion],
+    *,
+    is_held: bool,
 ) -> dict[str, Any]:
-    """A curve as in fit.json, named after the path that asked, with the version and the scope that answered."""
+    """A curve as in fit.json, as the path is told it, with the version and the scope that answered."""
+    held = "held: nothing is in effect, the nearest in time answers" if is_held else None
+    reasons = [text for text in (held, told.reason) if text]
     return {
-        **curve.as_dict(),
-        **describe_scope(path),
+        **told.curve.as_dict(),
         "calibration": promotion.calibration,
         "answered_by": promotion.scope.level,
+        "factor": told.factor.tolist(),
+        "flag": [UNCERTAIN if reasons else OK] * told.factor.size,
+        "flag_reason": "; ".join(reasons) or None,
+        "reference": None if chain is None else describe_reference(chain, told.cable),
         "valid": {"from": format_instant(promotion.valid_from), "to": format_optional(promotion.valid_to)},
         "held": is_held,
         "trace": [
             {"scope": p.scope.level, "promotion": p.number, "calibration": p.calibration, "at": format_instant(p.at)}
             for p in trace
         ],
+    }
+
+
+def describe_reference(chain: ReferenceChain, cable: str | None) -> dict[str, Any]:
+    """What a curve was converted from: how many paths, the path's cable, and the hashes that fix the conversion."""
+    jensen = chain.jensen
+    return {
+        "paths": len(chain.members),
+        "cable": cable,
+        "cables": chain.cables.digest,
+        "spreads": None if chain.spreads is None else chain.spreads.digest,
+        "jensen": None if jensen is None else jensen.tolist(),
     }
 
 

@@ -11,8 +11,8 @@ import numpy as np
 from lbacal_core.errors import BadInputError
 
 COLUMNS = (
-    "station", "antenna", "dipole", "frequency_mhz", "c", "c_sigma_stat", "c_sigma_sys", "flag",
-    "calibration", "answered_by", "valid_from", "valid_to",
+    "station", "antenna", "dipole", "frequency_mhz", "c", "c_sigma_stat", "c_sigma_sys", "flag", "flag_reason",
+    "factor", "calibration", "answered_by", "valid_from", "valid_to",
 )  # fmt: skip
 NURADIO_MHZ = np.arange(101.0)
 FORMATS = {"json": "application/json", "csv": "text/csv", "ecsv": "text/x-ecsv", "nuradio": "text/plain"}
@@ -49,7 +49,8 @@ def rows_of(answer: dict[str, Any]) -> list[dict[str, Any]]:
                 {
                     "station": curve["station"], "antenna": curve["antenna"], "dipole": curve["dipole"],
                     "frequency_mhz": frequency, "c": curve["c"][k], "c_sigma_stat": curve["c_sigma_stat"][k],
-                    "c_sigma_sys": system[k], "flag": "held" if curve["held"] else "",
+                    "c_sigma_sys": system[k], "flag": curve["flag"][k], "flag_reason": curve["flag_reason"],
+                    "factor": curve["factor"][k],
                     "calibration": curve["calibration"], "answered_by": curve["answered_by"],
                     "valid_from": curve["valid"]["from"], "valid_to": curve["valid"]["to"],
                 }
@@ -76,9 +77,11 @@ def write_ecsv(answer: dict[str, Any]) -> bytes:
     described = {
         "c": "calibration factor C(nu), V per ADC unit",
         "c_sigma_stat": "statistical standard deviation of c",
-        "c_sigma_sys": "systematic standard deviation of c; NaN until a budget exists",
-        "frequency_mhz": "centre of the 1 MHz channel",
-        "flag": "held: nothing is in effect, the nearest in time answers",
+        "c_sigma_sys": "systematic standard deviation of c: of single paths where a wider scope answers; else NaN",
+        "frequency_mhz": "centre of the channel",
+        "flag": "ok or uncertain",
+        "flag_reason": "why it is uncertain",
+        "factor": "c over the stored curve's: the path's own cable, (L_ref / L_path)^(1/2)",
         "calibration": "id of the version",
         "answered_by": "scope of the version: antenna, station or array",
         "valid_to": "empty where the interval is open",
@@ -86,8 +89,8 @@ def write_ecsv(answer: dict[str, Any]) -> bytes:
     table = Table()
     for name in COLUMNS:
         values = [row[name] for row in rows]
-        if name in units:
-            column = Column(np.array([np.nan if v is None else v for v in values], dtype=float), unit=units[name])
+        if name in units or name == "factor":
+            column = Column(np.array([np.nan if v is None else v for v in values], dtype=float), unit=units.get(name))
         elif name == "antenna":
             column = Column(np.array([-1 if v is None else v for v in values], dtype=np.int64))
         else:
@@ -101,14 +104,28 @@ def write_ecsv(answer: dict[str, Any]) -> bytes:
 
 
 def write_nuradio(answer: dict[str, Any]) -> bytes:
-    """Head lines and C at 0, 1, ... 100 MHz, interpolated between channels and 0 outside the band, for one path."""
+    """Head lines and C at 0, 1, ... 100 MHz, interpolated between channels and 0 outside the band, for one curve."""
     if len(answer["curves"]) != 1:
-        raise BadInputError("format", "station, antenna and dipole for nuradio", f"{len(answer['curves'])} paths")
+        expected = "station, antenna and dipole for nuradio, or scope=array and dipole"
+        raise BadInputError("format", expected, f"{len(answer['curves'])} curves")
     curve = answer["curves"][0]
     values = np.interp(NURADIO_MHZ, curve["frequency_mhz"], curve["c"], left=0.0, right=0.0)
     head = [
         f"lbacal calibration {curve['calibration']}",
-        f"{curve['station']} antenna {curve['antenna']} dipole {curve['dipole']} at {answer['at']}",
+        f"{_name_owner(curve)} at {answer['at']}",
+        *([f"{curve['flag'][0]}: {curve['flag_reason']}"] if curve["flag_reason"] else []),
         "C in V per ADC unit at 0, 1, ... 100 MHz; 0 outside the band",
     ]
     return "".join([f"# {line}\n" for line in head] + [f"{value!r}\n" for value in values.tolist()]).encode()
+
+
+def _name_owner(curve: dict[str, Any]) -> str:
+    """The path and who answered for it, or that the curve is that of a mean of paths."""
+    if curve["antenna"] is None:
+        return (
+            f"{curve['station'] or 'array'} {curve['dipole']}: reference chain, the mean of its paths: nobody's cable"
+        )
+    cable = (curve.get("reference") or {}).get("cable")
+    through = f", carried through its own cable {cable}" if cable else ""
+    path = f"{curve['station']} antenna {curve['antenna']} dipole {curve['dipole']}"
+    return f"{path}, answered by {curve['answered_by']}{through}"

@@ -19,7 +19,7 @@ from lbacal_core.instrument import Instrument, load_instrument
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.table import read_sky_power, write_sky_power
 from lbacal_core.spectra import Spectra
-from lbacal_core.twin.campaign import simulate_campaign
+from lbacal_core.twin.campaign import Campaign, simulate_campaign
 from lbacal_core.twin.faults.antenna import GainStep
 from lbacal_core.twin.faults.fault import Where
 from lbacal_core.twin.settings import TwinSettings
@@ -208,6 +208,13 @@ def campaign(superterp: Instrument, sky_power_file: Path) -> Spectra:
     settings = TwinSettings(stations=("CS002",), antennas=4, years=1.99, events_per_year=400)
     sky = read_sky_power(sky_power_file)
     return simulate_campaign(settings, superterp, sky, np.random.default_rng(2014), [STEP]).spectra
+
+
+@pytest.fixture(scope="session")
+def three_cables(superterp: Instrument, sky_power_file: Path) -> Campaign:
+    """A year of the first twelve antennas of CS002, which have cables of 50, 80 and 115 m."""
+    settings = TwinSettings(stations=("CS002",), antennas=12, years=0.99, events_per_year=200)
+    return simulate_campaign(settings, superterp, read_sky_power(sky_power_file), np.random.default_rng(3))
 
 
 @pytest.fixture

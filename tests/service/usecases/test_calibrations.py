@@ -1,0 +1,254 @@
+"""What a path is told by a curve of its station or of the array: its own cable, in every format."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import re
+import threading
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from astropy.table import Table
+from fastapi.testclient import TestClient
+
+from lbacal.client import make_table
+from lbacal_core.instrument import AntennaRecord, Instrument
+from lbacal_core.provenance import hash_content
+from lbacal_core.reference_chain import CableTable, ReferenceChain
+from lbacal_core.twin.campaign import Campaign
+from lbacal_core.validity import Scope
+from service.app import make_app
+from service.cli.client import print_curve
+from service.config import Settings
+from service.factory import Factory
+from service.wire.instants import format_instant
+from service.worker import Worker
+
+ANTENNAS = 12
+AT = "2014-06-01"
+
+
+@pytest.fixture
+def service(database_url: str, sky_power_file: Path, three_cables: Campaign, clock: Any) -> Iterator[Factory]:
+    made = Factory(Settings(database_url=database_url, sky_power=sky_power_file), clock)
+    with made.database.write() as stores:
+        stores.spectra.add(three_cables.spectra)
+    yield made
+    made.database.close()
+
+
+@pytest.fixture
+def http(service: Factory) -> Iterator[TestClient]:
+    """A server whose curves of a station and of the array are in effect, and of no path by itself."""
+    _, key = service.keys.create(("admin",))
+    with TestClient(make_app(service)) as made:
+        made.headers["Authorization"] = f"Bearer {key}"
+        for scope in ("station", "array"):
+            refit(made, service, scope)
+        yield made
+
+
+def refit(http: TestClient, service: Factory, scope: str, **more: Any) -> Any:
+    body = {"scope": scope, "since": "2014-01-01", "until": "2015-01-01", "reason": "test", "promote": True, **more}
+    number = http.post("/v1/refits", json=body).json()["job"]
+    Worker(service, "worker").run(threading.Event(), until_idle=True)
+    return http.get(f"/v1/jobs/{number}").json()
+
+
+def ask(http: TestClient, **params: Any) -> Any:
+    answer = http.get("/v1/calibrations/effective", params={"at": AT, **params})
+    assert answer.status_code == 200, answer.text
+    return answer.json() if params.get("format", "json") == "json" else answer.text
+
+
+def total_error(curve: dict[str, Any]) -> Any:
+    return np.hypot(curve["c_sigma_stat"], curve["c_sigma_sys"])
+
+
+def test_a_station_answers_each_path_through_the_paths_own_cable(
+    http: TestClient, three_cables: Campaign, superterp: Instrument
+) -> None:
+    curves = [c for c in ask(http, station="CS002")["curves"] if c["antenna"] < ANTENNAS]
+    assert {c["reference"]["cable"] for c in curves} == {"50", "80", "115"}
+    pulls = []
+    for curve in curves:
+        assert (curve["answered_by"], curve["flag"], curve["flag_reason"]) == ("station", ["ok"] * 51, None)
+        truth = three_cables.truth.curve(curve["dipole"], "CS002", curve["antenna"])
+        assert np.max(np.abs(curve["c"] / truth - 1)) < 0.15, "another cable's curve is off by 0.25 to 0.57"
+        pulls.append((curve["c"] - truth) / total_error(curve))
+        version = http.get(f"/v1/calibrations/{curve['calibration']}").json()
+        chain = version["reference"][curve["dipole"]]
+        stored = next(c for c in version["curves"] if c["dipole"] == curve["dipole"])
+        loss = superterp.cables[curve["reference"]["cable"]]
+        np.testing.assert_allclose(curve["factor"], np.sqrt(np.array(chain["mean_cable_loss"]) / loss))
+        np.testing.assert_allclose(curve["c"], np.array(stored["c"]) * curve["factor"])
+        assert curve["parameters"] == stored["parameters"]
+        assert version["payload_sha256"] == hash_content(version["curves"])
+        assert chain["members"] == [["CS002", antenna] for antenna in range(ANTENNAS)]
+    # 24 paths, errors common along frequency: a root mean square pull of 1 is known to 15 %
+    assert 0.6 < np.sqrt(np.mean(np.square(pulls))) < 1.5
+
+
+def test_a_station_without_data_is_answered_by_the_array_with_a_flag(http: TestClient) -> None:
+    (curve,) = ask(http, station="CS003", antenna=0, dipole="X")["curves"]
+    assert curve["answered_by"] == "array"
+    assert set(curve["flag"]) == {"uncertain"}
+    assert curve["flag_reason"].startswith("there are no data of CS003")
+    assert curve["c_sigma_sys"] is None
+
+
+def test_every_way_out_gives_the_same_numbers_and_the_same_flag(
+    http: TestClient, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for path in (
+        {"station": "CS002", "antenna": 10, "dipole": "X"},
+        {"station": "CS003", "antenna": 10, "dipole": "X"},
+    ):
+        content = ask(http, **path)
+        (curve,) = content["curves"]
+        rows = list(csv.DictReader(io.StringIO(ask(http, **path, format="csv"))))
+        assert [float(row["c"]) for row in rows] == curve["c"]
+        assert [float(row["factor"]) for row in rows] == curve["factor"]
+        assert [row["flag"] for row in rows] == curve["flag"]
+        assert {row["flag_reason"] for row in rows} == {curve["flag_reason"] or ""}
+        ecsv = Table.read(ask(http, **path, format="ecsv"), format="ascii.ecsv")
+        client = make_table(content)
+        for table in (ecsv, client):
+            np.testing.assert_array_equal(np.asarray(table["c"]), curve["c"])
+            expected = curve["c_sigma_sys"] or [np.nan] * 51
+            np.testing.assert_array_equal(np.ma.filled(np.asarray(table["c_sigma_sys"]), np.nan), expected)
+            assert list(table["flag"]) == curve["flag"]
+        text = ask(http, **path, format="nuradio")
+        np.testing.assert_array_equal(np.loadtxt(io.StringIO(text))[30:81], curve["c"])
+        assert f"answered by {curve['answered_by']}, carried through its own cable 50" in text
+        print_curve(curve)
+        printed = capsys.readouterr().out
+        assert f"{curve['c'][0]:.6g}" in printed
+        assert "through its own cable 50" in printed
+        for out in (text, printed):
+            assert ("uncertain: there are no data of CS003" in out) == (path["station"] == "CS003")
+
+
+def test_nuradio_gives_the_reference_chain_of_the_array_and_says_that_it_is_nobodys_cable(http: TestClient) -> None:
+    text = ask(http, scope="array", dipole="Y", format="nuradio")
+    (curve,) = ask(http, scope="array", dipole="Y")["curves"]
+    assert "array Y: reference chain, the mean of its paths: nobody's cable" in text
+    np.testing.assert_array_equal(np.loadtxt(io.StringIO(text))[30:81], curve["c"])
+    stored = http.get(f"/v1/calibrations/{curve['calibration']}").json()["curves"]
+    assert curve["c"] == next(c["c"] for c in stored if c["dipole"] == "Y")
+    assert (curve["station"], curve["antenna"], set(curve["factor"])) == (None, None, {1.0})
+    refused = [{"scope": "array", "format": "nuradio"}, {"scope": "array", "station": "CS002"}, {"scope": "station"}]
+    for params in refused:
+        assert http.get("/v1/calibrations/effective", params={"at": AT, **params}).status_code == 422
+
+
+def test_a_pinned_answer_stays_whatever_the_servers_instrument_file_says_later(
+    http: TestClient, service: Factory, clock: Any, tmp_path: Path
+) -> None:
+    pinned = {"at": AT, "station": "CS002", "as_of": format_instant(clock())}
+    before = http.get("/v1/calibrations/effective", params=pinned).content
+    content = service.instrument.as_dict()
+    content["cables"] = {name: [0.5 * loss for loss in losses] for name, losses in content["cables"].items()}
+    (tmp_path / "other.json").write_text(json.dumps(content))
+    settings = service.settings.model_copy(update={"instrument": str(tmp_path / "other.json")})
+    other = Factory(settings, clock)
+    with TestClient(make_app(other)) as changed:
+        after = changed.get("/v1/calibrations/effective", params=pinned).content
+    other.database.close()
+    assert after == before
+
+
+def test_the_overview_counts_only_what_has_data(http: TestClient, service: Factory) -> None:
+    page = http.get("/").text
+    assert "<b>24 of 576</b>paths calibrated at the last event" in page
+    rows = re.findall(
+        r'/stations/(CS\d+)">.*?</a></td><td class="number">(.*?)</td>.*?>(\d+)</td><td.*?>(\d+)</td>', page
+    )
+    assert rows[0] == ("CS002", "24 of 96", "0", "72")
+    assert rows[1] == ("CS003", "0 of 96", "0", "96")
+    refit(http, service, "antenna", antenna=0, dipole="X", station="CS002")
+    assert '<td class="number">24 of 96</td><td class="number">1</td>' in http.get("/").text
+
+
+def test_the_overview_of_a_station_with_one_measured_path_is_shown(http: TestClient, service: Factory) -> None:
+    # its path was divided by itself: a step of 0 at no date, and the page answered 500
+    refit(http, service, "antenna", antenna=0, dipole="X", station="CS002")
+    assert http.get("/").status_code == 200
+    assert http.get("/v1/drift", params={"station": "CS002"}).json()["steps"] == []
+
+
+def test_the_page_of_a_version_shows_how_far_single_paths_depart(http: TestClient) -> None:
+    (curve,) = ask(http, station="CS002", antenna=0, dipole="X")["curves"]
+    page = http.get(f"/calibrations/{curve['calibration']}").text
+    assert "Reference chain" in page
+    assert "mean of 12 paths" in page
+
+
+def test_a_promotion_and_a_comparison_quote_what_the_path_is_told(http: TestClient, service: Factory) -> None:
+    job = refit(http, service, "antenna", station="CS002", antenna=10, dipole="X", promote=False)
+    (own,) = job["calibrations"]
+    (told,) = ask(http, station="CS002", antenna=10, dipole="X")["curves"]
+    body = {"calibration": own, "valid_from": "2014-01-01", "valid_to": "2015-01-01", "reason": "test"}
+    (change,) = http.post("/v1/promotions?dry_run=true", json=body).json()["changes"]
+    fitted = np.array(http.get(f"/v1/calibrations/{own}").json()["curves"][0]["c"])
+    fraction = fitted / np.array(told["c"]) - 1.0
+    assert change["max_fraction"] == pytest.approx(np.max(np.abs(fraction)))
+    assert change["max_sigma"] < 5, "in units of the whole error, spread between paths included"
+    diff = http.get(f"/v1/calibrations/{told['calibration']}/diff/{own}").json()["curves"]
+    assert [one["dipole"] for one in diff] == ["X"]
+    assert diff[0]["fraction"] == pytest.approx(fraction)
+
+
+def test_two_means_of_other_paths_are_compared_through_one_cable(http: TestClient) -> None:
+    by_array, by_station = (
+        next(v for v in http.get("/v1/calibrations", params=scope).json()["calibrations"])
+        for scope in ({"scope": "array"}, {"station": "CS002"})
+    )
+    diff = http.get(f"/v1/calibrations/{by_array['id']}/diff/{by_station['id']}").json()
+    # the array is this one station, so the two are the same mean
+    assert all(one["max_fraction"] < 1e-9 for one in diff["curves"])
+
+
+def test_the_cable_at_the_date_is_used_when_it_was_exchanged(
+    http: TestClient, service: Factory, superterp: Instrument
+) -> None:
+    (before,) = ask(http, station="CS002", antenna=10, dipole="X")["curves"]
+    with service.database.read() as stores:
+        version = stores.versions.get(before["calibration"])
+    change = 1_405_000_000.0  # 2014-07-10
+    others = tuple(r for r in superterp.antennas if (r.station, r.antenna) != ("CS002", 10))
+    exchanged = (AntennaRecord("CS002", 10, "50", None, change), AntennaRecord("CS002", 10, "115", change, None))
+    table = CableTable(superterp.cables, (*others, *exchanged))
+    chains = {dipole: replace(chain, cables=table) for dipole, chain in version.chains.items()}
+    later = replace(version, inputs={**version.inputs, "note": "exchanged"}, chains=chains)
+    with service.database.write() as stores:
+        stores.versions.add([later])
+    body = {"calibration": later.id, "valid_from": "2014-01-01", "valid_to": "2015-01-01", "reason": "test"}
+    changes = http.post("/v1/promotions", json=body).json()["changes"]
+    assert max(change["max_fraction"] for change in changes) < 1e-9, "nothing is different until the exchange"
+    told = [
+        http.get(
+            "/v1/calibrations/effective", params={"at": at, "station": "CS002", "antenna": 10, "dipole": "X"}
+        ).json()
+        for at in ("2014-07-01", "2014-08-01")
+    ]
+    assert [one["curves"][0]["reference"]["cable"] for one in told] == ["50", "115"]
+    ratio = np.array(told[1]["curves"][0]["c"]) / np.array(told[0]["curves"][0]["c"])
+    np.testing.assert_allclose(ratio**2, superterp.cables["50"] / superterp.cables["115"])
+
+
+@pytest.mark.usefixtures("http")
+def test_what_a_mean_is_of_is_stored_with_it_and_shared_parts_once(service: Factory) -> None:
+    with service.database.read() as stores:
+        versions = stores.versions.newest(10)
+    assert len(versions) == 2
+    chains: list[ReferenceChain] = [chain for version in versions for chain in version.chains.values()]
+    assert len({chain.cables.digest for chain in chains}) == 1
+    assert all(chain.spreads is not None and set(chain.spreads.by_cable) == {"80", "115"} for chain in chains)
+    assert Scope("CS002") in {version.scope for version in versions}
