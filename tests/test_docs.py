@@ -6,6 +6,7 @@ import json
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from lbacal_core import spectra
@@ -13,6 +14,7 @@ from lbacal_core.curves import CalibrationCurve, FitReport, parse_curve
 from lbacal_core.instrument import load_instrument
 from lbacal_core.lstcurve import curve as lst_curve
 from lbacal_core.provenance import Provenance
+from lbacal_core.reference_chain import CableTable, GainSpread, GainSpreads, ReferenceChain
 from lbacal_core.skypower.table import read_sky_power
 from lbacal_core.traces.assembly import COVARIATES, read_event_facts
 from service.cli.reference import describe_commands, describe_settings
@@ -58,6 +60,9 @@ def fields_of_formats() -> list[tuple[str, str]]:
     """Section and field of everything that readers and writers name."""
     instrument = load_instrument("lofar-superterp")
     report = example_report().as_dict()
+    none = np.zeros(1)
+    spreads = GainSpreads({}, GainSpread(0, none, none), 0, none)
+    chain = ReferenceChain((), none, CableTable.of(instrument), spreads).as_dict()
     return [
         *(("Spectra", name) for name in (*spectra._KINDS, "format", "resistance_ohm", spectra.FORMAT)),
         *(("Spectra", f"env/{name}") for name in COVARIATES),
@@ -69,6 +74,7 @@ def fields_of_formats() -> list[tuple[str, str]]:
         *(("Calibration table", name) for name in ("c", "c_sigma_stat", "c_sigma_sys")),
         *(("Fit report", name) for name in (*report, *report["curves"][0], *report["provenance"])),
         *(("Fit report", name) for name in ("n_lna", "n_rcu", "n_adc", "inputs")),
+        *(("Fit report", name) for name in (*chain, *(chain["spreads"] or {}), "offset", "spread")),
     ]
 
 
@@ -99,7 +105,8 @@ def test_the_example_of_each_format_is_read(repository: Path, tmp_path: Path, mo
         read(Path("example"))
     report = json.loads(example(repository, "Fit report"))
     assert set(report) == set(example_report().as_dict())
-    assert parse_curve(report["curves"][0]).as_dict() == report["curves"][0]
+    (curve,) = report["curves"]
+    assert {**parse_curve(curve).as_dict(), "reference": None} == curve
 
 
 def anchors_of(page: Path) -> set[str]:
