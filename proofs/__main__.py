@@ -9,8 +9,7 @@ from pathlib import Path
 
 from proofs.machinery.page import PAGE, draw_figures, write_page
 from proofs.machinery.parts import parts_of, proof_names
-from proofs.machinery.quoted import QUOTES
-from proofs.machinery.quotes import renew_pages
+from proofs.machinery.quotes import read_quotes, renew_pages
 from proofs.machinery.records import Record, read_record, read_records
 from proofs.machinery.run import Order, RefusedError, run_and_record, take_in
 
@@ -94,7 +93,7 @@ def _write_pages() -> None:
     records = read_records()
     draw_figures(records)
     PAGE.write_text(write_page(records), encoding="utf-8")
-    for path, text in renew_pages(QUOTES, records).items():
+    for path, text in renew_pages(read_quotes(), records).items():
         path.write_text(text, encoding="utf-8")
 
 

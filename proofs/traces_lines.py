@@ -306,6 +306,44 @@ PARTS = (
     Part("wide-1", partial(try_bands, 1), partial(judge_bands, 1), 48, tell_bands),
     Part("wide-12", partial(try_bands, 12), partial(judge_bands, 12), 24, tell_bands),
 )  # fmt: skip
+
+
+def table_of_lines(rows: Mapping[str, Sequence[Row]]) -> list[str]:
+    """What was found of every kind of line, for the page on traces."""
+    if not {claim.short for claim in CLAIMS} <= set(rows):
+        return []
+    lines = ["| line | 95 % found from | stated limit | bias at the limit | largest bias above | largest bias below |"]
+    lines.append("|" + "---|" * 6)
+    for claim in CLAIMS:
+        trial = collect(claim, rows[claim.short])
+        words = [f"{100 * b:+.2f} ± {196 * e:.2f} %" for b, e in zip(trial.bias, trial.bias_error, strict=True)]
+        at = len(claim.below)
+        above = at + 1 + int(np.argmax(np.abs(trial.bias[at + 1 :])))
+        cells = (
+            f"{claim.name}, {len(rows[claim.short])} traces",
+            f"{100 * trial.found_from:g} %",
+            f"{100 * claim.limit:g} %",
+            words[at],
+            words[above],
+            f"{100 * np.max(trial.bias[:at]):.1f} %",
+        )
+        lines.append(f"| {' | '.join(cells)} |")
+    return lines
+
+
+def table_of_bands(rows: Mapping[str, Sequence[Row]]) -> list[str]:
+    """What was found of wide interference, for the page on traces."""
+    if not {"wide-1", "wide-12"} <= set(rows):
+        return []
+    lines = ["| antennas | " + " | ".join(f"{density:g}" for density in WIDE) + " |", "|---|" + "---|" * WIDE.size]
+    for name in ("wide-1", "wide-12"):
+        found, change = (np.mean([row[key] for row in rows[name]], axis=0) for key in ("found", "change"))
+        cells = [f"{100 * f:.0f} %, {100 * c:+.1f} %" for f, c in zip(found, change, strict=True)]
+        lines.append(f"| {name.removeprefix('wide-')} | {' | '.join(cells)} |")
+    return lines
+
+
+TABLES = {"lines": table_of_lines, "bands": table_of_bands}
 IMAGES = {"traces-lines.png": "Lines found by their strength, and what they do to the power of their bin"}
 
 

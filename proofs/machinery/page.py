@@ -8,10 +8,10 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from proofs.machinery.claims import REFUTED, SHOWN, Claim
+from proofs.machinery.claims import REFUTED, SHOWN, UNDECIDED, Claim
 from proofs.machinery.code import ROOT
 from proofs.machinery.parts import parts_of, proof_names
-from proofs.machinery.records import Record, newest
+from proofs.machinery.records import FRESH, NO_CHANCE, Record, newest
 
 PAGE = ROOT / "docs" / "validation.md"
 IMAGES = ROOT / "docs" / "images"
@@ -58,7 +58,7 @@ def _section(proof: str, records: Sequence[Record]) -> list[str]:
     images = [name for name in getattr(module, "IMAGES", {}) if (IMAGES / name).is_file()]
     lines += [line for name in images for line in ("", f"![{module.IMAGES[name]}](images/{name})")]
     hours = sum(record.hours for record in records)
-    lines += ["", f"{len(records)} records, {hours:.2g} hours of one core.", ""]
+    lines += ["", f"{hours:.2g} hours of one core.", ""]
     return lines
 
 
@@ -76,17 +76,18 @@ def _row(claim: Claim, record: Record) -> str:
 
 
 def _open_claims(records: Iterable[Record]) -> list[str]:
-    """One line a claim that is refuted, and one a headline that is undecided."""
-    lines = []
+    """One line a refuted claim, one an undecided headline, and one of all records on data sets that had been seen."""
+    lines, seen = [], []
     for record in sorted(records, key=lambda r: r.name):
+        if record.seeds not in (FRESH, NO_CHANCE):
+            seen.append(record.name)
+            continue
         for claim in record.claims:
-            if claim.verdict == SHOWN or (claim.verdict != REFUTED and not _is_headline(claim, record)):
-                continue
-            why = "" if claim.is_fresh else f" (seeds: {record.seeds})"
-            found = f"Asked {claim.words_asked}, found {claim.words_found}, n = {claim.n}"
-            lines.append(
-                f"- {claim.verdict.capitalize()}{why}: {claim.claim}. {found} ({record.name}, {record.commit})."
-            )
+            if claim.verdict == REFUTED or (claim.verdict == UNDECIDED and _is_headline(claim, record)):
+                found = f"Asked {claim.words_asked}, found {claim.words_found}"
+                lines.append(f"- {claim.verdict.capitalize()}: {claim.claim}. {found} ({record.name}).")
+    if seen:
+        lines.append(f"- Undecided whatever the figure, because the data sets had been seen before: {', '.join(seen)}.")
     return lines
 
 

@@ -62,7 +62,8 @@ class Record:
     def command(self) -> str:
         """What repeats it."""
         part = "" if self.part == self.proof else f" --part {self.part}"
-        seeds = f" --first {self.blocks[0].first} --count {sum(b.count for b in self.blocks)}" if self.blocks else ""
+        count, is_drawn = sum(block.count for block in self.blocks), self.seeds != NO_CHANCE and self.code
+        seeds = f" --first {self.blocks[0].first} --count {count}" if self.blocks and is_drawn else ""
         return f"./dev prove {self.proof}{part}{seeds}"
 
     def claim(self, key: str) -> Claim:
@@ -78,7 +79,7 @@ class Record:
         }  # fmt: skip
         lines = [f'"{name}": {json.dumps(value, ensure_ascii=False)}' for name, value in head.items()]
         for name, values in (("claims", [claim.as_dict() for claim in self.claims]), ("rows", self.rows)):
-            items = ",\n".join(json.dumps(value, ensure_ascii=False) for value in values)
+            items = ",\n".join(json.dumps(value, ensure_ascii=False, separators=(",", ":")) for value in values)
             lines.append(f'"{name}": [\n{items}\n]' if items else f'"{name}": []')
         folder.mkdir(exist_ok=True)
         path = folder / self.file_name

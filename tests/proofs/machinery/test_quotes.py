@@ -5,9 +5,10 @@ from __future__ import annotations
 import pytest
 
 from proofs.machinery.claims import at_most, claim_rate
-from proofs.machinery.quoted import QUOTES
-from proofs.machinery.quotes import Quote, figures_of, renew_pages
+from proofs.machinery.quotes import Quote, figures_of, read_quotes, renew_pages, renew_tables
 from proofs.machinery.records import Record, read_records
+
+QUOTES = read_quotes()
 
 
 def alarms(hits: int, n: int) -> list[Record]:
@@ -33,12 +34,35 @@ def test_a_phrase_that_is_not_there_or_twice_is_an_error():
             QUOTE.renewed(text, figures_of(alarms(5, 3000)))
 
 
+def test_a_figure_that_no_record_holds_is_named():
+    quote = Quote("page.md", "{fit.example.bias.n} data sets")
+    with pytest.raises(ValueError, match=r"page.md quotes \{fit.example.bias.n\}, which no record holds"):
+        quote.renewed("3 data sets", figures_of(alarms(0, 1)))
+
+
+def test_a_verdict_is_quoted_as_a_word():
+    quote = Quote("page.md", "{discovery.own_sky.alarms.n} data sets ({discovery.own_sky.alarms.verdict})")
+    assert quote.renewed("20 data sets (shown)", figures_of(alarms(0, 200))) == "200 data sets (undecided)"
+
+
 def test_a_page_is_renewed_phrase_by_phrase(tmp_path):
     page = tmp_path / "page.md"
     page.write_text("something was said of 1 of 2 data sets, that is 50.0 %")
     share = Quote("page.md", "that is {discovery.own_sky.alarms.percent:.1f} %")
     (text,) = renew_pages([QUOTE, share], alarms(1, 200), tmp_path).values()
     assert text == "something was said of 1 of 200 data sets, that is 0.5 %"
+
+
+def test_a_table_stays_as_it_is_until_every_part_of_it_has_trials():
+    text = "Before\n<!-- records: traces_lines.bands -->\n| old |\n<!-- end of records -->\nafter\n"
+    assert renew_tables(text, alarms(0, 3)) == text
+    rows = tuple({"found": [0.0, 0.0, 0.5, 1.0, 1.0, 1.0], "change": [0.01] * 6} for _ in range(2))
+    parts = [
+        Record("traces_lines", name, "1234567", "", "abc", (), "fresh", 1.0, (), rows) for name in ("wide-1", "wide-12")
+    ]
+    renewed = renew_tables(text, parts)
+    assert "| 12 | 0 %, +1.0 % | 0 %, +1.0 % | 50 %, +1.0 % |" in renewed
+    assert renew_tables(renewed, parts) == renewed
 
 
 @pytest.mark.parametrize("page", sorted({quote.page for quote in QUOTES}))
