@@ -10,6 +10,7 @@ from lbacal_core.errors import BadInputError
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.variation import vary_sky_power
 from lbacal_core.twin.campaign import expected_power
+from lbacal_core.twin.faults.antenna import GainDrift
 from tests.lbacal_core.discovery.worlds import SILENT, look_at
 
 
@@ -58,6 +59,14 @@ def test_every_event_stands_at_its_time_and_every_spectrum_at_its_path(world):
         assert data.conditions.temperature_c[event] == spectra.environment["temperature_c"][row]
         assert data.conditions.rain_mm_h[event] == spectra.environment["rain_mm_h"][row]
     assert np.all(look.residual[~data.is_present] == 0.0)
+
+
+def test_the_events_of_a_world_are_the_same_with_a_fault(world):
+    """What spares the tests a second: only the power of a spoilt station is read again."""
+    fault = GainDrift(size=0.02)
+    gathered = look_at(world.spectra(fault), world.instrument, world.sky)
+    assert np.array_equal(gathered.data.power, world.look(fault).data.power)
+    assert np.array_equal(gathered.data.event_id, world.look(fault).data.event_id)
 
 
 def test_spectra_of_fewer_blocks_count_as_noisier(world):

@@ -125,6 +125,14 @@ def test_a_local_cause_has_the_trials_of_each_of_its_targets(small):
     assert everywhere.trials == pytest.approx(7.0)
 
 
+def test_a_line_is_looked_for_in_every_channel_and_each_is_a_trial(small):
+    """Two widths a channel, and windows of hours that overlap: more than the channels, fewer than the templates."""
+    (line,) = small.scan(["rfi_line"], ["station"])
+    templates = len(small.templates("rfi_line"))
+    assert templates == 51 * 2 * 49
+    assert 51 * 5 < line.trials < templates
+
+
 PAIRS = [("gain_temperature", "lna_noise_temperature"), ("zenith_weighting", "pattern_width")]
 
 

@@ -92,9 +92,18 @@ class World:
         )
         return np.asarray((above - below) / (above + below) / fault.size)
 
-    def look(self, *faults: Fault, sky: SkyPower | None = None, with_modes: bool = False) -> Look:
+    @cached_property
+    def _plain(self) -> StationData:
+        (data,) = gather_stations(self.spectra(), self.instrument, self.sky)
+        return data
+
+    def look(self, *faults: Fault) -> Look:
         """The station with its chain fitted, and nothing named yet."""
-        return look_at(self.spectra(*faults), self.instrument, sky or self.sky, with_modes=with_modes)
+        data = self._plain
+        if faults:  # the same events: only the power differs, and the sky need not be computed again
+            shape = (-1, len(DIPOLES), *data.power.shape[1:])
+            data = replace(data, power=_arrange(data, self.spectra(*faults).power.reshape(shape)))
+        return Look(data, fit_plain(data), None)
 
 
 def look_at(spectra: Spectra, instrument: Instrument, sky: SkyPower, *, with_modes: bool = False) -> Look:
@@ -109,6 +118,11 @@ def look_with_residual(look: Look, residual: Floats) -> Look:
     model = look.model
     evidence = Evidence(look.data, split_residuals(look.data, residual), model.baseline.terms, look.modes)
     return replace(look, model=replace(model, evidence=evidence))
+
+
+def _arrange(data: StationData, values: Floats) -> Floats:
+    row, column = np.searchsorted(np.unique(data.antenna), data.antenna), np.searchsorted(DIPOLES, data.dipole)
+    return np.asarray(values[row, column])
 
 
 @dataclass(frozen=True)
@@ -174,9 +188,7 @@ class Look:
 
     def arrange(self, values: Floats) -> Floats:
         """Values of shape (antenna, dipole, ...), as the twin has them, in the order of the paths."""
-        antennas = np.unique(self.data.antenna)
-        row, column = np.searchsorted(antennas, self.data.antenna), np.searchsorted(DIPOLES, self.data.dipole)
-        return np.asarray(values[row, column])
+        return _arrange(self.data, values)
 
     def best_match(self, cause: str, planted: Floats) -> Match:
         """The template most like a planted effect, shape (antenna, dipole, event, freq), without its mean over time."""

@@ -1,0 +1,221 @@
+"""Faults are planted in the code one by one, and the tests have to see them.
+
+A fault is three lines of `planted_faults.toml`: a file, what stands there, and what takes its place. Each is applied to
+a copy of the tree, never to the tree itself, and meets the tests of its own file, of its room and of discovery, until
+the first of them fails. Whatever survives these meets the whole suite. Faults that nothing sees are either explained in
+the file, or show where a test is missing.
+"""
+
+from __future__ import annotations
+
+import os
+import queue
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+import tomllib
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).parents[1]
+FAULTS = Path(__file__).with_suffix(".toml")
+AUTHORS = ("with the tests", "blind")
+SEEN_BY_ROOM, SEEN_BY_SUITE, EXPLAINED, UNSEEN = "room", "suite", "explained", "unseen"
+WANTED = 0.95
+"""Share of the faults that are not explained away which the tests must see."""
+ROOM_S, SUITE_S = 240.0, 1800.0
+"""What hangs longer counts as not seen; most faults are seen within 30 s."""
+SCIENCE_FIRST = ("tests/lbacal_core/causes", "tests/lbacal_core/discovery")
+FAILED = 1
+"""Exit code of pytest where a test fails; a fault that the tests cannot even import ends with 2, and is seen too."""
+
+
+class StaleFaultError(Exception):
+    """A fault that does not fit the code any more."""
+
+
+@dataclass(frozen=True)
+class PlantedFault:
+    """One small change of the code.
+
+    Attributes
+    ----------
+    file
+        Path from the root of the tree.
+    before, after
+        What stands there exactly once, and what takes its place.
+    written_by
+        One of `AUTHORS`: whether its author knew the tests.
+    explained
+        Why it is no defect that no test sees it; empty for all others.
+    """
+
+    file: str
+    before: str
+    after: str
+    written_by: str
+    explained: str = ""
+
+    @property
+    def name(self) -> str:
+        """The file and the first line that changes."""
+        lines = [line.strip() for line in self.after.strip().splitlines()]
+        old = {line.strip() for line in self.before.splitlines()}
+        return f"{self.file}: {next((line for line in lines if line not in old), lines[0])}"
+
+    def planted(self, text: str) -> str:
+        """The text of its file with the fault."""
+        count = text.count(self.before)
+        if count != 1:
+            raise StaleFaultError(f"{self.file}: expected once, found {count} times: {self.before.strip()}")
+        if self.before == self.after:
+            raise StaleFaultError(f"{self.file}: changes nothing: {self.before.strip()}")
+        changed = text.replace(self.before, self.after)
+        compile(changed, self.file, "exec")
+        return changed
+
+    def tests(self, root: Path) -> list[str]:
+        """Tests of its file, of its room and of discovery, those nearest first."""
+        path = Path(self.file)
+        nearest = [Path("tests") / path.with_name(f"test_{path.name}"), Path("tests") / path.parent]
+        chosen = [str(one) for one in nearest if (root / one).exists()]
+        return list(dict.fromkeys([*chosen, *(one for one in SCIENCE_FIRST if (root / one).is_dir())]))
+
+
+def read_faults(path: Path = FAULTS) -> list[PlantedFault]:
+    """Every fault of the list."""
+    return [PlantedFault(**entry) for entry in tomllib.loads(path.read_text())["fault"]]
+
+
+@contextmanager
+def copy_of_tree(root: Path = ROOT) -> Iterator[Path]:
+    """A copy of all files under version control, as they are now; gone afterwards."""
+    listed = _git(root, "ls-files", "-z")
+    with tempfile.TemporaryDirectory(prefix="planted-") as folder:
+        copy = Path(folder) / "tree"
+        for name in listed.split("\0"):
+            if name and (root / name).is_file():
+                (copy / name).parent.mkdir(parents=True, exist_ok=True)
+                shutil.copy2(root / name, copy / name)
+        _git(copy, "init", "-q")
+        _git(copy, "add", "-A")
+        yield copy
+
+
+def _git(folder: Path, *arguments: str) -> str:
+    command = ["git", "-C", str(folder), *arguments]
+    return subprocess.run(command, capture_output=True, text=True, check=True).stdout
+
+
+def run_tests(tree: Path, tests: Sequence[str], limit_s: float) -> tuple[int | None, str]:
+    """Exit code of pytest on some tests of a tree, None where they last too long, and the first test that failed."""
+    environment = os.environ | {"PYTHONPATH": str(tree), "OPENBLAS_NUM_THREADS": "1", "PYTHONDONTWRITEBYTECODE": "1"}
+    command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", "--no-header", *tests]
+    try:
+        done = subprocess.run(
+            command, cwd=tree, env=environment, capture_output=True, text=True, timeout=limit_s, check=False
+        )
+    except subprocess.TimeoutExpired:
+        return None, ""
+    failed = [line.split(" ")[1] for line in done.stdout.splitlines() if line.startswith(("FAILED ", "ERROR "))]
+    return done.returncode, failed[0] if failed else ""
+
+
+def is_seen(tree: Path, fault: PlantedFault, tests: Sequence[str], limit_s: float) -> tuple[bool, str]:
+    """Whether some tests of a tree fail with the fault planted; the tree is as before afterwards."""
+    place = tree / fault.file
+    healthy = place.read_text()
+    place.write_text(fault.planted(healthy))
+    try:
+        code, test = run_tests(tree, tests, limit_s)
+    finally:
+        place.write_text(healthy)
+    if code not in (0, 1, 2, None):
+        raise RuntimeError(f"pytest ends with {code}: {' '.join(tests)}")
+    return code in (1, 2), test
+
+
+def plant(fault: PlantedFault, tree: Path, limit_s: float = ROOM_S) -> dict[str, Any]:
+    """Plant one fault in a copy of the tree: who sees it, which test first, and after how long."""
+    begin = time.monotonic()
+    seen, test = is_seen(tree, fault, fault.tests(tree), limit_s)
+    by = SEEN_BY_ROOM if seen else ""
+    if not seen:
+        seen, test = is_seen(tree, fault, [], SUITE_S)
+        by = SEEN_BY_SUITE if seen else EXPLAINED if fault.explained else UNSEEN
+    return {
+        "name": fault.name, "written_by": fault.written_by, "by": by, "test": test,
+        "seconds": round(time.monotonic() - begin, 1),
+    }  # fmt: skip
+
+
+def check_healthy(tree: Path, faults: Sequence[PlantedFault]) -> None:
+    """The tests pass without a fault: else they would see every fault."""
+    rooms = sorted({test for fault in faults for test in fault.tests(tree) if not test.endswith(".py")})
+    code, test = run_tests(tree, rooms, SUITE_S)
+    if code != 0:
+        raise RuntimeError(f"the tests fail without a fault (exit code {code}): {test}")
+
+
+def plant_all(faults: Sequence[PlantedFault], workers: int = 2) -> list[dict[str, Any]]:
+    """Plant every fault by itself, in copies of the tree beside each other."""
+    for fault in faults:
+        fault.planted((ROOT / fault.file).read_text())
+    trees: queue.SimpleQueue[Path] = queue.SimpleQueue()
+
+    def one(fault: PlantedFault) -> dict[str, Any]:
+        tree = trees.get()
+        try:
+            row = plant(fault, tree)
+        finally:
+            trees.put(tree)
+        print(f"{row['by']:9} {row['seconds']:6.1f} s  {row['name']}  {row['test']}", file=sys.stderr, flush=True)
+        return row
+
+    with copy_of_tree() as first, copy_of_tree() as second:
+        check_healthy(first, faults)
+        for tree in (first, second)[:workers]:
+            trees.put(tree)
+        with ThreadPoolExecutor(workers) as pool:
+            return list(pool.map(one, faults))
+
+
+def tell(rows: Sequence[dict[str, Any]]) -> list[str]:
+    """What was seen, by whom, and every fault that nothing saw."""
+    lines = []
+    for author in AUTHORS:
+        own = [row for row in rows if row["written_by"] == author]
+        if own:
+            by = [row["by"] for row in own]
+            lines.append(
+                f"- Written {author}: {len(own)} faults, {by.count(SEEN_BY_ROOM)} seen by the tests of their room and "
+                f"of discovery, {by.count(SEEN_BY_SUITE)} more by the whole suite, {by.count(EXPLAINED)} explained, "
+                f"{by.count(UNSEEN)} not seen."
+            )
+    lines += [f"- Not seen: `{row['name']}`" for row in rows if row["by"] == UNSEEN]
+    seconds = sorted(row["seconds"] for row in rows if row["by"] == SEEN_BY_ROOM)
+    if seconds:
+        lines.append(
+            f"- A fault is seen after {seconds[len(seconds) // 2]:.0f} s (median), {seconds[-1]:.0f} s at most."
+        )
+    return lines
+
+
+def share_seen(rows: Sequence[dict[str, Any]]) -> float:
+    """Share of the faults that the tests see, those left out that are explained."""
+    counted = [row["by"] for row in rows if row["by"] != EXPLAINED]
+    return sum(by in (SEEN_BY_ROOM, SEEN_BY_SUITE) for by in counted) / max(len(counted), 1)
+
+
+def prove(arguments: list[str]) -> tuple[bool, list[str]]:
+    """Plant every fault, or those whose file or text contains one of the arguments."""
+    faults = read_faults()
+    chosen = [fault for fault in faults if not arguments or any(word in fault.name for word in arguments)]
+    rows = plant_all(chosen)
+    return share_seen(rows) >= WANTED, tell(rows)
