@@ -9,19 +9,18 @@ the file, or show where a test is missing.
 from __future__ import annotations
 
 import os
-import queue
 import shutil
 import subprocess
 import sys
 import tempfile
-import time
 import tomllib
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+
+from proofs.machinery.claims import Claim, at_least, claim_exact
+from proofs.machinery.parts import Part, Row
 
 ROOT = Path(__file__).parents[1]
 FAULTS = Path(__file__).with_suffix(".toml")
@@ -32,8 +31,8 @@ WANTED = 0.95
 ROOM_S, SUITE_S = 240.0, 1800.0
 """What hangs longer counts as not seen; most faults are seen within 30 s."""
 SCIENCE_FIRST = ("tests/lbacal_core/causes", "tests/lbacal_core/discovery")
-FAILED = 1
-"""Exit code of pytest where a test fails; a fault that the tests cannot even import ends with 2, and is seen too."""
+FAILED, BROKEN = 1, 2
+"""Exit codes of pytest where a test fails, and where tests cannot even be imported: a fault is seen either way."""
 
 
 class StaleFaultError(Exception):
@@ -105,6 +104,9 @@ def copy_of_tree(root: Path = ROOT) -> Iterator[Path]:
                 shutil.copy2(root / name, copy / name)
         _git(copy, "init", "-q")
         _git(copy, "add", "-A")
+        _git(copy, "-c", "user.name=copy", "-c", "user.email=copy@localhost", "commit", "-qm", "copy")
+        if (root / ".venv").is_dir():
+            (copy / ".venv").symlink_to(root / ".venv")  # whose programs read the code of the copy: PYTHONPATH
         yield copy
 
 
@@ -136,86 +138,77 @@ def is_seen(tree: Path, fault: PlantedFault, tests: Sequence[str], limit_s: floa
         code, test = run_tests(tree, tests, limit_s)
     finally:
         place.write_text(healthy)
-    if code not in (0, 1, 2, None):
+    if code not in (0, FAILED, BROKEN, None):
         raise RuntimeError(f"pytest ends with {code}: {' '.join(tests)}")
-    return code in (1, 2), test
+    return code in (FAILED, BROKEN), test
 
 
-def plant(fault: PlantedFault, tree: Path, limit_s: float = ROOM_S) -> dict[str, Any]:
-    """Plant one fault in a copy of the tree: who sees it, which test first, and after how long."""
-    begin = time.monotonic()
-    seen, test = is_seen(tree, fault, fault.tests(tree), limit_s)
-    by = SEEN_BY_ROOM if seen else ""
-    if not seen:
-        seen, test = is_seen(tree, fault, [], SUITE_S)
-        by = SEEN_BY_SUITE if seen else EXPLAINED if fault.explained else UNSEEN
-    return {
-        "name": fault.name, "written_by": fault.written_by, "by": by, "test": test,
-        "seconds": round(time.monotonic() - begin, 1),
-    }  # fmt: skip
+def plant(number: int) -> Row:
+    """Plant one fault of the list in a copy of the tree: who sees it, and which test first."""
+    fault = read_faults()[number]
+    with copy_of_tree() as tree:
+        seen, test = is_seen(tree, fault, fault.tests(tree), ROOM_S)
+        by = SEEN_BY_ROOM if seen else ""
+        if not seen:
+            seen, test = is_seen(tree, fault, [], SUITE_S)
+            by = SEEN_BY_SUITE if seen else EXPLAINED if fault.explained else UNSEEN
+    return {"name": fault.name, "written_by": fault.written_by, "by": by, "test": test}
 
 
-def check_healthy(tree: Path, faults: Sequence[PlantedFault]) -> None:
-    """The tests pass without a fault: else they would see every fault."""
-    rooms = sorted({test for fault in faults for test in fault.tests(tree) if not test.endswith(".py")})
-    code, test = run_tests(tree, rooms, SUITE_S)
-    if code != 0:
-        raise RuntimeError(f"the tests fail without a fault (exit code {code}): {test}")
+def rooms_of(faults: Sequence[PlantedFault], tree: Path = ROOT) -> list[str]:
+    """Folders of tests that meet faults."""
+    return sorted({test for fault in faults for test in fault.tests(tree) if not test.endswith(".py")})
 
 
-def plant_all(faults: Sequence[PlantedFault], workers: int = 2) -> list[dict[str, Any]]:
-    """Plant every fault by itself, in copies of the tree beside each other."""
-    for fault in faults:
-        fault.planted((ROOT / fault.file).read_text())
-    trees: queue.SimpleQueue[Path] = queue.SimpleQueue()
-
-    def one(fault: PlantedFault) -> dict[str, Any]:
-        tree = trees.get()
-        try:
-            row = plant(fault, tree)
-        finally:
-            trees.put(tree)
-        print(f"{row['by']:9} {row['seconds']:6.1f} s  {row['name']}  {row['test']}", file=sys.stderr, flush=True)
-        return row
-
-    with copy_of_tree() as first, copy_of_tree() as second:
-        check_healthy(first, faults)
-        for tree in (first, second)[:workers]:
-            trees.put(tree)
-        with ThreadPoolExecutor(workers) as pool:
-            return list(pool.map(one, faults))
+def pass_without(number: int) -> Row:
+    """Run the tests of one room without a fault: if they failed, they would see every fault."""
+    with copy_of_tree() as tree:
+        room = rooms_of(read_faults(), tree)[number]
+        code, test = run_tests(tree, [room], SUITE_S)
+    return {"room": room, "passes": code == 0, "test": test}
 
 
-def tell(rows: Sequence[dict[str, Any]]) -> list[str]:
+def judge_healthy(rows: Sequence[Row]) -> list[Claim]:
+    """All rooms pass."""
+    share = sum(row["passes"] for row in rows) / len(rows)
+    return [claim_exact("healthy", "Rooms whose tests pass without a fault", at_least(1.0), share, "%", len(rows))]
+
+
+def judge(rows: Sequence[Row]) -> list[Claim]:
+    """The share that tests see, of all faults and of those whose author did not know the tests."""
+    claims = []
+    for key, words, authors in (
+        ("seen", "Faults planted in the code that the tests see", AUTHORS),
+        ("seen_blind", "Those written by somebody who had not seen the tests", AUTHORS[1:]),
+    ):
+        own = [row for row in rows if row["written_by"] in authors]
+        if own:
+            claims.append(claim_exact(key, words, at_least(WANTED), share_seen(own), "%", len(own)))
+    return claims
+
+
+def tell(rows: Sequence[Row]) -> list[str]:
     """What was seen, by whom, and every fault that nothing saw."""
     lines = []
     for author in AUTHORS:
-        own = [row for row in rows if row["written_by"] == author]
+        own = [row["by"] for row in rows if row["written_by"] == author]
         if own:
-            by = [row["by"] for row in own]
             lines.append(
-                f"- Written {author}: {len(own)} faults, {by.count(SEEN_BY_ROOM)} seen by the tests of their room and "
-                f"of discovery, {by.count(SEEN_BY_SUITE)} more by the whole suite, {by.count(EXPLAINED)} explained, "
-                f"{by.count(UNSEEN)} not seen."
+                f"- Written {author}: {len(own)} faults, {own.count(SEEN_BY_ROOM)} seen by the tests of their room and "
+                f"of discovery, {own.count(SEEN_BY_SUITE)} more by the whole suite, {own.count(EXPLAINED)} explained, "
+                f"{own.count(UNSEEN)} not seen."
             )
-    lines += [f"- Not seen: `{row['name']}`" for row in rows if row["by"] == UNSEEN]
-    seconds = sorted(row["seconds"] for row in rows if row["by"] == SEEN_BY_ROOM)
-    if seconds:
-        lines.append(
-            f"- A fault is seen after {seconds[len(seconds) // 2]:.0f} s (median), {seconds[-1]:.0f} s at most."
-        )
-    return lines
+    return lines + [f"- Not seen: `{row['name']}`" for row in rows if row["by"] == UNSEEN]
 
 
-def share_seen(rows: Sequence[dict[str, Any]]) -> float:
+def share_seen(rows: Sequence[Row]) -> float:
     """Share of the faults that the tests see, those left out that are explained."""
     counted = [row["by"] for row in rows if row["by"] != EXPLAINED]
     return sum(by in (SEEN_BY_ROOM, SEEN_BY_SUITE) for by in counted) / max(len(counted), 1)
 
 
-def prove(arguments: list[str]) -> tuple[bool, list[str]]:
-    """Plant every fault, or those whose file or text contains one of the arguments."""
-    faults = read_faults()
-    chosen = [fault for fault in faults if not arguments or any(word in fault.name for word in arguments)]
-    rows = plant_all(chosen)
-    return share_seen(rows) >= WANTED, tell(rows)
+_CODE = ("lbacal", "lbacal_core", "service", "migrations", "proofs", "tests")
+PARTS = (
+    Part("healthy", pass_without, judge_healthy, len(rooms_of(read_faults())), has_chance=False, code=_CODE),
+    Part("faults", plant, judge, len(read_faults()), tell, has_chance=False, code=_CODE),
+)

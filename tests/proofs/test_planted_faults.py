@@ -8,10 +8,12 @@ from proofs.planted_faults import (
     AUTHORS,
     PlantedFault,
     StaleFaultError,
-    check_healthy,
     is_seen,
+    judge,
+    judge_healthy,
     read_faults,
-    share_seen,
+    rooms_of,
+    run_tests,
     tell,
 )
 
@@ -51,7 +53,8 @@ def test_a_fault_is_seen_where_a_test_fails_and_the_tree_is_as_before(tree: Path
     assert fault.tests(tree) == ["tests/room/test_sums.py", "tests/room"]
     assert is_seen(tree, fault, fault.tests(tree), 60) == (True, "tests/room/test_sums.py::test_two_is_doubled")
     assert (tree / "room/sums.py").read_text() == CODE
-    check_healthy(tree, [fault])
+    assert rooms_of([fault], tree) == ["tests/room"]
+    assert run_tests(tree, ["tests/room"], 60) == (0, "")
 
 
 def test_a_fault_that_no_test_looks_at_is_not_seen(tree: Path) -> None:
@@ -59,10 +62,10 @@ def test_a_fault_that_no_test_looks_at_is_not_seen(tree: Path) -> None:
     assert is_seen(tree, fault, fault.tests(tree), 60) == (False, "")
 
 
-def test_tests_that_fail_without_a_fault_are_refused(tree: Path) -> None:
-    (tree / "room/sums.py").write_text(CODE.replace("2 * x", "5 * x"))
-    with pytest.raises(RuntimeError, match="fail without a fault"):
-        check_healthy(tree, [fault_of("x / 2", "x / 3")])
+def test_tests_that_fail_without_a_fault_refute_the_proof() -> None:
+    rows = [{"room": "a", "passes": True, "test": ""}, {"room": "b", "passes": False, "test": "b::test"}]
+    assert [claim.verdict for claim in judge_healthy(rows)] == ["refuted"]
+    assert [claim.verdict for claim in judge_healthy(rows[:1])] == ["shown"]
 
 
 @pytest.mark.parametrize(("before", "after"), [("7 * x", "8 * x"), ("return", "yield"), ("x / 2", "x / 2")])
@@ -73,9 +76,13 @@ def test_a_fault_that_does_not_fit_the_code_is_an_error(before: str, after: str)
 
 def test_what_is_explained_counts_neither_way() -> None:
     rows = [
-        {"name": "a", "written_by": "blind", "by": by, "test": "", "seconds": 1.0}
+        {"name": by, "written_by": author, "by": by, "test": ""}
+        for author in AUTHORS
         for by in ("room", "suite", "explained", "unseen")
     ]
-    assert share_seen(rows) == pytest.approx(2 / 3)
+    both, blind = judge(rows)
+    assert (both.key, both.n, both.found, both.verdict) == ("seen", 8, pytest.approx(2 / 3), "refuted")
+    assert (blind.key, blind.n, blind.found) == ("seen_blind", 4, pytest.approx(2 / 3))
     assert "4 faults, 1 seen by the tests of their room and of discovery, 1 more" in tell(rows)[0]
-    assert "- Not seen: `a`" in tell(rows)
+    assert "- Not seen: `unseen`" in tell(rows)
+    assert judge([row for row in rows if row["by"] != "unseen"])[0].verdict == "shown"
