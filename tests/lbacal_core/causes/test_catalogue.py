@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from datetime import datetime
+
 import numpy as np
 import pytest
 
@@ -49,6 +51,10 @@ def laws_of(cause):
         yield kind, dated
 
 
+SAID = {"index": "spectral_index", "power": "exponent", "delay_h": "delay_h", "line_mhz": "frequency_mhz"}
+"""Numbers of a planted law and what they are called in the template."""
+
+
 PLANTED = [pytest.param(cause, kind, law, id=f"{kind} {law}") for cause in MOVING for kind, law in laws_of(cause)]
 
 
@@ -71,6 +77,13 @@ def test_the_best_template_is_the_effect_that_the_twin_plants(cause, kind, law, 
     if kind not in OTHER_SIZE:
         # The finder's line is a fraction of the recorded power, the twin's of what reaches the converter: a tenth less.
         assert abs(match.slope) == pytest.approx(0.89 if cause == "rfi_line" else 1.0, abs=0.1)
+    found = match.template.parameters
+    for name, value in law.items():
+        if name in SAID:
+            assert found[SAID[name]] == pytest.approx(value, abs=0.5 if name == "line_mhz" else 1e-9)
+    if "date" in law:
+        days = (found["date_unix"] - datetime.fromisoformat(f"{DATE}T00:00Z").timestamp()) / 86_400
+        assert abs(days) < 365 / 60  # dates are scanned at sixty instants
 
 
 CHOSEN = {
