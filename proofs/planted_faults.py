@@ -72,7 +72,10 @@ class PlantedFault:
         """The text of its file with the fault."""
         count = text.count(self.before)
         if count != 1:
-            raise StaleFaultError(f"{self.file}: expected once, found {count} times: {self.before.strip()}")
+            raise StaleFaultError(
+                f"{self.file}: expected once, found {count} times: {self.before.strip()!r}; write the fault of "
+                f"{FAULTS.name} anew for the code as it is"
+            )
         if self.before == self.after:
             raise StaleFaultError(f"{self.file}: changes nothing: {self.before.strip()}")
         changed = text.replace(self.before, self.after)
