@@ -1,8 +1,13 @@
-"""Requests to the server: repeated while it is away, refused with the sentence that it gives."""
+"""Requests to the server: repeated while it is away, refused with the sentence that it gives.
+
+A request that does something carries an `Idempotency-Key`, the same in every try: an answer that was lost on the way
+back does not do it twice.
+"""
 
 from __future__ import annotations
 
 import time
+import uuid
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -36,7 +41,7 @@ class UnreachableError(LbacalError):
 
 @dataclass
 class Transport:
-    """One connection to one server. Every request of the client can be repeated without harm, so it is."""
+    """One connection to one server. Every request can be repeated without harm, so it is."""
 
     url: str
     api_key: str | None = None
@@ -56,13 +61,14 @@ class Transport:
     ) -> httpx2.Response:
         """Ask, and ask again while nobody answers or the server is busy."""
         given = {name: value for name, value in (params or {}).items() if value is not None}
+        headers = {} if method == "GET" else {"Idempotency-Key": uuid.uuid4().hex}
         pause, problem = FIRST_PAUSE_S, "no answer"
         for attempt in range(self.tries):
             if attempt > 0:
                 time.sleep(pause)
                 pause = min(2 * pause, LONGEST_PAUSE_S)
             try:
-                answer = self._http.request(method, path, params=given, json=body)
+                answer = self._http.request(method, path, params=given, json=body, headers=headers)
             except httpx2.TransportError as error:
                 problem = str(error) or type(error).__name__
                 continue

@@ -25,11 +25,14 @@ class Settings(BaseSettings):
     sky_power: Path | None = Field(default=None, description="sky power file; none = the package's own sky")
     resistance_ohm: float = Field(default=50.0, gt=0, description="R_r of all spectra, Ohm; it cancels in C")
     max_body_mb: float = Field(default=64, gt=0, description="largest request body, MB")
+    max_open_parts: int = Field(default=50, gt=0, description="parts of refits that one key may have waiting")
+    max_window_days: float = Field(default=732, gt=0, description="longest window of a refit, days")
     max_connections: int = Field(default=500, gt=0, description="connections of clients at once; more are closed")
     max_rate: float = Field(
         default=500, gt=0, description="requests a second of one address; ten seconds' worth at once"
     )
     open_reads: bool = Field(default=True, description="reads need no key")
+    wait_s: float = Field(default=60, ge=0, description="how long a process that starts waits for the database, s")
     lease_s: float = Field(default=120, gt=0, description="a worker silent for this long has lost its part, s")
     poll_s: float = Field(default=1, gt=0, description="pause of an idle worker between two looks for work, s")
     nightly_utc: str = Field(default="02:00", pattern=_TIME_OF_DAY, description="when due refits are found, UTC")

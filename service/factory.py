@@ -12,13 +12,16 @@ from lbacal_core.validity import Instant
 from service.config import Settings
 from service.storage.database import Database
 from service.usecases.calibrations import Calibrations
+from service.usecases.deeds import Deeds
 from service.usecases.drift import Drift
 from service.usecases.due import DueWork
 from service.usecases.gate import Gate
+from service.usecases.inputs import Inputs, name_inputs
 from service.usecases.intake import Intake
 from service.usecases.keys import Keys
 from service.usecases.promotions import Promotions
-from service.usecases.refits import Jobs, Refits
+from service.usecases.refits import Jobs, Limits, Refits
+from service.usecases.status import Status
 
 
 def read_clock() -> Instant:
@@ -68,11 +71,17 @@ class Factory:
         return compute_sky_power(self.instrument)
 
     @cached_property
+    def inputs(self) -> Inputs:
+        """What fits are made with here, besides spectra."""
+        return name_inputs(self.instrument, self.sky_power)
+
+    @cached_property
     def refits(self) -> Refits:
         """New versions."""
         gate = Gate(self.settings.gate_change, self.settings.gate_error)
         sky, resistance = self._get_sky_power, self.settings.resistance_ohm
-        return Refits(self.database, self.instrument, sky, resistance, gate, self.clock)
+        limits = Limits(self.settings.max_open_parts, self.settings.max_window_days)
+        return Refits(self.database, self.instrument, sky, resistance, gate, limits, self.clock)
 
     @cached_property
     def drift(self) -> Drift:
@@ -89,6 +98,16 @@ class Factory:
     def jobs(self) -> Jobs:
         """What was asked for and how far it is."""
         return Jobs(self.database, self.clock)
+
+    @cached_property
+    def status(self) -> Status:
+        """What an operator looks at."""
+        return Status(self.database, self.clock)
+
+    @cached_property
+    def deeds(self) -> Deeds:
+        """What is done once under one name."""
+        return Deeds(self.database, self.clock)
 
     def _get_sky_power(self) -> SkyPower:
         return self.sky_power

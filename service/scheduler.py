@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 from datetime import UTC
 
 import structlog
 from apscheduler.schedulers.background import BackgroundScheduler
 from apscheduler.triggers.cron import CronTrigger
+from apscheduler.triggers.interval import IntervalTrigger
 
 from service.errors import UnavailableError
 from service.factory import Factory
+from service.storage.processes import SCHEDULER
+from service.usecases.pulse import Pulse
 
 log = structlog.get_logger()
+AGAIN_S = 600
+"""How often failed work is looked at: the shortest pause before it is tried again."""
+FIRST_PAUSE_S, LONGEST_PAUSE_S = 1.0, 60.0
 
 
 def look_for_due_work(factory: Factory) -> list[int]:
@@ -22,24 +29,42 @@ def look_for_due_work(factory: Factory) -> list[int]:
     return jobs
 
 
+def look_again(factory: Factory) -> list[int]:
+    """Enqueue failed work whose pause is over, without waiting for the night."""
+    return look_for_due_work(factory) if factory.due.has_failed_lately() else []
+
+
 def run_scheduler(factory: Factory, stop: threading.Event) -> None:
     """Look for due work now, which makes up for any night missed, and then nightly until told to stop."""
 
     def look() -> None:
-        while not stop.is_set():
-            try:
-                look_for_due_work(factory)
-            except UnavailableError as error:
-                log.warning("database away", error=str(error))
-                stop.wait(factory.settings.poll_s)
-            else:
-                return
+        persist(lambda: look_for_due_work(factory), stop)
 
     hour, minute = factory.settings.nightly_utc.split(":")
     # no grace time: a night missed by a second or an hour is made up for, once
     scheduler = BackgroundScheduler(timezone=UTC, job_defaults={"coalesce": True, "misfire_grace_time": None})
     scheduler.add_job(look, CronTrigger(hour=hour, minute=minute, timezone=UTC), max_instances=1)
-    look()
-    scheduler.start()
-    stop.wait()
-    scheduler.shutdown()
+    again = IntervalTrigger(seconds=AGAIN_S, timezone=UTC)
+    scheduler.add_job(lambda: persist(lambda: look_again(factory), stop), again, max_instances=1)
+    with Pulse(factory.database, SCHEDULER, factory.inputs.text):
+        look()
+        scheduler.start()
+        stop.wait()
+        scheduler.shutdown()
+
+
+def persist(look: Callable[[], object], stop: threading.Event) -> None:
+    """Look until it succeeds, with ever longer pauses: whatever goes wrong in one look must not end all nights."""
+    pause = FIRST_PAUSE_S
+    while not stop.is_set():
+        try:
+            look()
+        except UnavailableError as error:
+            log.warning("database away", error=str(error), detail=error.detail)
+        except Exception:
+            # the top of the scheduler's loop: an error nobody foresaw is logged, and the next look may succeed
+            log.exception("look for due work failed")
+        else:
+            return
+        stop.wait(pause)
+        pause = min(2 * pause, LONGEST_PAUSE_S)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import socket
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -15,7 +13,10 @@ from lbacal_core.errors import LbacalError
 from service.errors import UnavailableError
 from service.factory import Factory
 from service.storage.jobs import LeaseLostError, Part
+from service.storage.processes import WORKER
 from service.usecases.drift import KIND as DRIFT
+from service.usecases.inputs import explain_difference
+from service.usecases.pulse import Pulse, name_process
 from service.usecases.refits import KIND as REFIT
 
 log = structlog.get_logger()
@@ -28,19 +29,23 @@ class Worker:
 
     def __init__(self, factory: Factory, name: str | None = None) -> None:
         self._factory = factory
-        self._name = name or f"{socket.gethostname()}:{os.getpid()}"
+        self._inputs = factory.inputs.text
+        self._name = name or name_process()
+        self._left: dict[str, int] = {}
         self._deeds: dict[str, Callable[[Part, str], None]] = {REFIT: factory.refits.run, DRIFT: factory.drift.run}
         self._lease_us = round(factory.settings.lease_s * 1e6)
 
     def run(self, stop: threading.Event, *, until_idle: bool = False) -> None:
         """Work until told to stop, or with `until_idle` until nothing is left to claim."""
-        with threadpool_limits(1):
+        database = self._factory.database
+        with threadpool_limits(1), Pulse(database, WORKER, self._inputs, self._name):
             while not stop.is_set():
                 try:
                     part = self._claim()
                     if part is not None:
                         self._do(part)
                         continue
+                    self._tell_what_is_left()
                 except UnavailableError as error:
                     log.warning("database away", error=str(error))
                 if until_idle:
@@ -49,7 +54,17 @@ class Worker:
 
     def _claim(self) -> Part | None:
         with self._factory.database.write() as stores:
-            return stores.jobs.claim(self._name, now=self._factory.clock(), lease_us=self._lease_us)
+            return stores.jobs.claim(self._name, lease_us=self._lease_us, inputs=self._inputs)
+
+    def _tell_what_is_left(self) -> None:
+        """Say once of parts that were made for other inputs that this worker refuses them."""
+        with self._factory.database.read() as stores:
+            waiting = stores.jobs.waiting()
+        left = {needed: count for needed, count in waiting.items() if needed is not None and needed != self._inputs}
+        if left != self._left:
+            for needed, count in left.items():
+                log.warning("parts refused", parts=count, needed=explain_difference(needed, self._inputs))
+        self._left = left
 
     def _do(self, part: Part) -> None:
         told = log.bind(job=part.job, part=part.number, kind=part.kind)
@@ -88,8 +103,7 @@ class Worker:
             while not is_done.wait(self._factory.settings.lease_s / RENEWALS):
                 try:
                     with self._factory.database.write() as stores:
-                        now = self._factory.clock()
-                        stores.jobs.renew(part, self._name, now=now, lease_us=self._lease_us)
+                        stores.jobs.renew(part, self._name, lease_us=self._lease_us)
                 except LbacalError as error:
                     # a lost lease shows when the part ends; a database that is away may be back by then
                     log.warning("lease not renewed", part=part.number, error=str(error))

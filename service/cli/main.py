@@ -18,6 +18,8 @@ from service.cli.processes import scheduler, worker
 from service.cli.serve import serve
 from service.cli.sky_power import sky_power
 from service.cli.spectra import spectra
+from service.cli.status import status
+from service.errors import UnavailableError
 
 app = typer.Typer(
     name="lbacal",
@@ -33,7 +35,7 @@ app.command()(investigate)
 app.command()(lst_curve)
 app.command(name="sky-power")(sky_power)
 app.command()(spectra)
-for command in (serve, scheduler, worker, ingest, refit, effective, jobs):
+for command in (serve, scheduler, worker, ingest, refit, effective, jobs, status):
     app.command()(command)
 app.add_typer(db, name="db")
 app.add_typer(keys, name="keys")
@@ -66,7 +68,8 @@ def main() -> None:
     try:
         app()
     except LbacalError as error:
-        print(f"lbacal: {error}", file=sys.stderr)
+        detail = f": {error.detail}" if isinstance(error, UnavailableError) and error.detail else ""
+        print(f"lbacal: {error}{detail}", file=sys.stderr)
         is_bad_input = isinstance(error, _BAD_INPUT) or error.status in _BAD_REQUEST
         sys.exit(EXIT_BAD_INPUT if is_bad_input else EXIT_FAILED)
     except _UNUSABLE_FILES as error:

@@ -3,22 +3,32 @@
 from __future__ import annotations
 
 import signal
+import socket
 import threading
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from lbacal_core.errors import LbacalError
+
 if TYPE_CHECKING:
     from service.factory import Factory
 
 
+Check = Annotated[bool, typer.Option("--check", help="Only ask whether one lives on this machine: exit 0 or 1.")]
+
+
 def scheduler(
     once: Annotated[bool, typer.Option("--once", help="Look for due work now, and end.")] = False,
+    check: Check = False,
 ) -> None:
     """Find due refits: now, which makes up for nights missed, and then every night. It enqueues, workers do.
 
     Example: lbacal scheduler
     """
+    if check:
+        _check("scheduler")
+        return
     from service.scheduler import look_for_due_work, run_scheduler
 
     factory = _open()
@@ -30,27 +40,40 @@ def scheduler(
 
 def worker(
     until_idle: Annotated[bool, typer.Option("--until-idle", help="End when nothing is left to do.")] = False,
+    check: Check = False,
 ) -> None:
     """Do refits. Any number of workers may run, on any machine that reaches the database.
 
     Example: lbacal worker
     """
+    if check:
+        _check("worker")
+        return
     from service.worker import Worker
 
     Worker(_open()).run(_stop_on_signal(), until_idle=until_idle)
 
 
 def _open() -> Factory:
-    from service.config import read_settings
-    from service.factory import Factory
-    from service.logs import configure_logs
+    from service.cli.opening import open_factory
     from service.storage.migration import require_current
 
-    settings = read_settings()
-    configure_logs(settings.log_level)
-    factory = Factory(settings)
+    factory = open_factory()
     require_current(factory.database)
     return factory
+
+
+def _check(kind: str) -> None:
+    """End with an error unless a process of a kind lives on this machine."""
+    from service.config import read_settings
+    from service.factory import Factory
+
+    with Factory(read_settings()).database.read() as stores:
+        found = [one for one in stores.processes.all() if one.kind == kind]
+    here = f"{socket.gethostname()}:"
+    if not any(one.is_alive for one in found if one.name.startswith(here)):
+        raise LbacalError(f"no {kind} on {here[:-1]} has been seen for a minute")
+    print(f"a {kind} lives on {here[:-1]}")
 
 
 def _stop_on_signal() -> threading.Event:

@@ -34,14 +34,13 @@ def serve(
 
     from service.app import make_app
     from service.cli.connections import configure_server, listen
-    from service.config import read_settings
-    from service.factory import Factory
-    from service.logs import configure_logs
+    from service.cli.opening import open_factory
     from service.storage.migration import require_current, upgrade
+    from service.storage.processes import API
+    from service.usecases.pulse import Pulse
 
-    settings = read_settings()
-    configure_logs(settings.log_level)
-    factory = Factory(settings)
+    factory = open_factory()
+    settings = factory.settings
     if settings.is_sqlite:
         upgrade(factory.database, lambda: factory.instrument)
     require_current(factory.database)
@@ -52,7 +51,8 @@ def serve(
         signal.signal(name, lambda *_: sys.exit(0))  # uvicorn ends what it began, then raises the signal again
     print(f"lbacal serves {factory.instrument.name} on http://{host}:{port} (documentation: /docs)", flush=True)
     try:
-        uvicorn.Server(configure_server(make_app(factory), settings.max_connections)).run([listening])
+        with Pulse(factory.database, API):
+            uvicorn.Server(configure_server(make_app(factory), settings.max_connections)).run([listening])
     finally:
         if child:
             child.stop()

@@ -14,6 +14,7 @@ from service.handlers.request import (
     IMMUTABLE,
     REVALIDATE,
     AntennaQuery,
+    IdempotencyKey,
     InPath,
     JsonBody,
     Limit,
@@ -157,12 +158,16 @@ def promote(
     caller: Annotated[Caller, caller_with("calibrations:promote")],
     body: JsonBody,
     dry_run: bool = False,
+    idempotency_key: IdempotencyKey = None,
 ) -> Response:
     wanted = parse_body(PromotionBody, body)
     if dry_run:
         return answer(request, describe_changes(None, use.promotions.preview(wanted, caller.name)))
-    content = use.promotions.promote(
-        wanted, caller.name, lambda made, changes: to_json(describe_changes(made, changes))
+    content = use.deeds.once(
+        caller.name,
+        idempotency_key,
+        b"promotion" + body,
+        lambda: use.promotions.promote(wanted, caller.name, lambda *made: to_json(describe_changes(*made))),
     )
     return answer(request, content, status=201)
 

@@ -1,12 +1,18 @@
-"""Whether the service lives and can serve."""
+"""Whether the service lives and can serve, and what an operator looks at."""
 
 from __future__ import annotations
 
-from fastapi import APIRouter, Request, Response
+from typing import Any
 
+from fastapi import APIRouter, Depends, Request, Response
+from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, generate_latest
+
+from service.handlers.metrics import describe_state
 from service.handlers.problems import document
-from service.handlers.request import UseCases, answer
-from service.storage.migration import require_current
+from service.handlers.request import UseCases, answer, require_read
+from service.storage.jobs import Failure
+from service.usecases.status import State
+from service.wire.instants import format_instant, format_optional
 
 router = APIRouter(tags=["health"])
 
@@ -16,7 +22,74 @@ async def get_health(request: Request) -> Response:
     return answer(request, {"status": "alive"})
 
 
-@router.get("/readyz", summary="The database answers and has the right schema", responses=document(503))
+@router.get(
+    "/readyz",
+    summary="The service can do its work",
+    description="503 with the reason while the database is away or of another schema, its disk is full, or no worker "
+    "has lived for a minute.",
+    responses=document(503),
+)
 def get_readiness(request: Request, use: UseCases) -> Response:
-    require_current(use.database)
+    use.status.require_ready()
     return answer(request, {"status": "ready", "instrument": use.instrument.name})
+
+
+@router.get(
+    "/v1/status",
+    summary="What an operator looks at",
+    description="Readiness and its problem, processes, parts of jobs by state, and the failures of the last 30 days "
+    "that nothing has made up for, with the time after which due work is tried again.",
+    responses=document(401, 503),
+    dependencies=[Depends(require_read)],
+)
+def get_status(request: Request, use: UseCases) -> Response:
+    return answer(request, describe_status(use.status.look()))
+
+
+@router.get(
+    "/metrics",
+    summary="Counts for Prometheus",
+    responses=document(401, 503),
+    dependencies=[Depends(require_read)],
+)
+def get_metrics(request: Request, use: UseCases) -> Response:
+    registry: CollectorRegistry = request.app.state.registry
+    text = generate_latest(registry) + generate_latest(describe_state(use.status.look(), use.clock()))
+    return answer(request, text, media_type=CONTENT_TYPE_LATEST)
+
+
+def describe_status(state: State) -> dict[str, Any]:
+    """What an operator looks at, as JSON values."""
+    return {
+        "ready": state.problem is None,
+        "problem": state.problem,
+        "processes": [
+            {
+                "name": process.name,
+                "kind": process.kind,
+                "alive": process.is_alive,
+                "silent_s": process.silent_us / 1e6,
+                "started_at": format_instant(process.started),
+            }
+            for process in state.processes
+        ],
+        "parts": dict(state.parts),
+        "stuck": list(state.stuck),
+        "events": state.events,
+        "newest_event": format_optional(state.newest_event),
+        "gated": state.gated,
+        "failures": [describe_failure(failure) for failure in state.failures],
+    }
+
+
+def describe_failure(failure: Failure) -> dict[str, Any]:
+    """A job that failed, and when it is tried again; null where nobody will unless it is asked for."""
+    again = failure.tries.again if failure.tries else None
+    return {
+        "job": failure.job.number,
+        "kind": failure.job.kind,
+        "request": dict(failure.job.request),
+        "error": "; ".join(failure.job.errors),
+        "tries": failure.tries.failed if failure.tries else 1,
+        "again_after": format_optional(again),
+    }

@@ -8,6 +8,7 @@ from fastapi import APIRouter, Depends, Query, Request, Response
 
 from service.handlers.problems import document
 from service.handlers.request import (
+    IdempotencyKey,
     JobNumber,
     JsonBody,
     Limit,
@@ -16,10 +17,12 @@ from service.handlers.request import (
     answer,
     caller_with,
     describes,
+    require_caller,
     require_read,
 )
 from service.storage.jobs import Job
 from service.usecases.keys import Caller
+from service.wire.answers import to_json
 from service.wire.bodies import RefitBody, parse_body
 from service.wire.instants import format_instant
 
@@ -36,11 +39,16 @@ Runner = Annotated[Caller, caller_with("refits:run")]
     responses=document(400, 401, 403, 409, 415, 422, 503),
     openapi_extra=describes(RefitBody),
 )
-def request_refit(request: Request, use: UseCases, caller: Runner, body: JsonBody) -> Response:
+def request_refit(
+    request: Request, use: UseCases, caller: Runner, body: JsonBody, idempotency_key: IdempotencyKey = None
+) -> Response:
     wanted = parse_body(RefitBody, body)
     if wanted.promote:
-        use.keys.require(request.headers.get("authorization"), "calibrations:promote")
-    return answer(request, {"job": use.refits.request(wanted, caller.name)}, status=202)
+        require_caller(request, use, "calibrations:promote")
+    content = use.deeds.once(
+        caller.name, idempotency_key, b"refit" + body, lambda: to_json({"job": use.refits.request(wanted, caller.name)})
+    )
+    return answer(request, content, status=202)
 
 
 @router.get(
@@ -74,11 +82,12 @@ def get_job(request: Request, use: UseCases, number: JobNumber) -> Response:
 @router.post(
     "/v1/jobs/{number}/cancel",
     summary="Stop a job",
-    description="What it has stored stays. A job that has ended cannot be stopped (409).",
+    description="What it has stored stays. A job that has ended cannot be stopped (409). Due work that was stopped is "
+    "tried again after a day.",
     responses=document(401, 403, 404, 409, 422, 503),
 )
-def cancel_job(request: Request, use: UseCases, _caller: Runner, number: JobNumber) -> Response:
-    return answer(request, describe_job(use.jobs.cancel(number)))
+def cancel_job(request: Request, use: UseCases, caller: Runner, number: JobNumber) -> Response:
+    return answer(request, describe_job(use.jobs.cancel(number, caller.name)))
 
 
 def describe_job(job: Job) -> dict[str, Any]:

@@ -27,17 +27,20 @@ class Buckets:
     _filled: OrderedDict[str, tuple[float, float]] = field(default_factory=OrderedDict, repr=False)
     _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
 
-    def take(self, name: str, tokens: float = 1.0) -> float:
-        """Take tokens and return 0; where there are too few, take none and return the seconds until there are."""
+    def take(self, name: str, *, spends: bool = True) -> float:
+        """Take a token and return 0; where there is none, return the seconds until there is one.
+
+        Without `spends` the bucket is only looked into.
+        """
         with self._lock:
             now = self.clock()
             level, since = self._filled.pop(name, (self.size, now))
             level = min(self.size, level + self.rate * (now - since))
-            is_enough = level >= tokens
-            self._filled[name] = (level - tokens if is_enough else level, now)
+            is_enough = level >= 1.0
+            self._filled[name] = (level - 1.0 if is_enough and spends else level, now)
             if len(self._filled) > MOST_REMEMBERED:
                 self._filled.popitem(last=False)  # asked least recently
-            return 0.0 if is_enough else (tokens - level) / self.rate
+            return 0.0 if is_enough else (1.0 - level) / self.rate
 
 
 class KeyGuard:
@@ -46,30 +49,30 @@ class KeyGuard:
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._refused = Buckets(BAD_KEYS_PER_S, BAD_KEYS_AT_ONCE, clock)
         self._good: OrderedDict[bytes, None] = OrderedDict()
+        self._lock = threading.Lock()
 
     def require_patience(self, address: str, authorization: str | None) -> None:
         """Refuse to look at another unknown key of an address that tried too many."""
         if authorization is None or _hash(authorization) in self._good:
             return
-        wait = self._refused.take(address)
+        wait = self._refused.take(address, spends=False)
         if wait > 0:
             raise TooManyError("too many wrong keys came from this address", wait)
 
-    def note_good(self, address: str, authorization: str | None) -> None:
-        """Remember a key that was accepted, and give the token back."""
-        if authorization is None:
-            return
-        name = _hash(authorization)
-        if name not in self._good:
-            self._refused.take(address, -1.0)
-            self._good[name] = None
-            if len(self._good) > MOST_REMEMBERED:
-                self._good.popitem(last=False)
-
-    def note_refused(self, authorization: str | None) -> None:
-        """Forget a key that is good no more."""
+    def note_good(self, authorization: str | None) -> None:
+        """Remember a key that was accepted."""
         if authorization is not None:
-            self._good.pop(_hash(authorization), None)
+            with self._lock:
+                self._good[_hash(authorization)] = None
+                if len(self._good) > MOST_REMEMBERED:
+                    self._good.popitem(last=False)
+
+    def note_refused(self, address: str, authorization: str | None) -> None:
+        """Count a key that was not accepted, whether it is good no more or never was."""
+        if authorization is not None:
+            self._refused.take(address)
+            with self._lock:
+                self._good.pop(_hash(authorization), None)
 
 
 def _hash(text: str) -> bytes:

@@ -8,7 +8,7 @@ from collections.abc import AsyncIterator, Sequence
 from contextlib import AbstractAsyncContextManager, nullcontext
 from typing import Annotated, Any, cast
 
-from fastapi import Depends, Path, Query, Request, Response
+from fastapi import Depends, Header, Path, Query, Request, Response
 from pydantic import BaseModel, BeforeValidator
 
 from lbacal_core.errors import BadInputError
@@ -41,6 +41,11 @@ InPath = Annotated[str, Path(pattern=r"^[^\x00-\x1f\x7f]{1,200}$")]
 """A name in an address; PostgreSQL holds no text with NUL."""
 
 
+IdempotencyKey = Annotated[
+    str | None, Header(description="a name of your choice: the same request under it is done once, for a week")
+]
+
+
 def get_factory(request: Request) -> Factory:
     """The use cases of this application."""
     return cast("Factory", request.app.state.factory)
@@ -62,9 +67,9 @@ def require_caller(request: Request, use: Factory, *scopes: str) -> Caller:
     try:
         caller = use.keys.require(authorization, *scopes)
     except UnauthenticatedError:
-        guard.note_refused(authorization)
+        guard.note_refused(address, authorization)
         raise
-    guard.note_good(address, authorization)
+    guard.note_good(authorization)
     request.state.caller = caller.name
     return caller
 

@@ -134,7 +134,8 @@ job = Table(
     Column("reason", Text, nullable=False),
     Column("by", Text, nullable=False),
     Column("created_us", BigInteger, nullable=False),
-    Column("due_key", Text, unique=True, comment="names scheduled work, so that it is enqueued once"),
+    Column("due_name", Text, index=True, comment="names scheduled work"),
+    Column("due_key", Text, unique=True, comment="its name and which try it is, so that each try is enqueued once"),
     Column("is_cancelled", Boolean, nullable=False),
 )
 
@@ -144,6 +145,7 @@ job_part = Table(
     Column("id", BigNumber, primary_key=True),
     Column("job", BigNumber, ForeignKey("job.id"), nullable=False, index=True),
     Column("request", Text, nullable=False, comment="JSON"),
+    Column("inputs", Text, comment="hashes that the worker must have: instrument, sky power, model version; JSON"),
     Column("state", Text, nullable=False, comment="queued, running, done, failed or cancelled"),
     Column("worker", Text, comment="who holds the lease"),
     Column("lease_until_us", BigInteger),
@@ -152,6 +154,26 @@ job_part = Table(
     Column("error", Text),
     Column("ended_us", BigInteger),
     Index(None, "state", "id"),
+)
+
+process = Table(
+    "process",
+    metadata,
+    Column("name", Text, primary_key=True, comment="host, number and a random part"),
+    Column("kind", Text, nullable=False, comment="api, scheduler or worker"),
+    Column("started_us", BigInteger, nullable=False),
+    Column("seen_us", BigInteger, nullable=False, comment="by the clock of the database"),
+    Column("inputs", Text, comment="hashes of what it works with: instrument, sky power, model version; JSON"),
+)
+
+deed = Table(
+    "deed",
+    metadata,
+    Column("by", Text, primary_key=True),
+    Column("name", Text, primary_key=True, comment="the Idempotency-Key of a request"),
+    Column("request_sha256", Text, nullable=False),
+    Column("answer", Text, comment="what was answered, JSON"),
+    Column("at_us", BigInteger, nullable=False, index=True),
 )
 
 api_key = Table(

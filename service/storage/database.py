@@ -10,15 +10,17 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from sqlalchemy import URL, Connection, Engine, create_engine, event, make_url
+from sqlalchemy import URL, Connection, Engine, create_engine, event, make_url, text
 from sqlalchemy.exc import SQLAlchemyError
 
 from service.errors import UnavailableError
+from service.storage.deeds import DeedStore
 from service.storage.drift import DriftStore
-from service.storage.failures import explain_failure
+from service.storage.failures import FULL, READ_ONLY, explain_failure
 from service.storage.jobs import JobStore
 from service.storage.keys import KeyStore
 from service.storage.ledger import LedgerStore
+from service.storage.processes import ProcessStore
 from service.storage.spectra import SpectraStore
 from service.storage.versions import VersionStore
 
@@ -61,6 +63,16 @@ class Stores:
         return JobStore(self._connection)
 
     @cached_property
+    def processes(self) -> ProcessStore:
+        """Processes that live."""
+        return ProcessStore(self._connection)
+
+    @cached_property
+    def deeds(self) -> DeedStore:
+        """What was done under a name."""
+        return DeedStore(self._connection)
+
+    @cached_property
     def drift(self) -> DriftStore:
         """Monthly ratios of C."""
         return DriftStore(self._connection)
@@ -84,6 +96,8 @@ class Database:
         self.engine = _make_writing_engine(parsed)
         self._readers = _make_reading_engine(parsed)
         self._open = threading.local()
+        self.write_failure: UnavailableError | None = None
+        """Why the last transaction that wrote could not, where that will not pass by itself; None once one could."""
 
     @contextmanager
     def read(self) -> Iterator[Stores]:
@@ -101,12 +115,18 @@ class Database:
         if outer is not None:
             yield outer
             return
-        with self._transaction(self.engine) as connection:
-            self._open.stores = Stores(connection)
-            try:
-                yield self._open.stores
-            finally:
-                self._open.stores = None
+        try:
+            with self._transaction(self.engine) as connection:
+                self._open.stores = Stores(connection)
+                try:
+                    yield self._open.stores
+                finally:
+                    self._open.stores = None
+        except UnavailableError as error:
+            if str(error) in (FULL, READ_ONLY):
+                self.write_failure = error
+            raise
+        self.write_failure = None
 
     @contextmanager
     def _transaction(self, engine: Engine) -> Iterator[Connection]:
@@ -120,6 +140,11 @@ class Database:
             if unavailable is None:
                 raise
             raise unavailable from error
+
+    def ping(self) -> None:
+        """Ask whether the database answers."""
+        with self.connect() as connection:
+            connection.execute(text("SELECT 1"))
 
     @contextmanager
     def connect(self) -> Iterator[Connection]:

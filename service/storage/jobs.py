@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from sqlalchemy import Connection, and_, or_, select, update
+from sqlalchemy import Connection, and_, func, or_, select, update
 from sqlalchemy.dialects.postgresql import insert as postgresql_insert
 from sqlalchemy.dialects.sqlite import insert as sqlite_insert
 
@@ -15,10 +15,16 @@ from lbacal_core.provenance import canonical_json
 from lbacal_core.validity import Instant
 from service.errors import ConflictError, NotFoundError
 from service.schema.tables import job, job_part
+from service.storage.clocks import read_database_clock
 
 QUEUED, RUNNING, DONE, FAILED, CANCELLED = "queued", "running", "done", "failed", "cancelled"
+OPEN = (QUEUED, RUNNING)
 MAX_ATTEMPTS = 10
 """A part whose workers died this often is given up: it would go on killing them."""
+PAUSE_US = 600_000_000
+"""After a failure due work is tried again in ten minutes, after each further one in twice the time."""
+LONGEST_PAUSE_US = 86_400_000_000
+"""At the latest it is tried again after a day, and work that somebody cancelled not before."""
 
 
 class LeaseLostError(ConflictError):
@@ -29,14 +35,19 @@ class LeaseLostError(ConflictError):
 
 @dataclass(frozen=True)
 class Order:
-    """A job to be made: who asked for what and why. `due_key` names scheduled work, which is made once."""
+    """A job to be made: who asked for what and why.
+
+    `inputs` are those that a worker must have for it (`service.usecases.inputs`). `due_name` names scheduled work,
+    which is made until it is done, and then no more.
+    """
 
     kind: str
     request: Mapping[str, Any]
     parts: Sequence[Mapping[str, Any]]
     reason: str
     by: str
-    due_key: str | None = None
+    due_name: str | None = None
+    inputs: str | None = None
 
 
 @dataclass(frozen=True)
@@ -83,6 +94,23 @@ class Job:
         return sum(state in (DONE, FAILED) for state in self.states) / len(self.states)
 
 
+@dataclass(frozen=True)
+class Tries:
+    """What became of due work: open or done, or failed so often, and when it may be tried again."""
+
+    is_settled: bool
+    failed: int
+    again: Instant | None
+
+
+@dataclass(frozen=True)
+class Failure:
+    """A job that failed; for due work when it is tried again."""
+
+    job: Job
+    tries: Tries | None
+
+
 class JobStore:
     """Jobs are inserted; their parts go from queued to running to done or failed."""
 
@@ -91,25 +119,51 @@ class JobStore:
         self._insert: Any = sqlite_insert if connection.dialect.name == "sqlite" else postgresql_insert
 
     def add(self, order: Order, now: Instant) -> int | None:
-        """Make a job; None where the same due work was enqueued before."""
+        """Make a job; None for due work that is done, open, or failed too shortly ago."""
+        key = order.due_name
+        if key is not None:
+            tries = self._tries(key)
+            if tries.is_settled or (tries.again is not None and now < tries.again):
+                return None
+            key = f"{key}.{tries.failed}" if tries.failed else key
         row = {
             "kind": order.kind, "request": canonical_json(order.request), "reason": order.reason, "by": order.by,
-            "created_us": now, "due_key": order.due_key, "is_cancelled": False,
+            "created_us": now, "due_name": order.due_name, "due_key": key, "is_cancelled": False,
         }  # fmt: skip
         statement = self._insert(job).values(row).on_conflict_do_nothing(index_elements=["due_key"]).returning(job.c.id)
         number = self._connection.execute(statement).scalar_one_or_none()
         if number is None:
             return None
-        parts = [{"job": number, "request": canonical_json(p), "state": QUEUED, "attempts": 0} for p in order.parts]
+        of_part = {"job": number, "inputs": order.inputs, "state": QUEUED, "attempts": 0}
+        parts = [{**of_part, "request": canonical_json(part)} for part in order.parts]
         self._connection.execute(job_part.insert(), parts)
         return int(number)
 
-    def claim(self, worker: str, *, now: Instant, lease_us: int) -> Part | None:
-        """Take the oldest part that is queued, or whose worker has been silent for longer than its lease."""
+    def _tries(self, due_name: str) -> Tries:
+        """What became of due work so far."""
+        columns = [job.c.id, job.c.is_cancelled, job_part.c.state, job_part.c.ended_us]
+        statement = select(*columns).join(job_part, job_part.c.job == job.c.id).where(job.c.due_name == due_name)
+        rows = self._connection.execute(statement).all()
+        if any(row.state in (QUEUED, RUNNING, DONE) for row in rows):
+            return Tries(is_settled=True, failed=0, again=None)
+        failed = len({row.id for row in rows})
+        pause = min(PAUSE_US * 2 ** min(failed - 1, 30), LONGEST_PAUSE_US) if failed else 0
+        ends = [row.ended_us + (LONGEST_PAUSE_US if row.is_cancelled else pause) for row in rows]
+        return Tries(is_settled=False, failed=failed, again=max(ends, default=None))
+
+    def claim(self, worker: str, *, lease_us: int, inputs: str | None = None) -> Part | None:
+        """Take a part that is queued, or whose worker has been silent for longer than its lease.
+
+        Parts that need other inputs than the worker's are left to others. Due work comes first: however much somebody
+        asks for, the night is not behind it. Leases are counted by the database's clock.
+        """
+        now = read_database_clock(self._connection)
         is_abandoned = and_(job_part.c.state == RUNNING, job_part.c.lease_until_us < now)
-        free = select(job_part.c.id, job_part.c.attempts).where(or_(job_part.c.state == QUEUED, is_abandoned))
-        free = free.order_by(job_part.c.id).limit(1).with_for_update(skip_locked=True)
-        found = self._connection.execute(free).one_or_none()
+        free = select(job_part.c.id, job_part.c.attempts).join(job, job.c.id == job_part.c.job)
+        free = free.where(or_(job_part.c.state == QUEUED, is_abandoned))
+        free = free.where(or_(job_part.c.inputs.is_(None), job_part.c.inputs == inputs))
+        free = free.order_by(job.c.due_name.is_(None), job_part.c.id).limit(1)
+        found = self._connection.execute(free.with_for_update(skip_locked=True, of=job_part)).one_or_none()
         if found is None:
             return None
         of_part = job_part.c.id == found.id
@@ -117,16 +171,16 @@ class JobStore:
             error = f"given up: {found.attempts} workers died on it"
             change = update(job_part).where(of_part).values(state=FAILED, error=error, ended_us=now, worker=None)
             self._connection.execute(change)
-            return self.claim(worker, now=now, lease_us=lease_us)
+            return self.claim(worker, lease_us=lease_us, inputs=inputs)
         taken = {"state": RUNNING, "worker": worker, "lease_until_us": now + lease_us, "attempts": found.attempts + 1}
         self._connection.execute(update(job_part).where(of_part).values(taken))
         statement = select(job_part.c.id, job_part.c.job, job.c.kind, job_part.c.request, job.c.reason, job.c.by)
         row = self._connection.execute(statement.join(job, job.c.id == job_part.c.job).where(of_part)).one()
         return Part(row.id, row.job, row.kind, json.loads(row.request), row.reason, row.by)
 
-    def renew(self, part: Part, worker: str, *, now: Instant, lease_us: int) -> None:
+    def renew(self, part: Part, worker: str, *, lease_us: int) -> None:
         """Tell that the worker lives."""
-        self._change(part, worker, lease_until_us=now + lease_us)
+        self._change(part, worker, lease_until_us=read_database_clock(self._connection) + lease_us)
 
     def complete(self, part: Part, worker: str, result: Mapping[str, Any], now: Instant) -> None:
         """Write the end of a part, in the transaction that writes its results: both happen once or not at all."""
@@ -141,13 +195,21 @@ class JobStore:
         if self._connection.execute(update(job_part).where(is_held).values(values)).rowcount == 0:
             raise LeaseLostError(f"part {part.number} of job {part.job} is no longer held by {holder}")
 
-    def cancel(self, number: int, now: Instant) -> None:
+    def cancel(self, number: int, now: Instant, by: str) -> None:
         """Stop a job: parts not yet done are dropped, running ones lose their lease. One that has ended stays so."""
         if (state := self.get(number).state) in (DONE, FAILED):
             raise ConflictError(f"job {number} is {state}: what it made is stored, and nothing is left to stop")
+        values = {"state": CANCELLED, "ended_us": now, "error": f"cancelled by {by}"}
+        open_parts = and_(job_part.c.job == number, job_part.c.state.in_(OPEN))
+        self._connection.execute(update(job_part).where(open_parts).values(values))
         self._connection.execute(update(job).where(job.c.id == number).values(is_cancelled=True))
-        open_parts = and_(job_part.c.job == number, job_part.c.state.in_([QUEUED, RUNNING]))
-        self._connection.execute(update(job_part).where(open_parts).values(state=CANCELLED, ended_us=now))
+
+    def drop_outdated(self, inputs: str, now: Instant, reason: str) -> int:
+        """Give up due parts that nobody has begun and that were made for other inputs; return their count."""
+        due = select(job.c.id).where(job.c.due_name.is_not(None))
+        is_outdated = and_(job_part.c.state == QUEUED, job_part.c.inputs != inputs, job_part.c.job.in_(due))
+        values = {"state": FAILED, "ended_us": now, "error": reason}
+        return self._connection.execute(update(job_part).where(is_outdated).values(values)).rowcount
 
     def get(self, number: int) -> Job:
         """One job by its number."""
@@ -163,10 +225,35 @@ class JobStore:
             statement = statement.where(job.c.id < before)
         return self._with_parts(list(self._connection.execute(statement).scalars()))
 
-    def count_open(self) -> int:
-        """How many parts wait or run."""
-        statement = select(job_part.c.id).where(job_part.c.state.in_([QUEUED, RUNNING]))
-        return len(self._connection.execute(statement).all())
+    def count_open(self, by: str | None = None) -> int:
+        """How many parts wait or run, all or those that somebody asked for."""
+        statement = select(func.count()).select_from(job_part).where(job_part.c.state.in_(OPEN))
+        if by is not None:
+            statement = statement.join(job, job.c.id == job_part.c.job).where(job.c.by == by)
+        return int(self._connection.execute(statement).scalar_one())
+
+    def waiting(self) -> dict[str | None, int]:
+        """How many parts are queued, by the inputs that they need."""
+        statement = select(job_part.c.inputs, func.count().label("parts")).where(job_part.c.state == QUEUED)
+        return {row.inputs: row.parts for row in self._connection.execute(statement.group_by(job_part.c.inputs))}
+
+    def count_by_state(self) -> dict[str, int]:
+        """How many parts there are in each state."""
+        statement = select(job_part.c.state, func.count().label("parts")).group_by(job_part.c.state)
+        counts = {row.state: row.parts for row in self._connection.execute(statement)}
+        return {state: counts.get(state, 0) for state in (QUEUED, RUNNING, DONE, FAILED, CANCELLED)}
+
+    def failures(self, since: Instant, limit: int) -> list[Failure]:
+        """Jobs with a failed part, newest first; of due work the last try, and none if it was made up for."""
+        later = job.alias()
+        is_same = and_(later.c.id > job.c.id, later.c.request == job.c.request, later.c.kind == job.c.kind)
+        made_up = select(later.c.id).where(is_same, later.c.due_name.is_not(None), job.c.due_name.is_not(None)).exists()
+        statement = select(job.c.id, job.c.due_name).join(job_part, job_part.c.job == job.c.id).distinct()
+        statement = statement.where(job_part.c.state == FAILED, job_part.c.ended_us >= since, ~made_up)
+        rows = self._connection.execute(statement.order_by(job.c.id.desc()).limit(limit)).all()
+        jobs = self._with_parts([row.id for row in rows])
+        tries = {row.id: self._tries(row.due_name) if row.due_name else None for row in rows}
+        return [Failure(one, tries[one.number]) for one in jobs]
 
     def _with_parts(self, numbers: Iterable[int]) -> list[Job]:
         numbers = list(numbers)

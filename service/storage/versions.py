@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from sqlalchemy import ColumnElement, Connection, Row, select
+from sqlalchemy import ColumnElement, Connection, Row, func, select
 from sqlalchemy.dialects.postgresql import insert as postgresql_insert
 from sqlalchemy.dialects.sqlite import insert as sqlite_insert
 
@@ -18,7 +18,7 @@ from lbacal_core.provenance import canonical_json, hash_content
 from lbacal_core.reference_chain import ReferenceChain
 from lbacal_core.validity import Instant, Scope
 from service.errors import NotFoundError
-from service.schema.tables import calibration, calibration_mean
+from service.schema.tables import calibration, calibration_mean, promotion
 from service.storage.chains import read_chains, write_chains
 
 MICROSECONDS = 1e6
@@ -175,6 +175,12 @@ class VersionStore:
         if status is not None:
             statement = statement.where(calibration.c.status == status)
         return self._values(self._connection.execute(statement).all())
+
+    def count_gated(self) -> int:
+        """How many versions wait for a human: the gate kept them back and nobody promoted them."""
+        promoted = select(promotion.c.id).where(promotion.c.calibration == calibration.c.id).exists()
+        waiting = select(func.count()).select_from(calibration).where(calibration.c.gate.is_not(None), ~promoted)
+        return int(self._connection.execute(waiting).scalar_one())
 
     def newest(self, limit: int) -> list[Version]:
         """The versions made last, newest first."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from lbacal_core.drift.monthly import measure_monthly_ratios
 from lbacal_core.drift.steps import find_steps
 from lbacal_core.grids import Floats
-from lbacal_core.instrument import Instrument
+from lbacal_core.instrument import DIPOLES, Instrument
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra_blocks import SpectraBlock, split_into_blocks
 from lbacal_core.validity import Instant, Scope
@@ -20,12 +20,11 @@ from service.storage.drift import MonthlyRatio
 from service.storage.jobs import Part
 from service.storage.spectra import Window
 from service.storage.versions import MeanC, Version
-from service.wire.instants import DAY_US
+from service.usecases.years import find_years
 
 KIND = "drift"
 BAND = (16.0, 50.0, 84.0)
 """Percentiles of the paths of a station: median and the middle 68 %."""
-SHORTEST_YEAR_US = 365 * DAY_US
 
 
 @dataclass(frozen=True)
@@ -67,14 +66,23 @@ class DriftSeries:
     steps: Sequence[Step]
 
 
-def find_references(stores: Stores, station: str) -> dict[Scope, str]:
-    """Of every path of a station, the version of the first whole year, the one made last if there are several."""
-    found: dict[Scope, MeanC] = {}
-    for mean in stores.versions.means_of_station(station):
-        is_first = mean.scope not in found or mean.since == found[mean.scope].since
-        if mean.until - mean.since >= SHORTEST_YEAR_US and is_first:
-            found[mean.scope] = mean
-    return {scope: mean.calibration for scope, mean in found.items()}
+def find_references(stores: Stores, instrument: Instrument, station: str) -> dict[Scope, str]:
+    """Find for every path of a station its own version that is in effect for its first whole calendar year (UTC).
+
+    A version that was made and not promoted changes nothing here.
+    """
+    antennas = sorted({record.antenna for record in instrument.antennas if record.station == station})
+    paths = [Scope(station, antenna, dipole) for antenna in antennas for dipole in DIPOLES]
+    found: dict[Scope, str] = {}
+    for since, until in find_years(stores):
+        missing = [path for path in paths if path not in found]
+        for path, said in stores.ledger.answers(missing, (since + until) // 2, None).items():
+            newest = said[0] if said and said[0].scope == path else None
+            if newest is None or newest.calibration is None:
+                continue
+            if newest.covers(since) and newest.covers(until - 1):
+                found[path] = newest.calibration
+    return found
 
 
 @dataclass(frozen=True)
@@ -91,7 +99,7 @@ class Drift:
         """Do a part: the monthly ratios of a station's year, replaced whole."""
         station, since, until = part.request["station"], part.request["since"], part.request["until"]
         with self.database.read() as stores:
-            references = find_references(stores, station)
+            references = find_references(stores, self.instrument, station)
             versions = stores.versions.get_many(references.values())
             window = Window(since, until, Scope(station))
             spectra = stores.spectra.load(window, self.instrument.frequency_mhz, self.resistance_ohm)

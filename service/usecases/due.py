@@ -3,19 +3,20 @@
 The rule. For every calendar year (UTC) that holds usable spectra there is one refit for the array, and for every
 station with spectra in it one of scope station and one of scope antenna. It is due when its window got new spectra or a
 flag was set or cleared in it, or when its version is too old: made with another instrument, sky power or model version.
-Work is named by exactly these, and a name is enqueued once: two schedulers, a restart or a night missed change nothing,
-because what is due follows from what is stored and not from when anybody looked.
+Work is named by exactly these. It is due until a part of that name is *done*: two schedulers, a restart or a night
+missed change nothing, and work that failed or was cancelled is tried again, after ten minutes and then after ever
+longer pauses, because what is due follows from what is stored and not from when anybody looked.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from functools import cached_property
 from typing import Any
 
 from lbacal_core.instrument import Instrument
-from lbacal_core.provenance import MODEL_VERSION, hash_content
+from lbacal_core.provenance import hash_content
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.validity import Instant, Scope
 from service.storage.database import Database, Stores
@@ -23,9 +24,11 @@ from service.storage.jobs import Order
 from service.storage.spectra import Window
 from service.usecases.drift import KIND as DRIFT
 from service.usecases.drift import find_references
+from service.usecases.inputs import Inputs, name_inputs
 from service.usecases.refits import KIND as REFIT
 from service.usecases.refits import describe_part
-from service.wire.instants import parse_instant
+from service.usecases.years import find_years
+from service.wire.instants import DAY_US
 
 BY = "scheduler"
 
@@ -40,10 +43,22 @@ class DueWork:
     clock: Callable[[], Instant]
 
     def enqueue(self) -> list[int]:
-        """Enqueue everything that is due, and return the new jobs."""
+        """Enqueue everything that is due, and return the new jobs.
+
+        Work that nobody has begun and that was enqueued for another instrument, sky power or model version is given up.
+        """
+        with self.database.write() as stores:
+            reason = "given up: the scheduler has another instrument, sky power or model version by now"
+            stores.jobs.drop_outdated(self._inputs.text, self.clock(), reason)
         with self.database.read() as stores:
             orders = [*self._refits(stores), *self._drift(stores, stores.spectra.stations())]
         return self._add(orders)
+
+    def has_failed_lately(self) -> bool:
+        """Whether due work failed within a day or two: then it is worth looking again before the night."""
+        with self.database.read() as stores:
+            failures = stores.jobs.failures(self.clock() - 2 * DAY_US, 1000)
+        return any(one.tries and one.tries.again is not None and one.tries.again <= self.clock() for one in failures)
 
     def enqueue_drift(self, station: str) -> list[int]:
         """Enqueue the drift of a station, whose versions changed."""
@@ -59,7 +74,7 @@ class DueWork:
         return [number for number in made if number is not None]
 
     def _refits(self, stores: Stores) -> Iterator[Order]:
-        for since, until in _years(stores):
+        for since, until in find_years(stores):
             filled = []
             for station in stores.spectra.stations():
                 content = stores.spectra.content(Window(since, until, Scope(station)))
@@ -73,36 +88,27 @@ class DueWork:
 
     def _refit(self, scope: str, of: Scope, since: Instant, until: Instant, content: Any) -> Order:
         part = describe_part(scope, of, since, until, promote=True)
-        due_key = hash_content([REFIT, part, content, self._inputs()])
-        return Order(REFIT, part, [part], "new spectra in the window, or other inputs than before", BY, due_key)
+        reason = "new spectra in the window, or other inputs than before"
+        return self._order(REFIT, part, [content], reason)
 
     def _drift(self, stores: Stores, stations: list[str]) -> Iterator[Order]:
         for station in stations:
-            references = find_references(stores, station)
+            references = find_references(stores, self.instrument, station)
             if not references:
                 continue
-            for since, until in _years(stores):
+            for since, until in find_years(stores):
                 content = stores.spectra.content(Window(since, until, Scope(station)))
                 if content[0] == 0:
                     continue
                 part = {"station": station, "since": since, "until": until}
-                due_key = hash_content([DRIFT, part, content, sorted(references.values()), self._inputs()])
-                yield Order(DRIFT, part, [part], "new spectra in the window, or another reference", BY, due_key)
+                reason = "new spectra in the window, or another reference"
+                yield self._order(DRIFT, part, [content, sorted(references.values())], reason)
 
-    def _inputs(self) -> list[Any]:
-        return [self.instrument.digest(), self.sky_power().digest(), MODEL_VERSION]
+    def _order(self, kind: str, part: dict[str, Any], called_for_by: list[Any], reason: str) -> Order:
+        own = self._inputs
+        due_name = hash_content([kind, part, *called_for_by, [own.instrument, own.sky_power, own.model_version]])
+        return Order(kind, part, [part], reason, BY, due_name, own.text)
 
-
-def _years(stores: Stores) -> Iterator[tuple[Instant, Instant]]:
-    """The calendar years with events, as half-open windows."""
-    span = stores.spectra.span()
-    if span is None:
-        return
-    first, last = (datetime.fromtimestamp(instant / 1e6, UTC).year for instant in span)
-    for year in range(first, last + 1):
-        yield start_of_year(year), start_of_year(year + 1)
-
-
-def start_of_year(year: int) -> Instant:
-    """The first instant of a year, UTC."""
-    return parse_instant("year", f"{year}-01-01")
+    @cached_property
+    def _inputs(self) -> Inputs:
+        return name_inputs(self.instrument, self.sky_power())

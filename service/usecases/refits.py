@@ -17,17 +17,27 @@ from lbacal_core.reference_chain import ReferenceChain
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra import Spectra
 from lbacal_core.validity import Instant, Promotion, Scope, newest_covering
-from service.errors import ConflictError
+from service.errors import ConflictError, TooManyError
 from service.storage.database import Database, Stores
 from service.storage.jobs import Job, Order, Part
 from service.storage.spectra import Window
 from service.storage.versions import Version
 from service.usecases.calibrations import select_paths
 from service.usecases.gate import Gate, find_predecessor
+from service.usecases.inputs import name_inputs
 from service.wire.bodies import RefitBody
-from service.wire.instants import format_instant, parse_instant
+from service.wire.instants import DAY_US, format_instant, parse_instant
 
 KIND = "refit"
+RETRY_S = 60.0
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What one key may ask for: open parts at once, and the longest window."""
+
+    open_parts: int
+    window_days: float
 
 
 @dataclass(frozen=True)
@@ -39,6 +49,7 @@ class Refits:
     sky_power: Callable[[], SkyPower]
     resistance_ohm: float
     gate: Gate
+    limits: Limits
     clock: Callable[[], Instant]
 
     def request(self, body: RefitBody, by: str) -> int:
@@ -46,18 +57,30 @@ class Refits:
         since, until = parse_instant("body.since", body.since), parse_instant("body.until", body.until)
         if until <= since:
             raise BadInputError("body.until", "an instant after since", body.until)
+        if until - since > self.limits.window_days * DAY_US:
+            most = f"a window of at most {self.limits.window_days:g} days (LBACAL_MAX_WINDOW_DAYS)"
+            raise BadInputError("body.until", most, f"{(until - since) / DAY_US:.0f} days")
         scope = Scope(body.station, body.antenna, body.dipole)
         select_paths(self.instrument, scope.station, scope.antenna, scope.dipole)
         is_too_narrow = {"array": scope != Scope(), "station": scope.antenna is not None, "antenna": False}
         if is_too_narrow[body.scope]:
             raise BadInputError("body", f"nothing narrower than the scope {body.scope}", scope.key)
+        inputs = name_inputs(self.instrument, self.sky_power()).text
         with self.database.write() as stores:
             stations = [scope.station] if scope.station else stores.spectra.stations()
             if not stations:
                 raise ConflictError("no spectra are stored: ingest some, then ask for a refit")
             wanted = [Scope()] if body.scope == "array" else [Scope(s, scope.antenna, scope.dipole) for s in stations]
             parts = [describe_part(body.scope, one, since, until, promote=body.promote) for one in wanted]
-            number = stores.jobs.add(Order(KIND, body.model_dump(), parts, body.reason, by), self.clock())
+            waiting = stores.jobs.count_open(by)
+            if waiting + len(parts) > self.limits.open_parts:
+                raise TooManyError(
+                    f"{waiting} parts of refits of {by} wait or run, and {len(parts)} more would be above "
+                    f"{self.limits.open_parts} (LBACAL_MAX_OPEN_PARTS)", RETRY_S
+                )  # fmt: skip
+            number = stores.jobs.add(
+                Order(KIND, body.model_dump(), parts, body.reason, by, inputs=inputs), self.clock()
+            )
         if number is None:
             raise ConflictError("the job could not be made")
         return number
@@ -175,8 +198,8 @@ class Jobs:
         with self.database.read() as stores:
             return stores.jobs.newest(before=before, limit=limit)
 
-    def cancel(self, number: int) -> Job:
+    def cancel(self, number: int, by: str) -> Job:
         """Stop a job; what it has already stored stays."""
         with self.database.write() as stores:
-            stores.jobs.cancel(number, self.clock())
+            stores.jobs.cancel(number, self.clock(), by)
             return stores.jobs.get(number)

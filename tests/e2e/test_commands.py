@@ -78,7 +78,7 @@ def test_an_admin_refits_and_sees_the_job(service: Any) -> None:
 
 
 def test_the_schema_is_checked(service: Any, tmp_path: Any) -> None:
-    assert service.run("db", "check").stdout == "schema 0001, as needed\n"
+    assert service.run("db", "check").stdout == "schema 0003, as needed\n"
     empty = service.run("db", "check", LBACAL_DATABASE_URL=str(tmp_path / "empty.sqlite"))
     assert empty.returncode == 1
     assert "run `lbacal db upgrade`" in empty.stderr

@@ -11,8 +11,10 @@ from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.spectra import Spectra
 from service.app import make_app
 from service.factory import Factory
-from service.scheduler import look_for_due_work
-from service.storage.jobs import LeaseLostError
+from service.scheduler import look_again, look_for_due_work
+from service.storage.jobs import LeaseLostError, Part
+from service.storage.processes import WORKER
+from service.usecases.pulse import Pulse
 from service.worker import Worker
 
 YEAR = {"since": "2014-01-01", "until": "2015-01-01"}
@@ -167,29 +169,165 @@ def test_a_job_that_is_done_stays_done_when_somebody_cancels_it(station: Factory
     assert http.get(f"/v1/jobs/{number}").json()["state"] == "done"
 
 
+def claim(station: Factory, worker: str, lease_us: int) -> Part | None:
+    with station.database.write() as stores:
+        return stores.jobs.claim(worker, lease_us=lease_us, inputs=station.inputs.text)
+
+
 def test_a_part_whose_worker_died_is_taken_over_and_the_dead_one_writes_nothing(
-    station: Factory, http: TestClient, clock: Any
+    station: Factory, http: TestClient
 ) -> None:
     number = refit(http)
-    with station.database.write() as stores:
-        part = stores.jobs.claim("dead", now=clock(), lease_us=5_000_000)
-        assert part is not None
-        assert stores.jobs.claim("other", now=clock(), lease_us=5_000_000) is None
-    clock.now += 5_000_001
+    assert claim(station, "living", lease_us=3_600_000_000) is not None
+    assert claim(station, "other", lease_us=1) is None
+    number = refit(http, station="CS002")
+    part = claim(station, "dead", lease_us=-1)
+    assert part is not None
     work(station)
     assert http.get(f"/v1/jobs/{number}").json()["state"] == "done"
     with pytest.raises(LeaseLostError):
         station.refits.run(part, "dead")
 
 
-def test_a_part_that_kills_its_workers_is_given_up(station: Factory, http: TestClient, clock: Any) -> None:
+def test_a_clock_that_is_ahead_holds_no_lease(station: Factory, http: TestClient, clock: Any) -> None:
+    number = refit(http)
+    clock.now += 86_400_000_000
+    assert claim(station, "ahead", lease_us=-1) is not None
+    clock.now -= 86_400_000_000
+    work(station)
+    assert http.get(f"/v1/jobs/{number}").json()["state"] == "done"
+
+
+def test_a_part_that_kills_its_workers_is_given_up(station: Factory, http: TestClient) -> None:
     number = refit(http)
     for _ in range(11):
-        with station.database.write() as stores:
-            stores.jobs.claim("dying", now=clock(), lease_us=1)
-        clock.now += 10
+        claim(station, "dying", lease_us=-1)
     job = http.get(f"/v1/jobs/{number}").json()
     assert (job["state"], job["error"]) == ("failed", "given up: 10 workers died on it")
+
+
+def with_other_sky(station: Factory) -> Factory:
+    """The same service with another sky power, as after a wrong mount."""
+    return Factory(station.settings.model_copy(update={"sky_power": None}), station.clock)
+
+
+def test_a_worker_with_another_sky_than_the_schedulers_does_nothing_and_says_why(
+    station: Factory, http: TestClient
+) -> None:
+    look_for_due_work(station)
+    wrong = with_other_sky(station)
+    with Pulse(wrong.database, WORKER, wrong.inputs.text):
+        work(wrong)
+        said = http.get("/v1/status").json()["stuck"]
+    wrong.database.close()
+    assert http.get("/v1/calibrations").json()["calibrations"] == []
+    assert {job["state"] for job in http.get("/v1/jobs").json()["jobs"]} == {"queued"}
+    assert len(said) == 1
+    assert said[0].startswith("6 parts wait for a worker with sky power ")
+    work(station)
+    assert len(http.get("/v1/calibrations/effective", params={"at": "2015-12-30"}).json()["curves"]) == 576
+
+
+def test_work_that_nobody_began_is_given_up_when_the_scheduler_has_another_sky(
+    station: Factory, http: TestClient
+) -> None:
+    look_for_due_work(station)
+    other = with_other_sky(station)
+    assert len(look_for_due_work(other)) == 6
+    work(other)
+    other.database.close()
+    states = [job["state"] for job in http.get("/v1/jobs").json()["jobs"] if job["kind"] == "refit"]
+    assert (states.count("failed"), states.count("done")) == (6, 6)
+    assert http.get("/v1/status").json()["failures"] == [], "later work with the same request made up for them"
+
+
+def fail_all(station: Factory) -> None:
+    while (part := claim(station, "unlucky", lease_us=3_600_000_000)) is not None:
+        with station.database.write() as stores:
+            stores.jobs.fail(part, "unlucky", "the mount is away", station.clock())
+
+
+MINUTE_US = 60_000_000
+
+
+def test_due_work_that_failed_is_tried_again_after_ever_longer_pauses(
+    station: Factory, http: TestClient, clock: Any
+) -> None:
+    assert len(look_for_due_work(station)) == 6
+    fail_all(station)
+    assert (look_for_due_work(station), look_again(station)) == ([], []), "not at once"
+    failures = http.get("/v1/status").json()["failures"]
+    assert {failure["error"] for failure in failures} == {"the mount is away"}
+    assert all(failure["again_after"] for failure in failures)
+    clock.now += 11 * MINUTE_US
+    assert len(look_again(station)) == 6
+    assert look_for_due_work(station) == [], "a second scheduler enqueues the second try once, too"
+    fail_all(station)
+    clock.now += 11 * MINUTE_US
+    assert look_again(station) == [], "the second pause is twice as long"
+    clock.now += 10 * MINUTE_US
+    assert len(look_again(station)) == 6
+    work(station)
+    assert look_for_due_work(station) == []
+    assert http.get("/v1/status").json()["failures"] == []
+    assert "the mount is away" in http.get("/jobs").text
+
+
+def test_due_work_that_was_cancelled_is_done_a_day_later(station: Factory, http: TestClient, clock: Any) -> None:
+    number = look_for_due_work(station)[0]
+    assert http.post(f"/v1/jobs/{number}/cancel").json()["error"] == "cancelled by key 1"
+    work(station)
+    assert look_for_due_work(station) == []
+    clock.now += 24 * 60 * MINUTE_US + 1_000_000
+    assert len(look_for_due_work(station)) == 1
+
+
+def test_the_night_is_not_behind_what_was_asked_for_before(station: Factory, http: TestClient) -> None:
+    asked = refit(http)
+    due = look_for_due_work(station)
+    parts = [claim(station, "worker", lease_us=3_600_000_000) for _ in range(7)]
+    assert [part.job for part in parts if part] == [*due, asked]
+
+
+def test_a_flood_of_refits_is_told_to_come_later(station: Factory, http: TestClient) -> None:
+    small = Factory(station.settings.model_copy(update={"max_open_parts": 2}), station.clock)
+    _, key = small.keys.create(("admin",))
+    body = {"scope": "antenna", **YEAR, "reason": "test", "promote": False}
+    with TestClient(make_app(small)) as client:
+        client.headers["Authorization"] = f"Bearer {key}"
+        answers = [client.post("/v1/refits", json=body) for _ in range(4)]
+    small.database.close()
+    assert [answer.status_code for answer in answers] == [202, 202, 429, 429]
+    assert answers[-1].headers["retry-after"] == "60"
+    assert http.post("/v1/refits", json=body).status_code == 202, "the others' share is their own"
+
+
+def test_a_window_of_all_years_is_refused(http: TestClient) -> None:
+    body = {"scope": "array", "since": "2009-01-01", "until": "2019-01-01", "reason": "test", "promote": False}
+    answer = http.post("/v1/refits", json=body)
+    assert answer.status_code == 422
+    assert "at most 732 days" in answer.json()["detail"]
+
+
+def test_a_refit_asked_for_twice_under_one_name_is_one_job(http: TestClient) -> None:
+    body = {"scope": "antenna", **YEAR, "reason": "test", "promote": False}
+    ask = {"url": "/v1/refits", "headers": {"Idempotency-Key": "mine"}}
+    first, second = (http.post(**ask, json=body) for _ in range(2))
+    assert (first.status_code, first.content) == (second.status_code, second.content)
+    assert len(http.get("/v1/jobs").json()["jobs"]) == 1
+    assert http.post(**ask, json={**body, "reason": "other"}).status_code == 409
+    assert http.post("/v1/refits", json=body, headers={"Idempotency-Key": "other"}).json() != first.json()
+
+
+def test_a_version_that_was_never_promoted_changes_no_drift(station: Factory, http: TestClient) -> None:
+    look_for_due_work(station)
+    work(station)
+    before = http.get("/v1/drift", params={"station": "CS002"}).json()["months"]
+    refit(http, since="2013-12-31", until="2015-12-31", promote=False)
+    work(station)
+    look_for_due_work(station)
+    work(station)
+    assert http.get("/v1/drift", params={"station": "CS002"}).json()["months"] == before
 
 
 def test_the_night_finds_every_year_station_and_antenna_once(station: Factory, http: TestClient) -> None:

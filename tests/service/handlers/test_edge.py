@@ -9,6 +9,7 @@ from fastapi.testclient import TestClient
 from prometheus_client import CollectorRegistry
 
 from service.app import make_app
+from service.errors import TooManyError
 from service.factory import Factory
 from service.handlers import edge
 from service.handlers.edge import STRICT, Edge
@@ -60,14 +61,18 @@ def test_a_bucket_fills_with_time() -> None:
     assert [buckets.take("a"), buckets.take("a")] == [0, 0.5]
 
 
-def test_a_key_that_was_revoked_counts_again() -> None:
+def test_a_good_key_of_many_at_once_is_not_a_flood_of_wrong_ones_and_a_revoked_one_counts() -> None:
     guard = KeyGuard(clock=lambda: 0.0)
-    guard.note_good("a", "key")
-    guard.note_refused("key")
+    for _ in range(3 * BAD_KEYS_AT_ONCE):
+        guard.require_patience("a", "key")  # all ask before the first is known to be good
+    guard.note_good("key")
     for _ in range(BAD_KEYS_AT_ONCE):
-        guard.require_patience("b", "key")
-    with pytest.raises(edge.TooManyError):
-        guard.require_patience("b", "key")
+        guard.note_refused("a", "other")
+    guard.require_patience("a", "key")
+    guard.note_refused("a", "key")
+    with pytest.raises(TooManyError):
+        guard.require_patience("a", "key")
+    guard.require_patience("b", "key")
 
 
 SCOPE = {"type": "http", "method": "POST", "path": "/x", "headers": [], "client": ("here", 1), "query_string": b""}

@@ -24,6 +24,7 @@ from service.errors import UnavailableError
 from service.factory import Factory
 from service.schema.tables import calibration, promotion
 from service.storage.migration import make_config, require_current, upgrade
+from service.storage.processes import WORKER
 from service.usecases.calibrations import select_paths
 
 
@@ -37,6 +38,8 @@ def test_an_upgrade_can_be_run_again(factory: Factory) -> None:
 
 
 def test_an_old_schema_is_refused_with_the_cure(factory: Factory, client: TestClient) -> None:
+    with factory.database.write() as stores:
+        stores.processes.see("worker", WORKER, None)
     assert client.get("/readyz").status_code == 200
     command.downgrade(make_config(factory.database), "base")
     with pytest.raises(UnavailableError, match="run `lbacal db upgrade`"):

@@ -1,0 +1,46 @@
+"""Deeds that were done under a name, so that asking again under the same name does not do them again."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from sqlalchemy import Connection, delete, select, update
+from sqlalchemy.dialects.postgresql import insert as postgresql_insert
+from sqlalchemy.dialects.sqlite import insert as sqlite_insert
+
+from lbacal_core.validity import Instant
+from service.schema.tables import deed
+
+KEPT_US = 7 * 86_400_000_000
+
+
+@dataclass(frozen=True)
+class Deed:
+    """What was asked under a name, and what was answered."""
+
+    request_sha256: str
+    answer: str
+
+
+class DeedStore:
+    """Deeds by who asked and the name that they gave."""
+
+    def __init__(self, connection: Connection) -> None:
+        self._connection = connection
+        self._insert: Any = sqlite_insert if connection.dialect.name == "sqlite" else postgresql_insert
+
+    def begin(self, by: str, name: str, request_sha256: str, now: Instant) -> Deed | None:
+        """Take a name; the deed that has it already, once that is done: somebody who does it now is waited for."""
+        self._connection.execute(delete(deed).where(deed.c.at_us < now - KEPT_US))
+        row = {"by": by, "name": name, "request_sha256": request_sha256, "at_us": now}
+        statement = self._insert(deed).values(row).on_conflict_do_nothing().returning(deed.c.name)
+        if self._connection.execute(statement).scalar_one_or_none() is not None:
+            return None
+        found = self._connection.execute(select(deed).where(deed.c.by == by, deed.c.name == name)).one()
+        return Deed(found.request_sha256, found.answer)
+
+    def end(self, by: str, name: str, answer: str) -> None:
+        """Keep what was answered."""
+        change = update(deed).where(deed.c.by == by, deed.c.name == name).values(answer=answer)
+        self._connection.execute(change)

@@ -1,0 +1,63 @@
+"""Which processes of the service live: each writes now and then that it does."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from sqlalchemy import Connection, delete, select
+from sqlalchemy.dialects.postgresql import insert as postgresql_insert
+from sqlalchemy.dialects.sqlite import insert as sqlite_insert
+
+from lbacal_core.validity import Instant
+from service.schema.tables import process
+from service.storage.clocks import read_database_clock
+
+API, SCHEDULER, WORKER = "api", "scheduler", "worker"
+ALIVE_US = 60_000_000
+"""Who has been silent for a minute counts as dead."""
+FORGOTTEN_US = 86_400_000_000
+
+
+@dataclass(frozen=True)
+class Process:
+    """A process of the service; `silent_us` is how long ago it said that it lives."""
+
+    name: str
+    kind: str
+    started: Instant
+    silent_us: int
+    inputs: str | None
+
+    @property
+    def is_alive(self) -> bool:
+        """Whether it spoke within the last minute."""
+        return self.silent_us < ALIVE_US
+
+
+class ProcessStore:
+    """Processes by their names, seen by the clock of the database."""
+
+    def __init__(self, connection: Connection) -> None:
+        self._connection = connection
+        self._insert: Any = sqlite_insert if connection.dialect.name == "sqlite" else postgresql_insert
+
+    def see(self, name: str, kind: str, inputs: str | None) -> None:
+        """Note that a process lives, and forget those that died a day ago."""
+        now = read_database_clock(self._connection)
+        row = {"name": name, "kind": kind, "started_us": now, "seen_us": now, "inputs": inputs}
+        statement = self._insert(process).values(row)
+        seen = {"seen_us": statement.excluded.seen_us, "inputs": statement.excluded.inputs}
+        self._connection.execute(statement.on_conflict_do_update(index_elements=["name"], set_=seen))
+        self._connection.execute(delete(process).where(process.c.seen_us < now - FORGOTTEN_US))
+
+    def leave(self, name: str) -> None:
+        """Note that a process has ended as it should."""
+        self._connection.execute(delete(process).where(process.c.name == name))
+
+    def all(self) -> Sequence[Process]:
+        """Those seen within a day, by kind and name."""
+        now = read_database_clock(self._connection)
+        rows = self._connection.execute(select(process).order_by(process.c.kind, process.c.name))
+        return [Process(row.name, row.kind, row.started_us, now - row.seen_us, row.inputs) for row in rows]

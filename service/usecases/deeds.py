@@ -1,0 +1,50 @@
+"""Deeds under a name: a request that is repeated because its answer was lost is answered again and not done again."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from lbacal_core.errors import BadInputError
+from lbacal_core.validity import Instant
+from service.errors import ConflictError
+from service.storage.database import Database
+
+LONGEST_NAME = 200
+
+
+@dataclass(frozen=True)
+class Deeds:
+    """Does what was asked for, once a name."""
+
+    database: Database
+    clock: Callable[[], Instant]
+
+    def once(self, by: str, name: str | None, request: bytes, do: Callable[[], bytes]) -> bytes:
+        """Do a deed and return its answer, or the answer of the deed that was done under the same name.
+
+        Deed and answer are one transaction: if the answer cannot be written, the deed is not done.
+
+        Parameters
+        ----------
+        name
+            The `Idempotency-Key` that the caller chose; None does the deed in any case.
+        request
+            What was asked, whole; something else under the same name is a conflict.
+        """
+        if name is None:
+            with self.database.write():
+                return do()
+        if not (0 < len(name) <= LONGEST_NAME and name.isprintable()):
+            raise BadInputError("Idempotency-Key", f"1 to {LONGEST_NAME} printable characters", repr(name[:60]))
+        digest = hashlib.sha256(request).hexdigest()
+        with self.database.write() as stores:
+            earlier = stores.deeds.begin(by, name, digest, self.clock())
+            if earlier is not None:
+                if earlier.request_sha256 != digest:
+                    raise ConflictError(f"something else was asked under the Idempotency-Key {name!r}")
+                return earlier.answer.encode()
+            answer = do()
+            stores.deeds.end(by, name, answer.decode())
+            return answer

@@ -1,0 +1,25 @@
+"""Calendar years: the windows of the scheduled fits."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from datetime import UTC, datetime
+
+from lbacal_core.validity import Instant
+from service.storage.database import Stores
+from service.wire.instants import parse_instant
+
+
+def find_years(stores: Stores) -> Iterator[tuple[Instant, Instant]]:
+    """The calendar years (UTC) from the first event to the last, as half-open windows."""
+    span = stores.spectra.span()
+    if span is None:
+        return
+    first, last = (datetime.fromtimestamp(instant / 1e6, UTC).year for instant in span)
+    for year in range(first, last + 1):
+        yield start_of_year(year), start_of_year(year + 1)
+
+
+def start_of_year(year: int) -> Instant:
+    """The first instant of a year, UTC."""
+    return parse_instant("year", f"{year}-01-01")
