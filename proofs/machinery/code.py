@@ -10,6 +10,11 @@ from pathlib import Path
 ROOT = Path(__file__).parents[2]
 WRITTEN = ("README.md", "docs/", "proofs/records/")
 """What a record writes or renews itself: it changes no result, so one record does not stand in the way of the next."""
+TOLD = (
+    "proofs/__main__.py", "proofs/quotes.toml", "proofs/machinery/page.py", "proofs/machinery/quotes.py",
+    "proofs/machinery/records.py", "proofs/machinery/run.py", "proofs/frozen/",
+)  # fmt: skip
+"""What tells of results and makes none."""
 
 
 def git(*arguments: str) -> str:
@@ -33,9 +38,10 @@ def changed_files() -> list[str]:
 
 
 def digest(folders: Sequence[str]) -> str:
-    """SHA-256 of every file in folders of the code; records of the same digest may be pooled."""
+    """SHA-256 of every file in folders that can change a result; records of the same digest may be pooled."""
     total = hashlib.sha256()
-    for name in sorted(git("ls-files", "-z", *folders).split("\0")):
-        if name and not name.startswith(WRITTEN) and (ROOT / name).is_file():
+    names = git("ls-files", "-z", "--cached", "--others", "--exclude-standard", *folders).split("\0")
+    for name in sorted(set(names)):
+        if name and not name.startswith((*WRITTEN, *TOLD)) and (ROOT / name).is_file():
             total.update(f"{name}\0{hashlib.sha256((ROOT / name).read_bytes()).hexdigest()}\n".encode())
     return total.hexdigest()

@@ -136,6 +136,23 @@ def test_records_of_two_machines_become_one(checkout: Path):
     assert len(read_records(folder)) == 1
 
 
+def test_a_scratch_run_of_a_new_file_does_not_take_up_what_its_earlier_text_gave(checkout: Path):
+    """Rows were kept under the digest of files that git knew, so that a proof not yet added resumed from old code."""
+    (checkout / "proofs" / "new.py").write_text("A = 1\n")
+    before = code.digest(("proofs",))
+    (checkout / "proofs" / "new.py").write_text("A = 2\n")
+    changed = code.digest(("proofs",))
+    assert changed != before
+    commit(checkout)
+    assert code.digest(("proofs",)) == changed
+
+
+def test_what_only_tells_of_results_leaves_records_poolable(checkout: Path):
+    before = code.digest(("proofs", "lbacal_core"))
+    (checkout / "proofs" / "quotes.toml").write_text("")
+    assert code.digest(("proofs", "lbacal_core")) == before
+
+
 def test_what_a_record_itself_writes_does_not_stand_in_the_way_of_the_next(checkout: Path):
     run_and_record("some", PART, Order())
     (checkout / "README.md").write_text("renewed\n")
