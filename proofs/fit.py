@@ -147,7 +147,7 @@ def fit_one(scene: Scene, rng: np.random.Generator) -> Row:
     """Draw and fit a data set: errors over the Fisher bound and pulls of C at `AT_MHZ` and of the noise constants."""
     spectra, sky = scene.draw(rng)
     curve = fit_calibration(spectra, scene.instrument, scene.sky_power).curves[0]
-    if curve.status != CONVERGED or curve.c is None or curve.c_sigma_stat is None:
+    if curve.status != CONVERGED or curve.c is None or curve.c_sigma_stat is None or curve.chi2_per_dof is None:
         return {"status": curve.status}
     fitted = [curve.parameters[name] for name in NAMES]
     truth = np.concatenate([scene.true_c(), scene.noise])
@@ -161,7 +161,7 @@ def fit_one(scene: Scene, rng: np.random.Generator) -> Row:
         "pull": np.round((error / sigma)[at], 4).tolist(),
         "median_error": float(np.median(np.abs(error / truth)[: -len(NAMES)])),
         "median_bound": float(np.median(bound[: -len(NAMES)])),
-        "chi2_per_dof": round(float(curve.chi2_per_dof), 5),
+        "chi2_per_dof": round(curve.chi2_per_dof, 5),
     }
 
 

@@ -153,10 +153,10 @@ def _fit_calmly(folder: Path, spectra: Spectra) -> dict[tuple[str, ...], str]:
     factory.due.enqueue()
     Worker(factory).run(threading.Event(), until_idle=True)
     paths = select_paths(factory.instrument, None, None, None)
-    found = {}
+    found: dict[tuple[str, ...], str] = {}
     for date in DATES:
         for curve in factory.calibrations.in_effect(parse_instant("date", date), paths).curves:
-            path = curve.path
+            path = curve.told.curve
             key = (date, str(path.station), str(path.antenna), str(path.dipole))
             found[key] = str(curve.promotion.calibration)
     factory.database.close()
@@ -299,7 +299,7 @@ def _is_idle(address: str) -> bool:
 
 
 def _read_in_effect(address: str) -> dict[tuple[str, ...], str]:
-    found = {}
+    found: dict[tuple[str, ...], str] = {}
     for date in DATES:
         curves = httpx2.get(f"{address}/v1/calibrations/effective", params={"at": date}, timeout=60).json()["curves"]
         for curve in curves:

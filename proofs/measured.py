@@ -129,7 +129,7 @@ def hypotheses_table(found: CurveInvestigation) -> list[str]:
         "| hypothesis | chi2 per point (drawn bars) | standing | C of X at 30, 55, 80 MHz | C of Y |",
         "|---|---|---|---|---|",
     ]
-    decide = {}
+    decide: dict[str, str] = {}
     for one in describe_curve(found, Provenance({}))["hypotheses"]:
         names = [
             f"{cause['cause']} {cause['parameters'].get('source', '')} "

@@ -52,7 +52,7 @@ def true_bins(density: Floats) -> Floats:
     """Expected power of every bin, ADC^2/MHz: the mean of what was drawn over each MHz, and the rounding noise."""
     step = np.arange(BINS[0] - 0.5, BINS[-1] + 0.5, 1e-3) + 5e-4
     drawn = np.exp(np.interp(step, GRID_MHZ, np.log(density)))
-    return drawn.reshape(BINS.size, -1).mean(axis=1) + ROUNDING
+    return np.asarray(drawn.reshape(BINS.size, -1).mean(axis=1) + ROUNDING)
 
 
 def trace_of(voltage: Floats, rcu: int, disturbances: Sequence[Transmitter | Shower] = ()) -> Trace:

@@ -41,7 +41,7 @@ class Difference:
         """Of two numbers, the difference over the larger; infinite for anything else."""
         if not (_is_number(self.before) and _is_number(self.after)):
             return float("inf")
-        return abs(self.after - self.before) / max(abs(self.before), abs(self.after))
+        return float(abs(self.after - self.before) / max(abs(self.before), abs(self.after)))
 
     def __str__(self) -> str:
         size = f" ({self.relative:.1e})" if self.relative < float("inf") else ""
@@ -117,7 +117,7 @@ def _tolerance(path: str, cause: str) -> float:
 
 def _differ(before: Any, after: Any, tolerance: float) -> bool:
     if _is_number(before) and _is_number(after):
-        return abs(after - before) > max(ABSOLUTE, tolerance * max(abs(before), abs(after)))
+        return bool(abs(after - before) > max(ABSOLUTE, tolerance * max(abs(before), abs(after))))
     return bool(before != after or isinstance(before, bool) != isinstance(after, bool))
 
 

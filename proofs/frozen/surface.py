@@ -82,7 +82,8 @@ def _of_scan(station: StationReport) -> dict[str, Any]:
 
 def _of_scores(scores: Sequence[dict[str, Any]], station: StationReport) -> dict[str, Any]:
     """The best score of every cause by its ID, with the trials factor."""
-    trials = {one.cause.identifier: float(one.trials) for one in (*station.first_scan, *station.static_scan)}
+    both: list[Any] = [*station.first_scan, *station.static_scan]
+    trials = {one.cause.identifier: float(one.trials) for one in both}
     return {one["cause"]: {**in_first_window(one), "trials": trials[one["cause"]]} for one in scores}
 
 
