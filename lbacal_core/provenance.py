@@ -41,11 +41,15 @@ def hash_arrays(*arrays: Any) -> str:
 
 @dataclass(frozen=True)
 class Provenance:
-    """The inputs of a result by name and hash, the settings used and the versions of what made it."""
+    """The inputs of a result by name and hash, the settings used and the versions of what made it.
+
+    `notes` tells by the name of an input what was done to it on the way.
+    """
 
     inputs: Mapping[str, str]
     settings: Mapping[str, Any] = field(default_factory=dict)
     model_version: int = MODEL_VERSION
+    notes: Mapping[str, str] = field(default_factory=dict)
 
     def as_dict(self) -> dict[str, Any]:
         """Everything as JSON values, package version included."""
@@ -54,4 +58,5 @@ class Provenance:
             "settings": dict(self.settings),
             "model_version": self.model_version,
             "lbacal": version("lbacal"),
+            **({"notes": dict(self.notes)} if self.notes else {}),
         }

@@ -112,6 +112,7 @@ def fit_calibration(spectra: Spectra, instrument: Instrument, sky_power: SkyPowe
             "sky_power": sky_power.digest(),
         },
         settings={"scope": scope, "min_events": MIN_EVENTS, "min_lst_bins": MIN_LST_BINS},
+        notes={} if sky_power.fit is None else {"sky_power": str(sky_power.fit)},
     )
     return FitReport(tuple(curve for curve, _ in fitted), provenance, tuple(chain for _, chain in fitted))
 

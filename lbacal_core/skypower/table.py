@@ -9,12 +9,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats, require_channels
 from lbacal_core.instrument import DIPOLES, parse_numbers, read_json
 from lbacal_core.provenance import hash_arrays
+from lbacal_core.skypower.series import HarmonicFit, make_even
 
+FEWEST_INSTANTS = 3
 LST_TOLERANCE_HOURS = 1e-6
 """4 ms: what rounding in a file may leave of a regular grid."""
 
@@ -36,6 +39,8 @@ class SkyPower:
         Sky model and antenna model, or the file it was read from.
     inputs_digest
         Hash of what it was computed from, set by `of_inputs` alone: a table made from another by `replace` has none.
+    fit
+        How the series fits a file whose instants are uneven; None where the table is as it was given.
     """
 
     frequency_mhz: Floats
@@ -43,19 +48,19 @@ class SkyPower:
     power: Mapping[str, Floats]
     origin: str = "sky power"
     inputs_digest: str | None = field(default=None, init=False)
+    fit: HarmonicFit | None = None
 
     def __post_init__(self) -> None:
         require_channels(self.origin, self.frequency_mhz)
         lst = self.lst_hours
-        if lst.ndim != 1 or lst.size < 3:
+        if lst.ndim != 1 or lst.size < FEWEST_INSTANTS:
             raise BadInputError(f"{self.origin}: lst_hours", "a list of at least 3 instants", f"shape {lst.shape}")
-        steps = np.diff(lst)
-        bad = np.flatnonzero(~(np.abs(steps - 24.0 / lst.size) < LST_TOLERANCE_HOURS))
+        bad = np.flatnonzero(~_is_even(lst))
         if bad.size:
             raise BadInputError(
                 f"{self.origin}: lst_hours, row {bad[0] + 1}",
                 f"24 h / {lst.size} = {24.0 / lst.size:g} h after the row before",
-                f"{steps[bad[0]]:g} h after it",
+                f"{lst[bad[0] + 1] - lst[bad[0]]:g} h after it",
             )
         for dipole in DIPOLES:
             values = self.power.get(dipole)
@@ -139,7 +144,31 @@ def read_sky_power(path: Path) -> SkyPower:
                 f"{path}: {dipole}, row {short[0]}", f"{frequency_mhz.size} channels", f"{parsed[short[0]].size}"
             )
         power[dipole] = np.array(parsed)
-    return SkyPower(frequency_mhz, parse_numbers(content["lst_hours"], f"{path}: lst_hours"), power, str(path))
+    lst_hours = parse_numbers(content["lst_hours"], f"{path}: lst_hours")
+    if lst_hours.size < FEWEST_INSTANTS or np.all(_is_even(lst_hours)):
+        return SkyPower(frequency_mhz, lst_hours, power, str(path))
+    return _fit_uneven(str(path), frequency_mhz, lst_hours, power)
+
+
+def _is_even(lst_hours: Floats) -> NDArray[np.bool_]:
+    """Whether each instant follows the one before by an even share of the sidereal day, shape (lst - 1,)."""
+    return np.asarray(np.abs(np.diff(lst_hours) - 24.0 / lst_hours.size) < LST_TOLERANCE_HOURS)
+
+
+def _fit_uneven(place: str, frequency_mhz: Floats, lst_hours: Floats, power: dict[str, Floats]) -> SkyPower:
+    """The table of a Fourier series fitted to uneven instants; its digest is that of the numbers given."""
+    for row in range(1, lst_hours.size):
+        if not lst_hours[row - 1] < lst_hours[row] <= lst_hours[0] + 24.0:
+            raise BadInputError(
+                f"{place}: lst_hours, row {row}",
+                f"more than {lst_hours[row - 1]:g} h and at most {lst_hours[0] + 24.0:g} h (LST rise over one day)",
+                f"{lst_hours[row]:g} h",
+            )
+    # refuses missing rows and values that are not positive, by their place in the file
+    SkyPower(frequency_mhz, 24.0 * np.arange(lst_hours.size) / lst_hours.size, power, place)
+    even, fitted, fit = make_even(place, lst_hours, power)
+    table = SkyPower(frequency_mhz, even, fitted, f"{place} ({fit})", fit=fit)
+    return table.of_inputs(hash_arrays(frequency_mhz, lst_hours, *(power[dipole] for dipole in DIPOLES)))
 
 
 def write_sky_power(sky_power: SkyPower, path: Path) -> None:

@@ -69,6 +69,8 @@ def fit(
     write_calibration_table(result, output)
     converged = [curve for curve in result.curves if curve.status == CONVERGED]
     print(f"{len(converged)} of {len(result.curves)} curves converged; wrote {output} and {report}")
+    for name, note in result.provenance.notes.items():
+        print(f"{name}: {note}")
     for curve in result.curves:
         if curve.status != CONVERGED:
             print(f"{curve.name}: {curve.status} ({curve.events} events, LST coverage {curve.lst_coverage:.2f})")

@@ -69,6 +69,43 @@ def test_the_digest_sees_every_number() -> None:
     assert SkyPower(FREQUENCY, table.lst_hours + 1e-9, table.power).digest() != table.digest()
 
 
+def smooth(lst_hours: np.ndarray[Any, Any], harmonics: int = 5) -> np.ndarray[Any, Any]:
+    """A sky of some harmonics, shape (lst, 3)."""
+    angle = 2 * np.pi / 24.0 * np.outer(lst_hours, np.arange(1, harmonics + 1))
+    swing = np.cos(angle - 1.0) @ (0.3 / np.arange(1.0, harmonics + 1) ** 2)
+    return np.outer(2.0 + swing, [1.0, 2.0, 3.0])
+
+
+@pytest.mark.parametrize("even", [False, True])
+def test_uneven_instants_give_the_same_sky_as_even_ones(tmp_path: Path, even: bool) -> None:
+    jitter = 0.0 if even else np.random.default_rng(4).uniform(-0.2, 0.2, 24)
+    lst = np.arange(24) + 0.5 + jitter
+    content = {"frequency_mhz": FREQUENCY.tolist(), "lst_hours": lst.tolist()}
+    content |= {"X": smooth(lst).tolist(), "Y": (2 * smooth(lst)).tolist()}
+    (tmp_path / "p.json").write_text(json.dumps(content))
+    read = read_sky_power(tmp_path / "p.json")
+    np.testing.assert_allclose(read.at("X", ANYWHERE), smooth(ANYWHERE), rtol=1e-9)
+    np.testing.assert_allclose(read.at("Y", ANYWHERE), 2 * smooth(ANYWHERE), rtol=1e-9)
+    if even:
+        assert read.fit is None
+    else:
+        assert read.fit is not None
+        assert (read.fit.instants, read.fit.harmonics) == (24, 8)
+        assert read.fit.largest < 1e-9
+        assert "8 harmonics fitted to 24 uneven instants, residual 0.00% r.m.s." in read.origin
+
+
+def test_uneven_instants_are_named_by_the_numbers_given(tmp_path: Path) -> None:
+    lst = np.arange(24) + np.where(np.arange(24) == 7, 0.1, 0.0)
+    digests = set()
+    for factor in (1.0, 1.0, 1.0 + 1e-15):
+        power = (factor * smooth(lst)).tolist()
+        content = {"frequency_mhz": FREQUENCY.tolist(), "lst_hours": lst.tolist(), "X": power, "Y": power}
+        (tmp_path / "p.json").write_text(json.dumps(content))
+        digests.add(read_sky_power(tmp_path / "p.json").digest())
+    assert len(digests) == 2
+
+
 def put(field: str, value: object) -> Callable[[dict[str, Any]], object]:
     return lambda content: content.__setitem__(field, value)
 
@@ -94,15 +131,31 @@ WRONG_CONTENT: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
     "flat": (put("X", [1.0] * 24), "X, row 0: expected a list of numbers, found float"),
     "LST in degrees": (
         lambda c: put("lst_hours", [15 * h for h in c["lst_hours"]])(c),
-        "lst_hours, row 1: expected 24 h / 24 = 1 h after the row before, found 15 h after it",
+        r"lst_hours, row 2: expected more than 16.875 h and at most 25.875 h \(LST rise over one day\), found 31.875 h",
     ),
     "LST with a hole": (
-        lambda c: c["lst_hours"].__setitem__(9, 9.5),
-        "lst_hours, row 9: expected 24 h / 24 = 1 h after the row before, found 1.375 h",
+        lambda c: [c[name].__delitem__(slice(9, 13)) for name in ("lst_hours", "X", "Y")],
+        "determine 8 harmonics of the sidereal day, one in every 1.4 h or so, found 5 h without one after row 8",
     ),
-    "LST closed at 24 h": (
-        put("lst_hours", list(np.linspace(0, 24, 24))),
-        "lst_hours, row 1: expected 24 h / 24 = 1 h",
+    "LST of the night": (
+        lambda c: [c[name].__delitem__(slice(12, 24)) for name in ("lst_hours", "X", "Y")],
+        "determine 5 harmonics .* found 13 h without one after the last row",
+    ),
+    "LST that falls": (
+        lambda c: c["lst_hours"].__setitem__(9, 3.0),
+        r"lst_hours, row 9: expected more than 8.125 h and at most 24.125 h .* found 3 h",
+    ),
+    "LST of several days": (
+        put("lst_hours", list(np.linspace(0, 48, 24))),
+        "lst_hours, row 12: expected more than 22.9565 h and at most 24 h",
+    ),
+    "uneven LST and a missing row": (
+        lambda c: [c["lst_hours"].__setitem__(9, 9.5), c["Y"].pop()],
+        r"Y: expected shape \(24, 3\) \(lst, freq\), found \(23, 3\)",
+    ),
+    "uneven LST and a zero": (
+        lambda c: [c["lst_hours"].__setitem__(9, 9.5), put_value("X", 23, 0, 0)(c)],
+        "X, row 23, channel 0: expected finite power > 0, found 0",
     ),
     "two instants": (put("lst_hours", [0.0, 12.0]), "lst_hours: expected a list of at least 3 instants"),
     "LST as number": (put("lst_hours", 24), "lst_hours: expected a list of numbers, found int"),

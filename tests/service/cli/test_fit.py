@@ -55,6 +55,26 @@ def test_the_antenna_is_the_scope_unless_another_is_given(folder: Path, lbacal: 
     assert json.loads((folder / "fit.json").read_text())["provenance"]["settings"]["scope"] == "antenna"
 
 
+@pytest.mark.parametrize(("scope", "said"), [("antenna", 0), ("station", 2), ("array", 2)])
+def test_a_mean_of_paths_is_said_to_be_nobodys_cable(folder: Path, lbacal: Lbacal, scope: str, said: int) -> None:
+    _, out, _ = lbacal(*FIT, "--scope", scope)
+    assert out.count("reference chain of 2 paths, nobody's cable; too few paths could be fitted by themselves") == said
+    references = [curve["reference"] for curve in json.loads((folder / "fit.json").read_text())["curves"]]
+    assert [one is not None for one in references] == ([True, True] if said else [False] * 4)
+
+
+def test_the_residual_of_uneven_instants_is_printed_and_kept(folder: Path, lbacal: Lbacal) -> None:
+    content = json.loads((folder / "sky_power.json").read_text())
+    kept = [k for k in range(96) if k % 9 != 4]
+    uneven = {name: [content[name][k] for k in kept] for name in ("lst_hours", "X", "Y")}
+    (folder / "sky_power.json").write_text(json.dumps(content | uneven))
+    code, out, err = lbacal(*FIT)
+    assert (code, err) == (0, "")
+    assert "sky_power: 21 harmonics fitted to 85 uneven instants, residual 0.00% r.m.s. and 0.00% at most" in out
+    notes = json.loads((folder / "fit.json").read_text())["provenance"]["notes"]
+    assert notes["sky_power"].startswith("21 harmonics fitted to 85 uneven instants")
+
+
 def cut_to(rows: int) -> Callable[[Path], None]:
     def change(folder: Path) -> None:
         with h5py.File(folder / "spectra.h5", "a") as file:
