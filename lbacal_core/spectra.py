@@ -220,7 +220,26 @@ def read_spectra(path: Path, now_unix: float | None = None) -> Spectra:
     return spectra
 
 
-def _read_open_file(file: h5py.File, place: str) -> dict[str, Any]:
+def read_columns(content: bytes, place: str, largest_bytes: int) -> dict[str, Any]:
+    """Read the bytes of a spectra file into the fields of `Spectra`, which has not checked them yet.
+
+    Parameters
+    ----------
+    place
+        What the bytes are, for messages.
+    largest_bytes
+        The most that any column may take in memory.
+    """
+    try:
+        with h5py.File(h5py.h5f.open_file_image(content), "r") as file:
+            return _read_open_file(file, place, largest_bytes)
+    except HDF5_FAILURES as error:
+        reason = str(error)[:120]
+        sentence = f"{place}: expected a spectra file (HDF5), found something unreadable ({reason})"
+        raise UnreadableFileError(sentence) from error
+
+
+def _read_open_file(file: h5py.File, place: str, largest_bytes: int | None = None) -> dict[str, Any]:
     """Everything in the file by the names of `Spectra`; types and shapes are settled before any data are read."""
     found_format = file.attrs.get("format", "none")
     if not isinstance(found_format, str | bytes) or read_text(found_format, f"{place}: attribute format") != FORMAT:
@@ -237,6 +256,9 @@ def _read_open_file(file: h5py.File, place: str) -> dict[str, Any]:
         kinds |= {f"env/{name}": NUMBERS for name in file["env"]}
     datasets = {name: open_dataset(file, name, kind, f"{place}: {name}") for name, kind in kinds.items()}
     _require_shapes(datasets, place)
+    for name, dataset in datasets.items():
+        if largest_bytes is not None and dataset.nbytes > largest_bytes:
+            raise BadInputError(f"{place}: {name}", f"at most {largest_bytes} bytes", f"{dataset.nbytes}")
     values = {name: read_values(datasets[name], kind, f"{place}: {name}") for name, kind in kinds.items()}
     return {
         **{name: values[name] for name in _KINDS},

@@ -22,6 +22,7 @@ from service.usecases.keys import Keys
 from service.usecases.promotions import Promotions
 from service.usecases.refits import Jobs, Limits, Refits
 from service.usecases.status import Status
+from service.wire.hdf5_body import FileReader
 
 
 def read_clock() -> Instant:
@@ -49,7 +50,7 @@ class Factory:
     @cached_property
     def intake(self) -> Intake:
         """Spectra in."""
-        return Intake(self.database, self.instrument, self.settings.resistance_ohm, self.clock)
+        return Intake(self.database, self.instrument, self.settings.resistance_ohm, self.clock, FileReader())
 
     @cached_property
     def calibrations(self) -> Calibrations:

@@ -20,6 +20,7 @@ from service.wire.answers import to_json
 
 IMMUTABLE = "public, max-age=31536000, immutable"
 REVALIDATE = "no-cache"
+HDF5 = "application/x-hdf5"
 SMALL_BODY = 65_536
 """Bytes of a body that changes one thing; the longest reason takes 24,000."""
 LARGE_BODY = 4_000_000
@@ -103,14 +104,19 @@ async def read_json_body(request: Request) -> bytes:
 async def read_spectra_body(request: Request, use: UseCases) -> AsyncIterator[bytes]:
     """The body of a batch of spectra, of the largest size allowed; large ones are worked on one at a time."""
     limit = round(use.settings.max_body_mb * 1e6)
-    body = await _read_body(request, ("application/json",), limit, " (LBACAL_MAX_BODY_MB)")
+    body = await _read_body(request, ("application/json", HDF5), limit, " (LBACAL_MAX_BODY_MB)")
     turn: AbstractAsyncContextManager[object] = request.app.state.large_bodies
     async with turn if len(body) > LARGE_BODY else nullcontext():
         yield body
 
 
+def media_type_of(request: Request) -> str:
+    """What a request says that its body is."""
+    return request.headers.get("content-type", "").partition(";")[0].strip().lower()
+
+
 async def _read_body(request: Request, media_types: Sequence[str], limit: int, setting: str) -> bytes:
-    media = request.headers.get("content-type", "").partition(";")[0].strip().lower()
+    media = media_type_of(request)
     if media not in media_types:
         expected = " or ".join(media_types)
         raise UnsupportedMediaError(f"this route reads {expected}, not {media or 'an unnamed type'}")
@@ -150,9 +156,11 @@ def answer(
     return Response(body, status, headers, media_type)
 
 
-def describes(body: type[BaseModel]) -> dict[str, Any]:
-    """The part of the OpenAPI document that tells what a body looks like."""
-    return {"requestBody": {"required": True, "content": {"application/json": {"schema": _inline(body)}}}}
+def describes(body: type[BaseModel], *others: str) -> dict[str, Any]:
+    """The part of the OpenAPI document that tells what a body looks like; other media types are files."""
+    content: dict[str, Any] = {"application/json": {"schema": _inline(body)}}
+    content |= {media: {"schema": {"type": "string", "format": "binary"}} for media in others}
+    return {"requestBody": {"required": True, "content": content}}
 
 
 def _inline(body: type[BaseModel]) -> dict[str, Any]:

@@ -8,6 +8,7 @@ from fastapi import APIRouter, Depends, Query, Request, Response
 
 from service.handlers.problems import document
 from service.handlers.request import (
+    HDF5,
     InPath,
     JsonBody,
     Limit,
@@ -17,6 +18,7 @@ from service.handlers.request import (
     answer,
     caller_with,
     describes,
+    media_type_of,
     require_read,
 )
 from service.storage.spectra import StoredEvent
@@ -32,12 +34,13 @@ Writer = Annotated[Caller, caller_with("spectra:write")]
     "/v1/spectra",
     status_code=201,
     summary="Store spectra",
-    description="A whole batch or nothing; sending the same again does no harm. 201 if anything was stored, else 200.",
+    description="A whole batch or nothing, as JSON or as a spectra file (HDF5); sending the same again does no harm. "
+    "201 if anything was stored, else 200.",
     responses=document(400, 401, 403, 409, 413, 415, 422, 503),
-    openapi_extra=describes(SpectraBody),
+    openapi_extra=describes(SpectraBody, HDF5),
 )
 def store_spectra(request: Request, use: UseCases, _caller: Writer, body: SpectraUpload) -> Response:
-    receipt = use.intake.store_body(parse_body(SpectraBody, body))
+    receipt = use.intake.receive(body, is_file=media_type_of(request) == HDF5)
     content = {"received": receipt.received, "stored": receipt.stored, "duplicates": receipt.duplicates}
     return answer(request, content, status=201 if receipt.stored else 200)
 

@@ -17,12 +17,15 @@ from service.errors import ConflictError
 from service.storage.arrivals import EVENT_SPAN_US
 from service.storage.database import Database
 from service.storage.spectra import StoredEvent
-from service.wire.bodies import LONGEST_NAME, SpectraBody, SpectrumBody
+from service.wire.bodies import LONGEST_NAME, MAX_SPECTRA, SpectraBody, SpectrumBody, parse_body
+from service.wire.hdf5_body import FileReader
 from service.wire.instants import format_instant, parse_instant
 
 MAX_NAMES_IN_BATCH = 64
 """Names of covariates in one batch: each is a column of it in memory."""
 Place = Callable[[str, int], str]
+_FIELDS = {"time_unix": "time_utc"}
+"""Columns that JSON calls otherwise."""
 
 
 def name_row(column: str, row: int) -> str:
@@ -51,6 +54,7 @@ class Intake:
     instrument: Instrument
     resistance_ohm: float
     clock: Callable[[], Instant]
+    files: FileReader
 
     @cached_property
     def _records(self) -> dict[tuple[str, int], list[AntennaRecord]]:
@@ -59,8 +63,14 @@ class Intake:
             records.setdefault((record.station, record.antenna), []).append(record)
         return records
 
+    def receive(self, content: bytes, *, is_file: bool) -> Receipt:
+        """Store a body, a spectra file or JSON, whole or not at all."""
+        if is_file:
+            return self.store(self.files.read(content))
+        return self.store_body(parse_body(SpectraBody, content))
+
     def store_body(self, body: SpectraBody) -> Receipt:
-        """Store the spectra of a JSON body whole or not at all; those it holds twice count as duplicates."""
+        """Store the spectra of a JSON body; those it holds twice count as duplicates."""
         require_same_grid(
             "body", np.array(body.frequency_mhz, dtype=float), self.instrument.frequency_mhz,
             f"instrument {self.instrument.name}",
@@ -68,7 +78,9 @@ class Intake:
         times = _read_times(body.spectra)
         rows = _without_repeats(body.spectra, times)
         spectra = _as_spectra(body, rows, times, self.resistance_ohm)
-        return self.store(spectra, len(body.spectra), lambda column, k: f"body.spectra[{rows[k]}].{column}")
+        return self.store(
+            spectra, len(body.spectra), lambda column, k: f"body.spectra[{rows[k]}].{_FIELDS.get(column, column)}"
+        )
 
     def store(self, spectra: Spectra, received: int | None = None, name_place: Place = name_row) -> Receipt:
         """Store spectra whole or not at all.
@@ -80,11 +92,15 @@ class Intake:
         name_place
             Says where a column's row stands in what was sent.
         """
+        if len(spectra) > MAX_SPECTRA:
+            raise BadInputError(spectra.origin, f"at most {MAX_SPECTRA} spectra", str(len(spectra)))
         instrument = f"instrument {self.instrument.name}"
         require_same_grid(spectra.origin, spectra.frequency_mhz, self.instrument.frequency_mhz, instrument)
         if spectra.resistance_ohm != self.resistance_ohm:
             expected, found = f"{self.resistance_ohm:g} as set here", f"{spectra.resistance_ohm:g}"
             raise BadInputError(f"{spectra.origin}: resistance_ohm", expected, found)
+        if not len(spectra):
+            raise BadInputError(spectra.origin, "spectra", "none")
         _require_names(spectra, name_place)
         self._require_on_record(spectra, name_place)
         spectra.require_past(self.clock() / 1e6)
@@ -106,7 +122,7 @@ class Intake:
             if not any(record.covers(time) for record in records):
                 expected = f"a time at which {station} antenna {antenna} is on record"
                 found = format_instant(round(time * 1e6))
-                raise BadInputError(name_place("time_utc", k), expected, found)
+                raise BadInputError(name_place("time_unix", k), expected, found)
 
     def events(
         self,
@@ -198,4 +214,4 @@ def _require_one_time_an_event(spectra: Spectra, name_place: Place) -> None:
     k = int(np.argmax(apart))
     if apart[k] > EVENT_SPAN_US / 1e6:
         expected = f"a time within {EVENT_SPAN_US / 1e6:g} s of the other spectra of event {names[of_row[k]]}"
-        raise BadInputError(name_place("time_utc", k), expected, f"{apart[k]:.0f} s")
+        raise BadInputError(name_place("time_unix", k), expected, f"{apart[k]:.0f} s")

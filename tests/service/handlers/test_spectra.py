@@ -1,12 +1,18 @@
 from __future__ import annotations
 
+import io
 import json
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 from threading import Barrier
 from typing import Any
 
+import h5py
+import numpy as np
 import pytest
 from fastapi.testclient import TestClient
+
+from lbacal_core.spectra import Spectra, write_spectra
 
 MHZ = [30.0, 45.0, 60.0, 80.0]
 
@@ -226,6 +232,74 @@ def test_a_body_that_changes_one_thing_is_small(client: TestClient) -> None:
     answer = client.post("/v1/events/e0/flag", json={"flag": "x", "reason": "r" * 100_000})
     assert answer.status_code == 413
     assert "65536" in answer.json()["detail"]
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> bytes:
+    """The spectra of two events of four paths."""
+    rows = [(e, a, d) for e in range(2) for a in range(2) for d in "XY"]
+    spectra = Spectra(
+        frequency_mhz=np.array(MHZ),
+        power=np.array([[1.0 + e, 2.0, 3.0, 4.0] for e, _, _ in rows]),
+        event_id=np.array([f"e{e}" for e, _, _ in rows]),
+        time_unix=np.array([1393675200.123456 + 86400.0 * e for e, _, _ in rows]),
+        station=np.full(len(rows), "CS001"),
+        antenna=np.array([a for _, a, _ in rows]),
+        dipole=np.array([d for _, _, d in rows]),
+        blocks=np.full(len(rows), 100),
+        environment={"temperature_c": np.array([4.0 + e for e, _, _ in rows])},
+    )
+    write_spectra(spectra, tmp_path / "spectra.h5")
+    return (tmp_path / "spectra.h5").read_bytes()
+
+
+def post_file(client: TestClient, content: bytes) -> Any:
+    return client.post("/v1/spectra", content=content, headers={"Content-Type": "application/x-hdf5"})
+
+
+def test_a_spectra_file_is_stored_as_the_same_json_is(client: TestClient, file: bytes) -> None:
+    rows = [spectrum(e, antenna=a, dipole=d) for e in range(2) for a in range(2) for d in "XY"]
+    assert client.post("/v1/spectra", json=batch(*rows[:3])).status_code == 201
+    first = post_file(client, file)
+    assert (first.status_code, first.json()) == (201, {"received": 8, "stored": 5, "duplicates": 3})
+    again = post_file(client, file)
+    assert (again.status_code, again.json()) == (200, {"received": 8, "stored": 0, "duplicates": 8})
+    assert client.post("/v1/spectra", json=batch(*rows)).json()["duplicates"] == 8
+    assert [event["env"] for event in client.get("/v1/events").json()["events"]] == [
+        {"temperature_c": 4.0}, {"temperature_c": 5.0},
+    ]  # fmt: skip
+    changed = batch({**rows[0], "blocks": 7}, spectrum(9))
+    assert client.post("/v1/spectra", json=changed).status_code == 409
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "sentence"),
+    [
+        ("station", ["CS009"] * 8, "body: station, row 0: expected one of CS001, CS002, found 'CS009'"),
+        ("antenna", [0, 0, 1, 1, 0, 0, 1, 77], "body: antenna, row 7: expected an antenna of CS001, found 77"),
+        ("event_id", ["a/b"] * 4 + ["c"] * 4, "body: event_id, row 0: expected at most 200 printable characters"),
+        ("time_unix", [1.4e9] * 7 + [1.41e9], "body: time_unix, row 7: expected a time within 60 s"),
+        ("time_unix", [1.2e9] * 8, "body: time_unix, row 0: expected an instant of 2009 or later"),
+        ("frequency_mhz", [30.0, 45.0, 60.0, 81.0], "body: frequency_mhz, channel 3: expected 80 MHz"),
+        ("power", -np.ones((8, 4)), "body: power, row 0: expected finite power > 0"),
+    ],
+)
+def test_a_bad_spectra_file_is_refused_whole(
+    client: TestClient, file: bytes, name: str, values: Any, sentence: str
+) -> None:
+    content = io.BytesIO(file)
+    with h5py.File(content, "a") as opened:
+        del opened[name]
+        opened[name] = values
+    answer = post_file(client, content.getvalue())
+    assert answer.status_code == 422, answer.text
+    assert answer.json()["detail"].startswith(sentence)
+    assert count(client) == 0
+
+
+def test_a_file_that_is_none_is_malformed(client: TestClient, file: bytes) -> None:
+    for content in (b"", b"{}", file[:2000]):
+        assert post_file(client, content).status_code == 400
 
 
 @pytest.mark.parametrize(

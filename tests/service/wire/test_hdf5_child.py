@@ -1,0 +1,49 @@
+from __future__ import annotations
+
+import io
+import json
+import signal
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from service.wire.hdf5_child import GOOD, REFUSED, read_file, write_example
+
+
+def confined(code: str, deadline_s: int = 20) -> subprocess.CompletedProcess[str]:
+    start = f"from service.wire.hdf5_child import confine; confine({deadline_s}); "
+    return subprocess.run([sys.executable, "-c", start + code], capture_output=True, text=True, check=False, timeout=60)
+
+
+def test_the_columns_of_a_file_come_back_as_arrays_without_objects() -> None:
+    answer = io.BytesIO(read_file(write_example("e")))
+    names = json.loads(answer.readline().removeprefix(GOOD))
+    columns = {name: np.load(answer, allow_pickle=False) for name in names}
+    assert columns["power"].tolist() == [[1.0]]
+    assert columns["event_id"].tolist() == ["e"]
+    assert columns["env/temperature_c"].tolist() == [1.0]
+
+
+def test_what_is_no_file_is_a_sentence() -> None:
+    status, sentence = json.loads(read_file(b"x" * 5000).removeprefix(REFUSED))
+    assert (status, sentence[:40]) == (400, "body: expected a spectra file (HDF5), fo")
+
+
+def test_a_confined_process_ends_at_its_deadline_whatever_it_does() -> None:
+    assert confined("import itertools; sum(itertools.repeat(0))", deadline_s=1).returncode == -signal.SIGALRM
+
+
+def test_a_confined_process_gets_a_gigabyte() -> None:
+    done = confined("b'x' * (1 << 30)")
+    assert done.returncode == 1
+    assert "MemoryError" in done.stderr
+
+
+@pytest.mark.parametrize("what", ["open('/etc/hostname')", "__import__('socket').socket()", "open('x', 'w')"])
+def test_a_process_that_has_its_file_opens_nothing(what: str) -> None:
+    limit = "__import__('resource').setrlimit(__import__('resource').RLIMIT_NOFILE, (0, 0)); "
+    done = confined("import socket, resource; " + limit + what)
+    assert done.returncode == 1
+    assert "Too many open files" in done.stderr
