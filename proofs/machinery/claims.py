@@ -190,10 +190,12 @@ def claim_worst(key: str, claim: str, asked: Asked, found: Sequence[float], inte
     """
     ends = np.array(intervals)
     if asked.low is not None and asked.high is not None:
-        middle = (asked.low + asked.high) / 2
-        worst = int(np.argmax(np.abs(np.array(found) - middle)))
-        ends_of_all = float(ends[:, 0].min()), float(ends[:, 1].max())
-        is_refuted = any(asked.verdict(one) == REFUTED for one in intervals)
-        return Claim(key, claim, asked, found[worst], intervals[worst] if is_refuted else ends_of_all, n, unit)
+        distance = np.abs(np.array(found) - (asked.low + asked.high) / 2)
+        refuting = np.array([asked.verdict(one) == REFUTED for one in intervals])
+        if np.any(refuting):
+            worst = int(np.argmax(np.where(refuting, distance, -1.0)))
+            return Claim(key, claim, asked, found[worst], intervals[worst], n, unit)
+        whole = float(ends[:, 0].min()), float(ends[:, 1].max())
+        return Claim(key, claim, asked, found[int(np.argmax(distance))], whole, n, unit)
     pick = np.min if asked.low is not None else np.max
     return Claim(key, claim, asked, float(pick(found)), (float(pick(ends[:, 0])), float(pick(ends[:, 1]))), n, unit)

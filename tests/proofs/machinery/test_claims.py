@@ -112,6 +112,12 @@ def test_a_claim_about_several_figures_is_shown_by_all_and_refuted_by_one(asked)
         assert claim.found == min(found)
 
 
+def test_the_figure_that_refutes_is_told_though_a_vaguer_one_lies_farther_off():
+    found, intervals = (0.5, 0.3), ((-0.2, 1.2), (0.25, 0.35))
+    claim = claim_worst("w", "", between(-0.2, 0.2), found, intervals, 10)
+    assert (claim.verdict, claim.found) == (REFUTED, 0.3)
+
+
 def test_figures_are_told_with_their_unit_and_interval():
     claim = claim_rate("r", "", at_most(0.01), 4, 2000)
     assert (claim.words_found, claim.words_asked) == ("0.2 % (0.0778 to 0.513)", "<= 1 %")
