@@ -5,10 +5,12 @@ from __future__ import annotations
 import argparse
 import importlib
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
+from proofs.machinery.claims import REFUTED
 from proofs.machinery.page import PAGE, draw_figures, write_page
-from proofs.machinery.parts import parts_of, proof_names
+from proofs.machinery.parts import SHARED, parts_of, proof_names
 from proofs.machinery.quotes import read_quotes, renew_pages
 from proofs.machinery.records import Record, read_record, read_records
 from proofs.machinery.run import Order, RefusedError, run_and_record, take_in
@@ -36,16 +38,18 @@ def main(arguments: list[str]) -> int:
     chosen = parser.parse_args(arguments)
     if chosen.name is None and not chosen.pool and not chosen.page:
         return _list_proofs()
-    try:
-        claims_hold = _prove(chosen) if chosen.name else True
-        if chosen.pool:
-            _pool(chosen.pool)
-    except (RefusedError, ValueError) as error:
-        print(f"./dev prove: {error}", file=sys.stderr)
-        return 2
-    if not chosen.scratch:
-        _write_pages()
-    return 0 if claims_hold else 1
+    verdicts: list[str] = []
+    steps: list[Callable[[], None]] = [lambda: _prove(chosen, verdicts)] * bool(chosen.name)
+    steps += [lambda: _pool(chosen.pool)] * bool(chosen.pool)
+    steps += [_write_pages] * (not chosen.scratch)  # what was recorded before a part was refused stands in the page
+    code = 0
+    for step in steps:
+        try:
+            step()
+        except (RefusedError, ValueError) as error:
+            print(f"./dev prove: {error}", file=sys.stderr)
+            code = 2
+    return code or int(REFUTED in verdicts)
 
 
 def _list_proofs() -> int:
@@ -55,7 +59,8 @@ def _list_proofs() -> int:
     return 0
 
 
-def _prove(chosen: argparse.Namespace) -> bool:
+def _prove(chosen: argparse.Namespace, verdicts: list[str]) -> None:
+    """Run the parts and note every verdict."""
     if chosen.name not in proof_names():
         raise RefusedError(f"no proof {chosen.name}; there are {', '.join(proof_names())}")
     parts = parts_of(chosen.name)
@@ -63,14 +68,17 @@ def _prove(chosen: argparse.Namespace) -> bool:
     if unknown:
         raise RefusedError(f"{chosen.name} has no part {', '.join(sorted(unknown))}; it has {', '.join(parts)}")
     order = Order(chosen.first, chosen.count, chosen.workers, chosen.scratch, chosen.repetition)
-    verdicts = []
     for name in chosen.part or parts:
+        if parts[name].needs_shared and not SHARED.is_dir() and not chosen.part:
+            print(
+                f"{chosen.name} {name} is left out: it needs the folder ../shared beside the project", file=sys.stderr
+            )
+            continue
         record, is_written = run_and_record(chosen.name, parts[name], order)
         print("\n".join([*_told(record), *parts[name].tell(record.rows), ""]), flush=True)
         if is_written:
             print(f"recorded in proofs/records/{record.file_name}", flush=True)
         verdicts += [claim.verdict for claim in record.claims]
-    return "refuted" not in verdicts
 
 
 def _told(record: Record) -> list[str]:

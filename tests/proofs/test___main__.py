@@ -20,7 +20,7 @@ def test_without_a_name_the_proofs_and_their_parts_are_listed(capsys: pytest.Cap
     ],
 )
 def test_what_does_not_exist_is_one_sentence(arguments: list[str], why: str, capsys: pytest.CaptureFixture[str]):
-    assert main(arguments) == 2
+    assert main([*arguments, "--scratch"]) == 2
     assert why in capsys.readouterr().err
 
 
