@@ -50,7 +50,7 @@ def fault_of(before: str, after: str) -> PlantedFault:
 
 def test_a_fault_is_seen_where_a_test_fails_and_the_tree_is_as_before(tree: Path) -> None:
     fault = fault_of("2 * x", "3 * x")
-    assert fault.tests(tree) == ["tests/room/test_sums.py", "tests/room"]
+    assert fault.tests(tree) == ["tests/room/test_sums.py"]
     assert is_seen(tree, fault, fault.tests(tree), 60) == (True, "tests/room/test_sums.py::test_two_is_doubled")
     assert (tree / "room/sums.py").read_text() == CODE
     assert rooms_of([fault], tree) == ["tests/room"]
@@ -60,6 +60,17 @@ def test_a_fault_is_seen_where_a_test_fails_and_the_tree_is_as_before(tree: Path
 def test_a_fault_that_no_test_looks_at_is_not_seen(tree: Path) -> None:
     fault = fault_of("x / 2", "x / 3")
     assert is_seen(tree, fault, fault.tests(tree), 60) == (False, "")
+
+
+def test_the_tests_nearest_to_a_fault_come_first(repository: Path) -> None:
+    fault = PlantedFault("lbacal_core/discovery/scan.py", "", "", "blind")
+    tests = fault.tests(repository)
+    assert tests[0] == "tests/lbacal_core/discovery/test_scan.py"
+    assert len(set(tests)) == len(tests) > 15
+    assert all((repository / test).is_file() for test in tests)
+    gate = PlantedFault("service/usecases/gate.py", "", "", "blind").tests(repository)
+    assert gate[0] == "tests/service/usecases/test_gate.py"
+    assert "tests/lbacal_core/discovery/test_extend.py" in gate
 
 
 def test_tests_that_fail_without_a_fault_refute_the_proof() -> None:
