@@ -2,7 +2,7 @@
 
 Nothing hidden: every cause is scanned for every path, antenna, cable and the station, calibrated for look-elsewhere;
 then structure is looked for without a catalogue. With a gain that follows temperature: refits, the held-out test and a
-second scan come on top. The reference of the same run is one refit for each law and target, from the time of one.
+second scan come on top. The reference of the same run is one refit for each template and target, from the time of one.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from lbacal_core.causes.catalogue import CAUSES
-from lbacal_core.discovery.baseline import gather_stations
-from lbacal_core.discovery.extend import Effect, fit_extension, fit_plain
-from lbacal_core.discovery.report import investigate
+from lbacal_core.discovery.hypothesis import Hypothesis, list_targets
+from lbacal_core.discovery.investigate import investigate
+from lbacal_core.discovery.refit import fit_chain, refit
 from lbacal_core.discovery.scan import scan
-from lbacal_core.discovery.targets import list_targets
+from lbacal_core.discovery.station import gather_stations
 from lbacal_core.instrument import Instrument, load_instrument
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.table import SkyPower
@@ -54,19 +54,20 @@ def main() -> None:
     print(f"900 events, 48 antennas, a gain that follows temperature: {question(spectra, chain, sky)}")
     print(f"largest memory: {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20:.2f} GiB")
     with threadpool_limits(1):
-        (data,) = gather_stations(spectra, chain, sky)
-        plain, targets = fit_plain(data), list_targets(data)
+        (station,) = gather_stations(spectra, chain, sky)
+        plain, targets = fit_chain(station), list_targets(station)
         started = time.perf_counter()
-        found = scan(plain.evidence, CAUSES, targets)
+        found = scan(plain.linear, CAUSES, targets)
         scanned = time.perf_counter() - started
         started = time.perf_counter()
-        fit_extension(data, plain, Effect(found[0].cause, found[0].law, found[0].target, 0.0))
-        refit = time.perf_counter() - started
+        refit(plain, Hypothesis(found[0].cause, found[0].template, found[0].target, 0.0))
+        one_refit = time.perf_counter() - started
     number = sum(
-        len(cause.laws(data.conditions)) * sum(target.scope in cause.scopes for target in targets) for cause in CAUSES
+        len(cause.templates(station.conditions)) * sum(target.scope in cause.scopes for target in targets)
+        for cause in CAUSES
     )
-    print(f"scan of {number} (cause, law, target): {scanned:.1f} s; one refit {refit:.1f} s, all by refits")
-    print(f"{number * refit / 3600:.0f} h: {number * refit / scanned:.0f} times as long")
+    print(f"scan of {number} (cause, template, target): {scanned:.1f} s; one refit {one_refit:.1f} s, all by refits")
+    print(f"{number * one_refit / 3600:.0f} h: {number * one_refit / scanned:.0f} times as long")
 
 
 if __name__ == "__main__":

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from lbacal_core.discovery.investigate import StationReport
-from lbacal_core.discovery.report import investigate
+from lbacal_core.discovery.investigate import investigate
+from lbacal_core.discovery.search import StationReport
 from lbacal_core.instrument import load_instrument
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.twin.campaign import simulate_campaign
@@ -44,8 +44,8 @@ def main() -> None:
     step = spoiled.findings[0]
     draw_residual_maps(spoiled, step.effect.target, ["date"]).savefig(IMAGES / "investigation-maps.png", dpi=100)
     odd = ask([WorkingWeek(size=0.05)])
-    if odd.leftover is not None:
-        draw_leftover(odd, odd.leftover).savefig(IMAGES / "investigation-unexplained.png", dpi=100)
+    if odd.structure is not None:
+        draw_leftover(odd, odd.structure).savefig(IMAGES / "investigation-unexplained.png", dpi=100)
 
 
 if __name__ == "__main__":

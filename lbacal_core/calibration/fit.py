@@ -90,7 +90,7 @@ def fit_calibration(spectra: Spectra, instrument: Instrument, sky_power: SkyPowe
     )
     if len(spectra) == 0:
         raise BadInputError(spectra.origin, "at least one spectrum", "none")
-    cable_of = _require_one_cable_each(spectra, instrument)
+    cable_of = require_one_cable_each(spectra, instrument)
     table = CableTable.of(instrument)
 
     def fit_paths(paths: _Paths) -> list[tuple[CalibrationCurve, ReferenceChain | None]]:
@@ -121,7 +121,7 @@ Cables = Mapping[tuple[str, int], str]
 """The cable of each (station, antenna) over the window of a fit."""
 
 
-def _require_one_cable_each(spectra: Spectra, instrument: Instrument) -> Cables:
+def require_one_cable_each(spectra: Spectra, instrument: Instrument) -> Cables:
     """Every antenna is known to the instrument and keeps its cable over the window: which one."""
     found: dict[tuple[str, int], str] = {}
     first, last = float(spectra.time_unix.min()), float(spectra.time_unix.max())

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
 
 import numpy as np
 
-from lbacal_core.causes.terms import SCOPES, YEAR_S, Cause, ChainTerms, Conditions, Law
+from lbacal_core.causes.cause import SCOPES, Cause, Template
+from lbacal_core.causes.conditions import FEWEST_KNOWN, TEMPERATURE, YEAR_S, Conditions
+from lbacal_core.chain.terms import ChainTerms
 from lbacal_core.grids import Floats
 
-NO_TEMPERATURE = "no temperature column, or gaps in it"
+NO_TEMPERATURE = f"no column {TEMPERATURE} that varies and is known on {FEWEST_KNOWN} events"
 
 
 @dataclass(frozen=True)
@@ -21,13 +22,17 @@ class TemperatureCause(Cause):
     needs: str = NO_TEMPERATURE
     axes: Sequence[str] = ("temperature",)
 
-    def laws(self, conditions: Conditions) -> list[Law]:
-        """One law, where temperatures are known."""
-        return [] if conditions.warmth() is None else [Law()]
+    def templates(self, conditions: Conditions) -> list[Template]:
+        """One, where temperatures are known."""
+        return [] if conditions.covariate(TEMPERATURE) is None else [Template()]
 
-    def course(self, conditions: Conditions, law: Law) -> Floats:
+    def covariates(self, template: Template) -> Sequence[str]:  # noqa: ARG002
+        """Temperature."""
+        return (TEMPERATURE,)
+
+    def time_profile(self, conditions: Conditions, template: Template) -> Floats:
         """Temperature about its mean, per 10 K."""
-        return conditions.known(conditions.warmth(law.parameters.get("delay_h", 0.0)))
+        return conditions.warmth(template.parameters.get("delay_h", 0.0))
 
 
 @dataclass(frozen=True)
@@ -37,21 +42,21 @@ class StepCause(Cause):
     axes: Sequence[str] = ("date",)
     scopes: Sequence[str] = SCOPES
 
-    def laws(self, conditions: Conditions) -> list[Law]:
+    def templates(self, conditions: Conditions) -> list[Template]:
         """Dates over the data."""
-        return [step_law(instant) for instant in conditions.step_dates()]
+        return [step_template(instant) for instant in conditions.step_dates()]
 
-    def course(self, conditions: Conditions, law: Law) -> Floats:
+    def time_profile(self, conditions: Conditions, template: Template) -> Floats:
         """0 before the date and 1 from it on."""
-        return conditions.after(law.parameters["date_unix"])
+        return conditions.after(template.parameters["date_unix"])
 
-    def finer_laws(self, conditions: Conditions, law: Law) -> list[Law]:
+    def finer_templates(self, conditions: Conditions, template: Template) -> list[Template]:
         """The dates of single events."""
-        return [step_law(instant) for instant in conditions.dates_about(law.parameters["date_unix"])]
+        return [step_template(instant) for instant in conditions.dates_about(template.parameters["date_unix"])]
 
-    def is_another(self, law: Law, earlier: Law) -> bool:
+    def is_another(self, template: Template, earlier: Template) -> bool:
         """Another date."""
-        return bool(law.parameters["date_unix"] != earlier.parameters["date_unix"])
+        return bool(template.parameters["date_unix"] != earlier.parameters["date_unix"])
 
 
 @dataclass(frozen=True)
@@ -63,7 +68,7 @@ class LnaNoiseSlope(Cause):
     meaning: str = "the noise of the LNA has a slope in frequency"
     confirm: str = "measure the noise temperature of an LNA on a dummy load"
 
-    def act(self, terms: ChainTerms, conditions: Conditions, law: Law, amount: Floats) -> ChainTerms:  # noqa: ARG002
+    def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:  # noqa: ARG002
         """N_LNA with a slope about 55 MHz."""
         return replace(terms, n_lna=terms.n_lna * (1.0 + amount * (conditions.frequency_mhz - 55.0) / 25.0))
 
@@ -78,7 +83,7 @@ class LnaNoiseTemperature(TemperatureCause):
     confirm: str = "compare nights of equal LST in summer and winter at the lowest frequencies"
     scopes: Sequence[str] = ("station", "antenna", "path")
 
-    def act(self, terms: ChainTerms, conditions: Conditions, law: Law, amount: Floats) -> ChainTerms:  # noqa: ARG002
+    def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:  # noqa: ARG002
         """N_LNA (1 + a dT / 10 K)."""
         return replace(terms, n_lna=terms.n_lna * (1.0 + amount))
 
@@ -94,16 +99,16 @@ class GainTemperature(TemperatureCause):
     axes: Sequence[str] = ("temperature", "utc", "date")
     scopes: Sequence[str] = ("station", "antenna", "path")
 
-    def laws(self, conditions: Conditions) -> list[Law]:
+    def templates(self, conditions: Conditions) -> list[Template]:
         """Delays of 0 to 3 h."""
-        known = super().laws(conditions)
-        return [Law({"delay_h": delay}) for delay in (0.0, 1.0, 2.0, 3.0)] if known else []
+        known = super().templates(conditions)
+        return [Template({"delay_h": delay}) for delay in (0.0, 1.0, 2.0, 3.0)] if known else []
 
-    def finer_laws(self, conditions: Conditions, law: Law) -> list[Law]:  # noqa: ARG002
+    def finer_templates(self, conditions: Conditions, template: Template) -> list[Template]:  # noqa: ARG002
         """Delays by half hours."""
-        return [Law({"delay_h": 0.5 * k}) for k in range(7)]
+        return [Template({"delay_h": 0.5 * k}) for k in range(7)]
 
-    def act(self, terms: ChainTerms, conditions: Conditions, law: Law, amount: Floats) -> ChainTerms:  # noqa: ARG002
+    def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:  # noqa: ARG002
         """The front gain times (1 + a dT / 10 K)."""
         return replace(terms, front=terms.front * (1.0 + amount))
 
@@ -117,7 +122,7 @@ class GainStep(StepCause):
     meaning: str = "the gain stepped at a date"
     confirm: str = "look into the maintenance log of that date"
 
-    def act(self, terms: ChainTerms, conditions: Conditions, law: Law, amount: Floats) -> ChainTerms:  # noqa: ARG002
+    def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:  # noqa: ARG002
         """The front gain times (1 + f) from the date on."""
         return replace(terms, front=terms.front * (1.0 + amount))
 
@@ -133,15 +138,15 @@ class GainDrift(Cause):
     axes: Sequence[str] = ("date",)
     scopes: Sequence[str] = SCOPES
 
-    def course(self, conditions: Conditions, law: Law) -> Floats:  # noqa: ARG002
+    def time_profile(self, conditions: Conditions, template: Template) -> Floats:  # noqa: ARG002
         """Years since the middle of the data."""
         return np.asarray((conditions.time_unix - conditions.time_unix.mean())[:, None] / YEAR_S)
 
-    def act(self, terms: ChainTerms, conditions: Conditions, law: Law, amount: Floats) -> ChainTerms:  # noqa: ARG002
+    def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:  # noqa: ARG002
         """The front gain times 1 + rate x time."""
         return replace(terms, front=terms.front * (1.0 + amount))
 
 
-def step_law(instant: float) -> Law:
-    """The law of a step at an instant, with the date in words."""
-    return Law({"date_unix": instant, "date": f"{datetime.fromtimestamp(instant, UTC):%Y-%m-%dT%H:%MZ}"})
+def step_template(instant: float) -> Template:
+    """The template of a step at an instant."""
+    return Template({"date_unix": instant})

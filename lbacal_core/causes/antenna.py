@@ -10,7 +10,9 @@ import numpy as np
 from scipy.interpolate import make_smoothing_spline
 
 from lbacal_core.antenna.circuit import ResonanceCircuit
-from lbacal_core.causes.terms import Cause, ChainTerms, Conditions, Law, read_between
+from lbacal_core.causes.cause import Cause, Template
+from lbacal_core.causes.conditions import RAIN, TEMPERATURE, Conditions, read_between
+from lbacal_core.chain.terms import ChainTerms
 from lbacal_core.grids import Floats
 
 SEASON_SPAN_S = 250 * 86_400.0
@@ -34,7 +36,7 @@ class DipoleSwap(Cause):
     scopes: Sequence[str] = ("station", "antenna")
     largest_step: float = 0.7
 
-    def act(self, terms: ChainTerms, conditions: Conditions, law: Law, amount: Floats) -> ChainTerms:  # noqa: ARG002
+    def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:  # noqa: ARG002
         """P_X -> (1 - f) P_X + f P_Y."""
         return replace(terms, sky=(1.0 - amount) * terms.sky + amount * conditions.other_sky)
 
@@ -50,41 +52,49 @@ class ResonanceCause(Cause):
     needs: str = "no temperature, rain or season in these data; what is static is in A"
     axes: Sequence[str] = ("temperature", "rain", "date")
     scopes: Sequence[str] = ("station", "antenna")
-    shaped_by: Sequence[str] = ("model",)
+    spectral_parameters: Sequence[str] = ("model",)
 
-    def laws(self, conditions: Conditions) -> list[Law]:
+    def templates(self, conditions: Conditions) -> list[Template]:
         """What a mechanical or chemical property can follow."""
-        followed: list[dict[str, Any]] = [{"follows": "temperature"}] if conditions.warmth() is not None else []
+        followed: list[dict[str, Any]] = []
+        if conditions.covariate(TEMPERATURE) is not None:
+            followed.append({"follows": "temperature"})
         if np.ptp(conditions.time_unix) > SEASON_SPAN_S:
             followed += [{"follows": "season", "phase_deg": phase} for phase in (0.0, 45.0, 90.0, 135.0)]
-        wet = [law for law in ("flag", "linear", "saturating") if conditions.wetness(law) is not None]
-        followed += [{"follows": "wetness", "law": law} for law in wet]
-        return [Law(one | {"model": model}) for model in ("curve", "circuit") for one in followed]
+        if conditions.covariate(RAIN) is not None:
+            followed += [{"follows": "wetness", "law": kind} for kind in ("flag", "linear", "saturating")]
+        return [Template(one | {"model": model}) for model in ("curve", "circuit") for one in followed]
 
-    def finer_laws(self, conditions: Conditions, law: Law) -> list[Law]:
+    def covariates(self, template: Template) -> Sequence[str]:
+        """What is followed."""
+        return {"temperature": (TEMPERATURE,), "wetness": (RAIN,), "season": ()}[template.parameters["follows"]]
+
+    def finer_templates(self, conditions: Conditions, template: Template) -> list[Template]:
         """Every phase of the season, every kind of wetness, both models."""
-        alike = [one for one in self.laws(conditions) if one.parameters["follows"] == law.parameters["follows"]]
-        if law.parameters["follows"] != "season":
+        alike = [
+            one for one in self.templates(conditions) if one.parameters["follows"] == template.parameters["follows"]
+        ]
+        if template.parameters["follows"] != "season":
             return alike
         phases = np.arange(0.0, 360.0, 15.0).tolist()
         return [
-            Law({"follows": "season", "phase_deg": phase, "model": model})
+            Template({"follows": "season", "phase_deg": phase, "model": model})
             for model in ("curve", "circuit")
             for phase in phases
         ]
 
-    def course(self, conditions: Conditions, law: Law) -> Floats:
+    def time_profile(self, conditions: Conditions, template: Template) -> Floats:
         """What is followed."""
-        kind = law.parameters["follows"]
+        kind = template.parameters["follows"]
         if kind == "season":
-            return conditions.season(law.parameters["phase_deg"])
+            return conditions.season(template.parameters["phase_deg"])
         if kind == "temperature":
-            return conditions.known(conditions.warmth())
-        return conditions.known(conditions.wetness(law.parameters["law"]))
+            return conditions.warmth()
+        return conditions.wetness(template.parameters["law"])
 
-    def act(self, terms: ChainTerms, conditions: Conditions, law: Law, amount: Floats) -> ChainTerms:
+    def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:
         """Another G_ant in front."""
-        if law.parameters["model"] == "circuit":
+        if template.parameters["model"] == "circuit":
             change = self.of_circuit(conditions, amount)
         else:
             change = self.of_curve(conditions.frequency_mhz, fitted_log_gain(terms, conditions), amount)

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lbacal_core.causes.cause import Description
 from lbacal_core.grids import Floats
 
 CHANNEL_WIDTH_MHZ = 1.0
@@ -29,41 +30,48 @@ class StaticShape:
 
 
 @dataclass(frozen=True)
-class CableLength:
+class AntennaCause(Description):
+    """A cause that is static, and seen by comparing an antenna with others of its cable name."""
+
+    scopes: Sequence[str] = ("antenna",)
+    axes: Sequence[str] = ("antenna", "frequency")
+
+    def shapes(self, frequency_mhz: Floats, log_loss_per_metre: Floats | None) -> list[StaticShape]:
+        """The departures to be tried; empty where these cables can show none."""
+        raise NotImplementedError
+
+    def shapes_about(self, shape: StaticShape, frequency_mhz: Floats) -> list[StaticShape]:  # noqa: ARG002
+        """Departures about one that was found."""
+        return [shape]
+
+    def note(self, parameters: Mapping[str, float], size: float) -> str:  # noqa: ARG002
+        """What the size does not say."""
+        return ""
+
+
+@dataclass(frozen=True)
+class CableLength(AntennaCause):
     """The length on record is wrong."""
 
     identifier: str = "cable_length"
     unit: str = "m"
     meaning: str = "the length of the cable on record is wrong"
     confirm: str = "measure the delay of the cable, or compare with the delays of the station calibration"
-    scopes: Sequence[str] = ("antenna",)
+    needs: str = "the names of the cables are not lengths in m"
 
     def shapes(self, frequency_mhz: Floats, log_loss_per_metre: Floats | None) -> list[StaticShape]:
         """Ln L_coax of one more metre."""
         return [] if log_loss_per_metre is None else [StaticShape({}, log_loss_per_metre + 0.0 * frequency_mhz)]
 
-    def shapes_about(self, shape: StaticShape, frequency_mhz: Floats) -> list[StaticShape]:  # noqa: ARG002
-        """There is one."""
-        return [shape]
-
-    def note(self, parameters: Mapping[str, float], size: float) -> str:  # noqa: ARG002
-        """Nothing that the size does not say."""
-        return ""
-
-    def why_not(self, log_loss_per_metre: Floats | None) -> str | None:
-        """Needs cables whose names are their lengths."""
-        return "the names of the cables are not lengths in m" if log_loss_per_metre is None else None
-
 
 @dataclass(frozen=True)
-class CableReflection:
+class CableReflection(AntennaCause):
     """A mismatch at both ends of the cable makes a ripple in frequency."""
 
     identifier: str = "cable_reflection"
     unit: str = "amplitude of the ripple in power"
     meaning: str = "a reflection in the cable makes a ripple in frequency"
     confirm: str = "look for the echo in the autocorrelation of a trace, or reconnect the plug"
-    scopes: Sequence[str] = ("antenna",)
 
     def shapes(self, frequency_mhz: Floats, log_loss_per_metre: Floats | None) -> list[StaticShape]:  # noqa: ARG002
         """Ripples of each delay and four phases, whose negatives are the other four."""
@@ -80,10 +88,6 @@ class CableReflection:
         delay, other = parameters["delay_us"], parameters["or_delay_us"]
         larger = size * float(np.sinc(delay * CHANNEL_WIDTH_MHZ) / np.sinc(other * CHANNEL_WIDTH_MHZ))
         return f"Channels of 1 MHz show the same of a delay of {other:.3g} us with an amplitude of {larger:.2g}."
-
-    def why_not(self, log_loss_per_metre: Floats | None) -> str | None:  # noqa: ARG002
-        """Any band can show it for one antenna or cable name; a ripple of all antennas is absorbed by A(nu)."""
-        return None
 
 
 def _ripple(delay_us: float, phase_deg: float, frequency_mhz: Floats) -> StaticShape:

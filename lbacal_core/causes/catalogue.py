@@ -5,6 +5,7 @@ from __future__ import annotations
 from lbacal_core.causes.amplifier import GainDrift, GainStep, GainTemperature, LnaNoiseSlope, LnaNoiseTemperature
 from lbacal_core.causes.antenna import DipoleSwap, ResonanceShift, ResonanceWidth
 from lbacal_core.causes.cable import CableLength, CableReflection
+from lbacal_core.causes.cause import Cause
 from lbacal_core.causes.interference import RfiBroadband, RfiLine
 from lbacal_core.causes.receiver import AdcJitter, AdcNoiseStep, CableTemperature, Compression, FilterShift
 from lbacal_core.causes.sky import (
@@ -15,7 +16,6 @@ from lbacal_core.causes.sky import (
     SkyChange,
     SolarEmission,
 )
-from lbacal_core.causes.terms import Cause
 
 CAUSES: tuple[Cause, ...] = (
     DipoleSwap(),
@@ -61,7 +61,7 @@ CAUSES: tuple[Cause, ...] = (
 )
 """Causes that act from event to event."""
 
-STATIC_CAUSES = (CableLength(), CableReflection())
+ANTENNA_CAUSES = (CableLength(), CableReflection())
 """Causes seen only by comparing antennas."""
 
 NEVER_HERE = {

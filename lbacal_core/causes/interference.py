@@ -7,7 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lbacal_core.causes.terms import Cause, ChainTerms, Conditions, Law
+from lbacal_core.causes.cause import Cause, Template
+from lbacal_core.causes.conditions import Conditions
+from lbacal_core.chain.terms import ChainTerms
 from lbacal_core.grids import Floats
 
 CLEAR_MHZ = 4.0
@@ -23,20 +25,20 @@ class InterferenceCause(Cause):
     needs: str = "the events do not cover all hours of the day"
     axes: Sequence[str] = ("utc",)
 
-    def course(self, conditions: Conditions, law: Law) -> Floats:
+    def time_profile(self, conditions: Conditions, template: Template) -> Floats:
         """1 within the hours."""
-        return conditions.in_hours(*law.parameters["utc_h"])
+        return conditions.in_hours(*template.parameters["utc_h"])
 
-    def finer_laws(self, conditions: Conditions, law: Law) -> list[Law]:  # noqa: ARG002
+    def finer_templates(self, conditions: Conditions, template: Template) -> list[Template]:  # noqa: ARG002
         """Hours that begin and end some earlier or later, or all others: power cannot be missing."""
         return [
-            Law({**what, "utc_h": list(window)})
-            for what in self.what_about(law)
-            for window in _windows_about(*law.parameters["utc_h"])
+            Template({**what, "utc_h": list(window)})
+            for what in self.what_about(template)
+            for window in _windows_about(*template.parameters["utc_h"])
         ]
 
-    def what_about(self, law: Law) -> list[dict[str, float]]:
-        """Frequencies, widths or indices about those of a law."""
+    def what_about(self, template: Template) -> list[dict[str, float]]:
+        """Frequencies, widths or indices about those of a template."""
         raise NotImplementedError
 
 
@@ -49,34 +51,34 @@ class RfiLine(InterferenceCause):
     meaning: str = "a narrow line of interference is left"
     confirm: str = "look at the unbinned spectra of those hours"
     scopes: Sequence[str] = ("station", "antenna")
-    shaped_by: Sequence[str] = ("frequency_mhz", "width_mhz")
+    spectral_parameters: Sequence[str] = ("frequency_mhz", "width_mhz")
 
-    def laws(self, conditions: Conditions) -> list[Law]:
+    def templates(self, conditions: Conditions) -> list[Template]:
         """Every channel, one channel or some three wide, at halves and quarters of the day."""
         if not conditions.has_all_hours:
             return []
         return [
-            Law({"frequency_mhz": float(centre), "width_mhz": width, "utc_h": list(window)})
+            Template({"frequency_mhz": float(centre), "width_mhz": width, "utc_h": list(window)})
             for centre in conditions.frequency_mhz
             for width in (0.5, 2.0)
             for window in WINDOWS
         ]
 
-    def is_another(self, law: Law, earlier: Law) -> bool:
+    def is_another(self, template: Template, earlier: Template) -> bool:
         """Another line, clear of the first."""
-        distance = abs(law.parameters["frequency_mhz"] - earlier.parameters["frequency_mhz"])
+        distance = abs(template.parameters["frequency_mhz"] - earlier.parameters["frequency_mhz"])
         return bool(distance > CLEAR_MHZ)
 
-    def act(self, terms: ChainTerms, conditions: Conditions, law: Law, amount: Floats) -> ChainTerms:
-        """Power added about a frequency, a Gaussian of the law's full width at half maximum."""
-        distance = conditions.frequency_mhz - law.parameters["frequency_mhz"]
-        line = np.exp(-4 * np.log(2.0) * (distance / law.parameters["width_mhz"]) ** 2)
+    def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:
+        """Power added about a frequency, a Gaussian of the template's full width at half maximum."""
+        distance = conditions.frequency_mhz - template.parameters["frequency_mhz"]
+        line = np.exp(-4 * np.log(2.0) * (distance / template.parameters["width_mhz"]) ** 2)
         mean = terms.power().mean(axis=1, keepdims=True)
         return replace(terms, adc_noise=terms.adc_noise + amount * line / line.max() * mean)
 
-    def what_about(self, law: Law) -> list[dict[str, float]]:
+    def what_about(self, template: Template) -> list[dict[str, float]]:
         """Between the channels, and other widths."""
-        centre = law.parameters["frequency_mhz"]
+        centre = template.parameters["frequency_mhz"]
         moved = [centre + 0.25 * k for k in range(-2, 3)]
         return [{"frequency_mhz": at, "width_mhz": width} for at in moved for width in (0.5, 1.0, 1.5, 2.0)]
 
@@ -89,22 +91,22 @@ class RfiBroadband(InterferenceCause):
     unit: str = "fraction of the mean sky power at 55 MHz"
     meaning: str = "broad-band interference is left"
     confirm: str = "look for its direction by correlating antennas at those hours"
-    shaped_by: Sequence[str] = ("spectral_index",)
+    spectral_parameters: Sequence[str] = ("spectral_index",)
 
-    def laws(self, conditions: Conditions) -> list[Law]:
+    def templates(self, conditions: Conditions) -> list[Template]:
         """Spectral indices 0 to -4 at halves and quarters of the day."""
         if not conditions.has_all_hours:
             return []
         indices = (0.0, -1.0, -2.0, -3.0, -4.0)
-        return [Law({"spectral_index": index, "utc_h": list(window)}) for index in indices for window in WINDOWS]
+        return [Template({"spectral_index": index, "utc_h": list(window)}) for index in indices for window in WINDOWS]
 
-    def act(self, terms: ChainTerms, conditions: Conditions, law: Law, amount: Floats) -> ChainTerms:
+    def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:
         """Power in front of the antenna's amplifier, as a fraction of the mean sky power at 55 MHz."""
         ratio = conditions.frequency_mhz / 55.0
-        added = conditions.sky_at_55[:, None, None] * ratio ** law.parameters["spectral_index"]
+        added = conditions.sky_at_55[:, None, None] * ratio ** template.parameters["spectral_index"]
         return replace(terms, sky=terms.sky + amount * added)
 
-    def what_about(self, law: Law) -> list[dict[str, float]]:  # noqa: ARG002
+    def what_about(self, template: Template) -> list[dict[str, float]]:  # noqa: ARG002
         """All indices, by halves."""
         return [{"spectral_index": -0.5 * k} for k in range(9)]
 

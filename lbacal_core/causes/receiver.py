@@ -7,8 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lbacal_core.causes.amplifier import StepCause, TemperatureCause, step_law
-from lbacal_core.causes.terms import Cause, ChainTerms, Conditions, Law, read_between
+from lbacal_core.causes.amplifier import StepCause, TemperatureCause, step_template
+from lbacal_core.causes.cause import Cause, Template
+from lbacal_core.causes.conditions import TEMPERATURE, Conditions, read_between
+from lbacal_core.chain.terms import ChainTerms
 from lbacal_core.grids import Floats
 
 
@@ -22,7 +24,7 @@ class CableTemperature(TemperatureCause):
     confirm: str = "compare short and long cables by day and by night"
     scopes: Sequence[str] = ("station", "cable", "antenna")
 
-    def act(self, terms: ChainTerms, conditions: Conditions, law: Law, amount: Floats) -> ChainTerms:  # noqa: ARG002
+    def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:  # noqa: ARG002
         """L_coax to the power (1 + a dT / 10 K)."""
         return replace(terms, front=terms.front * np.exp(amount * conditions.cable_log_loss[:, None, :]))
 
@@ -39,28 +41,32 @@ class FilterShift(Cause):
     scopes: Sequence[str] = ("station", "antenna", "path")
     step: float = 1e-4
 
-    def laws(self, conditions: Conditions) -> list[Law]:
+    def templates(self, conditions: Conditions) -> list[Template]:
         """Temperature, and steps at dates."""
-        laws = [Law({"follows": "temperature"})] if conditions.warmth() is not None else []
-        return laws + [step_law(instant) for instant in conditions.step_dates()]
+        steps = [step_template(instant) for instant in conditions.step_dates()]
+        return steps if conditions.covariate(TEMPERATURE) is None else [Template({"follows": "temperature"}), *steps]
 
-    def course(self, conditions: Conditions, law: Law) -> Floats:
+    def covariates(self, template: Template) -> Sequence[str]:
+        """Temperature, where that is followed."""
+        return () if "date_unix" in template.parameters else (TEMPERATURE,)
+
+    def time_profile(self, conditions: Conditions, template: Template) -> Floats:
         """Temperature, or 1 after the date."""
-        if "date_unix" in law.parameters:
-            return conditions.after(law.parameters["date_unix"])
-        return conditions.known(conditions.warmth())
+        if "date_unix" in template.parameters:
+            return conditions.after(template.parameters["date_unix"])
+        return conditions.warmth()
 
-    def finer_laws(self, conditions: Conditions, law: Law) -> list[Law]:
+    def finer_templates(self, conditions: Conditions, template: Template) -> list[Template]:
         """The dates of single events."""
-        if "date_unix" not in law.parameters:
-            return [law]
-        return [step_law(instant) for instant in conditions.dates_about(law.parameters["date_unix"])]
+        if "date_unix" not in template.parameters:
+            return [template]
+        return [step_template(instant) for instant in conditions.dates_about(template.parameters["date_unix"])]
 
-    def is_another(self, law: Law, earlier: Law) -> bool:
+    def is_another(self, template: Template, earlier: Template) -> bool:
         """Another date."""
-        return bool(law.parameters.get("date_unix") != earlier.parameters.get("date_unix"))
+        return bool(template.parameters.get("date_unix") != earlier.parameters.get("date_unix"))
 
-    def act(self, terms: ChainTerms, conditions: Conditions, law: Law, amount: Floats) -> ChainTerms:  # noqa: ARG002
+    def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:  # noqa: ARG002
         """G_RCU read at nu (1 + s)."""
         frequency, log_gain = conditions.frequency_mhz, np.log(conditions.receiver_gain)
         factor = np.exp(read_between(frequency, log_gain, frequency * (1.0 + amount)) - log_gain)
@@ -76,7 +82,7 @@ class AdcNoiseStep(StepCause):
     meaning: str = "the noise of the digitiser stepped at a date"
     confirm: str = "look into the maintenance log of that date"
 
-    def act(self, terms: ChainTerms, conditions: Conditions, law: Law, amount: Floats) -> ChainTerms:  # noqa: ARG002
+    def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:  # noqa: ARG002
         """N_ADC times (1 + f) from the date on."""
         return replace(terms, adc_noise=terms.adc_noise * (1.0 + amount))
 
@@ -91,7 +97,7 @@ class Compression(Cause):
     confirm: str = "insert an attenuator and look whether the ratio of strong to weak sky changes"
     scopes: Sequence[str] = ("station", "antenna", "path")
 
-    def act(self, terms: ChainTerms, conditions: Conditions, law: Law, amount: Floats) -> ChainTerms:  # noqa: ARG002
+    def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:  # noqa: ARG002
         """The gain in front of the converter times 1 - f (total power there / its mean - 1)."""
         total = np.sum((terms.sky + terms.n_lna) * terms.front + terms.receiver_noise, axis=-1, keepdims=True)
         factor = 1.0 - amount * (total / total.mean(axis=1, keepdims=True) - 1.0)
@@ -109,10 +115,10 @@ class AdcJitter(Cause):
     scopes: Sequence[str] = ("station", "antenna", "path")
     step: float = 1e-4
 
-    def act(self, terms: ChainTerms, conditions: Conditions, law: Law, amount: Floats) -> ChainTerms:  # noqa: ARG002
+    def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:  # noqa: ARG002
         """N_ADC plus f x mean power x (integral nu^2 P dnu / its mean)."""
         power = terms.power()
         slope_power = (conditions.frequency_mhz**2 * power).sum(axis=-1, keepdims=True)
-        course = slope_power / slope_power.mean(axis=1, keepdims=True)
+        relative = slope_power / slope_power.mean(axis=1, keepdims=True)
         level = power.mean(axis=(1, 2), keepdims=True)
-        return replace(terms, adc_noise=terms.adc_noise + amount * level * course)
+        return replace(terms, adc_noise=terms.adc_noise + amount * level * relative)

@@ -7,10 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lbacal_core.causes.terms import Cause, ChainTerms, Conditions, Law
+from lbacal_core.causes.cause import Cause, Template
+from lbacal_core.causes.conditions import Conditions
+from lbacal_core.causes.directions import SOURCE_KEYS
+from lbacal_core.chain.terms import ChainTerms
 from lbacal_core.grids import Floats
 
-NAMED_SOURCES = ("Cas A", "Cyg A", "Tau A", "Vir A")
 NO_DIRECTIONS = "the own sky and antenna model do not cover these channels"
 NO_SUN = "the Sun is always up, or always down, in these data, or no antenna model covers these channels"
 
@@ -25,7 +27,7 @@ class LstOffset(Cause):
     confirm: str = "compare the transit of a bright source in interferometric data with its right ascension"
     step: float = 0.005
 
-    def act(self, terms: ChainTerms, conditions: Conditions, law: Law, amount: Floats) -> ChainTerms:  # noqa: ARG002
+    def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:  # noqa: ARG002
         """P_sky at a shifted LST, relative to that at the nominal one."""
         moved = conditions.sky_at(conditions.lst_hours + np.ravel(amount)) / conditions.sky_at(conditions.lst_hours)
         return replace(terms, sky=terms.sky * moved)
@@ -36,12 +38,13 @@ class SkyChange(Cause):
     """A change of P_sky that needs directions, taken from the package's own sky and antenna as a ratio."""
 
     needs: str = NO_DIRECTIONS
+    acts_by_ratio: bool = True
 
-    def laws(self, conditions: Conditions) -> list[Law]:
-        """One law, where the own sky could be computed for these channels."""
-        return [Law()] if self.identifier in conditions.sky_change else []
+    def templates(self, conditions: Conditions) -> list[Template]:
+        """One, where the own sky could be computed for these channels."""
+        return [Template()] if self.identifier in conditions.sky_change else []
 
-    def act(self, terms: ChainTerms, conditions: Conditions, law: Law, amount: Floats) -> ChainTerms:  # noqa: ARG002
+    def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:  # noqa: ARG002
         """P_sky times its relative change, exponential so that it stays positive."""
         return replace(terms, sky=terms.sky * np.exp(amount * conditions.sky_change[self.identifier]))
 
@@ -55,19 +58,20 @@ class PointSource(Cause):
     meaning: str = "a named source is wrong in the sky model"
     confirm: str = "look whether the excess follows the source through its transit at each frequency"
     needs: str = NO_DIRECTIONS
-    shaped_by: Sequence[str] = ("source",)
+    spectral_parameters: Sequence[str] = ("source",)
+    acts_by_ratio: bool = True
 
-    def laws(self, conditions: Conditions) -> list[Law]:
-        """One law a source."""
-        return [Law({"source": name}) for name in NAMED_SOURCES if name in conditions.sky_change]
+    def templates(self, conditions: Conditions) -> list[Template]:
+        """One a source."""
+        return [Template({"source": name}) for name in SOURCE_KEYS if name in conditions.sky_change]
 
-    def is_another(self, law: Law, earlier: Law) -> bool:
+    def is_another(self, template: Template, earlier: Template) -> bool:
         """Another source."""
-        return bool(law.parameters["source"] != earlier.parameters["source"])
+        return bool(template.parameters["source"] != earlier.parameters["source"])
 
-    def act(self, terms: ChainTerms, conditions: Conditions, law: Law, amount: Floats) -> ChainTerms:
+    def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:
         """P_sky plus a fraction of the source's flux through D."""
-        return replace(terms, sky=terms.sky * (1.0 + amount * conditions.sky_change[law.parameters["source"]]))
+        return replace(terms, sky=terms.sky * (1.0 + amount * conditions.sky_change[template.parameters["source"]]))
 
 
 @dataclass(frozen=True)
@@ -79,7 +83,7 @@ class IsotropicLevel(Cause):
     meaning: str = "the isotropic part of the sky is wrong"
     confirm: str = "compare with an absolute measurement of the sky minimum, or with the noise levels of a laboratory"
 
-    def act(self, terms: ChainTerms, conditions: Conditions, law: Law, amount: Floats) -> ChainTerms:  # noqa: ARG002
+    def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:  # noqa: ARG002
         """P_sky plus a constant in LST."""
         return replace(terms, sky=terms.sky + amount * conditions.mean_sky[:, None, :])
 
@@ -94,22 +98,22 @@ class SolarEmission(Cause):
     confirm: str = "compare with solar monitoring, and days of high activity with quiet ones"
     needs: str = NO_SUN
     axes: Sequence[str] = ("utc", "date")
-    shaped_by: Sequence[str] = ("spectral_index",)
+    spectral_parameters: Sequence[str] = ("spectral_index",)
 
-    def laws(self, conditions: Conditions) -> list[Law]:
+    def templates(self, conditions: Conditions) -> list[Template]:
         """Spectral indices of the power between 1 and 2, where the Sun rises and sets in the data."""
         if conditions.sun_response is None or not conditions.has_day_and_night:
             return []
-        return [Law({"spectral_index": index}) for index in (1.0, 1.5, 2.0)]
+        return [Template({"spectral_index": index}) for index in (1.0, 1.5, 2.0)]
 
-    def finer_laws(self, conditions: Conditions, law: Law) -> list[Law]:  # noqa: ARG002
+    def finer_templates(self, conditions: Conditions, template: Template) -> list[Template]:  # noqa: ARG002
         """All of them."""
-        return self.laws(conditions)
+        return self.templates(conditions)
 
-    def act(self, terms: ChainTerms, conditions: Conditions, law: Law, amount: Floats) -> ChainTerms:
+    def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:
         """P_sky plus the Sun through D."""
         ratio = conditions.frequency_mhz / 55.0
-        flux = conditions.sky_at_55[:, None, None] * ratio ** law.parameters["spectral_index"]
+        flux = conditions.sky_at_55[:, None, None] * ratio ** template.parameters["spectral_index"]
         return replace(terms, sky=terms.sky + amount * flux * conditions.sun_response)
 
 
@@ -124,19 +128,19 @@ class IonosphericAbsorption(Cause):
     needs: str = NO_SUN
     axes: Sequence[str] = ("utc", "date")
 
-    def laws(self, conditions: Conditions) -> list[Law]:
+    def templates(self, conditions: Conditions) -> list[Template]:
         """Exponents between 0.5 and 1, where the Sun rises and sets in the data."""
-        return [Law({"exponent": n}) for n in (0.5, 0.75, 1.0)] if conditions.has_day_and_night else []
+        return [Template({"exponent": n}) for n in (0.5, 0.75, 1.0)] if conditions.has_day_and_night else []
 
-    def finer_laws(self, conditions: Conditions, law: Law) -> list[Law]:  # noqa: ARG002
+    def finer_templates(self, conditions: Conditions, template: Template) -> list[Template]:  # noqa: ARG002
         """All of them."""
-        return self.laws(conditions)
+        return self.templates(conditions)
 
-    def course(self, conditions: Conditions, law: Law) -> Floats:
+    def time_profile(self, conditions: Conditions, template: Template) -> Floats:
         """(cos chi)^n by day, 0 by night."""
         cos_chi = np.maximum(np.sin(conditions.sun_altitude), 0.0)
-        return np.asarray((cos_chi ** law.parameters["exponent"])[:, None])
+        return np.asarray((cos_chi ** template.parameters["exponent"])[:, None])
 
-    def act(self, terms: ChainTerms, conditions: Conditions, law: Law, amount: Floats) -> ChainTerms:  # noqa: ARG002
+    def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:  # noqa: ARG002
         """P_sky dimmed."""
         return replace(terms, sky=terms.sky * np.exp(-amount * (30.0 / conditions.frequency_mhz) ** 2))

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from lbacal_core.discovery.baseline import SOURCE_KEYS
+from lbacal_core.causes.directions import SOURCE_KEYS
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
 from lbacal_core.instrument import DIPOLES, Instrument

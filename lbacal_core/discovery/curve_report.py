@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from lbacal_core.discovery.chance import sigma_of
 from lbacal_core.discovery.curve_causes import NEEDS_MORE_AXES, CurveCause
 from lbacal_core.discovery.curve_fit import CurveFit
 from lbacal_core.discovery.lst_curve import ALPHA_LEFTOVER, CurveFinding, CurveInvestigation, Rival
+from lbacal_core.discovery.trials import sigma_of
 from lbacal_core.grids import Floats
 from lbacal_core.instrument import DIPOLES
 from lbacal_core.lstcurve.noise import PointNoise

@@ -15,10 +15,10 @@ import numpy as np
 from scipy.stats import f as f_distribution
 from threadpoolctl import threadpool_limits
 
-from lbacal_core.discovery.chance import p_of, sigma_of
 from lbacal_core.discovery.curve_causes import CurveCause, curve_causes
 from lbacal_core.discovery.curve_fit import CurveFit, CurveFitter
-from lbacal_core.discovery.scan import INDISTINGUISHABLE
+from lbacal_core.discovery.policy import Policy
+from lbacal_core.discovery.trials import p_of, sigma_of
 from lbacal_core.grids import Floats, require_same_grid
 from lbacal_core.instrument import Instrument
 from lbacal_core.lstcurve.compare import AS_RECORDED, band_weights
@@ -28,6 +28,7 @@ from lbacal_core.skypower.table import SkyPower
 
 ALPHA_CATALOGUE, ALPHA_LEFTOVER = 0.0025, 0.002
 MAX_FINDINGS = 4
+INDISTINGUISHABLE = Policy().indistinguishable
 WIDTH = 6
 """Sets of each size that are extended."""
 

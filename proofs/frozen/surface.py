@@ -13,11 +13,12 @@ from threadpoolctl import threadpool_limits
 
 from lbacal_core.causes.catalogue import CAUSES
 from lbacal_core.discovery.curve_report import describe_curve
-from lbacal_core.discovery.investigate import StationReport
+from lbacal_core.discovery.hypothesis import list_targets
+from lbacal_core.discovery.investigate import investigate
 from lbacal_core.discovery.lst_curve import investigate_curve
-from lbacal_core.discovery.report import investigate
-from lbacal_core.discovery.scan import list_shapes, score_shapes
-from lbacal_core.discovery.targets import list_targets
+from lbacal_core.discovery.project import LinearModel
+from lbacal_core.discovery.scan import by_known_events, list_families, score_families
+from lbacal_core.discovery.search import StationReport
 from lbacal_core.lstcurve.compare import BAND_MHZ
 from lbacal_core.provenance import Provenance
 from lbacal_core.spectra import Spectra
@@ -46,12 +47,12 @@ def _of_spectra(data: StationSpectra) -> dict[str, Any]:
     report, stations = investigate(spectra, data.instrument, sky_power(), is_own_sky=data.is_own_sky, seed=data.seed)
     numbers = _without_provenance(report)
     numbers["scores"] = {
-        station.data.station: _of_scores(report["scores"][station.data.station], station) for station in stations
+        station.station.name: _of_scores(report["scores"][station.station.name], station) for station in stations
     }
     return {
         "data": _of_data(spectra),
         "report": numbers,
-        "scan": {station.data.station: _of_scan(station) for station in stations},
+        "scan": {station.station.name: _of_scan(station) for station in stations},
     }
 
 
@@ -68,21 +69,26 @@ def _without_provenance(report: Mapping[str, Any]) -> dict[str, Any]:
 
 def _of_scan(station: StationReport) -> dict[str, Any]:
     """All scores in short, before anything is found and with everything that is."""
-    models = {"first": station.first.evidence}
+    models = {"first": station.first.linear}
     if station.last is not station.first:
-        models["last"] = station.last.evidence
-    targets = list_targets(station.data)
+        models["last"] = station.last.linear
     with threadpool_limits(1):
-        whole = {name: score_shapes(one, list_shapes(one, CAUSES), targets) for name, one in models.items()}
+        whole = {name: _all_scores(one) for name, one in models.items()}
     return {
         name: _summarise([(batch[0].cause.identifier, z, size) for batch, z, size in scores])
         for name, scores in whole.items()
     }
 
 
+def _all_scores(model: LinearModel) -> list[Any]:
+    """Scores of every cause, template and target."""
+    families, targets = list_families(model.station.conditions, CAUSES), list_targets(model.station)
+    return [one for known, alike in by_known_events(model, families) for one in score_families(known, alike, targets)]
+
+
 def _of_scores(scores: Sequence[dict[str, Any]], station: StationReport) -> dict[str, Any]:
     """The best score of every cause by its ID, with the trials factor."""
-    both: list[Any] = [*station.first_scan, *station.static_scan]
+    both: list[Any] = [*station.scores, *station.antenna_scores]
     trials = {one.cause.identifier: float(one.trials) for one in both}
     return {one["cause"]: {**in_first_window(one), "trials": trials[one["cause"]]} for one in scores}
 

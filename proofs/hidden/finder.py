@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from lbacal_core.discovery.baseline import gather_stations
 from lbacal_core.discovery.curve_report import describe_curve
-from lbacal_core.discovery.extend import power_ratio
-from lbacal_core.discovery.investigate import StationReport
+from lbacal_core.discovery.investigate import investigate
 from lbacal_core.discovery.lst_curve import investigate_curve
-from lbacal_core.discovery.report import investigate
+from lbacal_core.discovery.refit import power_ratio
+from lbacal_core.discovery.search import StationReport
+from lbacal_core.discovery.station import gather_stations
 from lbacal_core.grids import Floats
 from lbacal_core.instrument import Instrument
 from lbacal_core.lstcurve.curve import LstCurve
@@ -87,7 +87,7 @@ class FittedModel:
         """
         (other,) = gather_stations(spectra, instrument, sky_power)
         terms = replace(self._station.last.baseline.terms, sky=other.sky)
-        ratio = power_ratio(other, terms, self._station.last.effects)
+        ratio = power_ratio(other, terms, self._station.last.hypotheses)
         paths = [(int(antenna), str(dipole)) for antenna, dipole in zip(other.antenna, other.dipole, strict=True)]
         times = other.conditions.time_unix
         shape = (len(paths), times.size, instrument.frequency_mhz.size)
@@ -106,9 +106,7 @@ def ask_finder(
     except (ArithmeticError, LookupError, ValueError) as error:
         return Answer(f"failed: {error}", [], None, []), None
     scores = [
-        (score.cause.identifier, score.target.label, float(score.z))
-        for station in stations
-        for score in station.first_scan
+        (score.cause.identifier, score.target.label, float(score.z)) for station in stations for score in station.scores
     ]
     return Answer(report["verdict"], report["findings"], report["unexplained"], scores), FittedModel(stations[0])
 

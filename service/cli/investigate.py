@@ -64,7 +64,7 @@ def investigate(
 
 
 def _ask_spectra(spectra: Path, chain: Any, sky: Any, is_own_sky: bool, html: Path | None) -> dict[str, Any]:
-    from lbacal_core.discovery.report import investigate as ask
+    from lbacal_core.discovery.investigate import investigate as ask
     from lbacal_core.spectra import read_spectra
 
     measured = read_spectra(spectra, now_unix=time.time())

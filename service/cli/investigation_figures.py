@@ -10,12 +10,13 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from lbacal_core.causes.terms import signature
-from lbacal_core.discovery.investigate import Finding, StationReport
-from lbacal_core.discovery.leftover import Leftover
+from lbacal_core.causes.axes import AXES, Axis
+from lbacal_core.causes.cause import signature
+from lbacal_core.discovery.antennas import AntennaScore
+from lbacal_core.discovery.hypothesis import Target
+from lbacal_core.discovery.residual_structure import ResidualStructure
 from lbacal_core.discovery.scan import Score
-from lbacal_core.discovery.statics import StaticScore
-from lbacal_core.discovery.targets import Target
+from lbacal_core.discovery.search import Finding, StationReport
 from lbacal_core.grids import Floats
 
 BINS = 24
@@ -24,34 +25,33 @@ MAP_BINS, MAP_CHANNELS = 16, 3
 SHAPES = 6
 WEAKEST_AXIS = 0.2
 """Of the variance of a signature along its strongest axis: below, an axis is not shown."""
-ALARM_P = 0.0025
 RED = "#b3322b"
 POINTS: dict[str, Any] = {"fmt": "o", "ms": 3, "lw": 0.9, "color": "#444"}
 
 
 def draw_scores(report: StationReport) -> Figure:
     """The best score of every cause, with the probability that chance gives it."""
-    scores: list[Score | StaticScore] = [*report.first_scan, *report.static_scan]
+    scores: list[Score | AntennaScore] = [*report.scores, *report.antenna_scores]
     scores.reverse()
     figure = Figure(figsize=(9.5, 0.27 * len(scores) + 1.2), layout="constrained")
     axes: Any = figure.subplots()
-    colours = [RED if score.p_value < ALARM_P else "#8a94a6" for score in scores]
+    colours = [RED if score.p_value < report.alpha_of(score) else "#8a94a6" for score in scores]
     axes.barh([score.cause.identifier for score in scores], [abs(score.z) for score in scores], color=colours)
     for k, score in enumerate(scores):
         axes.text(abs(score.z), k, f"  {score.target.label}, p = {score.p_value:.2g}", va="center", fontsize=7)
-    axes.set_xlabel("best score over all its laws and targets (standard deviations)")
+    axes.set_xlabel("best score over all its templates and targets (standard deviations)")
     axes.set_xlim(0, 1.35 * max(*(abs(score.z) for score in scores), 4.0))
     axes.tick_params(axis="y", labelsize=8)
     return figure
 
 
-def draw_residual_maps(report: StationReport, target: Target | None, axes: Sequence[str]) -> Figure:
-    """Residuals before and after along the axes named, against frequency, of the paths concerned."""
-    values_of = _axes(report, axes)
+def draw_residual_maps(report: StationReport, target: Target | None, axes: Sequence[Axis]) -> Figure:
+    """Residuals before and after along axes, against frequency, of the paths concerned."""
+    values_of = dict(pair for axis in axes if (pair := _values_on(report, axis)) is not None)
     figure = Figure(figsize=(9.5, 2.9 * len(values_of) + 0.3), layout="constrained")
     panels: Any = figure.subplots(len(values_of), 2, squeeze=False, sharex=True, sharey="row")
     stages = [_shown(stage.baseline.residual, report, target) for stage in (report.first, report.last)]
-    frequency = report.data.conditions.frequency_mhz
+    frequency = report.station.conditions.frequency_mhz
     for row, (label, values) in zip(panels, values_of.items(), strict=True):
         maps = [_map(values, stage) for stage in stages]
         limit = 100 * float(np.nanpercentile(np.abs(np.stack(maps)), 99))
@@ -74,9 +74,9 @@ def draw_finding(report: StationReport, finding: Finding) -> Figure:
     The signature is close to one profile of the events times one of the channels: each panel shows the residual
     projected on the other profile.
     """
-    data, effect = report.data, finding.effect
+    conditions, one = report.station.conditions, finding.hypothesis
     expected, axis = _expected(report, finding), axes_of(report, finding)[0]
-    observed = _shown(report.first.baseline.residual, report, effect.target)
+    observed = _shown(report.first.baseline.residual, report, one.target)
     events, channels = expected.shape
     expected, observed = expected - expected.mean(axis=0), observed - observed.mean(axis=0)
     of_event, _, of_channel = np.linalg.svd(expected, full_matrices=False)
@@ -85,13 +85,13 @@ def draw_finding(report: StationReport, finding: Finding) -> Figure:
     along, across = sign * along, sign * across
     figure = Figure(figsize=(9.5, 3.4), layout="constrained")
     panels: Any = figure.subplots(1, 2)
-    ((label, values),) = _axes(report, [axis]).items()
+    label, values = _values_on(report, axis) or ("", np.zeros(events))
     mean, error = _bins(values, observed @ along)
     panels[0].errorbar(_centres(values), 100 * mean, 100 * error, label="residual before", **POINTS)
-    panels[0].plot(_centres(values), 100 * _bins(values, expected @ along)[0], color=RED, label=effect.cause.identifier)
+    panels[0].plot(_centres(values), 100 * _bins(values, expected @ along)[0], color=RED, label=one.cause.identifier)
     panels[0].set_xlabel(label)
     panels[0].set_ylabel("relative power, mean over channels (%)")
-    frequency = data.conditions.frequency_mhz
+    frequency = conditions.frequency_mhz
     scatter = 100 * np.std(observed - expected, axis=0) / np.sqrt(events)
     panels[1].errorbar(frequency, 100 * across @ observed, scatter, **POINTS)
     panels[1].plot(frequency, 100 * across @ expected, color=RED)
@@ -103,7 +103,7 @@ def draw_finding(report: StationReport, finding: Finding) -> Figure:
     return figure
 
 
-def draw_static(score: StaticScore, frequency_mhz: Floats) -> Figure:
+def draw_antenna(score: AntennaScore, frequency_mhz: Floats) -> Figure:
     """An antenna against the others of its cable along frequency, and the shape that was found."""
     figure = Figure(figsize=(9.5, 3.4), layout="constrained")
     axes: Any = figure.subplots()
@@ -120,12 +120,12 @@ def draw_static(score: StaticScore, frequency_mhz: Floats) -> Figure:
     return figure
 
 
-def draw_leftover(report: StationReport, leftover: Leftover) -> Figure:
+def draw_structure(report: StationReport, structure: ResidualStructure) -> Figure:
     """Structure that no cause explains: what is left after everything, along its axis and in frequency."""
-    labels = np.array([f"antenna {a} {d}" for a, d in zip(report.data.antenna, report.data.dipole, strict=True)])
-    target = None if leftover.target == "station" else Target("path", leftover.target, labels == leftover.target)
+    labels = np.array([f"antenna {a} {d}" for a, d in zip(report.station.antenna, report.station.dipole, strict=True)])
+    target = None if structure.target == "station" else Target("path", structure.target, labels == structure.target)
     left = _shown(report.last.baseline.residual, report, target)
-    ((label, values),) = _axes(report, [leftover.axis]).items()
+    label, values = _values_on(report, structure.axis) or ("", np.zeros(len(left)))
     phase = (values - values.min()) / max(float(np.ptp(values)), 1e-9)
     shapes = np.cos(np.pi * np.outer(phase, np.arange(SHAPES + 1)))
     smooth = shapes[:, 1:] @ np.linalg.lstsq(shapes, left, rcond=None)[0][1:]
@@ -140,7 +140,7 @@ def draw_leftover(report: StationReport, leftover: Leftover) -> Figure:
     panels[0].set_xlabel(label)
     panels[0].set_ylabel("relative power, in its channels (%)")
     panels[0].legend(fontsize=8, frameon=False)
-    panels[1].plot(report.data.conditions.frequency_mhz, along * along.size, color=RED)
+    panels[1].plot(report.station.conditions.frequency_mhz, along * along.size, color=RED)
     panels[1].set_xlabel("frequency (MHz)")
     panels[1].set_ylabel("shape in frequency (rms 1)")
     for panel in panels:
@@ -148,25 +148,26 @@ def draw_leftover(report: StationReport, leftover: Leftover) -> Figure:
     return figure
 
 
-def axes_of(report: StationReport, finding: Finding) -> list[str]:
-    """Axes along which the signature varies in these data, the strongest first."""
+def axes_of(report: StationReport, finding: Finding) -> list[Axis]:
+    """Axes along which the template varies in these data, the strongest first."""
     expected = _expected(report, finding)
-    variation = {}
-    for name in ("lst", "utc", "date", "temperature", "rain"):
-        for values in _axes(report, [name]).values():
-            count = np.histogram(values, MAP_BINS)[0] / values.size
-            means = np.nan_to_num(_map(values, expected - expected.mean(axis=0)))
-            variation[name] = float(np.sum(count[:, None] * means**2))
-    ordered = sorted(variation, key=lambda name: variation[name], reverse=True)
-    return [name for name in ordered if variation[name] > WEAKEST_AXIS * variation[ordered[0]]]
+    variation: list[tuple[float, Axis]] = []
+    for axis in (axis for axis in AXES if axis.name == axis.along):
+        shown = _values_on(report, axis)
+        if shown is not None:
+            count = np.histogram(shown[1], MAP_BINS)[0] / shown[1].size
+            means = np.nan_to_num(_map(shown[1], expected - expected.mean(axis=0)))
+            variation.append((float(np.sum(count[:, None] * means**2)), axis))
+    variation.sort(key=lambda pair: -pair[0])
+    return [axis for strength, axis in variation if strength > WEAKEST_AXIS * variation[0][0]]
 
 
 def _expected(report: StationReport, finding: Finding) -> Floats:
     """The finding's signature at its size as `_shown` would show it, shape (event, freq)."""
-    data, effect = report.data, finding.effect
-    shape = effect.size * signature(effect.cause, report.last.baseline.terms, data.conditions, effect.law)
-    whole = shape[data.class_of] * effect.target.is_member[:, None, None] * data.is_present[:, :, None]
-    return _shown(whole, report, effect.target)
+    station, one = report.station, finding.hypothesis
+    change = one.size * signature(one.cause, report.last.baseline.terms, station.conditions, one.template)
+    whole = change[station.class_of] * one.target.is_member[:, None, None] * station.is_present[:, :, None]
+    return _shown(whole, report, one.target)
 
 
 def _map(values: Floats, residual: Floats) -> Floats:
@@ -178,7 +179,7 @@ def _map(values: Floats, residual: Floats) -> Floats:
 def draw_calibration_change(report: StationReport, finding: Finding) -> Figure:
     """What the extended model does to C(nu) of the paths concerned."""
     change = 100 * finding.calibration_change
-    frequency = report.data.conditions.frequency_mhz
+    frequency = report.station.conditions.frequency_mhz
     figure = Figure(figsize=(9.5, 2.8), layout="constrained")
     axes: Any = figure.subplots()
     low, middle, high = np.percentile(change, [16, 50, 84], axis=0)
@@ -191,28 +192,12 @@ def draw_calibration_change(report: StationReport, finding: Finding) -> Figure:
     return figure
 
 
-def _axes(report: StationReport, names: Sequence[str]) -> dict[str, Floats]:
-    """Value of every event on each axis that these data have, by its label; all where the name is not known."""
-    conditions = report.data.conditions
-    days = (conditions.time_unix - conditions.time_unix.min()) / 86_400.0
-    known: dict[str, tuple[str, Floats | None]] = {
-        "lst": ("local sidereal time (h)", conditions.lst_hours),
-        "utc": ("UTC (h)", conditions.utc_hours),
-        "date": ("days since the first event", days),
-        "event": ("event, in order of time", np.arange(days.size, dtype=float)),
-        "temperature": ("temperature (degrees C)", conditions.temperature_c),
-        "rain": ("rain (mm/h)", conditions.rain_mm_h),
-    }
-    shown = {}
-    for name in names:
-        if ", period " in name:
-            period = float(name.split()[-2])
-            shown[f"day of a period of {period:g} days"] = (conditions.time_unix / 86_400.0) % period
-            continue
-        label, values = known[name]
-        if values is not None:
-            shown[label] = np.nan_to_num(values, nan=float(np.nanmean(values)))
-    return shown
+def _values_on(report: StationReport, axis: Axis | None) -> tuple[str, Floats] | None:
+    """Label of an axis and its value at every event, all alike where it is not known; None where data lack it."""
+    if axis is None:
+        return "event, in order of time", np.arange(report.station.event_id.size, dtype=float)
+    values = axis.values(report.station.conditions)
+    return None if values is None else (axis.label, np.nan_to_num(values, nan=float(np.nanmean(values))))
 
 
 def _shown(residual: Floats, report: StationReport, target: Target | None) -> Floats:
@@ -220,7 +205,7 @@ def _shown(residual: Floats, report: StationReport, target: Target | None) -> Fl
 
     That gain is common to all paths and channels and fluctuates by some percent, far more than most effects.
     """
-    present = report.data.is_present
+    present = report.station.is_present
     everywhere = np.ones(len(present), dtype=bool)
     is_member = everywhere if target is None else target.is_member
 

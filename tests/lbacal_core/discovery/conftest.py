@@ -7,7 +7,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from lbacal_core.discovery.baseline import StationData, fit_baseline, gather_stations
+from lbacal_core.discovery.baseline import fit_baseline
+from lbacal_core.discovery.station import Station, gather_stations
 from lbacal_core.instrument import Instrument, load_instrument
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.table import SkyPower
@@ -43,7 +44,7 @@ def spoil(chain, sky) -> Callable[[Fault], Spectra]:
 
 
 @pytest.fixture(scope="session")
-def station(clean, chain, sky) -> StationData:
+def station(clean, chain, sky) -> Station:
     return gather_stations(clean, chain, sky)[0]
 
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lbacal_core.discovery.report import investigate
+from lbacal_core.discovery.investigate import investigate
 from lbacal_core.errors import LbacalError
 from lbacal_core.skypower.differences import model_difference_modes
 from lbacal_core.twin.faults.antenna import GainStep, GainTemperature
@@ -33,7 +33,7 @@ def test_of_two_stations_the_one_with_the_fault_is_named(pair):
     assert [(f["cause"], f["where"]["station"], f["where"]["antennas"]) for f in report["findings"]] == [
         ("gain_step", "CS003", [1])
     ]
-    assert [station.data.station for station in stations] == ["CS002", "CS003"]
+    assert [one.station.name for one in stations] == ["CS002", "CS003"]
     json.dumps(report, allow_nan=False)
 
 
@@ -55,8 +55,8 @@ def test_the_false_alarm_rate_is_shared_by_all_stations(world):
     look = world.look(GainTemperature(size=0.007))
     report = look.investigate()
     (finding,) = report.findings
-    assert 1e-12 < finding.p_value < thresholds()["catalogue"]
-    enough = int(thresholds()["catalogue"] / finding.p_value)
+    assert 1e-12 < finding.score.p_value < thresholds()["catalogue"]
+    enough = int(thresholds()["catalogue"] / finding.score.p_value)
     assert len(look.investigate(stations=int(0.9 * enough)).findings) == 1
     assert look.investigate(stations=int(1.1 * enough) + 1).findings == []
 
@@ -98,9 +98,9 @@ def found(world):
 def test_a_finding_reports_the_error_with_the_open_template(found):
     report, (station,) = found
     named = next(one for one in report["findings"] if one["cause"] == "rfi_broadband")
-    effect = next(one.effect for one in station.findings if one.effect.cause.identifier == "rfi_broadband")
+    effect = next(one.hypothesis for one in station.findings if one.hypothesis.cause.identifier == "rfi_broadband")
     size = named["size"]
-    assert size["sigma"] == pytest.approx(np.hypot(effect.sigma, effect.law_sigma * effect.size))
+    assert size["sigma"] == pytest.approx(np.hypot(effect.sigma, effect.template_sigma * effect.size))
     assert size["sigma"] >= named["evidence"]["sigma_of_size_under_this_law"]
     assert size["value"] == pytest.approx(0.008, abs=3 * size["sigma"])
 

@@ -5,29 +5,30 @@ import pytest
 from scipy.stats import kstest
 
 from lbacal_core.causes.catalogue import CAUSES
-from lbacal_core.causes.terms import signature
-from lbacal_core.discovery.extend import fit_plain
-from lbacal_core.discovery.scan import correlate_with, list_shapes, make_courses, scan
-from lbacal_core.discovery.targets import list_targets
+from lbacal_core.causes.cause import signature
+from lbacal_core.discovery.hypothesis import list_targets
+from lbacal_core.discovery.refit import fit_chain
+from lbacal_core.discovery.scan import correlate, group_templates, list_families, scan
+from lbacal_core.discovery.view import make_profiles
 from tests.lbacal_core.discovery.worlds import p_of_score, p_value_of
 
 
 @pytest.fixture(scope="module")
-def evidence(station):
-    return fit_plain(station).evidence
+def model(station):
+    return fit_chain(station).linear
 
 
-def test_shapes_times_courses_are_the_signatures_of_all_laws(evidence):
-    conditions = evidence.data.conditions
-    for shape in list_shapes(evidence, CAUSES)[::7]:
+def test_spectral_templates_times_time_profiles_are_the_signatures_of_all_templates(model):
+    conditions = model.station.conditions
+    for family in list_families(conditions, CAUSES)[::7]:
         for k in (0, -1):
-            law = shape.laws[k]
-            base = signature(shape.cause, evidence.terms, conditions, shape.laws[0])
-            course = shape.cause.course(conditions, law)
-            first = shape.cause.course(conditions, shape.laws[0])
-            both = (course[:, 0] != 0) & (first[:, 0] != 0)
-            direct = signature(shape.cause, evidence.terms, conditions, law)
-            expected = base[:, both] / first[both] * course[both]
+            template = family.templates[k]
+            base = signature(family.cause, model.terms, conditions, family.templates[0])
+            profile = family.cause.time_profile(conditions, template)
+            first = family.cause.time_profile(conditions, family.templates[0])
+            both = (profile[:, 0] != 0) & (first[:, 0] != 0)
+            direct = signature(family.cause, model.terms, conditions, template)
+            expected = base[:, both] / first[both] * profile[both]
             np.testing.assert_allclose(direct[:, both], expected, rtol=2e-3, atol=2e-5 * np.abs(direct).max())
 
 
@@ -36,26 +37,39 @@ def test_sums_over_sets_of_events_equal_plain_sums():
     hours = rng.uniform(0, 24, 70)
     values = np.stack([(hours >= begin) & (hours < begin + 6) for begin in range(20)]).astype(float)
     vectors = rng.standard_normal((3, 70, 5))
-    np.testing.assert_allclose(make_courses(values).sum(vectors), values @ vectors, atol=1e-12)
+    np.testing.assert_allclose(make_profiles(values).sum(vectors), values @ vectors, atol=1e-12)
 
 
-def test_scores_of_a_clean_station_are_not_significant(evidence):
-    found = scan(evidence, CAUSES, list_targets(evidence.data))
+def test_scores_of_a_clean_station_are_not_significant(model):
+    found = scan(model, CAUSES, list_targets(model.station))
     assert {score.cause.identifier for score in found} == {cause.identifier for cause in CAUSES}
     assert min(score.p_value for score in found) > 0.003
 
 
-def test_a_cause_correlates_fully_with_itself_and_less_with_others(evidence):
-    targets = {target.label: target for target in list_targets(evidence.data)}
+def test_a_cause_correlates_fully_with_itself_and_less_with_others(model):
+    conditions = model.station.conditions
+    targets = {target.label: target for target in list_targets(model.station)}
     named = {cause.identifier: cause for cause in CAUSES}
-    drift = named["gain_drift"]
-    (law,) = drift.laws(evidence.data.conditions)
-    found = {
-        cause.identifier: r
-        for cause, r in correlate_with(evidence, drift, law, targets["station"], [drift, named["lst_offset"]])
-    }
-    assert found["gain_drift"] > 1 - 1e-6
-    assert found["lst_offset"] < 0.5
+    drift, offset = (
+        group_templates(conditions, named[name], named[name].templates(conditions))
+        for name in ("gain_drift", "lst_offset")
+    )
+    ((itself, other),) = np.abs(correlate(model, drift, targets["station"], [*drift, *offset]))
+    assert itself > 1 - 1e-6
+    assert other < 0.5
+    np.testing.assert_allclose(correlate(model, drift, targets["antenna 2"]), [[1.0]], rtol=1e-9)
+
+
+@pytest.mark.parametrize("label", ["station", "antenna 2", "antenna 2 X"])
+def test_scores_of_many_equal_the_products_of_one(model, label):
+    """The factorised scan against `LinearModel.products` of each best template by itself."""
+    (target,) = (target for target in list_targets(model.station) if target.label == label)
+    for score in scan(model, CAUSES, [target]):
+        values = signature(score.cause, model.terms, model.station.conditions, score.template)
+        (product,), ((information,),) = model.products([values], [target])
+        # The scan leaves out what classes of a polarisation say against each other where it is little.
+        assert score.z == pytest.approx(product / information**0.5, rel=1e-2, abs=0.01)
+        assert score.events == model.station.event_id.size
 
 
 DRAWS = 500

@@ -15,29 +15,20 @@ from typing import Any
 import numpy as np
 
 from lbacal_core.causes.cable import log_loss_per_metre
-from lbacal_core.causes.catalogue import CAUSES, STATIC_CAUSES
-from lbacal_core.causes.terms import Law, shape_signature, signature
-from lbacal_core.discovery import investigate as search
-from lbacal_core.discovery.baseline import StationData, gather_stations, model_modes
-from lbacal_core.discovery.chance import p_of
-from lbacal_core.discovery.evidence import Evidence
-from lbacal_core.discovery.extend import (
-    FOLDS,
-    Effect,
-    Extension,
-    fit_extension,
-    fit_plain,
-    held_out_fold,
-    held_out_gain,
-    power_ratio,
-)
-from lbacal_core.discovery.leftover import Leftover, find_leftover
-from lbacal_core.discovery.refine import refine
+from lbacal_core.causes.catalogue import ANTENNA_CAUSES, CAUSES
+from lbacal_core.causes.cause import Template, signature, spectral_signature
+from lbacal_core.discovery import search
+from lbacal_core.discovery.antennas import AntennaScore, compare_antennas
+from lbacal_core.discovery.hypothesis import Hypothesis, Target, list_targets
+from lbacal_core.discovery.noise import split_residuals
+from lbacal_core.discovery.policy import Policy
+from lbacal_core.discovery.project import LinearModel
+from lbacal_core.discovery.refit import FOLDS, FittedModel, fit_chain, held_out_fold, held_out_gain, power_ratio, refit
 from lbacal_core.discovery.report import describe
-from lbacal_core.discovery.scan import Score, group_laws, scan, score_shapes
-from lbacal_core.discovery.statics import StaticScore, scan_static
-from lbacal_core.discovery.targets import Target, list_targets
-from lbacal_core.discovery.whitening import split_residuals
+from lbacal_core.discovery.residual_structure import ResidualStructure, find_structure
+from lbacal_core.discovery.scan import SMALLEST_INFORMATION, Score, group_templates, scan, score_families
+from lbacal_core.discovery.station import Station, gather_stations, model_modes
+from lbacal_core.discovery.trials import p_of
 from lbacal_core.grids import Floats
 from lbacal_core.instrument import DIPOLES, Instrument
 from lbacal_core.provenance import Provenance
@@ -50,13 +41,13 @@ from lbacal_core.twin.view import View
 
 MOVING = tuple(cause.identifier for cause in CAUSES)
 """Causes whose effect differs from event to event."""
-STATIC = tuple(cause.identifier for cause in STATIC_CAUSES)
+STATIC = tuple(cause.identifier for cause in ANTENNA_CAUSES)
 """Causes seen by comparing antennas."""
 QUIET = {"radiometer": 512**-0.5 / 300, "event_gain_common": 1e-4, "event_gain_path": 1e-4}
 """A three-hundredth of the noise: what a fault does stands far above it."""
 SILENT = {"radiometer": 0.0, "event_gain_common": 0.0, "event_gain_path": 0.0}
 
-_NAMED: dict[str, Any] = {cause.identifier: cause for cause in (*CAUSES, *STATIC_CAUSES)}
+_NAMED: dict[str, Any] = {cause.identifier: cause for cause in (*CAUSES, *ANTENNA_CAUSES)}
 
 
 @dataclass(frozen=True)
@@ -93,7 +84,7 @@ class World:
         return np.asarray((above - below) / (above + below) / fault.size)
 
     @cached_property
-    def _plain(self) -> StationData:
+    def _plain(self) -> Station:
         (data,) = gather_stations(self.spectra(), self.instrument, self.sky)
         return data
 
@@ -103,24 +94,24 @@ class World:
         if faults:  # the same events: only the power differs, and the sky need not be computed again
             shape = (-1, len(DIPOLES), *data.power.shape[1:])
             data = replace(data, power=_arrange(data, self.spectra(*faults).power.reshape(shape)))
-        return Look(data, fit_plain(data), None)
+        return Look(data, fit_chain(data), None)
 
 
 def look_at(spectra: Spectra, instrument: Instrument, sky: SkyPower, *, with_modes: bool = False) -> Look:
     """One station's spectra with their chains fitted."""
     (data,) = gather_stations(spectra, instrument, sky)
     modes = model_modes(data, instrument) if with_modes else None
-    return Look(data, fit_plain(data, modes), modes)
+    return Look(data, fit_chain(data, modes), modes)
 
 
 def look_with_residual(look: Look, residual: Floats) -> Look:
     """The same chains, but other relative residuals, shape (path, event, freq)."""
     model = look.model
-    evidence = Evidence(look.data, split_residuals(look.data, residual), model.baseline.terms, look.modes)
-    return replace(look, model=replace(model, evidence=evidence))
+    linear = LinearModel(look.data, split_residuals(look.data, residual), model.baseline.terms, look.modes)
+    return replace(look, model=replace(model, linear=linear))
 
 
-def _arrange(data: StationData, values: Floats) -> Floats:
+def _arrange(data: Station, values: Floats) -> Floats:
     row, column = np.searchsorted(np.unique(data.antenna), data.antenna), np.searchsorted(DIPOLES, data.dipole)
     return np.asarray(values[row, column])
 
@@ -129,7 +120,7 @@ def _arrange(data: StationData, values: Floats) -> Floats:
 class Match:
     """The template most like a planted effect: their correlation, and planted size per size of the template."""
 
-    template: Law
+    template: Template
     correlation: float
     slope: float
 
@@ -143,8 +134,8 @@ class Fitted:
     template_sigma: float
     uncertainty: float
     parameters: Mapping[str, Any]
-    effect: Effect
-    model: Extension
+    effect: Hypothesis
+    model: FittedModel
 
 
 class CannotBeFittedError(Exception):
@@ -155,8 +146,8 @@ class CannotBeFittedError(Exception):
 class Look:
     """One station's data and a fitted model of them."""
 
-    data: StationData
-    model: Extension
+    data: Station
+    model: FittedModel
     modes: Floats | None
 
     @property
@@ -168,20 +159,24 @@ class Look:
         """The paths called `station`, `antenna 3`, `antenna 3 X` or `cable 80`."""
         return next(target for target in list_targets(self.data) if target.label == label)
 
-    def templates(self, cause: str) -> list[Law]:
+    def templates(self, cause: str) -> list[Template]:
         """The templates that a scan tries."""
-        return _NAMED[cause].laws(self.data.conditions)
+        return _NAMED[cause].templates(self.data.conditions)
 
-    def template(self, cause: str, **wanted: Any) -> Law:
+    def template(self, cause: str, **wanted: Any) -> Template:
         """The template whose parameters are those wanted, or nearest to a date."""
         date = wanted.pop("date_unix", None)
-        found = [law for law in self.templates(cause) if all(law.parameters.get(k) == v for k, v in wanted.items())]
+        found = [
+            template
+            for template in self.templates(cause)
+            if all(template.parameters.get(k) == v for k, v in wanted.items())
+        ]
         if date is not None:
-            found = [law for law in found if "date_unix" in law.parameters]
-            return min(found, key=lambda law: abs(law.parameters["date_unix"] - date))
+            found = [template for template in found if "date_unix" in template.parameters]
+            return min(found, key=lambda template: abs(template.parameters["date_unix"] - date))
         return found[0]
 
-    def signature(self, cause: str, template: Law) -> Floats:
+    def signature(self, cause: str, template: Template) -> Floats:
         """Relative change of the recorded power per unit of size, shape (path, event, freq)."""
         conditions = self.data.conditions
         return signature(_NAMED[cause], self.model.baseline.terms, conditions, template)[self.data.class_of]
@@ -198,113 +193,119 @@ class Look:
         of_class -= of_class.mean(axis=1, keepdims=True)
         flat = np.moveaxis(of_class, 0, 1).reshape(of_class.shape[1], -1)
         matches = []
-        for shape in group_laws(conditions, _NAMED[cause], self.templates(cause)):
-            change = shape_signature(shape.cause, terms, conditions, shape.laws[0])
+        for family in group_templates(conditions, _NAMED[cause], self.templates(cause)):
+            change = spectral_signature(family.cause, terms, conditions, family.templates[0])
             change = np.moveaxis(change, 0, 1).reshape(flat.shape)
-            courses = shape.courses.values
-            product = courses @ np.sum(change * flat, axis=1)
-            mean = courses @ change / len(flat)
-            square = courses**2 @ np.sum(change**2, axis=1) - len(flat) * np.sum(mean**2, axis=1)
+            profiles = family.profiles.values
+            product = profiles @ np.sum(change * flat, axis=1)
+            mean = profiles @ change / len(flat)
+            square = profiles**2 @ np.sum(change**2, axis=1) - len(flat) * np.sum(mean**2, axis=1)
             r = product / np.sqrt(square * np.sum(flat**2))
             best = int(np.argmax(np.abs(r)))
-            matches.append(Match(shape.laws[best], float(r[best]), float(product[best] / square[best])))
+            matches.append(Match(family.templates[best], float(r[best]), float(product[best] / square[best])))
         return max(matches, key=lambda match: abs(match.correlation))
 
-    def score(self, cause: str, template: Law, target: str = "station") -> tuple[float, float]:
+    def score(self, cause: str, template: Template, target: str = "station") -> tuple[float, float]:
         """Score in standard deviations and size to first order, as a scan computes them."""
-        shapes = group_laws(self.data.conditions, _NAMED[cause], [template])
-        ((_, z, size),) = score_shapes(self.model.evidence, shapes, [self.target(target)])
+        shapes = group_templates(self.data.conditions, _NAMED[cause], [template])
+        ((_, z, size),) = score_families(self.model.linear, shapes, [self.target(target)])
         return float(z[0, 0, 0]), float(size[0, 0, 0])
 
     def scan(self, causes: Sequence[str] = MOVING, targets: Sequence[str] | None = None) -> list[Score]:
         """The best score of each cause."""
         chosen = list_targets(self.data) if targets is None else [self.target(label) for label in targets]
-        return scan(self.model.evidence, [_NAMED[cause] for cause in causes], chosen)
+        return scan(self.model.linear, [_NAMED[cause] for cause in causes], chosen)
 
-    def effects(self, causes: Sequence[str], labels: Sequence[str]) -> list[tuple[str, Law, str]]:
+    def effects(self, causes: Sequence[str], labels: Sequence[str]) -> list[tuple[str, Template, str]]:
         """Every (cause, template, target) that a scan of some causes and targets scores."""
         return [
-            (cause, law, label)
+            (cause, template, label)
             for cause in causes
-            for law in self.templates(cause)
+            for template in self.templates(cause)
             for label in labels
             if self.target(label).scope in _NAMED[cause].scopes
         ]
 
-    def covariance_of_scores(self, effects: Sequence[tuple[str, Law, str]]) -> Floats:
+    def covariance_of_scores(self, effects: Sequence[tuple[str, Template, str]]) -> Floats:
         """Covariance of the scores of (cause, template, target), each of unit variance, shape (effect, effect)."""
         conditions, terms = self.data.conditions, self.model.baseline.terms
-        signatures = [signature(_NAMED[cause], terms, conditions, law) for cause, law, _ in effects]
-        _, information = self.model.evidence.products(signatures, [self.target(label) for *_, label in effects])
-        size = np.sqrt(np.maximum(np.diag(information), 1e-300))
+        signatures = [signature(_NAMED[cause], terms, conditions, template) for cause, template, _ in effects]
+        _, information = self.model.linear.products(signatures, [self.target(label) for *_, label in effects])
+        # The fit leaves constant noise free: the scan gives a template without information no score.
+        seen = np.diag(information)
+        size = np.where(seen > SMALLEST_INFORMATION, np.sqrt(np.abs(seen)), np.inf)
         return np.asarray(information / np.outer(size, size))
 
-    def fit(self, cause: str, template: Law, target: str = "station") -> Fitted:
+    def fit(self, cause: str, template: Template, target: str = "station") -> Fitted:
         """The cause with the best template about one given, its size fitted with all parameters of the chain."""
         z, size = self.score(cause, template, target)
-        effect = refine(self.model.evidence, Score(_NAMED[cause], template, self.target(target), z, size, 1.0, 1))
+        events = self.data.event_id.size
+        score = Score(_NAMED[cause], template, self.target(target), z, size, events)
+        effect = search.refine(self.model.linear, score, Policy())
         return self._extend(effect)
 
-    def fit_as_is(self, cause: str, template: Law, target: str = "station") -> Fitted:
+    def fit_as_is(self, cause: str, template: Template, target: str = "station") -> Fitted:
         """The cause under exactly this template."""
         _, size = self.score(cause, template, target)
-        return self._extend(Effect(_NAMED[cause], template, self.target(target), size))
+        return self._extend(Hypothesis(_NAMED[cause], template, self.target(target), size))
 
-    def _extend(self, effect: Effect) -> Fitted:
-        model = fit_extension(self.data, self.model, effect, self.modes)
+    def _extend(self, effect: Hypothesis) -> Fitted:
+        model = refit(self.model, effect)
         if model is None:
             raise CannotBeFittedError
-        found = model.effects[-1]
-        return Fitted(found.size, found.sigma, found.law_sigma, found.uncertainty, found.law.parameters, found, model)
+        found = model.hypotheses[-1]
+        return Fitted(
+            found.size, found.sigma, found.template_sigma, found.uncertainty, found.template.parameters, found, model
+        )
 
     def with_effect(self, fitted: Fitted, size: float) -> Look:
         """The chains fitted again with the effect at a size."""
         effects = [replace(fitted.effect, size=size)]
         ratio = power_ratio(self.data, fitted.model.baseline.terms, effects)
-        return replace(self, model=fit_plain(replace(self.data, power=self.data.power / ratio), self.modes))
+        return replace(self, model=fit_chain(replace(self.data, power=self.data.power / ratio), self.modes))
 
     def chi_squared_by_event(self, like: Look) -> Floats:
         """Chi^2 of each event, shape (event,), with the noise levels of another look."""
-        evidence = self.model.evidence.with_levels(like.model.residuals.levels)
-        residuals = evidence.residuals
-        of_mean = np.einsum("def,def->e", residuals.mean, evidence.mean_dual)
-        return np.asarray(of_mean + np.einsum("pef,pef->e", residuals.deviation, evidence.path_dual))
+        linear = self.model.linear.with_levels(like.model.linear.residuals.levels)
+        views = (linear.common, *linear.paths)
+        return np.sum([np.einsum("mref,mref->e", view.residual, view.weighted_residual) for view in views], axis=0)
 
     def change_of_c(self, fitted: Fitted) -> Floats:
         """Relative change of C that a finding of this effect claims, shape (path of its target, freq)."""
         return search._calibration_change(self.model, fitted.model, fitted.effect.target)
 
-    def similar_to(self, cause: str, template: Law, significance: float, target: str = "station") -> dict[str, float]:
+    def similar_to(
+        self, cause: str, template: Template, significance: float, target: str = "station"
+    ) -> dict[str, float]:
         """Causes that the data cannot tell from one found at a significance, with their correlation."""
-        effect = Effect(_NAMED[cause], template, self.target(target), significance, sigma=1.0)
-        return dict(search.find_similar(self.model.evidence, effect))
+        effect = Hypothesis(_NAMED[cause], template, self.target(target), significance, sigma=1.0)
+        return dict(search.find_indistinguishable(self.model.linear, effect, Policy()))
 
     @property
     def fold(self) -> Any:
         """Fold of each event in the held-out test, shape (event,)."""
         return held_out_fold(self.data)
 
-    def held_out_gain(self, cause: str, templates: Sequence[Law], target: str = "station") -> float:
+    def held_out_gain(self, cause: str, templates: Sequence[Template], target: str = "station") -> float:
         """Gain in log-likelihood of held-out events, the template chosen and its size fitted on the others."""
-        effect = Effect(_NAMED[cause], templates[0], self.target(target), 0.0)
-        return held_out_gain(self.model, effect, templates)[0]
+        effect = Hypothesis(_NAMED[cause], templates[0], self.target(target), 0.0)
+        return held_out_gain(self.model, effect, templates)
 
     def only_events(self, is_kept: Any) -> Look:
         """A station that recorded only some of the events."""
-        excess = np.where(is_kept, self.data.excess, np.inf)
-        data = replace(self.data, excess=excess)
-        return Look(data, fit_plain(data, self.modes), self.modes)
+        data = self.data.on_events(is_kept)
+        return Look(data, fit_chain(data, self.modes), self.modes)
 
-    def residual_structure(self, seed: int = 0, alpha: float | None = None) -> Leftover | None:
+    def residual_structure(self, seed: int = 0, alpha: float | None = None) -> ResidualStructure | None:
         """The most significant structure that no cause is asked for; of any probability unless `alpha` is given."""
         rng = np.random.default_rng(seed)
         if alpha is None:
-            return find_leftover(self.model.evidence, rng, 1.1, misfit=1.0)
-        return find_leftover(self.model.evidence, rng, alpha)
+            return find_structure(self.model.linear, rng, 1.1, again=1.0)
+        return find_structure(self.model.linear, rng, alpha)
 
     def investigate(self, **options: Any) -> search.StationReport:
         """The whole search."""
-        return search.investigate_station(self.data, modes=self.modes, **options)
+        return search.search_station(self.data, modes=self.modes, **options)
 
     def targets(self) -> list[tuple[str, str, list[tuple[int, str]]]]:
         """Scope, label and paths of everything that a cause may touch."""
@@ -313,9 +314,9 @@ class Look:
             for target in list_targets(self.data)
         ]
 
-    def static_scores(self, seed: int = 0) -> list[StaticScore]:
+    def static_scores(self, seed: int = 0) -> list[AntennaScore]:
         """The best score of each static cause, most significant first."""
-        return scan_static(self.data, self.model.baseline, list_targets(self.data), seed)
+        return compare_antennas(self.data, self.model.baseline, list_targets(self.data), Policy(), seed)
 
     @property
     def residual(self) -> Floats:
@@ -337,7 +338,7 @@ class Look:
 
     def chi_squared(self) -> tuple[float, int]:
         """Chi^2 of what the model leaves, and its degrees of freedom."""
-        return self.model.evidence.chi_squared()
+        return self.model.linear.chi_squared()
 
 
 def static_templates(cause: str, look: Look) -> list[tuple[Mapping[str, float], Floats]]:
@@ -360,11 +361,12 @@ def unit_of(cause: str) -> str:
 
 def thresholds() -> dict[str, float]:
     """Probabilities by chance below which each question has an answer, and their sum as stated."""
+    policy = Policy()
     return {
-        "catalogue": search.ALPHA_CATALOGUE,
-        "static": search.ALPHA_STATIC,
-        "structure": search.ALPHA_LEFTOVER,
-        "stated": search.FALSE_ALARM_RATE,
+        "catalogue": policy.catalogue_alpha,
+        "static": policy.antenna_alpha,
+        "structure": policy.structure_alpha,
+        "stated": policy.false_alarm_rate,
     }
 
 

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lbacal_core.discovery.report import investigate
+from lbacal_core.discovery.investigate import investigate
 from lbacal_core.instrument import load_instrument
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.twin.campaign import simulate_campaign

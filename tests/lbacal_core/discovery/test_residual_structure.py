@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
-from lbacal_core.discovery.baseline import gather_stations
-from lbacal_core.discovery.extend import fit_plain
-from lbacal_core.discovery.leftover import axis_functions, find_leftover, share_of_channels
+from lbacal_core.causes.axes import axis_named
+from lbacal_core.discovery.refit import fit_chain
+from lbacal_core.discovery.residual_structure import find_structure, share_of_channels
+from lbacal_core.discovery.station import gather_stations
 from lbacal_core.twin.faults.uncatalogued import MainsHum
 from tests.lbacal_core.discovery.worlds import look_with_residual
 
@@ -18,36 +19,36 @@ WHATEVER = 1.1
 
 
 @pytest.fixture(scope="module")
-def evidence(station):
-    return fit_plain(station).evidence
+def model(station):
+    return fit_chain(station).linear
 
 
-def test_nothing_is_left_of_a_clean_station(evidence):
-    assert find_leftover(evidence, np.random.default_rng(1), SIGNIFICANT) is None
+def test_nothing_is_left_of_a_clean_station(model):
+    assert find_structure(model, np.random.default_rng(1), SIGNIFICANT) is None
 
 
-def test_the_largest_structure_of_noise_predicts_nothing_of_events_not_used(evidence):
-    assert find_leftover(evidence, np.random.default_rng(1), WHATEVER) is None
+def test_the_largest_structure_of_noise_predicts_nothing_of_events_not_used(model):
+    assert find_structure(model, np.random.default_rng(1), WHATEVER) is None
 
 
 def test_a_wave_over_the_day_is_left_along_utc_and_predicts_events_not_used(spoil, chain, sky):
-    spoilt = fit_plain(gather_stations(spoil(MainsHum(size=0.01)), chain, sky)[0]).evidence
-    found = find_leftover(spoilt, np.random.default_rng(1), SIGNIFICANT)
+    spoilt = fit_chain(gather_stations(spoil(MainsHum(size=0.01)), chain, sky)[0]).linear
+    found = find_structure(spoilt, np.random.default_rng(1), SIGNIFICANT)
     assert found is not None
-    assert (found.axis, found.target) == ("utc", "station")
+    assert (found.axis_name, found.target) == ("utc", "station")
     assert found.held_out_gain > 0
     # The vectors that describe it are functions of UTC times functions of frequency, and take the structure out.
     values = found.vectors.reshape(len(found.vectors), -1)
     rank = np.linalg.matrix_rank(values)
-    assert rank == len(axis_functions(spoilt.data)["utc"]) * 6 * 2
+    assert rank == len(axis_named("utc").basis(spoilt.station.conditions)) * 6 * 2
     assert found.channel_share.sum() == pytest.approx(1.0)
-    assert find_leftover(replace(spoilt, empirical=found.vectors), np.random.default_rng(1), SIGNIFICANT) is None
+    assert find_structure(replace(spoilt, empirical=found.vectors), np.random.default_rng(1), SIGNIFICANT) is None
 
 
-def test_the_spectrum_of_a_vector_is_where_it_is_not_flat(evidence):
-    line = np.zeros_like(evidence.residuals.mean)
+def test_the_spectrum_of_a_vector_is_where_it_is_not_flat(model):
+    line = np.zeros_like(model.residuals.mean)
     line[:, ::2, 20] = 1.0
-    share = share_of_channels(evidence, line)
+    share = share_of_channels(model, line)
     assert np.argmax(share) == 20
     assert share[20] > 0.9
     assert share.sum() == pytest.approx(1.0)
@@ -75,13 +76,13 @@ def waves(conditions):
     """A function of every axis, of mean square 1."""
     days = conditions.time_unix / 86_400.0
     span = (conditions.time_unix - conditions.time_unix.min()) / np.ptp(conditions.time_unix)
-    warmth = conditions.temperature_c - conditions.temperature_c.mean()
+    warmth = conditions.covariates["temperature_c"] - conditions.covariates["temperature_c"].mean()
     return {
         "lst": np.cos(2 * np.pi * 3 * conditions.lst_hours / 24.0),
         "utc": np.cos(2 * np.pi * 3 * conditions.utc_hours / 24.0),
         "date": np.cos(2 * np.pi * 4 * span),
         "temperature": warmth**2 - np.mean(warmth**2),
-        "rain": (conditions.rain_mm_h > 0).astype(float),
+        "rain": (conditions.covariates["rain_mm_h"] > 0).astype(float),
         "date, period 7 d": np.cos(2 * np.pi * days / 7.0),
         "date, period 27.3 d": np.cos(2 * np.pi * days / 27.3),
         "date, period 29.53 d": np.cos(2 * np.pi * days / 29.53),
@@ -102,7 +103,7 @@ def test_structure_is_found_along_the_axis_on_which_it_lives(axis, target, look)
     amount = np.array([1.0 if target == "station" else 3.0 * (path == target) for path in paths])
     spoilt = look_with_residual(look, look.model.baseline.residual + amount[:, None, None] * shown)
     found = spoilt.residual_structure(alpha=SIGNIFICANT)
-    assert (found.axis, found.target) == (axis, target)
+    assert (found.axis_name, found.target) == (axis, target)
     assert found.held_out_gain > 10
     # The slope rises from 0 at 30 MHz to 2 at 80 MHz.
     assert found.channel_share[40:].sum() > 2 * found.channel_share[:11].sum()
@@ -113,7 +114,7 @@ def test_structure_in_single_events_is_found_without_an_axis(look):
     events[[20, 50, 90, 130]] = 0.08
     shown = np.outer(events, np.cos(9 * np.linspace(-1, 1, look.data.power.shape[2])))
     found = look_with_residual(look, look.model.baseline.residual + shown).residual_structure(alpha=SIGNIFICANT)
-    assert (found.axis, found.target) == ("event", "station")
+    assert (found.axis_name, found.target) == ("event", "station")
 
 
 def test_structure_counts_where_its_probability_is_below_the_one_asked_for(look):
@@ -121,7 +122,7 @@ def test_structure_counts_where_its_probability_is_below_the_one_asked_for(look)
     shown = 0.004 * np.outer(wave / np.std(wave), 1.0 + np.linspace(-1, 1, look.data.power.shape[2]))
     spoilt = look_with_residual(look, look.model.baseline.residual + shown)
     whole = spoilt.residual_structure()
-    assert (whole.axis, whole.target) == ("utc", "station")
+    assert (whole.axis_name, whole.target) == ("utc", "station")
     assert 1e-30 < whole.p_value < 0.05
     assert whole.held_out_gain > 0
     assert spoilt.residual_structure(alpha=1.1 * whole.p_value).p_value == whole.p_value

@@ -42,7 +42,7 @@ def test_the_errors_of_sizes_cover_where_the_template_is_open(world):
     for seed in range(10):
         look = replace(world, seed=seed).look(fault)
         (score,) = look.scan(["rfi_broadband"], ["station"])
-        fitted = look.fit("rfi_broadband", score.law)
+        fitted = look.fit("rfi_broadband", score.template)
         assert fitted.uncertainty == pytest.approx(np.hypot(fitted.sigma, fitted.template_sigma * fitted.size))
         assert fitted.template_sigma > 0.05
         pulls.append((fitted.size - fault.size) / fitted.uncertainty)
@@ -119,7 +119,7 @@ def test_a_finding_that_fits_only_the_events_it_was_fitted_to_is_refused(fickle)
     assert z > 6, "it would be named, were it not for the held-out test"
     assert fickle.held_out_gain("gain_drift", [template]) < 0
     report = fickle.investigate()
-    assert "gain_drift" not in [finding.effect.cause.identifier for finding in report.findings]
+    assert "gain_drift" not in [finding.hypothesis.cause.identifier for finding in report.findings]
 
 
 def test_two_effects_that_cannot_be_told_apart_are_not_fitted_together(world):
@@ -136,5 +136,5 @@ def test_two_effects_are_fitted_together_with_the_size_of_each(world):
     look = quiet.look(GainDrift(size=0.007), LstOffset(size=0.01))
     first = look.fit("gain_drift", look.template("gain_drift"))
     both = replace(look, model=first.model).fit("lst_offset", look.template("lst_offset"))
-    sizes = [effect.size for effect in both.model.effects]
+    sizes = [effect.size for effect in both.model.hypotheses]
     assert sizes == pytest.approx([0.007, 0.01], rel=0.05)

@@ -15,12 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import t as student
 
-from lbacal_core.causes.cable import CableLength, CableReflection, StaticShape, log_loss_per_metre
-from lbacal_core.causes.catalogue import STATIC_CAUSES
-from lbacal_core.discovery.baseline import Baseline, StationData
-from lbacal_core.discovery.chance import equivalent_trials, p_of, sigma_of
-from lbacal_core.discovery.scan import INDISTINGUISHABLE
-from lbacal_core.discovery.targets import Target
+from lbacal_core.causes.cable import AntennaCause, StaticShape, log_loss_per_metre
+from lbacal_core.causes.catalogue import ANTENNA_CAUSES
+from lbacal_core.discovery.baseline import Baseline
+from lbacal_core.discovery.hypothesis import Target
+from lbacal_core.discovery.policy import Policy
+from lbacal_core.discovery.station import Station
+from lbacal_core.discovery.trials import p_of, sigma_of, trials_factor
 from lbacal_core.grids import Floats
 
 FEWEST_COMPARISONS = 3
@@ -31,7 +32,7 @@ departures of antennas are larger the smoother they are."""
 
 
 @dataclass(frozen=True)
-class StaticScore:
+class AntennaScore:
     """The significance of a static cause for one antenna.
 
     Attributes
@@ -51,7 +52,7 @@ class StaticScore:
         Other static causes that fit as well, with their correlation.
     """
 
-    cause: CableLength | CableReflection
+    cause: AntennaCause
     parameters: dict[str, float]
     target: Target
     z: float
@@ -66,21 +67,21 @@ class StaticScore:
     @property
     def p_value(self) -> float:
         """Probability of such a score from any static cause where nothing is hidden."""
-        return p_of(abs(self.z), self.trials * len(STATIC_CAUSES))
+        return p_of(abs(self.z), self.trials * len(ANTENNA_CAUSES))
 
 
-def scan_static(data: StationData, baseline: Baseline, targets: Sequence[Target], seed: int = 0) -> list[StaticScore]:
+def compare_antennas(
+    station: Station, baseline: Baseline, targets: Sequence[Target], policy: Policy, seed: int = 0
+) -> list[AntennaScore]:
     """The best score of each static cause, most significant first."""
     antennas = [target for target in targets if target.scope == "antenna"]
     antennas = antennas or [target for target in targets if target.scope == "path"]
-    if not antennas or count_comparisons(data) < FEWEST_COMPARISONS:
+    if not antennas or count_comparisons(station) < FEWEST_COMPARISONS:
         return []
-    departure, roots, is_compared = _departures(data, baseline, antennas)
-    cables = dict(zip(data.conditions.cables, np.exp(data.conditions.cable_log_loss), strict=True))
+    departure, roots, is_compared = _departures(station, baseline, antennas)
+    per_metre = log_loss_per_metre(_cable_losses(station))
     shapes = {
-        cause: found
-        for cause in STATIC_CAUSES
-        if (found := cause.shapes(data.conditions.frequency_mhz, log_loss_per_metre(cables)))
+        cause: found for cause in ANTENNA_CAUSES if (found := cause.shapes(station.conditions.frequency_mhz, per_metre))
     }
     whitened = {cause: _whiten(found, roots) for cause, found in shapes.items()}
     scores = []
@@ -90,15 +91,15 @@ def scan_static(data: StationData, baseline: Baseline, targets: Sequence[Target]
         unit = vectors[0] / norm[0][:, None]
         z, scatter = _against_others(amplitude, opposed, is_compared, unit @ unit.T, _neighbours(shapes[cause]))
         a, k = np.unravel_index(int(np.argmax(np.abs(z))), z.shape)
-        trials = int(is_compared.sum()) * equivalent_trials(unit @ unit.T, seed)
-        shape, size, length = _refine(cause, shapes[cause][int(k)], data, departure[0, a], roots[a])
+        trials = int(is_compared.sum()) * trials_factor(unit @ unit.T, seed)
+        shape, size, length = _refine(cause, shapes[cause][int(k)], station, departure[0, a], roots[a])
         similar = []
         for other, others in whitened.items():
             r = float(np.max(np.abs(others[a] @ vectors[a, k]) / np.linalg.norm(others[a], axis=1) / norm[a, k]))
-            if other is not cause and z[a, k] ** 2 * (1 - min(r, 1.0) ** 2) < INDISTINGUISHABLE:
+            if other is not cause and z[a, k] ** 2 * (1 - min(r, 1.0) ** 2) < policy.indistinguishable:
                 similar.append((other.identifier, r))
         scores.append(
-            StaticScore(
+            AntennaScore(
                 cause=cause,
                 parameters=shape.parameters,
                 target=antennas[int(a)],
@@ -116,13 +117,13 @@ def scan_static(data: StationData, baseline: Baseline, targets: Sequence[Target]
 
 
 def _refine(
-    cause: CableLength | CableReflection, shape: StaticShape, data: StationData, departure: Floats, root: Floats
+    cause: AntennaCause, shape: StaticShape, station: Station, departure: Floats, root: Floats
 ) -> tuple[StaticShape, float, float]:
     """The best shape about one that was found, its size, and its length in units of the error of the fit.
 
     Of a ripple and its negative the one with a positive size.
     """
-    about = cause.shapes_about(shape, data.conditions.frequency_mhz)
+    about = cause.shapes_about(shape, station.conditions.frequency_mhz)
     vectors = _whiten(about, root[None])[0]
     length = np.linalg.norm(vectors, axis=1)
     amplitude = vectors @ departure / length
@@ -130,12 +131,29 @@ def _refine(
     return about[best], float(amplitude[best] / length[best]), float(length[best])
 
 
-def count_comparisons(data: StationData) -> int:
+def count_comparisons(station: Station) -> int:
     """Independent comparisons of antennas with others of their cable name."""
-    names = np.array(data.conditions.cables)[data.class_of]
-    pairs = {(str(name), int(antenna)) for name, antenna in zip(names, data.antenna, strict=True)}
+    names = np.array(station.conditions.cables)[station.class_of]
+    pairs = {(str(name), int(antenna)) for name, antenna in zip(names, station.antenna, strict=True)}
     counts = [sum(name == other for other, _ in pairs) for name in {name for name, _ in pairs}]
     return sum(count - 1 for count in counts)
+
+
+def why_no_comparison(station: Station) -> dict[str, str]:
+    """Static causes that these data can never show, with the reason."""
+    per_metre = log_loss_per_metre(_cable_losses(station))
+    reasons = {}
+    for cause in ANTENNA_CAUSES:
+        if not cause.shapes(station.conditions.frequency_mhz, per_metre):
+            reasons[cause.identifier] = cause.needs
+        elif count_comparisons(station) < FEWEST_COMPARISONS:
+            reasons[cause.identifier] = "needs more antennas of the same cable name to compare"
+    return reasons
+
+
+def _cable_losses(station: Station) -> dict[str, Floats]:
+    conditions = station.conditions
+    return dict(zip(conditions.cables, np.exp(conditions.cable_log_loss), strict=True))
 
 
 def _neighbours(shapes: Sequence[StaticShape]) -> NDArray[np.bool_]:
@@ -184,7 +202,7 @@ def _whiten(shapes: Sequence[StaticShape], roots: Floats) -> Floats:
 
 
 def _departures(
-    data: StationData, baseline: Baseline, antennas: Sequence[Target]
+    station: Station, baseline: Baseline, antennas: Sequence[Target]
 ) -> tuple[Floats, Floats, NDArray[np.bool_]]:
     """Log slopes against the others of the same cable name, mean and half difference of the dipoles, in their errors.
 
@@ -193,11 +211,11 @@ def _departures(
     Departures, shape (mean or half difference, antenna, freq); the roots that whiten, shape (antenna, freq, freq);
     whether there are others.
     """
-    channels = data.power.shape[2]
+    channels = station.power.shape[2]
     solution = baseline.solution
     slope = np.where(solution.x > 0, solution.x, np.nan)
     log_slope, covariance = np.zeros((2, len(antennas), channels)), np.empty((len(antennas), channels, channels))
-    cable = np.array([data.conditions.cables[data.class_of[np.flatnonzero(t.is_member)[0]]] for t in antennas])
+    cable = np.array([station.conditions.cables[station.class_of[np.flatnonzero(t.is_member)[0]]] for t in antennas])
     of_path = solution.covariance[:, :channels, :channels] / (slope[:, :, None] * slope[:, None, :])
     for a, target in enumerate(antennas):
         own = np.log(slope[target.is_member])

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lbacal_core.discovery.whitening import split_residuals
+from lbacal_core.discovery.noise import split_residuals
 
 
 @pytest.fixture(scope="module")
@@ -27,10 +27,10 @@ def test_the_levels_of_known_noise_are_found(station, noise):
 
 
 def test_a_dead_antenna_leaves_the_mean_but_is_still_compared_with_it(station, noise):
-    excess = station.excess.copy()
+    relative_variance = station.relative_variance.copy()
     dead = station.antenna == station.antenna[0]
-    excess[dead, 100:] = np.inf
-    damaged = replace(station, excess=excess)
+    relative_variance[dead, 100:] = np.inf
+    damaged = replace(station, relative_variance=relative_variance)
     residuals = split_residuals(damaged, noise * damaged.is_present[:, :, None])
     assert not np.any(residuals.in_mean[dead])
     assert np.all(residuals.in_mean[~dead])
@@ -40,11 +40,11 @@ def test_a_dead_antenna_leaves_the_mean_but_is_still_compared_with_it(station, n
 
 def test_an_antenna_that_dies_in_the_last_days_leaves_the_mean_and_one_with_gaps_does_not(station, noise):
     rng = np.random.default_rng(5)
-    excess = station.excess.copy()
+    relative_variance = station.relative_variance.copy()
     late, gappy = station.antenna == station.antenna[0], station.antenna == station.antenna[-1]
-    excess[late, 275:] = np.inf
-    excess[np.ix_(gappy, rng.choice(300, 45, replace=False))] = np.inf
-    damaged = replace(station, excess=excess)
+    relative_variance[late, 275:] = np.inf
+    relative_variance[np.ix_(gappy, rng.choice(300, 45, replace=False))] = np.inf
+    damaged = replace(station, relative_variance=relative_variance)
     in_mean = split_residuals(damaged, noise * damaged.is_present[:, :, None]).in_mean
     assert not np.any(in_mean[late])
     assert np.all(in_mean[~late])

@@ -1,4 +1,4 @@
-"""What chance does: probabilities of scores, and how many independent scores correlated ones are worth."""
+"""Look-elsewhere: probabilities of the largest of many scores, and the trials factor of correlated ones."""
 
 from __future__ import annotations
 
@@ -8,11 +8,19 @@ from scipy.special import erfc, erfcinv
 from lbacal_core.grids import Floats
 
 DRAWS = 2000
+"""Simulated sets of scores: the quantile below is then known to 7 % of its trials factor."""
+QUANTILE = 0.9
+"""Of the largest score, from which the trials factor is taken: there the tail has begun, and 200 draws lie beyond."""
 
 
 def p_of(z: float, trials: float) -> float:
     """Probability that the largest of `trials` independent standard normal numbers exceeds z in absolute value."""
     return float(-np.expm1(-trials * erfc(z / np.sqrt(2.0))))
+
+
+def p_of_best(p_value: float, trials: float) -> float:
+    """Probability that the smallest of `trials` independent p-values is as small (Sidak 1967)."""
+    return float(-np.expm1(trials * np.log1p(-min(p_value, 1 - 1e-12))))
 
 
 def significance(z: float, trials: float) -> float:
@@ -26,15 +34,12 @@ def sigma_of(p_value: float) -> float:
     return float(np.sqrt(2.0) * erfcinv(np.clip(p_value, 1e-300, 1.0)))
 
 
-def equivalent_trials(correlation: Floats, seed: int) -> float:
-    """Equivalent number of independent scores of correlated ones, shape (score, score).
-
-    From the 90 % quantile of simulated largest scores, where they are many and the tail has begun.
-    """
+def trials_factor(correlation: Floats, seed: int) -> float:
+    """Number of independent scores whose largest exceeds as much as that of correlated ones, shape (score, score)."""
     if len(correlation) == 1:
         return 1.0
     values, vectors = np.linalg.eigh(correlation)
     root = vectors * np.sqrt(np.maximum(values, 0.0))
     draws = np.random.default_rng(seed).standard_normal((DRAWS, root.shape[1])) @ root.T
-    quantile = float(np.quantile(np.abs(draws).max(axis=1), 0.9))
-    return float(max(-np.log(0.9) / max(float(erfc(quantile / np.sqrt(2.0))), 1e-300), 1.0))
+    quantile = float(np.quantile(np.abs(draws).max(axis=1), QUANTILE))
+    return float(max(-np.log(QUANTILE) / max(float(erfc(quantile / np.sqrt(2.0))), 1e-300), 1.0))

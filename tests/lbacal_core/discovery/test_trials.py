@@ -3,12 +3,12 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import norm
 
-from lbacal_core.discovery.chance import equivalent_trials, p_of, sigma_of
+from lbacal_core.discovery.trials import p_of, sigma_of, trials_factor
 
 
 def test_independent_scores_count_each_and_equal_ones_count_once():
-    assert 38 < equivalent_trials(np.eye(50), seed=1) < 64  # the 90 % quantile of 2000 draws: 7 % of 10 %
-    assert equivalent_trials(np.ones((50, 50)), seed=1) < 1.3
+    assert 38 < trials_factor(np.eye(50), seed=1) < 64  # the 90 % quantile of 2000 draws: 7 % of 10 %
+    assert trials_factor(np.ones((50, 50)), seed=1) < 1.3
 
 
 def test_probability_and_sigma_are_each_others_inverse():

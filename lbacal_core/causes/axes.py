@@ -1,0 +1,116 @@
+"""The axes of the data: one list, used by causes, by the search for residual structure, and by figures.
+
+An axis is one entry: its values at the events, and the smooth functions of it that structure is looked for with.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from lbacal_core.causes.conditions import RAIN, TEMPERATURE, Conditions
+from lbacal_core.grids import Floats
+
+HARMONICS = 5
+"""Of a day in LST or UTC; the sky has fewer (|m| <= 4 within 1 %)."""
+DATE_WAVES = 10
+"""Half waves over the data: structure of five weeks in a year."""
+POLYNOMIALS = 4
+"""Degree of the Legendre polynomials of a covariate."""
+PERIODS_D = (7.0, 27.3, 29.53)
+"""Days of a working week, of a solar rotation (Carrington, sidereal 25.4, synodic 27.3) and of a lunar month."""
+DAY_S = 86_400.0
+
+
+@dataclass(frozen=True)
+class Axis:
+    """A quantity along which data may vary.
+
+    Attributes
+    ----------
+    name
+        Name in a report.
+    label
+        Name in a figure, with its unit.
+    values
+        Its value at each event, shape (event,), NaN where unknown; None where these data do not have the axis.
+    functions
+        Smooth functions of the known values, (event,) -> (function, event).
+    along
+        Name of the axis by which causes call it; a period of dates is ``date``.
+    """
+
+    name: str
+    label: str
+    values: Callable[[Conditions], Floats | None]
+    functions: Callable[[Floats], Floats]
+    along: str
+
+    def basis(self, conditions: Conditions) -> Floats | None:
+        """Smooth functions of the axis, shape (function, event), 0 where it is not known; None where data lack it."""
+        values = self.values(conditions)
+        if values is None:
+            return None
+        is_known = np.isfinite(values)
+        known = self.functions(values[is_known])
+        basis = np.zeros((len(known), values.size))
+        basis[:, is_known] = known
+        return basis
+
+
+def harmonics(phase: Floats, number: int) -> Floats:
+    """Cosines and sines of a phase in turns, shape (2 number, event)."""
+    angle = 2 * np.pi * np.outer(np.arange(1, number + 1), phase)
+    return np.concatenate([np.cos(angle), np.sin(angle)])
+
+
+def _unit(values: Floats) -> Floats:
+    return np.asarray((values - values.min()) / max(float(np.ptp(values)), 1e-300))
+
+
+def _polynomials(values: Floats) -> Floats:
+    """Legendre polynomials over the range of a covariate, its tails of 1 % clipped."""
+    x = 2 * _unit(np.clip(values, *np.quantile(values, [0.01, 0.99]))) - 1
+    return np.asarray(np.polynomial.legendre.legvander(x, POLYNOMIALS).T[1:], dtype=float)
+
+
+def _days(conditions: Conditions) -> Floats:
+    return np.asarray((conditions.time_unix - conditions.time_unix.min()) / DAY_S)
+
+
+def _wet(rain: Floats) -> Floats:
+    return np.asarray(rain > 0, dtype=float)[None]
+
+
+def _period(days: float) -> Axis:
+    return Axis(
+        f"date, period {days:g} d",
+        f"day of a period of {days:g} days",
+        lambda conditions: np.asarray((conditions.time_unix / DAY_S) % days),
+        lambda day: harmonics(day / days, 2),
+        "date",
+    )
+
+
+AXES: tuple[Axis, ...] = (
+    Axis("lst", "local sidereal time (h)", lambda c: c.lst_hours, lambda h: harmonics(h / 24.0, HARMONICS), "lst"),
+    Axis("date", "days since the first event", _days, lambda t: harmonics(0.5 * _unit(t), DATE_WAVES), "date"),
+    Axis(
+        "utc",
+        "UTC (h)",
+        lambda c: c.utc_hours if c.has_all_hours else None,
+        lambda h: harmonics(h / 24.0, HARMONICS),
+        "utc",
+    ),
+    Axis("temperature", "temperature (degrees C)", lambda c: c.covariate(TEMPERATURE), _polynomials, "temperature"),
+    Axis("rain", "rain (mm/h)", lambda c: c.covariate(RAIN), _wet, "rain"),
+    *(_period(days) for days in PERIODS_D),
+)
+"""Every axis that is looked along; an axis or covariate more is one entry here."""
+
+
+def axis_named(name: str) -> Axis:
+    """The axis of a report."""
+    return next(axis for axis in AXES if axis.name == name)

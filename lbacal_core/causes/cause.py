@@ -1,0 +1,132 @@
+"""A cause: a physical mechanism with a place in the chain, a family of templates and a signature in the data.
+
+A cause is part of the model, not a patch on residuals: it takes `ChainTerms` and returns changed ones, and the recorded
+power follows from eq. full_chain as before. It acts by an amount at each event: its size times the time profile of its
+template (a temperature, an hour, a date).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lbacal_core.causes.conditions import Conditions
+from lbacal_core.chain.terms import ChainTerms
+from lbacal_core.grids import Floats
+
+SCOPES = ("path", "antenna", "cable", "station")
+"""Whom a cause can concern: one path, the two paths of an antenna, all paths of a cable name, the whole station."""
+
+
+@dataclass(frozen=True)
+class Template:
+    """One member of a cause's family: its parameters (a date, a delay, a line) by name."""
+
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Description:
+    """What people read of a cause; `docs/causes.md` is written from it.
+
+    Attributes
+    ----------
+    identifier
+        Name in a report.
+    unit
+        Unit of its size.
+    meaning
+        What it is, in one clause.
+    confirm
+        How other means could confirm it.
+    needs
+        Why data that have no template of it cannot show it.
+    axes
+        Axes of the data along which it acts (`lbacal_core.causes.axes`).
+    scopes
+        Whom it can concern, a subset of `SCOPES`.
+    """
+
+    identifier: str
+    unit: str
+    meaning: str
+    confirm: str
+    needs: str = ""
+    axes: Sequence[str] = ("lst",)
+    scopes: Sequence[str] = ("station",)
+
+
+@dataclass(frozen=True)
+class Cause(Description):
+    """A cause that acts on the chain from event to event.
+
+    Attributes
+    ----------
+    spectral_parameters
+        Names of the parameters that make its spectral template; all others say when it acts.
+    step
+        A small size, for the derivative of the model.
+    largest_step
+        By which a fit moves the size at most; infinite where the model is close to linear.
+    acts_by_ratio
+        Whether it multiplies P_sky by own(with)/own(without), from the package's own sky and antenna.
+    """
+
+    spectral_parameters: Sequence[str] = ()
+    step: float = 1e-3
+    largest_step: float = np.inf
+    acts_by_ratio: bool = False
+
+    def templates(self, conditions: Conditions) -> list[Template]:  # noqa: ARG002 - most have one whatever the data
+        """The members of the family to be tried on these data; empty where they can show none."""
+        return [Template()]
+
+    def covariates(self, template: Template) -> Sequence[str]:  # noqa: ARG002
+        """Columns that must be known at an event for the template to say anything of it."""
+        return ()
+
+    def time_profile(self, conditions: Conditions, template: Template) -> Floats:  # noqa: ARG002
+        """When it acts: the factor on its size at each event, shape (event, 1)."""
+        return np.ones((conditions.time_unix.size, 1))
+
+    def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:
+        """The model with this cause by an amount, shape (event, 1) or scalar; an amount of 0 changes nothing."""
+        raise NotImplementedError
+
+    def apply(self, terms: ChainTerms, conditions: Conditions, template: Template, size: float) -> ChainTerms:
+        """The model with this cause at a size."""
+        return self.act(terms, conditions, template, size * self.time_profile(conditions, template))
+
+    def finer_templates(self, conditions: Conditions, template: Template) -> list[Template]:  # noqa: ARG002
+        """Templates about one that was found, closer together than those that are tried first."""
+        return [template]
+
+    def is_another(self, template: Template, earlier: Template) -> bool:  # noqa: ARG002
+        """Whether a target can have the cause with both templates, as with dates, channels and sources."""
+        return False
+
+    def spectral_key(self, template: Template) -> tuple[Any, ...]:
+        """What tells spectral templates apart; templates with one key differ in their time profile alone."""
+        return tuple(template.parameters[name] for name in self.spectral_parameters)
+
+    def known_events(self, conditions: Conditions, template: Template) -> NDArray[np.bool_]:
+        """Events on which every covariate of the template is known, shape (event,)."""
+        return conditions.known_events(*self.covariates(template))
+
+
+def signature(cause: Cause, terms: ChainTerms, conditions: Conditions, template: Template, size: float = 0.0) -> Floats:
+    """Relative change of the recorded power per unit of size, shape (class, event, freq): a central difference."""
+    above = cause.apply(terms, conditions, template, size + cause.step).power()
+    below = cause.apply(terms, conditions, template, size - cause.step).power()
+    return np.asarray((above - below) / (cause.step * (above + below)))
+
+
+def spectral_signature(cause: Cause, terms: ChainTerms, conditions: Conditions, template: Template) -> Floats:
+    """Relative change of the recorded power per unit of amount; times the time profile it is `signature` at 0."""
+    above = cause.act(terms, conditions, template, np.array(cause.step)).power()
+    below = cause.act(terms, conditions, template, np.array(-cause.step)).power()
+    return np.asarray((above - below) / (cause.step * (above + below)))

@@ -1,0 +1,51 @@
+"""Every threshold of the search, with its source; it goes into the provenance of a report."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Policy:
+    """When something counts as found, named, or left.
+
+    Attributes
+    ----------
+    catalogue_alpha, antenna_alpha, structure_alpha
+        Probability of a false alarm of the scan, of the comparison of antennas and of the question without a
+        catalogue; together the false-alarm rate of a station, 1 in 200, half of the 1 in 100 that was asked for.
+    most_findings
+        Findings of a station after which the search ends: more than anybody has hidden in a proof.
+    rivals
+        Candidates that are fitted without linearising before one is named: in ``./dev prove discovery`` the right
+        cause was always among the first four.
+    rival_share
+        Share of the best score below which a candidate cannot win by a better fit.
+    indistinguishable
+        SNR^2 (1 - r^2) below which another template fits as well: 3 standard deviations.
+    beside_structure_alpha
+        Probability by chance below which a finding stands beside structure that has no name.
+    same_spectrum
+        Overlap (Bhattacharyya 1943) of two spectra, each the share of the whitened structure in every channel, beyond
+        which they are alike: the templates of different stages of the chain overlap by less.
+    """
+
+    catalogue_alpha: float = 0.0025
+    antenna_alpha: float = 0.0005
+    structure_alpha: float = 0.002
+    most_findings: int = 5
+    rivals: int = 4
+    rival_share: float = 0.6
+    indistinguishable: float = 9.0
+    beside_structure_alpha: float = 0.05
+    same_spectrum: float = 0.8
+
+    @property
+    def false_alarm_rate(self) -> float:
+        """Probability of anything but `consistent` where nothing is hidden."""
+        return self.catalogue_alpha + self.antenna_alpha + self.structure_alpha
+
+    def as_dict(self) -> dict[str, Any]:
+        """For the provenance of a report."""
+        return asdict(self)

@@ -1,0 +1,259 @@
+"""The linear model of a station's residuals: the mean of its paths, and every path's deviation from it.
+
+Mean and deviations are independent and have a `View` each. An effect on some of the paths shows in both: as much of it
+in the means as these paths have of them, and in the deviations what is not in the means. `LinearModel` adds the scores
+and the information of the views up.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lbacal_core.chain.terms import ChainTerms
+from lbacal_core.discovery.hypothesis import Target
+from lbacal_core.discovery.noise import NoiseLevels, Residuals, split_residuals
+from lbacal_core.discovery.station import Station
+from lbacal_core.discovery.view import Seen, View
+from lbacal_core.grids import Floats
+
+
+@dataclass(frozen=True)
+class Part:
+    """How one view sees templates for targets.
+
+    Attributes
+    ----------
+    view
+        The view.
+    templates
+        As the view sees them, k of them.
+    share
+        Share of each template that each member shows, shape (k, member).
+    sign
+        1; or minus the number of paths whose deviations lose what their mean shows (`LinearModel.lost`).
+    """
+
+    view: View
+    templates: Seen
+    share: Floats
+    sign: float
+
+
+@dataclass(frozen=True)
+class LinearModel:
+    """A station's residuals with their noise levels, and what the fit leaves free.
+
+    Attributes
+    ----------
+    terms
+        The chain of the mean path of each class, from which the free vectors follow.
+    modes
+        Relative changes of P_sky by which sky and antenna models differ, shape (mode, class, event, freq), or None.
+    empirical
+        Further free vectors of the mean, shape (vector, polarisation, event, freq), or None.
+    """
+
+    station: Station
+    residuals: Residuals
+    terms: ChainTerms
+    modes: Floats | None
+    empirical: Floats | None = None
+
+    def with_levels(self, levels: NoiseLevels) -> LinearModel:
+        """The same residuals weighed with other noise levels."""
+        return replace(self, residuals=replace(self.residuals, levels=levels))
+
+    def on_events(self, is_known: NDArray[np.bool_]) -> LinearModel:
+        """The model of some events alone, such as those whose temperature is known; shape (event,)."""
+        if np.all(is_known):
+            return self
+        station = self.station.on_events(is_known)
+        whole = self.residuals.deviation + self.residuals.mean[self.polarisation_of[station.class_of]]
+        residuals = split_residuals(station, whole * station.is_present[:, :, None])
+        return replace(self, station=station, residuals=residuals)
+
+    @cached_property
+    def polarisation_of(self) -> NDArray[np.int64]:
+        """Index of the polarisation of each class, shape (class,)."""
+        return np.searchsorted(self.residuals.polarisations, self.station.conditions.dipoles)
+
+    @cached_property
+    def paths_in_mean(self) -> NDArray[np.int64]:
+        """Number of paths in the mean of each polarisation."""
+        polarisations, in_mean = self.residuals.polarisations, self.residuals.in_mean
+        return np.array([np.sum(self.station.dipole[in_mean] == name) for name in polarisations])
+
+    @cached_property
+    def members(self) -> list[NDArray[np.int64]]:
+        """Paths of each class."""
+        return [np.flatnonzero(self.station.class_of == c) for c in range(len(self.station.conditions.dipoles))]
+
+    @cached_property
+    def weight(self) -> Floats:
+        """Weight of each event of a path: 0 where absent, less for noisy paths, shape (path, event).
+
+        A path outside the mean is compared with it, and shows the noise of both.
+        """
+        residuals = self.residuals
+        own = residuals.levels.path_scale[:, None] ** 2
+        of_mean = residuals.spread[self.polarisation_of[self.station.class_of]]
+        return self.station.is_present / np.where(residuals.in_mean[:, None], own, own + of_mean)
+
+    @cached_property
+    def common(self) -> View:
+        """The means over the paths of each polarisation."""
+        residuals, levels = self.residuals, self.residuals.levels
+        polarisations = len(residuals.polarisations)
+        is_known = residuals.spread > 0
+        channel = is_known / (
+            levels.common_channel[:, None] ** 2 + levels.path_channel**2 * residuals.spread + ~is_known
+        )
+        joint = residuals.spread.mean(axis=0) * levels.path_band**2
+        of_sum, of_difference = (
+            is_known.all(axis=0) / (2 * (level**2 + joint) + ~is_known.all(axis=0))
+            for level in (levels.common_sum, levels.common_difference)
+        )
+        band = np.empty((polarisations, polarisations, joint.size))
+        if polarisations == 1:
+            band[0, 0] = 2 * of_sum
+        else:
+            band[:] = of_sum - of_difference
+            band[[0, 1], [0, 1]] = of_sum + of_difference
+        slope, constants = self._mean_free_vectors
+        free = np.zeros((constants.shape[0] * polarisations, *slope.shape))
+        for d in range(polarisations):
+            free[d * len(constants) : (d + 1) * len(constants), d] = constants[:, d]
+        if self.modes is not None and self.modes.size:
+            sky_share = self.terms.sky * self.terms.front / self.terms.power()
+            shown = self.mean_of(self.modes * sky_share, np.ones(len(self.station.antenna), dtype=bool))
+            # Models differ for each polarisation by itself: a mode of one says nothing of the other.
+            of_each = [shown * (np.arange(polarisations) == d)[:, None, None] for d in range(polarisations)]
+            free = np.concatenate([free, *of_each])
+        if self.empirical is not None:
+            free = np.concatenate([free, self.empirical])
+        return View(channel, band, slope, free, np.ones((1, joint.size)), residuals.mean[None])
+
+    @cached_property
+    def paths(self) -> list[View]:
+        """The deviations of the paths of each class."""
+        slope, constants = self._free_vectors
+        return [
+            self._path_view(slope[c], constants[:, c], np.ones(slope.shape[1]), self.weight[members], members)
+            for c, members in enumerate(self.members)
+        ]
+
+    @cached_property
+    def lost(self) -> list[View]:
+        """The mean path of each polarisation with the mean weights: what deviations lose as their mean is taken out."""
+        slope, constants = self._mean_free_vectors
+        polarisation, in_mean = self.polarisation_of[self.station.class_of], self.residuals.in_mean
+        weights = [self.weight[in_mean & (polarisation == d)].mean(axis=0) for d in range(len(slope))]
+        everyone, nobody = np.ones((1, slope.shape[1])), np.empty(0, dtype=np.int64)
+        return [self._path_view(slope[d], constants[:, d], w, everyone, nobody) for d, w in enumerate(weights)]
+
+    def _path_view(
+        self, slope: Floats, constants: Floats, scale: Floats, weight: Floats, members: NDArray[np.int64]
+    ) -> View:
+        levels = self.residuals.levels
+        channel, band = scale / levels.path_channel**2, scale / levels.path_band**2
+        residual = self.residuals.deviation[members][:, None]
+        return View(channel[None], band[None, None], slope[None], constants[:, None], weight, residual)
+
+    @cached_property
+    def _free_vectors(self) -> tuple[Floats, Floats]:
+        """D ln P by ln A, shape (class, event, freq), and by N_LNA, N_RCU, N_ADC, shape (3, class, event, freq)."""
+        terms, power = self.terms, self.terms.power()
+        slope = np.broadcast_to((terms.sky + terms.n_lna) * terms.front / power, power.shape)
+        columns = (terms.front / power, self.station.conditions.receiver_gain / power, 1.0 / power)
+        return slope, np.stack([np.broadcast_to(column, power.shape) for column in columns])
+
+    @cached_property
+    def _mean_free_vectors(self) -> tuple[Floats, Floats]:
+        """The same of the mean path of each polarisation."""
+        slope, constants = self._free_vectors
+        share = np.zeros((len(self.residuals.polarisations), len(self.members)))
+        counts = [self.residuals.in_mean[members].sum() for members in self.members]
+        share[self.polarisation_of, np.arange(len(self.members))] = counts
+        share /= share.sum(axis=1, keepdims=True)
+        return np.einsum("dc,cef->def", share, slope), np.einsum("dc,jcef->jdef", share, constants)
+
+    def mean_of(self, values: Floats, is_member: NDArray[np.bool_]) -> Floats:
+        """What the means show of an effect on some paths, (..., class, event, freq) -> (..., polarisation, ...)."""
+        polarisations = len(self.residuals.polarisations)
+        mean = np.zeros((*values.shape[:-3], polarisations, *values.shape[-2:]), dtype=values.dtype)
+        for c, share in enumerate(self.share_of_mean(is_member)):
+            if share:
+                mean[..., self.polarisation_of[c], :, :] += share * values[..., c, :, :]
+        return mean
+
+    def share_of_mean(self, is_member: NDArray[np.bool_]) -> Floats:
+        """Part that the members of each class have in the mean of their polarisation, shape (class,)."""
+        counts = np.array([np.sum((is_member & self.residuals.in_mean)[members]) for members in self.members])
+        return np.asarray(counts / self.paths_in_mean[self.polarisation_of])
+
+    def share_of_deviation(self, is_member: NDArray[np.bool_]) -> Floats:
+        """Part of an effect that each path's deviation shows, shape (path,).
+
+        A member of the mean shows the whole effect, and the members together less by what the mean shows (`lost`). A
+        path outside the mean shows by how much its effect exceeds the mean's.
+        """
+        in_mean, polarisation = self.residuals.in_mean, self.polarisation_of[self.station.class_of]
+        of_mean = np.zeros(len(self.paths_in_mean))
+        np.add.at(of_mean, self.polarisation_of, self.share_of_mean(is_member))
+        return np.asarray(is_member * np.where(in_mean, 1.0, 1.0 - of_mean[polarisation]))
+
+    def parts(self, templates: Sequence[Floats], targets: Sequence[Target]) -> Iterator[Part]:
+        """How every view sees templates of shape (class, event, freq), each with its target."""
+        means = np.stack([self.mean_of(t, target.is_member) for t, target in zip(templates, targets, strict=True)])
+        whole = np.ones((len(means), 1))
+        yield Part(self.common, self.common.see(means), whole, 1.0)
+        for d, (view, count) in enumerate(zip(self.lost, self.paths_in_mean, strict=True)):
+            yield Part(view, view.see(means[:, d : d + 1]), whole, -float(count))
+        share = np.stack([self.share_of_deviation(target.is_member) for target in targets])
+        for c, (view, members) in enumerate(zip(self.paths, self.members, strict=True)):
+            if np.any(share[:, members]):
+                own = np.stack([template[c] for template in templates])
+                yield Part(view, view.see(own[:, None]), share[:, members], 1.0)
+
+    def products(self, templates: Sequence[Floats], targets: Sequence[Target]) -> tuple[Floats, Floats]:
+        """Scores, shape (k,), and information, shape (k, k), of k templates of shape (class, event, freq)."""
+        score, information = np.zeros(len(templates)), np.zeros((len(templates), len(templates)))
+        for part in self.parts(templates, targets):
+            gram = part.view.gram(part.templates)
+            information += part.sign * np.einsum("km,jm,mkj->kj", part.share, part.share, gram)
+            if part.sign > 0:
+                score += np.sum(part.share * part.view.score_by_event(part.templates).sum(axis=-1), axis=-1)
+        return score, information
+
+    def by_fold(
+        self, template: Floats, profiles: Floats, target: Target, fold: NDArray[np.int64]
+    ) -> tuple[Floats, Floats, Floats]:
+        """Score and information of a spectral template with each time profile in each fold, shape (fold, profile).
+
+        Third comes the information before anything is profiled out.
+        """
+        score, information, whole = np.zeros((3, int(fold.max()) + 1, len(profiles)))
+        for part in self.parts([template], [target]):
+            for m in np.flatnonzero(part.share[0]).tolist():
+                share = float(part.share[0, m])
+                gram, own, fitted = part.view.inner_by_fold(part.templates, profiles, fold, m)
+                information += part.sign * share**2 * np.diagonal(gram, axis1=1, axis2=2)
+                whole += share**2 * own
+                if part.sign > 0:
+                    score += share * part.view.score_by_fold(part.templates, profiles, fold, m, fitted)
+        return score, information, whole
+
+    def chi_squared(self) -> tuple[float, int]:
+        """Chi^2 of what the fit leaves, and its degrees of freedom."""
+        residuals, is_present = self.residuals, self.station.is_present
+        total = sum(float(np.sum(view.residual * view.weighted_residual)) for view in (self.common, *self.paths))
+        polarisations, events, channels = residuals.mean.shape
+        count = polarisations * events * channels - self.common.rank
+        shares = 1.0 - residuals.in_mean / self.paths_in_mean[self.polarisation_of[self.station.class_of]]
+        count += int(np.sum(shares * np.maximum(is_present.sum(axis=1) * channels - channels - 3, 0)))
+        return total, count

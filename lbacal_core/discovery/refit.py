@@ -1,0 +1,175 @@
+"""The fitted model: chain and hypotheses fitted together, not linearised, and the gain on held-out data.
+
+The recorded power is divided by what the causes do to it, the chain is fitted again, and the sizes move by Newton's
+step until nothing changes: the joint maximum of the likelihood of chain and causes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lbacal_core.causes.cause import Template, signature, spectral_signature
+from lbacal_core.chain.terms import ChainTerms
+from lbacal_core.discovery.baseline import Baseline, fit_baseline
+from lbacal_core.discovery.hypothesis import Hypothesis
+from lbacal_core.discovery.noise import split_residuals
+from lbacal_core.discovery.project import LinearModel
+from lbacal_core.discovery.scan import group_templates
+from lbacal_core.discovery.station import Station
+from lbacal_core.discovery.view import SMALLEST_SHARE
+from lbacal_core.grids import Floats
+
+MAX_ROUNDS = 8
+"""Newton steps: causes that are close to linear need two or three."""
+STANDS_STILL = 0.02
+"""Standard deviations by which a size may still move when the fit counts as converged."""
+LARGEST_CHANGE = 50.0
+"""Factor on the power beyond which a fit has run away."""
+SMALLEST_RATIO = 1e-3
+"""Floor of power with causes over power without: a power cannot be negative."""
+SMALLEST_DIFFERENCE = 1e-3
+"""Smallest eigenvalue of the correlations of hypotheses that are fitted together: 1 - r^2 of one against the others."""
+DATE_BLOCKS, LST_BLOCKS, FOLDS = 8, 12, 4
+"""Folds of the held-out test are made of eighths of the time and of 2 h of LST."""
+
+
+@dataclass(frozen=True)
+class FittedModel:
+    """The chain and the hypotheses fitted together, and the linear model of what is left."""
+
+    hypotheses: list[Hypothesis]
+    baseline: Baseline
+    linear: LinearModel
+    is_converged: bool
+
+    @property
+    def station(self) -> Station:
+        """The data, without the events on which a covariate of the hypotheses is unknown."""
+        return self.linear.station
+
+
+def fit_chain(station: Station, modes: Floats | None = None) -> FittedModel:
+    """Fit the chain of every path without any hypothesis.
+
+    Parameters
+    ----------
+    modes
+        Relative changes of P_sky by which sky and antenna models differ, shape (mode, class, event, freq), or None.
+    """
+    baseline = fit_baseline(station)
+    return FittedModel([], baseline, _linearise(station, baseline, modes), is_converged=True)
+
+
+def _linearise(station: Station, baseline: Baseline, modes: Floats | None) -> LinearModel:
+    return LinearModel(station, split_residuals(station, baseline.residual), baseline.terms, modes)
+
+
+def power_ratio(station: Station, terms: ChainTerms, hypotheses: Sequence[Hypothesis]) -> Floats:
+    """Power with the hypotheses over power without, shape (path, event, freq)."""
+    plain = terms.power()
+    ratio = np.empty_like(station.power)
+    for members, index, concerned in _groups(station, hypotheses):
+        changed = terms
+        for one in (hypotheses[k] for k in concerned):
+            changed = one.cause.apply(changed, station.conditions, one.template, one.size)
+        ratio[members] = np.maximum(changed.power()[index] / plain[index], SMALLEST_RATIO)
+    return ratio
+
+
+def _groups(station: Station, hypotheses: Sequence[Hypothesis]) -> list[tuple[NDArray[np.int64], int, list[int]]]:
+    """Paths of the same class that the same hypotheses concern: members, class, hypotheses."""
+    columns = [station.class_of, *(one.target.is_member.astype(int) for one in hypotheses)]
+    keys, group_of = np.unique(np.stack(columns, axis=1), axis=0, return_inverse=True)
+    return [
+        (np.flatnonzero(group_of.ravel() == g), int(key[0]), np.flatnonzero(key[1:]).tolist())
+        for g, key in enumerate(keys)
+    ]
+
+
+def refit(before: FittedModel, new: Hypothesis) -> FittedModel | None:
+    """Fit the chain of every path and the sizes of all hypotheses together, those of the model before and a new one.
+
+    None where the data cannot tell them apart, or where the fit runs away. Events on which the covariate of the new
+    cause is unknown are left out.
+
+    Parameters
+    ----------
+    before
+        The model that is extended.
+    new
+        The hypothesis added, at the size from which to start.
+    """
+    station = before.station.on_events(new.cause.known_events(before.station.conditions, new.template))
+    most = new.cause.largest_step
+    hypotheses = [*before.hypotheses, replace(new, size=float(np.clip(new.size, -most, most)))]
+    limit = np.array([one.cause.largest_step for one in hypotheses])
+    levels = before.linear.on_events(station.is_used).residuals.levels
+    baseline = before.baseline
+    for _ in range(MAX_ROUNDS):
+        ratio = power_ratio(station, baseline.terms, hypotheses)
+        if not np.all((ratio > LARGEST_CHANGE**-1) & (ratio < LARGEST_CHANGE)):
+            return None
+        baseline = fit_baseline(station, ratio)
+        linear = _linearise(station, baseline, before.linear.modes)
+        # The weights stay those of the model before until the sizes stand still: they only weigh.
+        weighed = linear.with_levels(levels)
+        conditions = station.conditions
+        templates = [signature(one.cause, baseline.terms, conditions, one.template, one.size) for one in hypotheses]
+        score, information = weighed.products(templates, [one.target for one in hypotheses])
+        if not _can_be_told_apart(information):
+            return None
+        step = np.clip(np.linalg.solve(information, score), -limit, limit)
+        sigma = np.sqrt(np.diag(np.linalg.inv(information)))
+        is_converged = bool(np.all(np.abs(step) < STANDS_STILL * sigma))
+        fitted = [replace(one, sigma=float(s)) for one, s in zip(hypotheses, sigma, strict=True)]
+        if is_converged:
+            break
+        hypotheses = [replace(one, size=one.size + float(d)) for one, d in zip(fitted, step, strict=True)]
+    return FittedModel(fitted, baseline, linear, is_converged)
+
+
+def _can_be_told_apart(information: Floats) -> bool:
+    """Whether every hypothesis is seen, and none is a mixture of the others."""
+    seen = np.diag(information)
+    if not np.all(np.isfinite(information)) or np.any(seen <= 0):
+        return False
+    size = np.sqrt(seen)
+    return bool(np.linalg.eigvalsh(information / np.outer(size, size))[0] > SMALLEST_DIFFERENCE)
+
+
+def held_out_fold(station: Station) -> NDArray[np.int64]:
+    """Fold of each event: blocks of date and of 2 h of LST, because neighbouring events share conditions."""
+    order = np.argsort(np.argsort(station.conditions.time_unix))
+    date_block = order * DATE_BLOCKS // order.size
+    lst_block = (station.conditions.lst_hours // (24 / LST_BLOCKS)).astype(int)
+    return np.asarray((date_block + lst_block) % FOLDS)
+
+
+def held_out_gain(before: FittedModel, hypothesis: Hypothesis, templates: Sequence[Template]) -> float:
+    """Gain in log-likelihood on events that were not used, all of them in turn.
+
+    In each fold the template (a date, hours, a delay) is chosen again and the size fitted on the other folds.
+    """
+    cause = hypothesis.cause
+    linear = before.linear.on_events(cause.known_events(before.station.conditions, hypothesis.template))
+    conditions, fold = linear.station.conditions, held_out_fold(linear.station)
+    parts = [
+        linear.by_fold(
+            spectral_signature(cause, before.baseline.terms, conditions, family.templates[0]),
+            family.profiles.values,
+            hypothesis.target,
+            fold,
+        )
+        for family in group_templates(conditions, cause, templates)
+    ]
+    score, information, whole = (np.concatenate(part, axis=1) for part in zip(*parts, strict=True))
+    of_training, known, bare = (part.sum(axis=0) - part for part in (score, information, whole))
+    size = np.divide(of_training, known, out=np.zeros_like(known), where=known > SMALLEST_SHARE * bare)
+    best = np.argmax(of_training * size, axis=1)
+    k = np.arange(len(score))
+    size, score, information = size[k, best], score[k, best], information[k, best]
+    return float(np.sum(size * score - 0.5 * size**2 * information))

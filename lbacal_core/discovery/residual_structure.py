@@ -1,0 +1,249 @@
+"""The question without a catalogue: whether structure is left in the residuals, and along which axis.
+
+Smooth functions of every axis (`lbacal_core.causes.axes`) times smooth functions of frequency are fitted to the means
+of a station's paths and to the deviation of every path. Where nothing is left, the gain in chi^2 follows the chi^2
+distribution. One more test needs no axis: the largest singular value of the whitened events x channels matrix.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from lbacal_core.causes.axes import AXES, Axis
+from lbacal_core.discovery.project import LinearModel
+from lbacal_core.discovery.refit import FOLDS, held_out_fold
+from lbacal_core.discovery.trials import p_of_best
+from lbacal_core.discovery.view import Seen, View
+from lbacal_core.grids import Floats
+
+DEGREE, PATH_DEGREE = 5, 3
+"""Degree of the Legendre polynomials of frequency: structure of 10 MHz in 50; less for single, noisier paths."""
+NOISE_DRAWS = 60
+"""Draws of noise for the largest singular value: their mean and spread are known to 13 % and 9 % of the spread."""
+TAIL = 0.8
+"""Units s of the tail exp(-2/3 s^1.5) in one spread of the simulated largest eigenvalue. The Tracy-Widom distribution
+of order 1 (Johnstone 2001, Ann. Stat. 29, 295) has s = 1.27 x - 1.21 at x spreads: 0.8 x is careful beyond x = 2.6."""
+SMALLEST_SIZE = 1e-6
+"""Of unit vectors: below, a function of an axis is a combination of the others."""
+STATION = "station"
+"""Target of structure in the means."""
+EVENTS = "event"
+"""Name of the axis of structure in single events, along none of the axes."""
+
+
+@dataclass(frozen=True)
+class ResidualStructure:
+    """Structure along one axis that no hypothesis describes.
+
+    Attributes
+    ----------
+    axis
+        The axis; None where it is in single events.
+    target
+        ``station``, or the path that shows it most.
+    p_value
+        After correction for all axes and paths.
+    gain, dof
+        Chi^2 gained by the empirical term and its number of terms.
+    held_out_gain
+        Log-likelihood gained on events not used; None in single events, which nothing describes beforehand.
+    channel_share
+        Share of the structure in each channel, shape (freq,).
+    vectors
+        That describe it in the means, shape (vector, polarisation, event, freq); None where a path shows it.
+    """
+
+    axis: Axis | None
+    target: str
+    p_value: float
+    gain: float
+    dof: int
+    held_out_gain: float | None
+    channel_share: Floats
+    vectors: Floats | None
+
+    @property
+    def axis_name(self) -> str:
+        """Name in a report."""
+        return EVENTS if self.axis is None else self.axis.name
+
+
+def find_structure(
+    model: LinearModel, rng: np.random.Generator, alpha: float, again: float | None = None
+) -> ResidualStructure | None:
+    """The most significant structure that is left, or None.
+
+    It counts where chance gives as much with a probability below alpha, and where it makes events more probable that
+    did not serve to describe it. With `again` structure is known to be left, a cause being significant once more whose
+    template has the wrong form, by chance with this probability: then the question is only along which axis.
+    """
+    conditions = model.station.conditions
+    axes = {axis: basis for axis in AXES if (basis := axis.basis(conditions)) is not None}
+    polynomials = _polynomials(model.station.power.shape[2])
+    found = [_in_means(model, axis, basis, polynomials) for axis, basis in axes.items()]
+    found.append(_in_single_events(model, rng))
+    if len(model.station.antenna) > len(model.paths_in_mean):
+        found += [_in_paths(model, axis, basis, polynomials[: PATH_DEGREE + 1]) for axis, basis in axes.items()]
+    best = min(found, key=lambda one: (one.p_value, -one.excess))
+    corrected = p_of_best(best.p_value, len(found))
+    if corrected >= alpha and again is None:
+        return None
+    held_out, vectors = None, None
+    if best.axis is None or best.place is None:
+        vectors = _largest_pattern(model)
+        share = np.linalg.svd(_whiten_rest(model, model.residuals.mean), full_matrices=False)[2][0] ** 2
+    else:
+        held_out, share = _describe(best.place, axes[best.axis], held_out_fold(model.station))
+        if held_out <= 0 and again is None:
+            return None
+        if best.target == STATION:
+            vectors = _vectors(best.place, axes[best.axis])
+    p_value = min(corrected, 1.0 if again is None else again)
+    return ResidualStructure(best.axis, best.target, p_value, best.gain, best.dof, held_out, share, vectors)
+
+
+@dataclass(frozen=True)
+class _Place:
+    """Where structure is seen: the member of a view, and the functions of frequency there."""
+
+    view: View
+    member: int
+    seen: Seen
+
+
+@dataclass(frozen=True)
+class _Candidate:
+    """Chi^2 that smooth functions of an axis gain: in the means, or in the path that shows most."""
+
+    axis: Axis | None
+    target: str
+    p_value: float
+    gain: float
+    dof: int
+    place: _Place | None = None
+
+    @property
+    def excess(self) -> float:
+        """Gain beyond chance in standard deviations (Wilson & Hilferty 1931), for probabilities that are 0."""
+        spread = 2.0 / (9.0 * self.dof)
+        return float((np.cbrt(self.gain / self.dof) - 1.0 + spread) / spread**0.5)
+
+
+def _polynomials(channels: int) -> Floats:
+    """Smooth functions of frequency, shape (function, freq)."""
+    return np.asarray(np.polynomial.legendre.legvander(np.linspace(-1, 1, channels), DEGREE).T, dtype=float)
+
+
+def _in_means(model: LinearModel, axis: Axis, basis: Floats, polynomials: Floats) -> _Candidate:
+    """Structure of the sum and the difference of the polarisations."""
+    view = model.common
+    rows, events, channels = view.slope.shape
+    signs = np.array([[1.0, 1.0], [1.0, -1.0]])[:rows, :rows]
+    values = np.einsum("sr,lf->slrf", signs, polynomials).reshape(-1, rows, 1, channels)
+    seen = view.see(np.broadcast_to(values, (len(values), rows, events, channels)))
+    score = np.einsum("kme,ne->mkn", view.score_by_event(seen), basis).reshape(-1)
+    gain, dof = _gain(score, view.cross(seen, seen, basis, basis)[0])
+    return _Candidate(axis, STATION, float(chi2.sf(gain, dof)), gain, dof, _Place(view, 0, seen))
+
+
+def _in_paths(model: LinearModel, axis: Axis, basis: Floats, polynomials: Floats) -> _Candidate:
+    """The path that shows most structure along an axis, its probability corrected for the number of paths."""
+    station, in_mean = model.station, model.residuals.in_mean
+    found = []
+    for c, (view, members) in enumerate(zip(model.paths, model.members, strict=True)):
+        _, events, channels = view.slope.shape
+        values = np.broadcast_to(polynomials[:, None, None], (len(polynomials), 1, events, channels))
+        seen = view.see(values)
+        score = np.einsum("kme,ne->mkn", view.score_by_event(seen), basis).reshape(len(members), -1)
+        information = view.cross(seen, seen, basis, basis)
+        for m, k in enumerate(members.tolist()):
+            others = 1.0 - in_mean[k] / model.paths_in_mean[model.polarisation_of[c]]
+            gain, dof = _gain(score[m], others * information[m])
+            label = f"antenna {station.antenna[k]} {station.dipole[k]}"
+            found.append(_Candidate(axis, label, float(chi2.sf(gain, dof)), gain, dof, _Place(view, m, seen)))
+    best = min(found, key=lambda one: (one.p_value, one.gain))
+    return replace(best, p_value=p_of_best(best.p_value, len(station.antenna)))
+
+
+def _gain(score: Floats, information: Floats) -> tuple[float, int]:
+    """Chi^2 gained by vectors and the number of them that are independent."""
+    size = np.sqrt(np.maximum(np.diag(information), 0.0))
+    kept = size > SMALLEST_SIZE * size.max(initial=SMALLEST_SIZE)
+    if not np.any(kept):
+        return 0.0, 1
+    scaled = information[np.ix_(kept, kept)] / np.outer(size[kept], size[kept])
+    values, vectors = np.linalg.eigh(scaled)
+    is_own = values > SMALLEST_SIZE * values[-1]
+    amplitude = (score[kept] / size[kept]) @ vectors[:, is_own]
+    return float(np.sum(amplitude**2 / values[is_own])), int(is_own.sum())
+
+
+def _vectors(place: _Place, basis: Floats) -> Floats:
+    """Functions of the axis times functions of frequency, shape (vector, row, event, freq)."""
+    values = place.seen.values
+    return np.asarray(np.einsum("ne,kref->knref", basis, values).reshape(-1, *values.shape[1:]))
+
+
+def _describe(place: _Place, basis: Floats, fold: NDArray[np.int64]) -> tuple[float, Floats]:
+    """Gain of the empirical term on events not used for it, and its share in each channel."""
+    view, member = place.view, place.member
+    information, _, fitted = view.inner_by_fold(place.seen, basis, fold, member)
+    score = view.score_by_fold(place.seen, basis, fold, member, fitted)
+    held_out = 0.0
+    for k in range(FOLDS):
+        size = _solve(information.sum(axis=0) - information[k], score.sum(axis=0) - score[k])
+        held_out += float(size @ score[k] - 0.5 * size @ information[k] @ size)
+    size = _solve(information.sum(axis=0), score.sum(axis=0))
+    term = np.tensordot(size, _vectors(place, basis), axes=1)
+    squares = np.sum(view.clean(term, member) ** 2, axis=(0, 1))
+    return held_out, squares / max(float(squares.sum()), 1e-300)
+
+
+def _solve(information: Floats, score: Floats) -> Floats:
+    return np.asarray(np.linalg.lstsq(information, score, rcond=SMALLEST_SIZE)[0])
+
+
+def _in_single_events(model: LinearModel, rng: np.random.Generator) -> _Candidate:
+    """Largest singular value of the whitened events x channels matrix of the means, against noise."""
+    rest = _whiten_rest(model, model.residuals.mean)
+    events, channels = rest.shape
+    values = np.linalg.svd(rest, compute_uv=False)
+    noise = np.array([_largest_of_noise(rng, events, channels) for _ in range(NOISE_DRAWS)])
+    # The same total, so that a wrong level is not taken for structure.
+    observed = values[0] ** 2 / np.sum(rest**2) * (events * (channels - 1))
+    mean, spread = float(noise.mean()), float(noise.std())
+    excess = max((observed - mean) / spread, 0.0)
+    p_value = float(min(np.exp(-2.0 / 3.0 * (TAIL * excess) ** 1.5), 1.0))
+    return _Candidate(None, STATION, p_value, float(observed - mean), events + channels)
+
+
+def _largest_of_noise(rng: np.random.Generator, events: int, channels: int) -> float:
+    noise = rng.standard_normal((events, channels))
+    noise -= noise.mean(axis=1, keepdims=True)
+    return float(np.linalg.eigvalsh(noise.T @ noise)[-1])
+
+
+def _largest_pattern(model: LinearModel) -> Floats:
+    """The pattern of events x channels with the largest singular value, shape (1, polarisation, event, freq)."""
+    left, values, right = np.linalg.svd(_whiten_rest(model, model.residuals.mean), full_matrices=False)
+    pattern = values[0] * np.outer(left[:, 0], right[0])
+    channel = model.common.channel
+    root = np.sqrt(np.maximum(channel, 1e-300))
+    return np.asarray(pattern / root[..., None] * (channel > 0)[..., None])[None]
+
+
+def share_of_channels(model: LinearModel, values: Floats) -> Floats:
+    """Share of each channel in a vector of the means that is not flat in frequency, shape (freq,), the sum is 1."""
+    squares = np.sum(_whiten_rest(model, values) ** 2, axis=0)
+    return np.asarray(squares / max(float(squares.sum()), 1e-300))
+
+
+def _whiten_rest(model: LinearModel, values: Floats) -> Floats:
+    """What is not flat in frequency of a vector of the means, both polarisations, in standard deviations."""
+    clean = model.common.clean(values)
+    rest = (clean - clean.mean(axis=-1, keepdims=True)) * np.sqrt(model.common.channel)[..., None]
+    return np.asarray(rest.sum(axis=0) / np.sqrt(len(rest)))

@@ -1,0 +1,376 @@
+"""What does the simulation get wrong in one station's data? Read `search_station` from top to bottom.
+
+Fit the baseline; score every cause; take the best, fit everything again with it, and keep it if data that were not used
+become more probable; repeat on what is left; then look without a catalogue for structure that is left.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lbacal_core.causes.catalogue import CAUSES, NEVER_HERE
+from lbacal_core.causes.cause import Template, signature
+from lbacal_core.discovery.antennas import AntennaScore, compare_antennas, why_no_comparison
+from lbacal_core.discovery.hypothesis import Hypothesis, Target, list_targets
+from lbacal_core.discovery.policy import Policy
+from lbacal_core.discovery.project import LinearModel
+from lbacal_core.discovery.refit import FittedModel, fit_chain, held_out_gain, refit
+from lbacal_core.discovery.residual_structure import ResidualStructure, find_structure, share_of_channels
+from lbacal_core.discovery.scan import (
+    Score,
+    SpectralFamily,
+    correlate,
+    group_templates,
+    list_families,
+    scan,
+    score_families,
+)
+from lbacal_core.discovery.station import Station
+from lbacal_core.discovery.trials import p_of
+from lbacal_core.discovery.view import make_profiles
+from lbacal_core.grids import Floats
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A cause that these data show, with what speaks for it.
+
+    Attributes
+    ----------
+    indistinguishable
+        Causes that fit as well at the size found, with the correlation of their templates.
+    calibration_change
+        Relative change of C of the paths concerned, shape (path, freq).
+    """
+
+    hypothesis: Hypothesis
+    score: Score
+    indistinguishable: list[tuple[str, float]]
+    chi2_before: float
+    chi2_after: float
+    dof: int
+    held_out_gain: float
+    calibration_change: Floats
+
+
+@dataclass(frozen=True)
+class StationReport:
+    """What one station's data show.
+
+    Attributes
+    ----------
+    scores, antenna_scores
+        The scores of every cause before anything was added, and of departures of single antennas after.
+    similar
+        Causes that resemble structure that none explains.
+    first, last
+        The fitted model without hypotheses, and with those of all findings.
+    unidentifiable
+        Causes that these data can never show, with the reason.
+    stations
+        Number of stations that were searched together.
+    """
+
+    station: Station
+    findings: list[Finding]
+    antennas: list[AntennaScore]
+    structure: ResidualStructure | None
+    similar: list[Finding]
+    scores: list[Score]
+    antenna_scores: list[AntennaScore]
+    first: FittedModel
+    last: FittedModel
+    unidentifiable: dict[str, str]
+    policy: Policy
+    stations: int
+
+    def alpha_of(self, score: Score | AntennaScore) -> float:
+        """Probability by chance below which a score counts in this search."""
+        of_kind = self.policy.catalogue_alpha if isinstance(score, Score) else self.policy.antenna_alpha
+        return of_kind / self.stations
+
+
+def search_station(
+    station: Station,
+    *,
+    modes: Floats | None = None,
+    stations: int = 1,
+    seed: int = 0,
+    policy: Policy | None = None,
+    progress: Callable[[str], None] = lambda _: None,
+) -> StationReport:
+    """Find what the simulation gets wrong in one station's data.
+
+    Parameters
+    ----------
+    modes
+        Relative changes of P_sky by which sky and antenna models differ, when the sky is the package's own.
+    stations
+        Number of stations that are searched together: they share the false-alarm rate.
+    seed
+        Seed of the simulated trials factors.
+    progress
+        Is told each step.
+    """
+    policy = policy or Policy()
+    targets = list_targets(station)
+    progress(f"{station.name}: fitting the baseline of {len(station.antenna)} paths")
+    models = [fit_chain(station, modes)]
+    progress(f"{station.name}: scoring {len(CAUSES)} causes for {len(targets)} targets")
+    scores = first_scores = scan(models[0].linear, CAUSES, targets, seed)
+    findings: list[Finding] = []
+    again: _SameAgain | None = None
+    while len(findings) < policy.most_findings:
+        significant = [score for score in scores if score.p_value < policy.catalogue_alpha / stations]
+        if not significant:
+            break
+        again = _same_again(significant[0], findings)
+        if again is not None:
+            break
+        progress(f"{station.name}: fitting everything again with {significant[0].cause.identifier}")
+        found = _extend(models[-1], significant, policy)
+        if found is None:
+            break
+        models.append(found[0])
+        findings.append(found[1])
+        progress(f"{station.name}: scoring what is left")
+        scores = scan(models[-1].linear, CAUSES, targets, seed)
+    # Every size is that of the last fit.
+    findings = [replace(f, hypothesis=one) for f, one in zip(findings, models[-1].hypotheses, strict=True)]
+    antenna_scores = compare_antennas(station, models[-1].baseline, targets, policy, seed)
+    progress(f"{station.name}: looking for structure that no cause explains")
+    whole = models[-1] if again is None else _without(models, again.number)
+    chance = None if again is None else again.score.p_value
+    structure = find_structure(whole.linear, np.random.default_rng(seed), policy.structure_alpha / stations, chance)
+    similar = [] if structure is None else _withdrawn(models[0].linear, findings, structure, again, policy)
+    return StationReport(
+        station=station,
+        findings=[f for f in findings if not any(f is one for one in similar)],
+        antennas=[score for score in antenna_scores[:1] if score.p_value < policy.antenna_alpha / stations],
+        structure=structure,
+        similar=similar,
+        scores=first_scores,
+        antenna_scores=antenna_scores,
+        first=models[0],
+        last=models[-1],
+        unidentifiable=_unidentifiable(station, first_scores),
+        policy=policy,
+        stations=stations,
+    )
+
+
+@dataclass(frozen=True)
+class _Candidate:
+    """A significant score and the model that it would make."""
+
+    score: Score
+    model: FittedModel
+    chi2_before: float
+    chi2_after: float
+    dof: int
+
+    @property
+    def gain(self) -> float:
+        """Chi^2 gained, less what the best of so many scores gains by chance."""
+        return self.chi2_before - self.chi2_after - 2 * float(np.log(self.score.trials))
+
+
+def _extend(before: FittedModel, significant: Sequence[Score], policy: Policy) -> tuple[FittedModel, Finding] | None:
+    """The model extended by the candidate that fits best without linearising, if held-out data agree."""
+    candidates = [one for score in _rivals(significant, policy) if (one := _fit(before, score, policy))]
+    for best in sorted(candidates, key=lambda one: -one.gain):
+        hypothesis = best.model.hypotheses[-1]
+        held_out = held_out_gain(before, hypothesis, _nearby_templates(hypothesis, best.score.template, before.station))
+        if held_out > 0:
+            return best.model, Finding(
+                hypothesis=hypothesis,
+                score=best.score,
+                indistinguishable=find_indistinguishable(before.linear, hypothesis, policy),
+                chi2_before=best.chi2_before,
+                chi2_after=best.chi2_after,
+                dof=best.dof,
+                held_out_gain=held_out,
+                calibration_change=_calibration_change(before, best.model, hypothesis.target),
+            )
+    return None
+
+
+def _rivals(significant: Sequence[Score], policy: Policy) -> list[Score]:
+    """The best few candidates; those far behind the best cannot win by a better fit."""
+    ranking = sorted(significant, key=lambda s: -(s.z**2 - 2 * np.log(s.trials)))
+    return [s for s in ranking[: policy.rivals] if abs(s.z) > policy.rival_share * abs(ranking[0].z)]
+
+
+def _fit(before: FittedModel, score: Score, policy: Policy) -> _Candidate | None:
+    model = refit(before, refine(before.linear, score, policy))
+    if model is None:
+        return None
+    chi2_after, dof = model.linear.chi_squared()
+    same_events = before.linear.on_events(model.station.is_used)
+    chi2_before, _ = same_events.with_levels(model.linear.residuals.levels).chi_squared()
+    return _Candidate(score, model, chi2_before, chi2_after, dof)
+
+
+def refine(model: LinearModel, score: Score, policy: Policy) -> Hypothesis:
+    """The hypothesis that a scan found, with the best template about the one tried, at the size to first order.
+
+    A scan tries hours, dates and indices on a grid; here the templates about the best of them are scored. Those that
+    fit nearly as well have other sizes, whose scatter, weighed with the likelihoods, widens the error of the size.
+    """
+    cause = score.cause
+    conditions = model.station.conditions
+    templates = cause.finer_templates(conditions, score.template)
+    if len(templates) == 1:
+        return Hypothesis(cause, templates[0], score.target, score.size)
+    known = model.on_events(cause.known_events(conditions, score.template))
+    found, scores, sizes, strengths = [], [], [], []
+    for batch, z, size in score_families(known, group_templates(conditions, cause, templates), [score.target]):
+        profile = batch[0].profiles.values
+        strength = np.abs(profile).sum(axis=1) / np.maximum((profile != 0).sum(axis=1), 1)
+        found += [template for family in batch for template in family.templates]
+        scores.append(z[:, 0].ravel())
+        sizes.append(size[:, 0].ravel())
+        strengths.append(np.tile(strength, len(batch)))
+    gain, size = np.concatenate(scores) ** 2, np.concatenate(sizes)
+    # Power that is there at some hours and power that is missing at the others look alike: a positive size is meant.
+    if np.any(size > 0) and gain[size > 0].max() > gain.max() - policy.indistinguishable:
+        gain = np.where(size > 0, gain, 0.0)
+    best = int(np.argmax(gain))
+    # Sizes with other templates compare by what they do on average where they act.
+    change = size * np.concatenate(strengths)
+    weight = np.exp(0.5 * (gain - gain[best])) * (np.sign(change) == np.sign(change[best]))
+    scatter = np.sqrt(weight @ (change / change[best] - 1.0) ** 2 / weight.sum())
+    return Hypothesis(cause, found[best], score.target, float(size[best]), template_sigma=float(scatter))
+
+
+def _nearby_templates(hypothesis: Hypothesis, tried: Template, station: Station) -> list[Template]:
+    """The templates among which the held-out test chooses again: those that do the same at another time."""
+    cause = hypothesis.cause
+    same = {name: hypothesis.template.parameters[name] for name in cause.spectral_parameters}
+    alike = [one for one in cause.templates(station.conditions) if cause.spectral_key(one) == cause.spectral_key(tried)]
+    return [hypothesis.template, *(Template({**one.parameters, **same}) for one in alike)]
+
+
+@dataclass(frozen=True)
+class _SameAgain:
+    """A cause that is significant once more for the same target, though one of its kind would have described it all.
+
+    Attributes
+    ----------
+    number
+        Number of the finding that named it first: structure whose form its template does not have.
+    """
+
+    score: Score
+    number: int
+
+
+def _same_again(score: Score, findings: Sequence[Finding]) -> _SameAgain | None:
+    for number, earlier in enumerate(finding.hypothesis for finding in findings):
+        is_same = earlier.cause is score.cause and earlier.target.label == score.target.label
+        if is_same and not score.cause.is_another(score.template, earlier.template):
+            return _SameAgain(score, number)
+    return None
+
+
+def _without(models: Sequence[FittedModel], number: int) -> FittedModel:
+    """The fitted model with all hypotheses but one, whose structure is to be looked at whole."""
+    model = models[number]
+    for hypothesis in models[-1].hypotheses[number + 1 :]:
+        model = refit(model, hypothesis) or model
+    return model
+
+
+def find_indistinguishable(model: LinearModel, hypothesis: Hypothesis, policy: Policy) -> list[tuple[str, float]]:
+    """Causes with a template that cannot be told from this one at the size found, with the correlation."""
+    conditions, own = model.station.conditions, hypothesis.cause
+    others = [cause for cause in CAUSES if cause is not own and hypothesis.target.scope in cause.scopes]
+    profile = make_profiles(own.time_profile(conditions, hypothesis.template).T)
+    family = SpectralFamily(own, [hypothesis.template], profile)
+    known = model.on_events(own.known_events(conditions, hypothesis.template))
+    families = list_families(conditions, others)
+    correlation = np.abs(correlate(known, [family], hypothesis.target, families))[0]
+    ends = np.cumsum([len(one.templates) for one in families])
+    snr = abs(hypothesis.size / hypothesis.sigma)
+    found: dict[str, float] = {}
+    for one, end in zip(families, ends, strict=True):
+        largest = float(correlation[end - len(one.templates) : end].max())
+        if snr**2 * (1 - min(largest, 1.0) ** 2) < policy.indistinguishable:
+            name = one.cause.identifier
+            found[name] = max(found.get(name, 0.0), largest)
+    return sorted(found.items(), key=lambda item: -item[1])
+
+
+def _calibration_change(before: FittedModel, after: FittedModel, target: Target) -> Floats:
+    """Relative change of C of the paths concerned, shape (path, freq): C goes as the slope to the power -1/2."""
+    old, new = before.baseline.solution.x[target.is_member], after.baseline.solution.x[target.is_member]
+    # A slope that the noise makes negative, in the weakest channels, has no C to change.
+    has_c = (old > 0) & (new > 0)
+    return np.asarray(np.sqrt(np.divide(old, new, out=np.ones_like(old), where=has_c)) - 1.0)
+
+
+def _withdrawn(
+    first: LinearModel,
+    findings: Sequence[Finding],
+    structure: ResidualStructure,
+    again: _SameAgain | None,
+    policy: Policy,
+) -> list[Finding]:
+    """Findings that structure without a name may explain as well: they resemble it, and are no names for it."""
+    is_seen = _seen_beside(first, findings, structure, policy)
+    return [
+        finding
+        for number, finding in enumerate(findings)
+        if (again is not None and number == again.number)
+        or _lives_there(finding, structure)
+        or _has_its_spectrum(first, finding, structure, policy)
+        or not is_seen[number]
+    ]
+
+
+def _seen_beside(
+    model: LinearModel, findings: Sequence[Finding], structure: ResidualStructure, policy: Policy
+) -> list[bool]:
+    """Whether each finding is still seen when the empirical term of what is left is profiled out."""
+    if structure.vectors is None or not findings:
+        return [True] * len(findings)
+    beside = replace(model, empirical=structure.vectors)
+    conditions = beside.station.conditions
+    hypotheses = [finding.hypothesis for finding in findings]
+    templates = [signature(one.cause, beside.terms, conditions, one.template) for one in hypotheses]
+    score, information = beside.products(templates, [one.target for one in hypotheses])
+    inverse = np.linalg.pinv(information, rcond=1e-6, hermitian=True)
+    z = np.abs(inverse @ score) / np.sqrt(np.maximum(np.diag(inverse), 1e-300))
+    trials = [finding.score.trials * finding.score.causes for finding in findings]
+    return [p_of(own, many) <= policy.beside_structure_alpha for own, many in zip(z.tolist(), trials, strict=True)]
+
+
+def _has_its_spectrum(model: LinearModel, finding: Finding, structure: ResidualStructure, policy: Policy) -> bool:
+    """Whether structure in single events is left with the spectrum of the finding's template."""
+    one = finding.hypothesis
+    if structure.axis is not None or not one.target.is_wide:
+        return False
+    shown = signature(one.cause, model.terms, model.station.conditions, one.template)
+    own = share_of_channels(model, model.mean_of(shown, one.target.is_member))
+    return float(np.sum(np.sqrt(own * structure.channel_share))) > policy.same_spectrum
+
+
+def _lives_there(finding: Finding, structure: ResidualStructure) -> bool:
+    """Whether structure is left along an axis of the finding's cause, for the same kind of target."""
+    if structure.axis is None or structure.axis.along not in finding.hypothesis.cause.axes:
+        return False
+    return finding.hypothesis.target.is_wide == (structure.target == "station")
+
+
+def _unidentifiable(station: Station, scores: Sequence[Score]) -> dict[str, str]:
+    reasons = dict(NEVER_HERE)
+    seen = {score.cause.identifier for score in scores}
+    for cause in CAUSES:
+        if not cause.templates(station.conditions):
+            reasons[cause.identifier] = cause.needs
+        elif cause.identifier not in seen:
+            reasons[cause.identifier] = "what the fit leaves free absorbs its signature"
+    return reasons | why_no_comparison(station)

@@ -1,0 +1,195 @@
+"""A station's spectra laid out as (path, event, freq), and the conditions of the events."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lbacal_core.calibration.fit import MIN_EVENTS, Cables, require_one_cable_each
+from lbacal_core.causes.conditions import Conditions
+from lbacal_core.causes.directions import relative_sky_changes
+from lbacal_core.errors import BadInputError
+from lbacal_core.grids import Floats
+from lbacal_core.instrument import Instrument
+from lbacal_core.sidereal import local_sidereal_time
+from lbacal_core.skypower.differences import model_difference_modes
+from lbacal_core.skypower.sources import response_towards
+from lbacal_core.skypower.table import SkyPower
+from lbacal_core.spectra import Spectra
+from lbacal_core.spectra_blocks import SpectraBlock, split_into_blocks
+from lbacal_core.sun import sun_position
+
+OTHER = {"X": "Y", "Y": "X"}
+
+
+@dataclass(frozen=True)
+class Station:
+    """The spectra of one station on a (path, event, freq) grid, and the conditions of the events.
+
+    Paths of one polarisation and cable name form a class with common templates.
+
+    Attributes
+    ----------
+    name
+        Of the station.
+    antenna, dipole
+        Of each path, shape (path,).
+    class_of
+        Class of each path, shape (path,).
+    power
+        Shape (path, event, freq), ADC^2/Ohm/MHz; 1 where absent.
+    relative_variance
+        Variance of the radiometer noise over that of the typical spectrum, shape (path, event); infinite where absent.
+    sky
+        P_sky of each class, shape (class, event, freq).
+    """
+
+    name: str
+    antenna: NDArray[np.int64]
+    dipole: NDArray[np.str_]
+    class_of: NDArray[np.int64]
+    power: Floats
+    relative_variance: Floats
+    event_id: NDArray[np.str_]
+    sky: Floats
+    conditions: Conditions
+
+    @property
+    def is_present(self) -> NDArray[np.bool_]:
+        """Whether a spectrum exists, shape (path, event)."""
+        return np.isfinite(self.relative_variance)
+
+    @property
+    def is_used(self) -> NDArray[np.bool_]:
+        """Whether any path has a spectrum of an event, shape (event,)."""
+        return np.asarray(self.is_present.any(axis=0))
+
+    def on_events(self, is_known: NDArray[np.bool_]) -> Station:
+        """The station without the spectra of other events; the grid stays."""
+        if np.all(is_known):
+            return self
+        return replace(self, relative_variance=np.where(is_known, self.relative_variance, np.inf))
+
+
+def gather_stations(spectra: Spectra, instrument: Instrument, sky_power: SkyPower) -> list[Station]:
+    """Lay out the spectra of each station.
+
+    Raises
+    ------
+    BadInputError
+        Where a station has too few events, or where an antenna changes its cable within the data.
+    """
+    cable_of = require_one_cable_each(spectra, instrument)
+    blocks = split_into_blocks(spectra)
+    changes = relative_sky_changes(instrument)
+    typical = float(np.median(spectra.blocks))
+    return [
+        _gather([b for b in blocks if b.station == name], instrument, cable_of, sky_power, typical, changes)
+        for name in np.unique(spectra.station)
+    ]
+
+
+def _gather(
+    blocks: Sequence[SpectraBlock],
+    instrument: Instrument,
+    cable_of: Cables,
+    sky_power: SkyPower,
+    typical_blocks: float,
+    changes: Mapping[str, SkyPower],
+) -> Station:
+    name = blocks[0].station
+    times: dict[str, float] = {}
+    for block in blocks:
+        times.update(zip(block.event_id.tolist(), block.time_unix.tolist(), strict=True))
+    events = np.array(sorted(times, key=lambda event: (times[event], event)))
+    time_unix = np.array([times[event] for event in events.tolist()])
+    place = {event: k for k, event in enumerate(events.tolist())}
+    paths = sum(block.antennas.size for block in blocks)
+    power = np.ones((paths, events.size, instrument.frequency_mhz.size))
+    variance = np.full((paths, events.size), np.inf)
+    antenna, dipole, cable = [], [], []
+    row = 0
+    covariates: dict[str, Floats] = {}
+    for block in blocks:
+        at = np.array([place[event] for event in block.event_id.tolist()])
+        rows = slice(row, row + block.antennas.size)
+        power[rows, at] = block.power
+        with np.errstate(divide="ignore"):
+            variance[rows, at] = typical_blocks / block.blocks
+        antenna += block.antennas.tolist()
+        dipole += [block.dipole] * block.antennas.size
+        cable += [cable_of[name, int(a)] for a in block.antennas]
+        for key, values in block.environment.items():
+            covariates.setdefault(key, np.full(events.size, np.nan))[at] = values
+        row = rows.stop
+    has_enough = np.isfinite(variance).sum(axis=1) >= MIN_EVENTS
+    if not np.any(has_enough):
+        most = int(np.isfinite(variance).sum(axis=1).max())
+        raise BadInputError(f"station {name}", f"{MIN_EVENTS} events or more of a path", f"{most}; ingest more")
+    kept = np.flatnonzero(has_enough)
+    labels = [(dipole[k], cable[k]) for k in kept]
+    classes = sorted(set(labels))
+    conditions = _conditions(classes, instrument, sky_power, time_unix, covariates, changes)
+    return Station(
+        name=name,
+        antenna=np.array(antenna)[kept],
+        dipole=np.array(dipole)[kept],
+        class_of=np.array([classes.index(label) for label in labels]),
+        power=power[kept],
+        relative_variance=variance[kept],
+        event_id=events,
+        sky=np.stack([sky_power.at(letter, conditions.lst_hours) for letter, _ in classes]),
+        conditions=conditions,
+    )
+
+
+def _conditions(
+    classes: Sequence[tuple[str, str]],
+    instrument: Instrument,
+    sky_power: SkyPower,
+    time_unix: Floats,
+    covariates: Mapping[str, Floats],
+    changes: Mapping[str, SkyPower],
+) -> Conditions:
+    lst = local_sidereal_time(time_unix, instrument.longitude_deg)
+    altitude, azimuth = sun_position(time_unix, instrument.latitude_deg, instrument.longitude_deg)
+    letters = [letter for letter, _ in classes]
+
+    def at(table: SkyPower, hours: Floats) -> Floats:
+        return np.stack([table.at(letter, hours) for letter in letters])
+
+    sun_response = None
+    if changes:
+        towards = {
+            letter: response_towards(instrument, letter, np.pi / 2 - altitude, azimuth) for letter in set(letters)
+        }
+        sun_response = np.stack([towards[letter] for letter in letters])
+    return Conditions(
+        frequency_mhz=instrument.frequency_mhz,
+        time_unix=time_unix,
+        lst_hours=lst,
+        utc_hours=(time_unix / 3600.0) % 24.0,
+        sun_altitude=altitude,
+        sun_azimuth=azimuth,
+        dipoles=letters,
+        cables=[cable for _, cable in classes],
+        mean_sky=np.stack([sky_power.power[letter].mean(axis=0) for letter in letters]),
+        other_sky=np.stack([sky_power.at(OTHER[letter], lst) for letter in letters]),
+        sky_at=lambda hours: at(sky_power, hours),
+        antenna_gain=instrument.antenna_gain,
+        receiver_gain=instrument.receiver_gain,
+        cable_log_loss=np.stack([np.log(instrument.cables[cable]) for _, cable in classes]),
+        covariates=covariates,
+        sky_change={name: np.log(at(change, lst)) for name, change in changes.items()},
+        sun_response=sun_response,
+    )
+
+
+def model_modes(station: Station, instrument: Instrument) -> Floats:
+    """Relative changes of P_sky by which sky and antenna models differ, shape (mode, class, event, freq)."""
+    conditions = station.conditions
+    table = model_difference_modes(conditions.frequency_mhz, conditions.lst_hours, instrument.dipole_azimuth_deg)
+    return np.stack([table[letter] for letter in conditions.dipoles], axis=1)

@@ -1,0 +1,270 @@
+"""Inner products of templates in one view of the residuals, everything that the fit leaves free profiled out.
+
+Residuals e have the inverse noise covariance W, and the fit leaves the vectors N free: A(nu) in every channel and three
+noise constants. The inner product of two templates u and v is that of what N cannot describe,
+
+    <u, v> = u'Wv - (u'WN) (N'WN)^-1 (N'Wv),                                                                       (1)
+
+the score of a template is <u, e> and its information <u, u>: the Fisher matrix with nuisance parameters profiled out
+(Cowan 1998, Statistical Data Analysis, section 9.2). No other module knows W or N.
+
+A template is a spectral template, shape (row, event, freq), times a time profile, shape (event,). Spectral templates
+are few and time profiles many (dates, hours), so that sums over events are all that each profile costs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lbacal_core.grids import Floats
+
+SMALLEST_EIGENVALUE = 1e-10
+"""Of the unit-diagonal N'WN: free vectors below it are combinations of the others to rounding errors."""
+SMALLEST_SHARE = 1e-6
+"""A template that keeps less of its information than this counts as free: the rest is rounding errors, as of a step
+after a path fell silent."""
+MANY_PROFILES = 8
+"""More time profiles than this are first summed over sets of events that all of them treat alike."""
+
+
+@dataclass(frozen=True)
+class TimeProfiles:
+    """Time profiles, and the sets of events that all of them treat alike.
+
+    Attributes
+    ----------
+    values
+        Shape (profile, event).
+    order, begins
+        Events sorted by set, and where each set begins.
+    by_set
+        Shape (profile, set).
+    """
+
+    values: Floats
+    order: NDArray[np.int64]
+    begins: NDArray[np.int64]
+    by_set: Floats
+
+    def sum(self, values: Floats) -> Floats:
+        """Sums over the events of values times each profile, (..., event, n) -> (..., profile, n)."""
+        if len(self.begins) == len(self.order):
+            return self.values @ values
+        return np.asarray(self.by_set @ np.add.reduceat(values[..., self.order, :], self.begins, axis=-2))
+
+
+def make_profiles(values: Floats) -> TimeProfiles:
+    """Time profiles of shape (profile, event), where they are many with the sets of events that they treat alike."""
+    if len(values) <= MANY_PROFILES:
+        events = np.arange(values.shape[1])
+        return TimeProfiles(values, events, events, values)
+    by_set, set_of = np.unique(values, axis=1, return_inverse=True)
+    order = np.argsort(set_of.ravel(), kind="stable")
+    return TimeProfiles(values, order, np.searchsorted(set_of.ravel()[order], np.arange(by_set.shape[1])), by_set)
+
+
+@dataclass(frozen=True)
+class Seen:
+    """Templates as one view sees them.
+
+    Attributes
+    ----------
+    values
+        t, shape (..., row, event, freq).
+    weighed
+        W t, the same shape.
+    free
+        N'W t event by event, shape (..., event, vector).
+    """
+
+    values: Floats
+    weighed: Floats
+    free: Floats
+
+    def by_event(self, other: Seen) -> Floats:
+        """Products t'W u of all pairs event by event, nothing profiled out, shape (..., k, j, event)."""
+        return np.asarray(np.einsum("...kref,...jref->...kje", self.values, other.weighed, optimize=True))
+
+
+@dataclass(frozen=True)
+class View:
+    """One part of the residuals, its noise and the vectors that the fit leaves free.
+
+    A view has one row (a path) or several that share events (the means of both polarisations). Its members are paths
+    with the same templates and noise, each with the events that it has.
+
+    Attributes
+    ----------
+    channel
+        Inverse variance of what is not flat in frequency, shape (row, event).
+    band
+        Inverse covariance of the band means of the rows, shape (row, row, event).
+    slope
+        Relative change of the power with ln A(nu): one free vector for each row and channel, shape (row, event, freq).
+    constants
+        Further free vectors, shape (vector, row, event, freq).
+    weight
+        Weight of each event for each member, shape (member, event); 0 where absent.
+    residual
+        Shape (member, row, event, freq).
+    """
+
+    channel: Floats
+    band: Floats
+    slope: Floats
+    constants: Floats
+    weight: Floats
+    residual: Floats
+
+    def see(self, values: Floats) -> Seen:
+        """Weigh templates, shape (..., row, event, freq), and take their products with the free vectors."""
+        weighed = self._weigh(values)
+        own = np.moveaxis(self.slope * weighed, -3, -2)
+        other = np.einsum("jref,...ref->...ej", self.constants, weighed)
+        return Seen(values, weighed, np.concatenate([own.reshape(*own.shape[:-2], -1), other], axis=-1))
+
+    def _weigh(self, values: Floats) -> Floats:
+        """W times vectors, shape (..., row, event, freq)."""
+        band = values.mean(axis=-1)
+        across = np.einsum("rse,...se->...re", self.band, band) / values.shape[-1]
+        weighed = (values - band[..., None]) * self.channel[..., None]
+        weighed += across[..., None]
+        return np.asarray(weighed)
+
+    def inner(self, templates: Seen, profiles: TimeProfiles) -> tuple[Floats, Floats]:
+        """Information (1) of templates with one time profile, shape (..., k, k, member, profile); and u'Wv alone."""
+        whole = (templates.by_event(templates)[..., None, :] * self.weight) @ profiles.values.T**2
+        lost = profiles.sum(self.weight[:, :, None] * templates.free[..., None, :, :])
+        return whole - np.einsum("...kmnv,...jmnv->...kjmn", lost @ self._inverse, lost), whole
+
+    def cross(self, one: Seen, other: Seen, one_profiles: Floats, other_profiles: Floats) -> Floats:
+        """Inner products (1) of all templates with all time profiles, shape (member, k n, j m).
+
+        Parameters
+        ----------
+        one, other
+            Templates, k and j of them.
+        one_profiles, other_profiles
+            Shape (n, event) and (m, event).
+        """
+        members, rows = len(self.weight), len(one.values) * len(one_profiles)
+        left = self.weight[:, None] * one_profiles
+        right = one.by_event(other)[:, :, None] * other_profiles
+        whole = np.einsum("mne,kjpe->mknjp", left, right, optimize=True).reshape(members, rows, -1)
+        lost = [
+            np.einsum("mne,kev->mknv", self.weight[:, None] * profiles, seen.free, optimize=True)
+            for seen, profiles in ((one, one_profiles), (other, other_profiles))
+        ]
+        flat = [part.reshape(members, -1, part.shape[-1]) for part in lost]
+        return np.asarray(whole - flat[0] @ self._inverse @ np.swapaxes(flat[1], 1, 2))
+
+    def gram(self, templates: Seen) -> Floats:
+        """Inner products (1) of templates, shape (member, k, k)."""
+        everyone = np.ones((1, self.weight.shape[1]))
+        return self.cross(templates, templates, everyone, everyone)
+
+    def score_by_event(self, templates: Seen) -> Floats:
+        """Contribution of every event to the scores <t, e>, shape (..., k, member, event)."""
+        return np.asarray(np.einsum("...kref,mref->...kme", templates.values, self.weighted_residual, optimize=True))
+
+    def inner_by_fold(
+        self, templates: Seen, profiles: Floats, fold: NDArray[np.int64], member: int
+    ) -> tuple[Floats, Floats, Floats]:
+        """Information (1) that the events of each fold hold, the free vectors fitted to all events.
+
+        Parameters
+        ----------
+        profiles
+            Shape (n, event).
+        fold
+            Number of the fold of each event, shape (event,).
+
+        Returns
+        -------
+        Shape (fold, k n, k n), the sum over the folds is (1); t'Wt alone, shape (fold, k n); and the fitted amounts of
+        the free vectors, shape (k n, vector).
+        """
+        is_in = _indicators(fold)
+        size = len(templates.values) * len(profiles)
+        weight = self.weight[member] * is_in
+        free = np.einsum("ge,ne,kev->gknv", weight, profiles, templates.free, optimize=True)
+        free = free.reshape(len(is_in), size, -1)
+        pairs = templates.by_event(templates)
+        whole = np.einsum("ge,ne,kje,me->gknjm", weight, profiles, pairs, profiles, optimize=True)
+        whole = whole.reshape(-1, size, size)
+        fitted = free.sum(axis=0) @ self._inverse[member]
+        mixed = free @ fitted.T
+        of_free = fitted @ self._information_of_free(weight) @ fitted.T
+        left = whole - mixed - np.swapaxes(mixed, 1, 2) + of_free
+        return left, np.diagonal(whole, axis1=1, axis2=2), fitted
+
+    def score_by_fold(
+        self, templates: Seen, profiles: Floats, fold: NDArray[np.int64], member: int, fitted: Floats
+    ) -> Floats:
+        """Score <t, e> that the events of each fold hold, shape (fold, k n); `fitted` as `inner_by_fold` gives it."""
+        is_in, dual = _indicators(fold), self.weighted_residual[member]
+        by_event = np.einsum("kref,ref->ke", templates.values, dual)
+        own = np.einsum("ge,ne,ke->gkn", is_in, profiles, by_event, optimize=True).reshape(len(is_in), -1)
+        slope = np.einsum("ge,ref,ref->grf", is_in, self.slope, dual, optimize=True).reshape(len(is_in), -1)
+        constants = np.einsum("ge,jref,ref->gj", is_in, self.constants, dual, optimize=True)
+        return np.asarray(own - np.concatenate([slope, constants], axis=1) @ fitted.T)
+
+    @cached_property
+    def weighted_residual(self) -> Floats:
+        """W (e - N x) with x fitted, shape (member, row, event, freq): its product with a template is the score."""
+        dual = np.empty_like(self.residual)
+        for m, (residual, weight) in enumerate(zip(self.residual, self.weight, strict=True)):
+            dual[m] = weight[:, None] * self._weigh(self.clean(residual, m))
+        return dual
+
+    def clean(self, values: Floats, member: int = 0) -> Floats:
+        """Templates of shape (..., row, event, freq) less what the free vectors describe."""
+        fitted = np.einsum("e,...ev->...v", self.weight[member], self.see(values).free) @ self._inverse[member]
+        rows, _, channels = self.slope.shape
+        own = fitted[..., : rows * channels].reshape(*fitted.shape[:-1], rows, 1, channels)
+        other = np.einsum("jref,...j->...ref", self.constants, fitted[..., rows * channels :], optimize=True)
+        return np.asarray(values - self.slope * own - other)
+
+    @cached_property
+    def rank(self) -> int:
+        """Number of independent free vectors of the first member."""
+        return int(np.linalg.matrix_rank(self._inverse[0], hermitian=True))
+
+    @cached_property
+    def _inverse(self) -> Floats:
+        """(N'WN)^-1 of each member on the space that the vectors span; vectors of any size count alike."""
+        gram = self._information_of_free(self.weight)
+        size = np.sqrt(np.maximum(np.diagonal(gram, axis1=1, axis2=2), 1e-300))
+        values, vectors = np.linalg.eigh(gram / (size[:, :, None] * size[:, None, :]))
+        kept = values > SMALLEST_EIGENVALUE * values[:, -1:]
+        inverse = np.where(kept, 1.0 / np.where(kept, values, 1.0), 0.0)
+        turned = vectors / size[:, :, None]
+        return np.asarray((turned * inverse[:, None, :]) @ np.swapaxes(turned, 1, 2))
+
+    def _information_of_free(self, weight: Floats) -> Floats:
+        """N'WN for each set of event weights, (set, event) -> (set, vector, vector)."""
+        rows, _, channels = self.slope.shape
+        size = rows * channels
+        gram = np.empty((len(weight), size + len(self.constants), size + len(self.constants)))
+        flat = np.swapaxes(self.slope, 0, 1).reshape(-1, size)
+        row_of = np.repeat(np.arange(rows), channels)
+        for r in range(rows):
+            for s in range(rows):
+                at = self.band[r, s] / channels**2 - (self.channel[r] / channels if r == s else 0.0)
+                left = self.slope[r] * (weight * at)[:, :, None]
+                block = slice(r * channels, (r + 1) * channels), slice(s * channels, (s + 1) * channels)
+                gram[:, block[0], block[1]] = np.swapaxes(left, 1, 2) @ self.slope[s]
+        square = weight @ (flat**2 * self.channel.T[:, row_of])
+        gram[:, np.arange(size), np.arange(size)] += square
+        gram[:, size:, :] = np.einsum("ke,jev->kjv", weight, self.see(self.constants).free, optimize=True)
+        gram[:, :size, size:] = np.swapaxes(gram[:, size:, :size], 1, 2)
+        return gram
+
+
+def _indicators(fold: NDArray[np.int64]) -> Floats:
+    """1 where an event lies in a fold, shape (fold, event)."""
+    return np.asarray(fold == np.arange(fold.max() + 1)[:, None], dtype=float)

@@ -1,0 +1,84 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lbacal_core.causes.catalogue import CAUSES
+from lbacal_core.causes.cause import Template, signature
+from lbacal_core.discovery.hypothesis import list_targets
+from lbacal_core.discovery.policy import Policy
+from lbacal_core.discovery.refit import fit_chain
+from lbacal_core.discovery.scan import Score, scan
+from lbacal_core.discovery.search import refine
+from lbacal_core.discovery.station import gather_stations
+from lbacal_core.twin.faults.antenna import GainStep
+from lbacal_core.twin.faults.fault import Where
+from lbacal_core.twin.faults.interference import RfiBroadband
+
+NAMED = {cause.identifier: cause for cause in CAUSES}
+
+
+def best_of(spectra, chain, sky, cause):
+    model = fit_chain(gather_stations(spectra, chain, sky)[0]).linear
+    (score,) = scan(model, [NAMED[cause]], list_targets(model.station))
+    return model, score
+
+
+@pytest.mark.parametrize("cause", CAUSES, ids=lambda cause: cause.identifier)
+def test_the_templates_about_one_contain_it_or_its_like(cause, station):
+    conditions = station.conditions
+    for template in cause.templates(conditions)[:: max(len(cause.templates(conditions)) // 5, 1)]:
+        finer = cause.finer_templates(conditions, template)
+        profile = cause.time_profile(conditions, template)
+        nearest = min(np.abs(cause.time_profile(conditions, one) - profile).sum() for one in finer)
+        assert nearest <= 1e-9 * np.abs(profile).sum() + 1.0  # a step between two events moves one event
+
+
+def test_hours_between_those_of_the_scan_are_found_and_power_is_not_missing(spoil, chain, sky):
+    model, score = best_of(spoil(RfiBroadband(size=0.05, index=0.0, hours=(17.0, 2.0))), chain, sky, "rfi_broadband")
+    template = refine(model, score, Policy()).template
+    assert template.parameters["utc_h"] == [17, 2]
+    # As if the scan had preferred what is missing at all other hours.
+    others = Template({**score.parameters, "utc_h": list(reversed(score.parameters["utc_h"]))})
+    template = refine(model, replace(score, template=others), Policy()).template
+    assert template.parameters["utc_h"] == [17, 2]
+
+
+def test_the_date_of_a_strong_step_is_that_of_an_event(spoil, chain, sky):
+    step = GainStep(size=0.2, where=Where(antennas=(2,)), date="2014-08-07")
+    model, score = best_of(spoil(step), chain, sky, "gain_step")
+    found = refine(model, score, Policy())
+    date = np.datetime64("2014-08-07").astype("datetime64[s]").astype(float)
+    times = model.station.conditions.time_unix
+    assert found.template.parameters["date_unix"] == times[times >= date].min()
+    assert found.template_sigma < 1e-3  # 100 standard deviations leave no other date open
+
+
+def test_the_scatter_of_the_size_is_that_of_the_likelihood_over_the_templates(spoil, chain, sky):
+    """Against the plain sum over templates one by one, each with its own score and size."""
+    model, score = best_of(spoil(RfiBroadband(size=0.004, index=-2.0, hours=(6.0, 18.0))), chain, sky, "rfi_broadband")
+    found = refine(model, score, Policy())
+    conditions = model.station.conditions
+    chi2, sizes, chosen = [], [], None
+    for one in score.cause.finer_templates(conditions, score.template):
+        vector = signature(score.cause, model.terms, conditions, one)
+        (product,), ((information,),) = model.products([vector], [score.target])
+        chi2.append(product**2 / information)
+        sizes.append(product / information)
+        chosen = len(sizes) - 1 if one == found.template else chosen
+    chi2, sizes = np.array(chi2), np.array(sizes)
+    weight = np.where(sizes > 0, np.exp((chi2 - chi2[chosen]) / 2), 0.0)
+    expected = np.sqrt(np.average((sizes / sizes[chosen] - 1) ** 2, weights=weight))
+    assert found.size == pytest.approx(sizes[chosen], rel=1e-3)
+    assert found.template_sigma == pytest.approx(expected, rel=1e-3)
+    assert found.template_sigma > 0.01
+
+
+def test_a_cause_of_one_template_keeps_it(clean, chain, sky):
+    model = fit_chain(gather_stations(clean, chain, sky)[0]).linear
+    drift = NAMED["gain_drift"]
+    score = Score(drift, Template(), list_targets(model.station)[0], 5.0, 0.1, events=300)
+    found = refine(model, score, Policy())
+    assert (found.template, found.size, found.template_sigma) == (Template(), 0.1, 0.0)
