@@ -53,16 +53,16 @@ class Client:
 
     def ask(
         self, station: str | None = None, antenna: int | None = None, dipole: str | None = None, *,
-        at: Any, as_of: Any = None, gap: str | None = None, kind: str = "json",
+        at: Any, as_of: Any = None, gap: str | None = None, scope: str | None = None, kind: str = "json",
     ) -> str:  # fmt: skip
         """The calibration in effect as the server writes it, in one of its formats."""
-        params = {"station": station, "antenna": antenna, "dipole": dipole, "gap": gap, "format": kind}
+        params = {"station": station, "antenna": antenna, "dipole": dipole, "gap": gap, "scope": scope, "format": kind}
         params |= {"at": format_time(at), "as_of": None if as_of is None else format_time(as_of)}
         return self._transport.request("GET", "/v1/calibrations/effective", params=params).text
 
     def effective(
         self, station: str | None = None, antenna: int | None = None, dipole: str | None = None, *,
-        at: Any, as_of: Any = None, gap: str | None = None,
+        at: Any, as_of: Any = None, gap: str | None = None, scope: str | None = None,
     ) -> QTable:  # fmt: skip
         """The calibration in effect at `at`, one row per path and frequency.
 
@@ -73,6 +73,8 @@ class Client:
             (naive = UTC) or ISO 8601 text.
         gap
             ``hold`` answers with the nearest in time where nothing is in effect; such rows are ``uncertain``.
+        scope
+            ``array``: the reference chain of the array, which is nobody's cable (station empty, antenna -1).
 
         Returns
         -------
@@ -81,7 +83,7 @@ class Client:
         """
         import json
 
-        return make_table(json.loads(self.ask(station, antenna, dipole, at=at, as_of=as_of, gap=gap)))
+        return make_table(json.loads(self.ask(station, antenna, dipole, at=at, as_of=as_of, gap=gap, scope=scope)))
 
     def ingest(
         self, spectra: Path | str | Spectra, on_event: Callable[[int, int], None] | None = None
@@ -131,11 +133,11 @@ class Client:
 
 def effective(
     station: str | None = None, antenna: int | None = None, dipole: str | None = None, *,
-    at: Any, as_of: Any = None, gap: str | None = None,
+    at: Any, as_of: Any = None, gap: str | None = None, scope: str | None = None,
 ) -> QTable:  # fmt: skip
     """The calibration in effect at `at`; see `Client.effective`."""
     with Client() as client:
-        return client.effective(station, antenna, dipole, at=at, as_of=as_of, gap=gap)
+        return client.effective(station, antenna, dipole, at=at, as_of=as_of, gap=gap, scope=scope)
 
 
 def ingest(spectra: Path | str | Spectra) -> dict[str, int]:
@@ -204,8 +206,8 @@ def make_table(answer: dict[str, Any]) -> QTable:
         return np.concatenate([curve[name] or [np.nan] * len(curve["c"]) for curve in curves]).astype(float)
 
     table = QTable()
-    table["station"] = repeat([curve["station"] for curve in curves], np.str_)
-    table["antenna"] = repeat([curve["antenna"] for curve in curves], np.int64)
+    table["station"] = repeat([curve["station"] or "" for curve in curves], np.str_)
+    table["antenna"] = repeat([-1 if curve["antenna"] is None else curve["antenna"] for curve in curves], np.int64)
     table["dipole"] = repeat([curve["dipole"] for curve in curves], np.str_)
     table["frequency_mhz"] = join("frequency_mhz") * u.MHz
     for name, text in _COLUMNS.items():

@@ -46,6 +46,7 @@ def effective(
     dipole: Dipole = None,
     as_of: Annotated[str | None, typer.Option(help="Answer as it was known at this instant.")] = None,
     gap: Annotated[str | None, typer.Option(help="hold: answer with the nearest where nothing is in effect.")] = None,
+    scope: Annotated[str | None, typer.Option(help="array: its reference chain, which is nobody's cable.")] = None,
     kind: Annotated[Format, typer.Option("--format", help="How to print.")] = Format.table,
 ) -> None:
     """Print the calibration in effect on a date.
@@ -54,7 +55,7 @@ def effective(
     """
     with Client() as client:
         wire = "json" if kind is Format.table else kind.value
-        text = client.ask(station, antenna, dipole, at=at, as_of=as_of, gap=gap, kind=wire)
+        text = client.ask(station, antenna, dipole, at=at, as_of=as_of, gap=gap, scope=scope, kind=wire)
     if kind is not Format.table:
         sys.stdout.write(text)
         return
@@ -107,9 +108,13 @@ def jobs(number: Annotated[int | None, typer.Argument(help="One job; without it 
 
 def print_curve(curve: dict[str, Any]) -> None:
     """Print a curve in effect: who answers, for how long, and C(nu)."""
-    print(f"{curve['station']} antenna {curve['antenna']} {curve['dipole']}: version {curve['calibration'][:12]}")
+    path = f"{curve['station']} antenna {curve['antenna']} {curve['dipole']}"
+    is_path = curve["antenna"] is not None
+    owner = path if is_path else f"array {curve['dipole']}, reference chain: nobody's cable"
+    print(f"{owner}: version {curve['calibration'][:12]}")
     valid, chain = curve["valid"], curve["reference"]
-    through = f" (mean of {chain['paths']} paths) through its own cable {chain['cable']}" if chain else ""
+    mean = f" (mean of {chain['paths']} paths)" if chain else ""
+    through = f"{mean} through its own cable {chain['cable']}" if chain and is_path else mean
     until = valid["to"] or "further notice"
     print(f"  answered by {curve['answered_by']}{through}, valid from {valid['from']} to {until}")
     if curve["flag_reason"]:

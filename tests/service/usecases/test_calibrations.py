@@ -135,7 +135,9 @@ def test_every_way_out_gives_the_same_numbers_and_the_same_flag(
             assert ("uncertain: there are no data of CS003" in out) == (path["station"] == "CS003")
 
 
-def test_nuradio_gives_the_reference_chain_of_the_array_and_says_that_it_is_nobodys_cable(http: TestClient) -> None:
+def test_nuradio_gives_the_reference_chain_of_the_array_and_says_that_it_is_nobodys_cable(
+    http: TestClient, capsys: pytest.CaptureFixture[str]
+) -> None:
     text = ask(http, scope="array", dipole="Y", format="nuradio")
     (curve,) = ask(http, scope="array", dipole="Y")["curves"]
     assert "array Y: reference chain, the mean of its paths: nobody's cable" in text
@@ -143,6 +145,10 @@ def test_nuradio_gives_the_reference_chain_of_the_array_and_says_that_it_is_nobo
     stored = http.get(f"/v1/calibrations/{curve['calibration']}").json()["curves"]
     assert curve["c"] == next(c["c"] for c in stored if c["dipole"] == "Y")
     assert (curve["station"], curve["antenna"], set(curve["factor"])) == (None, None, {1.0})
+    table = make_table(ask(http, scope="array"))
+    assert ({*table["station"]}, {*table["antenna"]}, {*table["dipole"]}) == ({""}, {-1}, {"X", "Y"})
+    print_curve(curve)
+    assert "array Y, reference chain: nobody's cable: version " in capsys.readouterr().out
     refused = [{"scope": "array", "format": "nuradio"}, {"scope": "array", "station": "CS002"}, {"scope": "station"}]
     for params in refused:
         assert http.get("/v1/calibrations/effective", params={"at": AT, **params}).status_code == 422
