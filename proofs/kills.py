@@ -23,7 +23,7 @@ import httpx2
 import numpy as np
 import psycopg
 
-from lbacal.client import bodies_of_events
+from lbacal.bodies import bodies_of_events
 from lbacal_core.instrument import load_instrument
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.table import write_sky_power

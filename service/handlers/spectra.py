@@ -46,6 +46,22 @@ def store_spectra(request: Request, use: UseCases, _caller: Writer, body: Spectr
 
 
 @router.get(
+    "/v1/spectra/receipts",
+    summary="Which bodies are stored already",
+    description="Of the bodies named by the SHA-256 of their bytes, those whose spectra are all stored: they need not "
+    "be sent again.",
+    responses=document(401, 422, 503),
+    dependencies=[Depends(require_read)],
+)
+def list_receipts(
+    request: Request,
+    use: UseCases,
+    sha256: Annotated[str, Query(pattern=r"^[0-9a-f]{64}(,[0-9a-f]{64}){0,99}$", description="up to 100, with commas")],
+) -> Response:
+    return answer(request, {"stored": sorted(use.intake.find_receipts(sha256.split(",")))})
+
+
+@router.get(
     "/v1/events",
     summary="List stored events",
     description="In order of arrival, with the count of their spectra; `next` is the cursor of the next page.",

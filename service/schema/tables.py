@@ -70,6 +70,14 @@ spectrum = Table(
     Index(None, "path", "time_us"),
 )
 
+receipt = Table(
+    "receipt",
+    metadata,
+    Column("sha256", Text, primary_key=True, comment="of a body whose spectra are all stored"),
+    Column("spectra", Integer, nullable=False, comment="how many it holds"),
+    Column("at_us", BigInteger, nullable=False),
+)
+
 calibration = Table(
     "calibration",
     metadata,

@@ -19,8 +19,9 @@ from sqlalchemy.dialects.sqlite import insert as sqlite_insert
 
 from lbacal_core.errors import BadInputError
 from lbacal_core.spectra import MAX_COVARIATES, Spectra
+from lbacal_core.validity import Instant
 from service.errors import ConflictError
-from service.schema.tables import event, path
+from service.schema.tables import event, path, receipt
 
 POWER = np.dtype("<f8")
 SAME_TIME_US = 1
@@ -62,6 +63,7 @@ class Arrivals:
         self._connection = connection
         self._is_sqlite = connection.dialect.name == "sqlite"
         self._sql = _SQL[connection.dialect.name]
+        self._upsert: Any = sqlite_insert if self._is_sqlite else postgresql_insert
 
     def add(self, spectra: Spectra) -> int:
         """Store what is new and return its count; a different spectrum under a stored key is a conflict."""
@@ -78,6 +80,17 @@ class Arrivals:
         if stored < len(rows):
             self._require_same(spectra, order, rows)
         return stored
+
+    def find_receipts(self, digests: Sequence[str]) -> dict[str, int]:
+        """How many spectra bodies hold that were stored whole before, by SHA-256."""
+        rows = self._connection.execute(select(receipt).where(receipt.c.sha256.in_(digests)))
+        return {row.sha256: row.spectra for row in rows}
+
+    def keep_receipt(self, digest: str, spectra: int, at: Instant) -> None:
+        """Remember that all spectra of a body are stored. Spectra are never deleted, so it stays true."""
+        self._connection.execute(
+            self._upsert(receipt).on_conflict_do_nothing(), {"sha256": digest, "spectra": spectra, "at_us": at}
+        )
 
     def _insert(self, table: str, rows: Sequence[Row]) -> int:
         """Insert rows that are not there, and return how many were not."""
@@ -146,8 +159,7 @@ class Arrivals:
         known = self._stored_paths(wanted)
         new = [{"station": s, "antenna": a, "dipole": d} for s, a, d in wanted if (s, a, d) not in known]
         if new:
-            insert: Any = sqlite_insert if self._is_sqlite else postgresql_insert
-            self._connection.execute(insert(path).on_conflict_do_nothing(), new)
+            self._connection.execute(self._upsert(path).on_conflict_do_nothing(), new)
             known = self._stored_paths(wanted)
         return np.array([known[key] for key in keys], dtype=np.int64)
 

@@ -46,9 +46,14 @@ class SpectraStore:
     def __init__(self, connection: Connection) -> None:
         self._connection = connection
 
+    @property
+    def arrivals(self) -> Arrivals:
+        """Where they come in."""
+        return Arrivals(self._connection)
+
     def add(self, spectra: Spectra) -> int:
         """Store what is new and return its count; a different spectrum under a stored key is a conflict."""
-        return Arrivals(self._connection).add(spectra)
+        return self.arrivals.add(spectra)
 
     def load(self, window: Window, frequency_mhz: Floats, resistance_ohm: float) -> Spectra | None:
         """Everything a fit of a window uses, in key order; None where there is nothing. Fits use no covariates."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -64,13 +65,20 @@ class Intake:
         return records
 
     def receive(self, content: bytes, *, is_file: bool) -> Receipt:
-        """Store a body, a spectra file or JSON, whole or not at all."""
+        """Store a body, a spectra file or JSON, whole or not at all; one that was stored before is not even read."""
+        digest = hashlib.sha256(content).hexdigest()
+        if digest in (known := self.find_receipts([digest])):
+            return Receipt(known[digest], 0)
         if is_file:
-            return self.store(self.files.read(content))
-        return self.store_body(parse_body(SpectraBody, content))
+            return self.store(self.files.read(content), digest=digest)
+        return self._store_json(parse_body(SpectraBody, content), digest)
 
-    def store_body(self, body: SpectraBody) -> Receipt:
-        """Store the spectra of a JSON body; those it holds twice count as duplicates."""
+    def find_receipts(self, digests: Sequence[str]) -> dict[str, int]:
+        """How many spectra bodies hold that were stored whole before, by SHA-256."""
+        with self.database.read() as stores:
+            return stores.spectra.arrivals.find_receipts(digests)
+
+    def _store_json(self, body: SpectraBody, digest: str) -> Receipt:
         require_same_grid(
             "body", np.array(body.frequency_mhz, dtype=float), self.instrument.frequency_mhz,
             f"instrument {self.instrument.name}",
@@ -78,11 +86,15 @@ class Intake:
         times = _read_times(body.spectra)
         rows = _without_repeats(body.spectra, times)
         spectra = _as_spectra(body, rows, times, self.resistance_ohm)
-        return self.store(
-            spectra, len(body.spectra), lambda column, k: f"body.spectra[{rows[k]}].{_FIELDS.get(column, column)}"
-        )
 
-    def store(self, spectra: Spectra, received: int | None = None, name_place: Place = name_row) -> Receipt:
+        def name_field(column: str, k: int) -> str:
+            return f"body.spectra[{rows[k]}].{_FIELDS.get(column, column)}"
+
+        return self.store(spectra, len(body.spectra), name_field, digest)
+
+    def store(
+        self, spectra: Spectra, received: int | None = None, name_place: Place = name_row, digest: str | None = None
+    ) -> Receipt:
         """Store spectra whole or not at all.
 
         Parameters
@@ -91,7 +103,10 @@ class Intake:
             How many were sent, where some of them were sent twice.
         name_place
             Says where a column's row stands in what was sent.
+        digest
+            SHA-256 of the body that held them.
         """
+        received = received or len(spectra)
         if len(spectra) > MAX_SPECTRA:
             raise BadInputError(spectra.origin, f"at most {MAX_SPECTRA} spectra", str(len(spectra)))
         instrument = f"instrument {self.instrument.name}"
@@ -106,7 +121,10 @@ class Intake:
         spectra.require_past(self.clock() / 1e6)
         _require_one_time_an_event(spectra, name_place)
         with self.database.write() as stores:
-            return Receipt(received or len(spectra), stores.spectra.add(spectra))
+            stored = stores.spectra.add(spectra)
+            if digest is not None:
+                stores.spectra.arrivals.keep_receipt(digest, received, self.clock())
+            return Receipt(received, stored)
 
     def _require_on_record(self, spectra: Spectra, name_place: Place) -> None:
         """Refuse a station or an antenna that the instrument does not have, or does not have at that time."""

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import hashlib
 import io
 import json
 from concurrent.futures import ThreadPoolExecutor
@@ -13,6 +14,7 @@ import pytest
 from fastapi.testclient import TestClient
 
 from lbacal_core.spectra import Spectra, write_spectra
+from service.factory import Factory
 
 MHZ = [30.0, 45.0, 60.0, 80.0]
 
@@ -295,6 +297,36 @@ def test_a_bad_spectra_file_is_refused_whole(
     assert answer.status_code == 422, answer.text
     assert answer.json()["detail"].startswith(sentence)
     assert count(client) == 0
+
+
+def receipts(client: TestClient, *bodies: bytes) -> list[str]:
+    digests = ",".join(hashlib.sha256(body).hexdigest() for body in bodies)
+    found: list[str] = client.get("/v1/spectra/receipts", params={"sha256": digests}).json()["stored"]
+    return found
+
+
+def test_a_body_that_was_stored_is_known_by_its_hash_and_not_read_again(
+    client: TestClient, factory: Factory, file: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text = json.dumps(batch(spectrum(5), spectrum(6))).encode()
+    assert receipts(client, file, text) == []
+    assert [post_file(client, file).status_code, post(client, text).status_code] == [201, 201]
+    assert receipts(client, file, text, b"other") == sorted(hashlib.sha256(body).hexdigest() for body in (file, text))
+    monkeypatch.setattr(type(factory.intake), "store", None)
+    assert post_file(client, file).json() == {"received": 8, "stored": 0, "duplicates": 8}
+    assert post(client, text).json() == {"received": 2, "stored": 0, "duplicates": 2}
+
+
+def test_a_refused_body_is_not_taken_for_stored_when_it_is_sent_again(client: TestClient) -> None:
+    client.post("/v1/spectra", json=batch(spectrum(0)))
+    text = json.dumps(batch(spectrum(1), spectrum(0, blocks=7))).encode()
+    assert [post(client, text).status_code for _ in range(2)] == [409, 409]
+    assert receipts(client, text) == []
+
+
+@pytest.mark.parametrize("sha256", ["", "x", "0" * 63, ",".join(["0" * 64] * 101), "0" * 64 + ","])
+def test_a_receipt_is_asked_for_by_hashes(client: TestClient, sha256: str) -> None:
+    assert client.get("/v1/spectra/receipts", params={"sha256": sha256}).status_code == 422
 
 
 def test_a_file_that_is_none_is_malformed(client: TestClient, file: bytes) -> None:
