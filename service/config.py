@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import os
+from difflib import get_close_matches
 from functools import cached_property
 from pathlib import Path
+from urllib.parse import urlsplit
 
-from pydantic import Field, ValidationError
+from pydantic import Field, ValidationError, field_validator
+from pydantic_core import PydanticCustomError
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from lbacal_core.errors import BadInputError
@@ -40,6 +44,20 @@ class Settings(BaseSettings):
     gate_error: float = Field(default=0.05, gt=0, description="largest mean error of C that passes, fraction")
     log_level: str = Field(default="info", pattern=_LEVEL, description="debug, info, warning or error")
 
+    @field_validator("database_url")
+    @classmethod
+    def _require_known_database(cls, url: str) -> str:
+        scheme, is_url, _ = url.partition("://")
+        if not url or (is_url and scheme not in ("sqlite", "postgresql", "postgresql+psycopg", "postgres")):
+            raise PydanticCustomError("database", "a file, or postgresql://user@host/name")
+        if is_url and scheme != "sqlite":
+            parts = urlsplit(url)
+            try:
+                _ = parts.port
+            except ValueError:
+                raise PydanticCustomError("database", "a number as port in postgresql://user@host:port/name") from None
+        return url
+
     @cached_property
     def sqlalchemy_url(self) -> str:
         """The database as SQLAlchemy names it."""
@@ -55,11 +73,28 @@ class Settings(BaseSettings):
         return self.sqlalchemy_url.startswith("sqlite")
 
 
+OTHER_SETTINGS = {
+    "LBACAL_DASK": ("address of a dask scheduler for work that outgrows a machine (traces by the terabyte)", "none"),
+    "LBACAL_URL": ("address of the server, for the client", "http://127.0.0.1:8000"),
+    "LBACAL_API_KEY": ("key of the client; reads need none unless the server says so", "none"),
+    "LBACAL_TEST_PG": ("PostgreSQL server for the tests, as postgresql://user@host/name", "server binaries found here"),
+}
+"""What the client, extras and the tests read: meaning and default."""
+
+
 def read_settings() -> Settings:
     """The settings of the environment, or one sentence about the first that is wrong."""
+    known = [*(f"LBACAL_{name.upper()}" for name in Settings.model_fields), *OTHER_SETTINGS]
+    for name in sorted(os.environ):
+        if name.startswith("LBACAL_") and name not in known:
+            near = get_close_matches(name, known, 1)
+            raise BadInputError(name, f"a name such as {near[0]}" if near else "a name in docs/settings.md", "this one")
     try:
         return Settings()
     except ValidationError as error:
         errors = error.errors(include_url=False)
         name = "LBACAL_" + "_".join(str(part) for part in errors[0]["loc"]).upper()
-        raise BadInputError(name, *describe_refusal(errors)) from error
+        expected, found = describe_refusal(errors)
+        if errors[0]["type"] == "database":  # which may hold a password
+            found = f"{found.partition('://')[0]}://...'" if "://" in found else found
+        raise BadInputError(name, expected, found) from error

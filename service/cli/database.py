@@ -19,17 +19,19 @@ def upgrade() -> None:
 
     Example: LBACAL_DATABASE_URL=postgresql://lbacal@db/lbacal lbacal db upgrade
     """
+    from service.cli.opening import wait_for_database
     from service.storage import migration
 
     factory = _factory()
     database = factory.database
+    wait_for_database(database, factory.settings.wait_s)
     migration.upgrade(database, lambda: factory.instrument)
     print(f"schema {migration.find_revision(database)}")
 
 
 @db.command()
 def check() -> None:
-    """Exit 0 if the database answers and has the schema this version needs, else 1.
+    """Exit 0 if the database answers and has the schema this version needs, table by table, else 1.
 
     Example: lbacal db check
     """
@@ -37,6 +39,7 @@ def check() -> None:
 
     database = _factory().database
     migration.require_current(database)
+    migration.require_complete(database)
     print(f"schema {migration.find_revision(database)}, as needed")
 
 

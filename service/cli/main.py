@@ -60,7 +60,7 @@ EXIT_FAILED = 1
 EXIT_BAD_INPUT = 2
 _BAD_INPUT = (BadInputError, UnreadableFileError, UnknownNameError)
 _BAD_REQUEST = (400, 413, 415, 422)
-_UNUSABLE_FILES = (FileNotFoundError, IsADirectoryError, NotADirectoryError, PermissionError)
+_UNUSABLE_FILES = (FileExistsError, FileNotFoundError, IsADirectoryError, NotADirectoryError, PermissionError)
 
 
 def main() -> None:

@@ -12,7 +12,7 @@ import typer
 from pydantic_core import PydanticUndefined
 
 from service.cli.main import app
-from service.config import Settings
+from service.config import OTHER_SETTINGS, Settings
 
 DOCS = Path(__file__).parents[2] / "docs"
 
@@ -27,12 +27,6 @@ Written by `./dev docs` from `service/config.py`: do not edit. Each setting is a
 | setting | meaning | default |
 |---|---|---|
 """
-_OTHER_SETTINGS = {
-    "LBACAL_DASK": ("address of a dask scheduler for work that outgrows a machine (traces by the terabyte)", "none"),
-    "LBACAL_URL": ("address of the server, for the client", "http://127.0.0.1:8000"),
-    "LBACAL_API_KEY": ("key of the client; reads need none unless the server says so", "none"),
-    "LBACAL_TEST_PG": ("PostgreSQL server for the tests, as postgresql://user@host/name", "server binaries found here"),
-}
 
 
 def describe_commands() -> str:
@@ -46,7 +40,7 @@ def describe_settings() -> str:
     for name, field in Settings.model_fields.items():
         default = "required" if field.default is PydanticUndefined else field.default
         rows[f"LBACAL_{name.upper()}"] = (field.description or "", "none" if default is None else str(default))
-    rows |= {name: row for name, row in _OTHER_SETTINGS.items() if name not in rows}
+    rows |= {name: row for name, row in OTHER_SETTINGS.items() if name not in rows}
     return _SETTINGS + "".join(f"| `{name}` | {text} | {default} |\n" for name, (text, default) in rows.items())
 
 

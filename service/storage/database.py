@@ -42,6 +42,11 @@ class Stores:
     def __init__(self, connection: Connection) -> None:
         self._connection = connection
 
+    def require_prompt(self) -> None:
+        """Refuse to commit what was overtaken by the clock."""
+        if "ledger" in vars(self):
+            self.ledger.require_prompt()
+
     @cached_property
     def spectra(self) -> SpectraStore:
         """Events and their spectra."""
@@ -120,6 +125,7 @@ class Database:
                 self._open.stores = Stores(connection)
                 try:
                     yield self._open.stores
+                    self._open.stores.require_prompt()
                 finally:
                     self._open.stores = None
         except UnavailableError as error:
@@ -132,14 +138,8 @@ class Database:
     def _transaction(self, engine: Engine) -> Iterator[Connection]:
         if self._file:
             self._file.require_same()
-        try:
-            with engine.begin() as connection:
-                yield connection
-        except SQLAlchemyError as error:
-            unavailable = explain_failure(error)
-            if unavailable is None:
-                raise
-            raise unavailable from error
+        with explaining_failures(), engine.begin() as connection:
+            yield connection
 
     def ping(self) -> None:
         """Ask whether the database answers."""
@@ -161,6 +161,18 @@ class Database:
         """Give all connections back."""
         self.engine.dispose()
         self._readers.dispose()
+
+
+@contextmanager
+def explaining_failures() -> Iterator[None]:
+    """Turn what a database says when it is away, busy or full into what to tell about it."""
+    try:
+        yield
+    except SQLAlchemyError as error:
+        unavailable = explain_failure(error)
+        if unavailable is None:
+            raise
+        raise unavailable from error
 
 
 class _SqliteFile:

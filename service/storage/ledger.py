@@ -8,11 +8,16 @@ from typing import Any
 from sqlalchemy import Connection, Row, Select, func, or_, select, text
 
 from lbacal_core.validity import Instant, Promotion, Scope
+from service.errors import UnavailableError
 from service.schema.tables import promotion
 
 LOCK = 5_240_121
 """Names the one lock that orders promotions on PostgreSQL."""
 MANY_KEYS = 500
+PROMPT_US = 5_000_000
+"""A promotion is committed within this time of its `at`, or not at all."""
+AHEAD_US = 60_000_000
+"""Clocks of servers may differ by this much."""
 
 
 class LedgerStore:
@@ -20,6 +25,7 @@ class LedgerStore:
 
     def __init__(self, connection: Connection) -> None:
         self._connection = connection
+        self._written: tuple[Instant, Callable[[], Instant]] | None = None
 
     def lock(self) -> None:
         """Wait until nobody else promotes; held until the transaction ends."""
@@ -32,13 +38,23 @@ class LedgerStore:
     def append(self, wanted: Sequence[Promotion], clock: Callable[[], Instant]) -> list[Promotion]:
         """Write promotions as one act: the same `at`, later than any before. The last statement before the commit.
 
-        `number` and `at` of what is wanted are replaced.
+        `number` and `at` of what is wanted are replaced. Where the newest promotion is far ahead of the clock, one of
+        the two clocks was wrong: what would be written now could not be read as of now.
         """
         if not wanted:
             return []
         self.lock()
+        if self._connection.dialect.name == "postgresql":
+            self._connection.execute(text(f"SET LOCAL idle_in_transaction_session_timeout = {PROMPT_US // 1000}"))
         newest = self._connection.execute(select(func.max(promotion.c.at_us))).scalar_one()
-        at = max(clock(), (newest or 0) + 1)
+        now = clock()
+        if newest is not None and newest > now + AHEAD_US:
+            raise UnavailableError(
+                f"the newest promotion was made {(newest - now) / 1e6:.0f} s ahead of this server's clock: one of the "
+                "two clocks is wrong, and until that instant nothing can be promoted"
+            )
+        at = max(now, (newest or 0) + 1)
+        self._written = now, clock
         rows = [
             {
                 "scope": p.scope.key, "station": p.scope.station, "antenna": p.scope.antenna, "dipole": p.scope.dipole,
@@ -49,6 +65,13 @@ class LedgerStore:
         ]  # fmt: skip
         statement = promotion.insert().returning(promotion, sort_by_parameter_order=True)
         return [_value(row) for row in self._connection.execute(statement, rows)]
+
+    def require_prompt(self) -> None:
+        """Refuse, just before the commit, promotions whose instant is past: they would change what was answered."""
+        if self._written is not None:
+            read, clock = self._written
+            if clock() > read + PROMPT_US:
+                raise UnavailableError("the promotion took too long to write and was not made")
 
     def answers(self, paths: Sequence[Scope], instant: Instant, as_of: Instant | None) -> dict[Scope, list[Promotion]]:
         """What each path's scopes say at an instant, narrowest first, up to the one that answers."""

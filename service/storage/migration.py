@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 from importlib.resources import files
+from typing import Any
 
 from alembic import command
+from alembic.autogenerate import compare_metadata
 from alembic.config import Config
 from alembic.runtime.migration import MigrationContext
 from alembic.script import ScriptDirectory
 
 from lbacal_core.instrument import Instrument
 from service.errors import UnavailableError
-from service.storage.database import Database
+from service.schema.tables import metadata
+from service.storage.database import Database, explaining_failures
 
 
 def make_config(database: Database) -> Config:
@@ -28,19 +32,55 @@ def upgrade(database: Database, instrument: Callable[[], Instrument] | None = No
 
     `instrument` gives the one whose versions are stored: those of the first release name its hash only.
     """
+    _require_known(find_revision(database))
     config = make_config(database)
     config.attributes["instrument"] = instrument
-    command.upgrade(config, "head")
+    with explaining_failures():
+        command.upgrade(config, "head")
 
 
 def require_current(database: Database) -> None:
     """Refuse a schema that is not the one this code needs, and name the cure."""
-    needed = ScriptDirectory.from_config(make_config(database)).get_current_head()
-    found = find_revision(database)
+    found, (*_, needed) = find_revision(database), _known()
     if found != needed:
+        _require_known(found)
         raise UnavailableError(
             f"the database schema is {found or 'empty'}, {needed} is needed: run `lbacal db upgrade`"
         )
+
+
+def require_complete(database: Database) -> None:
+    """Refuse a schema of the right number whose tables are not those that this code states."""
+    with database.connect() as connection:
+        context = MigrationContext.configure(connection, opts={"compare_type": True, "target_metadata": metadata})
+        found = [_name_difference(one) for one in compare_metadata(context, metadata)]
+    if found:
+        raise UnavailableError(f"the database differs from its schema in {len(found)} places: {'; '.join(found[:3])}")
+
+
+def _name_difference(difference: Any) -> str:
+    """What Alembic would do about a difference, and to what."""
+    what, *of = difference[0] if isinstance(difference, list) else difference
+    named = [one for one in of if hasattr(one, "name")]
+    names = [one if isinstance(one, str) else one.name for one in (*named, *of) if isinstance(one, str) or one in named]
+    return f"{what.replace('_', ' ')} {'.'.join(dict.fromkeys(map(str, names)))}"
+
+
+def _require_known(revision: str | None) -> None:
+    """Refuse a schema that a newer version made."""
+    if revision is not None and revision not in _known():
+        raise UnavailableError(
+            f"the database schema is {revision}, newer than this version of lbacal knows ({_known()[-1]}): "
+            "install the newer one"
+        )
+
+
+@cache
+def _known() -> tuple[str, ...]:
+    """The revisions that this code knows, oldest first."""
+    config = Config()
+    config.set_main_option("script_location", str(files("migrations")))
+    return tuple(reversed([script.revision for script in ScriptDirectory.from_config(config).walk_revisions()]))
 
 
 def find_revision(database: Database) -> str | None:

@@ -10,6 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from lbacal_core.validity import Promotion, Scope
+from service.errors import UnavailableError
 from service.factory import Factory
 from service.storage.versions import Version
 
@@ -147,3 +148,36 @@ def test_the_promotions_of_one_act_share_their_instant(factory: Factory, new_ver
 def test_a_promotion_of_an_unknown_version_is_refused(factory: Factory) -> None:
     with pytest.raises(Exception, match=r"(?i)foreign key"):
         append(factory, Scope(), 0, None, "nothing", 1000)
+
+
+def test_a_promotion_that_was_paused_before_its_commit_is_not_made(
+    factory: Factory, new_version: Callable[..., Version]
+) -> None:
+    version = fill(factory, ("a",), new_version)["a"]
+    clock = iter([1_000_000_000, 1_075_000_000])  # 75 s pass between the clock and the commit
+    with pytest.raises(UnavailableError, match="took too long"), factory.database.write() as stores:
+        stores.ledger.append([Promotion(0, Scope(), 0, None, version, 0)], lambda: next(clock))
+    with factory.database.read() as stores:
+        assert stores.ledger.recent(10) == []
+
+
+def test_a_promoter_that_hangs_loses_its_transaction(factory: Factory, new_version: Callable[..., Version]) -> None:
+    if factory.settings.is_sqlite:
+        pytest.skip("SQLite ends no transaction by itself")
+    version = fill(factory, ("a",), new_version)["a"]
+    with factory.database.write() as stores:
+        stores.ledger.append([Promotion(0, Scope(), 0, None, version, 0)], lambda: 0)
+        shown = stores._connection.exec_driver_sql("SHOW idle_in_transaction_session_timeout").scalar_one()
+    assert shown == "5s"
+
+
+def test_one_promotion_by_a_clock_that_is_years_ahead_is_told_to_the_next_and_not_followed(
+    factory: Factory, new_version: Callable[..., Version]
+) -> None:
+    version = fill(factory, ("a",), new_version)["a"]
+    now, second = 1_000_000_000, 1_000_000
+    append(factory, Scope(), 0, None, version, now + 59 * second)
+    assert append(factory, Scope(), 0, None, None, now).at == now + 59 * second + 1, "clocks differ a little"
+    append(factory, Scope(), 0, None, version, now + 1000 * second)
+    with pytest.raises(UnavailableError, match="1000 s ahead of this server's clock"):
+        append(factory, Scope(), 0, None, None, now)

@@ -1,0 +1,214 @@
+"""Whatever is wrong around a command of the service, it ends with one sentence and exit 1 or 2, never a traceback."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import socket
+import sqlite3
+import subprocess
+import sys
+from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
+
+import httpx2
+import psycopg
+import pytest
+
+from proofs.running.processes import Process, find_free_port, is_ready, run_command, running, wait_until
+
+CHECK, UPGRADE, LIST = ("db", "check"), ("db", "upgrade"), ("keys", "list")
+COMMANDS = (CHECK, UPGRADE, LIST, ("worker", "--until-idle"), ("scheduler", "--once"), ("serve", "--port", "1"))
+World = Callable[[Path, Path], dict[str, str]]
+
+
+def garbage(folder: Path, _template: Path) -> dict[str, str]:
+    (folder / "garbage.sqlite").write_bytes(b"no database at all, " * 500)
+    return {"DATABASE_URL": str(folder / "garbage.sqlite")}
+
+
+def truncated(folder: Path, template: Path) -> dict[str, str]:
+    (folder / "half.sqlite").write_bytes(template.read_bytes()[:9000])
+    return {"DATABASE_URL": str(folder / "half.sqlite")}
+
+
+def a_folder(folder: Path, _template: Path) -> dict[str, str]:
+    return {"DATABASE_URL": str(folder)}
+
+
+def below_a_file(folder: Path, _template: Path) -> dict[str, str]:
+    (folder / "file").touch()
+    return {"DATABASE_URL": str(folder / "file" / "x.sqlite")}
+
+
+def empty_name(_folder: Path, _template: Path) -> dict[str, str]:
+    return {"DATABASE_URL": ""}
+
+
+def mysql(_folder: Path, _template: Path) -> dict[str, str]:
+    return {"DATABASE_URL": "mysql://me:hidden-word@host/lbacal"}
+
+
+def bad_port(_folder: Path, _template: Path) -> dict[str, str]:
+    return {"DATABASE_URL": "postgresql://me:hidden-word@host:port/lbacal"}
+
+
+def absent_server(folder: Path, _template: Path) -> dict[str, str]:
+    return {"DATABASE_URL": f"postgresql://me:hidden-word@/lbacal?host={folder}", "WAIT_S": "0"}
+
+
+def newer_schema(folder: Path, template: Path) -> dict[str, str]:
+    shutil.copy(template, folder / "newer.sqlite")
+    with closing(sqlite3.connect(folder / "newer.sqlite")) as connection, connection:
+        connection.execute("UPDATE alembic_version SET version_num = '9999'")
+    return {"DATABASE_URL": str(folder / "newer.sqlite")}
+
+
+def misspelt_name(folder: Path, _template: Path) -> dict[str, str]:
+    return {"DATABASE_URL": str(folder / "x.sqlite"), "INSTRUMNET": "lofar-superterp"}
+
+
+def absent_sky(folder: Path, template: Path) -> dict[str, str]:
+    return {"DATABASE_URL": str(shutil.copy(template, folder / "x.sqlite")), "SKY_POWER": str(folder / "nowhere.json")}
+
+
+def absent_instrument(folder: Path, template: Path) -> dict[str, str]:
+    return {"DATABASE_URL": str(shutil.copy(template, folder / "x.sqlite")), "INSTRUMENT": str(folder / "nowhere.json")}
+
+
+WORLDS: dict[World, tuple[int, str]] = {
+    garbage: (1, "not an SQLite database"),
+    truncated: (1, "damaged"),
+    a_folder: (1, "cannot be opened"),
+    below_a_file: (2, "name a file that can be used here"),
+    empty_name: (2, "LBACAL_DATABASE_URL: expected a file, or postgresql://"),
+    mysql: (2, "LBACAL_DATABASE_URL: expected a file, or postgresql://"),
+    bad_port: (2, "LBACAL_DATABASE_URL: expected a number as port"),
+    absent_server: (1, "the database does not answer"),
+    newer_schema: (1, "newer than this version of lbacal knows"),
+    misspelt_name: (2, "LBACAL_INSTRUMNET: expected a name such as LBACAL_INSTRUMENT"),
+    absent_sky: (2, "nowhere.json"),
+    absent_instrument: (2, "nowhere.json"),
+}
+NOT_CONCERNED = {
+    absent_sky: {CHECK, UPGRADE, LIST},
+    absent_instrument: {CHECK, UPGRADE, LIST},
+    newer_schema: {LIST},
+}
+
+
+RUN_ALL = """
+import contextlib, io, json, sys
+from service.cli.main import main
+
+for arguments in json.loads(sys.argv[1]):
+    sys.argv = ["lbacal", *arguments]
+    out, err, code = io.StringIO(), io.StringIO(), 0
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        try:
+            main()
+        except SystemExit as end:
+            code = end.code
+    print(json.dumps([arguments, code, out.getvalue(), err.getvalue()]))
+"""
+
+
+def environment_of(settings: dict[str, str]) -> dict[str, str]:
+    kept = {name: value for name, value in os.environ.items() if not name.startswith("LBACAL_")}
+    return kept | {f"LBACAL_{name}": value for name, value in settings.items()}
+
+
+def run(arguments: tuple[str, ...], settings: dict[str, str], cwd: Path) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "service.cli.main", *arguments]
+    environment = environment_of(settings)
+    return subprocess.run(command, env=environment, cwd=cwd, capture_output=True, text=True, check=False, timeout=100)
+
+
+@pytest.mark.parametrize("world", WORLDS, ids=lambda world: world.__name__)
+def test_a_broken_world_is_one_sentence(world: World, tmp_path: Path, sqlite_template: Path, repository: Path) -> None:
+    code, sentence = WORLDS[world]
+    folder = tmp_path / "world"
+    folder.mkdir()
+    environment = environment_of(world(folder, sqlite_template)) | {"PYTHONPATH": str(repository)}
+    concerned = [arguments for arguments in COMMANDS if arguments not in NOT_CONCERNED.get(world, ())]
+    command = [sys.executable, "-c", RUN_ALL, json.dumps(concerned)]
+    done = subprocess.run(
+        command, env=environment, cwd=tmp_path, capture_output=True, text=True, check=False, timeout=90
+    )
+    said = [json.loads(line) for line in done.stdout.splitlines()]
+    assert len(said) == len(concerned), done.stderr
+    for arguments, ended, out, err in said:
+        assert (ended, out) == (code, ""), (arguments, err)
+        assert sentence in err.splitlines()[-1], arguments
+        assert "Traceback" not in err
+        assert "hidden-word" not in err
+
+
+def test_a_port_in_use_is_one_sentence(tmp_path: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = str(taken.getsockname()[1])
+        said = run(("serve", "--port", port), {"DATABASE_URL": str(tmp_path / "x.sqlite")}, tmp_path)
+    assert (said.returncode, said.stderr) == (
+        1,
+        f"lbacal: 127.0.0.1, port {port}: Address already in use; choose another with --port\n",
+    )
+
+
+def test_a_dropped_table_is_seen_by_the_check(tmp_path: Path, sqlite_template: Path) -> None:
+    path = shutil.copy(sqlite_template, tmp_path / "x.sqlite")
+    with closing(sqlite3.connect(path)) as connection, connection:
+        connection.execute("DROP TABLE monthly_ratio")
+    said = run(("db", "check"), {"DATABASE_URL": str(path)}, tmp_path)
+    assert said.returncode == 1
+    assert "the database differs from its schema in" in said.stderr
+    assert "monthly_ratio" in said.stderr
+
+
+def test_a_command_waits_for_a_database_that_is_still_starting(postgres: str, tmp_path: Path) -> None:
+    """A proxy socket that appears later stands for a server that is booting."""
+    said = run(("db", "upgrade"), {"DATABASE_URL": f"postgresql://me@/x?host={tmp_path}", "WAIT_S": "1"}, tmp_path)
+    assert said.returncode == 1
+    first, last = said.stderr.splitlines()
+    assert first == "lbacal: the database does not answer; waiting for it up to 1 s"
+    assert last.startswith("lbacal: the database does not answer: ")
+    assert postgres
+
+
+def test_upgrades_at_once_all_succeed(postgres: str, tmp_path: Path) -> None:
+    with psycopg.connect(postgres, autocommit=True) as connection:
+        connection.execute("CREATE DATABASE at_once")
+    for url in (postgres.replace("/postgres?", "/at_once?"), str(tmp_path / "at_once.sqlite")):
+        command = [sys.executable, "-m", "service.cli.main", "db", "upgrade"]
+        started = [
+            subprocess.Popen(
+                command, env=os.environ | {"LBACAL_DATABASE_URL": url}, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+            )
+            for _ in range(4)
+        ]
+        said = [process.communicate() for process in started]
+        assert [process.returncode for process in started] == [0] * 4, said
+    with psycopg.connect(postgres, autocommit=True) as connection:
+        connection.execute("DROP DATABASE at_once WITH (FORCE)")
+
+
+def test_every_line_of_a_server_is_json_and_holds_no_key(tmp_path: Path) -> None:
+    port, log = find_free_port(), tmp_path / "log"
+    environment = {"LBACAL_DATABASE_URL": str(tmp_path / "x.sqlite"), "LBACAL_POLL_S": "0.2"}
+    address = f"http://127.0.0.1:{port}"
+    with running(Process(environment, log, "serve", "--port", str(port))):
+        wait_until(lambda: is_ready(address), "the server and its worker")
+        key = run_command(environment, "keys", "create", "--scope", "read").splitlines()[-1]
+        told = httpx2.get(
+            f"{address}/v1/jobs?limit=7", headers={"Authorization": f"Bearer {key}", "X-Request-ID": "q1"}
+        )
+        assert told.headers["x-request-id"] == "q1"
+        state = httpx2.get(f"{address}/v1/status").json()
+    assert sorted(one["kind"] for one in state["processes"]) == ["api", "scheduler", "worker"]
+    text = log.read_text()
+    lines = [json.loads(line) for line in text.splitlines() if not line.startswith("lbacal serves ")]
+    (line,) = [one for one in lines if one.get("request") == "q1"]
+    assert (line["event"], line["path"], line["status"], line["caller"]) == ("request", "/v1/jobs", 200, "key 1")
+    assert key not in text
+    assert "limit=7" not in text
