@@ -76,3 +76,11 @@ def _ask_or_nothing(address: tuple[str, int]) -> bytes:
 def test_a_port_in_use_is_a_sentence() -> None:
     with listen("127.0.0.1", 0) as taken, pytest.raises(LbacalError, match="in use; choose another with --port"):
         listen("127.0.0.1", taken.getsockname()[1])
+
+
+def test_an_answer_does_not_wait_40_ms_for_the_client_to_acknowledge_its_head() -> None:
+    """Without TCP_NODELAY every answer on a kept connection took 44 ms."""
+    with listen("127.0.0.1", 0) as listening, socket.create_connection(listening.getsockname()):
+        accepted, _ = listening.accept()
+        with accepted:
+            assert accepted.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY) != 0
