@@ -81,13 +81,13 @@ def listen(host: str, port: int) -> socket.socket:
     try:
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
         listening = socket.create_server((host, port), family=family, backlog=2048)
-        # connections inherit it; asyncio sets it only where a socket names its protocol, and this one does not: an
-        # answer in two parts would wait 40 ms for the client to acknowledge the first
-        listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        return listening
     except OSError as error:
         reason = os.strerror(error.errno) if error.errno and error.errno > 0 else error.strerror
         raise LbacalError(f"{host}, port {port}: {reason}; choose another with --port") from error
+    # connections inherit it; asyncio sets it only where a socket names its protocol, and this one does not: an answer
+    # in two parts would wait 40 ms for the client to acknowledge the first
+    listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    return listening
 
 
 def configure_server(app: FastAPI, connections: int) -> uvicorn.Config:

@@ -165,8 +165,9 @@ class Arrivals:
 
     def _stored_paths(self, keys: Sequence[tuple[str, int, str]]) -> dict[tuple[str, int, str], int]:
         stations = sorted({station for station, _, _ in keys})
-        rows = self._connection.execute(select(path).where(path.c.station.in_(stations)))
-        return {(row.station, row.antenna, row.dipole): row.id for row in rows}
+        columns = select(path.c.id, path.c.station, path.c.antenna, path.c.dipole)
+        rows = self._connection.execute(columns.where(path.c.station.in_(stations))).all()
+        return {(station, antenna, dipole): number for number, station, antenna, dipole in rows}
 
     def _require_same(self, spectra: Spectra, order: NDArray[np.int64], rows: Sequence[Row]) -> None:
         """Refuse rows whose key is stored with another content."""
