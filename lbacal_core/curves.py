@@ -178,7 +178,7 @@ def write_calibration_table(report: FitReport, path: Path) -> None:
     table["flag"] = np.array(["" for _ in rows], dtype=np.str_)
     descriptions = {
         "station": "station name; empty for the whole array",
-        "antenna": "antenna number; -1 where one curve serves the whole station or array",
+        "antenna": "antenna number; -1: reference chain of the station or array, nobody's cable (fit.json says which)",
         "dipole": "X or Y; empty where one curve serves both",
         "frequency_mhz": "centre of the 1 MHz channel",
         "c": "calibration factor C(nu), V per ADC unit; relative unless P_sky is W m^-2 MHz^-1 and G_ant m^2",
