@@ -17,6 +17,7 @@ from lbacal_core.discovery.hypothesis import list_targets
 from lbacal_core.discovery.investigate import investigate
 from lbacal_core.discovery.lst_curve import investigate_curve
 from lbacal_core.discovery.project import LinearModel
+from lbacal_core.discovery.residual_structure import find_structure
 from lbacal_core.discovery.scan import by_known_events, list_families, score_families
 from lbacal_core.discovery.search import StationReport
 from lbacal_core.lstcurve.compare import BAND_MHZ
@@ -68,15 +69,34 @@ def _without_provenance(report: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _of_scan(station: StationReport) -> dict[str, Any]:
-    """All scores in short, before anything is found and with everything that is."""
+    """All scores in short and the strongest structure, before anything is found and with everything that is."""
     models = {"first": station.first.linear}
     if station.last is not station.first:
         models["last"] = station.last.linear
     with threadpool_limits(1):
-        whole = {name: _all_scores(one) for name, one in models.items()}
+        return {
+            name: {
+                "causes": _summarise([(batch[0].cause.identifier, z, size) for batch, z, size in _all_scores(one)]),
+                "structure": _of_structure(one),
+            }
+            for name, one in models.items()
+        }
+
+
+def _of_structure(model: LinearModel) -> dict[str, Any] | None:
+    """The strongest residual structure, however weak it is."""
+    # Structure that is known to be left, by a chance of 1, is described whatever its significance.
+    structure = find_structure(model, np.random.default_rng(0), alpha=2.0, again=1.0)
+    if structure is None:
+        return None
     return {
-        name: _summarise([(batch[0].cause.identifier, z, size) for batch, z, size in scores])
-        for name, scores in whole.items()
+        "axis": structure.axis_name,
+        "target": structure.target,
+        "p_value": structure.p_value,
+        "gain": structure.gain,
+        "terms": structure.dof,
+        "held_out": structure.held_out_gain or 0.0,
+        "mean_frequency_mhz": float(structure.channel_share @ model.station.conditions.frequency_mhz),
     }
 
 
