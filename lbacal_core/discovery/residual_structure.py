@@ -199,7 +199,7 @@ def _describe(place: _Place, basis: Floats, fold: NDArray[np.int64]) -> tuple[fl
         held_out += float(size @ score[k] - 0.5 * size @ information[k] @ size)
     size = _solve(information.sum(axis=0), score.sum(axis=0))
     term = np.tensordot(size, _vectors(place, basis), axes=1)
-    squares = np.sum(view.clean(term, member) ** 2, axis=(0, 1))
+    squares = np.einsum("ref,e->f", view.clean(term, member) ** 2, view.weight[member] > 0)
     return held_out, squares / max(float(squares.sum()), 1e-300)
 
 
