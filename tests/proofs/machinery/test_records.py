@@ -8,6 +8,7 @@ from itertools import combinations
 import pytest
 
 from proofs.machinery.claims import at_least, claim_rate
+from proofs.machinery.code import digest
 from proofs.machinery.parts import Part, Row, parts_of, proof_names
 from proofs.machinery.records import (
     FRESH,
@@ -104,7 +105,13 @@ class TestStored:
         assert record.proof in proof_names()
         assert record.part in parts_of(record.proof)
 
-    def test_its_claims_are_what_its_trials_show_and_every_seed_is_a_row(self, record: Record):
+    def test_its_claims_are_what_its_trials_show(self, record: Record):
+        part = parts_of(record.proof)[record.part]
+        if record.code != digest(part.code):
+            pytest.skip("judged by other code than today's")
+        assert make_claims(part, record.rows, record.seeds) == record.claims
+
+    def test_every_seed_is_a_row(self, record: Record):
         if not record.code:
             assert record.remark, "a record without trials says where it comes from"
             return
