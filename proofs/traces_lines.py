@@ -215,7 +215,7 @@ def judge_lines(claim: LineClaim, rows: Sequence[Row]) -> list[Claim]:
             len(rows), "%",
         ),
         claim_worst(
-            "bias", f"The bias that they leave in their bin ({claim.name})", between(-claim.allowed, claim.allowed),
+            "bias", f"Bias of the bin of a line of {100 * claim.limit:g} % and more ({claim.name})", between(-claim.allowed, claim.allowed),
             trial.bias[above].tolist(), [mean_interval(one, confidence) for one in trial.change[above]], len(rows), "%",
         ),
     ]  # fmt: skip
@@ -299,7 +299,7 @@ PARTS = (
     *(
         Part(
             claim.short, partial(try_claim, claim), partial(judge_lines, claim), claim.trials,
-            partial(tell_lines, claim), ("bias",),
+            partial(tell_lines, claim), ("found", "bias"),
         )
         for claim in CLAIMS
     ),
