@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-import re
+import os
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +15,7 @@ from lbacal.client import Client
 from lbacal_core.spectra import read_spectra
 from proofs.running.postgres import run_postgres
 from proofs.running.processes import Process, find_free_port, is_ready, run_command, running, wait_until
+from service.config import Settings
 
 
 @pytest.fixture(scope="module")
@@ -22,10 +25,25 @@ def compose(request: pytest.FixtureRequest) -> dict[str, Any]:
 
 
 def environment_of(service: dict[str, Any], database_url: str) -> dict[str, str]:
-    """The environment of a service, its variables filled with their defaults and the database with ours."""
-    filled = {name: re.sub(r"\$\{\w+:-([^}]*)\}", r"\1", value) for name, value in service["environment"].items()}
-    assert re.fullmatch(r"postgresql://lbacal:\$\{POSTGRES_PASSWORD:\?.*\}@db/lbacal", filled["LBACAL_DATABASE_URL"])
+    """The environment of a service where only the password is set, and the database is ours."""
+    filled = {name: value for name, value in service["environment"].items() if value is not None}
+    assert filled["LBACAL_DATABASE_URL"] == "postgresql://lbacal@db/lbacal"
     return filled | {"LBACAL_DATABASE_URL": database_url}
+
+
+def test_every_setting_is_passed_on(compose: dict[str, Any]) -> None:
+    passed = {name for name in compose["services"]["api"]["environment"] if name.startswith("LBACAL_")}
+    assert passed == {f"LBACAL_{name.upper()}" for name in Settings.model_fields}
+
+
+def test_the_port_is_open_to_this_machine_only(compose: dict[str, Any]) -> None:
+    assert compose["services"]["api"]["ports"] == ["${BIND:-127.0.0.1}:${PORT:-8000}:8000"]
+
+
+def test_every_process_has_a_health_check_and_a_log_that_does_not_grow_for_ever(compose: dict[str, Any]) -> None:
+    for name, service in compose["services"].items():
+        assert service["logging"]["options"] == {"max-size": "10m", "max-file": "5"}
+        assert "healthcheck" in service or name == "migrate"
 
 
 def test_services_wait_for_what_they_need(compose: dict[str, Any]) -> None:
@@ -35,18 +53,8 @@ def test_services_wait_for_what_they_need(compose: dict[str, Any]) -> None:
     for name in ("api", "scheduler", "worker"):
         assert services[name]["depends_on"] == {"migrate": {"condition": "service_completed_successfully"}}
         assert services[name]["build"] == "."
-    known = {
-        "build",
-        "image",
-        "restart",
-        "environment",
-        "depends_on",
-        "command",
-        "ports",
-        "healthcheck",
-        "deploy",
-        "volumes",
-    }
+    known = {"build", "image", "restart", "environment", "depends_on", "command", "ports", "healthcheck", "deploy"}
+    known |= {"volumes", "logging"}
     assert all(set(service) <= known for service in services.values())
     assert set(compose["volumes"]) == {"db"}
 
@@ -55,6 +63,12 @@ def test_the_image_starts_the_command(request: pytest.FixtureRequest) -> None:
     text = (request.config.rootpath / "Dockerfile").read_text()
     assert 'ENTRYPOINT ["lbacal"]' in text
     assert "USER lbacal" in text
+
+
+def is_done(environment: dict[str, str], *arguments: str) -> bool:
+    """Whether a command ends with 0."""
+    command = [sys.executable, "-m", "service.cli.main", *arguments]
+    return subprocess.run(command, env=os.environ | environment, capture_output=True, check=False).returncode == 0
 
 
 @pytest.mark.usefixtures("needs_postgres")
@@ -76,7 +90,10 @@ def test_the_commands_of_the_compose_file_are_a_service(compose: dict[str, Any],
         ]
         address = f"http://127.0.0.1:{port}"
         with running(*processes), Client(address, key) as client:
-            wait_until(lambda: is_ready(address), "the api")
+            wait_until(lambda: is_ready(address), "the api and a worker")
+            for name in ("scheduler", "worker"):
+                _, _, *check = services[name]["healthcheck"]["test"]
+                wait_until(lambda check=check: is_done(environment["worker"], *check), f"the {name}")
             spectra = read_spectra(service.spectra)
             client.ingest(spectra.select(spectra.time_unix < 1_420_070_400.0))
             job = client.refit("station", "2014-01-01", "2015-01-01", reason="compose", promote=True)

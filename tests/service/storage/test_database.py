@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import os
 import sqlite3
 import threading
 from collections.abc import Iterator
@@ -172,3 +173,25 @@ def test_an_absent_server_is_told_without_its_name(tmp_path: Path) -> None:
     assert str(tmp_path) in caught.value.detail
     assert caught.value.is_passing
     database.close()
+
+
+def test_a_password_may_hold_any_character(postgres: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    with psycopg.connect(postgres, autocommit=True) as connection:
+        rules = Path(connection.execute("SHOW hba_file").fetchone()[0])
+        if not os.access(rules, os.W_OK):
+            pytest.skip("needs a server whose rules of access can be changed")
+        rules.write_text(f"local all secret scram-sha-256\n{rules.read_text()}")
+        connection.execute("CREATE ROLE secret LOGIN PASSWORD 'p@s:s/w%'")
+        connection.execute("SELECT pg_reload_conf()")
+    plain = postgres.replace("//lbacal@", "//secret@")
+    written = postgres.replace("//lbacal@", "//secret:p%40s%3As%2Fw%25@")
+    for url, password in ((plain, "p@s:s/w%"), (written, "")):
+        monkeypatch.setenv("PGPASSWORD", password)
+        database = Database(Settings(database_url=url).sqlalchemy_url)
+        database.ping()
+        database.close()
+    refused = Database(Settings(database_url=plain).sqlalchemy_url)
+    monkeypatch.setenv("PGPASSWORD", "wrong")
+    with pytest.raises(UnavailableError, match="does not answer"):
+        refused.ping()
+    refused.close()
