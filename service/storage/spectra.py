@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from sqlalchemy import Connection, Row, Select, func, select, update
 
 from lbacal_core.grids import Floats
@@ -16,6 +17,8 @@ from lbacal_core.validity import Instant, Scope
 from service.errors import NotFoundError
 from service.schema.tables import event, event_flag, path, spectrum
 from service.storage.arrivals import POWER, Arrivals
+
+EVENTS_AT_ONCE = 500
 
 
 @dataclass(frozen=True)
@@ -56,30 +59,57 @@ class SpectraStore:
         return self.arrivals.add(spectra)
 
     def load(self, window: Window, frequency_mhz: Floats, resistance_ohm: float) -> Spectra | None:
-        """Everything a fit of a window uses, in key order; None where there is nothing. Fits use no covariates."""
-        columns = [
-            spectrum.c.time_us, spectrum.c.blocks, spectrum.c.power,
-            path.c.station, path.c.antenna, path.c.dipole, event.c.event_id,
-        ]  # fmt: skip
-        statement = _usable(select(*columns), window)
-        rows = self._connection.execute(
-            statement.order_by(path.c.station, path.c.antenna, path.c.dipole, event.c.event_id)
-        ).all()
-        if not rows:
+        """Everything a fit of a window uses, path by path; None where there is nothing. Fits use no covariates.
+
+        Rows go into arrays as they are read, one path at a time: what a fit needs is the arrays and little more.
+        """
+        count, _ = self.content(window)
+        if count == 0:
             return None
-        power = np.frombuffer(b"".join(row.power for row in rows), dtype=POWER).astype(float)
+        power = np.empty((count, frequency_mhz.size))
+        event_at, time_us, blocks, path_at = np.empty((4, count), dtype=np.int64)
+        paths, end = self._paths(window.scope), 0
+        for k, one in enumerate(paths):
+            columns = [spectrum.c.event, spectrum.c.time_us, spectrum.c.blocks, spectrum.c.power]
+            statement = _usable(select(*columns), window).where(spectrum.c.path == one.id)
+            rows = self._connection.execute(statement.order_by(spectrum.c.event)).all()
+            start, end = end, end + len(rows)
+            if not rows:
+                continue
+            event_at[start:end], time_us[start:end], blocks[start:end] = np.array([row[:3] for row in rows]).T
+            power[start:end] = np.frombuffer(b"".join(row.power for row in rows), POWER).reshape(len(rows), -1)
+            path_at[start:end] = k
         return Spectra(
             frequency_mhz=frequency_mhz,
-            power=power.reshape(len(rows), -1),
-            event_id=np.array([row.event_id for row in rows], dtype=np.str_),
-            time_unix=np.array([row.time_us for row in rows], dtype=np.int64) / 1e6,
-            station=np.array([row.station for row in rows], dtype=np.str_),
-            antenna=np.array([row.antenna for row in rows], dtype=np.int64),
-            dipole=np.array([row.dipole for row in rows], dtype=np.str_),
-            blocks=np.array([row.blocks for row in rows], dtype=np.int64),
+            power=power,
+            event_id=self._names(event_at),
+            time_unix=time_us / 1e6,
+            station=np.array([one.station for one in paths], dtype=np.str_)[path_at],
+            antenna=np.array([one.antenna for one in paths], dtype=np.int64)[path_at],
+            dipole=np.array([one.dipole for one in paths], dtype=np.str_)[path_at],
+            blocks=blocks,
             resistance_ohm=resistance_ohm,
             origin="stored spectra",
         )
+
+    def _paths(self, scope: Scope) -> Sequence[Row[Any]]:
+        """The stored paths of a scope, in key order."""
+        statement = select(path).order_by(path.c.station, path.c.antenna, path.c.dipole)
+        if scope.station is not None:
+            statement = statement.where(path.c.station == scope.station)
+        if scope.antenna is not None:
+            statement = statement.where(path.c.antenna == scope.antenna, path.c.dipole == scope.dipole)
+        return self._connection.execute(statement).all()
+
+    def _names(self, numbers: NDArray[np.int64]) -> NDArray[np.str_]:
+        """The names of events by their row numbers, shape (row,)."""
+        found, at = np.unique(numbers, return_inverse=True)
+        names: dict[int, str] = {}
+        for start in range(0, found.size, EVENTS_AT_ONCE):
+            some = found[start : start + EVENTS_AT_ONCE].tolist()
+            rows = self._connection.execute(select(event.c.id, event.c.event_id).where(event.c.id.in_(some)))
+            names |= {row.id: row.event_id for row in rows}
+        return np.array([names[number] for number in found.tolist()], dtype=np.str_)[at]
 
     def stations(self) -> list[str]:
         """Stations with spectra, in alphabetical order."""
