@@ -47,7 +47,8 @@ def show_overview(request: Request, use: UseCases) -> Response:
 def show_jobs(request: Request, use: UseCases) -> Response:
     jobs = use.jobs.newest(limit=200)
     is_open = any(job.state in ("queued", "running") for job in jobs)
-    return _page(request, use, "jobs.html", "/jobs", jobs=jobs, is_open=is_open, nightly=use.settings.nightly_utc)
+    state, nightly = use.status.look(), use.settings.nightly_utc
+    return _page(request, use, "jobs.html", "/jobs", jobs=jobs, is_open=is_open, nightly=nightly, state=state)
 
 
 @router.get("/drift")

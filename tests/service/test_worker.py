@@ -259,6 +259,7 @@ def test_due_work_that_failed_is_tried_again_after_ever_longer_pauses(
     failures = http.get("/v1/status").json()["failures"]
     assert {failure["error"] for failure in failures} == {"the mount is away"}
     assert all(failure["again_after"] for failure in failures)
+    assert "What failed and was not made up for" in http.get("/jobs").text
     clock.now += 11 * MINUTE_US
     assert len(look_again(station)) == 6
     assert look_for_due_work(station) == [], "a second scheduler enqueues the second try once, too"

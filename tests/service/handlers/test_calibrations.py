@@ -241,3 +241,14 @@ def test_promoting_needs_its_own_scope(client: TestClient, stored: Stored, facto
     body = {"calibration": stored["array"].id, "valid_from": "2014-01-01", "reason": "x"}
     _, key = factory.keys.create(("spectra:write", "refits:run"))
     assert client.post("/v1/promotions", json=body, headers={"Authorization": f"Bearer {key}"}).status_code == 403
+
+
+def test_a_promotion_whose_answer_was_lost_is_not_made_twice(client: TestClient, stored: dict[str, Version]) -> None:
+    body = {"calibration": stored["array"].id, "valid_from": "2014-01-01", "reason": "test"}
+    ask = {"url": "/v1/promotions", "json": body, "headers": {"Idempotency-Key": "mine"}}
+    first, second = client.post(**ask), client.post(**ask)
+    assert (first.status_code, second.status_code) == (201, 201)
+    assert first.content == second.content
+    changed = {**body, "reason": "other"}
+    assert client.post(**{**ask, "json": changed}).status_code == 409
+    assert client.post("/v1/promotions", json=body).json()["promotion"] != first.json()["promotion"]

@@ -88,7 +88,7 @@ WORLDS: dict[World, tuple[int, str]] = {
     bad_port: (2, "LBACAL_DATABASE_URL: expected a number as port"),
     absent_server: (1, "the database does not answer"),
     newer_schema: (1, "newer than this version of lbacal knows"),
-    misspelt_name: (2, "LBACAL_INSTRUMNET: expected a name such as LBACAL_INSTRUMENT"),
+    misspelt_name: (2, "INSTRUMNET: expected a name such as LBACAL_INSTRUMENT"),
     absent_sky: (2, "nowhere.json"),
     absent_instrument: (2, "nowhere.json"),
 }
