@@ -5,7 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from lbacal_core.grids import Floats
-from lbacal_core.sidereal import UNIX_J2000, local_sidereal_time
+from lbacal_core.sidereal import local_sidereal_time
+
+UNIX_J2000 = 946_728_000.0
+"""Unix seconds of JD 2451545.0 (2000-01-01 12:00 UTC)."""
 
 
 def sun_position(time_unix: Floats, latitude_deg: float, longitude_deg: float) -> tuple[Floats, Floats]:

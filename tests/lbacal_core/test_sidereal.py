@@ -36,9 +36,20 @@ def test_what_separates_it_from_the_mean_one_is_ut1_alone() -> None:
     time = Time(INSTANTS, format="unix")
     mean = time.sidereal_time("mean", LONGITUDE * u.deg).to_value(u.hourangle)
     behind = seconds_apart(local_sidereal_time(INSTANTS, LONGITUDE), mean)
-    # 5 ms: the precession of the seconds between UT1 and TT, and the digits of a double that counts from 1970
-    np.testing.assert_allclose(behind, -time.delta_ut1_utc, atol=5e-3)
+    # sidereal seconds; 0.1 ms: precession between UTC and TT (7 us), the digits of both doubles, the tables of UT1
+    np.testing.assert_allclose(behind, -1.002_737_9 * time.delta_ut1_utc, atol=1e-4)
     assert np.abs(behind).max() < 0.9
+
+
+def test_it_is_the_rotation_and_the_precession_of_the_paper() -> None:
+    # Capitaine, Wallace & Chapront 2003, eq. 42, by hand, with UTC for UT1 and TT and without the terms below 1 us
+    days = (INSTANTS - 946_728_000.0) / 86_400.0
+    rotation = 0.779_057_273_264_0 + 0.002_737_811_911_354_48 * days + days % 1.0
+    centuries = days / 36_525.0
+    precession_arcsec = 0.014_506 + (4_612.156_534 + 1.391_581_7 * centuries) * centuries
+    by_hand = (24.0 * rotation + precession_arcsec / 54_000.0 + LONGITUDE / 15.0) % 24.0
+    # 1 us: a double that counts seconds from 1970 has steps of 0.24 us
+    np.testing.assert_allclose(seconds_apart(local_sidereal_time(INSTANTS, LONGITUDE), by_hand), 0.0, atol=1e-6)
 
 
 def test_a_sidereal_day_later_the_sky_is_the_same() -> None:

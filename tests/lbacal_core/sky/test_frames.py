@@ -8,7 +8,7 @@ from astropy.coordinates import AltAz, EarthLocation, SkyCoord
 from astropy.time import Time
 
 from lbacal_core.sidereal import local_sidereal_time
-from lbacal_core.sky.frames import local_direction, precess
+from lbacal_core.sky.frames import local_direction, precess, precession_angles
 
 LATITUDE, LONGITUDE = 52.91512, 6.86983
 CAS_A = (350.866, 58.812)
@@ -35,7 +35,43 @@ def test_directions_agree_with_astropy(source: tuple[float, float], instant: str
     assert (azimuth - seen.az.rad) * np.sin(zenith) == pytest.approx(0, abs=ARCMIN)
 
 
-def test_precession_agrees_with_erfa() -> None:
+def test_precession_is_the_polynomials_of_the_paper_and_the_spherical_triangle() -> None:
+    # Capitaine, Wallace & Chapront 2003, eq. 40, to third order, by hand
+    t = 0.15
+    zeta, z, theta = np.radians(
+        np.array(
+            [
+                2.650545 + t * (2306.083227 + t * (0.2988499 + t * 0.01801828)),
+                -2.650545 + t * (2306.077181 + t * (1.0927348 + t * 0.01826837)),
+                t * (2004.191903 + t * (-0.4294934 - t * 0.04182264)),
+            ]
+        )
+        / 3600.0
+    )
+    assert precession_angles(2015.0) == pytest.approx((zeta, z, theta), abs=1e-12)  # the fourth order: 1e-13
+    ra, dec = np.radians([10.0, 200.0, 300.0]), np.radians([80.0, -20.0, 45.0])
+    a = np.cos(dec) * np.sin(ra + zeta)
+    b = np.cos(theta) * np.cos(dec) * np.cos(ra + zeta) - np.sin(theta) * np.sin(dec)
+    c = np.sin(theta) * np.cos(dec) * np.cos(ra + zeta) + np.cos(theta) * np.sin(dec)
+    moved_ra, moved_dec = precess(ra, dec, 2015.0)
+    assert np.exp(1j * moved_ra) == pytest.approx(np.exp(1j * (np.arctan2(a, b) + z)), abs=1e-11)
+    assert moved_dec == pytest.approx(np.arcsin(c), abs=1e-11)
+
+
+def test_a_local_direction_is_the_spherical_triangle() -> None:
+    rng = np.random.default_rng(8)
+    lst, ra, dec = rng.uniform(0, 24, 200), rng.uniform(0, 2 * np.pi, 200), np.arcsin(rng.uniform(-1, 1, 200))
+    angle, latitude = lst * np.pi / 12 - ra, np.radians(LATITUDE)
+    east = -np.cos(dec) * np.sin(angle)
+    north = np.cos(latitude) * np.sin(dec) - np.sin(latitude) * np.cos(dec) * np.cos(angle)
+    up = np.sin(latitude) * np.sin(dec) + np.cos(latitude) * np.cos(dec) * np.cos(angle)
+    zenith, azimuth = local_direction(lst, ra, dec, LATITUDE)
+    assert np.cos(zenith) == pytest.approx(up, abs=1e-13)
+    assert np.sin(zenith) * np.exp(1j * azimuth) == pytest.approx(north + 1j * east, abs=1e-13)
+    assert azimuth.min() >= 0.0
+
+
+def test_precession_agrees_with_the_matrix_of_erfa() -> None:
     matrix = erfa.pmat06(2_400_000.5, erfa.epj2jd(2018.0)[1])
     ra, dec = np.radians([10.0, 200.0, 300.0]), np.radians([80.0, -20.0, 45.0])
     vector = matrix @ np.array([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)])

@@ -1,10 +1,12 @@
 from __future__ import annotations
 
+import healpy
 import numpy as np
 import pytest
 from scipy.special import sph_harm_y
+from threadpoolctl import threadpool_limits
 
-from lbacal_core.sky.frames import precess
+from lbacal_core.sky.frames import precess, precession_angles
 from lbacal_core.sky.multipoles import Complexes, precess_multipoles, wigner_d
 
 
@@ -48,3 +50,13 @@ def test_a_precessed_field_has_at_the_precessed_place_the_value_it_had() -> None
     ra, dec = rng.uniform(0, 2 * np.pi, 30), np.arcsin(rng.uniform(-1, 1, 30))
     later = precess_multipoles(multipoles, 2150.0)  # far, so that a wrong sign shows
     assert field(later, *precess(ra, dec, 2150.0)) == pytest.approx(field(multipoles, ra, dec), abs=1e-12)
+
+
+def test_precession_of_multipoles_is_the_rotation_of_healpy() -> None:
+    multipoles = random_multipoles(24)
+    upper = np.triu_indices(25)  # healpy packs by m, then l: the transposed upper triangle
+    packed = np.ascontiguousarray(multipoles.T[upper])
+    zeta, z, theta = precession_angles(2150.0)
+    with threadpool_limits(1):  # its threads wait for each other where the processor is busy
+        healpy.rotate_alm(packed, zeta, -theta, z)
+    assert precess_multipoles(multipoles, 2150.0).T[upper] == pytest.approx(packed, abs=1e-12)
