@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.signal import welch
 
 from lbacal_core.traces.density import (
     bin_weights,
@@ -35,6 +36,13 @@ def test_density_equals_a_plain_double_precision_transform() -> None:
     power = np.mean(np.abs((blocks * window) @ wave) ** 2, axis=0) * 2 / (200.0 * np.sum(window**2))
     power[[0, -1]] /= 2
     assert np.allclose(power_density(blocks, RATE), power, rtol=2e-5)
+
+
+def test_density_is_that_of_welch_in_scipy() -> None:
+    blocks = np.random.default_rng(15).integers(-2000, 2000, size=(40, 1024)).astype(np.int16)
+    frequency_hz, density = welch(blocks.ravel().astype(float), RATE, nperseg=1024, noverlap=0, detrend=False)
+    assert np.allclose(channel_frequencies(1024, RATE), frequency_hz / 1e6)
+    assert np.allclose(power_density(blocks, RATE), density * 1e6, rtol=2e-5)  # single precision
 
 
 def test_a_line_shows_its_power_once_and_in_the_shape_of_the_window() -> None:
