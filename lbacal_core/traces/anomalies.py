@@ -8,6 +8,7 @@ off by more than `CUT_SIGMA` robust standard deviations, and by at least a fifth
 from __future__ import annotations
 
 import numpy as np
+from astropy.stats import mad_std
 from numpy.typing import NDArray
 
 from lbacal_core.grids import Floats
@@ -31,10 +32,10 @@ def find_anomalous_spectra(spectra: Spectra, longitude_deg: float) -> dict[tuple
         if block.power.shape[1] < FEWEST_EVENTS:
             continue
         departure = power_departure(block, longitude_deg)
-        of_event = _nanmedian(departure, axis=0)
+        of_event = np.nanmedian(departure, axis=0)
         of_path = departure - of_event
         for values, words in ((of_event[None, :], "the station's"), (of_path, "this path's")):
-            spread = 1.4826 * float(np.nanmedian(np.abs(values)))
+            spread = float(mad_std(values, ignore_nan=True))
             is_off = np.abs(np.nan_to_num(values)) > max(CUT_SIGMA * spread, SMALLEST_DEPARTURE)
             for antenna, event in zip(*np.nonzero(np.broadcast_to(is_off, departure.shape)), strict=True):
                 if block.is_present[antenna, event]:
@@ -47,8 +48,8 @@ def find_anomalous_spectra(spectra: Spectra, longitude_deg: float) -> dict[tuple
 def power_departure(block: SpectraBlock, longitude_deg: float) -> Floats:
     """Logarithm of band power over the path's median and the station's daily variation, shape (antenna, event)."""
     level = np.where(block.is_present, np.log(np.median(block.power, axis=2)), np.nan)
-    level = level - _nanmedian(level, axis=1)[:, None]
-    common = _nanmedian(level, axis=0)
+    level = level - np.nanmedian(level, axis=1)[:, None]
+    common = np.nanmedian(level, axis=0)
     angle = 2 * np.pi * local_sidereal_time(block.time_unix, longitude_deg) / 24.0
     order = np.arange(1, _HARMONICS + 1)
     design = np.hstack([np.ones((angle.size, 1)), np.cos(angle[:, None] * order), np.sin(angle[:, None] * order)])
@@ -57,25 +58,12 @@ def power_departure(block: SpectraBlock, longitude_deg: float) -> Floats:
 
 def _robust_fit(design: Floats, values: Floats) -> Floats:
     """Least squares with outliers taken away: Tukey's biweight at 4.685 robust sigma, starting from the median."""
-    is_known = np.isfinite(values)
-    design, values = design[is_known], values[is_known]
     solution: Floats = np.zeros(design.shape[1])
     solution[0] = np.median(values)
     for round_number in range(_ROUNDS):
         residual = values - design @ solution
-        scale = max(1.4826 * float(np.median(np.abs(residual - np.median(residual)))), 1e-6)
+        scale = max(float(mad_std(residual)), 1e-6)
         reach = (4.685 if round_number else 9.0) * scale
         weight: NDArray[np.float64] = np.clip(1.0 - (residual / reach) ** 2, 0.0, None)
         solution = np.asarray(np.linalg.lstsq(design * weight[:, None], values * weight, rcond=None)[0], dtype=float)
     return np.asarray(solution)
-
-
-def _nanmedian(values: Floats, axis: int) -> Floats:
-    """Median of what is finite; NaN where nothing is."""
-    is_known = np.isfinite(values)
-    ordered = np.sort(np.where(is_known, values, np.inf), axis=axis)
-    count = is_known.sum(axis=axis, keepdims=True)
-    low = np.take_along_axis(ordered, np.maximum((count - 1) // 2, 0), axis=axis)
-    high = np.take_along_axis(ordered, np.minimum(count // 2, values.shape[axis] - 1), axis=axis)
-    middle = np.where(count > 0, low / 2 + np.where(np.isfinite(high), high, low) / 2, np.nan)
-    return np.asarray(np.squeeze(middle, axis=axis))

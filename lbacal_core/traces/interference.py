@@ -19,6 +19,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from astropy.stats import mad_std
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 from scipy.special import gammainccinv, gammaincinv
@@ -187,7 +188,7 @@ def find_station_excess(ratios: Floats, averages: float) -> Flags:
     """
     mean = np.mean(ratios, axis=0)
     theory = averages * len(ratios)
-    spread = 1.4826 * float(np.median(np.abs(mean - np.median(mean))))
+    spread = float(mad_std(mean))
     return find_excess(mean / np.median(mean), min(theory, 1.0 / spread**2) if spread > 0 else theory, STATION_BOXES)
 
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from astropy.stats import mad_std
 from numpy.typing import NDArray
 
 from lbacal_core.grids import Floats
@@ -118,9 +119,7 @@ def select_background(
         right = np.abs(trace.position - centres[np.clip(after, None, len(centres) - 1)])
         is_near = np.minimum(left, right) <= PULSE_REACH
 
-    deviation = np.abs(mean_square - typical)
-    quiet = deviation[trace.is_intact]
-    spread = 1.4826 * float(np.median(quiet)) if quiet.size else 0.0
+    spread = float(mad_std(mean_square[trace.is_intact])) if np.any(trace.is_intact) else 0.0
     is_burst = mean_square - typical > BURST_SIGMA * spread
     is_burst[1:] |= is_burst[:-1].copy()
     is_burst[:-1] |= is_burst[1:].copy()
