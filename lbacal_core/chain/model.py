@@ -1,7 +1,7 @@
 """The signal chain, from sky power to recorded power and to the calibration factor.
 
-`chain_power` is eq. full_chain of Mulrey et al. 2019 written out, the forward model that every fast path is tested
-against. At one frequency it is a straight line in P_sky, which is what the fit works with:
+`chain_power` is eq. full_chain of Mulrey et al. 2019 written out, the oracle of `chain.terms.ChainTerms.power` and of
+every fast path. At one frequency it is a straight line in P_sky, which is what the fit works with:
 
     P = s P_sky + b,    s = G_ant A L_coax G_RCU S,    b = N_LNA s + N_RCU S G_RCU + N_ADC.
 """

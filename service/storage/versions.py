@@ -161,12 +161,6 @@ class VersionStore:
             found |= {row.id: version for row, version in zip(rows, self._values(rows), strict=True)}
         return found
 
-    def known(self, ids: Iterable[str]) -> set[str]:
-        """Which of some ids are stored."""
-        return set(
-            self._connection.execute(select(calibration.c.id).where(calibration.c.id.in_(sorted(set(ids))))).scalars()
-        )
-
     def search(self, scope: Scope | None, status: str | None, cursor: str, limit: int) -> list[Version]:
         """Versions with an id after a cursor, in order of id."""
         statement = select(calibration).where(calibration.c.id > cursor).order_by(calibration.c.id).limit(limit)
