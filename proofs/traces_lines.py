@@ -215,7 +215,8 @@ def judge_lines(claim: LineClaim, rows: Sequence[Row]) -> list[Claim]:
             len(rows), "%",
         ),
         claim_worst(
-            "bias", f"Bias of the bin of a line of {100 * claim.limit:g} % and more ({claim.name})", between(-claim.allowed, claim.allowed),
+            "bias", f"Bias of the bin of a line of {100 * claim.limit:g} % and more ({claim.name})",
+            between(-claim.allowed, claim.allowed),
             trial.bias[above].tolist(), [mean_interval(one, confidence) for one in trial.change[above]], len(rows), "%",
         ),
     ]  # fmt: skip
