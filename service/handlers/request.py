@@ -52,7 +52,12 @@ def get_factory(request: Request) -> Factory:
     return cast("Factory", request.app.state.factory)
 
 
-UseCases = Annotated[Factory, Depends(get_factory)]
+async def _provide_factory(request: Request) -> Factory:
+    return get_factory(request)
+
+
+UseCases = Annotated[Factory, Depends(_provide_factory)]
+"""Asynchronous, as all that does not wait: what is not changes threads, which takes longer than it does."""
 
 
 def require_read(request: Request, use: UseCases) -> Caller:
@@ -75,7 +80,7 @@ def require_caller(request: Request, use: Factory, *scopes: str) -> Caller:
     return caller
 
 
-def require_known_query(request: Request) -> None:
+async def require_known_query(request: Request) -> None:
     """Refuse a query parameter that the route does not have: a misspelt filter must not answer about everything."""
     known = {parameter.alias for parameter in request.scope["route"].dependant.query_params}
     seen: set[str] = set()

@@ -64,6 +64,15 @@ class Intake:
             records.setdefault((record.station, record.antenna), []).append(record)
         return records
 
+    @cached_property
+    def _always(self) -> set[tuple[str, int]]:
+        """Antennas whose record has no beginning and no end."""
+        return {
+            key
+            for key, records in self._records.items()
+            if any(record.since is None and record.until is None for record in records)
+        }
+
     def receive(self, content: bytes, *, is_file: bool) -> Receipt:
         """Store a body, a spectra file or JSON, whole or not at all; one that was stored before is not even read."""
         digest = hashlib.sha256(content).hexdigest()
@@ -137,7 +146,7 @@ class Intake:
                 if station not in stations:
                     raise BadInputError(name_place("station", k), f"one of {', '.join(stations)}", repr(station))
                 raise BadInputError(name_place("antenna", k), f"an antenna of {station}", str(antenna))
-            if not any(record.covers(time) for record in records):
+            if (station, antenna) not in self._always and not any(record.covers(time) for record in records):
                 expected = f"a time at which {station} antenna {antenna} is on record"
                 found = format_instant(round(time * 1e6))
                 raise BadInputError(name_place("time_unix", k), expected, found)

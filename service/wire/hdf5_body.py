@@ -18,10 +18,8 @@ import numpy as np
 from lbacal_core.errors import LbacalError
 from lbacal_core.spectra import Spectra
 from service.errors import MalformedBodyError, UnavailableError
-from service.wire.hdf5_child import DEADLINE_S, GOOD, REFUSED
+from service.wire.hdf5_child import AT_ONCE, DEADLINE_S, GOOD, REFUSED
 
-AT_ONCE = 4
-"""Files read at the same time; each may take the address space of one."""
 MOST_BYTES = 1 << 29
 _KEPT = ("PATH", "PYTHONPATH", "LANG", "LC_ALL")
 _BROKEN = (ValueError, TypeError, EOFError, MemoryError, OSError)
@@ -39,7 +37,7 @@ class RefusedFileError(LbacalError):
 
 @dataclass
 class FileReader:
-    """Reads spectra files of strangers, each in a process of its own; the process that forks them is started once."""
+    """Reads spectra files of strangers, each in a process of its own; their parent is started with the first file."""
 
     _turns: threading.Semaphore = field(default_factory=lambda: threading.Semaphore(AT_ONCE))
     _lock: threading.Lock = field(default_factory=threading.Lock)
@@ -60,7 +58,7 @@ class FileReader:
         return Spectra(**columns, origin="body")
 
     def _connect(self) -> socket.socket:
-        """A connection to a new process."""
+        """A connection to a process that waits for a file."""
         ours, theirs = socket.socketpair()
         with theirs, self._lock:
             if self._control is None or self._parent is None or self._parent.poll() is not None:

@@ -1,8 +1,9 @@
-"""The process that reads HDF5 files of strangers: `python -m service.wire.hdf5_child FD`, started by `hdf5_body`.
+"""The processes that read HDF5 files of strangers: `python -m service.wire.hdf5_child FD`, started by `hdf5_body`.
 
-It has everything loaded and forks for every file: a file costs milliseconds, and what it does to the library ends with
-its process. Such a process may take a gigabyte, live for 20 seconds, and open nothing, neither another file nor a
-connection. It answers with arrays as NumPy writes them, or with the sentence about what is wrong.
+The first has everything loaded and keeps a few forks ready, each for one file: a file costs milliseconds, and what it
+does to the library ends with its process. With its file, such a process may take a gigabyte, live for 20 seconds, and
+open nothing, neither another file nor a connection. It answers with arrays as NumPy writes them, or with the sentence
+about what is wrong.
 """
 
 from __future__ import annotations
@@ -25,27 +26,42 @@ ADDRESS_SPACE = 1 << 30
 DEADLINE_S = 20
 LARGEST_COLUMN = 64 << 20
 """Bytes of one column in memory: 8 million values, as many as a JSON body may hold."""
+AT_ONCE = 4
+"""Files read at the same time; each may take the address space of one."""
 GOOD, REFUSED = b"+", b"-"
+SERVER_GONE = 3
 
 
 def serve(control: socket.socket) -> None:
-    """Fork for every connection that arrives, until the server has gone."""
-    signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # the kernel buries them
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the server, with whom this process ends
-    for example in (b"", write_example("e"), write_example(b"e")):  # what loads at its first use loads now
-        read_file(example)
-    while True:
+    """Keep processes ready for the files that arrive, until the server has gone."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the server, with whom these processes end
+    warm_up()
+    for _ in range(AT_ONCE):
+        fork_reader(control)
+    while os.waitstatus_to_exitcode(os.wait()[1]) != SERVER_GONE:
+        fork_reader(control)
+
+
+def fork_reader(control: socket.socket) -> None:
+    """Start a process that waits for one file."""
+    if os.fork() > 0:
+        return
+    try:
+        warm_up()  # memory that is shared until it is written to is made its own before there is a file to wait for
         _, descriptors, _, _ = socket.recv_fds(control, 1, 1)
         if not descriptors:
-            return
-        if os.fork() == 0:
-            try:
-                control.close()
-                confine()
-                answer_one(socket.socket(fileno=descriptors[0]))
-            finally:
-                os._exit(0)
-        os.close(descriptors[0])
+            os._exit(SERVER_GONE)
+        control.close()
+        confine()
+        answer_one(socket.socket(fileno=descriptors[0]))
+    finally:
+        os._exit(0)
+
+
+def warm_up() -> None:
+    """Read examples, because what loads at its first use cannot be loaded when nothing can be opened."""
+    for example in EXAMPLES:
+        read_file(example)
 
 
 def confine(deadline_s: int = DEADLINE_S) -> None:
@@ -97,6 +113,9 @@ def write_example(name: str | bytes) -> bytes:
         for column, values in columns.items():
             file.create_dataset(column, data=values, compression="gzip", shuffle=True)
     return content.getvalue()
+
+
+EXAMPLES = (b"", write_example("e"), write_example(b"e"))
 
 
 if __name__ == "__main__":

@@ -5,10 +5,13 @@ import tracemalloc
 from typing import Any
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from lbacal_core.errors import BadInputError, LbacalError
 from service.errors import MalformedBodyError, TooLargeError
-from service.wire.bodies import MAX_SPECTRA, SpectraBody, parse_body
+from service.wire import bodies
+from service.wire.bodies import MAX_SPECTRA, SpectraBody, parse_body, parse_json
 
 ROW = {
     "event_id": "e", "time_utc": "2014-03-01", "station": "CS001", "antenna": 0, "dipole": "X", "blocks": 100,
@@ -57,6 +60,56 @@ def test_what_the_largest_batch_holds_is_within_every_limit() -> None:
     assert len(parse_body(SpectraBody, repeat(json.dumps(ROW), MAX_SPECTRA).encode()).spectra) == MAX_SPECTRA
     with pytest.raises(BadInputError, match="at most 100000 of them, found 100001"):
         parse_body(SpectraBody, repeat(json.dumps(ROW), MAX_SPECTRA + 1).encode())
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ('"blocks": 100', '"blocks": 100, "blocks": 100'),
+        ('"blocks": 100', '"blocks" :100,"blocks" : 50'),
+        ('"blocks": 100', '"blocks": 100, "\\u0062locks": 50'),
+        ('"event_id": "e"', '"event_id": "x\\":", "event_id": "y"'),
+        ('"power": [1.0, 2.0]', '"power": [1.0, 2.0], "env": {"a": 1, "a": 2}'),
+        ('"power": [1.0, 2.0]', '"power": [1.0, {"a": 1, "a": 2}]'),
+    ],
+)
+def test_a_field_given_twice_is_refused_however_it_is_written(old: str, new: str) -> None:
+    assert old in body(ROW)
+    with pytest.raises((MalformedBodyError, BadInputError), match="twice in one object"):
+        parse_body(SpectraBody, body(ROW).replace(old, new).encode())
+
+
+def _write(value: Any) -> str:
+    """JSON of a value, whose objects are lists of pairs and may give a field twice."""
+    if isinstance(value, tuple):
+        return "{" + ",".join(f"{json.dumps(name)} : {_write(one)}" for name, one in value) + "}"
+    return "[" + ",".join(map(_write, value)) + "]" if isinstance(value, list) else json.dumps(value)
+
+
+_NAMES = st.sampled_from(["a", "b", 'a"', '":', "\\"])
+_VALUES = st.none() | st.booleans() | st.integers() | st.floats() | st.text('a":, ', max_size=5)
+_JSON = st.recursive(
+    _VALUES,
+    lambda inner: st.lists(inner, max_size=4) | st.lists(st.tuples(_NAMES, inner), max_size=4).map(tuple),
+    max_leaves=12,
+)
+
+
+@given(_JSON)
+def test_the_fast_reader_says_what_the_strict_one_says(value: Any) -> None:
+    content = _write(value).encode()
+    try:
+        expected = bodies._read_strictly(content)
+    except LbacalError as error:
+        with pytest.raises(type(error)):
+            parse_json(content)
+        return
+    assert parse_json(content) == expected
+
+
+def test_a_text_that_looks_like_a_name_is_a_text() -> None:
+    text = 'a":b" :"'
+    assert parse_body(SpectraBody, body({**ROW, "event_id": text}).encode()).spectra[0].event_id == text
 
 
 def test_text_that_is_not_utf_8_is_malformed() -> None:

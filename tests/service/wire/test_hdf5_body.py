@@ -3,6 +3,9 @@ from __future__ import annotations
 import os
 import signal
 import socket
+import subprocess
+import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -181,3 +184,19 @@ def test_a_reader_whose_process_was_killed_says_so_and_reads_the_next_file(spect
     except UnavailableError:
         found = reader.read(content)
     assert np.array_equal(found.power, spectra.power)
+
+
+def test_the_processes_end_with_the_server_whatever_ends_it(file: Path) -> None:
+    code = (
+        "import os, sys; from pathlib import Path; from service.wire.hdf5_body import FileReader; "
+        f"reader = FileReader(); reader.read(Path({str(file)!r}).read_bytes()); "
+        "print(reader._parent.pid, flush=True); os.kill(os.getpid(), 9)"
+    )
+    killed = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=60)
+    assert killed.returncode == -signal.SIGKILL
+    parent = Path(f"/proc/{killed.stdout.strip()}")
+    for _ in range(100):
+        if not parent.exists() or "State:\tZ" in (parent / "status").read_text():
+            return
+        time.sleep(0.1)
+    pytest.fail("the processes that read files outlive their server")

@@ -1,0 +1,226 @@
+"""Speed of ingestion over HTTP, as ratios measured in one run: .venv/bin/python -m benchmarks.ingest [EVENTS].
+
+One event (576 spectra of 51 channels) a request and one client, as JSON and as a spectra file, against the idempotent
+bulk load of the database by its own driver: into an empty table of the same schema, many events in one transaction,
+from values that are ready (SQLite: executemany with ON CONFLICT DO NOTHING; PostgreSQL: COPY into a staging table, then
+INSERT ... ON CONFLICT DO NOTHING). The same with one event a transaction, as a server must, sending again, and `lbacal
+ingest` are measured beside. The kinds take turns, so that other work on the machine meets all; rates are medians.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import sqlite3
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+
+import httpx2
+import numpy as np
+import psycopg
+
+from lbacal.bodies import bodies_of_events, files_of_events
+from lbacal.client import Client
+from lbacal_core.instrument import load_instrument
+from lbacal_core.spectra import Spectra
+from proofs.running.postgres import run_postgres
+from proofs.running.processes import wait_until
+from service.config import Settings
+from service.storage.database import Database
+from service.storage.migration import upgrade
+
+TURNS = 6
+Row = tuple[int, int, int, int, bytes]
+
+
+def make_spectra(events: int, first: int, rng: np.random.Generator) -> Spectra:
+    """Events of the whole Superterp, with powers of 17 digits."""
+    instrument = load_instrument("lofar-superterp")
+    paths = [(r.station, r.antenna, d) for r in instrument.antennas for d in "XY"]
+    rows = events * len(paths)
+    return Spectra(
+        frequency_mhz=instrument.frequency_mhz,
+        power=rng.lognormal(-6.0, 1.0, (rows, instrument.frequency_mhz.size)),
+        event_id=np.repeat([f"{first + k}" for k in range(events)], len(paths)),
+        time_unix=np.repeat(1.4e9 + 3600.0 * np.arange(first, first + events), len(paths)),
+        station=np.tile([path[0] for path in paths], events),
+        antenna=np.tile([path[1] for path in paths], events),
+        dipole=np.tile([path[2] for path in paths], events),
+        blocks=np.full(rows, 100),
+        environment={"temperature_c": np.repeat(rng.normal(10.0, 5.0, events), len(paths))},
+    )
+
+
+class BulkSqlite:
+    """What SQLite's own driver stores in a second."""
+
+    def __init__(self, url: str) -> None:
+        self._connection = sqlite3.connect(url, isolation_level=None)
+        for pragma in ("journal_mode=WAL", "synchronous=FULL", "foreign_keys=ON"):
+            self._connection.execute(f"PRAGMA {pragma}")
+
+    def add_keys(self, paths: int, events: int) -> None:
+        """The paths and events that the rows refer to."""
+        self._connection.executemany("INSERT INTO path VALUES (?, ?, 0, 'X')", [(k, str(k)) for k in range(paths)])
+        events_of = [(k, str(k)) for k in range(events)]
+        self._connection.executemany("INSERT INTO event (id, event_id, time_us) VALUES (?, ?, 0)", events_of)
+
+    def load(self, rows: Sequence[Row]) -> None:
+        """Store what is not there, in one transaction."""
+        self._connection.execute("BEGIN IMMEDIATE")
+        insert = "INSERT INTO spectrum (path, event, time_us, blocks, power) VALUES (?, ?, ?, ?, ?)"
+        self._connection.executemany(f"{insert} ON CONFLICT DO NOTHING", rows)
+        self._connection.execute("COMMIT")
+
+
+class BulkPostgres:
+    """What PostgreSQL's own driver stores in a second."""
+
+    def __init__(self, url: str) -> None:
+        self._connection = psycopg.connect(url)
+
+    def add_keys(self, paths: int, events: int) -> None:
+        """The paths and events that the rows refer to."""
+        self._connection.execute(
+            "INSERT INTO path SELECT k, k::text, 0, 'X' FROM generate_series(0, %s) AS k", [paths - 1]
+        )
+        self._connection.execute(
+            "INSERT INTO event (id, event_id, time_us) SELECT k, k::text, 0 FROM generate_series(0, %s) AS k",
+            [events - 1],
+        )
+        self._connection.commit()
+
+    def load(self, rows: Sequence[Row]) -> None:
+        """Store what is not there, in one transaction."""
+        with self._connection.cursor() as cursor:
+            cursor.execute("CREATE TEMP TABLE staging (LIKE spectrum) ON COMMIT DROP")
+            with cursor.copy("COPY staging FROM STDIN (FORMAT BINARY)") as copy:
+                copy.set_types(["int4", "int8", "int8", "int4", "bytea"])
+                for row in rows:
+                    copy.write_row(row)
+            cursor.execute("INSERT INTO spectrum SELECT * FROM staging ORDER BY path, event ON CONFLICT DO NOTHING")
+        self._connection.commit()
+
+
+@contextmanager
+def serve(database_url: str) -> Iterator[tuple[str, str]]:
+    """A server on a database, its address and a key."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    environment = os.environ | {
+        "LBACAL_DATABASE_URL": database_url,
+        "LBACAL_LOG_LEVEL": "warning",
+        "LBACAL_MAX_RATE": "100000",
+    }
+    command = [sys.executable, "-m", "service.cli.main"]
+    made = subprocess.run(  # noqa: S603 - our own command
+        [*command, "keys", "create", "--scope", "spectra:write"],
+        env=environment,
+        check=True,
+        capture_output=True,
+        text=True,
+    )
+    server = subprocess.Popen(  # noqa: S603 - our own command
+        [*command, "serve", "--port", str(port), "--api-only"], env=environment, stdout=subprocess.DEVNULL
+    )
+    url = f"http://127.0.0.1:{port}"
+    try:
+        wait_until(lambda: _answers(url), "the server to answer")
+        yield url, made.stdout.splitlines()[-1]
+    finally:
+        server.terminate()
+        server.wait(30)
+
+
+def _answers(url: str) -> bool:
+    try:
+        return httpx2.get(f"{url}/healthz").is_success
+    except httpx2.TransportError:
+        return False
+
+
+def rate(rows: int, work: Callable[[], object]) -> float:
+    started = time.perf_counter()
+    work()
+    return rows / (time.perf_counter() - started)
+
+
+def compare(name: str, database_url: str, bulk: BulkSqlite | BulkPostgres, events: int) -> None:
+    rng = np.random.default_rng(0)
+    spectra = [make_spectra(events, (3 * turn + kind) * events, rng) for turn in range(TURNS) for kind in range(3)]
+    rows = len(spectra[0])
+    paths = rows // events
+    bulk.add_keys(paths, 2 * TURNS * events)
+    rates: dict[str, list[float]] = {}
+    with (
+        serve(database_url) as (url, key),
+        httpx2.Client(base_url=url, timeout=60.0) as http,
+        Client(url, key) as client,
+    ):
+        http.headers["Authorization"] = f"Bearer {key}"
+
+        def send(bodies: list[bytes], media: str) -> None:
+            for body in bodies:
+                http.post("/v1/spectra", content=body, headers={"Content-Type": media}).raise_for_status()
+
+        for turn in range(TURNS):
+            as_json, as_file, by_client = spectra[3 * turn : 3 * turn + 3]
+            together, apart = (
+                [
+                    (k % paths, (2 * turn + kind) * events + k // paths, 0, 100, p.tobytes())
+                    for k, p in enumerate(as_json.power)
+                ]
+                for kind in range(2)
+            )
+            texts = [json.dumps(body).encode() for body in bodies_of_events(as_json)]
+            files = [file for _, file in files_of_events(as_file)]
+            for what, work in {
+                "bulk load": lambda rows=together: bulk.load(rows),
+                "bulk load, one event a transaction": lambda rows=apart: [
+                    bulk.load(rows[k : k + paths]) for k in range(0, len(rows), paths)
+                ],
+                "JSON": lambda bodies=texts: send(bodies, "application/json"),
+                "JSON again": lambda bodies=texts: send(bodies, "application/json"),
+                "HDF5": lambda bodies=files: send(bodies, "application/x-hdf5"),
+                "HDF5 again": lambda bodies=files: send(bodies, "application/x-hdf5"),
+                "lbacal ingest": lambda some=by_client: client.ingest(some),
+                "lbacal ingest again": lambda some=by_client: client.ingest(some),
+            }.items():
+                rates.setdefault(what, []).append(rate(rows, work))
+    median = {what: float(np.median(found[1:])) for what, found in rates.items()}  # the first turn warms up
+    print(f"{name}: {TURNS - 1} turns of {events} events x {paths} spectra x {spectra[0].frequency_mhz.size}")
+    for what, found in median.items():
+        of_bulk = f"{found / median['bulk load']:.2f} of the bulk load"
+        again = f", {median[what.removesuffix(' again')] / found:.2f} of the time of sending" if "again" in what else ""
+        print(f"  {what}: {found:,.0f} spectra/s, {of_bulk}{again}")
+
+
+def main(events: int = 10) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        ours, bare = f"{folder}/ours.sqlite", f"{folder}/bare.sqlite"
+        _upgrade(ours, bare)
+        compare("SQLite", ours, BulkSqlite(bare), events)
+    with run_postgres() as server, psycopg.connect(server, autocommit=True) as connection:
+        urls = []
+        for name in ("ours", "bare"):
+            connection.execute(f"CREATE DATABASE {name}")
+            urls.append(server.replace("/postgres?", f"/{name}?", 1))
+        _upgrade(*urls)
+        compare("PostgreSQL", urls[0], BulkPostgres(urls[1]), events)
+
+
+def _upgrade(*urls: str) -> None:
+    for url in urls:
+        database = Database(Settings(database_url=url).sqlalchemy_url)
+        upgrade(database)
+        database.close()
+
+
+if __name__ == "__main__":
+    main(*map(int, sys.argv[1:]))
