@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import erfa
 import numpy as np
 
 from lbacal_core.grids import Floats
@@ -33,13 +34,5 @@ def sun_position(time_unix: Floats, latitude_deg: float, longitude_deg: float) -
     right_ascension = np.arctan2(np.cos(obliquity) * np.sin(longitude), np.cos(longitude))
     declination = np.arcsin(np.sin(obliquity) * np.sin(longitude))
     hour_angle = np.radians(15.0 * local_sidereal_time(time_unix, longitude_deg)) - right_ascension
-    return altitude_azimuth(hour_angle, declination, latitude_deg)
-
-
-def altitude_azimuth(hour_angle: Floats, declination: Floats, latitude_deg: float) -> tuple[Floats, Floats]:
-    """Horizontal coordinates of hour angles and declinations (rad), azimuth north through east, rad."""
-    latitude = np.radians(latitude_deg)
-    sin_altitude = np.sin(latitude) * np.sin(declination) + np.cos(latitude) * np.cos(declination) * np.cos(hour_angle)
-    east = -np.cos(declination) * np.sin(hour_angle)
-    north = np.sin(declination) * np.cos(latitude) - np.cos(declination) * np.sin(latitude) * np.cos(hour_angle)
-    return np.arcsin(np.clip(sin_altitude, -1.0, 1.0)), np.arctan2(east, north) % (2 * np.pi)
+    azimuth, altitude = erfa.hd2ae(hour_angle, declination, np.radians(latitude_deg))
+    return np.asarray(altitude), np.asarray(azimuth)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.constants import mu_0, speed_of_light
 
 from lbacal_core.antenna.model import AntennaModel, directional_response, zenith_gain
 from lbacal_core.grids import Floats
 
-IMPEDANCE_OF_FREE_SPACE = 376.730313668
+IMPEDANCE_OF_FREE_SPACE = mu_0 * speed_of_light
 
 
 def unpolarised_height_squared(antenna_gain: Floats, response: Floats) -> Floats:

@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.constants import speed_of_light
 
 from lbacal_core.antenna.model import Complexes
 from lbacal_core.grids import Floats
 from lbacal_core.provenance import hash_content
-
-SPEED_OF_LIGHT = 299_792_458.0
 
 
 @dataclass(frozen=True)
@@ -43,7 +42,7 @@ class ShortDipole:
 
     def jones(self, frequency_mhz: Floats, zenith: Floats, azimuth_from_arm: Floats) -> tuple[Complexes, Complexes]:
         """Per unit length of the dipole."""
-        wavenumber = (2 * np.pi * 1e6 * frequency_mhz / SPEED_OF_LIGHT).reshape((-1,) + (1,) * np.ndim(zenith))
+        wavenumber = (2 * np.pi * 1e6 * frequency_mhz / speed_of_light).reshape((-1,) + (1,) * np.ndim(zenith))
         cosine = np.cos(zenith)
         image = 2j * np.sin(wavenumber * self.height_m * cosine) * (cosine > 0)
         return image * cosine * np.cos(azimuth_from_arm), -image * np.sin(azimuth_from_arm)
@@ -54,7 +53,7 @@ class ShortDipole:
         pi / sin^2(a) times the integral over u = cos(theta) in 0 ... 1 of (1 + u^2) sin^2(a u), a = k h, which is
         2/3 - sin(2a)/(2a) - cos(2a)/(4a^2) + sin(2a)/(8a^3) (our integration by parts).
         """
-        a = 2 * np.pi * 1e6 * frequency_mhz / SPEED_OF_LIGHT * self.height_m
+        a = 2 * np.pi * 1e6 * frequency_mhz / speed_of_light * self.height_m
         integral = 2 / 3 - np.sin(2 * a) / (2 * a) - np.cos(2 * a) / (4 * a**2) + np.sin(2 * a) / (8 * a**3)
         return np.asarray(np.pi * integral / np.sin(a) ** 2)
 

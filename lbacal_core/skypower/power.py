@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.constants import Boltzmann, speed_of_light
 
 from lbacal_core.grids import Floats
 
-BOLTZMANN = 1.380649e-23
-SPEED_OF_LIGHT = 299_792_458.0
 IMPEDANCE_OF_FREE_SPACE = 376.730313668
 RESISTANCE_OHM = 50.0
 """R_r of eq. total_sky_power_eq: one constant, which cancels in C; the same as the default of spectra files."""
@@ -21,5 +20,5 @@ def power_per_kelvin_sr(frequency_mhz: Floats) -> Floats:
     hertz_per_mhz = 1e6
     nu = frequency_mhz * hertz_per_mhz
     return np.asarray(
-        BOLTZMANN * IMPEDANCE_OF_FREE_SPACE * nu**2 / (SPEED_OF_LIGHT**2 * RESISTANCE_OHM) * hertz_per_mhz
+        Boltzmann * IMPEDANCE_OF_FREE_SPACE * nu**2 / (speed_of_light**2 * RESISTANCE_OHM) * hertz_per_mhz
     )

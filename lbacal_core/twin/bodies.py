@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import erfa
 import numpy as np
 
 from lbacal_core.grids import Floats
@@ -46,13 +47,17 @@ def _equatorial(ecliptic_longitude: Floats) -> tuple[Floats, Floats]:
     return right_ascension, np.arcsin(np.sin(OBLIQUITY) * sine)
 
 
+def on_the_equator_of(epoch: float, right_ascension: Floats, declination: Floats) -> tuple[Floats, Floats]:
+    """Right ascension and declination on the mean equator of a Julian year from those of ICRS, rad, any shape."""
+    matrix = erfa.pmat06(*erfa.epj2jd(epoch))
+    of_date = erfa.c2s(erfa.rxp(matrix, erfa.s2c(right_ascension, declination)))
+    return np.asarray(of_date[0]), np.asarray(of_date[1])
+
+
 def horizontal(
     right_ascension: Floats, declination: Floats, lst_hours: Floats, latitude_deg: float
 ) -> tuple[Floats, Floats]:
     """Zenith angle and azimuth (north through east) of directions at sidereal times, rad; arguments broadcast."""
     hour_angle = np.asarray(lst_hours) * np.pi / 12 - right_ascension
-    latitude = np.radians(latitude_deg)
-    up = np.sin(latitude) * np.sin(declination) + np.cos(latitude) * np.cos(declination) * np.cos(hour_angle)
-    north = np.cos(latitude) * np.sin(declination) - np.sin(latitude) * np.cos(declination) * np.cos(hour_angle)
-    east = -np.cos(declination) * np.sin(hour_angle)
-    return np.arccos(np.clip(up, -1.0, 1.0)), np.arctan2(east, north)
+    azimuth, altitude = erfa.hd2ae(hour_angle, declination, np.radians(latitude_deg))
+    return np.asarray(np.pi / 2 - altitude), np.asarray(azimuth)

@@ -17,9 +17,8 @@ from lbacal_core.antenna.model import Complexes
 from lbacal_core.antenna.names import DEFAULT_ANTENNA, load_antenna
 from lbacal_core.grids import Floats
 from lbacal_core.instrument import DIPOLES, Instrument
-from lbacal_core.sky.frames import precess
 from lbacal_core.sky.names import DEFAULT_SKY, load_sky
-from lbacal_core.twin.bodies import horizontal
+from lbacal_core.twin.bodies import horizontal, on_the_equator_of
 
 EPOCH = 2015.0
 SIDE = 16
@@ -65,7 +64,7 @@ class View:
         order = healpy.Alm.getlm(lmax)
         maps = [healpy.alm2map(multipoles[order], SIDE, lmax=lmax) for multipoles in sky]
         colatitude, longitude = healpy.pix2ang(SIDE, np.arange(healpy.nside2npix(SIDE)))
-        right_ascension, declination = precess(longitude, np.pi / 2 - colatitude, EPOCH)
+        right_ascension, declination = on_the_equator_of(EPOCH, longitude, np.pi / 2 - colatitude)
         return right_ascension, declination, np.array(maps)
 
     @cached_property

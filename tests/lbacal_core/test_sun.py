@@ -2,8 +2,12 @@ from __future__ import annotations
 
 from datetime import UTC, datetime
 
+import astropy.units as u
+import erfa
 import numpy as np
 import pytest
+from astropy.coordinates import AltAz, EarthLocation, get_sun
+from astropy.time import Time
 
 from lbacal_core.sun import sun_position
 
@@ -39,3 +43,13 @@ def test_the_day_of_an_equinox_lasts_twelve_hours_and_the_sun_rises_in_the_east(
     assert np.mean(altitude > 0) * 24 == pytest.approx(12.0, abs=0.1)
     rising = int(np.flatnonzero((altitude[1:] > 0) & (altitude[:-1] <= 0))[0])
     assert np.degrees(azimuth[rising]) % 360 == pytest.approx(90.0, abs=1.0)
+
+
+def test_the_sun_stands_where_astropy_has_it():
+    times = np.random.default_rng(7).uniform(1_230_768_000.0, 1_735_689_600.0, 300)  # 2009 to 2025
+    place = EarthLocation.from_geodetic(LONGITUDE * u.deg, LATITUDE * u.deg)
+    when = Time(times, format="unix")
+    seen = get_sun(when).transform_to(AltAz(obstime=when, location=place))
+    altitude, azimuth = sun_position(times, LATITUDE, LONGITUDE)
+    # 0.01 deg of the series, 0.005 deg of nutation, 0.004 deg of UT1 - UTC, 0.002 deg of parallax
+    assert np.degrees(erfa.seps(azimuth, altitude, seen.az.rad, seen.alt.rad)).max() < 0.02

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.constants import Boltzmann, speed_of_light
 
 from lbacal_core.grids import Floats
 from lbacal_core.sky.sources import find_sources
@@ -13,7 +14,6 @@ from lbacal_core.twin.faults.fault import Fault
 from lbacal_core.twin.stages import Scene, Stages
 from lbacal_core.twin.view import View
 
-BOLTZMANN, SPEED_OF_LIGHT = 1.380_649e-23, 299_792_458.0
 REFERENCE_MHZ = 55.0
 
 
@@ -115,8 +115,8 @@ class ExtraSource(SkyFault):
         one = find_sources([self.source])[0]
         position = np.radians(one.right_ascension_deg), np.radians(one.declination_deg)
         response = _towards(scene.view, position, scene)
-        wavelength = SPEED_OF_LIGHT / (scene.frequency_mhz * 1e6)
-        kelvin_sr = one.flux_jy(scene.frequency_mhz, 2015.0) * 1e-26 * wavelength**2 / (2 * BOLTZMANN)
+        wavelength = speed_of_light / (scene.frequency_mhz * 1e6)
+        kelvin_sr = one.flux_jy(scene.frequency_mhz, 2015.0) * 1e-26 * wavelength**2 / (2 * Boltzmann)
         mean_sky = scene.mean_sky.mean(axis=1, keepdims=True)
         return np.asarray(sky + self.size * mean_sky * response * kelvin_sr / scene.view.mean_kelvin_sr)
 

@@ -2,11 +2,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from astropy.coordinates import get_body, get_sun
+from astropy.coordinates import PrecessedGeocentric, SkyCoord, get_body, get_sun
 from astropy.time import Time
 
 from lbacal_core.grids import Floats
-from lbacal_core.twin.bodies import horizontal, jupiter_position, sun_position
+from lbacal_core.twin.bodies import horizontal, jupiter_position, on_the_equator_of, sun_position
 
 TIMES = 1_388_534_400.0 + np.linspace(0, 7 * 365.25, 200) * 86_400
 
@@ -27,6 +27,13 @@ def test_jupiter_stands_where_astropy_has_it_to_a_tenth_of_a_beam() -> None:
     jupiter = get_body("jupiter", Time(TIMES, format="unix")).transform_to("tete")
     separation = _separation_deg(jupiter_position(TIMES), (jupiter.ra.rad, jupiter.dec.rad))
     assert separation.max() < 3.0
+
+
+def test_a_star_of_2015_stands_where_astropy_has_it() -> None:
+    star = SkyCoord(350.866, 58.812, unit="deg").transform_to(PrecessedGeocentric(equinox="J2015", obstime="J2015"))
+    position = on_the_equator_of(2015.0, np.radians([350.866]), np.radians([58.812]))
+    # 30 arcsec: the aberration that PrecessedGeocentric includes
+    assert _separation_deg(position, (star.ra.rad, star.dec.rad)).max() < 30 / 3600
 
 
 def test_a_source_on_the_meridian_has_its_zenith_angle_and_lies_south() -> None:
