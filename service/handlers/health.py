@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from fastapi import APIRouter, Depends, Request, Response
+from fastapi.responses import PlainTextResponse
 from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, generate_latest
 
 from service.handlers.metrics import describe_state
@@ -49,6 +50,7 @@ def get_status(request: Request, use: UseCases) -> Response:
 @router.get(
     "/metrics",
     summary="Counts for Prometheus",
+    response_class=PlainTextResponse,
     responses=document(401, 503),
     dependencies=[Depends(require_read)],
 )
