@@ -12,10 +12,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from lbacal_core.calibration.noise import NoiseLevels, estimate_noise_levels
+from lbacal_core.calibration.normal_equations import solve_normal_equations
 from lbacal_core.grids import Floats
 
 PATHS_AT_ONCE = 6
 """Paths whose spectra of a year fit into a core's cache together: 6 x 900 x 51 numbers, 2.2 MB (4 and 8 are slower)."""
+
+RIDGE = 1e-12
+"""For `solve_normal_equations`: a sky that hardly varies makes slope and intercept of a channel almost one parameter."""
 
 
 @dataclass(frozen=True)
@@ -138,10 +142,7 @@ def _correlated_step(
     square *= sky_power
     information[:, s, s] += weight * _sum_events(precision, square)
 
-    scale = 1.0 / np.sqrt(np.maximum(np.einsum("pii->pi", information), 1e-300))
-    normalised = information * scale[:, :, None] * scale[:, None, :]
-    normalised[:, np.r_[s, b], np.r_[s, b]] += 1e-12
-    step = scale * np.linalg.solve(normalised, (scale * gradient.reshape(paths, -1))[:, :, None])[:, :, 0]
+    step = solve_normal_equations(information, gradient.reshape(paths, -1, 1), RIDGE)
     return step.reshape(paths, 2, channels), information
 
 

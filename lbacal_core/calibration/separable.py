@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lbacal_core.calibration.normal_equations import scale_to_unit_diagonal, solve_normal_equations
 from lbacal_core.grids import Floats
 
 MAX_ITERATIONS = 50
@@ -106,7 +107,7 @@ def _start(x: Floats, y: Floats, weight: Floats, design: Floats) -> Floats:
     columns = np.concatenate([x[:, :, None], design], axis=2)
     weighted = columns * weight[:, :, None]
     target = np.matmul(weighted.transpose(0, 2, 1), y[:, :, None])
-    return _solve_scaled(np.matmul(weighted.transpose(0, 2, 1), columns), target)[:, 0, 0]
+    return solve_normal_equations(np.matmul(weighted.transpose(0, 2, 1), columns), target)[:, 0, 0]
 
 
 def _typical(values: Floats) -> Floats:
@@ -142,7 +143,7 @@ def _solve_linear(n: Floats, design: Floats, weight: Floats, measured: Floats) -
     normal[:, size:, :size] = side.transpose(0, 2, 1)
     normal[:, size:, size:] = np.matmul(design.transpose(0, 2, 1), w_yh)
     weighted = np.matmul(weight, measured[:, :, None])
-    linear = _solve_scaled(normal, _project(weighted, factor, design))[:, :, 0]
+    linear = solve_normal_equations(normal, _project(weighted, factor, design))[:, :, 0]
 
     x, q = linear[:, :size], linear[:, size:]
     model = np.concatenate([x, n[:, None] * x + np.matmul(design, q[:, :, None])[:, :, 0]], axis=1)
@@ -152,7 +153,7 @@ def _solve_linear(n: Floats, design: Floats, weight: Floats, measured: Floats) -
     along = np.matmul(weight[:, :, size:], x[:, :, None])
     border = _project(along, factor, design)
     own = np.einsum("pi,pi->p", x, along[:, size:, 0])
-    absorbed = np.einsum("pi,pi->p", border[:, :, 0], _solve_scaled(normal, border)[:, :, 0])
+    absorbed = np.einsum("pi,pi->p", border[:, :, 0], solve_normal_equations(normal, border)[:, :, 0])
     return _Optimum(
         linear=linear,
         chi2=np.einsum("pi,pi->p", residual, weighted_residual),
@@ -171,14 +172,6 @@ def _project(weighted: Floats, factor: Floats, design: Floats) -> Floats:
     return np.concatenate([weighted[:, :size] + factor * on_y, np.matmul(design.transpose(0, 2, 1), on_y)], axis=1)
 
 
-def _solve_scaled(normal: Floats, target: Floats) -> Floats:
-    """Solve symmetric systems after scaling them to a unit diagonal."""
-    scale = 1.0 / np.sqrt(np.maximum(np.einsum("pii->pi", normal), 1e-300))
-    ridge = 1e-14 * np.eye(normal.shape[1])
-    scaled = normal * scale[:, :, None] * scale[:, None, :] + ridge
-    return np.asarray(scale[:, :, None] * np.linalg.solve(scaled, scale[:, :, None] * target))
-
-
 def _full_information(optimum: _Optimum, size: int) -> Floats:
     """Information about (x, n, q) at the solution."""
     total = optimum.normal.shape[1] + 1
@@ -192,13 +185,12 @@ def _full_information(optimum: _Optimum, size: int) -> Floats:
 
 def _invert(full: Floats, size: int) -> tuple[Floats, NDArray[np.bool_]]:
     """Covariance, and whether the information left for (n, q) once x is free determines them."""
-    scale = 1.0 / np.sqrt(np.maximum(np.einsum("pii->pi", full), 1e-300))
-    scaled = full * scale[:, :, None] * scale[:, None, :]
+    scaled, unit = scale_to_unit_diagonal(full)
     head, side, tail = scaled[:, :size, :size], scaled[:, :size, size:], scaled[:, size:, size:]
-    schur = tail - np.matmul(side.transpose(0, 2, 1), np.linalg.solve(head + 1e-14 * np.eye(size), side))
+    schur = tail - np.matmul(side.transpose(0, 2, 1), solve_normal_equations(head, side))
     smallest = np.linalg.eigvalsh(schur)[:, 0]
     is_identifiable = np.isfinite(smallest) & (smallest > SMALLEST_EIGENVALUE)
     covariance = np.full_like(full, np.nan)
     if np.any(is_identifiable):
         covariance[is_identifiable] = np.linalg.inv(scaled[is_identifiable])
-    return covariance * scale[:, :, None] * scale[:, None, :], is_identifiable
+    return covariance * unit[:, :, None] * unit[:, None, :], is_identifiable
