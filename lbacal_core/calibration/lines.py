@@ -19,7 +19,7 @@ PATHS_AT_ONCE = 6
 """Paths whose spectra of a year fit into a core's cache together: 6 x 900 x 51 numbers, 2.2 MB (4 and 8 are slower)."""
 
 RIDGE = 1e-12
-"""For `solve_normal_equations`: a sky that hardly varies makes slope and intercept of a channel almost one parameter."""
+"""Where the sky hardly varies, slope and intercept of a channel are nearly one parameter."""
 
 
 @dataclass(frozen=True)
