@@ -27,6 +27,8 @@ _MOST = {"{": 2 * MAX_SPECTRA + 100, "[": MAX_SPECTRA + 100, ":": 30 * MAX_SPECT
 _NAME = re.compile(rb'"\s*:')
 """The end of a field's name: every name has it, and few texts."""
 
+_CONTAINERS = (dict, list)
+
 Name = Annotated[str, StringConstraints(min_length=1, max_length=LONGEST_NAME, pattern=r"^[^\x00-\x1f\x7f]+$")]
 Reason = Annotated[
     str,
@@ -130,9 +132,9 @@ def parse_json(content: bytes) -> Any:
 def _count_fields(value: Any) -> int:
     """Fields of all objects, but for those in lists that begin with a number, which no body has."""
     if isinstance(value, dict):
-        return len(_limited(value)) + sum(_count_fields(one) for one in value.values())
+        return len(_limited(value)) + sum(_count_fields(one) for one in value.values() if type(one) in _CONTAINERS)
     if isinstance(value, list) and value and not isinstance(value[0], float):
-        return sum(_count_fields(one) for one in value)
+        return sum(_count_fields(one) for one in value if type(one) in _CONTAINERS)
     return 0
 
 
