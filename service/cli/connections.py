@@ -21,8 +21,10 @@ from lbacal_core.errors import LbacalError
 HEAD_S = 10.0
 """A request's head comes within this time."""
 KEEP_ALIVE_S = 5
-SPARE_FILES = 100
-"""Files and sockets that the server needs besides connections."""
+BACKLOG = 50
+"""Connections that are accepted in one turn of the event loop; one above the limit is closed some turns later."""
+SPARE_FILES = 5 * BACKLOG + 100
+"""Files and sockets that the server needs besides the connections it keeps."""
 
 
 class BoundedProtocol(H11Protocol):
@@ -80,7 +82,7 @@ def listen(host: str, port: int) -> socket.socket:
     """The address of the server, taken before anything else is begun."""
     try:
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
-        listening = socket.create_server((host, port), family=family, backlog=2048)
+        listening = socket.create_server((host, port), family=family, backlog=BACKLOG)
     except OSError as error:
         reason = os.strerror(error.errno) if error.errno and error.errno > 0 else error.strerror
         raise LbacalError(f"{host}, port {port}: {reason}; choose another with --port") from error
@@ -93,4 +95,5 @@ def listen(host: str, port: int) -> socket.socket:
 def configure_server(app: FastAPI, connections: int) -> uvicorn.Config:
     """How the application is served: our own log, our own limits."""
     options: dict[str, Any] = {"log_config": None, "access_log": False, "timeout_keep_alive": KEEP_ALIVE_S}
+    options["backlog"] = BACKLOG
     return uvicorn.Config(app, http=limit_connections(connections), **options)
