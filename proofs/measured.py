@@ -235,7 +235,7 @@ def ask_one(questions: Callable[[], list[Question]], case: int) -> Row:
         "verdict": report["verdict"],
     }
     if questions is not other_questions:
-        row["best_without_exchange"] = per_point(best_without(found, _instrument(), "exchange"))
+        row["best_without_exchange"] = per_point(best_without(found, "dipole_swap"))
     if case == 0 and questions is not other_questions:
         noise = found.noise
         row["noise_db"] = {dipole: round(noise.sigma_db[dipole], 4) for dipole in DIPOLES}

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lbacal_core.causes.cause import SCOPES, Cause, Template
+from lbacal_core.causes.cause import SCOPES, Cause, SizeRange, Template
 from lbacal_core.causes.conditions import FEWEST_KNOWN, TEMPERATURE, YEAR_S, Conditions
 from lbacal_core.chain.terms import ChainTerms
 from lbacal_core.grids import Floats
@@ -71,6 +71,37 @@ class LnaNoiseSlope(Cause):
     def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:  # noqa: ARG002
         """N_LNA with a slope about 55 MHz."""
         return replace(terms, n_lna=terms.n_lna * (1.0 + amount * (conditions.frequency_mhz - 55.0) / 25.0))
+
+
+@dataclass(frozen=True)
+class MissingNoise(Cause):
+    """A stage of noise that the baseline lacks."""
+
+    identifier: str = "missing_noise"
+    unit: str = "W/MHz, in the unit of P_sky"
+    meaning: str = "a stage of electronic noise is missing"
+    confirm: str = (
+        "measure the noise with a dummy load, or fit event spectra, where noise has another slope in frequency"
+    )
+    needs: str = "the model of event spectra contains all three noise stages; ask it of band-averaged LST curves"
+    sizes: SizeRange = SizeRange(0.0, 10.0)
+
+    def templates(self, conditions: Conditions) -> list[Template]:
+        """One, where the baseline has no noise."""
+        return [] if conditions.has_noise_stages else [Template()]
+
+    def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:  # noqa: ARG002
+        """N_LNA plus noise that is flat in frequency."""
+        return replace(terms, n_lna=terms.n_lna + amount)
+
+    def scale(self, terms: ChainTerms) -> float:
+        """The mean sky power of the band."""
+        sky = terms.sky.mean(axis=1)
+        return float(np.average(sky, weights=np.broadcast_to(terms.front.mean(axis=1), sky.shape)))
+
+    def kinds(self, template: Template) -> frozenset[str]:  # noqa: ARG002
+        """What an isotropic level does to the power of a band."""
+        return frozenset({"isotropic_level"})
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.interpolate import make_smoothing_spline
 
 from lbacal_core.antenna.circuit import ResonanceCircuit
-from lbacal_core.causes.cause import Cause, Template
+from lbacal_core.causes.cause import Cause, SizeRange, Template
 from lbacal_core.causes.conditions import RAIN, TEMPERATURE, Conditions, read_between
 from lbacal_core.chain.terms import ChainTerms
 from lbacal_core.grids import Floats
@@ -32,13 +32,17 @@ class DipoleSwap(Cause):
     identifier: str = "dipole_swap"
     unit: str = "share, 1 = exchanged"
     meaning: str = "the dipoles X and Y are mixed or exchanged"
-    confirm: str = "unplug one dipole, or look at the polarisation of a bright source"
+    confirm: str = (
+        "unplug one dipole, compare the azimuths of the arms with the file that names them, or look at the "
+        "polarisation of a bright source"
+    )
     scopes: Sequence[str] = ("station", "antenna")
     largest_step: float = 0.7
+    sizes: SizeRange = SizeRange(0.0, 1.0, starts=(0.9, 0.05), physical_end=1.0)
 
     def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:  # noqa: ARG002
         """P_X -> (1 - f) P_X + f P_Y."""
-        return replace(terms, sky=(1.0 - amount) * terms.sky + amount * conditions.other_sky)
+        return replace(terms, sky=(1.0 - amount) * terms.sky + amount * conditions.across(terms.sky))
 
 
 @dataclass(frozen=True)

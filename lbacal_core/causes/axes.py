@@ -76,8 +76,9 @@ def _polynomials(values: Floats) -> Floats:
     return np.asarray(np.polynomial.legendre.legvander(x, POLYNOMIALS).T[1:], dtype=float)
 
 
-def _days(conditions: Conditions) -> Floats:
-    return np.asarray((conditions.time_unix - conditions.time_unix.min()) / DAY_S)
+def _days(conditions: Conditions) -> Floats | None:
+    time_unix = conditions.time_unix
+    return np.asarray((time_unix - time_unix.min()) / DAY_S) if conditions.has_dates else None
 
 
 def _wet(rain: Floats) -> Floats:
@@ -88,7 +89,7 @@ def _period(days: float) -> Axis:
     return Axis(
         f"date, period {days:g} d",
         f"day of a period of {days:g} days",
-        lambda conditions: np.asarray((conditions.time_unix / DAY_S) % days),
+        lambda conditions: np.asarray((conditions.time_unix / DAY_S) % days) if conditions.has_dates else None,
         lambda day: harmonics(day / days, 2),
         "date",
     )
@@ -109,6 +110,11 @@ AXES: tuple[Axis, ...] = (
     *(_period(days) for days in PERIODS_D),
 )
 """Every axis that is looked along; an axis or covariate more is one entry here."""
+
+
+def axes_of(conditions: Conditions) -> set[str]:
+    """Names, as causes call them, of the axes along which data vary."""
+    return {axis.along for axis in AXES if axis.values(conditions) is not None}
 
 
 def axis_named(name: str) -> Axis:

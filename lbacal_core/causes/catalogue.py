@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
-from lbacal_core.causes.amplifier import GainDrift, GainStep, GainTemperature, LnaNoiseSlope, LnaNoiseTemperature
+from lbacal_core.causes.amplifier import (
+    GainDrift,
+    GainStep,
+    GainTemperature,
+    LnaNoiseSlope,
+    LnaNoiseTemperature,
+    MissingNoise,
+)
 from lbacal_core.causes.antenna import DipoleSwap, ResonanceShift, ResonanceWidth
 from lbacal_core.causes.cable import CableLength, CableReflection
-from lbacal_core.causes.cause import Cause
+from lbacal_core.causes.cause import Cause, Description, SizeRange
 from lbacal_core.causes.interference import RfiBroadband, RfiLine
 from lbacal_core.causes.receiver import AdcJitter, AdcNoiseStep, CableTemperature, Compression, FilterShift
 from lbacal_core.causes.sky import (
+    DipoleAzimuth,
     IonosphericAbsorption,
     IsotropicLevel,
     LstOffset,
@@ -18,30 +26,26 @@ from lbacal_core.causes.sky import (
 )
 
 CAUSES: tuple[Cause, ...] = (
-    DipoleSwap(),
-    SkyChange(
-        "dipole_azimuth",
-        "deg",
-        "the arms of the dipoles stand at another azimuth",
-        "survey the antennas",
-        scopes=("station", "antenna"),
-        step=0.02,
-    ),
-    LstOffset(),
+    PointSource(),
     SkyChange(
         "zenith_weighting",
         "exponent",
         "the sky integral weighs with a wrong power of cos(zenith)",
-        "repeat the integral for a uniform sky, whose value is known",
+        "repeat the integral for a uniform sky, whose value is known for every power of the cosine",
+        sizes=SizeRange(-1.5, 1.5),
     ),
     SkyChange(
         "pattern_width",
         "fraction",
         "the antenna pattern is too wide or too narrow at fixed total power",
         "measure the pattern with a source on a drone",
+        sizes=SizeRange(-0.35, 0.35),
     ),
+    DipoleAzimuth(),
+    DipoleSwap(),
+    LstOffset(),
+    MissingNoise(),
     IsotropicLevel(),
-    PointSource(),
     SolarEmission(),
     IonosphericAbsorption(),
     ResonanceShift(),
@@ -59,12 +63,11 @@ CAUSES: tuple[Cause, ...] = (
     RfiLine(),
     RfiBroadband(),
 )
-"""Causes that act from event to event."""
+"""Causes that act from event to event, in the order in which they act: from the sky through beam and arms to the
+digitiser."""
 
 ANTENNA_CAUSES = (CableLength(), CableReflection())
 """Causes seen only by comparing antennas."""
 
-NEVER_HERE = {
-    "missing_noise": "the model of event spectra contains all three noise stages; ask it of band-averaged LST curves",
-}
-"""Causes of the catalogue that event spectra cannot show, with the reason."""
+DESCRIPTIONS: tuple[Description, ...] = (*CAUSES, *ANTENNA_CAUSES)
+"""The whole catalogue."""

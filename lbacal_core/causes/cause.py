@@ -18,6 +18,8 @@ from lbacal_core.causes.conditions import Conditions
 from lbacal_core.chain.terms import ChainTerms
 from lbacal_core.grids import Floats
 
+EDGE = 1e-3
+"""Share of a range that counts as its end."""
 SCOPES = ("path", "antenna", "cable", "station")
 """Whom a cause can concern: one path, the two paths of an antenna, all paths of a cable name, the whole station."""
 
@@ -27,6 +29,31 @@ class Template:
     """One member of a cause's family: its parameters (a date, a delay, a line) by name."""
 
     parameters: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class SizeRange:
+    """Sizes that a fit far from linear may take.
+
+    Attributes
+    ----------
+    starts
+        Sizes from which it starts.
+    physical_end
+        An end of the range that is physical, not the end of what is believed.
+    """
+
+    lowest: float = -np.inf
+    highest: float = np.inf
+    starts: Sequence[float] = (0.02,)
+    physical_end: float | None = None
+
+    def is_at_edge(self, size: float) -> bool:
+        """Whether a size has run to the end of what is believed: then the cause does not describe the data."""
+        reach = EDGE * (self.highest - self.lowest)
+        if self.physical_end is not None and abs(size - self.physical_end) < reach:
+            return False
+        return min(size - self.lowest, self.highest - size) < reach
 
 
 @dataclass(frozen=True)
@@ -74,16 +101,39 @@ class Cause(Description):
         By which a fit moves the size at most; infinite where the model is close to linear.
     acts_by_ratio
         Whether it multiplies P_sky by own(with)/own(without), from the package's own sky and antenna.
+    sizes
+        Sizes that a fit far from linear may take, in units of `scale`.
     """
 
     spectral_parameters: Sequence[str] = ()
     step: float = 1e-3
     largest_step: float = np.inf
     acts_by_ratio: bool = False
+    sizes: SizeRange = SizeRange()
 
     def templates(self, conditions: Conditions) -> list[Template]:  # noqa: ARG002 - most have one whatever the data
         """The members of the family to be tried on these data; empty where they can show none."""
         return [Template()]
+
+    def far_templates(self, conditions: Conditions) -> list[Template]:  # noqa: ARG002
+        """Templates whose sizes are far from 0, where the cause does what another does: alternatives, never named."""
+        return []
+
+    def sizes_of(self, template: Template) -> SizeRange:  # noqa: ARG002
+        """Sizes that a template may take."""
+        return self.sizes
+
+    def scale(self, terms: ChainTerms) -> float:  # noqa: ARG002
+        """What 1 of its range is in its unit."""
+        return 1.0
+
+    def label(self, template: Template) -> str:
+        """Identifier, with the parameters of a template."""
+        return " ".join([self.identifier, *(str(value) for value in template.parameters.values())])
+
+    def kinds(self, template: Template) -> frozenset[str]:
+        """What it does to the power of a band: templates that share a kind are never fitted together."""
+        return frozenset({self.label(template)})
 
     def covariates(self, template: Template) -> Sequence[str]:  # noqa: ARG002
         """Columns that must be known at an event for the template to say anything of it."""

@@ -10,9 +10,11 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from lbacal_core.grids import Floats
+from lbacal_core.skypower.table import read_at
 
 YEAR_S = 365.25 * 86_400.0
 TEMPERATURE, RAIN = "temperature_c", "rain_mm_h"
+OTHER = {"X": "Y", "Y": "X"}
 FEWEST_KNOWN = 60
 """Events on which a covariate must be known before anything can follow it: as many as a path needs to be fitted."""
 HOURS_BINS, FEWEST_IN_HOURS = 8, 4
@@ -27,10 +29,12 @@ class Conditions:
     ----------
     frequency_mhz
         Shape (freq,).
-    time_unix, lst_hours, utc_hours
+    lst_hours
         Shape (event,).
+    time_unix, utc_hours
+        Shape (event,), NaN where events are means over all dates.
     sun_altitude, sun_azimuth
-        Shape (event,), rad.
+        Shape (event,), rad, NaN where events are means over all dates.
     covariates
         What was recorded with the events, such as ``temperature_c``, by the name of its column; shape (event,), NaN
         where unknown.
@@ -46,11 +50,14 @@ class Conditions:
         Shape (freq,).
     cable_log_loss
         ln L_coax of each class, shape (class, freq).
-    sky_change
-        Relative change of P_sky per unit of a cause that needs a direction, shape (class, event, freq), by a key such
-        as ``zenith_weighting`` or ``Cas A``; from the package's own sky and antenna.
+    sky_ratio
+        P_sky with a cause that needs a direction over P_sky without it, as a function of the amount, shape
+        (class, event, freq), by a key such as ``zenith_weighting`` or ``Cas A``; from the package's own sky and
+        antenna.
     sun_response
         D towards the Sun, shape (class, event, freq), 0 below the horizon.
+    has_noise_stages
+        Whether the baseline contains the noise of LNA, receiver and digitiser.
     """
 
     frequency_mhz: Floats
@@ -68,8 +75,9 @@ class Conditions:
     receiver_gain: Floats
     cable_log_loss: Floats
     covariates: Mapping[str, Floats] = field(default_factory=dict)
-    sky_change: Mapping[str, Floats] = field(default_factory=dict)
+    sky_ratio: Mapping[str, Callable[[Floats], Floats]] = field(default_factory=dict)
     sun_response: Floats | None = None
+    has_noise_stages: bool = True
 
     def with_covariates(self, **values: Floats) -> Conditions:
         """The same with other covariates, shape (event,) each."""
@@ -131,6 +139,38 @@ class Conditions:
     def sky_at_55(self) -> Floats:
         """Mean P_sky at 55 MHz of each class, shape (class,)."""
         return np.array([np.interp(55.0, self.frequency_mhz, sky) for sky in self.mean_sky])
+
+    @property
+    def has_dates(self) -> bool:
+        """Whether the events have dates, and are no means over them."""
+        return bool(np.all(np.isfinite(self.time_unix)))
+
+    @property
+    def is_sidereal_day(self) -> bool:
+        """Whether the events are the instants of a regular grid over the sidereal day, as those of an LST curve."""
+        step = 24.0 / self.lst_hours.size
+        return bool(np.allclose(np.diff(self.lst_hours), step, rtol=0.0, atol=1e-9))
+
+    def later(self, sky: Floats, hours: Floats) -> Floats:
+        """P_sky, shape (class, event, freq), read later in LST, shape (event,): whatever causes have made of it.
+
+        Single events know P_sky only as the simulation has it, and take the ratio.
+        """
+        moved = self.lst_hours + hours
+        if self.is_sidereal_day:
+            return read_at(sky, moved - self.lst_hours[0])
+        return np.asarray(sky * self.sky_at(moved) / self.sky_at(self.lst_hours))
+
+    def across(self, sky: Floats) -> Floats:
+        """P_sky of the other polarisation of each class, shape (class, event, freq).
+
+        Where its class is here as well it is what causes have made of it.
+        """
+        labels = list(zip(self.dipoles, self.cables, strict=True))
+        others = [(OTHER[dipole], cable) for dipole, cable in labels]
+        if set(others) != set(labels):
+            return self.other_sky
+        return sky[[labels.index(other) for other in others]]
 
     @property
     def has_day_and_night(self) -> bool:

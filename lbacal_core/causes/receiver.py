@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lbacal_core.causes.amplifier import StepCause, TemperatureCause, step_template
-from lbacal_core.causes.cause import Cause, Template
+from lbacal_core.causes.cause import Cause, SizeRange, Template
 from lbacal_core.causes.conditions import TEMPERATURE, Conditions, read_between
 from lbacal_core.chain.terms import ChainTerms
 from lbacal_core.grids import Floats
@@ -96,6 +96,7 @@ class Compression(Cause):
     meaning: str = "the gain falls when the total power rises"
     confirm: str = "insert an attenuator and look whether the ratio of strong to weak sky changes"
     scopes: Sequence[str] = ("station", "antenna", "path")
+    sizes: SizeRange = SizeRange(0.0, 1.0)
 
     def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:  # noqa: ARG002
         """The gain in front of the converter times 1 - f (total power there / its mean - 1)."""

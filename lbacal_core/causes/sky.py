@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lbacal_core.causes.cause import Cause, Template
+from lbacal_core.causes.cause import Cause, SizeRange, Template
 from lbacal_core.causes.conditions import Conditions
 from lbacal_core.causes.directions import SOURCE_KEYS
 from lbacal_core.chain.terms import ChainTerms
@@ -24,13 +24,16 @@ class LstOffset(Cause):
     identifier: str = "lst_offset"
     unit: str = "h"
     meaning: str = "the sidereal time of data or simulation is off"
-    confirm: str = "compare the transit of a bright source in interferometric data with its right ascension"
+    confirm: str = (
+        "ask whether lst_h is the edge or the centre of a bin; compare the transit of a bright source in "
+        "interferometric data with its right ascension"
+    )
     step: float = 0.005
+    sizes: SizeRange = SizeRange(-3.0, 3.0)
 
     def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:  # noqa: ARG002
-        """P_sky at a shifted LST, relative to that at the nominal one."""
-        moved = conditions.sky_at(conditions.lst_hours + np.ravel(amount)) / conditions.sky_at(conditions.lst_hours)
-        return replace(terms, sky=terms.sky * moved)
+        """P_sky at a later LST."""
+        return replace(terms, sky=conditions.later(terms.sky, np.ravel(amount)))
 
 
 @dataclass(frozen=True)
@@ -42,11 +45,36 @@ class SkyChange(Cause):
 
     def templates(self, conditions: Conditions) -> list[Template]:
         """One, where the own sky could be computed for these channels."""
-        return [Template()] if self.identifier in conditions.sky_change else []
+        return [Template()] if self.identifier in conditions.sky_ratio else []
 
     def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:  # noqa: ARG002
-        """P_sky times its relative change, exponential so that it stays positive."""
-        return replace(terms, sky=terms.sky * np.exp(amount * conditions.sky_change[self.identifier]))
+        """P_sky times own(with)/own(without)."""
+        return replace(terms, sky=terms.sky * conditions.sky_ratio[self.identifier](amount))
+
+
+@dataclass(frozen=True)
+class DipoleAzimuth(SkyChange):
+    """The arms stand at another azimuth."""
+
+    identifier: str = "dipole_azimuth"
+    unit: str = "deg"
+    meaning: str = "the arms of the dipoles stand at another azimuth"
+    confirm: str = "survey the antennas"
+    scopes: Sequence[str] = ("station", "antenna")
+    step: float = 0.02
+    sizes: SizeRange = SizeRange(-45.0, 45.0, starts=(5.0, -5.0))
+
+    def far_templates(self, conditions: Conditions) -> list[Template]:
+        """Across to what is on record, which exchanges X and Y."""
+        return [Template({"near": "90 deg"}) for _ in self.templates(conditions)]
+
+    def sizes_of(self, template: Template) -> SizeRange:
+        """About no turn, or about a right angle."""
+        return SizeRange(45.0, 135.0, starts=(90.0,)) if template.parameters else self.sizes
+
+    def kinds(self, template: Template) -> frozenset[str]:
+        """A right angle is an exchange of X and Y too."""
+        return frozenset({self.identifier, "dipole_swap"} if template.parameters else {self.identifier})
 
 
 @dataclass(frozen=True)
@@ -60,10 +88,11 @@ class PointSource(Cause):
     needs: str = NO_DIRECTIONS
     spectral_parameters: Sequence[str] = ("source",)
     acts_by_ratio: bool = True
+    sizes: SizeRange = SizeRange(-1.5, 5.0)
 
     def templates(self, conditions: Conditions) -> list[Template]:
         """One a source."""
-        return [Template({"source": name}) for name in SOURCE_KEYS if name in conditions.sky_change]
+        return [Template({"source": name}) for name in SOURCE_KEYS if name in conditions.sky_ratio]
 
     def is_another(self, template: Template, earlier: Template) -> bool:
         """Another source."""
@@ -71,7 +100,7 @@ class PointSource(Cause):
 
     def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:
         """P_sky plus a fraction of the source's flux through D."""
-        return replace(terms, sky=terms.sky * (1.0 + amount * conditions.sky_change[template.parameters["source"]]))
+        return replace(terms, sky=terms.sky * conditions.sky_ratio[template.parameters["source"]](amount))
 
 
 @dataclass(frozen=True)
@@ -82,6 +111,7 @@ class IsotropicLevel(Cause):
     unit: str = "fraction of the mean sky power"
     meaning: str = "the isotropic part of the sky is wrong"
     confirm: str = "compare with an absolute measurement of the sky minimum, or with the noise levels of a laboratory"
+    sizes: SizeRange = SizeRange(-0.5, 10.0)
 
     def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:  # noqa: ARG002
         """P_sky plus a constant in LST."""

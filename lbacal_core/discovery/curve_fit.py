@@ -15,16 +15,13 @@ import numpy as np
 from scipy.linalg import block_diag, solve_triangular
 from scipy.optimize import least_squares
 
-from lbacal_core.discovery.curve_causes import CurveCause, Power
+from lbacal_core.causes.cause import SizeRange
+from lbacal_core.discovery.curve_station import GRID_HOURS, Choice, CurveStation
 from lbacal_core.grids import Floats
-from lbacal_core.instrument import DIPOLES, Instrument
+from lbacal_core.instrument import DIPOLES
 from lbacal_core.lstcurve.curve import LstCurve
 from lbacal_core.lstcurve.noise import PointNoise
-from lbacal_core.skypower.differences import model_difference_modes
-from lbacal_core.skypower.table import SkyPower
 
-GRID_HOURS: Floats = np.asarray(np.arange(32) * 0.75, dtype=np.float64)
-"""Resolves |m| <= 15: the beam of a dipole leaves nothing above 8."""
 FOLDS = 4
 FOLD_HOURS = 2.0
 
@@ -45,7 +42,7 @@ class CurveFit:
         With the estimated covariance, and with the drawn bars.
     """
 
-    causes: tuple[CurveCause, ...]
+    choices: tuple[Choice, ...]
     sizes: Floats
     sigmas: Floats
     curve_db: Mapping[str, Floats]
@@ -56,13 +53,13 @@ class CurveFit:
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """The labels of its causes."""
-        return tuple(cause.label for cause in self.causes)
+        """The labels of its choices."""
+        return tuple(choice.label for choice in self.choices)
 
     @property
     def dof(self) -> int:
         """Points less offsets and sizes."""
-        return max(self.points - len(DIPOLES) - len(self.causes), 1)
+        return max(self.points - len(DIPOLES) - len(self.choices), 1)
 
     @property
     def scale(self) -> float:
@@ -75,19 +72,17 @@ class CurveFit:
     @property
     def is_at_edge(self) -> bool:
         """Whether a size has run to the end of its range."""
-        return any(c.is_at_edge(size) for c, size in zip(self.causes, self.sizes.tolist(), strict=True))
+        return any(c.sizes.is_at_edge(size) for c, size in zip(self.choices, self.sizes.tolist(), strict=True))
 
 
 class CurveFitter:
     """Fits of sets of causes to one curve."""
 
     def __init__(
-        self, curve: LstCurve, sky_power: SkyPower, weights: Floats, noise: PointNoise, instrument: Instrument | None
+        self, curve: LstCurve, station: CurveStation, noise: PointNoise, modes: Mapping[str, Floats] | None = None
     ) -> None:
-        """With an instrument the sky is the package's own, and the spread of models counts as noise."""
-        power = {d: np.maximum(sky_power.at(d, GRID_HOURS), 1e-6 * sky_power.power[d].max()) for d in DIPOLES}
-        self.sky = SkyPower(sky_power.frequency_mhz, GRID_HOURS, power, sky_power.origin)
-        self.curve, self.weights, self.noise = curve, weights, noise
+        """With the modes by which sky and antenna models differ on `GRID_HOURS` their spread counts as noise."""
+        self.curve, self.station, self.noise = curve, station, noise
         self.has_point = {d: curve.has_point(d) for d in DIPOLES}
         self.measured = np.concatenate([curve.variation_db[d][self.has_point[d]] for d in DIPOLES])
         drawn = np.broadcast_to(curve.error_db, curve.lst_hours.shape)
@@ -98,52 +93,44 @@ class CurveFitter:
         self._to_points = {d: _fourier(curve.lst_hours[self.has_point[d]]) for d in DIPOLES}
         self.covariance = noise.covariance(curve)
         self.model_variance = (0.0, 0.0)
-        if instrument is not None:
-            spread = self._model_spread(instrument)
+        if modes is not None:
+            spread = self._model_spread(modes)
             self.covariance = self.covariance + spread
             self.model_variance = (float(spread[0, 0]), float(spread[-1, -1]))
 
-    def _model_spread(self, instrument: Instrument) -> Floats:
+    def _model_spread(self, modes: Mapping[str, Floats]) -> Floats:
         """Covariance of the points, dB^2, by which sky and antenna models differ, shape (point, point)."""
-        modes = model_difference_modes(self.sky.frequency_mhz, GRID_HOURS, instrument.dipole_azimuth_deg)
-        plain = self.band(self.sky.power)
+        sky, weights = self.station.terms.sky, self.station.weights
         blocks = []
-        for d in DIPOLES:
-            changed = [self.band({**self.sky.power, d: self.sky.power[d] * np.exp(mode)})[d] for mode in modes[d]]
-            terms = np.fft.rfft(10 * np.log10(np.array(changed) / plain[d]), axis=1)[:, 1:-1] / GRID_HOURS.size
+        for d, own in zip(DIPOLES, sky, strict=True):
+            changed = 10 * np.log10((own * np.exp(modes[d])) @ weights / (own @ weights))
+            terms = np.fft.rfft(changed, axis=1)[:, 1:-1] / GRID_HOURS.size
             hours = self.curve.lst_hours[self.has_point[d]]
             angle = 2 * np.pi / 24.0 * (hours[:, None] - hours[None, :])
             order = np.arange(1, terms.shape[1] + 1)
             blocks.append(np.cos(angle[..., None] * order) @ (2 * np.sum(np.abs(terms) ** 2, axis=0)))
         return np.asarray(block_diag(*blocks))
 
-    def band(self, power: Power) -> dict[str, Floats]:
-        """Band power of each dipole over its mean over LST, on the grid, shape (lst,)."""
-        total = {d: power[d] @ self.weights for d in DIPOLES}
-        return {d: total[d] / total[d].mean() for d in DIPOLES}
+    def band_with(self, choices: Sequence[Choice], sizes: Floats) -> dict[str, Floats]:
+        """Band power of each dipole over its mean over LST, on the grid, with causes at sizes, shape (lst,)."""
+        total = self.station.terms_with(choices, sizes).power().sum(axis=-1)
+        return dict(zip(DIPOLES, total / total.mean(axis=1, keepdims=True), strict=True))
 
-    def points_db(self, power: Power) -> Floats:
+    def points_with(self, choices: Sequence[Choice], sizes: Floats) -> Floats:
         """Band power of all points, X then Y, in dB about the mean over LST, offsets left out."""
-        band = self.band(power)
+        band = self.band_with(choices, sizes)
         points = np.concatenate([self._to_points[d] @ band[d] for d in DIPOLES])
         return np.asarray(10 * np.log10(np.maximum(points, 1e-6)))
 
-    def power_with(self, causes: Sequence[CurveCause], sizes: Floats) -> dict[str, Floats]:
-        """P_sky with causes applied, in the order given."""
-        power = dict(self.sky.power)
-        for cause, size in zip(causes, sizes.tolist(), strict=True):
-            power = {d: np.maximum(v, 1e-6 * v.max()) for d, v in cause.act(power, size).items()}
-        return power
-
     def fit(
-        self, causes: Sequence[CurveCause], rows: Floats | None = None, starts: Sequence[Sequence[float]] = ()
+        self, choices: Sequence[Choice], rows: Floats | None = None, starts: Sequence[Sequence[float]] = ()
     ) -> CurveFit:
         """Sizes and offsets that make the points (of `rows`, if given) most probable.
 
         Parameters
         ----------
         starts
-            Sizes to start from; where none are given, those of the causes.
+            Sizes to start from; where none are given, those of the choices.
         """
         kept = np.arange(self.measured.size) if rows is None else np.flatnonzero(rows)
         root = np.linalg.cholesky(self.covariance[np.ix_(kept, kept)])
@@ -151,22 +138,21 @@ class CurveFitter:
         absorbed = np.linalg.qr(design)[0]
 
         def residual(sizes: Floats) -> Floats:
-            difference = self.measured[kept] - self.points_db(self.power_with(causes, sizes))[kept]
+            difference = self.measured[kept] - self.points_with(choices, sizes)[kept]
             white = solve_triangular(root, difference, lower=True)
             return np.asarray(white - absorbed @ (absorbed.T @ white))
 
-        sizes, sigmas = np.zeros(len(causes)), np.zeros(len(causes))
-        if causes:
-            sizes, sigmas = _minimise(residual, causes, starts)
-        power = self.power_with(causes, sizes)
-        difference = self.measured - self.points_db(power)
+        sizes, sigmas = np.zeros(len(choices)), np.zeros(len(choices))
+        if choices:
+            sizes, sigmas = _minimise(residual, [choice.sizes for choice in choices], starts)
+        difference = self.measured - self.points_with(choices, sizes)
         white = solve_triangular(root, difference[kept], lower=True)
         offsets = np.linalg.lstsq(design, white, rcond=None)[0]
         left = difference - self.offsets @ offsets
         white = white - design @ offsets
-        band = self.band(power)
+        band = self.band_with(choices, sizes)
         return CurveFit(
-            tuple(causes),
+            tuple(choices),
             sizes,
             sigmas,
             {d: 10 * np.log10(band[d]) + offsets[k] for k, d in enumerate(DIPOLES)},
@@ -201,42 +187,40 @@ class CurveFitter:
             is_train = fold != k
             surprise = []
             for one in (fewer, more):
-                fitted = self.fit(one.causes, is_train, [one.sizes.tolist()] if one.causes else ())
+                fitted = self.fit(one.choices, is_train, [one.sizes.tolist()] if one.choices else ())
                 left = np.concatenate([fitted.residual_db[d][self.has_point[d]] for d in DIPOLES])
                 surprise.append(self.chi2_of(left, everything) - self.chi2_of(left, is_train))
             gain += 0.5 * (surprise[0] - surprise[1])
         return gain
 
     def calibration_change(self, fewer: CurveFit, more: CurveFit) -> dict[str, Floats]:
-        """C with more causes over C with fewer, minus 1, by dipole, shape (freq,).
+        """C with more causes over C with fewer, minus 1, by dipole at the channels of the band, shape (freq,).
 
         At each frequency the recorded power is a line in P_sky, whose slope is C^-2. Data that follow the larger model
         have, against the smaller one, the slope cov(new, old)/var(old) over LST; its root is what C changes by.
         """
-        old, new = self.power_with(fewer.causes, fewer.sizes), self.power_with(more.causes, more.sizes)
-        change = {}
-        for d in DIPOLES:
-            about = old[d] - old[d].mean(axis=0)
-            slope = np.sum(about * (new[d] - new[d].mean(axis=0)), axis=0) / np.sum(about**2, axis=0)
-            change[d] = np.sqrt(np.maximum(slope, 0.0)) - 1.0
-        return change
+        inside = self.station.weights > 0
+        old, new = (self.station.terms_with(one.choices, one.sizes).power()[..., inside] for one in (fewer, more))
+        about = old - old.mean(axis=1, keepdims=True)
+        slope = np.sum(about * (new - new.mean(axis=1, keepdims=True)), axis=1) / np.sum(about**2, axis=1)
+        return dict(zip(DIPOLES, np.sqrt(np.maximum(slope, 0.0)) - 1.0, strict=True))
 
     def signature(self, fewer: CurveFit, more: CurveFit) -> Floats:
         """What the larger model changes at the points, whitened and without what the offsets absorb."""
         root = np.linalg.cholesky(self.covariance)
-        new, old = (self.points_db(self.power_with(one.causes, one.sizes)) for one in (more, fewer))
+        new, old = (self.points_with(one.choices, one.sizes) for one in (more, fewer))
         white = solve_triangular(root, new - old, lower=True)
         absorbed = np.linalg.qr(solve_triangular(root, self.offsets, lower=True))[0]
         return np.asarray(white - absorbed @ (absorbed.T @ white))
 
 
 def _minimise(
-    residual: Callable[[Floats], Floats], causes: Sequence[CurveCause], starts: Sequence[Sequence[float]]
+    residual: Callable[[Floats], Floats], ranges: Sequence[SizeRange], starts: Sequence[Sequence[float]]
 ) -> tuple[Floats, Floats]:
-    bounds = (np.array([c.lowest for c in causes]), np.array([c.highest for c in causes]))
-    span = np.array([max(abs(c.starts[-1]), 0.1) for c in causes])
-    tries = max(len(c.starts) for c in causes)
-    starts = starts or [[c.starts[k % len(c.starts)] for c in causes] for k in range(tries)]
+    bounds = (np.array([c.lowest for c in ranges]), np.array([c.highest for c in ranges]))
+    span = np.array([max(abs(c.starts[-1]), 0.1) for c in ranges])
+    tries = max(len(c.starts) for c in ranges)
+    starts = starts or [[c.starts[k % len(c.starts)] for c in ranges] for k in range(tries)]
     inside = 1e-4 * (bounds[1] - bounds[0])
     found = min(
         (

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from lbacal_core.discovery.curve_causes import NEEDS_MORE_AXES, CurveCause
 from lbacal_core.discovery.curve_fit import CurveFit
+from lbacal_core.discovery.curve_station import Choice
 from lbacal_core.discovery.lst_curve import ALPHA_LEFTOVER, CurveFinding, CurveInvestigation, Rival
 from lbacal_core.discovery.trials import sigma_of
 from lbacal_core.grids import Floats
@@ -25,14 +25,14 @@ def describe_curve(found: CurveInvestigation, provenance: Provenance) -> dict[st
     is_left = found.leftover_p < ALPHA_LEFTOVER
     verdict = "unexplained" if is_left else "explained" if found.findings else "consistent"
     hypotheses = [found.last, *found.alternatives[:MOST_ALTERNATIVES], *found.single]
-    distinct = {fit.labels: fit for fit in reversed(hypotheses) if fit.causes}
+    distinct = {fit.labels: fit for fit in reversed(hypotheses) if fit.choices}
     ordered = [fit for fit in dict.fromkeys(fit.labels for fit in hypotheses) if fit in distinct]
     return {
         "verdict": verdict,
         "sentence": _summary(found, verdict),
         "findings": [_finding(found, finding) for finding in found.findings],
         "unexplained": _unexplained(found) if is_left else None,
-        "unidentifiable": [{"cause": cause, "why": why} for cause, why in NEEDS_MORE_AXES.items()],
+        "unidentifiable": [{"cause": cause, "why": why} for cause, why in found.unidentifiable.items()],
         "noise": _noise(found.noise, found),
         "chi2": {
             "points": found.first.points,
@@ -54,7 +54,7 @@ def describe_curve(found: CurveInvestigation, provenance: Provenance) -> dict[st
 def _summary(found: CurveInvestigation, verdict: str) -> str:
     if not found.findings:
         return "The points and the simulation agree." if verdict == "consistent" else "No cause of the catalogue helps."
-    names = "; ".join(_words(one.cause, found.last, one.place) for one in found.findings)
+    names = "; ".join(_words(one.choice, found.last, one.place) for one in found.findings)
     before, after = _per_point(found.first), _per_point(found.last)
     return (
         f"What the simulation gets wrong: {names}. Chi^2 per point falls from {before['estimated']:.1f} to "
@@ -63,21 +63,21 @@ def _summary(found: CurveInvestigation, verdict: str) -> str:
     )
 
 
-def _words(cause: CurveCause, fit: CurveFit, place: int) -> str:
-    size, sigma = _size(cause, fit, place)
-    share = f", {fit.sizes[place]:.2f} of the mean sky power" if cause.reported != 1 else ""
-    return f"{cause.meaning} ({cause.label} {size:.3g} +- {sigma:.2g} {cause.unit}{share})"
+def _words(choice: Choice, fit: CurveFit, place: int) -> str:
+    size, sigma = _size(choice, fit, place)
+    share = f", {fit.sizes[place]:.2f} of the mean sky power" if choice.scale != 1 else ""
+    return f"{choice.cause.meaning} ({choice.label} {size:.3g} +- {sigma:.2g} {choice.cause.unit}{share})"
 
 
-def _size(cause: CurveCause, fit: CurveFit, place: int) -> tuple[float, float]:
+def _size(choice: Choice, fit: CurveFit, place: int) -> tuple[float, float]:
     """Size and its standard deviation in the cause's unit; what the fit leaves widens it."""
-    scale = cause.reported * float(np.sqrt(fit.scale))
-    return float(fit.sizes[place]) * cause.reported, float(fit.sigmas[place]) * scale
+    scale = choice.scale * float(np.sqrt(fit.scale))
+    return float(fit.sizes[place]) * choice.scale, float(fit.sigmas[place]) * scale
 
 
-def _parameters(cause: CurveCause, fit: CurveFit, place: int) -> dict[str, Any]:
-    relative = {"fraction_of_mean_sky_power": float(fit.sizes[place])} if cause.reported != 1 else {}
-    return {**cause.parameters, **relative}
+def _parameters(choice: Choice, fit: CurveFit, place: int) -> dict[str, Any]:
+    relative = {"fraction_of_mean_sky_power": float(fit.sizes[place])} if choice.scale != 1 else {}
+    return {**choice.template.parameters, **relative}
 
 
 def _per_point(fit: CurveFit) -> dict[str, float]:
@@ -99,16 +99,16 @@ def _noise(noise: PointNoise, found: CurveInvestigation) -> dict[str, Any]:
 
 
 def _finding(found: CurveInvestigation, finding: CurveFinding) -> dict[str, Any]:
-    last, cause = found.last, finding.cause
-    size, sigma = _size(cause, last, finding.place)
+    last, choice, cause = found.last, finding.choice, finding.choice.cause
+    size, sigma = _size(choice, last, finding.place)
     change = found.fitter.calibration_change(_less(last, finding.place), last)
     every = np.abs(np.concatenate([change[d] for d in DIPOLES]))
-    names = [rival.cause.identifier for rival in finding.rivals if not rival.is_excluded]
+    names = [rival.choice.cause.identifier for rival in finding.rivals if not rival.is_excluded]
     return {
         "cause": cause.identifier,
         "indistinguishable": [name for name in dict.fromkeys(names) if name != cause.identifier],
         "size": {"value": size, "sigma": sigma, "unit": cause.unit},
-        "parameters": _parameters(cause, last, finding.place),
+        "parameters": _parameters(choice, last, finding.place),
         "significance_sigma": sigma_of(finding.p_value),
         "p_value": finding.p_value,
         "where": {
@@ -134,7 +134,7 @@ def _finding(found: CurveInvestigation, finding: CurveFinding) -> dict[str, Any]
             "median_fraction": float(np.median(every)),
             **_change(found, change),
         },
-        "sentence": f"In this curve {_words(cause, last, finding.place)}.",
+        "sentence": f"In this curve {_words(choice, last, finding.place)}.",
         "evidence": {
             "score_sigma": finding.z,
             "would_decide": cause.confirm,
@@ -146,39 +146,39 @@ def _finding(found: CurveInvestigation, finding: CurveFinding) -> dict[str, Any]
 
 def _less(fit: CurveFit, place: int) -> CurveFit:
     """The set without one of its causes, the others as they are: for what this one does by itself."""
-    causes = fit.causes[:place] + fit.causes[place + 1 :]
-    return replace(fit, causes=causes, sizes=np.delete(fit.sizes, place), sigmas=np.delete(fit.sigmas, place))
+    choices = fit.choices[:place] + fit.choices[place + 1 :]
+    return replace(fit, choices=choices, sizes=np.delete(fit.sizes, place), sigmas=np.delete(fit.sigmas, place))
 
 
 def _rival(last: CurveFit, rival: Rival) -> dict[str, Any]:
-    place = rival.fit.causes.index(rival.cause)
-    size, _ = _size(rival.cause, rival.fit, place)
+    place = rival.fit.choices.index(rival.choice)
+    size, _ = _size(rival.choice, rival.fit, place)
     return {
-        "cause": rival.cause.label,
+        "cause": rival.choice.label,
         "size": size,
-        "unit": rival.cause.unit,
+        "unit": rival.choice.cause.unit,
         "chi2": rival.fit.chi2,
         "chi2_above_named": rival.fit.chi2 - last.chi2,
         "chi2_drawn_bars_above_named": rival.fit.chi2_drawn - last.chi2_drawn,
         "correlation": rival.correlation,
         "is_excluded": rival.is_excluded,
-        "is_at_edge_of_its_range": rival.cause.is_at_edge(float(rival.fit.sizes[place])),
-        "would_decide": rival.cause.confirm,
+        "is_at_edge_of_its_range": rival.choice.sizes.is_at_edge(float(rival.fit.sizes[place])),
+        "would_decide": rival.choice.cause.confirm,
     }
 
 
 def _hypothesis(found: CurveInvestigation, fit: CurveFit) -> dict[str, Any]:
     """One set of causes: what it says, how well it fits, and what it would do to C(nu)."""
     causes = []
-    for place, cause in enumerate(fit.causes):
-        size, sigma = _size(cause, fit, place)
+    for place, choice in enumerate(fit.choices):
+        size, sigma = _size(choice, fit, place)
         causes.append(
             {
-                "cause": cause.identifier,
-                "size": {"value": size, "sigma": sigma, "unit": cause.unit},
-                "parameters": _parameters(cause, fit, place),
-                "is_at_edge_of_its_range": cause.is_at_edge(float(fit.sizes[place])),
-                "would_decide": cause.confirm,
+                "cause": choice.cause.identifier,
+                "size": {"value": size, "sigma": sigma, "unit": choice.cause.unit},
+                "parameters": _parameters(choice, fit, place),
+                "is_at_edge_of_its_range": choice.sizes.is_at_edge(float(fit.sizes[place])),
+                "would_decide": choice.cause.confirm,
             }
         )
     is_named = fit.labels == found.last.labels
@@ -195,13 +195,11 @@ def _hypothesis(found: CurveInvestigation, fit: CurveFit) -> dict[str, Any]:
 
 def _change(found: CurveInvestigation, change: dict[str, Floats]) -> dict[str, Any]:
     """C with over C without, minus 1, of each dipole."""
-    frequency = found.fitter.sky.frequency_mhz
-    low, high = found.band_mhz
-    inside = (frequency >= low) & (frequency <= high)
+    frequency = found.fitter.station.channels_mhz
     shown = [nu for nu in REPORTED_MHZ if frequency[0] <= nu <= frequency[-1]]
     return {
         d: {
-            "median_fraction": float(np.median(change[d][inside])),
+            "median_fraction": float(np.median(change[d])),
             "at_mhz": {f"{nu:g}": float(np.interp(nu, frequency, change[d])) for nu in shown},
         }
         for d in DIPOLES

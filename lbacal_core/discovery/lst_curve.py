@@ -8,15 +8,15 @@ blocks of LST that were not fitted become more probable too.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.stats import f as f_distribution
 from threadpoolctl import threadpool_limits
 
-from lbacal_core.discovery.curve_causes import CurveCause, curve_causes
 from lbacal_core.discovery.curve_fit import CurveFit, CurveFitter
+from lbacal_core.discovery.curve_station import GRID_HOURS, Choice, gather_curve, list_choices, why_not
 from lbacal_core.discovery.policy import Policy
 from lbacal_core.discovery.trials import p_of, sigma_of
 from lbacal_core.grids import Floats, require_same_grid
@@ -24,6 +24,7 @@ from lbacal_core.instrument import Instrument
 from lbacal_core.lstcurve.compare import AS_RECORDED, band_weights
 from lbacal_core.lstcurve.curve import LstCurve
 from lbacal_core.lstcurve.noise import PointNoise, estimate_noise
+from lbacal_core.skypower.differences import model_difference_modes
 from lbacal_core.skypower.table import SkyPower
 
 ALPHA_CATALOGUE, ALPHA_LEFTOVER = 0.0025, 0.002
@@ -45,7 +46,7 @@ class Rival:
         Whether the data tell the two apart.
     """
 
-    cause: CurveCause
+    choice: Choice
     fit: CurveFit
     correlation: float
     is_excluded: bool
@@ -65,7 +66,7 @@ class CurveFinding:
         Standard deviations before the look-elsewhere correction.
     """
 
-    cause: CurveCause
+    choice: Choice
     place: int
     without: CurveFit
     rivals: list[Rival]
@@ -99,6 +100,7 @@ class CurveInvestigation:
     alternatives: list[CurveFit]
     leftover_p: float
     is_own_sky: bool
+    unidentifiable: Mapping[str, str]
 
     def is_open(self, fit: CurveFit) -> bool:
         """Whether the data do not exclude a set other than the one named."""
@@ -131,29 +133,25 @@ def investigate_curve(
     of_channels = band_weights(instrument, weights, band_mhz)
     known = noise or estimate_noise(curve)
     with threadpool_limits(1):  # the arrays are small: threads cost ten times what they gain
-        return _investigate(curve, sky_power, instrument, band_mhz, of_channels, known, is_own_sky=is_own_sky)
+        station = gather_curve(instrument, sky_power, of_channels)
+        modes = model_difference_modes(instrument.frequency_mhz, GRID_HOURS, instrument.dipole_azimuth_deg)
+        return _investigate(
+            CurveFitter(curve, station, known, modes if is_own_sky else None), band_mhz, is_own_sky=is_own_sky
+        )
 
 
-def _investigate(
-    curve: LstCurve,
-    sky_power: SkyPower,
-    instrument: Instrument,
-    band_mhz: tuple[float, float],
-    of_channels: Floats,
-    known: PointNoise,
-    *,
-    is_own_sky: bool,
-) -> CurveInvestigation:
-    fitter = CurveFitter(curve, sky_power, of_channels, known, instrument if is_own_sky else None)
-    search = _Search(fitter, curve_causes(instrument, fitter.sky, of_channels))
+def _investigate(fitter: CurveFitter, band_mhz: tuple[float, float], *, is_own_sky: bool) -> CurveInvestigation:
+    choices = list_choices(fitter.station)
+    search = _Search(fitter, choices)
+    known = fitter.noise
     last = search.best_set()
-    findings = [search.finding(last, place) for place in range(len(last.causes))]
+    findings = [search.finding(last, place) for place in range(len(last.choices))]
     findings.sort(key=lambda finding: -finding.z)
     leftover = float(f_distribution.sf(last.chi2 / last.dof, last.dof, known.free))
     first = search.fits[frozenset()]
-    single = sorted((fit for fit in search.fits.values() if len(fit.causes) == 1), key=_by_chi2)
+    single = sorted((fit for fit in search.fits.values() if len(fit.choices) == 1), key=_by_chi2)
     return CurveInvestigation(
-        curve,
+        fitter.curve,
         band_mhz,
         known,
         fitter,
@@ -164,14 +162,15 @@ def _investigate(
         search.alternatives(last),
         leftover,
         is_own_sky,
+        why_not(fitter.station, choices),
     )
 
 
-def best_without(found: CurveInvestigation, instrument: Instrument, kind: str, most: int = 3) -> CurveFit:
+def best_without(found: CurveInvestigation, kind: str, most: int = 3) -> CurveFit:
     """The best set of up to `most` causes none of which does what `kind` does: what a name has to beat."""
-    causes = curve_causes(instrument, found.fitter.sky, found.fitter.weights)
+    choices = list_choices(found.fitter.station)
     with threadpool_limits(1):
-        search = _Search(found.fitter, [cause for cause in causes if kind not in cause.kinds])
+        search = _Search(found.fitter, [choice for choice in choices if kind not in choice.kinds])
         parents = [search.fits[frozenset()]]
         for _ in range(most):
             parents = sorted((fit for parent in parents for fit in search.children(parent)), key=_by_chi2)[:WIDTH]
@@ -181,34 +180,34 @@ def best_without(found: CurveInvestigation, instrument: Instrument, kind: str, m
 class _Search:
     """Sets of causes fitted to one curve, each once."""
 
-    def __init__(self, fitter: CurveFitter, causes: Sequence[CurveCause]) -> None:
-        self.fitter, self.causes = fitter, causes
-        self.trials = float(len({kind for cause in causes for kind in cause.kinds}))
+    def __init__(self, fitter: CurveFitter, choices: Sequence[Choice]) -> None:
+        self.fitter, self.choices = fitter, choices
+        self.trials = float(len({kind for choice in choices for kind in choice.kinds}))
         self.fits: dict[frozenset[str], CurveFit] = {frozenset(): fitter.fit([])}
 
-    def extended(self, parent: CurveFit, cause: CurveCause) -> CurveFit:
+    def extended(self, parent: CurveFit, choice: Choice) -> CurveFit:
         """The parent's set with one cause more, fitted from where the parent ended."""
-        labels = frozenset([*parent.labels, cause.label])
+        labels = frozenset([*parent.labels, choice.label])
         if labels not in self.fits:
             known = dict(zip(parent.labels, parent.sizes.tolist(), strict=True))
-            chosen = [one for one in self.causes if one.label in labels]
-            starts = [[known.get(one.label, start) for one in chosen] for start in cause.starts]
+            chosen = [one for one in self.choices if one.label in labels]
+            starts = [[known.get(one.label, start) for one in chosen] for start in choice.sizes.starts]
             self.fits[labels] = self.fitter.fit(chosen, starts=starts)
         return self.fits[labels]
 
     def children(self, parent: CurveFit) -> list[CurveFit]:
         """The parent's set with each cause that it does not contain in other words."""
-        taken = {kind for cause in parent.causes for kind in cause.kinds}
-        return [self.extended(parent, cause) for cause in self.causes if not taken & cause.kinds]
+        taken = {kind for choice in parent.choices for kind in choice.kinds}
+        return [self.extended(parent, choice) for choice in self.choices if not taken & choice.kinds]
 
     def best_set(self) -> CurveFit:
         """The largest set each of whose causes the data ask for."""
         best, parents = self.fits[frozenset()], [self.fits[frozenset()]]
-        while len(best.causes) < MAX_FINDINGS:
+        while len(best.choices) < MAX_FINDINGS:
             grown = sorted(
                 {fit.labels: fit for parent in parents for fit in self.children(parent)}.values(), key=_by_chi2
             )
-            named = [fit for fit in grown if not (fit.is_at_edge or any(cause.is_alias for cause in fit.causes))]
+            named = [fit for fit in grown if not (fit.is_at_edge or any(choice.is_alias for choice in fit.choices))]
             accepted = next((fit for fit in named[:3] if self._is_better(best, fit)), None)
             if accepted is None:
                 return best
@@ -230,8 +229,8 @@ class _Search:
 
     def finding(self, last: CurveFit, place: int) -> CurveFinding:
         """One cause of the set with what speaks for it and what could stand in its place."""
-        cause = last.causes[place]
-        others = [one for one in last.causes if one is not cause]
+        choice = last.choices[place]
+        others = [one for one in last.choices if one is not choice]
         known = dict(zip(last.labels, last.sizes.tolist(), strict=True))
         without = self.fits.get(frozenset(one.label for one in others))
         if without is None:
@@ -241,14 +240,14 @@ class _Search:
         rivals = []
         for fit in sorted(self.children(without), key=_by_chi2):
             (new,) = set(fit.labels) - set(without.labels)
-            if new == cause.label:
+            if new == choice.label:
                 continue
             r = _correlation(own, self.fitter.signature(without, fit))
             is_excluded = min((fit.chi2 - last.chi2) / last.scale, separable * (1 - r**2)) >= INDISTINGUISHABLE
-            rivals.append(Rival(fit.causes[fit.labels.index(new)], fit, r, is_excluded))
+            rivals.append(Rival(fit.choices[fit.labels.index(new)], fit, r, is_excluded))
         z, p_value = self.p_value(without, last)
         gain = self.fitter.held_out_gain(without, last)
-        return CurveFinding(cause, place, without, rivals, z, p_value, gain)
+        return CurveFinding(choice, place, without, rivals, z, p_value, gain)
 
     def alternatives(self, last: CurveFit) -> list[CurveFit]:
         """Sets that fit as well, at most one cause larger, and that do not merely add to the set named."""
@@ -257,8 +256,8 @@ class _Search:
                 fit
                 for labels, fit in self.fits.items()
                 if fit.chi2 < last.chi2 + INDISTINGUISHABLE * last.scale
-                and len(fit.causes) <= len(last.causes) + 1
-                and fit.causes
+                and len(fit.choices) <= len(last.choices) + 1
+                and fit.choices
                 and labels != frozenset(last.labels)
             ),
             key=_by_chi2,
@@ -267,7 +266,7 @@ class _Search:
 
 def _by_chi2(fit: CurveFit) -> tuple[int, float]:
     """Sets of equal chi^2 keep the order of the catalogue."""
-    return len(fit.causes), round(fit.chi2, 2)
+    return len(fit.choices), round(fit.chi2, 2)
 
 
 def _correlation(one: Floats, other: Floats) -> float:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lbacal_core.causes.catalogue import CAUSES, NEVER_HERE
+from lbacal_core.causes.catalogue import CAUSES
 from lbacal_core.causes.cause import Template, signature
 from lbacal_core.discovery.antennas import AntennaScore, compare_antennas, why_no_comparison
 from lbacal_core.discovery.hypothesis import Hypothesis, Target, list_targets
@@ -366,7 +366,7 @@ def _lives_there(finding: Finding, structure: ResidualStructure) -> bool:
 
 
 def _unidentifiable(station: Station, scores: Sequence[Score]) -> dict[str, str]:
-    reasons = dict(NEVER_HERE)
+    reasons: dict[str, str] = {}
     seen = {score.cause.identifier for score in scores}
     for cause in CAUSES:
         if not cause.templates(station.conditions):

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lbacal_core.calibration.fit import MIN_EVENTS, Cables, require_one_cable_each
-from lbacal_core.causes.conditions import Conditions
-from lbacal_core.causes.directions import relative_sky_changes
+from lbacal_core.causes.conditions import OTHER, Conditions
+from lbacal_core.causes.directions import SkyRatio, sky_ratios
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
 from lbacal_core.instrument import Instrument
@@ -21,8 +21,6 @@ from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra import Spectra
 from lbacal_core.spectra_blocks import SpectraBlock, split_into_blocks
 from lbacal_core.sun import sun_position
-
-OTHER = {"X": "Y", "Y": "X"}
 
 
 @dataclass(frozen=True)
@@ -84,10 +82,10 @@ def gather_stations(spectra: Spectra, instrument: Instrument, sky_power: SkyPowe
     """
     cable_of = require_one_cable_each(spectra, instrument)
     blocks = split_into_blocks(spectra)
-    changes = relative_sky_changes(instrument)
+    ratios = sky_ratios(instrument)
     typical = float(np.median(spectra.blocks))
     return [
-        _gather([b for b in blocks if b.station == name], instrument, cable_of, sky_power, typical, changes)
+        _gather([b for b in blocks if b.station == name], instrument, cable_of, sky_power, typical, ratios)
         for name in np.unique(spectra.station)
     ]
 
@@ -98,7 +96,7 @@ def _gather(
     cable_of: Cables,
     sky_power: SkyPower,
     typical_blocks: float,
-    changes: Mapping[str, SkyPower],
+    ratios: Mapping[str, SkyRatio],
 ) -> Station:
     name = blocks[0].station
     times: dict[str, float] = {}
@@ -132,7 +130,7 @@ def _gather(
     kept = np.flatnonzero(has_enough)
     labels = [(dipole[k], cable[k]) for k in kept]
     classes = sorted(set(labels))
-    conditions = _conditions(classes, instrument, sky_power, time_unix, covariates, changes)
+    conditions = _conditions(classes, instrument, sky_power, time_unix, covariates, ratios)
     return Station(
         name=name,
         antenna=np.array(antenna)[kept],
@@ -152,7 +150,7 @@ def _conditions(
     sky_power: SkyPower,
     time_unix: Floats,
     covariates: Mapping[str, Floats],
-    changes: Mapping[str, SkyPower],
+    ratios: Mapping[str, SkyRatio],
 ) -> Conditions:
     lst = local_sidereal_time(time_unix, instrument.longitude_deg)
     altitude, azimuth = sun_position(time_unix, instrument.latitude_deg, instrument.longitude_deg)
@@ -162,7 +160,7 @@ def _conditions(
         return np.stack([table.at(letter, hours) for letter in letters])
 
     sun_response = None
-    if changes:
+    if ratios:
         towards = {
             letter: response_towards(instrument, letter, np.pi / 2 - altitude, azimuth) for letter in set(letters)
         }
@@ -183,7 +181,7 @@ def _conditions(
         receiver_gain=instrument.receiver_gain,
         cable_log_loss=np.stack([np.log(instrument.cables[cable]) for _, cable in classes]),
         covariates=covariates,
-        sky_change={name: np.log(at(change, lst)) for name, change in changes.items()},
+        sky_ratio={name: ratio.at(letters, lst) for name, ratio in ratios.items()},
         sun_response=sun_response,
     )
 

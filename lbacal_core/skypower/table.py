@@ -88,14 +88,7 @@ class SkyPower:
         -------
         Shape (event, freq), unit of `power`.
         """
-        values = self.power[dipole]
-        size = self.lst_hours.size
-        terms = np.fft.rfft(values, axis=0) / size
-        order = np.arange(terms.shape[0])
-        weight = np.where((order == 0) | (2 * order == size), 1.0, 2.0)
-        angle = 2 * np.pi / 24.0 * np.outer(np.asarray(lst_hours) - self.lst_hours[0], order)
-        basis = np.exp(1j * angle) * weight
-        return np.asarray(np.concatenate([basis.real, -basis.imag], axis=1) @ np.concatenate([terms.real, terms.imag]))
+        return read_at(self.power[dipole], np.asarray(lst_hours) - self.lst_hours[0])
 
     def as_dict(self) -> dict[str, Any]:
         """The content of a sky power file."""
@@ -120,6 +113,29 @@ class SkyPower:
         return self.inputs_digest or hash_arrays(
             self.frequency_mhz, self.lst_hours, *(self.power[dipole] for dipole in DIPOLES)
         )
+
+
+def read_at(values: Floats, lst_hours: Floats) -> Floats:
+    """Read values on a regular grid of the sidereal day between its instants, by their Fourier series.
+
+    Parameters
+    ----------
+    values
+        Shape (..., lst, freq).
+    lst_hours
+        Hours since the first instant of the grid, shape (event,).
+
+    Returns
+    -------
+    Shape (..., event, freq).
+    """
+    size = values.shape[-2]
+    terms = np.fft.rfft(values, axis=-2) / size
+    order = np.arange(terms.shape[-2])
+    weight = np.where((order == 0) | (2 * order == size), 1.0, 2.0)
+    basis = np.exp(2j * np.pi / 24.0 * np.outer(lst_hours, order)) * weight
+    real = np.concatenate([terms.real, terms.imag], axis=-2)
+    return np.asarray(np.concatenate([basis.real, -basis.imag], axis=1) @ real)
 
 
 def read_sky_power(path: Path) -> SkyPower:

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from lbacal_core.discovery.curve_fit import GRID_HOURS, CurveFit
+from lbacal_core.discovery.curve_fit import CurveFit
+from lbacal_core.discovery.curve_station import GRID_HOURS
 from lbacal_core.discovery.lst_curve import CurveInvestigation
 from lbacal_core.grids import Floats
 from lbacal_core.instrument import DIPOLES
@@ -57,7 +58,7 @@ def draw_ranking(found: CurveInvestigation) -> Figure:
     """Chi^2 of every cause by itself, and of the sets that the data cannot exclude."""
     sets = [found.last, *found.alternatives[: 2 * MOST_LINES]]
     rows = [*dict.fromkeys([*(fit.labels for fit in sets), *(fit.labels for fit in found.single)])]
-    by_labels = {fit.labels: fit for fit in [*found.single, *sets] if fit.causes}
+    by_labels = {fit.labels: fit for fit in [*found.single, *sets] if fit.choices}
     shown = [by_labels[labels] for labels in rows if labels in by_labels][::-1]
     figure = Figure(figsize=(10.5, 0.27 * len(shown) + 1.4), layout="constrained")
     axes: Any = figure.subplots()
@@ -84,15 +85,14 @@ def draw_change(found: CurveInvestigation) -> Figure:
     """What the named set and the alternatives would do to C(nu) of each dipole."""
     figure = Figure(figsize=(10.5, 3.6), layout="constrained")
     axes: Any = figure.subplots(1, 2, sharey=True)
-    frequency = found.fitter.sky.frequency_mhz
-    inside = (frequency >= found.band_mhz[0]) & (frequency <= found.band_mhz[1])
+    frequency = found.fitter.station.channels_mhz
     for rank, fit in enumerate([found.last, *found.alternatives[:MOST_LINES]]):
         change = found.fitter.calibration_change(found.first, fit)
         for panel, d in zip(axes, DIPOLES, strict=True):
             is_named = rank == 0
             style: dict[str, Any] = {"color": "black", "lw": 2.0} if is_named else {"lw": 1.1, "ls": "--"}
             label = " + ".join(name_hypothesis(fit))
-            panel.plot(frequency[inside], 100 * change[d][inside], label=label, **style)
+            panel.plot(frequency, 100 * change[d], label=label, **style)
     for panel, d in zip(axes, DIPOLES, strict=True):
         panel.axhline(0.0, color=GREY, lw=0.8)
         panel.set_title(f"dipole {d}", fontsize=10)
@@ -108,9 +108,9 @@ def name_hypothesis(fit: CurveFit) -> list[str]:
     """Each cause of a set with its size."""
     units = {"dipole_azimuth": "°", "lst_offset": " h"}
     return [
-        f"{' '.join([cause.identifier.replace('_', ' '), cause.parameters.get('source', '')]).strip()} "
-        f"{size:.2f}{units.get(cause.identifier, '')}"
-        for cause, size in zip(fit.causes, fit.sizes.tolist(), strict=True)
+        f"{choice.cause.identifier.replace('_', ' ')} {choice.template.parameters.get('source', '')}".strip()
+        + f" {size:.2f}{units.get(choice.cause.identifier, '')}"
+        for choice, size in zip(fit.choices, fit.sizes.tolist(), strict=True)
     ]
 
 

@@ -1,44 +1,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 
-from lbacal_core.causes.catalogue import ANTENNA_CAUSES, CAUSES, NEVER_HERE
+from lbacal_core.causes.catalogue import CAUSES, DESCRIPTIONS
 from lbacal_core.causes.cause import SCOPES, Template, signature
 from lbacal_core.causes.conditions import Conditions
 from lbacal_core.chain.terms import ChainTerms
-
-IDENTIFIERS = {
-    "dipole_swap",
-    "dipole_azimuth",
-    "lst_offset",
-    "zenith_weighting",
-    "pattern_width",
-    "isotropic_level",
-    "point_source",
-    "solar_emission",
-    "ionospheric_absorption",
-    "resonance_shift",
-    "resonance_width",
-    "filter_shift",
-    "missing_noise",
-    "lna_noise_slope",
-    "lna_noise_temperature",
-    "gain_temperature",
-    "cable_length",
-    "cable_reflection",
-    "cable_temperature",
-    "gain_step",
-    "gain_drift",
-    "adc_noise_step",
-    "compression",
-    "adc_jitter",
-    "rfi_line",
-    "rfi_broadband",
-}
-"""The catalogue of docs/formats.md."""
+from lbacal_core.twin.faults.catalogue import catalogue_faults
 
 
 @pytest.fixture(scope="module")
@@ -54,6 +26,9 @@ def conditions() -> Conditions:
         relative = (frequency / 55.0) ** -0.5
         phases = (0.0, 1.2)
         return np.stack([(1 + 0.3 * np.sin(np.pi * hours / 12 + p))[:, None] * relative for p in phases])
+
+    def ratio(phase, amount):
+        return 1.0 + amount * 0.1 * np.sin(np.outer(lst, np.ones(51)) + phase) * np.ones((2, 1, 1))
 
     sky = sky_at(lst)
     keys = ("dipole_azimuth", "zenith_weighting", "pattern_width", "Cas A", "Cyg A", "Tau A", "Vir A")
@@ -73,10 +48,9 @@ def conditions() -> Conditions:
         antenna_gain=0.01 + 1 / (1 + ((frequency - 58) / 4) ** 2),
         receiver_gain=1.1 / (1 + np.exp((frequency - 78) / 2)),
         cable_log_loss=np.stack([-0.12 * np.sqrt(frequency)] * 2),
-        sky_change={
-            key: 0.1 * np.sin(np.outer(lst, np.ones(51)) + k) * np.ones((2, 1, 1)) for k, key in enumerate(keys)
-        },
+        sky_ratio={key: partial(ratio, k) for k, key in enumerate(keys)},
         sun_response=np.ones((2, events, 51)),
+        has_noise_stages=False,
     )
 
 
@@ -92,10 +66,41 @@ def terms(conditions) -> ChainTerms:
     )
 
 
-def test_every_cause_of_the_catalogue_is_looked_for_or_said_to_be_impossible():
-    named = [cause.identifier for cause in (*CAUSES, *ANTENNA_CAUSES)] + list(NEVER_HERE)
-    assert len(named) == len(set(named)) == 26
-    assert set(named) == IDENTIFIERS
+def test_the_catalogue_is_what_the_twin_can_plant():
+    named = [one.identifier for one in DESCRIPTIONS]
+    assert len(named) == len(set(named))
+    assert set(named) == set(catalogue_faults())
+
+
+def test_noise_is_missing_only_where_the_baseline_has_none(terms, conditions):
+    cause = next(one for one in CAUSES if one.identifier == "missing_noise")
+    complete = replace(conditions, has_noise_stages=True)
+    assert cause.templates(complete) == []
+    assert "LST curves" in cause.needs
+    added = cause.apply(terms, conditions, Template(), 0.3).power() - terms.power()
+    np.testing.assert_allclose(added, np.broadcast_to(0.3 * terms.front, added.shape))
+    # 1 of its range is the mean sky power, weighed as the channels are recorded.
+    weight = terms.front[0, 0] / terms.front[0, 0].sum()
+    assert cause.scale(terms) == pytest.approx((terms.sky.mean(axis=1) @ weight).mean())
+
+
+def test_an_exchange_acts_on_what_earlier_causes_made_of_the_other_polarisation(terms, conditions):
+    causes = {cause.identifier: cause for cause in CAUSES}
+    brighter = causes["isotropic_level"].apply(terms, conditions, Template(), 0.5)
+    swapped = causes["dipole_swap"].apply(brighter, conditions, Template(), 1.0)
+    np.testing.assert_allclose(swapped.sky, brighter.sky[::-1])
+    # A cable of which only X is here knows the other polarisation as the simulation has it.
+    alone = replace(conditions, cables=["80", "50"])
+    np.testing.assert_allclose(causes["dipole_swap"].apply(brighter, alone, Template(), 1.0).sky, terms.sky[::-1])
+
+
+def test_only_the_end_of_what_is_believed_counts_as_an_edge():
+    sizes = {cause.identifier: cause.sizes for cause in CAUSES}
+    assert sizes["pattern_width"].is_at_edge(0.35)
+    assert not sizes["pattern_width"].is_at_edge(0.34)
+    assert not sizes["dipole_swap"].is_at_edge(1.0)
+    assert sizes["dipole_swap"].is_at_edge(0.0)
+    assert not sizes["gain_step"].is_at_edge(1e9)
 
 
 @pytest.mark.parametrize("cause", CAUSES, ids=lambda cause: cause.identifier)

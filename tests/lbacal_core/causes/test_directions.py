@@ -5,33 +5,72 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lbacal_core.causes.directions import relative_sky_changes
-from lbacal_core.skypower.model import compute_sky_power
+from lbacal_core.causes.directions import sky_ratios
 from lbacal_core.skypower.variation import vary_sky_power
 
+LST = np.arange(32) * 0.75
+OPTION = {
+    "dipole_azimuth": "azimuth_deg",
+    "zenith_weighting": "zenith_exponent",
+    "pattern_width": "zenith_gain_fraction",
+}
+BETWEEN = [
+    # A Fourier series of 8 angles: the beam has nothing above six times the azimuth.
+    ("dipole_azimuth", 33.0, 1e-6),
+    ("dipole_azimuth", -2.0, 1e-6),
+    # A polynomial through powers half apart; the effect itself is 20 %.
+    ("zenith_weighting", -0.8, 2e-3),
+    ("zenith_weighting", 0.1, 2e-3),
+    # Linear in its size.
+    ("pattern_width", 0.3, 1e-6),
+    ("pattern_width", -0.1, 1e-6),
+]
 
-def test_changes_of_the_sky_are_the_logarithm_of_with_over_without(world):
-    """To first order: a large turn against the tabulated change a degree times its angle."""
-    changes = relative_sky_changes(world.instrument)
-    own = compute_sky_power(world.instrument)
-    for name, option, amount in (
-        ("dipole_azimuth", "azimuth_deg", 2.0),
-        ("zenith_weighting", "zenith_exponent", 0.2),
-        ("pattern_width", "zenith_gain_fraction", 0.1),
-    ):
-        with_it = vary_sky_power(world.instrument, **{option: amount})
-        without = vary_sky_power(world.instrument, **{option: 0.0})
-        assert without.power["X"] == pytest.approx(own.power["X"], rel=1e-3)
-        for dipole in "XY":
-            expected = np.log(with_it.power[dipole] / without.power[dipole])
-            found = amount * np.log(changes[name].power[dipole])
-            assert np.linalg.norm(found - expected) < 0.06 * np.linalg.norm(expected), name
+
+@pytest.fixture(scope="module")
+def ratios(world):
+    return {name: ratio.at("XY", LST) for name, ratio in sky_ratios(world.instrument).items()}
+
+
+def relative(power):
+    """Shape (dipole, lst, freq) over its mean over LST."""
+    return power / power.mean(axis=1, keepdims=True)
+
+
+@pytest.fixture(scope="module")
+def own(world):
+    return vary_sky_power(world.instrument, lst_hours=LST)
+
+
+@pytest.mark.parametrize(("name", "size", "tolerance"), BETWEEN)
+def test_between_the_sizes_computed_the_ratio_is_the_exact_one(name, size, tolerance, ratios, own, world):
+    exact = vary_sky_power(world.instrument, lst_hours=LST, **{OPTION[name]: size})
+    expected = np.stack([exact.power[d] / own.power[d] for d in "XY"])
+    sky = np.stack([own.power[d] for d in "XY"])
+    assert relative(sky * ratios[name](np.array(size))) == pytest.approx(relative(sky * expected), rel=tolerance)
+
+
+def test_every_event_may_have_an_amount_of_its_own(ratios):
+    amounts = np.linspace(-0.3, 0.3, LST.size)
+    for name, ratio in ratios.items():
+        scale = 30.0 if name == "dipole_azimuth" else 1.0
+        together = ratio(scale * amounts[:, None])
+        apart = np.stack([ratio(np.array(scale * a))[:, k] for k, a in enumerate(amounts)], axis=1)
+        np.testing.assert_allclose(together, apart, rtol=1e-12)
+
+
+def test_no_size_is_no_change(ratios):
+    for ratio in ratios.values():
+        np.testing.assert_allclose(ratio(np.array(0.0)) * np.ones((2, 32, 51)), 1.0, rtol=1e-12)
+
+
+def test_a_source_adds_its_share(ratios):
     for source in ("Cas A", "Cyg A", "Tau A", "Vir A"):
-        share = np.log(changes[source].power["X"])
+        share = ratios[source](np.array(1.0)) - 1.0
         assert np.all(share >= -1e-12)
         assert 1e-4 < share.max() < 0.5
 
 
-def test_channels_that_the_own_models_do_not_cover_have_no_changes_of_the_sky(world):
+def test_channels_that_the_own_models_do_not_cover_have_no_ratios(world):
     outside = replace(world.instrument, frequency_mhz=world.instrument.frequency_mhz + 300.0)
-    assert relative_sky_changes(outside) == {}
+    assert sky_ratios(outside) == {}

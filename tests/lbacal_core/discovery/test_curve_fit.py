@@ -3,11 +3,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lbacal_core.discovery.curve_causes import curve_causes
 from lbacal_core.discovery.curve_fit import CurveFitter
+from lbacal_core.discovery.curve_station import GRID_HOURS, gather_curve, list_choices
 from lbacal_core.lstcurve.compare import AS_RECORDED, band_weights
 from lbacal_core.lstcurve.curve import LstCurve
 from lbacal_core.lstcurve.noise import estimate_noise
+from lbacal_core.skypower.differences import model_difference_modes
 
 BAND = (30.0, 80.0)
 LST = np.arange(48) / 2.0 + 0.25
@@ -15,40 +16,31 @@ NOISE_DB = 0.03
 
 
 @pytest.fixture(scope="module")
-def weights(chain):
-    return band_weights(chain, AS_RECORDED, BAND)
+def station(chain, sky):
+    return gather_curve(chain, sky, band_weights(chain, AS_RECORDED, BAND))
 
 
 @pytest.fixture(scope="module")
-def planted(chain, sky, weights):
-    """The causes as they act on the sky power of the file."""
-    return {cause.label: cause for cause in curve_causes(chain, sky, weights)}
+def causes(station):
+    return {choice.label: choice for choice in list_choices(station)}
 
 
 @pytest.fixture(scope="module")
-def causes(chain, fitter, weights):
-    """The same causes on the grid of the fits."""
-    return {cause.label: cause for cause in curve_causes(chain, fitter().sky, weights)}
-
-
-@pytest.fixture(scope="module")
-def fitter(sky, weights, planted):
+def fitter(station, causes):
     """A fitter of the curve that some causes make at some sizes, with 0.03 dB of noise."""
 
-    def make(changes=(), seed=1, scatter=NOISE_DB, instrument=None):
-        power = sky.power
-        for label, size in changes:
-            power = planted[label].act(power, size)
+    def make(changes=(), seed=1, scatter=NOISE_DB, modes=None):
+        planted = [causes[label] for label, _ in changes]
+        power = station.terms_with(planted, np.array([size for _, size in changes])).power().sum(axis=-1)
         rng = np.random.default_rng(seed)
         variation = {}
-        for dipole in "XY":
-            on_grid = power[dipole] @ weights
-            angle = 2 * np.pi * np.subtract.outer(LST, sky.lst_hours) / 24
-            order = np.arange(1, 40)
+        for dipole, on_grid in zip("XY", power, strict=True):
+            angle = 2 * np.pi * np.subtract.outer(LST, GRID_HOURS) / 24
+            order = np.arange(1, 16)
             series = (1 + 2 * np.cos(angle[..., None] * order).sum(axis=-1)) @ on_grid / on_grid.size
             variation[dipole] = 10 * np.log10(series / series.mean()) + scatter * rng.standard_normal(LST.size)
         curve = LstCurve(LST, variation, np.full(LST.size, 0.1), 0.5, True, "simulated")
-        return CurveFitter(curve, sky, weights, estimate_noise(curve), instrument)
+        return CurveFitter(curve, station, estimate_noise(curve), modes)
 
     return make
 
@@ -93,7 +85,7 @@ def test_a_cause_that_is_not_there_predicts_nothing(fitter, causes):
 def test_chi_squared_is_that_of_a_dense_covariance_with_a_free_offset_a_dipole(fitter):
     one = fitter()
     plain = one.fit(())
-    difference = one.measured - one.points_db(one.sky.power)
+    difference = one.measured - one.points_with((), np.zeros(0))
     inverse = np.linalg.inv(one.covariance)
     normal = one.offsets.T @ inverse @ one.offsets
     offsets = np.linalg.solve(normal, one.offsets.T @ inverse @ difference)
@@ -103,9 +95,10 @@ def test_chi_squared_is_that_of_a_dense_covariance_with_a_free_offset_a_dipole(f
     assert plain.dof == 94
 
 
-def test_the_spread_of_models_makes_errors_larger_for_the_own_sky_alone(fitter, causes, chain):
+def test_the_spread_of_models_makes_errors_larger(fitter, causes, chain):
+    modes = model_difference_modes(chain.frequency_mhz, GRID_HOURS, chain.dipole_azimuth_deg)
     cause = causes["zenith_weighting"]
-    given, own = fitter([(cause.label, 0.5)]), fitter([(cause.label, 0.5)], instrument=chain)
+    given, own = fitter([(cause.label, 0.5)]), fitter([(cause.label, 0.5)], modes=modes)
     assert given.model_variance == (0.0, 0.0)
     assert min(own.model_variance) > 1e-4
     assert own.fit((cause,)).sigmas[0] > 1.5 * given.fit((cause,)).sigmas[0]
@@ -124,9 +117,8 @@ def test_the_change_of_c_is_the_root_of_the_slope_of_the_new_power_on_the_old(fi
     one = fitter([("dipole_swap", 0.5)])
     fewer, more = one.fit(()), one.fit((causes["dipole_swap"],))
     change = one.calibration_change(fewer, more)
-    old = one.power_with(fewer.causes, fewer.sizes)
-    new = one.power_with(more.causes, more.sizes)
-    for dipole in "XY":
-        slopes = [np.polyfit(old[dipole][:, f], new[dipole][:, f], 1)[0] for f in range(51)]
+    old, new = (one.station.terms_with(fit.choices, fit.sizes).sky for fit in (fewer, more))
+    for d, dipole in enumerate("XY"):
+        slopes = [np.polyfit(old[d, :, f], new[d, :, f], 1)[0] for f in range(51)]
         # What follows the new model has, against the old one, that slope; its root is new C over old C.
         assert change[dipole] == pytest.approx(np.sqrt(np.maximum(slopes, 0.0)) - 1.0, abs=1e-9)

@@ -39,8 +39,8 @@ from lbacal_core.twin.faults.fault import Fault
 from lbacal_core.twin.settings import TwinSettings
 from lbacal_core.twin.view import View
 
-MOVING = tuple(cause.identifier for cause in CAUSES)
-"""Causes whose effect differs from event to event."""
+MOVING = tuple(cause.identifier for cause in CAUSES if cause.identifier != "missing_noise")
+"""Causes whose effect differs from event to event, on top of a baseline that contains all stages of noise."""
 STATIC = tuple(cause.identifier for cause in ANTENNA_CAUSES)
 """Causes seen by comparing antennas."""
 QUIET = {"radiometer": 512**-0.5 / 300, "event_gain_common": 1e-4, "event_gain_path": 1e-4}
