@@ -18,9 +18,9 @@ BETWEEN = [
     # A Fourier series of 8 angles: the beam has nothing above six times the azimuth.
     ("dipole_azimuth", 33.0, 1e-6),
     ("dipole_azimuth", -2.0, 1e-6),
-    # A polynomial through powers half apart; the effect itself is 20 %.
-    ("zenith_weighting", -0.8, 2e-3),
-    ("zenith_weighting", 0.1, 2e-3),
+    # A polynomial through eight powers; the effect itself is 20 %.
+    ("zenith_weighting", -0.8, 1e-3),
+    ("zenith_weighting", 0.02, 2e-6),
     # Linear in its size.
     ("pattern_width", 0.3, 1e-6),
     ("pattern_width", -0.1, 1e-6),
