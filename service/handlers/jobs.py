@@ -22,6 +22,7 @@ from service.handlers.request import (
 )
 from service.storage.jobs import Job
 from service.usecases.keys import Caller
+from service.wire.answer_models import JobAnswer, JobsAnswer, RefitAnswer
 from service.wire.answers import to_json
 from service.wire.bodies import RefitBody, parse_body
 from service.wire.instants import format_instant
@@ -33,6 +34,7 @@ Runner = Annotated[Caller, caller_with("refits:run")]
 @router.post(
     "/v1/refits",
     status_code=202,
+    response_model=RefitAnswer,
     summary="Ask for new fits",
     description="One window, one fit a version. `promote` puts those that pass the gate into effect for the window and "
     "also needs the scope `calibrations:promote`.",
@@ -53,6 +55,7 @@ def request_refit(
 
 @router.get(
     "/v1/jobs",
+    response_model=JobsAnswer,
     summary="List jobs",
     description="Newest first; `next` is the cursor of the next page.",
     responses=document(401, 422, 503),
@@ -71,6 +74,7 @@ def list_jobs(
 
 @router.get(
     "/v1/jobs/{number}",
+    response_model=JobAnswer,
     summary="One job",
     responses=document(401, 404, 422, 503),
     dependencies=[Depends(require_read)],
@@ -81,6 +85,7 @@ def get_job(request: Request, use: UseCases, number: JobNumber) -> Response:
 
 @router.post(
     "/v1/jobs/{number}/cancel",
+    response_model=JobAnswer,
     summary="Stop a job",
     description="What it has stored stays. A job that has ended cannot be stopped (409). Due work that was stopped is "
     "tried again after a day.",

@@ -41,8 +41,8 @@ def problem_of(error: LbacalError) -> Response:
 
 
 def document(*statuses: int) -> dict[int | str, dict[str, Any]]:
-    """What a route's errors look like, for the OpenAPI document; any may be told to come later, and any body slow."""
-    every = sorted({*statuses, 429, 503, *([408] if 415 in statuses else [])})
+    """What a route's errors look like, for the OpenAPI document: any may be told to wait, any body be slow or large."""
+    every = sorted({*statuses, 429, 503, *([408, 413] if 415 in statuses else [])})
     return {s: {"description": STATUSES[s], "content": {"application/problem+json": {}}} for s in every}
 
 

@@ -23,6 +23,7 @@ from service.handlers.request import (
 )
 from service.storage.spectra import StoredEvent
 from service.usecases.keys import Caller
+from service.wire.answer_models import EventAnswer, EventsAnswer, ReceiptAnswer, ReceiptsAnswer
 from service.wire.bodies import FlagBody, SpectraBody, parse_body
 from service.wire.instants import format_instant, parse_instant
 
@@ -33,10 +34,14 @@ Writer = Annotated[Caller, caller_with("spectra:write")]
 @router.post(
     "/v1/spectra",
     status_code=201,
+    response_model=ReceiptAnswer,
     summary="Store spectra",
     description="A whole batch or nothing, as JSON or as a spectra file (HDF5); sending the same again does no harm. "
     "201 if anything was stored, else 200.",
-    responses=document(400, 401, 403, 409, 413, 415, 422, 503),
+    responses={
+        200: {"description": "all of them were there", "model": ReceiptAnswer},
+        **document(400, 401, 403, 409, 415, 422, 503),
+    },
     openapi_extra=describes(SpectraBody, HDF5),
 )
 def store_spectra(request: Request, use: UseCases, _caller: Writer, body: SpectraUpload) -> Response:
@@ -47,6 +52,7 @@ def store_spectra(request: Request, use: UseCases, _caller: Writer, body: Spectr
 
 @router.get(
     "/v1/spectra/receipts",
+    response_model=ReceiptsAnswer,
     summary="Which bodies are stored already",
     description="Of the bodies named by the SHA-256 of their bytes, those whose spectra are all stored: they need not "
     "be sent again.",
@@ -63,6 +69,7 @@ def list_receipts(
 
 @router.get(
     "/v1/events",
+    response_model=EventsAnswer,
     summary="List stored events",
     description="In order of arrival, with the count of their spectra; `next` is the cursor of the next page.",
     responses=document(401, 422, 503),
@@ -92,6 +99,7 @@ def list_events(
 
 @router.post(
     "/v1/events/{event_id}/flag",
+    response_model=EventAnswer,
     summary="Set or clear the quality flag of an event",
     description="A flagged event is left out of fits; null clears. Who did it and why is kept.",
     responses=document(400, 401, 403, 404, 415, 422, 503),

@@ -15,6 +15,7 @@ from service.scheduler import look_again, look_for_due_work
 from service.storage.jobs import LeaseLostError, Part
 from service.storage.processes import WORKER
 from service.usecases.pulse import Pulse
+from service.wire.answer_models import JobAnswer
 from service.worker import Worker
 
 YEAR = {"since": "2014-01-01", "until": "2015-01-01"}
@@ -46,6 +47,7 @@ def test_a_refit_makes_the_versions_that_the_fit_alone_makes(
     work(station)
     job = http.get(f"/v1/jobs/{number}").json()
     assert (job["state"], job["progress"], job["error"]) == ("done", 1.0, None)
+    JobAnswer.model_validate(job)
     assert len(job["calibrations"]) == len(job["promoted"]) == 8
     window = campaign.select(campaign.time_unix < np.datetime64("2015-01-01", "s").astype(float))
     expected = {c.name: c for c in fit_calibration(window, station.instrument, station.sky_power, "antenna").curves}
