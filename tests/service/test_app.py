@@ -1,9 +1,31 @@
 from __future__ import annotations
 
-from fastapi.testclient import TestClient
+from collections import Counter
 
-from service.app import GZIP_FROM
+import pytest
+import schemathesis
+from fastapi.testclient import TestClient
+from hypothesis import HealthCheck, Phase, given, settings, strategies
+from schemathesis.specs.openapi.checks import (
+    content_type_conformance,
+    response_headers_conformance,
+    response_schema_conformance,
+    status_code_conformance,
+)
+
+from service.app import GZIP_FROM, make_app
+from service.factory import Factory
 from service.page.assets import load_assets
+from service.storage.versions import Version
+
+EXAMPLES = 5
+"""Requests to each route, made up from its schema: 90 to 100 in all."""
+CONFORMANCE = [
+    content_type_conformance,
+    response_headers_conformance,
+    response_schema_conformance,
+    status_code_conformance,
+]
 
 
 def test_a_large_answer_is_compressed_for_those_who_accept_that(client: TestClient) -> None:
@@ -15,3 +37,38 @@ def test_a_large_answer_is_compressed_for_those_who_accept_that(client: TestClie
     assert 2 * int(packed.headers["content-length"]) < int(plain.headers["content-length"])
     assert "accept-encoding" in plain.headers["vary"].lower()
     assert "content-encoding" not in client.get(small.url).headers
+
+
+@pytest.mark.parametrize("database_url", ["sqlite"], indirect=True)
+@pytest.mark.parametrize("scope", ["admin", "read"])
+def test_every_route_answers_what_its_schema_allows_as_its_schema_says(
+    factory: Factory, stored: dict[str, Version], scope: str
+) -> None:
+    _, key = factory.keys.create((scope,))
+    known = {"version_id": stored["path"].id, "first": stored["path"].id, "second": stored["other"].id}
+    statuses: Counter[int] = Counter()
+    for found in schemathesis.openapi.from_asgi("/openapi.json", make_app(factory)).get_all_operations():
+        operation = found.ok()
+
+        @settings(
+            max_examples=EXAMPLES,
+            deadline=None,
+            derandomize=True,
+            database=None,
+            phases=[Phase.generate],
+            suppress_health_check=list(HealthCheck),
+        )
+        @given(case=operation.as_strategy(), is_known=strategies.booleans())
+        def ask(case: schemathesis.Case, is_known: bool) -> None:
+            if is_known:
+                case.path_parameters.update({name: known[name] for name in case.path_parameters if name in known})
+            answer = case.call(headers={"Authorization": f"Bearer {key}"})
+            case.validate_response(answer, checks=CONFORMANCE)
+            # nobody works here, and readiness says so
+            assert answer.status_code < 500 or (case.path, answer.status_code) == ("/readyz", 503)
+            statuses[answer.status_code] += 1
+
+        ask()
+    assert statuses[200] > 0
+    assert (statuses[403] > 0) == (scope == "read")
+    assert statuses[401] == 0
