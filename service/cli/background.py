@@ -43,7 +43,9 @@ def _schedule(factory: Factory, stop: threading.Event) -> None:
 
 
 def _end_with_parent() -> None:
-    sys.stdin.buffer.read()
+    # not through sys.stdin, whose lock would abort an interpreter that ends while this waits
+    while os.read(0, 4096):
+        pass
     # at once: a part begun is not lost, its lease passes to the next worker
     os._exit(0)
 

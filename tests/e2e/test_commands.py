@@ -85,6 +85,17 @@ def test_the_schema_is_checked(service: Any, tmp_path: Any) -> None:
     assert "run `lbacal db upgrade`" in empty.stderr
 
 
+def test_status_shows_who_lives_and_what_was_done(service: Any) -> None:
+    said = service.run("status")
+    assert said.returncode == 0, said.stderr
+    lines = said.stdout.splitlines()
+    assert lines[0] == "ready"
+    assert {line.split()[0] for line in lines[1:4]} == {"api", "scheduler", "worker"}
+    assert any(line.startswith("parts of jobs: 0 queued, 0 running, ") for line in lines)
+    absent = service.run("status", LBACAL_URL="http://127.0.0.1:9")
+    assert (absent.returncode, len(absent.stderr.splitlines())) == (1, 1)
+
+
 def test_keys_are_listed_without_their_text(service: Any) -> None:
     made = service.run(
         "keys", "create", "--scope", "read", "--scope", "refits:run", "--expires", "7"
