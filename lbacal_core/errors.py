@@ -1,4 +1,4 @@
-"""Failures a user can cause or cure: each says what was found, what was expected and what to do next."""
+"""Failures a user can cause or cure: each states what was found, what was expected and what to do next."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ LONGEST_FOUND = 120
 
 
 class LbacalError(Exception):
-    """An expected failure, told in one line. `status` is its HTTP status, `code` its stable short name."""
+    """An expected failure, stated in one line. `status` is its HTTP status, `code` its stable short name."""
 
     status = 500
     code = "failed"

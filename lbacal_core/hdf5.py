@@ -69,7 +69,7 @@ def open_dataset(file: h5py.File, name: str, kind: Kind, here: str) -> h5py.Data
 
 
 def read_values(dataset: h5py.Dataset, kind: Kind, here: str) -> NDArray[Any]:
-    """Read all values, unless the file holds fewer than the shape says."""
+    """Read all values, unless the file holds fewer than the shape has."""
     stored = dataset.id.get_storage_size()
     if dataset.nbytes > stored * (_LARGEST_DEFLATION if dataset.chunks else 1):
         raise BadInputError(here, f"{dataset.size} values", f"{stored} bytes, too few to hold them")

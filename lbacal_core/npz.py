@@ -17,7 +17,7 @@ _FAILURES = (OSError, ValueError, EOFError, KeyError, RuntimeError, MemoryError,
 
 
 def read_npz(path: Path, wanted: tuple[str, ...], words: str) -> dict[str, NDArray[Any]]:
-    """Read every array of a file that must hold the wanted ones.
+    """Read every array of a file, which must hold the required ones.
 
     Parameters
     ----------

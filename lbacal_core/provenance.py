@@ -43,7 +43,7 @@ def hash_arrays(*arrays: Any) -> str:
 class Provenance:
     """The inputs of a result by name and hash, the settings used and the versions of what made it.
 
-    `notes` tells by the name of an input what was done to it on the way.
+    `notes` states by the name of an input what was done to it on the way.
     """
 
     inputs: Mapping[str, str]

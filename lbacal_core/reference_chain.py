@@ -1,4 +1,4 @@
-"""The reference chain: what a curve of a station or of the array belongs to, and what it says of each path's own cable.
+"""The reference chain: what a curve of a station or of the array belongs to, and how it applies to a path's own cable.
 
 The mean power of paths p is that of one chain, the reference chain, whose slope is the mean of theirs (eq. full_chain):
 

@@ -14,7 +14,7 @@ from lbacal_core.spectra import Spectra
 
 @dataclass(frozen=True)
 class SpectraBlock:
-    """The spectra of one station's dipoles of one letter on a full (antenna, event) grid.
+    """The spectra of one polarisation of a station on a full (antenna, event) grid.
 
     Attributes
     ----------

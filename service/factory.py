@@ -97,7 +97,7 @@ class Factory:
 
     @cached_property
     def jobs(self) -> Jobs:
-        """What was asked for and how far it is."""
+        """A requested job and its progress."""
         return Jobs(self.database, self.clock)
 
     @cached_property

@@ -24,7 +24,7 @@ _EXPECTED = {
     "string_too_long": "at most {max_length} characters",
     "string_too_short": "at least {min_length} character",
 }
-"""By pydantic's names of errors; they keep the letters of what is expected, so that X stays X."""
+"""By pydantic's names of errors; they keep the case of the expected values, so that X stays X."""
 _BEGINNING = re.compile(r"^(?:Input should be|Input should|Value error,) ")
 
 

@@ -1,4 +1,4 @@
-"""The worker: claims parts one by one, does them, and tells meanwhile that it lives."""
+"""The worker: claims parts one by one, does them, and records meanwhile that it lives."""
 
 from __future__ import annotations
 

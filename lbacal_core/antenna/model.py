@@ -16,7 +16,7 @@ class AntennaModel(Protocol):
     """One dipole of an antenna; both dipoles of an LBA are the same model turned by the azimuth of their arms.
 
     The angle that places a direction is `azimuth_from_arm`: azimuth of the direction minus azimuth of the arm,
-    both north through east. A dipole is named by the azimuth of its arm, never by a letter alone.
+    both north through east. The azimuth of its arm defines a dipole; ``X`` or ``Y`` alone does not.
     """
 
     @property

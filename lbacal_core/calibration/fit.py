@@ -59,7 +59,7 @@ class _Paths:
 
     owners: list[tuple[str | None, int | None, str]]
     power: Floats
-    excess: Floats
+    relative_variance: Floats
     lst_hours: Floats
     members: Sequence[tuple[str, int]] = ()
     singles: SinglePaths | None = None
@@ -75,12 +75,12 @@ def fit_calibration(spectra: Spectra, instrument: Instrument, sky_power: SkyPowe
     instrument, sky_power
         On the same channels as the spectra.
     scope
-        ``antenna`` (one curve a path), ``station`` or ``array`` (one curve a dipole letter).
+        ``antenna`` (one curve a path), ``station`` or ``array`` (one curve a polarisation).
 
     Returns
     -------
-    One curve per path, station or array and dipole letter; a curve that could not be fitted says why in its status. A
-    curve of a station or of the array is that of a reference chain, which the report states beside it.
+    One curve per path, or per station or array and polarisation. The status of a curve gives the reason where the fit
+    failed. A curve of a station or of the array is that of a reference chain, which the report states beside it.
     """
     if scope not in SCOPES:
         raise BadInputError("scope", ", ".join(SCOPES), repr(scope))
@@ -95,7 +95,7 @@ def fit_calibration(spectra: Spectra, instrument: Instrument, sky_power: SkyPowe
 
     def fit_paths(paths: _Paths) -> list[tuple[CalibrationCurve, ReferenceChain | None]]:
         sky = sky_power.at(paths.owners[0][2], paths.lst_hours)
-        curves = _fit_paths(paths, fit_lines(paths.power, sky, paths.excess), instrument)
+        curves = _fit_paths(paths, fit_lines(paths.power, sky, paths.relative_variance), instrument)
         return [(curve, _chain_of(curve, paths, instrument, table, cable_of)) for curve in curves]
 
     # NumPy leaves the interpreter's lock in its loops, so blocks of paths share the cores as threads; the threads that
@@ -162,11 +162,11 @@ def _paths_of_scope(
 
 def _paths_of_block(block: SpectraBlock, instrument: Instrument, typical_blocks: float) -> _Paths:
     with np.errstate(divide="ignore"):
-        excess = typical_blocks / block.blocks
+        relative_variance = typical_blocks / block.blocks
     return _Paths(
         owners=[(block.station, int(antenna), block.dipole) for antenna in block.antennas],
         power=block.power,
-        excess=excess,
+        relative_variance=relative_variance,
         lst_hours=local_sidereal_time(block.time_unix, instrument.longitude_deg),
     )
 
@@ -195,12 +195,12 @@ def _mean_path(
     for part, block in zip(parts, blocks, strict=True):
         at = np.searchsorted(events, block.event_id)
         lst_hours[at] = part.lst_hours
-        has_enough = np.isfinite(part.excess).sum(axis=1) >= MIN_EVENTS
+        has_enough = np.isfinite(part.relative_variance).sum(axis=1) >= MIN_EVENTS
         if not np.any(has_enough):
             continue
-        power, precision = part.power[has_enough], 1.0 / part.excess[has_enough]
+        power, precision = part.power[has_enough], 1.0 / part.relative_variance[has_enough]
         sky = sky_power.at(dipole, part.lst_hours)
-        lines = fit_lines(power, sky, part.excess[has_enough])
+        lines = fit_lines(power, sky, part.relative_variance[has_enough])
         deviation[at] += np.einsum("pe,pef->ef", precision, power / lines.power(sky) - 1.0)
         weight[at] += precision.sum(axis=0)
         slope += lines.slope.sum(axis=0)
@@ -215,11 +215,11 @@ def _mean_path(
     mean = (slope * sky + intercept) / max(len(members), 1)
     power = np.where(has_data[:, None], mean * (1.0 + deviation / np.maximum(weight, 1e-300)[:, None]), 1.0)
     typical = np.median(weight[has_data]) if np.any(has_data) else 1.0
-    excess = np.where(has_data, typical / np.where(has_data, weight, 1.0), np.inf)
+    relative_variance = np.where(has_data, typical / np.where(has_data, weight, 1.0), np.inf)
     return _Paths(
         [(station, None, dipole)],
         power[None],
-        excess[None],
+        relative_variance[None],
         lst_hours,
         members,
         join_paths(singles) if singles else None,
@@ -264,7 +264,7 @@ def _design(instrument: Instrument) -> Floats:
 
 def _fit_paths(paths: _Paths, lines: Lines, instrument: Instrument) -> list[CalibrationCurve]:
     """The chain fitted to the lines of a batch of paths, with the status of each."""
-    is_present = np.isfinite(paths.excess)
+    is_present = np.isfinite(paths.relative_variance)
     events = is_present.sum(axis=1)
     bins = np.floor(paths.lst_hours / 24.0 * LST_BINS).astype(int) % LST_BINS
     is_covered = np.zeros((len(paths.owners), LST_BINS), dtype=bool)

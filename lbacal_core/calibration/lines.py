@@ -24,7 +24,7 @@ RIDGE = 1e-12
 
 @dataclass(frozen=True)
 class Lines:
-    """Lines of paths with what the spectra say about them.
+    """Straight lines of paths, with their information matrices and noise levels.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ class Lines:
         return self.slope[:, None, :] * sky_power + self.intercept[:, None, :]
 
 
-def fit_lines(power: Floats, sky_power: Floats, excess: Floats) -> Lines:
+def fit_lines(power: Floats, sky_power: Floats, relative_variance: Floats) -> Lines:
     """Fit the lines by generalised least squares with noise levels estimated from the data.
 
     The weights come from lines fitted without weights (right to 1 %), not from the recorded power, which would favour
@@ -58,11 +58,11 @@ def fit_lines(power: Floats, sky_power: Floats, excess: Floats) -> Lines:
         Recorded power, shape (path, event, freq), ADC^2/Ohm/MHz; any finite number where absent.
     sky_power
         P_sky, shape (event, freq).
-    excess
+    relative_variance
         Variance of the radiometer noise over that of the typical spectrum, shape (path, event); infinite where absent.
     """
     parts = [slice(k, k + PATHS_AT_ONCE) for k in range(0, power.shape[0], PATHS_AT_ONCE)]
-    lines = [_fit_part(power[part], sky_power, excess[part]) for part in parts]
+    lines = [_fit_part(power[part], sky_power, relative_variance[part]) for part in parts]
     return Lines(
         np.concatenate([part.slope for part in lines]),
         np.concatenate([part.intercept for part in lines]),
@@ -74,15 +74,15 @@ def fit_lines(power: Floats, sky_power: Floats, excess: Floats) -> Lines:
     )
 
 
-def _fit_part(power: Floats, sky_power: Floats, excess: Floats) -> Lines:
-    slope, intercept = _unweighted_lines(power, sky_power, np.isfinite(excess).astype(float))
+def _fit_part(power: Floats, sky_power: Floats, relative_variance: Floats) -> Lines:
+    slope, intercept = _unweighted_lines(power, sky_power, np.isfinite(relative_variance).astype(float))
     inverse_model = slope[:, None, :] * sky_power
     inverse_model += intercept[:, None, :]
     np.reciprocal(inverse_model, out=inverse_model)
     residual = power * inverse_model
     residual -= 1.0
-    levels = estimate_noise_levels(residual, excess, fitted_per_channel=2)
-    step, information = _correlated_step(residual, sky_power, inverse_model, excess, levels)
+    levels = estimate_noise_levels(residual, relative_variance, fitted_per_channel=2)
+    step, information = _correlated_step(residual, sky_power, inverse_model, relative_variance, levels)
     return Lines(slope + step[:, 0], intercept + step[:, 1], information, levels)
 
 
@@ -95,7 +95,7 @@ def _unweighted_lines(power: Floats, sky_power: Floats, is_present: Floats) -> t
     y0 = _sum_events(is_present, power)
     y1 = _sum_events(is_present, power * sky)
     determinant = w0 * w2 - w1**2
-    # a sky that varies by less than a millionth says nothing about the slope
+    # a sky that varies by less than a millionth does not determine the slope
     has_spread = determinant > 1e-12 * w0**2
     tilt = np.where(has_spread, (w0 * y1 - w1 * y0) / np.where(has_spread, determinant, 1.0), 0.0)
     level = np.maximum((y0 - w1 * tilt) / w0, np.where(y0 > 0, 1e-6 * y0 / w0, 1.0))
@@ -103,7 +103,7 @@ def _unweighted_lines(power: Floats, sky_power: Floats, is_present: Floats) -> t
 
 
 def _correlated_step(
-    residual: Floats, sky_power: Floats, inverse_model: Floats, excess: Floats, levels: NoiseLevels
+    residual: Floats, sky_power: Floats, inverse_model: Floats, relative_variance: Floats, levels: NoiseLevels
 ) -> tuple[Floats, Floats]:
     """One step to the generalised least-squares lines, shape (path, 2, freq), and their information matrix.
 
@@ -112,9 +112,9 @@ def _correlated_step(
     of c (d V 1) (d V 1)^T. Overwrites `inverse_model`.
     """
     paths, events, channels = residual.shape
-    precision = 1.0 / excess
+    precision = 1.0 / relative_variance
     weight = levels.radiometer**-2
-    shared = levels.shared_weight(excess)
+    shared = levels.shared_weight(relative_variance)
     common = precision * np.matmul(residual, weight[:, :, None])[:, :, 0]
 
     rows = np.empty((paths, events, 2 * channels))

@@ -1,4 +1,4 @@
-"""What a path is told: a curve carried through the cable that the path has, with the error that this costs."""
+"""Carry a curve through the cable that a path has, with the error of the conversion."""
 
 from __future__ import annotations
 

@@ -39,7 +39,7 @@ class SeparableSolution:
     q
         Shape (problem, k).
     covariance
-        Of (x, n, q), shape (problem, m + 1 + k, m + 1 + k); NaN where not identifiable.
+        Covariance of (x, n, q), shape (problem, m + 1 + k, m + 1 + k); NaN where not identifiable.
     chi2
         Shape (problem,); m - 1 - k degrees of freedom.
     is_converged, is_identifiable

@@ -1,1 +1,1 @@
-"""Physical causes of a wrong simulation, one file a stage of the chain: read `terms`, then `catalogue`."""
+"""Physical causes of a wrong simulation, one file a stage of the chain: read `cause`, then `catalogue`."""

@@ -17,7 +17,7 @@ NO_TEMPERATURE = f"no column {TEMPERATURE} that varies and is known on {FEWEST_K
 
 @dataclass(frozen=True)
 class TemperatureCause(Cause):
-    """Something that follows temperature at once."""
+    """A cause that follows temperature without delay."""
 
     needs: str = NO_TEMPERATURE
     axes: Sequence[str] = ("temperature",)
@@ -37,7 +37,7 @@ class TemperatureCause(Cause):
 
 @dataclass(frozen=True)
 class StepCause(Cause):
-    """Something that steps at a date."""
+    """A cause that steps at a date."""
 
     axes: Sequence[str] = ("date",)
     scopes: Sequence[str] = SCOPES

@@ -21,8 +21,8 @@ SEASON_SPAN_S = 250 * 86_400.0
 
 CIRCUIT = ResonanceCircuit()
 STIFFNESS = (2.0 / (2 * np.pi)) ** 4
-"""Of the spline through ln A(nu): it halves waves of 2 MHz, in channels of 1 MHz. Details of 4 MHz belong to the curve:
-smoothed away, they cost a quarter of the score of a widening."""
+"""Smoothing of the spline through ln A(nu) in channels of 1 MHz: it halves waves of 2 MHz, the noise of the fit, and
+keeps details of 4 MHz, without which the score of a widening loses a quarter."""
 
 
 @dataclass(frozen=True)
@@ -47,9 +47,9 @@ class DipoleSwap(Cause):
 
 @dataclass(frozen=True)
 class ResonanceCause(Cause):
-    """Something of the resonance that follows temperature, season or wetness.
+    """A property of the resonance that follows temperature, season or wetness.
 
-    What it does along frequency depends on what resonates: the curve of G_ant as a whole (``curve``), or the circuit of
+    Its spectral template depends on what resonates: the curve of G_ant as a whole (``curve``), or the circuit of
     dipole and LNA behind which the other losses stay (``circuit``).
     """
 
@@ -59,7 +59,7 @@ class ResonanceCause(Cause):
     spectral_parameters: Sequence[str] = ("model",)
 
     def templates(self, conditions: Conditions) -> list[Template]:
-        """What a mechanical or chemical property can follow."""
+        """One template for each covariate or season that a mechanical or chemical property can follow."""
         followed: list[dict[str, Any]] = []
         if conditions.covariate(TEMPERATURE) is not None:
             followed.append({"follows": "temperature"})
@@ -160,7 +160,7 @@ class ResonanceWidth(ResonanceCause):
 def fitted_log_gain(terms: ChainTerms, conditions: Conditions) -> Floats:
     """Ln (G_ant A) of the station as fitted, mean over classes and smoothed in frequency, shape (freq,).
 
-    What varies from channel to channel is the noise of the fit.
+    Smoothing removes the noise of the fit from channel to channel.
     """
     behind = conditions.receiver_gain * np.exp(conditions.cable_log_loss[:, None, :])
     # Other causes may have made the gain depend on the event: the mean counts.

@@ -1,6 +1,6 @@
 """The axes of the data: one list, used by causes, by the search for residual structure, and by figures.
 
-An axis is one entry: its values at the events, and the smooth functions of it that structure is looked for with.
+An axis is one entry: its values at the events, and the smooth functions of it that describe residual structure.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from lbacal_core.causes.conditions import RAIN, TEMPERATURE, Conditions
 from lbacal_core.grids import Floats
 
 HARMONICS = 5
-"""Of a day in LST or UTC; the sky has fewer (|m| <= 4 within 1 %)."""
+"""Number of harmonics of a day in LST or UTC; the sky has fewer (|m| <= 4 within 1 %)."""
 DATE_WAVES = 10
 """Half waves over the data: structure of five weeks in a year."""
 POLYNOMIALS = 4
@@ -49,7 +49,7 @@ class Axis:
     along: str
 
     def basis(self, conditions: Conditions) -> Floats | None:
-        """Smooth functions of the axis, shape (function, event), 0 where it is not known; None where data lack it."""
+        """Smooth functions of the axis, shape (function, event), 0 where it is unknown; None where the data lack it."""
         values = self.values(conditions)
         if values is None:
             return None
@@ -109,7 +109,7 @@ AXES: tuple[Axis, ...] = (
     Axis("rain", "rain (mm/h)", lambda c: c.covariate(RAIN), _wet, "rain"),
     *(_period(days) for days in PERIODS_D),
 )
-"""Every axis that is looked along; an axis or covariate more is one entry here."""
+"""Every axis of the data; an axis or covariate more is one entry here."""
 
 
 def axes_of(conditions: Conditions) -> set[str]:
@@ -118,5 +118,5 @@ def axes_of(conditions: Conditions) -> set[str]:
 
 
 def axis_named(name: str) -> Axis:
-    """The axis of a report."""
+    """Find an axis by its name in a report."""
     return next(axis for axis in AXES if axis.name == name)

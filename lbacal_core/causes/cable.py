@@ -1,7 +1,7 @@
-"""Causes in the cables that are static: seen only by comparing an antenna with others of the same cable name.
+"""Causes in the cables that are constant in time: only a comparison of antennas of one cable name shows them.
 
-A(nu) is shared by the antennas of a station, so a static departure of one antenna's front gain along frequency can be
-told from it. Antennas of one cable name are not compared with those of another: the noise of the common event gain
+The antennas of a station share A(nu), so that a departure of one antenna's front gain along frequency is visible
+beside it. Antennas of one cable name are not compared with those of another: the noise of the common event gain
 moves the slopes of short and long cables apart, all together and far beyond the error of each.
 `StaticShape` gives the departure of ln C^-2 = ln (A L_coax G_RCU S) that a cause makes.
 """
@@ -31,7 +31,7 @@ class StaticShape:
 
 @dataclass(frozen=True)
 class AntennaCause(Description):
-    """A cause that is static, and seen by comparing an antenna with others of its cable name."""
+    """A cause that is constant in time: a comparison with other antennas of the same cable name shows it."""
 
     scopes: Sequence[str] = ("antenna",)
     axes: Sequence[str] = ("antenna", "frequency")
@@ -45,7 +45,7 @@ class AntennaCause(Description):
         return [shape]
 
     def note(self, parameters: Mapping[str, float], size: float) -> str:  # noqa: ARG002
-        """What the size does not say."""
+        """A remark on the meaning of the size."""
         return ""
 
 

@@ -21,7 +21,7 @@ from lbacal_core.grids import Floats
 EDGE = 1e-3
 """Share of a range that counts as its end."""
 SCOPES = ("path", "antenna", "cable", "station")
-"""Whom a cause can concern: one path, the two paths of an antenna, all paths of a cable name, the whole station."""
+"""Kinds of targets: one path, the two paths of an antenna, all paths of a cable name, the whole station."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class SizeRange:
 
 @dataclass(frozen=True)
 class Description:
-    """What people read of a cause; `docs/causes.md` is written from it.
+    """The texts about a cause that a reader of reports sees; `docs/causes.md` is written from them.
 
     Attributes
     ----------
@@ -71,11 +71,11 @@ class Description:
     confirm
         How other means could confirm it.
     needs
-        Why data that have no template of it cannot show it.
+        What data must have to show it: the reason in a report where they have not.
     axes
         Axes of the data along which it acts (`lbacal_core.causes.axes`).
     scopes
-        Whom it can concern, a subset of `SCOPES`.
+        Kinds of targets that it can affect, a subset of `SCOPES`.
     """
 
     identifier: str
@@ -94,11 +94,11 @@ class Cause(Description):
     Attributes
     ----------
     spectral_parameters
-        Names of the parameters that make its spectral template; all others say when it acts.
+        Names of the parameters that make its spectral template; all others make its time profile.
     step
         A small size, for the derivative of the model.
     largest_step
-        By which a fit moves the size at most; infinite where the model is close to linear.
+        Largest change of the size in one step of a fit; infinite where the model is close to linear.
     acts_by_ratio
         Whether it multiplies P_sky by own(with)/own(without), from the package's own sky and antenna.
     sizes
@@ -112,7 +112,7 @@ class Cause(Description):
     sizes: SizeRange = SizeRange()
 
     def templates(self, conditions: Conditions) -> list[Template]:  # noqa: ARG002 - most have one whatever the data
-        """The members of the family to be tried on these data; empty where they can show none."""
+        """The templates of the family that a scan of these data tries; empty where the data cannot show the cause."""
         return [Template()]
 
     def far_templates(self, conditions: Conditions) -> list[Template]:  # noqa: ARG002
@@ -136,7 +136,7 @@ class Cause(Description):
         return frozenset({self.label(template)})
 
     def covariates(self, template: Template) -> Sequence[str]:  # noqa: ARG002
-        """Columns that must be known at an event for the template to say anything of it."""
+        """Covariates that the template needs: events without them are left out."""
         return ()
 
     def time_profile(self, conditions: Conditions, template: Template) -> Floats:  # noqa: ARG002
@@ -144,23 +144,23 @@ class Cause(Description):
         return np.ones((conditions.time_unix.size, 1))
 
     def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:
-        """The model with this cause by an amount, shape (event, 1) or scalar; an amount of 0 changes nothing."""
+        """The chain with this cause acting by an amount, shape (event, 1) or scalar; an amount of 0 changes nothing."""
         raise NotImplementedError
 
     def apply(self, terms: ChainTerms, conditions: Conditions, template: Template, size: float) -> ChainTerms:
-        """The model with this cause at a size."""
+        """The chain with this cause at a size."""
         return self.act(terms, conditions, template, size * self.time_profile(conditions, template))
 
     def finer_templates(self, conditions: Conditions, template: Template) -> list[Template]:  # noqa: ARG002
-        """Templates about one that was found, closer together than those that are tried first."""
+        """Templates about one that was found, on a finer grid than that of `templates`."""
         return [template]
 
     def is_another(self, template: Template, earlier: Template) -> bool:  # noqa: ARG002
-        """Whether a target can have the cause with both templates, as with dates, channels and sources."""
+        """Whether both templates can be present in one target, as two dates, two lines or two sources can."""
         return False
 
     def spectral_key(self, template: Template) -> tuple[Any, ...]:
-        """What tells spectral templates apart; templates with one key differ in their time profile alone."""
+        """Key of the spectral template; templates with the same key differ in their time profile alone."""
         return tuple(template.parameters[name] for name in self.spectral_parameters)
 
     def known_events(self, conditions: Conditions, template: Template) -> NDArray[np.bool_]:

@@ -16,9 +16,9 @@ YEAR_S = 365.25 * 86_400.0
 TEMPERATURE, RAIN = "temperature_c", "rain_mm_h"
 OTHER = {"X": "Y", "Y": "X"}
 FEWEST_KNOWN = 60
-"""Events on which a covariate must be known before anything can follow it: as many as a path needs to be fitted."""
+"""Smallest number of events on which a covariate must be known: as many as the fit of a path needs."""
 HOURS_BINS, FEWEST_IN_HOURS = 8, 4
-"""Parts of the day, and the events that each must hold, before hours can be told apart."""
+"""Parts of the day, and the events that each must hold so that an effect at some hours can be seen."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Conditions:
         What was recorded with the events, such as ``temperature_c``, by the name of its column; shape (event,), NaN
         where unknown.
     dipoles, cables
-        Dipole letter and cable name of each class.
+        Polarisation and cable name of each class.
     mean_sky
         Mean P_sky over LST, shape (class, freq).
     other_sky
@@ -179,7 +179,7 @@ class Conditions:
 
     @property
     def has_all_hours(self) -> bool:
-        """Whether the events cover all UTC hours, so that hours can be told apart."""
+        """Whether the events cover all UTC hours, so that an effect at some hours can be seen."""
         return bool(np.histogram(self.utc_hours, bins=HOURS_BINS, range=(0, 24))[0].min() >= FEWEST_IN_HOURS)
 
     def after(self, date_unix: float) -> Floats:

@@ -13,9 +13,9 @@ from lbacal_core.chain.terms import ChainTerms
 from lbacal_core.grids import Floats
 
 CLEAR_MHZ = 4.0
-"""Lines closer to each other are one disturbance, which has not the shape of a line."""
+"""Distance below which two lines are one disturbance, whose spectrum is not that of a line."""
 WINDOWS = ((0, 24), *((begin, (begin + hours) % 24) for hours in (12, 6) for begin in range(24)))
-"""UTC hours that are tried: the whole day, and halves and quarters of it from every hour."""
+"""UTC hours of the templates: the whole day, and halves and quarters of it from every hour."""
 
 
 @dataclass(frozen=True)

@@ -1,1 +1,1 @@
-"""What the simulation gets wrong: read `investigate`, then `baseline`, `whitening`, `scan` and `leftover`."""
+"""What the simulation gets wrong: read `search`, then `view`, `project`, `scan`, `refit` and `residual_structure`."""

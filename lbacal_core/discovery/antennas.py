@@ -1,9 +1,9 @@
-"""Static departures of single antennas along frequency: wrong lengths, reflections.
+"""Comparison of antennas: departures of single antennas along frequency that are constant in time.
 
-A(nu) is common to a station's antennas. Every antenna departs from it a little, and how much along each shape is seen
-from all antennas against others of their cable name: one is claimed only if it lies outside the prediction interval of
-the rest (Student's t, leave one out). Antennas of one cable name are not compared with those of another: the noise of
-the common event gain moves the slopes of short and long cables apart, all together.
+A(nu) is common to a station's antennas, and every antenna departs from it a little. The scatter of these departures
+along each template is measured from all antennas against others of their cable name. An antenna is a finding only if it
+lies outside the prediction interval of the others (Student's t, leave one out). Antennas of different cable names are
+not compared: the noise of the common event gain moves the slopes of short and long cables apart, all together.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ from lbacal_core.discovery.trials import p_of, sigma_of, trials_factor
 from lbacal_core.grids import Floats
 
 FEWEST_COMPARISONS = 3
-"""Antennas less cable names: so many independent comparisons there must be."""
+"""Smallest number of independent comparisons: antennas less cable names."""
 REACH_US, SMOOTH_US = 0.08, 0.1
-"""Delays so close are taken to scatter alike between antennas; below the second each by itself, because the smooth
-departures of antennas are larger the smoother they are."""
+"""Delays that differ by less than the first pool their scatter between antennas. A delay below the second does not:
+departures of antennas are larger the smoother they are, so that neighbouring short delays scatter differently."""
 
 
 @dataclass(frozen=True)
 class AntennaScore:
-    """The significance of a static cause for one antenna.
+    """The significance of a constant departure of one antenna.
 
     Attributes
     ----------
@@ -44,12 +44,12 @@ class AntennaScore:
     trials
         Equivalent number of independent scores of the cause.
     departure
-        The shape, change of ln (A L_coax) per unit of size, shape (freq,).
+        The spectral template, change of ln (A L_coax) per unit of size, shape (freq,).
     observed, error
         ln (A L_coax) of the antenna less that of the others, without its mean, and the error of each channel by the fit
         given all others (errors of neighbours move together), shape (freq,).
     similar
-        Other static causes that fit as well, with their correlation.
+        Other causes of the antenna comparison that fit as well, with their correlation.
     """
 
     cause: AntennaCause
@@ -66,14 +66,14 @@ class AntennaScore:
 
     @property
     def p_value(self) -> float:
-        """Probability of such a score from any static cause where nothing is hidden."""
+        """Probability of a score as large, for any cause of the antenna comparison, where nothing is hidden."""
         return p_of(abs(self.z), self.trials * len(ANTENNA_CAUSES))
 
 
 def compare_antennas(
     station: Station, baseline: Baseline, targets: Sequence[Target], policy: Policy, seed: int = 0
 ) -> list[AntennaScore]:
-    """The best score of each static cause, most significant first."""
+    """The best score of each cause of the antenna comparison, most significant first."""
     antennas = [target for target in targets if target.scope == "antenna"]
     antennas = antennas or [target for target in targets if target.scope == "path"]
     if not antennas or count_comparisons(station) < FEWEST_COMPARISONS:
@@ -119,9 +119,9 @@ def compare_antennas(
 def _refine(
     cause: AntennaCause, shape: StaticShape, station: Station, departure: Floats, root: Floats
 ) -> tuple[StaticShape, float, float]:
-    """The best shape about one that was found, its size, and its length in units of the error of the fit.
+    """The best template about one that was found, its size, and its norm in units of the error of the fit.
 
-    Of a ripple and its negative the one with a positive size.
+    A ripple and its negative are one template family: the one with a positive size is returned.
     """
     about = cause.shapes_about(shape, station.conditions.frequency_mhz)
     vectors = _whiten(about, root[None])[0]
@@ -140,7 +140,7 @@ def count_comparisons(station: Station) -> int:
 
 
 def why_no_comparison(station: Station) -> dict[str, str]:
-    """Static causes that these data can never show, with the reason."""
+    """Causes of the antenna comparison that these data can never show, with the reason."""
     per_metre = log_loss_per_metre(_cable_losses(station))
     reasons = {}
     for cause in ANTENNA_CAUSES:
@@ -157,7 +157,7 @@ def _cable_losses(station: Station) -> dict[str, Floats]:
 
 
 def _neighbours(shapes: Sequence[StaticShape]) -> NDArray[np.bool_]:
-    """Shapes along which antennas depart about as much, shape (shape, shape): neighbouring delays."""
+    """Which templates pool their scatter, shape (template, template): those with neighbouring delays."""
     if "delay_us" not in shapes[0].parameters:
         return np.eye(len(shapes), dtype=bool)
     delay = np.array([shape.parameters["delay_us"] for shape in shapes])
@@ -174,21 +174,21 @@ def _against_others(
     correlation: Floats,
     neighbours: NDArray[np.bool_],
 ) -> tuple[Floats, Floats]:
-    """Each antenna against the scatter of the others along shapes alike: normal equivalent and scatter.
+    """Each antenna against the scatter of the others along alike templates: normal equivalent and scatter.
 
     Parameters
     ----------
     amplitude, opposed
-        Departure over its error by the fit, mean and half difference of the dipoles, shape (antenna, shape).
+        Departure over its error by the fit, mean and half difference of the dipoles, shape (antenna, template).
     correlation, neighbours
-        Of the shapes, and which of them are alike; shape (shape, shape).
+        Correlation of the templates, and which of them are alike; shape (template, template).
     """
     alike = neighbours.astype(float)
     both = np.where(is_compared[:, None], amplitude**2 + opposed**2, 0.0)
     square = both @ alike.T / alike.sum(axis=1)
     others = (is_compared.sum() - 1) * (2 if np.any(opposed) else 1)
     scatter = np.sqrt(np.maximum((square.sum(axis=0) - square) / others, 1e-300))
-    # Correlated shapes count as fewer: the number of equal independent ones with the same scatter of their sum.
+    # Correlated templates count as fewer: the number of independent ones whose sum has the same scatter.
     independent = alike.sum(axis=1) ** 2 / np.einsum("ki,ij,kj->k", alike, correlation**2, alike)
     ratio = np.where(is_compared[:, None], amplitude / scatter, 0.0)
     p_value = 2 * student.sf(np.abs(ratio), others * np.maximum(independent, 1.0))
@@ -196,7 +196,7 @@ def _against_others(
 
 
 def _whiten(shapes: Sequence[StaticShape], roots: Floats) -> Floats:
-    """Shapes without their flat part in units of each antenna's error, shape (antenna, shape, freq)."""
+    """Templates without their flat part in units of each antenna's error, shape (antenna, template, freq)."""
     values = np.stack([shape.departure - shape.departure.mean() for shape in shapes])
     return np.swapaxes(np.linalg.solve(roots, np.broadcast_to(values.T, (len(roots), *values.T.shape))), 1, 2)
 

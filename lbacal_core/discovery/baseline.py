@@ -1,7 +1,7 @@
-"""The baseline of one station: every path's chain fitted freely, and what it leaves.
+"""The baseline of one station: the chain of every path fitted by itself, and its residuals.
 
-All that is static and belongs to one path (its A(nu), its gain in front of or behind N_RCU, its noise levels) is free;
-a cause is claimed on top of it.
+Every constant property of a path (its A(nu), its gain in front of or behind N_RCU, its noise constants) is free. A
+cause must describe structure that remains beside these.
 """
 
 from __future__ import annotations
@@ -66,13 +66,13 @@ def fit_baseline(station: Station, ratio: Floats | None = None) -> Baseline:
 
 def _mean_terms(station: Station, solution: SeparableSolution) -> ChainTerms:
     """The chain of the mean path of each class: noise constants of the station, slopes of the class."""
-    # Where no path of a class is identifiable all of them have to do.
+    # A class without an identifiable path takes the median of all its paths.
     is_good = np.isfinite(solution.covariance[:, 0, 0])
     of_class = [station.class_of == index for index in range(len(station.conditions.dipoles))]
     members = [np.flatnonzero(own & is_good if np.any(own & is_good) else own) for own in of_class]
     is_good |= not np.any(is_good)
     channels = solution.x.shape[1]
-    # A level that comes out at zero or below may still be wrong by its error: causes act on at least half of that.
+    # A fitted level of zero or below is uncertain by its error: causes act on at least half of that error.
     variance = np.diagonal(solution.covariance[is_good], axis1=1, axis2=2)[:, channels:]
     floor = 0.5 * np.sqrt(np.nan_to_num(np.median(variance, axis=0)))
     levels = np.column_stack([solution.n[is_good], solution.q[is_good]])

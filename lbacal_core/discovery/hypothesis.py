@@ -1,4 +1,4 @@
-"""A hypothesis: a cause, one template of its family, the paths that it concerns, and a size."""
+"""A hypothesis: a cause, one template of its family, a target (the affected paths), and a size."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Target:
 
     @property
     def is_wide(self) -> bool:
-        """Whether the mean of the station shows it, not only single antennas."""
+        """Whether it is more than an antenna, so that the mean of the station shows its effect."""
         return self.scope in ("station", "cable")
 
 
@@ -56,12 +56,12 @@ class Hypothesis:
 
     @property
     def uncertainty(self) -> float:
-        """Standard deviation of the size, the template not being known either."""
+        """Standard deviation of the size, including the scatter among templates that the data leave open."""
         return float(np.hypot(self.sigma, self.template_sigma * self.size))
 
 
 def list_targets(station: Station) -> list[Target]:
-    """Every path, antenna and cable name of a station, and the station; sets that coincide are named once."""
+    """Every path, antenna and cable name of a station, and the station; coinciding sets of paths are listed once."""
     paths = len(station.antenna)
     targets = []
     if paths > len(np.unique(station.dipole)):

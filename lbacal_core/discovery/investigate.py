@@ -1,4 +1,4 @@
-"""What do spectra show that their simulation gets wrong: the entry, which searches station by station."""
+"""The entry of an investigation: search station by station for what the simulation of the spectra gets wrong."""
 
 from __future__ import annotations
 
@@ -33,21 +33,21 @@ def investigate(
     ----------
     is_own_sky
         Whether `sky_power` is the package's own, so that the differences between sky and antenna models are profiled
-        out; a sky power that was given is taken at its word.
+        out. A sky power from a file is taken as exact.
     seed
         Seed of the simulated trials factors.
     progress
-        Is told each step.
+        Called with a sentence before each step.
 
     Returns
     -------
-    The report as JSON values, and what it was made from.
+    The report as JSON values, and the values of each station from which it was made.
     """
     name = f"instrument {instrument.name}"
     require_same_grid(spectra.origin, spectra.frequency_mhz, instrument.frequency_mhz, name)
     require_same_grid(sky_power.origin, sky_power.frequency_mhz, instrument.frequency_mhz, name)
     policy = Policy()
-    # Many small products: threads of the linear algebra would only wait for each other.
+    # The products are small: threads of the linear algebra would wait for each other.
     with threadpool_limits(1):
         stations = gather_stations(spectra, instrument, sky_power)
         reports = [

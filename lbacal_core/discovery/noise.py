@@ -2,8 +2,8 @@
 
 The relative noise of a spectrum is radiometer noise in each channel plus an event gain that is flat in frequency,
 part of it common to the station. Antennas that see the same sky share a little of the radiometer noise. Mean and
-deviations from the mean are then independent. So are, in each of them, the band mean and the rest. The data give all
-their levels.
+deviations from the mean are then independent, and so are, in each of them, the band mean and the rest. All levels are
+estimated from the data.
 """
 
 from __future__ import annotations
@@ -58,13 +58,13 @@ class Residuals:
     Attributes
     ----------
     polarisations
-        Dipole letters, shape (polarisation,).
+        ``X``, ``Y``, or the one of them that was recorded, shape (polarisation,).
     in_mean
         Whether a path takes part in the mean, shape (path,).
     mean
         Mean over these paths of each polarisation, shape (polarisation, event, freq).
     deviation
-        Each path against the mean of its polarisation, shape (path, event, freq); 0 where absent.
+        Each path less the mean of its polarisation, shape (path, event, freq); 0 where absent.
     spread
         Variance of the mean over that of one path, as far as paths are independent, shape (polarisation, event).
     levels
@@ -97,10 +97,10 @@ def split_residuals(station: Station, residual: Floats) -> Residuals:
         members = np.flatnonzero(in_mean & (polarisation_of == d))
         present = is_present[members].sum(axis=0)
         mean[d] = residual[members].sum(axis=0) / np.maximum(present, 1)[:, None]
-        # Where no path of the mean is present nothing is known of the mean.
+        # The mean is unknown where none of its paths is present.
         deviation[everyone] = (residual[everyone] - mean[d]) * (is_present[everyone] & (present > 0))[:, :, None]
     if np.all(np.bincount(polarisation_of) == 1):
-        # Nothing to compare with: all noise counts as the path's own.
+        # A single path has no other to be compared with: all noise counts as its own.
         level = mean.mean(axis=-1)
         channel = max(float(np.std(mean - level[..., None])), SMALLEST_LEVEL)
         band, scale = max(float(np.std(level)), SMALLEST_LEVEL), np.ones(polarisation_of.size)
@@ -133,7 +133,7 @@ def _is_complete(is_present: NDArray[np.bool_], polarisation_of: NDArray[np.int6
 def _path_levels(
     station: Station, deviation: Floats, in_mean: NDArray[np.bool_], polarisation_of: NDArray[np.int64]
 ) -> tuple[float, float, Floats]:
-    """Noise of a typical path in a channel and of its band mean, and of each path over the typical one."""
+    """Noise of a typical path, in a channel and of its band mean, and the noise of each path over the typical."""
     channels = deviation.shape[2]
     # Each channel's line takes two degrees of freedom of a path's events, the mean of n paths a share 1/n.
     dof = np.maximum(station.is_present.sum(axis=1) - 2, 1)
@@ -155,7 +155,7 @@ def _path_levels(
 
 
 def _common_levels(mean: Floats, spread: Floats, channel: float, band: float) -> tuple[Floats, float, float]:
-    """Noise that the paths share: the scatter of the mean beyond that of independent paths."""
+    """Noise that the paths share: the variance of the mean beyond the variance of a mean of independent paths."""
     polarisations, events, channels = mean.shape
     used = events / max(events - 2, 1)
     level = mean.mean(axis=-1)

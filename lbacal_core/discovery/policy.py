@@ -8,15 +8,15 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Policy:
-    """When something counts as found, named, or left.
+    """Thresholds for a finding, for its name, and for residual structure.
 
     Attributes
     ----------
     catalogue_alpha, antenna_alpha, structure_alpha
-        Probability of a false alarm of the scan, of the comparison of antennas and of the question without a
-        catalogue; together the false-alarm rate of a station, 1 in 200, half of the 1 in 100 that was asked for.
+        Probability of a false alarm of the scan, of the comparison of antennas and of the test for residual
+        structure; together the false-alarm rate of a station, 1 in 200, half of the required 1 in 100.
     most_findings
-        Findings of a station after which the search ends: more than anybody has hidden in a proof.
+        Findings of a station after which the search ends: no proof hides more effects.
     rivals
         Candidates that are fitted without linearising before one is named: in ``./dev prove discovery`` the right
         cause was always among the first four.
@@ -25,7 +25,8 @@ class Policy:
     indistinguishable
         SNR^2 (1 - r^2) below which another template fits as well: 3 standard deviations.
     beside_structure_alpha
-        Probability by chance below which a finding stands beside structure that has no name.
+        Probability below which a finding stays in the report although residual structure remains: its score is
+        computed with that structure profiled out.
     same_spectrum
         Overlap (Bhattacharyya 1943) of two spectra, each the share of the whitened structure in every channel, beyond
         which they are alike: the templates of different stages of the chain overlap by less.
@@ -47,5 +48,5 @@ class Policy:
         return self.catalogue_alpha + self.antenna_alpha + self.structure_alpha
 
     def as_dict(self) -> dict[str, Any]:
-        """For the provenance of a report."""
+        """The thresholds by name, for the provenance of a report."""
         return asdict(self)

@@ -1,8 +1,8 @@
 """The linear model of a station's residuals: the mean of its paths, and every path's deviation from it.
 
-Mean and deviations are independent and have a `View` each. An effect on some of the paths shows in both: as much of it
-in the means as these paths have of them, and in the deviations what is not in the means. `LinearModel` adds the scores
-and the information of the views up.
+Mean and deviations are independent and have a `View` each. An effect on some paths changes both: the mean changes by
+the effect times the share of these paths in the mean, and the deviations by the rest. `LinearModel` adds up the scores
+and the information of the views.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from lbacal_core.grids import Floats
 
 @dataclass(frozen=True)
 class Part:
-    """How one view sees templates for targets.
+    """The templates for targets as one view sees them.
 
     Attributes
     ----------
@@ -51,7 +51,7 @@ class LinearModel:
     Attributes
     ----------
     terms
-        The chain of the mean path of each class, from which the free vectors follow.
+        The chain of the mean path of each class; the free vectors are its derivatives.
     modes
         Relative changes of P_sky by which sky and antenna models differ, shape (mode, class, event, freq), or None.
     empirical
@@ -97,7 +97,7 @@ class LinearModel:
     def weight(self) -> Floats:
         """Weight of each event of a path: 0 where absent, less for noisy paths, shape (path, event).
 
-        A path outside the mean is compared with it, and shows the noise of both.
+        The deviation of a path outside the mean contains the noise of the path and of the mean.
         """
         residuals = self.residuals
         own = residuals.levels.path_scale[:, None] ** 2
@@ -131,7 +131,7 @@ class LinearModel:
         if self.modes is not None and self.modes.size:
             sky_share = self.terms.sky * self.terms.front / self.terms.power()
             shown = self.mean_of(self.modes * sky_share, np.ones(len(self.station.antenna), dtype=bool))
-            # Models differ for each polarisation by itself: a mode of one says nothing of the other.
+            # Models differ in each polarisation by itself: each has free vectors of its own.
             of_each = [shown * (np.arange(polarisations) == d)[:, None, None] for d in range(polarisations)]
             free = np.concatenate([free, *of_each])
         if self.empirical is not None:
@@ -149,7 +149,7 @@ class LinearModel:
 
     @cached_property
     def lost(self) -> list[View]:
-        """The mean path of each polarisation with the mean weights: what deviations lose as their mean is taken out."""
+        """The mean path of each polarisation with the mean weights: deviations lose its information with their mean."""
         slope, constants = self._mean_free_vectors
         polarisation, in_mean = self.polarisation_of[self.station.class_of], self.residuals.in_mean
         weights = [self.weight[in_mean & (polarisation == d)].mean(axis=0) for d in range(len(slope))]
@@ -166,7 +166,7 @@ class LinearModel:
 
     @cached_property
     def _free_vectors(self) -> tuple[Floats, Floats]:
-        """D ln P by ln A, shape (class, event, freq), and by N_LNA, N_RCU, N_ADC, shape (3, class, event, freq)."""
+        """Derivatives of ln P by ln A, (class, event, freq), and by three noise constants, (3, class, event, freq)."""
         terms, power = self.terms, self.terms.power()
         slope = np.broadcast_to((terms.sky + terms.n_lna) * terms.front / power, power.shape)
         columns = (terms.front / power, self.station.conditions.receiver_gain / power, 1.0 / power)
@@ -174,7 +174,7 @@ class LinearModel:
 
     @cached_property
     def _mean_free_vectors(self) -> tuple[Floats, Floats]:
-        """The same of the mean path of each polarisation."""
+        """Derivatives of ln P of the mean path of each polarisation, as in `_free_vectors`."""
         slope, constants = self._free_vectors
         share = np.zeros((len(self.residuals.polarisations), len(self.members)))
         counts = [self.residuals.in_mean[members].sum() for members in self.members]
@@ -183,7 +183,7 @@ class LinearModel:
         return np.einsum("dc,cef->def", share, slope), np.einsum("dc,jcef->jdef", share, constants)
 
     def mean_of(self, values: Floats, is_member: NDArray[np.bool_]) -> Floats:
-        """What the means show of an effect on some paths, (..., class, event, freq) -> (..., polarisation, ...)."""
+        """Change of the means by an effect on some paths, (..., class, event, freq) -> (..., polarisation, ...)."""
         polarisations = len(self.residuals.polarisations)
         mean = np.zeros((*values.shape[:-3], polarisations, *values.shape[-2:]), dtype=values.dtype)
         for c, share in enumerate(self.share_of_mean(is_member)):
@@ -192,15 +192,15 @@ class LinearModel:
         return mean
 
     def share_of_mean(self, is_member: NDArray[np.bool_]) -> Floats:
-        """Part that the members of each class have in the mean of their polarisation, shape (class,)."""
+        """Share of the given paths of each class in the mean of their polarisation, shape (class,)."""
         counts = np.array([np.sum((is_member & self.residuals.in_mean)[members]) for members in self.members])
         return np.asarray(counts / self.paths_in_mean[self.polarisation_of])
 
     def share_of_deviation(self, is_member: NDArray[np.bool_]) -> Floats:
-        """Part of an effect that each path's deviation shows, shape (path,).
+        """Share of an effect in the deviation of each path, shape (path,).
 
-        A member of the mean shows the whole effect, and the members together less by what the mean shows (`lost`). A
-        path outside the mean shows by how much its effect exceeds the mean's.
+        It is 1 for a path of the mean; the change of the mean itself is subtracted from all these paths together
+        (`lost`). It is 1 less the change of the mean for a path outside the mean.
         """
         in_mean, polarisation = self.residuals.in_mean, self.polarisation_of[self.station.class_of]
         of_mean = np.zeros(len(self.paths_in_mean))
@@ -208,7 +208,7 @@ class LinearModel:
         return np.asarray(is_member * np.where(in_mean, 1.0, 1.0 - of_mean[polarisation]))
 
     def parts(self, templates: Sequence[Floats], targets: Sequence[Target]) -> Iterator[Part]:
-        """How every view sees templates of shape (class, event, freq), each with its target."""
+        """Templates of shape (class, event, freq), each with its target, as every view sees them."""
         means = np.stack([self.mean_of(t, target.is_member) for t, target in zip(templates, targets, strict=True)])
         whole = np.ones((len(means), 1))
         yield Part(self.common, self.common.see(means), whole, 1.0)
@@ -235,7 +235,7 @@ class LinearModel:
     ) -> tuple[Floats, Floats, Floats]:
         """Score and information of a spectral template with each time profile in each fold, shape (fold, profile).
 
-        Third comes the information before anything is profiled out.
+        The third array is the information before the free vectors are profiled out.
         """
         score, information, whole = np.zeros((3, int(fold.max()) + 1, len(profiles)))
         for part in self.parts([template], [target]):
@@ -249,7 +249,7 @@ class LinearModel:
         return score, information, whole
 
     def chi_squared(self) -> tuple[float, int]:
-        """Chi^2 of what the fit leaves, and its degrees of freedom."""
+        """Chi^2 of the residuals, and its degrees of freedom."""
         residuals, is_present = self.residuals, self.station.is_present
         total = sum(float(np.sum(view.residual * view.weighted_residual)) for view in (self.common, *self.paths))
         polarisations, events, channels = residuals.mean.shape

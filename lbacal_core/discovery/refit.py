@@ -1,7 +1,7 @@
 """The fitted model: chain and hypotheses fitted together, not linearised, and the gain on held-out data.
 
-The recorded power is divided by what the causes do to it, the chain is fitted again, and the sizes move by Newton's
-step until nothing changes: the joint maximum of the likelihood of chain and causes.
+Each round divides the recorded power by the ratio of power with and without the hypotheses, fits the chain again, and
+moves the sizes by Newton's step. The rounds end at the joint maximum of the likelihood of chain and sizes.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ DATE_BLOCKS, LST_BLOCKS, FOLDS = 8, 12, 4
 
 @dataclass(frozen=True)
 class FittedModel:
-    """The chain and the hypotheses fitted together, and the linear model of what is left."""
+    """The chain and the hypotheses fitted together, and the linear model of their residuals."""
 
     hypotheses: list[Hypothesis]
     baseline: Baseline
@@ -81,7 +81,7 @@ def power_ratio(station: Station, terms: ChainTerms, hypotheses: Sequence[Hypoth
 
 
 def _groups(station: Station, hypotheses: Sequence[Hypothesis]) -> list[tuple[NDArray[np.int64], int, list[int]]]:
-    """Paths of the same class that the same hypotheses concern: members, class, hypotheses."""
+    """Paths of the same class with the same hypotheses: members, class, hypotheses."""
     columns = [station.class_of, *(one.target.is_member.astype(int) for one in hypotheses)]
     keys, group_of = np.unique(np.stack(columns, axis=1), axis=0, return_inverse=True)
     return [
@@ -91,10 +91,10 @@ def _groups(station: Station, hypotheses: Sequence[Hypothesis]) -> list[tuple[ND
 
 
 def refit(before: FittedModel, new: Hypothesis) -> FittedModel | None:
-    """Fit the chain of every path and the sizes of all hypotheses together, those of the model before and a new one.
+    """Fit the chain of every path and the sizes of all hypotheses together: those of the model before, and a new one.
 
-    None where the data cannot tell them apart, or where the fit runs away. Events on which the covariate of the new
-    cause is unknown are left out.
+    Returns None where the hypotheses cannot be told apart or the fit runs away. Events on which the covariate of the
+    new cause is unknown are left out.
 
     Parameters
     ----------
@@ -115,7 +115,7 @@ def refit(before: FittedModel, new: Hypothesis) -> FittedModel | None:
             return None
         baseline = fit_baseline(station, ratio)
         linear = _linearise(station, baseline, before.linear.modes)
-        # The weights stay those of the model before until the sizes stand still: they only weigh.
+        # The noise levels stay those of the model before, so that every round minimises the same chi^2.
         weighed = linear.with_levels(levels)
         conditions = station.conditions
         templates = [signature(one.cause, baseline.terms, conditions, one.template, one.size) for one in hypotheses]
@@ -133,7 +133,7 @@ def refit(before: FittedModel, new: Hypothesis) -> FittedModel | None:
 
 
 def _can_be_told_apart(information: Floats) -> bool:
-    """Whether every hypothesis is seen, and none is a mixture of the others."""
+    """Whether the data hold information on every hypothesis, and none is a combination of the others."""
     seen = np.diag(information)
     if not np.all(np.isfinite(information)) or np.any(seen <= 0):
         return False
@@ -150,9 +150,9 @@ def held_out_fold(station: Station) -> NDArray[np.int64]:
 
 
 def held_out_gain(before: FittedModel, hypothesis: Hypothesis, templates: Sequence[Template]) -> float:
-    """Gain in log-likelihood on events that were not used, all of them in turn.
+    """Gain in log-likelihood on held-out events, summed over the folds.
 
-    In each fold the template (a date, hours, a delay) is chosen again and the size fitted on the other folds.
+    For each fold the template (a date, hours, a delay) is chosen and the size is fitted on the other folds alone.
     """
     cause = hypothesis.cause
     linear = before.linear.on_events(cause.known_events(before.station.conditions, hypothesis.template))

@@ -1,8 +1,8 @@
-"""The question without a catalogue: whether structure is left in the residuals, and along which axis.
+"""The test for residual structure, which uses no catalogue: whether structure is left, and along which axis.
 
 Smooth functions of every axis (`lbacal_core.causes.axes`) times smooth functions of frequency are fitted to the means
-of a station's paths and to the deviation of every path. Where nothing is left, the gain in chi^2 follows the chi^2
-distribution. One more test needs no axis: the largest singular value of the whitened events x channels matrix.
+of a station's paths and to the deviation of every path. Their gain in chi^2 follows the chi^2 distribution where the
+residuals are noise. One more test uses no axis: the largest singular value of the whitened events x channels matrix.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from lbacal_core.grids import Floats
 DEGREE, PATH_DEGREE = 5, 3
 """Degree of the Legendre polynomials of frequency: structure of 10 MHz in 50; less for single, noisier paths."""
 NOISE_DRAWS = 60
-"""Draws of noise for the largest singular value: their mean and spread are known to 13 % and 9 % of the spread."""
+"""Draws of noise for the largest singular value: they give its mean to 13 % and its spread to 9 % of the spread."""
 TAIL = 0.8
 """Units s of the tail exp(-2/3 s^1.5) in one spread of the simulated largest eigenvalue. The Tracy-Widom distribution
 of order 1 (Johnstone 2001, Ann. Stat. 29, 295) has s = 1.27 x - 1.21 at x spreads: 0.8 x is careful beyond x = 2.6."""
 SMALLEST_SIZE = 1e-6
-"""Of unit vectors: below, a function of an axis is a combination of the others."""
+"""Size, relative to the largest, below which a function of an axis is a combination of the others."""
 STATION = "station"
 """Target of structure in the means."""
 EVENTS = "event"
@@ -37,7 +37,7 @@ EVENTS = "event"
 
 @dataclass(frozen=True)
 class ResidualStructure:
-    """Structure along one axis that no hypothesis describes.
+    """Residual structure along one axis: no hypothesis describes it.
 
     Attributes
     ----------
@@ -54,7 +54,7 @@ class ResidualStructure:
     channel_share
         Share of the structure in each channel, shape (freq,).
     vectors
-        That describe it in the means, shape (vector, polarisation, event, freq); None where a path shows it.
+        Vectors that describe it in the means, shape (vector, polarisation, event, freq); None where a path shows it.
     """
 
     axis: Axis | None
@@ -75,11 +75,19 @@ class ResidualStructure:
 def find_structure(
     model: LinearModel, rng: np.random.Generator, alpha: float, again: float | None = None
 ) -> ResidualStructure | None:
-    """The most significant structure that is left, or None.
+    """Find the most significant residual structure, or None.
 
-    It counts where chance gives as much with a probability below alpha, and where it makes events more probable that
-    did not serve to describe it. With `again` structure is known to be left, a cause being significant once more whose
-    template has the wrong form, by chance with this probability: then the question is only along which axis.
+    Structure is reported if its p-value is below `alpha` and if its description raises the likelihood of held-out
+    events.
+
+    Parameters
+    ----------
+    alpha
+        Probability of a false alarm.
+    again
+        p-value of a cause that is significant a second time for the same target, because its template does not have
+        the form of the effect. Structure is then known to remain, and both conditions above are dropped: the function
+        reports the axis along which it is strongest.
     """
     conditions = model.station.conditions
     axes = {axis: basis for axis in AXES if (basis := axis.basis(conditions)) is not None}
@@ -189,7 +197,7 @@ def _vectors(place: _Place, basis: Floats) -> Floats:
 
 
 def _describe(place: _Place, basis: Floats, fold: NDArray[np.int64]) -> tuple[float, Floats]:
-    """Gain of the empirical term on events not used for it, and its share in each channel."""
+    """Gain in log-likelihood of the empirical term on held-out events, and its share in each channel."""
     view, member = place.view, place.member
     information, _, fitted = view.inner_by_fold(place.seen, basis, fold, member)
     score = view.score_by_fold(place.seen, basis, fold, member, fitted)
@@ -213,7 +221,7 @@ def _in_single_events(model: LinearModel, rng: np.random.Generator) -> _Candidat
     events, channels = rest.shape
     values = np.linalg.svd(rest, compute_uv=False)
     noise = np.array([_largest_of_noise(rng, events, channels) for _ in range(NOISE_DRAWS)])
-    # The same total, so that a wrong level is not taken for structure.
+    # Scaled to the total of the noise, so that a wrong noise level does not look like structure.
     observed = values[0] ** 2 / np.sum(rest**2) * (events * (channels - 1))
     mean, spread = float(noise.mean()), float(noise.std())
     excess = max((observed - mean) / spread, 0.0)
@@ -243,7 +251,7 @@ def share_of_channels(model: LinearModel, values: Floats) -> Floats:
 
 
 def _whiten_rest(model: LinearModel, values: Floats) -> Floats:
-    """What is not flat in frequency of a vector of the means, both polarisations, in standard deviations."""
+    """The part of a vector of the means that varies with frequency, both polarisations, in standard deviations."""
     clean = model.common.clean(values)
     rest = (clean - clean.mean(axis=-1, keepdims=True)) * np.sqrt(model.common.channel)[..., None]
     return np.asarray(rest.sum(axis=0) / np.sqrt(len(rest)))

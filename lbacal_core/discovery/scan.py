@@ -1,8 +1,8 @@
 """The score test: the significance of every cause, template and target without a refit.
 
 The score of a template divided by the root of its information is a standard normal number where nothing is hidden. The
-trials factor of each cause is simulated with the correlations that its templates have in the data at hand; causes count
-alike, whatever the size of their families.
+trials factor of each cause is simulated with the correlations of its templates in the data at hand. Every cause has the
+same false-alarm rate, whatever the size of its family.
 """
 
 from __future__ import annotations
@@ -25,15 +25,16 @@ from lbacal_core.discovery.view import SMALLEST_SHARE, TimeProfiles, View, make_
 from lbacal_core.grids import Floats
 
 MANY_SPECTRA = 8
-"""A cause with more spectral templates than this, such as lines, has so many trials as these count independently."""
+"""Number of spectral templates above which each counts as an independent trial, as those of interference lines do."""
 SMALLEST_INFORMATION = 1e-6
-"""Below this a unit of size moves the data by a thousandth of a standard deviation."""
+"""Information below which a unit of size moves the data by less than a thousandth of a standard deviation."""
 BATCH_SIZE = 200_000
 """Values of the templates that are scored together: 1.6 MB stay in a fast memory."""
 WORTH_THREADS = 1_000_000
 """Values of a data set; below, threads wait for each other more than they compute."""
 ALIKE = 1e-4
-"""Classes of a polarisation whose templates differ by less (variance over square) are not compared."""
+"""Difference between the templates of the classes of a polarisation (variance over mean square) below which the
+scan treats them as equal: deviations of paths then add nothing to the score of a station-wide effect."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +52,7 @@ class Score:
     trials
         Trials factor of this cause in this scan.
     causes
-        Number of causes that were looked for, each with the same right to a false alarm.
+        Number of causes in the scan, each with the same false-alarm rate.
     """
 
     cause: Cause
@@ -70,12 +71,12 @@ class Score:
 
     @property
     def p_value(self) -> float:
-        """Probability of such a score from any cause's whole family and any target where nothing is hidden."""
+        """Probability of a score as large, for any cause, template and target, where nothing is hidden."""
         return p_of(abs(self.z), self.trials * self.causes)
 
     @property
     def significance(self) -> float:
-        """The score as a normal number after the look-elsewhere correction, however small the probability."""
+        """The score in standard deviations after the look-elsewhere correction, however small the probability."""
         return significance(abs(self.z), self.trials * self.causes)
 
 
@@ -93,7 +94,7 @@ class SpectralFamily:
 
 
 def group_templates(conditions: Conditions, cause: Cause, templates: Sequence[Template]) -> list[SpectralFamily]:
-    """Templates of a cause by spectral template and covariates; families that act at the same times share profiles."""
+    """Group templates of a cause by spectral template and covariates; families with equal profiles share them."""
     groups: dict[tuple[object, ...], list[Template]] = {}
     for template in templates:
         alike = (*cause.spectral_key(template), cause.known_events(conditions, template).tobytes())
@@ -152,7 +153,7 @@ def score_families(
 ) -> list[tuple[Sequence[SpectralFamily], Floats, Floats]]:
     """Scores in standard deviations and sizes, shape (family, target, profile), of families batch by batch.
 
-    Both are 0 where the fit leaves the template free, or where the cause cannot concern the target.
+    Both are 0 where the free vectors describe the template, or where the cause cannot affect the target.
     """
     batches = _batches(families, model.station.power[0].size)
     scorer = _Scorer(model, targets)
@@ -192,7 +193,7 @@ class _Scorer:
         self.counts = model.paths_in_mean[model.polarisation_of].astype(float)
 
     def score(self, batch: Sequence[SpectralFamily]) -> tuple[Floats, Floats]:
-        """Score and information, shape (family, target, profile); no information where a cause cannot concern."""
+        """Score and information, shape (family, target, profile); 0 where the cause cannot affect the target."""
         model, cause, profiles = self.model, batch[0].cause, batch[0].profiles
         conditions = model.station.conditions
         spectra = np.stack([spectral_signature(cause, model.terms, conditions, one.templates[0]) for one in batch])
@@ -214,7 +215,7 @@ class _Scorer:
             score[:, shown] += self.share_of_path[shown] @ of_path
             information[:, shown] += self.share_of_path[shown] ** 2 @ path_information
             information[:, local] -= (self.counts * self.share[local] ** 2) @ typical
-            # A path that was silent whenever a template acts shows nothing of it in the mean either.
+            # A path without events where the template acts does not change the mean either.
             is_shown = self.share_of_path[local] ** 2 @ path_information > 0
             score[:, local] *= is_shown
             information[:, local] *= is_shown

@@ -1,7 +1,7 @@
-"""What does the simulation get wrong in one station's data? Read `search_station` from top to bottom.
+"""The search of one station's data for what the simulation gets wrong. Read `search_station` from top to bottom.
 
-Fit the baseline; score every cause; take the best, fit everything again with it, and keep it if data that were not used
-become more probable; repeat on what is left; then look without a catalogue for structure that is left.
+Fit the baseline and score every cause. Fit everything again with the best one, and accept it if the likelihood of
+held-out events rises. Repeat on the new residuals. Then test for residual structure, which uses no catalogue.
 """
 
 from __future__ import annotations
@@ -36,14 +36,14 @@ from lbacal_core.grids import Floats
 
 @dataclass(frozen=True)
 class Finding:
-    """A cause that these data show, with what speaks for it.
+    """A cause that these data show, with its score, its gain in chi^2 and its gain on held-out events.
 
     Attributes
     ----------
     indistinguishable
         Causes that fit as well at the size found, with the correlation of their templates.
     calibration_change
-        Relative change of C of the paths concerned, shape (path, freq).
+        Relative change of C of the target's paths, shape (path, freq).
     """
 
     hypothesis: Hypothesis
@@ -63,9 +63,9 @@ class StationReport:
     Attributes
     ----------
     scores, antenna_scores
-        The scores of every cause before anything was added, and of departures of single antennas after.
+        Scores of every cause on the baseline; scores of the antenna comparison on the last fitted model.
     similar
-        Causes that resemble structure that none explains.
+        Findings that were withdrawn, because residual structure explains the data as well.
     first, last
         The fitted model without hypotheses, and with those of all findings.
     unidentifiable
@@ -88,7 +88,7 @@ class StationReport:
     stations: int
 
     def alpha_of(self, score: Score | AntennaScore) -> float:
-        """Probability by chance below which a score counts in this search."""
+        """p-value below which a score is significant in this search."""
         of_kind = self.policy.catalogue_alpha if isinstance(score, Score) else self.policy.antenna_alpha
         return of_kind / self.stations
 
@@ -113,7 +113,7 @@ def search_station(
     seed
         Seed of the simulated trials factors.
     progress
-        Is told each step.
+        Called with a sentence before each step.
     """
     policy = policy or Policy()
     targets = list_targets(station)
@@ -174,12 +174,12 @@ class _Candidate:
 
     @property
     def gain(self) -> float:
-        """Chi^2 gained, less what the best of so many scores gains by chance."""
+        """Gain in chi^2 less the gain that the best of so many scores has by chance."""
         return self.chi2_before - self.chi2_after - 2 * float(np.log(self.score.trials))
 
 
 def _extend(before: FittedModel, significant: Sequence[Score], policy: Policy) -> tuple[FittedModel, Finding] | None:
-    """The model extended by the candidate that fits best without linearising, if held-out data agree."""
+    """The fitted model with the candidate that fits best without linearising, if its held-out gain is positive."""
     candidates = [one for score in _rivals(significant, policy) if (one := _fit(before, score, policy))]
     for best in sorted(candidates, key=lambda one: -one.gain):
         hypothesis = best.model.hypotheses[-1]
@@ -199,7 +199,7 @@ def _extend(before: FittedModel, significant: Sequence[Score], policy: Policy) -
 
 
 def _rivals(significant: Sequence[Score], policy: Policy) -> list[Score]:
-    """The best few candidates; those far behind the best cannot win by a better fit."""
+    """The candidates to be fitted: the best few, without those whose scores are far below the best."""
     ranking = sorted(significant, key=lambda s: -(s.z**2 - 2 * np.log(s.trials)))
     return [s for s in ranking[: policy.rivals] if abs(s.z) > policy.rival_share * abs(ranking[0].z)]
 
@@ -217,8 +217,8 @@ def _fit(before: FittedModel, score: Score, policy: Policy) -> _Candidate | None
 def refine(model: LinearModel, score: Score, policy: Policy) -> Hypothesis:
     """The hypothesis that a scan found, with the best template about the one tried, at the size to first order.
 
-    A scan tries hours, dates and indices on a grid; here the templates about the best of them are scored. Those that
-    fit nearly as well have other sizes, whose scatter, weighed with the likelihoods, widens the error of the size.
+    A scan tries hours, dates and indices on a grid; `refine` scores finer templates about the best one. Templates that
+    fit nearly as well have other sizes: the scatter of these sizes, weighed with the likelihoods, is part of the error.
     """
     cause = score.cause
     conditions = model.station.conditions
@@ -235,11 +235,11 @@ def refine(model: LinearModel, score: Score, policy: Policy) -> Hypothesis:
         sizes.append(size[:, 0].ravel())
         strengths.append(np.tile(strength, len(batch)))
     gain, size = np.concatenate(scores) ** 2, np.concatenate(sizes)
-    # Power that is there at some hours and power that is missing at the others look alike: a positive size is meant.
+    # Power added at some hours and power missing at the others fit alike; power is added, so the size is positive.
     if np.any(size > 0) and gain[size > 0].max() > gain.max() - policy.indistinguishable:
         gain = np.where(size > 0, gain, 0.0)
     best = int(np.argmax(gain))
-    # Sizes with other templates compare by what they do on average where they act.
+    # Sizes of different templates are compared by their mean effect on the events on which the template acts.
     change = size * np.concatenate(strengths)
     weight = np.exp(0.5 * (gain - gain[best])) * (np.sign(change) == np.sign(change[best]))
     scatter = np.sqrt(weight @ (change / change[best] - 1.0) ** 2 / weight.sum())
@@ -247,7 +247,7 @@ def refine(model: LinearModel, score: Score, policy: Policy) -> Hypothesis:
 
 
 def _nearby_templates(hypothesis: Hypothesis, tried: Template, station: Station) -> list[Template]:
-    """The templates among which the held-out test chooses again: those that do the same at another time."""
+    """The templates among which the held-out test chooses: the same spectral template with every time profile."""
     cause = hypothesis.cause
     same = {name: hypothesis.template.parameters[name] for name in cause.spectral_parameters}
     alike = [one for one in cause.templates(station.conditions) if cause.spectral_key(one) == cause.spectral_key(tried)]
@@ -256,12 +256,12 @@ def _nearby_templates(hypothesis: Hypothesis, tried: Template, station: Station)
 
 @dataclass(frozen=True)
 class _SameAgain:
-    """A cause that is significant once more for the same target, though one of its kind would have described it all.
+    """A cause that is significant a second time for the same target: its template does not have the effect's form.
 
     Attributes
     ----------
     number
-        Number of the finding that named it first: structure whose form its template does not have.
+        Number of the finding that named the cause first.
     """
 
     score: Score
@@ -277,7 +277,7 @@ def _same_again(score: Score, findings: Sequence[Finding]) -> _SameAgain | None:
 
 
 def _without(models: Sequence[FittedModel], number: int) -> FittedModel:
-    """The fitted model with all hypotheses but one, whose structure is to be looked at whole."""
+    """The fitted model with all hypotheses but one, so that the residuals contain the whole effect of that one."""
     model = models[number]
     for hypothesis in models[-1].hypotheses[number + 1 :]:
         model = refit(model, hypothesis) or model
@@ -285,7 +285,7 @@ def _without(models: Sequence[FittedModel], number: int) -> FittedModel:
 
 
 def find_indistinguishable(model: LinearModel, hypothesis: Hypothesis, policy: Policy) -> list[tuple[str, float]]:
-    """Causes with a template that cannot be told from this one at the size found, with the correlation."""
+    """Causes with a template that the data cannot distinguish from this one at its size, with the correlation."""
     conditions, own = model.station.conditions, hypothesis.cause
     others = [cause for cause in CAUSES if cause is not own and hypothesis.target.scope in cause.scopes]
     profile = make_profiles(own.time_profile(conditions, hypothesis.template).T)
@@ -305,7 +305,7 @@ def find_indistinguishable(model: LinearModel, hypothesis: Hypothesis, policy: P
 
 
 def _calibration_change(before: FittedModel, after: FittedModel, target: Target) -> Floats:
-    """Relative change of C of the paths concerned, shape (path, freq): C goes as the slope to the power -1/2."""
+    """Relative change of C of the target's paths, shape (path, freq): C is proportional to slope^(-1/2)."""
     old, new = before.baseline.solution.x[target.is_member], after.baseline.solution.x[target.is_member]
     # A slope that the noise makes negative, in the weakest channels, has no C to change.
     has_c = (old > 0) & (new > 0)
@@ -319,7 +319,7 @@ def _withdrawn(
     again: _SameAgain | None,
     policy: Policy,
 ) -> list[Finding]:
-    """Findings that structure without a name may explain as well: they resemble it, and are no names for it."""
+    """Findings that are withdrawn: residual structure remains that may explain the same data."""
     is_seen = _seen_beside(first, findings, structure, policy)
     return [
         finding
@@ -334,7 +334,7 @@ def _withdrawn(
 def _seen_beside(
     model: LinearModel, findings: Sequence[Finding], structure: ResidualStructure, policy: Policy
 ) -> list[bool]:
-    """Whether each finding is still seen when the empirical term of what is left is profiled out."""
+    """Whether each finding is still significant with the residual structure profiled out."""
     if structure.vectors is None or not findings:
         return [True] * len(findings)
     beside = replace(model, empirical=structure.vectors)
@@ -349,7 +349,7 @@ def _seen_beside(
 
 
 def _has_its_spectrum(model: LinearModel, finding: Finding, structure: ResidualStructure, policy: Policy) -> bool:
-    """Whether structure in single events is left with the spectrum of the finding's template."""
+    """Whether the residual structure is in single events and has the spectrum of the finding's template."""
     one = finding.hypothesis
     if structure.axis is not None or not one.target.is_wide:
         return False
@@ -359,7 +359,7 @@ def _has_its_spectrum(model: LinearModel, finding: Finding, structure: ResidualS
 
 
 def _lives_there(finding: Finding, structure: ResidualStructure) -> bool:
-    """Whether structure is left along an axis of the finding's cause, for the same kind of target."""
+    """Whether the residual structure varies along an axis of the finding's cause, for the same kind of target."""
     if structure.axis is None or structure.axis.along not in finding.hypothesis.cause.axes:
         return False
     return finding.hypothesis.target.is_wide == (structure.target == "station")
@@ -372,5 +372,5 @@ def _unidentifiable(station: Station, scores: Sequence[Score]) -> dict[str, str]
         if not cause.templates(station.conditions):
             reasons[cause.identifier] = cause.needs
         elif cause.identifier not in seen:
-            reasons[cause.identifier] = "what the fit leaves free absorbs its signature"
+            reasons[cause.identifier] = "the free parameters of the fit describe its signature"
     return reasons | why_no_comparison(station)

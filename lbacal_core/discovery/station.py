@@ -32,9 +32,9 @@ class Station:
     Attributes
     ----------
     name
-        Of the station.
+        Name of the station.
     antenna, dipole
-        Of each path, shape (path,).
+        Antenna number and dipole of each path, shape (path,).
     class_of
         Class of each path, shape (path,).
     power

@@ -10,7 +10,7 @@ from lbacal_core.grids import Floats
 DRAWS = 2000
 """Simulated sets of scores: the quantile below is then known to 7 % of its trials factor."""
 QUANTILE = 0.9
-"""Of the largest score, from which the trials factor is taken: there the tail has begun, and 200 draws lie beyond."""
+"""Quantile of the largest score that gives the trials factor: its tail has begun there, and 200 draws lie beyond."""
 
 
 def p_of(z: float, trials: float) -> float:
@@ -24,7 +24,7 @@ def p_of_best(p_value: float, trials: float) -> float:
 
 
 def significance(z: float, trials: float) -> float:
-    """The score as a normal number after the look-elsewhere correction, however small the probability."""
+    """The score in standard deviations after the look-elsewhere correction, however small the probability."""
     p_value = p_of(z, trials)
     return sigma_of(p_value) if p_value > 1e-250 else float(np.sqrt(z**2 - 2 * np.log(trials)))
 

@@ -1,4 +1,4 @@
-"""Inner products of templates in one view of the residuals, everything that the fit leaves free profiled out.
+"""Inner products of templates in one view of the residuals, with the free vectors of the fit profiled out.
 
 Residuals e have the inverse noise covariance W, and the fit leaves the vectors N free: A(nu) in every channel and three
 noise constants. The inner product of two templates u and v is that of what N cannot describe,
@@ -23,17 +23,17 @@ from numpy.typing import NDArray
 from lbacal_core.grids import Floats
 
 SMALLEST_EIGENVALUE = 1e-10
-"""Of the unit-diagonal N'WN: free vectors below it are combinations of the others to rounding errors."""
+"""Eigenvalue of the unit-diagonal N'WN below which free vectors are combinations of others to rounding errors."""
 SMALLEST_SHARE = 1e-6
-"""A template that keeps less of its information than this counts as free: the rest is rounding errors, as of a step
-after a path fell silent."""
+"""Share of its information below which a template counts as free: what remains are rounding errors. An example is a
+step at a date after which the path recorded nothing."""
 MANY_PROFILES = 8
-"""More time profiles than this are first summed over sets of events that all of them treat alike."""
+"""Number of time profiles above which sums run first over sets of events in which every profile is constant."""
 
 
 @dataclass(frozen=True)
 class TimeProfiles:
-    """Time profiles, and the sets of events that all of them treat alike.
+    """Time profiles, and the sets of events in which every profile is constant.
 
     Attributes
     ----------
@@ -58,7 +58,7 @@ class TimeProfiles:
 
 
 def make_profiles(values: Floats) -> TimeProfiles:
-    """Time profiles of shape (profile, event), where they are many with the sets of events that they treat alike."""
+    """Prepare time profiles, shape (profile, event); many of them with the sets of events in which all are constant."""
     if len(values) <= MANY_PROFILES:
         events = np.arange(values.shape[1])
         return TimeProfiles(values, events, events, values)
@@ -92,10 +92,10 @@ class Seen:
 
 @dataclass(frozen=True)
 class View:
-    """One part of the residuals, its noise and the vectors that the fit leaves free.
+    """One part of the residuals, its noise and its free vectors.
 
-    A view has one row (a path) or several that share events (the means of both polarisations). Its members are paths
-    with the same templates and noise, each with the events that it has.
+    A view has one row (a path) or several rows with common events (the means of both polarisations). Its members are
+    paths with the same templates and noise; every member has its own events.
 
     Attributes
     ----------

@@ -42,7 +42,7 @@ def find_steps(values: Floats, sigmas: Floats) -> Steps:
     """Find the most significant step of each series.
 
     The month of the step belongs to neither side: events before and after it share the month, and the mean of the
-    month says in which proportion.
+    month gives the proportion.
 
     Parameters
     ----------

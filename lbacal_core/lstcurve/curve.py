@@ -31,14 +31,14 @@ class LstCurve:
     lst_hours
         Shape (point,), hours, the middle of each bin.
     variation_db
-        For each dipole letter, shape (point,), dB; NaN where there is no point.
+        For each polarisation, shape (point,), dB; NaN where there is no point.
     error_db
         Shape (point,), dB, one standard deviation as drawn or stated; NaN where there is no point at all.
     bin_hours
         Width of a bin.
     is_centre_stated
-        Whether the file says that its LST are bin centres; otherwise they were read as left edges, and half a bin
-        is a systematic uncertainty.
+        Whether a comment in the file declares its LST to be bin centres; otherwise they were read as left edges, and
+        half a bin is a systematic uncertainty.
     """
 
     lst_hours: Floats

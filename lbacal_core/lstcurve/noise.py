@@ -12,7 +12,7 @@ from lbacal_core.instrument import DIPOLES
 from lbacal_core.lstcurve.curve import LstCurve
 
 SMOOTH_HARMONICS = 6
-"""Of a smooth curve through the points whose residual estimates the point noise: the sky has fewer (|m| <= 4)."""
+"""Harmonics of the smooth curve whose residuals estimate the noise of the points: the sky has fewer (|m| <= 4)."""
 FEWEST_FREE = 5
 """Degrees of freedom below which a point noise is not worth stating (32 % uncertain)."""
 LARGEST_CORRELATION = 0.99

@@ -20,7 +20,7 @@ SYNCHROTRON_INDEX = 2.55
 
 SINGLE_MAP_NODES_MHZ = np.array([10.0, 20.0, 40.0, 80.0, 120.0])
 
-# (has_cmb, has_isotropic) of component files that do not say so themselves. pygdsm subtracts the CMB from LFSM and
+# (has_cmb, has_isotropic) of component files without these fields. pygdsm subtracts the CMB from LFSM and
 # not from GSM of 2008, so the one contains it and the other does not; both rest on total-power maps, which contain
 # the isotropic extragalactic part.
 KNOWN_COMPONENT_FILES = {"gsm-408locked": (False, True), "lfsm-5.1deg": (True, True)}

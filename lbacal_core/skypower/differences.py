@@ -1,4 +1,4 @@
-"""In which shapes, and how much, models of sky and antenna differ: nuisance modes and a term of the error budget."""
+"""Differences between sky and antenna models: nuisance modes, and a term of the error budget."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def model_difference_modes(
 
     Made by scripts/make_model_differences.py for the Superterp: each alternative model counts as one standard
     deviation away from the default. The mean of every mode over LST is zero at each frequency, because A(nu) of the
-    chain absorbs it; `model_level_spread` gives its size.
+    chain describes it; `model_level_spread` gives its size.
 
     Parameters
     ----------
@@ -30,7 +30,7 @@ def model_difference_modes(
     lst_hours
         Shape (lst,) or (event,), hours.
     dipole_azimuth_deg
-        Arms by dipole letter, as an instrument has them; each letter gets the modes of the nearest arm (45 or 135
+        Arms of X and Y, as an instrument has them; each dipole gets the modes of the nearest arm (45 or 135
         deg). Without it X is at 45 and Y at 135.
 
     Returns
@@ -64,7 +64,7 @@ def _interpolate(table: dict[str, Any], values: Any, frequency_mhz: Floats) -> A
 
 
 def _nearest_arm(table: dict[str, Any], arm_azimuth_deg: float) -> str:
-    """The letter of the table whose arm is nearest; an arm points both ways."""
+    """The polarisation of the table whose arm is nearest; an arm points both ways."""
     arms: dict[str, float] = table["dipole_azimuth_deg"]
     return min(arms, key=lambda letter: abs((arms[letter] - arm_azimuth_deg + 90.0) % 180.0 - 90.0))
 

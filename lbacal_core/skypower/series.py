@@ -20,7 +20,7 @@ HARMONICS = 8
 """The LBA sees no more to 0.005 %."""
 EVEN_INSTANTS = 96
 LARGEST_VARIANCE = 4.0
-"""Of the series between instants, in units of that of a value: its error may double."""
+"""Largest error of the series between instants, in units of the error of a value: it may double."""
 SMALLEST_PIVOT = 1e-9
 """Below this share of the largest a direction is not determined at all."""
 DAY_HOURS = 24.0
@@ -62,7 +62,7 @@ def make_even(
     lst_hours
         Shape (lst,), hours, rising over at most a sidereal day.
     power
-        Shape (lst, freq) for each dipole letter.
+        Shape (lst, freq) for each polarisation.
 
     Returns
     -------

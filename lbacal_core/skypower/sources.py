@@ -63,7 +63,7 @@ def source_sky_power(
     year: float = DATA_EPOCH,
     antenna: str | AntennaModel = DEFAULT_ANTENNA,
 ) -> Floats:
-    """What a source adds to P_sky of one dipole in the course of a sidereal day, shape (lst, freq)."""
+    """Contribution of a source to P_sky of one dipole over a sidereal day, shape (lst, freq)."""
     right_ascension, declination = np.radians([[source.right_ascension_deg], [source.declination_deg]])
     zenith, azimuth = local_direction(lst_hours, *precess(right_ascension, declination, year), instrument.latitude_deg)
     response = response_towards(instrument, dipole, zenith, azimuth, antenna)

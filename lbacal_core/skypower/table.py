@@ -33,7 +33,7 @@ class SkyPower:
     lst_hours
         Shape (lst,), hours, regular over the sidereal day.
     power
-        Shape (lst, freq) for each dipole letter, for D = 1 at zenith: W m^-2 MHz^-1 so that P_sky G_ant is
+        Shape (lst, freq) for each polarisation, for D = 1 at zenith: W m^-2 MHz^-1 so that P_sky G_ant is
         W/MHz with G_ant in m^2; any other common unit makes C relative.
     origin
         Sky model and antenna model, or the file it was read from.

@@ -1,8 +1,8 @@
 """Events with anomalous power, and why: thunderstorms, failing receivers, saturation (section 3.1 of the paper).
 
 Each path's band power is compared with its own median after the sky's daily variation, common to a station's dipoles of
-one letter, has been taken out. What is left scatters by about 5 % (gain from event to event); an event or path that is
-off by more than `CUT_SIGMA` robust standard deviations, and by at least a fifth, is left out.
+one polarisation, has been taken out. The residual scatters by about 5 % (gain from event to event); an event or path
+that is off by more than `CUT_SIGMA` robust standard deviations, and by at least a fifth, is left out.
 """
 
 from __future__ import annotations

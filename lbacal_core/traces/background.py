@@ -171,7 +171,7 @@ def measure_background(
 
     Returns
     -------
-    One background a trace, in the order given; unusable ones say why.
+    One background a trace, in the order given; an unusable one carries the reason.
     """
     return measure_traces(map(read_trace, references), settings, pulse_unix, is_station=len(references) > 1)
 

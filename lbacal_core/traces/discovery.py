@@ -37,7 +37,7 @@ class StationEvent:
 
 
 def list_traces(path: Path, antenna_set: str | None = None) -> list[TraceReference]:
-    """Find the traces in one file; `antenna_set` overrides what the file says."""
+    """Find the traces in one file; `antenna_set` overrides that of the file."""
     if not path.is_file():
         raise UnreadableFileError(f"{path}: no such file")
     if path.stat().st_size == 0:

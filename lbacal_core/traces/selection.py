@@ -33,8 +33,8 @@ SWITCHED_LEVEL = 12.0
 SWITCHED_SHARE = 0.007
 ON_LEVEL = 5.0
 """Where one block in 140 exceeds the first (chance in 400 blocks, 1e-8), a transmitter is switched, and the channel is
-on in all blocks above the second (chance, 0.7 %). To ask for less does harm: the blocks in which a weak line happens to
-be strong would go, and what is left of it would hide from the search."""
+on in all blocks above the second (chance, 0.7 %). A lower threshold does harm: it removes the blocks in which a
+weak line happens to be strong, and the search then misses the rest of the line."""
 
 OFF_LEVEL = 2.0
 """A channel whose median is above this many times its noise (pure noise: 0.7) is on most of the time: a carrier,
@@ -91,7 +91,7 @@ def select_background(
     pulse_unix
         When the cosmic ray is expected (from the particle detectors), s UTC; the blocks around it go, seen or not.
     statistics
-        Of the blocks, where they are known already.
+        Statistics of the blocks, where they are known already.
     """
     statistics = statistics or transform_trace(trace.samples)[1]
     highest, lowest, mean, mean_square = (

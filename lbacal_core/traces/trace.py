@@ -1,4 +1,4 @@
-"""One dipole's raw trace: what its header says, and its samples in blocks of 1024."""
+"""One dipole's raw trace: its header, and its samples in blocks of 1024."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def name_dipole(rcu: int, antenna_set: str) -> str:
 
 @dataclass(frozen=True)
 class TraceReference:
-    """Where one dipole's trace lies and what its header says; nothing of its samples is in memory.
+    """The place and the header of one dipole's trace; its samples are not in memory.
 
     Attributes
     ----------
@@ -66,7 +66,7 @@ class TraceReference:
     start_s, start_sample
         UTC second of the first sample, and its number within that second.
     antenna_set
-        `LBA_OUTER`, `LBA_INNER`, ..., `UNDEFINED` where the file does not say.
+        `LBA_OUTER`, `LBA_INNER`, ..., `UNDEFINED` where the file does not state it.
     """
 
     path: Path

@@ -21,8 +21,8 @@ def build_station(
     departure for each polarisation. The noise constants come from the published terms: each term, divided by the sky
     beside it, is a ratio that does not depend on units; times our own P_sky it is the noise referred to the sky;
     carried forward to the point where it enters (nothing for N_LNA, G_ant A L for N_RCU, G_ant A L G_RCU S for
-    N_ADC) it is constant along frequency as far as the published figure and this chain agree, and its geometric mean
-    over frequency is the constant. The frequency dependence in the spectra is the chain's, not the figure's.
+    N_ADC) it is constant along frequency within the accuracy of the published figure and this chain. Its geometric
+    mean over frequency is the constant. The frequency dependence in the spectra is the chain's, not the figure's.
     """
     frequency = instrument.frequency_mhz
     loss = _cable_loss(instrument, scene)

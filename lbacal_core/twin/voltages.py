@@ -38,7 +38,7 @@ class Transmitter:
     duty, period_s
         Fraction of every period in which it transmits.
     phase
-        Of the carrier at the first sample, rad: what differs between antennas.
+        Phase of the carrier at the first sample, rad; it differs between antennas.
     """
 
     frequency_mhz: float

@@ -96,7 +96,7 @@ def refit(
 
 
 def jobs(number: Annotated[int | None, typer.Argument(help="One job; without it the newest.")] = None) -> None:
-    """Show what was asked for and how far it is.
+    """Show a requested job and its progress.
 
     Example: lbacal jobs 12
     """

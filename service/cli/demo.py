@@ -107,7 +107,7 @@ def describe_recovery(shown: Demonstration) -> str:
 
 
 def describe_real(comparison: Comparison) -> str:
-    """What the measured LST curve says about the simulation, in one sentence for each dipole."""
+    """Compare the measured LST curve with the simulation, in one sentence for each dipole."""
     sentences = []
     for dipole in DIPOLES:
         alone, noisy = (comparison.of(dipole, has_noise=has_noise) for has_noise in (False, True))
@@ -120,7 +120,7 @@ def describe_real(comparison: Comparison) -> str:
 
 
 def render_report(shown: Demonstration, served: ServedRun | None = None) -> str:
-    """The report as one self-contained page; with what the service found, if it was asked."""
+    """The report as one self-contained page; with what the service found, if it ran."""
     spectra, station = shown.campaign.spectra, shown.campaign.truth.stations[0]
     weights = band_weights(shown.instrument, AS_RECORDED, BAND_MHZ)
     sky_curves = {d: simulate_band_power(shown.sky_power, d, FULL_DAY, weights) for d in DIPOLES}

@@ -27,7 +27,7 @@ def draw_lst_comparison(comparison: Comparison, simulated: dict[str, Floats]) ->
     Parameters
     ----------
     simulated
-        Relative sky power of the band on `FULL_DAY`, for each dipole letter.
+        Relative sky power of the band on `FULL_DAY`, for each polarisation.
     """
     figure = Figure(figsize=(9.5, 6.2), layout="constrained")
     axes: Any = figure.subplots(2, 2, sharex=True, sharey="row", height_ratios=[2, 1])
@@ -132,7 +132,7 @@ def draw_noise(curve: CalibrationCurve, instrument: Instrument, sky_power: SkyPo
 
 
 def draw_residuals(maps: dict[str, Floats], frequency_mhz: Floats) -> Figure:
-    """Measured over predicted power minus 1, LST against frequency, one panel for each dipole letter."""
+    """Measured over predicted power minus 1, LST against frequency, one panel for each polarisation."""
     figure = Figure(figsize=(9.5, 4.6), layout="constrained")
     axes: Any = figure.subplots(1, len(maps), sharey=True)
     limit = 100 * float(np.nanpercentile(np.abs(np.stack(list(maps.values()))), 99))

@@ -21,10 +21,10 @@ from lbacal_core.grids import Floats
 
 BINS = 24
 MAP_BINS, MAP_CHANNELS = 16, 3
-"""Of a map: few enough that a weak effect rises above the noise of a cell."""
+"""Cells of a map: few enough that a weak effect rises above the noise of a cell."""
 SHAPES = 6
 WEAKEST_AXIS = 0.2
-"""Of the variance of a signature along its strongest axis: below, an axis is not shown."""
+"""Share of the variance of a signature along its strongest axis, below which another axis is not shown."""
 RED = "#b3322b"
 POINTS: dict[str, Any] = {"fmt": "o", "ms": 3, "lw": 0.9, "color": "#444"}
 
@@ -46,7 +46,7 @@ def draw_scores(report: StationReport) -> Figure:
 
 
 def draw_residual_maps(report: StationReport, target: Target | None, axes: Sequence[Axis]) -> Figure:
-    """Residuals before and after along axes, against frequency, of the paths concerned."""
+    """Residuals of the target's paths before and after, along axes, against frequency."""
     values_of = dict(pair for axis in axes if (pair := _values_on(report, axis)) is not None)
     figure = Figure(figsize=(9.5, 2.9 * len(values_of) + 0.3), layout="constrained")
     panels: Any = figure.subplots(len(values_of), 2, squeeze=False, sharex=True, sharey="row")
@@ -177,7 +177,7 @@ def _map(values: Floats, residual: Floats) -> Floats:
 
 
 def draw_calibration_change(report: StationReport, finding: Finding) -> Figure:
-    """What the extended model does to C(nu) of the paths concerned."""
+    """Change of C(nu) of the target's paths by the fitted model."""
     change = 100 * finding.calibration_change
     frequency = report.station.conditions.frequency_mhz
     figure = Figure(figsize=(9.5, 2.8), layout="constrained")

@@ -13,7 +13,7 @@ from lbacal_core.spectra import Spectra
 from service.cli.outputs import require_outputs
 
 LOFAR_CORE_LONGITUDE_DEG = 6.87
-"""Of the Superterp (van Haarlem et al. 2013); good to 0.01 deg, 2 s of sidereal time, for printing and for the cut."""
+"""Longitude of the Superterp (van Haarlem et al. 2013) to 0.01 deg (2 s of LST): to print LST and for the cut."""
 
 
 def spectra(

@@ -42,7 +42,7 @@ from service.wire.tables import FORMATS, choose_format, write_format
 
 router = APIRouter(tags=["calibrations"])
 SETTLED_US = 60_000_000
-"""What the ledger said at an instant cannot change once this has passed: promotions commit within 5 s of their `at`."""
+"""The ledger at an instant is final once this time has passed: promotions commit within 5 s of their `at`."""
 
 
 @router.get(

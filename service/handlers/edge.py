@@ -119,7 +119,7 @@ class _Exchange:
 
     @property
     def path(self) -> str:
-        """What was asked for, without the query."""
+        """Path of the request, without the query."""
         return str(self.scope["path"])
 
     @property

@@ -86,7 +86,7 @@ def show_calibration(request: Request, use: UseCases, version_id: InPath) -> Res
 
 
 def _rows_of_chains(version: Version) -> list[dict[str, Any]]:
-    """Of a mean of paths, the departures of single paths by cable, at the median channel."""
+    """Departures of single paths from their mean, by cable, at the median channel."""
     rows = []
     for dipole, chain in version.chains.items() if version.scope.antenna is None else ():
         spreads = {} if chain.spreads is None else {**chain.spreads.by_cable, "all": chain.spreads.all_paths}

@@ -165,7 +165,7 @@ class Database:
 
 @contextmanager
 def explaining_failures() -> Iterator[None]:
-    """Turn what a database says when it is away, busy or full into what to tell about it."""
+    """Turn an error of a database that is away, busy or full into a failure with a sentence for the user."""
     try:
         yield
     except SQLAlchemyError as error:
@@ -176,7 +176,7 @@ def explaining_failures() -> Iterator[None]:
 
 
 class _SqliteFile:
-    """The file of an SQLite database: what is written into one that was removed is lost, though SQLite says nothing."""
+    """The file of an SQLite database: what is written into a removed file is lost, and SQLite reports no error."""
 
     def __init__(self, name: str | None) -> None:
         self._path = Path(name or "")

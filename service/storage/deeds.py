@@ -1,4 +1,4 @@
-"""Deeds that were done under a name, so that asking again under the same name does not do them again."""
+"""Completed requests by idempotency key, so that a repeated request is not done again."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ KEPT_US = 7 * 86_400_000_000
 
 @dataclass(frozen=True)
 class Deed:
-    """What was asked under a name, and what was answered."""
+    """The request under an idempotency key, and its answer."""
 
     request_sha256: str
     answer: str
 
 
 class DeedStore:
-    """Deeds by who asked and the name that they gave."""
+    """Completed requests by caller and idempotency key."""
 
     def __init__(self, connection: Connection) -> None:
         self._connection = connection

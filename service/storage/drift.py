@@ -1,4 +1,4 @@
-"""Monthly ratios of C: a cache of what the stored spectra say, replaced whole, station by station."""
+"""Monthly ratios of C: a cache of what follows from the stored spectra, replaced whole, station by station."""
 
 from __future__ import annotations
 

@@ -75,6 +75,6 @@ def _explain_sqlite(error: sqlite3.Error) -> str | None:
 
 def _explain_postgresql(error: DBAPIError) -> str | None:
     state = getattr(error.orig, "sqlstate", None)
-    if state is None:  # the client gave up before the server said anything
+    if state is None:  # the client gave up before the server answered
         return AWAY if isinstance(error, OperationalError) or error.connection_invalidated else None
     return _OF_STATE.get(state) or _OF_CLASS.get(state[:2])

@@ -74,7 +74,7 @@ class LedgerStore:
                 raise UnavailableError("the promotion took too long to write and was not made")
 
     def answers(self, paths: Sequence[Scope], instant: Instant, as_of: Instant | None) -> dict[Scope, list[Promotion]]:
-        """What each path's scopes say at an instant, narrowest first, up to the one that answers."""
+        """The promotions of each path's scopes at an instant, narrowest first, up to the one that answers."""
         keys = {scope.key for path in paths for scope in path.widening}
         rank = func.row_number().over(
             partition_by=promotion.c.scope, order_by=(promotion.c.at_us.desc(), promotion.c.id.desc())

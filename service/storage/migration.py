@@ -1,4 +1,4 @@
-"""The schema's version: bring it up to date, or say that it is not."""
+"""The schema's version: bring it up to date, or report that it is not."""
 
 from __future__ import annotations
 

@@ -29,8 +29,8 @@ MICROSECONDS = 1e6
 class Version:
     """The result of one fit over the window [since, until) for one scope.
 
-    `gate` says why it was not promoted by itself; None where it passed or nobody asked. `chains` holds the reference
-    chain of each curve by its dipole; a dipole that is not there has none that is known.
+    `gate` is why it was not promoted by itself; None where it passed, or no promotion was requested. `chains` holds the
+    reference chain of each curve by its dipole; a dipole that is not there has none that is known.
     """
 
     scope: Scope
@@ -55,7 +55,7 @@ class Version:
         return self.since, self.until
 
     def with_gate(self, objection: str | None) -> Version:
-        """The same version with what the gate says of it."""
+        """The same version with the result of the gate."""
         return replace(self, gate=objection)
 
     @property

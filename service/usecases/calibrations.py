@@ -18,10 +18,10 @@ from service.wire.instants import format_instant
 
 @dataclass(frozen=True)
 class CurveInEffect:
-    """The curve that answers for a path, by which promotion, and what each scope said on the way.
+    """The curve that answers for a path, by which promotion, and the promotions of the scopes on the way.
 
     `told` is the curve through the path's own cable; `chain` the reference chain where it is not the path's own curve.
-    `is_held` tells that nothing is in effect and the nearest in time answers instead.
+    `is_held`: nothing is in effect, and the nearest version in time answers instead.
     """
 
     told: ToldCurve
@@ -104,7 +104,7 @@ class Calibrations:
         return InEffect(at, curves, [path for path in paths if path not in answers])
 
     def get(self, version_id: str) -> tuple[Version, list[Promotion]]:
-        """A version and everything the ledger says of it."""
+        """A version and every promotion of it."""
         with self.database.read() as stores:
             return stores.versions.get(version_id), stores.ledger.of_calibration(version_id)
 

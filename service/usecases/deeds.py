@@ -1,4 +1,4 @@
-"""Deeds under a name: a request that is repeated because its answer was lost is answered again and not done again."""
+"""Idempotent requests: one that is repeated because its answer was lost is answered again and not done again."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ LONGEST_NAME = 200
 
 @dataclass(frozen=True)
 class Deeds:
-    """Does what was asked for, once a name."""
+    """Executes requests, once for each idempotency key."""
 
     database: Database
     clock: Callable[[], Instant]
 
     def once(self, by: str, name: str | None, request: bytes, do: Callable[[], bytes]) -> bytes:
-        """Do a deed and return its answer, or the answer of the deed that was done under the same name.
+        """Execute a request and return its answer, or the stored answer of the same idempotency key.
 
-        Deed and answer are one transaction: if the answer cannot be written, the deed is not done.
+        Request and answer are one transaction: if the answer cannot be written, the request has no effect.
 
         Parameters
         ----------

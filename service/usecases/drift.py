@@ -87,7 +87,7 @@ def find_references(stores: Stores, instrument: Instrument, station: str) -> dic
 
 @dataclass(frozen=True)
 class Drift:
-    """Measures drift and tells it."""
+    """Measures drift and reports it."""
 
     database: Database
     instrument: Instrument
@@ -157,7 +157,7 @@ class Drift:
 def _gather(
     scope: Scope, ratios: Sequence[MonthlyRatio], versions: Sequence[MeanC], steps: Sequence[Step]
 ) -> DriftSeries:
-    """Of everything, what belongs to a scope."""
+    """Select what belongs to a scope."""
     own = [ratio for ratio in ratios if scope in ratio.path.widening]
     return DriftSeries(scope, versions, _months(own, versions), [step for step in steps if scope in step.path.widening])
 

@@ -111,7 +111,7 @@ class Intake:
         received
             How many were sent, where some of them were sent twice.
         name_place
-            Says where a column's row stands in what was sent.
+            Gives the place of a column's row in the request.
         digest
             SHA-256 of the body that held them.
         """

@@ -1,4 +1,4 @@
-"""A process tells that it lives, every few seconds, for as long as its work runs."""
+"""A process records that it lives, every few seconds, for as long as its work runs."""
 
 from __future__ import annotations
 

@@ -183,7 +183,7 @@ def _of_scope(spectra: Spectra, scope: Scope) -> Spectra:
 
 @dataclass(frozen=True)
 class Jobs:
-    """What was asked for and how far it is."""
+    """A requested job and its progress."""
 
     database: Database
     clock: Callable[[], Instant]

@@ -24,7 +24,7 @@ FAILURES_SHOWN = 50
 
 @dataclass(frozen=True)
 class State:
-    """What an operator looks at. `problem` says why the service is not ready; None if it is."""
+    """What an operator looks at. `problem` is why the service is not ready; None if it is."""
 
     problem: str | None
     processes: Sequence[Process]
@@ -79,7 +79,7 @@ class Status:
 
 
 def _explain_waiting(waiting: Mapping[str | None, int], processes: Sequence[Process]) -> list[str]:
-    """Say which parts no worker that lives may begin, and why."""
+    """List the parts that no living worker may begin, with the reason."""
     had = sorted({one.inputs for one in processes if one.kind == WORKER and one.is_alive and one.inputs})
     return [
         f"{count} parts wait for a worker with {explain_difference(needed, had[0])}"

@@ -14,9 +14,9 @@ from lbacal_core.twin.settings import YEAR_S
 from lbacal_core.twin.stages import Scene, Stages
 
 CAPACITANCE_F, RESISTANCE_OHM = 16e-12, 700.0
-"""Of the amplifier at the feed, as published for the LBA (15-17 pF, 700 Ohm)."""
+"""Input impedance of the amplifier at the feed, as published for the LBA (15-17 pF, 700 Ohm)."""
 RADIATION_OHM, INDUCTANCE_H = 70.0, 3.3e-6
-"""Of the dipole, so that the loaded resonance is as narrow (5.3 MHz between its half-power points) as G_ant."""
+"""Resistance of the dipole: the loaded resonance is as narrow (5.3 MHz between its half-power points) as G_ant."""
 
 
 def circuit_response(frequency_mhz: Floats, resonance_mhz: Floats, width: Floats) -> Floats:

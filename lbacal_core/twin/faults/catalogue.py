@@ -1,4 +1,4 @@
-"""The causes of the contract's catalogue as faults to plant, with laws to draw from and a size to start from."""
+"""The causes of the contract's catalogue as faults to plant, with settings to draw from and a size to start from."""
 
 from __future__ import annotations
 
@@ -44,9 +44,9 @@ class Cause:
     Attributes
     ----------
     unit
-        Of the size.
+        Unit of the size.
     typical
-        A size that a station-year shows at some 10 standard deviations, to start a search for a wanted one from.
+        A size that a station-year shows at some 10 standard deviations: the start of a search for another SNR.
     laws
         Choices of the further parameters; a date is drawn where one is needed.
     """
@@ -143,7 +143,7 @@ def draw_fault(
     size: float | None = None,
     where: Where = EVERYWHERE,
 ) -> Fault:
-    """Draw one fault of a cause: its law, a date in the middle of the campaign; of typical size unless given."""
+    """Draw one fault of a cause: its settings, and a date in the middle of the campaign; typical size unless given."""
     known = catalogue_faults()
     if cause not in known:
         raise UnknownNameError("cause", cause, list(known))

@@ -1,4 +1,4 @@
-"""Faults between the sky and the dipole: directions, letters, clocks, and what else shines or absorbs."""
+"""Faults between the sky and the dipole: directions, polarisations, clocks, and other sources and absorbers."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class DipoleAzimuth(SkyFault):
 
 @dataclass(frozen=True, kw_only=True)
 class LstOffset(SkyFault):
-    """The sky is that of `size` hours later than the recorded time says."""
+    """The sky is that of `size` hours after the recorded time."""
 
     def seen(self, sky: Floats, scene: Scene) -> Floats:
         """The sky of another sidereal time, in proportion to whatever else acts on it."""
@@ -139,7 +139,7 @@ class IonosphericAbsorption(SkyFault):
     """The daytime D layer absorbs: optical depth `size` at 30 MHz under an overhead Sun, as frequency^-2."""
 
     power: float = 0.75
-    """Of the cosine of the Sun's zenith angle."""
+    """Exponent of the cosine of the Sun's zenith angle."""
 
     def seen(self, sky: Floats, scene: Scene) -> Floats:
         """The sky behind the layer."""

@@ -1,4 +1,4 @@
-"""Effects that no catalogue of causes lists, each of another kind, to test what is said of the unknown."""
+"""Effects that no catalogue of causes lists, each of another kind, to test the report of unknown structure."""
 
 from __future__ import annotations
 

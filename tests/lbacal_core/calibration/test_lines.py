@@ -22,19 +22,19 @@ def slow_lines(power: Floats, sky: Floats, model: Floats, covariances: list[Floa
 
 def test_lines_and_information_equal_the_dense_generalised_least_squares(scene):
     _, sky, power = scene.draw(np.random.default_rng(3), paths=2, events=200)
-    excess = np.ones(power.shape[:2])
-    excess[0, ::3] = 2.0
-    excess[1, :7] = np.inf
-    lines = fit_lines(power, sky, excess)
+    relative_variance = np.ones(power.shape[:2])
+    relative_variance[0, ::3] = 2.0
+    relative_variance[1, :7] = np.inf
+    lines = fit_lines(power, sky, relative_variance)
     channels = sky.shape[1]
     for path in range(2):
-        kept = np.isfinite(excess[path])
+        kept = np.isfinite(relative_variance[path])
         # the weights come from unweighted lines: the oracle gets the same ones
         model = np.stack(
             [np.polyval(np.polyfit(x, y, 1), x) for x, y in zip(sky[kept].T, power[path][kept].T, strict=True)], 1
         )
         levels = [lines.levels.radiometer[path], lines.levels.event_gain[path]]
-        covariances = [k * np.diag(levels[0] ** 2) + levels[1] ** 2 for k in excess[path][kept]]
+        covariances = [k * np.diag(levels[0] ** 2) + levels[1] ** 2 for k in relative_variance[path][kept]]
         expected, information = slow_lines(power[path][kept], sky[kept], model, covariances)
         np.testing.assert_allclose(lines.slope[path], expected[:channels], rtol=1e-9)
         np.testing.assert_allclose(lines.intercept[path], expected[channels:], rtol=1e-8)
@@ -55,9 +55,11 @@ def test_noise_levels_are_those_of_the_simulation(scene):
 def test_spectra_of_fewer_blocks_are_noisier_and_levels_refer_to_the_typical(scene):
     rng = np.random.default_rng(5)
     _, sky, _ = scene.draw(rng, paths=1, events=600)
-    excess = np.where(np.arange(600) % 2, 4.0, 1.0)[None, :].repeat(12, 0)
-    power = scene.mean_power(sky) * (1 + 0.02 * np.sqrt(excess)[:, :, None] * rng.standard_normal((12, 600, 26)))
-    levels = fit_lines(power, sky, excess).levels
+    relative_variance = np.where(np.arange(600) % 2, 4.0, 1.0)[None, :].repeat(12, 0)
+    power = scene.mean_power(sky) * (
+        1 + 0.02 * np.sqrt(relative_variance)[:, :, None] * rng.standard_normal((12, 600, 26))
+    )
+    levels = fit_lines(power, sky, relative_variance).levels
     np.testing.assert_allclose(np.mean(levels.radiometer), 0.02, rtol=0.01)
     assert np.all(levels.event_gain < 0.003)
 
@@ -71,8 +73,10 @@ def test_a_path_does_not_depend_on_those_fitted_beside_it(scene):
 
 def test_absent_spectra_count_for_nothing_whatever_stands_in_their_place(scene):
     _, sky, power = scene.draw(np.random.default_rng(7), paths=1, events=200)
-    excess = np.ones((1, 200))
-    excess[0, 150:] = np.inf
+    relative_variance = np.ones((1, 200))
+    relative_variance[0, 150:] = np.inf
     spoiled = power.copy()
     spoiled[0, 150:] = 1e6
-    np.testing.assert_allclose(fit_lines(spoiled, sky, excess).slope, fit_lines(power, sky, excess).slope, rtol=1e-12)
+    np.testing.assert_allclose(
+        fit_lines(spoiled, sky, relative_variance).slope, fit_lines(power, sky, relative_variance).slope, rtol=1e-12
+    )
