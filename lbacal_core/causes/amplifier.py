@@ -83,7 +83,7 @@ class MissingNoise(Cause):
     confirm: str = (
         "measure the noise with a dummy load, or fit event spectra, where noise has another slope in frequency"
     )
-    needs: str = "the model of event spectra contains all three noise stages; ask it of band-averaged LST curves"
+    needs: str = "the model of event spectra contains all three noise stages; investigate an LST curve"
     sizes: SizeRange = SizeRange(0.0, 10.0)
 
     def templates(self, conditions: Conditions) -> list[Template]:

@@ -1,9 +1,10 @@
 """Fits of sets of causes to one LST curve: sizes and an offset a dipole, under the covariance of the points.
 
 The covariance is the point noise, with what the dipoles share, and for the package's own sky the spread of sky and
-antenna models. Two skies and one antenna beside the default do not tell the shape of the next model's difference, only
-its size: so at each harmonic of the sidereal day the difference has the variance of those known and any phase, and the
-dipoles differ independently (those known differ alike, which makes this the careful choice for what tells X from Y).
+antenna models. The known alternatives, two skies and one antenna, give the size of the next model's difference, and not
+its dependence on LST. At each harmonic of the sidereal day the difference therefore has the variance of the known ones
+and any phase. The dipoles differ independently; the known differences are alike in X and Y, so that this is the careful
+choice for causes that act on X and Y differently.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ FOLD_HOURS = 2.0
 
 @dataclass(frozen=True)
 class CurveFit:
-    """Sizes of causes fitted together, and what is left.
+    """Sizes of causes fitted together, and the residuals.
 
     Attributes
     ----------
@@ -65,7 +66,7 @@ class CurveFit:
     def scale(self) -> float:
         """Factor on the covariance where the points scatter more than it allows: chi^2 per degree of freedom, or 1.
 
-        What such a simulation leaves is taken for its own error (the scale factor of the Particle Data Group).
+        Residuals beyond the noise count as an error of the simulation (the scale factor of the Particle Data Group).
         """
         return max(1.0, self.chi2 / self.dof)
 
@@ -81,7 +82,7 @@ class CurveFitter:
     def __init__(
         self, curve: LstCurve, station: CurveStation, noise: PointNoise, modes: Mapping[str, Floats] | None = None
     ) -> None:
-        """With the modes by which sky and antenna models differ on `GRID_HOURS` their spread counts as noise."""
+        """Prepare the covariance; with `modes` the spread of sky and antenna models on `GRID_HOURS` is part of it."""
         self.curve, self.station, self.noise = curve, station, noise
         self.has_point = {d: curve.has_point(d) for d in DIPOLES}
         self.measured = np.concatenate([curve.variation_db[d][self.has_point[d]] for d in DIPOLES])
@@ -197,7 +198,7 @@ class CurveFitter:
         """C with more causes over C with fewer, minus 1, by dipole at the channels of the band, shape (freq,).
 
         At each frequency the recorded power is a line in P_sky, whose slope is C^-2. Data that follow the larger model
-        have, against the smaller one, the slope cov(new, old)/var(old) over LST; its root is what C changes by.
+        have, against the smaller one, the slope cov(new, old)/var(old) over LST; C changes by its root.
         """
         inside = self.station.weights > 0
         old, new = (self.station.terms_with(one.choices, one.sizes).power()[..., inside] for one in (fewer, more))
@@ -206,7 +207,7 @@ class CurveFitter:
         return dict(zip(DIPOLES, np.sqrt(np.maximum(slope, 0.0)) - 1.0, strict=True))
 
     def signature(self, fewer: CurveFit, more: CurveFit) -> Floats:
-        """What the larger model changes at the points, whitened and without what the offsets absorb."""
+        """Change of the points by the larger model, whitened, the offsets profiled out."""
         root = np.linalg.cholesky(self.covariance)
         new, old = (self.points_with(one.choices, one.sizes) for one in (more, fewer))
         white = solve_triangular(root, new - old, lower=True)

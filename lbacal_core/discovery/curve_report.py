@@ -70,7 +70,7 @@ def _words(choice: Choice, fit: CurveFit, place: int) -> str:
 
 
 def _size(choice: Choice, fit: CurveFit, place: int) -> tuple[float, float]:
-    """Size and its standard deviation in the cause's unit; what the fit leaves widens it."""
+    """Size and its standard deviation in the cause's unit, multiplied by the scale factor of the fit."""
     scale = choice.scale * float(np.sqrt(fit.scale))
     return float(fit.sizes[place]) * choice.scale, float(fit.sigmas[place]) * scale
 
@@ -145,7 +145,7 @@ def _finding(found: CurveInvestigation, finding: CurveFinding) -> dict[str, Any]
 
 
 def _less(fit: CurveFit, place: int) -> CurveFit:
-    """The set without one of its causes, the others as they are: for what this one does by itself."""
+    """The set without one of its causes, the others unchanged: the difference is the effect of that cause alone."""
     choices = fit.choices[:place] + fit.choices[place + 1 :]
     return replace(fit, choices=choices, sizes=np.delete(fit.sizes, place), sigmas=np.delete(fit.sigmas, place))
 
@@ -168,7 +168,7 @@ def _rival(last: CurveFit, rival: Rival) -> dict[str, Any]:
 
 
 def _hypothesis(found: CurveInvestigation, fit: CurveFit) -> dict[str, Any]:
-    """One set of causes: what it says, how well it fits, and what it would do to C(nu)."""
+    """One set of causes: its sizes, how well it fits, and how C(nu) would change."""
     causes = []
     for place, choice in enumerate(fit.choices):
         size, sigma = _size(choice, fit, place)

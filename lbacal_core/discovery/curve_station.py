@@ -28,7 +28,7 @@ SMALLEST_SKY = 1e-6
 
 
 SMALLEST_BEND = 1e-4
-"""Share of what a cause does to the band power, in squares, that is no offset, below which the offset absorbs it:
+"""Share of the squared change of the band power that varies with LST, below which the offset describes a cause:
 doubled power then bends the curve by 0.03 dB, less than the noise of a point."""
 OFFSET_ABSORBS = "it changes little but the level of the curve, and the level is free"
 
@@ -49,7 +49,7 @@ class Choice:
 
     @property
     def kinds(self) -> frozenset[str]:
-        """What it does to the band power; choices that share a kind are never fitted together."""
+        """Kinds of its effect on the band power; choices with a common kind are never fitted together."""
         return self.cause.kinds(self.template)
 
     @property
@@ -75,8 +75,8 @@ class CurveStation:
         """Channels of the band, shape (freq,)."""
         return self.conditions.frequency_mhz[self.weights > 0]
 
-    def is_absorbed(self, choice: Choice) -> bool:
-        """Whether a small size does no more than a free offset a dipole."""
+    def is_an_offset(self, choice: Choice) -> bool:
+        """Whether the free offset of each dipole describes the effect of a small size."""
         changed = self.terms_with([choice], np.array([choice.cause.step])).power().sum(axis=-1)
         change = np.log(changed / self.terms.power().sum(axis=-1))
         bend = change - change.mean(axis=1, keepdims=True)
@@ -135,7 +135,7 @@ def list_choices(station: CurveStation) -> list[Choice]:
         for is_alias, templates in ((False, cause.templates(conditions)), (True, cause.far_templates(conditions)))
         for template in templates
     ]
-    return [choice for choice in choices if not station.is_absorbed(choice)]
+    return [choice for choice in choices if not station.is_an_offset(choice)]
 
 
 def why_not(station: CurveStation, choices: Sequence[Choice]) -> Mapping[str, str]:

@@ -1,9 +1,9 @@
-"""What a simulation gets wrong, asked of a band-averaged LST curve: fewer axes, but published of the real instrument.
+"""The search of a band-averaged LST curve for what its simulation gets wrong: one axis, but published of real data.
 
-The model is the band power of P_sky relative to its level at LST 0, an offset a dipole free. Sets of causes are fitted
-together, the best sets of each size extended by one cause more, because the best pair need not contain the best single
-cause. A larger set is kept if the points become more probable than chance allows over the whole catalogue, and if
-blocks of LST that were not fitted become more probable too.
+The model is the band power of P_sky relative to its level at LST 0, with a free offset for each dipole. Sets of causes
+are fitted together. The search adds one more cause to each of the best sets of a size, because the best pair need not
+contain the best single cause. It keeps a larger set if its gain is significant after the look-elsewhere correction over
+the whole catalogue, and if the likelihood of held-out blocks of LST rises.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ ALPHA_CATALOGUE, ALPHA_LEFTOVER = 0.0025, 0.002
 MAX_FINDINGS = 4
 INDISTINGUISHABLE = Policy().indistinguishable
 WIDTH = 6
-"""Sets of each size that are extended."""
+"""Number of sets of each size to which one more cause is added."""
 
 
 @dataclass(frozen=True)
@@ -41,9 +41,9 @@ class Rival:
     Attributes
     ----------
     correlation
-        Of the two signatures at the sizes found.
+        Correlation of the two signatures at the sizes found.
     is_excluded
-        Whether the data tell the two apart.
+        Whether the data exclude it.
     """
 
     choice: Choice
@@ -54,12 +54,12 @@ class Rival:
 
 @dataclass(frozen=True)
 class CurveFinding:
-    """One cause of the set named: the fit without it, and with it replaced by each other cause.
+    """One cause of the best set: the fit without it, and with it replaced by each other cause.
 
     Attributes
     ----------
     place
-        Of the cause in the set.
+        Index of the cause in the set.
     rivals
         Every other cause in its place, best first.
     z
@@ -77,7 +77,7 @@ class CurveFinding:
 
 @dataclass(frozen=True)
 class CurveInvestigation:
-    """What an LST curve says of a simulation.
+    """The result of a search of an LST curve.
 
     Attributes
     ----------
@@ -103,7 +103,7 @@ class CurveInvestigation:
     unidentifiable: Mapping[str, str]
 
     def is_open(self, fit: CurveFit) -> bool:
-        """Whether the data do not exclude a set other than the one named."""
+        """Whether the data leave open a set other than the best one."""
         rivals = [rival for finding in self.findings for rival in finding.rivals if not rival.is_excluded]
         return any(fit.labels == one.labels for one in [*self.alternatives, *(rival.fit for rival in rivals)])
 
@@ -118,16 +118,16 @@ def investigate_curve(
     weights: str = AS_RECORDED,
     noise: PointNoise | None = None,
 ) -> CurveInvestigation:
-    """Ask an LST curve what a simulated sky power gets wrong.
+    """Find what a simulated sky power gets wrong in an LST curve.
 
     Parameters
     ----------
     is_own_sky
-        Whether the spread of sky and antenna models counts as noise; a sky power that was given is taken at its word.
+        Whether the spread of sky and antenna models counts as noise. A sky power from a file is taken as exact.
     weights
         How channels weigh in the band: one of `lstcurve.compare.WEIGHTS`.
     noise
-        Of the points; estimated where it is not given.
+        Noise of the points; estimated where it is not given.
     """
     require_same_grid(sky_power.origin, sky_power.frequency_mhz, instrument.frequency_mhz, instrument.name)
     of_channels = band_weights(instrument, weights, band_mhz)
@@ -167,7 +167,7 @@ def _investigate(fitter: CurveFitter, band_mhz: tuple[float, float], *, is_own_s
 
 
 def best_without(found: CurveInvestigation, kind: str, most: int = 3) -> CurveFit:
-    """The best set of up to `most` causes none of which does what `kind` does: what a name has to beat."""
+    """The best set of up to `most` causes without any of the kind `kind`: a finding of that kind must fit better."""
     choices = list_choices(found.fitter.station)
     with threadpool_limits(1):
         search = _Search(found.fitter, [choice for choice in choices if kind not in choice.kinds])
@@ -196,12 +196,12 @@ class _Search:
         return self.fits[labels]
 
     def children(self, parent: CurveFit) -> list[CurveFit]:
-        """The parent's set with each cause that it does not contain in other words."""
+        """The parent's set with each cause whose kinds it does not contain."""
         taken = {kind for choice in parent.choices for kind in choice.kinds}
         return [self.extended(parent, choice) for choice in self.choices if not taken & choice.kinds]
 
     def best_set(self) -> CurveFit:
-        """The largest set each of whose causes the data ask for."""
+        """The largest set in which every cause is significant."""
         best, parents = self.fits[frozenset()], [self.fits[frozenset()]]
         while len(best.choices) < MAX_FINDINGS:
             grown = sorted(
@@ -218,17 +218,17 @@ class _Search:
         return self.p_value(fewer, more)[1] < ALPHA_CATALOGUE and self.fitter.held_out_gain(fewer, more) > 0
 
     def p_value(self, fewer: CurveFit, more: CurveFit) -> tuple[float, float]:
-        """Standard deviations that one cause more is worth, and their probability over the whole catalogue.
+        """Significance of one cause more, standard deviations, and its p-value over the whole catalogue.
 
-        The noise level is known from the scatter of the points themselves, or from what the larger set leaves: the
-        gain in chi^2 follows an F, not a chi^2 distribution.
+        The noise level comes from the scatter of the points, or from the residuals of the larger set: the gain in
+        chi^2 follows an F, not a chi^2 distribution.
         """
         gain = max(fewer.chi2 - more.chi2, 0.0) / more.scale
         z = sigma_of(float(f_distribution.sf(gain, 1, self.fitter.noise.free)))
         return z, p_of(z, self.trials)
 
     def finding(self, last: CurveFit, place: int) -> CurveFinding:
-        """One cause of the set with what speaks for it and what could stand in its place."""
+        """One cause of the set, with its gain in chi^2 and the causes that could replace it."""
         choice = last.choices[place]
         others = [one for one in last.choices if one is not choice]
         known = dict(zip(last.labels, last.sizes.tolist(), strict=True))
@@ -250,7 +250,7 @@ class _Search:
         return CurveFinding(choice, place, without, rivals, z, p_value, gain)
 
     def alternatives(self, last: CurveFit) -> list[CurveFit]:
-        """Sets that fit as well, at most one cause larger, and that do not merely add to the set named."""
+        """Sets that fit as well, at most one cause larger, and that do not contain the whole best set."""
         return sorted(
             (
                 fit
