@@ -34,6 +34,7 @@ class Kind:
 
 
 FLOATS = Kind("8-byte floats", lambda dtype: dtype.kind == "f" and dtype.itemsize == 8, np.float64)
+REALS = Kind("floats of 4 or 8 bytes", lambda dtype: dtype.kind == "f" and dtype.itemsize in (4, 8), np.float64)
 INTEGERS = Kind("integers", lambda dtype: dtype.kind in "iu", np.int64)
 NUMBERS = Kind("numbers", lambda dtype: dtype.kind in "fiu", np.float64)
 STRINGS = Kind("strings", lambda dtype: h5py.check_string_dtype(dtype) is not None, np.str_)

@@ -21,6 +21,7 @@ from lbacal_core.hdf5 import (
     HDF5_FAILURES,
     INTEGERS,
     NUMBERS,
+    REALS,
     STRINGS,
     is_in_file,
     open_dataset,
@@ -42,7 +43,7 @@ _COLUMNS = ("event_id", "time_unix", "station", "antenna", "dipole", "blocks")
 _KEY = ("station", "antenna", "dipole", "event_id")
 _KINDS = {
     "frequency_mhz": NUMBERS,
-    "power": FLOATS,
+    "power": REALS,
     "event_id": STRINGS,
     "time_unix": FLOATS,
     "station": STRINGS,

@@ -76,8 +76,14 @@ WRONG_CONTENT: dict[str, tuple[Callable[[dict[str, Any]], None], str]] = {
     "azimuth as number": (put("dipoles", "X", 45), "dipoles.X: expected a finite number"),
     "no azimuth": (put("dipoles", "X", {}), "dipoles.X: expected a finite number, found None"),
     "short gain": (put("antenna_gain", [1, 1]), r"antenna_gain: expected 3 numbers, one a channel, found shape \(2,\)"),
-    "gain zero": (put("receiver_gain", 2, 0), "receiver_gain, channel 2: expected a finite power factor > 0, found"),
-    "gain in dB": (put("antenna_gain", 1, -3.0), "antenna_gain, channel 1: expected a finite power factor > 0, found"),
+    "gain zero": (
+        put("receiver_gain", 2, 0),
+        r"receiver_gain, channel 2: expected a finite power factor > 0, found 0\.0$",
+    ),
+    "gain in dB": (
+        put("antenna_gain", 1, -3.0),
+        r"antenna_gain, channel 1: expected a finite power factor > 0, found -3\.0$",
+    ),
     "gain infinite": (put("antenna_gain", 1, float("inf")), "antenna_gain, entry 1: expected a finite number, found"),
     "gain null": (put("antenna_gain", 1, None), "antenna_gain, entry 1: expected a finite number, found None"),
     "amplifying cable": (put("cables", "50 m", 0, 1.2), "cables.50 m, channel 0: .* > 0 and <= 1, found"),

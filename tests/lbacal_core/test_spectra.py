@@ -122,7 +122,7 @@ WRONG_CONTENT: dict[str, tuple[Callable[[h5py.File], None], str]] = {
     "antenna as float": (put("antenna", np.zeros(24)), "antenna: expected integers, found float64"),
     "integer time": (put("time_unix", np.full(24, 1_400_000_000)), "time_unix: expected 8-byte floats, found int64"),
     "time as float32": (put("time_unix", np.full(24, 1.4e9, "f4")), "time_unix: expected 8-byte floats, found float32"),
-    "power as text": (put("power", np.full((24, 4), b"1.0")), "power: expected 8-byte floats"),
+    "power as text": (put("power", np.full((24, 4), b"1.0")), "power: expected floats of 4 or 8 bytes"),
     "complex power": (put("power", np.ones((24, 4), complex)), "power: expected 8-byte floats, found complex128"),
     "station as number": (put("station", np.full(24, 2)), "station: expected strings, found int64"),
     "lists as dipole": (
@@ -357,3 +357,12 @@ def test_the_example_data_set_is_readable(shared: Path) -> None:
     spectra = read_spectra(shared / "examples" / "spectra.h5", NOW)
     assert len(np.unique(spectra.event_id)) == 400
     assert spectra.frequency_mhz.size == 51
+
+
+def test_powers_of_four_bytes_are_read_as_the_numbers_that_they_are(two_stations: Spectra, tmp_path: Path) -> None:
+    write_spectra(two_stations, tmp_path / "s.h5")
+    powers = two_stations.power.astype("f4")
+    with h5py.File(tmp_path / "s.h5", "a") as file:
+        del file["power"]
+        file["power"] = powers
+    assert np.array_equal(read_spectra(tmp_path / "s.h5").power, powers.astype("f8"))
