@@ -123,7 +123,7 @@ WRONG_CONTENT: dict[str, tuple[Callable[[h5py.File], None], str]] = {
     "integer time": (put("time_unix", np.full(24, 1_400_000_000)), "time_unix: expected 8-byte floats, found int64"),
     "time as float32": (put("time_unix", np.full(24, 1.4e9, "f4")), "time_unix: expected 8-byte floats, found float32"),
     "power as text": (put("power", np.full((24, 4), b"1.0")), "power: expected floats of 4 or 8 bytes"),
-    "complex power": (put("power", np.ones((24, 4), complex)), "power: expected floats of 4 or 8 bytes, found complex128"),
+    "complex power": (put("power", np.ones((24, 4), complex)), "power: expected floats of 4 or 8 bytes, found complex"),
     "station as number": (put("station", np.full(24, 2)), "station: expected strings, found int64"),
     "lists as dipole": (
         put("dipole", np.array([np.ones(2)] * 24 + [None], dtype=object)[:24], dtype=h5py.vlen_dtype(float)),
