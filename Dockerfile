@@ -1,11 +1,13 @@
-# One image for API, scheduler, worker and migration: the wheel with exactly the locked dependencies.
+# One image for API, scheduler, worker and migration: both wheels with exactly the locked dependencies.
 FROM python:3.11-slim AS build
 WORKDIR /src
 COPY . .
 RUN pip install --no-cache-dir uv==0.13.9 \
     && uv build --wheel --out-dir /wheel \
+    && uv build --wheel --out-dir /wheel wheels/server \
     && uv venv /venv \
-    && uv pip install --python /venv/bin/python --constraints requirements.lock "$(ls /wheel/*.whl)[server,dask]"
+    && uv pip install --python /venv/bin/python --constraints requirements.lock \
+        "$(ls /wheel/lbacal-*.whl)[dask]" /wheel/lbacal_server-*.whl
 
 FROM python:3.11-slim
 RUN useradd --system --create-home --home-dir /data lbacal

@@ -7,10 +7,14 @@ LONGEST_FOUND = 120
 
 
 class LbacalError(Exception):
-    """An expected failure, stated in one line. `status` is its HTTP status, `code` its stable short name."""
+    """An expected failure, stated in one line. `status` is its HTTP status, `code` its stable short name.
+
+    `detail` is what only whoever runs a command here may read beside it.
+    """
 
     status = 500
     code = "failed"
+    detail = ""
 
     def __init__(self, sentence: str) -> None:
         super().__init__(_on_one_line(sentence))
@@ -49,6 +53,15 @@ class UnknownNameError(LbacalError):
 
     def __init__(self, kind: str, name: str, known: list[str]) -> None:
         super().__init__(f"unknown {kind} {name!r}; known: {', '.join(known)}, or the path of a file")
+
+
+class MissingExtraError(LbacalError):
+    """A part of the package that is not installed where it is needed."""
+
+    code = "missing_extra"
+
+    def __init__(self, what: str, extra: str) -> None:
+        super().__init__(f"{what} needs the extra {extra}: pip install 'lbacal[{extra}]'")
 
 
 def _on_one_line(text: str) -> str:

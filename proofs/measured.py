@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from lbacal.cli.curve_figures import name_hypothesis
 from lbacal_core.discovery.curve_fit import CurveFit
 from lbacal_core.discovery.curve_report import describe_curve
 from lbacal_core.discovery.lst_curve import CurveInvestigation, best_without, investigate_curve
@@ -28,7 +29,6 @@ from lbacal_core.skypower.table import SkyPower
 from proofs.machinery.claims import Claim, at_least, at_most, between, claim_exact, claim_worst
 from proofs.machinery.parts import Part, Row
 from proofs.sky_models import DATA, MAPS, TABLES, WIPL, fourier_series_curve, published_tables
-from service.cli.curve_figures import name_hypothesis
 
 BAND = (30.0, 80.0)
 HARMONICS = 8

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from lbacal.cli.investigation_figures import draw_finding, draw_leftover, draw_residual_maps
 from lbacal_core.discovery.investigate import investigate
 from lbacal_core.discovery.search import StationReport
 from lbacal_core.instrument import load_instrument
@@ -21,7 +22,6 @@ from lbacal_core.twin.faults.fault import Fault, Where
 from lbacal_core.twin.faults.sky import IonosphericAbsorption
 from lbacal_core.twin.faults.uncatalogued import WorkingWeek
 from lbacal_core.twin.settings import TwinSettings
-from service.cli.investigation_figures import draw_finding, draw_leftover, draw_residual_maps
 
 IMAGES = Path(__file__).parents[1] / "docs/images"
 SETTINGS = TwinSettings(stations=("CS002",), antennas=12, events_per_year=400)

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from lbacal.cli.curve_figures import draw_change, draw_curve, draw_ranking
 from lbacal_core.instrument import load_instrument
 from proofs.measured import main_questions
-from service.cli.curve_figures import draw_change, draw_curve, draw_ranking
 
 IMAGES = Path(__file__).parents[1] / "docs" / "images"
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lbacal_core.errors import BadInputError, UnknownNameError, UnreadableFileError
+from lbacal_core.errors import BadInputError, MissingExtraError, UnknownNameError, UnreadableFileError
 from lbacal_core.grids import Floats
 from lbacal_core.npz import read_npz
 from lbacal_core.sky.model import SkyModel
@@ -63,7 +63,7 @@ def make_pygdsm_model(name: str) -> SkyModel:
     try:
         import pygdsm
     except ImportError as error:
-        raise UnreadableFileError(f"sky {name}: needs the package pygdsm; install lbacal[maps]") from error
+        raise MissingExtraError(f"sky {name}", "maps") from error
     makers = {
         "pygdsm-gsm2008": lambda: pygdsm.GlobalSkyModel(freq_unit="MHz", include_cmb=False),
         "pygdsm-gsm2016": lambda: pygdsm.GlobalSkyModel16(freq_unit="MHz", data_unit="TRJ", include_cmb=False),

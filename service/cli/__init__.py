@@ -1,1 +1,1 @@
-"""The command `lbacal`: read `main`."""
+"""The commands of the server, which join those of `lbacal.cli`: read `main`."""

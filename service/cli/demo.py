@@ -12,6 +12,15 @@ from pathlib import Path
 
 import numpy as np
 
+from lbacal.cli.figures import (
+    FULL_DAY,
+    draw_calibration,
+    draw_drift,
+    draw_lst_comparison,
+    draw_noise,
+    draw_residuals,
+)
+from lbacal.cli.report_pages import embed, fill_report
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.calibration.residuals import map_residuals
 from lbacal_core.curves import CalibrationCurve, FitReport
@@ -31,15 +40,6 @@ from lbacal_core.spectra_blocks import split_into_blocks
 from lbacal_core.twin.campaign import Campaign, simulate_campaign
 from lbacal_core.twin.settings import TwinSettings
 from service.cli.demo_service import ServedRun, describe_served, serve_demonstration
-from service.cli.figures import (
-    FULL_DAY,
-    draw_calibration,
-    draw_drift,
-    draw_lst_comparison,
-    draw_noise,
-    draw_residuals,
-)
-from service.cli.report_pages import embed, fill_report
 
 STATION = "CS002"
 SHOWN_ANTENNAS = 3

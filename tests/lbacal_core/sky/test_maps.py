@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lbacal_core.errors import BadInputError, UnreadableFileError
+from lbacal_core.errors import BadInputError, MissingExtraError, UnreadableFileError
 from lbacal_core.sky import maps
 from lbacal_core.sky.names import load_sky
 
@@ -86,7 +86,7 @@ def test_pygdsm_without_its_data_says_so(monkeypatch: pytest.MonkeyPatch) -> Non
 
 def test_without_pygdsm_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pygdsm", None)
-    with pytest.raises(UnreadableFileError, match=r"lbacal\[maps\]"):
+    with pytest.raises(MissingExtraError, match=r"lbacal\[maps\]"):
         load_sky("pygdsm-gsm2008")
 
 

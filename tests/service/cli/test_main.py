@@ -1,72 +1,38 @@
 from __future__ import annotations
 
-import errno
-import subprocess
-import sys
-from importlib.metadata import version
-from pathlib import Path
+import re
+from importlib.metadata import entry_points
 
-import pytest
 import typer
 
-from lbacal_core.errors import BadInputError, LbacalError, UnknownNameError, UnreadableFileError
-from service.cli import main as command
-
-LBACAL = Path(sys.executable).with_name("lbacal")
+from lbacal.cli.main import SERVER, SERVER_COMMANDS
+from service.cli.main import app
 
 
-def run_raising(error: Exception, monkeypatch: pytest.MonkeyPatch) -> int:
-    """Exit code of `lbacal` when its work ends in an error."""
-
-    def work() -> None:
-        raise error
-
-    monkeypatch.setattr(command, "app", work)
-    with pytest.raises(SystemExit) as caught:
-        command.main()
-    return int(caught.value.code or 0)
-
-
-@pytest.mark.parametrize(
-    ("error", "code"),
-    [
-        (BadInputError("a", "b", "c"), 2),
-        (UnreadableFileError("a"), 2),
-        (UnknownNameError("instrument", "a", ["b"]), 2),
-        (FileNotFoundError(errno.ENOENT, "No such file or directory", "a/b.json"), 2),
-        (IsADirectoryError(errno.EISDIR, "Is a directory", "a"), 2),
-        (PermissionError(errno.EACCES, "Permission denied", "a"), 2),
-        (LbacalError("the work"), 1),
-        (OSError(errno.ENOSPC, "No space left on device", "a"), 1),
-    ],
-)
-def test_bad_input_exits_with_2_and_failed_work_with_1_and_both_with_one_line(
-    error: Exception, code: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run_raising(error, monkeypatch) == code
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    assert captured.err.startswith("lbacal: ")
-    assert captured.err.count("\n") == 1
-    assert "None" not in captured.err
-
-
-def test_the_installed_command_tells_its_version() -> None:
-    done = subprocess.run([LBACAL, "--version"], capture_output=True, text=True, check=True)
-    assert done.stdout == f"lbacal {version('lbacal')}\n"
-
-
-@pytest.mark.parametrize("arguments", [["fitt"], ["fit"], ["fit", "--no-such-option"]])
-def test_bad_usage_exits_with_2_without_a_traceback(arguments: list[str]) -> None:
-    done = subprocess.run([LBACAL, *arguments], capture_output=True, text=True, check=False)
-    assert done.returncode == 2
-    assert "Traceback" not in done.stderr
-    assert done.stdout == ""
+def commands_of(group: typer.Typer) -> dict[str, typer.core.TyperCommand]:
+    return dict(typer.main.get_command(group).commands)  # type: ignore[attr-defined]
 
 
 def test_every_command_has_help_with_an_example() -> None:
-    group = typer.main.get_command(command.app)
-    commands = getattr(group, "commands", {})
-    assert "fit" in commands
-    without = [name for name, one in commands.items() if f"Example: lbacal {name}" not in (one.help or "")]
-    assert without == []
+    commands = commands_of(app)
+    assert {"fit", "serve"} <= set(commands)
+    single = {name: one for name, one in commands.items() if name not in ("db", "keys")}
+    for group in ("db", "keys"):
+        single |= {f"{group} {name}": one for name, one in commands[group].commands.items()}
+    assert [name for name, one in single.items() if not re.search(rf"Example: .*lbacal {name}", one.help or "")] == []
+
+
+def test_the_client_knows_which_commands_the_server_adds() -> None:
+    """Where the server is not installed, the client promises these, and says what to install."""
+    added = [name for name, one in commands_of(app).items() if _module_of(one).startswith("service.")]
+    assert sorted(added) == sorted(SERVER)
+
+
+def _module_of(command: typer.core.TyperCommand) -> str:
+    inner = next(iter(getattr(command, "commands", {"": command}).values()))
+    return str(inner.callback.__module__)
+
+
+def test_the_entry_point_of_the_server_is_this_module() -> None:
+    (found,) = entry_points(group=SERVER_COMMANDS)
+    assert found.load().app is app

@@ -17,6 +17,7 @@ import pytest
 from astropy.table import Table
 from fastapi.testclient import TestClient
 
+from lbacal.cli.client import print_curve
 from lbacal.client import make_table
 from lbacal_core.instrument import AntennaRecord, Instrument
 from lbacal_core.provenance import hash_content
@@ -24,7 +25,6 @@ from lbacal_core.reference_chain import CableTable, ReferenceChain
 from lbacal_core.twin.campaign import Campaign
 from lbacal_core.validity import Scope
 from service.app import make_app
-from service.cli.client import print_curve
 from service.config import Settings
 from service.factory import Factory
 from service.wire.instants import format_instant

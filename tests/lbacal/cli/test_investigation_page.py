@@ -3,6 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from lbacal.cli.investigation_page import write_investigation_page
 from lbacal_core.discovery.investigate import investigate
 from lbacal_core.instrument import load_instrument
 from lbacal_core.skypower.model import compute_sky_power
@@ -12,7 +13,6 @@ from lbacal_core.twin.faults.cable import CableReflection
 from lbacal_core.twin.faults.fault import Where
 from lbacal_core.twin.faults.uncatalogued import WorkingWeek
 from lbacal_core.twin.settings import TwinSettings
-from service.cli.investigation_page import write_investigation_page
 
 pytestmark = pytest.mark.timeout(300)
 SETTINGS = TwinSettings(stations=("CS002",), antennas=6, events_per_year=250)

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from lbacal.cli.trace_batch import TraceBatch, Work
 from lbacal_core.traces.background import CleaningSettings
 from lbacal_core.traces.discovery import find_files, group_traces, list_traces
 from lbacal_core.traces.trace import TraceReference
 from lbacal_core.twin.voltages import digitise, draw_noise, write_frames
-from service.cli.trace_batch import TraceBatch, Work
 
 EVENTS = 12
 
@@ -64,7 +64,7 @@ def test_a_dask_worker_killed_midway_loses_nothing(work: list[Work], tmp_path: P
 
     def wait_in_every_task() -> None:
         """In a worker: say that a task has begun, and go on with it when told to."""
-        from service.cli import trace_batch
+        from lbacal.cli import trace_batch
 
         measure = trace_batch.measure_background
 

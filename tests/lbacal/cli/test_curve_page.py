@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from lbacal.cli.main import app
 from lbacal_core.lstcurve.curve import measured_curve
-from service.cli.main import app
 
 pytestmark = pytest.mark.timeout(300)
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from astropy.table import Table
 
-from service.cli.main import main
+from lbacal.cli.main import main
 
 OUTPUTS = ["--output", "C.ecsv", "--report", "fit.json"]
 FIT = ["fit", "spectra.h5", "--instrument", "instrument.json", "--sky-power", "sky_power.json", *OUTPUTS]

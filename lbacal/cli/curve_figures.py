@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from lbacal.cli.figures import DIPOLE_COLOURS, label_lst_panels
 from lbacal_core.discovery.curve_fit import CurveFit
 from lbacal_core.discovery.curve_station import GRID_HOURS
 from lbacal_core.discovery.lst_curve import CurveInvestigation
 from lbacal_core.grids import Floats
 from lbacal_core.instrument import DIPOLES
-from service.cli.figures import DIPOLE_COLOURS, label_lst_panels
 
 COLOURS = DIPOLE_COLOURS | {"X - Y": "#2b8a5f"}
 GREY = "#8a94a6"

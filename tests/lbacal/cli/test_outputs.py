@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
+from lbacal.cli.main import main
+from lbacal.cli.outputs import require_outputs
 from lbacal_core.errors import BadInputError
-from service.cli.main import main
-from service.cli.outputs import require_outputs
 
 
 def test_new_files_and_files_to_be_replaced_are_welcome(tmp_path: Path) -> None:

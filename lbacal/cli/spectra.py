@@ -9,8 +9,8 @@ from typing import Annotated, Any
 
 import typer
 
+from lbacal.cli.outputs import require_outputs
 from lbacal_core.spectra import Spectra
-from service.cli.outputs import require_outputs
 
 LOFAR_CORE_LONGITUDE_DEG = 6.87
 """Longitude of the Superterp (van Haarlem et al. 2013) to 0.01 deg (2 s of LST): to print LST and for the cut."""
@@ -115,11 +115,11 @@ def _reduce(
     failures: list[dict[str, str]],
 ) -> Spectra:
     """Measure all station events, cut the anomalous, write spectra and report."""
+    from lbacal.cli.trace_batch import TraceBatch
     from lbacal_core.errors import LbacalError
     from lbacal_core.spectra import write_spectra
     from lbacal_core.traces.anomalies import find_anomalous_spectra
     from lbacal_core.traces.assembly import assemble_spectra
-    from service.cli.trace_batch import TraceBatch
 
     batch = TraceBatch(work, settings, output.with_name(output.name + ".parts"))
     records: list[dict[str, Any]] = []

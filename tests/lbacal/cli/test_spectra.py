@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import threading
 import time
 from collections.abc import Iterator
@@ -12,14 +11,15 @@ import numpy as np
 import pytest
 import uvicorn
 
+from lbacal.cli.main import main
 from lbacal.client import Client
 from lbacal_core.spectra import read_spectra
 from lbacal_core.traces.trace import TraceReference
 from lbacal_core.twin.voltages import Transmitter, digitise, draw_noise, write_frames
 from service.app import make_app
-from service.cli.main import main
 from service.config import Settings
 from service.factory import Factory
+from service.storage.migration import upgrade
 
 FREQUENCY = np.arange(30.0, 81.0)
 BLOCKS = 60
@@ -158,10 +158,10 @@ def test_all_real_dumps_in_one_go(shared: Path, tmp_path: Path, monkeypatch: pyt
 
 
 @pytest.fixture
-def service(sqlite_template: Path, tmp_path: Path) -> Iterator[tuple[str, Factory]]:
+def service(tmp_path: Path) -> Iterator[tuple[str, Factory]]:
     """The service itself, with an empty database, on loopback."""
-    shutil.copy(sqlite_template, tmp_path / "lbacal.sqlite")
     factory = Factory(Settings(database_url=str(tmp_path / "lbacal.sqlite"), instrument="lofar-superterp"))
+    upgrade(factory.database)
     server = uvicorn.Server(uvicorn.Config(make_app(factory), port=0, log_level="warning", access_log=False))
     thread = threading.Thread(target=server.run)
     thread.start()

@@ -4,8 +4,8 @@ from pathlib import Path
 
 from typer.testing import CliRunner
 
+from lbacal.cli.main import app
 from lbacal_core.skypower.table import read_sky_power
-from service.cli.main import app
 
 
 def test_sky_power_writes_a_file_that_reads_back(tmp_path: Path) -> None:

@@ -10,8 +10,8 @@ from typing import Annotated
 import numpy as np
 import typer
 
+from lbacal.cli.outputs import require_outputs
 from lbacal_core.reference_chain import ReferenceChain
-from service.cli.outputs import require_outputs
 
 
 class Scope(StrEnum):

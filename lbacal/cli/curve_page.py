@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from lbacal.cli.curve_figures import draw_change, draw_curve, draw_ranking
+from lbacal.cli.report_pages import embed, fill_report
 from lbacal_core.discovery.lst_curve import CurveInvestigation
-from service.cli.curve_figures import draw_change, draw_curve, draw_ranking
-from service.cli.report_pages import embed, fill_report
 
 
 def write_curve_page(content: dict[str, Any], found: CurveInvestigation, path: Path) -> None:

@@ -8,11 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from lbacal_core.causes.axes import axis_named
-from lbacal_core.discovery.antennas import AntennaScore
-from lbacal_core.discovery.report import plain_parameters
-from lbacal_core.discovery.search import Finding, StationReport
-from service.cli.investigation_figures import (
+from lbacal.cli.investigation_figures import (
     axes_of,
     draw_antenna,
     draw_calibration_change,
@@ -21,7 +17,11 @@ from service.cli.investigation_figures import (
     draw_scores,
     draw_structure,
 )
-from service.cli.report_pages import embed, fill_report
+from lbacal.cli.report_pages import embed, fill_report
+from lbacal_core.causes.axes import axis_named
+from lbacal_core.discovery.antennas import AntennaScore
+from lbacal_core.discovery.report import plain_parameters
+from lbacal_core.discovery.search import Finding, StationReport
 
 
 def write_investigation_page(content: dict[str, Any], reports: Sequence[StationReport], path: Path) -> None:

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 def fill_report(template: str, **content: Any) -> str:
     """A report as HTML; every template fills the blocks of `base.html`."""
-    environment = Environment(loader=PackageLoader("service.cli", "templates"), autoescape=True)
+    environment = Environment(loader=PackageLoader("lbacal.cli", "templates"), autoescape=True)
     return environment.get_template(template).render(**content)
 
 

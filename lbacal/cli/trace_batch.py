@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Sequence
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from lbacal_core.errors import LbacalError
+from lbacal_core.errors import LbacalError, MissingExtraError
 from lbacal_core.provenance import hash_content
 from lbacal_core.traces.assembly import record_background
 from lbacal_core.traces.background import CleaningSettings, measure_background
@@ -98,6 +99,8 @@ def _run_on_dask(
 
     The workers read the files themselves, under the same paths. Results arrive as they finish and are kept at once.
     """
+    if find_spec("distributed") is None:
+        raise MissingExtraError(f"the dask scheduler {address}", "dask")
     from distributed import Client, as_completed
 
     with Client(address) as client:

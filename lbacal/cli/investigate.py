@@ -36,10 +36,10 @@ def investigate(
 
     Exit 0 for every verdict: consistent, explained, unexplained.
     """
+    from lbacal.cli.outputs import require_outputs
     from lbacal_core.instrument import load_instrument
     from lbacal_core.skypower.model import compute_sky_power
     from lbacal_core.skypower.table import read_sky_power
-    from service.cli.outputs import require_outputs
 
     if (spectra is None) == (lst_curve is None):
         raise typer.BadParameter("name a spectra file or --lst-curve, one of the two")
@@ -70,7 +70,7 @@ def _ask_spectra(spectra: Path, chain: Any, sky: Any, is_own_sky: bool, html: Pa
     measured = read_spectra(spectra, now_unix=time.time())
     content, stations = ask(measured, chain, sky, is_own_sky=is_own_sky, progress=_say)
     if html is not None:
-        from service.cli.investigation_page import write_investigation_page
+        from lbacal.cli.investigation_page import write_investigation_page
 
         write_investigation_page(content, stations, html)
     return content
@@ -89,7 +89,7 @@ def _ask_curve(
     inputs = {"lst_curve": curve.digest(), "sky_power": sky.digest(), "instrument": chain.digest()}
     content = describe_curve(found, Provenance(inputs, {"band_mhz": list(band), "own_sky": is_own_sky}))
     if html is not None:
-        from service.cli.curve_page import write_curve_page
+        from lbacal.cli.curve_page import write_curve_page
 
         write_curve_page(content, found, html)
     return content

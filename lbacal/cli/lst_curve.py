@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from service.cli.outputs import require_outputs
+from lbacal.cli.outputs import require_outputs
 
 
 def lst_curve(
@@ -49,7 +49,7 @@ def lst_curve(
     result = compare_lst_curve(measured, sky, chain, band)
     report.write_text(json.dumps(result.as_dict(), indent=1, allow_nan=False) + "\n")
     if plot is not None:
-        from service.cli.figures import FULL_DAY, draw_lst_comparison
+        from lbacal.cli.figures import FULL_DAY, draw_lst_comparison
 
         weights = band_weights(chain, AS_RECORDED, band)
         simulated = {dipole: simulate_band_power(sky, dipole, FULL_DAY, weights) for dipole in ("X", "Y")}

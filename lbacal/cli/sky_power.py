@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from service.cli.outputs import require_outputs
+from lbacal.cli.outputs import require_outputs
 
 
 def sky_power(

@@ -1,0 +1,123 @@
+"""The command `lbacal`: one subcommand a file, gathered here; failures become one sentence and an exit code.
+
+The commands of the server are in the wheel `lbacal-server`, which names their module as an entry point. Where it is not
+installed, or an extra is not, a command says so before it does anything.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from functools import wraps
+from importlib.metadata import entry_points, version
+from importlib.util import find_spec
+from typing import Annotated, Any
+
+import typer
+
+from lbacal.cli.client import effective, ingest, jobs, refit
+from lbacal.cli.fit import fit
+from lbacal.cli.investigate import investigate
+from lbacal.cli.lst_curve import lst_curve
+from lbacal.cli.sky_power import sky_power
+from lbacal.cli.spectra import spectra
+from lbacal.cli.status import status
+from lbacal_core.errors import BadInputError, LbacalError, MissingExtraError, UnknownNameError, UnreadableFileError
+
+FIT = ("healpy", "jinja2", "matplotlib", "scipy", "threadpoolctl")
+"""What the extra `fit` installs, by the names that are imported."""
+SERVER = ("serve", "scheduler", "worker", "db", "keys")
+"""The commands of the wheel `lbacal-server`."""
+SERVER_COMMANDS = "lbacal.commands"
+"""The group of entry points under which it names the module that adds them to `app` when it is imported."""
+
+app = typer.Typer(
+    name="lbacal",
+    help="Absolute calibration of radio antennas with the Galaxy.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+
+
+def _needing_fit(command: Callable[..., None]) -> Callable[..., None]:
+    """The command, which refuses to begin where the extra `fit` is not installed."""
+
+    @wraps(command)
+    def checked(*arguments: Any, **options: Any) -> None:
+        if not all(find_spec(name) for name in FIT):
+            raise MissingExtraError(f"lbacal {_name(command)}", "fit")
+        command(*arguments, **options)
+
+    return checked
+
+
+def _name(command: Callable[..., None]) -> str:
+    return command.__name__.replace("_", "-")
+
+
+_COMPUTING: tuple[Callable[..., None], ...] = (fit, investigate, lst_curve, sky_power, spectra)
+_ASKING: tuple[Callable[..., None], ...] = (ingest, refit, effective, jobs, status)
+for command in (*map(_needing_fit, _COMPUTING), *_ASKING):
+    app.command(_name(command))(command)
+
+
+def _print_version(is_asked: bool) -> None:
+    if is_asked:
+        print(f"lbacal {version('lbacal')}")
+        raise typer.Exit
+
+
+@app.callback()
+def options(
+    show_version: Annotated[
+        bool, typer.Option("--version", help="Print the version.", callback=_print_version, is_eager=True)
+    ] = False,
+) -> None:
+    """Absolute calibration of radio antennas with the Galaxy."""
+
+
+EXIT_FAILED = 1
+EXIT_BAD_INPUT = 2
+_BAD_INPUT = (BadInputError, UnreadableFileError, UnknownNameError, MissingExtraError)
+_BAD_REQUEST = (400, 413, 415, 422)
+_UNUSABLE_FILES = (FileExistsError, FileNotFoundError, IsADirectoryError, NotADirectoryError, PermissionError)
+
+
+def run() -> None:
+    """Run the command: exit 0 done, 1 the work failed, 2 bad usage or bad input, never a traceback for those."""
+    try:
+        app()
+    except LbacalError as error:
+        print(f"lbacal: {error}{f': {error.detail}' if error.detail else ''}", file=sys.stderr)
+        is_bad_input = isinstance(error, _BAD_INPUT) or error.status in _BAD_REQUEST
+        sys.exit(EXIT_BAD_INPUT if is_bad_input else EXIT_FAILED)
+    except _UNUSABLE_FILES as error:
+        print(f"lbacal: {error.filename}: {error.strerror}; name a file that can be used here", file=sys.stderr)
+        sys.exit(EXIT_BAD_INPUT)
+    except OSError as error:
+        print(f"lbacal: the work failed: {error}", file=sys.stderr)
+        sys.exit(EXIT_FAILED)
+
+
+def main() -> None:
+    """Run the command, with those of the server where it is installed."""
+    servers = entry_points(group=SERVER_COMMANDS)
+    for server in servers:
+        server.load()
+    if not servers:
+        for name in SERVER:
+            _promise(name)
+    run()
+
+
+def _promise(name: str) -> None:
+    """A command that is not installed: whatever it is asked, it says what to install."""
+
+    @app.command(
+        name, help="(needs the extra server)", add_help_option=False,
+        context_settings={"ignore_unknown_options": True, "allow_extra_args": True},
+    )  # fmt: skip
+    def absent() -> None:
+        raise MissingExtraError(f"lbacal {name}", "server")
