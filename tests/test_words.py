@@ -33,3 +33,97 @@ def test_no_docstring_has_a_fragment_that_begins_with_of(repository: Path, track
         if FRAGMENT.search(text)
     ]
     assert found == []
+
+
+EXCEPTIONS = {
+    "find_excess": "the excess power of an interference line",
+    "find_station_excess": "the excess power of an interference line",
+    "false_alarm_rate": "a false alarm is a false detection",
+}
+"""Names with a word that is not used, and what they mean."""
+
+
+def section(repository: Path, title: str) -> str:
+    page = (repository / "docs/glossary.md").read_text()
+    return page.split(f"## {title}\n")[1].split("\n## ")[0]
+
+
+def words_not_used(repository: Path) -> set[str]:
+    """The first column of the glossary's last table."""
+    rows = re.findall(r"^\| (?!not \|)([a-z ,]+) \|", section(repository, "Words that are not used"), re.MULTILINE)
+    return {word.strip() for row in rows for word in row.split(",")}
+
+
+def words_of(name: str) -> list[str]:
+    """Words of an identifier in singular and lower case: `SpectralFamilies` and `spectral_family` have two."""
+    words = [word.lower() for word in re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])", name)]
+    return words + [word.removesuffix("s") for word in words]
+
+
+def public_names(source: str) -> Iterator[str]:
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.FunctionDef | ast.ClassDef) and not node.name.startswith("_"):
+            yield node.name
+
+
+def test_the_table_of_words_that_are_not_used_is_read(repository: Path) -> None:
+    assert {"law", "course", "shape", "evidence", "left over", "letter", "excess", "stale"} <= words_not_used(
+        repository
+    )
+    assert "law" in words_of("fit_laws")
+    assert "shape" in words_of("StaticShape")
+    assert "law" not in words_of("lawn_of")
+
+
+def test_no_public_name_has_a_word_that_the_glossary_refuses(repository: Path, tracked: list[Path]) -> None:
+    refused = words_not_used(repository)
+    found = {
+        name: str(path)
+        for path in tracked
+        if path.suffix == ".py" and path.parts[0] == "lbacal_core"
+        for name in (path.stem, *public_names((repository / path).read_text()))
+        if refused & set(words_of(name))
+    }
+    assert found.keys() == EXCEPTIONS.keys()
+
+
+def test_no_heading_has_a_word_that_the_glossary_refuses(repository: Path, tracked: list[Path]) -> None:
+    refused = words_not_used(repository)
+    found = [
+        f"{path}: {heading}"
+        for path in tracked
+        if path.suffix == ".md" and path.parts[0] == "docs"
+        for heading in re.findall(r"^#+ (.*)$", (repository / path).read_text(), re.MULTILINE)
+        if refused & set(words_of(heading))
+    ]
+    assert found == []
+
+
+SPELT_OTHERWISE = {
+    "chain test": "chi2_per_dof",
+    "systematic error": "c_sigma_sys",
+    "withdrawal": "withdraw",
+    "rollback": "promote",
+}
+"""Entries of the glossary that the code spells in another way, or does with a more general thing."""
+OF_OTHERS = {"CoREAS simulation"}
+"""Entries that keep another thing apart from ours."""
+
+
+def test_the_code_knows_every_entry_of_the_glossary(repository: Path, tracked: list[Path]) -> None:
+    """An entry that no name, docstring, page or table uses describes something that does not exist."""
+    texts = (
+        (repository / path).read_text()
+        for path in tracked
+        if path.suffix in (".py", ".html") and path.parts[0] in ("lbacal", "lbacal_core", "service", "proofs")
+    )
+    known = re.sub(r"[\s_-]+", " ", "\n".join(texts).lower())
+    page = (repository / "docs/glossary.md").read_text().split("## Words that are not used")[0]
+    entries = {entry for bold in re.findall(r"\*\*(.+?)\*\*", page) for entry in re.split(r", | / ", bold)}
+    assert SPELT_OTHERWISE.keys() | OF_OTHERS <= entries
+    unknown = set()
+    for entry in entries - OF_OTHERS:
+        in_code = SPELT_OTHERWISE.get(entry) or re.sub(r" ?[A-Z]\(.*\)", "", entry)
+        if re.sub(r"[\s_-]+", " ", in_code.lower()) not in known:
+            unknown.add(entry)
+    assert unknown == set()

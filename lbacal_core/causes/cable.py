@@ -3,7 +3,7 @@
 The antennas of a station share A(nu), so that a departure of one antenna's front gain along frequency is visible
 beside it. Antennas of one cable name are not compared with those of another: the noise of the common event gain
 moves the slopes of short and long cables apart, all together and far beyond the error of each.
-`StaticShape` gives the departure of ln C^-2 = ln (A L_coax G_RCU S) that a cause makes.
+`AntennaTemplate` gives the departure of ln C^-2 = ln (A L_coax G_RCU S) that a cause makes.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ DELAYS_US = tuple(np.round(np.arange(0.03, 0.505, 0.01), 3).tolist())
 
 
 @dataclass(frozen=True)
-class StaticShape:
+class AntennaTemplate:
     """A departure of the log front gain per unit of size, shape (freq,), and its parameters."""
 
     parameters: dict[str, float]
@@ -36,13 +36,13 @@ class AntennaCause(Description):
     scopes: Sequence[str] = ("antenna",)
     axes: Sequence[str] = ("antenna", "frequency")
 
-    def shapes(self, frequency_mhz: Floats, log_loss_per_metre: Floats | None) -> list[StaticShape]:
+    def templates(self, frequency_mhz: Floats, log_loss_per_metre: Floats | None) -> list[AntennaTemplate]:
         """The departures to be tried; empty where these cables can show none."""
         raise NotImplementedError
 
-    def shapes_about(self, shape: StaticShape, frequency_mhz: Floats) -> list[StaticShape]:  # noqa: ARG002
+    def finer_templates(self, template: AntennaTemplate, frequency_mhz: Floats) -> list[AntennaTemplate]:  # noqa: ARG002
         """Departures about one that was found."""
-        return [shape]
+        return [template]
 
     def note(self, parameters: Mapping[str, float], size: float) -> str:  # noqa: ARG002
         """A remark on the meaning of the size."""
@@ -59,9 +59,9 @@ class CableLength(AntennaCause):
     confirm: str = "measure the delay of the cable, or compare with the delays of the station calibration"
     needs: str = "the names of the cables are not lengths in m"
 
-    def shapes(self, frequency_mhz: Floats, log_loss_per_metre: Floats | None) -> list[StaticShape]:
+    def templates(self, frequency_mhz: Floats, log_loss_per_metre: Floats | None) -> list[AntennaTemplate]:
         """Ln L_coax of one more metre."""
-        return [] if log_loss_per_metre is None else [StaticShape({}, log_loss_per_metre + 0.0 * frequency_mhz)]
+        return [] if log_loss_per_metre is None else [AntennaTemplate({}, log_loss_per_metre + 0.0 * frequency_mhz)]
 
 
 @dataclass(frozen=True)
@@ -73,13 +73,13 @@ class CableReflection(AntennaCause):
     meaning: str = "a reflection in the cable makes a ripple in frequency"
     confirm: str = "look for the echo in the autocorrelation of a trace, or reconnect the plug"
 
-    def shapes(self, frequency_mhz: Floats, log_loss_per_metre: Floats | None) -> list[StaticShape]:  # noqa: ARG002
+    def templates(self, frequency_mhz: Floats, log_loss_per_metre: Floats | None) -> list[AntennaTemplate]:  # noqa: ARG002
         """Ripples of each delay and four phases, whose negatives are the other four."""
         return [_ripple(delay, phase, frequency_mhz) for delay in DELAYS_US for phase in (0.0, 45.0, 90.0, 135.0)]
 
-    def shapes_about(self, shape: StaticShape, frequency_mhz: Floats) -> list[StaticShape]:
+    def finer_templates(self, template: AntennaTemplate, frequency_mhz: Floats) -> list[AntennaTemplate]:
         """Delays between those that were tried, and phases all around."""
-        delays = shape.parameters["delay_us"] + np.arange(-0.008, 0.01, 0.002)
+        delays = template.parameters["delay_us"] + np.arange(-0.008, 0.01, 0.002)
         phases = np.arange(0.0, 360.0, 15.0)
         return [_ripple(delay, phase, frequency_mhz) for delay in delays.tolist() for phase in phases.tolist()]
 
@@ -90,11 +90,11 @@ class CableReflection(AntennaCause):
         return f"Channels of 1 MHz show the same of a delay of {other:.3g} us with an amplitude of {larger:.2g}."
 
 
-def _ripple(delay_us: float, phase_deg: float, frequency_mhz: Floats) -> StaticShape:
+def _ripple(delay_us: float, phase_deg: float, frequency_mhz: Floats) -> AntennaTemplate:
     """A ripple of amplitude 1, as channels show it: their width damps it."""
     wave = np.cos(2 * np.pi * delay_us * frequency_mhz - np.radians(phase_deg))
     parameters = {"delay_us": delay_us, "phase_deg": phase_deg, "or_delay_us": 1.0 / CHANNEL_WIDTH_MHZ - delay_us}
-    return StaticShape(parameters, np.sinc(delay_us * CHANNEL_WIDTH_MHZ) * wave)
+    return AntennaTemplate(parameters, np.sinc(delay_us * CHANNEL_WIDTH_MHZ) * wave)
 
 
 def log_loss_per_metre(cables: dict[str, Floats]) -> Floats | None:

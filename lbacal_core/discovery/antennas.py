@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import t as student
 
-from lbacal_core.causes.cable import AntennaCause, StaticShape, log_loss_per_metre
+from lbacal_core.causes.cable import AntennaCause, AntennaTemplate, log_loss_per_metre
 from lbacal_core.causes.catalogue import ANTENNA_CAUSES
 from lbacal_core.discovery.baseline import Baseline
 from lbacal_core.discovery.hypothesis import Target
@@ -80,19 +80,21 @@ def compare_antennas(
         return []
     departure, roots, is_compared = _departures(station, baseline, antennas)
     per_metre = log_loss_per_metre(_cable_losses(station))
-    shapes = {
-        cause: found for cause in ANTENNA_CAUSES if (found := cause.shapes(station.conditions.frequency_mhz, per_metre))
+    templates = {
+        cause: found
+        for cause in ANTENNA_CAUSES
+        if (found := cause.templates(station.conditions.frequency_mhz, per_metre))
     }
-    whitened = {cause: _whiten(found, roots) for cause, found in shapes.items()}
+    whitened = {cause: _whiten(found, roots) for cause, found in templates.items()}
     scores = []
     for cause, vectors in whitened.items():
         norm = np.linalg.norm(vectors, axis=2)
         amplitude, opposed = np.einsum("akf,maf->mak", vectors, departure) / norm
         unit = vectors[0] / norm[0][:, None]
-        z, scatter = _against_others(amplitude, opposed, is_compared, unit @ unit.T, _neighbours(shapes[cause]))
+        z, scatter = _against_others(amplitude, opposed, is_compared, unit @ unit.T, _neighbours(templates[cause]))
         a, k = np.unravel_index(int(np.argmax(np.abs(z))), z.shape)
         trials = int(is_compared.sum()) * trials_factor(unit @ unit.T, seed)
-        shape, size, length = _refine(cause, shapes[cause][int(k)], station, departure[0, a], roots[a])
+        template, size, length = _refine(cause, templates[cause][int(k)], station, departure[0, a], roots[a])
         similar = []
         for other, others in whitened.items():
             r = float(np.max(np.abs(others[a] @ vectors[a, k]) / np.linalg.norm(others[a], axis=1) / norm[a, k]))
@@ -101,13 +103,13 @@ def compare_antennas(
         scores.append(
             AntennaScore(
                 cause=cause,
-                parameters=shape.parameters,
+                parameters=template.parameters,
                 target=antennas[int(a)],
                 z=float(np.copysign(z[a, k], size)),
                 size=size,
                 sigma=float(scatter[a, k]) / length,
                 trials=trials,
-                departure=shape.departure,
+                departure=template.departure,
                 observed=roots[a] @ departure[0, a],
                 error=np.diag(np.linalg.inv(roots[a] @ roots[a].T)) ** -0.5,
                 similar=similar,
@@ -117,13 +119,13 @@ def compare_antennas(
 
 
 def _refine(
-    cause: AntennaCause, shape: StaticShape, station: Station, departure: Floats, root: Floats
-) -> tuple[StaticShape, float, float]:
+    cause: AntennaCause, template: AntennaTemplate, station: Station, departure: Floats, root: Floats
+) -> tuple[AntennaTemplate, float, float]:
     """The best template about one that was found, its size, and its norm in units of the error of the fit.
 
     A ripple and its negative are one template family: the one with a positive size is returned.
     """
-    about = cause.shapes_about(shape, station.conditions.frequency_mhz)
+    about = cause.finer_templates(template, station.conditions.frequency_mhz)
     vectors = _whiten(about, root[None])[0]
     length = np.linalg.norm(vectors, axis=1)
     amplitude = vectors @ departure / length
@@ -144,7 +146,7 @@ def why_no_comparison(station: Station) -> dict[str, str]:
     per_metre = log_loss_per_metre(_cable_losses(station))
     reasons = {}
     for cause in ANTENNA_CAUSES:
-        if not cause.shapes(station.conditions.frequency_mhz, per_metre):
+        if not cause.templates(station.conditions.frequency_mhz, per_metre):
             reasons[cause.identifier] = cause.needs
         elif count_comparisons(station) < FEWEST_COMPARISONS:
             reasons[cause.identifier] = "needs more antennas of the same cable name to compare"
@@ -156,11 +158,11 @@ def _cable_losses(station: Station) -> dict[str, Floats]:
     return dict(zip(conditions.cables, np.exp(conditions.cable_log_loss), strict=True))
 
 
-def _neighbours(shapes: Sequence[StaticShape]) -> NDArray[np.bool_]:
+def _neighbours(templates: Sequence[AntennaTemplate]) -> NDArray[np.bool_]:
     """Which templates pool their scatter, shape (template, template): those with neighbouring delays."""
-    if "delay_us" not in shapes[0].parameters:
-        return np.eye(len(shapes), dtype=bool)
-    delay = np.array([shape.parameters["delay_us"] for shape in shapes])
+    if "delay_us" not in templates[0].parameters:
+        return np.eye(len(templates), dtype=bool)
+    delay = np.array([template.parameters["delay_us"] for template in templates])
     # In channels of 1 MHz a delay and its complement to 1 us make the same ripple.
     seen = np.minimum(delay, 1.0 - delay)
     reach = np.where(seen < SMOOTH_US, 0.01, REACH_US)
@@ -195,9 +197,9 @@ def _against_others(
     return np.sign(ratio) * np.vectorize(sigma_of)(p_value), scatter
 
 
-def _whiten(shapes: Sequence[StaticShape], roots: Floats) -> Floats:
+def _whiten(templates: Sequence[AntennaTemplate], roots: Floats) -> Floats:
     """Templates without their flat part in units of each antenna's error, shape (antenna, template, freq)."""
-    values = np.stack([shape.departure - shape.departure.mean() for shape in shapes])
+    values = np.stack([template.departure - template.departure.mean() for template in templates])
     return np.swapaxes(np.linalg.solve(roots, np.broadcast_to(values.T, (len(roots), *values.T.shape))), 1, 2)
 
 

@@ -96,7 +96,7 @@ def find_structure(
     found.append(_in_single_events(model, rng))
     if len(model.station.antenna) > len(model.paths_in_mean):
         found += [_in_paths(model, axis, basis, polynomials[: PATH_DEGREE + 1]) for axis, basis in axes.items()]
-    best = min(found, key=lambda one: (one.p_value, -one.excess))
+    best = min(found, key=lambda one: (one.p_value, -one.deviations))
     corrected = p_of_best(best.p_value, len(found))
     if corrected >= alpha and again is None:
         return None
@@ -135,7 +135,7 @@ class _Candidate:
     place: _Place | None = None
 
     @property
-    def excess(self) -> float:
+    def deviations(self) -> float:
         """Gain beyond chance in standard deviations (Wilson & Hilferty 1931), for probabilities that are 0."""
         spread = 2.0 / (9.0 * self.dof)
         return float((np.cbrt(self.gain / self.dof) - 1.0 + spread) / spread**0.5)

@@ -11,14 +11,14 @@ FREQUENCY = np.arange(30.0, 81.0)
 def test_a_ripple_is_the_mean_of_the_wave_over_each_channel():
     """Against the plain mean of the monochromatic wave over 1 MHz."""
     fine = (np.arange(400) + 0.5) / 400 - 0.5
-    for shape in CableReflection().shapes(FREQUENCY, None)[::17]:
+    for shape in CableReflection().templates(FREQUENCY, None)[::17]:
         delay, phase = shape.parameters["delay_us"], np.radians(shape.parameters["phase_deg"])
         wave = np.cos(2 * np.pi * delay * (FREQUENCY[:, None] + fine) - phase)
         np.testing.assert_allclose(shape.departure, wave.mean(axis=1), atol=1e-5)
 
 
 def test_no_ripple_falls_between_those_that_are_tried():
-    tried = np.stack([shape.departure for shape in CableReflection().shapes(FREQUENCY, None)])
+    tried = np.stack([shape.departure for shape in CableReflection().templates(FREQUENCY, None)])
     tried /= np.linalg.norm(tried, axis=1, keepdims=True)
     rng = np.random.default_rng(1)
     for delay, phase in zip(rng.uniform(0.05, 0.95, 60), rng.uniform(0, 6.3, 60), strict=True):
@@ -31,11 +31,11 @@ def test_the_note_names_the_delay_that_looks_the_same_with_its_amplitude():
     cause = CableReflection()
     (shape,) = (
         s
-        for s in cause.shapes(FREQUENCY, None)
+        for s in cause.templates(FREQUENCY, None)
         if s.parameters == pytest.approx({"delay_us": 0.35, "phase_deg": 0.0, "or_delay_us": 0.65})
     )
     note = cause.note(shape.parameters, 0.01)
     assert "0.65 us" in note
     assert f"{0.01 * np.sinc(0.35) / np.sinc(0.65):.2g}" in note
-    about = cause.shapes_about(shape, FREQUENCY)
+    about = cause.finer_templates(shape, FREQUENCY)
     assert any(np.allclose(one.departure, -shape.departure) for one in about)

@@ -345,7 +345,7 @@ def static_templates(cause: str, look: Look) -> list[tuple[Mapping[str, float], 
     """Parameters of static templates and the change of ln slope that each makes per unit of size, shape (freq,)."""
     conditions = look.data.conditions
     cables = dict(zip(conditions.cables, np.exp(conditions.cable_log_loss), strict=True))
-    shapes = _NAMED[cause].shapes(conditions.frequency_mhz, log_loss_per_metre(cables))
+    shapes = _NAMED[cause].templates(conditions.frequency_mhz, log_loss_per_metre(cables))
     return [(shape.parameters, shape.departure) for shape in shapes]
 
 
