@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import ast
+import inspect
 import json
 import re
 from pathlib import Path
+from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pytest
 
 from lbacal_core import spectra
 from lbacal_core.curves import CalibrationCurve, FitReport, parse_curve
+from lbacal_core.discovery import curve_report as report_of_curve
+from lbacal_core.discovery import report as report_of_spectra
 from lbacal_core.instrument import load_instrument
 from lbacal_core.lstcurve import curve as lst_curve
 from lbacal_core.provenance import Provenance
@@ -56,6 +62,19 @@ def example_report() -> FitReport:
     return FitReport((curve,), Provenance({"spectra": "", "instrument": "", "sky_power": ""}))
 
 
+def fields_written_by(*modules: ModuleType) -> set[str]:
+    """Every field of an object that these modules write: the names in their dictionaries."""
+    trees = [ast.parse(inspect.getsource(module)) for module in modules]
+    return {
+        key.value
+        for tree in trees
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Dict)
+        for key in node.keys
+        if isinstance(key, ast.Constant)
+    }
+
+
 def fields_of_formats() -> list[tuple[str, str]]:
     """Section and field of everything that readers and writers name."""
     instrument = load_instrument("lofar-superterp")
@@ -75,6 +94,7 @@ def fields_of_formats() -> list[tuple[str, str]]:
         *(("Fit report", name) for name in (*report, *report["curves"][0], *report["provenance"])),
         *(("Fit report", name) for name in ("n_lna", "n_rcu", "n_adc", "inputs")),
         *(("Fit report", name) for name in (*chain, *(chain["spreads"] or {}), "offset", "spread")),
+        *(("Investigation report", name) for name in sorted(fields_written_by(report_of_spectra, report_of_curve))),
     ]
 
 
@@ -107,6 +127,25 @@ def test_the_example_of_each_format_is_read(repository: Path, tmp_path: Path, mo
     assert set(report) == set(example_report().as_dict())
     (curve,) = report["curves"]
     assert {**parse_curve(curve).as_dict(), "reference": None} == curve
+
+
+def fields_of(value: Any) -> set[str]:
+    """Names of the fields of a JSON value at every depth."""
+    if isinstance(value, dict):
+        return set(value).union(*(fields_of(one) for one in value.values()))
+    return set().union(*(fields_of(one) for one in value)) if isinstance(value, list) else set()
+
+
+def test_the_example_of_an_investigation_has_the_fields_of_a_report(repository: Path) -> None:
+    report = json.loads(example(repository, "Investigation report"))
+    written = report_of_spectra.describe([], Provenance({}))
+    assert report.keys() == written.keys()
+    assert report["provenance"].keys() == written["provenance"].keys()
+    (finding,) = report["findings"]
+    parameters = {*finding.pop("parameters"), *report["scores"]["CS002"][0].pop("parameters")}
+    assert parameters == {"date_unix", "date"}
+    named = {"CS002", *fields_of(report["provenance"])}
+    assert fields_of(report) - named <= fields_written_by(report_of_spectra)
 
 
 def anchors_of(page: Path) -> set[str]:
