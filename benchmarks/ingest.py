@@ -70,6 +70,10 @@ class BulkSqlite:
         events_of = [(k, str(k)) for k in range(events)]
         self._connection.executemany("INSERT INTO event (id, event_id, time_us) VALUES (?, ?, 0)", events_of)
 
+    def close(self) -> None:
+        """Give the connection back."""
+        self._connection.close()
+
     def load(self, rows: Sequence[Row]) -> None:
         """Store what is not there, in one transaction."""
         self._connection.execute("BEGIN IMMEDIATE")
@@ -94,6 +98,10 @@ class BulkPostgres:
             [events - 1],
         )
         self._connection.commit()
+
+    def close(self) -> None:
+        """Give the connection back."""
+        self._connection.close()
 
     def load(self, rows: Sequence[Row]) -> None:
         """Store what is not there, in one transaction."""
@@ -204,18 +212,19 @@ def compare(name: str, database_url: str, bulk: BulkSqlite | BulkPostgres, event
 def main(events: int = 10) -> None:
     with tempfile.TemporaryDirectory() as folder:
         ours, bare = f"{folder}/ours.sqlite", f"{folder}/bare.sqlite"
-        _upgrade(ours, bare)
+        prepare(ours, bare)
         compare("SQLite", ours, BulkSqlite(bare), events)
     with run_postgres() as server, psycopg.connect(server, autocommit=True) as connection:
         urls = []
         for name in ("ours", "bare"):
             connection.execute(f"CREATE DATABASE {name}")
             urls.append(server.replace("/postgres?", f"/{name}?", 1))
-        _upgrade(*urls)
+        prepare(*urls)
         compare("PostgreSQL", urls[0], BulkPostgres(urls[1]), events)
 
 
-def _upgrade(*urls: str) -> None:
+def prepare(*urls: str) -> None:
+    """Make the schema in empty databases."""
     for url in urls:
         database = Database(Settings(database_url=url).sqlalchemy_url)
         upgrade(database)
