@@ -38,6 +38,18 @@ def test_antenna_curves_and_noise_constants_lie_within_their_errors(scene, spect
     assert np.sqrt(np.mean(np.square(constants))) < 1.4
 
 
+def test_the_error_of_c_is_its_scatter_and_no_more(scene):
+    """Neither too small nor too large: twenty campaigns of one antenna, whose curves are independent."""
+    pulls = []
+    for seed in range(20):
+        campaign = scene.spectra(np.random.default_rng([7, seed]), events=300, antennas=1)
+        for curve in fit_calibration(campaign, scene.instrument, scene.sky_power, "antenna").curves:
+            truth = calibration_factor(scene.slope("50"), scene.instrument.antenna_gain)
+            pulls.append((curve.c - truth) / curve.c_sigma_stat)
+    # 40 curves, whose channels move together: 1.0 +- 0.11 in each.
+    assert np.median(np.sqrt(np.mean(np.square(pulls), axis=0))) == pytest.approx(1.0, abs=0.3)
+
+
 def test_station_curve_is_that_of_the_mean_power_gain(scene, spectra):
     report = fit_calibration(spectra, scene.instrument, scene.sky_power, "station")
     mean_slope = (scene.slope("50") + scene.slope("80")) / 2

@@ -106,5 +106,17 @@ def test_leakage_is_what_a_line_really_leaves_in_each_channel() -> None:
     assert np.allclose(measured[far], leak[far], rtol=0.1, atol=0.2)  # 5 % noise a channel
 
 
+def test_a_line_counts_with_both_neighbours_whether_or_not_they_are_flagged() -> None:
+    """Under a Hann window a carrier stands in three fine channels, a quarter of its power in each of the outer two."""
+    excess, is_line = np.zeros(FINE), np.zeros(FINE, bool)
+    excess[3999:4002] = [25.0, 100.0, 25.0]
+    is_line[4000] = True
+    alone = line_leakage(is_line, excess, FACTOR, 513)
+    together = line_leakage(excess > 0, excess, FACTOR, 513)
+    assert alone == pytest.approx(together)
+    excess[[3999, 4001]] = 0.0
+    assert line_leakage(is_line, excess, FACTOR, 513)[250] == pytest.approx(alone[250] / 1.5, rel=0.02)
+
+
 def test_without_lines_nothing_leaks() -> None:
     assert not np.any(line_leakage(np.zeros(FINE, bool), noise(9), FACTOR, 513))
