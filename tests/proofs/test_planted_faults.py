@@ -6,6 +6,7 @@ import pytest
 
 from proofs.planted_faults import (
     AUTHORS,
+    MEET_ALL,
     PlantedFault,
     StaleFaultError,
     is_seen,
@@ -70,7 +71,8 @@ def test_the_tests_nearest_to_a_fault_come_first(repository: Path) -> None:
     assert all((repository / test).is_file() for test in tests)
     gate = PlantedFault("service/usecases/gate.py", "", "", "blind").tests(repository)
     assert gate[0] == "tests/service/usecases/test_gate.py"
-    assert "tests/lbacal_core/discovery/test_extend.py" in gate
+    assert all((repository / "tests/lbacal_core" / place).exists() for place in MEET_ALL)
+    assert f"tests/lbacal_core/{MEET_ALL[0]}" in gate
 
 
 def test_tests_that_fail_without_a_fault_refute_the_proof() -> None:

@@ -28,6 +28,26 @@ def test_white_noise_gives_its_density_over_the_resistance(make_trace: MakeTrace
     assert np.allclose(2 * half.power, found.power)
 
 
+def test_a_carrier_of_blocks_that_are_in_no_segment_is_left_out(make_trace: MakeTrace) -> None:
+    """The fine search sees consecutive blocks only; the last 80 of these 400 stand alone."""
+    noise, spoilt = make_trace(3), make_trace(3)
+    time = np.arange(80 * 1024) / 200e6
+    carrier = np.rint(2.0 * np.cos(2 * np.pi * 45.03e6 * time)).astype(np.int16).reshape(80, 1024)
+    samples = np.concatenate([spoilt.samples[:320], spoilt.samples[320:] + carrier])
+    position = noise.position.copy()
+    position[320:] += 2 * np.arange(80)
+    alone, found = (
+        measure_traces([replace(noise, samples=s, position=position)], SETTINGS, is_station=False)[0]
+        for s in (noise.samples, samples)
+    )
+    near = np.abs(found.channel_mhz - 45.03) < 0.3
+    assert found.blocks == alone.blocks == 400
+    assert np.any(found.is_flagged[near])
+    assert not np.any(alone.is_flagged[near])
+    assert found.line_mhz.size == 0
+    assert found.power[15] == pytest.approx(alone.power[15], rel=0.03)  # some channels less: 2 % of noise
+
+
 def test_bins_on_a_slope_are_unbiased_whatever_is_flagged() -> None:
     shape = (CHANNELS + 1.0) ** -2.5
     rng = np.random.default_rng(2)
