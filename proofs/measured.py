@@ -237,7 +237,7 @@ def ask_one(questions: Callable[[], list[Question]], case: int) -> Row:
     if questions is not other_questions:
         row["best_without_exchange"] = per_point(best_without(found, "dipole_swap"))
     if case == 0 and questions is not other_questions:
-        noise = found.noise
+        noise = found.fitter.noise
         row["noise_db"] = {dipole: round(noise.sigma_db[dipole], 4) for dipole in DIPOLES}
         row["correlation"], row["points"] = round(noise.correlation, 3), found.first.points
         row["hypotheses"] = hypotheses_table(found)

@@ -24,7 +24,7 @@ def draw_curve(found: CurveInvestigation, title: str) -> Figure:
     """X, Y and their difference with both error bars, the simulation before and after, and what both leave."""
     figure = Figure(figsize=(11.5, 6.0), layout="constrained")
     axes: Any = figure.subplots(2, 3, sharex=True, height_ratios=[2, 1])
-    curve, hours = found.curve, found.curve.lst_hours
+    curve, hours = found.fitter.curve, found.fitter.curve.lst_hours
     per_point = {id(fit): fit.chi2_drawn / fit.points for fit in (found.first, found.last)}
     for column, name in enumerate(COLOURS):
         top, below, colour = axes[0, column], axes[1, column], COLOURS[name]
@@ -36,7 +36,7 @@ def draw_curve(found: CurveInvestigation, title: str) -> Figure:
             line = _smooth(_combine(fit.curve_db, name))
             label = f"simulation {words}: chi² per point {per_point[id(fit)]:.1f}" if column == 0 else None
             top.plot(SMOOTH_HOURS, line, style, color="black", lw=1.3, label=label)
-        if found.is_own_sky:
+        if found.fitter.has_model_spread:
             spread = _spread(found, name)
             middle = _smooth(_combine(found.last.curve_db, name))
             top.fill_between(
@@ -120,10 +120,10 @@ def _combine(by_dipole: Any, name: str) -> Floats:
 
 def _errors(found: CurveInvestigation, name: str) -> tuple[float, Floats]:
     """Estimated and drawn error of a point; drawn bars of the difference as if the dipoles were independent."""
-    sigma, drawn = found.noise.sigma_db, found.curve.error_db
+    sigma, drawn = found.fitter.noise.sigma_db, found.fitter.curve.error_db
     if name in DIPOLES:
         return sigma[name], drawn
-    shared = 2 * found.noise.correlation * sigma["X"] * sigma["Y"]
+    shared = 2 * found.fitter.noise.correlation * sigma["X"] * sigma["Y"]
     return float(np.sqrt(sigma["X"] ** 2 + sigma["Y"] ** 2 - shared)), drawn * np.sqrt(2.0)
 
 

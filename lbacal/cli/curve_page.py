@@ -13,7 +13,7 @@ from lbacal_core.discovery.lst_curve import CurveInvestigation
 def write_curve_page(content: dict[str, Any], found: CurveInvestigation, path: Path) -> None:
     """Write the report of `lbacal_core.discovery.curve_report.describe_curve` as a page."""
     figures = {
-        "curve": embed(draw_curve(found, found.curve.origin)),
+        "curve": embed(draw_curve(found, found.fitter.curve.origin)),
         "ranking": embed(draw_ranking(found)),
         "change": embed(draw_change(found)),
     }

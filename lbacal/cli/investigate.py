@@ -87,7 +87,8 @@ def _ask_curve(
     curve = read_lst_curve(path or measured_curve())
     found = investigate_curve(curve, sky, chain, band, is_own_sky=is_own_sky)
     inputs = {"lst_curve": curve.digest(), "sky_power": sky.digest(), "instrument": chain.digest()}
-    content = describe_curve(found, Provenance(inputs, {"band_mhz": list(band), "own_sky": is_own_sky}))
+    settings = {"band_mhz": list(band), "own_sky": is_own_sky, "policy": found.policy.as_dict()}
+    content = describe_curve(found, Provenance(inputs, settings))
     if html is not None:
         from lbacal.cli.curve_page import write_curve_page
 

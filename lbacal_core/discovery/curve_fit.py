@@ -99,6 +99,11 @@ class CurveFitter:
             self.covariance = self.covariance + spread
             self.model_variance = (float(spread[0, 0]), float(spread[-1, -1]))
 
+    @property
+    def has_model_spread(self) -> bool:
+        """Whether the spread of sky and antenna models counts as noise."""
+        return self.model_variance != (0.0, 0.0)
+
     def _model_spread(self, modes: Mapping[str, Floats]) -> Floats:
         """Covariance of the points, dB^2, by which sky and antenna models differ, shape (point, point)."""
         sky, weights = self.station.terms.sky, self.station.weights

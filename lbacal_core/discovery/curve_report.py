@@ -9,7 +9,7 @@ import numpy as np
 
 from lbacal_core.discovery.curve_fit import CurveFit
 from lbacal_core.discovery.curve_station import Choice
-from lbacal_core.discovery.lst_curve import ALPHA_LEFTOVER, CurveFinding, CurveInvestigation, Rival
+from lbacal_core.discovery.lst_curve import CurveFinding, CurveInvestigation, Rival
 from lbacal_core.discovery.trials import sigma_of
 from lbacal_core.grids import Floats
 from lbacal_core.instrument import DIPOLES
@@ -22,7 +22,7 @@ MOST_ALTERNATIVES = 12
 
 def describe_curve(found: CurveInvestigation, provenance: Provenance) -> dict[str, Any]:
     """The report of an LST curve."""
-    is_left = found.leftover_p < ALPHA_LEFTOVER
+    is_left = found.structure_p < found.policy.structure_alpha
     verdict = "unexplained" if is_left else "explained" if found.findings else "consistent"
     hypotheses = [found.last, *found.alternatives[:MOST_ALTERNATIVES], *found.single]
     distinct = {fit.labels: fit for fit in reversed(hypotheses) if fit.choices}
@@ -33,7 +33,7 @@ def describe_curve(found: CurveInvestigation, provenance: Provenance) -> dict[st
         "findings": [_finding(found, finding) for finding in found.findings],
         "unexplained": _unexplained(found) if is_left else None,
         "unidentifiable": [{"cause": cause, "why": why} for cause, why in found.unidentifiable.items()],
-        "noise": _noise(found.noise, found),
+        "noise": _noise(found.fitter.noise, found),
         "chi2": {
             "points": found.first.points,
             "before": {"estimated": found.first.chi2, "drawn_bars": found.first.chi2_drawn},
@@ -89,12 +89,12 @@ def _noise(noise: PointNoise, found: CurveInvestigation) -> dict[str, Any]:
         "point_noise_db": dict(noise.sigma_db),
         "correlation_of_x_and_y": noise.correlation,
         "degrees_of_freedom": noise.free,
-        "drawn_bar_db": float(np.nanmedian(found.curve.error_db)),
-        "spread_of_models_added": found.is_own_sky,
+        "drawn_bar_db": float(np.nanmedian(found.fitter.curve.error_db)),
+        "spread_of_models_added": found.fitter.has_model_spread,
         "lst_convention": "bin centre, stated"
-        if found.curve.is_centre_stated
+        if found.fitter.curve.is_centre_stated
         else "left edge, assumed: half a bin, "
-        f"{found.curve.bin_hours / 2:g} h, is a systematic uncertainty of lst_offset",
+        f"{found.fitter.curve.bin_hours / 2:g} h, is a systematic uncertainty of lst_offset",
     }
 
 
@@ -208,7 +208,7 @@ def _change(found: CurveInvestigation, change: dict[str, Floats]) -> dict[str, A
 
 def _unexplained(found: CurveInvestigation) -> dict[str, Any]:
     return {
-        "p_value": found.leftover_p,
+        "p_value": found.structure_p,
         "where": {"axis": "lst"},
         "description": "the points scatter about the extended model by more than about a smooth curve: structure in "
         "LST that no set of up to four causes describes to the noise; the sizes are widened by its scatter",

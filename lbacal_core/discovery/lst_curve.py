@@ -1,9 +1,8 @@
 """The search of a band-averaged LST curve for what its simulation gets wrong: one axis, but published of real data.
 
 The model is the band power of P_sky relative to its level at LST 0, with a free offset for each dipole. Sets of causes
-are fitted together. The search adds one more cause to each of the best sets of a size, because the best pair need not
-contain the best single cause. It keeps a larger set if its gain is significant after the look-elsewhere correction over
-the whole catalogue, and if the likelihood of held-out blocks of LST rises.
+are fitted together. What is proposed to `grow` adds one more cause to each of the best sets of a size, because the best
+pair need not contain the best single cause.
 """
 
 from __future__ import annotations
@@ -17,7 +16,8 @@ from threadpoolctl import threadpool_limits
 
 from lbacal_core.discovery.curve_fit import CurveFit, CurveFitter
 from lbacal_core.discovery.curve_station import GRID_HOURS, Choice, gather_curve, list_choices, why_not
-from lbacal_core.discovery.policy import Policy
+from lbacal_core.discovery.growth import grow
+from lbacal_core.discovery.policy import CURVE_POLICY, Policy
 from lbacal_core.discovery.trials import p_of, sigma_of
 from lbacal_core.grids import Floats, require_same_grid
 from lbacal_core.instrument import Instrument
@@ -26,12 +26,6 @@ from lbacal_core.lstcurve.curve import LstCurve
 from lbacal_core.lstcurve.noise import PointNoise, estimate_noise
 from lbacal_core.skypower.differences import model_difference_modes
 from lbacal_core.skypower.table import SkyPower
-
-ALPHA_CATALOGUE, ALPHA_LEFTOVER = 0.0025, 0.002
-MAX_FINDINGS = 4
-INDISTINGUISHABLE = Policy().indistinguishable
-WIDTH = 6
-"""Number of sets of each size to which one more cause is added."""
 
 
 @dataclass(frozen=True)
@@ -87,20 +81,22 @@ class CurveInvestigation:
         Every cause fitted by itself, best first.
     alternatives
         Other sets, no more than one cause larger, that fit as well as the one named, best first.
+    structure_p
+        Probability by which the points scatter as much about the model found.
+    unidentifiable
+        Causes that a curve can never show, with the reason.
     """
 
-    curve: LstCurve
-    band_mhz: tuple[float, float]
-    noise: PointNoise
     fitter: CurveFitter
+    band_mhz: tuple[float, float]
     first: CurveFit
     last: CurveFit
     findings: list[CurveFinding]
     single: list[CurveFit]
     alternatives: list[CurveFit]
-    leftover_p: float
-    is_own_sky: bool
+    structure_p: float
     unidentifiable: Mapping[str, str]
+    policy: Policy
 
     def is_open(self, fit: CurveFit) -> bool:
         """Whether the data leave open a set other than the best one."""
@@ -129,40 +125,29 @@ def investigate_curve(
     noise
         Noise of the points; estimated where it is not given.
     """
+    policy = CURVE_POLICY
     require_same_grid(sky_power.origin, sky_power.frequency_mhz, instrument.frequency_mhz, instrument.name)
     of_channels = band_weights(instrument, weights, band_mhz)
-    known = noise or estimate_noise(curve)
+    modes = model_difference_modes(instrument.frequency_mhz, GRID_HOURS, instrument.dipole_azimuth_deg)
     with threadpool_limits(1):  # the arrays are small: threads cost ten times what they gain
         station = gather_curve(instrument, sky_power, of_channels)
-        modes = model_difference_modes(instrument.frequency_mhz, GRID_HOURS, instrument.dipole_azimuth_deg)
-        return _investigate(
-            CurveFitter(curve, station, known, modes if is_own_sky else None), band_mhz, is_own_sky=is_own_sky
-        )
-
-
-def _investigate(fitter: CurveFitter, band_mhz: tuple[float, float], *, is_own_sky: bool) -> CurveInvestigation:
-    choices = list_choices(fitter.station)
-    search = _Search(fitter, choices)
-    known = fitter.noise
-    last = search.best_set()
-    findings = [search.finding(last, place) for place in range(len(last.choices))]
-    findings.sort(key=lambda finding: -finding.z)
-    leftover = float(f_distribution.sf(last.chi2 / last.dof, last.dof, known.free))
-    first = search.fits[frozenset()]
-    single = sorted((fit for fit in search.fits.values() if len(fit.choices) == 1), key=_by_chi2)
+        fitter = CurveFitter(curve, station, noise or estimate_noise(curve), modes if is_own_sky else None)
+        choices = list_choices(station)
+        search = _Search(fitter, choices, policy)
+        steps = grow(search.first, search, policy.most_findings)
+        last = steps[-1].candidate if steps else search.first
+        findings = [search.finding(last, place) for place in range(len(last.choices))]
     return CurveInvestigation(
-        fitter.curve,
-        band_mhz,
-        known,
         fitter,
-        first,
+        band_mhz,
+        search.first,
         last,
-        findings,
-        single,
+        sorted(findings, key=lambda finding: -finding.z),
+        sorted((fit for fit in search.fits.values() if len(fit.choices) == 1), key=_by_chi2),
         search.alternatives(last),
-        leftover,
-        is_own_sky,
-        why_not(fitter.station, choices),
+        float(f_distribution.sf(last.chi2 / last.dof, last.dof, fitter.noise.free)),
+        why_not(station, choices),
+        policy,
     )
 
 
@@ -170,20 +155,23 @@ def best_without(found: CurveInvestigation, kind: str, most: int = 3) -> CurveFi
     """The best set of up to `most` causes without any of the kind `kind`: a finding of that kind must fit better."""
     choices = list_choices(found.fitter.station)
     with threadpool_limits(1):
-        search = _Search(found.fitter, [choice for choice in choices if kind not in choice.kinds])
-        parents = [search.fits[frozenset()]]
+        search = _Search(found.fitter, [choice for choice in choices if kind not in choice.kinds], found.policy)
+        parents = [search.first]
         for _ in range(most):
-            parents = sorted((fit for parent in parents for fit in search.children(parent)), key=_by_chi2)[:WIDTH]
+            children = (fit for parent in parents for fit in search.children(parent))
+            parents = sorted(children, key=_by_chi2)[: found.policy.beam]
     return min(search.fits.values(), key=lambda fit: fit.chi2)
 
 
 class _Search:
     """Sets of causes fitted to one curve, each once."""
 
-    def __init__(self, fitter: CurveFitter, choices: Sequence[Choice]) -> None:
-        self.fitter, self.choices = fitter, choices
+    def __init__(self, fitter: CurveFitter, choices: Sequence[Choice], policy: Policy) -> None:
+        self.fitter, self.choices, self.policy = fitter, choices, policy
         self.trials = float(len({kind for choice in choices for kind in choice.kinds}))
-        self.fits: dict[frozenset[str], CurveFit] = {frozenset(): fitter.fit([])}
+        self.first = fitter.fit([])
+        self.fits = {frozenset[str](): self.first}
+        self.parents = [self.first]
 
     def extended(self, parent: CurveFit, choice: Choice) -> CurveFit:
         """The parent's set with one cause more, fitted from where the parent ended."""
@@ -200,22 +188,23 @@ class _Search:
         taken = {kind for choice in parent.choices for kind in choice.kinds}
         return [self.extended(parent, choice) for choice in self.choices if not taken & choice.kinds]
 
-    def best_set(self) -> CurveFit:
-        """The largest set in which every cause is significant."""
-        best, parents = self.fits[frozenset()], [self.fits[frozenset()]]
-        while len(best.choices) < MAX_FINDINGS:
-            grown = sorted(
-                {fit.labels: fit for parent in parents for fit in self.children(parent)}.values(), key=_by_chi2
-            )
-            named = [fit for fit in grown if not (fit.is_at_edge or any(choice.is_alias for choice in fit.choices))]
-            accepted = next((fit for fit in named[:3] if self._is_better(best, fit)), None)
-            if accepted is None:
-                return best
-            best, parents = accepted, grown[:WIDTH]
-        return best
+    def propose(self, before: CurveFit) -> list[CurveFit]:
+        """The best sets of the next size that are named and better than chance over the whole catalogue allows."""
+        children = {fit.labels: fit for parent in self.parents for fit in self.children(parent)}
+        grown = sorted(children.values(), key=_by_chi2)
+        self.parents = grown[: self.policy.beam]
+        named = [fit for fit in grown if not (fit.is_at_edge or any(choice.is_alias for choice in fit.choices))]
+        return [
+            fit for fit in named[: self.policy.rivals] if self.p_value(before, fit)[1] < self.policy.catalogue_alpha
+        ]
 
-    def _is_better(self, fewer: CurveFit, more: CurveFit) -> bool:
-        return self.p_value(fewer, more)[1] < ALPHA_CATALOGUE and self.fitter.held_out_gain(fewer, more) > 0
+    def model_of(self, candidate: CurveFit) -> CurveFit:
+        """A candidate is its own model."""
+        return candidate
+
+    def held_out_gain(self, before: CurveFit, candidate: CurveFit) -> float:
+        """Gain in log-likelihood on blocks of LST that were not fitted."""
+        return self.fitter.held_out_gain(before, candidate)
 
     def p_value(self, fewer: CurveFit, more: CurveFit) -> tuple[float, float]:
         """Significance of one cause more, standard deviations, and its p-value over the whole catalogue.
@@ -243,7 +232,9 @@ class _Search:
             if new == choice.label:
                 continue
             r = _correlation(own, self.fitter.signature(without, fit))
-            is_excluded = min((fit.chi2 - last.chi2) / last.scale, separable * (1 - r**2)) >= INDISTINGUISHABLE
+            is_excluded = (
+                min((fit.chi2 - last.chi2) / last.scale, separable * (1 - r**2)) >= self.policy.indistinguishable
+            )
             rivals.append(Rival(fit.choices[fit.labels.index(new)], fit, r, is_excluded))
         z, p_value = self.p_value(without, last)
         gain = self.fitter.held_out_gain(without, last)
@@ -255,7 +246,7 @@ class _Search:
             (
                 fit
                 for labels, fit in self.fits.items()
-                if fit.chi2 < last.chi2 + INDISTINGUISHABLE * last.scale
+                if fit.chi2 < last.chi2 + self.policy.indistinguishable * last.scale
                 and len(fit.choices) <= len(last.choices) + 1
                 and fit.choices
                 and labels != frozenset(last.labels)

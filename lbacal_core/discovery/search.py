@@ -12,21 +12,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lbacal_core.causes.catalogue import CAUSES
-from lbacal_core.causes.cause import Template, signature
+from lbacal_core.causes.cause import signature
 from lbacal_core.discovery.antennas import AntennaScore, compare_antennas, why_no_comparison
+from lbacal_core.discovery.growth import Step, grow
 from lbacal_core.discovery.hypothesis import Hypothesis, Target, list_targets
 from lbacal_core.discovery.policy import Policy
 from lbacal_core.discovery.project import LinearModel
-from lbacal_core.discovery.refit import FittedModel, fit_chain, held_out_gain, refit
+from lbacal_core.discovery.proposals import Candidate, SameAgain, StationSearch
+from lbacal_core.discovery.refit import FittedModel, fit_chain, refit
 from lbacal_core.discovery.residual_structure import ResidualStructure, find_structure, share_of_channels
 from lbacal_core.discovery.scan import (
     Score,
     SpectralFamily,
     correlate,
-    group_templates,
     list_families,
-    scan,
-    score_families,
 )
 from lbacal_core.discovery.station import Station
 from lbacal_core.discovery.trials import p_of
@@ -118,26 +117,12 @@ def search_station(
     policy = policy or Policy()
     targets = list_targets(station)
     progress(f"{station.name}: fitting the baseline of {len(station.antenna)} paths")
-    models = [fit_chain(station, modes)]
-    progress(f"{station.name}: scoring {len(CAUSES)} causes for {len(targets)} targets")
-    scores = first_scores = scan(models[0].linear, CAUSES, targets, seed)
-    findings: list[Finding] = []
-    again: _SameAgain | None = None
-    while len(findings) < policy.most_findings:
-        significant = [score for score in scores if score.p_value < policy.catalogue_alpha / stations]
-        if not significant:
-            break
-        again = _same_again(significant[0], findings)
-        if again is not None:
-            break
-        progress(f"{station.name}: fitting everything again with {significant[0].cause.identifier}")
-        found = _extend(models[-1], significant, policy)
-        if found is None:
-            break
-        models.append(found[0])
-        findings.append(found[1])
-        progress(f"{station.name}: scoring what is left")
-        scores = scan(models[-1].linear, CAUSES, targets, seed)
+    search = StationSearch(station, targets, policy, stations, seed, progress)
+    first = fit_chain(station, modes)
+    steps = grow(first, search, policy.most_findings)
+    models = [first, *(step.candidate.model for step in steps)]
+    findings = [_finding(before, step, policy) for before, step in zip(models, steps, strict=False)]
+    again = search.again
     # Every size is that of the last fit.
     findings = [replace(f, hypothesis=one) for f, one in zip(findings, models[-1].hypotheses, strict=True)]
     antenna_scores = compare_antennas(station, models[-1].baseline, targets, policy, seed)
@@ -152,128 +137,28 @@ def search_station(
         antennas=[score for score in antenna_scores[:1] if score.p_value < policy.antenna_alpha / stations],
         structure=structure,
         similar=similar,
-        scores=first_scores,
+        scores=search.first_scores,
         antenna_scores=antenna_scores,
         first=models[0],
         last=models[-1],
-        unidentifiable=_unidentifiable(station, first_scores),
+        unidentifiable=_unidentifiable(station, search.first_scores),
         policy=policy,
         stations=stations,
     )
 
 
-@dataclass(frozen=True)
-class _Candidate:
-    """A significant score and the model that it would make."""
-
-    score: Score
-    model: FittedModel
-    chi2_before: float
-    chi2_after: float
-    dof: int
-
-    @property
-    def gain(self) -> float:
-        """Gain in chi^2 less the gain that the best of so many scores has by chance."""
-        return self.chi2_before - self.chi2_after - 2 * float(np.log(self.score.trials))
-
-
-def _extend(before: FittedModel, significant: Sequence[Score], policy: Policy) -> tuple[FittedModel, Finding] | None:
-    """The fitted model with the candidate that fits best without linearising, if its held-out gain is positive."""
-    candidates = [one for score in _rivals(significant, policy) if (one := _fit(before, score, policy))]
-    for best in sorted(candidates, key=lambda one: -one.gain):
-        hypothesis = best.model.hypotheses[-1]
-        held_out = held_out_gain(before, hypothesis, _nearby_templates(hypothesis, best.score.template, before.station))
-        if held_out > 0:
-            return best.model, Finding(
-                hypothesis=hypothesis,
-                score=best.score,
-                indistinguishable=find_indistinguishable(before.linear, hypothesis, policy),
-                chi2_before=best.chi2_before,
-                chi2_after=best.chi2_after,
-                dof=best.dof,
-                held_out_gain=held_out,
-                calibration_change=_calibration_change(before, best.model, hypothesis.target),
-            )
-    return None
-
-
-def _rivals(significant: Sequence[Score], policy: Policy) -> list[Score]:
-    """The candidates to be fitted: the best few, without those whose scores are far below the best."""
-    ranking = sorted(significant, key=lambda s: -(s.z**2 - 2 * np.log(s.trials)))
-    return [s for s in ranking[: policy.rivals] if abs(s.z) > policy.rival_share * abs(ranking[0].z)]
-
-
-def _fit(before: FittedModel, score: Score, policy: Policy) -> _Candidate | None:
-    model = refit(before, refine(before.linear, score, policy))
-    if model is None:
-        return None
-    chi2_after, dof = model.linear.chi_squared()
-    same_events = before.linear.on_events(model.station.is_used)
-    chi2_before, _ = same_events.with_levels(model.linear.residuals.levels).chi_squared()
-    return _Candidate(score, model, chi2_before, chi2_after, dof)
-
-
-def refine(model: LinearModel, score: Score, policy: Policy) -> Hypothesis:
-    """The hypothesis that a scan found, with the best template about the one tried, at the size to first order.
-
-    A scan tries hours, dates and indices on a grid; `refine` scores finer templates about the best one. Templates that
-    fit nearly as well have other sizes: the scatter of these sizes, weighed with the likelihoods, is part of the error.
-    """
-    cause = score.cause
-    conditions = model.station.conditions
-    templates = cause.finer_templates(conditions, score.template)
-    if len(templates) == 1:
-        return Hypothesis(cause, templates[0], score.target, score.size)
-    known = model.on_events(cause.known_events(conditions, score.template))
-    found, scores, sizes, strengths = [], [], [], []
-    for batch, z, size in score_families(known, group_templates(conditions, cause, templates), [score.target]):
-        profile = batch[0].profiles.values
-        strength = np.abs(profile).sum(axis=1) / np.maximum((profile != 0).sum(axis=1), 1)
-        found += [template for family in batch for template in family.templates]
-        scores.append(z[:, 0].ravel())
-        sizes.append(size[:, 0].ravel())
-        strengths.append(np.tile(strength, len(batch)))
-    gain, size = np.concatenate(scores) ** 2, np.concatenate(sizes)
-    # Power added at some hours and power missing at the others fit alike; power is added, so the size is positive.
-    if np.any(size > 0) and gain[size > 0].max() > gain.max() - policy.indistinguishable:
-        gain = np.where(size > 0, gain, 0.0)
-    best = int(np.argmax(gain))
-    # Sizes of different templates are compared by their mean effect on the events on which the template acts.
-    change = size * np.concatenate(strengths)
-    weight = np.exp(0.5 * (gain - gain[best])) * (np.sign(change) == np.sign(change[best]))
-    scatter = np.sqrt(weight @ (change / change[best] - 1.0) ** 2 / weight.sum())
-    return Hypothesis(cause, found[best], score.target, float(size[best]), template_sigma=float(scatter))
-
-
-def _nearby_templates(hypothesis: Hypothesis, tried: Template, station: Station) -> list[Template]:
-    """The templates among which the held-out test chooses: the same spectral template with every time profile."""
-    cause = hypothesis.cause
-    same = {name: hypothesis.template.parameters[name] for name in cause.spectral_parameters}
-    alike = [one for one in cause.templates(station.conditions) if cause.spectral_key(one) == cause.spectral_key(tried)]
-    return [hypothesis.template, *(Template({**one.parameters, **same}) for one in alike)]
-
-
-@dataclass(frozen=True)
-class _SameAgain:
-    """A cause that is significant a second time for the same target: its template does not have the effect's form.
-
-    Attributes
-    ----------
-    number
-        Number of the finding that named the cause first.
-    """
-
-    score: Score
-    number: int
-
-
-def _same_again(score: Score, findings: Sequence[Finding]) -> _SameAgain | None:
-    for number, earlier in enumerate(finding.hypothesis for finding in findings):
-        is_same = earlier.cause is score.cause and earlier.target.label == score.target.label
-        if is_same and not score.cause.is_another(score.template, earlier.template):
-            return _SameAgain(score, number)
-    return None
+def _finding(before: FittedModel, step: Step[Candidate], policy: Policy) -> Finding:
+    candidate, hypothesis = step.candidate, step.candidate.model.hypotheses[-1]
+    return Finding(
+        hypothesis=hypothesis,
+        score=candidate.score,
+        indistinguishable=find_indistinguishable(before.linear, hypothesis, policy),
+        chi2_before=candidate.chi2_before,
+        chi2_after=candidate.chi2_after,
+        dof=candidate.dof,
+        held_out_gain=step.held_out_gain,
+        calibration_change=_calibration_change(before, candidate.model, hypothesis.target),
+    )
 
 
 def _without(models: Sequence[FittedModel], number: int) -> FittedModel:
@@ -316,7 +201,7 @@ def _withdrawn(
     first: LinearModel,
     findings: Sequence[Finding],
     structure: ResidualStructure,
-    again: _SameAgain | None,
+    again: SameAgain | None,
     policy: Policy,
 ) -> list[Finding]:
     """Findings that are withdrawn: residual structure remains that may explain the same data."""

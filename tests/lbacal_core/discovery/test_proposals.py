@@ -9,9 +9,9 @@ from lbacal_core.causes.catalogue import CAUSES
 from lbacal_core.causes.cause import Template, signature
 from lbacal_core.discovery.hypothesis import list_targets
 from lbacal_core.discovery.policy import Policy
+from lbacal_core.discovery.proposals import refine
 from lbacal_core.discovery.refit import fit_chain
 from lbacal_core.discovery.scan import Score, scan
-from lbacal_core.discovery.search import refine
 from lbacal_core.discovery.station import gather_stations
 from lbacal_core.twin.faults.antenna import GainStep
 from lbacal_core.twin.faults.fault import Where

@@ -1,0 +1,161 @@
+"""What spectra propose to `grow`: the best significant causes, each refined and fitted again with everything else."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from lbacal_core.causes.catalogue import CAUSES
+from lbacal_core.causes.cause import Template
+from lbacal_core.discovery.hypothesis import Hypothesis, Target
+from lbacal_core.discovery.policy import Policy
+from lbacal_core.discovery.project import LinearModel
+from lbacal_core.discovery.refit import FittedModel, held_out_gain, refit
+from lbacal_core.discovery.scan import Score, group_templates, scan, score_families
+from lbacal_core.discovery.station import Station
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A significant score and the model that it would make."""
+
+    score: Score
+    model: FittedModel
+    chi2_before: float
+    chi2_after: float
+    dof: int
+
+    @property
+    def gain(self) -> float:
+        """Gain in chi^2 less the gain that the best of so many scores has by chance."""
+        return self.chi2_before - self.chi2_after - 2 * float(np.log(self.score.trials))
+
+
+@dataclass(frozen=True)
+class SameAgain:
+    """A cause that is significant a second time for the same target: its template does not have the effect's form.
+
+    Attributes
+    ----------
+    number
+        Number of the finding that named the cause first.
+    """
+
+    score: Score
+    number: int
+
+
+def _same_again(score: Score, hypotheses: Sequence[Hypothesis]) -> SameAgain | None:
+    for number, earlier in enumerate(hypotheses):
+        is_same = earlier.cause is score.cause and earlier.target.label == score.target.label
+        if is_same and not score.cause.is_another(score.template, earlier.template):
+            return SameAgain(score, number)
+    return None
+
+
+class StationSearch:
+    """The search of one station as `grow` wants it.
+
+    Attributes
+    ----------
+    first_scores
+        Scores of every cause before anything was added.
+    again
+        Why the search ended, where a cause was significant once more.
+    """
+
+    def __init__(
+        self,
+        station: Station,
+        targets: Sequence[Target],
+        policy: Policy,
+        stations: int,
+        seed: int,
+        progress: Callable[[str], None],
+    ) -> None:
+        self.name, self.targets, self.policy, self.seed = station.name, targets, policy, seed
+        self.alpha, self.progress = policy.catalogue_alpha / stations, progress
+        self.first_scores: list[Score] = []
+        self.again: SameAgain | None = None
+
+    def propose(self, before: FittedModel) -> list[Candidate]:
+        """The model with each of the best significant causes, fitted without linearising."""
+        self.progress(f"{self.name}: scoring {len(CAUSES)} causes for {len(self.targets)} targets")
+        scores = scan(before.linear, CAUSES, self.targets, self.seed)
+        self.first_scores = self.first_scores or scores
+        significant = [score for score in scores if score.p_value < self.alpha]
+        if significant:
+            self.again = _same_again(significant[0], before.hypotheses)
+        if not significant or self.again is not None:
+            return []
+        self.progress(f"{self.name}: fitting everything again with {significant[0].cause.identifier}")
+        fitted = [_fit(before, score, self.policy) for score in _rivals(significant, self.policy)]
+        return sorted((one for one in fitted if one is not None), key=lambda one: -one.gain)
+
+    def model_of(self, candidate: Candidate) -> FittedModel:
+        """The fitted model of a candidate."""
+        return candidate.model
+
+    def held_out_gain(self, before: FittedModel, candidate: Candidate) -> float:
+        """Gain in log-likelihood on events that were not used, the template chosen again."""
+        hypothesis = candidate.model.hypotheses[-1]
+        templates = _nearby_templates(hypothesis, candidate.score.template, before.station)
+        return held_out_gain(before, hypothesis, templates)
+
+
+def _rivals(significant: Sequence[Score], policy: Policy) -> list[Score]:
+    """The candidates to be fitted: the best few, without those whose scores are far below the best."""
+    ranking = sorted(significant, key=lambda s: -(s.z**2 - 2 * np.log(s.trials)))
+    return [s for s in ranking[: policy.rivals] if abs(s.z) > policy.rival_share * abs(ranking[0].z)]
+
+
+def _fit(before: FittedModel, score: Score, policy: Policy) -> Candidate | None:
+    model = refit(before, refine(before.linear, score, policy))
+    if model is None:
+        return None
+    chi2_after, dof = model.linear.chi_squared()
+    same_events = before.linear.on_events(model.station.is_used)
+    chi2_before, _ = same_events.with_levels(model.linear.residuals.levels).chi_squared()
+    return Candidate(score, model, chi2_before, chi2_after, dof)
+
+
+def refine(model: LinearModel, score: Score, policy: Policy) -> Hypothesis:
+    """The hypothesis that a scan found, with the best template about the one tried, at the size to first order.
+
+    A scan tries hours, dates and indices on a grid; `refine` scores finer templates about the best one. Templates that
+    fit nearly as well have other sizes: the scatter of these sizes, weighed with the likelihoods, is part of the error.
+    """
+    cause = score.cause
+    conditions = model.station.conditions
+    templates = cause.finer_templates(conditions, score.template)
+    if len(templates) == 1:
+        return Hypothesis(cause, templates[0], score.target, score.size)
+    known = model.on_events(cause.known_events(conditions, score.template))
+    found, scores, sizes, strengths = [], [], [], []
+    for batch, z, size in score_families(known, group_templates(conditions, cause, templates), [score.target]):
+        profile = batch[0].profiles.values
+        strength = np.abs(profile).sum(axis=1) / np.maximum((profile != 0).sum(axis=1), 1)
+        found += [template for family in batch for template in family.templates]
+        scores.append(z[:, 0].ravel())
+        sizes.append(size[:, 0].ravel())
+        strengths.append(np.tile(strength, len(batch)))
+    gain, size = np.concatenate(scores) ** 2, np.concatenate(sizes)
+    # Power added at some hours and power missing at the others fit alike; power is added, so the size is positive.
+    if np.any(size > 0) and gain[size > 0].max() > gain.max() - policy.indistinguishable:
+        gain = np.where(size > 0, gain, 0.0)
+    best = int(np.argmax(gain))
+    # Sizes of different templates are compared by their mean effect on the events on which the template acts.
+    change = size * np.concatenate(strengths)
+    weight = np.exp(0.5 * (gain - gain[best])) * (np.sign(change) == np.sign(change[best]))
+    scatter = np.sqrt(weight @ (change / change[best] - 1.0) ** 2 / weight.sum())
+    return Hypothesis(cause, found[best], score.target, float(size[best]), template_sigma=float(scatter))
+
+
+def _nearby_templates(hypothesis: Hypothesis, tried: Template, station: Station) -> list[Template]:
+    """The templates among which the held-out test chooses: the same spectral template with every time profile."""
+    cause = hypothesis.cause
+    same = {name: hypothesis.template.parameters[name] for name in cause.spectral_parameters}
+    alike = [one for one in cause.templates(station.conditions) if cause.spectral_key(one) == cause.spectral_key(tried)]
+    return [hypothesis.template, *(Template({**one.parameters, **same}) for one in alike)]
