@@ -40,6 +40,12 @@ def test_numbers_differ_beyond_a_millionth():
     assert found.relative == pytest.approx(1.2e-6, rel=1e-3)
 
 
+def test_sentences_are_no_numbers():
+    before = {"unidentifiable": [{"cause": "gain_step", "why": "no dates"}], "findings": [{"sentence": "It is 0.1."}]}
+    after = {"unidentifiable": [{"cause": "gain_step", "why": "the dates are unknown"}], "findings": [{"sentence": ""}]}
+    assert list_differences("d", before, after) == []
+
+
 def test_only_what_rounding_moves_has_a_wider_tolerance():
     def changed(cause, key):
         before = {"report": {"findings": [{"cause": cause, "evidence": {key: 10.0}}]}}
