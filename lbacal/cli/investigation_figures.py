@@ -134,7 +134,7 @@ def draw_structure(report: StationReport, structure: ResidualStructure) -> Figur
     figure = Figure(figsize=(9.5, 3.4), layout="constrained")
     panels: Any = figure.subplots(1, 2)
     mean, error = _bins(values, left @ along)
-    panels[0].errorbar(_centres(values), 100 * mean, 100 * error, label="left after everything", **POINTS)
+    panels[0].errorbar(_centres(values), 100 * mean, 100 * error, label="residual structure", **POINTS)
     order = np.argsort(values)
     panels[0].plot(values[order], 100 * (smooth @ along)[order], color=RED, lw=1, label="smooth along the axis")
     panels[0].set_xlabel(label)
@@ -142,7 +142,7 @@ def draw_structure(report: StationReport, structure: ResidualStructure) -> Figur
     panels[0].legend(fontsize=8, frameon=False)
     panels[1].plot(report.station.conditions.frequency_mhz, along * along.size, color=RED)
     panels[1].set_xlabel("frequency (MHz)")
-    panels[1].set_ylabel("shape in frequency (rms 1)")
+    panels[1].set_ylabel("spectrum (rms 1)")
     for panel in panels:
         panel.axhline(0, color="#bbb", lw=0.8)
     return figure
@@ -183,7 +183,7 @@ def draw_calibration_change(report: StationReport, finding: Finding) -> Figure:
     figure = Figure(figsize=(9.5, 2.8), layout="constrained")
     axes: Any = figure.subplots()
     low, middle, high = np.percentile(change, [16, 50, 84], axis=0)
-    axes.fill_between(frequency, low, high, color=RED, alpha=0.25, lw=0, label="68 % of the paths concerned")
+    axes.fill_between(frequency, low, high, color=RED, alpha=0.25, lw=0, label="68 % of the target's paths")
     axes.plot(frequency, middle, color=RED, label="median")
     axes.axhline(0, color="#bbb", lw=0.8)
     axes.set_xlabel("frequency (MHz)")

@@ -122,7 +122,7 @@ Cables = Mapping[tuple[str, int], str]
 
 
 def require_one_cable_each(spectra: Spectra, instrument: Instrument) -> Cables:
-    """Every antenna is known to the instrument and keeps its cable over the window: which one."""
+    """The cable of every antenna: each must be known to the instrument and keep its cable over the window."""
     found: dict[tuple[str, int], str] = {}
     first, last = float(spectra.time_unix.min()), float(spectra.time_unix.max())
     stations, station_at = spectra.key_codes["station"]

@@ -14,7 +14,7 @@ a finite answer instead of an error, and every other answer moves by this times 
 def scale_to_unit_diagonal(normal: Floats) -> tuple[Floats, Floats]:
     """Scaled matrices, shape (problem, k, k), and the unit of each parameter, shape (problem, k).
 
-    A parameter of which the data say nothing has a row of zeros and keeps it.
+    A parameter that the data do not determine has a row of zeros and keeps it.
     """
     unit = 1.0 / np.sqrt(np.maximum(np.einsum("pii->pi", normal), 1e-300))
     return normal * unit[:, :, None] * unit[:, None, :], unit
@@ -32,7 +32,7 @@ def solve_normal_equations(normal: Floats, target: Floats, ridge: float = RIDGE)
 
     Returns
     -------
-    Shape (problem, k, column); 0 for a parameter of which the data say nothing.
+    Shape (problem, k, column); 0 for a parameter that the data do not determine.
     """
     scaled, unit = scale_to_unit_diagonal(normal)
     scaled += ridge * np.eye(normal.shape[1])

@@ -48,8 +48,8 @@ def carry_to_path(
     """Carry a curve through the cable that a path has at an instant: C_path = C (L_ref / L_path)^1/2.
 
     `c_sigma_sys` becomes half the root mean square departure of A g among paths with that cable, as a fraction of C, if
-    it was measured; otherwise it is unknown and the flag says so. A path's own curve stays as it is as long as its
-    cable does.
+    it was measured. Otherwise it is unknown, and the flag is ``uncertain``. A path's own curve is unchanged as long as
+    its cable is.
 
     Parameters
     ----------

@@ -40,7 +40,7 @@ class SizeRange:
     starts
         Sizes from which it starts.
     physical_end
-        An end of the range that is physical, not the end of what is believed.
+        An end of the range that is physical, such as 0 for a power, rather than an end of the plausible range.
     """
 
     lowest: float = -np.inf
@@ -49,7 +49,7 @@ class SizeRange:
     physical_end: float | None = None
 
     def is_at_edge(self, size: float) -> bool:
-        """Whether a size has run to the end of what is believed: then the cause does not describe the data."""
+        """Whether a size has run to the end of the plausible range: the cause then does not describe the data."""
         reach = EDGE * (self.highest - self.lowest)
         if self.physical_end is not None and abs(size - self.physical_end) < reach:
             return False

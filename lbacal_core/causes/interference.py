@@ -112,7 +112,7 @@ class RfiBroadband(InterferenceCause):
 
 
 def _windows_about(begin: int, end: int) -> list[tuple[int, int]]:
-    """Windows that begin and last up to three hours more or less, and what is left of the day."""
+    """Windows that begin and last up to three hours more or less, and the rest of the day."""
     if (begin, end) == (0, 24):
         return [(0, 24)]
     near = {

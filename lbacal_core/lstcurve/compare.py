@@ -59,7 +59,7 @@ class DipoleComparison:
 
     @property
     def rms_db(self) -> float:
-        """Root mean square of what is left."""
+        """Root mean square of the residuals."""
         return float(np.sqrt(np.nanmean(self.residual_db**2)))
 
     def as_dict(self) -> dict[str, Any]:

@@ -25,7 +25,7 @@ def read_fits_maps(path: Path) -> SkyModel:
 
     Each file is a HEALPix table or a plate-carree image (CTYPE1 RA---CAR or GLON-CAR, as LFmap makes after
     conversion), with its frequency in the header: FREQ, in Hz or, below 10^5, in MHz. HASCMB and HASISO (T or F;
-    default T) say what the map contains. A single map is carried to other frequencies with nu^-2.55.
+    default T) state what the map contains. A single map is carried to other frequencies with nu^-2.55.
     """
     files = sorted(path.glob("*.fits")) if path.is_dir() else [path]
     if not files:

@@ -44,7 +44,7 @@ def test_a_finding_has_its_signature_its_maps_and_its_change_of_c(written):
 def test_structure_that_no_cause_explains_is_drawn_along_its_axis(written):
     content, page = written
     assert content["verdict"] == "unexplained"
-    assert "What no cause explains" in page
+    assert "Residual structure that no cause explains" in page
 
 
 def test_every_picture_is_inside_the_page(written):
@@ -57,8 +57,8 @@ def test_the_sentence_the_gain_and_what_it_changes_in_c_are_said(written):
     content, page = written
     for words in (
         content["findings"][0]["sentence"],
-        "gain on events not used",
-        "cannot be told from",
+        "gain on held-out events",
+        "indistinguishable from",
         "in the median",
     ):
         assert words in page
