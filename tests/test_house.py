@@ -9,6 +9,8 @@ import sys
 import tomllib
 from pathlib import Path
 
+from lbacal.cli.main import FIT
+
 PACKAGES = ("lbacal", "lbacal_core", "service", "proofs", "migrations")
 
 
@@ -59,6 +61,23 @@ def test_one_version_of_uv(repository: Path) -> None:
     in_script = re.search(r"^UV_VERSION=([0-9.]+)", (repository / "dev").read_text(), re.MULTILINE)
     assert in_script is not None
     assert f"uv=={in_script[1]}" in project["project"]["optional-dependencies"]["dev"]
+
+
+def test_one_version_of_both_wheels(repository: Path) -> None:
+    client = tomllib.loads((repository / "pyproject.toml").read_text())["project"]
+    server = tomllib.loads((repository / "wheels/server/pyproject.toml").read_text())["project"]
+    assert server["version"] == client["version"]
+    assert f"lbacal[fit]=={client['version']}" in server["dependencies"]
+    assert client["optional-dependencies"]["server"] == [f"lbacal-server=={client['version']}"]
+
+
+def test_a_command_looks_for_what_the_extra_fit_installs(repository: Path) -> None:
+    project = tomllib.loads((repository / "pyproject.toml").read_text())["project"]
+    base, extra = (
+        {re.split("[<>=]", one)[0] for one in listed}
+        for listed in (project["dependencies"], project["optional-dependencies"]["fit"])
+    )
+    assert extra - base - {"pyerfa"} == set(FIT), "pyerfa comes with astropy"
 
 
 def test_files_are_short_enough_to_read(repository: Path, tracked: list[Path]) -> None:
