@@ -1,4 +1,4 @@
-"""What spectra propose to `grow`: the best significant causes, each refined and fitted again with everything else."""
+"""Proposals of spectra to `grow`: the best significant causes, each refined and fitted with everything else."""
 
 from __future__ import annotations
 
@@ -56,14 +56,14 @@ def _same_again(score: Score, hypotheses: Sequence[Hypothesis]) -> SameAgain | N
 
 
 class StationSearch:
-    """The search of one station as `grow` wants it.
+    """The search of one station, in the form that `grow` needs.
 
     Attributes
     ----------
     first_scores
-        Scores of every cause before anything was added.
+        Scores of every cause on the baseline.
     again
-        Why the search ended, where a cause was significant once more.
+        The cause that ended the search, where it was significant a second time for the same target.
     """
 
     def __init__(
@@ -99,7 +99,7 @@ class StationSearch:
         return candidate.model
 
     def held_out_gain(self, before: FittedModel, candidate: Candidate) -> float:
-        """Gain in log-likelihood on events that were not used, the template chosen again."""
+        """Gain in log-likelihood on held-out events, the template chosen on the others."""
         hypothesis = candidate.model.hypotheses[-1]
         templates = _nearby_templates(hypothesis, candidate.score.template, before.station)
         return held_out_gain(before, hypothesis, templates)
