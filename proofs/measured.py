@@ -120,7 +120,7 @@ def describe(fit: CurveFit) -> str:
 
 def per_point(fit: CurveFit) -> str:
     """Chi^2 per point with the estimated noise, and with the drawn bars in brackets."""
-    return f"{fit.chi2 / fit.points:.2f} ({fit.chi2_drawn / fit.points:.2f})"
+    return "{estimated:.2f} ({drawn_bars:.2f})".format(**fit.per_point)
 
 
 def hypotheses_table(found: CurveInvestigation) -> list[str]:

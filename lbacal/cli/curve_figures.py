@@ -9,10 +9,10 @@ from matplotlib.figure import Figure
 
 from lbacal.cli.figures import DIPOLE_COLOURS, label_lst_panels
 from lbacal_core.discovery.curve_fit import CurveFit
-from lbacal_core.discovery.curve_station import GRID_HOURS
 from lbacal_core.discovery.lst_curve import CurveInvestigation
 from lbacal_core.grids import Floats
 from lbacal_core.instrument import DIPOLES
+from lbacal_core.skypower.table import read_at
 
 COLOURS = DIPOLE_COLOURS | {"X - Y": "#2b8a5f"}
 GREY = "#8a94a6"
@@ -65,10 +65,10 @@ def draw_ranking(found: CurveInvestigation) -> Figure:
     for row, fit in enumerate(shown):
         is_named, is_open = fit.labels == found.last.labels, found.is_open(fit)
         colour = COLOURS["X"] if is_named else "#d99a2b" if is_open else GREY
-        axes.barh(row, fit.chi2 / fit.points, color=colour)
-        words = f"  {fit.chi2 / fit.points:.2f}  (drawn bars {fit.chi2_drawn / fit.points:.2f})"
-        axes.text(fit.chi2 / fit.points, row, words, va="center", fontsize=7)
-    before = found.first.chi2 / found.first.points
+        axes.barh(row, fit.per_point["estimated"], color=colour)
+        words = "  {estimated:.2f}  (drawn bars {drawn_bars:.2f})".format(**fit.per_point)
+        axes.text(fit.per_point["estimated"], row, words, va="center", fontsize=7)
+    before = found.first.per_point["estimated"]
     axes.axvline(before, color="black", lw=0.9, ls="--", label=f"no cause: {before:.1f}")
     axes.axvline(1.0, color="black", lw=0.9, ls=":", label="the noise")
     for words, colour in (("named", COLOURS["X"]), ("not excluded", "#d99a2b"), ("excluded", GREY)):
@@ -134,11 +134,7 @@ def _bar_label(found: CurveInvestigation, name: str) -> str:
 
 def _smooth(values: Floats) -> Floats:
     """From the grid of the fit to a fine one, by its Fourier series."""
-    count = GRID_HOURS.size
-    terms = np.fft.rfft(values) / count
-    order = np.arange(1, count // 2)
-    angle = 2 * np.pi / 24.0 * np.outer(SMOOTH_HOURS, order)
-    return np.asarray(terms[0].real + 2 * (np.cos(angle) @ terms.real[1:-1] - np.sin(angle) @ terms.imag[1:-1]))
+    return read_at(values[:, None], SMOOTH_HOURS)[:, 0]
 
 
 def _spread(found: CurveInvestigation, name: str) -> float:

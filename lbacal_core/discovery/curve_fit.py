@@ -58,6 +58,11 @@ class CurveFit:
         return tuple(choice.label for choice in self.choices)
 
     @property
+    def per_point(self) -> dict[str, float]:
+        """Chi^2 per point with the estimated noise, and with the drawn bars."""
+        return {"estimated": self.chi2 / self.points, "drawn_bars": self.chi2_drawn / self.points}
+
+    @property
     def dof(self) -> int:
         """Points less offsets and sizes."""
         return max(self.points - len(DIPOLES) - len(self.choices), 1)

@@ -1,4 +1,4 @@
-"""The report of an LST curve as JSON values, in the form of an investigation report (docs/formats.md)."""
+"""The report of an LST curve as JSON values, with the fields of an investigation report (docs/formats.md)."""
 
 from __future__ import annotations
 
@@ -8,12 +8,11 @@ from typing import Any
 import numpy as np
 
 from lbacal_core.discovery.curve_fit import CurveFit
-from lbacal_core.discovery.curve_station import Choice
 from lbacal_core.discovery.lst_curve import CurveFinding, CurveInvestigation, Rival
+from lbacal_core.discovery.report import CONSISTENT, EXPLAINED, UNEXPLAINED
 from lbacal_core.discovery.trials import sigma_of
 from lbacal_core.grids import Floats
 from lbacal_core.instrument import DIPOLES
-from lbacal_core.lstcurve.noise import PointNoise
 from lbacal_core.provenance import Provenance
 
 REPORTED_MHZ = (30.0, 40.0, 50.0, 55.0, 60.0, 70.0, 80.0)
@@ -22,29 +21,28 @@ MOST_ALTERNATIVES = 12
 
 def describe_curve(found: CurveInvestigation, provenance: Provenance) -> dict[str, Any]:
     """The report of an LST curve."""
+    first, last = found.first, found.last
     is_left = found.structure_p < found.policy.structure_alpha
-    verdict = "unexplained" if is_left else "explained" if found.findings else "consistent"
-    hypotheses = [found.last, *found.alternatives[:MOST_ALTERNATIVES], *found.single]
-    distinct = {fit.labels: fit for fit in reversed(hypotheses) if fit.choices}
-    ordered = [fit for fit in dict.fromkeys(fit.labels for fit in hypotheses) if fit in distinct]
+    verdict = UNEXPLAINED if is_left else EXPLAINED if found.findings else CONSISTENT
+    shown = {fit.labels: fit for fit in (last, *found.alternatives[:MOST_ALTERNATIVES], *found.single) if fit.choices}
     return {
         "verdict": verdict,
         "sentence": _summary(found, verdict),
         "findings": [_finding(found, finding) for finding in found.findings],
         "unexplained": _unexplained(found) if is_left else None,
-        "unidentifiable": [{"cause": cause, "why": why} for cause, why in found.unidentifiable.items()],
-        "noise": _noise(found.fitter.noise, found),
+        "unidentifiable": [{"cause": cause, "why": why} for cause, why in sorted(found.unidentifiable.items())],
+        "noise": _noise(found),
         "chi2": {
-            "points": found.first.points,
-            "before": {"estimated": found.first.chi2, "drawn_bars": found.first.chi2_drawn},
-            "after": {"estimated": found.last.chi2, "drawn_bars": found.last.chi2_drawn},
-            "per_point_before": _per_point(found.first),
-            "per_point_after": _per_point(found.last),
-            "scale": found.last.scale,
+            "points": first.points,
+            "before": {"estimated": first.chi2, "drawn_bars": first.chi2_drawn},
+            "after": {"estimated": last.chi2, "drawn_bars": last.chi2_drawn},
+            "per_point_before": first.per_point,
+            "per_point_after": last.per_point,
+            "scale": last.scale,
         },
-        "hypotheses": [_hypothesis(found, distinct[labels]) for labels in ordered],
+        "hypotheses": [_hypothesis(found, fit) for fit in shown.values()],
         "scores": [
-            {"cause": fit.labels[0], "chi2_gain": found.first.chi2 - fit.chi2, "size": float(fit.sizes[0])}
+            {"cause": fit.labels[0], "chi2_gain": first.chi2 - fit.chi2, "size": float(fit.sizes[0])}
             for fit in found.single
         ],
         "provenance": provenance.as_dict(),
@@ -53,9 +51,9 @@ def describe_curve(found: CurveInvestigation, provenance: Provenance) -> dict[st
 
 def _summary(found: CurveInvestigation, verdict: str) -> str:
     if not found.findings:
-        return "The points and the simulation agree." if verdict == "consistent" else "No cause of the catalogue helps."
-    names = "; ".join(_words(one.choice, found.last, one.place) for one in found.findings)
-    before, after = _per_point(found.first), _per_point(found.last)
+        return "The points and the simulation agree." if verdict == CONSISTENT else "No cause of the catalogue helps."
+    names = "; ".join(_words(found.last, one.place) for one in found.findings)
+    before, after = found.first.per_point, found.last.per_point
     return (
         f"What the simulation gets wrong: {names}. Chi^2 per point falls from {before['estimated']:.1f} to "
         f"{after['estimated']:.1f} with the estimated noise, from {before['drawn_bars']:.1f} to "
@@ -63,57 +61,59 @@ def _summary(found: CurveInvestigation, verdict: str) -> str:
     )
 
 
-def _words(choice: Choice, fit: CurveFit, place: int) -> str:
-    size, sigma = _size(choice, fit, place)
+def _cause(fit: CurveFit, place: int) -> dict[str, Any]:
+    """One cause of a set with its size; what the fit leaves widens the error."""
+    choice, size = fit.choices[place], float(fit.sizes[place])
+    sigma = float(fit.sigmas[place] * np.sqrt(fit.scale)) * choice.scale
+    relative = {"fraction_of_mean_sky_power": size} if choice.scale != 1 else {}
+    return {
+        "cause": choice.cause.identifier,
+        "size": {"value": size * choice.scale, "sigma": sigma, "unit": choice.cause.unit},
+        "parameters": {**choice.template.parameters, **relative},
+        "is_at_edge_of_its_range": choice.sizes.is_at_edge(size),
+        "would_decide": choice.cause.confirm,
+    }
+
+
+def _words(fit: CurveFit, place: int) -> str:
+    choice, size = fit.choices[place], _cause(fit, place)["size"]
     share = f", {fit.sizes[place]:.2f} of the mean sky power" if choice.scale != 1 else ""
-    return f"{choice.cause.meaning} ({choice.label} {size:.3g} +- {sigma:.2g} {choice.cause.unit}{share})"
+    value = f"{size['value']:.3g} +- {size['sigma']:.2g} {size['unit']}"
+    return f"{choice.cause.meaning} ({choice.label} {value}{share})"
 
 
-def _size(choice: Choice, fit: CurveFit, place: int) -> tuple[float, float]:
-    """Size and its standard deviation in the cause's unit, multiplied by the scale factor of the fit."""
-    scale = choice.scale * float(np.sqrt(fit.scale))
-    return float(fit.sizes[place]) * choice.scale, float(fit.sigmas[place]) * scale
-
-
-def _parameters(choice: Choice, fit: CurveFit, place: int) -> dict[str, Any]:
-    relative = {"fraction_of_mean_sky_power": float(fit.sizes[place])} if choice.scale != 1 else {}
-    return {**choice.template.parameters, **relative}
-
-
-def _per_point(fit: CurveFit) -> dict[str, float]:
-    return {"estimated": fit.chi2 / fit.points, "drawn_bars": fit.chi2_drawn / fit.points}
-
-
-def _noise(noise: PointNoise, found: CurveInvestigation) -> dict[str, Any]:
+def _noise(found: CurveInvestigation) -> dict[str, Any]:
+    curve, noise = found.fitter.curve, found.fitter.noise
     return {
         "point_noise_db": dict(noise.sigma_db),
         "correlation_of_x_and_y": noise.correlation,
         "degrees_of_freedom": noise.free,
-        "drawn_bar_db": float(np.nanmedian(found.fitter.curve.error_db)),
+        "drawn_bar_db": float(np.nanmedian(curve.error_db)),
         "spread_of_models_added": found.fitter.has_model_spread,
         "lst_convention": "bin centre, stated"
-        if found.fitter.curve.is_centre_stated
-        else "left edge, assumed: half a bin, "
-        f"{found.fitter.curve.bin_hours / 2:g} h, is a systematic uncertainty of lst_offset",
+        if curve.is_centre_stated
+        else f"left edge, assumed: half a bin, {curve.bin_hours / 2:g} h, is a systematic uncertainty of lst_offset",
     }
 
 
 def _finding(found: CurveInvestigation, finding: CurveFinding) -> dict[str, Any]:
-    last, choice, cause = found.last, finding.choice, finding.choice.cause
-    size, sigma = _size(choice, last, finding.place)
-    change = found.fitter.calibration_change(_less(last, finding.place), last)
+    last, place = found.last, finding.place
+    cause, one = finding.choice.cause, _cause(last, place)
+    change = found.fitter.calibration_change(_less(last, place), last)
     every = np.abs(np.concatenate([change[d] for d in DIPOLES]))
-    names = [rival.choice.cause.identifier for rival in finding.rivals if not rival.is_excluded]
+    open_rivals = [rival for rival in finding.rivals if not rival.is_excluded]
+    names = dict.fromkeys(rival.choice.cause.identifier for rival in open_rivals)
     return {
         "cause": cause.identifier,
-        "indistinguishable": [name for name in dict.fromkeys(names) if name != cause.identifier],
-        "size": {"value": size, "sigma": sigma, "unit": cause.unit},
-        "parameters": _parameters(choice, last, finding.place),
+        "indistinguishable": [name for name in names if name != cause.identifier],
+        "size": one["size"],
+        "parameters": one["parameters"],
         "significance_sigma": sigma_of(finding.p_value),
         "p_value": finding.p_value,
         "where": {
+            "station": None,
             "frequency_mhz": list(found.band_mhz),
-            "lst_h": [0.0, 24.0],
+            "lst_h": None,
             "utc_h": None,
             "dates": None,
             "antennas": [],
@@ -122,79 +122,63 @@ def _finding(found: CurveInvestigation, finding: CurveFinding) -> dict[str, Any]
         "gain": {
             "chi2_before": finding.without.chi2,
             "chi2_after": last.chi2,
-            "chi2_per_point_before": _per_point(finding.without),
-            "chi2_per_point_after": _per_point(last),
+            "chi2_per_point_before": finding.without.per_point,
+            "chi2_per_point_after": last.per_point,
             "dof": last.dof,
+            "residual_variance_explained": 1.0 - last.chi2 / finding.without.chi2,
             "held_out_log_likelihood_gain": finding.held_out_gain,
             "held_out_events": last.points,
-            "residual_variance_explained": 1.0 - last.chi2 / finding.without.chi2,
         },
         "calibration_change": {
             "max_fraction": float(every.max()),
             "median_fraction": float(np.median(every)),
             **_change(found, change),
         },
-        "sentence": f"In this curve {_words(choice, last, finding.place)}.",
+        "sentence": f"In this curve {_words(last, place)}.",
         "evidence": {
             "score_sigma": finding.z,
-            "would_decide": cause.confirm,
+            "trials": found.trials,
+            "confirm": cause.confirm,
             "in_its_place": [_rival(last, rival) for rival in finding.rivals],
-            "note": "causes that need a direction act by ratio: P_sky times own(with)/own(without)",
+            "note": "acts by ratio: P_sky times own(with)/own(without)" if cause.acts_by_ratio else "",
         },
     }
 
 
 def _less(fit: CurveFit, place: int) -> CurveFit:
-    """The set without one of its causes, the others unchanged: the difference is the effect of that cause alone."""
+    """The set without one of its causes and with the sizes of the others, for the effect of this one alone."""
     choices = fit.choices[:place] + fit.choices[place + 1 :]
     return replace(fit, choices=choices, sizes=np.delete(fit.sizes, place), sigmas=np.delete(fit.sigmas, place))
 
 
 def _rival(last: CurveFit, rival: Rival) -> dict[str, Any]:
-    place = rival.fit.choices.index(rival.choice)
-    size, _ = _size(rival.choice, rival.fit, place)
+    """Another cause in the place of one that was named."""
     return {
-        "cause": rival.choice.label,
-        "size": size,
-        "unit": rival.choice.cause.unit,
+        **_cause(rival.fit, rival.fit.choices.index(rival.choice)),
         "chi2": rival.fit.chi2,
         "chi2_above_named": rival.fit.chi2 - last.chi2,
         "chi2_drawn_bars_above_named": rival.fit.chi2_drawn - last.chi2_drawn,
         "correlation": rival.correlation,
         "is_excluded": rival.is_excluded,
-        "is_at_edge_of_its_range": rival.choice.sizes.is_at_edge(float(rival.fit.sizes[place])),
-        "would_decide": rival.choice.cause.confirm,
     }
 
 
 def _hypothesis(found: CurveInvestigation, fit: CurveFit) -> dict[str, Any]:
-    """One set of causes: its sizes, how well it fits, and how C(nu) would change."""
-    causes = []
-    for place, choice in enumerate(fit.choices):
-        size, sigma = _size(choice, fit, place)
-        causes.append(
-            {
-                "cause": choice.cause.identifier,
-                "size": {"value": size, "sigma": sigma, "unit": choice.cause.unit},
-                "parameters": _parameters(choice, fit, place),
-                "is_at_edge_of_its_range": choice.sizes.is_at_edge(float(fit.sizes[place])),
-                "would_decide": choice.cause.confirm,
-            }
-        )
+    """One set of causes with its fit and its change of C(nu)."""
     is_named = fit.labels == found.last.labels
     return {
-        "causes": causes,
+        "causes": [_cause(fit, place) for place in range(len(fit.choices))],
         "standing": "named" if is_named else "not excluded" if found.is_open(fit) else "excluded",
         "chi2": fit.chi2,
         "dof": fit.dof,
-        "chi2_per_point": _per_point(fit),
+        "chi2_per_point": fit.per_point,
         "chi2_above_named": fit.chi2 - found.last.chi2,
         "calibration_change": _change(found, found.fitter.calibration_change(found.first, fit)),
     }
 
 
 def _change(found: CurveInvestigation, change: dict[str, Floats]) -> dict[str, Any]:
-    """C with over C without, minus 1, of each dipole."""
+    """C with over C without, minus 1, for each dipole."""
     frequency = found.fitter.station.channels_mhz
     shown = [nu for nu in REPORTED_MHZ if frequency[0] <= nu <= frequency[-1]]
     return {
@@ -209,9 +193,9 @@ def _change(found: CurveInvestigation, change: dict[str, Floats]) -> dict[str, A
 def _unexplained(found: CurveInvestigation) -> dict[str, Any]:
     return {
         "p_value": found.structure_p,
-        "where": {"axis": "lst"},
-        "description": "the points scatter about the extended model by more than about a smooth curve: structure in "
-        "LST that no set of up to four causes describes to the noise; the sizes are widened by its scatter",
+        "where": {"station": None, "axis": "lst", "target": None, "frequency_mhz": list(found.band_mhz), "dates": None},
+        "description": "the points scatter about the best set of causes by more than about a smooth curve: residual "
+        "structure in LST that no set of up to four causes describes; it widens the errors of the sizes",
         "gain": {"chi2": found.last.chi2, "terms": 0, "held_out_log_likelihood_gain": None},
         "similar_to": [],
     }

@@ -81,6 +81,8 @@ class CurveInvestigation:
         Every cause fitted by itself, best first.
     alternatives
         Other sets, no more than one cause larger, that fit as well as the one named, best first.
+    trials
+        Trials factor of the catalogue: number of kinds of causes.
     structure_p
         Probability that noise scatters the points as much about the best model.
     unidentifiable
@@ -94,6 +96,7 @@ class CurveInvestigation:
     findings: list[CurveFinding]
     single: list[CurveFit]
     alternatives: list[CurveFit]
+    trials: float
     structure_p: float
     unidentifiable: Mapping[str, str]
     policy: Policy
@@ -145,6 +148,7 @@ def investigate_curve(
         sorted(findings, key=lambda finding: -finding.z),
         sorted((fit for fit in search.fits.values() if len(fit.choices) == 1), key=_by_chi2),
         search.alternatives(last),
+        search.trials,
         float(f_distribution.sf(last.chi2 / last.dof, last.dof, fitter.noise.free)),
         why_not(station, choices),
         policy,

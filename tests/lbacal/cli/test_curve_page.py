@@ -30,7 +30,7 @@ def test_the_page_says_the_sentence_the_alternatives_and_what_would_decide(writt
     report, page, _ = written
     assert report["sentence"].split(":")[0] in page
     assert "not excluded" in page
-    assert report["findings"][0]["evidence"]["would_decide"] in page
+    assert report["findings"][0]["evidence"]["confirm"] in page
 
 
 def test_the_command_prints_what_was_found_and_what_it_cannot_be_told_from(written):
