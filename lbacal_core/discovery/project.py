@@ -199,8 +199,9 @@ class LinearModel:
     def share_of_deviation(self, is_member: NDArray[np.bool_]) -> Floats:
         """Share of an effect in the deviation of each path, shape (path,).
 
-        It is 1 for a path of the mean; the change of the mean itself is subtracted from all these paths together
-        (`lost`). It is 1 less the change of the mean for a path outside the mean.
+        It is 0 for a path outside the target. A path of the target has the share 1 if it is part of the mean; the
+        change of the mean is subtracted from all these paths together (`lost`). If it is not part of the mean, the
+        share is 1 less the share of the target's paths in the mean.
         """
         in_mean, polarisation = self.residuals.in_mean, self.polarisation_of[self.station.class_of]
         of_mean = np.zeros(len(self.paths_in_mean))
