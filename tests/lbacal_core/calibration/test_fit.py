@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lbacal_core.calibration.fit import fit_calibration
+from lbacal_core.calibration.fit import _paths_of_scope, fit_calibration, require_one_cable_each
 from lbacal_core.chain.model import calibration_factor
 from lbacal_core.errors import BadInputError
 from lbacal_core.instrument import AntennaRecord, load_instrument
@@ -33,6 +33,8 @@ def test_antenna_curves_and_noise_constants_lie_within_their_errors(scene, spect
         assert 0.3 < curve.chi2_per_dof < 2.2  # 23 degrees of freedom, 16 curves: 4 sigma
         assert curve.events == 400
         assert curve.lst_coverage > 0.9
+    # Noise as it is taken to be leaves one a degree of freedom: 16 curves of 23 know it to 7 %.
+    assert np.mean([curve.chi2_per_dof for curve in report.curves]) == pytest.approx(1.0, abs=0.3)
     # 16 and 48 pulls; the common event gain makes them correlated within a station
     assert np.sqrt(np.mean(np.square(pulls))) < 1.8
     assert np.sqrt(np.mean(np.square(constants))) < 1.4
@@ -78,6 +80,16 @@ def test_an_antenna_missing_from_many_events_does_not_bias_the_station(scene, sp
     truth = calibration_factor((scene.slope("50") + scene.slope("80")) / 2, scene.instrument.antenna_gain)
     # a plain mean over the antennas present would be off by 4 % and more: antenna 0 has a short cable
     assert np.max(np.abs(curve.c - truth) / curve.c_sigma_stat) < 4
+
+
+def test_an_event_that_one_antenna_of_four_recorded_has_four_times_the_noise_of_the_mean(scene, spectra):
+    one_station = spectra.select((spectra.station == "CS002") & (spectra.dipole == "X"))
+    is_lonely = np.isin(one_station.event_id, np.unique(one_station.event_id)[::4])
+    some = one_station.select(~is_lonely | (one_station.antenna == 0))
+    cables = require_one_cable_each(some, scene.instrument)
+    (mean,) = _paths_of_scope(some, scene.instrument, scene.sky_power, "station", cables)
+    assert mean.excess[0, 0::4] == pytest.approx(4.0)
+    assert np.delete(mean.excess[0], np.s_[0::4]) == pytest.approx(1.0)
 
 
 def test_same_spectra_in_another_order_give_the_same_digest_and_curve(scene, spectra):

@@ -75,6 +75,14 @@ def test_stations_that_differ_are_seen_to_differ() -> None:
     assert measure(draw_paths(np.random.default_rng(5))).between_stations is None
 
 
+def test_stations_of_few_paths_that_are_alike_do_not_seem_to_differ() -> None:
+    """The mean of four paths is off by 3 % by the spread of single paths alone."""
+    names = tuple(f"CS{k:03d}" for k in range(100))
+    alike = measure(draw_paths(np.random.default_rng(8), stations=names, paths=400))
+    # 100 stations leave 1 % of it.
+    assert np.all(alike.between_stations < 0.02)
+
+
 def test_joined_fits_are_one() -> None:
     rng = np.random.default_rng(6)
     first, second = draw_paths(rng, paths=10), draw_paths(rng, paths=6)

@@ -82,3 +82,11 @@ def test_without_others_of_its_cable_an_antenna_is_compared_with_none(world):
     records = {r.antenna: r.cable for r in world.instrument.antennas if r.station == "CS002" and r.antenna < 3}
     assert len(set(records.values())) == 1
     assert world.look().static_scores() == []
+
+
+def test_two_dipoles_know_the_departure_of_their_antenna_better_than_one_by_root_two(alike):
+    spectra = alike.spectra()
+    one = best(look_at(spectra.select(spectra.dipole == "X"), alike.instrument, alike.sky))
+    both = best(look_at(spectra, alike.instrument, alike.sky))
+    # X and Y have other noise in the weakest channels.
+    assert np.median(one.error / both.error) == pytest.approx(2**0.5, rel=0.1)

@@ -75,6 +75,15 @@ def test_blocks_of_date_and_of_two_hours_are_held_out_together(world):
             assert len(np.unique(look.fold[inside])) <= 2  # events on the edge of a block of dates
 
 
+def test_every_eighth_of_the_time_has_events_in_every_fold(world):
+    """Otherwise a date or a slow drift would be held out whole, and nothing left to fit it to."""
+    look = world.look()
+    time_unix = look.data.conditions.time_unix
+    block = np.digitize(time_unix, np.quantile(time_unix, np.arange(1, 8) / 8))
+    for date in range(8):
+        assert np.bincount(look.fold[block == date], minlength=FOLD_COUNT).min() >= 2
+
+
 def test_the_gain_on_held_out_data_is_what_refits_by_hand_give(world):
     """Size of the other folds by a full refit; chi^2 of the fold with and without it, chains fitted again."""
     look = world.look(GainDrift(size=0.02))
@@ -139,3 +148,14 @@ def test_two_effects_are_fitted_together_with_the_size_of_each(world):
     both = replace(look, model=first.model).fit("lst_offset", look.template("lst_offset"))
     sizes = [effect.size for effect in both.model.hypotheses]
     assert sizes == pytest.approx([0.007, 0.01], rel=0.05)
+
+
+def test_a_fit_goes_on_until_every_size_stands_still(world):
+    """The effect that was there before stands still from the first step, wherever the new one starts."""
+    look = world.with_settings(**QUIET).look(GainDrift(size=0.007), LstOffset(size=0.01))
+    first = look.fit("gain_drift", look.template("gain_drift"))
+    before, template = replace(look, model=first.model), look.template("lst_offset")
+    from_zero, from_near = before.fit_from(0.0, "lst_offset", template), before.fit_as_is("lst_offset", template)
+    assert from_zero.model.is_converged
+    for one, other in zip(from_zero.model.hypotheses, from_near.model.hypotheses, strict=True):
+        assert one.size == pytest.approx(other.size, abs=0.05 * one.sigma)

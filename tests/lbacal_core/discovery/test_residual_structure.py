@@ -109,6 +109,16 @@ def test_structure_is_found_along_the_axis_on_which_it_lives(axis, target, look)
     assert found.channel_share[40:].sum() > 2 * found.channel_share[:11].sum()
 
 
+def test_of_paths_beyond_all_chance_the_one_with_more_structure_is_named(look):
+    """Where the probabilities were too small for a number, the path with least was named."""
+    wave = waves(look.data.conditions)["utc"]
+    shown = np.outer(wave / np.std(wave), 1.0 + np.linspace(-1, 1, look.data.power.shape[2]))
+    # Nothing of it in the mean.
+    amount = np.array([{(0, "Y"): -0.2, (1, "Y"): 0.4, (2, "Y"): -0.2}.get(path, 0.0) for path in look.paths])
+    spoilt = look_with_residual(look, look.model.baseline.residual + amount[:, None, None] * shown)
+    assert spoilt.residual_structure(alpha=SIGNIFICANT).target == "antenna 1 Y"
+
+
 def test_structure_in_single_events_is_found_without_an_axis(look):
     events = np.zeros(look.data.power.shape[1])
     events[[20, 50, 90, 130]] = 0.08

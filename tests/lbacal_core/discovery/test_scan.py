@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.stats import kstest
@@ -137,6 +139,24 @@ def test_a_local_cause_has_the_trials_of_each_of_its_targets(small):
     assert station.trials == pytest.approx(1.0)
     # 4 paths, 2 antennas, the station.
     assert everywhere.trials == pytest.approx(7.0)
+
+
+def test_gaps_in_the_weather_take_no_trials_away(small):
+    """Temperature is missing at other events than rain: what follows one, the other or neither counts all the same."""
+    whole = {score.cause.identifier: score for score in small.scan(["resonance_shift"], ["station"])}
+    events = np.arange(small.data.event_id.size)
+    covariates = small.data.conditions.covariates
+    gaps = small.data.conditions.with_covariates(
+        temperature_c=np.where(events % 10 == 0, np.nan, covariates["temperature_c"]),
+        rain_mm_h=np.where(events % 10 == 5, np.nan, covariates["rain_mm_h"]),
+    )
+    data = replace(small.data, conditions=gaps)
+    linear = replace(small.model.linear, station=data)
+    (score,) = replace(small, data=data, model=replace(small.model, linear=linear)).scan(
+        ["resonance_shift"], ["station"]
+    )
+    # At most as many more as the groups overlap in what they try.
+    assert 0.95 < score.trials / whole["resonance_shift"].trials < 2.0
 
 
 def test_a_line_is_looked_for_in_every_channel_and_each_is_a_trial(small):

@@ -249,6 +249,10 @@ class Look:
         _, size = self.score(cause, template, target)
         return self._extend(Hypothesis(_NAMED[cause], template, self.target(target), size))
 
+    def fit_from(self, size: float, cause: str, template: Template, target: str = "station") -> Fitted:
+        """The cause under exactly this template, the fit started at a size."""
+        return self._extend(Hypothesis(_NAMED[cause], template, self.target(target), size))
+
     def _extend(self, effect: Hypothesis) -> Fitted:
         model = refit(self.model, effect)
         if model is None:

@@ -78,6 +78,18 @@ def test_the_error_of_a_month_is_its_scatter() -> None:
     assert np.median(found.c_ratio_sigma) == pytest.approx(0.5 * of_gain / np.sqrt(30), rel=0.1)
 
 
+def test_a_path_with_four_times_the_gain_has_the_error_of_its_own_scatter() -> None:
+    block, curve, instrument, sky = make_case(np.full(730, 4.0), np.random.default_rng(2), noise=0.05)
+    found = measure_monthly_ratios(block, {7: curve}, instrument, sky)
+    assert np.median(found.c_ratio) == pytest.approx(0.5, rel=0.01)
+    # An event of +5 % in P = g S + B looks like a gain of g + 5 % (g + B / S); C goes as g^-1/2.
+    signal = (sky.power["X"].mean(axis=0) + N_LNA) * GAIN * CABLE * RECEIVER * SCALE
+    behind = N_RCU * RECEIVER * SCALE + N_ADC
+    weight = (signal / (signal + behind)) ** 2
+    of_gain = 0.05 * np.sum(weight * (4.0 + behind / signal)) / weight.sum()
+    assert np.median(found.c_ratio_sigma) == pytest.approx(0.5 * of_gain * 4.0**-1.5 / np.sqrt(30), rel=0.1)
+
+
 def test_a_month_with_few_events_has_no_value_and_an_antenna_without_reference_no_row() -> None:
     block, curve, instrument, sky = make_case(np.ones(34), np.random.default_rng(3), noise=0.01)
     found = measure_monthly_ratios(block, {7: curve}, instrument, sky)

@@ -48,6 +48,13 @@ def test_a_thunderstorm_takes_the_station_and_a_bad_receiver_its_path(factor: fl
     assert float(words.split(" is ")[1].split(" times")[0]) == pytest.approx(factor, rel=0.2)
 
 
+def test_a_bad_receiver_is_seen_where_the_gain_of_the_whole_station_scatters() -> None:
+    """What all paths share is taken out before one of them is compared with the others."""
+    change = np.exp(0.12 * np.random.default_rng(2).standard_normal((1, EVENTS))) * np.ones((ANTENNAS, 1))
+    change[2, 70] *= 1.6
+    assert set(find_anomalous_spectra(campaign(change), LONGITUDE)) == {("e70", "CS002", 2, "X")}
+
+
 def test_few_events_are_left_alone() -> None:
     change = np.ones((ANTENNAS, EVENTS))
     change[:, 3] = 10.0

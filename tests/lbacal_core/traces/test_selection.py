@@ -20,8 +20,9 @@ def test_noise_loses_no_block(make_trace: MakeTrace) -> None:
     assert selection.dropped == {}
 
 
-def test_a_pulse_takes_five_blocks_on_either_side(make_trace: MakeTrace) -> None:
-    trace = make_trace(2, disturbances=[Shower(sample=200 * 1024 + 500, peak=400.0)])
+@pytest.mark.parametrize("peak", [400.0, -400.0])
+def test_a_pulse_of_either_sign_takes_five_blocks_on_either_side(make_trace: MakeTrace, peak: float) -> None:
+    trace = make_trace(2, disturbances=[Shower(sample=200 * 1024 + 500, peak=peak)])
     selection = select_background(trace)
     assert selection.dropped == {"pulse": 11}
     assert np.flatnonzero(~selection.is_background).tolist() == list(range(195, 206))
