@@ -8,7 +8,12 @@ from scipy.stats import kstest
 
 from lbacal_core.causes.axes import axis_named
 from lbacal_core.discovery.refit import fit_chain
-from lbacal_core.discovery.residual_structure import find_structure, share_of_channels
+from lbacal_core.discovery.residual_structure import (
+    _in_single_events,
+    _largest_of_noise,
+    find_structure,
+    share_of_channels,
+)
 from lbacal_core.discovery.station import gather_stations
 from lbacal_core.twin.faults.uncatalogued import MainsHum
 from tests.lbacal_core.discovery.worlds import look_with_residual
@@ -70,6 +75,19 @@ def test_the_probability_of_structure_in_noise_is_uniform(look):
         p.append(found.p_value)
     assert kstest(p, "uniform").statistic < 0.26  # 40 draws leave 0.21 (95 %), 0.25 (99 %)
     assert np.mean(np.array(p) < 0.1) < 0.25  # 0.1 +- 0.05
+
+
+def test_single_events_of_noise_show_no_more_than_noise(look):
+    """Compared at the same total: a level that is wrong by 2 % would look like half a standard deviation."""
+    rng = np.random.default_rng(2)
+    gains, sizes = [], []
+    for seed in range(120):
+        noise = 0.044 * rng.standard_normal(look.data.power.shape)
+        found = _in_single_events(look_with_residual(look, noise).model.linear, np.random.default_rng(seed))
+        gains.append(found.gain)
+        sizes.append(_largest_of_noise(rng, *look.data.power.shape[1:]))
+    # 120 draws know the mean to 0.1 standard deviations.
+    assert np.mean(gains) == pytest.approx(0.0, abs=0.3 * np.std(sizes))
 
 
 def waves(conditions):

@@ -249,10 +249,6 @@ class Look:
         _, size = self.score(cause, template, target)
         return self._extend(Hypothesis(_NAMED[cause], template, self.target(target), size))
 
-    def fit_from(self, size: float, cause: str, template: Template, target: str = "station") -> Fitted:
-        """The cause under exactly this template, the fit started at a size."""
-        return self._extend(Hypothesis(_NAMED[cause], template, self.target(target), size))
-
     def _extend(self, effect: Hypothesis) -> Fitted:
         model = refit(self.model, effect)
         if model is None:
@@ -261,6 +257,14 @@ class Look:
         return Fitted(
             found.size, found.sigma, found.template_sigma, found.uncertainty, found.template.parameters, found, model
         )
+
+    def still_to_move(self, fitted: Fitted) -> Floats:
+        """Newton's step from the sizes of a model fitted to this one, in standard deviations, shape (effect,)."""
+        model, terms = fitted.model, fitted.model.baseline.terms
+        templates = [signature(h.cause, terms, self.data.conditions, h.template, h.size) for h in model.hypotheses]
+        weighed = model.linear.with_levels(self.model.linear.residuals.levels)
+        score, information = weighed.products(templates, [h.target for h in model.hypotheses])
+        return np.asarray(np.linalg.solve(information, score) / np.sqrt(np.diag(np.linalg.inv(information))))
 
     def with_effect(self, fitted: Fitted, size: float) -> Look:
         """The chains fitted again with the effect at a size."""

@@ -20,13 +20,22 @@ def test_noise_loses_no_block(make_trace: MakeTrace) -> None:
     assert selection.dropped == {}
 
 
-@pytest.mark.parametrize("peak", [400.0, -400.0])
-def test_a_pulse_of_either_sign_takes_five_blocks_on_either_side(make_trace: MakeTrace, peak: float) -> None:
-    trace = make_trace(2, disturbances=[Shower(sample=200 * 1024 + 500, peak=peak)])
+def test_a_pulse_takes_five_blocks_on_either_side(make_trace: MakeTrace) -> None:
+    trace = make_trace(2, disturbances=[Shower(sample=200 * 1024 + 500, peak=400.0)])
     selection = select_background(trace)
     assert selection.dropped == {"pulse": 11}
     assert np.flatnonzero(~selection.is_background).tolist() == list(range(195, 206))
     assert selection.pulses == (trace.position[200],)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_spike_above_or_below_the_noise_is_a_pulse(make_trace: MakeTrace, sign: int) -> None:
+    trace = make_trace(2)
+    samples = trace.samples.copy()
+    samples[200, 500] = sign * 400
+    selection = select_background(replace(trace, samples=samples))
+    assert selection.pulses == (trace.position[200],)
+    assert selection.dropped == {"pulse": 11}
 
 
 def test_a_known_pulse_is_left_out_even_when_it_cannot_be_seen(make_trace: MakeTrace) -> None:
