@@ -173,7 +173,7 @@ def _in_paths(model: LinearModel, axis: Axis, basis: Floats, polynomials: Floats
             gain, dof = _gain(score[m], others * information[m])
             label = f"antenna {station.antenna[k]} {station.dipole[k]}"
             found.append(_Candidate(axis, label, float(chi2.sf(gain, dof)), gain, dof, _Place(view, m, seen)))
-    best = min(found, key=lambda one: (one.p_value, -one.excess))
+    best = min(found, key=lambda one: (one.p_value, -one.deviations))
     return replace(best, p_value=p_of_best(best.p_value, len(station.antenna)))
 
 

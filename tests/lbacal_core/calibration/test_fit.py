@@ -88,8 +88,8 @@ def test_an_event_that_one_antenna_of_four_recorded_has_four_times_the_noise_of_
     some = one_station.select(~is_lonely | (one_station.antenna == 0))
     cables = require_one_cable_each(some, scene.instrument)
     (mean,) = _paths_of_scope(some, scene.instrument, scene.sky_power, "station", cables)
-    assert mean.excess[0, 0::4] == pytest.approx(4.0)
-    assert np.delete(mean.excess[0], np.s_[0::4]) == pytest.approx(1.0)
+    assert mean.relative_variance[0, 0::4] == pytest.approx(4.0)
+    assert np.delete(mean.relative_variance[0], np.s_[0::4]) == pytest.approx(1.0)
 
 
 def test_same_spectra_in_another_order_give_the_same_digest_and_curve(scene, spectra):
