@@ -13,10 +13,9 @@ from lbacal_core.discovery.proposals import refine
 from lbacal_core.discovery.refit import fit_chain
 from lbacal_core.discovery.scan import Score, scan
 from lbacal_core.discovery.station import gather_stations
-from lbacal_core.twin.faults.antenna import GainStep, GainTemperature
+from lbacal_core.twin.faults.antenna import GainStep
 from lbacal_core.twin.faults.fault import Where
 from lbacal_core.twin.faults.interference import RfiBroadband
-from lbacal_core.twin.faults.sky import LstOffset
 
 NAMED = {cause.identifier: cause for cause in CAUSES}
 
@@ -83,14 +82,3 @@ def test_a_cause_of_one_template_keeps_it(clean, chain, sky):
     score = Score(drift, Template(), list_targets(model.station)[0], 5.0, 0.1, events=300)
     found = refine(model, score, Policy())
     assert (found.template, found.size, found.template_sigma) == (Template(), 0.1, 0.0)
-
-
-def test_the_sizes_of_all_findings_are_those_of_the_last_fit(world):
-    """A cause that is found second moves the size of the first: both are reported as fitted together."""
-    report = world.look(GainTemperature(size=0.02), LstOffset(size=0.4)).investigate()
-    found = {finding.hypothesis.cause.identifier: finding.hypothesis for finding in report.findings}
-    assert set(found) == {"gain_temperature", "lst_offset"}
-    together = {one.cause.identifier: one for one in report.last.hypotheses}
-    for cause, size in (("gain_temperature", 0.02), ("lst_offset", 0.4)):
-        assert (found[cause].size, found[cause].sigma) == (together[cause].size, together[cause].sigma)
-        assert found[cause].size == pytest.approx(size, abs=3 * found[cause].uncertainty)
