@@ -23,6 +23,7 @@ from lbacal_core.discovery.hypothesis import Hypothesis, Target, list_targets
 from lbacal_core.discovery.noise import split_residuals
 from lbacal_core.discovery.policy import Policy
 from lbacal_core.discovery.project import LinearModel
+from lbacal_core.discovery.proposals import refine
 from lbacal_core.discovery.refit import FOLDS, FittedModel, fit_chain, held_out_fold, held_out_gain, power_ratio, refit
 from lbacal_core.discovery.report import describe
 from lbacal_core.discovery.residual_structure import ResidualStructure, find_structure
@@ -241,7 +242,7 @@ class Look:
         z, size = self.score(cause, template, target)
         events = self.data.event_id.size
         score = Score(_NAMED[cause], template, self.target(target), z, size, events)
-        effect = search.refine(self.model.linear, score, Policy())
+        effect = refine(self.model.linear, score, Policy())
         return self._extend(effect)
 
     def fit_as_is(self, cause: str, template: Template, target: str = "station") -> Fitted:
