@@ -8,6 +8,7 @@ interval of validity. Instants are whole microseconds since 1970 (UTC), so that 
 
 from __future__ import annotations
 
+import heapq
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -107,17 +108,23 @@ def answer_path(promotions: Sequence[Promotion], path: Scope, instant: Instant) 
     return None
 
 
-def timeline(promotions: Sequence[Promotion], path: Scope) -> list[Stretch]:
+def timeline(promotions: Iterable[Promotion], path: Scope) -> list[Stretch]:
     """Everything that ever answers for a path, in order, without gaps; neighbours differ in their promotion.
 
-    Between two neighbouring ends of intervals nothing changes, so asking once in each stretch between them is enough.
+    A sweep over the sorted ends of intervals. Each scope keeps a heap of the intervals that have begun, newest first;
+    one that has ended leaves the heap when it comes to its top, so each promotion enters and leaves once.
     """
-    concerned = [p for p in promotions if p.scope in path.widening]
-    edges = sorted({p.valid_from for p in concerned} | {p.valid_to for p in concerned if p.valid_to is not None})
+    ranks = {scope: rank for rank, scope in enumerate(path.widening)}
+    waiting = sorted((p for p in promotions if p.scope in ranks), key=lambda p: p.valid_from, reverse=True)
+    edges = sorted({p.valid_from for p in waiting} | {p.valid_to for p in waiting if p.valid_to is not None})
+    begun: list[list[tuple[int, int, Promotion]]] = [[] for _ in ranks]
     starts: list[Instant | None] = [None, *edges]
     stretches: list[Stretch] = []
     for start, end in zip(starts, [*edges, None], strict=True):
-        promotion = None if start is None else answer_path(concerned, path, start)
+        while start is not None and waiting and waiting[-1].valid_from <= start:
+            entering = waiting.pop()
+            heapq.heappush(begun[ranks[entering.scope]], (-entering.at, -entering.number, entering))
+        promotion = None if start is None else _narrowest_answer(begun, start)
         if stretches and stretches[-1].promotion == promotion:
             stretches[-1] = Stretch(stretches[-1].start, end, promotion)
         else:
@@ -125,9 +132,10 @@ def timeline(promotions: Sequence[Promotion], path: Scope) -> list[Stretch]:
     return stretches
 
 
-def neighbours(stretches: Sequence[Stretch], instant: Instant) -> tuple[Stretch | None, Stretch | None]:
-    """The last stretch with a version that ended at or before an instant, and the first that starts after it."""
-    answered = [s for s in stretches if s.calibration is not None]
-    before = [s for s in answered if s.end is not None and s.end <= instant]
-    after = [s for s in answered if s.start is not None and s.start > instant]
-    return (before[-1] if before else None), (after[0] if after else None)
+def _narrowest_answer(begun: Iterable[list[tuple[int, int, Promotion]]], instant: Instant) -> Promotion | None:
+    for heap in begun:
+        while heap and not heap[0][-1].covers(instant):
+            heapq.heappop(heap)
+        if heap and heap[0][-1].calibration is not None:
+            return heap[0][-1]
+    return None

@@ -160,14 +160,14 @@ def promote(
     dry_run: bool = False,
     idempotency_key: IdempotencyKey = None,
 ) -> Response:
-    wanted = parse_body(PromotionBody, body)
+    plan = use.promotions.plan(parse_body(PromotionBody, body), caller.name)
     if dry_run:
-        return answer(request, describe_changes(None, use.promotions.preview(wanted, caller.name)))
+        return answer(request, describe_changes(None, plan.changes))
     content = use.deeds.once(
         caller.name,
         idempotency_key,
         b"promotion" + body,
-        lambda: use.promotions.promote(wanted, caller.name, lambda *made: to_json(describe_changes(*made))),
+        lambda: use.promotions.promote(plan, lambda *made: to_json(describe_changes(*made))),
     )
     return answer(request, content, status=201)
 

@@ -126,11 +126,13 @@ promotion = Table(
     Column("dipole", Text),
     Column("valid_from_us", BigInteger, nullable=False),
     Column("valid_to_us", BigInteger),
-    Column("calibration", Text, ForeignKey("calibration.id")),
+    Column("calibration", Text, ForeignKey("calibration.id"), index=True),
     Column("at_us", BigInteger, nullable=False, index=True),
     Column("by", Text, nullable=False),
     Column("reason", Text, nullable=False),
-    Index(None, "scope", "at_us"),
+    Index("ix_promotion_newest", "scope", "at_us", "id", "valid_from_us", "valid_to_us"),
+    Index("ix_promotion_start", "scope", "valid_from_us", "valid_to_us", "id"),
+    Index("ix_promotion_end", "scope", "valid_to_us"),
 )
 
 job = Table(

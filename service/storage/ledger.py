@@ -2,10 +2,27 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
-from sqlalchemy import Connection, Row, Select, func, or_, select, text
+from sqlalchemy import (
+    BigInteger,
+    ColumnElement,
+    Connection,
+    FromClause,
+    Row,
+    ScalarSelect,
+    Text,
+    and_,
+    cast,
+    func,
+    or_,
+    select,
+    text,
+)
+from sqlalchemy.dialects.postgresql import ARRAY
 
 from lbacal_core.validity import Instant, Promotion, Scope
 from service.errors import UnavailableError
@@ -13,11 +30,22 @@ from service.schema.tables import promotion
 
 LOCK = 5_240_121
 """Names the one lock that orders promotions on PostgreSQL."""
-MANY_KEYS = 500
 PROMPT_US = 5_000_000
 """A promotion is committed within this time of its `at`, or not at all."""
 AHEAD_US = 60_000_000
 """Clocks of servers may differ by this much."""
+
+
+@dataclass(frozen=True)
+class Neighbour:
+    """The promotion that answers nearest to a gap, and the instant at which it ends or begins to."""
+
+    instant: Instant
+    promotion: Promotion
+
+
+Neighbours = tuple[Neighbour | None, Neighbour | None]
+"""The one before a gap and the one after it."""
 
 
 class LedgerStore:
@@ -75,19 +103,8 @@ class LedgerStore:
 
     def answers(self, paths: Sequence[Scope], instant: Instant, as_of: Instant | None) -> dict[Scope, list[Promotion]]:
         """The promotions of each path's scopes at an instant, narrowest first, up to the one that answers."""
-        keys = {scope.key for path in paths for scope in path.widening}
-        rank = func.row_number().over(
-            partition_by=promotion.c.scope, order_by=(promotion.c.at_us.desc(), promotion.c.id.desc())
-        )
-        covering = _as_of(select(promotion, rank.label("rank")), as_of).where(
-            promotion.c.valid_from_us <= instant,
-            or_(promotion.c.valid_to_us.is_(None), promotion.c.valid_to_us > instant),
-        )
-        if len(keys) <= MANY_KEYS:
-            covering = covering.where(promotion.c.scope.in_(sorted(keys)))
-        ranked = covering.subquery()
-        rows = self._connection.execute(select(ranked).where(ranked.c.rank == 1))
-        decisive = {found.scope: found for found in map(_value, rows)}
+        scopes = {scope for path in paths for scope in path.widening}
+        decisive = self.decisive(scopes, instant, as_of)
         answers = {}
         for path in paths:
             asked: list[Promotion] = []
@@ -99,28 +116,160 @@ class LedgerStore:
             answers[path] = asked
         return answers
 
-    def of_scopes(self, scopes: Iterable[Scope], as_of: Instant | None = None) -> list[Promotion]:
-        """Every promotion of some scopes, oldest first."""
-        keys = sorted({scope.key for scope in scopes})
-        statement = _as_of(select(promotion), as_of).order_by(promotion.c.at_us, promotion.c.id)
-        if len(keys) <= MANY_KEYS:
-            return [_value(row) for row in self._connection.execute(statement.where(promotion.c.scope.in_(keys)))]
-        wanted = set(keys)
-        return [_value(row) for row in self._connection.execute(statement) if row.scope in wanted]
+    def decisive(self, scopes: Iterable[Scope], instant: Instant, as_of: Instant | None) -> dict[Scope, Promotion]:
+        """The newest promotion of each scope that covers an instant, a withdrawal too."""
+        found = self._decisive([(scope.key, instant) for scope in scopes], as_of)
+        return {promotion.scope: promotion for promotion in found.values()}
 
-    def of_calibration(self, calibration: str) -> list[Promotion]:
-        """Every promotion of a version, oldest first."""
+    def neighbours(self, paths: Sequence[Scope], instant: Instant, as_of: Instant | None) -> dict[Scope, Neighbours]:
+        """The nearest promotions before and after an instant at which nothing answers for some paths, in two queries.
+
+        A path is answered by any of its scopes: its neighbour is the nearest of theirs, the narrowest of equally near.
+        """
+        return self._neighbours({path: path.widening for path in paths}, instant, as_of)
+
+    def neighbours_of_scopes(
+        self, scopes: Iterable[Scope], instant: Instant, as_of: Instant | None
+    ) -> dict[Scope, Neighbours]:
+        """The same of scopes by themselves: no wider one answers for them."""
+        return self._neighbours({scope: (scope,) for scope in scopes}, instant, as_of)
+
+    def standing(self, scopes: Iterable[Scope], since: Instant, until: Instant | None) -> list[Promotion]:
+        """The promotions that can decide somewhere in [since, until), oldest first: the newest of each interval.
+
+        Later ids have later instants `at`, so the largest id of an interval is its newest promotion.
+        """
+        keys = self._keys({scope.key for scope in scopes})
+        overlaps = or_(promotion.c.valid_to_us.is_(None), promotion.c.valid_to_us > since)
+        if until is not None:
+            overlaps = and_(overlaps, promotion.c.valid_from_us < until)
+        newest = (
+            select(func.max(promotion.c.id))
+            .where(promotion.c.scope.in_(select(keys.c.value)), overlaps)
+            .group_by(promotion.c.scope, promotion.c.valid_from_us, promotion.c.valid_to_us)
+        )
+        statement = select(promotion).where(promotion.c.id.in_(newest)).order_by(promotion.c.id)
+        return [_value(row) for row in self._connection.execute(statement)]
+
+    def newest_number(self) -> int:
+        """The number of the newest promotion; 0 if there is none."""
+        return self._connection.execute(select(func.max(promotion.c.id))).scalar_one() or 0
+
+    def of_calibration(self, calibration: str, limit: int) -> list[Promotion]:
+        """The newest promotions of a version, oldest first."""
         statement = select(promotion).where(promotion.c.calibration == calibration)
-        return [_value(row) for row in self._connection.execute(statement.order_by(promotion.c.at_us, promotion.c.id))]
+        newest = statement.order_by(promotion.c.at_us.desc(), promotion.c.id.desc()).limit(limit)
+        return [_value(row) for row in self._connection.execute(newest)][::-1]
 
     def recent(self, limit: int) -> list[Promotion]:
         """The newest promotions, newest first."""
         statement = select(promotion).order_by(promotion.c.at_us.desc(), promotion.c.id.desc()).limit(limit)
         return [_value(row) for row in self._connection.execute(statement)]
 
+    def _neighbours(
+        self, scopes_of: dict[Scope, tuple[Scope, ...]], instant: Instant, as_of: Instant | None
+    ) -> dict[Scope, Neighbours]:
+        edges = self._edges({scope.key for scopes in scopes_of.values() for scope in scopes}, instant, as_of)
+        last: dict[Scope, tuple[Instant, str]] = {}
+        first: dict[Scope, tuple[Instant, str]] = {}
+        for one, scopes in scopes_of.items():
+            ends = [(end, scope.key) for scope in scopes if (end := edges[scope.key][0]) is not None]
+            starts = [(start, scope.key) for scope in scopes if (start := edges[scope.key][1]) is not None]
+            if ends:
+                last[one] = max(ends, key=lambda end: end[0])
+            if starts:
+                first[one] = min(starts, key=lambda start: start[0])
+        asked = {(key, end - 1) for end, key in last.values()} | {(key, start) for start, key in first.values()}
+        decisive = self._decisive(asked, as_of)
+        found: dict[Scope, Neighbours] = {}
+        for one in scopes_of:
+            before = after = None
+            if one in last:
+                end, key = last[one]
+                before = Neighbour(end, decisive[key, end - 1])
+            if one in first:
+                start, key = first[one]
+                after = Neighbour(start, decisive[key, start])
+            found[one] = before, after
+        return found
 
-def _as_of(statement: Select[Any], as_of: Instant | None) -> Select[Any]:
-    return statement if as_of is None else statement.where(promotion.c.at_us <= as_of)
+    def _edges(
+        self, keys: Iterable[str], instant: Instant, as_of: Instant | None
+    ) -> dict[str, tuple[Instant | None, Instant | None]]:
+        """The last instant at which a version of each scope ceased to answer, and the next at which one begins to.
+
+        A version ceases where its interval ends or a withdrawal begins, and begins where its interval does or where a
+        withdrawal ends, each only if the ledger answers on that side of it. Indexes are walked away from the instant.
+        """
+        of, edge = self._keys(keys), promotion.alias()
+        starts, ends, has_version = edge.c.valid_from_us, edge.c.valid_to_us, edge.c.calibration.is_not(None)
+
+        def nearest(at: ColumnElement[int], is_kind: ColumnElement[bool], *, is_before: bool) -> ScalarSelect[int]:
+            answers = _newest(edge.c.scope, at - 1 if is_before else at, as_of, edge, "calibration")
+            statement = select(at).where(edge.c.scope == of.c.value, is_kind, answers.is_not(None))
+            statement = statement.where(at <= instant if is_before else at > instant)
+            if as_of is not None:
+                statement = statement.where(edge.c.at_us <= as_of)
+            return statement.order_by(at.desc() if is_before else at).limit(1).correlate(of).scalar_subquery()
+
+        statement = select(
+            of.c.value,
+            nearest(ends, has_version, is_before=True),
+            nearest(starts, ~has_version, is_before=True),
+            nearest(starts, has_version, is_before=False),
+            nearest(ends, ~has_version, is_before=False),
+        )
+        return {
+            key: (
+                max((end for end in (version_end, withdrawn_from) if end is not None), default=None),
+                min((start for start in (version_start, withdrawn_to) if start is not None), default=None),
+            )
+            for key, version_end, withdrawn_from, version_start, withdrawn_to in self._connection.execute(statement)
+        }
+
+    def _decisive(
+        self, asked: Iterable[tuple[str, Instant]], as_of: Instant | None
+    ) -> dict[tuple[str, Instant], Promotion]:
+        """The newest promotion of a scope at an instant, for each pair of them that has one."""
+        pairs = self._pairs(sorted(set(asked)))
+        newest = _newest(pairs.c.scope, pairs.c.instant, as_of, pairs, "id")
+        statement = select(promotion, pairs.c.instant).select_from(pairs).join(promotion, promotion.c.id == newest)
+        return {(row.scope, row.instant): _value(row) for row in self._connection.execute(statement)}
+
+    def _keys(self, keys: Iterable[str]) -> FromClause:
+        """Scopes as a table of one column, `value`."""
+        if self._connection.dialect.name == "postgresql":
+            return func.unnest(cast(sorted(keys), ARRAY(Text))).table_valued("value").render_derived()
+        return func.json_each(json.dumps(sorted(keys))).table_valued("value")
+
+    def _pairs(self, pairs: Sequence[tuple[str, Instant]]) -> FromClause:
+        """Scopes and instants as a table of these two columns."""
+        if self._connection.dialect.name == "postgresql":
+            keys = cast([key for key, _ in pairs], ARRAY(Text))
+            instants = cast([instant for _, instant in pairs], ARRAY(BigInteger))
+            return func.unnest(keys, instants).table_valued("scope", "instant").render_derived()
+        sent = func.json_each(json.dumps(pairs)).table_valued("value")
+        parts = (func.json_extract(sent.c.value, f"$[{k}]").label(name) for k, name in enumerate(("scope", "instant")))
+        return select(*parts).subquery()
+
+
+def _newest(
+    scope: ColumnElement[str],
+    instant: ColumnElement[int],
+    as_of: Instant | None,
+    outer: FromClause,
+    column: str,
+) -> ScalarSelect[Any]:
+    """A column of the newest promotion of a scope that covers an instant, both columns of an outer query."""
+    inner = promotion.alias()
+    statement = select(inner.c[column]).where(
+        inner.c.scope == scope,
+        inner.c.valid_from_us <= instant,
+        or_(inner.c.valid_to_us.is_(None), inner.c.valid_to_us > instant),
+    )
+    if as_of is not None:
+        statement = statement.where(inner.c.at_us <= as_of)
+    return statement.order_by(inner.c.at_us.desc(), inner.c.id.desc()).limit(1).correlate(outer).scalar_subquery()
 
 
 def _value(row: Row[Any]) -> Promotion:

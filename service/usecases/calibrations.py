@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from lbacal_core.calibration.own_cable import ToldCurve, tell_reference
 from lbacal_core.errors import BadInputError
 from lbacal_core.instrument import DIPOLES, Instrument
 from lbacal_core.reference_chain import ReferenceChain
-from lbacal_core.validity import Instant, Promotion, Scope, Stretch, neighbours, timeline
+from lbacal_core.validity import Instant, Promotion, Scope
 from service.errors import NotInEffectError
-from service.storage.database import Database, Stores
+from service.storage.database import Database
+from service.storage.ledger import Neighbours
 from service.storage.versions import Version
 from service.wire.instants import format_instant
+
+PROMOTIONS_SHOWN = 100
 
 
 @dataclass(frozen=True)
@@ -88,11 +91,12 @@ class Calibrations:
             held: dict[Scope, Promotion] = {}
             missing = [path for path in paths if path not in decisive]
             if missing and (hold or not decisive):
-                timelines = _timelines(stores, missing, as_of)
+                # without `hold` the sentence names the neighbours of one path only
+                found = stores.ledger.neighbours(missing if hold else missing[:1], at, as_of)
                 if hold:
-                    held = {path: p for path in missing if (p := _nearest(timelines[path], at)) is not None}
+                    held = {path: p for path in missing if (p := _nearest(found[path], at)) is not None}
                 if not decisive and not held:
-                    raise NotInEffectError(_explain_gap(missing, timelines[missing[0]], at))
+                    raise NotInEffectError(_explain_gap(missing, found[missing[0]], at))
             answers = decisive | held
             versions = stores.versions.get_many(str(promotion.calibration) for promotion in answers.values())
         curves = [
@@ -104,9 +108,9 @@ class Calibrations:
         return InEffect(at, curves, [path for path in paths if path not in answers])
 
     def get(self, version_id: str) -> tuple[Version, list[Promotion]]:
-        """A version and every promotion of it."""
+        """A version and its newest promotions, at most `PROMOTIONS_SHOWN`."""
         with self.database.read() as stores:
-            return stores.versions.get(version_id), stores.ledger.of_calibration(version_id)
+            return stores.versions.get(version_id), stores.ledger.of_calibration(version_id, PROMOTIONS_SHOWN)
 
     def pair(self, first: str, second: str) -> tuple[Version, Version]:
         """Two versions, to be compared."""
@@ -127,32 +131,22 @@ def _tell(version: Version, asked: Scope, at: Instant) -> list[tuple[ToldCurve, 
     return [(version.tell(asked, at), None if is_own else version.chains.get(str(asked.dipole)))]
 
 
-def _timelines(stores: Stores, paths: Sequence[Scope], as_of: Instant | None) -> Mapping[Scope, list[Stretch]]:
-    scopes = {scope for path in paths for scope in path.widening}
-    of_scope: dict[Scope, list[Promotion]] = {scope: [] for scope in scopes}
-    for promotion in stores.ledger.of_scopes(scopes, as_of):
-        of_scope[promotion.scope].append(promotion)
-    return {path: timeline([p for scope in path.widening for p in of_scope[scope]], path) for path in paths}
+def _nearest(neighbours: Neighbours, at: Instant) -> Promotion | None:
+    near = [neighbour for neighbour in neighbours if neighbour is not None]
+    # of two that are equally near the one before
+    nearest = min(near, key=lambda neighbour: abs(neighbour.instant - at), default=None)
+    return nearest.promotion if nearest else None
 
 
-def _nearest(stretches: Sequence[Stretch], at: Instant) -> Promotion | None:
-    before, after = neighbours(stretches, at)
-    since = at - before.end if before is not None and before.end is not None else None
-    until = after.start - at if after is not None and after.start is not None else None
-    if since is None or (until is not None and until < since):
-        return after.promotion if after else None
-    return before.promotion if before else None
-
-
-def _explain_gap(missing: Sequence[Scope], stretches: Sequence[Stretch], at: Instant) -> str:
-    before, after = neighbours(stretches, at)
+def _explain_gap(missing: Sequence[Scope], neighbours: Neighbours, at: Instant) -> str:
+    before, after = neighbours
     path = missing[0].key if len(missing) == 1 else f"{missing[0].key} or any of the {len(missing)} paths asked for"
     sentence = f"no calibration is in effect for {path} at {format_instant(at)}"
     if before is None and after is None:
         return f"{sentence}, and none was or will be at another time"
     named = []
-    if before is not None and before.end is not None:
-        named.append(f"{before.calibration} was until {format_instant(before.end)}")
-    if after is not None and after.start is not None:
-        named.append(f"{after.calibration} is from {format_instant(after.start)}")
+    if before is not None:
+        named.append(f"{before.promotion.calibration} was until {format_instant(before.instant)}")
+    if after is not None:
+        named.append(f"{after.promotion.calibration} is from {format_instant(after.instant)}")
     return f"{sentence}: {' and '.join(named)}; gap=hold answers with the nearest"

@@ -8,11 +8,12 @@ The limits are settings; a jump beyond them is either a fault or news, and both 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection
 from dataclasses import dataclass
 
 from lbacal_core.curves import CONVERGED
-from lbacal_core.validity import Instant, Promotion, Scope, neighbours, newest_covering, timeline
+from lbacal_core.validity import Instant, Scope
+from service.storage.ledger import LedgerStore
 from service.storage.versions import Version, mean_over_band
 from service.usecases.comparison import through_common_cable
 
@@ -49,12 +50,16 @@ def _change_of_mean(version: Version, predecessor: Version, dipole: str) -> floa
     return now[0] / before[0] - 1.0 if now and before else None
 
 
-def find_predecessor(promotions: Sequence[Promotion], scope: Scope, middle: Instant) -> str | None:
-    """The version of a scope in effect at the middle of a window, or else nearest to it in time."""
-    of_scope = [promotion for promotion in promotions if promotion.scope == scope]
-    decisive = newest_covering(of_scope, middle)
-    if decisive is not None and decisive.calibration is not None:
-        return decisive.calibration
-    before, after = neighbours(timeline(of_scope, scope), middle)
-    nearest = before or after
-    return nearest.calibration if nearest else None
+def find_predecessors(ledger: LedgerStore, scopes: Collection[Scope], middle: Instant) -> dict[Scope, str]:
+    """The version of each scope in effect at the middle of a window, or else the last before it, or the first after."""
+    found = {
+        scope: promotion.calibration
+        for scope, promotion in ledger.decisive(scopes, middle, None).items()
+        if promotion.calibration is not None
+    }
+    silent = [scope for scope in scopes if scope not in found]
+    for scope, (before, after) in ledger.neighbours_of_scopes(silent, middle, None).items():
+        nearest = before or after
+        if nearest is not None:
+            found[scope] = str(nearest.promotion.calibration)
+    return found

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
@@ -38,6 +39,15 @@ class Change:
 
 
 @dataclass(frozen=True)
+class Plan:
+    """A promotion that is wanted, and what it changes as long as `newest` is the number of the newest promotion."""
+
+    wanted: Promotion
+    changes: list[Change]
+    newest: int
+
+
+@dataclass(frozen=True)
 class Promotions:
     """Writes the ledger."""
 
@@ -45,20 +55,24 @@ class Promotions:
     instrument: Instrument
     clock: Callable[[], Instant]
 
-    def preview(self, body: PromotionBody, by: str) -> list[Change]:
-        """What a promotion would change."""
+    def plan(self, body: PromotionBody, by: str) -> Plan:
+        """Work out a promotion and what it would change, while others may promote."""
         with self.database.read() as stores:
-            return self._changes(stores, self._plan(stores, body, by))
+            wanted = self._read(stores, body, by)
+            return Plan(wanted, self._changes(stores, wanted), stores.ledger.newest_number())
 
-    def promote(self, body: PromotionBody, by: str, describe: Callable[[Promotion, list[Change]], Answer]) -> Answer:
-        """Promote, and describe what that changed; what cannot be described is not promoted."""
+    def promote(self, plan: Plan, describe: Callable[[Promotion, list[Change]], Answer]) -> Answer:
+        """Promote, and describe what that changed; what cannot be described is not promoted.
+
+        The changes are worked out again only if somebody else promoted since the plan was made.
+        """
         with self.database.write() as stores:
-            wanted = self._plan(stores, body, by)
             stores.ledger.lock()
-            changes = self._changes(stores, wanted)
-            return describe(stores.ledger.append([wanted], self.clock)[0], changes)
+            is_current = stores.ledger.newest_number() == plan.newest
+            changes = plan.changes if is_current else self._changes(stores, plan.wanted)
+            return describe(stores.ledger.append([plan.wanted], self.clock)[0], changes)
 
-    def _plan(self, stores: Stores, body: PromotionBody, by: str) -> Promotion:
+    def _read(self, stores: Stores, body: PromotionBody, by: str) -> Promotion:
         stated = Scope(body.station, body.antenna, body.dipole)
         scope = stated
         if body.calibration is None:
@@ -83,7 +97,8 @@ class Promotions:
     def _changes(self, stores: Stores, wanted: Promotion) -> list[Change]:
         paths = select_paths(self.instrument, wanted.scope.station, wanted.scope.antenna, wanted.scope.dipole)
         of_scope: dict[Scope, list[Promotion]] = {}
-        for promotion in stores.ledger.of_scopes(scope for path in paths for scope in path.widening):
+        scopes = {scope for path in paths for scope in path.widening}
+        for promotion in stores.ledger.standing(scopes, wanted.valid_from, wanted.valid_to):
             of_scope.setdefault(promotion.scope, []).append(promotion)
         found = []
         for path in paths:
@@ -107,8 +122,8 @@ def _differences(path: Scope, before: Sequence[Stretch], after: Sequence[Stretch
     """The stretches over which the version that answers differs."""
     edges = sorted({s.start for s in (*before, *after) if s.start is not None})
     changes: list[Change] = []
-    for start, end in zip(edges, [*edges, None][1:], strict=True):
-        old, new = _at(before, start), _at(after, start)
+    ends = [*edges, None][1:]
+    for start, end, old, new in zip(edges, ends, _answers(before, edges), _answers(after, edges), strict=True):
         if old == new:
             continue
         last = changes[-1] if changes else None
@@ -119,8 +134,10 @@ def _differences(path: Scope, before: Sequence[Stretch], after: Sequence[Stretch
     return changes
 
 
-def _at(stretches: Sequence[Stretch], instant: Instant) -> str | None:
-    return next(s.calibration for s in reversed(stretches) if s.start is None or s.start <= instant)
+def _answers(stretches: Sequence[Stretch], instants: Sequence[Instant]) -> list[str | None]:
+    """The version that answers at each instant."""
+    starts = [stretch.start for stretch in stretches if stretch.start is not None]
+    return [stretches[bisect_right(starts, instant)].calibration for instant in instants]
 
 
 def _with_size(change: Change, versions: dict[str, Version]) -> Change:

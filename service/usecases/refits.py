@@ -16,14 +16,14 @@ from lbacal_core.instrument import Instrument
 from lbacal_core.reference_chain import ReferenceChain
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra import Spectra
-from lbacal_core.validity import Instant, Promotion, Scope, newest_covering
+from lbacal_core.validity import Instant, Promotion, Scope
 from service.errors import ConflictError, TooManyError
 from service.storage.database import Database, Stores
 from service.storage.jobs import Job, Order, Part
 from service.storage.spectra import Window
 from service.storage.versions import Version
 from service.usecases.calibrations import select_paths
-from service.usecases.gate import Gate, find_predecessor
+from service.usecases.gate import Gate, find_predecessors
 from service.usecases.inputs import name_inputs
 from service.wire.bodies import RefitBody
 from service.wire.instants import DAY_US, format_instant, parse_instant
@@ -140,16 +140,13 @@ class Refits:
             return _Kept({"calibrations": ids, "promoted": [], "gated": {}}, [])
         since, until = part.request["since"], part.request["until"]
         middle = (since + until) // 2
-        promotions = stores.ledger.of_scopes(version.scope for version in made)
-        of_scope: dict[Scope, list[Promotion]] = {version.scope: [] for version in made}
-        for promotion in promotions:
-            of_scope[promotion.scope].append(promotion)
-        before = {v.id: find_predecessor(of_scope[v.scope], v.scope, middle) for v in made}
-        predecessors = stores.versions.get_many(name for name in before.values() if name)
-        gated = {v.id: self.gate.objection(v, predecessors.get(before[v.id] or "")) for v in made}
+        scopes = [version.scope for version in made]
+        before = find_predecessors(stores.ledger, scopes, middle)
+        predecessors = stores.versions.get_many(before.values())
+        gated = {v.id: self.gate.objection(v, predecessors.get(before.get(v.scope, ""))) for v in made}
         stores.versions.add([v.with_gate(gated[v.id]) for v in made])
-        decisive = {v.id: newest_covering(of_scope[v.scope], middle) for v in made}
-        standing = {name for name, promotion in decisive.items() if promotion and promotion.calibration == name}
+        decisive = stores.ledger.decisive(scopes, middle, None)
+        standing = {promotion.calibration for promotion in decisive.values()}
         passed = [v for v in made if gated[v.id] is None and v.id not in standing]
         promoted = [Promotion(0, v.scope, since, until, v.id, 0, part.by, part.reason) for v in passed]
         objections = {name: objection for name, objection in gated.items() if objection is not None}

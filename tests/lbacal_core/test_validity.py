@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lbacal_core.errors import BadInputError
-from lbacal_core.validity import Promotion, Scope, answer_path, neighbours, timeline
+from lbacal_core.validity import Promotion, Scope, answer_path, timeline
 
 PATH = Scope("CS001", 0, "X")
 SCOPES = (PATH, Scope("CS001"), Scope(), Scope("CS001", 0, "Y"), Scope("CS002"))
@@ -50,12 +50,6 @@ def test_the_narrowest_scope_with_a_version_answers() -> None:
     ]
     answers = [answer_path(ledger, PATH, t) for t in (-1, 0, 10, 12, 13, 14, 20)]
     assert [a and a.calibration for a in answers] == [None, "array", "station", "path", "station", "station", "array"]
-
-
-def test_neighbours_of_a_gap_are_the_nearest_stretches_with_a_version() -> None:
-    ledger = [Promotion(1, PATH, 0, 5, "a", 1), Promotion(2, PATH, 8, None, "b", 2), Promotion(3, PATH, 8, 9, None, 3)]
-    before, after = neighbours(timeline(ledger, PATH), 6)
-    assert (before and before.end, after and after.start) == (5, 9)
 
 
 @pytest.mark.parametrize("parts", [(None, 1, "X"), ("CS001", 1, None), ("CS001", None, "X"), ("CS001", 1, "Z")])

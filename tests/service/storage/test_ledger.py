@@ -12,6 +12,8 @@ from hypothesis import strategies as st
 from lbacal_core.validity import Promotion, Scope
 from service.errors import UnavailableError
 from service.factory import Factory
+from service.schema.tables import promotion
+from service.storage.ledger import Neighbours
 from service.storage.versions import Version
 
 PATHS = tuple(Scope("CS001", a, d) for a in (0, 1) for d in "XY")
@@ -43,6 +45,31 @@ def brute_force(lines: list[Line], path: Scope, instant: int, as_of: int | None)
         if line is not None and line.version is not None:
             return line.number, line.version
     return None
+
+
+def brute_force_neighbours(
+    lines: list[Line], path: Scope, instant: int, as_of: int | None
+) -> tuple[tuple[int, int, str] | None, tuple[int, int, str] | None]:
+    """Ask at every instant in turn, away from the gap: (end, number, version) before it, (start, ...) after it."""
+    last = max((line.end or line.start for line in lines), default=0) + 1
+    asked = {t: brute_force(lines, path, t, as_of) for t in range(min(instant, 0), max(instant, last) + 1)}
+    before = next(((t + 1, *asked[t]) for t in sorted(asked, reverse=True) if t < instant and asked[t]), None)
+    after = next(((t, *asked[t]) for t in sorted(asked) if t > instant and asked[t]), None)
+    return before, after
+
+
+def write_all(factory: Factory, wanted: list[Promotion]) -> None:
+    """Write promotions in bulk, each with its own `at`, which does not fall."""
+    rows = [
+        {
+            "id": p.number, "scope": p.scope.key, "station": p.scope.station, "antenna": p.scope.antenna,
+            "dipole": p.scope.dipole, "valid_from_us": p.valid_from, "valid_to_us": p.valid_to,
+            "calibration": p.calibration, "at_us": p.at, "by": "test", "reason": "test",
+        }
+        for p in wanted
+    ]  # fmt: skip
+    with factory.database.engine.begin() as connection:
+        connection.execute(promotion.insert(), rows)
 
 
 def fill(factory: Factory, names: tuple[str, ...], new_version: Callable[..., Version]) -> dict[str, str]:
@@ -90,6 +117,47 @@ def test_the_ledger_answers_as_brute_force_does(
                 said = answers[path]
                 found = (said[-1].number, said[-1].calibration) if said and said[-1].calibration else None
                 assert found == brute_force(lines, path, instant, as_of)
+
+
+@given(st.lists(promotions, max_size=15), st.integers(-2, 20), st.one_of(st.none(), st.integers(999, 1008)))
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_the_neighbours_of_a_gap_are_those_of_brute_force(
+    factory: Factory,
+    new_version: Callable[..., Version],
+    wanted: list[tuple[Scope, int, int | None, str | None, int]],
+    instant: int,
+    as_of: int | None,
+) -> None:
+    ids = fill(factory, NAMES, new_version)
+    with factory.database.engine.begin() as connection:
+        connection.exec_driver_sql("DELETE FROM promotion")
+    made = [
+        Promotion(k + 1, scope, start, None if length is None else start + length, ids.get(str(name)), 1000 + k // 2)
+        for k, (scope, start, length, name, _) in enumerate(wanted)
+    ]
+    if made:
+        write_all(factory, made)
+    lines = [Line(p.number, (p.scope.station, p.scope.antenna, p.scope.dipole), p.valid_from, p.valid_to,
+                  p.calibration, p.at) for p in made]  # fmt: skip
+    silent = [path for path in PATHS if brute_force(lines, path, instant, as_of) is None]
+    by_scope = [scope for scope in SCOPES if not any(_answers_alone(lines, scope, instant, as_of))]
+    with factory.database.read() as stores:
+        of_paths = stores.ledger.neighbours(silent, instant, as_of)
+        of_scopes = stores.ledger.neighbours_of_scopes(by_scope, instant, as_of)
+    for path, found in of_paths.items():
+        assert _plain(found) == brute_force_neighbours(lines, path, instant, as_of)
+    for scope, found in of_scopes.items():
+        alone = [line for line in lines if line.scope == (scope.station, scope.antenna, scope.dipole)]
+        assert _plain(found) == brute_force_neighbours(alone, scope, instant, as_of)
+
+
+def _answers_alone(lines: list[Line], scope: Scope, instant: int, as_of: int | None) -> tuple[int | str, ...]:
+    alone = [line for line in lines if line.scope == (scope.station, scope.antenna, scope.dipole)]
+    return brute_force(alone, scope, instant, as_of) or ()
+
+
+def _plain(found: Neighbours) -> tuple[tuple[int, int, str | None] | None, ...]:
+    return tuple(one and (one.instant, one.promotion.number, one.promotion.calibration) for one in found)
 
 
 def test_a_long_ledger_answers_as_brute_force_does(factory: Factory, new_version: Callable[..., Version]) -> None:

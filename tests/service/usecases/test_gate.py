@@ -8,9 +8,10 @@ import pytest
 from lbacal_core.curves import CONVERGED, TOO_FEW_EVENTS, CalibrationCurve
 from lbacal_core.validity import Promotion, Scope
 from service.storage.versions import Version
-from service.usecases.gate import Gate, find_predecessor
+from service.usecases.gate import Gate, find_predecessors
 
 GATE = Gate(change=0.1, error=0.05)
+PATH = Scope("CS001", 0, "X")
 FREQUENCY = np.arange(30.0, 81.0)
 CS002 = Scope("CS002", None, None)
 
@@ -77,23 +78,27 @@ def test_a_version_made_from_earlier_data_of_the_same_window_does_not_replace_a_
     assert GATE.objection(other_window, late) is None
 
 
-def promote(number, valid_from, valid_to, calibration, scope=CS002):
-    return Promotion(number, scope, valid_from, valid_to, calibration, number, "somebody", "a test")
+def promote(factory, stored, *lines):
+    with factory.database.write() as stores:
+        for scope, valid_from, valid_to, name in lines:
+            version = stored[name].id if name else None
+            stores.ledger.append([Promotion(0, scope, valid_from, valid_to, version, 0)], lambda: 1000)
 
 
-def test_the_predecessor_covers_the_middle_of_the_window_or_is_nearest_in_time():
-    ledger = [
-        promote(1, 0, 100, "old"),
-        promote(2, 100, 200, "new"),
-        promote(3, 0, 400, "other station", Scope("CS003", None, None)),
-    ]
-    assert find_predecessor(ledger, CS002, 50) == "old"
-    assert find_predecessor(ledger, CS002, 150) == "new"
-    assert find_predecessor(ledger, CS002, 300) == "new"
-    assert find_predecessor(ledger, CS002, -100) == "old"
-    assert find_predecessor(ledger, Scope("CS004", None, None), 50) is None
+def predecessor(factory, scope, middle):
+    with factory.database.read() as stores:
+        return find_predecessors(stores.ledger, [scope], middle).get(scope)
 
 
-def test_a_withdrawn_version_is_no_predecessor():
-    ledger = [promote(1, 0, 100, "old"), promote(2, 100, 200, "new"), promote(3, 100, 200, None)]
-    assert find_predecessor(ledger, CS002, 150) == "old"
+def test_the_predecessor_covers_the_middle_of_the_window_or_is_nearest_in_time(factory, stored):
+    old, new = stored["path"].id, stored["other"].id
+    other, wider = Scope("CS002"), Scope("CS001")
+    promote(factory, stored, (PATH, 0, 100, "path"), (PATH, 100, 200, "other"), (other, 0, 400, "station"))
+    promote(factory, stored, (wider, 0, 400, "station"))
+    assert [predecessor(factory, PATH, middle) for middle in (50, 150, 300, -100)] == [old, new, new, old]
+    assert predecessor(factory, Scope("CS004", None, None), 50) is None
+
+
+def test_a_withdrawn_version_is_no_predecessor(factory, stored):
+    promote(factory, stored, (PATH, 0, 100, "path"), (PATH, 100, 200, "other"), (PATH, 100, 200, None))
+    assert predecessor(factory, PATH, 150) == stored["path"].id
