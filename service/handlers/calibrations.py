@@ -124,7 +124,7 @@ def get_version(
     format: str | None = None,  # noqa: A002 - its name on the wire
 ) -> Response:
     kind = choose_format(format, request.headers.get("accept"))
-    version, _ = use.calibrations.get(version_id)
+    version = use.calibrations.get(version_id)
     chains = {dipole: chain.as_dict() for dipole, chain in version.chains.items()}
     content = {**describe_version(version), "curves": version.payload, "reference": chains or None}
     body = content if kind == "json" else write_format(kind, describe_version_rows(version))

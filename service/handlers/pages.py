@@ -72,7 +72,7 @@ def show_station(request: Request, use: UseCases, station: InPath) -> Response:
 
 @router.get("/calibrations/{version_id}")
 def show_calibration(request: Request, use: UseCases, version_id: InPath) -> Response:
-    version, promotions = use.calibrations.get(version_id)
+    version, promotions = use.calibrations.get_with_promotions(version_id)
     curves = [
         {"name": c.name, **{k: getattr(c, k).tolist() for k in ("frequency_mhz", "c", "c_sigma_stat")}}
         for c in version.curves

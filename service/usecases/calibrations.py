@@ -107,7 +107,12 @@ class Calibrations:
         ]
         return InEffect(at, curves, [path for path in paths if path not in answers])
 
-    def get(self, version_id: str) -> tuple[Version, list[Promotion]]:
+    def get(self, version_id: str) -> Version:
+        """A version by its id."""
+        with self.database.read() as stores:
+            return stores.versions.get(version_id)
+
+    def get_with_promotions(self, version_id: str) -> tuple[Version, list[Promotion]]:
         """A version and its newest promotions, at most `PROMOTIONS_SHOWN`."""
         with self.database.read() as stores:
             return stores.versions.get(version_id), stores.ledger.of_calibration(version_id, PROMOTIONS_SHOWN)
