@@ -61,11 +61,13 @@ def test_one_version_of_uv(repository: Path) -> None:
     assert f"uv=={in_script[1]}" in project["project"]["optional-dependencies"]["dev"]
 
 
-def test_one_version_of_both_wheels(repository: Path) -> None:
+def test_one_version_of_wheels_changelog_and_citation(repository: Path) -> None:
     client = tomllib.loads((repository / "pyproject.toml").read_text())["project"]
     server = tomllib.loads((repository / "wheels/server/pyproject.toml").read_text())["project"]
     assert server["version"] == client["version"]
     assert f"lbacal[fit]=={client['version']}" in server["dependencies"]
+    assert f"\n## {client['version']} - " in (repository / "CHANGELOG.md").read_text()
+    assert f"\nversion: {client['version']}\n" in (repository / "CITATION.cff").read_text()
     assert client["optional-dependencies"]["server"] == [f"lbacal-server=={client['version']}"]
 
 
