@@ -76,7 +76,7 @@ def test_noise_is_missing_only_where_the_baseline_has_none(terms, conditions):
     cause = next(one for one in CAUSES if one.identifier == "missing_noise")
     complete = replace(conditions, has_noise_stages=True)
     assert cause.templates(complete) == []
-    assert "LST curves" in cause.needs
+    assert "LST curve" in cause.needs
     added = cause.apply(terms, conditions, Template(), 0.3).power() - terms.power()
     np.testing.assert_allclose(added, np.broadcast_to(0.3 * terms.front, added.shape))
     # 1 of its range is the mean sky power, weighed as the channels are recorded.
