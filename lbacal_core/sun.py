@@ -6,16 +6,18 @@ import erfa
 import numpy as np
 
 from lbacal_core.grids import Floats
-from lbacal_core.sidereal import local_sidereal_time
+from lbacal_core.sidereal import JULIAN_DATE_OF_1970, local_sidereal_time
 
-UNIX_J2000 = 946_728_000.0
-"""Unix seconds of JD 2451545.0 (2000-01-01 12:00 UTC)."""
+EARTH = 3
+"""The number under which `erfa.plan94` has the centre of mass of Earth and Moon."""
 
 
 def sun_position(time_unix: Floats, latitude_deg: float, longitude_deg: float) -> tuple[Floats, Floats]:
     """Altitude and azimuth of the Sun.
 
-    The low-precision formulae of the Astronomical Almanac (0.01 deg, 1950-2050), without refraction.
+    From the orbit of the Earth and the Moon (`erfa.plan94`, 3 arcsec; the Earth itself by `erfa.epv00` takes 150 times
+    as long) on the mean equator of date (`erfa.pmat06`), without the Earth's way around that centre (6 arcsec),
+    aberration (20 arcsec), nutation (17 arcsec), parallax (9 arcsec) and refraction.
 
     Parameters
     ----------
@@ -26,13 +28,10 @@ def sun_position(time_unix: Floats, latitude_deg: float, longitude_deg: float) -
     -------
     Altitude and azimuth (north through east), each of shape (event,), rad.
     """
-    days = (np.asarray(time_unix) - UNIX_J2000) / 86_400.0
-    anomaly = np.radians(357.528 + 0.9856003 * days)
-    mean_longitude = 280.460 + 0.9856474 * days
-    longitude = np.radians(mean_longitude + 1.915 * np.sin(anomaly) + 0.020 * np.sin(2 * anomaly))
-    obliquity = np.radians(23.439 - 0.0000004 * days)
-    right_ascension = np.arctan2(np.cos(obliquity) * np.sin(longitude), np.cos(longitude))
-    declination = np.arcsin(np.sin(obliquity) * np.sin(longitude))
+    days = np.asarray(time_unix) / 86_400.0
+    earth_from_sun = erfa.plan94(JULIAN_DATE_OF_1970, days, EARTH)["p"]
+    towards_sun = erfa.rxp(erfa.pmat06(JULIAN_DATE_OF_1970, days), -earth_from_sun)
+    right_ascension, declination = erfa.c2s(towards_sun)
     hour_angle = np.radians(15.0 * local_sidereal_time(time_unix, longitude_deg)) - right_ascension
     azimuth, altitude = erfa.hd2ae(hour_angle, declination, np.radians(latitude_deg))
     return np.asarray(altitude), np.asarray(azimuth)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.constants import Boltzmann, speed_of_light
+from scipy.constants import Boltzmann, mu_0, speed_of_light
 
 from lbacal_core.grids import Floats
 
-IMPEDANCE_OF_FREE_SPACE = 376.730313668
+IMPEDANCE_OF_FREE_SPACE = mu_0 * speed_of_light
 RESISTANCE_OHM = 50.0
 """R_r of eq. total_sky_power_eq: one constant, which cancels in C; the same as the default of spectra files."""
 

@@ -1,4 +1,7 @@
-"""Where the Sun and Jupiter stand, from their mean orbits: enough for a beam as wide as the sky."""
+"""Where the twin's sky stands: the Sun, Jupiter and fixed directions, above the horizon of a place.
+
+The formulas are those of the astronomical library ERFA, called here and not through the rooms that the finder uses.
+"""
 
 from __future__ import annotations
 
@@ -7,44 +10,22 @@ import numpy as np
 
 from lbacal_core.grids import Floats
 
-DAYS_OF_J2000 = 10_957.5
-"""Days of 1970-01-01 to 2000-01-01 12:00 UTC."""
-OBLIQUITY = np.radians(23.439)
+UNIX_EPOCH_JD = 2_440_587.5
+EARTH, JUPITER = 3, 5
+"""Numbers of the planets in `erfa.plan94`; the Earth with the Moon, 6 arcsec from the Earth alone."""
 
 
 def sun_position(time_unix: Floats) -> tuple[Floats, Floats]:
-    """Right ascension and declination of the Sun, rad: the low-precision series of the Astronomical Almanac.
-
-    Good to 0.01 degrees from 1950 to 2050.
-    """
-    days = time_unix / 86_400.0 - DAYS_OF_J2000
-    mean_longitude = np.radians(280.460 + 0.985_647_4 * days)
-    anomaly = np.radians(357.528 + 0.985_600_3 * days)
-    longitude = mean_longitude + np.radians(1.915 * np.sin(anomaly) + 0.020 * np.sin(2 * anomaly))
-    return _equatorial(longitude)
+    """Right ascension and declination of the Sun on the mean equator of date, rad; good to 0.01 degrees."""
+    return _of_date(-_from_sun(EARTH, time_unix), time_unix)
 
 
 def jupiter_position(time_unix: Floats) -> tuple[Floats, Floats]:
-    """Right ascension and declination of Jupiter, rad, from two orbits in one plane; good to about 2 degrees.
+    """Right ascension and declination of Jupiter on the mean equator of date, rad; good to 0.05 degrees.
 
-    Elements of J2000: Standish & Williams, approximate positions of the planets; inclination neglected.
+    Light takes 45 minutes on the way, in which Jupiter and Earth move by 0.01 degrees; this is left out.
     """
-    days = time_unix / 86_400.0 - DAYS_OF_J2000
-    anomaly = np.radians(19.67 + 0.083_129 * days)
-    true = anomaly + 2 * 0.0484 * np.sin(anomaly)
-    radius = 5.2026 * (1 - 0.0484 * np.cos(anomaly))
-    heliocentric = true + np.radians(14.73)
-    right_ascension, _ = sun_position(time_unix)
-    sun_longitude = np.arctan2(np.sin(right_ascension), np.cos(right_ascension) * np.cos(OBLIQUITY))
-    x = radius * np.cos(heliocentric) + np.cos(sun_longitude)
-    y = radius * np.sin(heliocentric) + np.sin(sun_longitude)
-    return _equatorial(np.arctan2(y, x))
-
-
-def _equatorial(ecliptic_longitude: Floats) -> tuple[Floats, Floats]:
-    sine = np.sin(ecliptic_longitude)
-    right_ascension = np.arctan2(np.cos(OBLIQUITY) * sine, np.cos(ecliptic_longitude))
-    return right_ascension, np.arcsin(np.sin(OBLIQUITY) * sine)
+    return _of_date(_from_sun(JUPITER, time_unix) - _from_sun(EARTH, time_unix), time_unix)
 
 
 def on_the_equator_of(epoch: float, right_ascension: Floats, declination: Floats) -> tuple[Floats, Floats]:
@@ -61,3 +42,14 @@ def horizontal(
     hour_angle = np.asarray(lst_hours) * np.pi / 12 - right_ascension
     azimuth, altitude = erfa.hd2ae(hour_angle, declination, np.radians(latitude_deg))
     return np.asarray(np.pi / 2 - altitude), np.asarray(azimuth)
+
+
+def _from_sun(planet: int, time_unix: Floats) -> Floats:
+    """Position of a planet from the Sun on the equator of J2000.0, au, shape (event, 3)."""
+    return np.asarray(erfa.plan94(UNIX_EPOCH_JD, time_unix / 86_400.0, planet)["p"])
+
+
+def _of_date(vector: Floats, time_unix: Floats) -> tuple[Floats, Floats]:
+    """Right ascension and declination on the mean equator of each instant of vectors of J2000.0, shape (event, 3)."""
+    precessed = erfa.c2s(erfa.rxp(erfa.pmat06(UNIX_EPOCH_JD, time_unix / 86_400.0), vector))
+    return np.asarray(precessed[0]), np.asarray(precessed[1])
