@@ -12,6 +12,9 @@ DRAWS = 2000
 QUANTILE = 0.9
 """Quantile of the largest score that gives the trials factor: its tail has begun there, and 200 draws lie beyond."""
 
+SMALLEST_EIGENVALUE = 1e-9
+"""Of the largest: below, an eigenvalue is a rounding error, whose root would be seen."""
+
 
 def p_of(z: float, trials: float) -> float:
     """Probability that the largest of `trials` independent standard normal numbers exceeds z in absolute value."""
@@ -39,7 +42,8 @@ def trials_factor(correlation: Floats, seed: int) -> float:
     if len(correlation) == 1:
         return 1.0
     values, vectors = np.linalg.eigh(correlation)
-    root = vectors * np.sqrt(np.maximum(values, 0.0))
-    draws = np.random.default_rng(seed).standard_normal((DRAWS, root.shape[1])) @ root.T
+    # The symmetric root without rounding errors: any other depends on the last digits of the matrix.
+    root = (vectors * np.sqrt(np.where(values > SMALLEST_EIGENVALUE * values[-1], values, 0.0))) @ vectors.T
+    draws = np.random.default_rng(seed).standard_normal((DRAWS, len(root))) @ root
     quantile = float(np.quantile(np.abs(draws).max(axis=1), QUANTILE))
     return float(max(-np.log(QUANTILE) / max(float(erfc(quantile / np.sqrt(2.0))), 1e-300), 1.0))

@@ -15,9 +15,7 @@ RELATIVE = 1e-6
 """Largest difference of two numbers over the larger of them (issue: every structural commit keeps them to this)."""
 ABSOLUTE = 1e-9
 """Differences below this are none: probabilities so small are held by their significance, sums cancel to this."""
-WIDER = (
-    # The draws of the trials factor are laid along eigenvectors, and rounding decides which (17 % seen).
-    (r"/(trials|p_value|significance_sigma)$", {"rfi_line", "rfi_broadband", "cable_reflection"}, 0.3),
+WIDER: tuple[tuple[str, set[str] | None, float], ...] = (
     # Fits of causes that an LST curve does not name stop at 1e-8 of chi^2, where sizes are still loose (6e-4 seen).
     (r"^report/hypotheses/|/in_its_place/|^report/scores/\d+/size$", None, 2e-3),
 )
