@@ -11,7 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from lbacal.cli.investigation_figures import draw_finding, draw_leftover, draw_residual_maps
+from lbacal.cli.investigation_figures import draw_finding, draw_residual_maps, draw_structure
+from lbacal_core.causes.axes import axis_named
 from lbacal_core.discovery.investigate import investigate
 from lbacal_core.discovery.search import StationReport
 from lbacal_core.instrument import load_instrument
@@ -40,12 +41,16 @@ def ask(faults: list[Fault]) -> StationReport:
 def main() -> None:
     spoiled = ask([IonosphericAbsorption(size=0.02), STEP])
     for finding in spoiled.findings:
-        draw_finding(spoiled, finding).savefig(IMAGES / f"investigation-{finding.effect.cause.identifier}.png", dpi=100)
+        draw_finding(spoiled, finding).savefig(
+            IMAGES / f"investigation-{finding.hypothesis.cause.identifier}.png", dpi=100
+        )
     step = spoiled.findings[0]
-    draw_residual_maps(spoiled, step.effect.target, ["date"]).savefig(IMAGES / "investigation-maps.png", dpi=100)
+    draw_residual_maps(spoiled, step.hypothesis.target, [axis_named("date")]).savefig(
+        IMAGES / "investigation-maps.png", dpi=100
+    )
     odd = ask([WorkingWeek(size=0.05)])
     if odd.structure is not None:
-        draw_leftover(odd, odd.structure).savefig(IMAGES / "investigation-unexplained.png", dpi=100)
+        draw_structure(odd, odd.structure).savefig(IMAGES / "investigation-unexplained.png", dpi=100)
 
 
 if __name__ == "__main__":
