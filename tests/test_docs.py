@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from lbacal_core import spectra
+from lbacal_core.causes.catalogue import ANTENNA_CAUSES, CAUSES
 from lbacal_core.curves import CalibrationCurve, FitReport, parse_curve
 from lbacal_core.discovery import curve_report as report_of_curve
 from lbacal_core.discovery import report as report_of_spectra
@@ -23,7 +24,7 @@ from lbacal_core.provenance import Provenance
 from lbacal_core.reference_chain import CableTable, GainSpread, GainSpreads, ReferenceChain
 from lbacal_core.skypower.table import read_sky_power
 from lbacal_core.traces.assembly import COVARIATES, read_event_facts
-from service.cli.reference import describe_commands, describe_settings
+from service.cli.reference import describe_causes, describe_commands, describe_settings
 
 LINK = re.compile(r"(?<!\\)\]\(([^)\s]+)\)")
 FENCE = re.compile(r"^ *```.*?^ *```", re.MULTILINE | re.DOTALL)
@@ -35,6 +36,14 @@ def test_the_page_of_commands_is_that_of_the_commands(repository: Path) -> None:
 
 def test_the_page_of_settings_is_that_of_the_settings(repository: Path) -> None:
     assert (repository / "docs/settings.md").read_text() == describe_settings(), "run ./dev docs"
+
+
+def test_the_page_of_causes_is_that_of_the_catalogue(repository: Path) -> None:
+    page = (repository / "docs/causes.md").read_text()
+    assert page == describe_causes(), "run ./dev docs"
+    for cause in (*CAUSES, *ANTENNA_CAUSES):
+        assert f"\n## {cause.identifier}\n" in page
+        assert cause.confirm in page
 
 
 def test_every_setting_that_code_names_is_documented(repository: Path, tracked: list[Path]) -> None:

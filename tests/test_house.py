@@ -9,8 +9,6 @@ import sys
 import tomllib
 from pathlib import Path
 
-from lbacal.cli.main import FIT
-
 PACKAGES = ("lbacal", "lbacal_core", "service", "proofs", "migrations")
 
 

@@ -96,7 +96,7 @@ def draw_finding(report: StationReport, finding: Finding) -> Figure:
     panels[1].errorbar(frequency, 100 * across @ observed, scatter, **POINTS)
     panels[1].plot(frequency, 100 * across @ expected, color=RED)
     panels[1].set_xlabel("frequency (MHz)")
-    panels[1].set_ylabel("relative power, rms over events (%)")
+    panels[1].set_ylabel("relative power along that profile (%)")
     for panel in panels:
         panel.axhline(0, color="#bbb", lw=0.8)
     panels[0].legend(fontsize=8, frameon=False)

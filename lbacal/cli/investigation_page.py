@@ -20,7 +20,7 @@ from lbacal.cli.investigation_figures import (
 from lbacal.cli.report_pages import embed, fill_report
 from lbacal_core.causes.axes import axis_named
 from lbacal_core.discovery.antennas import AntennaScore
-from lbacal_core.discovery.report import plain_parameters
+from lbacal_core.discovery.report import parameter_words
 from lbacal_core.discovery.search import Finding, StationReport
 
 
@@ -48,9 +48,6 @@ def _station(report: StationReport) -> dict[str, Any]:
 def _finding(report: StationReport, finding: Finding, *, is_named: bool) -> dict[str, Any]:
     one = finding.hypothesis
     axes = axes_of(report, finding)
-    parameters = {
-        key: value for key, value in plain_parameters(one.template.parameters).items() if not key.endswith("_unix")
-    }
     change = 100 * finding.calibration_change
     return {
         "cause": one.cause.identifier,
@@ -60,7 +57,7 @@ def _finding(report: StationReport, finding: Finding, *, is_named: bool) -> dict
         "maps": embed(draw_residual_maps(report, one.target, axes)),
         "calibration": embed(draw_calibration_change(report, finding)),
         "size": f"{one.size:.4g} ± {one.uncertainty:.2g} {one.cause.unit}",
-        "parameters": ", ".join(f"{key} {value}" for key, value in parameters.items()) or "none",
+        "parameters": ", ".join(parameter_words(one.template.parameters)) or "none",
         "chi2": f"{finding.chi2_before:.0f} before, {finding.chi2_after:.0f} after "
         f"({finding.chi2_before - finding.chi2_after:.0f} gained; {finding.dof} degrees of freedom)",
         "held_out": f"ln L + {finding.held_out_gain:.1f} on {report.station.event_id.size} events in four folds",
@@ -77,7 +74,7 @@ def _antenna(report: StationReport, score: AntennaScore) -> dict[str, Any]:
         "target": score.target.label,
         "figure": embed(draw_antenna(score, report.station.conditions.frequency_mhz)),
         "size": f"{score.size:.4g} ± {score.sigma:.2g} {score.cause.unit}",
-        "parameters": ", ".join(f"{key} {value:g}" for key, value in score.parameters.items()) or "none",
+        "parameters": ", ".join(parameter_words(score.parameters)) or "none",
         "note": score.cause.note(score.parameters, score.size),
         "indistinguishable": ", ".join(f"{name} (r = {r:.2f})" for name, r in score.similar) or "nothing",
         "confirm": score.cause.confirm,

@@ -66,7 +66,7 @@ class ResonanceCause(Cause):
         if np.ptp(conditions.time_unix) > SEASON_SPAN_S:
             followed += [{"follows": "season", "phase_deg": phase} for phase in (0.0, 45.0, 90.0, 135.0)]
         if conditions.covariate(RAIN) is not None:
-            followed += [{"follows": "wetness", "law": kind} for kind in ("flag", "linear", "saturating")]
+            followed += [{"follows": "wetness", "wetness": kind} for kind in ("flag", "linear", "saturating")]
         return [Template(one | {"model": model}) for model in ("curve", "circuit") for one in followed]
 
     def covariates(self, template: Template) -> Sequence[str]:
@@ -94,7 +94,7 @@ class ResonanceCause(Cause):
             return conditions.season(template.parameters["phase_deg"])
         if kind == "temperature":
             return conditions.warmth()
-        return conditions.wetness(template.parameters["law"])
+        return conditions.wetness(template.parameters["wetness"])
 
     def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:
         """Another G_ant in front."""

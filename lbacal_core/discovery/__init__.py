@@ -1,1 +1,1 @@
-"""What the simulation gets wrong: read `search` and `growth`, then `view`, `project`, `scan` and `refit`."""
+"""What the simulation gets wrong: read `search`, then `view`, `project`, `scan`, `refit` and `residual_structure`."""

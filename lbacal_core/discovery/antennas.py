@@ -22,6 +22,7 @@ from lbacal_core.discovery.hypothesis import Target
 from lbacal_core.discovery.policy import Policy
 from lbacal_core.discovery.station import Station
 from lbacal_core.discovery.trials import p_of, sigma_of, trials_factor
+from lbacal_core.discovery.view import Seen, View
 from lbacal_core.grids import Floats
 
 FEWEST_COMPARISONS = 3
@@ -43,6 +44,8 @@ class AntennaScore:
         Departure from the mean of the others and its standard deviation, in the cause's unit.
     trials
         Equivalent number of independent scores of the cause.
+    chi2_before, chi2_after, dof
+        Chi^2 of the antenna against the others along frequency, by the errors of the fit, without and with the cause.
     departure
         The spectral template, change of ln (A L_coax) per unit of size, shape (freq,).
     observed, error
@@ -59,6 +62,9 @@ class AntennaScore:
     size: float
     sigma: float
     trials: float
+    chi2_before: float
+    chi2_after: float
+    dof: int
     departure: Floats
     observed: Floats
     error: Floats
@@ -73,64 +79,111 @@ class AntennaScore:
 def compare_antennas(
     station: Station, baseline: Baseline, targets: Sequence[Target], policy: Policy, seed: int = 0
 ) -> list[AntennaScore]:
-    """The best score of each cause of the antenna comparison, most significant first."""
+    """The best score of each static cause, most significant first."""
     antennas = [target for target in targets if target.scope == "antenna"]
     antennas = antennas or [target for target in targets if target.scope == "path"]
     if not antennas or count_comparisons(station) < FEWEST_COMPARISONS:
         return []
-    departure, roots, is_compared = _departures(station, baseline, antennas)
-    per_metre = log_loss_per_metre(_cable_losses(station))
+    slopes = _log_slopes(station, baseline, antennas)
+    compared = {k: one for k in range(len(antennas)) if (one := _compare(k, *slopes)) is not None}
+    if not compared:
+        return []
+    is_compared = np.isin(np.arange(len(antennas)), list(compared))
     templates = {
         cause: found
         for cause in ANTENNA_CAUSES
-        if (found := cause.templates(station.conditions.frequency_mhz, per_metre))
+        if (found := cause.templates(station.conditions.frequency_mhz, log_loss_per_metre(_cable_losses(station))))
     }
-    whitened = {cause: _whiten(found, roots) for cause, found in templates.items()}
     scores = []
-    for cause, vectors in whitened.items():
-        norm = np.linalg.norm(vectors, axis=2)
-        amplitude, opposed = np.einsum("akf,maf->mak", vectors, departure) / norm
-        unit = vectors[0] / norm[0][:, None]
-        z, scatter = _against_others(amplitude, opposed, is_compared, unit @ unit.T, _neighbours(templates[cause]))
-        a, k = np.unravel_index(int(np.argmax(np.abs(z))), z.shape)
-        trials = int(is_compared.sum()) * trials_factor(unit @ unit.T, seed)
-        template, size, length = _refine(cause, templates[cause][int(k)], station, departure[0, a], roots[a])
+    for cause, tried in templates.items():
+        amplitude, opposed = np.zeros((2, len(antennas), len(tried)))
+        for place, comparison in compared.items():
+            amplitude[place], opposed[place] = comparison.amplitudes(tried)
+        correlation = next(iter(compared.values())).correlate(tried, tried)
+        z, scatter = _against_others(amplitude, opposed, is_compared, correlation, _neighbours(tried))
+        k, n = np.unravel_index(int(np.argmax(np.abs(z))), z.shape)
+        own = compared[int(k)]
+        template, size, length = own.refine(cause.finer_templates(tried[int(n)], station.conditions.frequency_mhz))
+        chi2_before, chi2_after = own.chi_squared(template, size)
         similar = []
-        for other, others in whitened.items():
-            r = float(np.max(np.abs(others[a] @ vectors[a, k]) / np.linalg.norm(others[a], axis=1) / norm[a, k]))
-            if other is not cause and z[a, k] ** 2 * (1 - min(r, 1.0) ** 2) < policy.indistinguishable:
+        for other, others in templates.items():
+            r = float(np.abs(own.correlate([tried[int(n)]], others)).max())
+            if other is not cause and z[k, n] ** 2 * (1 - min(r, 1.0) ** 2) < policy.indistinguishable:
                 similar.append((other.identifier, r))
         scores.append(
             AntennaScore(
                 cause=cause,
                 parameters=template.parameters,
-                target=antennas[int(a)],
-                z=float(np.copysign(z[a, k], size)),
+                target=antennas[int(k)],
+                z=float(np.copysign(z[k, n], size)),
                 size=size,
-                sigma=float(scatter[a, k]) / length,
-                trials=trials,
+                sigma=float(scatter[k, n]) / length,
+                trials=int(is_compared.sum()) * trials_factor(correlation, seed),
+                chi2_before=chi2_before,
+                chi2_after=chi2_after,
+                dof=template.departure.size - 2,
                 departure=template.departure,
-                observed=roots[a] @ departure[0, a],
-                error=np.diag(np.linalg.inv(roots[a] @ roots[a].T)) ** -0.5,
+                observed=own.observed,
+                error=np.diag(np.linalg.inv(own.root @ own.root.T)) ** -0.5,
                 similar=similar,
             )
         )
     return sorted(scores, key=lambda score: score.p_value)
 
 
-def _refine(
-    cause: AntennaCause, template: AntennaTemplate, station: Station, departure: Floats, root: Floats
-) -> tuple[AntennaTemplate, float, float]:
-    """The best template about one that was found, its size, and its norm in units of the error of the fit.
+@dataclass(frozen=True)
+class _Comparison:
+    """One antenna against the others of its cable name, whitened by the errors of the fit.
 
-    A ripple and its negative are one template family: the one with a positive size is returned.
+    The channels of a whitened comparison are independent: the view takes them for events of one channel, and its one
+    free vector is the gain that is flat in frequency. Its members are the mean and half the difference of the dipoles.
+
+    Attributes
+    ----------
+    root
+        Cholesky root of the covariance, shape (freq, freq).
+    observed
+        ln (A L_coax) of the antenna less that of the others, without its mean, shape (freq,).
     """
-    about = cause.finer_templates(template, station.conditions.frequency_mhz)
-    vectors = _whiten(about, root[None])[0]
-    length = np.linalg.norm(vectors, axis=1)
-    amplitude = vectors @ departure / length
-    best = int(np.argmax(amplitude))
-    return about[best], float(amplitude[best] / length[best]), float(length[best])
+
+    view: View
+    root: Floats
+    observed: Floats
+
+    def see(self, templates: Sequence[AntennaTemplate]) -> Seen:
+        """Departures in units of the errors."""
+        values = np.linalg.solve(self.root, np.stack([template.departure for template in templates], axis=1))
+        return self.view.see(np.asarray(values.T, dtype=np.float64)[:, None, :, None])
+
+    def amplitudes(self, templates: Sequence[AntennaTemplate]) -> Floats:
+        """Departure along each template over its error by the fit, mean and half difference, shape (2, template)."""
+        seen = self.see(templates)
+        return np.asarray(self.view.score_by_event(seen).sum(axis=-1).T / self._lengths(seen))
+
+    def correlate(self, one: Sequence[AntennaTemplate], other: Sequence[AntennaTemplate]) -> Floats:
+        """Correlations of templates, shape (one, other)."""
+        everyone = np.ones((1, self.root.shape[0]))
+        left, right = self.see(one), self.see(other)
+        product = self.view.cross(left, right, everyone, everyone)[0]
+        return np.asarray(product / np.outer(self._lengths(left), self._lengths(right)))
+
+    def _lengths(self, seen: Seen) -> Floats:
+        return np.asarray(np.sqrt(np.diagonal(self.view.gram(seen)[0])))
+
+    def refine(self, about: Sequence[AntennaTemplate]) -> tuple[AntennaTemplate, float, float]:
+        """The best template about one that was found, its size, and its length in units of the error of the fit.
+
+        A ripple has a positive size: its negative is another phase.
+        """
+        length, amplitude = self._lengths(self.see(about)), self.amplitudes(about)[0]
+        best = int(np.argmax(amplitude))
+        return about[best], float(amplitude[best] / length[best]), float(length[best])
+
+    def chi_squared(self, template: AntennaTemplate, size: float) -> tuple[float, float]:
+        """Chi^2 of the mean of the dipoles against the others, without and with a template at a size."""
+        before = float(np.sum(self.view.residual[0] * self.view.weighted_residual[0]))
+        length, amplitude = float(self._lengths(self.see([template]))[0]), float(self.amplitudes([template])[0, 0])
+        return before, before - 2 * size * amplitude * length + (size * length) ** 2
 
 
 def count_comparisons(station: Station) -> int:
@@ -197,47 +250,42 @@ def _against_others(
     return np.sign(ratio) * np.vectorize(sigma_of)(p_value), scatter
 
 
-def _whiten(templates: Sequence[AntennaTemplate], roots: Floats) -> Floats:
-    """Templates without their flat part in units of each antenna's error, shape (antenna, template, freq)."""
-    values = np.stack([template.departure - template.departure.mean() for template in templates])
-    return np.swapaxes(np.linalg.solve(roots, np.broadcast_to(values.T, (len(roots), *values.T.shape))), 1, 2)
+def _compare(number: int, log_slope: Floats, covariance: Floats, cable: NDArray[np.str_]) -> _Comparison | None:
+    """One antenna against the weighted mean of the others of its cable name; None where there are none, or no fit."""
+    is_fitted = np.all(np.isfinite(covariance), axis=(1, 2))
+    others = np.flatnonzero((cable == cable[number]) & is_fitted & (np.arange(len(cable)) != number))
+    if not is_fitted[number] or not others.size:
+        return None
+    weight = 1.0 / np.einsum("aff->a", covariance[others])
+    weight /= weight.sum()
+    channels = log_slope.shape[2]
+    root = np.linalg.cholesky(covariance[number] + np.tensordot(weight**2, covariance[others], axes=1))
+    departure = log_slope[:, number] - np.einsum("a,maf->mf", weight, log_slope[:, others])
+    white = np.linalg.solve(root, departure.T).T[:, None, :, None]
+    flat = np.asarray(np.linalg.solve(root, np.ones(channels)), dtype=np.float64)[None, :, None]
+    one = np.ones((1, channels))
+    view = View(one, one[None], flat, np.empty((0, 1, channels, 1)), np.ones((2, channels)), white)
+    return _Comparison(view, root, departure[0] - departure[0].mean())
 
 
-def _departures(
+def _log_slopes(
     station: Station, baseline: Baseline, antennas: Sequence[Target]
-) -> tuple[Floats, Floats, NDArray[np.bool_]]:
-    """Log slopes against the others of the same cable name, mean and half difference of the dipoles, in their errors.
+) -> tuple[Floats, Floats, NDArray[np.str_]]:
+    """Ln s of every antenna, mean and half difference of its dipoles, covariance of the mean, and cable name.
 
     Returns
     -------
-    Departures, shape (mean or half difference, antenna, freq); the roots that whiten, shape (antenna, freq, freq);
-    whether there are others.
+    Shape (mean or half difference, antenna, freq), (antenna, freq, freq) and (antenna,); NaN where not identifiable.
     """
     channels = station.power.shape[2]
     solution = baseline.solution
     slope = np.where(solution.x > 0, solution.x, np.nan)
-    log_slope, covariance = np.zeros((2, len(antennas), channels)), np.empty((len(antennas), channels, channels))
-    cable = np.array([station.conditions.cables[station.class_of[np.flatnonzero(t.is_member)[0]]] for t in antennas])
     of_path = solution.covariance[:, :channels, :channels] / (slope[:, :, None] * slope[:, None, :])
+    log_slope, covariance = np.empty((2, len(antennas), channels)), np.empty((len(antennas), channels, channels))
     for a, target in enumerate(antennas):
         own = np.log(slope[target.is_member])
         log_slope[0, a] = own.mean(axis=0)
         log_slope[1, a] = (own[0] - own[-1]) / 2
         covariance[a] = of_path[target.is_member].sum(axis=0) / target.is_member.sum() ** 2
-    log_slope -= log_slope.mean(axis=2, keepdims=True)
-    is_fitted = np.all(np.isfinite(covariance), axis=(1, 2))
-    log_slope[:, ~is_fitted] = 0.0
-    precision = np.where(is_fitted, 1.0 / np.einsum("aff->a", np.where(is_fitted[:, None, None], covariance, 1.0)), 0.0)
-    departure, is_compared = np.zeros_like(log_slope), np.zeros(len(antennas), dtype=bool)
-    roots = np.broadcast_to(np.eye(channels), covariance.shape).copy()
-    for a in np.flatnonzero(is_fitted).tolist():
-        weight = np.where((cable == cable[a]) & (np.arange(len(antennas)) != a), precision, 0.0)
-        if not np.any(weight):
-            continue
-        weight /= weight.sum()
-        is_compared[a] = True
-        own = covariance[a] + np.tensordot(weight[weight > 0] ** 2, covariance[weight > 0], axes=1)
-        # A gain that is flat in frequency is free: a wide variance for the constant.
-        roots[a] = np.linalg.cholesky(own + np.ones((channels, channels)))
-        departure[:, a] = np.linalg.solve(roots[a], (log_slope[:, a] - weight @ log_slope).T).T
-    return departure, roots, is_compared
+    names = np.array(station.conditions.cables)[station.class_of]
+    return log_slope, covariance, np.array([names[target.is_member][0] for target in antennas])

@@ -1,4 +1,4 @@
-"""How a fitted model of spectra or of an LST curve grows: one cause at a time, if the held-out gain is positive."""
+"""How a fitted model grows, from spectra and from LST curves: one cause at a time, if data that were not used agree."""
 
 from __future__ import annotations
 
@@ -11,28 +11,28 @@ Candidate = TypeVar("Candidate")
 
 
 class Search(Protocol[Model, Candidate]):
-    """The functions that a search needs for one kind of data: spectra, or an LST curve."""
+    """What one kind of data must give."""
 
     def propose(self, before: Model) -> Iterable[Candidate]:
-        """Fitted models with one more significant cause, best first."""
+        """Models with one cause more that chance does not explain, fitted, best first."""
 
     def model_of(self, candidate: Candidate) -> Model:
         """The fitted model of a candidate."""
 
     def held_out_gain(self, before: Model, candidate: Candidate) -> float:
-        """Gain in log-likelihood on held-out data."""
+        """Gain in log-likelihood on data that were not used."""
 
 
 @dataclass(frozen=True)
 class Step(Generic[Candidate]):
-    """An accepted candidate, with its gain on held-out data."""
+    """A candidate that was accepted, with its gain on held-out data."""
 
     candidate: Candidate
     held_out_gain: float
 
 
 def grow(first: Model, search: Search[Model, Candidate], most: int) -> list[Step[Candidate]]:
-    """Add causes one by one, up to `most`, as long as a proposed one has a positive gain on held-out data."""
+    """Take one cause more as long as there is one that held-out data confirm, `most` at the most."""
     model, steps = first, list[Step[Candidate]]()
     while len(steps) < most:
         tried = (Step(one, search.held_out_gain(model, one)) for one in search.propose(model))

@@ -1,7 +1,7 @@
 """The search of a band-averaged LST curve for what its simulation gets wrong: one axis, but published of real data.
 
 The model is the band power of P_sky relative to its level at LST 0, with a free offset for each dipole. Sets of causes
-are fitted together. The search proposes to `grow` the best sets of a size, each with one more cause, because the best
+are fitted together. What is proposed to `grow` adds one more cause to each of the best sets of a size, because the best
 pair need not contain the best single cause.
 """
 
@@ -84,7 +84,7 @@ class CurveInvestigation:
     trials
         Trials factor of the catalogue: number of kinds of causes.
     structure_p
-        Probability that noise scatters the points as much about the best model.
+        Probability by which the points scatter as much about the model found.
     unidentifiable
         Causes that a curve can never show, with the reason.
     """
@@ -193,7 +193,7 @@ class _Search:
         return [self.extended(parent, choice) for choice in self.choices if not taken & choice.kinds]
 
     def propose(self, before: CurveFit) -> list[CurveFit]:
-        """Sets of one cause more, significant over the whole catalogue, without aliases and sizes at their edge."""
+        """The best sets of the next size that are named and better than chance over the whole catalogue allows."""
         children = {fit.labels: fit for parent in self.parents for fit in self.children(parent)}
         grown = sorted(children.values(), key=_by_chi2)
         self.parents = grown[: self.policy.beam]
@@ -207,7 +207,7 @@ class _Search:
         return candidate
 
     def held_out_gain(self, before: CurveFit, candidate: CurveFit) -> float:
-        """Gain in log-likelihood on held-out blocks of LST."""
+        """Gain in log-likelihood on blocks of LST that were not fitted."""
         return self.fitter.held_out_gain(before, candidate)
 
     def p_value(self, fewer: CurveFit, more: CurveFit) -> tuple[float, float]:

@@ -25,8 +25,8 @@ class Policy:
     indistinguishable
         SNR^2 (1 - r^2) below which another template fits as well: 3 standard deviations.
     beam
-        Sets of causes of one size to which another cause is added: for an LST curve more than one, because the best
-        pair need not contain the best single cause. Spectra keep the accepted set alone.
+        Sets of causes of one size that are extended: for an LST curve more than one, because the best pair need not
+        contain the best single cause. Spectra extend what was accepted.
     beside_structure_alpha
         Probability below which a finding stays in the report although residual structure remains: its score is
         computed with that structure profiled out.

@@ -1,4 +1,4 @@
-"""Proposals of spectra to `grow`: the best significant causes, each refined and fitted with everything else."""
+"""What spectra propose to `grow`: the best significant causes, each refined and fitted again with everything else."""
 
 from __future__ import annotations
 
@@ -19,18 +19,17 @@ from lbacal_core.discovery.station import Station
 
 @dataclass(frozen=True)
 class Candidate:
-    """A significant score and the model that it would make."""
+    """A significant score and the model that it would make.
+
+    Attributes
+    ----------
+    gain
+        Gain in chi^2 less the gain that the best of so many scores has by chance.
+    """
 
     score: Score
     model: FittedModel
-    chi2_before: float
-    chi2_after: float
-    dof: int
-
-    @property
-    def gain(self) -> float:
-        """Gain in chi^2 less the gain that the best of so many scores has by chance."""
-        return self.chi2_before - self.chi2_after - 2 * float(np.log(self.score.trials))
+    gain: float
 
 
 @dataclass(frozen=True)
@@ -56,14 +55,14 @@ def _same_again(score: Score, hypotheses: Sequence[Hypothesis]) -> SameAgain | N
 
 
 class StationSearch:
-    """The search of one station, in the form that `grow` needs.
+    """The search of one station as `grow` wants it.
 
     Attributes
     ----------
     first_scores
-        Scores of every cause on the baseline.
+        Scores of every cause before anything was added.
     again
-        The cause that ended the search, where it was significant a second time for the same target.
+        Why the search ended, where a cause was significant once more.
     """
 
     def __init__(
@@ -99,10 +98,8 @@ class StationSearch:
         return candidate.model
 
     def held_out_gain(self, before: FittedModel, candidate: Candidate) -> float:
-        """Gain in log-likelihood on held-out events, the template chosen on the others."""
-        hypothesis = candidate.model.hypotheses[-1]
-        templates = _nearby_templates(hypothesis, candidate.score.template, before.station)
-        return held_out_gain(before, hypothesis, templates)
+        """Gain in log-likelihood on events that were not used, the template chosen again."""
+        return gain_of(before, candidate.model.hypotheses[-1], candidate.score)
 
 
 def _rivals(significant: Sequence[Score], policy: Policy) -> list[Score]:
@@ -115,10 +112,15 @@ def _fit(before: FittedModel, score: Score, policy: Policy) -> Candidate | None:
     model = refit(before, refine(before.linear, score, policy))
     if model is None:
         return None
-    chi2_after, dof = model.linear.chi_squared()
-    same_events = before.linear.on_events(model.station.is_used)
-    chi2_before, _ = same_events.with_levels(model.linear.residuals.levels).chi_squared()
-    return Candidate(score, model, chi2_before, chi2_after, dof)
+    chi2_before, chi2_after, _ = chi_squared_of(before, model)
+    return Candidate(score, model, chi2_before - chi2_after - 2 * float(np.log(score.trials)))
+
+
+def chi_squared_of(before: FittedModel, after: FittedModel) -> tuple[float, float, int]:
+    """Chi^2 of two models on the events and with the noise levels of the second, and its degrees of freedom."""
+    chi2_after, dof = after.linear.chi_squared()
+    same_events = before.linear.on_events(after.station.is_used)
+    return same_events.with_levels(after.linear.residuals.levels).chi_squared()[0], chi2_after, dof
 
 
 def refine(model: LinearModel, score: Score, policy: Policy) -> Hypothesis:
@@ -153,9 +155,11 @@ def refine(model: LinearModel, score: Score, policy: Policy) -> Hypothesis:
     return Hypothesis(cause, found[best], score.target, float(size[best]), template_sigma=float(scatter))
 
 
-def _nearby_templates(hypothesis: Hypothesis, tried: Template, station: Station) -> list[Template]:
-    """The templates among which the held-out test chooses: the same spectral template with every time profile."""
-    cause = hypothesis.cause
+def gain_of(before: FittedModel, hypothesis: Hypothesis, score: Score) -> float:
+    """Gain in log-likelihood on held-out events, the time profile chosen again for the same spectral template."""
+    cause, conditions = hypothesis.cause, before.station.conditions
     same = {name: hypothesis.template.parameters[name] for name in cause.spectral_parameters}
-    alike = [one for one in cause.templates(station.conditions) if cause.spectral_key(one) == cause.spectral_key(tried)]
-    return [hypothesis.template, *(Template({**one.parameters, **same}) for one in alike)]
+    key = cause.spectral_key(score.template)
+    alike = [one for one in cause.templates(conditions) if cause.spectral_key(one) == key]
+    nearby = [hypothesis.template, *(Template({**one.parameters, **same}) for one in alike)]
+    return held_out_gain(before, hypothesis, nearby)

@@ -8,42 +8,61 @@ from typing import Any
 
 import numpy as np
 
+from lbacal_core.causes.cause import Description
 from lbacal_core.discovery.antennas import AntennaScore
-from lbacal_core.discovery.hypothesis import Hypothesis
+from lbacal_core.discovery.hypothesis import Target
 from lbacal_core.discovery.residual_structure import ResidualStructure
 from lbacal_core.discovery.scan import Score
 from lbacal_core.discovery.search import Finding, StationReport
 from lbacal_core.discovery.trials import sigma_of
 from lbacal_core.provenance import Provenance
 
-CONSISTENT, EXPLAINED, UNEXPLAINED = "consistent", "explained", "unexplained"
+VERDICTS = CONSISTENT, EXPLAINED, UNEXPLAINED = "consistent", "explained", "unexplained"
+BY_RATIO = "acts by ratio: P_sky times own(with)/own(without), from the package's own sky and antenna model"
 NOISY = 1.1
 """Noise of a path over the typical one beyond which the report names the path."""
 
 
 def describe(reports: Sequence[StationReport], provenance: Provenance) -> dict[str, Any]:
-    """The report of all stations as JSON values."""
-    findings = [_finding(f, report) for report in reports for f in report.findings]
-    findings += [_antenna_finding(score, report) for report in reports for score in report.antennas]
-    findings.sort(key=lambda finding: -finding["significance_sigma"])
-    left = [(report, report.structure) for report in reports if report.structure is not None]
-    unexplained = None
-    if left:
-        report, structure = min(left, key=lambda item: item[1].p_value)
-        unexplained = _unexplained(structure, report)
-    verdict = UNEXPLAINED if unexplained else EXPLAINED if findings else CONSISTENT
-    reasons: dict[str, str] = {}
+    """The report of all stations as JSON values; the fields of the whole are the union of those of the stations."""
+    found: list[tuple[dict[str, Any], str]] = []
     for report in reports:
-        reasons.update(report.unidentifiable)
+        of_station = [_finding(finding, report) for finding in report.findings]
+        of_station += [_antenna_finding(score, report) for score in report.antennas]
+        found += [(finding, report.station.name) for finding in of_station]
+    found.sort(key=lambda pair: -pair[0]["significance_sigma"])
+    stations: list[dict[str, Any]] = [
+        {
+            "station": report.station.name,
+            "verdict": _verdict(report),
+            "findings": [k for k, (_, name) in enumerate(found) if name == report.station.name],
+            "unexplained": None if report.structure is None else _unexplained(report.structure, report),
+            "unidentifiable": [{"cause": cause, "why": why} for cause, why in sorted(report.unidentifiable.items())],
+        }
+        for report in reports
+    ]
+    left = [station["unexplained"] for station in stations if station["unexplained"] is not None]
+    several = len(stations) > 1
     return {
-        "verdict": verdict,
-        "findings": findings,
-        "unexplained": unexplained,
-        "unidentifiable": [{"cause": cause, "why": why} for cause, why in sorted(reasons.items())],
+        "verdict": max((station["verdict"] for station in stations), key=VERDICTS.index, default=CONSISTENT),
+        "findings": [finding for finding, _ in found],
+        "unexplained": min(left, key=lambda one: float(one["p_value"]), default=None),
+        "unidentifiable": [
+            {**reason, "station": station["station"]} if several else reason
+            for station in stations
+            for reason in station["unidentifiable"]
+        ],
+        "stations": stations,
         "noise": {report.station.name: _noise(report) for report in reports},
         "scores": {report.station.name: _scores(report) for report in reports},
         "provenance": provenance.as_dict(),
     }
+
+
+def _verdict(report: StationReport) -> str:
+    if report.structure is not None:
+        return UNEXPLAINED
+    return EXPLAINED if report.findings or report.antennas else CONSISTENT
 
 
 def _noise(report: StationReport) -> dict[str, Any]:
@@ -86,66 +105,27 @@ def _finding(finding: Finding, report: StationReport) -> dict[str, Any]:
         "parameters": plain_parameters(one.template.parameters),
         "significance_sigma": score.significance,
         "p_value": score.p_value,
-        "where": _where(one, report),
-        "gain": {
-            "chi2_before": finding.chi2_before,
-            "chi2_after": finding.chi2_after,
-            "dof": finding.dof,
-            "held_out_log_likelihood_gain": finding.held_out_gain,
-            "held_out_events": int(report.station.event_id.size),
-            "residual_variance_explained": (finding.chi2_before - finding.chi2_after) / finding.chi2_before,
-        },
+        "where": _where(report, one.target, one.template.parameters),
+        "gain": _gain(finding.chi2_before, finding.chi2_after, finding.dof)
+        | {"held_out_log_likelihood_gain": finding.held_out_gain, "held_out_events": score.events},
         "calibration_change": {"max_fraction": float(change.max()), "median_fraction": float(np.median(change))},
-        "sentence": _sentence(one, report),
+        "sentence": _sentence(report, one.target, cause, (one.size, one.uncertainty), one.template.parameters),
         "evidence": {
             "score_sigma": float(score.z),
             "trials": float(score.trials),
+            "events": score.events,
             "confirm": cause.confirm,
             "target": one.target.label,
-            "sigma_of_size_under_this_law": one.sigma,
+            "sigma_for_this_template": one.sigma,
             "is_converged": report.last.is_converged,
             "correlations": dict(finding.indistinguishable),
-            "note": "acts by ratio: P_sky times own(with)/own(without), from the package's own sky and antenna model"
-            if cause.acts_by_ratio
-            else "",
+            "note": BY_RATIO if cause.acts_by_ratio else "",
         },
     }
 
 
-def _where(one: Hypothesis, report: StationReport) -> dict[str, Any]:
-    station, parameters = report.station, one.template.parameters
-    frequency, times = station.conditions.frequency_mhz, station.conditions.time_unix
-    line = parameters.get("frequency_mhz")
-    hours = parameters.get("utc_h", [0, 24])
-    members = one.target.is_member
-    return {
-        "station": station.name,
-        "frequency_mhz": [float(frequency[0]), float(frequency[-1])] if line is None else [line - 0.5, line + 0.5],
-        "lst_h": [0.0, 24.0],
-        "utc_h": [float(hours[0]), float(hours[1])],
-        "dates": [_date(parameters.get("date_unix", float(times.min()))), _date(float(times.max()))],
-        "antennas": sorted({int(a) for a in station.antenna[members]}),
-        "dipoles": sorted({str(d) for d in station.dipole[members]}),
-    }
-
-
-def _sentence(one: Hypothesis, report: StationReport) -> str:
-    whom = f"station {report.station.name}"
-    if one.target.scope != "station":
-        whom += f", {one.target.label}"
-    size = f"{one.size:.3g} +- {one.uncertainty:.2g} ({one.cause.unit})"
-    return f"In {whom}, {one.cause.meaning}: {size}{_with(one.template.parameters)}."
-
-
-def _with(parameters: Mapping[str, Any]) -> str:
-    words = "; ".join(f"{key} {value}" for key, value in plain_parameters(parameters).items() if key != "date_unix")
-    return f" with {words}" if words else ""
-
-
 def _antenna_finding(score: AntennaScore, report: StationReport) -> dict[str, Any]:
-    station, members = report.station, score.target.is_member
     change = np.abs(0.5 * score.size * (score.departure - score.departure.mean()))
-    frequency, times = station.conditions.frequency_mhz, station.conditions.time_unix
     return {
         "cause": score.cause.identifier,
         "indistinguishable": [name for name, _ in score.similar],
@@ -153,26 +133,11 @@ def _antenna_finding(score: AntennaScore, report: StationReport) -> dict[str, An
         "parameters": plain_parameters(score.parameters),
         "significance_sigma": sigma_of(score.p_value),
         "p_value": score.p_value,
-        "where": {
-            "station": station.name,
-            "frequency_mhz": [float(frequency[0]), float(frequency[-1])],
-            "lst_h": [0.0, 24.0],
-            "utc_h": [0.0, 24.0],
-            "dates": [_date(float(times.min())), _date(float(times.max()))],
-            "antennas": sorted({int(a) for a in station.antenna[members]}),
-            "dipoles": sorted({str(d) for d in station.dipole[members]}),
-        },
-        "gain": {
-            "chi2_before": score.z**2,
-            "chi2_after": 0.0,
-            "dof": int(frequency.size - 1),
-            "held_out_log_likelihood_gain": None,
-            "held_out_events": 0,
-            "residual_variance_explained": None,
-        },
+        "where": _where(report, score.target, score.parameters),
+        "gain": _gain(score.chi2_before, score.chi2_after, score.dof)
+        | {"held_out_log_likelihood_gain": None, "held_out_events": None},
         "calibration_change": {"max_fraction": float(change.max()), "median_fraction": float(np.median(change))},
-        "sentence": f"In station {station.name}, {score.target.label}, {score.cause.meaning}: "
-        f"{score.size:.3g} +- {score.sigma:.2g} ({score.cause.unit}){_with(score.parameters)}.",
+        "sentence": _sentence(report, score.target, score.cause, (score.size, score.sigma), score.parameters),
         "evidence": {
             "score_sigma": score.z,
             "trials": score.trials,
@@ -182,6 +147,74 @@ def _antenna_finding(score: AntennaScore, report: StationReport) -> dict[str, An
             "note": score.cause.note(score.parameters, score.size),
         },
     }
+
+
+def _gain(before: float, after: float, dof: int) -> dict[str, Any]:
+    return {
+        "chi2_before": before,
+        "chi2_after": after,
+        "dof": dof,
+        "residual_variance_explained": (before - after) / before,
+    }
+
+
+def _where(report: StationReport, target: Target, parameters: Mapping[str, Any]) -> dict[str, Any]:
+    """Where the cause acts; null along an axis to which it is not confined."""
+    station = report.station
+    frequency, times = station.conditions.frequency_mhz, station.conditions.time_unix
+    band = [float(frequency[0]), float(frequency[-1])]
+    if "width_mhz" in parameters:
+        half = max(0.5 * parameters["width_mhz"], 0.5 * float(np.median(np.diff(frequency))))
+        band = [parameters["frequency_mhz"] - half, parameters["frequency_mhz"] + half]
+    hours = parameters.get("utc_h", [0, 24])
+    return {
+        "station": station.name,
+        "frequency_mhz": band,
+        "lst_h": None,
+        "utc_h": None if list(hours) == [0, 24] else [float(hour) for hour in hours],
+        "dates": [_date(parameters.get("date_unix", float(times.min()))), _date(float(times.max()))],
+        "antennas": sorted({int(a) for a in station.antenna[target.is_member]}),
+        "dipoles": sorted({str(d) for d in station.dipole[target.is_member]}),
+    }
+
+
+def _sentence(
+    report: StationReport,
+    target: Target,
+    cause: Description,
+    size: tuple[float, float],
+    parameters: Mapping[str, Any],
+) -> str:
+    whom = f"station {report.station.name}" + ("" if target.scope == "station" else f", {target.label}")
+    words = "".join(f", {one}" for one in parameter_words(parameters))
+    return f"In {whom}, {cause.meaning}: {size[0]:.3g} ± {size[1]:.2g} ({cause.unit}){words}."
+
+
+WORDS = {
+    "source": "{}",
+    "follows": "following {}",
+    "wetness": "as a {} of rain",
+    "phase_deg": "phase {:.0f} deg",
+    "model": "by a model of the {} of the gain",
+    "delay_h": "{:g} h late",
+    "exponent": "exponent {:g}",
+    "spectral_index": "spectral index {:g}",
+    "frequency_mhz": "at {:g} MHz",
+    "width_mhz": "{:g} MHz wide",
+    "delay_us": "delay {:g} µs",
+    "or_delay_us": "or {:g} µs",
+    "date": "from {} on",
+}
+"""How a sentence names the parameters of a template."""
+
+
+def parameter_words(parameters: Mapping[str, Any]) -> list[str]:
+    """The parameters of a template in words."""
+    values = plain_parameters(parameters)
+    words = [text.format(values[name]) for name, text in WORDS.items() if name in values]
+    if list(values.get("utc_h", [0, 24])) != [0, 24]:
+        words.append("from {:02.0f} to {:02.0f} h UTC".format(*values["utc_h"]))
+    return words
 
 
 def _unexplained(structure: ResidualStructure, report: StationReport) -> dict[str, Any]:

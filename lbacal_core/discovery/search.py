@@ -14,11 +14,11 @@ import numpy as np
 from lbacal_core.causes.catalogue import CAUSES
 from lbacal_core.causes.cause import signature
 from lbacal_core.discovery.antennas import AntennaScore, compare_antennas, why_no_comparison
-from lbacal_core.discovery.growth import Step, grow
+from lbacal_core.discovery.growth import grow
 from lbacal_core.discovery.hypothesis import Hypothesis, Target, list_targets
 from lbacal_core.discovery.policy import Policy
 from lbacal_core.discovery.project import LinearModel
-from lbacal_core.discovery.proposals import Candidate, SameAgain, StationSearch
+from lbacal_core.discovery.proposals import SameAgain, StationSearch, chi_squared_of, gain_of
 from lbacal_core.discovery.refit import FittedModel, fit_chain, refit
 from lbacal_core.discovery.residual_structure import ResidualStructure, find_structure, share_of_channels
 from lbacal_core.discovery.scan import (
@@ -121,13 +121,14 @@ def search_station(
     first = fit_chain(station, modes)
     steps = grow(first, search, policy.most_findings)
     models = [first, *(step.candidate.model for step in steps)]
-    findings = [_finding(before, step, policy) for before, step in zip(models, steps, strict=False)]
+    others = [_without(models, number) for number in range(len(steps))]
+    findings = [
+        _finding(others[number], models[-1], number, step.candidate.score, policy) for number, step in enumerate(steps)
+    ]
     again = search.again
-    # Every size is that of the last fit.
-    findings = [replace(f, hypothesis=one) for f, one in zip(findings, models[-1].hypotheses, strict=True)]
     antenna_scores = compare_antennas(station, models[-1].baseline, targets, policy, seed)
     progress(f"{station.name}: looking for structure that no cause explains")
-    whole = models[-1] if again is None else _without(models, again.number)
+    whole = models[-1] if again is None else others[again.number]
     chance = None if again is None else again.score.p_value
     structure = find_structure(whole.linear, np.random.default_rng(seed), policy.structure_alpha / stations, chance)
     similar = [] if structure is None else _withdrawn(models[0].linear, findings, structure, again, policy)
@@ -147,17 +148,19 @@ def search_station(
     )
 
 
-def _finding(before: FittedModel, step: Step[Candidate], policy: Policy) -> Finding:
-    candidate, hypothesis = step.candidate, step.candidate.model.hypotheses[-1]
+def _finding(without: FittedModel, last: FittedModel, number: int, score: Score, policy: Policy) -> Finding:
+    """A finding by the last fitted model and the one without it, so that all its numbers are of one model."""
+    hypothesis = last.hypotheses[number]
+    chi2_before, chi2_after, dof = chi_squared_of(without, last)
     return Finding(
         hypothesis=hypothesis,
-        score=candidate.score,
-        indistinguishable=find_indistinguishable(before.linear, hypothesis, policy),
-        chi2_before=candidate.chi2_before,
-        chi2_after=candidate.chi2_after,
-        dof=candidate.dof,
-        held_out_gain=step.held_out_gain,
-        calibration_change=_calibration_change(before, candidate.model, hypothesis.target),
+        score=score,
+        indistinguishable=find_indistinguishable(without.linear, hypothesis, policy),
+        chi2_before=chi2_before,
+        chi2_after=chi2_after,
+        dof=dof,
+        held_out_gain=gain_of(without, hypothesis, score),
+        calibration_change=_calibration_change(without, last, hypothesis.target),
     )
 
 

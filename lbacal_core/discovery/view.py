@@ -124,8 +124,9 @@ class View:
         """Weigh templates, shape (..., row, event, freq), and take their products with the free vectors."""
         weighed = self._weigh(values)
         own = np.moveaxis(self.slope * weighed, -3, -2)
+        own = own.reshape(*own.shape[:-2], own.shape[-2] * own.shape[-1])
         other = np.einsum("jref,...ref->...ej", self.constants, weighed)
-        return Seen(values, weighed, np.concatenate([own.reshape(*own.shape[:-2], -1), other], axis=-1))
+        return Seen(values, weighed, np.concatenate([own, other], axis=-1))
 
     def _weigh(self, values: Floats) -> Floats:
         """W times vectors, shape (..., row, event, freq)."""
@@ -226,7 +227,7 @@ class View:
         fitted = np.einsum("e,...ev->...v", self.weight[member], self.see(values).free) @ self._inverse[member]
         rows, _, channels = self.slope.shape
         own = fitted[..., : rows * channels].reshape(*fitted.shape[:-1], rows, 1, channels)
-        other = np.einsum("jref,...j->...ref", self.constants, fitted[..., rows * channels :], optimize=True)
+        other = np.tensordot(fitted[..., rows * channels :], self.constants, axes=1)
         return np.asarray(values - self.slope * own - other)
 
     @cached_property

@@ -25,7 +25,7 @@ def size_pull(data: DataSet, planted: Planted, finding: Mapping[str, Any]) -> fl
     """
     rain = data.scene.rain_mm_h
     laws = {"flag": (rain > 0).astype(float), "linear": rain, "saturating": np.tanh(rain)}
-    named = laws.get(finding["parameters"].get("law", ""))
+    named = laws.get(finding["parameters"].get("wetness", ""))
     factor = 1.0 if named is None else float(named[rain > 0].mean())
     if planted.cause == "cable_reflection":
         factor = float(np.sinc(finding["parameters"]["delay_us"]))

@@ -1,4 +1,4 @@
-"""`./dev docs`: the reference pages that follow from the code, docs/commands.md and docs/settings.md."""
+"""`./dev docs`: the reference pages that follow from the code: commands, settings and causes."""
 
 from __future__ import annotations
 
@@ -11,6 +11,9 @@ from typing import Any
 import typer
 from pydantic_core import PydanticUndefined
 
+from lbacal_core.causes.cable import AntennaCause
+from lbacal_core.causes.catalogue import ANTENNA_CAUSES, CAUSES
+from lbacal_core.causes.cause import Cause
 from service.cli.main import app
 from service.config import OTHER_SETTINGS, Settings
 
@@ -28,6 +31,14 @@ Written by `./dev docs` from `service/config.py`: do not edit. Each setting is a
 | setting | meaning | default |
 |---|---|---|
 """
+_CAUSES = """# Causes
+Written by `./dev docs` from `lbacal_core/causes/`: do not edit. What `lbacal investigate` looks for: mechanisms that
+may make a simulation wrong, with the unit of their size, the templates that a search tries, and how other means could
+confirm them. [How it searches](explanation/what-the-simulation-gets-wrong.md), [how to add one](how-to/add-a-cause.md).
+
+| cause | meaning | unit of its size |
+|---|---|---|
+"""
 
 
 def describe_commands() -> str:
@@ -43,6 +54,33 @@ def describe_settings() -> str:
         rows[f"LBACAL_{name.upper()}"] = (field.description or "", "none" if default is None else str(default))
     rows |= {name: row for name, row in OTHER_SETTINGS.items() if name not in rows}
     return _SETTINGS + "".join(f"| `{name}` | {text} | {default} |\n" for name, (text, default) in rows.items())
+
+
+def describe_causes() -> str:
+    """The content of docs/causes.md."""
+    causes: list[Cause | AntennaCause] = sorted((*CAUSES, *ANTENNA_CAUSES), key=lambda one: one.identifier)
+    rows = [f"| [`{c.identifier}`](#{c.identifier}) | {c.meaning} | {c.unit} |\n" for c in causes]
+    return _CAUSES + "".join(rows) + "".join(_describe_cause(cause) for cause in causes)
+
+
+def _describe_cause(cause: Cause | AntennaCause) -> str:
+    kind = type(cause)
+    does, tried = ("act", "templates") if isinstance(cause, Cause) else ("", "templates")
+    lines = {
+        "Mechanism": _first_line(kind),
+        "What it does": _first_line(getattr(kind, does)) if does else "",
+        "Templates tried": "" if getattr(kind, tried) is Cause.templates else _first_line(getattr(kind, tried)),
+        "Concerns": ", ".join(cause.scopes),
+        "Acts along": ", ".join(cause.axes),
+        "How to confirm": cause.confirm,
+        "Not shown by data with": cause.needs,
+    }
+    text = "".join(f"- {name}: {value}\n" for name, value in lines.items() if value)
+    return f"\n## {cause.identifier}\n{cause.meaning[0].upper()}{cause.meaning[1:]} ({cause.unit}).\n\n{text}"
+
+
+def _first_line(thing: Any) -> str:
+    return (inspect.getdoc(thing) or "").partition("\n")[0]
 
 
 def _describe(path: list[str], command: Any) -> Iterator[str]:
@@ -83,7 +121,8 @@ def _default(parameter: Any) -> str:
 
 
 def main() -> None:
-    """Write both pages."""
+    """Write the pages."""
+    (DOCS / "causes.md").write_text(describe_causes(), encoding="utf-8")
     (DOCS / "commands.md").write_text(describe_commands(), encoding="utf-8")
     (DOCS / "settings.md").write_text(describe_settings(), encoding="utf-8")
 

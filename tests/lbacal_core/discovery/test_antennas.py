@@ -73,6 +73,9 @@ def test_a_reflection_is_named_with_its_delay_and_amplitude(alike):
     assert score.parameters["delay_us"] == pytest.approx(0.4, abs=0.01)
     assert score.size == pytest.approx(0.04, abs=3 * score.sigma)
     assert score.size > 0
+    assert score.chi2_after < score.chi2_before
+    assert score.chi2_before - score.chi2_after > 10
+    assert score.dof == 49
 
 
 def test_without_others_of_its_cable_an_antenna_is_compared_with_none(world):

@@ -12,6 +12,7 @@ from lbacal_core.skypower.differences import model_difference_modes
 from lbacal_core.twin.faults.antenna import GainStep, GainTemperature
 from lbacal_core.twin.faults.fault import Where
 from lbacal_core.twin.faults.interference import RfiBroadband
+from lbacal_core.twin.faults.uncatalogued import MainsHum
 from tests.lbacal_core.discovery.worlds import MOVING, STATIC, thresholds
 
 
@@ -35,6 +36,39 @@ def test_of_two_stations_the_one_with_the_fault_is_named(pair):
     ]
     assert [one.station.name for one in stations] == ["CS002", "CS003"]
     json.dumps(report, allow_nan=False)
+
+
+def test_every_station_has_its_verdict_its_structure_and_what_it_can_never_show(world):
+    """A cause was once said to be found and to be impossible, and the structure of the second station was dropped."""
+    two = world.with_settings(stations=("CS002", "CS003"), events_per_year=150)
+    spectra = two.spectra(MainsHum(size=0.03))
+    bare = np.where(spectra.station == "CS003", np.nan, spectra.environment["temperature_c"])
+    spectra = replace(spectra, environment={**spectra.environment, "temperature_c": bare})
+    report, _ = investigate(spectra, two.instrument, two.sky)
+    first, second = report["stations"]
+    assert [one["station"] for one in (first, second)] == ["CS002", "CS003"]
+    assert [one["verdict"] for one in (first, second)] == ["unexplained", "unexplained"]
+    assert [one["unexplained"]["where"]["station"] for one in (first, second)] == ["CS002", "CS003"]
+    assert report["unexplained"] in (first["unexplained"], second["unexplained"])
+    impossible = {(one["station"], one["cause"]) for one in report["unidentifiable"]}
+    assert ("CS003", "gain_temperature") in impossible
+    assert ("CS002", "gain_temperature") not in impossible
+    assert len(report["unidentifiable"]) == len(first["unidentifiable"]) + len(second["unidentifiable"])
+
+
+def test_the_findings_of_a_station_are_named_by_their_place_in_the_whole(pair):
+    report, _ = pair
+    assert [one["findings"] for one in report["stations"]] == [[], [0]]
+    assert [one["verdict"] for one in report["stations"]] == ["consistent", "explained"]
+
+
+def test_numbers_that_are_not_known_are_null(world):
+    report, _ = ask(world, GainStep(size=0.08, date="2014-07-01", where=Where(antennas=(1,))))
+    (named,) = report["findings"]
+    assert named["where"]["lst_h"] is None
+    assert named["where"]["utc_h"] is None
+    assert named["evidence"]["events"] == named["gain"]["held_out_events"] == 200
+    assert "from 2014-" in named["sentence"]
 
 
 def test_the_noise_and_the_scores_of_both_stations_are_reported(pair):
@@ -101,7 +135,7 @@ def test_a_finding_reports_the_error_with_the_open_template(found):
     effect = next(one.hypothesis for one in station.findings if one.hypothesis.cause.identifier == "rfi_broadband")
     size = named["size"]
     assert size["sigma"] == pytest.approx(np.hypot(effect.sigma, effect.template_sigma * effect.size))
-    assert size["sigma"] >= named["evidence"]["sigma_of_size_under_this_law"]
+    assert size["sigma"] >= named["evidence"]["sigma_for_this_template"]
     assert size["value"] == pytest.approx(0.008, abs=3 * size["sigma"])
 
 
@@ -126,7 +160,7 @@ def test_a_finding_says_where_when_and_what_it_gains(found):
         "median_fraction": pytest.approx(np.median(change)),
     }
     assert 3 < named["significance_sigma"] < abs(score)
-    for word in ("CS002", "interference", "+-"):
+    for word in ("CS002", "interference", "±"):
         assert word in named["sentence"]
 
 

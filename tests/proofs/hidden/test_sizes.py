@@ -44,7 +44,7 @@ def test_what_follows_rain_is_compared_in_the_mean_rain_whatever_the_law(data):
     planted = Planted("resonance_shift", fault, "station", "station")
     mean = 0.02 * np.tanh(rain[rain > 0]).mean()
     assert planted_size(data, planted) == pytest.approx(mean)
-    wet = {"parameters": {"law": "flag"}, "size": {"value": mean + 0.003, "sigma": 0.001}}
+    wet = {"parameters": {"wetness": "flag"}, "size": {"value": mean + 0.003, "sigma": 0.001}}
     assert size_pull(data, planted, wet) == pytest.approx(3.0)
-    per_mm = {"parameters": {"law": "linear"}, "size": {"value": mean / rain[rain > 0].mean(), "sigma": 0.001}}
+    per_mm = {"parameters": {"wetness": "linear"}, "size": {"value": mean / rain[rain > 0].mean(), "sigma": 0.001}}
     assert size_pull(data, planted, per_mm) == pytest.approx(0.0, abs=1e-9)
