@@ -9,6 +9,8 @@ import sys
 import tomllib
 from pathlib import Path
 
+from lbacal.cli.main import FIT
+
 PACKAGES = ("lbacal", "lbacal_core", "service", "proofs", "migrations")
 
 
