@@ -9,7 +9,7 @@ import numpy as np
 
 from lbacal_core.discovery.curve_fit import CurveFit
 from lbacal_core.discovery.lst_curve import CurveFinding, CurveInvestigation, Rival
-from lbacal_core.discovery.report import CONSISTENT, EXPLAINED, UNEXPLAINED
+from lbacal_core.discovery.report import BY_RATIO, CONSISTENT, EXPLAINED, UNEXPLAINED, tell_finding, tell_gain
 from lbacal_core.discovery.trials import sigma_of
 from lbacal_core.grids import Floats
 from lbacal_core.instrument import DIPOLES
@@ -100,49 +100,31 @@ def _finding(found: CurveInvestigation, finding: CurveFinding) -> dict[str, Any]
     last, place = found.last, finding.place
     cause, one = finding.choice.cause, _cause(last, place)
     change = found.fitter.calibration_change(_less(last, place), last)
-    every = np.abs(np.concatenate([change[d] for d in DIPOLES]))
-    open_rivals = [rival for rival in finding.rivals if not rival.is_excluded]
-    names = dict.fromkeys(rival.choice.cause.identifier for rival in open_rivals)
-    return {
-        "cause": cause.identifier,
-        "indistinguishable": [name for name in names if name != cause.identifier],
-        "size": one["size"],
-        "parameters": one["parameters"],
-        "significance_sigma": sigma_of(finding.p_value),
-        "p_value": finding.p_value,
-        "where": {
-            "station": None,
+    others = [(r.choice.cause.identifier, r.correlation) for r in finding.rivals if not r.is_excluded]
+    told = tell_finding(
+        cause,
+        indistinguishable=[(name, r) for name, r in dict(others).items() if name != cause.identifier],
+        size=(one["size"]["value"], one["size"]["sigma"]),
+        parameters=one["parameters"],
+        chance=(sigma_of(finding.p_value), finding.p_value),
+        where={
+            **dict.fromkeys(("station", "lst_h", "utc_h", "dates")),
             "frequency_mhz": list(found.band_mhz),
-            "lst_h": None,
-            "utc_h": None,
-            "dates": None,
             "antennas": [],
             "dipoles": list(DIPOLES),
         },
-        "gain": {
-            "chi2_before": finding.without.chi2,
-            "chi2_after": last.chi2,
-            "chi2_per_point_before": finding.without.per_point,
-            "chi2_per_point_after": last.per_point,
-            "dof": last.dof,
-            "residual_variance_explained": 1.0 - last.chi2 / finding.without.chi2,
-            "held_out_log_likelihood_gain": finding.held_out_gain,
-            "held_out_events": last.points,
-        },
-        "calibration_change": {
-            "max_fraction": float(every.max()),
-            "median_fraction": float(np.median(every)),
-            **_change(found, change),
-        },
-        "sentence": f"In this curve {_words(last, place)}.",
-        "evidence": {
+        gain=tell_gain(finding.without.chi2, last.chi2, last.dof, finding.held_out_gain, last.points)
+        | {"chi2_per_point_before": finding.without.per_point, "chi2_per_point_after": last.per_point},
+        change=np.concatenate([change[d] for d in DIPOLES]),
+        sentence=f"In this curve {_words(last, place)}.",
+        evidence={
             "score_sigma": finding.z,
             "trials": found.trials,
-            "confirm": cause.confirm,
             "in_its_place": [_rival(last, rival) for rival in finding.rivals],
-            "note": "acts by ratio: P_sky times own(with)/own(without)" if cause.acts_by_ratio else "",
+            "note": BY_RATIO if cause.acts_by_ratio else "",
         },
-    }
+    )
+    return {**told, "calibration_change": {**told["calibration_change"], **_change(found, change)}}
 
 
 def _less(fit: CurveFit, place: int) -> CurveFit:

@@ -15,6 +15,7 @@ from lbacal_core.discovery.residual_structure import ResidualStructure
 from lbacal_core.discovery.scan import Score
 from lbacal_core.discovery.search import Finding, StationReport
 from lbacal_core.discovery.trials import sigma_of
+from lbacal_core.grids import Floats
 from lbacal_core.provenance import Provenance
 
 VERDICTS = CONSISTENT, EXPLAINED, UNEXPLAINED = "consistent", "explained", "unexplained"
@@ -97,64 +98,99 @@ def _scores(report: StationReport) -> list[dict[str, Any]]:
 
 def _finding(finding: Finding, report: StationReport) -> dict[str, Any]:
     one, cause, score = finding.hypothesis, finding.hypothesis.cause, finding.score
-    change = np.abs(finding.calibration_change)
-    return {
-        "cause": cause.identifier,
-        "indistinguishable": [name for name, _ in finding.indistinguishable],
-        "size": {"value": one.size, "sigma": one.uncertainty, "unit": cause.unit},
-        "parameters": plain_parameters(one.template.parameters),
-        "significance_sigma": score.significance,
-        "p_value": score.p_value,
-        "where": _where(report, one.target, one.template.parameters),
-        "gain": _gain(finding.chi2_before, finding.chi2_after, finding.dof)
-        | {"held_out_log_likelihood_gain": finding.held_out_gain, "held_out_events": score.events},
-        "calibration_change": {"max_fraction": float(change.max()), "median_fraction": float(np.median(change))},
-        "sentence": _sentence(report, one.target, cause, (one.size, one.uncertainty), one.template.parameters),
-        "evidence": {
+    return tell_finding(
+        cause,
+        indistinguishable=finding.indistinguishable,
+        size=(one.size, one.uncertainty),
+        parameters=one.template.parameters,
+        chance=(score.significance, score.p_value),
+        where=_where(report, one.target, one.template.parameters),
+        gain=tell_gain(finding.chi2_before, finding.chi2_after, finding.dof, finding.held_out_gain, score.events),
+        change=finding.calibration_change,
+        sentence=_sentence(report, one.target, cause, (one.size, one.uncertainty), one.template.parameters),
+        evidence={
             "score_sigma": float(score.z),
             "trials": float(score.trials),
             "events": score.events,
-            "confirm": cause.confirm,
             "target": one.target.label,
             "sigma_for_this_template": one.sigma,
             "is_converged": report.last.is_converged,
             "correlations": dict(finding.indistinguishable),
             "note": BY_RATIO if cause.acts_by_ratio else "",
         },
-    }
+    )
 
 
 def _antenna_finding(score: AntennaScore, report: StationReport) -> dict[str, Any]:
-    change = np.abs(0.5 * score.size * (score.departure - score.departure.mean()))
-    return {
-        "cause": score.cause.identifier,
-        "indistinguishable": [name for name, _ in score.similar],
-        "size": {"value": score.size, "sigma": score.sigma, "unit": score.cause.unit},
-        "parameters": plain_parameters(score.parameters),
-        "significance_sigma": sigma_of(score.p_value),
-        "p_value": score.p_value,
-        "where": _where(report, score.target, score.parameters),
-        "gain": _gain(score.chi2_before, score.chi2_after, score.dof)
-        | {"held_out_log_likelihood_gain": None, "held_out_events": None},
-        "calibration_change": {"max_fraction": float(change.max()), "median_fraction": float(np.median(change))},
-        "sentence": _sentence(report, score.target, score.cause, (score.size, score.sigma), score.parameters),
-        "evidence": {
+    return tell_finding(
+        score.cause,
+        indistinguishable=score.similar,
+        size=(score.size, score.sigma),
+        parameters=score.parameters,
+        chance=(sigma_of(score.p_value), score.p_value),
+        where=_where(report, score.target, score.parameters),
+        gain=tell_gain(score.chi2_before, score.chi2_after, score.dof),
+        change=0.5 * score.size * (score.departure - score.departure.mean()),
+        sentence=_sentence(report, score.target, score.cause, (score.size, score.sigma), score.parameters),
+        evidence={
             "score_sigma": score.z,
             "trials": score.trials,
-            "confirm": score.cause.confirm,
             "target": score.target.label,
             "correlations": dict(score.similar),
             "note": score.cause.note(score.parameters, score.size),
         },
+    )
+
+
+def tell_finding(
+    cause: Description,
+    *,
+    indistinguishable: Sequence[tuple[str, float]],
+    size: tuple[float, float],
+    parameters: Mapping[str, Any],
+    chance: tuple[float, float],
+    where: dict[str, Any],
+    gain: dict[str, Any],
+    change: Floats,
+    sentence: str,
+    evidence: dict[str, Any],
+) -> dict[str, Any]:
+    """The fields of a finding, in spectra and in LST curves.
+
+    Parameters
+    ----------
+    chance
+        Significance in standard deviations and p-value, after the look-elsewhere correction.
+    change
+        Relative change of C, any shape.
+    """
+    every = np.abs(change)
+    return {
+        "cause": cause.identifier,
+        "indistinguishable": [name for name, _ in indistinguishable],
+        "size": {"value": size[0], "sigma": size[1], "unit": cause.unit},
+        "parameters": plain_parameters(parameters),
+        "significance_sigma": chance[0],
+        "p_value": chance[1],
+        "where": where,
+        "gain": gain,
+        "calibration_change": {"max_fraction": float(every.max()), "median_fraction": float(np.median(every))},
+        "sentence": sentence,
+        "evidence": {"confirm": cause.confirm, **evidence},
     }
 
 
-def _gain(before: float, after: float, dof: int) -> dict[str, Any]:
+def tell_gain(
+    before: float, after: float, dof: int, held_out: float | None = None, events: int | None = None
+) -> dict[str, Any]:
+    """The gain of a finding in chi^2 and on held-out events; null where nothing was held out."""
     return {
         "chi2_before": before,
         "chi2_after": after,
         "dof": dof,
         "residual_variance_explained": (before - after) / before,
+        "held_out_log_likelihood_gain": held_out,
+        "held_out_events": events,
     }
 
 
