@@ -13,7 +13,7 @@ QUANTILE = 0.9
 """Quantile of the largest score that gives the trials factor: its tail has begun there, and 200 draws lie beyond."""
 
 SMALLEST_EIGENVALUE = 1e-9
-"""Of the largest: below, an eigenvalue is a rounding error, whose root would be seen."""
+"""Smallest eigenvalue over the largest: below, it is a rounding error, whose root would be seen."""
 
 
 def p_of(z: float, trials: float) -> float:
