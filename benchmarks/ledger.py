@@ -1,0 +1,145 @@
+"""Questions and promotions against a large ledger, as ratios to a small one: .venv/bin/python -m benchmarks.ledger
+
+The small ledger holds one promotion of each of the 576 paths over a year. The large one holds besides what nights add:
+all paths anew over the same year, once a night (174 nights are 100,224 promotions; another number can be given). The
+same questions and promotions are put to both in turn, through the use cases and without HTTP, so that other work on the
+machine meets both; times are medians.
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import numpy as np
+import psycopg
+
+from lbacal_core.curves import CONVERGED, CalibrationCurve
+from lbacal_core.errors import LbacalError
+from lbacal_core.instrument import load_instrument
+from lbacal_core.validity import Promotion, Scope
+from proofs.running.postgres import run_postgres
+from service.config import Settings
+from service.factory import Factory
+from service.schema.tables import promotion
+from service.storage.migration import upgrade
+from service.storage.versions import Version
+from service.usecases.calibrations import select_paths
+from service.wire.bodies import PromotionBody
+from service.wire.instants import parse_instant
+
+TURNS = 9
+BATCH = 50_000
+SINCE, UNTIL = parse_instant("", "2020-01-01"), parse_instant("", "2021-01-01")
+GAP, INSIDE = parse_instant("", "2030-06-01"), parse_instant("", "2020-06-01")
+INSTRUMENT = load_instrument("lofar-superterp")
+PATHS = select_paths(INSTRUMENT, None, None, None)
+
+
+def make_version(scope: Scope, number: int) -> Version:
+    """A version of a scope whose inputs are its number."""
+    size = INSTRUMENT.frequency_mhz.size
+    curves = tuple(
+        CalibrationCurve(
+            station=scope.station, antenna=scope.antenna, dipole=dipole, status=CONVERGED, events=1000,
+            frequency_mhz=INSTRUMENT.frequency_mhz, c=np.linspace(1.0, 2.0, size) * (1.0 + number / 1000.0),
+            c_sigma_stat=np.full(size, 0.01), c_sigma_sys=None, chi2_per_dof=1.0, lst_coverage=1.0, parameters={},
+        )
+        for dipole in ([scope.dipole] if scope.dipole else "XY")
+    )  # fmt: skip
+    return Version(scope, SINCE, UNTIL, {"number": number, "scope": scope.key}, curves, 0, "benchmark", "benchmark")
+
+
+def fill(factory: Factory, nights: int) -> dict[Scope, list[str]]:
+    """Store two versions of each scope and promote those of paths in turn, once a night."""
+    versions = {scope: [make_version(scope, k) for k in range(2)] for scope in (*PATHS, Scope("CS002"), Scope())}
+    ids = {scope: [version.id for version in of_scope] for scope, of_scope in versions.items()}
+    with factory.database.write() as stores:
+        stores.versions.add([version for of_scope in versions.values() for version in of_scope])
+        stores.ledger.append([Promotion(0, path, SINCE, UNTIL, ids[path][0], 0) for path in PATHS], lambda: SINCE)
+    rows = [
+        {
+            "scope": path.key, "station": path.station, "antenna": path.antenna, "dipole": path.dipole,
+            "valid_from_us": SINCE, "valid_to_us": UNTIL, "calibration": ids[path][night % 2],
+            "at_us": SINCE + 1 + night, "by": "benchmark", "reason": "night",
+        }
+        for night in range(nights)
+        for path in PATHS
+    ]  # fmt: skip
+    with factory.database.engine.begin() as connection:
+        for start in range(0, len(rows), BATCH):
+            connection.execute(promotion.insert(), rows[start : start + BATCH])
+        connection.exec_driver_sql("ANALYZE")
+    return ids
+
+
+def deeds(factory: Factory, ids: dict[Scope, list[str]]) -> dict[str, Callable[[int], object]]:
+    """What is timed; each takes the number of the turn."""
+    path, use = PATHS[0], factory.calibrations
+
+    def ask_gap(paths: list[Scope]) -> None:
+        try:
+            use.in_effect(GAP, paths)
+        except LbacalError:
+            return
+        raise RuntimeError("there should be a gap")
+
+    def promote(scope: Scope, turn: int) -> None:
+        body = PromotionBody(
+            calibration=ids[scope][turn % 2], valid_from="2020-01-01", valid_to="2021-01-01", reason="x"
+        )
+        factory.promotions.promote(factory.promotions.plan(body, "benchmark"), lambda made, _: made)
+
+    return {
+        "in a gap, one path": lambda _: ask_gap([path]),
+        "in a gap, all paths": lambda _: ask_gap(PATHS),
+        "in a gap, all paths held": lambda _: use.in_effect(GAP, PATHS, hold=True),
+        "in effect, one path": lambda _: use.in_effect(INSIDE, [path]),
+        "in effect, all paths": lambda _: use.in_effect(INSIDE, PATHS),
+        "promotion of a path": lambda turn: promote(path, turn),
+        "promotion of a station": lambda turn: promote(Scope("CS002"), turn),
+        "promotion of the array": lambda turn: promote(Scope(), turn),
+    }
+
+
+def compare(name: str, small_url: str, large_url: str, nights: int) -> None:
+    """Print the times of both."""
+    with _opened(small_url) as small, _opened(large_url) as large:
+        both = [deeds(small, fill(small, 0)), deeds(large, fill(large, nights))]
+        print(f"{name}: {len(PATHS)} and {len(PATHS) * (1 + nights):,} promotions, medians of {TURNS - 1} turns")
+        for what in both[0]:
+            times = np.array([[_time(one[what], turn) for one in both] for turn in range(TURNS)])[1:]
+            before, after = np.median(times, axis=0)
+            print(f"  {what}: {1e3 * before:.1f} ms, {1e3 * after:.1f} ms: {np.median(times[:, 1] / times[:, 0]):.2f}")
+
+
+def _time(deed: Callable[[int], object], turn: int) -> float:
+    started = time.perf_counter()
+    deed(turn)
+    return time.perf_counter() - started
+
+
+@contextmanager
+def _opened(url: str) -> Iterator[Factory]:
+    factory = Factory(Settings(database_url=url))
+    upgrade(factory.database)
+    try:
+        yield factory
+    finally:
+        factory.database.close()
+
+
+def main(nights: int = 174) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        compare("SQLite", f"{folder}/small.sqlite", f"{folder}/large.sqlite", nights)
+    with run_postgres() as server, psycopg.connect(server, autocommit=True) as connection:
+        for name in ("small", "large"):
+            connection.execute(f"CREATE DATABASE {name}")
+        compare("PostgreSQL", *(server.replace("/postgres?", f"/{n}?", 1) for n in ("small", "large")), nights)
+
+
+if __name__ == "__main__":
+    main(*map(int, sys.argv[1:]))
