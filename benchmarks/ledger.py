@@ -1,4 +1,4 @@
-"""Questions and promotions against a large ledger, as ratios to a small one: .venv/bin/python -m benchmarks.ledger
+"""Questions and promotions against a large ledger, as ratios to a small one: .venv/bin/python -m benchmarks.ledger.
 
 The small ledger holds one promotion of each of the 576 paths over a year. The large one holds besides what nights add:
 all paths anew over the same year, once a night (174 nights are 100,224 promotions; another number can be given). The
@@ -107,7 +107,7 @@ def deeds(factory: Factory, ids: dict[Scope, list[str]]) -> dict[str, Callable[[
 
 def compare(name: str, small_url: str, large_url: str, nights: int) -> None:
     """Print the times of both."""
-    with _opened(small_url) as small, _opened(large_url) as large:
+    with opened(small_url) as small, opened(large_url) as large:
         both = [deeds(small, fill(small, 0)), deeds(large, fill(large, nights))]
         print(f"{name}: {len(PATHS)} and {len(PATHS) * (1 + nights):,} promotions, medians of {TURNS - 1} turns")
         for what in both[0]:
@@ -123,7 +123,8 @@ def _time(deed: Callable[[int], object], turn: int) -> float:
 
 
 @contextmanager
-def _opened(url: str) -> Iterator[Factory]:
+def opened(url: str) -> Iterator[Factory]:
+    """A service on a new database."""
     factory = Factory(Settings(database_url=url))
     upgrade(factory.database)
     try:

@@ -15,7 +15,6 @@ from sqlalchemy import (
     Row,
     ScalarSelect,
     Text,
-    and_,
     cast,
     func,
     or_,
@@ -134,20 +133,20 @@ class LedgerStore:
         """The same of scopes by themselves: no wider one answers for them."""
         return self._neighbours({scope: (scope,) for scope in scopes}, instant, as_of)
 
-    def standing(self, scopes: Iterable[Scope], since: Instant, until: Instant | None) -> list[Promotion]:
+    def standing(
+        self, scopes: Iterable[Scope], since: Instant | None = None, until: Instant | None = None
+    ) -> list[Promotion]:
         """The promotions that can decide somewhere in [since, until), oldest first: the newest of each interval.
 
         Later ids have later instants `at`, so the largest id of an interval is its newest promotion.
         """
         keys = self._keys({scope.key for scope in scopes})
-        overlaps = or_(promotion.c.valid_to_us.is_(None), promotion.c.valid_to_us > since)
+        newest = select(func.max(promotion.c.id)).where(promotion.c.scope.in_(select(keys.c.value)))
+        if since is not None:
+            newest = newest.where(or_(promotion.c.valid_to_us.is_(None), promotion.c.valid_to_us > since))
         if until is not None:
-            overlaps = and_(overlaps, promotion.c.valid_from_us < until)
-        newest = (
-            select(func.max(promotion.c.id))
-            .where(promotion.c.scope.in_(select(keys.c.value)), overlaps)
-            .group_by(promotion.c.scope, promotion.c.valid_from_us, promotion.c.valid_to_us)
-        )
+            newest = newest.where(promotion.c.valid_from_us < until)
+        newest = newest.group_by(promotion.c.scope, promotion.c.valid_from_us, promotion.c.valid_to_us)
         statement = select(promotion).where(promotion.c.id.in_(newest)).order_by(promotion.c.id)
         return [_value(row) for row in self._connection.execute(statement)]
 

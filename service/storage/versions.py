@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from sqlalchemy import ColumnElement, Connection, Row, func, select
+from sqlalchemy import Connection, Row, func, select
 from sqlalchemy.dialects.postgresql import insert as postgresql_insert
 from sqlalchemy.dialects.sqlite import insert as sqlite_insert
 
@@ -181,36 +181,31 @@ class VersionStore:
         statement = select(calibration).order_by(calibration.c.made_us.desc(), calibration.c.id).limit(limit)
         return self._values(self._connection.execute(statement).all())
 
-    def means(self, scopes: Sequence[Scope]) -> list[MeanC]:
-        """Band means of C of the converged curves of some scopes, in order of their windows."""
-        return self._means(calibration.c.scope.in_([scope.key for scope in scopes]))
-
-    def means_of_station(self, station: str | None) -> list[MeanC]:
-        """Band means of C of all paths of a station (None = of all stations), in order of their windows."""
-        is_path = calibration.c.antenna.is_not(None)
-        return self._means(is_path if station is None else is_path & (calibration.c.station == station))
-
-    def _values(self, rows: Sequence[Row[Any]]) -> list[Version]:
-        chains = read_chains(self._connection, {row.id: row.reference for row in rows})
-        return [_value(row, chains[row.id]) for row in rows]
-
-    def _means(self, condition: ColumnElement[bool]) -> list[MeanC]:
+    def means(self, ids: Iterable[str]) -> list[MeanC]:
+        """Band means of C of the converged curves of versions, in order of their windows."""
         columns = [
             calibration.c.id, calibration.c.station, calibration.c.antenna, calibration.c.dipole.label("scope_dipole"),
-            calibration.c.since_us, calibration.c.until_us, calibration.c.events,
+            calibration.c.since_us, calibration.c.until_us, calibration.c.made_us, calibration.c.events,
             calibration_mean.c.dipole, calibration_mean.c.c, calibration_mean.c.c_sigma,
         ]  # fmt: skip
         statement = select(*columns).join(calibration, calibration.c.id == calibration_mean.c.calibration)
-        statement = statement.where(condition).order_by(
-            calibration.c.since_us, calibration.c.made_us, calibration_mean.c.dipole
-        )
+        wanted = sorted(set(ids))
+        rows = [
+            row
+            for start in range(0, len(wanted), 500)
+            for row in self._connection.execute(statement.where(calibration.c.id.in_(wanted[start : start + 500])))
+        ]
         return [
             MeanC(
                 row.id, Scope(row.station, row.antenna, row.scope_dipole), row.dipole,
                 row.since_us, row.until_us, row.events, row.c, row.c_sigma,
             )
-            for row in self._connection.execute(statement)
+            for row in sorted(rows, key=lambda row: (row.since_us, row.made_us, row.dipole))
         ]  # fmt: skip
+
+    def _values(self, rows: Sequence[Row[Any]]) -> list[Version]:
+        chains = read_chains(self._connection, {row.id: row.reference for row in rows})
+        return [_value(row, chains[row.id]) for row in rows]
 
 
 def _value(row: Row[Any], chains: Mapping[str, ReferenceChain]) -> Version:

@@ -14,12 +14,13 @@ from lbacal_core.grids import Floats
 from lbacal_core.instrument import DIPOLES, Instrument
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra_blocks import SpectraBlock, split_into_blocks
-from lbacal_core.validity import Instant, Scope
+from lbacal_core.validity import Instant, Promotion, Scope, timeline
 from service.storage.database import Database, Stores
 from service.storage.drift import MonthlyRatio
 from service.storage.jobs import Part
 from service.storage.spectra import Window
 from service.storage.versions import MeanC, Version
+from service.usecases.calibrations import select_paths
 from service.usecases.years import find_years
 
 KIND = "drift"
@@ -129,29 +130,41 @@ class Drift:
             return stores.drift.ratios(Scope(station))
 
     def means_of_paths(self, station: str) -> list[MeanC]:
-        """Band means of C of all versions of a station's paths, path by path."""
+        """Band means of C of the versions in effect of a station's paths, path by path."""
         with self.database.read() as stores:
-            means = stores.versions.means_of_station(station)
+            means = find_means_in_effect(stores, select_paths(self.instrument, station, None, None))
         return sorted(means, key=lambda mean: (mean.scope.antenna or 0, mean.dipole, mean.since))
 
     def series(self, scope: Scope) -> DriftSeries:
-        """Versions, months and steps of a scope."""
+        """Versions in effect, months and steps of a scope."""
         with self.database.read() as stores:
             ratios = stores.drift.ratios(Scope(scope.station))
-            of_paths = stores.versions.means_of_station(scope.station)
-            of_scope = stores.versions.means([scope])
+            of_paths = find_means_in_effect(stores, select_paths(self.instrument, scope.station, None, None))
+            of_scope = find_means_in_effect(stores, [scope])
         return _gather(scope, ratios, of_scope, _rank_steps(ratios, of_paths))
 
     def overall(self) -> tuple[DriftSeries, list[DriftSeries]]:
         """The array, and every station with spectra."""
         with self.database.read() as stores:
             ratios = stores.drift.ratios(Scope())
-            of_paths = stores.versions.means_of_station(None)
+            of_paths = find_means_in_effect(stores, select_paths(self.instrument, None, None, None))
             scopes = [Scope(), *(Scope(station) for station in stores.spectra.stations())]
-            of_scope = {scope: stores.versions.means([scope]) for scope in scopes}
+            of_scope = {scope: find_means_in_effect(stores, [scope]) for scope in scopes}
         steps = _rank_steps(ratios, of_paths)
         array, *stations = (_gather(scope, ratios, of_scope[scope], steps) for scope in scopes)
         return array, stations
+
+
+def find_means_in_effect(stores: Stores, scopes: Sequence[Scope]) -> list[MeanC]:
+    """Find the band means of C of the versions that answer for some scopes at any time, as the ledger stands now.
+
+    Versions that were replaced night by night, were withdrawn or wait at the gate are left out.
+    """
+    of_scope: dict[Scope, list[Promotion]] = {scope: [] for scope in scopes}
+    for promotion in stores.ledger.standing(scopes):
+        of_scope[promotion.scope].append(promotion)
+    stretches = (stretch for scope, promotions in of_scope.items() for stretch in timeline(promotions, scope))
+    return stores.versions.means(stretch.calibration for stretch in stretches if stretch.calibration is not None)
 
 
 def _gather(

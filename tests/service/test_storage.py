@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
@@ -162,3 +163,28 @@ def test_what_a_promotion_changes_is_worked_out_before_anybody_has_to_wait(
     event.remove(factory.database.engine, "before_cursor_execute", note)
     assert any("INSERT INTO promotion" in statement for statement in sent)
     assert not [statement for statement in sent if "curves" in statement or "GROUP BY" in statement]
+
+
+def test_the_pages_show_what_is_in_effect_and_not_what_was_replaced_night_by_night(
+    factory: Factory, client: TestClient, new_version: Callable[..., Version]
+) -> None:
+    """After a year of nights the page of a station was 11 MB: a row for each of 35,000 versions."""
+    paths = [path for path in PATHS if path.station == "CS001"]
+    pages = ["/stations/CS001", "/drift", "/v1/drift?station=CS001", "/v1/drift", "/"]
+    rows = []
+    for night in range(30):
+        made = [new_version(scope, f"{scope.key} {night}") for scope in (*paths, Scope("CS001"), Scope())]
+        waiting = [new_version(scope, f"{scope.key} waits {night}") for scope in paths]
+        with factory.database.write() as stores:
+            stores.versions.add([*made, *waiting])
+            stores.ledger.append([Promotion(0, v.scope, *YEAR.values(), v.id, 0) for v in made], lambda: 1)
+        for url in pages:
+            with reading() as found:
+                answer = client.get(url)
+            assert answer.status_code == 200
+            rows.append((url, found.rows))
+            if url == pages[0]:
+                shown = set(re.findall(r"/calibrations/([0-9a-f]{64})", answer.text))
+                assert shown == {version.id for version in made if version.scope in paths}
+    # the newest ten versions and promotions are on the overview: it is full from the second night
+    assert set(rows[5:10]) == set(rows[-5:])
