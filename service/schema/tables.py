@@ -15,6 +15,7 @@ from sqlalchemy import (
     Table,
     Text,
     UniqueConstraint,
+    text,
 )
 
 metadata = MetaData(
@@ -116,6 +117,9 @@ calibration_mean = Table(
     Column("c_sigma", Float, nullable=False, comment="its standard deviation, channels fully correlated"),
 )
 
+WITHDRAWS = text("calibration IS NULL")
+"""Selects withdrawals, which are few among all promotions."""
+
 promotion = Table(
     "promotion",
     metadata,
@@ -133,6 +137,8 @@ promotion = Table(
     Index("ix_promotion_newest", "scope", "at_us", "id", "valid_from_us", "valid_to_us"),
     Index("ix_promotion_start", "scope", "valid_from_us", "valid_to_us", "id"),
     Index("ix_promotion_end", "scope", "valid_to_us"),
+    Index("ix_promotion_withdrawn_start", "scope", "valid_from_us", sqlite_where=WITHDRAWS, postgresql_where=WITHDRAWS),
+    Index("ix_promotion_withdrawn_end", "scope", "valid_to_us", sqlite_where=WITHDRAWS, postgresql_where=WITHDRAWS),
 )
 
 job = Table(

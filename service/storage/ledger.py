@@ -15,6 +15,7 @@ from sqlalchemy import (
     Row,
     ScalarSelect,
     Text,
+    and_,
     cast,
     func,
     or_,
@@ -229,10 +230,23 @@ class LedgerStore:
     def _decisive(
         self, asked: Iterable[tuple[str, Instant]], as_of: Instant | None
     ) -> dict[tuple[str, Instant], Promotion]:
-        """The newest promotion of a scope at an instant, for each pair of them that has one."""
-        pairs = self._pairs(sorted(set(asked)))
+        """The newest promotion of a scope at an instant, for each pair of them that has one.
+
+        Whether anything begins before the instant and ends after it is asked first: where nothing does, as in the gap
+        after the last window, the promotions of the scope need not be gone through.
+        """
+        pairs, some = self._pairs(sorted(set(asked))), promotion.alias()
+        of_scope = select(some.c.id).where(some.c.scope == pairs.c.scope).correlate(pairs)
+        may_be_covered = and_(
+            of_scope.where(some.c.valid_from_us <= pairs.c.instant).exists(),
+            or_(
+                of_scope.where(some.c.valid_to_us > pairs.c.instant).exists(),
+                of_scope.where(some.c.valid_to_us.is_(None)).exists(),
+            ),
+        )
         newest = _newest(pairs.c.scope, pairs.c.instant, as_of, pairs, "id")
         statement = select(promotion, pairs.c.instant).select_from(pairs).join(promotion, promotion.c.id == newest)
+        statement = statement.where(may_be_covered)
         return {(row.scope, row.instant): _value(row) for row in self._connection.execute(statement)}
 
     def _keys(self, keys: Iterable[str]) -> FromClause:
