@@ -300,20 +300,21 @@ def correlate(
     view, spectra = _best_view(model, every, target)
     seen = [view.see(one[None]) for one in spectra]
     profiles = [family.profiles for family in every]
-    size = [
-        np.sqrt(np.maximum(view.inner(one, own)[0][0, 0, 0], SMALLEST_INFORMATION))
-        for one, own in zip(seen, profiles, strict=True)
-    ]
     first = range(len(families))
     second = first if others is None else range(len(families), len(every))
-    blocks = [
-        [
-            view.cross(seen[i], seen[j], profiles[i].values, profiles[j].values)[0] / np.outer(size[i], size[j])
-            for j in second
-        ]
+    product = {
+        (i, j): view.cross(seen[i], seen[j], profiles[i].values, profiles[j].values)[0]
         for i in first
-    ]
-    return np.block(blocks)
+        for j in second
+        if others is not None or i <= j
+    }
+    if others is None:
+        square = [np.diag(product[i, i]) for i in first]
+        product |= {(j, i): product[i, j].T for i, j in product}
+    else:
+        square = [view.inner(one, own)[0][0, 0, 0] for one, own in zip(seen, profiles, strict=True)]
+    size = [np.sqrt(np.maximum(one, SMALLEST_INFORMATION)) for one in square]
+    return np.block([[product[i, j] / np.outer(size[i], size[j]) for j in second] for i in first])
 
 
 def _best_view(model: LinearModel, families: Sequence[SpectralFamily], target: Target) -> tuple[View, Floats]:

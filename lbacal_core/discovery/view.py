@@ -87,7 +87,7 @@ class Seen:
 
     def by_event(self, other: Seen) -> Floats:
         """Products t'W u of all pairs event by event, nothing profiled out, shape (..., k, j, event)."""
-        return np.asarray(np.einsum("...kref,...jref->...kje", self.values, other.weighed, optimize=True))
+        return np.asarray(np.einsum("...kref,...jref->...kje", self.values, other.weighed))
 
 
 @dataclass(frozen=True)

@@ -155,8 +155,8 @@ def test_gaps_in_the_weather_take_no_trials_away(small):
     (score,) = replace(small, data=data, model=replace(small.model, linear=linear)).scan(
         ["resonance_shift"], ["station"]
     )
-    # At most as many more as the groups overlap in what they try.
-    assert 0.95 < score.trials / whole["resonance_shift"].trials < 2.0
+    # At most as many more as the groups overlap in what they try; each factor is simulated to 7 %.
+    assert 0.8 < score.trials / whole["resonance_shift"].trials < 2.0
 
 
 def test_a_line_is_looked_for_in_every_channel_and_each_is_a_trial(small):

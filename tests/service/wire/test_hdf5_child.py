@@ -32,7 +32,9 @@ def test_what_is_no_file_is_a_sentence() -> None:
 
 
 def test_a_confined_process_ends_at_its_deadline_whatever_it_does() -> None:
-    assert confined("import itertools; sum(itertools.repeat(0))", deadline_s=1).returncode == -signal.SIGALRM
+    # The alarm counts seconds of the clock, the limit those of the processor: on an idle machine either may come first.
+    ended = confined("import itertools; sum(itertools.repeat(0))", deadline_s=1).returncode
+    assert ended in (-signal.SIGALRM, -signal.SIGXCPU, -signal.SIGKILL)
 
 
 def test_a_confined_process_gets_a_gigabyte() -> None:
