@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Coroutine
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import pytest
@@ -96,8 +98,14 @@ def ask(app: Any, parts: list[bytes | None]) -> tuple[int, dict[bytes, bytes]]:
     async def send(message: Any) -> None:
         sent.append(message)
 
-    asyncio.run(app(SCOPE, receive, send))
+    run(app(SCOPE, receive, send))
     return sent[0]["status"], dict(sent[0]["headers"])
+
+
+def run(work: Coroutine[Any, Any, None]) -> None:
+    """Run in a thread of its own: the browser of another test keeps a loop running in this one."""
+    with ThreadPoolExecutor(1) as pool:
+        pool.submit(asyncio.run, work).result()
 
 
 def make_edge(app: Any) -> Edge:
@@ -130,7 +138,7 @@ def test_a_client_that_leaves_is_not_a_failure() -> None:
     async def send(_message: Any) -> None:
         raise AssertionError
 
-    asyncio.run(Edge(read_whole, Traffic(registry), 100.0)(SCOPE, leave, send))
+    run(Edge(read_whole, Traffic(registry), 100.0)(SCOPE, leave, send))
     counted = {"method": "POST", "route": "none", "status": "499"}
     assert registry.get_sample_value("lbacal_requests_total", counted) == 1
 
