@@ -12,19 +12,13 @@ taken, its pixel window divided out, and its multipoles are rotated to ICRS, whi
 
 from __future__ import annotations
 
-import json
 import sys
-from pathlib import Path
 
 import h5py
 import healpy as hp
 import numpy as np
 from scipy.interpolate import CubicSpline
-
-LMAX = 16
-COMPONENTS = 3
-NODES_MHZ = np.array([10, 15, 20, 25, 30, 35, 40, 45, 50, 55, 60, 65, 70, 75, 80, 90, 100, 110, 120], dtype=float)
-TARGET = Path(__file__).parent.parent / "lbacal_core" / "data" / "skies" / "gsm.json"
+from sky_tables import LMAX, NODES_MHZ, write_sky
 
 
 def pixel_window(nside: int) -> np.ndarray:
@@ -64,44 +58,12 @@ def main(source: str) -> None:
         for order in range(LMAX + 1):
             for m in range(order + 1):
                 dense[node, order, m] = packed[hp.Alm.getidx(LMAX, order, m)]
-    level = dense[:, 0, 0].real / np.sqrt(4 * np.pi)
-    relative = dense / level[:, None, None]
-    flat = np.concatenate([relative.real.reshape(NODES_MHZ.size, -1), relative.imag.reshape(NODES_MHZ.size, -1)], 1)
-    left, size, right = np.linalg.svd(flat, full_matrices=False)
-    print("singular values", size[:6])
-    half = right.shape[1] // 2
-    components = (right[:COMPONENTS, :half] + 1j * right[:COMPONENTS, half:]).reshape(COMPONENTS, LMAX + 1, LMAX + 1)
-    weight = left[:, :COMPONENTS] * size[:COMPONENTS]
-    rows = [
-        [
-            order,
-            m,
-            *(
-                round(float(v), 7)
-                for k in range(COMPONENTS)
-                for v in (components[k, order, m].real, components[k, order, m].imag)
-            ),
-        ]
-        for order in range(LMAX + 1)
-        for m in range(order + 1)
-    ]
-    content = {
-        "name": "gsm",
-        "origin": (
-            "Global Sky Model (de Oliveira-Costa et al. 2008, MNRAS 388, 247), as in data/gsm_galactic.skyh5 of the "
-            "PyPI package pyradiosky 1.1.2 (BSD-2-Clause), rotated to ICRS; below 50 MHz extrapolated with the slope "
-            "at 50-61 MHz; l <= 16; made by scripts/make_embedded_sky.py"
-        ),
-        "frame": "ICRS",
-        "has_cmb": False,
-        "has_isotropic": True,
-        "frequency_mhz": NODES_MHZ.tolist(),
-        "level_k": [float(f"{value:.8g}") for value in level],
-        "weight": [[float(f"{value:.8g}") for value in row] for row in weight],
-        "multipoles": {"columns": "l, m, then real and imaginary part of each component", "rows": rows},
-    }
-    lines = json.dumps(content, indent=None).replace("], [", "],\n[").replace(', "', ',\n"')
-    TARGET.write_text(lines + "\n")
+    origin = (
+        "Global Sky Model (de Oliveira-Costa et al. 2008, MNRAS 388, 247), as in data/gsm_galactic.skyh5 of the "
+        "PyPI package pyradiosky 1.1.2 (BSD-2-Clause), rotated to ICRS; below 50 MHz extrapolated with the slope "
+        "at 50-61 MHz; l <= 16; made by scripts/make_embedded_sky.py"
+    )
+    write_sky("gsm", origin, dense, has_cmb=False, has_isotropic=True)
 
 
 if __name__ == "__main__":

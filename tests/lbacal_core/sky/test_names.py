@@ -34,6 +34,19 @@ def test_the_galactic_centre_outshines_the_galactic_poles() -> None:
     assert centre > 5 * pole > 0
 
 
+@pytest.mark.parametrize(
+    ("name", "frequency_mhz", "kelvin"),
+    # Means of the maps of lsl, K: 7946.77 at 45 MHz, 4695.29 at 60 MHz, and 32.058 at 408 MHz times (408 / 45)^2.55.
+    [("gsm408", 45.0, 7946.77), ("maeda", 45.0, 7946.77), ("lfsm", 60.0, 4695.29), ("haslam", 45.0, 8860.0)],
+)
+def test_alternative_skies_have_the_mean_temperature_of_their_source(
+    name: str, frequency_mhz: float, kelvin: float
+) -> None:
+    sky = load_sky(name)
+    mean = sky.spectra(np.array([frequency_mhz])) @ sky.multipoles[:, 0, 0].real / np.sqrt(4 * np.pi)
+    assert mean[0] == pytest.approx(kelvin, rel=1e-4)
+
+
 def test_an_unknown_sky_is_refused_with_the_names_that_exist() -> None:
     with pytest.raises(UnknownNameError, match="known: gsm"):
         load_sky("nowhere")
