@@ -57,11 +57,11 @@ class Client:
     def ask(
         self, station: str | None = None, antenna: int | None = None, dipole: str | None = None, *,
         at: Any, as_of: Any = None, gap: str | None = None, scope: str | None = None, kind: str = "json",
-    ) -> str:  # fmt: skip
+    ) -> bytes:  # fmt: skip
         """The calibration in effect as the server writes it, in one of its formats."""
         params = {"station": station, "antenna": antenna, "dipole": dipole, "gap": gap, "scope": scope, "format": kind}
         params |= {"at": format_time(at), "as_of": None if as_of is None else format_time(as_of)}
-        return self._transport.request("GET", "/v1/calibrations/effective", params=params).text
+        return self._transport.request("GET", "/v1/calibrations/effective", params=params).content
 
     def effective(
         self, station: str | None = None, antenna: int | None = None, dipole: str | None = None, *,

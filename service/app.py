@@ -16,7 +16,7 @@ from service.handlers.edge import Edge
 from service.handlers.head import AnswersHead
 from service.handlers.limits import KeyGuard
 from service.handlers.metrics import Traffic
-from service.handlers.request import require_known_query
+from service.handlers.request import require_acceptable, require_known_query
 
 GZIP_FROM = 100_000
 """Bytes from which an answer is compressed for those who accept that: the curves of a station, not of a path."""
@@ -29,7 +29,7 @@ def make_app(factory: Factory) -> FastAPI:
         version=version("lbacal"),
         summary="Absolute calibration of radio antennas with the Galaxy: store spectra, ask what is in effect.",
         redoc_url=None,
-        dependencies=[Depends(require_known_query)],
+        dependencies=[Depends(require_acceptable), Depends(require_known_query)],
     )
     app.state.factory = factory
     app.state.guard = KeyGuard()

@@ -40,6 +40,13 @@ class NotInEffectError(LbacalError):
     code = "not_in_effect"
 
 
+class NotAcceptableError(LbacalError):
+    """No media type that the client takes is one that the route has."""
+
+    status = 406
+    code = "not_acceptable"
+
+
 class ConflictError(LbacalError):
     """What was sent contradicts what is stored."""
 

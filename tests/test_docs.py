@@ -25,6 +25,7 @@ from lbacal_core.reference_chain import CableTable, GainSpread, GainSpreads, Ref
 from lbacal_core.skypower.table import read_sky_power
 from lbacal_core.traces.assembly import COVARIATES, read_event_facts
 from service.cli.reference import describe_causes, describe_commands, describe_settings
+from service.wire import formats, tables
 
 LINK = re.compile(r"(?<!\\)\]\(([^)\s]+)\)")
 FENCE = re.compile(r"^ *```.*?^ *```", re.MULTILINE | re.DOTALL)
@@ -100,6 +101,7 @@ def fields_of_formats() -> list[tuple[str, str]]:
         *(("Event facts", name) for name in ("event_id", "pulse_unix", *COVARIATES)),
         *(("Calibration table", name) for name in ("station", "antenna", "dipole", "frequency_mhz", "flag")),
         *(("Calibration table", name) for name in ("c", "c_sigma_stat", "c_sigma_sys")),
+        *(("Calibration in effect", name) for name in (*tables.COLUMNS, *formats.FORMATS, tables.FORMAT)),
         *(("Fit report", name) for name in (*report, *report["curves"][0], *report["provenance"])),
         *(("Fit report", name) for name in ("n_lna", "n_rcu", "n_adc", "inputs")),
         *(("Fit report", name) for name in (*chain, *(chain["spreads"] or {}), "offset", "spread")),

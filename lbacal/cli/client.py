@@ -12,7 +12,9 @@ from typing import Annotated, Any
 
 import typer
 
+from lbacal.cli.outputs import require_outputs
 from lbacal.client import Client
+from lbacal_core.errors import BadInputError
 
 Station = Annotated[str | None, typer.Option(help="Station such as CS002.")]
 Antenna = Annotated[int | None, typer.Option(help="Antenna number.", min=0)]
@@ -26,6 +28,8 @@ class Format(StrEnum):
     json = "json"
     csv = "csv"
     ecsv = "ecsv"
+    fits = "fits"
+    hdf5 = "hdf5"
     nuradio = "nuradio"
 
 
@@ -48,19 +52,27 @@ def effective(
     gap: Annotated[str | None, typer.Option(help="hold: answer with the nearest where nothing is in effect.")] = None,
     scope: Annotated[str | None, typer.Option(help="array: its reference chain, which is nobody's cable.")] = None,
     kind: Annotated[Format, typer.Option("--format", help="How to print.")] = Format.table,
+    output: Annotated[Path | None, typer.Option(help="File to write instead of printing.")] = None,
 ) -> None:
     """Print the calibration in effect on a date.
 
     Example: lbacal effective --station CS002 --antenna 17 --dipole X --at 2014-05-01
     """
+    require_outputs({"--output": output}, {})
+    if kind in (Format.fits, Format.hdf5) and output is None and sys.stdout.isatty():
+        raise BadInputError("--output", f"a file for {kind.value}", "a terminal")
+    if kind is Format.table and output is not None:
+        raise BadInputError("--format", "json, csv, ecsv, fits, hdf5 or nuradio with --output", "table")
     with Client() as client:
         wire = "json" if kind is Format.table else kind.value
-        text = client.ask(station, antenna, dipole, at=at, as_of=as_of, gap=gap, scope=scope, kind=wire)
-    if kind is not Format.table:
-        sys.stdout.write(text)
-        return
-    for curve in json.loads(text)["curves"]:
-        print_curve(curve)
+        body = client.ask(station, antenna, dipole, at=at, as_of=as_of, gap=gap, scope=scope, kind=wire)
+    if output is not None:
+        output.write_bytes(body)
+    elif kind is not Format.table:
+        sys.stdout.buffer.write(body)
+    else:
+        for curve in json.loads(body)["curves"]:
+            print_curve(curve)
 
 
 def refit(

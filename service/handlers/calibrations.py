@@ -37,10 +37,13 @@ from service.wire.answers import (
     to_json,
 )
 from service.wire.bodies import PromotionBody, parse_body
+from service.wire.formats import FORMATS, Format, choose_format
 from service.wire.instants import format_instant, format_optional, parse_at, parse_instant
-from service.wire.tables import FORMATS, choose_format, write_format
+from service.wire.tables import write_format
 
 router = APIRouter(tags=["calibrations"])
+FILES: dict[int | str, dict[str, Any]] = {200: {"content": {media: {} for media in FORMATS.values()}}}
+"""What the routes with `format=` answer, for the OpenAPI document."""
 SETTLED_US = 60_000_000
 """The ledger at an instant is final once this time has passed: promotions commit within 5 s of their `at`."""
 
@@ -52,7 +55,7 @@ SETTLED_US = 60_000_000
     "same answer for ever. A path is answered by its own version, else its station's, else the array's; a curve of a "
     "station or of the array is carried through the path's own cable (`factor`), with the spread of single paths as "
     "`c_sigma_sys`. `scope=array` asks for the array's reference chain itself, which is nobody's cable.",
-    responses=document(401, 404, 422, 503),
+    responses=FILES | document(401, 404, 422, 503),
     dependencies=[Depends(require_read)],
 )
 def get_in_effect(
@@ -66,7 +69,7 @@ def get_in_effect(
     dipole: str | None = None,
     as_of: str | None = None,
     gap: Literal["error", "hold"] = "error",
-    format: str | None = None,  # noqa: A002 - its name on the wire
+    format: Format | None = None,  # noqa: A002 - its name on the wire
 ) -> Response:
     kind = choose_format(format, request.headers.get("accept"))
     paths = select_scope(use.calibrations.instrument, scope, station, antenna, dipole)
@@ -114,14 +117,14 @@ def list_versions(
     summary="One version",
     description="Its inputs, curves and `payload_sha256`, the SHA-256 of `curves` as canonical JSON. The other formats "
     "have the columns of `effective`, the window of the fit as interval.",
-    responses=document(401, 404, 422, 503),
+    responses=FILES | document(401, 404, 422, 503),
     dependencies=[Depends(require_read)],
 )
 def get_version(
     request: Request,
     use: UseCases,
     version_id: InPath,
-    format: str | None = None,  # noqa: A002 - its name on the wire
+    format: Format | None = None,  # noqa: A002 - its name on the wire
 ) -> Response:
     kind = choose_format(format, request.headers.get("accept"))
     version = use.calibrations.get(version_id)

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from fastapi import APIRouter, Depends, Request, Response
+from fastapi.responses import HTMLResponse
 
 from lbacal_core.validity import Scope
 from service.handlers.request import IMMUTABLE, InPath, UseCases, answer, require_read
@@ -16,11 +17,11 @@ from service.storage.versions import MeanC, Version
 from service.usecases.calibrations import select_paths
 from service.usecases.drift import DriftSeries, relative_to_station
 from service.usecases.overview import look_over
+from service.wire.formats import FORMATS
 from service.wire.instants import format_instant
-from service.wire.tables import VERSION_FORMATS
 
-router = APIRouter(include_in_schema=False, dependencies=[Depends(require_read)])
-assets = APIRouter(include_in_schema=False)
+router = APIRouter(include_in_schema=False, dependencies=[Depends(require_read)], default_response_class=HTMLResponse)
+assets = APIRouter(include_in_schema=False, default_response_class=Response)
 HTML = "text/html; charset=utf-8"
 STEPS_SHOWN = 25
 
@@ -81,7 +82,7 @@ def show_calibration(request: Request, use: UseCases, version_id: InPath) -> Res
     return _page(
         request, use, "calibration.html", "/", version=version, promotions=promotions, plot={"curves": curves},
         chains=_rows_of_chains(version),
-        downloads=[name for name in VERSION_FORMATS if name != "nuradio" or version.scope.antenna is not None],
+        downloads=[name for name in FORMATS if name != "nuradio" or version.scope.antenna is not None],
     )  # fmt: skip
 
 

@@ -17,9 +17,9 @@ from service.refusals import describe_refusal
 from service.wire.answers import to_json
 
 RETRY_S = 5
-STATUSES = {400: "not JSON", 401: "no valid key", 403: "scope missing", 404: "not found", 408: "body too slow",
-            409: "conflict", 413: "too large", 415: "other content type", 422: "bad input", 429: "too many requests",
-            503: "database away or busy"}  # fmt: skip
+STATUSES = {400: "not JSON", 401: "no valid key", 403: "scope missing", 404: "not found", 406: "nothing you accept",
+            408: "body too slow", 409: "conflict", 413: "too large", 415: "other content type", 422: "bad input",
+            429: "too many requests", 503: "database away or busy"}  # fmt: skip
 log = structlog.get_logger()
 
 
@@ -41,8 +41,8 @@ def problem_of(error: LbacalError) -> Response:
 
 
 def document(*statuses: int) -> dict[int | str, dict[str, Any]]:
-    """What a route's errors look like, for the OpenAPI document: any may be told to wait, any body be slow or large."""
-    every = sorted({*statuses, 429, 503, *([408, 413] if 415 in statuses else [])})
+    """What a route's errors look like, for the OpenAPI document: any may have to wait."""
+    every = sorted({*statuses, 406, 429, 503, *([408, 413] if 415 in statuses else [])})
     return {s: {"description": STATUSES[s], "content": {"application/problem+json": {}}} for s in every}
 
 

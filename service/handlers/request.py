@@ -17,6 +17,7 @@ from service.factory import Factory
 from service.handlers.limits import KeyGuard
 from service.usecases.keys import Caller
 from service.wire.answers import to_json
+from service.wire.formats import choose_media
 
 IMMUTABLE = "public, max-age=31536000, immutable"
 REVALIDATE = "no-cache"
@@ -90,6 +91,17 @@ async def require_known_query(request: Request) -> None:
         if name in seen:
             raise BadInputError("query", f"{name} once", "it twice")
         seen.add(name)
+
+
+async def require_acceptable(request: Request) -> None:
+    """Refuse, before anything is done, a client that takes nothing of what the route answers.
+
+    A route with `format=` chooses by itself, and a file of the page has the type that it has.
+    """
+    route = request.scope["route"]
+    media = getattr(route.response_class, "value", route.response_class).media_type
+    if media is not None and not any(parameter.alias == "format" for parameter in route.dependant.query_params):
+        choose_media({"": media}, request.headers.get("accept"))
 
 
 def caller_with(*scopes: str) -> Any:

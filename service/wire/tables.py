@@ -1,42 +1,70 @@
-"""The curves in effect as files: CSV, ECSV, and the text that NuRadio reads. All carry the rows of the JSON answer."""
+"""The curves in effect as files: CSV, ECSV, FITS, HDF5, and NuRadio's text. All carry the rows of the JSON answer."""
 
 from __future__ import annotations
 
 import csv
 import io
-from typing import Any
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
+import h5py
 import numpy as np
+from numpy.typing import NDArray
 
 from lbacal_core.errors import BadInputError
 
-COLUMNS = (
-    "station", "antenna", "dipole", "frequency_mhz", "c", "c_sigma_stat", "c_sigma_sys", "flag", "flag_reason",
-    "factor", "calibration", "answered_by", "valid_from", "valid_to",
-)  # fmt: skip
+if TYPE_CHECKING:
+    from astropy.table import Table
+
+FORMAT = "lbacal-effective-1"
 NURADIO_MHZ = np.arange(101.0)
-FORMATS = {"json": "application/json", "csv": "text/csv", "ecsv": "text/x-ecsv", "nuradio": "text/plain"}
-
-VERSION_FORMATS = tuple(FORMATS)
+NO_ANTENNA = -1
 
 
-def choose_format(wanted: str | None, accept: str | None) -> str:
-    """The format of an answer: `format=` wins over the header Accept."""
-    if wanted is not None:
-        if wanted not in FORMATS:
-            raise BadInputError("format", f"one of {', '.join(FORMATS)}", repr(wanted[:40]))
-        return wanted
-    media = {kind: name for name, kind in FORMATS.items() if name != "nuradio"}
-    for part in (accept or "").split(","):
-        kind = part.partition(";")[0].strip().lower()
-        if kind in media:
-            return media[kind]
-    return "json"
+@dataclass(frozen=True)
+class _Column:
+    """How a field is written where columns have a type: numbers are NaN, texts empty where there is none."""
+
+    kind: type[float | int | str]
+    description: str
+    unit: str = ""
+
+    def convert(self, values: list[Any]) -> NDArray[Any]:
+        """The values of all rows."""
+        absent = {float: np.nan, int: NO_ANTENNA, str: ""}[self.kind]
+        return np.array([absent if value is None else value for value in values], dtype=self.kind)
+
+
+COLUMNS = {
+    "station": _Column(str, "station; empty for the reference chain of the array"),
+    "antenna": _Column(int, "antenna; -1 for a reference chain"),
+    "dipole": _Column(str, "X or Y"),
+    "frequency_mhz": _Column(float, "centre of the channel", "MHz"),
+    "c": _Column(float, "calibration factor C(nu), V per ADC unit", "V"),
+    "c_sigma_stat": _Column(float, "statistical standard deviation of c", "V"),
+    "c_sigma_sys": _Column(
+        float, "systematic standard deviation of c: of single paths where a wider scope answers; else NaN", "V"
+    ),
+    "flag": _Column(str, "ok or uncertain"),
+    "flag_reason": _Column(str, "why it is uncertain"),
+    "factor": _Column(float, "c over the stored curve's: the path's own cable, (L_ref / L_path)^(1/2)"),
+    "calibration": _Column(str, "id of the version"),
+    "answered_by": _Column(str, "scope of the version: antenna, station or array"),
+    "valid_from": _Column(str, "from this instant on it is in effect, UTC"),
+    "valid_to": _Column(str, "until then; empty where the interval is open"),
+}
 
 
 def write_format(name: str, answer: dict[str, Any]) -> bytes:
-    """Write an answer to "in effect at" in one of the text formats."""
-    return {"csv": write_csv, "ecsv": write_ecsv, "nuradio": write_nuradio}[name](answer)
+    """Write an answer to "in effect at" in one of the formats of `service.wire.formats` other than JSON."""
+    writers = {
+        "csv": write_csv,
+        "ecsv": write_ecsv,
+        "fits": write_fits,
+        "hdf5": write_hdf5,
+        "nuradio": write_nuradio,
+    }
+    return writers[name](answer)
 
 
 def rows_of(answer: dict[str, Any]) -> list[dict[str, Any]]:
@@ -69,38 +97,64 @@ def write_csv(answer: dict[str, Any]) -> bytes:
 
 def write_ecsv(answer: dict[str, Any]) -> bytes:
     """Enhanced CSV of astropy: units and descriptions in the head."""
-    from astropy import units as u
-    from astropy.table import Column, Table
-
-    rows = rows_of(answer)
-    units = {"frequency_mhz": u.MHz, "c": u.V, "c_sigma_stat": u.V, "c_sigma_sys": u.V}
-    described = {
-        "c": "calibration factor C(nu), V per ADC unit",
-        "c_sigma_stat": "statistical standard deviation of c",
-        "c_sigma_sys": "systematic standard deviation of c: of single paths where a wider scope answers; else NaN",
-        "frequency_mhz": "centre of the channel",
-        "flag": "ok or uncertain",
-        "flag_reason": "why it is uncertain",
-        "factor": "c over the stored curve's: the path's own cable, (L_ref / L_path)^(1/2)",
-        "calibration": "id of the version",
-        "answered_by": "scope of the version: antenna, station or array",
-        "valid_to": "empty where the interval is open",
-    }
-    table = Table()
-    for name in COLUMNS:
-        values = [row[name] for row in rows]
-        if name in units or name == "factor":
-            column = Column(np.array([np.nan if v is None else v for v in values], dtype=float), unit=units.get(name))
-        elif name == "antenna":
-            column = Column(np.array([-1 if v is None else v for v in values], dtype=np.int64))
-        else:
-            column = Column(np.array(["" if v is None else v for v in values], dtype=np.str_))
-        column.description = described.get(name)
-        table[name] = column
+    table = _make_table(answer)
     table.meta = {"at": answer["at"], "as_of": answer["as_of"] or ""}
     text = io.StringIO()
     table.write(text, format="ascii.ecsv")
     return text.getvalue().encode()
+
+
+def write_fits(answer: dict[str, Any]) -> bytes:
+    """One binary table, AT and AS_OF in its header. FITS holds ASCII: other characters are written as escapes."""
+    from astropy.io import fits
+
+    table = _make_table(answer)
+    for name in table.colnames:
+        if table[name].dtype.kind == "U":
+            table[name] = np.char.encode(table[name].data, "ascii", "backslashreplace")
+    hdu = fits.table_to_hdu(table)
+    hdu.header["EXTNAME"] = "EFFECTIVE"
+    hdu.header["AT"] = (answer["at"], "when the data were taken, UTC")
+    hdu.header["AS_OF"] = (answer["as_of"] or "", "as known at this instant")
+    for k, name in enumerate(table.colnames, start=1):
+        hdu.header[f"TCOMM{k}"] = COLUMNS[name].description
+    file = io.BytesIO()
+    fits.HDUList([fits.PrimaryHDU(), hdu]).writeto(file)
+    return file.getvalue()
+
+
+def write_hdf5(answer: dict[str, Any]) -> bytes:
+    """One dataset [N] a column, with its unit and description as attributes; texts are UTF-8."""
+    file = io.BytesIO()
+    with h5py.File(file, "w") as root:
+        root.attrs.update({"format": FORMAT, "at": answer["at"], "as_of": answer["as_of"] or ""})
+        for name, values in _make_columns(answer).items():
+            dataset = root.create_dataset(name, data=_encode_texts(values))
+            dataset.attrs.update({"unit": COLUMNS[name].unit, "description": COLUMNS[name].description})
+    return file.getvalue()
+
+
+def _encode_texts(values: NDArray[Any]) -> NDArray[Any]:
+    if values.dtype.kind != "U":
+        return values
+    encoded = np.char.encode(values, "utf-8")
+    return encoded.astype(h5py.string_dtype("utf-8", encoded.dtype.itemsize))
+
+
+def _make_columns(answer: dict[str, Any]) -> dict[str, NDArray[Any]]:
+    rows = rows_of(answer)
+    return {name: column.convert([row[name] for row in rows]) for name, column in COLUMNS.items()}
+
+
+def _make_table(answer: dict[str, Any]) -> Table:
+    from astropy.table import Column, Table
+
+    return Table(
+        [
+            Column(values, name, description=COLUMNS[name].description, unit=COLUMNS[name].unit or None)
+            for name, values in _make_columns(answer).items()
+        ]
+    )
 
 
 def write_nuradio(answer: dict[str, Any]) -> bytes:

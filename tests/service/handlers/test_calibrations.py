@@ -3,8 +3,10 @@ from __future__ import annotations
 import csv
 import hashlib
 import io
+import math
 from typing import Any
 
+import h5py
 import numpy as np
 import pytest
 from astropy.table import Table
@@ -12,8 +14,10 @@ from fastapi.testclient import TestClient
 
 from lbacal_core.provenance import canonical_json
 from service.storage.versions import Version
+from service.wire.tables import rows_of
 
 Stored = dict[str, Version]
+NUMBERS = ("c", "c_sigma_stat", "c_sigma_sys", "factor", "frequency_mhz")
 
 
 def promote(client: TestClient, version: Version | None, start: str, end: str | None = None, **scope: Any) -> Any:
@@ -145,6 +149,63 @@ def test_the_same_question_has_the_same_bytes_and_a_settled_one_never_expires(
     etag = {"If-None-Match": settled.headers["etag"]}
     again = client.get("/v1/calibrations/effective", params={"at": "2014-06-01", "as_of": at}, headers=etag)
     assert (again.status_code, again.content) == (304, b"")
+
+
+def read_columns(kind: str, body: bytes) -> dict[str, list[Any]]:
+    """The columns of an answer in a format that is not JSON; None where there is no value."""
+    if kind == "csv":
+        rows = [
+            {name: value or None for name, value in row.items()} for row in csv.DictReader(io.StringIO(body.decode()))
+        ]
+        return {
+            name: [float(row[name]) if name in NUMBERS and row[name] else row[name] for row in rows] for name in rows[0]
+        }
+    if kind == "hdf5":
+        with h5py.File(io.BytesIO(body)) as root:
+            assert root.attrs["format"] == "lbacal-effective-1"
+            assert {name: root[name].attrs["unit"] for name in ("c", "factor")} == {"c": "V", "factor": ""}
+            found = {n: root[n].asstr()[:] if h5py.check_string_dtype(root[n].dtype) else root[n][:] for n in root}
+    else:
+        table = Table.read(
+            body.decode() if kind == "ecsv" else io.BytesIO(body), format={"ecsv": "ascii.ecsv"}.get(kind, kind)
+        )
+        assert (str(table["c"].unit), str(table["frequency_mhz"].unit)) == ("V", "MHz")
+        found = {
+            name: np.ma.filled(table[name], "" if table[name].dtype.kind in "SU" else np.nan) for name in table.colnames
+        }
+    columns = {name: np.char.decode(v) if v.dtype.kind == "S" else v for name, v in found.items()}
+    return {
+        name: [None if v in ("", -1) or (isinstance(v, float) and math.isnan(v)) else v for v in values.tolist()]
+        for name, values in columns.items()
+    }
+
+
+@pytest.mark.parametrize("kind", ["csv", "ecsv", "fits", "hdf5"])
+@pytest.mark.parametrize("scope", [{"station": "CS001"}, {"scope": "array"}])
+def test_all_formats_carry_all_fields_of_the_rows(
+    client: TestClient, stored: Stored, kind: str, scope: dict[str, str]
+) -> None:
+    promote(client, stored["array"], "2014-01-01")
+    promote(client, stored["path"], "2014-01-01", "2015-01-01")
+    told = client.get("/v1/calibrations/effective", params={"at": "2014-06-01", "format": kind, **scope})
+    assert told.status_code == 200, told.text
+    again = ask(client, format=kind, **scope)
+    assert (told.content, told.headers["etag"]) == (again.content, again.headers["etag"])
+    expected = rows_of(ask(client, **scope).json())
+    columns = read_columns(kind, told.content)
+    assert list(columns) == sorted(expected[0]) if kind == "hdf5" else list(expected[0])
+    for name, values in columns.items():
+        said = [str(value) if name == "antenna" and value is not None else value for value in values]
+        wanted = [str(row[name]) if name == "antenna" and row[name] is not None else row[name] for row in expected]
+        assert said == wanted, name
+
+
+def test_a_route_with_one_media_type_is_406_for_whoever_takes_another(client: TestClient, stored: Stored) -> None:
+    body = {"calibration": stored["path"].id, "valid_from": "2014-01-01", "reason": "test"}
+    for method, path, more in (("GET", "/v1/jobs", {}), ("POST", "/v1/promotions", {"json": body}), ("GET", "/", {})):
+        answer = client.request(method, path, headers={"Accept": "application/pdf"}, **more)
+        assert (answer.status_code, answer.json()["type"]) == (406, "urn:lbacal:not_acceptable")
+    assert client.get("/v1/calibrations/effective", params={"at": "2014-06-01"}).status_code == 404, "nothing was done"
 
 
 def test_all_formats_carry_the_same_rows(client: TestClient, stored: Stored) -> None:
