@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from lbacal_core.anomalies import Anomalies, Anomaly
 from lbacal_core.grids import Floats
 from lbacal_core.provenance import Provenance
 from lbacal_core.reference_chain import ReferenceChain
@@ -127,11 +128,14 @@ class FitReport:
     ----------
     chains
         What each curve belongs to, in the order of `curves`; None where there is no curve. Empty where nobody knows.
+    anomalies
+        Spectra with anomalous power, left out of the fit or not.
     """
 
     curves: Sequence[CalibrationCurve]
     provenance: Provenance
     chains: Sequence[ReferenceChain | None] = ()
+    anomalies: Sequence[Anomaly] = ()
 
     @property
     def status(self) -> str:
@@ -143,6 +147,7 @@ class FitReport:
         return {
             "status": self.status,
             "curves": [{**curve.as_dict(), "reference": chain} for curve, chain in self._with_reference()],
+            "anomalies": Anomalies.of(self.anomalies).as_dict(),
             "provenance": self.provenance.as_dict(),
         }
 

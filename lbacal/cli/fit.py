@@ -51,6 +51,7 @@ def fit(
 
     Exit 0 if any curve converged, else 1; the report is written either way.
     """
+    from lbacal_core.anomalies import Anomalies
     from lbacal_core.curves import CONVERGED, write_calibration_table, write_fit_report
     from lbacal_core.instrument import load_instrument
     from lbacal_core.pipeline import calibrate
@@ -71,6 +72,12 @@ def fit(
     print(f"{len(converged)} of {len(result.curves)} curves converged; wrote {output} and {report}")
     for name, note in result.provenance.notes.items():
         print(f"{name}: {note}")
+    found = Anomalies.of(result.anomalies)
+    if found.worst:
+        print(
+            f"anomalous power: {found.left_out} of {len(measured)} spectra left out, {found.fitted} fitted; "
+            f"worst: {found.name_worst(3)}"
+        )
     for curve in result.curves:
         if curve.status != CONVERGED:
             print(f"{curve.name}: {curve.status} ({curve.events} events, LST coverage {curve.lst_coverage:.2f})")

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from lbacal_core.anomalies import Anomaly
 from lbacal_core.calibration.lines import Lines, fit_lines
 from lbacal_core.calibration.separable import solve_separable
 from lbacal_core.calibration.spreads import SinglePaths, join_paths, measure_spreads
@@ -34,6 +35,7 @@ from lbacal_core.grids import Floats, require_same_grid
 from lbacal_core.instrument import Instrument
 from lbacal_core.provenance import Provenance
 from lbacal_core.reference_chain import CableTable, ReferenceChain
+from lbacal_core.screening import screen_block
 from lbacal_core.sidereal import local_sidereal_time
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra import Spectra
@@ -49,18 +51,22 @@ MIN_LST_BINS = 24
 LARGEST_RELATIVE_ERROR = 0.5
 """A curve less certain than this in any channel determines nothing."""
 
+SHARE_OF_STEADY_PATHS = 0.5
+
 
 @dataclass(frozen=True)
 class _Paths:
     """Paths to be fitted together: who they are, what was recorded and when.
 
     A mean of paths is one, with the (station, antenna) it is the mean of and what each of these gave by itself.
+    `relative_variance` is infinite for spectra that are absent or, as `anomalies` says, left out.
     """
 
     owners: list[tuple[str | None, int | None, str]]
     power: Floats
     relative_variance: Floats
     lst_hours: Floats
+    anomalies: Sequence[Anomaly] = ()
     members: Sequence[tuple[str, int]] = ()
     singles: SinglePaths | None = None
 
@@ -80,7 +86,8 @@ def fit_calibration(spectra: Spectra, instrument: Instrument, sky_power: SkyPowe
     Returns
     -------
     One curve per path, or per station or array and polarisation. The status of a curve gives the reason where the fit
-    failed. A curve of a station or of the array is that of a reference chain, which the report states beside it.
+    failed. A curve of a station or of the array is that of a reference chain, which the report states beside it, as it
+    does the anomalous spectra that were left out.
     """
     if scope not in SCOPES:
         raise BadInputError("scope", ", ".join(SCOPES), repr(scope))
@@ -93,17 +100,17 @@ def fit_calibration(spectra: Spectra, instrument: Instrument, sky_power: SkyPowe
     cable_of = require_one_cable_each(spectra, instrument)
     table = CableTable.of(instrument)
 
-    def fit_paths(paths: _Paths) -> list[tuple[CalibrationCurve, ReferenceChain | None]]:
+    def fit_paths(paths: _Paths) -> _Fitted:
         sky = sky_power.at(paths.owners[0][2], paths.lst_hours)
         curves = _fit_paths(paths, fit_lines(paths.power, sky, paths.relative_variance), instrument)
-        return [(curve, _chain_of(curve, paths, instrument, table, cable_of)) for curve in curves]
+        return [(curve, _chain_of(curve, paths, instrument, table, cable_of)) for curve in curves], paths.anomalies
 
     # NumPy leaves the interpreter's lock in its loops, so blocks of paths share the cores as threads; the threads that
     # BLAS would start within each cost twice the time.
     with threadpool_limits(1), ThreadPoolExecutor(os.cpu_count()) as pool:
         digest = pool.submit(spectra.digest)
         batches = list(pool.map(fit_paths, _paths_of_scope(spectra, instrument, sky_power, scope, cable_of)))
-    fitted = [one for batch in batches for one in batch]
+    fitted = [one for curves, _ in batches for one in curves]
     fitted.sort(key=lambda c: (c[0].station or "", -1 if c[0].antenna is None else c[0].antenna, c[0].dipole or ""))
     provenance = Provenance(
         inputs={
@@ -114,7 +121,15 @@ def fit_calibration(spectra: Spectra, instrument: Instrument, sky_power: SkyPowe
         settings={"scope": scope, "min_events": MIN_EVENTS, "min_lst_bins": MIN_LST_BINS},
         notes={} if sky_power.fit is None else {"sky_power": str(sky_power.fit)},
     )
-    return FitReport(tuple(curve for curve, _ in fitted), provenance, tuple(chain for _, chain in fitted))
+    return FitReport(
+        tuple(curve for curve, _ in fitted),
+        provenance,
+        tuple(chain for _, chain in fitted),
+        tuple(anomaly for _, anomalies in batches for anomaly in anomalies),
+    )
+
+
+_Fitted = tuple[list[tuple[CalibrationCurve, ReferenceChain | None]], Sequence[Anomaly]]
 
 
 Cables = Mapping[tuple[str, int], str]
@@ -156,18 +171,28 @@ def _paths_of_scope(
     groups = {(block.station if scope == "station" else None, block.dipole) for block in blocks}
     for station, dipole in sorted(groups, key=lambda key: (key[0] or "", key[1])):
         members = [b for b in blocks if b.dipole == dipole and station in (None, b.station)]
-        parts = [_paths_of_block(b, instrument, typical) for b in members]
+        parts = [_paths_of_block(b, instrument, typical, is_for_mean=True) for b in members]
         yield _mean_path(parts, members, instrument, sky_power, station, cable_of)
 
 
-def _paths_of_block(block: SpectraBlock, instrument: Instrument, typical_blocks: float) -> _Paths:
+def _paths_of_block(
+    block: SpectraBlock, instrument: Instrument, typical_blocks: float, *, is_for_mean: bool = False
+) -> _Paths:
+    """The paths of a block without anomalous spectra; for a mean without those paths that have too many of them.
+
+    Where most paths have too many, they are what the station records, and are averaged.
+    """
+    screened = screen_block(block, instrument.longitude_deg)
     with np.errstate(divide="ignore"):
-        relative_variance = typical_blocks / block.blocks
+        relative_variance = typical_blocks / screened.block.blocks
+    if is_for_mean and np.mean(screened.is_steady) > SHARE_OF_STEADY_PATHS:
+        relative_variance[~screened.is_steady] = np.inf
     return _Paths(
         owners=[(block.station, int(antenna), block.dipole) for antenna in block.antennas],
-        power=block.power,
+        power=screened.block.power,
         relative_variance=relative_variance,
         lst_hours=local_sidereal_time(block.time_unix, instrument.longitude_deg),
+        anomalies=screened.anomalies,
     )
 
 
@@ -221,6 +246,7 @@ def _mean_path(
         power[None],
         relative_variance[None],
         lst_hours,
+        [anomaly for part in parts for anomaly in part.anomalies],
         members,
         join_paths(singles) if singles else None,
     )

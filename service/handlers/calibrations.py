@@ -129,7 +129,8 @@ def get_version(
     kind = choose_format(format, request.headers.get("accept"))
     version = use.calibrations.get(version_id)
     chains = {dipole: chain.as_dict() for dipole, chain in version.chains.items()}
-    content = {**describe_version(version), "curves": version.payload, "reference": chains or None}
+    more = {"reference": chains or None, "anomalies": version.anomalies.as_dict()}
+    content = {**describe_version(version), "curves": version.payload, **more}
     body = content if kind == "json" else write_format(kind, describe_version_rows(version))
     return answer(request, body, media_type=FORMATS[kind], cache=IMMUTABLE)
 

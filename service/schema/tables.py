@@ -95,6 +95,7 @@ calibration = Table(
     Column("curves", Text, nullable=False, comment="canonical JSON, hashed into payload_sha256"),
     Column("payload_sha256", Text, nullable=False),
     Column("reference", Text, comment="the reference chains by dipole, JSON; cables and spreads by hash in chain_part"),
+    Column("anomalies", Text, comment="spectra with anomalous power: counts and the worst, JSON; null where none is"),
     Column("gate", Text, comment="why it was not promoted; null where it passed or nobody asked"),
     Column("made_us", BigInteger, nullable=False),
     Column("made_by", Text, nullable=False),

@@ -12,6 +12,7 @@ from sqlalchemy import Connection, Row, func, select
 from sqlalchemy.dialects.postgresql import insert as postgresql_insert
 from sqlalchemy.dialects.sqlite import insert as sqlite_insert
 
+from lbacal_core.anomalies import NONE, Anomalies, parse_anomalies
 from lbacal_core.calibration.own_cable import ToldCurve, carry_to_path
 from lbacal_core.curves import STATUSES, CalibrationCurve, parse_curve
 from lbacal_core.provenance import canonical_json, hash_content
@@ -30,7 +31,8 @@ class Version:
     """The result of one fit over the window [since, until) for one scope.
 
     `gate` is why it was not promoted by itself; None where it passed, or no promotion was requested. `chains` holds the
-    reference chain of each curve by its dipole; a dipole that is not there has none that is known.
+    reference chain of each curve by its dipole; a dipole that is not there has none that is known. `anomalies` are the
+    spectra of the window with anomalous power, most of which were left out.
     """
 
     scope: Scope
@@ -43,6 +45,7 @@ class Version:
     reason: str
     gate: str | None = None
     chains: Mapping[str, ReferenceChain] = field(default_factory=dict)
+    anomalies: Anomalies = NONE
 
     @property
     def id(self) -> str:
@@ -131,6 +134,7 @@ class VersionStore:
                     "events": version.events, "inputs": canonical_json(version.inputs),
                     "curves": canonical_json(version.payload), "payload_sha256": version.payload_sha256,
                     "reference": references[version.id],
+                    "anomalies": canonical_json(version.anomalies.as_dict()) if version.anomalies.worst else None,
                     "gate": version.gate, "made_us": version.made, "made_by": version.made_by, "reason": version.reason,
                 }
             )  # fmt: skip
@@ -220,4 +224,5 @@ def _value(row: Row[Any], chains: Mapping[str, ReferenceChain]) -> Version:
         reason=row.reason,
         gate=row.gate,
         chains=chains,
+        anomalies=NONE if row.anomalies is None else parse_anomalies(json.loads(row.anomalies)),
     )

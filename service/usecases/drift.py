@@ -12,6 +12,7 @@ from lbacal_core.drift.monthly import measure_monthly_ratios
 from lbacal_core.drift.steps import find_steps
 from lbacal_core.grids import Floats
 from lbacal_core.instrument import DIPOLES, Instrument
+from lbacal_core.screening import screen_block
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra_blocks import SpectraBlock, split_into_blocks
 from lbacal_core.validity import Instant, Promotion, Scope, timeline
@@ -114,6 +115,7 @@ class Drift:
     def _measure(self, block: SpectraBlock, references: Mapping[Scope, Version]) -> list[MonthlyRatio]:
         of_block = {s: v for s, v in references.items() if s.dipole == block.dipole}
         curves = {int(str(scope.antenna)): version.curves[0] for scope, version in of_block.items()}
+        block = screen_block(block, self.instrument.longitude_deg).block
         found = measure_monthly_ratios(block, curves, self.instrument, self.sky_power())
         months = found.months.astype("datetime64[us]").astype(np.int64)
         ratios = []

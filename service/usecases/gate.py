@@ -2,7 +2,7 @@
 
 A version passes if every curve converged, the mean statistical error of C is small enough, and the mean of C differs by
 less than the limit from the version of the same scope that was in effect for the window, or else nearest to it in time,
-both through the same cable.
+both through the same cable. An objection names the events of the window whose power is most anomalous.
 The limits are settings; a jump beyond them is either a fault or news, and both deserve a look.
 """
 
@@ -17,6 +17,9 @@ from service.storage.ledger import LedgerStore
 from service.storage.versions import Version, mean_over_band
 from service.usecases.comparison import through_common_cable
 
+EVENTS_NAMED = 3
+"""An objection names so many anomalous events, the worst first."""
+
 
 @dataclass(frozen=True)
 class Gate:
@@ -26,7 +29,12 @@ class Gate:
     error: float
 
     def objection(self, version: Version, predecessor: Version | None) -> str | None:
-        """Why a version may not go into effect by itself; None if it may."""
+        """Why a version may not go into effect by itself, with the worst of its events; None if it may."""
+        reason = self._object(version, predecessor)
+        worst = version.anomalies.name_worst(EVENTS_NAMED)
+        return f"{reason}; worst events: {worst}" if reason and worst else reason
+
+    def _object(self, version: Version, predecessor: Version | None) -> str | None:
         if predecessor and predecessor.made > version.made and predecessor.window == version.window:
             return f"{predecessor.id[:12]} was made from later data and is in effect"
         for curve in version.curves:

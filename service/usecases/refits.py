@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lbacal_core.anomalies import Anomalies
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.curves import CalibrationCurve, FitReport
 from lbacal_core.errors import BadInputError
@@ -128,6 +129,9 @@ class Refits:
                 made_by=part.by,
                 reason=part.reason,
                 chains=chains.get(scope, {}),
+                anomalies=Anomalies.of(
+                    one for one in report.anomalies if scope in Scope(one.station, one.antenna, one.dipole).widening
+                ),
             )
             for scope, group in groups.items()
         ]

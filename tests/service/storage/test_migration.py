@@ -107,7 +107,7 @@ def dump(factory: Factory) -> dict[str, list[dict[str, Any]]]:
     with factory.database.engine.begin() as connection:
         return {
             name: [
-                {key: value for key, value in row._mapping.items() if key != "reference"}
+                {key: value for key, value in row._mapping.items() if key not in ("reference", "anomalies")}
                 for row in connection.execute(text(f"SELECT * FROM {name} ORDER BY 1, 2"))  # noqa: S608 - the list above
             ]
             for name in names
