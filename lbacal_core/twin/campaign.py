@@ -15,8 +15,9 @@ from lbacal_core.sidereal import local_sidereal_time
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra import Spectra
 from lbacal_core.twin.faults.fault import Fault
+from lbacal_core.twin.gains import BEHIND_EVERYTHING, EventGains
 from lbacal_core.twin.hardware import build_station, path_calibration
-from lbacal_core.twin.nuisances import NONE, Nuisances, depart, lose_spectra
+from lbacal_core.twin.nuisances import NONE, Nuisances, add_interference, deafen, depart, lose_spectra
 from lbacal_core.twin.scatter import draw_scatter
 from lbacal_core.twin.settings import TwinSettings
 from lbacal_core.twin.stages import Scene, Stages
@@ -44,19 +45,22 @@ def simulate_campaign(
     faults: Sequence[Fault] = (),
     nuisances: Nuisances = NONE,
     view: View | None = None,
+    gains: EventGains = BEHIND_EVERYTHING,
 ) -> Campaign:
     """Simulate the spectra of every event, station, antenna and dipole.
 
     The random numbers of the weather, the hardware and the noise are independent of the faults: the same `rng` with
     and without a fault differs by the fault alone. A `view` made once for the instrument saves the seconds that the
-    first fault with a direction takes to build it.
+    first fault with a direction takes to build it; `gains` say where the gains of events act.
     """
     drawn, of_losses = draw_stations(settings, instrument, sky_power, rng, nuisances, view)
     blocks, powers = [], []
     for one in drawn:
-        power = expected_power(one.stages, one.scene, faults)
+        power = expected_power(gains.move(one.stages, one.scene, settings, one.of_gains), one.scene, faults)
+        if nuisances.interference > 0:
+            add_interference(power, nuisances.interference, one.of_gains)
         counts = one.of_noise.integers(settings.fewest_blocks, settings.most_blocks + 1, size=power.shape[:3])
-        scatter = draw_scatter(settings, counts, power.shape[3], one.of_noise, nuisances.sky_correlation)
+        scatter = draw_scatter(gains.behind(settings), counts, power.shape[3], one.of_noise, nuisances.sky_correlation)
         if one.scene.station in nuisances.noisy_stations:
             scatter = 1.0 + nuisances.noise_factor * (scatter - 1.0)
         power *= scatter
@@ -68,7 +72,7 @@ def simulate_campaign(
     return Campaign(
         spectra,
         Truth(
-            settings.as_dict() | {"nuisances": nuisances.as_dict()},
+            settings.as_dict() | {"nuisances": nuisances.as_dict(), "gains": gains.as_dict()},
             instrument.frequency_mhz,
             [one.truth for one in drawn],
             [fault.as_dict() for fault in faults],
@@ -84,6 +88,7 @@ class DrawnStation:
     stages: Stages
     truth: StationTruth
     of_noise: np.random.Generator
+    of_gains: np.random.Generator
 
 
 def draw_stations(
@@ -103,7 +108,9 @@ def draw_stations(
     require_same_grid(sky_power.origin, sky_power.frequency_mhz, instrument.frequency_mhz, instrument.name)
     stations = _stations(settings, instrument)
     of_events, *of_stations, of_losses = rng.spawn(2 + len(stations))
-    time_unix = draw_event_times(settings.start_unix, settings.years, settings.event_count, of_events)
+    time_unix = draw_event_times(
+        settings.start_unix, settings.years, settings.event_count, of_events, nuisances.clustered
+    )
     weather = draw_weather(time_unix, instrument.longitude_deg, of_events)
     own_view = view or View(instrument)
     drawn = []
@@ -125,12 +132,15 @@ def draw_stations(
             weather=weather,
             view=own_view,
         )
-        of_hardware, of_noise, of_departures = of_station.spawn(3)
+        of_hardware, of_noise, of_departures, of_gains = of_station.spawn(4)
         stages, truth = build_station(settings, instrument, scene, of_hardware)
         if nuisances.departures > 0:
             stages = depart(stages, nuisances.departures, of_departures)
+        if nuisances.deaf_antennas > 0:
+            stages = deafen(stages, nuisances.deaf_antennas, of_departures)
+        if nuisances.departures > 0 or nuisances.deaf_antennas > 0:
             truth = replace(truth, c=path_calibration(stages, instrument))
-        drawn.append(DrawnStation(scene, stages, truth, of_noise))
+        drawn.append(DrawnStation(scene, stages, truth, of_noise, of_gains))
     return drawn, of_losses
 
 

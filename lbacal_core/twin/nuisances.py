@@ -34,6 +34,12 @@ class Nuisances:
         frequency: as a fraction of power (levels: three times that).
     sky_correlation
         Part of the radiometer variance that all antennas of a station share, because they see the same sky.
+    deaf_antennas
+        Antennas of each station whose amplifiers are broken: they receive `DEAF_GAIN` of what the others do.
+    clustered
+        Fraction of the events that fall into observing runs of a few days.
+    interference
+        Lines an event that were not removed, at a random channel each, seen by all antennas of a station.
     """
 
     missing: float = 0.0
@@ -44,9 +50,13 @@ class Nuisances:
     noise_factor: float = 1.5
     departures: float = 0.0
     sky_correlation: float = 0.0
+    deaf_antennas: int = 0
+    clustered: float = 0.0
+    interference: float = 0.0
 
     def __post_init__(self) -> None:
-        for field, limit in (("missing", 0.9), ("thin", 1.0), ("departures", 0.2), ("sky_correlation", 0.9)):
+        limits = {"missing": 0.9, "thin": 1.0, "departures": 0.2, "sky_correlation": 0.9, "clustered": 1.0}
+        for field, limit in limits.items():
             if not 0 <= getattr(self, field) <= limit:
                 raise BadInputError(
                     f"twin nuisances: {field}", f"a fraction, 0 to {limit:g}", f"{getattr(self, field)}"
@@ -56,6 +66,11 @@ class Nuisances:
         """The nuisances as JSON values."""
         return asdict(self) | {"noisy_stations": list(self.noisy_stations)}
 
+
+DEAF_GAIN = 0.03
+"""Power gain of a deaf antenna over that of the others: the coupling into a broken amplifier."""
+RESIDUAL_LINE = 0.03
+"""Mean power of a line that was not removed, as a fraction of the power of its channel."""
 
 NONE = Nuisances()
 REALISTIC = Nuisances(
@@ -81,6 +96,26 @@ def depart(stages: Stages, size: float, rng: np.random.Generator) -> Stages:
         receiver=stages.receiver * spread(size),
         antenna=stages.antenna * (1.0 + own),
     )
+
+
+def deafen(stages: Stages, count: int, rng: np.random.Generator) -> Stages:
+    """The stages with some antennas that hardly receive the sky, from the first event on."""
+    antennas = stages.gain.shape[0]
+    gain = stages.gain.copy()
+    gain[rng.choice(antennas, size=min(count, antennas - 1), replace=False)] *= DEAF_GAIN
+    return replace(stages, gain=gain)
+
+
+def add_interference(power: Floats, lines_an_event: float, rng: np.random.Generator) -> None:
+    """Add narrow lines to a power of shape (antenna, dipole, event, freq), in place.
+
+    A line lies in one channel of one event, and reaches every path with a strength of its own.
+    """
+    antennas, dipoles, events, channels = power.shape
+    lines = rng.poisson(lines_an_event * events)
+    event, channel = rng.integers(events, size=lines), rng.integers(channels, size=lines)
+    strength = rng.exponential(RESIDUAL_LINE, size=lines) * rng.uniform(0.5, 1.5, size=(antennas, dipoles, lines))
+    power[:, :, event, channel] *= 1.0 + strength
 
 
 def lose_spectra(spectra: Spectra, nuisances: Nuisances, longitude_deg: float, rng: np.random.Generator) -> Spectra:

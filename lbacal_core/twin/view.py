@@ -13,10 +13,11 @@ from functools import cached_property
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from lbacal_core.antenna.model import Complexes
+from lbacal_core.antenna.model import AntennaModel, Complexes
 from lbacal_core.antenna.names import DEFAULT_ANTENNA, load_antenna
 from lbacal_core.grids import Floats
 from lbacal_core.instrument import DIPOLES, Instrument
+from lbacal_core.sky.model import SkyModel
 from lbacal_core.sky.names import DEFAULT_SKY, load_sky
 from lbacal_core.twin.bodies import horizontal, on_the_equator_of
 
@@ -33,13 +34,21 @@ Weighting = Callable[[Floats, Floats], Floats]
 
 @dataclass(frozen=True)
 class View:
-    """What an instrument's dipoles see of the default sky through the default antenna."""
+    """What an instrument's dipoles see of a sky through an antenna; of the default ones unless others are given.
+
+    Attributes
+    ----------
+    sky, antenna
+        Names or files of models, or models.
+    """
 
     instrument: Instrument
+    sky: str | SkyModel = DEFAULT_SKY
+    antenna: str | AntennaModel = DEFAULT_ANTENNA
 
     def response(self, zenith: Floats, azimuth: Floats, frequency_mhz: Floats, turned_deg: float = 0.0) -> Floats:
         """D of both dipoles towards directions of shape (...), 1 at zenith; shape (dipole, ..., freq)."""
-        antenna = load_antenna(DEFAULT_ANTENNA)
+        antenna = load_antenna(self.antenna) if isinstance(self.antenna, str) else self.antenna
         around = np.linspace(0.0, 2 * np.pi, 8, endpoint=False)
         at_zenith = _power(antenna.jones(frequency_mhz, np.zeros(8), around)).mean(axis=-1)
         patterns = []
@@ -59,7 +68,7 @@ class View:
         """Right ascension and declination of date, shape (pixel,), and temperature, shape (node, pixel)."""
         import healpy
 
-        sky = load_sky(DEFAULT_SKY).temperature(self.nodes_mhz)
+        sky = (load_sky(self.sky) if isinstance(self.sky, str) else self.sky).temperature(self.nodes_mhz)
         lmax = sky.shape[1] - 1
         order = healpy.Alm.getlm(lmax)
         maps = [healpy.alm2map(multipoles[order], SIDE, lmax=lmax) for multipoles in sky]

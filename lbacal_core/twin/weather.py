@@ -18,16 +18,35 @@ SPELL_S = 10_800.0
 """Rain comes in spells of three hours."""
 HEAVY_MM_H = 1.5
 """Mean intensity of a wet hour."""
+RUNS_A_YEAR, RUN_S = 25, 3 * DAY_S
+"""Observing runs, into which the events of real campaigns cluster."""
 
 
-def draw_event_times(start_unix: float, years: float, count: int, rng: np.random.Generator) -> Floats:
-    """Instants of `count` events, uniform over the campaign, no two in the same UTC second.
+def draw_event_times(
+    start_unix: float, years: float, count: int, rng: np.random.Generator, clustered: float = 0.0
+) -> Floats:
+    """Instants of `count` events of the campaign, no two in the same UTC second.
+
+    Parameters
+    ----------
+    clustered
+        Fraction of the events that fall into runs of three days, 25 a year; the others are uniform.
 
     Returns
     -------
     Shape (event,), s UTC, rising.
     """
-    seconds = rng.choice(int(years * YEAR_S), size=count, replace=False)
+    whole = int(years * YEAR_S)
+    if clustered > 0:
+        begins = rng.integers(0, whole - round(RUN_S), size=max(1, round(RUNS_A_YEAR * years)))
+        seconds = np.empty(0, dtype=np.int64)
+        while seconds.size < count:
+            in_run = begins[rng.integers(begins.size, size=2 * count)] + rng.integers(round(RUN_S), size=2 * count)
+            tried = np.where(rng.random(2 * count) < clustered, in_run, rng.integers(whole, size=2 * count))
+            seconds = np.unique(np.concatenate([seconds, tried]))
+        seconds = rng.choice(seconds, size=count, replace=False)
+    else:
+        seconds = rng.choice(whole, size=count, replace=False)
     return np.sort(start_unix + seconds + rng.random(count))
 
 

@@ -11,8 +11,8 @@ from lbacal_core.instrument import Instrument
 from lbacal_core.sidereal import local_sidereal_time
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.twin.campaign import Campaign, simulate_campaign
-from lbacal_core.twin.nuisances import NONE, REALISTIC, Nuisances
-from lbacal_core.twin.settings import TwinSettings
+from lbacal_core.twin.nuisances import DEAF_GAIN, NONE, REALISTIC, RESIDUAL_LINE, Nuisances
+from lbacal_core.twin.settings import YEAR_S, TwinSettings
 
 SETTINGS = TwinSettings(events_per_year=400)
 
@@ -75,6 +75,42 @@ def test_departures_are_in_the_truth_and_have_zero_mean(low_band: Instrument, tw
     # Power: 2 % from g behind N_RCU and 2 % from A; half of that in C.
     assert departure.std() == pytest.approx(0.014, rel=0.4)
     assert abs(departure.mean()) < 0.014 / 12**0.5 * 3
+
+
+def test_a_deaf_antenna_hardly_hears_the_sky_and_the_truth_knows(low_band: Instrument, two_waves: SkyPower) -> None:
+    same, deaf = (
+        _simulate(low_band, two_waves, Nuisances(deaf_antennas=count), SETTINGS).truth.stations[0].c for count in (0, 1)
+    )
+    ratio = (deaf / same) ** -2
+    assert sorted(ratio[:, :, 25].min(axis=1).round(6)) == [DEAF_GAIN, 1, 1, 1, 1, 1]
+
+
+def test_events_of_runs_lie_together(low_band: Instrument, two_waves: SkyPower) -> None:
+    counts = []
+    for part in (0.0, 0.6):
+        spectra = _simulate(
+            low_band, two_waves, Nuisances(clustered=part), replace(SETTINGS, stations=("CS002",))
+        ).spectra
+        times = np.unique(spectra.time_unix)
+        assert times.size == 400
+        counts.append(np.histogram(times, 73, (SETTINGS.start_unix, SETTINGS.start_unix + YEAR_S))[0])
+    assert counts[1].std() > 1.5 * counts[0].std()
+
+
+def test_interference_that_was_left_is_in_single_channels_of_all_paths(
+    low_band: Instrument, two_waves: SkyPower
+) -> None:
+    still = replace(SETTINGS, radiometer=0, event_gain_common=0, event_gain_path=0, stations=("CS002",))
+    clean, spoilt = (
+        _simulate(low_band, two_waves, Nuisances(interference=lines), still).spectra.power.reshape(12, -1)
+        for lines in (0.0, 0.2)
+    )
+    excess = spoilt / clean - 1
+    is_hit = excess > 0
+    assert np.mean(is_hit.any(axis=0)) == pytest.approx(0.2 / 51, rel=0.4)  # 80 lines
+    assert np.all(is_hit.all(axis=0) == is_hit.any(axis=0))
+    assert excess[is_hit].mean() == pytest.approx(RESIDUAL_LINE, rel=0.4)
+    assert excess.min() >= 0
 
 
 def test_a_realistic_campaign_still_calibrates(low_band: Instrument, two_waves: SkyPower) -> None:
