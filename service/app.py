@@ -11,7 +11,7 @@ from prometheus_client import CollectorRegistry
 from starlette.middleware.gzip import GZipMiddleware
 
 from service.factory import Factory
-from service.handlers import calibrations, drift, health, jobs, pages, problems, spectra
+from service.handlers import calibrations, drift, health, jobs, pages, problems, session, spectra
 from service.handlers.edge import Edge
 from service.handlers.head import AnswersHead
 from service.handlers.limits import KeyGuard
@@ -43,9 +43,11 @@ def make_app(factory: Factory) -> FastAPI:
         health.router,
         pages.router,
         pages.assets,
+        session.router,
     ):
         app.include_router(router)
     problems.install(app)
+    session.install(app)
 
     app.add_middleware(GZipMiddleware, minimum_size=GZIP_FROM, compresslevel=1)
     app.add_middleware(AnswersHead)

@@ -37,12 +37,22 @@ from service.wire.answers import (
     to_json,
 )
 from service.wire.bodies import PromotionBody, parse_body
+from service.wire.calibration_models import (
+    ChangesAnswer,
+    DiffAnswer,
+    InEffectAnswer,
+    PromotionAnswer,
+    VersionsAnswer,
+    WholeVersionAnswer,
+)
 from service.wire.formats import FORMATS, Format, choose_format
 from service.wire.instants import format_instant, format_optional, parse_at, parse_instant
 from service.wire.tables import write_format
 
 router = APIRouter(tags=["calibrations"])
-FILES: dict[int | str, dict[str, Any]] = {200: {"content": {media: {} for media in FORMATS.values()}}}
+FILES: dict[int | str, dict[str, Any]] = {
+    200: {"content": {media: {} for media in FORMATS.values() if media != "application/json"}}
+}
 """What the routes with `format=` answer, for the OpenAPI document."""
 SETTLED_US = 60_000_000
 """The ledger at an instant is final once this time has passed: promotions commit within 5 s of their `at`."""
@@ -50,6 +60,7 @@ SETTLED_US = 60_000_000
 
 @router.get(
     "/v1/calibrations/effective",
+    response_model=InEffectAnswer,
     summary="The calibration in effect on a date",
     description="`at` (or `mjd`) is when the data were taken, `as_of` when the question is asked: pin it to get the "
     "same answer for ever. A path is answered by its own version, else its station's, else the array's; a curve of a "
@@ -89,6 +100,7 @@ def get_in_effect(
 
 @router.get(
     "/v1/calibrations",
+    response_model=VersionsAnswer,
     summary="List versions",
     description="In order of id, without their curves; `next` is the cursor of the next page.",
     responses=document(401, 422, 503),
@@ -114,6 +126,7 @@ def list_versions(
 
 @router.get(
     "/v1/calibrations/{version_id}",
+    response_model=WholeVersionAnswer,
     summary="One version",
     description="Its inputs, curves and `payload_sha256`, the SHA-256 of `curves` as canonical JSON. The other formats "
     "have the columns of `effective`, the window of the fit as interval.",
@@ -137,6 +150,7 @@ def get_version(
 
 @router.get(
     "/v1/calibrations/{first}/diff/{second}",
+    response_model=DiffAnswer,
     summary="How two versions differ",
     description="Per dipole the change of C from the first to the second that one and the same path is told, as a "
     "fraction and in standard deviations.",
@@ -151,9 +165,13 @@ def get_diff(request: Request, use: UseCases, first: InPath, second: InPath) -> 
 @router.post(
     "/v1/promotions",
     status_code=201,
+    response_model=PromotionAnswer,
     summary="Promote a version for an interval, or withdraw",
     description="`dry_run=true` answers 200 with the changes and writes nothing.",
-    responses=document(400, 401, 403, 404, 409, 415, 422, 503),
+    responses={
+        200: {"description": "what it would change", "model": ChangesAnswer},
+        **document(400, 401, 403, 404, 409, 415, 422, 503),
+    },
     openapi_extra=describes(PromotionBody),
 )
 def promote(

@@ -13,6 +13,7 @@ from service.handlers.request import AntennaQuery, UseCases, answer, require_rea
 from service.usecases.calibrations import select_paths
 from service.usecases.drift import DriftSeries
 from service.wire.answers import describe_scope
+from service.wire.calibration_models import DriftAnswer
 from service.wire.instants import format_instant
 
 router = APIRouter(tags=["drift"])
@@ -20,6 +21,7 @@ router = APIRouter(tags=["drift"])
 
 @router.get(
     "/v1/drift",
+    response_model=DriftAnswer,
     summary="C over time, against the first year",
     description="For the array, a station, or one path: the band mean of C of every version, C of every month over "
     "that of the path's first whole year (for many paths the median and the middle 68 %), and the best step of "

@@ -19,7 +19,7 @@ from service.handlers.limits import Buckets
 from service.handlers.metrics import Traffic
 from service.handlers.problems import problem, problem_of
 
-_ELSEWHERE = "img-src 'self' data:; connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+_ELSEWHERE = "img-src 'self' data:; connect-src 'self'; base-uri 'none'; form-action 'self'; frame-ancestors 'none'"
 _PLOTS = "style-src 'self' 'sha256-47DEQpj8HBSa+/TImW+5JCeuQeRkm5NMpJWZG3hSuFU='; style-src-attr 'unsafe-inline'"
 """Plotly makes one empty style element (the hash is that of nothing) and writes style attributes into its SVG."""
 STRICT = f"default-src 'none'; script-src 'self'; {_PLOTS}; {_ELSEWHERE}"

@@ -13,18 +13,20 @@ from service.handlers.problems import document
 from service.handlers.request import UseCases, answer, require_read
 from service.storage.jobs import Failure
 from service.usecases.status import State
+from service.wire.calibration_models import AliveAnswer, ReadyAnswer, StatusAnswer
 from service.wire.instants import format_instant, format_optional
 
 router = APIRouter(tags=["health"])
 
 
-@router.get("/healthz", summary="The process lives")
+@router.get("/healthz", response_model=AliveAnswer, summary="The process lives", responses=document())
 async def get_health(request: Request) -> Response:
     return answer(request, {"status": "alive"})
 
 
 @router.get(
     "/readyz",
+    response_model=ReadyAnswer,
     summary="The service can do its work",
     description="503 with the reason while the database is away or of another schema, its disk is full, or no worker "
     "has lived for a minute.",
@@ -37,6 +39,7 @@ def get_readiness(request: Request, use: UseCases) -> Response:
 
 @router.get(
     "/v1/status",
+    response_model=StatusAnswer,
     summary="What an operator looks at",
     description="Readiness and its problem, processes, parts of jobs by state, and the failures of the last 30 days "
     "that nothing has made up for, with the time after which due work is tried again.",

@@ -10,7 +10,7 @@ from fastapi import APIRouter, Depends, Request, Response
 from fastapi.responses import HTMLResponse
 
 from lbacal_core.validity import Scope
-from service.handlers.request import IMMUTABLE, InPath, UseCases, answer, require_read
+from service.handlers.request import FORM_COOKIE, IMMUTABLE, KEY_COOKIE, InPath, UseCases, answer, require_read
 from service.page.assets import find_asset
 from service.page.render import format_day, name_scope, render_page
 from service.storage.versions import MeanC, Version
@@ -27,7 +27,8 @@ STEPS_SHOWN = 25
 
 
 def _page(request: Request, use: UseCases, name: str, here: str, **content: Any) -> Response:
-    body = render_page(name, here=here, instrument=use.instrument.name, **content)
+    word = request.cookies.get(FORM_COOKIE) if KEY_COOKIE in request.cookies else None
+    body = render_page(name, here=here, instrument=use.instrument.name, leave=word, **content)
     return answer(request, body, media_type=HTML)
 
 

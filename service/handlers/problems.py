@@ -9,12 +9,15 @@ from typing import Any
 import structlog
 from fastapi import FastAPI, Request, Response
 from fastapi.exceptions import RequestValidationError
+from fastapi.responses import HTMLResponse
 from starlette.exceptions import HTTPException
 
 from lbacal_core.errors import BadInputError, LbacalError
-from service.errors import TooManyError, UnavailableError
+from service.errors import NotAcceptableError, TooManyError, UnavailableError
+from service.page.render import render_page
 from service.refusals import describe_refusal
 from service.wire.answers import to_json
+from service.wire.formats import choose_media
 
 RETRY_S = 5
 STATUSES = {400: "not JSON", 401: "no valid key", 403: "scope missing", 404: "not found", 406: "nothing you accept",
@@ -40,6 +43,27 @@ def problem_of(error: LbacalError) -> Response:
     return problem(error.status, error.code, str(error), retry_s)
 
 
+def wants_page(request: Request) -> bool:
+    """Whether a browser shows the answer to a human."""
+    if request.url.path.startswith("/v1/"):
+        return False
+    offered = {"problem": "application/problem+json", "page": "text/html"}
+    try:
+        return choose_media(offered, request.headers.get("accept")) == "page"
+    except NotAcceptableError:
+        return False
+
+
+def _show(request: Request, answered: Response, detail: str) -> Response:
+    """A problem as a page where a human looks at it."""
+    if not wants_page(request):
+        return answered
+    title = HTTPStatus(answered.status_code).phrase
+    body = render_page("problem.html", here="", instrument="", title=title, detail=detail)
+    kept = {name: answered.headers[name] for name in ("retry-after", "allow") if name in answered.headers}
+    return HTMLResponse(body, answered.status_code, kept)
+
+
 def document(*statuses: int) -> dict[int | str, dict[str, Any]]:
     """What a route's errors look like, for the OpenAPI document: any may have to wait."""
     every = sorted({*statuses, 406, 429, 503, *([408, 413] if 415 in statuses else [])})
@@ -50,18 +74,19 @@ def install(app: FastAPI) -> None:
     """Answer every expected failure with a problem; `Edge` answers the others."""
 
     @app.exception_handler(LbacalError)
-    def _expected(_request: Request, error: LbacalError) -> Response:
+    def _expected(request: Request, error: LbacalError) -> Response:
         if isinstance(error, UnavailableError):
             log.warning("unavailable", reason=str(error), detail=error.detail)
-        return problem_of(error)
+        return _show(request, problem_of(error), str(error))
 
     @app.exception_handler(RequestValidationError)
-    def _bad_parameter(_request: Request, error: RequestValidationError) -> Response:
+    def _bad_parameter(request: Request, error: RequestValidationError) -> Response:
         place = ".".join(str(part) for part in error.errors()[0]["loc"][1:]) or "query"
-        return problem(422, "bad_input", str(BadInputError(place, *describe_refusal(error.errors()))))
+        sentence = str(BadInputError(place, *describe_refusal(error.errors())))
+        return _show(request, problem(422, "bad_input", sentence), sentence)
 
     @app.exception_handler(HTTPException)
     def _no_such_route(request: Request, error: HTTPException) -> Response:
         answered = problem(error.status_code, "no_such_route", f"{request.method} {request.url.path}: {error.detail}")
         answered.headers.update(error.headers or {})
-        return answered
+        return _show(request, answered, "there is no such page here")

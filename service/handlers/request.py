@@ -8,7 +8,8 @@ from collections.abc import AsyncIterator, Sequence
 from contextlib import AbstractAsyncContextManager, nullcontext
 from typing import Annotated, Any, cast
 
-from fastapi import Depends, Header, Path, Query, Request, Response
+from fastapi import Depends, Header, Path, Query, Request, Response, Security
+from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 from pydantic import BaseModel, BeforeValidator
 
 from lbacal_core.errors import BadInputError
@@ -21,6 +22,7 @@ from service.wire.formats import choose_media
 
 IMMUTABLE = "public, max-age=31536000, immutable"
 REVALIDATE = "no-cache"
+KEY_COOKIE, FORM_COOKIE = "lbacal_key", "lbacal_form"
 HDF5 = "application/x-hdf5"
 SMALL_BODY = 65_536
 """Bytes of a body that changes one thing; the longest reason takes 24,000."""
@@ -57,19 +59,31 @@ async def _provide_factory(request: Request) -> Factory:
     return get_factory(request)
 
 
+BEARER = HTTPBearer(scheme_name="key", description="A key made by `lbacal keys create`.", auto_error=False)
+Bearer = Annotated[HTTPAuthorizationCredentials | None, Security(BEARER)]
+"""For the OpenAPI document: what reads the header is `require_caller`."""
+
 UseCases = Annotated[Factory, Depends(_provide_factory)]
 """Asynchronous, as all that does not wait: what is not changes threads, which takes longer than it does."""
 
 
-def require_read(request: Request, use: UseCases) -> Caller:
+def require_read(request: Request, use: UseCases, _bearer: Bearer) -> Caller:
     """A caller who may read."""
     return require_caller(request, use, "read")
 
 
-def require_caller(request: Request, use: Factory, *scopes: str) -> Caller:
-    """Who asks, if they may; an address that tries many wrong keys is told to wait."""
+def require_caller(request: Request, use: Factory, *scopes: str, authorization: str | None = None) -> Caller:
+    """Who asks, if they may; an address that tries many wrong keys is told to wait.
+
+    `authorization` is that of the request unless it is given: its header, or where reads need a key, and for reads
+    alone, the key that a browser keeps.
+    """
     guard = cast("KeyGuard", request.app.state.guard)
-    address, authorization = request.client.host if request.client else "", request.headers.get("authorization")
+    address = request.client.host if request.client else ""
+    authorization = authorization or request.headers.get("authorization")
+    if authorization is None and scopes == ("read",) and request.method == "GET" and not use.settings.open_reads:
+        kept = request.cookies.get(KEY_COOKIE)
+        authorization = None if kept is None else f"Bearer {kept}"
     guard.require_patience(address, authorization)
     try:
         caller = use.keys.require(authorization, *scopes)
@@ -107,7 +121,7 @@ async def require_acceptable(request: Request) -> None:
 def caller_with(*scopes: str) -> Any:
     """A dependency that yields a caller who holds the scopes."""
 
-    def require(request: Request, use: UseCases) -> Caller:
+    def require(request: Request, use: UseCases, _bearer: Bearer) -> Caller:
         return require_caller(request, use, *scopes)
 
     return Depends(require)
@@ -116,6 +130,11 @@ def caller_with(*scopes: str) -> Any:
 async def read_json_body(request: Request) -> bytes:
     """The body of a JSON request that changes one thing."""
     return await _read_body(request, ("application/json",), SMALL_BODY, "")
+
+
+async def read_form_body(request: Request) -> bytes:
+    """The body of a form on one of our pages."""
+    return await _read_body(request, ("application/x-www-form-urlencoded",), SMALL_BODY, "")
 
 
 async def read_spectra_body(request: Request, use: UseCases) -> AsyncIterator[bytes]:
@@ -163,10 +182,11 @@ def answer(
     """Answer with content; a client that holds the same bytes gets 304."""
     body = content if isinstance(content, bytes) else to_json(content)
     etag = f'"{hashlib.sha256(body).hexdigest()}"'
-    if not get_factory(request).settings.open_reads:
+    is_open = get_factory(request).settings.open_reads
+    if not is_open:
         # what needs a key is for its holder: no cache between may keep it for others (RFC 9111, 3.5)
         cache = f"private, {cache.removeprefix('public, ')}"
-    headers = {"ETag": etag, "Cache-Control": cache, "Vary": "Accept"}
+    headers = {"ETag": etag, "Cache-Control": cache, "Vary": "Accept" if is_open else "Accept, Authorization, Cookie"}
     known = [tag.strip().removeprefix("W/") for tag in request.headers.get("if-none-match", "").split(",")]
     if request.method in ("GET", "HEAD") and etag in known:
         return Response(status_code=304, headers=headers)

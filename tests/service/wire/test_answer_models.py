@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 from fastapi.testclient import TestClient
 
+from service.storage.versions import Version
 from service.wire.answer_models import (
     Answer,
     EventAnswer,
@@ -16,6 +17,17 @@ from service.wire.answer_models import (
     ReceiptAnswer,
     ReceiptsAnswer,
     RefitAnswer,
+)
+from service.wire.calibration_models import (
+    AliveAnswer,
+    ChangesAnswer,
+    DiffAnswer,
+    DriftAnswer,
+    InEffectAnswer,
+    PromotionAnswer,
+    StatusAnswer,
+    VersionsAnswer,
+    WholeVersionAnswer,
 )
 
 ROW = {
@@ -56,6 +68,56 @@ def test_an_answer_has_the_fields_that_the_documentation_tells(
     told = stored_client.get("/openapi.json").json()["paths"][route][method.lower()]["responses"]
     schema = told[str(answer.status_code)]["content"]["application/json"]["schema"]
     assert schema == {"$ref": f"#/components/schemas/{model.__name__}"}
+
+
+PATH = "station=CS001&antenna=0&dipole=X"
+A, B = "{path}", "{other}"
+
+
+@pytest.mark.parametrize(
+    ("model", "method", "path", "body"),
+    [
+        (AliveAnswer, "GET", "/healthz", None),
+        (StatusAnswer, "GET", "/v1/status", None),
+        (InEffectAnswer, "GET", f"/v1/calibrations/effective?at=2014-06-01&{PATH}", None),
+        (InEffectAnswer, "GET", "/v1/calibrations/effective?at=2014-06-01&station=CS001", None),
+        (VersionsAnswer, "GET", "/v1/calibrations?limit=2", None),
+        (WholeVersionAnswer, "GET", f"/v1/calibrations/{A}", None),
+        (DiffAnswer, "GET", f"/v1/calibrations/{A}/diff/{B}", None),
+        (ChangesAnswer, "POST", "/v1/promotions?dry_run=true", "promotion"),
+        (PromotionAnswer, "POST", "/v1/promotions", "promotion"),
+        (DriftAnswer, "GET", f"/v1/drift?{PATH}", None),
+    ],
+)
+def test_an_answer_about_calibrations_has_the_fields_that_the_documentation_tells(
+    client: TestClient, stored: dict[str, Version], model: type[Answer], method: str, path: str, body: Any
+) -> None:
+    promotion = {"calibration": stored["path"].id, "valid_from": "2014-01-01", "reason": "test"}
+    assert client.post("/v1/promotions", json=promotion).status_code == 201
+    asked = path.format(**{name: version.id for name, version in stored.items()})
+    answer = client.request(method, asked, **({"json": promotion} if body else {}))
+    assert answer.is_success, answer.text
+    model.model_validate_json(answer.content)
+    route = path.partition("?")[0].replace(f"{A}/diff/{B}", "{first}/diff/{second}").replace(A, "{version_id}")
+    told = client.get("/openapi.json").json()["paths"][route][method.lower()]["responses"]
+    schema = told[str(answer.status_code)]["content"]["application/json"]["schema"]
+    assert schema == {"$ref": f"#/components/schemas/{model.__name__}"}
+
+
+def test_every_route_tells_what_it_answers_and_how_a_key_is_given(client: TestClient) -> None:
+    """All answer schemas were empty, and there was no Authorize button."""
+    told = client.get("/openapi.json").json()
+    assert told["components"]["securitySchemes"]["key"]["scheme"] == "bearer"
+    for path, methods in told["paths"].items():
+        for method, route in methods.items():
+            good = [response for status, response in route["responses"].items() if status.startswith("2")]
+            assert good, (method, path)
+            for response in good:
+                kinds = response["content"]
+                assert kinds.get("application/json", {"schema": True})["schema"], (method, path)
+            is_open = path in ("/healthz", "/readyz")
+            assert route.get("security", []) == ([] if is_open else [{"key": []}]), (method, path)
+            assert "406" in route["responses"], (method, path)
 
 
 @pytest.mark.parametrize("path", ["/v1/spectra", "/v1/events/{event_id}/flag", "/v1/refits", "/v1/promotions"])

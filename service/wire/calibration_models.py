@@ -1,0 +1,276 @@
+"""What answers about calibrations, drift and the state of the service look like, for the OpenAPI document."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+from pydantic import ConfigDict, Field
+
+from service.wire.answer_models import Answer
+
+Level = Literal["array", "station", "antenna"]
+
+
+class AliveAnswer(Answer):
+    """The process lives."""
+
+    status: Literal["alive"]
+
+
+class ReadyAnswer(Answer):
+    """The service can do its work."""
+
+    status: Literal["ready"]
+    instrument: str
+
+
+class ProcessAnswer(Answer):
+    """A process of the service."""
+
+    name: str
+    kind: Literal["api", "scheduler", "worker"]
+    alive: bool
+    silent_s: float = Field(description="time since it said that it lives, s")
+    started_at: str
+
+
+class FailureAnswer(Answer):
+    """A job that failed and that nothing made up for."""
+
+    job: int
+    kind: str
+    request: dict[str, Any]
+    error: str
+    tries: int
+    again_after: str | None = Field(description="when it is tried again; null where nobody will unless asked")
+
+
+class StatusAnswer(Answer):
+    """What an operator looks at."""
+
+    ready: bool
+    problem: str | None
+    processes: list[ProcessAnswer]
+    parts: dict[str, int] = Field(description="parts of jobs by state")
+    stuck: list[str]
+    events: int
+    newest_event: str | None
+    gated: int = Field(description="versions that the gate kept back and nobody promoted")
+    failures: list[FailureAnswer]
+
+
+class PathAnswer(Answer):
+    """A path, a station (antenna and dipole null) or the array (all null)."""
+
+    station: str | None
+    antenna: int | None
+    dipole: str | None
+
+
+class Fitted(Answer):
+    """A number and its standard deviation."""
+
+    value: float
+    sigma: float
+
+
+class CurveAnswer(PathAnswer):
+    """A curve as in fit.json (docs/formats.md), which may hold more fields than these."""
+
+    model_config = ConfigDict(strict=True, extra="allow")
+
+    status: str
+    events: int
+    frequency_mhz: list[float]
+    c: list[float | None] | None = Field(description="C(nu), V per ADC unit")
+    c_sigma_stat: list[float | None] | None
+    c_sigma_sys: list[float | None] | None
+    chi2_per_dof: float | None
+    lst_coverage: float
+    parameters: dict[str, Fitted]
+
+
+class Validity(Answer):
+    """A half-open interval; `to` null is open."""
+
+    model_config = ConfigDict(strict=True, extra="forbid", populate_by_name=True)
+
+    start: str = Field(alias="from")
+    end: str | None = Field(alias="to")
+
+
+class ReferenceAnswer(Answer):
+    """What a curve of a wider scope was converted from."""
+
+    paths: int = Field(description="how many paths it is the mean of")
+    cable: str | None = Field(description="of the path")
+    cables: str = Field(description="hash of the cable table")
+    spreads: str | None = Field(description="hash of the departures of single paths")
+    jensen: list[float] | None
+
+
+class TraceAnswer(Answer):
+    """A promotion on the way from the narrowest scope to the one that answered."""
+
+    scope: Level
+    promotion: int
+    calibration: str | None
+    at: str
+
+
+class CurveInEffectAnswer(CurveAnswer):
+    """The curve that answers for a path, through the path's own cable."""
+
+    calibration: str
+    answered_by: Level
+    factor: list[float] = Field(description="C told over C of the stored curve")
+    flag: list[Literal["ok", "uncertain"]]
+    flag_reason: str | None
+    reference: ReferenceAnswer | None
+    valid: Validity
+    held: bool
+    trace: list[TraceAnswer]
+
+
+class InEffectAnswer(Answer):
+    """The calibration in effect at an instant."""
+
+    model_config = ConfigDict(strict=True, extra="allow")
+
+    at: str
+    as_of: str | None = Field(description="as it was asked")
+    curves: list[CurveInEffectAnswer]
+    missing: list[PathAnswer] = Field(description="paths for which nothing is in effect")
+
+
+class VersionAnswer(PathAnswer):
+    """A version without its curves."""
+
+    model_config = ConfigDict(strict=True, extra="allow")
+
+    id: str
+    scope: Level
+    since: str
+    until: str
+    status: str
+    events: int
+    gate: str | None = Field(description="why it was not promoted by itself")
+    made_at: str
+    made_by: str
+    reason: str
+    payload_sha256: str
+    inputs: dict[str, Any]
+
+
+class VersionsAnswer(Answer):
+    """A page of versions."""
+
+    calibrations: list[VersionAnswer]
+    next: str | None = Field(description="cursor of the next page")
+
+
+class WholeVersionAnswer(VersionAnswer):
+    """A version with its curves."""
+
+    curves: list[CurveAnswer]
+    reference: dict[str, Any] | None = Field(description="reference chains by dipole")
+
+
+class DiffCurve(Answer):
+    """The change of C at one dipole."""
+
+    dipole: str | None
+    frequency_mhz: list[float]
+    fraction: list[float]
+    sigma: list[float]
+    max_fraction: float
+    max_sigma: float
+
+
+class DiffAnswer(Answer):
+    """How the second version differs from the first."""
+
+    first: str
+    second: str
+    curves: list[DiffCurve]
+    inputs: dict[str, Any]
+
+
+class ChangeAnswer(PathAnswer):
+    """What a promotion changes for a path over an interval."""
+
+    model_config = ConfigDict(strict=True, extra="forbid", populate_by_name=True)
+
+    start: str = Field(alias="from")
+    end: str | None = Field(alias="to")
+    before: str | None
+    after: str | None
+    max_fraction: float | None
+    max_sigma: float | None
+
+
+class ChangesAnswer(Answer):
+    """What a promotion would change."""
+
+    changes: list[ChangeAnswer]
+
+
+class PromotionAnswer(ChangesAnswer):
+    """A promotion and what it changes."""
+
+    model_config = ConfigDict(strict=True, extra="allow")
+
+    promotion: int
+    scope: Level
+    station: str | None
+    antenna: int | None
+    dipole: str | None
+    valid_from: str
+    valid_to: str | None
+    calibration: str | None
+    at: str
+    by: str
+    reason: str
+
+
+class DriftVersion(Answer):
+    """The band mean of C of a version."""
+
+    calibration: str
+    dipole: str | None
+    since: str
+    until: str
+    events: int
+    c: float
+    c_sigma: float
+
+
+class DriftMonth(Answer):
+    """C of a month over that of the first whole year."""
+
+    month: str
+    c_ratio: float
+    low: float
+    high: float
+    paths: int
+    events: int
+    calibration: str | None
+
+
+class DriftStep(PathAnswer):
+    """The best step of a path against its station."""
+
+    date: str
+    size: float
+    sigma: float
+    significance: float
+    calibration: str | None
+
+
+class DriftAnswer(PathAnswer):
+    """C over time."""
+
+    scope: Level
+    versions: list[DriftVersion]
+    months: list[DriftMonth]
+    steps: list[DriftStep]
