@@ -55,3 +55,14 @@ def require_channels(place: str, frequency_mhz: Floats) -> None:
             f"more than {frequency_mhz[k]:g} MHz (channels rise)",
             f"{frequency_mhz[k + 1]:g} MHz",
         )
+
+
+def guess_widths(frequency_mhz: Floats) -> Floats:
+    """Widths of channels of which only the centres are known, shape (freq,), MHz: the distance to the nearer one.
+
+    On the 1 MHz grid of the paper that is 1 MHz; so it is for a single channel.
+    """
+    if frequency_mhz.size == 1:
+        return np.ones(1)
+    spacing = np.diff(frequency_mhz)
+    return np.asarray(np.minimum(np.append(spacing, np.inf), np.insert(spacing, 0, np.inf)))

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lbacal_core.errors import BadInputError, UnreadableFileError
-from lbacal_core.grids import Floats, require_channels
+from lbacal_core.grids import Floats, guess_widths, require_channels
 from lbacal_core.hdf5 import (
     FLOATS,
     HDF5_FAILURES,
@@ -51,6 +51,7 @@ _KINDS = {
     "dipole": STRINGS,
     "blocks": INTEGERS,
 }
+_OPTIONAL = {"width_mhz": NUMBERS, "duration_s": NUMBERS}
 
 
 @dataclass(frozen=True)
@@ -73,6 +74,10 @@ class Spectra:
         R_r, one constant that cancels in C.
     environment
         Covariates by name (`temperature_c`, `rain_mm_h`), shape (row,), NaN where unknown.
+    width_mhz
+        Widths of the channels, shape (freq,), MHz; None where the file has none: see `channel_widths`.
+    duration_s
+        What was averaged in each spectrum, shape (row,), s; None where only `blocks` counts it.
     """
 
     frequency_mhz: Floats
@@ -86,6 +91,8 @@ class Spectra:
     resistance_ohm: float = 50.0
     environment: Mapping[str, Floats] = field(default_factory=dict)
     origin: str = "spectra"
+    width_mhz: Floats | None = None
+    duration_s: Floats | None = None
 
     def __post_init__(self) -> None:
         require_channels(self.origin, self.frequency_mhz)
@@ -107,7 +114,23 @@ class Spectra:
         self._require("event_id", self.event_id != "", "a name")
         self._require("station", self.station != "", "a name")
         self._require_covariates(rows)
+        self._require_widths_and_durations(rows)
         self._require_unique_keys()
+
+    def _require_widths_and_durations(self, rows: int) -> None:
+        for name, values, size in (
+            ("width_mhz", self.width_mhz, self.frequency_mhz.size),
+            ("duration_s", self.duration_s, rows),
+        ):
+            if values is None:
+                continue
+            if values.shape != (size,):
+                raise BadInputError(f"{self.origin}: {name}", f"{size} numbers", f"shape {values.shape}")
+            bad = np.flatnonzero(~(np.isfinite(values) & (values > 0)))
+            if bad.size:
+                raise BadInputError(
+                    f"{self.origin}: {name}, entry {bad[0]}", "a finite number > 0", f"{values[bad[0]]}"
+                )
 
     def _require_covariates(self, rows: int) -> None:
         known = np.zeros(rows, dtype=np.int64)
@@ -166,7 +189,13 @@ class Spectra:
             self.resistance_ohm,
             {name: values[rows] for name, values in self.environment.items()},
             self.origin,
+            self.width_mhz,
+            None if self.duration_s is None else self.duration_s[rows],
         )
+
+    def channel_widths(self) -> Floats:
+        """Widths of the channels, shape (freq,), MHz: as given, else 1 on a grid of whole MHz, else the spacing."""
+        return self.width_mhz if self.width_mhz is not None else guess_widths(self.frequency_mhz)
 
     def require_past(self, now_unix: float) -> None:
         """Refuse spectra from before 2009 (LOFAR's first dumps are older) or of more than a day ahead of `now_unix`."""
@@ -181,7 +210,9 @@ class Spectra:
         parts = [order[k : k + _ROWS_AT_ONCE] for k in range(0, order.size, _ROWS_AT_ONCE)]
         power = [hash_arrays(self.power[part]) for part in parts]
         names = [names for names, _ in self.key_codes.values()]
-        numbers = (self._keys[order], self.time_unix[order], self.blocks[order])
+        numbers = [self._keys[order], self.time_unix[order], self.blocks[order]]
+        numbers += [] if self.width_mhz is None else [self.width_mhz]
+        numbers += [] if self.duration_s is None else [self.duration_s[order]]
         return hash_arrays(self.frequency_mhz, [self.resistance_ohm], power, *names, *numbers)
 
     @cached_property
@@ -246,11 +277,11 @@ def _read_open_file(file: h5py.File, place: str, largest_bytes: int | None = Non
     if not isinstance(found_format, str | bytes) or read_text(found_format, f"{place}: attribute format") != FORMAT:
         raise BadInputError(f"{place}: attribute format", FORMAT, repr(found_format))
     names = set(file)
-    missing, unknown = sorted(set(_KINDS) - names), sorted(names - set(_KINDS) - {"env"})
+    missing, unknown = sorted(set(_KINDS) - names), sorted(names - set(_KINDS) - set(_OPTIONAL) - {"env"})
     if missing or unknown:
         found = [f"{word} {_listed(some)}" for word, some in (("no", missing), ("unknown", unknown)) if some]
         raise BadInputError(place, f"the datasets {', '.join(_KINDS)} and the group env", "; ".join(found))
-    kinds = dict(_KINDS)
+    kinds = _KINDS | {name: kind for name, kind in _OPTIONAL.items() if name in names}
     if "env" in names:
         if not is_in_file(file, "env") or not isinstance(file["env"], h5py.Group):
             raise BadInputError(f"{place}: env", "a group in this file", "something else")
@@ -262,9 +293,9 @@ def _read_open_file(file: h5py.File, place: str, largest_bytes: int | None = Non
             raise BadInputError(f"{place}: {name}", f"at most {largest_bytes} bytes", f"{dataset.nbytes}")
     values = {name: read_values(datasets[name], kind, f"{place}: {name}") for name, kind in kinds.items()}
     return {
-        **{name: values[name] for name in _KINDS},
+        **{name: values[name] for name in values if not name.startswith("env/")},
         "resistance_ohm": _resistance(file, place),
-        "environment": {name.removeprefix("env/"): values[name] for name in values if name not in _KINDS},
+        "environment": {name.removeprefix("env/"): values[name] for name in values if name.startswith("env/")},
     }
 
 
@@ -278,7 +309,9 @@ def _require_shapes(datasets: Mapping[str, h5py.Dataset], place: str) -> None:
         if name == "power" and dataset.shape != (rows, channels):
             expected = f"{rows} rows as in event_id and {channels} channels as in frequency_mhz"
             raise BadInputError(f"{place}: power", expected, f"shape {dataset.shape}")
-        if name not in ("power", "frequency_mhz") and dataset.shape != (rows,):
+        if name == "width_mhz" and dataset.shape != (channels,):
+            raise BadInputError(f"{place}: width_mhz", f"{channels} channels as in frequency_mhz", f"{dataset.shape}")
+        if name not in ("power", "frequency_mhz", "width_mhz") and dataset.shape != (rows,):
             raise BadInputError(f"{place}: {name}", f"{rows} rows as in event_id", f"shape {dataset.shape}")
 
 
@@ -307,5 +340,8 @@ def write_spectra(spectra: Spectra, file: Path | IO[bytes]) -> None:
             values = getattr(spectra, name)
             # texts of one length: ten times as fast to write and read as texts that each have their own
             opened[name] = np.char.encode(values, "utf-8") if values.dtype.kind == "U" else values
+        for name in _OPTIONAL:
+            if getattr(spectra, name) is not None:
+                opened[name] = getattr(spectra, name)
         for name, values in spectra.environment.items():
             opened[f"env/{name}"] = values

@@ -17,6 +17,7 @@ import typer
 
 from lbacal.cli.client import effective, ingest, jobs, refit
 from lbacal.cli.fit import fit
+from lbacal.cli.import_ import import_
 from lbacal.cli.investigate import investigate
 from lbacal.cli.lst_curve import lst_curve
 from lbacal.cli.sky_power import sky_power
@@ -54,12 +55,12 @@ def _needing_fit(command: Callable[..., None]) -> Callable[..., None]:
 
 
 def _name(command: Callable[..., None]) -> str:
-    return command.__name__.replace("_", "-")
+    return command.__name__.strip("_").replace("_", "-")
 
 
 _COMPUTING: tuple[Callable[..., None], ...] = (fit, investigate, lst_curve, sky_power, spectra)
 _ASKING: tuple[Callable[..., None], ...] = (ingest, refit, effective, jobs, status)
-for command in (*map(_needing_fit, _COMPUTING), *_ASKING):
+for command in (*map(_needing_fit, _COMPUTING), import_, *_ASKING):
     app.command(_name(command))(command)
 
 

@@ -11,6 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from lbacal_core.errors import BadInputError, LbacalError, UnreadableFileError
+from lbacal_core.grids import guess_widths
 from lbacal_core.spectra import Spectra, read_spectra, write_spectra
 
 NOW = 1_500_000_000.0
@@ -366,3 +367,26 @@ def test_powers_of_four_bytes_are_read_as_the_numbers_that_they_are(two_stations
         del file["power"]
         file["power"] = powers
     assert np.array_equal(read_spectra(tmp_path / "s.h5").power, powers.astype("f8"))
+
+
+def test_widths_and_durations_survive_the_file_and_a_selection(two_stations: Spectra, tmp_path: Path) -> None:
+    rows, channels = len(two_stations), two_stations.frequency_mhz.size
+    given = replace(two_stations, width_mhz=np.full(channels, 0.2), duration_s=np.arange(1.0, rows + 1))
+    write_spectra(given, tmp_path / "s.h5")
+    read = read_spectra(tmp_path / "s.h5").select(np.array([3, 1]))
+    assert read.duration_s is not None
+    assert read.duration_s.tolist() == [4.0, 2.0]
+    assert read.channel_widths().tolist() == [0.2] * channels
+    assert given.digest() != two_stations.digest()
+
+
+def test_channels_without_widths_are_as_wide_as_the_nearer_neighbour_is_away(two_stations: Spectra) -> None:
+    assert two_stations.channel_widths().tolist() == [1.0] * two_stations.frequency_mhz.size
+    np.testing.assert_allclose(guess_widths(np.array([10.0, 10.4, 11.4])), [0.4, 0.4, 1.0])
+    assert guess_widths(np.array([78.0])).tolist() == [1.0]
+
+
+@pytest.mark.parametrize(("name", "values"), [("width_mhz", [0.0]), ("duration_s", [np.nan]), ("width_mhz", [])])
+def test_widths_and_durations_that_are_none_are_refused(two_stations: Spectra, name: str, values: list[float]) -> None:
+    with pytest.raises(BadInputError, match=name):
+        replace(two_stations, **{name: np.array(values)})

@@ -1,0 +1,60 @@
+"""`lbacal import`: data in other formats to background spectra."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from lbacal.cli.outputs import require_outputs
+
+
+def import_(
+    source: Annotated[Path, typer.Argument(help="A file or folder: .uvh5, .uvfits, LOFAR's SST, .csv, .npz.")],
+    output: Annotated[Path, typer.Option(help="Spectra file to write (HDF5).")],
+    average: Annotated[float, typer.Option(help="Seconds that one spectrum averages.")] = 900.0,
+    instrument: Annotated[
+        str | None, typer.Option(help="Instrument (name or JSON file) whose channels to average to.")
+    ] = None,
+    channel_mhz: Annotated[float | None, typer.Option(help="Width of the channels to average to, MHz.")] = None,
+    band: Annotated[
+        tuple[float, float] | None, typer.Option(help="Lowest and highest channel, MHz.", metavar="LO HI")
+    ] = None,
+    station: Annotated[str | None, typer.Option(help="Name of the station where the data have none.")] = None,
+) -> None:
+    """Average autocorrelations or station statistics to background spectra, whatever the length of the data.
+
+    Example: lbacal import zen.autos.uvh5 --output S.h5 --average 60 --channel-mhz 1 --band 50 200
+
+    Flagged samples count nowhere. Memory holds the averages and a minute of data.
+    """
+    from lbacal_core.errors import BadInputError
+    from lbacal_core.instrument import load_instrument
+    from lbacal_core.readers.average import average as average_source
+    from lbacal_core.readers.open import choose_channels, open_source
+    from lbacal_core.spectra import write_spectra
+
+    require_outputs({"--output": output}, {"SOURCE": source, "--instrument": instrument})
+    for option, value in (("--average", average), ("--channel-mhz", channel_mhz)):
+        if value is not None and not 0 < value < float("inf"):
+            raise BadInputError(option, "a number > 0", f"{value}")
+    if instrument is not None and channel_mhz is not None:
+        raise BadInputError("lbacal import", "--instrument or --channel-mhz", "both")
+    opened = open_source(source, station)
+    for note in opened.notes:
+        print(note)
+    chain = load_instrument(instrument) if instrument else None
+    result = average_source(opened, average, choose_channels(opened, chain, band, channel_mhz))
+    spectra = result.spectra
+    write_spectra(spectra, output)
+    if result.channels_left_out.size:
+        low, high = result.channels_left_out[[0, -1]]
+        print(f"{result.channels_left_out.size} channels between {low:g} and {high:g} MHz are flagged, left out")
+    if result.spectra_left_out:
+        print(f"{result.spectra_left_out} spectra lack one of the other channels, left out")
+    events, channels = len(set(spectra.event_id.tolist())), spectra.frequency_mhz
+    print(
+        f"wrote {output}: {len(spectra)} spectra, {events} intervals of {average:g} s from {result.integrations} "
+        f"integrations, {channels.size} channels from {channels[0]:g} to {channels[-1]:g} MHz"
+    )

@@ -1,0 +1,184 @@
+"""Integrations of any length and channels of any width to background spectra: averages over time and over frequency.
+
+The mean of an interval weighs every integration with its length and every channel with its width; what is flagged
+counts nowhere. In memory are the averages and one block of integrations, whatever the length of the source.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import UTC, datetime
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lbacal_core.errors import BadInputError
+from lbacal_core.grids import Floats
+from lbacal_core.readers.source import Integrations, Source
+from lbacal_core.spectra import Spectra
+
+BLOCK_S = 1024 / 200e6
+"""Length of a block of LOFAR's transient buffer (1024 samples at 200 MHz), the unit of `blocks` in a spectra file."""
+WHOLE_SHARE = 0.5
+"""An averaged channel must have recorded this share of what the best channel of its spectrum recorded."""
+EDGE_MHZ = 1e-9
+"""A channel on the edge of two averages belongs to the upper one, whatever rounding does."""
+COMMON_SHARE = 0.5
+"""Channels that fewer spectra have than this are left out; spectra that then lack one are left out."""
+
+
+@dataclass(frozen=True)
+class Channels:
+    """The channels to average to: centres and widths, shape (freq,), MHz."""
+
+    frequency_mhz: Floats
+    width_mhz: Floats
+
+
+@dataclass(frozen=True)
+class Averaged:
+    """Spectra, and what was left out on the way to them.
+
+    Attributes
+    ----------
+    channels_left_out
+        Centres of the channels that most spectra lack, MHz.
+    spectra_left_out
+        How many spectra lacked one of the other channels.
+    integrations
+        How many integrations were read.
+    """
+
+    spectra: Spectra
+    channels_left_out: Floats
+    spectra_left_out: int
+    integrations: int
+
+
+def average(
+    source: Source,
+    interval_s: float,
+    channels: Channels | None = None,
+    say: Callable[[int], None] = lambda _: None,
+) -> Averaged:
+    """Average a source to background spectra.
+
+    Parameters
+    ----------
+    interval_s
+        Length of the intervals, s; they begin with the first integration.
+    channels
+        What to average to; without it the channels of the source.
+    say
+        Is called with the number of integrations read so far.
+
+    Returns
+    -------
+    Spectra whose `event_id` is the UTC second in which an interval begins, whose `time_unix` is the mean of what was
+    averaged, and whose covariate `flagged_fraction` is the share of samples that were flagged.
+    """
+    sums = _Sums(source, interval_s, channels or Channels(source.frequency_mhz, source.width_mhz))
+    for block in source.read():
+        sums.add(block)
+        say(sums.integrations)
+    if sums.integrations == 0:
+        raise BadInputError(source.name, "at least one integration", "none")
+    return sums.finish()
+
+
+class _Sums:
+    """Sums over integrations and channels, by interval; each of shape (interval, path, channel)."""
+
+    def __init__(self, source: Source, interval_s: float, channels: Channels) -> None:
+        self.source, self.interval_s, self.channels = source, interval_s, channels
+        self.members, self.edges = _find_members(source, channels)
+        self.begin: float | None = None
+        self.integrations = 0
+        self.power: dict[int, Floats] = {}
+        self.weight: dict[int, Floats] = {}
+        self.clock: dict[int, Floats] = {}  # sums of length, of length x time since the beginning, of flagged length
+
+    def add(self, block: Integrations) -> None:
+        if block.time_unix.size == 0:
+            return
+        if self.begin is None:
+            self.begin = float(block.time_unix[0] - block.duration_s[0] / 2)
+        since = block.time_unix - self.begin
+        interval = np.floor(since / self.interval_s).astype(np.int64)
+        power = np.asarray(block.power[:, :, self.members], dtype=float)
+        is_good = np.isfinite(power) & (power > 0)
+        width = self.source.width_mhz[self.members]
+        share = np.where(is_good, width, 0.0)
+        inside = np.add.reduceat(np.where(is_good, power, 0.0) * width, self.edges, axis=-1)
+        recorded = np.add.reduceat(share, self.edges, axis=-1)
+        flagged = 1.0 - share.sum(axis=(1, 2)) / (width.sum() * power.shape[1])
+        for k in np.unique(interval):
+            rows = interval == k
+            length = block.duration_s[rows]
+            self._put(self.power, int(k), np.tensordot(length, inside[rows], axes=1))
+            self._put(self.weight, int(k), np.tensordot(length, recorded[rows], axes=1))
+            times = [length.sum(), length @ since[rows], length @ flagged[rows]]
+            self._put(self.clock, int(k), np.array(times))
+        self.integrations += since.size
+
+    @staticmethod
+    def _put(sums: dict[int, Floats], interval: int, values: Floats) -> None:
+        sums[interval] = sums[interval] + values if interval in sums else values
+
+    def finish(self) -> Averaged:
+        intervals = sorted(self.power)
+        weight = np.array([self.weight[k] for k in intervals])
+        power = np.array([self.power[k] for k in intervals]) / np.where(weight > 0, weight, 1.0)
+        share = weight / self.channels.width_mhz
+        best = share.max(axis=-1, keepdims=True)
+        is_whole = (share > 0) & (share >= WHOLE_SHARE * best)
+        is_recorded = is_whole.any(axis=-1)
+        if not is_recorded.any():
+            raise BadInputError(self.source.name, "something that is not flagged", "everything flagged")
+        is_kept = is_whole[is_recorded].mean(axis=0) >= COMMON_SHARE
+        is_usable = is_recorded & is_whole[..., is_kept].all(axis=-1)
+        at, path = np.nonzero(is_usable)
+        if at.size == 0:
+            raise BadInputError(self.source.name, "spectra that have all their channels", "none")
+        lengths, moments, flagged = np.array([self.clock[k] for k in intervals]).T
+        duration_s = best[at, path, 0]
+        begin = float(self.begin or 0.0)
+        names = [_name_interval(begin + k * self.interval_s) for k in intervals]
+        spectra = Spectra(
+            frequency_mhz=self.channels.frequency_mhz[is_kept],
+            power=power[at, path][:, is_kept],
+            event_id=np.array(names)[at],
+            time_unix=(begin + moments / lengths)[at],
+            station=self.source.station[path],
+            antenna=self.source.antenna[path],
+            dipole=self.source.dipole[path],
+            blocks=np.maximum(1, np.rint(duration_s / BLOCK_S)).astype(np.int64),
+            environment={"flagged_fraction": (flagged / lengths)[at]},
+            origin=self.source.name,
+            width_mhz=self.channels.width_mhz[is_kept],
+            duration_s=duration_s,
+        )
+        left_out = self.channels.frequency_mhz[~is_kept]
+        return Averaged(spectra, left_out, int(is_recorded.sum() - is_usable.sum()), self.integrations)
+
+
+def _find_members(source: Source, channels: Channels) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Which channels of a source belong to each wanted one, one after the other, and where each wanted one begins."""
+    centre = source.frequency_mhz
+    begin = np.searchsorted(centre, channels.frequency_mhz - channels.width_mhz / 2 - EDGE_MHZ)
+    end = np.searchsorted(centre, channels.frequency_mhz + channels.width_mhz / 2 - EDGE_MHZ)
+    empty = np.flatnonzero(end <= begin)
+    if empty.size:
+        raise BadInputError(
+            f"{source.name}: channels",
+            f"some within {channels.width_mhz[empty[0]] / 2:g} MHz of {channels.frequency_mhz[empty[0]]:g} MHz",
+            f"{centre.size} channels from {centre[0]:g} to {centre[-1]:g} MHz",
+        )
+    members = np.concatenate([np.arange(low, high) for low, high in zip(begin, end, strict=True)])
+    return members, np.append(0, np.cumsum(end - begin)[:-1])
+
+
+def _name_interval(begin_unix: float) -> str:
+    """Event id of an interval: the UTC second in which it begins, 20110719T110541."""
+    return f"{datetime.fromtimestamp(int(begin_unix), UTC):%Y%m%dT%H%M%S}"

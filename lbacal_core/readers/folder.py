@@ -1,0 +1,111 @@
+"""Folders of one file an integration: CSV tables or NumPy archives (docs/formats.md)."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+
+from lbacal_core.errors import BadInputError, UnreadableFileError
+from lbacal_core.grids import Floats, guess_widths
+from lbacal_core.npz import read_npz
+from lbacal_core.readers.source import Integrations, Source
+
+SUFFIXES = (".csv", ".npz")
+
+
+def open_folder(files: Sequence[Path], station: str) -> Source:
+    """Open files of one integration each; every file has the same channels and paths, the first decides which.
+
+    A CSV file has a column `frequency_mhz` and one column a path (`17X`), and a line `# time: 2014-05-01T03:04:05Z`; a
+    NumPy archive has `frequency_mhz` (freq,), `power` (path, freq), `antenna` (path,), `dipole` (path,) and
+    `time_unix`, and `duration_s` if it is not 1 s.
+    """
+    frequency_mhz, paths, time_unix, *_ = _read_file(files[0])
+    instants = [time_unix]
+    for file in files[1:]:
+        frequency, names, time_unix, *_ = _read_file(file)
+        if names != paths or not np.array_equal(frequency, frequency_mhz):
+            raise BadInputError(str(file), f"the channels and paths of {files[0].name}", "others")
+        instants.append(time_unix)
+    in_order = [files[k] for k in np.argsort(instants, kind="stable")]
+    return Source(
+        name=files[0].parent.name or str(files[0]),
+        frequency_mhz=frequency_mhz,
+        width_mhz=guess_widths(frequency_mhz),
+        station=np.full(len(paths), station),
+        antenna=np.array([antenna for antenna, _ in paths], dtype=np.int64),
+        dipole=np.array([dipole for _, dipole in paths]),
+        read=lambda: _read(in_order),
+        notes=(f"the station is called {station}",),
+    )
+
+
+def _read(files: Sequence[Path]) -> Iterator[Integrations]:
+    for file in files:
+        _, _, time_unix, duration_s, power = _read_file(file)
+        yield Integrations(np.array([time_unix]), np.array([duration_s]), power[None])
+
+
+_Content = tuple[Floats, list[tuple[int, str]], float, float, Floats]
+
+
+def _read_file(path: Path) -> _Content:
+    """Channels, paths, time, length and power (path, freq) of one file."""
+    return _read_archive(path) if path.suffix == ".npz" else _read_table(path)
+
+
+def _read_table(path: Path) -> _Content:
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise UnreadableFileError(f"{path}: expected a CSV table ({error})") from error
+    facts = dict(_split_fact(line) for line in lines if line.startswith("#") and ":" in line)
+    rows = list(csv.reader(line for line in lines if line and not line.startswith("#")))
+    if len(rows) < 2 or rows[0][0].strip() != "frequency_mhz":
+        raise BadInputError(
+            f"{path}: line 1", "frequency_mhz and one column a path", ",".join(rows[0][:3]) if rows else "nothing"
+        )
+    paths = [_parse_path(name.strip(), path) for name in rows[0][1:]]
+    try:
+        values = np.array([[float(cell) if cell.strip() else np.nan for cell in row] for row in rows[1:]])
+    except ValueError as error:
+        raise BadInputError(str(path), "numbers in every column", str(error)) from error
+    if values.ndim != 2 or values.shape[1] != len(paths) + 1:
+        raise BadInputError(str(path), f"{len(paths) + 1} columns in every row", "fewer or more")
+    if "time" not in facts:
+        raise BadInputError(str(path), "a line '# time: 2014-05-01T03:04:05Z'", "none")
+    return values[:, 0], paths, _parse_time(facts["time"], path), float(facts.get("duration_s", 1.0)), values[:, 1:].T
+
+
+def _read_archive(path: Path) -> _Content:
+    needed = ("frequency_mhz", "power", "antenna", "dipole", "time_unix")
+    content = read_npz(path, needed, "one integration")
+    paths = [(int(a), str(d)) for a, d in zip(content["antenna"], content["dipole"], strict=True)]
+    power = np.asarray(content["power"], dtype=float)
+    frequency = np.asarray(content["frequency_mhz"], dtype=float)
+    if power.shape != (len(paths), frequency.size):
+        raise BadInputError(f"{path}: power", f"shape {(len(paths), frequency.size)} (path, freq)", f"{power.shape}")
+    return frequency, paths, float(content["time_unix"]), float(content.get("duration_s", 1.0)), power
+
+
+def _split_fact(line: str) -> tuple[str, str]:
+    name, _, value = line.lstrip("#").partition(":")
+    return name.strip().lower(), value.strip()
+
+
+def _parse_path(name: str, path: Path) -> tuple[int, str]:
+    if not name[:-1].isdigit() or name[-1] not in "XY":
+        raise BadInputError(f"{path}: column {name!r}", "an antenna and a dipole, such as 17X", repr(name))
+    return int(name[:-1]), name[-1]
+
+
+def _parse_time(text: str, path: Path) -> float:
+    try:
+        instant = datetime.fromisoformat(text)
+    except ValueError as error:
+        raise BadInputError(f"{path}: time", "an ISO 8601 instant", repr(text)) from error
+    return (instant if instant.tzinfo else instant.replace(tzinfo=UTC)).timestamp()

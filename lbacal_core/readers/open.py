@@ -1,0 +1,77 @@
+"""Which reader a file or folder needs, and the channels that a user wants of it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from lbacal_core.errors import BadInputError, UnreadableFileError
+from lbacal_core.grids import guess_widths
+from lbacal_core.instrument import Instrument
+from lbacal_core.readers import folder, statistics, visibilities
+from lbacal_core.readers.average import Channels
+from lbacal_core.readers.source import Source
+
+FORMATS = (
+    "visibilities (.uvh5, .uvfits)",
+    "LOFAR 2.0 sub-band statistics (.h5)",
+    "a folder of LOFAR's ..._sst_rcuNNN.dat",
+    "a folder of .csv or .npz files, one an integration",
+)
+DEFAULT_STATION = "ST001"
+
+
+def open_source(path: Path, station: str | None = None) -> Source:
+    """Open data in any of the formats in `FORMATS`.
+
+    Parameters
+    ----------
+    station
+        Name of the station where the data have none.
+    """
+    if path.is_dir():
+        receivers = statistics.find_receiver_files(path)
+        if receivers:
+            return statistics.open_receiver_files(receivers, station or DEFAULT_STATION)
+        files = sorted(file for file in path.iterdir() if file.suffix in folder.SUFFIXES)
+        if not files:
+            raise BadInputError(str(path), "; ".join(FORMATS), "a folder without any of them")
+        return folder.open_folder(files, station or DEFAULT_STATION)
+    if not path.is_file():
+        raise UnreadableFileError(f"{path}: no such file or folder")
+    if path.suffix in visibilities.SUFFIXES:
+        return visibilities.open_visibilities(path)
+    if statistics.is_statistics(path):
+        return statistics.open_statistics(path)
+    if path.suffix in folder.SUFFIXES:
+        return folder.open_folder([path], station or DEFAULT_STATION)
+    raise BadInputError(str(path), "; ".join(FORMATS), f"a file {path.suffix or 'without a suffix'}")
+
+
+def choose_channels(
+    source: Source,
+    instrument: Instrument | None = None,
+    band_mhz: tuple[float, float] | None = None,
+    width_mhz: float | None = None,
+) -> Channels:
+    """The channels to average a source to: those of an instrument, or of one width, or its own; within a band.
+
+    Channels of one width lie at multiples of it.
+    """
+    if instrument is not None:
+        frequency, width = instrument.frequency_mhz, guess_widths(instrument.frequency_mhz)
+    elif width_mhz is not None:
+        first = np.ceil((source.frequency_mhz[0] - source.width_mhz[0] / 2) / width_mhz + 0.5)
+        last = np.floor((source.frequency_mhz[-1] + source.width_mhz[-1] / 2) / width_mhz - 0.5)
+        frequency = np.arange(first, last + 1) * width_mhz
+        width = np.full(frequency.size, width_mhz)
+    else:
+        frequency, width = source.frequency_mhz, source.width_mhz
+    if band_mhz is not None:
+        is_inside = (frequency >= band_mhz[0]) & (frequency <= band_mhz[1])
+        frequency, width = frequency[is_inside], width[is_inside]
+    if frequency.size == 0:
+        low, high = source.frequency_mhz[[0, -1]]
+        raise BadInputError(f"{source.name}: channels", f"some between {low:g} and {high:g} MHz", "none")
+    return Channels(frequency, width)

@@ -1,0 +1,90 @@
+"""Autocorrelations of an interferometer (uvh5, FITS-UV, ...), read by pyuvdata."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lbacal_core.errors import BadInputError, MissingExtraError, UnreadableFileError
+from lbacal_core.readers.source import Integrations, Source
+
+SUFFIXES = (".uvh5", ".uvfits")
+TIMES_AT_ONCE = 32
+_LETTERS = {-5: "X", -6: "Y"}
+"""AIPS numbers of the linear autocorrelations XX and YY (AIPS memo 117)."""
+UNIX_EPOCH_JD = 2440587.5
+DAY_S = 86_400.0
+
+
+def open_visibilities(path: Path) -> Source:
+    """Open a file of visibilities; only its autocorrelations are read.
+
+    The x dipole of pyuvdata's convention becomes X, y becomes Y; a note says where their arms point.
+    """
+    try:
+        from pyuvdata import UVData
+    except ImportError as error:
+        raise MissingExtraError(f"reading {path.name}", "import") from error
+    try:
+        data = UVData()
+        data.read(path, read_data=False, run_check=False)
+    except (OSError, ValueError, KeyError, IndexError) as error:
+        raise UnreadableFileError(f"{path}: pyuvdata cannot read it ({str(error)[:120]})") from error
+    letters = [_LETTERS.get(int(number)) for number in data.polarization_array]
+    if not any(letters):
+        raise BadInputError(f"{path}: polarisations", "XX or YY", f"{list(data.polarization_array)}")
+    antennas = np.unique(data.ant_1_array[data.ant_1_array == data.ant_2_array])
+    if antennas.size == 0:
+        raise BadInputError(str(path), "autocorrelations", "cross-correlations only")
+    polarisations = [k for k, letter in enumerate(letters) if letter]
+    telescope = data.telescope
+    frequency_hz = np.ravel(data.freq_array)
+    order = np.argsort(frequency_hz)
+    return Source(
+        name=path.name,
+        frequency_mhz=frequency_hz[order] / 1e6,
+        width_mhz=np.broadcast_to(np.ravel(data.channel_width), frequency_hz.shape)[order] / 1e6,
+        station=np.full(antennas.size * len(polarisations), str(telescope.name)),
+        antenna=np.repeat(antennas, len(polarisations)).astype(np.int64),
+        dipole=np.tile([str(letters[k]) for k in polarisations], antennas.size),
+        read=lambda: _read(path, np.unique(data.time_array), antennas, polarisations, order),
+        notes=_describe(data),
+    )
+
+
+def _describe(data: Any) -> tuple[str, ...]:
+    telescope = data.telescope
+    latitude, longitude, height = telescope.location_lat_lon_alt_degrees
+    notes = [f"{telescope.name} stands at {latitude:.4f} deg north, {longitude:.4f} deg east, {height:.0f} m"]
+    orientation = telescope.get_x_orientation_from_feeds() if telescope.feed_angle is not None else None
+    arm = {"north": "0 deg, that of Y at 90 deg", "east": "90 deg, that of Y at 0 deg"}.get(str(orientation))
+    if arm:
+        notes.append(f"the arm of X points to {arm} (the file's x orientation is {orientation})")
+    else:
+        notes.append("the file does not say where the arms of X and Y point")
+    units = data.vis_units
+    if units not in ("K", "Jy"):
+        notes.append(f"the unit of the power is the correlator's ({units}): C becomes relative")
+    return tuple(notes)
+
+
+def _read(
+    path: Path, times: np.ndarray, antennas: np.ndarray, polarisations: list[int], order: np.ndarray
+) -> Iterator[Integrations]:
+    from pyuvdata import UVData
+
+    for start in range(0, times.size, TIMES_AT_ONCE):
+        data = UVData()
+        wanted = times[start : start + TIMES_AT_ONCE]
+        data.read(path, times=wanted, ant_str="auto", run_check=False)
+        at = np.searchsorted(wanted, data.time_array)
+        row = np.searchsorted(antennas, data.ant_1_array)
+        power = np.full((wanted.size, antennas.size, len(polarisations), order.size), np.nan)
+        measured = np.where(data.flag_array, np.nan, data.data_array.real)[:, order][:, :, polarisations]
+        power[at, row] = measured.swapaxes(1, 2)
+        length = np.zeros(wanted.size)
+        length[at] = data.integration_time
+        yield Integrations((wanted - UNIX_EPOCH_JD) * DAY_S, length, power.reshape(wanted.size, -1, order.size))

@@ -1,0 +1,92 @@
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lbacal_core.errors import BadInputError
+from lbacal_core.readers.average import Channels, average
+from lbacal_core.readers.open import choose_channels
+from lbacal_core.readers.source import Integrations, Source
+
+PATHS = 3
+FREQUENCY = np.arange(40.0, 44.0, 0.25)
+
+
+def make_source(power: np.ndarray, time_unix: np.ndarray, duration_s: np.ndarray, at_once: int = 4) -> Source:
+    def read() -> Iterator[Integrations]:
+        for start in range(0, len(time_unix), at_once):
+            rows = slice(start, start + at_once)
+            yield Integrations(time_unix[rows], duration_s[rows], power[rows])
+
+    return Source(
+        "made", FREQUENCY, np.full(FREQUENCY.size, 0.25), np.array(["A"] * PATHS), np.arange(PATHS),
+        np.array(["X"] * PATHS), read,
+    )  # fmt: skip
+
+
+@given(st.integers(0, 10_000), st.integers(1, 40), st.integers(1, 7))
+def test_average_is_the_plain_sum_over_every_sample_that_is_not_flagged(seed: int, rows: int, at_once: int) -> None:
+    rng = np.random.default_rng(seed)
+    duration = rng.uniform(1.0, 5.0, rows)
+    time = 1.4e9 + np.cumsum(duration) - duration / 2
+    power = rng.uniform(1.0, 2.0, (rows, PATHS, FREQUENCY.size))
+    power[rng.uniform(size=power.shape) < 0.1] = np.nan
+    channels = Channels(np.array([40.5, 42.5]), np.array([1.0, 1.0]))
+    spectra = average(make_source(power, time, duration, at_once), 20.0, channels).spectra
+    interval = ((time - (time[0] - duration[0] / 2)) // 20.0).astype(int)
+    for row in range(len(spectra)):
+        at = int(np.argmin([abs(time[interval == k].mean() - spectra.time_unix[row]) for k in np.unique(interval)]))
+        rows_of_it = np.flatnonzero(interval == np.unique(interval)[at])
+        for j, centre in enumerate(spectra.frequency_mhz):
+            total = weight = 0.0
+            for i in rows_of_it:
+                for f in np.flatnonzero((centre - 0.5 <= FREQUENCY) & (centre + 0.5 > FREQUENCY)):
+                    if np.isfinite(power[i, spectra.antenna[row], f]):
+                        total += duration[i] * power[i, spectra.antenna[row], f]
+                        weight += duration[i]
+            assert spectra.power[row, j] == pytest.approx(total / weight, rel=1e-12)
+
+
+def test_a_channel_that_is_always_flagged_is_left_out_and_a_spectrum_that_lacks_another_one_too() -> None:
+    power = np.ones((6, PATHS, FREQUENCY.size))
+    power[:, :, 2] = np.nan
+    power[:2, 1, 5] = 0.0
+    time = 1.4e9 + np.arange(6.0)
+    found = average(make_source(power, time, np.ones(6)), 2.0)
+    assert found.channels_left_out.tolist() == [FREQUENCY[2]]
+    assert found.spectra_left_out == 1
+    assert len(found.spectra) == 3 * PATHS - 1
+    assert found.spectra.environment["flagged_fraction"].min() == pytest.approx(1 / 16)
+
+
+def test_durations_and_widths_are_kept_and_blocks_count_the_same_time() -> None:
+    time = 1.4e9 + np.arange(6.0)
+    spectra = average(make_source(np.ones((6, PATHS, 16)), time, np.ones(6)), 3.0).spectra
+    assert spectra.duration_s is not None
+    np.testing.assert_allclose(spectra.duration_s, 3.0)
+    np.testing.assert_allclose(spectra.blocks, 3.0 / 5.12e-6, rtol=1e-6)
+    np.testing.assert_allclose(spectra.channel_widths(), 0.25)
+
+
+def test_source_in_which_everything_is_flagged_is_refused() -> None:
+    source = make_source(np.full((2, PATHS, 16), np.nan), 1.4e9 + np.arange(2.0), np.ones(2))
+    with pytest.raises(BadInputError, match="everything flagged"):
+        average(source, 10.0)
+
+
+def test_channels_of_one_width_lie_at_its_multiples_and_within_the_band() -> None:
+    source = make_source(np.ones((1, PATHS, 16)), np.array([1.4e9]), np.ones(1))
+    assert choose_channels(source, width_mhz=1.0).frequency_mhz.tolist() == [41.0, 42.0, 43.0]
+    assert choose_channels(source, width_mhz=1.0, band_mhz=(42, 60)).frequency_mhz.tolist() == [42.0, 43.0]
+    with pytest.raises(BadInputError, match=r"some between 40 and 43.75 MHz"):
+        choose_channels(source, band_mhz=(60, 70))
+
+
+def test_channel_outside_the_source_is_refused() -> None:
+    source = make_source(np.ones((1, PATHS, 16)), np.array([1.4e9]), np.ones(1))
+    with pytest.raises(BadInputError, match=r"within 0.5 MHz of 50 MHz"):
+        average(source, 10.0, Channels(np.array([50.0]), np.array([1.0])))

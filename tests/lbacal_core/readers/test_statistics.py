@@ -1,0 +1,86 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from lbacal_core.errors import BadInputError
+from lbacal_core.readers.average import average
+from lbacal_core.readers.open import open_source
+
+ANTENNAS = 4
+SECONDS = 5
+
+
+def write_statistics(path: Path, **attributes: object) -> np.ndarray:
+    """A file as lofar-stingray 1.0.8 lays it out: one float32 dataset (input, sub-band) a second."""
+    rng = np.random.default_rng(1)
+    sums = rng.uniform(1e6, 2e6, (SECONDS, 2 * ANTENNAS, 512)).astype(np.float32)
+    header = {
+        "station_name": "CS001",
+        "writer_version": "1.0.8",
+        "data_type": "SST",
+        "antenna_field": "lba",
+        "antenna_names": [f"LBA{k:02d}" for k in range(ANTENNAS)],
+        "antenna_status": ["OK", "BROKEN", "OK", "SUSPICIOUS"],
+        "antenna_usage_mask": [True, True, True, True],
+        "antenna_to_sdp_mapping": [[0, k] for k in range(ANTENNAS)],
+        "rcu_pcb_id": [1000, 1001, 1002],
+    } | attributes
+    with h5py.File(path, "w") as file:
+        for name, value in header.items():
+            file.attrs[name] = value
+        for second in range(SECONDS):
+            dataset = file.create_dataset(f"SST_2025-03-01T12:00:0{second}.000", data=sums[second])
+            dataset.attrs["timestamp"] = f"2025-03-01T12:00:0{second}.000000+00:00"
+            dataset.attrs["integration_time"] = 1.0
+            dataset.attrs["clock"] = 200e6
+            dataset.attrs["frequencies"] = np.arange(512) * 200e6 / 1024
+    return sums
+
+
+def test_station_statistics_become_spectra_of_the_antennas_in_use(tmp_path: Path) -> None:
+    sums = write_statistics(tmp_path / "sst.h5")
+    source = open_source(tmp_path / "sst.h5")
+    spectra = average(source, 60.0).spectra
+    assert sorted(set(spectra.antenna.tolist())) == [0, 2, 3]
+    assert any("LBA01" in note for note in source.notes)
+    row = np.flatnonzero((spectra.antenna == 2) & (spectra.dipole == "Y"))[0]
+    np.testing.assert_allclose(spectra.power[row], sums[:, 5, 1:].mean(axis=0), rtol=1e-6)
+    assert spectra.station[row] == "CS001"
+    assert spectra.time_unix[row] == pytest.approx(1740830400.0 + SECONDS / 2)
+    assert spectra.width_mhz is not None
+    np.testing.assert_allclose(spectra.width_mhz, 0.1953125)
+
+
+def test_usage_mask_and_mapping_decide_which_input_is_which_antenna(tmp_path: Path) -> None:
+    sums = write_statistics(
+        tmp_path / "sst.h5",
+        antenna_status=["OK"] * ANTENNAS,
+        antenna_usage_mask=[False, True, True, True],
+        antenna_to_sdp_mapping=[[0, 3], [0, 2], [0, 0], [-1, -1]],
+    )
+    spectra = average(open_source(tmp_path / "sst.h5"), 60.0).spectra
+    assert sorted(set(spectra.antenna.tolist())) == [1, 2]
+    row = np.flatnonzero((spectra.antenna == 1) & (spectra.dipole == "X"))[0]
+    np.testing.assert_allclose(spectra.power[row], sums[:, 4, 1:].mean(axis=0), rtol=1e-6)
+
+
+def test_statistics_of_beamlets_are_refused(tmp_path: Path) -> None:
+    write_statistics(tmp_path / "bst.h5", data_type="BST")
+    with pytest.raises(BadInputError, match="SST"):
+        open_source(tmp_path / "bst.h5")
+
+
+def test_receiver_files_of_the_first_lofar_are_one_source(tmp_path: Path) -> None:
+    rng = np.random.default_rng(2)
+    power = rng.uniform(1.0, 2.0, (4, 90, 512))
+    for rcu in range(4):
+        power[rcu].astype("<f8").tofile(tmp_path / f"20140501_030405_sst_rcu{rcu:03d}.dat")
+    spectra = average(open_source(tmp_path, "CS002"), 60.0).spectra
+    assert len(spectra) == 8
+    row = np.flatnonzero((spectra.antenna == 1) & (spectra.dipole == "Y") & (spectra.event_id == "20140501T030505"))[0]
+    np.testing.assert_allclose(spectra.power[row], power[3, 60:, 1:].mean(axis=0), rtol=1e-12)
+    assert spectra.frequency_mhz[0] == pytest.approx(100 / 512)
