@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from lbacal_core.errors import BadInputError
 from lbacal_core.readers.average import Channels, average
-from lbacal_core.readers.open import choose_channels
 from lbacal_core.readers.source import Integrations, Source
 
 PATHS = 3
@@ -76,14 +75,6 @@ def test_source_in_which_everything_is_flagged_is_refused() -> None:
     source = make_source(np.full((2, PATHS, 16), np.nan), 1.4e9 + np.arange(2.0), np.ones(2))
     with pytest.raises(BadInputError, match="everything flagged"):
         average(source, 10.0)
-
-
-def test_channels_of_one_width_lie_at_its_multiples_and_within_the_band() -> None:
-    source = make_source(np.ones((1, PATHS, 16)), np.array([1.4e9]), np.ones(1))
-    assert choose_channels(source, width_mhz=1.0).frequency_mhz.tolist() == [41.0, 42.0, 43.0]
-    assert choose_channels(source, width_mhz=1.0, band_mhz=(42, 60)).frequency_mhz.tolist() == [42.0, 43.0]
-    with pytest.raises(BadInputError, match=r"some between 40 and 43.75 MHz"):
-        choose_channels(source, band_mhz=(60, 70))
 
 
 def test_channel_outside_the_source_is_refused() -> None:

@@ -63,8 +63,3 @@ def test_file_with_other_channels_is_refused_by_name(tmp_path: Path) -> None:
     (tmp_path / "b.csv").write_text((tmp_path / "b.csv").read_text().replace("\n42,", "\n43,"))
     with pytest.raises(BadInputError, match=r"b.csv.*channels and paths of a.csv"):
         open_source(tmp_path)
-
-
-def test_folder_without_data_says_what_could_be_in_it(tmp_path: Path) -> None:
-    with pytest.raises(BadInputError, match="sst_rcuNNN"):
-        open_source(tmp_path)
