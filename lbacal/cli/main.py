@@ -20,6 +20,7 @@ from lbacal.cli.fit import fit
 from lbacal.cli.import_ import import_
 from lbacal.cli.investigate import investigate
 from lbacal.cli.lst_curve import lst_curve
+from lbacal.cli.paper import paper
 from lbacal.cli.sky_power import sky_power
 from lbacal.cli.spectra import spectra
 from lbacal.cli.status import status
@@ -58,7 +59,7 @@ def _name(command: Callable[..., None]) -> str:
     return command.__name__.strip("_").replace("_", "-")
 
 
-_COMPUTING: tuple[Callable[..., None], ...] = (fit, investigate, lst_curve, sky_power, spectra)
+_COMPUTING: tuple[Callable[..., None], ...] = (fit, investigate, lst_curve, paper, sky_power, spectra)
 _ASKING: tuple[Callable[..., None], ...] = (ingest, refit, effective, jobs, status)
 for command in (*map(_needing_fit, _COMPUTING), import_, *_ASKING):
     app.command(_name(command))(command)

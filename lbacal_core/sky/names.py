@@ -16,12 +16,18 @@ from lbacal_core.sky.model import SkyModel
 DEFAULT_SKY = "gsm"
 
 
+def list_skies() -> list[str]:
+    """Names of the sky models that ship with the package."""
+    folder = files("lbacal_core") / "data/skies"
+    return sorted(path.name.removesuffix(".json") for path in folder.iterdir() if path.name.endswith(".json"))
+
+
 def load_sky(name_or_file: str) -> SkyModel:
     """The sky model of a name, of a file of component maps (.npz), or of FITS maps (a file or a folder)."""
-    folder = files("lbacal_core") / "data/skies"
-    shipped = {path.name.removesuffix(".json"): path for path in folder.iterdir() if path.name.endswith(".json")}
+    shipped = list_skies()
     if name_or_file in shipped:
-        return _parse_sky(json.loads(shipped[name_or_file].read_text()))
+        path_of_shipped = files("lbacal_core") / "data/skies" / f"{name_or_file}.json"
+        return _parse_sky(json.loads(path_of_shipped.read_text()))
     if name_or_file in PYGDSM_NAMES:
         return make_pygdsm_model(name_or_file)
     path = Path(name_or_file)

@@ -22,8 +22,8 @@ DOCS = Path(__file__).parents[2] / "docs"
 _COMMANDS = """# Commands
 Written by `./dev docs` from the commands themselves: do not edit. Every command exits with 0 when it is done, 1 when
 the work failed, and 2 on bad usage or bad input, with one sentence on standard error that names the place, what was
-expected and what was found. `fit`, `investigate`, `lst-curve`, `sky-power` and `spectra` need the extra `fit`; `serve`,
-`scheduler`, `worker`, `db` and `keys` the extra `server` ([how to install](how-to/install.md)).
+expected and what was found. `fit`, `investigate`, `lst-curve`, `paper`, `sky-power` and `spectra` need the extra `fit`;
+`serve`, `scheduler`, `worker`, `db` and `keys` the extra `server` ([how to install](how-to/install.md)).
 """
 _SETTINGS = """# Settings
 Written by `./dev docs` from `service/config.py`: do not edit. Each setting is an environment variable.

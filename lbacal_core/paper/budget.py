@@ -1,0 +1,150 @@
+"""The terms of Table 1 of the paper, each by full refits of one station, none quoted.
+
+A term is the change of ln C when one input of the fit is exchanged and everything else stays, the data included.
+The refit decides what the noise terms take over.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lbacal_core.calibration.fit import fit_calibration
+from lbacal_core.grids import Floats
+from lbacal_core.instrument import DIPOLES
+from lbacal_core.paper.study import SEED, STATION, Study
+from lbacal_core.sky.names import DEFAULT_SKY, load_sky
+from lbacal_core.skypower.model import compute_sky_power
+from lbacal_core.skypower.table import SkyPower
+from lbacal_core.skypower.variation import vary_sky_power
+from lbacal_core.spectra import Spectra
+from lbacal_core.twin.campaign import simulate_campaign
+from lbacal_core.twin.settings import TwinSettings
+
+SCALE, MAPS, CHOICE = 0.20, 0.10, 0.05
+"""Uncertainties of the sky in power: absolute scale, fit of the maps, choice of model (section 4.2 and appendix C)."""
+ZENITH = 0.10
+"""By how much the power pattern at zenith is varied at fixed total power (section 4.2)."""
+EDGE_MHZ = 77.0
+"""Above, the pass band falls so steeply that the paper gives electronics a term of its own."""
+REALISATIONS = 3
+"""Simulated years over which a change of C is averaged where single years scatter by a tenth of it."""
+STATIC_INDEX = 0.1
+"""A change of the sky's spectral index, to show what a tilt does."""
+
+
+@dataclass(frozen=True)
+class Budget:
+    """Systematic changes of ln C, shape (freq,) for each polarisation, one standard deviation each."""
+
+    frequency_mhz: Floats
+    terms: Mapping[str, Mapping[str, Floats]]
+    sky_fraction: float
+
+    def below_edge(self) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+        """Channels below the edge of the pass band."""
+        return np.asarray(self.frequency_mhz <= EDGE_MHZ)
+
+    def largest(self, name: str, *, is_above: bool = False) -> float:
+        """The largest |d ln C| of a term below (or above) the edge, both polarisations."""
+        chosen = ~self.below_edge() if is_above else self.below_edge()
+        return float(max(np.abs(values[chosen]).max() for values in self.terms[name].values()))
+
+    def typical(self, name: str) -> float:
+        """The root mean square of a term below the edge."""
+        values = np.concatenate([np.abs(one[self.below_edge()]) for one in self.terms[name].values()])
+        return float(np.sqrt(np.mean(values**2)))
+
+    def total(self, dipole: str) -> Floats:
+        """Table 1's total: sky, antenna and electronics in quadrature, shape (freq,)."""
+        parts = [self.terms[name][dipole] for name in ("sky", "antenna", "electronics")]
+        return np.asarray(np.sqrt(np.sum(np.square(parts), axis=0)))
+
+
+def compute_budget(study: Study) -> Budget:
+    """Refit one station with every exchange of Table 1, and measure the spread of the single antennas."""
+    spectra = study.campaign.spectra
+    station = spectra.select(np.flatnonzero(spectra.station == STATION))
+    instrument, sky_power = study.instrument, study.sky_power
+
+    def log_c(power: SkyPower) -> dict[str, Floats]:
+        return _log_c(station, study, power)
+
+    def change(higher: SkyPower, lower: SkyPower | None = None) -> dict[str, Floats]:
+        """Half the difference between both ends, or the difference to the default."""
+        up, down = log_c(higher), base if lower is None else log_c(lower)
+        factor = 1.0 if lower is None else 0.5
+        return {dipole: factor * (up[dipole] - down[dipole]) for dipole in DIPOLES}
+
+    base = log_c(sky_power)
+    fraction = float(np.sqrt(SCALE**2 + MAPS**2 + CHOICE**2))
+    scaled = {sign: _scaled(sky_power, 1.0 + sign * fraction) for sign in (-1, 1)}
+    zenith = {sign: vary_sky_power(instrument, zenith_gain_fraction=sign * ZENITH) for sign in (-1, 1)}
+    tilted = load_sky(DEFAULT_SKY).changed(spectral_index=STATIC_INDEX)
+    terms = {
+        "sky": change(scaled[1], scaled[-1]),
+        "antenna": change(zenith[1], zenith[-1]),
+        "antenna, bins weighted alike": _without_event_gain(study, zenith[1], zenith[-1]),
+        "index of the sky": change(compute_sky_power(instrument, tilted)),
+        "electronics": measure_electronics(study),
+    }
+    return Budget(study.frequency_mhz, terms, fraction)
+
+
+def _log_c(spectra: Spectra, study: Study, power: SkyPower) -> dict[str, Floats]:
+    report = fit_calibration(spectra, study.instrument, power, "station")
+    return {str(curve.dipole): np.log(np.asarray(curve.c)) for curve in report.curves if curve.c is not None}
+
+
+def _without_event_gain(study: Study, higher: SkyPower, lower: SkyPower) -> dict[str, Floats]:
+    """Half the difference of ln C between two skies on a station-year whose power scatters by radiometer noise alone.
+
+    Bins of LST that average many events are fitted by the paper as if their channels were independent; the weights of
+    such data are those of spectra without a gain common to all channels.
+    """
+    settings = TwinSettings(stations=(STATION,), event_gain_common=0.0, event_gain_path=0.0)
+    changes = []
+    for seed in range(SEED, SEED + REALISATIONS):
+        campaign = simulate_campaign(settings, study.instrument, study.sky_power, np.random.default_rng(seed))
+        up, down = (_log_c(campaign.spectra, study, power) for power in (higher, lower))
+        changes.append([0.5 * (up[dipole] - down[dipole]) for dipole in DIPOLES])
+    return dict(zip(DIPOLES, np.mean(changes, axis=0), strict=True))
+
+
+def measure_electronics(study: Study) -> dict[str, Floats]:
+    """Standard deviation of ln C between a station's paths, each through its own cable, shape (freq,) a polarisation.
+
+    The statistical error of the single curves is taken out; what is left is what one curve for all antennas misses. The
+    mean of each station is taken out too: the simulation ties it to the mix of cables of that station.
+    """
+    spread = {}
+    for dipole in DIPOLES:
+        fitted = [one for one in study.paths.curves if one.dipole == dipole and one.c is not None]
+        log_c = np.array([np.log(np.asarray(one.c)) + 0.5 * np.log(_loss(study, one)) for one in fitted])
+        station = np.array([one.station for one in fitted])
+        names = sorted(set(station))
+        for name in names:
+            log_c[station == name] -= log_c[station == name].mean(axis=0)
+        noise = np.array([np.asarray(one.c_sigma_stat) / np.asarray(one.c) for one in fitted])
+        spread[dipole] = np.sqrt(
+            np.maximum(np.sum(log_c**2, axis=0) / (len(fitted) - len(names)) - np.mean(noise**2, axis=0), 0.0)
+        )
+    return spread
+
+
+def spread_with_cables(study: Study, dipole: str) -> Floats:
+    """Standard deviation of ln C between single paths with their cables left in, shape (freq,)."""
+    log_c = [np.log(one.c) for one in study.paths.curves if one.dipole == dipole and one.c is not None]
+    return np.asarray(np.std(log_c, axis=0, ddof=1))
+
+
+def _loss(study: Study, curve: object) -> Floats:
+    station, antenna = str(getattr(curve, "station", "")), int(getattr(curve, "antenna", 0) or 0)
+    first = float(study.campaign.spectra.time_unix[0])
+    return np.asarray(study.instrument.cables[study.instrument.cable_of(station, antenna, first)])
+
+
+def _scaled(sky_power: SkyPower, factor: float) -> SkyPower:
+    return replace(sky_power, power={dipole: factor * values for dipole, values in sky_power.power.items()})
