@@ -20,7 +20,7 @@ from lbacal_core.paper.statements import load_statements, make_claims
 from lbacal_core.paper.study import make_study
 
 WITHOUT_DATA = (
-    "Run without --data: the comparison of sky models is limited to those that ship, the spread of the receivers' "
+    "Run without --data: the comparison of sky models is that of those that ship, the spread of the receivers' "
     "gains is not "
     "tested, and figure 2 lacks the WIPL-D table. A folder with sky/*.npz, caltables/ and antenna/lba_vout.npz adds "
     "them."

@@ -5,10 +5,7 @@ import csv
 import numpy as np
 import pytest
 
-from lbacal_core.paper.budget import compute_budget
-from lbacal_core.paper.chain_figures import make_chain_figures
 from lbacal_core.paper.figures import Panel, PaperFigure, Series
-from lbacal_core.paper.study import Study
 
 
 def read(figure: PaperFigure) -> list[dict[str, str]]:
@@ -27,12 +24,3 @@ def test_a_csv_holds_every_number_that_is_drawn() -> None:
 def test_a_series_with_unequal_lengths_is_refused() -> None:
     with pytest.raises(ValueError, match="short"):
         Series("short", np.zeros(3), np.zeros(2))
-
-
-def test_figures_1_to_6_have_published_numbers_beside_ours(study: Study) -> None:
-    figures = make_chain_figures(study, compute_budget(study), None)
-    assert [figure.number for figure in figures] == [1, 2, 3, 4, 5, 6]
-    for figure in figures[1:]:
-        origins = {one.origin for panel in figure.panels for one in panel.series}
-        assert {"ours", "published"} <= origins, figure.title
-        assert all(np.all(np.isfinite(one.y)) for panel in figure.panels for one in panel.series)
