@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lbacal_core.anomalies import Anomalies, Anomaly
 from lbacal_core.grids import Floats
@@ -22,6 +23,13 @@ TOO_FEW_LST_BINS = "too_few_lst_bins"
 NOT_IDENTIFIABLE = "not_identifiable"
 STATUSES = (CONVERGED, NOT_IDENTIFIABLE, NOT_CONVERGED, TOO_FEW_LST_BINS, TOO_FEW_EVENTS)
 """Every way a fit ends, from best to worst."""
+
+OK = "ok"
+UNCERTAIN = "uncertain"
+INTERFERENCE = "interference"
+OUTSIDE = "outside"
+FLAGS = (OK, UNCERTAIN, INTERFERENCE, OUTSIDE)
+"""What a channel of a curve may be; `outside` has no value: it is outside the band in which the data determine C."""
 
 
 @dataclass(frozen=True)
@@ -45,11 +53,14 @@ class CalibrationCurve:
     events
         Number of events used.
     c, c_sigma_stat, c_sigma_sys
-        Shape (freq,), V per ADC unit (relative where P_sky or G_ant are relative); one standard deviation.
+        Shape (freq,), V per ADC unit (relative where P_sky or G_ant are relative); one standard deviation. NaN in a
+        channel whose flag is `outside`.
     lst_coverage
         Fraction of the 96 LST bins of 15 minutes that hold an event.
     parameters
         `n_lna` (unit of P_sky), `n_rcu` and `n_adc` (power at the output, ADC^2/Ohm/MHz).
+    flag
+        One of `FLAGS` for each channel; None where there is no curve, or in one older than flags (all are good).
     """
 
     station: str | None
@@ -64,17 +75,37 @@ class CalibrationCurve:
     chi2_per_dof: float | None
     lst_coverage: float
     parameters: Mapping[str, Parameter]
+    flag: Sequence[str] | None = None
 
     def __post_init__(self) -> None:
         if self.status not in STATUSES:
             raise ValueError(f"status {self.status!r} is not one of {STATUSES}")
         if (self.status == CONVERGED) != (self.c is not None):
             raise ValueError("a curve has values exactly when its status is converged")
+        if self.flag is not None and (len(self.flag) != self.frequency_mhz.size or not {*self.flag} <= {*FLAGS}):
+            raise ValueError(
+                f"flags {self.flag!r} are not one of {FLAGS} for each of {self.frequency_mhz.size} channels"
+            )
         for values in (self.c, self.c_sigma_stat, self.c_sigma_sys):
             if values is not None and values.shape != self.frequency_mhz.shape:
                 raise ValueError(f"{values.shape} values for {self.frequency_mhz.size} channels")
-            if values is not None and not (np.all(np.isfinite(values)) and np.all(values > 0)):
-                raise ValueError("C and its errors are finite and positive")
+            if values is not None and not np.array_equal(np.isfinite(values) & (values > 0), self.has_value):
+                raise ValueError("C and its errors are finite and positive, exactly where no flag is outside")
+
+    @property
+    def flags(self) -> NDArray[np.str_]:
+        """The flag of each channel, shape (freq,)."""
+        return np.array([OK] * self.frequency_mhz.size if self.flag is None else self.flag)
+
+    @property
+    def has_value(self) -> NDArray[np.bool_]:
+        """Whether C is known, shape (freq,)."""
+        return np.asarray(self.flags != OUTSIDE)
+
+    def filled(self, values: Floats) -> Floats:
+        """Values of all channels, shape (freq,); of one without a value, between or beside those that have one."""
+        at = self.has_value
+        return np.asarray(np.interp(self.frequency_mhz, self.frequency_mhz[at], values[at]))
 
     @property
     def name(self) -> str:
@@ -86,20 +117,22 @@ class CalibrationCurve:
 
     def as_dict(self) -> dict[str, Any]:
         """The curve as JSON values; never NaN."""
-        return {
+        content = {
             "station": self.station,
             "antenna": self.antenna,
             "dipole": self.dipole,
             "status": self.status,
             "events": self.events,
             "frequency_mhz": self.frequency_mhz.tolist(),
-            "c": _list(self.c),
-            "c_sigma_stat": _list(self.c_sigma_stat),
-            "c_sigma_sys": _list(self.c_sigma_sys),
+            "c": None if self.c is None else list_numbers(self.c),
+            "c_sigma_stat": None if self.c_sigma_stat is None else list_numbers(self.c_sigma_stat),
+            "c_sigma_sys": None if self.c_sigma_sys is None else list_numbers(self.c_sigma_sys),
             "chi2_per_dof": self.chi2_per_dof,
             "lst_coverage": self.lst_coverage,
             "parameters": {name: {"value": p.value, "sigma": p.sigma} for name, p in self.parameters.items()},
         }
+        # a version from before flags keeps its content and with it its hash
+        return content if self.flag is None else {**content, "flag": list(self.flag)}
 
 
 def parse_curve(content: Mapping[str, Any]) -> CalibrationCurve:
@@ -117,6 +150,7 @@ def parse_curve(content: Mapping[str, Any]) -> CalibrationCurve:
         chi2_per_dof=content["chi2_per_dof"],
         lst_coverage=content["lst_coverage"],
         parameters={name: Parameter(p["value"], p["sigma"]) for name, p in content["parameters"].items()},
+        flag=None if content.get("flag") is None else tuple(content["flag"]),
     )
 
 
@@ -180,7 +214,7 @@ def write_calibration_table(report: FitReport, path: Path) -> None:
         values = [np.nan if getattr(curve, name) is None else getattr(curve, name)[k] for curve, k in rows]
         table[name] = np.array(values, dtype=float)
         table[name].unit = u.V
-    table["flag"] = np.array(["" for _ in rows], dtype=np.str_)
+    table["flag"] = np.array([curve.flags[k] for curve, k in rows], dtype=np.str_)
     descriptions = {
         "station": "station name; empty for the whole array",
         "antenna": "antenna number; -1: reference chain of the station or array, nobody's cable (fit.json says which)",
@@ -189,7 +223,7 @@ def write_calibration_table(report: FitReport, path: Path) -> None:
         "c": "calibration factor C(nu), V per ADC unit; relative unless P_sky is W m^-2 MHz^-1 and G_ant m^2",
         "c_sigma_stat": "statistical standard deviation of c",
         "c_sigma_sys": "systematic standard deviation of c; NaN until a budget exists",
-        "flag": "empty where the value is good",
+        "flag": "ok, uncertain (error above 13 %), interference, or outside (C is not determined: NaN)",
     }
     for name, text in descriptions.items():
         table[name].info.description = text
@@ -197,9 +231,10 @@ def write_calibration_table(report: FitReport, path: Path) -> None:
     table.write(path, format="ascii.ecsv", overwrite=True)
 
 
-def _list(values: Floats | None) -> list[float] | None:
-    return None if values is None else values.tolist()
+def list_numbers(values: Floats) -> list[float | None]:
+    """Numbers as JSON values: null where there is none."""
+    return [value if np.isfinite(value) else None for value in values.tolist()]
 
 
-def _array(values: Sequence[float] | None) -> Floats | None:
+def _array(values: Sequence[float | None] | None) -> Floats | None:
     return None if values is None else np.array(values, dtype=float)

@@ -41,7 +41,13 @@ class Settings(BaseSettings):
     poll_s: float = Field(default=1, gt=0, description="pause of an idle worker between two looks for work, s")
     nightly_utc: str = Field(default="02:00", pattern=_TIME_OF_DAY, description="when due refits are found, UTC")
     gate_change: float = Field(default=0.1, gt=0, description="largest change of mean C that passes, fraction")
-    gate_error: float = Field(default=0.05, gt=0, description="largest mean error of C that passes, fraction")
+    gate_error: float = Field(
+        default=0.05, gt=0, description="largest mean error of C in the good channels that passes, fraction"
+    )
+    gate_coverage: float = Field(
+        default=0.4, ge=0, le=1, description="smallest share of the sidereal day with events that passes"
+    )
+    gate_band: float = Field(default=0.7, ge=0, le=1, description="smallest share of good channels that passes")
     log_level: str = Field(default="info", pattern=_LEVEL, description="debug, info, warning or error")
 
     @field_validator("database_url")

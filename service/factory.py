@@ -79,7 +79,8 @@ class Factory:
     @cached_property
     def refits(self) -> Refits:
         """New versions."""
-        gate = Gate(self.settings.gate_change, self.settings.gate_error)
+        limits_of_gate = ("gate_change", "gate_error", "gate_coverage", "gate_band")
+        gate = Gate(*(getattr(self.settings, name) for name in limits_of_gate))
         sky, resistance = self._get_sky_power, self.settings.resistance_ohm
         limits = Limits(self.settings.max_open_parts, self.settings.max_window_days)
         return Refits(self.database, self.instrument, sky, resistance, gate, limits, self.clock)

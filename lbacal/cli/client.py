@@ -130,12 +130,16 @@ def print_curve(curve: dict[str, Any]) -> None:
     until = valid["to"] or "further notice"
     print(f"  answered by {curve['answered_by']}{through}, valid from {valid['from']} to {until}")
     if curve["flag_reason"]:
-        print(f"  {curve['flag'][0]}: {curve['flag_reason']}")
-    print("  frequency_mhz             c  c_sigma_stat  c_sigma_sys   (V per ADC unit)")
+        print(f"  uncertain: {curve['flag_reason']}")
+    print("  frequency_mhz             c  c_sigma_stat  c_sigma_sys   (V per ADC unit)  flag")
     of_system = curve["c_sigma_sys"] or [None] * len(curve["c"])
-    rows = zip(curve["frequency_mhz"], curve["c"], curve["c_sigma_stat"], of_system, strict=True)
-    for frequency, c, sigma, system in rows:
-        print(f"  {frequency:13g} {c:13.6g} {sigma:13.3g} {'unknown' if system is None else f'{system:.3g}':>12}")
+    rows = zip(curve["frequency_mhz"], curve["c"], curve["c_sigma_stat"], of_system, curve["flag"], strict=True)
+    for frequency, c, sigma, system, flag in rows:
+        if c is None:
+            print(f"  {frequency:13g} {'unknown':>13} {'':13} {'':12} {'':20} {flag}")
+            continue
+        of_rest = "unknown" if system is None else f"{system:.3g}"
+        print(f"  {frequency:13g} {c:13.6g} {sigma:13.3g} {of_rest:>12} {'':20} {flag}")
 
 
 def print_job(job: dict[str, Any]) -> None:

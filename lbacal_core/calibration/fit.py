@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from lbacal_core.anomalies import Anomaly
+from lbacal_core.calibration.channels import SMALLEST_BAND, flag_channels, solve_without_interference
 from lbacal_core.calibration.lines import Lines, fit_lines
 from lbacal_core.calibration.separable import solve_separable
 from lbacal_core.calibration.spreads import SinglePaths, join_paths, measure_spreads
@@ -24,6 +25,7 @@ from lbacal_core.curves import (
     CONVERGED,
     NOT_CONVERGED,
     NOT_IDENTIFIABLE,
+    OUTSIDE,
     TOO_FEW_EVENTS,
     TOO_FEW_LST_BINS,
     CalibrationCurve,
@@ -48,9 +50,6 @@ LST_BINS = 96
 """The 15-minute bins of section 3.1 of the paper."""
 MIN_LST_BINS = 24
 """A quarter of the sidereal day: less sees the Galaxy neither rise nor set."""
-LARGEST_RELATIVE_ERROR = 0.5
-"""A curve less certain than this in any channel determines nothing."""
-
 SHARE_OF_STEADY_PATHS = 0.5
 
 
@@ -206,13 +205,17 @@ def _mean_path(
 ) -> _Paths:
     """The mean over antennas as a path of its own, the reference chain.
 
-    In each event the mean of the relative deviations from each antenna's own lines, over the antennas present, is put
-    on the mean of the lines: an antenna missing from an event then does not pull the mean towards the others.
+    In each event the deviations from each antenna's own lines, over the antennas present, are put on the mean of the
+    lines: an antenna missing from an event then does not pull the mean towards the others. An antenna counts with its
+    power, as in the mean of the lines. If all counted alike, the scatter would be that of a mean which weak antennas
+    (long cables) enter as much as strong ones, and the variance of C would be too small by 1 + var(P_p) / mean(P_p)^2,
+    1.15 for the cables of the Superterp.
     """
     events = np.unique(np.concatenate([block.event_id for block in blocks]))
     dipole = blocks[0].dipole
     channels = blocks[0].frequency_mhz.size
-    deviation, weight = np.zeros((events.size, channels)), np.zeros(events.size)
+    deviation, total = np.zeros((events.size, channels)), np.zeros((events.size, channels))
+    share, scatter = np.zeros(events.size), np.zeros(events.size)
     lst_hours = np.zeros(events.size)
     slope, intercept = np.zeros(channels), np.zeros(channels)
     members: list[tuple[str, int]] = []
@@ -223,24 +226,28 @@ def _mean_path(
         has_enough = np.isfinite(part.relative_variance).sum(axis=1) >= MIN_EVENTS
         if not np.any(has_enough):
             continue
-        power, precision = part.power[has_enough], 1.0 / part.relative_variance[has_enough]
+        power, variance = part.power[has_enough], part.relative_variance[has_enough]
+        is_present = np.isfinite(variance)
         sky = sky_power.at(dipole, part.lst_hours)
-        lines = fit_lines(power, sky, part.relative_variance[has_enough])
-        deviation[at] += np.einsum("pe,pef->ef", precision, power / lines.power(sky) - 1.0)
-        weight[at] += precision.sum(axis=0)
+        lines = fit_lines(power, sky, variance)
+        expected = lines.power(sky)
+        deviation[at] += np.einsum("pe,pef->ef", is_present, power - expected)
+        total[at] += np.einsum("pe,pef->ef", is_present, expected)
+        of_path = expected.mean(axis=(1, 2))[:, None] * is_present
+        share[at] += of_path.sum(axis=0)
+        scatter[at] += np.sum(of_path**2 * np.where(is_present, variance, 0.0), axis=0)
         slope += lines.slope.sum(axis=0)
         intercept += lines.intercept.sum(axis=0)
         averaged = [(block.station, int(antenna)) for antenna in block.antennas[has_enough]]
         members += averaged
         singles.append(_single_paths(averaged, lines, instrument, cable_of))
-    has_data = weight > 0
-    if not members:
-        has_data[:] = False
+    has_data = share > 0
     sky = sky_power.at(dipole, lst_hours)
     mean = (slope * sky + intercept) / max(len(members), 1)
-    power = np.where(has_data[:, None], mean * (1.0 + deviation / np.maximum(weight, 1e-300)[:, None]), 1.0)
-    typical = np.median(weight[has_data]) if np.any(has_data) else 1.0
-    relative_variance = np.where(has_data, typical / np.where(has_data, weight, 1.0), np.inf)
+    power = np.where(has_data[:, None], mean * (1.0 + deviation / np.where(has_data[:, None], total, 1.0)), 1.0)
+    relative_variance = np.where(has_data, scatter / np.where(has_data, share, 1.0) ** 2, np.inf)
+    if np.any(has_data):
+        relative_variance /= np.median(relative_variance[has_data])
     return _Paths(
         [(station, None, dipole)],
         power[None],
@@ -278,7 +285,8 @@ def _chain_of(
         own = (str(curve.station), curve.antenna)
         return ReferenceChain((own,), instrument.cables[cable_of[own]], table, None)
     mean_loss = np.mean([instrument.cables[cable_of[member]] for member in paths.members], axis=0)
-    slope = instrument.antenna_gain / curve.c**2
+    # departures in a channel without C are of no use, but finite
+    slope = instrument.antenna_gain / curve.filled(curve.c) ** 2
     spreads = None if paths.singles is None else measure_spreads(paths.singles, slope, mean_loss)
     return ReferenceChain(tuple(sorted(paths.members)), mean_loss, table, spreads)
 
@@ -303,14 +311,18 @@ def _fit_paths(paths: _Paths, lines: Lines, instrument: Instrument) -> list[Cali
     status[covered < MIN_LST_BINS] = TOO_FEW_LST_BINS
     status[events < MIN_EVENTS] = TOO_FEW_EVENTS
     at = np.flatnonzero(status == CONVERGED)
-    solution = solve_separable(lines.slope[at], lines.intercept[at], lines.information[at], _design(instrument))
+    solution, is_free = solve_without_interference(
+        lines.slope[at], lines.intercept[at], lines.information[at], _design(instrument)
+    )
     channels = instrument.frequency_mhz.size
     variance = np.einsum("pii->pi", solution.covariance)
     with np.errstate(invalid="ignore", divide="ignore"):
         c = calibration_factor(solution.x, instrument.antenna_gain)
         # ln C = -ln(s) / 2 + const
-        c_sigma = c * np.sqrt(variance[:, :channels]) / (2.0 * solution.x)
-        is_usable = np.all(np.isfinite(c) & (c_sigma < LARGEST_RELATIVE_ERROR * c) & (c_sigma > 0), axis=1)
+        relative_error = np.sqrt(variance[:, :channels]) / (2.0 * solution.x)
+    flag = flag_channels(np.where(c > 0, relative_error, np.nan), lines.levels.radiometer[at], is_free)
+    has_value = flag != OUTSIDE
+    is_usable = has_value.mean(axis=1) >= SMALLEST_BAND
     status[at[~solution.is_converged]] = NOT_CONVERGED
     status[at[~(solution.is_identifiable & is_usable)]] = NOT_IDENTIFIABLE
     curves = []
@@ -326,15 +338,16 @@ def _fit_paths(paths: _Paths, lines: Lines, instrument: Instrument) -> list[Cali
                 status=status[k],
                 events=int(events[k]),
                 frequency_mhz=instrument.frequency_mhz,
-                c=c[j] if is_good else None,
-                c_sigma_stat=c_sigma[j] if is_good else None,
+                c=np.where(has_value[j], c[j], np.nan) if is_good else None,
+                c_sigma_stat=np.where(has_value[j], c[j] * relative_error[j], np.nan) if is_good else None,
                 c_sigma_sys=None,
-                chi2_per_dof=float(solution.chi2[j] / (channels - 3)) if is_good else None,
+                chi2_per_dof=float(solution.chi2[j] / (channels - 3 - is_free[j].sum())) if is_good else None,
                 lst_coverage=float(covered[k] / LST_BINS),
                 parameters={
                     name: Parameter(float(value), float(sigma))
                     for name, value, sigma in zip(("n_lna", "n_rcu", "n_adc"), values, sigmas, strict=False)
                 },
+                flag=tuple(flag[j].tolist()) if is_good else None,
             )
         )
     return curves

@@ -6,12 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lbacal_core.curves import CalibrationCurve
+from lbacal_core.curves import OK, UNCERTAIN, CalibrationCurve
 from lbacal_core.grids import Floats
 from lbacal_core.reference_chain import ReferenceChain
-
-OK = "ok"
-UNCERTAIN = "uncertain"
 
 
 @dataclass(frozen=True)

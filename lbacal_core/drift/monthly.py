@@ -96,8 +96,9 @@ def event_gains(
         if curve.c is None:
             raise ValueError(f"{curve.name} has no values to compare with")
         level = {name: parameter.value for name, parameter in curve.parameters.items()}
-        signal = (sky + level["n_lna"]) * instrument.antenna_gain / curve.c**2
-        behind = level["n_rcu"] * instrument.receiver_gain + level["n_adc"]
+        at = curve.has_value
+        signal = (sky[:, at] + level["n_lna"]) * (instrument.antenna_gain / curve.c**2)[at]
+        behind = level["n_rcu"] * instrument.receiver_gain[at] + level["n_adc"]
         weight = (signal / (signal + behind)) ** 2
-        gains[k] = np.sum(weight * (block.power[row] - behind) / signal, axis=1) / np.sum(weight, axis=1)
+        gains[k] = np.sum(weight * (block.power[row][:, at] - behind) / signal, axis=1) / np.sum(weight, axis=1)
     return gains

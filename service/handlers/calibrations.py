@@ -6,8 +6,7 @@ from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Depends, Query, Request, Response
 
-from lbacal_core.calibration.own_cable import OK
-from lbacal_core.curves import STATUSES
+from lbacal_core.curves import STATUSES, list_numbers
 from lbacal_core.validity import Promotion, Scope
 from service.handlers.problems import document
 from service.handlers.request import (
@@ -218,7 +217,7 @@ def describe_version_rows(version: Version) -> dict[str, Any]:
     window = {"from": format_instant(version.since), "to": format_instant(version.until)}
     more = {"calibration": version.id, "answered_by": version.scope.level, "valid": window, "held": False}
     curves = [
-        {**curve.as_dict(), **more, "flag": [OK] * len(curve.c), "flag_reason": None, "factor": [1.0] * len(curve.c)}
+        {**curve.as_dict(), **more, "flag": curve.flags.tolist(), "flag_reason": None, "factor": [1.0] * len(curve.c)}
         for curve in version.curves
         if curve.c is not None
     ]
@@ -231,8 +230,8 @@ def describe_diff(first: Version, second: Version) -> dict[str, Any]:
         {
             "dipole": dipole,
             "frequency_mhz": change.frequency_mhz.tolist(),
-            "fraction": change.fraction.tolist(),
-            "sigma": change.sigma.tolist(),
+            "fraction": list_numbers(change.fraction),
+            "sigma": list_numbers(change.sigma),
             "max_fraction": change.max_fraction,
             "max_sigma": change.max_sigma,
         }

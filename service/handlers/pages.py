@@ -9,6 +9,7 @@ import numpy as np
 from fastapi import APIRouter, Depends, Request, Response
 from fastapi.responses import HTMLResponse
 
+from lbacal_core.curves import list_numbers
 from lbacal_core.validity import Scope
 from service.handlers.request import FORM_COOKIE, IMMUTABLE, KEY_COOKIE, InPath, UseCases, answer, require_read
 from service.page.assets import find_asset
@@ -76,7 +77,7 @@ def show_station(request: Request, use: UseCases, station: InPath) -> Response:
 def show_calibration(request: Request, use: UseCases, version_id: InPath) -> Response:
     version, promotions = use.calibrations.get_with_promotions(version_id)
     curves = [
-        {"name": c.name, **{k: getattr(c, k).tolist() for k in ("frequency_mhz", "c", "c_sigma_stat")}}
+        {"name": c.name, **{k: list_numbers(getattr(c, k)) for k in ("frequency_mhz", "c", "c_sigma_stat")}}
         for c in version.curves
         if c.c is not None
     ]

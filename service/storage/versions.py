@@ -108,10 +108,14 @@ class MeanC:
 
 
 def mean_over_band(curve: CalibrationCurve) -> tuple[float, float] | None:
-    """Mean of C over the channels; its error is the mean error, because the errors of channels move together."""
+    """Mean of C over the channels; its error is the median relative one, because the errors of channels move together.
+
+    A channel without a value counts as those beside it do, so that means over a band with and without it compare.
+    """
     if curve.c is None or curve.c_sigma_stat is None:
         return None
-    return float(np.mean(curve.c)), float(np.mean(curve.c_sigma_stat))
+    mean = float(np.mean(curve.filled(curve.c)))
+    return mean, mean * float(np.nanmedian(curve.c_sigma_stat / curve.c))
 
 
 class VersionStore:

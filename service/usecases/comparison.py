@@ -14,7 +14,10 @@ from service.storage.versions import Version
 
 @dataclass(frozen=True)
 class CurveChange:
-    """Change of C from one curve to another, shape (freq,): as a fraction, and in standard deviations of both."""
+    """Change of C from one curve to another, shape (freq,): as a fraction, and in standard deviations of both.
+
+    NaN in a channel in which one of them has no value.
+    """
 
     frequency_mhz: Floats
     fraction: Floats
@@ -23,12 +26,12 @@ class CurveChange:
     @property
     def max_fraction(self) -> float:
         """The largest change of any channel, as a fraction."""
-        return float(np.max(np.abs(self.fraction)))
+        return float(np.nanmax(np.abs(self.fraction)))
 
     @property
     def max_sigma(self) -> float:
         """The largest change of any channel, in standard deviations."""
-        return float(np.max(np.abs(self.sigma)))
+        return float(np.nanmax(np.abs(self.sigma)))
 
 
 def compare_curves(before: CalibrationCurve, after: CalibrationCurve) -> CurveChange:

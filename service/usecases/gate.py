@@ -1,8 +1,9 @@
 """The gate: which new versions go into effect by themselves, and why the others wait for a human.
 
-A version passes if every curve converged, the mean statistical error of C is small enough, and the mean of C differs by
-less than the limit from the version of the same scope that was in effect for the window, or else nearest to it in time,
-both through the same cable. An objection names the events of the window whose power is most anomalous.
+A version passes if every curve converged, most channels are good and the statistical error of C in these is small
+enough, the events see enough of the sidereal day, and the mean of C differs by less than the limit from the version of
+the same scope that was in effect for the window, or else nearest to it in time, both through the same cable. An
+objection names the events of the window whose power is most anomalous.
 The limits are settings; a jump beyond them is either a fault or news, and both deserve a look.
 """
 
@@ -11,7 +12,9 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import dataclass
 
-from lbacal_core.curves import CONVERGED
+import numpy as np
+
+from lbacal_core.curves import CONVERGED, OK, CalibrationCurve
 from lbacal_core.validity import Instant, Scope
 from service.storage.ledger import LedgerStore
 from service.storage.versions import Version, mean_over_band
@@ -23,10 +26,22 @@ EVENTS_NAMED = 3
 
 @dataclass(frozen=True)
 class Gate:
-    """Limits, as fractions of C."""
+    """Limits.
+
+    Attributes
+    ----------
+    change, error
+        Largest change of the mean of C, and largest error in the good channels, as fractions of C.
+    coverage
+        Smallest share of the 15-minute bins of the sidereal day with an event.
+    band
+        Smallest share of good channels.
+    """
 
     change: float
     error: float
+    coverage: float
+    band: float
 
     def objection(self, version: Version, predecessor: Version | None) -> str | None:
         """Why a version may not go into effect by itself, with the worst of its events; None if it may."""
@@ -38,15 +53,37 @@ class Gate:
         if predecessor and predecessor.made > version.made and predecessor.window == version.window:
             return f"{predecessor.id[:12]} was made from later data and is in effect"
         for curve in version.curves:
-            mean = mean_over_band(curve)
-            if curve.status != CONVERGED or mean is None:
-                return f"{curve.name}: {curve.status} with {curve.events} events"
-            c, sigma = mean
-            if sigma > self.error * c:
-                return f"{curve.name}: error of C {sigma / c:.1%}, at most {self.error:.1%} passes"
+            weakness = self._weakness(curve)
+            if weakness is not None:
+                return f"{curve.name}: {weakness}"
             change = _change_of_mean(version, predecessor, str(curve.dipole)) if predecessor else None
             if change is not None and abs(change) > self.change:
                 return f"{curve.name}: mean C differs by {change:+.1%} from before, at most {self.change:.1%} passes"
+        return None
+
+    def _weakness(self, curve: CalibrationCurve) -> str | None:
+        """What a curve by itself lacks; None if nothing."""
+        if curve.status != CONVERGED or curve.c is None or curve.c_sigma_stat is None:
+            seen = f"{24 * curve.lst_coverage:.1f} h of the sidereal day"
+            return f"{curve.status} with {curve.events} events that see {seen}"
+        if curve.lst_coverage < self.coverage:
+            return (
+                f"{curve.events} events see {24 * curve.lst_coverage:.1f} h of the sidereal day, "
+                f"at least {24 * self.coverage:.1f} h pass"
+            )
+        is_good = curve.flags == OK
+        if is_good.mean() < self.band:
+            bad = curve.frequency_mhz[~is_good]
+            return (
+                f"{is_good.sum()} of {is_good.size} channels are good, at least {self.band:.0%} pass; "
+                f"bad ones lie between {bad[0]:g} and {bad[-1]:g} MHz"
+            )
+        error = float(np.mean(curve.c_sigma_stat[is_good] / curve.c[is_good]))
+        if error > self.error:
+            return (
+                f"error of C {error:.1%} in its {is_good.sum()} good channels with {curve.events} events, "
+                f"at most {self.error:.1%} passes"
+            )
         return None
 
 

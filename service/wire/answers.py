@@ -6,7 +6,8 @@ import json
 from collections.abc import Sequence
 from typing import Any
 
-from lbacal_core.calibration.own_cable import OK, UNCERTAIN, ToldCurve
+from lbacal_core.calibration.own_cable import ToldCurve
+from lbacal_core.curves import OK, UNCERTAIN
 from lbacal_core.reference_chain import ReferenceChain
 from lbacal_core.validity import Instant, Promotion, Scope
 from service.wire.instants import format_instant, format_optional
@@ -53,7 +54,7 @@ def describe_curve_in_effect(
         "calibration": promotion.calibration,
         "answered_by": promotion.scope.level,
         "factor": told.factor.tolist(),
-        "flag": [UNCERTAIN if reasons else OK] * told.factor.size,
+        "flag": [UNCERTAIN if reasons and flag == OK else flag for flag in told.curve.flags.tolist()],
         "flag_reason": "; ".join(reasons) or None,
         "reference": None if chain is None else describe_reference(chain, told.cable),
         "valid": {"from": format_instant(promotion.valid_from), "to": format_optional(promotion.valid_to)},

@@ -124,7 +124,7 @@ class CurveInEffectAnswer(CurveAnswer):
     calibration: str
     answered_by: Level
     factor: list[float] = Field(description="C told over C of the stored curve")
-    flag: list[Literal["ok", "uncertain"]]
+    flag: list[Literal["ok", "uncertain", "interference", "outside"]]
     flag_reason: str | None
     reference: ReferenceAnswer | None
     valid: Validity
@@ -181,8 +181,8 @@ class DiffCurve(Answer):
 
     dipole: str | None
     frequency_mhz: list[float]
-    fraction: list[float]
-    sigma: list[float]
+    fraction: list[float | None]
+    sigma: list[float | None]
     max_fraction: float
     max_sigma: float
 

@@ -45,8 +45,8 @@ COLUMNS = {
     "c_sigma_sys": _Column(
         float, "systematic standard deviation of c: of single paths where a wider scope answers; else NaN", "V"
     ),
-    "flag": _Column(str, "ok or uncertain"),
-    "flag_reason": _Column(str, "why it is uncertain"),
+    "flag": _Column(str, "ok, uncertain, interference, or outside (C is not determined)"),
+    "flag_reason": _Column(str, "why the whole curve is uncertain"),
     "factor": _Column(float, "c over the stored curve's: the path's own cable, (L_ref / L_path)^(1/2)"),
     "calibration": _Column(str, "id of the version"),
     "answered_by": _Column(str, "scope of the version: antenna, station or array"),
@@ -163,11 +163,13 @@ def write_nuradio(answer: dict[str, Any]) -> bytes:
         expected = "station, antenna and dipole for nuradio, or scope=array and dipole"
         raise BadInputError("format", expected, f"{len(answer['curves'])} curves")
     curve = answer["curves"][0]
-    values = np.interp(NURADIO_MHZ, curve["frequency_mhz"], curve["c"], left=0.0, right=0.0)
+    known = [(frequency, c) for frequency, c in zip(curve["frequency_mhz"], curve["c"], strict=True) if c is not None]
+    frequency_mhz, c = np.array(known, dtype=float).T
+    values = np.interp(NURADIO_MHZ, frequency_mhz, c, left=0.0, right=0.0)
     head = [
         f"lbacal calibration {curve['calibration']}",
         f"{_name_owner(curve)} at {answer['at']}",
-        *([f"{curve['flag'][0]}: {curve['flag_reason']}"] if curve["flag_reason"] else []),
+        *([f"uncertain: {curve['flag_reason']}"] if curve["flag_reason"] else []),
         "C in V per ADC unit at 0, 1, ... 100 MHz; 0 outside the band",
     ]
     return "".join([f"# {line}\n" for line in head] + [f"{value!r}\n" for value in values.tolist()]).encode()

@@ -37,6 +37,12 @@ GOOD = CalibrationCurve(
     lst_coverage=0.9,
     parameters={"n_lna": Parameter(0.5, 0.01), "n_rcu": Parameter(0.1, 0.002), "n_adc": Parameter(0.01, 0.001)},
 )
+HOLED = replace(
+    GOOD,
+    c=np.array([1.0, np.nan, 3.0]),
+    c_sigma_stat=np.array([0.1, np.nan, 0.3]),
+    flag=("ok", "outside", "uncertain"),
+)
 FAILED = replace(
     GOOD, antenna=3, status=TOO_FEW_EVENTS, c=None, c_sigma_stat=None, chi2_per_dof=None, events=5, parameters={}
 )
@@ -44,7 +50,7 @@ STATION = replace(GOOD, antenna=None, c_sigma_sys=np.full(3, 0.1))
 REPORT = FitReport((GOOD, FAILED, STATION), Provenance({"spectra": "ab"}))
 
 
-@pytest.mark.parametrize("curve", [GOOD, FAILED, STATION])
+@pytest.mark.parametrize("curve", [GOOD, FAILED, STATION, HOLED])
 def test_a_curve_returns_from_json_bit_by_bit(curve: CalibrationCurve) -> None:
     content = json.loads(json.dumps(curve.as_dict(), allow_nan=False))
     assert parse_curve(content).as_dict() == curve.as_dict()
@@ -60,11 +66,27 @@ def test_a_curve_returns_from_json_bit_by_bit(curve: CalibrationCurve) -> None:
         {"c": np.array([1.0, 2.0])},
         {"c_sigma_stat": np.array([0.1, 0.0, 0.1])},
         {"c_sigma_sys": np.array([0.1, -1.0, 0.1])},
+        {"flag": ("ok", "outside", "ok")},
+        {"flag": ("ok", "ok")},
+        {"flag": ("ok", "ok", "fine")},
     ],
 )
 def test_a_curve_refuses_values_that_contradict_its_status_or_its_channels(change: dict[str, object]) -> None:
     with pytest.raises(ValueError, match=r"status|values|finite|channels"):
         replace(GOOD, **change)
+
+
+def test_a_channel_outside_has_no_value_and_json_says_null() -> None:
+    content = HOLED.as_dict()
+    assert content["c"] == [1.0, None, 3.0]
+    assert content["flag"] == ["ok", "outside", "uncertain"]
+    assert HOLED.c is not None
+    assert HOLED.filled(HOLED.c).tolist() == [1.0, 2.0, 3.0]
+
+
+def test_a_curve_from_before_flags_keeps_its_content() -> None:
+    assert "flag" not in GOOD.as_dict()
+    assert GOOD.flags.tolist() == ["ok"] * 3
 
 
 def test_a_curve_is_named_as_people_name_it() -> None:

@@ -48,7 +48,9 @@ function curve(data) {
   const traces = [];
   data.curves.forEach((one, k) => {
     const colour = COLOURS[k % COLOURS.length], x = one.frequency_mhz;
-    traces.push(band(x, one.c.map((c, j) => c - one.c_sigma_stat[j]), one.c.map((c, j) => c + one.c_sigma_stat[j]), colour, one.name));
+    const known = x.map((_, j) => j).filter((j) => one.c[j] !== null);
+    const beside = (sign) => known.map((j) => one.c[j] + sign * one.c_sigma_stat[j]);
+    traces.push(band(known.map((j) => x[j]), beside(-1), beside(1), colour, one.name));
     traces.push({ x, y: one.c, mode: "lines", name: one.name, legendgroup: one.name, line: { color: colour, width: 2 },
       hovertemplate: "%{x} MHz: %{y:.4g} V<extra>" + one.name + "</extra>" });
   });

@@ -14,7 +14,7 @@ from sqlalchemy import text
 
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.calibration.own_cable import carry_to_path
-from lbacal_core.curves import FitReport
+from lbacal_core.curves import NOT_IDENTIFIABLE, CalibrationCurve, FitReport
 from lbacal_core.instrument import Instrument
 from lbacal_core.provenance import canonical_json, hash_content
 from lbacal_core.skypower.table import read_sky_power
@@ -60,12 +60,19 @@ def fits(three_cables: Campaign, superterp: Instrument, sky_power_file: Path) ->
     return {scope: fit_calibration(three_cables.spectra, superterp, sky, scope) for scope in scopes}
 
 
+def without_flags(curve: CalibrationCurve) -> CalibrationCurve:
+    """A curve as the first release gave it: without flags, and none at all where one channel had no value."""
+    if curve.has_value.all():
+        return replace(curve, flag=None)
+    return replace(curve, flag=None, status=NOT_IDENTIFIABLE, c=None, c_sigma_stat=None)
+
+
 def first_release(report: FitReport, instrument: str, promoted_until: int) -> Iterator[dict[str, Any]]:
     """The rows of versions as the first release wrote them."""
     groups: dict[tuple[Any, ...], list[Any]] = {}
     for curve in report.curves:
         key = (curve.station, curve.antenna, None if curve.antenna is None else curve.dipole)
-        groups.setdefault(key, []).append(curve.as_dict())
+        groups.setdefault(key, []).append(without_flags(curve).as_dict())
     for (station, antenna, dipole), curves in groups.items():
         scope = "/".join(str(part) for part in (station, antenna, dipole) if part is not None) or "array"
         inputs = {**report.provenance.inputs, "instrument": instrument, "model_version": 1, "scope": scope}

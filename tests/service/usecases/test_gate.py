@@ -10,7 +10,7 @@ from lbacal_core.validity import Promotion, Scope
 from service.storage.versions import Version
 from service.usecases.gate import Gate, find_predecessors
 
-GATE = Gate(change=0.1, error=0.05)
+GATE = Gate(change=0.1, error=0.05, coverage=0.4, band=0.7)
 PATH = Scope("CS001", 0, "X")
 FREQUENCY = np.arange(30.0, 81.0)
 CS002 = Scope("CS002", None, None)
@@ -63,12 +63,31 @@ def test_an_error_above_the_limit_waits_even_without_a_version_before(error, pas
     new = version(curve(error=error), curve(dipole="Y"), made=200)
     assert (GATE.objection(new, None) is None) == passes
     if not passes:
-        assert "error of C 5.1%, at most 5.0% passes" in GATE.objection(new, None)
+        assert "error of C 5.1% in its 51 good channels with 900 events, at most 5.0% passes" in GATE.objection(
+            new, None
+        )
 
 
 def test_a_curve_that_did_not_converge_waits():
     new = version(curve(), curve(dipole="Y", status=TOO_FEW_EVENTS), made=200)
     assert "CS002 Y: too_few_events with 3 events" in GATE.objection(new, None)
+
+
+def test_one_bad_channel_does_not_keep_a_curve_back_and_sixteen_do():
+    """A path on 115 m of cable waited because its channel at 80 MHz was uncertain by 24 %."""
+    for bad, passes in ((1, True), (15, True), (16, False)):
+        good = curve()
+        error = good.c_sigma_stat.copy()
+        error[-bad:] = 0.24 * 1e-3
+        flagged = replace(good, c_sigma_stat=error, flag=("ok",) * (51 - bad) + ("uncertain",) * bad)
+        objection = GATE.objection(version(flagged, curve(dipole="Y"), made=200), None)
+        assert (objection is None) == passes
+    assert "35 of 51 channels are good, at least 70% pass; bad ones lie between 65 and 80 MHz" in objection
+
+
+def test_events_that_see_little_of_the_sidereal_day_wait():
+    new = version(replace(curve(), lst_coverage=0.3), curve(dipole="Y"), made=200)
+    assert "900 events see 7.2 h of the sidereal day, at least 9.6 h pass" in GATE.objection(new, None)
 
 
 def test_a_version_made_from_earlier_data_of_the_same_window_does_not_replace_a_later_one():

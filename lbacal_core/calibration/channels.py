@@ -1,0 +1,147 @@
+"""Which channels of a curve are good: flags, and channels with interference that the chain is fitted without.
+
+Steady interference in one channel adds to its intercept and to nothing else, so the intercept lies above the one that
+the chain and the other channels predict. Interference that comes and goes scatters more than radiometer noise.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lbacal_core.calibration.normal_equations import solve_normal_equations
+from lbacal_core.calibration.separable import SeparableSolution, solve_separable
+from lbacal_core.curves import INTERFERENCE, OK, OUTSIDE, UNCERTAIN
+from lbacal_core.grids import Floats
+
+Booleans = NDArray[np.bool_]
+
+LARGEST_ERROR = 0.5
+"""A channel whose C is less certain than this has no value."""
+LARGEST_GOOD_ERROR = 0.13
+"""The total error of Table 1 of the paper: beyond it a channel's noise alone is larger than all systematic errors."""
+SMALLEST_BAND = 0.5
+"""A curve with values in less than half of its channels determines nothing."""
+FURTHEST_OUTLIER = 6.0
+"""Standard deviations by which noise does not reach in 1e7 channels."""
+MOST_WITH_INTERFERENCE = 0.1
+"""Share of the channels. Where more stand out, the chain is wrong and not a channel."""
+EXCESS_SCATTER = 1.5
+"""Scatter over that of the channels beside it; 60 events know a scatter to 9 %."""
+BESIDE = 3
+"""Channels on either side."""
+MEDIAN_OF_NORMAL = 0.6745
+"""The median magnitude of a normal variable, in standard deviations."""
+SMALLEST_SHARE = 1e-9
+"""An intercept of whose information the fit takes all but this share cannot be tested."""
+
+
+def solve_without_interference(
+    slope: Floats, intercept: Floats, information: Floats, design: Floats
+) -> tuple[SeparableSolution, Booleans]:
+    """Fit the chain to lines, with the intercept of a channel left free where it stands out above all others.
+
+    Returns
+    -------
+    The solution, and which channels have a free intercept, shape (path, freq).
+    """
+    solution = solve_separable(slope, intercept, information, design)
+    is_free = np.zeros(slope.shape, dtype=bool)
+    left = information
+    at = np.flatnonzero(solution.is_converged & solution.is_identifiable)
+    for _ in range(int(MOST_WITH_INTERFERENCE * slope.shape[1])):
+        excess = _excess_of_intercepts(_take(solution, at), slope[at], intercept[at], left[at], design, is_free[at])
+        channel = np.argmax(excess, axis=1)
+        stands_out = excess[np.arange(at.size), channel] > FURTHEST_OUTLIER
+        at, channel = at[stands_out], channel[stands_out]
+        if at.size == 0:
+            break
+        is_free[at, channel] = True
+        left = left.copy()
+        left[at] = [_free(information[p], is_free[p]) for p in at]
+        solution = _replace(solution, at, solve_separable(slope[at], intercept[at], left[at], design))
+    return solution, is_free
+
+
+def flag_channels(relative_error: Floats, radiometer: Floats, has_interference: Booleans) -> NDArray[np.str_]:
+    """The flag of each channel, shape (path, freq).
+
+    Parameters
+    ----------
+    relative_error
+        Standard deviation of ln C, shape (path, freq); NaN where the fit gave none.
+    radiometer
+        Scatter of the events, shape (path, freq).
+    has_interference
+        Shape (path, freq): steady interference was found.
+    """
+    flag = np.full(relative_error.shape, OK, dtype="U12")
+    flag[relative_error > LARGEST_GOOD_ERROR] = UNCERTAIN
+    flag[has_interference | (radiometer > EXCESS_SCATTER * _median_beside(radiometer))] = INTERFERENCE
+    flag[~(relative_error < LARGEST_ERROR)] = OUTSIDE
+    return flag
+
+
+def _excess_of_intercepts(
+    solution: SeparableSolution,
+    slope: Floats,
+    intercept: Floats,
+    information: Floats,
+    design: Floats,
+    is_free: Booleans,
+) -> Floats:
+    """By how many standard deviations each intercept lies above what all else predicts; shape (path, freq).
+
+    A shift of one measured number, here an intercept, lowers chi^2 by (P r)_f^2 / P_ff, with the residual r and the
+    information P that is left once the fit has taken its share. Where the chain as a whole misfits, the median channel
+    widens the standard deviation of all.
+    """
+    paths, channels = slope.shape
+    x, n = solution.x, solution.n[:, None]
+    derivative = np.zeros((paths, 2 * channels, channels + 1 + design.shape[1]))
+    at = np.arange(channels)
+    derivative[:, at, at] = 1.0
+    derivative[:, channels + at, at] = n
+    derivative[:, channels:, channels] = x
+    derivative[:, channels:, channels + 1 :] = design
+    residual = np.concatenate([slope - x, intercept - n * x - solution.q @ design.T], axis=1)
+    side = np.matmul(information, derivative)
+    normal = np.matmul(derivative.transpose(0, 2, 1), side)
+    of_intercept = side[:, channels:]
+    taken = np.matmul(of_intercept, solve_normal_equations(normal, of_intercept.transpose(0, 2, 1)))
+    own = np.einsum("pii->pi", information)[:, channels:]
+    left = own - np.einsum("pii->pi", taken)
+    pull = np.matmul(information[:, channels:], residual[:, :, None])[:, :, 0]
+    is_tested = ~is_free & (left > SMALLEST_SHARE * own)
+    excess = np.where(is_tested, pull / np.sqrt(np.where(is_tested, left, 1.0)), 0.0)
+    typical = np.median(np.abs(excess), axis=1, keepdims=True) / MEDIAN_OF_NORMAL
+    return np.asarray(excess / np.maximum(typical, 1.0))
+
+
+def _free(information: Floats, is_free: Booleans) -> Floats:
+    """Information about lines once the intercepts of some channels are free, shape (2 freq, 2 freq)."""
+    at = is_free.size + np.flatnonzero(is_free)
+    side = information[:, at]
+    left = information - side @ np.linalg.solve(information[np.ix_(at, at)], side.T)
+    left[at] = left[:, at] = 0.0
+    return np.asarray(left)
+
+
+def _take(whole: SeparableSolution, at: NDArray[np.intp]) -> SeparableSolution:
+    """Some of a batch of solutions."""
+    return SeparableSolution(**{name: values[at] for name, values in vars(whole).items()})
+
+
+def _replace(whole: SeparableSolution, at: NDArray[np.intp], part: SeparableSolution) -> SeparableSolution:
+    """The solutions of a batch with some of them exchanged."""
+    fields = {name: values.copy() for name, values in vars(whole).items()}
+    for name, values in vars(part).items():
+        fields[name][at] = values
+    return SeparableSolution(**fields)
+
+
+def _median_beside(values: Floats) -> Floats:
+    """The median over the channels on either side, shape (path, freq)."""
+    padded = np.pad(values, ((0, 0), (BESIDE, BESIDE)), mode="reflect")
+    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * BESIDE + 1, axis=1)
+    return np.asarray(np.median(windows, axis=2))
