@@ -75,7 +75,7 @@ def show_station(request: Request, use: UseCases, station: InPath) -> Response:
 
 @router.get("/calibrations/{version_id}")
 def show_calibration(request: Request, use: UseCases, version_id: InPath) -> Response:
-    version, promotions = use.calibrations.get_with_promotions(version_id)
+    version, promotions, confirmed = use.calibrations.get_with_promotions(version_id)
     curves = [
         {"name": c.name, **{k: list_numbers(getattr(c, k)) for k in ("frequency_mhz", "c", "c_sigma_stat")}}
         for c in version.curves
@@ -83,7 +83,7 @@ def show_calibration(request: Request, use: UseCases, version_id: InPath) -> Res
     ]
     return _page(
         request, use, "calibration.html", "/", version=version, promotions=promotions, plot={"curves": curves},
-        chains=_rows_of_chains(version),
+        chains=_rows_of_chains(version), confirmed=confirmed,
         downloads=[name for name in FORMATS if name != "nuradio" or version.scope.antenna is not None],
     )  # fmt: skip
 

@@ -102,6 +102,18 @@ calibration = Table(
     Column("reason", Text, nullable=False),
 )
 
+examined = Table(
+    "examined",
+    metadata,
+    Column("scope", Text, primary_key=True),
+    Column("since_us", BigInteger, primary_key=True),
+    Column("until_us", BigInteger, primary_key=True),
+    Column("inputs", Text, nullable=False, comment="SHA-256 of the inputs of a fit that moved C too little to be kept"),
+    Column("calibration", Text, ForeignKey("calibration.id"), nullable=False, index=True, comment="what it confirms"),
+    Column("shift", Float, nullable=False, comment="largest change of C in any channel, standard deviations"),
+    Column("made_us", BigInteger, nullable=False),
+)
+
 chain_part = Table(
     "chain_part",
     metadata,

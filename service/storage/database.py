@@ -16,6 +16,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from service.errors import UnavailableError
 from service.storage.deeds import DeedStore
 from service.storage.drift import DriftStore
+from service.storage.examined import ExaminedStore
 from service.storage.failures import FULL, READ_ONLY, explain_failure
 from service.storage.jobs import JobStore
 from service.storage.keys import KeyStore
@@ -56,6 +57,11 @@ class Stores:
     def versions(self) -> VersionStore:
         """Calibration versions."""
         return VersionStore(self._connection)
+
+    @cached_property
+    def examined(self) -> ExaminedStore:
+        """Inputs that were fitted and gave no news."""
+        return ExaminedStore(self._connection)
 
     @cached_property
     def ledger(self) -> LedgerStore:

@@ -52,7 +52,7 @@ class Order:
 
 @dataclass(frozen=True)
 class Part:
-    """A piece of work as a worker sees it."""
+    """A piece of work as a worker sees it; `is_due` if nobody asked for it but the scheduler."""
 
     number: int
     job: int
@@ -60,6 +60,7 @@ class Part:
     request: Mapping[str, Any]
     reason: str
     by: str
+    is_due: bool = False
 
 
 @dataclass(frozen=True)
@@ -174,9 +175,19 @@ class JobStore:
             return self.claim(worker, lease_us=lease_us, inputs=inputs)
         taken = {"state": RUNNING, "worker": worker, "lease_until_us": now + lease_us, "attempts": found.attempts + 1}
         self._connection.execute(update(job_part).where(of_part).values(taken))
-        statement = select(job_part.c.id, job_part.c.job, job.c.kind, job_part.c.request, job.c.reason, job.c.by)
-        row = self._connection.execute(statement.join(job, job.c.id == job_part.c.job).where(of_part)).one()
-        return Part(row.id, row.job, row.kind, json.loads(row.request), row.reason, row.by)
+        columns = [
+            job_part.c.id,
+            job_part.c.job,
+            job.c.kind,
+            job_part.c.request,
+            job.c.reason,
+            job.c.by,
+            job.c.due_name,
+        ]
+        statement = select(*columns).join(job, job.c.id == job_part.c.job).where(of_part)
+        row = self._connection.execute(statement).one()
+        request = json.loads(row.request)
+        return Part(row.id, row.job, row.kind, request, row.reason, row.by, row.due_name is not None)
 
     def renew(self, part: Part, worker: str, *, lease_us: int) -> None:
         """Tell that the worker lives."""

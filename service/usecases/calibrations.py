@@ -12,6 +12,7 @@ from lbacal_core.reference_chain import ReferenceChain
 from lbacal_core.validity import Instant, Promotion, Scope
 from service.errors import NotInEffectError
 from service.storage.database import Database
+from service.storage.examined import Examined
 from service.storage.ledger import Neighbours
 from service.storage.versions import Version
 from service.wire.instants import format_instant
@@ -112,10 +113,12 @@ class Calibrations:
         with self.database.read() as stores:
             return stores.versions.get(version_id)
 
-    def get_with_promotions(self, version_id: str) -> tuple[Version, list[Promotion]]:
-        """A version and its newest promotions, at most `PROMOTIONS_SHOWN`."""
+    def get_with_promotions(self, version_id: str) -> tuple[Version, list[Promotion], Examined | None]:
+        """A version, its newest promotions, at most `PROMOTIONS_SHOWN`, and the fit that confirmed it last."""
         with self.database.read() as stores:
-            return stores.versions.get(version_id), stores.ledger.of_calibration(version_id, PROMOTIONS_SHOWN)
+            version = stores.versions.get(version_id)
+            promotions = stores.ledger.of_calibration(version.id, PROMOTIONS_SHOWN)
+            return version, promotions, stores.examined.of_calibration(version.id)
 
     def pair(self, first: str, second: str) -> tuple[Version, Version]:
         """Two versions, to be compared."""

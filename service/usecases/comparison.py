@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from lbacal_core.curves import CalibrationCurve
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats, require_same_grid
+from lbacal_core.reference_chain import ReferenceChain
 from service.storage.versions import Version
 
 
@@ -61,6 +63,34 @@ def compare_versions(first: Version, second: Version) -> list[tuple[str | None, 
             before, after = (version.tell(path, sum(version.window) // 2).curve for version in (first, second))
         changes.append((curve.dipole, compare_curves(before, after)))
     return changes
+
+
+def find_shift(before: Version, after: Version) -> float | None:
+    """By how much C moved from one fit of a scope to the next, in standard deviations: the largest of any channel.
+
+    The fits share most of their events, so their errors do not add: the unit is the smaller `c_sigma_stat` of the two.
+    None if anything but the spectra differs (model, instrument, sky power, members of a mean), or a curve is missing.
+    """
+    if _without_spectra(before) != _without_spectra(after) or before.window != after.window:
+        return None
+    shifts = []
+    for curve in after.curves:
+        dipole = str(curve.dipole)
+        chains = [version.chains.get(dipole) for version in (before, after)]
+        old, new = (through_common_cable(version, dipole) for version in (before, after))
+        if _members(chains[0]) != _members(chains[1]) or old.c is None or new.c is None:
+            return None
+        unit = np.minimum(np.asarray(old.c_sigma_stat), np.asarray(new.c_sigma_stat))
+        shifts.append(float(np.max(np.abs(new.c - old.c) / unit)))
+    return max(shifts)
+
+
+def _without_spectra(version: Version) -> dict[str, Any]:
+    return {name: value for name, value in version.inputs.items() if name != "spectra"}
+
+
+def _members(chain: ReferenceChain | None) -> frozenset[tuple[str, int]] | None:
+    return None if chain is None else chain.member_set
 
 
 def through_common_cable(version: Version, dipole: str) -> CalibrationCurve:

@@ -20,10 +20,12 @@ from lbacal_core.spectra import Spectra
 from lbacal_core.validity import Instant, Promotion, Scope
 from service.errors import ConflictError, TooManyError
 from service.storage.database import Database, Stores
+from service.storage.examined import Examined
 from service.storage.jobs import Job, Order, Part
 from service.storage.spectra import Window
 from service.storage.versions import Version
 from service.usecases.calibrations import select_paths
+from service.usecases.comparison import find_shift
 from service.usecases.gate import Gate, find_predecessors
 from service.usecases.inputs import name_inputs
 from service.wire.bodies import RefitBody
@@ -31,6 +33,8 @@ from service.wire.instants import DAY_US, format_instant, parse_instant
 
 KIND = "refit"
 RETRY_S = 60.0
+SMALLEST_SHIFT = 0.25
+"""Due work that moves C by less than this, in standard deviations and in every channel, is no news."""
 
 
 @dataclass(frozen=True)
@@ -137,24 +141,40 @@ class Refits:
         ]
 
     def _keep(self, stores: Stores, made: list[Version], part: Part) -> _Kept:
-        """Store new versions, each with the objection of the gate if promotion was asked for."""
-        ids = [version.id for version in made]
+        """Store new versions, each with the objection of the gate if promotion was asked for.
+
+        What the gate compares with must not change before the promotions are written: the ledger is locked first. Due
+        work leaves no version where C hardly moved from the one in effect.
+        """
         if not part.request["promote"]:
             stores.versions.add(made)
-            return _Kept({"calibrations": ids, "promoted": [], "gated": {}}, [])
+            return _Kept({"calibrations": [version.id for version in made], "promoted": [], "gated": {}}, [])
+        stores.ledger.lock()
         since, until = part.request["since"], part.request["until"]
         middle = (since + until) // 2
         scopes = [version.scope for version in made]
         before = find_predecessors(stores.ledger, scopes, middle)
         predecessors = stores.versions.get_many(before.values())
+        standing = {
+            scope: promotion.calibration
+            for scope, promotion in stores.ledger.decisive(scopes, middle, None).items()
+            if promotion.calibration is not None and promotion.covers(since) and promotion.covers(until - 1)
+        }
         gated = {v.id: self.gate.objection(v, predecessors.get(before.get(v.scope, ""))) for v in made}
-        stores.versions.add([v.with_gate(gated[v.id]) for v in made])
-        decisive = stores.ledger.decisive(scopes, middle, None)
-        standing = {promotion.calibration for promotion in decisive.values()}
-        passed = [v for v in made if gated[v.id] is None and v.id not in standing]
+        news, examined = list(made), []
+        if part.is_due:
+            in_effect = {scope: predecessors[name] for scope, name in standing.items()}
+            examined = [one for v in made if gated[v.id] is None and (one := _examine(v, in_effect.get(v.scope)))]
+            confirmed = {one.inputs for one in examined}
+            news = [v for v in made if v.id not in confirmed]
+            stores.examined.put(examined)
+        stores.versions.add([v.with_gate(gated[v.id]) for v in news])
+        passed = [v for v in news if gated[v.id] is None and standing.get(v.scope) != v.id]
         promoted = [Promotion(0, v.scope, since, until, v.id, 0, part.by, part.reason) for v in passed]
         objections = {name: objection for name, objection in gated.items() if objection is not None}
-        return _Kept({"calibrations": ids, "promoted": [v.id for v in passed], "gated": objections}, promoted)
+        ids = [v.id for v in news]
+        result = {"calibrations": ids, "promoted": [v.id for v in passed], "gated": objections}
+        return _Kept({**result, "examined": len(examined)}, promoted)
 
 
 @dataclass(frozen=True)
@@ -163,6 +183,16 @@ class _Kept:
 
     result: Mapping[str, Any]
     promotions: list[Promotion]
+
+
+def _examine(new: Version, in_effect: Version | None) -> Examined | None:
+    """The fit as a confirmation of the version in effect; None if it is news, or that version itself."""
+    if in_effect is None or in_effect.id == new.id:
+        return None
+    shift = find_shift(in_effect, new)
+    if shift is None or shift >= SMALLEST_SHIFT:
+        return None
+    return Examined(new.scope, *new.window, new.id, in_effect.id, shift, new.made)
 
 
 def describe_part(scope: str, of: Scope, since: Instant, until: Instant, *, promote: bool) -> dict[str, Any]:

@@ -61,6 +61,7 @@ class JobAnswer(Answer):
     calibrations: list[str] = Field(description="ids of the versions made, or found made before")
     promoted: list[str] = Field(description="ids of those put into effect")
     gated: dict[str, str] = Field(description="why the others wait, by id")
+    examined: int = Field(description="fits that moved C too little to be kept")
     results: list[str]
     error: str | None
     request: dict[str, Any]

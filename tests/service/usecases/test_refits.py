@@ -9,7 +9,10 @@ import pytest
 
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.spectra import Spectra
+from lbacal_core.validity import Scope
 from service.factory import Factory
+from service.scheduler import look_for_due_work
+from service.storage.examined import Examined
 from service.wire.bodies import RefitBody
 from service.worker import Worker
 
@@ -90,3 +93,95 @@ def test_what_was_left_out_is_shown_and_stays_in_the_database(bare: Factory, cam
     with bare.database.read() as stores:
         stored = stores.spectra.event(name)
     assert (stored.spectra, stored.flag) == (8, None)
+
+
+def night(factory: Factory) -> list[Any]:
+    """What one night does: the refits it makes, as jobs."""
+    numbers = look_for_due_work(factory)
+    Worker(factory, "worker").run(threading.Event(), until_idle=True)
+    return [job for number in numbers if (job := factory.jobs.get(number)).kind == "refit"]
+
+
+def count(factory: Factory, name: str) -> int:
+    with factory.database.read() as stores:
+        return int(stores.versions._connection.exec_driver_sql(f"SELECT count(*) FROM {name}").scalar_one())  # noqa: S608
+
+
+def test_a_night_that_hardly_moves_c_leaves_no_version_and_is_not_due_again(
+    station: Factory, campaign: Spectra
+) -> None:
+    """After 365 nights of one station its page was 11 MB: every new event made 576 versions and promotions."""
+    night(station)
+    first = campaign.event_id[np.argmin(campaign.time_unix)]
+    before = {name: count(station, name) for name in ("calibration", "promotion")}
+    station.intake.set_flag(str(first), "bad", reason="test", by="test")
+    jobs = night(station)
+    results = [job.results[0] for job in jobs]
+    news = sum(len(result["promoted"]) for result in results)
+    examined = sum(result["examined"] for result in results)
+    assert (news + examined, [result["gated"] for result in results]) == (10, [{}] * 3)
+    assert examined >= 8, "one event of 400 moves C by about 0.05 standard deviations"
+    assert count(station, "calibration") == before["calibration"] + news
+    assert count(station, "promotion") == before["promotion"] + news
+    assert look_for_due_work(station) == []
+    assert count(station, "examined") == examined
+
+
+def test_what_was_examined_confirms_the_version_in_effect(station: Factory, campaign: Spectra) -> None:
+    night(station)
+    first = str(campaign.event_id[np.argmin(campaign.time_unix)])
+    station.intake.set_flag(first, "bad", reason="test", by="test")
+    night(station)
+    with station.database.read() as stores:
+        rows = stores.versions._connection.exec_driver_sql("SELECT calibration FROM examined ORDER BY scope").scalars()
+        found = [stores.examined.of_calibration(name) for name in rows.all()]
+    assert found
+    for one in found:
+        assert isinstance(one, Examined)
+        assert 0 <= one.shift < 0.25
+        assert one.inputs != one.calibration
+        version, _, confirmed = station.calibrations.get_with_promotions(one.calibration)
+        assert confirmed == one
+        assert (version.scope, version.window) == (one.scope, (one.since, one.until))
+    assert {one.scope.station for one in found if one} <= {None, "CS002"}
+
+
+def test_a_refit_that_was_asked_for_stores_its_version_however_little_it_moves(
+    station: Factory, campaign: Spectra
+) -> None:
+    night(station)
+    first = str(campaign.event_id[np.argmin(campaign.time_unix)])
+    station.intake.set_flag(first, "bad", reason="test", by="test")
+    night(station)
+    before = count(station, "calibration")
+    result = refit(station, "antenna").results[0]
+    assert (len(result["calibrations"]), len(result["promoted"]), result["examined"]) == (8, 8, 0)
+    assert count(station, "calibration") >= before + 8 - 2, "at most two of them were news to the night"
+
+
+def test_a_night_with_news_stores_it(station: Factory, campaign: Spectra) -> None:
+    night(station)
+    of_year = np.unique(campaign.event_id[campaign.time_unix < np.datetime64("2015-01-01", "s").astype(float)])
+    for name in of_year[::3]:
+        station.intake.set_flag(str(name), "bad", reason="test", by="test")
+    results = [job.results[0] for job in night(station)]
+    assert sum(len(result["promoted"]) for result in results) >= 8
+    changed = [v for result in results for v in result["promoted"]]
+    with station.database.read() as stores:
+        said = stores.ledger.answers([Scope("CS002", 0, "X")], 1_400_000_000_000_000, None)
+    assert said[Scope("CS002", 0, "X")][0].calibration in changed
+
+
+def test_another_model_is_news_even_where_c_stays(station: Factory, monkeypatch: pytest.MonkeyPatch) -> None:
+    night(station)
+    before = count(station, "calibration")
+    for place in ("lbacal_core.provenance.Provenance.__init__", "service.usecases.inputs.Inputs.__init__"):
+        module, owner, _ = place.rsplit(".", 2)
+        made = getattr(__import__(module, fromlist=[owner]), owner)
+        defaults = tuple(99 if value in (2, 3, 4) else value for value in made.__init__.__defaults__)
+        monkeypatch.setattr(made.__init__, "__defaults__", defaults)
+    later = Factory(station.settings, station.clock)
+    results = [job.results[0] for job in night(later)]
+    later.database.close()
+    assert [result["examined"] for result in results] == [0] * 6
+    assert count(station, "calibration") == 2 * before
