@@ -11,6 +11,9 @@ comparison with the other antennas of the same cable: SNR^2 = t' C^-1 t, with t 
 covariance of the fitted ln A(nu) of the antenna (mean of its dipoles) less the mean of the others, a gain that is flat
 along frequency left free (`snr_against_others`).
 
+Where the finder's sky is its own, it also leaves free how other models of sky and antenna differ from it: these modes
+of ln P_sky, each with a prior of one standard deviation, count as free here too.
+
 No code is shared with what searches (`lbacal_core.discovery`, `lbacal_core.causes`).
 """
 
@@ -21,7 +24,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
 from lbacal_core.grids import Floats
@@ -29,78 +31,14 @@ from lbacal_core.instrument import DIPOLES
 from lbacal_core.spectra import Spectra
 from lbacal_core.twin.campaign import DrawnStation, expected_power
 from lbacal_core.twin.faults.fault import Fault
+from lbacal_core.twin.gains import BEHIND_EVERYTHING, EventGains
 from lbacal_core.twin.nuisances import Nuisances
 from lbacal_core.twin.settings import TwinSettings
 from lbacal_core.twin.stages import Scene, Stages
+from proofs.hidden.noise import Noise, count_blocks, noise_of, slope_of_resonance
 
 TINY_RIDGE = 1e-13
 """On columns of unit norm: keeps the columns of a path without spectra from being singular, and moves nothing else."""
-
-
-@dataclass(frozen=True)
-class Noise:
-    """Inverse covariance of the relative noise of one station, event by event; zero where a spectrum is absent.
-
-    All channels are alike and correlated by what is flat in frequency only, so that the band mean and the deviations
-    from it are independent.
-
-    Attributes
-    ----------
-    rest
-        Of deviations from the band mean, in each channel, shape (event, path, path).
-    band
-        Of the band mean times the root of the number of channels, shape (event, path, path).
-    """
-
-    rest: Floats
-    band: Floats
-
-    def weigh(self, values: Floats) -> Floats:
-        """V^-1 times vectors of shape (..., path, event, freq)."""
-        mean = values.mean(axis=-1)
-        weighed = np.einsum("epq,...qef->...pef", self.rest, values, optimize=True)
-        return np.asarray(weighed + np.einsum("epq,...qe->...pe", self.band - self.rest, mean)[..., None])
-
-
-def noise_of(
-    settings: TwinSettings, nuisances: Nuisances, station: str, blocks: NDArray[np.int64], channels: int
-) -> Noise:
-    """The noise that the twin draws, to first order in its relative size.
-
-    Radiometer noise of each path and channel, a part of it shared by the antennas of a dipole letter; the gain of an
-    event, of the station and of each path. Products of two (0.3 % of the radiometer's variance) are left out.
-
-    Parameters
-    ----------
-    blocks
-        Averaged blocks, 0 where there is no spectrum, shape (path, event); paths in the order 0 X, 0 Y, 1 X, 1 Y, ...
-    """
-    factor = nuisances.noise_factor if station in nuisances.noisy_stations else 1.0
-    is_present = (blocks > 0).T
-    amplitude = factor * settings.radiometer * np.sqrt(100.0 / np.maximum(blocks, 1).T)
-    letter = np.arange(len(blocks)) % len(DIPOLES)
-    shape = np.where(letter[:, None] == letter, nuisances.sky_correlation, 0.0)
-    shape[np.diag_indices_from(shape)] = 1.0
-    rest = shape * amplitude[:, :, None] * amplitude[:, None, :]
-    gain = settings.event_gain_common**2 + settings.event_gain_path**2 * np.eye(len(blocks))
-    return Noise(*(_invert_present(part, is_present) for part in (rest, rest + channels * factor**2 * gain)))
-
-
-def _invert_present(covariance: Floats, is_present: NDArray[np.bool_]) -> Floats:
-    both = is_present[:, :, None] & is_present[:, None, :]
-    padded = np.where(both, covariance, np.eye(covariance.shape[1]))
-    return np.asarray(np.linalg.inv(padded) * both)
-
-
-def count_blocks(spectra: Spectra, scene: Scene) -> NDArray[np.int64]:
-    """Averaged blocks of every path and event of a station, 0 where there is no spectrum; shape (path, event)."""
-    rows = np.flatnonzero(spectra.station == scene.station)
-    antenna = np.searchsorted(scene.antennas, spectra.antenna[rows])
-    dipole = np.array([DIPOLES.index(str(letter)) for letter in spectra.dipole[rows]])
-    event = np.searchsorted(scene.time_unix, spectra.time_unix[rows])
-    blocks = np.zeros((len(scene.antennas), len(DIPOLES), len(scene.time_unix)), dtype=np.int64)
-    blocks[antenna, dipole, event] = spectra.blocks[rows]
-    return blocks.reshape(-1, blocks.shape[2])
 
 
 @dataclass(frozen=True)
@@ -128,6 +66,11 @@ class PathChains:
     def power(self) -> Floats:
         """Shape (path, event, freq)."""
         return np.asarray((self.sky + self.n_lna) * self.front + self.n_rcu * self.receiver + self.n_adc)
+
+    @cached_property
+    def sky_share(self) -> Floats:
+        """Part of the power that is the sky's, shape (path, event, freq)."""
+        return np.asarray(self.sky * self.front / self.power)
 
     @cached_property
     def columns(self) -> tuple[Floats, Floats]:
@@ -161,12 +104,16 @@ class IdealDetector:
         alike.
     chains
         The chain about which the fit is linear: the true one without faults, or one fitted to data with them.
+    modes
+        Changes of ln P_sky that the finder leaves free, each one standard deviation of its prior, shape
+        (mode, dipole, event, freq); none where the sky power is taken at its word.
     """
 
     station: DrawnStation
     noise: Noise
     departure: Floats
     chains: PathChains
+    modes: Floats
 
     def power(self, faults: Sequence[Fault]) -> Floats:
         """The expected power with faults, shape (path, event, freq)."""
@@ -183,8 +130,13 @@ class IdealDetector:
         """
         weighed = self.noise.weigh(templates)
         absorbed = self._onto_columns(weighed)
-        total = np.einsum("kpef,lpef->kl", templates, weighed, optimize=True)
-        return np.asarray(total - absorbed @ cho_solve(self._normal_factor, absorbed.T))
+        solved = cho_solve(self._normal_factor, absorbed.T)
+        total = np.einsum("kpef,lpef->kl", templates, weighed, optimize=True) - absorbed @ solved
+        if not len(self.modes):
+            return np.asarray(total)
+        onto_modes, of_modes = self._mode_products
+        mixed = self._onto_modes(weighed) - (onto_modes @ solved).T
+        return np.asarray(total - mixed @ np.linalg.solve(of_modes, mixed.T))
 
     def fitted_to(self, power: Floats) -> IdealDetector:
         """The detector about the chains that fit a power best, shape (path, event, freq); Newton's first step."""
@@ -235,31 +187,43 @@ class IdealDetector:
         joined = np.concatenate([of_slopes, of_constants], axis=2).reshape(len(weighed), -1)
         return np.asarray(joined * self._scale)
 
+    def _onto_modes(self, weighed: Floats) -> Floats:
+        """Products of vectors (k, path, event, freq) with the modes, shape (k, mode)."""
+        shown = (weighed * self.chains.sky_share).reshape(len(weighed), -1, len(DIPOLES), *weighed.shape[2:])
+        return np.asarray(np.einsum("kdef,mdef->km", shown.sum(axis=1), self.modes, optimize=True))
+
+    @cached_property
+    def _mode_products(self) -> tuple[Floats, Floats]:
+        """Products of the modes with the columns, and with each other less what the columns absorb, prior included."""
+        antennas = len(self.chains.front) // len(DIPOLES)
+        onto_columns, onto_modes = [], []
+        for mode in self.modes:
+            weighed = self.noise.weigh((np.tile(mode, (antennas, 1, 1)) * self.chains.sky_share)[None])
+            onto_columns.append(self._onto_columns(weighed)[0])
+            onto_modes.append(self._onto_modes(weighed)[0])
+        onto = np.array(onto_columns)
+        return onto, np.array(onto_modes) - onto @ cho_solve(self._normal_factor, onto.T) + np.eye(len(onto))
+
     @cached_property
     def _normal(self) -> Floats:
         """N' V^-1 N, shape (path x column, path x column), path pair by path pair."""
         slopes, constants = self.chains.columns
         paths, _, channels = slopes.shape
         size = channels + len(constants)
-        normal = np.empty((paths, size, paths, size))
-        band = constants.sum(axis=3)
-        flat = (self.noise.band - self.noise.rest) / channels
+        normal = np.zeros((paths, size, paths, size))
         for p in range(paths):
             for q in range(p, paths):
-                rest, extra = self.noise.rest[:, p, q, None], flat[:, p, q, None]
-                block = np.empty((size, size))
-                block[:channels, :channels] = slopes[p].T @ (extra * slopes[q])
-                block[np.arange(channels), np.arange(channels)] += np.sum(slopes[p] * rest * slopes[q], axis=0)
-                for (i, a), (j, b) in (((p, slopes[p] * rest), (q, extra)), ((q, slopes[q] * rest), (p, extra))):
-                    mixed = np.einsum("ef,cef->fc", a, constants[:, j]) + slopes[i].T @ (b * band[:, j].T)
-                    if i == p:
-                        block[:channels, channels:] = mixed
-                    if i == q:
-                        block[channels:, :channels] = mixed.T
-                own = np.einsum("cef,def->cd", constants[:, p] * rest, constants[:, q])
-                block[channels:, channels:] = own + band[:, p] @ (extra * band[:, q].T)
+                rest = self.noise.rest[:, p, q, None]
+                block = np.zeros((size, size))
+                block[np.arange(channels), np.arange(channels)] = np.sum(slopes[p] * rest * slopes[q], axis=0)
+                block[:channels, channels:] = np.einsum("ef,cef->fc", slopes[p] * rest, constants[:, q])
+                block[channels:, :channels] = np.einsum("ef,cef->cf", slopes[q] * rest, constants[:, p])
+                block[channels:, channels:] = np.einsum("cef,def->cd", constants[:, p] * rest, constants[:, q])
                 normal[p, :, q], normal[q, :, p] = block, block.T
-        return normal.reshape(paths * size, paths * size)
+        whole = normal.reshape(paths * size, paths * size)
+        for taken in self.noise.projections(slopes, constants):
+            whole -= taken.T @ taken
+        return whole
 
     @cached_property
     def _scale(self) -> Floats:
@@ -283,25 +247,40 @@ class IdealDetector:
 
 
 def ideal_detector(
-    settings: TwinSettings, nuisances: Nuisances, station: DrawnStation, spectra: Spectra
+    settings: TwinSettings,
+    nuisances: Nuisances,
+    station: DrawnStation,
+    spectra: Spectra,
+    gains: EventGains = BEHIND_EVERYTHING,
+    modes: Floats | None = None,
 ) -> IdealDetector:
     """The ideal detector of one station of a campaign."""
-    blocks = count_blocks(spectra, station.scene)
-    channels = len(station.scene.frequency_mhz)
-    noise = noise_of(settings, nuisances, station.scene.station, blocks, channels)
-    wave = np.cos(np.pi * np.outer(np.linspace(0.0, 1.0, channels), [1, 2, 3, 4]))
     stages, scene = station.stages, station.scene
-    known = {
-        name: _of_paths(values, scene)
-        for name, values in {"sky": stages.sky, "receiver": stages.receiver, "front": _front(stages)}.items()
-    }
-    constants = {
-        name: _of_paths(values, scene)[:, :1, :1]
-        for name, values in {
-            "n_lna": stages.lna_noise, "n_rcu": stages.rcu_noise, "n_adc": stages.adc_noise,
-        }.items()
-    }  # fmt: skip
-    return IdealDetector(station, noise, nuisances.departures**2 / 2 * wave @ wave.T, PathChains(**known, **constants))
+    chains = chains_of(stages, scene)
+    noise = noise_of(
+        settings,
+        nuisances,
+        scene.station,
+        count_blocks(spectra, scene),
+        chains.columns[0],
+        slope_of_resonance(stages, scene.frequency_mhz),
+        gains.jitters_at(scene)[:, 0],
+        gains,
+    )
+    wave = np.cos(np.pi * np.outer(np.linspace(0.0, 1.0, len(scene.frequency_mhz)), [1, 2, 3, 4]))
+    none = np.empty((0, len(DIPOLES), len(scene.time_unix), len(scene.frequency_mhz)))
+    departure = nuisances.departures**2 / 2 * wave @ wave.T
+    return IdealDetector(station, noise, departure, chains, none if modes is None else modes)
+
+
+def chains_of(stages: Stages, scene: Scene) -> PathChains:
+    """The chain of every path as the fit has it."""
+    known = {"sky": stages.sky, "receiver": stages.receiver, "front": _front(stages)}
+    constants = {"n_lna": stages.lna_noise, "n_rcu": stages.rcu_noise, "n_adc": stages.adc_noise}
+    return PathChains(
+        **{name: _of_paths(values, scene) for name, values in known.items()},
+        **{name: _of_paths(values, scene)[:, :1, :1] for name, values in constants.items()},
+    )
 
 
 def _of_paths(stage: Floats, scene: Scene) -> Floats:

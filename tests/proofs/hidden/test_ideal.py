@@ -11,9 +11,11 @@ from lbacal_core.twin.campaign import draw_stations, expected_power, simulate_ca
 from lbacal_core.twin.faults.antenna import GainStep, GainTemperature
 from lbacal_core.twin.faults.cable import CableLength, CableReflection
 from lbacal_core.twin.faults.fault import Where
+from lbacal_core.twin.gains import BEHIND_EVERYTHING, NOISES, EventGains, shift_resonance
 from lbacal_core.twin.nuisances import NONE, Nuisances
 from lbacal_core.twin.settings import TwinSettings
-from proofs.hidden.ideal import IdealDetector, count_blocks, ideal_detector
+from proofs.hidden.ideal import IdealDetector, ideal_detector
+from proofs.hidden.noise import count_blocks
 
 SETTINGS = TwinSettings(stations=("CS002",), antennas=3, events_per_year=30, fewest_blocks=50, most_blocks=150)
 HARD = Nuisances(
@@ -39,21 +41,43 @@ def thin_sky(two_waves: SkyPower) -> SkyPower:
     )
 
 
-def _detector(instrument: Instrument, sky: SkyPower, nuisances: Nuisances = NONE, seed: int = 3) -> IdealDetector:
+def _detector(
+    instrument: Instrument,
+    sky: SkyPower,
+    nuisances: Nuisances = NONE,
+    seed: int = 3,
+    gains: EventGains = BEHIND_EVERYTHING,
+    modes: np.ndarray | None = None,
+) -> IdealDetector:
     spectra = simulate_campaign(SETTINGS, instrument, sky, np.random.default_rng(seed), (), nuisances).spectra
     (station,), _ = draw_stations(SETTINGS, instrument, sky, np.random.default_rng(seed), nuisances)
-    return ideal_detector(SETTINGS, nuisances, station, spectra)
+    return ideal_detector(SETTINGS, nuisances, station, spectra, gains, modes)
 
 
-@pytest.mark.parametrize("nuisances", [NONE, HARD], ids=["none", "hard"])
-def test_it_is_the_dense_generalised_least_squares_of_the_same_data(few_channels, thin_sky, nuisances) -> None:
+@pytest.mark.parametrize(
+    ("nuisances", "noise", "has_modes"),
+    [
+        (NONE, "behind", False),
+        (HARD, "behind", False),
+        (HARD, "front", True),
+        (NONE, "station in front", False),
+        (HARD, "resonance of paths", False),
+        (NONE, "wetness", True),
+    ],
+)
+def test_it_is_the_dense_generalised_least_squares_of_the_same_data(
+    few_channels, thin_sky, nuisances, noise, has_modes
+) -> None:
     """Covariance written out number by number, the derivatives of the power by differences."""
-    detector = _detector(few_channels, thin_sky, nuisances)
+    gains = NOISES[noise]
+    events = SETTINGS.events_per_year
+    modes = 0.1 * np.random.default_rng(1).normal(size=(3, 2, events, 7)) if has_modes else None
+    detector = _detector(few_channels, thin_sky, nuisances, gains=gains, modes=modes)
     scene, stages = detector.station.scene, detector.station.stages
     spectra = simulate_campaign(SETTINGS, few_channels, thin_sky, np.random.default_rng(3), (), nuisances).spectra
     blocks = count_blocks(spectra, scene)
     power = expected_power(stages, scene, ())
-    antennas, dipoles, events, channels = power.shape
+    antennas, dipoles, _, channels = power.shape
     place = np.array([k for k in np.ndindex(antennas * dipoles, events, channels) if blocks[k[0], k[1]] > 0])
     path, event, channel = place.T
     factor = nuisances.noise_factor if nuisances.noisy_stations else 1.0
@@ -65,8 +89,24 @@ def test_it_is_the_dense_generalised_least_squares_of_the_same_data(few_channels
     c = nuisances.sky_correlation
     covariance = same_channel * same_path * (1 - c) * product
     covariance += same_channel * (path[:, None] % 2 == path % 2) * c * product
-    covariance += same_event * (SETTINGS.event_gain_common**2 + same_path * SETTINGS.event_gain_path**2)
+    behind, before = gains.behind(SETTINGS), gains.before_receiver(SETTINGS)
+    covariance += same_event * (behind.event_gain_common**2 + same_path * behind.event_gain_path**2)
     covariance *= factor**2
+
+    def seen(**changed: np.ndarray) -> np.ndarray:
+        change = expected_power(replace(stages, **changed), scene, ()) / power - 1.0
+        return change.reshape(-1, *power.shape[2:])[path, event, channel] / 1e-5
+
+    front = seen(gain=stages.gain * (1 + 1e-5))
+    shift = np.full((1, 1, len(scene.time_unix), 1), 1e-5) * gains.jitters_at(scene)
+    moved = seen(antenna=shift_resonance(stages.antenna, scene.frequency_mhz, shift))
+    covariance += same_event * np.outer(front, front) * (before[0] ** 2 + same_path * before[1] ** 2)
+    jitter = gains.common_jitter_mhz**2 + same_path * gains.path_jitter_mhz**2
+    covariance += same_event * np.outer(moved, moved) * jitter
+    if modes is not None:  # a mode of known size is noise of that size
+        sky = seen(sky=stages.sky * (1 + 1e-5))
+        known = modes[:, path % 2, event, channel] * sky
+        covariance += known.T @ known
     columns = []
     shape = (antennas, dipoles, events, channels)
     for name in ("antenna", "lna_noise", "rcu_noise", "adc_noise"):
