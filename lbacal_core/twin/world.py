@@ -67,6 +67,11 @@ class World:
         """Where the gains of events act."""
         return NOISES[self.noise]
 
+    @property
+    def models(self) -> tuple[str, str]:
+        """Names of sky and antenna, what is random in the sky left out."""
+        return self.sky, self.antenna
+
     def sky_model(self) -> SkyModel:
         """The sky, but for what is added to P_sky itself."""
         sky, rng = make_sky(self.sky), np.random.default_rng([20261122, self.number])

@@ -10,7 +10,6 @@ import numpy as np
 
 from lbacal_core.grids import Floats
 from lbacal_core.instrument import DIPOLES, Instrument, load_instrument
-from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra import Spectra
 from lbacal_core.twin.campaign import draw_stations, simulate_campaign
@@ -18,14 +17,19 @@ from lbacal_core.twin.faults.antenna import ResonanceFault
 from lbacal_core.twin.faults.catalogue import catalogue_faults, draw_fault
 from lbacal_core.twin.faults.fault import EVERYWHERE, Fault, Where
 from lbacal_core.twin.faults.interference import RfiBroadband, RfiLine
+from lbacal_core.twin.gains import BEHIND_EVERYTHING, EventGains
 from lbacal_core.twin.nuisances import NONE, REALISTIC, Nuisances
 from lbacal_core.twin.settings import TwinSettings
 from lbacal_core.twin.stages import Scene
 from lbacal_core.twin.view import View
+from lbacal_core.twin.world import World
 from proofs.hidden.finder import Answer, FittedModel, ask_finder
 from proofs.hidden.ideal import IdealDetector, ideal_detector
+from proofs.hidden.worlds import Finder, alternatives, free_modes, view_of
 
 STATION = "CS002"
+OWN = Finder()
+"""The finder with the sky and the antenna that the package takes unless told otherwise."""
 SMALL = (0, 1, 3, 4, 10, 11)
 """Antennas of three cable lengths, two of each."""
 ALIKE = (0, 1, 2, 6, 7, 8, 9, 12, 3, 4)
@@ -83,6 +87,10 @@ class DataSet:
         Of events, weather, hardware and noise, and of the finder.
     half
         0 or 1: only every second event, from the first or the second on; None: all.
+    world
+        Its sky, antenna and form of the event gains; None where the finder's sky is the true one, at its word.
+    finder
+        The sky and the antenna with which the finder simulates.
     """
 
     seed: int
@@ -90,6 +98,8 @@ class DataSet:
     nuisances: Nuisances = NONE
     events: int = EVENTS
     half: int | None = None
+    world: World | None = None
+    finder: Finder = OWN
 
     @property
     def settings(self) -> TwinSettings:
@@ -106,10 +116,30 @@ class DataSet:
         return np.random.default_rng([20261121, self.seed])
 
     @cached_property
+    def sky_power(self) -> SkyPower:
+        """The true P_sky."""
+        return self.finder.power() if self.world is None else self.world.sky_power(self.instrument)
+
+    @property
+    def view(self) -> View:
+        """The true sky by direction."""
+        return view_of(self.finder.sky, self.finder.antenna) if self.world is None else view_of(*self.world.models)
+
+    @property
+    def gains(self) -> EventGains:
+        """Where the gains of events act."""
+        return BEHIND_EVERYTHING if self.world is None else self.world.gains
+
+    @cached_property
     def detector(self) -> IdealDetector:
-        """Who knows everything."""
-        (station,), _ = draw_stations(self.settings, self.instrument, sky_power(), self.rng(), self.nuisances, _view())
-        return ideal_detector(self.settings, self.nuisances, station, self.spectra())
+        """Who knows everything; the differences between models stay free where the finder's sky is its own."""
+        (station,), _ = draw_stations(
+            self.settings, self.instrument, self.sky_power, self.rng(), self.nuisances, self.view
+        )
+        modes = None
+        if self.world is not None:
+            modes = free_modes(self.finder, alternatives(self.world, self.finder), station.scene.lst_hours)
+        return ideal_detector(self.settings, self.nuisances, station, self.spectra(), self.gains, modes)
 
     @property
     def scene(self) -> Scene:
@@ -119,7 +149,7 @@ class DataSet:
     def spectra(self, faults: Sequence[Fault] = ()) -> Spectra:
         """The spectra with faults; events, weather, hardware and noise are the same with any."""
         campaign = simulate_campaign(
-            self.settings, self.instrument, sky_power(), self.rng(), faults, self.nuisances, _view()
+            self.settings, self.instrument, self.sky_power, self.rng(), faults, self.nuisances, self.view, self.gains
         )
         if self.half is None:
             return campaign.spectra
@@ -129,7 +159,8 @@ class DataSet:
     def ask(self, faults: Sequence[Fault] = (), *, is_own_sky: bool = False) -> Answer:
         """What the finder answers to the data with the faults; the sky power is given and taken at its word.
 
-        Unless it counts as the package's own, whose differences from other models are projected out.
+        Unless it counts as the package's own, whose differences from other models are projected out, as it does in a
+        world that was drawn.
         """
         return self.ask_and_fit(faults, is_own_sky=is_own_sky)[0]
 
@@ -137,7 +168,13 @@ class DataSet:
         self, faults: Sequence[Fault] = (), *, is_own_sky: bool = False
     ) -> tuple[Answer, FittedModel | None]:
         """The answer, and the fitted model with what was found; None where the finder broke down."""
-        return ask_finder(self.spectra(faults), self.instrument, sky_power(), is_own_sky=is_own_sky, seed=self.seed)
+        return ask_finder(
+            self.spectra(faults),
+            self.instrument,
+            self.finder.power(),
+            is_own_sky=is_own_sky or self.world is not None,
+            seed=self.seed,
+        )
 
     def draw(self, cause: str, rng: np.random.Generator) -> Planted:
         """A fault of a cause: its law, and whom it concerns."""
@@ -233,16 +270,9 @@ def _instrument(antennas: tuple[int, ...]) -> Instrument:
     return replace(whole, antennas=[r for r in whole.antennas if r.station == STATION and r.antenna in antennas])
 
 
-@cache
 def sky_power() -> SkyPower:
-    """P_sky of the Superterp."""
-    return compute_sky_power(load_instrument("lofar-superterp"))
-
-
-@cache
-def _view() -> View:
-    """Made once in each process: the first fault with a direction takes seconds to build it."""
-    return View(load_instrument("lofar-superterp"))
+    """P_sky of the Superterp as the finder has it."""
+    return OWN.power()
 
 
 def correlations(information: Floats) -> Floats:

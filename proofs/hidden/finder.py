@@ -95,7 +95,12 @@ class FittedModel:
 
 
 def ask_finder(
-    spectra: Spectra, instrument: Instrument, sky_power: SkyPower, *, is_own_sky: bool, seed: int
+    spectra: Spectra,
+    instrument: Instrument,
+    sky_power: SkyPower,
+    *,
+    is_own_sky: bool,
+    seed: int,
 ) -> tuple[Answer, FittedModel | None]:
     """Ask what is hidden in the spectra of one station.
 

@@ -1,0 +1,79 @@
+"""Small instances of the proof of nature, with the same code."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lbacal_core.twin.gains import NOISES
+from lbacal_core.twin.world import MADE_OF, World
+from proofs.hidden.data_sets import OWN
+from proofs.hidden.drawn import SPANNED_SIGMA, describe_world, drawn_data, unspanned_sigma
+from proofs.hidden.nothing import judge as judge_nothing
+from proofs.hidden.nothing import tell as tell_nothing
+from proofs.hidden.pulls import SCOPES, measure_pulls
+from proofs.hidden.pulls import judge as judge_pulls
+from proofs.hidden.pulls import tell as tell_pulls
+from proofs.hidden.worlds import Finder, alternatives, draw
+
+
+def test_a_drawn_sky_or_antenna_is_neither_the_finders_nor_among_the_models_it_knows() -> None:
+    finder = Finder("gsm408", "inverted-v")
+    for seed in range(60):
+        for who in (OWN, finder):
+            world = draw(seed, who)
+            known = alternatives(world, who)
+            assert who.sky not in (world.sky, *known.skies)
+            assert who.antenna not in (world.antenna, *known.antennas)
+            assert world.sky not in known.skies
+            assert world.antenna not in known.antennas
+            assert MADE_OF.get(world.sky, ("",))[0] not in known.skies
+            assert len(known.skies) >= 2
+            assert len(known.antennas) >= 1
+
+
+def test_the_ideal_detector_sees_a_wrong_sky_unless_the_models_span_it() -> None:
+    data = drawn_data(3)
+    seen = unspanned_sigma(data)
+    assert seen > 1.0
+    # Where the true sky is the finder's, nothing is left but the second order of the fit.
+    own = replace(data, world=World(OWN.sky, OWN.antenna, "behind"))
+    assert unspanned_sigma(own) < 0.1 * seen
+
+
+def test_pulls_of_every_form_of_the_gains_are_measured_in_paths_and_stations() -> None:
+    rows = [measure_pulls(seed) for seed in range(2 * len(NOISES))]
+    assert {row["noise"] for row in rows} == set(NOISES)
+    for scope in SCOPES:
+        assert all(row[scope]["curves"] > 0 for row in rows)
+        # 14 campaigns, curves of a campaign alike: the mean square of pulls is known to a factor of two.
+        assert 0.2 < np.mean([row[scope]["all"] for row in rows]) < 4.0
+    claims = judge_pulls(rows)
+    assert len(claims) == len(SCOPES) * len(NOISES)
+    assert len(tell_pulls(rows)) == 2 + len(claims)
+
+
+def row_of(seed: int, verdict: str, *, named: list[str] | None = None, axis: str = "", unspanned: float = 1.0) -> dict:
+    return {
+        "seed": seed, "verdict": verdict, "named": named or [], "axis": axis, "unspanned": unspanned,
+        **describe_world(drawn_data(seed)),
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("row", "alarms"),
+    [
+        (row_of(0, "consistent"), (0, 0, 0)),
+        (row_of(1, "explained", named=["gain_step"]), (1, 1, 0)),
+        (row_of(2, "unexplained", axis="lst"), (0, 1, 0)),
+        (row_of(3, "unexplained", axis="lst", unspanned=2 * SPANNED_SIGMA), (0, 0, 0)),
+        (row_of(4, "unexplained", axis="date", unspanned=2 * SPANNED_SIGMA), (0, 0, 1)),
+        (row_of(5, "explained", named=["lst_offset"], unspanned=2 * SPANNED_SIGMA), (1, 0, 1)),
+    ],
+)
+def test_what_counts_as_an_alarm_depends_on_what_the_models_span(row: dict, alarms: tuple[int, int, int]) -> None:
+    claims = judge_nothing([row])
+    assert tuple(round(claim.found * claim.n) for claim in claims) == alarms
+    assert any(row["sky"] in line for line in tell_nothing([row]))
