@@ -8,5 +8,6 @@ The server is `LBACAL_URL`, the key `LBACAL_API_KEY`.
 
 from lbacal.client import Client, effective, ingest, refit
 from lbacal.transport import RefusedError, UnreachableError
+from lbacal.voltages import calibrate_trace
 
-__all__ = ["Client", "RefusedError", "UnreachableError", "effective", "ingest", "refit"]
+__all__ = ["Client", "RefusedError", "UnreachableError", "calibrate_trace", "effective", "ingest", "refit"]

@@ -211,3 +211,10 @@ def test_no_machine_and_no_registry_is_named_in_a_file(repository: Path, tracked
             continue
         named += [f"{path}: {word}" for word in MACHINE_PATHS + REGISTRIES if word in text]
     assert named == []
+
+
+def test_the_example_of_unfolding_runs(repository: Path) -> None:
+    page = (repository / "docs/how-to/calibrate-traces.md").read_text()
+    found = re.search(r"^## Field.*?^```python\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
+    assert found is not None
+    exec(found[1], {})  # noqa: S102  (our own page)

@@ -3,14 +3,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lbacal_core.antenna.effective import (
-    IMPEDANCE_OF_FREE_SPACE,
-    effective_area,
-    split_gain_and_response,
-    unpolarised_height_squared,
-)
+from lbacal_core.antenna.effective import IMPEDANCE_OF_FREE_SPACE, effective_area, effective_heights
 from lbacal_core.antenna.hamaker import load_hamaker
-from lbacal_core.antenna.model import power_pattern
+from lbacal_core.antenna.model import directional_response
 
 
 def test_a_matched_short_dipole_in_free_space_has_three_eighths_of_lambda_squared_over_pi() -> None:
@@ -21,8 +16,8 @@ def test_a_matched_short_dipole_in_free_space_has_three_eighths_of_lambda_square
     assert area == pytest.approx(3 / (8 * np.pi) * wavelength**2, rel=1e-12)
 
 
-def test_gain_and_response_multiply_to_the_power_pattern() -> None:
-    nu, zenith, azimuth = np.array([40.0, 60.0]), np.array([0.1, 0.8]), np.array([0.5, 2.5])
-    gain, response = split_gain_and_response(load_hamaker(), nu, zenith, azimuth)
-    power = power_pattern(load_hamaker(), nu, zenith, azimuth)
-    assert 2 * unpolarised_height_squared(gain, response) == pytest.approx(power, rel=1e-12)
+def test_the_square_of_the_height_is_gain_times_response() -> None:
+    nu, gain = np.array([40.0, 60.0]), np.array([0.2, 3.0])
+    height = effective_heights(load_hamaker(), gain, nu, 0.8, 2.5)
+    response = directional_response(load_hamaker(), nu, np.array([0.8]), np.array([2.5]))[:, 0]
+    assert np.sum(np.abs(height) ** 2, axis=1) == pytest.approx(gain * response, rel=1e-12)

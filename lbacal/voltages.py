@@ -1,0 +1,67 @@
+"""A trace in volts with what `lbacal.effective` answered."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from lbacal_core.errors import BadInputError
+from lbacal_core.grids import Floats
+
+if TYPE_CHECKING:
+    from astropy.table import QTable
+
+    from lbacal_core.curves import CalibrationCurve
+    from lbacal_core.traces.voltage import CalibratedTrace
+
+
+def calibrate_trace(samples: Floats, sample_rate_mhz: float, effective: QTable) -> CalibratedTrace:
+    """Apply the calibration in effect to a trace: volts at the antenna, with errors, and flags outside the band.
+
+    Parameters
+    ----------
+    samples
+        Shape (sample,), ADC units, cleaned of interference.
+    sample_rate_mhz
+        200 for LOFAR.
+    effective
+        The answer of `lbacal.effective` for the one path that recorded the trace.
+    """
+    from lbacal_core.traces.voltage import calibrate_trace as calibrate
+
+    return calibrate(samples, sample_rate_mhz, curve_of(effective))
+
+
+def curve_of(effective: QTable) -> CalibrationCurve:
+    """The curve in the rows of one path."""
+    from lbacal_core.curves import CONVERGED, CalibrationCurve
+
+    paths = {(str(row["station"]), int(row["antenna"]), str(row["dipole"])) for row in effective}
+    if len(paths) != 1:
+        raise BadInputError(
+            "effective", "the rows of one path: name station, antenna and dipole", f"{len(paths)} paths"
+        )
+    ((station, antenna, dipole),) = paths
+
+    def column(name: str) -> Floats | None:
+        values = np.asarray(effective[name].to_value("V"), dtype=float)
+        return values if np.all(np.isfinite(values)) else None
+
+    c = column("c")
+    if c is None:
+        raise BadInputError("effective", "a finite C in every channel", "NaN")
+    return CalibrationCurve(
+        station=station or None,
+        antenna=None if antenna < 0 else antenna,
+        dipole=dipole or None,
+        status=CONVERGED,
+        events=0,
+        frequency_mhz=np.asarray(effective["frequency_mhz"].to_value("MHz"), dtype=float),
+        c=c,
+        c_sigma_stat=column("c_sigma_stat"),
+        c_sigma_sys=column("c_sigma_sys"),
+        chi2_per_dof=None,
+        lst_coverage=0.0,
+        parameters={},
+    )

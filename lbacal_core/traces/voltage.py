@@ -1,0 +1,116 @@
+"""Apply C(nu) to a trace: from ADC units to volts at the antenna, with the error of the calibration."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lbacal_core.curves import CalibrationCurve
+from lbacal_core.errors import BadInputError
+from lbacal_core.grids import Floats
+
+Complexes = NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class CalibratedTrace:
+    """A trace in volts, in the time and in the frequency domain.
+
+    Attributes
+    ----------
+    samples
+        Shape (sample,), V at the antenna's output, band-limited to the channels of the curve.
+    frequency_mhz
+        FFT bins, shape (bin,), 0 to half the sampling rate.
+    spectrum
+        `numpy.fft.rfft` of `samples`, complex, shape (bin,), V; zero outside the band.
+    c
+        C at each bin, V per ADC unit, shape (bin,); 0 outside the band.
+    factors
+        One standard deviation of ln C for each independent error, shape (factor, bin): one factor is fully correlated
+        along frequency. 0 outside the band.
+    is_inside
+        Which bins lie in the band of the curve, shape (bin,); what lies outside is not calibrated, and was set to 0.
+    """
+
+    samples: Floats
+    sample_rate_mhz: float
+    frequency_mhz: Floats
+    spectrum: Complexes
+    c: Floats
+    factors: Floats
+    is_inside: NDArray[np.bool_]
+
+    @property
+    def c_sigma(self) -> Floats:
+        """Standard deviation of C at each bin, V per ADC unit, shape (bin,)."""
+        return np.asarray(self.c * np.sqrt(np.sum(self.factors**2, axis=0)))
+
+    def covariance(self) -> Floats:
+        """Covariance of ln C between the bins inside the band, shape (inside, inside)."""
+        inside = self.factors[:, self.is_inside]
+        return np.asarray(inside.T @ inside)
+
+    def sigma_of_energy(self) -> float:
+        """Relative standard deviation of the energy sum |spectrum|^2 from the calibration alone."""
+        power = np.abs(self.spectrum) ** 2
+        return float(np.linalg.norm(2.0 * self.factors @ power) / power.sum())
+
+
+def calibrate_trace(samples: Floats, sample_rate_mhz: float, curve: CalibrationCurve) -> CalibratedTrace:
+    """Multiply the spectrum of a trace by C(nu), interpolated linearly to the FFT bins.
+
+    The convention is that of NuRadioReco's stationGalacticCalibrator, which multiplies the Fourier transform by the
+    curve interpolated linearly between channels. Its file holds zeros outside 30-80 MHz and so ramps over the
+    channel beyond each edge; here a bin outside the band is 0 and `is_inside` says so. The relative calibration
+    between antennas that it applies besides is not part of C.
+
+    Parameters
+    ----------
+    samples
+        Shape (sample,), ADC units, cleaned of interference.
+    sample_rate_mhz
+        200 for LOFAR.
+    curve
+        C(nu) in effect for the path of the trace, as `lbacal.effective` or a fit gives it.
+    """
+    values = np.asarray(samples, dtype=float)
+    if values.ndim != 1 or values.size < 2 or not np.all(np.isfinite(values)):
+        raise BadInputError("samples", "two or more finite numbers in one row", f"shape {values.shape}")
+    if not sample_rate_mhz > 0:
+        raise BadInputError("sample_rate_mhz", "MHz > 0", f"{sample_rate_mhz}")
+    if curve.c is None:
+        raise BadInputError(curve.name, "a curve that converged", curve.status)
+    frequency_mhz = np.asarray(np.fft.rfftfreq(values.size, 1.0 / sample_rate_mhz), dtype=np.float64)
+    channels = curve.frequency_mhz
+    is_inside = (frequency_mhz >= channels[0]) & (frequency_mhz <= channels[-1])
+    if not np.any(is_inside):
+        band = f"{channels[0]:g} to {channels[-1]:g} MHz"
+        raise BadInputError(
+            "samples", f"FFT bins in the band of {curve.name}, {band}", f"{frequency_mhz[-1]:g} MHz at most"
+        )
+    c = np.where(is_inside, np.interp(frequency_mhz, channels, curve.c), 0.0)
+    factors = np.array([np.interp(frequency_mhz, channels, factor) for factor in relative_errors(curve)])
+    spectrum = np.fft.rfft(values) * c
+    return CalibratedTrace(
+        np.fft.irfft(spectrum, values.size),
+        sample_rate_mhz,
+        frequency_mhz,
+        spectrum,
+        c,
+        factors.reshape(-1, frequency_mhz.size) * is_inside,
+        is_inside,
+    )
+
+
+def relative_errors(curve: CalibrationCurve) -> list[Floats]:
+    """The known errors of ln C, each fully correlated along frequency, shape (freq,) each.
+
+    Statistical errors of a fit are nearly so, because three noise constants and one level tie all channels together.
+    """
+    if curve.c is None:
+        return []
+    known = [error for error in (curve.c_sigma_stat, curve.c_sigma_sys) if error is not None]
+    return [np.asarray(error / curve.c) for error in known]

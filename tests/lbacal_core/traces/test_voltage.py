@@ -1,0 +1,115 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lbacal_core.curves import CalibrationCurve
+from lbacal_core.errors import BadInputError
+from lbacal_core.traces.voltage import calibrate_trace
+
+CHANNELS = np.arange(30.0, 81.0)
+C = 1e-5 * (1.0 + (CHANNELS - 30.0) / 20.0)
+RATE = 200.0
+SAMPLES = 4096
+
+
+def curve(stat: float | None = 0.01, sys: float | None = 0.05) -> CalibrationCurve:
+    errors = [None if value is None else value * C for value in (stat, sys)]
+    return CalibrationCurve("CS002", 3, "X", "converged", 900, CHANNELS, C, errors[0], errors[1], 1.0, 1.0, {})
+
+
+def noise(seed: int = 1) -> np.ndarray:
+    return np.random.default_rng(seed).normal(0, 20, SAMPLES)
+
+
+def test_a_line_between_two_channels_gets_the_mean_of_their_c() -> None:
+    time = np.arange(SAMPLES) / RATE
+    found = calibrate_trace(7.0 * np.cos(2 * np.pi * 50.048828125 * time), RATE, curve())
+    at = int(np.argmax(np.abs(found.spectrum)))
+    assert found.frequency_mhz[at] == 50.048828125
+    assert found.samples == pytest.approx(7.0 * found.c[at] * np.cos(2 * np.pi * 50.048828125 * time), abs=1e-9)
+    assert found.c[at] == pytest.approx(1e-5 * (1 + 20.048828125 / 20))
+
+
+def test_what_lies_outside_the_band_is_zero_and_flagged() -> None:
+    found = calibrate_trace(noise(), RATE, curve())
+    outside = (found.frequency_mhz < 30) | (found.frequency_mhz > 80)
+    assert np.array_equal(found.is_inside, ~outside)
+    assert np.all(found.spectrum[outside] == 0)
+    assert np.all(np.fft.rfft(found.samples)[found.frequency_mhz < 29] == pytest.approx(0, abs=1e-12))
+    assert np.all(found.c_sigma[outside] == 0)
+
+
+def test_inside_the_band_it_is_what_nuradioreco_does() -> None:
+    # NuRadioReco: interp1d over 101 values at 0, 1, ... 100 MHz, zeros outside 30-80, times the Fourier transform
+    file = np.zeros(101)
+    file[30:81] = C
+    found = calibrate_trace(noise(), RATE, curve())
+    theirs = np.fft.rfft(noise()) * np.interp(found.frequency_mhz, np.arange(101.0), file)
+    assert found.spectrum[found.is_inside] == pytest.approx(theirs[found.is_inside], rel=1e-12)
+    # theirs ramps to zero over one channel beyond each edge; ours ends at the edge
+    beyond = ~found.is_inside & (np.abs(theirs) > 0)
+    assert np.all((found.frequency_mhz[beyond] > 29) & (found.frequency_mhz[beyond] < 81))
+
+
+def test_nuradioreco_itself_gives_the_same_inside_the_band() -> None:
+    module = pytest.importorskip("NuRadioReco.modules.LOFAR.stationGalacticCalibrator")
+    theirs = module.stationGalacticCalibrator()
+    theirs.begin()
+    from lbacal_core.data.tables import read_table
+
+    published = read_table("published_calibration")
+    ours = calibrate_trace(noise(), RATE, replace(curve(None, None), c=published["c"], c_sigma_stat=None))
+    inside = ours.frequency_mhz[ours.is_inside]
+    assert ours.c[ours.is_inside] == pytest.approx(theirs._get_absolute_calibration(inside / 1e3), rel=1e-6)
+
+
+def test_errors_are_interpolated_and_fully_correlated_along_frequency() -> None:
+    found = calibrate_trace(noise(), RATE, curve(stat=0.03, sys=0.04))
+    inside = found.is_inside
+    assert found.c_sigma[inside] == pytest.approx(0.05 * found.c[inside])
+    covariance = found.covariance()
+    assert covariance.shape == (found.is_inside.sum(),) * 2
+    assert covariance == pytest.approx(np.full_like(covariance, 0.0025))
+    # an amplitude known to 5 % is an energy known to 10 %, less a bit because the two errors are independent
+    assert found.sigma_of_energy() == pytest.approx(0.10)
+
+
+def test_the_error_of_the_energy_covers_wrong_calibrations() -> None:
+    rng = np.random.default_rng(8)
+    right = calibrate_trace(noise(), RATE, curve(stat=0.02, sys=0.03))
+    energies = []
+    for _ in range(400):
+        wrong = C * np.exp(0.02 * rng.normal() + 0.03 * rng.normal())
+        energies.append(np.sum(np.abs(calibrate_trace(noise(), RATE, replace(curve(), c=wrong)).spectrum) ** 2))
+    energy = np.sum(np.abs(right.spectrum) ** 2)
+    # 400 draws know a standard deviation to 3.5 %
+    assert np.std(np.array(energies) / energy) == pytest.approx(right.sigma_of_energy(), rel=0.12)
+
+
+def test_a_curve_without_errors_claims_none() -> None:
+    found = calibrate_trace(noise(), RATE, curve(None, None))
+    assert found.factors.shape == (0, SAMPLES // 2 + 1)
+    assert np.all(found.c_sigma == 0)
+
+
+@pytest.mark.parametrize(
+    ("samples", "rate", "message"),
+    [
+        (np.zeros((2, 8)), RATE, "samples"),
+        (np.array([1.0, np.nan]), RATE, "finite"),
+        (np.zeros(64), 40.0, "in the band"),
+        (np.zeros(64), 0.0, "sample_rate_mhz"),
+    ],
+)
+def test_unusable_traces_are_refused(samples: np.ndarray, rate: float, message: str) -> None:
+    with pytest.raises(BadInputError, match=message):
+        calibrate_trace(samples, rate, curve())
+
+
+def test_a_curve_that_did_not_converge_is_refused() -> None:
+    failed = replace(curve(), status="not_converged", c=None, c_sigma_stat=None, c_sigma_sys=None)
+    with pytest.raises(BadInputError, match="converged"):
+        calibrate_trace(noise(), RATE, failed)
