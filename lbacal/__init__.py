@@ -3,11 +3,20 @@
 >>> import lbacal
 >>> lbacal.effective("CS002", antenna=17, dipole="X", at="2014-05-01")  # doctest: +SKIP
 
-The server is `LBACAL_URL`, the key `LBACAL_API_KEY`.
+The server is `LBACAL_URL`, the key `LBACAL_API_KEY`, and `LBACAL_CACHE` the folder that answers while no server does.
 """
 
-from lbacal.client import Client, effective, ingest, refit
+from lbacal.client import CachedAnswerWarning, Client, effective, ingest, refit
 from lbacal.transport import RefusedError, UnreachableError
 from lbacal.voltages import calibrate_trace
 
-__all__ = ["Client", "RefusedError", "UnreachableError", "calibrate_trace", "effective", "ingest", "refit"]
+__all__ = [
+    "CachedAnswerWarning",
+    "Client",
+    "RefusedError",
+    "UnreachableError",
+    "calibrate_trace",
+    "effective",
+    "ingest",
+    "refit",
+]

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import os
 import time
+import warnings
 from collections.abc import Callable
 from datetime import UTC, datetime
 from itertools import islice
@@ -13,7 +15,9 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from lbacal.transport import TRIES, Transport
+from lbacal.cache import Cache, Question, Snapshot, find_cache
+from lbacal.instants import parse_instant
+from lbacal.transport import TRIES, Transport, UnreachableError
 from lbacal_core.errors import BadInputError
 
 if TYPE_CHECKING:
@@ -22,6 +26,7 @@ if TYPE_CHECKING:
     from lbacal_core.spectra import Spectra
 
 DEFAULT_URL = "http://127.0.0.1:8000"
+_EFFECTIVE = "/v1/calibrations/effective"
 ENDED = ("done", "failed", "cancelled")
 POLL_S = 0.5
 EVENTS_AT_ONCE = 50
@@ -33,12 +38,24 @@ _COLUMNS = {
 }
 
 
+class CachedAnswerWarning(UserWarning):
+    """No server answers: the calibrations are those of a tag that was synced before."""
+
+
+def describe_snapshot(snapshot: Snapshot) -> str:
+    """Which tag answers, and as of when."""
+    return f"tag {snapshot.tag}, as known at {snapshot.as_of}, synced at {snapshot.synced_at[:19]}Z from {snapshot.url}"
+
+
 class Client:
     """A server and a key; by default those of `LBACAL_URL` and `LBACAL_API_KEY`."""
 
     def __init__(self, url: str | None = None, api_key: str | None = None, tries: int = TRIES) -> None:
         address = url or os.environ.get("LBACAL_URL") or DEFAULT_URL
         self._transport = Transport(address, api_key or os.environ.get("LBACAL_API_KEY") or None, tries)
+        self._cache = find_cache()
+        self.snapshot: Snapshot | None = None
+        """The cached tag that answered the last question; None where the server did."""
 
     def __enter__(self) -> Self:
         return self
@@ -50,22 +67,59 @@ class Client:
         """Close the connection."""
         self._transport.close()
 
+    @property
+    def url(self) -> str:
+        """The address of the server."""
+        return self._transport.url
+
     def get(self, path: str, **params: Any) -> Any:
         """The JSON at a path of the API."""
         return self._transport.request("GET", path, params=params).json()
 
+    def fetch(self, path: str, **params: Any) -> bytes:
+        """The bytes at a path of the API."""
+        return self._transport.request("GET", path, params=params).content
+
+    def sync(self, tag: str, on_step: Callable[[int, int], None] | None = None) -> tuple[Snapshot, int]:
+        """Bring what a tag holds into `LBACAL_CACHE`; see `Cache.sync`."""
+        if self._cache is None:
+            raise BadInputError("LBACAL_CACHE", "a folder for the answers of the tag", "nothing")
+        return self._cache.sync(self, tag, on_step)
+
     def ask(
         self, station: str | None = None, antenna: int | None = None, dipole: str | None = None, *,
-        at: Any, as_of: Any = None, gap: str | None = None, scope: str | None = None, kind: str = "json",
+        at: Any, as_of: Any = None, gap: str | None = None, scope: str | None = None, tag: str | None = None,
+        kind: str = "json",
     ) -> bytes:  # fmt: skip
-        """The calibration in effect as the server writes it, in one of its formats."""
-        params = {"station": station, "antenna": antenna, "dipole": dipole, "gap": gap, "scope": scope, "format": kind}
-        params |= {"at": format_time(at), "as_of": None if as_of is None else format_time(as_of)}
-        return self._transport.request("GET", "/v1/calibrations/effective", params=params).content
+        """The calibration in effect as the server writes it, in one of its formats; see `effective`.
+
+        A tag that is in `LBACAL_CACHE` is answered from there, since it is the same for ever; anything else only where
+        the server does not answer, and then from the tag that was synced last.
+        """
+        self.snapshot = None
+        params = {"station": station, "antenna": antenna, "dipole": dipole, "gap": gap, "scope": scope, "tag": tag}
+        params |= {"at": format_time(at), "as_of": None if as_of is None else format_time(as_of), "format": kind}
+        if self._cache and tag is not None and as_of is None and gap is None and self._cache.has(tag):
+            return self._ask_cache(self._cache, params)
+        try:
+            return self._transport.request("GET", _EFFECTIVE, params=params, is_quick=True).content
+        except UnreachableError:
+            if self._cache is None or gap is not None:
+                raise
+            return self._ask_cache(self._cache, params)
+
+    def _ask_cache(self, cache: Cache, params: dict[str, Any]) -> bytes:
+        snapshot, wanted = cache.snapshot(params["tag"]), params["as_of"]
+        if wanted is not None and parse_instant("as_of", wanted) != parse_instant("as_of", snapshot.as_of):
+            raise BadInputError("as_of", f"{snapshot.as_of}, the instant of the cached tag {snapshot.tag}", wanted)
+        about = {name: params[name] for name in ("station", "antenna", "dipole", "scope")}
+        answer = cache.answer(snapshot, Question(at=parse_instant("at", params["at"]), **about), params["format"])
+        self.snapshot = snapshot
+        return answer
 
     def effective(
         self, station: str | None = None, antenna: int | None = None, dipole: str | None = None, *,
-        at: Any, as_of: Any = None, gap: str | None = None, scope: str | None = None,
+        at: Any, as_of: Any = None, gap: str | None = None, scope: str | None = None, tag: str | None = None,
     ) -> QTable:  # fmt: skip
         """The calibration in effect at `at`, one row per path and frequency.
 
@@ -78,15 +132,21 @@ class Client:
             ``hold`` answers with the nearest in time where nothing is in effect; such rows are ``uncertain``.
         scope
             ``array``: the reference chain of the array, which is nobody's cable (station empty, antenna -1).
+        tag
+            Name of an instant at which the ledger was frozen, in place of `as_of`.
 
         Returns
         -------
         C of every path through its own cable, whichever scope answered. `flag` is ``ok``, or ``uncertain`` for the
-        reason in `flag_reason`; `factor` is c over that of the stored curve.
+        reason in `flag_reason`; `factor` is c over that of the stored curve. `meta["source"]` is the address that
+        answered; where no server did and `LBACAL_CACHE` is set, the cached tag (with a `CachedAnswerWarning`).
         """
-        import json
-
-        return make_table(json.loads(self.ask(station, antenna, dipole, at=at, as_of=as_of, gap=gap, scope=scope)))
+        body = self.ask(station, antenna, dipole, at=at, as_of=as_of, gap=gap, scope=scope, tag=tag)
+        table = make_table(json.loads(body))
+        table.meta["source"] = self.url if self.snapshot is None else f"cache: {describe_snapshot(self.snapshot)}"
+        if self.snapshot is not None and tag is None:
+            warnings.warn(f"{self.url} does not answer: {describe_snapshot(self.snapshot)}", CachedAnswerWarning, 2)
+        return table
 
     def ingest(
         self, spectra: Path | str | Spectra, on_event: Callable[[int, int], None] | None = None
@@ -143,11 +203,32 @@ class Client:
 
 def effective(
     station: str | None = None, antenna: int | None = None, dipole: str | None = None, *,
-    at: Any, as_of: Any = None, gap: str | None = None, scope: str | None = None,
+    at: Any, as_of: Any = None, gap: str | None = None, scope: str | None = None, tag: str | None = None,
 ) -> QTable:  # fmt: skip
-    """The calibration in effect at `at`; see `Client.effective`."""
+    """The calibration in effect at an instant, one row per path and frequency, with units.
+
+    Parameters
+    ----------
+    station, antenna, dipole
+        A path such as ``("CS002", 17, "X")``; without dipole both, without antenna the whole station, without station
+        all stations.
+    at, as_of
+        When the data were taken, and when the question is asked (None: now): an astropy Time, a datetime (naive = UTC)
+        or ISO 8601 text.
+    gap, scope, tag
+        See `Client.effective`.
+
+    Returns
+    -------
+    Columns `c`, `c_sigma_stat`, `c_sigma_sys` (V per ADC unit), `frequency_mhz`, `flag`, `flag_reason` and more.
+
+    Examples
+    --------
+    >>> import lbacal
+    >>> lbacal.effective("CS002", antenna=17, dipole="X", at="2014-05-01")  # doctest: +SKIP
+    """
     with Client() as client:
-        return client.effective(station, antenna, dipole, at=at, as_of=as_of, gap=gap, scope=scope)
+        return client.effective(station, antenna, dipole, at=at, as_of=as_of, gap=gap, scope=scope, tag=tag)
 
 
 def ingest(spectra: Path | str | Spectra) -> dict[str, int]:

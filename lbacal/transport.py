@@ -6,6 +6,7 @@ back does not do it twice.
 
 from __future__ import annotations
 
+import math
 import time
 import uuid
 from collections.abc import Mapping
@@ -17,6 +18,9 @@ import httpx2
 from lbacal_core.errors import LbacalError
 
 TIMEOUT_S = 60.0
+QUICK_S = 2.0
+"""A question that a cache may answer instead, or a human waits for, finds within this time that nobody is there."""
+QUICK_CONNECT_S = 1.5
 TRIES = 6
 FIRST_PAUSE_S = 0.5
 LONGEST_PAUSE_S = 30.0
@@ -58,28 +62,46 @@ class Transport:
 
     def request(
         self, method: str, path: str, *, params: Mapping[str, Any] | None = None, body: Any = None,
-        file: bytes | None = None,
+        file: bytes | None = None, is_quick: bool = False,
     ) -> httpx2.Response:  # fmt: skip
-        """Ask, with a JSON body or a spectra file, and ask again while nobody answers or the server is busy."""
+        """Ask, with a JSON body or a spectra file, and ask again while nobody answers or the server is busy.
+
+        With `is_quick` it is known after `QUICK_S` that nobody is there.
+        """
         given = {name: value for name, value in (params or {}).items() if value is not None}
         headers = {} if method == "GET" else {"Idempotency-Key": uuid.uuid4().hex}
         if file is not None:
             headers["Content-Type"] = "application/x-hdf5"
-        pause, problem = FIRST_PAUSE_S, "no answer"
+        more: dict[str, Any] = {"timeout": httpx2.Timeout(TIMEOUT_S, connect=QUICK_CONNECT_S)} if is_quick else {}
+        end = time.monotonic() + QUICK_S if is_quick else math.inf
+        pause, problem = FIRST_PAUSE_S, UnreachableError("no answer")
         for attempt in range(self.tries):
             if attempt > 0:
+                if time.monotonic() + pause + QUICK_CONNECT_S > end:
+                    break
                 time.sleep(pause)
                 pause = min(2 * pause, LONGEST_PAUSE_S)
             try:
-                answer = self._http.request(method, path, params=given, json=body, content=file, headers=headers)
+                answer = self._http.request(
+                    method, path, params=given, json=body, content=file, headers=headers, **more
+                )
             except httpx2.TransportError as error:
-                problem = str(error) or type(error).__name__
+                problem = _nobody(self.url, str(error) or type(error).__name__)
                 continue
             if answer.status_code not in AWAY:
                 return _accept(answer)
-            problem = _problem(answer)[1]
+            problem = _busy(self.url, answer)
             pause = max(pause, float(answer.headers.get("retry-after", "0") or 0))
-        raise UnreachableError(f"{self.url} does not answer after {self.tries} tries ({problem}): is LBACAL_URL right?")
+        raise problem
+
+
+def _nobody(url: str, reason: str) -> UnreachableError:
+    return UnreachableError(f"nobody answers at {url} ({reason}): start `lbacal serve` there, or set LBACAL_URL")
+
+
+def _busy(url: str, answer: httpx2.Response) -> UnreachableError:
+    """The server is there and cannot answer now: nothing is wrong with its address."""
+    return UnreachableError(f"the server at {url} cannot answer now ({_problem(answer)[1]}): ask again later")
 
 
 def _accept(answer: httpx2.Response) -> httpx2.Response:

@@ -83,6 +83,7 @@ OTHER_SETTINGS = {
     "LBACAL_DASK": ("address of a dask scheduler for work that outgrows a machine (traces by the terabyte)", "none"),
     "LBACAL_URL": ("address of the server, for the client", "http://127.0.0.1:8000"),
     "LBACAL_API_KEY": ("key of the client; reads need none unless the server says so", "none"),
+    "LBACAL_CACHE": ("folder of the client for synced tags, which answer while no server does", "none"),
     "LBACAL_TEST_PG": ("PostgreSQL server for the tests, as postgresql://user@host/name", "server binaries found here"),
 }
 """What the client, extras and the tests read: meaning and default."""

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from lbacal import tables
 from lbacal_core import spectra
 from lbacal_core.causes.catalogue import ANTENNA_CAUSES, CAUSES
 from lbacal_core.curves import CalibrationCurve, FitReport, parse_curve
@@ -25,7 +26,7 @@ from lbacal_core.reference_chain import CableTable, GainSpread, GainSpreads, Ref
 from lbacal_core.skypower.table import read_sky_power
 from lbacal_core.traces.assembly import COVARIATES, read_event_facts
 from service.cli.reference import describe_causes, describe_commands, describe_settings
-from service.wire import formats, tables
+from service.wire import formats
 
 LINK = re.compile(r"(?<!\\)\]\(([^)\s]+)\)")
 FENCE = re.compile(r"^ *```.*?^ *```", re.MULTILINE | re.DOTALL)

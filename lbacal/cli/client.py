@@ -13,7 +13,8 @@ from typing import Annotated, Any
 import typer
 
 from lbacal.cli.outputs import require_outputs
-from lbacal.client import Client
+from lbacal.client import Client, describe_snapshot
+from lbacal.files import written_beside
 from lbacal_core.errors import BadInputError
 
 Station = Annotated[str | None, typer.Option(help="Station such as CS002.")]
@@ -51,6 +52,7 @@ def effective(
     as_of: Annotated[str | None, typer.Option(help="Answer as it was known at this instant.")] = None,
     gap: Annotated[str | None, typer.Option(help="hold: answer with the nearest where nothing is in effect.")] = None,
     scope: Annotated[str | None, typer.Option(help="array: its reference chain, which is nobody's cable.")] = None,
+    tag: Annotated[str | None, typer.Option(help="Answer as it was frozen under this name.")] = None,
     kind: Annotated[Format, typer.Option("--format", help="How to print.")] = Format.table,
     output: Annotated[Path | None, typer.Option(help="File to write instead of printing.")] = None,
 ) -> None:
@@ -65,14 +67,29 @@ def effective(
         raise BadInputError("--format", "json, csv, ecsv, fits, hdf5 or nuradio with --output", "table")
     with Client() as client:
         wire = "json" if kind is Format.table else kind.value
-        body = client.ask(station, antenna, dipole, at=at, as_of=as_of, gap=gap, scope=scope, kind=wire)
+        body = client.ask(station, antenna, dipole, at=at, as_of=as_of, gap=gap, scope=scope, tag=tag, kind=wire)
+        if client.snapshot is not None:
+            print(f"lbacal: from the cache: {describe_snapshot(client.snapshot)}", file=sys.stderr)
     if output is not None:
-        output.write_bytes(body)
+        with written_beside(output) as beside:
+            beside.write_bytes(body)
     elif kind is not Format.table:
         sys.stdout.buffer.write(body)
     else:
         for curve in json.loads(body)["curves"]:
             print_curve(curve)
+
+
+def sync(tag: Annotated[str, typer.Argument(help="Name of the tag.")]) -> None:
+    """Bring the calibrations of a tag into LBACAL_CACHE, where `effective` finds them while no server answers.
+
+    Example: LBACAL_CACHE=~/.cache/lbacal lbacal sync paper-2026
+
+    Run again, it looks at every file and fetches what is missing or damaged.
+    """
+    with Client() as client, _progress("answers") as on_step:
+        snapshot, fetched = client.sync(tag, on_step)
+    print(f"{describe_snapshot(snapshot)}: {len(snapshot.files)} files, {fetched} answers fetched")
 
 
 def refit(

@@ -15,7 +15,7 @@ from typing import Annotated, Any
 
 import typer
 
-from lbacal.cli.client import effective, ingest, jobs, refit
+from lbacal.cli.client import effective, ingest, jobs, refit, sync
 from lbacal.cli.fit import fit
 from lbacal.cli.import_ import import_
 from lbacal.cli.investigate import investigate
@@ -60,7 +60,7 @@ def _name(command: Callable[..., None]) -> str:
 
 
 _COMPUTING: tuple[Callable[..., None], ...] = (fit, investigate, lst_curve, paper, sky_power, spectra)
-_ASKING: tuple[Callable[..., None], ...] = (ingest, refit, effective, jobs, status)
+_ASKING: tuple[Callable[..., None], ...] = (ingest, refit, effective, jobs, status, sync)
 for command in (*map(_needing_fit, _COMPUTING), import_, *_ASKING):
     app.command(_name(command))(command)
 

@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Depends, Query, Request, Response
 
+from lbacal.tables import write_format
 from lbacal_core.curves import STATUSES, list_numbers
 from lbacal_core.validity import Promotion, Scope
 from service.handlers.problems import document
@@ -39,6 +40,7 @@ from service.wire.bodies import PromotionBody, parse_body
 from service.wire.calibration_models import (
     ChangesAnswer,
     DiffAnswer,
+    EdgesAnswer,
     InEffectAnswer,
     PromotionAnswer,
     VersionsAnswer,
@@ -46,7 +48,6 @@ from service.wire.calibration_models import (
 )
 from service.wire.formats import FORMATS, Format, choose_format
 from service.wire.instants import format_instant, format_optional, parse_at, parse_instant
-from service.wire.tables import write_format
 
 router = APIRouter(tags=["calibrations"])
 FILES: dict[int | str, dict[str, Any]] = {
@@ -95,6 +96,25 @@ def get_in_effect(
         media_type=FORMATS[kind],
         cache=IMMUTABLE if is_settled else REVALIDATE,
     )
+
+
+@router.get(
+    "/v1/calibrations/edges",
+    response_model=EdgesAnswer,
+    summary="Where answers change",
+    description="The instants at which what `effective` answers about a station may change, as known at `as_of`: "
+    "between two of them it is the same. `station` null is the array's reference chain. `lbacal sync` asks at each.",
+    responses=document(401, 422, 503),
+    dependencies=[Depends(require_read)],
+)
+def list_edges(request: Request, use: UseCases, as_of: str) -> Response:
+    found = use.calibrations.edges(parse_instant("as_of", as_of))
+    antennas = {s: sorted({r.antenna for r in use.calibrations.instrument.antennas if r.station == s}) for s in found}
+    stations = [
+        {"station": station, "antennas": antennas[station], "edges": [format_instant(edge) for edge in edges]}
+        for station, edges in found.items()
+    ]
+    return answer(request, {"as_of": as_of, "stations": stations})
 
 
 @router.get(

@@ -74,6 +74,15 @@ def read_chains(connection: Connection, references: Mapping[str, str | None]) ->
     }
 
 
+def read_cable_changes(connection: Connection) -> dict[str, set[float]]:
+    """When antennas change cables, unix seconds by station, in any table that a version answers with."""
+    found: dict[str, set[float]] = {}
+    for row in connection.execute(select(chain_part)):
+        for station, _, _, *instants in json.loads(row.content).get("antennas", ()):
+            found.setdefault(station, set()).update(instant for instant in instants if instant is not None)
+    return found
+
+
 def _read_parts(connection: Connection, digests: Iterable[str]) -> Iterable[tuple[str, Any]]:
     wanted = sorted(digests)
     for start in range(0, len(wanted), MANY_KEYS):

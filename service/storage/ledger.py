@@ -134,6 +134,15 @@ class LedgerStore:
         """The same of scopes by themselves: no wider one answers for them."""
         return self._neighbours({scope: (scope,) for scope in scopes}, instant, as_of)
 
+    def edges(self, as_of: Instant) -> dict[str | None, set[Instant]]:
+        """Where intervals begin or end, by station (None: those of the array), as known at an instant."""
+        found: dict[str | None, set[Instant]] = {}
+        for column in (promotion.c.valid_from_us, promotion.c.valid_to_us):
+            known = select(promotion.c.station, column).where(promotion.c.at_us <= as_of, column.is_not(None))
+            for station, edge in self._connection.execute(known.distinct()):
+                found.setdefault(station, set()).add(edge)
+        return found
+
     def standing(
         self, scopes: Iterable[Scope], since: Instant | None = None, until: Instant | None = None
     ) -> list[Promotion]:

@@ -20,7 +20,7 @@ from lbacal_core.reference_chain import ReferenceChain
 from lbacal_core.validity import Instant, Scope
 from service.errors import NotFoundError
 from service.schema.tables import calibration, calibration_mean, promotion
-from service.storage.chains import read_chains, write_chains
+from service.storage.chains import read_cable_changes, read_chains, write_chains
 
 MICROSECONDS = 1e6
 """An instant in microseconds over this is in seconds."""
@@ -177,6 +177,10 @@ class VersionStore:
         if status is not None:
             statement = statement.where(calibration.c.status == status)
         return self._values(self._connection.execute(statement).all())
+
+    def cable_changes(self) -> dict[str, set[float]]:
+        """When antennas change cables, unix seconds by station."""
+        return read_cable_changes(self._connection)
 
     def count_gated(self) -> int:
         """How many versions wait for a human: the gate kept them back and nobody promoted them."""

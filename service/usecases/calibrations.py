@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -14,7 +15,7 @@ from service.errors import NotInEffectError
 from service.storage.database import Database
 from service.storage.examined import Examined
 from service.storage.ledger import Neighbours
-from service.storage.versions import Version
+from service.storage.versions import MICROSECONDS, Version
 from service.wire.instants import format_instant
 
 PROMOTIONS_SHOWN = 100
@@ -107,6 +108,19 @@ class Calibrations:
             for told, chain in _tell(versions[str(answers[path].calibration)], path, at)
         ]
         return InEffect(at, curves, [path for path in paths if path not in answers])
+
+    def edges(self, as_of: Instant) -> dict[str | None, list[Instant]]:
+        """The instants between which every answer about a station (None: the array) is the same, in order."""
+        if as_of > self.clock():
+            raise BadInputError("as_of", "an instant not later than now", format_instant(as_of))
+        with self.database.read() as stores:
+            edges, cables = stores.ledger.edges(as_of), stores.versions.cable_changes()
+        everywhere = edges.get(None, set())
+        found: dict[str | None, list[Instant]] = {None: sorted(everywhere)}
+        for station in sorted({record.station for record in self.instrument.antennas}):
+            changes = {math.ceil(seconds * MICROSECONDS) for seconds in cables.get(station, ())}
+            found[station] = sorted(everywhere | edges.get(station, set()) | changes)
+        return found
 
     def get(self, version_id: str) -> Version:
         """A version by its id."""

@@ -143,6 +143,21 @@ class InEffectAnswer(Answer):
     missing: list[PathAnswer] = Field(description="paths for which nothing is in effect")
 
 
+class StationEdges(Answer):
+    """A station and where its answers change; null is the array's reference chain."""
+
+    station: str | None
+    antennas: list[int]
+    edges: list[str]
+
+
+class EdgesAnswer(Answer):
+    """Where answers change."""
+
+    as_of: str
+    stations: list[StationEdges]
+
+
 class VersionAnswer(PathAnswer):
     """A version without its curves."""
 

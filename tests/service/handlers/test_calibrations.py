@@ -12,9 +12,9 @@ import pytest
 from astropy.table import Table
 from fastapi.testclient import TestClient
 
+from lbacal.tables import rows_of
 from lbacal_core.provenance import canonical_json
 from service.storage.versions import Version
-from service.wire.tables import rows_of
 
 Stored = dict[str, Version]
 NUMBERS = ("c", "c_sigma_stat", "c_sigma_sys", "factor", "frequency_mhz")

@@ -56,7 +56,7 @@ COLUMNS = {
 
 
 def write_format(name: str, answer: dict[str, Any]) -> bytes:
-    """Write an answer to "in effect at" in one of the formats of `service.wire.formats` other than JSON."""
+    """Write an answer to "in effect at" in one of the formats other than JSON."""
     writers = {
         "csv": write_csv,
         "ecsv": write_ecsv,

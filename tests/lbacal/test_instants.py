@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from lbacal.instants import format_instant, parse_at, parse_instant, parse_mjd
 from lbacal_core.errors import BadInputError
-from service.wire.instants import format_instant, parse_at, parse_instant, parse_mjd
 
 
 def seconds(*parts: int) -> int:

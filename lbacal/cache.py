@@ -1,0 +1,283 @@
+"""The calibrations of a tag on this machine: what `effective` answers with when no server does.
+
+A tag freezes the ledger, and between two edges (an interval begins or ends, an antenna gets another cable) the answer
+for a station is the same. So the folder holds, for each station and each stretch between edges, the server's own answer
+as a file under its SHA-256, and for each tag the SHA-256 of the list of them. A file is hashed whenever it is read.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import re
+from bisect import bisect_right
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Protocol
+
+from lbacal.files import written_beside
+from lbacal.instants import format_instant, parse_instant
+from lbacal.tables import write_format
+from lbacal.transport import RefusedError
+from lbacal_core.errors import BadInputError, LbacalError
+from lbacal_core.validity import Instant
+
+FORMAT = "lbacal-cache-1"
+ARRAY = ""
+"""The name under which the reference chain of the array stands among the stations."""
+_TAG = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
+_DIGEST = re.compile(r"[0-9a-f]{64}")
+NOT_FOUND = 404
+
+
+class CacheError(LbacalError):
+    """The cache cannot answer: the tag is not there, or a file is damaged."""
+
+    status = 500
+    code = "cache"
+
+
+class Source(Protocol):
+    """A client of a server."""
+
+    @property
+    def url(self) -> str:
+        """The address of the server."""
+
+    def get(self, path: str, **params: Any) -> Any:
+        """The JSON at a path of the API."""
+
+    def fetch(self, path: str, **params: Any) -> bytes:
+        """The bytes at a path of the API."""
+
+
+@dataclass(frozen=True)
+class Question:
+    """What is asked of `effective`, as far as a cache can answer it."""
+
+    at: Instant
+    station: str | None
+    antenna: int | None
+    dipole: str | None
+    scope: str | None
+
+    @property
+    def name(self) -> str:
+        """The path, station or array that is meant."""
+        parts = (self.station or "the array", self.antenna, self.dipole)
+        return " ".join(str(part) for part in parts if part is not None)
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """The list of what a tag holds.
+
+    Attributes
+    ----------
+    stations
+        By name: the antennas, and for each edge in order its instant and the SHA-256 of the answer from there on (None:
+        nothing is in effect).
+    """
+
+    tag: str
+    as_of: str
+    url: str
+    synced_at: str
+    stations: Mapping[str, Mapping[str, Any]]
+
+    @property
+    def files(self) -> set[str]:
+        """The SHA-256 of all answers."""
+        held = (digest for station in self.stations.values() for _, digest in station["edges"])
+        return {digest for digest in held if digest is not None}
+
+
+class Cache:
+    """A folder of answers, `LBACAL_CACHE`."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+
+    def sync(self, client: Source, tag: str, on_step: Callable[[int, int], None] | None = None) -> tuple[Snapshot, int]:
+        """Fetch what a tag holds and is not here and whole; return the list and the number of answers fetched."""
+        found = next((one for one in client.get("/v1/tags")["tags"] if one["name"] == _require_tag(tag)), None)
+        if found is None:
+            raise BadInputError("tag", "a tag of the server; GET /v1/tags lists them", repr(tag))
+        as_of = found["as_of"]
+        held = self._held_before(tag, as_of)
+        stations = client.get("/v1/calibrations/edges", as_of=as_of)["stations"]
+        total, fetched, done = sum(len(station["edges"]) for station in stations), 0, 0
+        listed: dict[str, dict[str, Any]] = {}
+        for station in stations:
+            name = station["station"] or ARRAY
+            edges: list[tuple[str, str | None]] = []
+            for edge in station["edges"]:
+                digest = held.get((name, edge), ...)
+                if digest is ... or (digest is not None and not self._is_whole(digest)):
+                    digest = self._fetch(client, name, edge, as_of)
+                    fetched += 1
+                edges.append((edge, digest))
+                done += 1
+                if on_step:
+                    on_step(done, total)
+            listed[name] = {"antennas": station["antennas"], "edges": edges}
+        snapshot = Snapshot(tag, as_of, client.url, format_instant(_now()), listed)
+        content = json.dumps({"format": FORMAT, **vars(snapshot)}, sort_keys=True).encode()
+        self._write(self._folder / "tags" / f"{tag}.json", json.dumps({"list": self._keep(content)}).encode())
+        return snapshot, fetched
+
+    def snapshot(self, tag: str | None) -> Snapshot:
+        """The list of a tag; without a name that of the tag synced last."""
+        if tag is not None:
+            return self._read_snapshot(_require_tag(tag))
+        names = sorted(path.stem for path in (self._folder / "tags").glob("*.json"))
+        if not names:
+            raise CacheError(f"the cache {self._folder} holds no tag: run `lbacal sync TAG` while a server answers")
+        return max((self._read_snapshot(name) for name in names), key=lambda snapshot: snapshot.synced_at)
+
+    def has(self, tag: str) -> bool:
+        """Whether a tag was synced."""
+        return (self._folder / "tags" / f"{_require_tag(tag)}.json").is_file()
+
+    def answer(self, snapshot: Snapshot, asked: Question, kind: str = "json") -> bytes:
+        """What the server answered to a question as of the tag, in one of its formats."""
+        content = self._gather(snapshot, asked)
+        if kind == "json":
+            return json.dumps(content, allow_nan=False, separators=(",", ":"), ensure_ascii=False).encode()
+        return write_format(kind, content)
+
+    def _gather(self, snapshot: Snapshot, asked: Question) -> dict[str, Any]:
+        curves: list[dict[str, Any]] = []
+        missing: list[dict[str, Any]] = []
+        for name in _select_stations(snapshot, asked):
+            station = snapshot.stations[name]
+            digest = _at(station["edges"], asked.at)
+            if digest is not None:
+                content = json.loads(self._read(digest, snapshot.tag))
+                curves += content["curves"]
+                missing += content["missing"]
+            else:
+                missing += [
+                    {"station": name or None, "antenna": antenna, "dipole": dipole}
+                    for antenna in station["antennas"] or [None]
+                    for dipole in ("XY" if name else [None])
+                ]
+        curves, missing = ([one for one in listed if _is_meant(one, asked)] for listed in (curves, missing))
+        if not curves:
+            sentence = f"no calibration is in effect for {asked.name} at {format_instant(asked.at)} in {snapshot.tag}"
+            raise RefusedError(NOT_FOUND, "not_in_effect", sentence)
+        return {"at": format_instant(asked.at), "as_of": snapshot.as_of, "curves": curves, "missing": missing}
+
+    def _held_before(self, tag: str, as_of: str) -> dict[tuple[str, str], str | None]:
+        try:
+            before = self._read_snapshot(tag)
+        except LbacalError:
+            return {}
+        if before.as_of != as_of:
+            return {}
+        return {(name, edge): digest for name, one in before.stations.items() for edge, digest in one["edges"]}
+
+    def _fetch(self, client: Source, name: str, edge: str, as_of: str) -> str | None:
+        asked = {"station": name} if name else {"scope": "array"}
+        try:
+            return self._keep(client.fetch("/v1/calibrations/effective", at=edge, as_of=as_of, **asked))
+        except RefusedError as error:
+            if error.status == NOT_FOUND:
+                return None
+            raise
+
+    def _read_snapshot(self, tag: str) -> Snapshot:
+        path = self._folder / "tags" / f"{tag}.json"
+        try:
+            digest = json.loads(path.read_bytes())["list"]
+            content = json.loads(self._read(digest, tag))
+        except FileNotFoundError:
+            raise CacheError(f"the cache {self._folder} does not hold the tag {tag}: run `lbacal sync {tag}`") from None
+        except (ValueError, KeyError, TypeError) as error:
+            raise _damaged(path, tag) from error
+        if content.pop("format", None) != FORMAT:
+            raise _damaged(path, tag)
+        return Snapshot(**content)
+
+    def _path(self, digest: str) -> Path:
+        if not _DIGEST.fullmatch(digest):
+            raise ValueError(f"{digest!r} is no SHA-256")
+        return self._folder / "files" / digest[:2] / digest
+
+    def _read(self, digest: str, tag: str) -> bytes:
+        """The content of a file, if it still is what its name says."""
+        path = self._path(digest)
+        try:
+            content = path.read_bytes()
+        except OSError as error:
+            raise _damaged(path, tag) from error
+        if hashlib.sha256(content).hexdigest() != digest:
+            raise _damaged(path, tag)
+        return content
+
+    def _is_whole(self, digest: str) -> bool:
+        try:
+            self._read(digest, "")
+        except CacheError:
+            return False
+        return True
+
+    def _keep(self, content: bytes) -> str:
+        digest = hashlib.sha256(content).hexdigest()
+        self._write(self._path(digest), content)
+        return digest
+
+    def _write(self, path: Path, content: bytes) -> None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with written_beside(path) as beside:
+            beside.write_bytes(content)
+
+
+def find_cache() -> Cache | None:
+    """The cache of `LBACAL_CACHE`, if that is set."""
+    folder = os.environ.get("LBACAL_CACHE")
+    return Cache(Path(folder)) if folder else None
+
+
+def _require_tag(tag: str) -> str:
+    if not _TAG.fullmatch(tag):
+        raise BadInputError("tag", "letters, digits, '.', '_' and '-'", repr(tag[:40]))
+    return tag
+
+
+def _select_stations(snapshot: Snapshot, asked: Question) -> Sequence[str]:
+    stations = [name for name in snapshot.stations if name != ARRAY]
+    if asked.scope == "array":
+        return [ARRAY]
+    if asked.dipole not in (None, "X", "Y"):
+        raise BadInputError("dipole", "X or Y", repr(asked.dipole))
+    if asked.antenna is not None and asked.station is None:
+        raise BadInputError("antenna", "a station beside it", f"antenna {asked.antenna} alone")
+    if asked.station is None:
+        return stations
+    if asked.station not in stations:
+        raise BadInputError("station", f"one of {', '.join(stations)}", repr(asked.station))
+    if asked.antenna is not None and asked.antenna not in snapshot.stations[asked.station]["antennas"]:
+        raise BadInputError("antenna", f"an antenna of {asked.station}", str(asked.antenna))
+    return [asked.station]
+
+
+def _is_meant(path: Mapping[str, Any], asked: Question) -> bool:
+    is_antenna = asked.antenna in (None, path["antenna"])
+    return is_antenna and asked.dipole in (None, path["dipole"])
+
+
+def _at(edges: Sequence[tuple[str, str | None]], at: Instant) -> str | None:
+    k = bisect_right([parse_instant("edge", edge) for edge, _ in edges], at)
+    return edges[k - 1][1] if k > 0 else None
+
+
+def _damaged(path: Path, tag: str) -> CacheError:
+    return CacheError(f"{path} is damaged or missing: run `lbacal sync {tag}` while a server answers")
+
+
+def _now() -> Instant:
+    return round(datetime.now(UTC).timestamp() * 1e6)

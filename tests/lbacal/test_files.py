@@ -1,0 +1,64 @@
+from __future__ import annotations
+
+import errno
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from lbacal.files import written_beside
+
+
+def names_in(folder: Path) -> list[str]:
+    return [path.name for path in folder.iterdir()]
+
+
+def write_half(path: Path, error: BaseException) -> None:
+    with written_beside(path) as beside:
+        beside.write_text("half")
+        raise error
+
+
+def test_a_file_is_replaced_when_the_new_one_is_whole(tmp_path: Path) -> None:
+    path = tmp_path / "fit.json"
+    path.write_text("old")
+    path.chmod(0o640)
+    with written_beside(path) as beside:
+        assert beside.suffix == ".json"
+        beside.write_text("new")
+        assert path.read_text() == "old"
+    assert (path.read_text(), path.stat().st_mode & 0o777) == ("new", 0o640)
+    assert names_in(tmp_path) == ["fit.json"]
+
+
+@pytest.mark.parametrize("error", [OSError(errno.ENOSPC, "No space left on device"), KeyboardInterrupt()])
+def test_whatever_stops_the_writing_leaves_what_was_there(tmp_path: Path, error: BaseException) -> None:
+    path = tmp_path / "fit.json"
+    path.write_text("old")
+    with pytest.raises(type(error)):
+        write_half(path, error)
+    assert (path.read_text(), names_in(tmp_path)) == ("old", ["fit.json"])
+
+
+def test_a_link_stays_a_link_and_a_device_is_written_itself(tmp_path: Path) -> None:
+    (tmp_path / "there").write_text("old")
+    link = tmp_path / "link"
+    link.symlink_to("there")
+    with written_beside(link) as beside:
+        beside.write_text("new")
+    assert link.is_symlink()
+    assert (tmp_path / "there").read_text() == "new"
+    with written_beside(Path("/dev/null")) as beside:
+        assert beside == Path("/dev/null")
+
+
+def test_two_who_write_the_same_file_leave_one_whole_file(tmp_path: Path) -> None:
+    script = (
+        "import sys; from pathlib import Path; from lbacal.files import written_beside\n"
+        "for _ in range(50):\n with written_beside(Path('f')) as b: b.write_text(sys.argv[1] * 10000)"
+    )
+    writers = [subprocess.Popen([sys.executable, "-c", script, letter], cwd=tmp_path) for letter in "ab"]
+    assert [writer.wait() for writer in writers] == [0, 0]
+    text = (tmp_path / "f").read_text()
+    assert (len(text), len(set(text)), names_in(tmp_path)) == (10000, 1, ["f"])
