@@ -3,10 +3,28 @@
 from __future__ import annotations
 
 import os
+import re
 import secrets
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+
+from lbacal_core.errors import LbacalError
+
+_IN_HDF5 = re.compile(r"errno = [0-9]+, error message = '([^']*)'")
+"""How the HDF5 library says what the system said; when it closes a file, in a RuntimeError."""
+
+
+class UnwritableError(LbacalError):
+    """A file that cannot be written, as on a full disk."""
+
+    status = 500
+    code = "unwritable"
+
+    def __init__(self, path: Path, error: OSError | RuntimeError) -> None:
+        of_hdf5 = _IN_HDF5.search(str(error))
+        reason = of_hdf5[1] if of_hdf5 else getattr(error, "strerror", None) or str(error)
+        super().__init__(f"{path} could not be written: {reason}; what was there before is unchanged")
 
 
 @contextmanager
@@ -28,5 +46,11 @@ def written_beside(path: Path) -> Iterator[Path]:
         if path.exists():
             beside.chmod(path.stat().st_mode & 0o777)
         beside.replace(path)
+    except (OSError, RuntimeError) as error:
+        is_elsewhere = isinstance(error, OSError) and error.filename is not None and Path(error.filename) != beside
+        is_of_hdf5 = isinstance(error, OSError) or _IN_HDF5.search(str(error)) is not None
+        if is_elsewhere or not is_of_hdf5:
+            raise
+        raise UnwritableError(path, error) from error
     finally:
         beside.unlink(missing_ok=True)

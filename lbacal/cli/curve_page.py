@@ -7,6 +7,7 @@ from typing import Any
 
 from lbacal.cli.curve_figures import draw_change, draw_curve, draw_ranking
 from lbacal.cli.report_pages import embed, fill_report
+from lbacal.files import written_beside
 from lbacal_core.discovery.lst_curve import CurveInvestigation
 
 
@@ -17,4 +18,5 @@ def write_curve_page(content: dict[str, Any], found: CurveInvestigation, path: P
         "ranking": embed(draw_ranking(found)),
         "change": embed(draw_change(found)),
     }
-    path.write_text(fill_report("curve.html", report=content, **figures), encoding="utf-8")
+    with written_beside(path) as beside:
+        beside.write_text(fill_report("curve.html", report=content, **figures), encoding="utf-8")

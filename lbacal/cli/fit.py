@@ -11,6 +11,7 @@ import numpy as np
 import typer
 
 from lbacal.cli.outputs import require_outputs
+from lbacal.files import written_beside
 from lbacal_core.reference_chain import ReferenceChain
 
 
@@ -66,8 +67,10 @@ def fit(
     measured = read_spectra(spectra, now_unix=time.time())
     sky = None if sky_power is None else read_sky_power(sky_power)
     result = calibrate(measured, chain, sky, scope.value)
-    write_fit_report(result, report)
-    write_calibration_table(result, output)
+    with written_beside(report) as beside:
+        write_fit_report(result, beside)
+    with written_beside(output) as beside:
+        write_calibration_table(result, beside)
     converged = [curve for curve in result.curves if curve.status == CONVERGED]
     print(f"{len(converged)} of {len(result.curves)} curves converged; wrote {output} and {report}")
     for name, note in result.provenance.notes.items():

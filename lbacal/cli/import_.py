@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from lbacal.cli.outputs import require_outputs
+from lbacal.files import written_beside
 
 
 def import_(
@@ -47,7 +48,8 @@ def import_(
     chain = load_instrument(instrument) if instrument else None
     result = average_source(opened, average, choose_channels(opened, chain, band, channel_mhz))
     spectra = result.spectra
-    write_spectra(spectra, output)
+    with written_beside(output) as beside:
+        write_spectra(spectra, beside)
     if result.channels_left_out.size:
         low, high = result.channels_left_out[[0, -1]]
         print(f"{result.channels_left_out.size} channels between {low:g} and {high:g} MHz are flagged, left out")

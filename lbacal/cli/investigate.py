@@ -10,6 +10,8 @@ from typing import Annotated, Any
 
 import typer
 
+from lbacal.files import written_beside
+
 
 def investigate(
     report: Annotated[Path, typer.Option(help="Report to write (JSON).")],
@@ -53,7 +55,8 @@ def investigate(
         content = _ask_spectra(spectra, chain, sky, sky_power is None, html)
     else:
         content = _ask_curve(lst_curve, chain, sky, sky_power is None, band, html)
-    report.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n")
+    with written_beside(report) as beside:
+        beside.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n")
     print(f"{content['verdict']}; wrote {report}{f' and {html}' if html else ''}")
     for finding in content["findings"]:
         print(f"  {finding['significance_sigma']:.1f} sigma: {finding['sentence']}")

@@ -18,6 +18,7 @@ from lbacal.cli.investigation_figures import (
     draw_structure,
 )
 from lbacal.cli.report_pages import embed, fill_report
+from lbacal.files import written_beside
 from lbacal_core.causes.axes import axis_named
 from lbacal_core.discovery.antennas import AntennaScore
 from lbacal_core.discovery.report import parameter_words
@@ -27,7 +28,8 @@ from lbacal_core.discovery.search import Finding, StationReport
 def write_investigation_page(content: dict[str, Any], reports: Sequence[StationReport], path: Path) -> None:
     """Write the report of `lbacal_core.discovery.investigate.investigate` as a page."""
     stations = [_station(report) for report in reports]
-    path.write_text(fill_report("investigation.html", report=content, stations=stations), encoding="utf-8")
+    with written_beside(path) as beside:
+        beside.write_text(fill_report("investigation.html", report=content, stations=stations), encoding="utf-8")
 
 
 def _station(report: StationReport) -> dict[str, Any]:

@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from lbacal.cli.outputs import require_outputs
+from lbacal.files import written_beside
 
 
 def lst_curve(
@@ -47,13 +48,15 @@ def lst_curve(
     else:
         sky = read_sky_power(sky_power)
     result = compare_lst_curve(measured, sky, chain, band)
-    report.write_text(json.dumps(result.as_dict(), indent=1, allow_nan=False) + "\n")
+    with written_beside(report) as beside:
+        beside.write_text(json.dumps(result.as_dict(), indent=1, allow_nan=False) + "\n")
     if plot is not None:
         from lbacal.cli.figures import FULL_DAY, draw_lst_comparison
 
         weights = band_weights(chain, AS_RECORDED, band)
         simulated = {dipole: simulate_band_power(sky, dipole, FULL_DAY, weights) for dipole in ("X", "Y")}
-        draw_lst_comparison(result, simulated).savefig(plot, dpi=150)
+        with written_beside(plot) as beside:
+            draw_lst_comparison(result, simulated).savefig(beside, dpi=150)
     for has_noise in (False, True):
         for dipole in ("X", "Y"):
             one = result.of(dipole, has_noise=has_noise)

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from lbacal.cli.report_pages import fill_report
+from lbacal.files import written_beside
 from lbacal_core.paper.everything import RedonePaper
 from lbacal_core.paper.statements import describe_verdicts
 
@@ -23,4 +24,5 @@ def write_page(redone: RedonePaper, images: Mapping[int, bytes], path: Path) -> 
         verdicts=describe_verdicts(redone.claims),
         notes=redone.notes,
     )
-    path.write_text(page, encoding="utf-8")
+    with written_beside(path) as beside:
+        beside.write_text(page, encoding="utf-8")

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from lbacal.cli.outputs import require_outputs
+from lbacal.files import written_beside
 
 
 def sky_power(
@@ -40,7 +41,8 @@ def sky_power(
     model = load_sky(sky or DEFAULT_SKY).changed(scale, spectral_index, isotropic)
     result = compute_sky_power(chain, model, antenna or DEFAULT_ANTENNA)
     result = add_sources(result, chain, find_sources(source or []), year, antenna or DEFAULT_ANTENNA)
-    write_sky_power(result, output)
+    with written_beside(output) as beside:
+        write_sky_power(result, beside)
     for dipole, values in result.power.items():
         variation = values.sum(axis=1)
         arm = chain.dipole_azimuth_deg[dipole]

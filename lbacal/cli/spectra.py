@@ -10,6 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from lbacal.cli.outputs import require_outputs
+from lbacal.files import written_beside
 from lbacal_core.spectra import Spectra
 
 LOFAR_CORE_LONGITUDE_DEG = 6.87
@@ -139,13 +140,15 @@ def _reduce(
     measured = assemble_spectra(records, settings, facts)
     report = output.with_name(output.name + ".report.json")
     facts_of_paths = [{name: value for name, value in record.items() if name != "power"} for record in records]
-    report.write_text(json.dumps({"paths": facts_of_paths, "failures": failures}, indent=1))
+    with written_beside(report) as beside:
+        beside.write_text(json.dumps({"paths": facts_of_paths, "failures": failures}, indent=1))
     for record in records:
         if record["excluded"]:
             print(f"{record['event_id']} {record['station']} RCU {record['rcu']} excluded: {record['excluded']}")
     if len(measured) == 0:
         raise LbacalError(f"no usable spectrum in {len(records)} traces; {report} says why")
-    write_spectra(measured, output)
+    with written_beside(output) as beside:
+        write_spectra(measured, beside)
     print(f"wrote {output}: {len(measured)} spectra of {len(records)} traces; {report} says what was left out")
     return measured
 
@@ -203,5 +206,6 @@ def _draw(item: Any, settings: Any, path: Path) -> None:
 
     event, pulse_unix = item
     background = measure_background(event.references, settings, pulse_unix)[0]
-    draw_inspection(read_trace(event.references[0]), background, settings).savefig(path, dpi=110)
+    with written_beside(path) as beside:
+        draw_inspection(read_trace(event.references[0]), background, settings).savefig(beside, dpi=110)
     print(f"wrote {path}: {event.event_id} {background.reference.name}")

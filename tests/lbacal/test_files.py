@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from lbacal.files import written_beside
+from lbacal.files import UnwritableError, written_beside
 
 
 def names_in(folder: Path) -> list[str]:
@@ -36,7 +36,8 @@ def test_a_file_is_replaced_when_the_new_one_is_whole(tmp_path: Path) -> None:
 def test_whatever_stops_the_writing_leaves_what_was_there(tmp_path: Path, error: BaseException) -> None:
     path = tmp_path / "fit.json"
     path.write_text("old")
-    with pytest.raises(type(error)):
+    expected = KeyboardInterrupt if isinstance(error, KeyboardInterrupt) else UnwritableError
+    with pytest.raises(expected):
         write_half(path, error)
     assert (path.read_text(), names_in(tmp_path)) == ("old", ["fit.json"])
 
@@ -62,3 +63,29 @@ def test_two_who_write_the_same_file_leave_one_whole_file(tmp_path: Path) -> Non
     assert [writer.wait() for writer in writers] == [0, 0]
     text = (tmp_path / "f").read_text()
     assert (len(text), len(set(text)), names_in(tmp_path)) == (10000, 1, ["f"])
+
+
+WRITE = {
+    "text": "b.write_text('x' * 200_000)",
+    "hdf5": "import h5py, numpy\n  with h5py.File(b, 'w') as f: f.create_dataset('x', data=numpy.zeros(100_000))",
+    "figure": "import matplotlib.figure as f; f.Figure((20, 20), dpi=300).savefig(b)",
+}
+
+
+@pytest.mark.parametrize("kind", WRITE)
+def test_a_full_disk_cut_a_good_file_and_names_the_file_now(tmp_path: Path, kind: str) -> None:
+    path = tmp_path / "good.png"
+    path.write_text("good")
+    script = (
+        "import resource; from pathlib import Path; from lbacal.cli.main import run, app; from lbacal.files import *\n"
+        "@app.command()\ndef write() -> None:\n"
+        f" with written_beside(Path('good.png')) as b:\n  {WRITE[kind]}\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))\nrun()"
+    )
+    command = [sys.executable, "-c", script, "write"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 1, done.stderr
+    assert done.stderr.startswith("lbacal: good.png could not be written: ")
+    assert done.stderr.endswith("File too large; what was there before is unchanged\n")
+    assert len(done.stderr.splitlines()) == 1
+    assert (path.read_text(), names_in(tmp_path)) == ("good", ["good.png"])
