@@ -17,16 +17,17 @@ import numpy as np
 from lbacal.cli.curve_figures import name_hypothesis
 from lbacal_core.discovery.curve_fit import CurveFit
 from lbacal_core.discovery.curve_report import describe_curve
-from lbacal_core.discovery.lst_curve import CurveInvestigation, best_without, investigate_curve
+from lbacal_core.discovery.lst_curve import CurveInvestigation, investigate_curve
 from lbacal_core.grids import Floats
 from lbacal_core.instrument import DIPOLES, Instrument, load_instrument
-from lbacal_core.lstcurve.compare import FLAT
+from lbacal_core.lstcurve.compare import AS_RECORDED, FLAT, band_weights
 from lbacal_core.lstcurve.curve import LstCurve, measured_curve, read_lst_curve
 from lbacal_core.lstcurve.noise import PointNoise, estimate_noise
+from lbacal_core.lstcurve.noise_share import NoisePrior, noise_prior
 from lbacal_core.provenance import Provenance
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.table import SkyPower
-from proofs.machinery.claims import Claim, at_least, at_most, between, claim_exact, claim_worst
+from proofs.machinery.claims import Claim, at_least, at_most, between, claim_exact
 from proofs.machinery.parts import Part, Row
 from proofs.sky_models import DATA, MAPS, TABLES, WIPL, fourier_series_curve, published_tables
 
@@ -71,13 +72,21 @@ class Question:
     sky: SkyPower
     is_own_sky: bool
     noise: PointNoise | None = None
-    weights: str | None = None
+    weights: str = AS_RECORDED
+    prior: NoisePrior | None = None
 
-    def ask(self, instrument: Instrument) -> CurveInvestigation:
+    def ask(self, instrument: Instrument, without: str | None = None) -> CurveInvestigation:
         """Investigate as the command does."""
-        chosen = {} if self.weights is None else {"weights": self.weights}
         return investigate_curve(
-            self.curve, self.sky, instrument, BAND, is_own_sky=self.is_own_sky, noise=self.noise, **chosen
+            self.curve,
+            self.sky,
+            instrument,
+            BAND,
+            is_own_sky=self.is_own_sky,
+            weights=self.weights,
+            noise=self.noise,
+            prior=self.prior,
+            without=without,
         )
 
 
@@ -112,7 +121,7 @@ def variants(main: Question, others: Iterable[Question] = ()) -> list[Question]:
 def describe(fit: CurveFit) -> str:
     """The causes of a set with sizes and errors."""
     cells = [
-        f"{name} ± {sigma * np.sqrt(fit.scale):.2f}"
+        f"{name} ± {sigma * np.sqrt(fit.scale):.2f}" if sigma else name
         for name, sigma in zip(name_hypothesis(fit), fit.sigmas.tolist(), strict=True)
     ]
     return ", ".join(cells) or "nothing"
@@ -155,13 +164,18 @@ def witnesses(instrument: Instrument, own: SkyPower, tables: SkyPower) -> list[Q
     series = fourier_series_curve(DATA / "lst_fourier_series.csv")
     smooth = PointNoise(dict.fromkeys(DIPOLES, 0.05), 0.0, 60)
     drawn = "simulation drawn in the figure"
+    published = noise_prior(instrument, BAND, band_weights(instrument, AS_RECORDED, BAND))
+    silent, any_noise = replace(published, mean=0.0, sigma=0.001), replace(published, sigma=np.inf)
+
+    def simulated(words: str, curve: LstCurve, sky: SkyPower, is_own_sky: bool, prior: NoisePrior) -> Question:
+        return Question(words, curve, sky, is_own_sky, known, prior=prior)
+
+    quiet, noisy = (drawn_simulation(points, words) for words in ("no_noise", "noise"))
     return [
-        Question(
-            f"{drawn}, without noise, against the tables", drawn_simulation(points, "no_noise"), tables, False, known
-        ),
-        Question(f"{drawn}, with noise, against the tables", drawn_simulation(points, "noise"), tables, False, known),
-        Question("the tables against our sky, spread of models added", of_tables, own, True, known),
-        Question("the tables against our sky at its word", of_tables, own, False, known),
+        simulated(f"{drawn}, without noise, against the tables", quiet, tables, False, silent),
+        simulated(f"{drawn}, with noise, against the tables", noisy, tables, False, any_noise),
+        simulated("the tables against our sky, spread of models added", of_tables, own, True, silent),
+        simulated("the tables against our sky at its word", of_tables, own, False, silent),
         Question("Fourier series of the measured power, X polarization_1, against our sky", series, own, True, smooth),
     ]
 
@@ -222,7 +236,7 @@ def ask_one(questions: Callable[[], list[Question]], case: int) -> Row:
     """What is found for one question; of the first also every hypothesis."""
     question = questions()[case]
     found = question.ask(_instrument())
-    report = describe_curve(found, Provenance({}))
+    report, prior = describe_curve(found, Provenance({})), found.fitter.station.prior
     row: Row = {
         "words": question.words,
         "named": describe(found.last),
@@ -230,12 +244,17 @@ def ask_one(questions: Callable[[], list[Question]], case: int) -> Row:
             label: [round(float(size), 4), round(float(sigma * np.sqrt(found.last.scale)), 4)]
             for label, size, sigma in zip(found.last.labels, found.last.sizes, found.last.sigmas, strict=True)
         },
+        "noise_of_sky": [
+            round(number, 4)
+            for number in (found.last.noise, found.last.noise_sigma, prior.mean, prior.sigma)
+            if np.isfinite(number)
+        ],
         "chi2_before": per_point(found.first),
         "chi2_after": per_point(found.last),
         "verdict": report["verdict"],
     }
     if questions is not other_questions:
-        row["best_without_exchange"] = per_point(best_without(found, "dipole_swap"))
+        row["best_without_exchange"] = per_point(question.ask(_instrument(), "dipole_swap").last)
     if case == 0 and questions is not other_questions:
         noise = found.fitter.noise
         row["noise_db"] = {dipole: round(noise.sigma_db[dipole], 4) for dipole in DIPOLES}
@@ -250,21 +269,32 @@ def judge_variants(rows: Sequence[Row]) -> list[Claim]:
     text = "Choices of noise, points, weights, sky and antenna for which X and Y are found exchanged"
     claims = [claim_exact("exchange", text, at_least(1.0), named, "%", n=len(rows))]
     for label, (size, sigma) in rows[0]["sizes"].items():
+        if sigma == 0.0:  # a statement, which has no size
+            continue
         interval = (size - 1.96 * sigma, size + 1.96 * sigma)
         asked = at_least(0.0) if size > 0 else at_most(0.0)
         text = f"Size of `{label}` in the measured curve is not 0"
         claims.append(Claim(label, text, asked, size, interval, rows[0]["points"]))
-    return claims
+    noise, sigma, known, width = rows[0]["noise_of_sky"]
+    text = "Electronic noise of the measured curve over the mean sky power, against what is published"
+    asked = between(round(known - 1.96 * width, 2), round(known + 1.96 * width, 2))
+    interval = (noise - 1.96 * sigma, noise + 1.96 * sigma)
+    return [*claims, Claim("noise", text, asked, noise, interval, rows[0]["points"])]
 
 
 def judge_others(rows: Sequence[Row]) -> list[Claim]:
     """The simulation drawn in the figure, and the tables against our sky."""
-    drawn = [row["sizes"].get("dipole_swap", [0.0, 1.0]) for row in rows[:2]]
+    named = sum("dipole_swap" in row["sizes"] for row in rows[:2]) / 2
     zenith, sigma = rows[3]["sizes"].get("zenith_weighting", [0.0, 1.0])
+    noise, noise_sigma = rows[1]["noise_of_sky"][:2]
     return [
-        claim_worst(
-            "drawn_exchange", "Share of X and Y exchanged in the simulation drawn in the figure, against the tables",
-            between(0.9, 1.1), [s for s, _ in drawn], [(s - 1.96 * e, s + 1.96 * e) for s, e in drawn], 2,
+        claim_exact(
+            "drawn_exchange", "Simulations drawn in the figure in which X and Y are exchanged, against the tables",
+            at_least(1.0), named, "%", n=2,
+        ),
+        Claim(
+            "drawn_noise", "Electronic noise over the mean sky power in the simulation drawn with noise",
+            between(0.4, 0.6), noise, (noise - 1.96 * noise_sigma, noise + 1.96 * noise_sigma), 1,
         ),
         Claim(
             "zenith_weighting", "Cosines of the zenith angle too many in the published tables, against our sky",
@@ -276,17 +306,19 @@ def judge_others(rows: Sequence[Row]) -> list[Claim]:
 def tell(rows: Sequence[Row]) -> list[str]:
     """One row a question, and the hypotheses of the first."""
     lines = [
-        "| choice | named | chi2 per point before | after | best without an exchange | verdict |",
-        "|" + "---|" * 6,
+        "| choice | named | noise over mean sky | chi2 per point before | after | best without an exchange | verdict |",
+        "|" + "---|" * 7,
     ]
-    names = ("words", "named", "chi2_before", "chi2_after", "best_without_exchange", "verdict")
-    lines += [f"| {' | '.join(str(row.get(name, '')) for name in names)} |" for row in rows]
+    names = ("words", "named", "noise", "chi2_before", "chi2_after", "best_without_exchange", "verdict")
+    noise = ("{:.2f} ± {:.2f}".format(*row["noise_of_sky"]) for row in rows)
+    told = ({**row, "noise": words} for row, words in zip(rows, noise, strict=True))
+    lines += [f"| {' | '.join(str(row.get(name, '')) for name in names)} |" for row in told]
     return [*lines, "", *rows[0].get("hypotheses", [])]
 
 
 FIXED: dict[str, Any] = {"has_chance": False, "needs_shared": True, "code": ("lbacal_core", "proofs", "service")}
 PARTS = (
-    Part("own", partial(ask_one, own_questions), judge_variants, 16, tell, ("exchange", "dipole_swap"), **FIXED),
+    Part("own", partial(ask_one, own_questions), judge_variants, 16, tell, ("exchange", "noise"), **FIXED),
     Part("tables", partial(ask_one, tables_questions), judge_variants, 13, tell, ("exchange",), **FIXED),
     Part("others", partial(ask_one, other_questions), judge_others, 5, tell, **FIXED),
 )

@@ -56,14 +56,12 @@ def draw_curve(found: CurveInvestigation, title: str) -> Figure:
 
 def draw_ranking(found: CurveInvestigation) -> Figure:
     """Chi^2 of every cause by itself, and of the sets that the data cannot exclude."""
-    sets = [found.last, *found.alternatives[: 2 * MOST_LINES]]
-    rows = [*dict.fromkeys([*(fit.labels for fit in sets), *(fit.labels for fit in found.single)])]
-    by_labels = {fit.labels: fit for fit in [*found.single, *sets] if fit.choices}
-    shown = [by_labels[labels] for labels in rows if labels in by_labels][::-1]
+    shown = [*{fit.labels: fit for fit in (found.last, *found.open, *found.single) if fit.choices}.values()][::-1]
+    are_open = {fit.labels for fit in found.open}
     figure = Figure(figsize=(10.5, 0.27 * len(shown) + 1.4), layout="constrained")
     axes: Any = figure.subplots()
     for row, fit in enumerate(shown):
-        is_named, is_open = fit.labels == found.last.labels, found.is_open(fit)
+        is_named, is_open = fit.labels == found.last.labels, fit.labels in are_open
         colour = COLOURS["X"] if is_named else "#d99a2b" if is_open else GREY
         axes.barh(row, fit.per_point["estimated"], color=colour)
         words = "  {estimated:.2f}  (drawn bars {drawn_bars:.2f})".format(**fit.per_point)
@@ -86,7 +84,7 @@ def draw_change(found: CurveInvestigation) -> Figure:
     figure = Figure(figsize=(10.5, 3.6), layout="constrained")
     axes: Any = figure.subplots(1, 2, sharey=True)
     frequency = found.fitter.station.channels_mhz
-    for rank, fit in enumerate([found.last, *found.alternatives[:MOST_LINES]]):
+    for rank, fit in enumerate([found.last, *found.open[:MOST_LINES]]):
         change = found.fitter.calibration_change(found.first, fit)
         for panel, d in zip(axes, DIPOLES, strict=True):
             is_named = rank == 0
@@ -109,7 +107,7 @@ def name_hypothesis(fit: CurveFit) -> list[str]:
     units = {"dipole_azimuth": "°", "lst_offset": " h"}
     return [
         f"{choice.cause.identifier.replace('_', ' ')} {choice.template.parameters.get('source', '')}".strip()
-        + f" {size:.2f}{units.get(choice.cause.identifier, '')}"
+        + ("" if choice.is_statement else f" {size:.2f}{units.get(choice.cause.identifier, '')}")
         for choice, size in zip(fit.choices, fit.sizes.tolist(), strict=True)
     ]
 

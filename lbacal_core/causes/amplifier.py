@@ -75,7 +75,7 @@ class LnaNoiseSlope(Cause):
 
 @dataclass(frozen=True)
 class MissingNoise(Cause):
-    """A stage of noise that the baseline lacks."""
+    """Noise beyond the known noise of the baseline."""
 
     identifier: str = "missing_noise"
     unit: str = "W/MHz, in the unit of P_sky"
@@ -83,12 +83,23 @@ class MissingNoise(Cause):
     confirm: str = (
         "measure the noise with a dummy load, or fit event spectra, where noise has another slope in frequency"
     )
-    needs: str = "the model of event spectra contains all three noise stages; investigate an LST curve"
-    sizes: SizeRange = SizeRange(0.0, 10.0)
+    needs: str = (
+        "the noise of the fitted model is free: all three stages in event spectra, and the noise share in an LST curve "
+        "of an instrument whose noise is not published"
+    )
 
     def templates(self, conditions: Conditions) -> list[Template]:
-        """One, where the baseline has no noise."""
-        return [] if conditions.has_noise_stages else [Template()]
+        """One, where the noise of the baseline is known beforehand."""
+        return [] if conditions.known_noise is None else [Template({"known_noise": conditions.known_noise})]
+
+    def label(self, template: Template) -> str:  # noqa: ARG002
+        """Its identifier."""
+        return self.identifier
+
+    def sizes_of(self, template: Template) -> SizeRange:
+        """Noise is never negative: no less than all of the known noise is taken away."""
+        least = -float(template.parameters["known_noise"])
+        return SizeRange(least, 10.0, physical_end=least)
 
     def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:  # noqa: ARG002
         """N_LNA plus noise that is flat in frequency."""

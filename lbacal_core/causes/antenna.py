@@ -38,7 +38,9 @@ class DipoleSwap(Cause):
     )
     scopes: Sequence[str] = ("station", "antenna")
     largest_step: float = 0.7
-    sizes: SizeRange = SizeRange(0.0, 1.0, starts=(0.9, 0.05), physical_end=1.0)
+    sizes: SizeRange = SizeRange(0.0, 1.0, physical_end=1.0)
+    whole_array_size: float | None = 1.0
+    whole_array_meaning: str = "the letters of the dipoles X and Y are exchanged"
 
     def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:  # noqa: ARG002
         """P_X -> (1 - f) P_X + f P_Y."""

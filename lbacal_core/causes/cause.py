@@ -103,6 +103,8 @@ class Cause(Description):
         Whether it multiplies P_sky by own(with)/own(without), from the package's own sky and antenna.
     sizes
         Sizes that a fit far from linear may take, in units of `scale`.
+    whole_array_size, whole_array_meaning
+        The one size that it has where it acts on a whole array, and what it then is; None where any size is possible.
     """
 
     spectral_parameters: Sequence[str] = ()
@@ -110,6 +112,8 @@ class Cause(Description):
     largest_step: float = np.inf
     acts_by_ratio: bool = False
     sizes: SizeRange = SizeRange()
+    whole_array_size: float | None = None
+    whole_array_meaning: str = ""
 
     def templates(self, conditions: Conditions) -> list[Template]:  # noqa: ARG002 - most have one whatever the data
         """The templates of the family that a scan of these data tries; empty where the data cannot show the cause."""

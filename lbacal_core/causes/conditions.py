@@ -56,8 +56,8 @@ class Conditions:
         antenna.
     sun_response
         D towards the Sun, shape (class, event, freq), 0 below the horizon.
-    has_noise_stages
-        Whether the baseline contains the noise of LNA, receiver and digitiser.
+    known_noise
+        Electronic noise over the mean sky power, where it is known before the fit; None where the fit leaves it free.
     """
 
     frequency_mhz: Floats
@@ -77,7 +77,7 @@ class Conditions:
     covariates: Mapping[str, Floats] = field(default_factory=dict)
     sky_ratio: Mapping[str, Callable[[Floats], Floats]] = field(default_factory=dict)
     sun_response: Floats | None = None
-    has_noise_stages: bool = True
+    known_noise: float | None = None
 
     def with_covariates(self, **values: Floats) -> Conditions:
         """The same with other covariates, shape (event,) each."""

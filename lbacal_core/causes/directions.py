@@ -20,9 +20,8 @@ from lbacal_core.skypower.table import SkyPower, read_at
 from lbacal_core.skypower.variation import vary_sky_power
 
 SOURCE_KEYS = {"Cas A": "cas-a", "Cyg A": "cyg-a", "Tau A": "tau-a", "Vir A": "vir-a"}
-EXPONENTS = (-1.5, -1.2, -0.7, -0.1, 0.1, 0.7, 1.2, 1.5)
-"""Powers of cos(zenith) at which the ratio is computed: dense at the ends and at 0, so that the polynomial through them
-has the slope at 0 to 1e-4 and the change along LST of any power to 0.5 %."""
+EXPONENTS = (0.1, 0.5, 1.0, 1.5)
+"""Powers of cos(zenith) at which the ratio is computed; a polynomial through them gives any between."""
 TURNS_DEG = tuple(22.5 * k for k in range(8))
 """Angles over half a turn; the beam of a dipole has nothing above six times the azimuth."""
 
@@ -84,11 +83,16 @@ def _polynomial(own: SkyPower, varied: Sequence[SkyPower], dipole: str) -> Float
 
 
 def _exponentiate(terms: Floats, amount: Floats) -> Floats:
-    """Exp of the polynomial: the ratio stays positive."""
-    value = terms[0] * amount
+    """Exp of the polynomial: the ratio stays positive.
+
+    A power too many in the simulation, a negative amount, is taken out by own(0)/own(power), the exact inverse, which
+    is not own(-power)/own(0): that one weighs the horizon without limit.
+    """
+    power = np.abs(amount)
+    value = terms[0] * power
     for term in terms[1:]:
-        value = (value + term) * amount
-    return np.asarray(np.exp(value))
+        value = (value + term) * power
+    return np.asarray(np.exp(np.sign(amount) * value))
 
 
 def _series(own: SkyPower, turned: Sequence[SkyPower], dipole: str) -> Floats:

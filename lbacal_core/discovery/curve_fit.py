@@ -1,56 +1,68 @@
-"""Fits of sets of causes to one LST curve: sizes and an offset a dipole, under the covariance of the points.
+"""Fits of sets of causes to one LST curve: sizes, noise and an offset a dipole, under the covariance of the points.
 
 The covariance is the point noise, with what the dipoles share, and for the package's own sky the spread of sky and
 antenna models. The known alternatives, two skies and one antenna, give the size of the next model's difference, and not
 its dependence on LST. At each harmonic of the sidereal day the difference therefore has the variance of the known ones
 and any phase. The dipoles differ independently; the known differences are alike in X and Y, so that this is the careful
 choice for causes that act on X and Y differently.
+
+The ratio of electronic noise to the mean sky power is fitted with its prior. A set that contains `missing_noise` has
+the noise of the prior's mean, and that cause beside it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import block_diag, solve_triangular
 from scipy.optimize import least_squares
 
-from lbacal_core.causes.cause import SizeRange
+from lbacal_core.discovery.curve_calibration import fit_station_year
 from lbacal_core.discovery.curve_station import GRID_HOURS, Choice, CurveStation
 from lbacal_core.grids import Floats
 from lbacal_core.instrument import DIPOLES
 from lbacal_core.lstcurve.curve import LstCurve
 from lbacal_core.lstcurve.noise import PointNoise
+from lbacal_core.lstcurve.noise_share import LARGEST_RATIO
 
 FOLDS = 4
 FOLD_HOURS = 2.0
+NO_START: Mapping[str, float] = {}
 
 
 @dataclass(frozen=True)
 class CurveFit:
-    """Sizes of causes fitted together, and the residuals.
+    """Sizes of causes fitted together with the noise, and the residuals.
 
     Attributes
     ----------
     sizes, sigmas
-        Shape (cause,).
+        Shape (cause,); the standard deviation of a statement's size is 0.
+    noise, noise_sigma
+        Electronic noise over the mean sky power.
     curve_db
         Fitted by dipole on `GRID_HOURS`, dB relative to LST 0 like the points.
     residual_db
         Measured minus model by dipole, shape (point,), NaN where there is no point.
     chi2, chi2_drawn
-        With the estimated covariance, and with the drawn bars.
+        With the estimated covariance and the prior of the noise, and with the drawn bars alone.
+    dof
+        Points less offsets, free sizes, and a noise without a prior.
     """
 
     choices: tuple[Choice, ...]
     sizes: Floats
     sigmas: Floats
+    noise: float
+    noise_sigma: float
     curve_db: Mapping[str, Floats]
     residual_db: Mapping[str, Floats]
     chi2: float
     chi2_drawn: float
     points: int
+    dof: int
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -63,11 +75,6 @@ class CurveFit:
         return {"estimated": self.chi2 / self.points, "drawn_bars": self.chi2_drawn / self.points}
 
     @property
-    def dof(self) -> int:
-        """Points less offsets and sizes."""
-        return max(self.points - len(DIPOLES) - len(self.choices), 1)
-
-    @property
     def scale(self) -> float:
         """Factor on the covariance where the points scatter more than it allows: chi^2 per degree of freedom, or 1.
 
@@ -78,7 +85,11 @@ class CurveFit:
     @property
     def is_at_edge(self) -> bool:
         """Whether a size has run to the end of its range."""
-        return any(c.sizes.is_at_edge(size) for c, size in zip(self.choices, self.sizes.tolist(), strict=True))
+        return any(
+            choice.sizes.is_at_edge(size)
+            for choice, size in zip(self.choices, self.sizes.tolist(), strict=True)
+            if not choice.is_statement
+        )
 
 
 class CurveFitter:
@@ -90,13 +101,15 @@ class CurveFitter:
         """Prepare the covariance; with `modes` the spread of sky and antenna models on `GRID_HOURS` is part of it."""
         self.curve, self.station, self.noise = curve, station, noise
         self.has_point = {d: curve.has_point(d) for d in DIPOLES}
-        self.measured = np.concatenate([curve.variation_db[d][self.has_point[d]] for d in DIPOLES])
+        self.measured = self._join(curve.variation_db)
         drawn = np.broadcast_to(curve.error_db, curve.lst_hours.shape)
-        self.drawn = np.concatenate([drawn[self.has_point[d]] for d in DIPOLES])
-        self.lst = np.concatenate([curve.lst_hours[self.has_point[d]] for d in DIPOLES])
+        self.drawn, self.lst = (
+            self._join(dict.fromkeys(DIPOLES, drawn)),
+            self._join(dict.fromkeys(DIPOLES, curve.lst_hours)),
+        )
         counts = [int(self.has_point[d].sum()) for d in DIPOLES]
         self.offsets = np.repeat(np.eye(len(DIPOLES)), counts, axis=0)
-        self._to_points = {d: _fourier(curve.lst_hours[self.has_point[d]]) for d in DIPOLES}
+        self._to_points = block_diag(*(_fourier(curve.lst_hours[self.has_point[d]]) for d in DIPOLES))
         self.covariance = noise.covariance(curve)
         self.model_variance = (0.0, 0.0)
         if modes is not None:
@@ -108,6 +121,10 @@ class CurveFitter:
     def has_model_spread(self) -> bool:
         """Whether the spread of sky and antenna models counts as noise."""
         return self.model_variance != (0.0, 0.0)
+
+    def _join(self, by_dipole: Mapping[str, Floats]) -> Floats:
+        """Values of the points, X then Y."""
+        return np.concatenate([by_dipole[d][self.has_point[d]] for d in DIPOLES])
 
     def _model_spread(self, modes: Mapping[str, Floats]) -> Floats:
         """Covariance of the points, dB^2, by which sky and antenna models differ, shape (point, point)."""
@@ -122,68 +139,97 @@ class CurveFitter:
             blocks.append(np.cos(angle[..., None] * order) @ (2 * np.sum(np.abs(terms) ** 2, axis=0)))
         return np.asarray(block_diag(*blocks))
 
-    def band_with(self, choices: Sequence[Choice], sizes: Floats) -> dict[str, Floats]:
-        """Band power of each dipole over its mean over LST, on the grid, with causes at sizes, shape (lst,)."""
-        total = self.station.terms_with(choices, sizes).power().sum(axis=-1)
-        return dict(zip(DIPOLES, total / total.mean(axis=1, keepdims=True), strict=True))
+    def band_with(self, choices: Sequence[Choice], sizes: Floats, noise: float) -> Floats:
+        """Band power of each dipole over its mean over LST, on the grid, shape (dipole, lst)."""
+        total = self.station.terms_with(choices, sizes, noise).power().sum(axis=-1)
+        return np.asarray(total / total.mean(axis=1, keepdims=True))
 
-    def points_with(self, choices: Sequence[Choice], sizes: Floats) -> Floats:
+    def points_with(self, choices: Sequence[Choice], sizes: Floats, noise: float) -> Floats:
         """Band power of all points, X then Y, in dB about the mean over LST, offsets left out."""
-        band = self.band_with(choices, sizes)
-        points = np.concatenate([self._to_points[d] @ band[d] for d in DIPOLES])
+        points = self._to_points @ self.band_with(choices, sizes, noise).ravel()
         return np.asarray(10 * np.log10(np.maximum(points, 1e-6)))
 
     def fit(
-        self, choices: Sequence[Choice], rows: Floats | None = None, starts: Sequence[Sequence[float]] = ()
+        self, choices: Sequence[Choice], rows: Floats | None = None, start: Mapping[str, float] = NO_START
     ) -> CurveFit:
-        """Sizes and offsets that make the points (of `rows`, if given) most probable.
+        """Sizes, noise and offsets that make the points (of `rows`, if given) most probable.
 
         Parameters
         ----------
-        starts
-            Sizes to start from; where none are given, those of the choices.
+        start
+            Sizes to start from, by label.
         """
+        prior = self.station.prior
         kept = np.arange(self.measured.size) if rows is None else np.flatnonzero(rows)
         root = np.linalg.cholesky(self.covariance[np.ix_(kept, kept)])
-        design = solve_triangular(root, self.offsets[kept], lower=True)
-        absorbed = np.linalg.qr(design)[0]
+        absorbed = np.linalg.qr(solve_triangular(root, self.offsets[kept], lower=True))[0]
+        sizes = np.array([choice.cause.whole_array_size or 0.0 for choice in choices])
+        is_free = np.array([not choice.is_statement for choice in choices], dtype=bool)
+        has_own_noise = any(choice.cause.identifier == "missing_noise" for choice in choices)
 
-        def residual(sizes: Floats) -> Floats:
-            difference = self.measured[kept] - self.points_with(choices, sizes)[kept]
-            white = solve_triangular(root, difference, lower=True)
-            return np.asarray(white - absorbed @ (absorbed.T @ white))
+        def take(free: Floats) -> tuple[Floats, float]:
+            full = sizes.copy()
+            full[is_free] = free[1:]
+            return full, float(prior.mean if has_own_noise else free[0])
 
-        sizes, sigmas = np.zeros(len(choices)), np.zeros(len(choices))
-        if choices:
-            sizes, sigmas = _minimise(residual, [choice.sizes for choice in choices], starts)
-        difference = self.measured - self.points_with(choices, sizes)
-        white = solve_triangular(root, difference[kept], lower=True)
-        offsets = np.linalg.lstsq(design, white, rcond=None)[0]
-        left = difference - self.offsets @ offsets
-        white = white - design @ offsets
-        band = self.band_with(choices, sizes)
+        def residual(free: Floats) -> Floats:
+            full, noise = take(free)
+            left = self.measured[kept] - self.points_with(choices, full, noise)[kept]
+            white = solve_triangular(root, left, lower=True)
+            return np.append(white - absorbed @ (absorbed.T @ white), (free[0] - prior.mean) / prior.sigma)
+
+        ranges = [choice.sizes for choice in choices if not choice.is_statement]
+        begins = [
+            [
+                start.get(one.label, one.sizes.starts[k % len(one.sizes.starts)])
+                for one in choices
+                if not one.is_statement
+            ]
+            for k in range(max((len(one.sizes.starts) for one in choices if one.label not in start), default=1))
+        ]
+        bounds = np.array([[0.0, LARGEST_RATIO], *([one.lowest, one.highest] for one in ranges)]).T
+        inside = 1e-4 * (bounds[1] - bounds[0])
+        span = np.array([0.1, *(max(abs(one.starts[-1]), 0.1) for one in ranges)])
+        firsts = (np.clip([prior.mean, *one], bounds[0] + inside, bounds[1] - inside) for one in begins)
+        tried = [least_squares(residual, one, bounds=bounds, x_scale=span, max_nfev=60) for one in firsts]
+        found = min(tried, key=lambda one: float(one.cost))
+        errors = np.sqrt(np.diag(np.linalg.inv(found.jac.T @ found.jac + 1e-12 * np.diag(span**-2.0))))
+        sigmas = np.zeros(len(choices))
+        sigmas[is_free] = errors[1:]
+        best, noise = take(found.x)
+        chi2 = 2 * float(found.cost)
+        left = self.measured - self.points_with(choices, best, noise)
+        white = solve_triangular(root, left[kept], lower=True)
+        offsets = np.linalg.lstsq(solve_triangular(root, self.offsets[kept], lower=True), white, rcond=None)[0]
+        band = self.band_with(choices, best, noise)
+        fitted = kept.size - len(DIPOLES) - int(is_free.sum()) - (not prior.is_known)
         return CurveFit(
-            tuple(choices),
-            sizes,
-            sigmas,
-            {d: 10 * np.log10(band[d]) + offsets[k] for k, d in enumerate(DIPOLES)},
-            {d: self._spread(left, k, d) for k, d in enumerate(DIPOLES)},
-            float(white @ white),
-            self._chi2_drawn(difference),
-            kept.size,
+            choices=tuple(choices),
+            sizes=best,
+            sigmas=sigmas,
+            noise=noise,
+            noise_sigma=0.0 if has_own_noise else float(errors[0]),
+            curve_db={d: 10 * np.log10(band[k]) + offsets[k] for k, d in enumerate(DIPOLES)},
+            residual_db=self._by_dipole(left - self.offsets @ offsets),
+            chi2=chi2,
+            chi2_drawn=self._chi2_drawn(left),
+            points=kept.size,
+            dof=max(fitted, 1),
         )
 
-    def _spread(self, values: Floats, k: int, dipole: str) -> Floats:
-        spread = np.full(self.curve.lst_hours.shape, np.nan)
-        spread[self.has_point[dipole]] = values[self.offsets[:, k] > 0]
-        return spread
+    def _by_dipole(self, values: Floats) -> dict[str, Floats]:
+        by_dipole = {}
+        for k, d in enumerate(DIPOLES):
+            by_dipole[d] = np.full(self.curve.lst_hours.shape, np.nan)
+            by_dipole[d][self.has_point[d]] = values[self.offsets[:, k] > 0]
+        return by_dipole
 
     def _chi2_drawn(self, difference: Floats) -> float:
         """With the drawn bars and offsets of their own."""
         design, white = self.offsets / self.drawn[:, None], difference / self.drawn
         return float(np.sum((white - design @ np.linalg.lstsq(design, white, rcond=None)[0]) ** 2))
 
-    def chi2_of(self, left: Floats, rows: Floats) -> float:
+    def _chi2_of(self, left: Floats, rows: Floats) -> float:
         """Chi^2 of given residuals at given points."""
         kept = np.flatnonzero(rows)
         white = solve_triangular(np.linalg.cholesky(self.covariance[np.ix_(kept, kept)]), left[kept], lower=True)
@@ -198,56 +244,35 @@ class CurveFitter:
             is_train = fold != k
             surprise = []
             for one in (fewer, more):
-                fitted = self.fit(one.choices, is_train, [one.sizes.tolist()] if one.choices else ())
-                left = np.concatenate([fitted.residual_db[d][self.has_point[d]] for d in DIPOLES])
-                surprise.append(self.chi2_of(left, everything) - self.chi2_of(left, is_train))
+                start = dict(zip(one.labels, one.sizes.tolist(), strict=True))
+                left = self._join(self.fit(one.choices, is_train, start).residual_db)
+                surprise.append(self._chi2_of(left, everything) - self._chi2_of(left, is_train))
             gain += 0.5 * (surprise[0] - surprise[1])
         return gain
 
     def calibration_change(self, fewer: CurveFit, more: CurveFit) -> dict[str, Floats]:
         """C with more causes over C with fewer, minus 1, by dipole at the channels of the band, shape (freq,).
 
-        At each frequency the recorded power is a line in P_sky, whose slope is C^-2. Data that follow the larger model
-        have, against the smaller one, the slope cov(new, old)/var(old) over LST; C changes by its root.
+        Data that follow the larger model are divided by what the smaller one does to the power, and fitted with the
+        chain. C is proportional to slope^(-1/2).
         """
-        inside = self.station.weights > 0
-        old, new = (self.station.terms_with(one.choices, one.sizes).power()[..., inside] for one in (fewer, more))
-        about = old - old.mean(axis=1, keepdims=True)
-        slope = np.sum(about * (new - new.mean(axis=1, keepdims=True)), axis=1) / np.sum(about**2, axis=1)
-        return dict(zip(DIPOLES, np.sqrt(np.maximum(slope, 0.0)) - 1.0, strict=True))
+        station, inside = self.station, self.station.weights > 0
+        new = station.terms_with(more.choices, more.sizes, more.noise).power()
+        old = station.terms_with(fewer.choices, fewer.sizes, fewer.noise).power()
+        plain = station.terms_with([], np.zeros(0), fewer.noise)
+        receiver_gain, sky = station.conditions.receiver_gain[inside], plain.sky[..., inside]
+        power = new[..., inside] * (plain.power() / old)[..., inside]
+        named = fit_station_year(power, sky, receiver_gain)
+        right = fit_station_year(plain.power()[..., inside], sky, receiver_gain)
+        return dict(zip(DIPOLES, np.sqrt(np.maximum(named / right, 0.0)) - 1.0, strict=True))
 
     def signature(self, fewer: CurveFit, more: CurveFit) -> Floats:
         """Change of the points by the larger model, whitened, the offsets profiled out."""
         root = np.linalg.cholesky(self.covariance)
-        new, old = (self.points_with(one.choices, one.sizes) for one in (more, fewer))
+        new, old = (self.points_with(one.choices, one.sizes, one.noise) for one in (more, fewer))
         white = solve_triangular(root, new - old, lower=True)
         absorbed = np.linalg.qr(solve_triangular(root, self.offsets, lower=True))[0]
         return np.asarray(white - absorbed @ (absorbed.T @ white))
-
-
-def _minimise(
-    residual: Callable[[Floats], Floats], ranges: Sequence[SizeRange], starts: Sequence[Sequence[float]]
-) -> tuple[Floats, Floats]:
-    bounds = (np.array([c.lowest for c in ranges]), np.array([c.highest for c in ranges]))
-    span = np.array([max(abs(c.starts[-1]), 0.1) for c in ranges])
-    tries = max(len(c.starts) for c in ranges)
-    starts = starts or [[c.starts[k % len(c.starts)] for c in ranges] for k in range(tries)]
-    inside = 1e-4 * (bounds[1] - bounds[0])
-    found = min(
-        (
-            least_squares(
-                residual,
-                np.clip(np.array(start), bounds[0] + inside, bounds[1] - inside),
-                bounds=bounds,
-                x_scale=span,
-                max_nfev=60,
-            )
-            for start in starts
-        ),
-        key=lambda one: float(one.cost),
-    )
-    information = found.jac.T @ found.jac + 1e-12 * np.diag(span**-2.0)
-    return np.asarray(found.x), np.sqrt(np.diag(np.linalg.inv(information)))
 
 
 def _fourier(lst_hours: Floats) -> Floats:

@@ -16,7 +16,8 @@ from lbacal_core.instrument import DIPOLES
 from lbacal_core.provenance import Provenance
 
 REPORTED_MHZ = (30.0, 40.0, 50.0, 55.0, 60.0, 70.0, 80.0)
-MOST_ALTERNATIVES = 12
+AS_PUBLISHED = 2.0
+"""Standard deviations of the prior within which a fitted noise is the published one."""
 
 
 def describe_curve(found: CurveInvestigation, provenance: Provenance) -> dict[str, Any]:
@@ -24,7 +25,7 @@ def describe_curve(found: CurveInvestigation, provenance: Provenance) -> dict[st
     first, last = found.first, found.last
     is_left = found.structure_p < found.policy.structure_alpha
     verdict = UNEXPLAINED if is_left else EXPLAINED if found.findings else CONSISTENT
-    shown = {fit.labels: fit for fit in (last, *found.alternatives[:MOST_ALTERNATIVES], *found.single) if fit.choices}
+    shown = {fit.labels: fit for fit in (last, *found.open, *found.single) if fit.choices}
     return {
         "verdict": verdict,
         "sentence": _summary(found, verdict),
@@ -50,41 +51,61 @@ def describe_curve(found: CurveInvestigation, provenance: Provenance) -> dict[st
 
 
 def _summary(found: CurveInvestigation, verdict: str) -> str:
+    noise = _noise_words(found)
     if not found.findings:
-        return "The points and the simulation agree." if verdict == CONSISTENT else "No cause of the catalogue helps."
+        what = "The points and the simulation agree" if verdict == CONSISTENT else "No cause of the catalogue helps"
+        return f"{what}, with {noise}."
     names = "; ".join(_words(found.last, one.place) for one in found.findings)
     before, after = found.first.per_point, found.last.per_point
     return (
-        f"What the simulation gets wrong: {names}. Chi^2 per point falls from {before['estimated']:.1f} to "
-        f"{after['estimated']:.1f} with the estimated noise, from {before['drawn_bars']:.1f} to "
-        f"{after['drawn_bars']:.1f} with the drawn bars."
+        f"What the simulation gets wrong: {names}. With {noise}, chi^2 per point falls from "
+        f"{before['estimated']:.1f} to {after['estimated']:.1f} with the estimated noise of the points, "
+        f"from {before['drawn_bars']:.1f} to {after['drawn_bars']:.1f} with the drawn bars."
     )
 
 
+def _noise_words(found: CurveInvestigation) -> str:
+    last, prior = found.last, found.fitter.station.prior
+    words = f"electronic noise of {last.noise:.2f} ± {last.noise_sigma:.2f} of the mean sky power"
+    if not prior.is_known:
+        return words
+    is_as_published = abs(last.noise - prior.mean) < AS_PUBLISHED * prior.sigma
+    known = f"{prior.mean:.2f} ± {prior.sigma:.2f}"
+    return f"{words}, as published ({known})" if is_as_published else f"{words}, where {known} is published"
+
+
 def _cause(fit: CurveFit, place: int) -> dict[str, Any]:
-    """One cause of a set with its size; what the fit leaves widens the error."""
+    """One cause of a set with its size; what the fit leaves widens the error, and a statement has none."""
     choice, size = fit.choices[place], float(fit.sizes[place])
-    sigma = float(fit.sigmas[place] * np.sqrt(fit.scale)) * choice.scale
+    sigma = None if choice.is_statement else float(fit.sigmas[place] * np.sqrt(fit.scale)) * choice.scale
     relative = {"fraction_of_mean_sky_power": size} if choice.scale != 1 else {}
     return {
         "cause": choice.cause.identifier,
         "size": {"value": size * choice.scale, "sigma": sigma, "unit": choice.cause.unit},
         "parameters": {**choice.template.parameters, **relative},
-        "is_at_edge_of_its_range": choice.sizes.is_at_edge(size),
+        "is_at_edge_of_its_range": not choice.is_statement and choice.sizes.is_at_edge(size),
         "would_decide": choice.cause.confirm,
     }
 
 
 def _words(fit: CurveFit, place: int) -> str:
     choice, size = fit.choices[place], _cause(fit, place)["size"]
+    if choice.is_statement:
+        return f"{choice.cause.whole_array_meaning} ({choice.label})"
     share = f", {fit.sizes[place]:.2f} of the mean sky power" if choice.scale != 1 else ""
-    value = f"{size['value']:.3g} +- {size['sigma']:.2g} {size['unit']}"
+    value = f"{size['value']:.3g} ± {size['sigma']:.2g} {size['unit']}"
     return f"{choice.cause.meaning} ({choice.label} {value}{share})"
 
 
 def _noise(found: CurveInvestigation) -> dict[str, Any]:
-    curve, noise = found.fitter.curve, found.fitter.noise
+    curve, noise, prior, last = found.fitter.curve, found.fitter.noise, found.fitter.station.prior, found.last
     return {
+        "of_mean_sky_power": {
+            "value": last.noise,
+            "sigma": last.noise_sigma,
+            "share": last.noise / (1.0 + last.noise),
+            "prior": {"value": prior.mean, "sigma": prior.sigma} if prior.is_known else None,
+        },
         "point_noise_db": dict(noise.sigma_db),
         "correlation_of_x_and_y": noise.correlation,
         "degrees_of_freedom": noise.free,
@@ -116,7 +137,7 @@ def _finding(found: CurveInvestigation, finding: CurveFinding) -> dict[str, Any]
         gain=tell_gain(finding.without.chi2, last.chi2, last.dof, finding.held_out_gain, last.points)
         | {"chi2_per_point_before": finding.without.per_point, "chi2_per_point_after": last.per_point},
         change=np.concatenate([change[d] for d in DIPOLES]),
-        sentence=f"In this curve {_words(last, place)}.",
+        sentence=f"In this curve {_words(last, place)}, with {_noise_words(found)}.",
         evidence={
             "score_sigma": finding.z,
             "trials": found.trials,
@@ -148,9 +169,10 @@ def _rival(last: CurveFit, rival: Rival) -> dict[str, Any]:
 def _hypothesis(found: CurveInvestigation, fit: CurveFit) -> dict[str, Any]:
     """One set of causes with its fit and its change of C(nu)."""
     is_named = fit.labels == found.last.labels
+    is_open = any(fit.labels == one.labels for one in found.open)
     return {
         "causes": [_cause(fit, place) for place in range(len(fit.choices))],
-        "standing": "named" if is_named else "not excluded" if found.is_open(fit) else "excluded",
+        "standing": "named" if is_named else "not excluded" if is_open else "excluded",
         "chi2": fit.chi2,
         "dof": fit.dof,
         "chi2_per_point": fit.per_point,
@@ -176,8 +198,8 @@ def _unexplained(found: CurveInvestigation) -> dict[str, Any]:
     return {
         "p_value": found.structure_p,
         "where": {"station": None, "axis": "lst", "target": None, "frequency_mhz": list(found.band_mhz), "dates": None},
-        "description": "the points scatter about the best set of causes by more than about a smooth curve: residual "
-        "structure in LST that no set of up to four causes describes; it widens the errors of the sizes",
+        "description": "the points scatter about the causes found by more than about a smooth curve: residual "
+        "structure in LST that no cause of the catalogue describes; it widens the errors of the sizes",
         "gain": {"chi2": found.last.chi2, "terms": 0, "held_out_log_likelihood_gain": None},
         "similar_to": [],
     }

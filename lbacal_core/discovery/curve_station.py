@@ -1,7 +1,7 @@
 """An LST curve as a station of the classes X and Y on the axis LST: conditions, chain, and causes that it can show.
 
-The band power is the sum over channels of (P_sky + noise) x weight: the baseline contains no noise, and its gain in
-front of the receiver is the weight of each channel.
+The band power is the sum over channels of (P_sky + noise) x weight. The baseline contains the electronic noise of all
+stages, whose ratio to the mean sky power has a prior (`lbacal_core.lstcurve.noise_share`).
 """
 
 from __future__ import annotations
@@ -19,18 +19,17 @@ from lbacal_core.causes.directions import sky_ratios
 from lbacal_core.chain.terms import ChainTerms
 from lbacal_core.grids import Floats
 from lbacal_core.instrument import DIPOLES, Instrument
+from lbacal_core.lstcurve.noise_share import NoisePrior
 from lbacal_core.skypower.table import SkyPower
 
 GRID_HOURS: Floats = np.asarray(np.arange(32) * 0.75, dtype=np.float64)
 """Resolves |m| <= 15: the beam of a dipole leaves nothing above 8."""
 SMALLEST_SKY = 1e-6
 """Share of the largest P_sky below which no cause makes it fall: the logarithm of the power exists."""
-
-
 SMALLEST_BEND = 1e-4
 """Share of the squared change of the band power that varies with LST, below which the offset describes a cause:
 doubled power then bends the curve by 0.03 dB, less than the noise of a point."""
-OFFSET_ABSORBS = "it changes little but the level of the curve, and the level is free"
+ABSORBED = "the free level of the curve, or its free noise, describes the change"
 
 
 @dataclass(frozen=True)
@@ -57,13 +56,22 @@ class Choice:
         """Sizes that a fit may take."""
         return self.cause.sizes_of(self.template)
 
+    @property
+    def is_statement(self) -> bool:
+        """Whether it is true or not, at its one size, for the whole array."""
+        return self.cause.whole_array_size is not None
+
 
 @dataclass(frozen=True)
 class CurveStation:
-    """P_sky of the classes X and Y on `GRID_HOURS`, with the band's weights, for causes to act on."""
+    """P_sky of the classes X and Y on `GRID_HOURS`, with the band's weights, for causes to act on.
+
+    The noise of `terms` is as large as the mean sky power of the band; `terms_with` scales it.
+    """
 
     conditions: Conditions
     terms: ChainTerms
+    prior: NoisePrior
 
     @property
     def weights(self) -> Floats:
@@ -75,16 +83,25 @@ class CurveStation:
         """Channels of the band, shape (freq,)."""
         return self.conditions.frequency_mhz[self.weights > 0]
 
-    def is_an_offset(self, choice: Choice) -> bool:
-        """Whether the free offset of each dipole describes the effect of a small size."""
-        changed = self.terms_with([choice], np.array([choice.cause.step])).power().sum(axis=-1)
-        change = np.log(changed / self.terms.power().sum(axis=-1))
-        bend = change - change.mean(axis=1, keepdims=True)
-        return bool(np.sum(bend**2) <= SMALLEST_BEND * np.sum(change**2))
+    def is_described(self, choice: Choice) -> bool:
+        """Whether what the baseline leaves free describes a small size: the level, and noise of which nothing is known.
 
-    def terms_with(self, choices: Sequence[Choice], sizes: Floats) -> ChainTerms:
-        """The chain with causes at sizes, one after the other."""
-        terms = self.terms
+        A small size is added to a sky without noise.
+        """
+        whole = self.terms_with([], np.zeros(0), 0.0).power().sum(axis=-1)
+        change = np.log(self.terms_with([choice], np.array([choice.cause.step]), 0.0).power().sum(axis=-1) / whole)
+        bent = 0.0
+        for own, power in zip(change, whole, strict=True):
+            free = np.stack([np.ones_like(power), power.mean() / power], axis=1)[:, : 1 if self.prior.is_known else 2]
+            bent += float(np.sum((own - free @ np.linalg.lstsq(free, own, rcond=None)[0]) ** 2))
+        return bool(bent <= SMALLEST_BEND * np.sum(change**2))
+
+    def terms_with(self, choices: Sequence[Choice], sizes: Floats, noise: float) -> ChainTerms:
+        """The chain with noise over mean sky power, and causes at sizes, one after the other."""
+        own = self.terms
+        terms = replace(
+            own, n_lna=noise * own.n_lna, receiver_noise=noise * own.receiver_noise, adc_noise=noise * own.adc_noise
+        )
         for choice, size in zip(choices, sizes.tolist(), strict=True):
             terms = choice.cause.apply(terms, self.conditions, choice.template, size * choice.scale)
             least = SMALLEST_SKY * terms.sky.max(axis=(1, 2), keepdims=True)
@@ -92,7 +109,7 @@ class CurveStation:
         return terms
 
 
-def gather_curve(instrument: Instrument, sky_power: SkyPower, weights: Floats) -> CurveStation:
+def gather_curve(instrument: Instrument, sky_power: SkyPower, weights: Floats, prior: NoisePrior) -> CurveStation:
     """Lay out the simulation of an LST curve.
 
     Parameters
@@ -119,10 +136,12 @@ def gather_curve(instrument: Instrument, sky_power: SkyPower, weights: Floats) -
         receiver_gain=instrument.receiver_gain,
         cable_log_loss=np.zeros((len(DIPOLES), instrument.frequency_mhz.size)),
         sky_ratio={name: ratio.at(DIPOLES, GRID_HOURS) for name, ratio in sky_ratios(instrument).items()},
-        has_noise_stages=False,
+        known_noise=prior.mean if prior.is_known else None,
     )
-    nothing = np.array(0.0)
-    return CurveStation(conditions, ChainTerms(sky, nothing, weights[None, None], nothing, nothing))
+    level = float((sky @ weights).mean() / prior.stages.sum())
+    lna, receiver, adc = (level * stage for stage in prior.stages)
+    at_antenna = np.divide(lna, weights, out=np.zeros_like(lna), where=weights > 0)
+    return CurveStation(conditions, ChainTerms(sky, at_antenna, weights[None, None], receiver, adc), prior)
 
 
 def list_choices(station: CurveStation) -> list[Choice]:
@@ -135,7 +154,7 @@ def list_choices(station: CurveStation) -> list[Choice]:
         for is_alias, templates in ((False, cause.templates(conditions)), (True, cause.far_templates(conditions)))
         for template in templates
     ]
-    return [choice for choice in choices if not station.is_an_offset(choice)]
+    return [choice for choice in choices if not station.is_described(choice)]
 
 
 def why_not(station: CurveStation, choices: Sequence[Choice]) -> Mapping[str, str]:
@@ -150,5 +169,5 @@ def why_not(station: CurveStation, choices: Sequence[Choice]) -> Mapping[str, st
         elif isinstance(one, Cause) and not one.templates(station.conditions):
             reasons[one.identifier] = one.needs
         else:
-            reasons[one.identifier] = OFFSET_ABSORBS
+            reasons[one.identifier] = ABSORBED
     return reasons

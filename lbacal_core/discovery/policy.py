@@ -24,9 +24,6 @@ class Policy:
         Share of the best score below which a candidate cannot win by a better fit.
     indistinguishable
         SNR^2 (1 - r^2) below which another template fits as well: 3 standard deviations.
-    beam
-        Sets of causes of one size that are extended: for an LST curve more than one, because the best pair need not
-        contain the best single cause. Spectra extend what was accepted.
     beside_structure_alpha
         Probability below which a finding stays in the report although residual structure remains: its score is
         computed with that structure profiled out.
@@ -42,7 +39,6 @@ class Policy:
     rivals: int = 4
     rival_share: float = 0.6
     indistinguishable: float = 9.0
-    beam: int = 1
     beside_structure_alpha: float = 0.05
     same_spectrum: float = 0.8
 
@@ -56,5 +52,5 @@ class Policy:
         return asdict(self)
 
 
-CURVE_POLICY = Policy(most_findings=4, rivals=3, beam=6)
-"""For an LST curve, whose 91 points distinguish few causes (docs/decisions/one-catalogue.md has the numbers)."""
+CURVE_POLICY = Policy(most_findings=4, rivals=3)
+"""For an LST curve, whose 91 points distinguish few causes."""

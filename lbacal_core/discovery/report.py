@@ -146,7 +146,7 @@ def tell_finding(
     cause: Description,
     *,
     indistinguishable: Sequence[tuple[str, float]],
-    size: tuple[float, float],
+    size: tuple[float, float | None],
     parameters: Mapping[str, Any],
     chance: tuple[float, float],
     where: dict[str, Any],

@@ -93,6 +93,8 @@ class BandCurve:
         Whether X and Y are exchanged.
     late_h
         Hours of LST by which the curve comes late.
+    noise_of_sky
+        Electronic noise over the mean sky power of the band; in the paper's own simulated curve it is 0.49.
     """
 
     name: str
@@ -100,6 +102,7 @@ class BandCurve:
     is_exchanged: bool = False
     late_h: float = 0.0
     is_own_sky: bool = True
+    noise_of_sky: float = 0.5
 
     @property
     def instrument(self) -> Instrument:
@@ -116,6 +119,7 @@ class BandCurve:
         variation = {}
         for shown, dipole in zip("XY", "YX" if self.is_exchanged else "XY", strict=True):
             band = sky_power().at(dipole, (lst_hours - self.late_h) % 24.0) @ weights
+            band = band / band.mean() + self.noise_of_sky
             variation[shown] = 10 * np.log10(band / band[0]) + POINT_NOISE_DB * rng.standard_normal(POINTS)
         return LstCurve(lst_hours, variation, np.full(POINTS, 2 * POINT_NOISE_DB), 24.0 / POINTS, is_centre_stated=True)
 

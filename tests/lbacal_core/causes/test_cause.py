@@ -50,7 +50,7 @@ def conditions() -> Conditions:
         cable_log_loss=np.stack([-0.12 * np.sqrt(frequency)] * 2),
         sky_ratio={key: partial(ratio, k) for k, key in enumerate(keys)},
         sun_response=np.ones((2, events, 51)),
-        has_noise_stages=False,
+        known_noise=0.4,
     )
 
 
@@ -72,11 +72,12 @@ def test_the_catalogue_is_what_the_twin_can_plant():
     assert set(named) == set(catalogue_faults())
 
 
-def test_noise_is_missing_only_where_the_baseline_has_none(terms, conditions):
+def test_noise_is_missing_only_where_it_is_known_beforehand(terms, conditions):
     cause = next(one for one in CAUSES if one.identifier == "missing_noise")
-    complete = replace(conditions, has_noise_stages=True)
-    assert cause.templates(complete) == []
+    assert cause.templates(replace(conditions, known_noise=None)) == []
     assert "LST curve" in cause.needs
+    (template,) = cause.templates(conditions)
+    assert cause.sizes_of(template).lowest == -0.4  # less noise than none is impossible
     added = cause.apply(terms, conditions, Template(), 0.3).power() - terms.power()
     np.testing.assert_allclose(added, np.broadcast_to(0.3 * terms.front, added.shape))
     # 1 of its range is the mean sky power, weighed as the channels are recorded.
