@@ -25,13 +25,20 @@ DIPOLES = ("X", "Y")
 
 @dataclass(frozen=True)
 class AntennaRecord:
-    """One antenna and its cable, from `since` (inclusive) until `until` (exclusive), unix seconds or open."""
+    """One antenna and its cable, from `since` (inclusive) until `until` (exclusive), unix seconds or open.
+
+    Attributes
+    ----------
+    group
+        Name of the hardware that it shares with others, such as a board or a cabinet; None where nobody said.
+    """
 
     station: str
     antenna: int
     cable: str
     since: float | None = None
     until: float | None = None
+    group: str | None = None
 
     def covers(self, time_unix: float) -> bool:
         """Whether the record holds at an instant."""
@@ -148,6 +155,17 @@ class Instrument:
         ]
         return list(dict.fromkeys(record.cable for record in held))
 
+    def group_between(self, station: str, antenna: int, first_unix: float, last_unix: float) -> str | None:
+        """Name of the group of an antenna from one instant to another; None where it has none, or changes it."""
+        held = {
+            record.group
+            for record in self.antennas
+            if (record.station, record.antenna) == (station, antenna)
+            and (record.since is None or record.since <= last_unix)
+            and (record.until is None or first_unix < record.until)
+        }
+        return held.pop() if len(held) == 1 else None
+
     def as_dict(self) -> dict[str, Any]:
         """The content of an instrument file (docs/formats.md)."""
         return {
@@ -255,9 +273,9 @@ def _name(value: Any, place: str) -> str:
 def _parse_record(record: Any, place: str) -> AntennaRecord:
     if not isinstance(record, dict) or not {"station", "antenna", "cable"} <= set(record):
         raise BadInputError(place, "station, antenna and cable", repr(record))
-    for field in set(record) - {"station", "antenna", "cable", "since", "until"}:
+    for field in set(record) - {"station", "antenna", "cable", "since", "until", "group"}:
         # Other fields are somebody else's, but a misspelt `since` would give the antenna a cable at the wrong time.
-        for meant in get_close_matches(field.lower(), ("since", "until")):
+        for meant in get_close_matches(field.lower(), ("since", "until", "group")):
             raise BadInputError(f"{place}: {meant}", f"the field {meant!r} or none", f"{field!r}")
     antenna = record["antenna"]
     if isinstance(antenna, bool) or not isinstance(antenna, int) or antenna < 0:
@@ -268,6 +286,7 @@ def _parse_record(record: Any, place: str) -> AntennaRecord:
         cable=_name(record["cable"], f"{place}: cable"),
         since=_instant(record.get("since"), f"{place}: since"),
         until=_instant(record.get("until"), f"{place}: until"),
+        group=None if record.get("group") is None else _name(record["group"], f"{place}: group"),
     )
 
 
@@ -286,4 +305,6 @@ def _record_as_dict(record: AntennaRecord) -> dict[str, Any]:
     for field, instant in (("since", record.since), ("until", record.until)):
         if instant is not None:
             content[field] = datetime.fromtimestamp(instant, UTC).isoformat()
+    if record.group is not None:
+        content["group"] = record.group
     return content

@@ -123,7 +123,7 @@ class LnaNoiseTemperature(TemperatureCause):
     unit: str = "fraction per 10 K"
     meaning: str = "the noise of the LNA follows temperature"
     confirm: str = "compare nights of equal LST in summer and winter at the lowest frequencies"
-    scopes: Sequence[str] = ("station", "antenna", "path")
+    scopes: Sequence[str] = ("station", "group", "antenna", "path")
 
     def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:  # noqa: ARG002
         """N_LNA (1 + a dT / 10 K)."""
@@ -139,7 +139,7 @@ class GainTemperature(TemperatureCause):
     meaning: str = "the gain in front of the receiver follows temperature"
     confirm: str = "compare the gain by day and by night at equal LST"
     axes: Sequence[str] = ("temperature", "utc", "date")
-    scopes: Sequence[str] = ("station", "antenna", "path")
+    scopes: Sequence[str] = ("station", "group", "antenna", "path")
 
     def templates(self, conditions: Conditions) -> list[Template]:
         """Delays of 0 to 3 h."""

@@ -40,6 +40,8 @@ class Axis:
         Smooth functions of the known values, (event,) -> (function, event).
     along
         Name of the axis by which causes call it; a period of dates is ``date``.
+    column
+        Column of `env` that it is, empty if it is none.
     """
 
     name: str
@@ -47,6 +49,7 @@ class Axis:
     values: Callable[[Conditions], Floats | None]
     functions: Callable[[Floats], Floats]
     along: str
+    column: str = ""
 
     def basis(self, conditions: Conditions) -> Floats | None:
         """Smooth functions of the axis, shape (function, event), 0 where it is unknown; None where the data lack it."""
@@ -105,11 +108,31 @@ AXES: tuple[Axis, ...] = (
         lambda h: harmonics(h / 24.0, HARMONICS),
         "utc",
     ),
-    Axis("temperature", "temperature (degrees C)", lambda c: c.covariate(TEMPERATURE), _polynomials, "temperature"),
-    Axis("rain", "rain (mm/h)", lambda c: c.covariate(RAIN), _wet, "rain"),
+    Axis(
+        "temperature",
+        "temperature (degrees C)",
+        lambda c: c.covariate(TEMPERATURE),
+        _polynomials,
+        "temperature",
+        TEMPERATURE,
+    ),
+    Axis("rain", "rain (mm/h)", lambda c: c.covariate(RAIN), _wet, "rain", RAIN),
     *(_period(days) for days in PERIODS_D),
 )
-"""Every axis of the data; an axis or covariate more is one entry here."""
+"""Axes of any data; an axis that causes act along is one entry here."""
+
+
+def list_axes(conditions: Conditions) -> list[Axis]:
+    """Every axis along which these data vary: those of the list, and each further column of `env` by its name."""
+    named = {axis.name for axis in AXES}
+    others = sorted(set(conditions.covariates) - {axis.column for axis in AXES})
+    columns = [_column(name, f"env/{name}" if name in named else name) for name in others]
+    return [axis for axis in (*AXES, *columns) if axis.values(conditions) is not None]
+
+
+def _column(column: str, name: str) -> Axis:
+    """A column of `env` that no cause knows."""
+    return Axis(name, f"env/{column}", lambda conditions: conditions.covariate(column), _polynomials, name, column)
 
 
 def axes_of(conditions: Conditions) -> set[str]:

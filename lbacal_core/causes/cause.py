@@ -20,8 +20,9 @@ from lbacal_core.grids import Floats
 
 EDGE = 1e-3
 """Share of a range that counts as its end."""
-SCOPES = ("path", "antenna", "cable", "station")
-"""Kinds of targets: one path, the two paths of an antenna, all paths of a cable name, the whole station."""
+SCOPES = ("path", "antenna", "group", "cable", "station")
+"""Kinds of targets: one path, the two paths of an antenna, paths that share hardware, paths of a cable name, the whole
+station."""
 
 
 @dataclass(frozen=True)

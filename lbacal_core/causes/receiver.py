@@ -22,7 +22,7 @@ class CableTemperature(TemperatureCause):
     unit: str = "fraction per 10 K"
     meaning: str = "the loss of the cables (in dB) follows temperature"
     confirm: str = "compare short and long cables by day and by night"
-    scopes: Sequence[str] = ("station", "cable", "antenna")
+    scopes: Sequence[str] = ("station", "cable", "group", "antenna")
 
     def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:  # noqa: ARG002
         """L_coax to the power (1 + a dT / 10 K)."""
@@ -38,7 +38,7 @@ class FilterShift(Cause):
     meaning: str = "the receiver's filter moves in frequency"
     confirm: str = "measure the pass band of the receiver again"
     axes: Sequence[str] = ("date", "temperature")
-    scopes: Sequence[str] = ("station", "antenna", "path")
+    scopes: Sequence[str] = ("station", "group", "antenna", "path")
     step: float = 1e-4
 
     def templates(self, conditions: Conditions) -> list[Template]:
@@ -95,7 +95,7 @@ class Compression(Cause):
     unit: str = "fraction"
     meaning: str = "the gain falls when the total power rises"
     confirm: str = "insert an attenuator and look whether the ratio of strong to weak sky changes"
-    scopes: Sequence[str] = ("station", "antenna", "path")
+    scopes: Sequence[str] = ("station", "group", "antenna", "path")
     sizes: SizeRange = SizeRange(0.0, 1.0)
 
     def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:  # noqa: ARG002
@@ -113,7 +113,7 @@ class AdcJitter(Cause):
     unit: str = "fraction of the mean power"
     meaning: str = "clock jitter adds white noise that follows the signal"
     confirm: str = "feed a sine of rising frequency and watch the noise floor"
-    scopes: Sequence[str] = ("station", "antenna", "path")
+    scopes: Sequence[str] = ("station", "group", "antenna", "path")
     step: float = 1e-4
 
     def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:  # noqa: ARG002

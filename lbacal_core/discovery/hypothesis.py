@@ -13,14 +13,14 @@ from lbacal_core.discovery.station import Station
 
 @dataclass(frozen=True)
 class Target:
-    """A set of paths: one path, an antenna, a cable name, or the station.
+    """A set of paths: one path, an antenna, antennas that share hardware, a cable name, or the station.
 
     Attributes
     ----------
     scope
         One of `lbacal_core.causes.cause.SCOPES`.
     label
-        In words: ``antenna 17 X``, ``antenna 17``, ``cable 80``, ``station``.
+        In words: ``antenna 17 X``, ``antenna 17``, ``group board 3``, ``cable 80``, ``station``.
     is_member
         Shape (path,).
     """
@@ -32,7 +32,7 @@ class Target:
     @property
     def is_wide(self) -> bool:
         """Whether it is more than an antenna, so that the mean of the station shows its effect."""
-        return self.scope in ("station", "cable")
+        return self.scope in ("station", "cable", "group")
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class Hypothesis:
 
 
 def list_targets(station: Station) -> list[Target]:
-    """Every path, antenna and cable name of a station, and the station; coinciding sets of paths are listed once."""
+    """Every path, antenna, cable name and group of a station, and the station."""
     paths = len(station.antenna)
     targets = []
     if paths > len(np.unique(station.dipole)):
@@ -73,8 +73,10 @@ def list_targets(station: Station) -> list[Target]:
             if is_member.sum() > 1:
                 targets.append(Target("antenna", f"antenna {antenna}", is_member))
     cables = np.array(station.conditions.cables)[station.class_of]
-    for name in np.unique(cables):
-        is_member = cables == name
-        if not np.all(is_member):
-            targets.append(Target("cable", f"cable {name}", is_member))
+    for scope, names in (("cable", cables), ("group", station.group)):
+        for name in np.unique(names[names != ""]):
+            is_member = names == name
+            is_antenna = scope == "group" and np.unique(station.antenna[is_member]).size == 1
+            if not np.all(is_member) and not is_antenna:
+                targets.append(Target(scope, f"{scope} {name}", is_member))
     return [*targets, Target("station", "station", np.ones(paths, dtype=bool))]

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from lbacal_core.causes.axes import AXES, Axis
+from lbacal_core.causes.axes import Axis, list_axes
 from lbacal_core.discovery.project import LinearModel
 from lbacal_core.discovery.refit import FOLDS, held_out_fold
 from lbacal_core.discovery.trials import p_of_best
@@ -90,7 +90,7 @@ def find_structure(
         reports the axis along which it is strongest.
     """
     conditions = model.station.conditions
-    axes = {axis: basis for axis in AXES if (basis := axis.basis(conditions)) is not None}
+    axes = {axis: basis for axis in list_axes(conditions) if (basis := axis.basis(conditions)) is not None}
     polynomials = _polynomials(model.station.power.shape[2])
     found = [_in_means(model, axis, basis, polynomials) for axis, basis in axes.items()]
     found.append(_in_single_events(model, rng))

@@ -37,6 +37,8 @@ class Station:
         Antenna number and dipole of each path, shape (path,).
     class_of
         Class of each path, shape (path,).
+    group
+        Name of the hardware that each path shares with others, empty where none is on record, shape (path,).
     power
         Shape (path, event, freq), ADC^2/Ohm/MHz; 1 where absent.
     relative_variance
@@ -49,6 +51,7 @@ class Station:
     antenna: NDArray[np.int64]
     dipole: NDArray[np.str_]
     class_of: NDArray[np.int64]
+    group: NDArray[np.str_]
     power: Floats
     relative_variance: Floats
     event_id: NDArray[np.str_]
@@ -130,12 +133,15 @@ def _gather(
     kept = np.flatnonzero(has_enough)
     labels = [(dipole[k], cable[k]) for k in kept]
     classes = sorted(set(labels))
+    span = float(time_unix.min()), float(time_unix.max())
+    groups = {number: instrument.group_between(name, number, *span) or "" for number in set(antenna)}
     conditions = _conditions(classes, instrument, sky_power, time_unix, covariates, ratios)
     return Station(
         name=name,
         antenna=np.array(antenna)[kept],
         dipole=np.array(dipole)[kept],
         class_of=np.array([classes.index(label) for label in labels]),
+        group=np.array([groups[antenna[k]] for k in kept], dtype=str),
         power=power[kept],
         relative_variance=variance[kept],
         event_id=events,

@@ -218,6 +218,22 @@ def test_an_antenna_or_a_date_without_a_record_is_named() -> None:
         instrument.cable_of("CS002", 0, unix("2014-01-01"))
 
 
+def test_a_group_is_kept_and_changes_with_the_record() -> None:
+    content = make_content()
+    content["antennas"][0]["group"], content["antennas"][1]["group"] = "board 1", "board 2"
+    instrument = parse_instrument(content, "i.json")
+    change = unix("2013-05-01")
+    assert instrument.group_between("CS002", 0, change - 10, change - 1) == "board 1"
+    assert instrument.group_between("CS002", 0, change, change + 1) == "board 2"
+    assert instrument.group_between("CS002", 0, change - 10, change + 1) is None
+    assert instrument.group_between("CS002", 1, 0.0, 2e9) is None
+    assert instrument.as_dict()["antennas"][0]["group"] == "board 1"
+    assert instrument.digest() != parse_instrument(make_content(), "i.json").digest()
+    content["antennas"][2]["grup"] = "board 3"
+    with pytest.raises(BadInputError, match="the field 'group' or none"):
+        parse_instrument(content, "i.json")
+
+
 def test_a_record_covers_its_first_instant_and_not_its_last() -> None:
     record = AntennaRecord("CS002", 0, "50 m", since=10.0, until=20.0)
     assert [record.covers(instant) for instant in (9.9, 10.0, 19.9, 20.0)] == [False, True, True, False]

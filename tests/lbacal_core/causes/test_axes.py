@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lbacal_core.causes.axes import axis_named
+from lbacal_core.causes.axes import AXES, axis_named, list_axes
 
 
 @pytest.fixture(scope="module")
@@ -39,3 +39,14 @@ def test_a_day_has_five_harmonics_and_no_more(name, period_h, conditions):
     hours, basis = axis.values(conditions), axis.basis(conditions)
     assert left_of(np.cos(2 * np.pi * 5 * hours / period_h + 1.0), basis) < 1e-6
     assert left_of(np.cos(2 * np.pi * 7 * hours / period_h + 1.0), basis) > 0.5
+
+
+def test_every_column_of_env_that_varies_is_an_axis_by_its_name(conditions):
+    events = conditions.time_unix.size
+    wave = np.cos(np.arange(events) / 7.0)
+    scarce = np.where(np.arange(events) < 20, wave, np.nan)
+    columns = {"humidity": wave, "dead_clock": np.full(events, 3.0), "scarce": scarce, "lst": wave}
+    names = [axis.name for axis in list_axes(conditions.with_covariates(**columns))]
+    assert names == [*(axis.name for axis in AXES), "humidity", "env/lst"]
+    humidity = list_axes(conditions.with_covariates(humidity=wave))[-1]
+    assert left_of(wave**2, humidity.basis(conditions.with_covariates(humidity=wave))) < 0.01

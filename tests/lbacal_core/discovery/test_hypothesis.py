@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 from tests.lbacal_core.discovery.worlds import look_at
 
 
@@ -22,6 +24,18 @@ def test_paths_antennas_cables_and_the_station_are_targets(world):
     for cable in cables:
         antennas = {r.antenna for r in world.instrument.antennas if r.station == "CS002" and r.cable == cable}
         assert members[f"cable {cable}"] == [(a, d) for d in "XY" for a in range(8) if a in antennas]
+
+
+def test_antennas_of_one_board_are_a_target_unless_they_are_one_antenna_or_all(world):
+    records = [
+        replace(record, group={0: "board 1", 2: "board 1", 1: "board 2"}.get(record.antenna))
+        for record in world.instrument.antennas
+    ]
+    targets = look_at(world.spectra(), replace(world.instrument, antennas=records), world.sky).targets()
+    of_groups = [(label, paths) for scope, label, paths in targets if scope == "group"]
+    assert of_groups == [("group board 1", [(0, "X"), (2, "X"), (0, "Y"), (2, "Y")])]
+    everyone = replace(world.instrument, antennas=[replace(r, group="cabinet") for r in world.instrument.antennas])
+    assert "group" not in {scope for scope, _, _ in look_at(world.spectra(), everyone, world.sky).targets()}
 
 
 def test_sets_of_paths_that_coincide_are_one_target(world):

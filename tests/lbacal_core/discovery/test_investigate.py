@@ -71,3 +71,32 @@ def test_a_weekly_rhythm_is_unexplained_and_lives_along_the_date(spoil, chain, s
     assert report["verdict"] == "unexplained"
     assert report["unexplained"]["where"]["axis"].startswith("date")
     assert report["unexplained"]["where"]["target"] == "station"
+
+
+def test_what_follows_a_column_that_nobody_knows_is_reported_along_it_by_its_name(clean, chain, sky):
+    """A gain that falls off on either side of the middle of `humidity`, as no cause and no other axis does."""
+    events, event = np.unique(clean.event_id, return_inverse=True)
+    humidity = np.random.default_rng(5).uniform(0.0, 1.0, events.size)[event]
+    power = clean.power * (1.0 - 0.25 * (humidity - 0.5) ** 2)[:, None]
+    spectra = replace(clean, power=power, environment={**clean.environment, "humidity": humidity})
+    report, _ = investigate(spectra, chain, sky)
+    assert report["verdict"] == "unexplained"
+    assert report["findings"] == []
+    assert report["unexplained"]["where"]["axis"] == "humidity"
+    assert report["unexplained"]["where"]["target"] == "station"
+    json.dumps(report, allow_nan=False)
+
+
+def test_a_gain_step_of_one_board_is_named_for_its_group(spoil, chain, sky):
+    board = (1, 2, 6)
+    records = [replace(r, group="board 2" if r.antenna in board else "board 1") for r in chain.antennas]
+    step = GainStep(size=0.03, where=Where(antennas=board), date="2014-08-07")
+    report, _ = investigate(spoil(step), replace(chain, antennas=records), sky)
+    assert report["verdict"] == "explained"
+    (finding,) = report["findings"]
+    assert finding["cause"] == "gain_step"
+    assert finding["where"]["antennas"] == sorted(board)
+    assert finding["where"]["dipoles"] == ["X", "Y"]
+    assert finding["evidence"]["target"] == "group board 2"
+    assert "group board 2" in finding["sentence"]
+    assert abs(finding["size"]["value"] - 0.03) < 3 * finding["size"]["sigma"]
