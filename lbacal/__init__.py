@@ -6,6 +6,7 @@
 The server is `LBACAL_URL`, the key `LBACAL_API_KEY`, and `LBACAL_CACHE` the folder that answers while no server does.
 """
 
+from lbacal.antenna import carry_to_antenna
 from lbacal.client import CachedAnswerWarning, Client, effective, ingest, refit
 from lbacal.transport import RefusedError, UnreachableError
 from lbacal.voltages import calibrate_trace
@@ -16,6 +17,7 @@ __all__ = [
     "RefusedError",
     "UnreachableError",
     "calibrate_trace",
+    "carry_to_antenna",
     "effective",
     "ingest",
     "refit",

@@ -267,7 +267,7 @@ def make_table(answer: dict[str, Any]) -> QTable:
         return np.repeat(np.array(values, dtype=kind), counts)
 
     def join(name: str) -> Any:
-        return np.concatenate([curve[name] or [np.nan] * len(curve["c"]) for curve in curves]).astype(float)
+        return np.concatenate([curve.get(name) or [np.nan] * len(curve["c"]) for curve in curves]).astype(float)
 
     table = QTable()
     table["station"] = repeat([curve["station"] or "" for curve in curves], np.str_)
@@ -284,5 +284,9 @@ def make_table(answer: dict[str, Any]) -> QTable:
     table["answered_by"] = repeat([curve["answered_by"] for curve in curves], np.str_)
     table["valid_from"] = repeat([curve["valid"]["from"] for curve in curves], np.str_)
     table["valid_to"] = repeat([curve["valid"]["to"] or "" for curve in curves], np.str_)
+    table["c_over_h"] = join("c_over_h") * u.V / u.m
+    table["c_over_h"].info.description = "C/|H_zenith|, V/m per ADC unit, field along the arm from the zenith"
+    table["antenna_gain"] = join("antenna_gain") * u.m**2
+    table["antenna_gain"].info.description = "G_ant that c belongs to; NaN where the version does not keep it"
     table.meta = {"at": answer["at"], "as_of": answer["as_of"], "missing": answer["missing"]}
     return table

@@ -52,6 +52,8 @@ COLUMNS = {
     "answered_by": _Column(str, "scope of the version: antenna, station or array"),
     "valid_from": _Column(str, "from this instant on it is in effect, UTC"),
     "valid_to": _Column(str, "until then; empty where the interval is open"),
+    "c_over_h": _Column(float, "C/|H_zenith|, field along the arm from the zenith: G_ant cancels", "V / m"),
+    "antenna_gain": _Column(float, "G_ant that c belongs to; NaN in versions made before it was kept", "m2"),
 }
 
 
@@ -71,7 +73,9 @@ def rows_of(answer: dict[str, Any]) -> list[dict[str, Any]]:
     """One row per path and frequency; an unknown error and an open end are None."""
     rows = []
     for curve in answer["curves"]:
-        system = curve["c_sigma_sys"] or [None] * len(curve["c"])
+        unknown = [None] * len(curve["c"])
+        system, over_h = curve["c_sigma_sys"] or unknown, curve.get("c_over_h") or unknown
+        gain = curve.get("antenna_gain") or unknown
         for k, frequency in enumerate(curve["frequency_mhz"]):
             rows.append(
                 {
@@ -81,6 +85,7 @@ def rows_of(answer: dict[str, Any]) -> list[dict[str, Any]]:
                     "factor": curve["factor"][k],
                     "calibration": curve["calibration"], "answered_by": curve["answered_by"],
                     "valid_from": curve["valid"]["from"], "valid_to": curve["valid"]["to"],
+                    "c_over_h": over_h[k], "antenna_gain": gain[k],
                 }
             )  # fmt: skip
     return rows
@@ -166,10 +171,12 @@ def write_nuradio(answer: dict[str, Any]) -> bytes:
     known = [(frequency, c) for frequency, c in zip(curve["frequency_mhz"], curve["c"], strict=True) if c is not None]
     frequency_mhz, c = np.array(known, dtype=float).T
     values = np.interp(NURADIO_MHZ, frequency_mhz, c, left=0.0, right=0.0)
+    gain = curve.get("antenna_gain_sha256")
     head = [
         f"lbacal calibration {curve['calibration']}",
         f"{_name_owner(curve)} at {answer['at']}",
         *([f"uncertain: {curve['flag_reason']}"] if curve["flag_reason"] else []),
+        *([f"C belongs to the antenna gain {gain[:12]}: not for the height of another (c_over_h)"] if gain else []),
         "C in V per ADC unit at 0, 1, ... 100 MHz; 0 outside the band",
     ]
     return "".join([f"# {line}\n" for line in head] + [f"{value!r}\n" for value in values.tolist()]).encode()

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from lbacal_core.anomalies import Anomalies, Anomaly
 from lbacal_core.grids import Floats
-from lbacal_core.provenance import Provenance
+from lbacal_core.provenance import Provenance, hash_arrays
 from lbacal_core.reference_chain import ReferenceChain
 
 CONVERGED = "converged"
@@ -61,6 +61,8 @@ class CalibrationCurve:
         `n_lna` (unit of P_sky), `n_rcu` and `n_adc` (power at the output, ADC^2/Ohm/MHz).
     flag
         One of `FLAGS` for each channel; None where there is no curve, or in one older than flags (all are good).
+    antenna_gain
+        G_ant that the chain was fitted with, shape (freq,); None where nobody kept it.
     """
 
     station: str | None
@@ -76,6 +78,7 @@ class CalibrationCurve:
     lst_coverage: float
     parameters: Mapping[str, Parameter]
     flag: Sequence[str] | None = None
+    antenna_gain: Floats | None = None
 
     def __post_init__(self) -> None:
         if self.status not in STATUSES:
@@ -86,6 +89,8 @@ class CalibrationCurve:
             raise ValueError(
                 f"flags {self.flag!r} are not one of {FLAGS} for each of {self.frequency_mhz.size} channels"
             )
+        if self.antenna_gain is not None and self.antenna_gain.shape != self.frequency_mhz.shape:
+            raise ValueError(f"G_ant of {self.antenna_gain.shape} values for {self.frequency_mhz.size} channels")
         for values in (self.c, self.c_sigma_stat, self.c_sigma_sys):
             if values is not None and values.shape != self.frequency_mhz.shape:
                 raise ValueError(f"{values.shape} values for {self.frequency_mhz.size} channels")
@@ -115,8 +120,24 @@ class CalibrationCurve:
         parts += [self.dipole] if self.dipole else []
         return " ".join(parts)
 
+    @property
+    def antenna_gain_sha256(self) -> str | None:
+        """Hash of G_ant: curves with the same one were fitted with the same antenna gain."""
+        return None if self.antenna_gain is None else hash_arrays(self.frequency_mhz, self.antenna_gain)
+
+    @property
+    def c_over_h(self) -> Floats | None:
+        """C/|H_zenith|, shape (freq,), V/m per ADC unit: the field along the arm from the zenith.
+
+        |H_zenith|^2 = G_ant, because G_ant D = |J_theta|^2 + |J_phi|^2 and D = 1 at zenith. With C^2 = G_ant / s it is
+        s^-1/2: whatever is wrong with G_ant is not in it.
+        """
+        if self.c is None or self.antenna_gain is None:
+            return None
+        return np.asarray(self.c / np.sqrt(self.antenna_gain))
+
     def as_dict(self) -> dict[str, Any]:
-        """The curve as JSON values; never NaN."""
+        """The curve as JSON values; never NaN. What belongs to G_ant is absent where nobody kept G_ant."""
         content = {
             "station": self.station,
             "antenna": self.antenna,
@@ -130,9 +151,19 @@ class CalibrationCurve:
             "chi2_per_dof": self.chi2_per_dof,
             "lst_coverage": self.lst_coverage,
             "parameters": {name: {"value": p.value, "sigma": p.sigma} for name, p in self.parameters.items()},
+            **self._gain_as_dict(),
         }
         # a version from before flags keeps its content and with it its hash
         return content if self.flag is None else {**content, "flag": list(self.flag)}
+
+    def _gain_as_dict(self) -> dict[str, Any]:
+        if self.antenna_gain is None:
+            return {}
+        return {
+            "antenna_gain": self.antenna_gain.tolist(),
+            "antenna_gain_sha256": self.antenna_gain_sha256,
+            "c_over_h": None if self.c_over_h is None else list_numbers(self.c_over_h),
+        }
 
 
 def parse_curve(content: Mapping[str, Any]) -> CalibrationCurve:
@@ -151,6 +182,7 @@ def parse_curve(content: Mapping[str, Any]) -> CalibrationCurve:
         lst_coverage=content["lst_coverage"],
         parameters={name: Parameter(p["value"], p["sigma"]) for name, p in content["parameters"].items()},
         flag=None if content.get("flag") is None else tuple(content["flag"]),
+        antenna_gain=_array(content.get("antenna_gain")),
     )
 
 
@@ -210,11 +242,17 @@ def write_calibration_table(report: FitReport, path: Path) -> None:
     table["dipole"] = np.array([curve.dipole or "" for curve, _ in rows], dtype=np.str_)
     table["frequency_mhz"] = np.array([curve.frequency_mhz[k] for curve, k in rows], dtype=float)
     table["frequency_mhz"].unit = u.MHz
-    for name in ("c", "c_sigma_stat", "c_sigma_sys"):
+
+    def add_numbers(name: str, unit: u.UnitBase) -> None:
         values = [np.nan if getattr(curve, name) is None else getattr(curve, name)[k] for curve, k in rows]
         table[name] = np.array(values, dtype=float)
-        table[name].unit = u.V
+        table[name].unit = unit
+
+    for name in ("c", "c_sigma_stat", "c_sigma_sys"):
+        add_numbers(name, u.V)
     table["flag"] = np.array([curve.flags[k] for curve, k in rows], dtype=np.str_)
+    add_numbers("c_over_h", u.V / u.m)
+    add_numbers("antenna_gain", u.m**2)
     descriptions = {
         "station": "station name; empty for the whole array",
         "antenna": "antenna number; -1: reference chain of the station or array, nobody's cable (fit.json says which)",
@@ -224,6 +262,8 @@ def write_calibration_table(report: FitReport, path: Path) -> None:
         "c_sigma_stat": "statistical standard deviation of c",
         "c_sigma_sys": "systematic standard deviation of c; NaN until a budget exists",
         "flag": "ok, uncertain (error above 13 %), interference, or outside (C is not determined: NaN)",
+        "c_over_h": "C/|H_zenith|, V/m per ADC unit, field along the arm from the zenith: G_ant cancels",
+        "antenna_gain": "G_ant that the chain was fitted with; c belongs to an antenna of this gain",
     }
     for name, text in descriptions.items():
         table[name].info.description = text

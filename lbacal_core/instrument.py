@@ -6,7 +6,7 @@ import json
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from difflib import get_close_matches
 from importlib.resources import files
@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from lbacal_core.antenna_gain import ABSOLUTE, RELATIVE, GainProvenance
 from lbacal_core.errors import BadInputError, UnknownNameError, UnreadableFileError
 from lbacal_core.grids import Floats, require_channels
 from lbacal_core.provenance import hash_content
@@ -59,6 +60,11 @@ class Instrument:
         G_ant and G_RCU of eq. full_chain, shape (freq,), linear power.
     cables
         L_coax by cable name, shape (freq,), the factor <= 1 that multiplies the power.
+    antenna, sky
+        Antenna model and sky model, by name or file, that the package's own P_sky is computed with unless others are
+        given; None where the instrument names none.
+    gain_provenance
+        What `antenna_gain` is; None where nobody says.
     """
 
     name: str
@@ -71,6 +77,9 @@ class Instrument:
     receiver_gain: Floats
     cables: Mapping[str, Floats]
     antennas: Sequence[AntennaRecord]
+    antenna: str | None = None
+    sky: str | None = None
+    gain_provenance: GainProvenance | None = None
 
     def __post_init__(self) -> None:
         place = f"instrument {self.name}"
@@ -90,6 +99,7 @@ class Instrument:
                 raise BadInputError(f"{place}: dipoles.{dipole}.azimuth_deg", "finite degrees", f"{azimuth}")
         self._require_gain("antenna_gain", self.antenna_gain, np.inf)
         self._require_gain("receiver_gain", self.receiver_gain, np.inf)
+        self._require_shape_error()
         for cable, loss in self.cables.items():
             self._require_gain(f"cables.{cable}", loss, 1.0)
         for row, record in enumerate(self.antennas):
@@ -121,6 +131,12 @@ class Instrument:
                     f"one record at a time for station {record.station}, antenna {record.antenna}",
                     "two whose since and until overlap",
                 )
+
+    def _require_shape_error(self) -> None:
+        error = None if self.gain_provenance is None else self.gain_provenance.shape_error
+        if error is not None and error.shape != self.frequency_mhz.shape:
+            place = f"instrument {self.name}: antenna_gain_provenance.shape_error"
+            raise BadInputError(place, "a number a channel, or one", f"{error.size}")
 
     def _require_gain(self, field: str, values: Floats, largest: float) -> None:
         place = f"instrument {self.name}: {field}"
@@ -179,11 +195,32 @@ class Instrument:
             "receiver_gain": self.receiver_gain.tolist(),
             "cables": {name: loss.tolist() for name, loss in self.cables.items()},
             "antennas": [_record_as_dict(record) for record in self.antennas],
+            **({} if self.antenna is None else {"antenna": self.antenna}),
+            **({} if self.sky is None else {"sky": self.sky}),
+            **({} if self.gain_provenance is None else {"antenna_gain_provenance": self.gain_provenance.as_dict()}),
         }
 
     def digest(self) -> str:
-        """Hash of the content, which names the instrument in provenance and version ids."""
-        return hash_content(self.as_dict())
+        """Hash of the numbers, which names the instrument in provenance and version ids.
+
+        The names of sky and antenna are not in it, because P_sky brings hashes of its own, nor is what is said about
+        the antenna gain.
+        """
+        words = ("antenna", "sky", "antenna_gain_provenance")
+        return hash_content({name: value for name, value in self.as_dict().items() if name not in words})
+
+    def view_digest(self) -> str:
+        """Hash of what P_sky takes from an instrument: its place, the arms of its dipoles and its channels."""
+        return hash_content([self.latitude_deg, dict(self.dipole_azimuth_deg), self.frequency_mhz.tolist()])
+
+    @property
+    def antenna_gain_note(self) -> str:
+        """What is known of the antenna gain, in words."""
+        return (
+            "unchecked: the instrument does not say what its antenna_gain is"
+            if self.gain_provenance is None
+            else (str(self.gain_provenance))
+        )
 
 
 def load_instrument(name_or_file: str) -> Instrument:
@@ -194,7 +231,15 @@ def load_instrument(name_or_file: str) -> Instrument:
     path = Path(name_or_file)
     if not path.exists():
         raise UnknownNameError("instrument", name_or_file, sorted(shipped))
-    return parse_instrument(read_json(path), str(path))
+    read = parse_instrument(read_json(path), str(path))
+    return replace(read, antenna=_beside(path, read.antenna), sky=_beside(path, read.sky))
+
+
+def _beside(path: Path, name_or_file: str | None) -> str | None:
+    """A file that an instrument file names relative to itself; a name stays what it is."""
+    if name_or_file is None or not (path.parent / name_or_file).exists():
+        return name_or_file
+    return str(path.parent / name_or_file)
 
 
 def read_json(path: Path) -> Any:
@@ -245,6 +290,33 @@ def parse_instrument(content: Any, place: str) -> Instrument:
         receiver_gain=parse_numbers(content["receiver_gain"], f"{place}: receiver_gain"),
         cables={str(name): parse_numbers(loss, f"{place}: cables.{name}") for name, loss in cables.items()},
         antennas=tuple(_parse_record(record, f"{place}: antennas, row {k}") for k, record in enumerate(antennas)),
+        antenna=_optional_name(content.get("antenna"), f"{place}: antenna"),
+        sky=_optional_name(content.get("sky"), f"{place}: sky"),
+        gain_provenance=_parse_gain_provenance(
+            content.get("antenna_gain_provenance"), len(content["frequency_mhz"]), f"{place}: antenna_gain_provenance"
+        ),
+    )
+
+
+def _parse_gain_provenance(content: Any, channels: int, place: str) -> GainProvenance | None:
+    if content is None:
+        return None
+    if not isinstance(content, dict):
+        raise BadInputError(place, "an object with kind and source", type(content).__name__)
+    kind = content.get("kind")
+    if kind not in (ABSOLUTE, RELATIVE):
+        raise BadInputError(f"{place}: kind", f"{ABSOLUTE} or {RELATIVE}", repr(kind))
+    shape, scale = content.get("shape_error"), content.get("scale_error")
+    errors = np.empty(0) if shape is None else parse_numbers(shape if isinstance(shape, list) else [shape], place)
+    scale_error = None if scale is None else _number(scale, f"{place}: scale_error")
+    if np.any(errors < 0) or (scale_error is not None and scale_error < 0):
+        raise BadInputError(place, "errors >= 0", "a negative one")
+    return GainProvenance(
+        kind=kind,
+        source=_name(content.get("source"), f"{place}: source"),
+        shape_error=None if shape is None else (errors if isinstance(shape, list) else np.full(channels, errors[0])),
+        scale_error=scale_error,
+        antenna_sha256=_optional_name(content.get("antenna_sha256"), f"{place}: antenna_sha256"),
     )
 
 
@@ -268,6 +340,10 @@ def _name(value: Any, place: str) -> str:
     if not isinstance(value, str) or not value or not value.isprintable():
         raise BadInputError(place, "a name", repr(value))
     return value
+
+
+def _optional_name(value: Any, place: str) -> str | None:
+    return None if value is None else _name(value, place)
 
 
 def _parse_record(record: Any, place: str) -> AntennaRecord:

@@ -66,7 +66,9 @@ class Factory:
     def sky_power(self) -> SkyPower:
         """P_sky of the settings' file, or the package's own."""
         if self.settings.sky_power is not None:
-            return read_sky_power(self.settings.sky_power)
+            read = read_sky_power(self.settings.sky_power)
+            read.require_made_for(self.instrument)
+            return read
         from lbacal_core.skypower.model import compute_sky_power  # a second to import, and only fits need it
 
         return compute_sky_power(self.instrument)

@@ -51,6 +51,7 @@ def investigate(
     require_outputs({"--report": report, "--html": html}, {**inputs, "--instrument": instrument})
     chain = load_instrument(instrument or "lofar-superterp")
     sky = compute_sky_power(chain) if sky_power is None else read_sky_power(sky_power)
+    sky.require_made_for(chain)
     if spectra is not None:
         content = _ask_spectra(spectra, chain, sky, sky_power is None, html)
     else:

@@ -47,6 +47,7 @@ def lst_curve(
         sky = compute_sky_power(chain)
     else:
         sky = read_sky_power(sky_power)
+    sky.require_made_for(chain)
     result = compare_lst_curve(measured, sky, chain, band)
     with written_beside(report) as beside:
         beside.write_text(json.dumps(result.as_dict(), indent=1, allow_nan=False) + "\n")

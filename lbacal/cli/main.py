@@ -15,6 +15,7 @@ from typing import Annotated, Any
 
 import typer
 
+from lbacal.cli.antenna_gain import antenna_gain
 from lbacal.cli.client import effective, ingest, jobs, refit, sync
 from lbacal.cli.fit import fit
 from lbacal.cli.import_ import import_
@@ -59,7 +60,9 @@ def _name(command: Callable[..., None]) -> str:
     return command.__name__.strip("_").replace("_", "-")
 
 
-_COMPUTING: tuple[Callable[..., None], ...] = (fit, investigate, lst_curve, paper, sky_power, spectra)
+_COMPUTING: tuple[Callable[..., None], ...] = (
+    fit, investigate, lst_curve, paper, sky_power, antenna_gain, spectra
+)  # fmt: skip
 _ASKING: tuple[Callable[..., None], ...] = (ingest, refit, effective, jobs, status, sync)
 for command in (*map(_needing_fit, _COMPUTING), import_, *_ASKING):
     app.command(_name(command))(command)

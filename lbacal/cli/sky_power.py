@@ -14,8 +14,10 @@ from lbacal.files import written_beside
 def sky_power(
     instrument: Annotated[str, typer.Option(help="Instrument: a name such as lofar-superterp, or a JSON file.")],
     output: Annotated[Path, typer.Option(help="Sky power file to write (JSON).")],
-    sky: Annotated[str | None, typer.Option(help="Sky model: a name, or a file.")] = None,
-    antenna: Annotated[str | None, typer.Option(help="Antenna model: a name, or a file.")] = None,
+    sky: Annotated[str | None, typer.Option(help="Sky model: a name, or a file; else the instrument's.")] = None,
+    antenna: Annotated[
+        str | None, typer.Option(help="Antenna model: a name, or a file; else the instrument's.")
+    ] = None,
     scale: Annotated[float, typer.Option(help="Factor on the brightness of the sky model.")] = 1.0,
     spectral_index: Annotated[float, typer.Option(help="Added to the index b of T ~ nu^-b, about 60 MHz.")] = 0.0,
     isotropic: Annotated[float, typer.Option(help="Isotropic brightness to add, in units of the extragalactic.")] = 0.0,
@@ -28,19 +30,20 @@ def sky_power(
 
     Example: lbacal sky-power --instrument lofar-superterp --output P.json
     """
-    from lbacal_core.antenna.names import DEFAULT_ANTENNA
     from lbacal_core.instrument import load_instrument
     from lbacal_core.sky.names import DEFAULT_SKY, load_sky
     from lbacal_core.sky.sources import find_sources
+    from lbacal_core.skypower.antenna_of import antenna_of
     from lbacal_core.skypower.model import compute_sky_power
     from lbacal_core.skypower.sources import add_sources
     from lbacal_core.skypower.table import write_sky_power
 
     require_outputs({"--output": output}, {"--instrument": instrument, "--sky": sky, "--antenna": antenna})
     chain = load_instrument(instrument)
-    model = load_sky(sky or DEFAULT_SKY).changed(scale, spectral_index, isotropic)
-    result = compute_sky_power(chain, model, antenna or DEFAULT_ANTENNA)
-    result = add_sources(result, chain, find_sources(source or []), year, antenna or DEFAULT_ANTENNA)
+    model = load_sky(sky or chain.sky or DEFAULT_SKY).changed(scale, spectral_index, isotropic)
+    pattern = antenna or antenna_of(chain)
+    result = compute_sky_power(chain, model, pattern)
+    result = add_sources(result, chain, find_sources(source or []), year, pattern)
     with written_beside(output) as beside:
         write_sky_power(result, beside)
     for dipole, values in result.power.items():

@@ -53,7 +53,7 @@ def read_jones_text(path: Path) -> JonesTable:
     ]
     for applies, rows_of in kinds:
         if applies:
-            return _table_of_rows(list(rows_of(lines, path)), path)
+            return _table_of_rows(list(rows_of(lines, path)), path, has_level=rows_of is _rows_of_text)
     raise UnreadableFileError(
         f"{path}: expected Jones terms as text with the columns {','.join(COLUMNS)}, a FEKO .ffe file, "
         "a NEC output with radiation patterns or a WIPL-D .ra1 file, found none of these"
@@ -133,7 +133,7 @@ def _rows_of_wipl(lines: list[str], path: Path) -> Iterator[Row]:
             yield _transmitted(nu, 90.0 - values[1], values[0], -complex(*values[4:6]), complex(*values[2:4]))
 
 
-def _table_of_rows(rows: list[Row], path: Path) -> JonesTable:
+def _table_of_rows(rows: list[Row], path: Path, *, has_level: bool) -> JonesTable:
     """Rows in any order on a full grid; rows below the horizon and at 360 degrees are dropped."""
     kept = [row for row in rows if -1e-9 <= row[1] <= 90.0 + 1e-9]
     if not kept:
@@ -159,4 +159,4 @@ def _table_of_rows(rows: list[Row], path: Path) -> JonesTable:
             "a row for every frequency, zenith angle and azimuth",
             f"none at {nu:g} MHz, {zenith:g}, {azimuth:g} deg",
         )
-    return JonesTable(path.stem, axes[0], axes[1], axes[2], theta, phi)
+    return JonesTable(path.stem, axes[0], axes[1], axes[2], theta, phi, has_level)

@@ -30,6 +30,8 @@ class JonesTable:
         Shape (azimuth,), from the arm, north through east, evenly spaced, 0 included and 360 not.
     theta, phi
         Shape (freq, zenith, azimuth), complex, V per V/m or any constant times that.
+    has_level
+        Whether the terms of different frequencies have one constant in common, so that G_ant follows from them.
     """
 
     name: str
@@ -38,6 +40,7 @@ class JonesTable:
     azimuth_deg: Floats
     theta: Complexes
     phi: Complexes
+    has_level: bool = True
 
     def __post_init__(self) -> None:
         place = f"antenna {self.name}"

@@ -94,6 +94,7 @@ def fit_calibration(spectra: Spectra, instrument: Instrument, sky_power: SkyPowe
     require_same_grid(
         sky_power.origin, sky_power.frequency_mhz, instrument.frequency_mhz, f"instrument {instrument.name}"
     )
+    sky_power.require_made_for(instrument)
     if len(spectra) == 0:
         raise BadInputError(spectra.origin, "at least one spectrum", "none")
     cable_of = require_one_cable_each(spectra, instrument)
@@ -118,7 +119,7 @@ def fit_calibration(spectra: Spectra, instrument: Instrument, sky_power: SkyPowe
             "sky_power": sky_power.digest(),
         },
         settings={"scope": scope, "min_events": MIN_EVENTS, "min_lst_bins": MIN_LST_BINS},
-        notes={} if sky_power.fit is None else {"sky_power": str(sky_power.fit)},
+        notes={"antenna_gain": instrument.antenna_gain_note, "sky_power": sky_power.note_for(instrument)},
     )
     return FitReport(
         tuple(curve for curve, _ in fitted),
@@ -348,6 +349,7 @@ def _fit_paths(paths: _Paths, lines: Lines, instrument: Instrument) -> list[Cali
                     for name, value, sigma in zip(("n_lna", "n_rcu", "n_adc"), values, sigmas, strict=False)
                 },
                 flag=tuple(flag[j].tolist()) if is_good else None,
+                antenna_gain=instrument.antenna_gain,
             )
         )
     return curves

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from lbacal_core.antenna.model import AntennaModel
-from lbacal_core.antenna.names import DEFAULT_ANTENNA, load_antenna
+from lbacal_core.antenna.names import load_antenna
 from lbacal_core.grids import Floats
 from lbacal_core.instrument import Instrument
 from lbacal_core.provenance import hash_content
@@ -13,6 +13,8 @@ from lbacal_core.sky.frames import DATA_EPOCH
 from lbacal_core.sky.model import SkyModel
 from lbacal_core.sky.multipoles import precess_multipoles
 from lbacal_core.sky.names import DEFAULT_SKY, load_sky
+from lbacal_core.skypower.antenna_of import antenna_of
+from lbacal_core.skypower.made_for import describe_view
 from lbacal_core.skypower.modes import beam_multipoles, combine, sky_power_at
 from lbacal_core.skypower.table import SkyPower
 
@@ -22,8 +24,8 @@ LST_HOURS = np.arange(96) / 4.0
 
 def compute_sky_power(
     instrument: Instrument,
-    sky: str | SkyModel = DEFAULT_SKY,
-    antenna: str | AntennaModel = DEFAULT_ANTENNA,
+    sky: str | SkyModel | None = None,
+    antenna: str | AntennaModel | None = None,
     lst_hours: Floats | None = None,
 ) -> SkyPower:
     """P_sky(LST, nu) of both dipoles for the instrument's place, arms and channels.
@@ -31,7 +33,7 @@ def compute_sky_power(
     Parameters
     ----------
     sky, antenna
-        A model, or the name or file of one.
+        A model, or the name or file of one; those that the instrument names unless given.
     lst_hours
         Shape (lst,), hours, regular over the sidereal day; default 96 from 0.
 
@@ -39,6 +41,8 @@ def compute_sky_power(
     -------
     Directional sky power, W m^-2 MHz^-1 for R_r = 50 ohm.
     """
+    sky = sky or instrument.sky or DEFAULT_SKY
+    antenna = antenna or antenna_of(instrument)
     sky_model = load_sky(sky) if isinstance(sky, str) else sky
     antenna_model = load_antenna(antenna) if isinstance(antenna, str) else antenna
     lst = LST_HOURS if lst_hours is None else np.asarray(lst_hours, dtype=float)
@@ -59,4 +63,5 @@ def compute_sky_power(
         "lst_hours": lst.tolist(),
         "epoch": DATA_EPOCH,
     }
-    return SkyPower(frequency_mhz, lst, power, origin).of_inputs(hash_content(inputs))
+    made_for = describe_view(instrument, sky_model.name, sky_model.digest(), antenna_model.name, antenna_model.digest())
+    return SkyPower(frequency_mhz, lst, power, origin, made_for=made_for).of_inputs(hash_content(inputs))

@@ -88,5 +88,6 @@ def add_sources(
     }
     names = "".join(f" + {source.name} {year:g}" for source in sources)
     inputs = [sky_power.digest(), names, year, instrument.digest(), model.digest()]
-    added = replace(sky_power, power=power, origin=sky_power.origin + names)
+    made_for = None if sky_power.made_for is None else sky_power.made_for.with_sky(names)
+    added = replace(sky_power, power=power, origin=sky_power.origin + names, made_for=made_for)
     return added.of_inputs(hash_content(inputs))

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats, require_channels
-from lbacal_core.instrument import DIPOLES, parse_numbers, read_json
+from lbacal_core.instrument import DIPOLES, Instrument, parse_numbers, read_json
 from lbacal_core.provenance import hash_arrays
+from lbacal_core.skypower.made_for import MadeFor, parse_made_for
 from lbacal_core.skypower.series import HarmonicFit, make_even
 
 FEWEST_INSTANTS = 3
@@ -41,6 +42,8 @@ class SkyPower:
         Hash of what it was computed from, set by `of_inputs` alone: a table made from another by `replace` has none.
     fit
         How the series fits a file whose instants are uneven; None where the table is as it was given.
+    made_for
+        The instrument that it was computed for, with which sky and antenna; None where nobody says.
     """
 
     frequency_mhz: Floats
@@ -49,6 +52,7 @@ class SkyPower:
     origin: str = "sky power"
     inputs_digest: str | None = field(default=None, init=False)
     fit: HarmonicFit | None = None
+    made_for: MadeFor | None = None
 
     def __post_init__(self) -> None:
         require_channels(self.origin, self.frequency_mhz)
@@ -96,7 +100,22 @@ class SkyPower:
             "frequency_mhz": self.frequency_mhz.tolist(),
             "lst_hours": self.lst_hours.tolist(),
             **{dipole: self.power[dipole].tolist() for dipole in DIPOLES},
+            **({} if self.made_for is None else self.made_for.as_dict()),
         }
+
+    def require_made_for(self, instrument: Instrument) -> None:
+        """Refuse an instrument that this sky power says it was not made for."""
+        if self.made_for is not None:
+            self.made_for.require(instrument, self.origin)
+
+    def note_for(self, instrument: Instrument) -> str:
+        """What is known of this sky power beside an instrument, in words."""
+        made = (
+            "unchecked: it does not say what it was made for"
+            if self.made_for is None
+            else self.made_for.note(instrument)
+        )
+        return made if self.fit is None else f"{self.fit}; {made}"
 
     def of_inputs(self, digest: str) -> SkyPower:
         """The same table, named by the hash of its inputs.
@@ -161,9 +180,10 @@ def read_sky_power(path: Path) -> SkyPower:
             )
         power[dipole] = np.array(parsed)
     lst_hours = parse_numbers(content["lst_hours"], f"{path}: lst_hours")
+    made_for = parse_made_for(content, str(path))
     if lst_hours.size < FEWEST_INSTANTS or np.all(_is_even(lst_hours)):
-        return SkyPower(frequency_mhz, lst_hours, power, str(path))
-    return _fit_uneven(str(path), frequency_mhz, lst_hours, power)
+        return SkyPower(frequency_mhz, lst_hours, power, str(path), made_for=made_for)
+    return _fit_uneven(str(path), frequency_mhz, lst_hours, power, made_for)
 
 
 def _is_even(lst_hours: Floats) -> NDArray[np.bool_]:
@@ -171,7 +191,9 @@ def _is_even(lst_hours: Floats) -> NDArray[np.bool_]:
     return np.asarray(np.abs(np.diff(lst_hours) - 24.0 / lst_hours.size) < LST_TOLERANCE_HOURS)
 
 
-def _fit_uneven(place: str, frequency_mhz: Floats, lst_hours: Floats, power: dict[str, Floats]) -> SkyPower:
+def _fit_uneven(
+    place: str, frequency_mhz: Floats, lst_hours: Floats, power: dict[str, Floats], made_for: MadeFor | None
+) -> SkyPower:
     """The table of a Fourier series fitted to uneven instants; its digest is that of the numbers given."""
     for row in range(1, lst_hours.size):
         if not lst_hours[row - 1] < lst_hours[row] <= lst_hours[0] + 24.0:
@@ -183,7 +205,7 @@ def _fit_uneven(place: str, frequency_mhz: Floats, lst_hours: Floats, power: dic
     # refuses missing rows and values that are not positive, by their place in the file
     SkyPower(frequency_mhz, 24.0 * np.arange(lst_hours.size) / lst_hours.size, power, place)
     even, fitted, fit = make_even(place, lst_hours, power)
-    table = SkyPower(frequency_mhz, even, fitted, f"{place} ({fit})", fit=fit)
+    table = SkyPower(frequency_mhz, even, fitted, f"{place} ({fit})", fit=fit, made_for=made_for)
     return table.of_inputs(hash_arrays(frequency_mhz, lst_hours, *(power[dipole] for dipole in DIPOLES)))
 
 

@@ -89,6 +89,27 @@ def test_a_curve_from_before_flags_keeps_its_content() -> None:
     assert GOOD.flags.tolist() == ["ok"] * 3
 
 
+def test_c_over_h_does_not_depend_on_g_ant() -> None:
+    # C^2 = G_ant / s: what a fit determines is s, so C/|H| is its root whatever G_ant was
+    slope = np.array([4.0, 9.0, 16.0])
+    for gain in (np.ones(3), np.array([3.5, 310.0, 19.0])):
+        curve = replace(GOOD, c=np.sqrt(gain / slope), antenna_gain=gain)
+        np.testing.assert_allclose(curve.c_over_h, slope**-0.5, rtol=1e-15)
+    assert replace(FAILED, antenna_gain=np.ones(3)).c_over_h is None
+
+
+def test_g_ant_has_one_hash_for_the_same_numbers_and_another_for_others() -> None:
+    one, same, other = (replace(GOOD, antenna_gain=np.full(3, value)) for value in (2.0, 2.0, 2.1))
+    assert one.antenna_gain_sha256 == same.antenna_gain_sha256 != other.antenna_gain_sha256
+    assert one.as_dict()["antenna_gain_sha256"] == one.antenna_gain_sha256
+    assert parse_curve(one.as_dict()).as_dict() == one.as_dict()
+
+
+def test_the_payload_of_a_version_made_before_g_ant_was_kept_is_what_it_was() -> None:
+    # payload_sha256 is the hash of these values: a null more, and every pinned answer would change
+    assert not {"antenna_gain", "antenna_gain_sha256", "c_over_h"} & set(GOOD.as_dict())
+
+
 def test_a_curve_is_named_as_people_name_it() -> None:
     assert GOOD.name == "CS002 antenna 17 X"
     assert STATION.name == "CS002 X"
@@ -125,12 +146,16 @@ def test_the_table_has_a_row_per_path_and_channel_with_units_and_provenance(tmp_
         "c_sigma_stat",
         "c_sigma_sys",
         "flag",
+        "c_over_h",
+        "antenna_gain",
     ]
     assert len(table) == 6
     assert table["frequency_mhz"].unit == u.MHz
     assert {table[name].unit for name in ("c", "c_sigma_stat", "c_sigma_sys")} == {u.V}
     assert all(table[name].info.description for name in table.colnames)
     np.testing.assert_array_equal(table["c"][:3], GOOD.c)
+    assert table["c_over_h"].unit == u.V / u.m
+    assert np.all(np.isnan(table["c_over_h"]))  # these curves do not keep their G_ant
     assert list(table["antenna"]) == [17] * 3 + [-1] * 3
     assert table.meta["provenance"]["inputs"] == {"spectra": "ab"}
 

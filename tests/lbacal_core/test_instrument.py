@@ -244,3 +244,18 @@ def test_a_longitude_may_be_counted_to_either_side() -> None:
         content = make_content()
         content["longitude_deg"] = longitude
         assert parse_instrument(content, "i.json").longitude_deg == longitude
+
+
+def test_an_antenna_file_is_found_beside_the_instrument_file(tmp_path: Path) -> None:
+    (tmp_path / "lba.npz").touch()
+    (tmp_path / "i.json").write_text(json.dumps(make_content() | {"antenna": "lba.npz", "sky": "gsm"}))
+    instrument = load_instrument(str(tmp_path / "i.json"))
+    assert (instrument.antenna, instrument.sky) == (str(tmp_path / "lba.npz"), "gsm")
+
+
+def test_the_superterp_says_that_its_antenna_gain_is_made_from_the_published_c() -> None:
+    gain = load_instrument("lofar-superterp").gain_provenance
+    assert gain is not None
+    assert gain.kind == "relative"
+    assert "published C" in gain.source
+    assert gain.scale_error == pytest.approx(0.39)

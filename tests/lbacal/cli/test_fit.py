@@ -234,3 +234,35 @@ def test_every_path_of_the_example_data_set_converges(shared: Path, lbacal: Lbac
     code, out, _ = lbacal("fit", *files, "--sky-power", str(example / "sky_power.json"), *OUTPUTS)
     assert code == 0
     assert "12 of 12 curves converged" in out
+
+
+def test_a_sky_power_of_another_instrument_is_refused(folder: Path, lbacal: Lbacal) -> None:
+    content = json.loads((folder / "sky_power.json").read_text())
+    (folder / "sky_power.json").write_text(json.dumps(content | {"instrument": "another"}))
+    code, _, err = lbacal(*FIT)
+    assert code == 2
+    assert "sky_power.json: instrument: expected that of the fit, 'one station', found 'another'" in err
+
+
+def test_the_report_gives_g_ant_its_hash_and_c_over_h(folder: Path, lbacal: Lbacal) -> None:
+    _, out, _ = lbacal(*FIT)
+    assert "antenna_gain: unchecked" in out
+    assert "sky_power: unchecked" in out
+    gain = json.loads((folder / "instrument.json").read_text())["antenna_gain"]
+    for curve in json.loads((folder / "fit.json").read_text())["curves"]:
+        assert curve["antenna_gain"] == gain
+        assert len(curve["antenna_gain_sha256"]) == 64
+        np.testing.assert_allclose(curve["c_over_h"], np.array(curve["c"]) / np.sqrt(gain))
+
+
+def test_c_over_h_is_the_same_with_another_g_ant(folder: Path, lbacal: Lbacal) -> None:
+    """C of the Superterp with the height of another antenna table made fields 17 % low."""
+    lbacal(*FIT)
+    first = json.loads((folder / "fit.json").read_text())["curves"]
+    instrument = json.loads((folder / "instrument.json").read_text())
+    gain = [2.0 * value for value in instrument["antenna_gain"]]
+    (folder / "instrument.json").write_text(json.dumps(instrument | {"antenna_gain": gain}))
+    lbacal(*FIT)
+    for one, other in zip(first, json.loads((folder / "fit.json").read_text())["curves"], strict=True):
+        np.testing.assert_allclose(np.array(other["c"]) / one["c"], 2**0.5, rtol=1e-9)
+        np.testing.assert_allclose(other["c_over_h"], one["c_over_h"], rtol=1e-9)

@@ -142,9 +142,15 @@ def test_every_way_out_gives_the_same_numbers_and_the_same_flag(
             expected = curve["c_sigma_sys"] or [np.nan] * 51
             np.testing.assert_array_equal(np.ma.filled(np.asarray(table["c_sigma_sys"]), np.nan), expected)
             assert list(table["flag"]) == curve["flag"]
+            np.testing.assert_array_equal(np.asarray(table["c_over_h"]), curve["c_over_h"])
+            np.testing.assert_array_equal(np.asarray(table["antenna_gain"]), curve["antenna_gain"])
+        # through the cable of the path, as C is
+        np.testing.assert_allclose(curve["c_over_h"], curve["c"] / np.sqrt(curve["antenna_gain"]), rtol=1e-12)
+        assert [float(row["c_over_h"]) for row in rows] == curve["c_over_h"]
         text = ask(http, **path, format="nuradio")
         np.testing.assert_array_equal(np.loadtxt(io.StringIO(text))[30:81], curve["c"])
         assert f"answered by {curve['answered_by']}, carried through its own cable 50" in text
+        assert f"C belongs to the antenna gain {curve['antenna_gain_sha256'][:12]}" in text
         print_curve(curve)
         printed = capsys.readouterr().out
         assert f"{curve['c'][0]:.6g}" in printed

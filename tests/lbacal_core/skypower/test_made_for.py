@@ -1,0 +1,107 @@
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lbacal_core.antenna_gain import GainProvenance
+from lbacal_core.errors import BadInputError
+from lbacal_core.instrument import Instrument, load_instrument
+from lbacal_core.sky.sources import find_sources
+from lbacal_core.skypower.model import compute_sky_power
+from lbacal_core.skypower.sources import add_sources
+from lbacal_core.skypower.table import read_sky_power, write_sky_power
+
+LST = np.arange(24.0)
+
+
+@pytest.fixture(scope="module")
+def superterp() -> Instrument:
+    return load_instrument("lofar-superterp")
+
+
+@pytest.fixture
+def content(superterp: Instrument, tmp_path: Path) -> dict[str, Any]:
+    """A sky power file as it is written."""
+    write_sky_power(compute_sky_power(superterp, lst_hours=LST), tmp_path / "P.json")
+    read: dict[str, Any] = json.loads((tmp_path / "P.json").read_text())
+    return read
+
+
+def check(content: dict[str, Any], instrument: Instrument, folder: Path) -> str:
+    (folder / "Q.json").write_text(json.dumps(content))
+    sky_power = read_sky_power(folder / "Q.json")
+    sky_power.require_made_for(instrument)
+    return sky_power.note_for(instrument)
+
+
+def test_a_file_says_instrument_sky_antenna_and_arms_and_passes(
+    content: dict[str, Any], superterp: Instrument, tmp_path: Path
+) -> None:
+    assert (content["instrument"], content["sky"], content["antenna"]) == ("lofar-superterp", "gsm", "hamaker")
+    assert content["dipoles"] == {"X": {"azimuth_deg": 45.0}, "Y": {"azimuth_deg": 135.0}}
+    assert set(content["hashes"]) == {"instrument", "sky", "antenna"}
+    assert set(content["versions"]) == {"lbacal", "model_version"}
+    assert check(content, superterp, tmp_path) == "sky gsm, antenna hamaker"
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"instrument": "another"}, "instrument: expected that of the fit, 'lofar-superterp', found 'another'"),
+        ({"dipoles": {"X": {"azimuth_deg": 135.0}}}, "dipoles.X.azimuth_deg: expected 45"),
+        ({"dipoles": {"Z": {"azimuth_deg": 135.0}}}, "dipoles.Z.azimuth_deg: expected no such dipole"),
+        ({"hashes": {"instrument": "0" * 64}}, "hashes.instrument: expected that of the place, arms and channels"),
+        ({"hashes": {"sky": "0" * 64}}, "hashes.sky: expected this package's sky gsm"),
+        ({"hashes": {"antenna": "0" * 64}}, "hashes.antenna: expected this package's antenna hamaker"),
+        ({"antenna": "isotropic"}, "hashes.antenna: expected this package's antenna isotropic"),
+        ({"dipoles": {"X": 45.0}}, "dipoles.X: expected an object with azimuth_deg"),
+        ({"sky": 3}, "sky: expected a name"),
+    ],
+)
+def test_a_mismatch_of_what_is_there_is_an_error(
+    content: dict[str, Any], superterp: Instrument, tmp_path: Path, change: dict[str, Any], said: str
+) -> None:
+    with pytest.raises(BadInputError, match=said):
+        check(content | change, superterp, tmp_path)
+
+
+def test_a_file_that_says_nothing_is_accepted_and_said_to_be_unchecked(
+    content: dict[str, Any], superterp: Instrument, tmp_path: Path
+) -> None:
+    bare = {name: content[name] for name in ("frequency_mhz", "lst_hours", "X", "Y")}
+    assert check(bare, superterp, tmp_path).startswith("unchecked")
+
+
+def test_other_cables_are_no_mismatch_but_another_place_is(
+    content: dict[str, Any], superterp: Instrument, tmp_path: Path
+) -> None:
+    check(content, replace(superterp, receiver_gain=superterp.receiver_gain / 2), tmp_path)
+    with pytest.raises(BadInputError, match=r"hashes\.instrument"):
+        check(content, replace(superterp, latitude_deg=50.0), tmp_path)
+
+
+def test_d_of_one_antenna_is_not_joined_with_the_absolute_gain_of_another(
+    content: dict[str, Any], superterp: Instrument, tmp_path: Path
+) -> None:
+    gain = GainProvenance("absolute", "a table", antenna_sha256="0" * 64)
+    with pytest.raises(BadInputError, match="antenna: expected the antenna of which"):
+        check(content, replace(superterp, gain_provenance=gain), tmp_path)
+    own = replace(gain, antenna_sha256=content["hashes"]["antenna"])
+    check(content, replace(superterp, gain_provenance=own), tmp_path)
+
+
+def test_another_antenna_than_the_named_one_is_told(superterp: Instrument) -> None:
+    sky_power = compute_sky_power(superterp, antenna="short-dipole", lst_hours=LST)
+    assert sky_power.note_for(superterp).endswith("instrument lofar-superterp names the antenna hamaker")
+
+
+def test_a_sky_with_a_source_added_is_not_called_by_the_name_of_the_model(superterp: Instrument) -> None:
+    added = add_sources(compute_sky_power(superterp, lst_hours=LST), superterp, find_sources(["cas-a"]), 2015.0)
+    assert added.made_for is not None
+    assert added.made_for.sky == "gsm + cas-a 2015"
+    assert "sky" not in added.made_for.hashes
