@@ -109,7 +109,7 @@ def draw_sky_power(data: Path) -> Figure:
     default = powers["embedded, Hamaker"]
     channel = int(np.argmin(np.abs(INSTRUMENT.frequency_mhz - 55.0)))
     lst = default.lst_hours
-    spread = model_difference_modes(INSTRUMENT.frequency_mhz, lst)
+    spread = model_difference_modes(INSTRUMENT, lst)
     figure = Figure(figsize=(11, 6.4), layout="constrained")
     axes = figure.subplots(2, 2, sharex=True)
     for column, dipole in enumerate("XY"):

@@ -14,6 +14,7 @@ from lbacal_core.discovery.station import gather_stations, model_modes
 from lbacal_core.grids import require_same_grid
 from lbacal_core.instrument import Instrument
 from lbacal_core.provenance import Provenance
+from lbacal_core.skypower.differences import DifferenceModels, compute_model_differences
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra import Spectra
 
@@ -24,6 +25,7 @@ def investigate(
     sky_power: SkyPower,
     *,
     is_own_sky: bool = False,
+    models: DifferenceModels | None = None,
     seed: int = 0,
     progress: Callable[[str], None] = lambda _: None,
 ) -> tuple[dict[str, Any], list[StationReport]]:
@@ -34,6 +36,8 @@ def investigate(
     is_own_sky
         Whether `sky_power` is the package's own, so that the differences between sky and antenna models are profiled
         out. A sky power from a file is taken as exact.
+    models
+        Names of the models whose differences these are; all that ship unless given.
     seed
         Seed of the simulated trials factors.
     progress
@@ -47,13 +51,14 @@ def investigate(
     require_same_grid(spectra.origin, spectra.frequency_mhz, instrument.frequency_mhz, name)
     require_same_grid(sky_power.origin, sky_power.frequency_mhz, instrument.frequency_mhz, name)
     policy = Policy()
+    known = compute_model_differences(instrument, models) if is_own_sky else None
     # The products are small: threads of the linear algebra would wait for each other.
     with threadpool_limits(1):
         stations = gather_stations(spectra, instrument, sky_power)
         reports = [
             search_station(
                 station,
-                modes=model_modes(station, instrument) if is_own_sky else None,
+                modes=None if known is None else model_modes(station, known),
                 stations=len(stations),
                 seed=seed,
                 policy=policy,

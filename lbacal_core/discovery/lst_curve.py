@@ -24,7 +24,7 @@ from lbacal_core.lstcurve.compare import AS_RECORDED, band_weights
 from lbacal_core.lstcurve.curve import LstCurve
 from lbacal_core.lstcurve.noise import PointNoise, estimate_noise
 from lbacal_core.lstcurve.noise_share import NoisePrior, noise_prior
-from lbacal_core.skypower.differences import model_difference_modes
+from lbacal_core.skypower.differences import FULL_MAPS, model_difference_modes
 from lbacal_core.skypower.table import SkyPower
 
 
@@ -135,7 +135,7 @@ def investigate_curve(
     policy = CURVE_POLICY
     require_same_grid(sky_power.origin, sky_power.frequency_mhz, instrument.frequency_mhz, instrument.name)
     of_channels = band_weights(instrument, weights, band_mhz)
-    modes = model_difference_modes(instrument.frequency_mhz, GRID_HOURS, instrument.dipole_azimuth_deg)
+    modes = model_difference_modes(instrument, GRID_HOURS, FULL_MAPS)
     with threadpool_limits(1):  # the arrays are small: threads cost ten times what they gain
         station = gather_curve(
             instrument, sky_power, of_channels, prior or noise_prior(instrument, band_mhz, of_channels)

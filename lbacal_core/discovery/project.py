@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from lbacal_core.chain.terms import ChainTerms
 from lbacal_core.discovery.hypothesis import Target
 from lbacal_core.discovery.noise import NoiseLevels, Residuals, split_residuals
-from lbacal_core.discovery.station import Station
+from lbacal_core.discovery.station import SkyModes, Station
 from lbacal_core.discovery.view import Seen, View
 from lbacal_core.grids import Floats
 
@@ -53,7 +53,7 @@ class LinearModel:
     terms
         The chain of the mean path of each class; the free vectors are its derivatives.
     modes
-        Relative changes of P_sky by which sky and antenna models differ, shape (mode, class, event, freq), or None.
+        Relative changes of P_sky by which sky and antenna models differ, or None where P_sky is exact.
     empirical
         Further free vectors of the mean, shape (vector, polarisation, event, freq), or None.
     """
@@ -61,7 +61,7 @@ class LinearModel:
     station: Station
     residuals: Residuals
     terms: ChainTerms
-    modes: Floats | None
+    modes: SkyModes | None
     empirical: Floats | None = None
 
     def with_levels(self, levels: NoiseLevels) -> LinearModel:
@@ -128,15 +128,20 @@ class LinearModel:
         free = np.zeros((constants.shape[0] * polarisations, *slope.shape))
         for d in range(polarisations):
             free[d * len(constants) : (d + 1) * len(constants), d] = constants[:, d]
-        if self.modes is not None and self.modes.size:
-            sky_share = self.terms.sky * self.terms.front / self.terms.power()
-            shown = self.mean_of(self.modes * sky_share, np.ones(len(self.station.antenna), dtype=bool))
-            # Models differ in each polarisation by itself: each has free vectors of its own.
-            of_each = [shown * (np.arange(polarisations) == d)[:, None, None] for d in range(polarisations)]
-            free = np.concatenate([free, *of_each])
+        prior = np.zeros(len(free))
+        if self.modes is not None:
+            modes = self._modes_in_mean(self.modes)
+            free, prior = np.concatenate([free, modes]), np.concatenate([prior, np.full(len(modes), self.modes.prior)])
         if self.empirical is not None:
-            free = np.concatenate([free, self.empirical])
-        return View(channel, band, slope, free, np.ones((1, joint.size)), residuals.mean[None])
+            free, prior = np.concatenate([free, self.empirical]), np.concatenate([prior, np.zeros(len(self.empirical))])
+        return View(channel, band, slope, free, prior, np.ones((1, joint.size)), residuals.mean[None])
+
+    def _modes_in_mean(self, modes: SkyModes) -> Floats:
+        """What the differences between models do to the means, one prior sigma each."""
+        sky_share, everyone = self.terms.sky * self.terms.front / self.terms.power(), np.ones(len(self.station.antenna))
+        common, own = (self.mean_of(part * sky_share, everyone.astype(bool)) for part in (modes.common, modes.own))
+        polarisations = np.arange(len(self.residuals.polarisations))
+        return np.concatenate([common, *(own * (polarisations == d)[:, None, None] for d in polarisations)])
 
     @cached_property
     def paths(self) -> list[View]:
@@ -162,7 +167,8 @@ class LinearModel:
         levels = self.residuals.levels
         channel, band = scale / levels.path_channel**2, scale / levels.path_band**2
         residual = self.residuals.deviation[members][:, None]
-        return View(channel[None], band[None, None], slope[None], constants[:, None], weight, residual)
+        free = constants[:, None]
+        return View(channel[None], band[None, None], slope[None], free, np.zeros(len(free)), weight, residual)
 
     @cached_property
     def _free_vectors(self) -> tuple[Floats, Floats]:

@@ -9,6 +9,7 @@ import numpy as np
 
 from lbacal_core.causes.catalogue import CAUSES
 from lbacal_core.causes.cause import Template
+from lbacal_core.discovery.hidden import HiddenCause, list_hidden
 from lbacal_core.discovery.hypothesis import Hypothesis, Target
 from lbacal_core.discovery.policy import Policy
 from lbacal_core.discovery.project import LinearModel
@@ -63,6 +64,8 @@ class StationSearch:
         Scores of every cause before anything was added.
     again
         Why the search ended, where a cause was significant once more.
+    hidden
+        Causes that the differences between models hide, known with the first model.
     """
 
     def __init__(
@@ -78,11 +81,15 @@ class StationSearch:
         self.alpha, self.progress = policy.catalogue_alpha / stations, progress
         self.first_scores: list[Score] = []
         self.again: SameAgain | None = None
+        self.hidden: list[HiddenCause] | None = None
 
     def propose(self, before: FittedModel) -> list[Candidate]:
         """The model with each of the best significant causes, fitted without linearising."""
         self.progress(f"{self.name}: scoring {len(CAUSES)} causes for {len(self.targets)} targets")
-        scores = scan(before.linear, CAUSES, self.targets, self.seed)
+        if self.hidden is None:
+            self.hidden = list_hidden(before.linear, CAUSES, self.targets[-1], self.policy.hidden_share)
+        hidden = [one.cause for one in self.hidden]
+        scores = scan(before.linear, [one for one in CAUSES if one not in hidden], self.targets, self.seed)
         self.first_scores = self.first_scores or scores
         significant = [score for score in scores if score.p_value < self.alpha]
         if significant:

@@ -19,7 +19,7 @@ from lbacal_core.discovery.hypothesis import Hypothesis
 from lbacal_core.discovery.noise import split_residuals
 from lbacal_core.discovery.project import LinearModel
 from lbacal_core.discovery.scan import group_templates
-from lbacal_core.discovery.station import Station
+from lbacal_core.discovery.station import SkyModes, Station
 from lbacal_core.discovery.view import SMALLEST_SHARE
 from lbacal_core.grids import Floats
 
@@ -52,19 +52,19 @@ class FittedModel:
         return self.linear.station
 
 
-def fit_chain(station: Station, modes: Floats | None = None) -> FittedModel:
+def fit_chain(station: Station, modes: SkyModes | None = None) -> FittedModel:
     """Fit the chain of every path without any hypothesis.
 
     Parameters
     ----------
     modes
-        Relative changes of P_sky by which sky and antenna models differ, shape (mode, class, event, freq), or None.
+        Relative changes of P_sky by which sky and antenna models differ, or None where P_sky is exact.
     """
     baseline = fit_baseline(station)
     return FittedModel([], baseline, _linearise(station, baseline, modes), is_converged=True)
 
 
-def _linearise(station: Station, baseline: Baseline, modes: Floats | None) -> LinearModel:
+def _linearise(station: Station, baseline: Baseline, modes: SkyModes | None) -> LinearModel:
     return LinearModel(station, split_residuals(station, baseline.residual), baseline.terms, modes)
 
 

@@ -317,6 +317,12 @@ def correlate(
     return np.block([[product[i, j] / np.outer(size[i], size[j]) for j in second] for i in first])
 
 
+def see_best(model: LinearModel, family: SpectralFamily, target: Target) -> Floats:
+    """Information on a size of 1 with each time profile, in the view that shows a target best, shape (profile,)."""
+    view, spectra = _best_view(model, [family], target)
+    return np.asarray(view.inner(view.see(spectra), family.profiles)[0][0, 0, 0])
+
+
 def _best_view(model: LinearModel, families: Sequence[SpectralFamily], target: Target) -> tuple[View, Floats]:
     """The view that shows a target best, and the spectral templates in it, shape (family, row, event, freq)."""
     conditions = model.station.conditions

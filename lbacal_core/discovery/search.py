@@ -27,7 +27,7 @@ from lbacal_core.discovery.scan import (
     correlate,
     list_families,
 )
-from lbacal_core.discovery.station import Station
+from lbacal_core.discovery.station import SkyModes, Station
 from lbacal_core.discovery.trials import p_of
 from lbacal_core.discovery.view import make_profiles
 from lbacal_core.grids import Floats
@@ -95,7 +95,7 @@ class StationReport:
 def search_station(
     station: Station,
     *,
-    modes: Floats | None = None,
+    modes: SkyModes | None = None,
     stations: int = 1,
     seed: int = 0,
     policy: Policy | None = None,
@@ -142,7 +142,7 @@ def search_station(
         antenna_scores=antenna_scores,
         first=models[0],
         last=models[-1],
-        unidentifiable=_unidentifiable(station, search.first_scores),
+        unidentifiable=_unidentifiable(station, search),
         policy=policy,
         stations=stations,
     )
@@ -253,9 +253,9 @@ def _lives_there(finding: Finding, structure: ResidualStructure) -> bool:
     return finding.hypothesis.target.is_wide == (structure.target == "station")
 
 
-def _unidentifiable(station: Station, scores: Sequence[Score]) -> dict[str, str]:
-    reasons: dict[str, str] = {}
-    seen = {score.cause.identifier for score in scores}
+def _unidentifiable(station: Station, search: StationSearch) -> dict[str, str]:
+    reasons = {one.cause.identifier: one.why for one in search.hidden or []}
+    seen = {score.cause.identifier for score in search.first_scores} | reasons.keys()
     for cause in CAUSES:
         if not cause.templates(station.conditions):
             reasons[cause.identifier] = cause.needs

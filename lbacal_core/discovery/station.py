@@ -15,7 +15,7 @@ from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
 from lbacal_core.instrument import Instrument
 from lbacal_core.sidereal import local_sidereal_time
-from lbacal_core.skypower.differences import model_difference_modes
+from lbacal_core.skypower.differences import ModelDifferences
 from lbacal_core.skypower.sources import response_towards
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra import Spectra
@@ -192,8 +192,32 @@ def _conditions(
     )
 
 
-def model_modes(station: Station, instrument: Instrument) -> Floats:
-    """Relative changes of P_sky by which sky and antenna models differ, shape (mode, class, event, freq)."""
+@dataclass(frozen=True)
+class SkyModes:
+    """Relative changes of P_sky by which sky and antenna models differ, one standard deviation of their prior each.
+
+    Attributes
+    ----------
+    common
+        Changes that both polarisations share, the level at each frequency, shape (mode, class, event, freq).
+    own
+        Changes of each polarisation by itself, the shape along LST, shape (mode, class, event, freq).
+    prior
+        Inverse variance of their amounts; 0 leaves them free without limit.
+    """
+
+    common: Floats
+    own: Floats
+    prior: float = 1.0
+
+
+def model_modes(station: Station, differences: ModelDifferences) -> SkyModes:
+    """The differences between models at the events of a station."""
     conditions = station.conditions
-    table = model_difference_modes(conditions.frequency_mhz, conditions.lst_hours, instrument.dipole_azimuth_deg)
-    return np.stack([table[letter] for letter in conditions.dipoles], axis=1)
+    lst, dipoles = conditions.lst_hours, conditions.dipoles
+    isotropic = np.stack([differences.isotropic_at(letter, lst) for letter in dipoles])
+    level = differences.level_modes()[:, None, None]
+    return SkyModes(
+        common=np.concatenate([np.broadcast_to(level, (len(level), *isotropic.shape)), isotropic[None]]),
+        own=np.stack([differences.changes_at(letter, lst) for letter in dipoles], axis=1),
+    )

@@ -1,9 +1,11 @@
 """Inner products of templates in one view of the residuals, with the free vectors of the fit profiled out.
 
-Residuals e have the inverse noise covariance W, and the fit leaves the vectors N free: A(nu) in every channel and three
-noise constants. The inner product of two templates u and v is that of what N cannot describe,
+Residuals e have the inverse noise covariance W, and the fit leaves the vectors N free: A(nu) in every channel, three
+noise constants, and the differences between sky models, whose amounts have a Gaussian prior. With L the inverse
+covariance of the prior (0 for a vector that is free without limit), the inner product of two templates u and v is that
+of what N cannot describe,
 
-    <u, v> = u'Wv - (u'WN) (N'WN)^-1 (N'Wv),                                                                       (1)
+    <u, v> = u'Wv - (u'WN) (N'WN + L)^-1 (N'Wv),                                                                   (1)
 
 the score of a template is <u, e> and its information <u, u>: the Fisher matrix with nuisance parameters profiled out
 (Cowan 1998, Statistical Data Analysis, section 9.2). No other module knows W or N.
@@ -107,6 +109,8 @@ class View:
         Relative change of the power with ln A(nu): one free vector for each row and channel, shape (row, event, freq).
     constants
         Further free vectors, shape (vector, row, event, freq).
+    prior
+        Inverse variance of the amount of each of these, 0 where it is free without limit, shape (vector,).
     weight
         Weight of each event for each member, shape (member, event); 0 where absent.
     residual
@@ -117,6 +121,7 @@ class View:
     band: Floats
     slope: Floats
     constants: Floats
+    prior: Floats
     weight: Floats
     residual: Floats
 
@@ -199,7 +204,7 @@ class View:
         whole = whole.reshape(-1, size, size)
         fitted = free.sum(axis=0) @ self._inverse[member]
         mixed = free @ fitted.T
-        of_free = fitted @ self._information_of_free(weight) @ fitted.T
+        of_free = fitted @ (self._information_of_free(weight) + self._prior / len(is_in)) @ fitted.T
         left = whole - mixed - np.swapaxes(mixed, 1, 2) + of_free
         return left, np.diagonal(whole, axis1=1, axis2=2), fitted
 
@@ -212,7 +217,9 @@ class View:
         own = np.einsum("ge,ne,ke->gkn", is_in, profiles, by_event, optimize=True).reshape(len(is_in), -1)
         slope = np.einsum("ge,ref,ref->grf", is_in, self.slope, dual, optimize=True).reshape(len(is_in), -1)
         constants = np.einsum("ge,jref,ref->gj", is_in, self.constants, dual, optimize=True)
-        return np.asarray(own - np.concatenate([slope, constants], axis=1) @ fitted.T)
+        along = np.concatenate([slope, constants], axis=1)
+        # The pull of the prior on the fitted amounts, 0 where there is none, counts in equal parts.
+        return np.asarray(own - (along - along.mean(axis=0)) @ fitted.T)
 
     @cached_property
     def weighted_residual(self) -> Floats:
@@ -237,14 +244,20 @@ class View:
 
     @cached_property
     def _inverse(self) -> Floats:
-        """(N'WN)^-1 of each member on the space that the vectors span; vectors of any size count alike."""
-        gram = self._information_of_free(self.weight)
+        """(N'WN + L)^-1 of each member on the space that the vectors span; vectors of any size count alike."""
+        gram = self._information_of_free(self.weight) + self._prior
         size = np.sqrt(np.maximum(np.diagonal(gram, axis1=1, axis2=2), 1e-300))
         values, vectors = np.linalg.eigh(gram / (size[:, :, None] * size[:, None, :]))
         kept = values > SMALLEST_EIGENVALUE * values[:, -1:]
         inverse = np.where(kept, 1.0 / np.where(kept, values, 1.0), 0.0)
         turned = vectors / size[:, :, None]
         return np.asarray((turned * inverse[:, None, :]) @ np.swapaxes(turned, 1, 2))
+
+    @property
+    def _prior(self) -> Floats:
+        """L, shape (vector, vector)."""
+        rows, _, channels = self.slope.shape
+        return np.diag(np.concatenate([np.zeros(rows * channels), self.prior]))
 
     def _information_of_free(self, weight: Floats) -> Floats:
         """N'WN for each set of event weights, (set, event) -> (set, vector, vector)."""

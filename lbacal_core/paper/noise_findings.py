@@ -27,7 +27,7 @@ from lbacal_core.lstcurve.noise import estimate_noise
 from lbacal_core.paper.statements import Finding
 from lbacal_core.paper.study import STATION, Study
 from lbacal_core.sidereal import local_sidereal_time
-from lbacal_core.skypower.differences import model_difference_modes
+from lbacal_core.skypower.differences import FULL_MAPS, model_difference_modes
 from lbacal_core.spectra_blocks import split_into_blocks
 
 FULL_DAY = np.linspace(0.0, 24.0, 289)
@@ -109,7 +109,7 @@ def find_noise_share(study: Study, comparison: Comparison) -> tuple[float, float
     stated = [comparison.of(dipole, has_noise=True).noise_share_sigma or 0.0 for dipole in DIPOLES]
     drawn = float(np.linalg.norm(stated) / 2)
     half_bin = _mean_share(comparison.shifted) - plain
-    modes = model_difference_modes(study.frequency_mhz, study.sky_power.lst_hours)
+    modes = model_difference_modes(study.instrument, study.sky_power.lst_hours, FULL_MAPS)
     changes = []
     for dipole in DIPOLES:
         for mode in modes[dipole]:

@@ -1,74 +1,166 @@
-"""Differences between sky and antenna models: nuisance modes, and a term of the error budget."""
+"""Differences between sky and antenna models at the site of an instrument: nuisance modes with a Gaussian prior.
+
+Other skies and antennas are exchanged for the default ones, at the instrument's own latitude, arms and channels. An
+exchange changes the shape of P_sky along LST and its level at each frequency. Both matter: A(nu) multiplies P_sky and
+N_LNA alike, so that a level e(nu) of the sky alone looks like a slope of N_LNA. The levels of models differ alike in X
+and Y (to 0.002 of 0.15), their shapes do not.
+"""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from dataclasses import dataclass
 from importlib.resources import files
-from typing import Any
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from lbacal_core.antenna.names import DEFAULT_ANTENNA, load_antenna
 from lbacal_core.grids import Floats
-from lbacal_core.instrument import DIPOLES
+from lbacal_core.instrument import Instrument
+from lbacal_core.sky.frames import DATA_EPOCH
+from lbacal_core.sky.multipoles import Complexes, precess_multipoles
+from lbacal_core.sky.names import DEFAULT_SKY, load_sky
+from lbacal_core.skypower.modes import beam_multipoles, combine, sky_power_at
+from lbacal_core.skypower.table import read_at
+
+LST_HOURS = np.arange(48) / 2.0
+"""P_sky of multipoles to l = 16 is exact between these points."""
+LEVEL_DEGREE = 3
+"""Degree of the Legendre polynomials in ln nu by which levels differ: between models they leave 0.6 % of power."""
+SIMULATED_LBA = "wipl-d"
+SMALLEST = 2e-4
+"""Modes below this rms in ln P are left out: no station-year can see them."""
+
+
+@dataclass(frozen=True)
+class DifferenceModels:
+    """Names of the skies and antennas that are exchanged for the default ones.
+
+    The antenna ``wipl-d`` is the simulated LBA, known here by its difference from the default alone.
+    """
+
+    skies: tuple[str, ...] = ("gsm408", "lfsm", "haslam", "maeda")
+    antennas: tuple[str, ...] = (SIMULATED_LBA, "inverted-v", "inverted-v-wet")
+
+
+FULL_MAPS = DifferenceModels(skies=("gsm408", "lfsm"), antennas=(SIMULATED_LBA,))
+"""Models of several maps each, and the simulated LBA: their spread is the covariance of an LST curve's points."""
+
+
+@dataclass(frozen=True)
+class ModelDifferences:
+    """Changes of ln P_sky by exchanges of the sky or antenna model, each one standard deviation of its prior.
+
+    Attributes
+    ----------
+    shape
+        By dipole, shape (mode, lst, freq), on `LST_HOURS`: the change along LST, its mean over LST taken out; principal
+        axes of all exchanges, strongest first.
+    level
+        By dipole, shape (exchange, freq): this mean.
+    isotropic
+        By dipole, shape (lst, freq): isotropic brightness added, as much as the extragalactic level (Lawson et al.
+        1987), because models differ in whether a map contains it.
+    frequency_mhz
+        Shape (freq,).
+    """
+
+    shape: Mapping[str, Floats]
+    level: Mapping[str, Floats]
+    isotropic: Mapping[str, Floats]
+    frequency_mhz: Floats
+
+    def changes_at(self, dipole: str, lst_hours: Floats) -> Floats:
+        """Changes along LST at events, shape (mode, event, freq)."""
+        return read_at(self.shape[dipole], lst_hours)
+
+    def isotropic_at(self, dipole: str, lst_hours: Floats) -> Floats:
+        """Change by isotropic brightness at events, shape (event, freq)."""
+        return read_at(self.isotropic[dipole], lst_hours)
+
+    def level_modes(self) -> Floats:
+        """Legendre polynomials in ln nu, each of the size that real models have, shape (degree, freq)."""
+        x = np.log(self.frequency_mhz)
+        x = 2.0 * (x - x[0]) / max(float(np.ptp(x)), 1e-300) - 1.0
+        polynomials = np.polynomial.legendre.legvander(x, min(LEVEL_DEGREE, x.size - 1))
+        levels = np.mean(list(self.level.values()), axis=0)
+        size = np.sqrt(np.sum(np.linalg.lstsq(polynomials, levels.T, rcond=None)[0] ** 2, axis=1))
+        return np.asarray((polynomials * size).T)
+
+    def level_spread(self) -> dict[str, Floats]:
+        """Spread of the LST mean of ln P_sky between the models, shape (freq,) a dipole: half of it goes into ln C."""
+        return {dipole: np.sqrt(np.sum(values**2, axis=0)) for dipole, values in self.level.items()}
+
+
+def compute_model_differences(instrument: Instrument, models: DifferenceModels | None = None) -> ModelDifferences:
+    """Differences between models for the instrument's place, arms and channels.
+
+    Each single exchange is one standard deviation, and what the exchange of sky and antenna together adds to the two
+    single ones another.
+    """
+    models = models or DifferenceModels()
+    default, skies = load_sky(DEFAULT_SKY), [load_sky(name) for name in models.skies]
+    low = max(sky.frequency_mhz[0] for sky in (default, *skies))
+    high = min(sky.frequency_mhz[-1] for sky in (default, *skies))
+    # Beyond the range of all models the difference at its edge holds.
+    nu = np.clip(instrument.frequency_mhz, low, high)
+    plain = beam_multipoles(load_antenna(DEFAULT_ANTENNA), nu, default.lmax)
+    beams = [
+        plain + _simulated_difference(nu, default.lmax)
+        if name == SIMULATED_LBA
+        else beam_multipoles(load_antenna(name), nu, default.lmax)
+        for name in models.antennas
+    ]
+    temperatures = {sky.name: precess_multipoles(sky.temperature(nu), DATA_EPOCH) for sky in (default, *skies)}
+    added = precess_multipoles(default.changed(extra_isotropic=1.0).temperature(nu), DATA_EPOCH)
+    shape, level, isotropic = {}, {}, {}
+    for dipole, arm in instrument.dipole_azimuth_deg.items():
+
+        def log_power(temperature: Complexes, beam: Complexes, arm_deg: float = arm) -> Floats:
+            return np.log(sky_power_at(combine(temperature, beam, arm_deg, instrument.latitude_deg, nu), LST_HOURS))
+
+        base = log_power(temperatures[default.name], plain)
+        of_antenna = [log_power(temperatures[default.name], beam) - base for beam in beams]
+        exchanges = list(of_antenna)
+        for sky in skies:
+            alone = log_power(temperatures[sky.name], plain) - base
+            exchanges.append(alone)
+            for beam, own in zip(beams, of_antenna, strict=True):
+                exchanges.append(log_power(temperatures[sky.name], beam) - base - alone - own)
+        change = np.array(exchanges).reshape(-1, LST_HOURS.size, nu.size)
+        level[dipole] = change.mean(axis=1)
+        shape[dipole] = _principal_axes(change - level[dipole][:, None])
+        isotropic[dipole] = np.exp(log_power(added, plain) - base) - 1.0
+    return ModelDifferences(shape, level, isotropic, instrument.frequency_mhz)
 
 
 def model_difference_modes(
-    frequency_mhz: Floats, lst_hours: Floats, dipole_azimuth_deg: Mapping[str, float] | None = None
+    instrument: Instrument, lst_hours: Floats, models: DifferenceModels | None = None
 ) -> dict[str, Floats]:
-    """Relative changes of P_sky that an exchange of sky or antenna model can make, one prior sigma each.
-
-    Made by scripts/make_model_differences.py for the Superterp: each alternative model counts as one standard
-    deviation away from the default. The mean of every mode over LST is zero at each frequency, because A(nu) of the
-    chain describes it; `model_level_spread` gives its size.
-
-    Parameters
-    ----------
-    frequency_mhz
-        Shape (freq,), MHz; beyond 30 to 80 the modes of the nearest of these hold.
-    lst_hours
-        Shape (lst,) or (event,), hours.
-    dipole_azimuth_deg
-        Arms of X and Y, as an instrument has them; each dipole gets the modes of the nearest arm (45 or 135
-        deg). Without it X is at 45 and Y at 135.
+    """Changes of ln P_sky along LST that an exchange of sky or antenna model can make, one prior sigma each.
 
     Returns
     -------
-    For each dipole, shape (mode, lst, freq): d ln P_sky, strongest mode first.
+    For each dipole, shape (mode, lst, freq), strongest mode first.
     """
-    table = _read_table()
-    angle = 2 * np.pi / 24.0 * np.asarray(lst_hours, dtype=float)
-    modes = {}
-    for dipole, arm in (dipole_azimuth_deg or table["dipole_azimuth_deg"]).items():
-        nearest = _nearest_arm(table, arm)
-        terms = np.array(table[nearest]["real"]) + 1j * np.array(table[nearest]["imaginary"])
-        terms = _interpolate(table, terms, frequency_mhz)
-        basis = 2.0 * np.exp(1j * np.outer(angle, np.arange(1, terms.shape[1] + 1)))
-        modes[dipole] = np.asarray(np.einsum("tm,kmf->ktf", basis, terms).real)
-    return modes
+    differences = compute_model_differences(instrument, models)
+    return {dipole: differences.changes_at(dipole, lst_hours) for dipole in differences.shape}
 
 
-def model_level_spread(frequency_mhz: Floats) -> dict[str, Floats]:
-    """Spread of the LST mean of ln P_sky between the models, shape (freq,) a dipole: half of it goes into ln C."""
-    table = _read_table()
-    return {
-        dipole: np.asarray(_interpolate(table, np.array(table[dipole]["level"]), frequency_mhz).real)
-        for dipole in DIPOLES
-    }
+def _principal_axes(vectors: Floats) -> Floats:
+    """The principal axes of vectors that are one standard deviation each, shape (mode, lst, freq)."""
+    _, size, axes = np.linalg.svd(vectors.reshape(len(vectors), -1), full_matrices=False)
+    is_seen = size > SMALLEST * np.sqrt(axes.shape[1])
+    return np.asarray((size[:, None] * axes)[is_seen].reshape(-1, *vectors.shape[1:]))
 
 
-def _interpolate(table: dict[str, Any], values: Any, frequency_mhz: Floats) -> Any:
-    nodes = np.array(table["frequency_mhz"])
-    return CubicSpline(nodes, values, axis=-1)(np.clip(frequency_mhz, nodes[0], nodes[-1]))
-
-
-def _nearest_arm(table: dict[str, Any], arm_azimuth_deg: float) -> str:
-    """The polarisation of the table whose arm is nearest; an arm points both ways."""
-    arms: dict[str, float] = table["dipole_azimuth_deg"]
-    return min(arms, key=lambda letter: abs((arms[letter] - arm_azimuth_deg + 90.0) % 180.0 - 90.0))
-
-
-def _read_table() -> dict[str, Any]:
-    content: dict[str, Any] = json.loads((files("lbacal_core") / "data/model_differences.json").read_text())
-    return content
+def _simulated_difference(frequency_mhz: Floats, lmax: int) -> Complexes:
+    """Multipoles of D of the simulated LBA less those of the default antenna, shape (freq, l, m')."""
+    table = json.loads((files("lbacal_core") / "data/antenna_difference.json").read_text())
+    nodes, rows = np.array(table["frequency_mhz"]), np.array(table["multipoles"]["rows"])
+    weight = CubicSpline(nodes, np.array(table["weight"]))(np.clip(frequency_mhz, nodes[0], nodes[-1]))
+    difference = np.zeros((frequency_mhz.size, lmax + 1, lmax + 1), dtype=complex)
+    difference[:, rows[:, 0].astype(int), rows[:, 1].astype(int)] = weight @ rows[:, 2:].T
+    return difference

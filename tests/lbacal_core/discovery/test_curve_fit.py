@@ -106,7 +106,7 @@ def test_chi_squared_is_that_of_a_dense_covariance_with_a_free_offset_a_dipole(f
 
 
 def test_the_spread_of_models_makes_errors_larger(fitter, causes, chain):
-    modes = model_difference_modes(chain.frequency_mhz, GRID_HOURS, chain.dipole_azimuth_deg)
+    modes = model_difference_modes(chain, GRID_HOURS)
     cause = causes["zenith_weighting"]
     given, own = fitter([(cause.label, 0.5)]), fitter([(cause.label, 0.5)], modes=modes)
     assert given.model_variance == (0.0, 0.0)

@@ -106,7 +106,7 @@ def test_the_thresholds_of_the_questions_add_up_to_the_rate_that_is_stated():
 @pytest.fixture(scope="module")
 def wrong_sky(world):
     """Data under a sky that differs from the own by one of the shapes in which models differ."""
-    modes = model_difference_modes(world.sky.frequency_mhz, world.sky.lst_hours, world.instrument.dipole_azimuth_deg)
+    modes = model_difference_modes(world.instrument, world.sky.lst_hours)
     power = {d: world.sky.power[d] * np.exp(modes[d][1]) for d in "XY"}
     return replace(world, sky=replace(world.sky, power=power)).spectra()
 

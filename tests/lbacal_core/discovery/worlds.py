@@ -28,11 +28,12 @@ from lbacal_core.discovery.refit import FOLDS, FittedModel, fit_chain, held_out_
 from lbacal_core.discovery.report import describe
 from lbacal_core.discovery.residual_structure import ResidualStructure, find_structure
 from lbacal_core.discovery.scan import SMALLEST_INFORMATION, Score, group_templates, scan, score_families
-from lbacal_core.discovery.station import Station, gather_stations, model_modes
+from lbacal_core.discovery.station import SkyModes, Station, gather_stations, model_modes
 from lbacal_core.discovery.trials import p_of
 from lbacal_core.grids import Floats
 from lbacal_core.instrument import DIPOLES, Instrument
 from lbacal_core.provenance import Provenance
+from lbacal_core.skypower.differences import compute_model_differences
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra import Spectra
 from lbacal_core.twin.campaign import DrawnStation, draw_stations, expected_power, simulate_campaign
@@ -101,7 +102,7 @@ class World:
 def look_at(spectra: Spectra, instrument: Instrument, sky: SkyPower, *, with_modes: bool = False) -> Look:
     """One station's spectra with their chains fitted."""
     (data,) = gather_stations(spectra, instrument, sky)
-    modes = model_modes(data, instrument) if with_modes else None
+    modes = model_modes(data, compute_model_differences(instrument)) if with_modes else None
     return Look(data, fit_chain(data, modes), modes)
 
 
@@ -149,7 +150,7 @@ class Look:
 
     data: Station
     model: FittedModel
-    modes: Floats | None
+    modes: SkyModes | None
 
     @property
     def paths(self) -> list[tuple[int, str]]:

@@ -1,69 +1,124 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from lbacal_core.instrument import load_instrument
-from lbacal_core.skypower.differences import model_difference_modes, model_level_spread
+from lbacal_core.instrument import Instrument, load_instrument
+from lbacal_core.skypower.differences import (
+    LST_HOURS,
+    DifferenceModels,
+    ModelDifferences,
+    compute_model_differences,
+    model_difference_modes,
+)
 from lbacal_core.skypower.model import compute_sky_power
 
-NU = np.arange(30.0, 81.0)
-LST = np.arange(96) / 4
+
+@pytest.fixture(scope="module")
+def superterp() -> Instrument:
+    return load_instrument("lofar-superterp")
 
 
-def test_there_are_four_modes_and_their_mean_over_lst_vanishes() -> None:
-    modes = model_difference_modes(NU, LST)
-    assert {dipole: values.shape for dipole, values in modes.items()} == {"X": (4, 96, 51), "Y": (4, 96, 51)}
-    assert modes["X"].mean(axis=1) == pytest.approx(0.0, abs=1e-15)
+@pytest.fixture(scope="module")
+def differences(superterp: Instrument) -> ModelDifferences:
+    return compute_model_differences(superterp)
 
 
-def test_the_modes_come_strongest_first_and_are_a_few_percent() -> None:
-    for values in model_difference_modes(NU, LST).values():
-        size = values.std(axis=(1, 2))
+def left_by(basis: np.ndarray, change: np.ndarray) -> tuple[float, np.ndarray]:
+    """Rms that vectors leave of a change, and their amounts."""
+    columns = basis.reshape(len(basis), -1).T
+    amount = np.linalg.lstsq(columns, change.ravel(), rcond=None)[0]
+    return float(np.std(change.ravel() - columns @ amount)), amount
+
+
+def test_the_mean_of_a_shape_over_lst_vanishes(differences: ModelDifferences) -> None:
+    for shape in differences.shape.values():
+        assert shape.mean(axis=1) == pytest.approx(0.0, abs=1e-15)
+
+
+def test_the_shapes_come_strongest_first_and_are_a_few_percent(differences: ModelDifferences) -> None:
+    for shape in differences.shape.values():
+        size = shape.std(axis=(1, 2))
         assert np.all(np.diff(size) < 0)
         assert 0.02 < size[0] < 0.05
 
 
-def test_the_modes_may_be_asked_at_single_events() -> None:
-    events = np.array([3.3, 3.3, 17.0])
-    modes = model_difference_modes(NU, events)["Y"]
-    assert modes[:, 0] == pytest.approx(modes[:, 1])
-    assert modes[:, 2] == pytest.approx(model_difference_modes(NU, events[2:])["Y"][:, 0])
+def test_the_shapes_may_be_asked_at_single_events(differences: ModelDifferences) -> None:
+    shapes = differences.changes_at("Y", np.array([3.3, 3.3, 17.0]))
+    assert shapes[:, 0] == pytest.approx(shapes[:, 1])
+    assert shapes[:, 2] == pytest.approx(differences.shape["Y"][:, 34])
 
 
-def test_the_level_of_the_models_spreads_by_ten_to_twenty_percent() -> None:
-    for values in model_level_spread(NU).values():
-        assert np.all((values > 0.08) & (values < 0.25))
+def test_levels_of_real_models_differ_by_ten_to_thirty_percent_alike_in_both_dipoles(
+    differences: ModelDifferences,
+) -> None:
+    for spread in differences.level_spread().values():
+        assert np.all((spread > 0.08) & (spread < 0.5))
+    assert differences.level["X"] == pytest.approx(differences.level["Y"], abs=0.015)
 
 
-def test_frequencies_beyond_the_table_have_the_modes_of_its_edge() -> None:
-    modes = model_difference_modes(np.array([25.0, 30.0, 80.0, 85.0]), LST)["X"]
-    assert modes[..., 0] == pytest.approx(modes[..., 1])
-    assert modes[..., 3] == pytest.approx(modes[..., 2])
+def test_the_level_modes_describe_every_exchange_within_their_prior(differences: ModelDifferences) -> None:
+    for level in differences.level["X"]:
+        left, amount = left_by(differences.level_modes(), level)
+        assert left < 0.007, "0.6 % of power, of the Low Frequency Sky Model"
+        assert np.all(np.abs(amount) < 1.1)
 
 
-def test_a_letter_gets_the_modes_of_its_arm() -> None:
-    named = model_difference_modes(NU, LST)
-    exchanged = model_difference_modes(NU, LST, {"X": 310.0, "Y": 230.0})
-    assert exchanged["X"] == pytest.approx(named["Y"])
-    assert exchanged["Y"] == pytest.approx(named["X"])
+def test_frequencies_beyond_the_models_have_the_differences_of_their_edge(superterp: Instrument) -> None:
+    wide = replace(superterp, frequency_mhz=np.linspace(5.0, 125.0, 51))
+    shape = compute_model_differences(wide).shape["X"]
+    assert shape[..., 0] == pytest.approx(shape[..., 1], abs=1e-9)  # 5 and 7.4 MHz, both below 10
+
+
+def test_an_arm_and_not_a_letter_has_a_shape(superterp: Instrument, differences: ModelDifferences) -> None:
+    exchanged = compute_model_differences(replace(superterp, dipole_azimuth_deg={"X": 315.0, "Y": 225.0}))
+    for one, other in ("XY", "YX"):
+        for shape in exchanged.shape[one]:
+            assert left_by(differences.shape[other], shape)[0] < 2e-4, "the modes left out; of 0.04"
+
+
+def test_an_instrument_elsewhere_gets_the_differences_of_its_own_site(superterp: Instrument) -> None:
+    """They were those of the Superterp everywhere."""
+    south = replace(superterp, latitude_deg=-35.2)
+    other, default = compute_sky_power(south, "lfsm"), compute_sky_power(south)
+    change = np.log(other.power["X"] / default.power["X"])
+    change -= change.mean(axis=0)
+    assert left_by(model_difference_modes(south, other.lst_hours)["X"], change)[0] < 3e-4
+    assert left_by(model_difference_modes(superterp, other.lst_hours)["X"], change)[0] > 5e-3
+
+
+def test_models_left_out_do_not_count(superterp: Instrument) -> None:
+    other, default = compute_sky_power(superterp, "lfsm"), compute_sky_power(superterp)
+    change = np.log(other.at("X", LST_HOURS) / default.at("X", LST_HOURS))
+    change -= change.mean(axis=0)
+    without = compute_model_differences(superterp, DifferenceModels(skies=("gsm408",)))
+    assert left_by(without.shape["X"], change)[0] > 5e-3
+    assert len(without.level["X"]) == 3 + 4
+
+
+def test_isotropic_brightness_changes_the_minimum_of_the_sky_most(differences: ModelDifferences) -> None:
+    sky = compute_sky_power(load_instrument("lofar-superterp")).at("X", LST_HOURS)
+    order = np.argsort(sky[:, 25])
+    assert np.all(np.diff(differences.isotropic["X"][order, 25]) < 0)
+    assert 0.1 < differences.isotropic["X"].mean() < 0.3
 
 
 @pytest.mark.shared
 @pytest.mark.parametrize("sky", ["gsm-408locked", "lfsm-5.1deg"])
 @pytest.mark.parametrize("antenna", ["hamaker", "lba_vout"])
-def test_the_modes_span_every_exchange_of_models_they_were_made_from(shared: Path, sky: str, antenna: str) -> None:
-    instrument = load_instrument("lofar-superterp")
+def test_the_shapes_span_every_exchange_of_the_full_models(
+    shared: Path, differences: ModelDifferences, superterp: Instrument, sky: str, antenna: str
+) -> None:
     beam = antenna if antenna == "hamaker" else str(shared / "data/antenna/lba_vout.npz")
-    other = compute_sky_power(instrument, str(shared / f"data/sky/{sky}.npz"), beam)
-    default = compute_sky_power(instrument)
-    for dipole, modes in model_difference_modes(NU, LST).items():
+    other = compute_sky_power(superterp, str(shared / f"data/sky/{sky}.npz"), beam)
+    default = compute_sky_power(superterp)
+    for dipole in "XY":
         change = np.log(other.power[dipole] / default.power[dipole])
         change -= change.mean(axis=0)
-        basis = modes.reshape(4, -1).T
-        amplitude = np.linalg.lstsq(basis, change.ravel(), rcond=None)[0]
-        # 2e-4: the mode left out, and the nodes of the table; 3 % to begin with.
-        assert np.std(change.ravel() - basis @ amplitude) < 2e-4
-        assert np.all(np.abs(amplitude) < 1.6)  # within the prior
+        left, amount = left_by(differences.changes_at(dipole, other.lst_hours), change)
+        # 3e-4: the modes left out, and the nodes of the table; 3 % to begin with.
+        assert left < 3e-4
+        assert np.all(np.abs(amount) < 2.0), "within the prior"

@@ -1,0 +1,74 @@
+"""What the differences between sky and antenna models hide: causes whose signature they describe.
+
+With the amounts of the differences free without limit, no information on such a cause is left. What their prior leaves
+tells how much models differ, and nothing about the instrument.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lbacal_core.causes.cause import Cause
+from lbacal_core.discovery.hypothesis import Target
+from lbacal_core.discovery.project import LinearModel
+from lbacal_core.discovery.scan import list_families, see_best
+
+NEARLY_FREE = 1e-4
+"""Inverse variance of differences a hundred times as large as those of real models."""
+
+
+@dataclass(frozen=True)
+class HiddenCause:
+    """A cause of the whole station that the differences between models describe.
+
+    Attributes
+    ----------
+    share
+        Share of its information that is left under the prior.
+    sigma, plain_sigma
+        Standard deviation of its size with the differences profiled out, and with the sky taken as exact.
+    """
+
+    cause: Cause
+    share: float
+    sigma: float
+    plain_sigma: float
+
+    @property
+    def why(self) -> str:
+        """The reason in a report."""
+        return (
+            "the differences between sky and antenna models describe its signature: "
+            f"{self.share:.1%} of its information is left, one standard deviation is {self.sigma:.2g} "
+            f"({self.cause.unit}) instead of {self.plain_sigma:.2g}; a sky power at its word shows it"
+        )
+
+
+def list_hidden(
+    model: LinearModel, causes: Sequence[Cause], target: Target, smallest_share: float
+) -> list[HiddenCause]:
+    """Causes of the whole station of which free differences leave less than `smallest_share` of the information.
+
+    The shares are computed for the data at hand; the list is empty where the sky power is taken as exact.
+    """
+    if model.modes is None:
+        return []
+    plain, free = replace(model, modes=None), replace(model, modes=replace(model.modes, prior=NEARLY_FREE))
+    hidden = []
+    for cause in causes:
+        if cause.scopes != ("station",) or "lst" not in cause.axes:
+            continue
+        families = list_families(model.station.conditions, [cause])
+        whole = np.array([see_best(plain, family, target).max() for family in families])
+        if not whole.size or whole.min() <= 0:
+            continue
+        bare, left = (np.array([see_best(one, family, target).max() for family in families]) for one in (free, model))
+        # A wider prior leaves less; where it leaves more, that is rounding.
+        if np.all(np.minimum(bare, left) < smallest_share * whole):
+            best = int(np.argmax(left / whole))
+            sigma, plain_sigma = float(left[best] ** -0.5), float(whole[best] ** -0.5)
+            hidden.append(HiddenCause(cause, float(left[best] / whole[best]), sigma, plain_sigma))
+    return hidden
