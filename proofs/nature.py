@@ -2,11 +2,12 @@
 
 Every data set draws a sky and an antenna that are not the finder's, nor among the models from which it makes its modes;
 a third of the skies lies outside every model. Event gains act where they are drawn to. Parts: nothing hidden (nothing);
-pulls of C, the sky told (pulls).
+pulls of C, the sky told (pulls); one effect of a drawn cause (one); effects on a cable name or a group (targets);
+effects in no catalogue (unknown).
 """
 
 from __future__ import annotations
 
-from proofs.hidden import nothing, pulls
+from proofs.hidden import named_in_worlds, nothing, pulls, unknown_in_worlds
 
-PARTS = (*nothing.PARTS, *pulls.PARTS)
+PARTS = (*nothing.PARTS, *pulls.PARTS, *named_in_worlds.PARTS, *unknown_in_worlds.PARTS)

@@ -40,6 +40,8 @@ EVENTS, FEW_EVENTS = 250, 150
 STATIC = ("cable_length", "cable_reflection")
 LARGEST_CHANGE = 0.5
 """A fault that has to change the power by more than this fraction somewhere to be seen counts as not identifiable."""
+SMALLEST_SHARE = 0.1
+"""Share of its information that a fault must keep beside the freedom of the models: below, they hide it."""
 
 SCOPES: dict[str, tuple[str, ...]] = {
     "dipole_swap": ("station", "antenna"),
@@ -61,6 +63,10 @@ SCOPES: dict[str, tuple[str, ...]] = {
 }
 """Whom a cause can concern; the station where nothing is said. Of the contract, and where it is silent of the physics:
 the sky is common to a station, a plug belongs to an antenna, a receiver to a path."""
+ON_BOARDS = ("gain_step", "gain_drift", "adc_noise_step", "gain_temperature", "lna_noise_temperature", "compression")
+"""What a board that antennas share can do to all of them, where a data set has boards."""
+BOARD = 4
+"""Antennas of a board."""
 
 
 @dataclass(frozen=True)
@@ -108,8 +114,8 @@ class DataSet:
 
     @property
     def instrument(self) -> Instrument:
-        """The Superterp, of which only some antennas of one station are used."""
-        return _instrument(self.antennas)
+        """The Superterp, of which only some antennas of one station are used; in a drawn world they share boards."""
+        return _instrument(self.antennas, has_boards=self.world is not None)
 
     def rng(self) -> np.random.Generator:
         """The same random numbers at every call."""
@@ -176,12 +182,17 @@ class DataSet:
             seed=self.seed,
         )
 
-    def draw(self, cause: str, rng: np.random.Generator) -> Planted:
-        """A fault of a cause: its law, and whom it concerns."""
-        scopes = SCOPES.get(cause, ("station",))
+    def draw(self, cause: str, rng: np.random.Generator, scopes: tuple[str, ...] = ()) -> Planted:
+        """A fault of a cause: its law, and whom it concerns, of these scopes or of all that it can have."""
+        scopes = scopes or self.scopes_of(cause)
         scope = scopes[rng.integers(len(scopes))]
         where, label = self._choose(scope, rng, self._comparable if cause in STATIC else self.antennas)
         return Planted(cause, draw_fault(cause, rng, self.settings, where=where), scope, label)
+
+    def scopes_of(self, cause: str) -> tuple[str, ...]:
+        """Whom a cause can concern in this data set."""
+        boards = ("group",) if self.world is not None and cause in ON_BOARDS else ()
+        return (*SCOPES.get(cause, ("station",)), *boards)
 
     @property
     def _comparable(self) -> tuple[int, ...]:
@@ -197,6 +208,10 @@ class DataSet:
         if scope == "path":
             dipole = str(rng.choice(DIPOLES))
             return Where(antennas=(antenna,), dipoles=(dipole,)), f"antenna {antenna} {dipole}"
+        if scope == "group":
+            board = antenna // BOARD
+            members = tuple(a for a in self.antennas if a // BOARD == board)
+            return Where(antennas=members), f"group {_board_of(antenna)}"
         if scope == "cable":
             cable = str(rng.choice(np.unique(self.scene.cables)))
             return Where(cables=(cable,)), f"cable {cable}"
@@ -206,13 +221,19 @@ class DataSet:
         """The ideal SNR of a fault."""
         if planted.cause in STATIC:
             return self.detector.snr_against_others(planted.fault, planted.fault.where.antennas[0])
+        if self.world is not None:  # so many events show effects so small that the fit is linear in them
+            return self.detector.linear_snr([planted.fault])
         return self.detector.snr([planted.fault])
 
     def with_snr(self, planted: Planted, snr: float) -> Planted | None:
         """The fault with the size that has a wanted ideal SNR, or None where no sensible size has it.
 
-        Almost all faults are linear: scaled once, and once more for what is not.
+        Almost all faults are linear: scaled once, and once more for what is not. A fault that other models of the sky
+        make as well is none that this finder could show.
         """
+        is_seen = planted.cause not in STATIC and self.world is not None
+        if is_seen and self.detector.share_left([planted.fault]) < SMALLEST_SHARE:
+            return None
         for _ in range(2):
             now = self.snr(planted)
             size = planted.fault.size * snr / now if now > 1e-9 else np.inf
@@ -265,9 +286,14 @@ def is_in_family(planted: Planted) -> bool:
 
 
 @cache
-def _instrument(antennas: tuple[int, ...]) -> Instrument:
+def _instrument(antennas: tuple[int, ...], *, has_boards: bool) -> Instrument:
     whole = load_instrument("lofar-superterp")
-    return replace(whole, antennas=[r for r in whole.antennas if r.station == STATION and r.antenna in antennas])
+    used = [r for r in whole.antennas if r.station == STATION and r.antenna in antennas]
+    return replace(whole, antennas=[replace(r, group=_board_of(r.antenna) if has_boards else None) for r in used])
+
+
+def _board_of(antenna: int) -> str:
+    return f"board {antenna // BOARD}"
 
 
 def sky_power() -> SkyPower:

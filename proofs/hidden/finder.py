@@ -50,6 +50,11 @@ class Answer:
         return [[finding["cause"], *finding["indistinguishable"]] for finding in self.findings]
 
     @property
+    def first_target(self) -> str:
+        """Target of the first finding, empty if there is none."""
+        return str(self.findings[0]["evidence"]["target"]) if self.findings else ""
+
+    @property
     def axis(self) -> str:
         """Axis along which structure is left, empty if none is."""
         return str(self.unexplained["where"]["axis"]) if self.unexplained else ""

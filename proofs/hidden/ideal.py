@@ -123,16 +123,17 @@ class IdealDetector:
         """Relative change of the expected power, shape (path, event, freq)."""
         return np.asarray(self.power(faults) / self.power(()) - 1.0)
 
-    def information(self, templates: Floats) -> Floats:
+    def information(self, templates: Floats, *, is_told: bool = False) -> Floats:
         """Inner products of templates less what the fit absorbs, shape (k, path, event, freq) -> (k, k).
 
-        The root of the diagonal is the SNR; the correlation of two signatures is that of a covariance.
+        The root of the diagonal is the SNR; the correlation of two signatures is that of a covariance. With `is_told`
+        the sky power is taken at its word.
         """
         weighed = self.noise.weigh(templates)
         absorbed = self._onto_columns(weighed)
         solved = cho_solve(self._normal_factor, absorbed.T)
         total = np.einsum("kpef,lpef->kl", templates, weighed, optimize=True) - absorbed @ solved
-        if not len(self.modes):
+        if is_told or not len(self.modes):
             return np.asarray(total)
         onto_modes, of_modes = self._mode_products
         mixed = self._onto_modes(weighed) - (onto_modes @ solved).T
@@ -152,6 +153,16 @@ class IdealDetector:
     def snr(self, faults: Sequence[Fault]) -> float:
         """Ideal signal-to-noise ratio of faults that act together."""
         return float(np.sqrt(max(self.chi_squared(self.power(faults)), 0.0)))
+
+    def linear_snr(self, faults: Sequence[Fault]) -> float:
+        """The same to first order, about the chains without faults: enough for small ones, and much cheaper."""
+        return float(np.sqrt(max(float(self.information(self.template(faults)[None])[0, 0]), 0.0)))
+
+    def share_left(self, faults: Sequence[Fault]) -> float:
+        """Part of the information on faults that the freedom of the sky and antenna models leaves, 0 to 1."""
+        template = self.template(faults)[None]
+        whole = float(self.information(template, is_told=True)[0, 0])
+        return float(self.information(template)[0, 0]) / whole if whole > 0 else 0.0
 
     def information_together(self, faults: Sequence[Fault]) -> Floats:
         """Inner products of what each of some faults adds to the others, shape (fault, fault)."""

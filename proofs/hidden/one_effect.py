@@ -66,6 +66,8 @@ class Outcome:
         Of the true cause for the true target.
     pull
         (Size reported - size planted) / its error, where the true cause is named first.
+    said_of
+        Target of the first finding.
     """
 
     snr: float
@@ -77,6 +79,7 @@ class Outcome:
     sets: Sequence[Sequence[str]] = ()
     score: float = 0.0
     pull: float | None = None
+    said_of: str = ""
 
     @property
     def is_made(self) -> bool:
@@ -94,6 +97,11 @@ class Outcome:
         first = self.sets[0] if self.sets else []
         return self.cause in first[:1] or (self.cause in first and len(first) <= LARGEST_SET)
 
+    @property
+    def is_misnamed(self) -> bool:
+        """Whether a finding is neither the true cause nor one that cannot be told from it."""
+        return any(self.cause not in names for names in self.sets)
+
 
 def hide_one(wanted: Wanted) -> Outcome:
     """Make one data set with one effect and ask the finder."""
@@ -104,12 +112,15 @@ def hide_one(wanted: Wanted) -> Outcome:
         planted: Planted | None = draw_one(data, wanted.snr, rng, moving_causes())
     else:
         planted = next((sized for _ in range(10) if (sized := data.with_snr(data.draw(drawn, rng), wanted.snr))), None)
-    if planted is None:
-        return Outcome(wanted.snr, drawn)
+    return Outcome(wanted.snr, drawn) if planted is None else ask_about(data, planted, wanted.snr)
+
+
+def ask_about(data: DataSet, planted: Planted, snr: float) -> Outcome:
+    """What the finder says of a data set with an effect."""
     answer = data.ask([planted.fault])
     is_first = answer.named[:1] == [planted.cause]
     return Outcome(
-        wanted.snr,
+        snr,
         planted.cause,
         planted.scope,
         planted.label,
@@ -118,6 +129,7 @@ def hide_one(wanted: Wanted) -> Outcome:
         answer.sets,
         answer.score(planted.cause, planted.label),
         size_pull(data, planted, answer.findings[0]) if is_first else None,
+        answer.first_target,
     )
 
 

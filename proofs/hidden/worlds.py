@@ -11,7 +11,7 @@ import numpy as np
 from lbacal_core.antenna.names import DEFAULT_ANTENNA
 from lbacal_core.grids import Floats
 from lbacal_core.instrument import DIPOLES, Instrument, load_instrument
-from lbacal_core.sky.names import DEFAULT_SKY
+from lbacal_core.sky.names import DEFAULT_SKY, load_sky
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.twin.view import View
@@ -67,8 +67,8 @@ def alternatives(world: World, finder: Finder) -> Alternatives:
 def free_modes(finder: Finder, known: Alternatives, lst_hours: Floats) -> Floats:
     """Changes of ln P_sky that are free to a finder who knows these models, each one standard deviation.
 
-    For each polarisation a smooth level, constant in LST, and the change along LST that each exchange of a sky or of
-    the antenna makes.
+    A smooth level, constant in LST and the same in both polarisations; an isotropic level; and in each polarisation
+    the change along LST that each exchange of a sky or of the antenna makes.
 
     Returns
     -------
@@ -77,21 +77,30 @@ def free_modes(finder: Finder, known: Alternatives, lst_hours: Floats) -> Floats
     frequency = _superterp().frequency_mhz
     x = np.log(frequency)
     polynomials = np.polynomial.legendre.legvander(2 * (x - x[0]) / (x[-1] - x[0]) - 1, LEVEL_DEGREE).T
-    level = np.broadcast_to(LEVEL_PRIOR * polynomials[:, None], (len(polynomials), lst_hours.size, frequency.size))
+    shape = (len(polynomials), len(DIPOLES), lst_hours.size, frequency.size)
+    modes = [np.broadcast_to(LEVEL_PRIOR * polynomials[:, None, None], shape)]
+    brighter = _at(_with_isotropic(finder.sky, finder.antenna), lst_hours)
+    base = _at(finder.power(), lst_hours)
+    modes.append((brighter / base - 1.0)[None])
     exchanged = [(sky, finder.antenna) for sky in known.skies] + [
         (finder.sky, str(SIMULATED_LBA) if antenna == SIMULATED_NAME else antenna)
         for antenna in known.antennas
         if antenna != SIMULATED_NAME or SIMULATED_LBA.is_file()
     ]
-    modes = []
-    for d, dipole in enumerate(DIPOLES):
-        base = finder.power().at(dipole, lst_hours)
-        changes = [np.log(power_of(*pair).at(dipole, lst_hours) / base) for pair in exchanged]
-        shapes = np.array([change - change.mean(axis=0) for change in changes]).reshape(-1, *base.shape)
-        own = np.zeros((len(level) + len(shapes), len(DIPOLES), *base.shape))
-        own[:, d] = np.concatenate([level, shapes])
-        modes.append(own)
+    for pair in exchanged:
+        change = np.log(_at(power_of(*pair), lst_hours) / base)
+        change -= change.mean(axis=1, keepdims=True)
+        modes.append(change * np.eye(len(DIPOLES))[:, :, None, None])
     return np.concatenate(modes)
+
+
+def _at(power: SkyPower, lst_hours: Floats) -> Floats:
+    return np.stack([power.at(dipole, lst_hours) for dipole in DIPOLES])
+
+
+@cache
+def _with_isotropic(sky: str, antenna: str) -> SkyPower:
+    return compute_sky_power(_superterp(), load_sky(sky).changed(extra_isotropic=1.0), antenna)
 
 
 @cache

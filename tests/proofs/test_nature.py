@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
@@ -11,11 +11,16 @@ from lbacal_core.twin.gains import NOISES
 from lbacal_core.twin.world import MADE_OF, World
 from proofs.hidden.data_sets import OWN
 from proofs.hidden.drawn import SPANNED_SIGMA, describe_world, drawn_data, unspanned_sigma
+from proofs.hidden.named_in_worlds import judge_one, judge_targets
+from proofs.hidden.named_in_worlds import tell as tell_names
+from proofs.hidden.no_catalogue import Outcome as Unknown
 from proofs.hidden.nothing import judge as judge_nothing
 from proofs.hidden.nothing import tell as tell_nothing
+from proofs.hidden.one_effect import Outcome
 from proofs.hidden.pulls import SCOPES, measure_pulls
 from proofs.hidden.pulls import judge as judge_pulls
 from proofs.hidden.pulls import tell as tell_pulls
+from proofs.hidden.unknown_in_worlds import judge as judge_unknown
 from proofs.hidden.worlds import Finder, alternatives, draw
 
 
@@ -41,6 +46,61 @@ def test_the_ideal_detector_sees_a_wrong_sky_unless_the_models_span_it() -> None
     # Where the true sky is the finder's, nothing is left but the second order of the fit.
     own = replace(data, world=World(OWN.sky, OWN.antenna, "behind"))
     assert unspanned_sigma(own) < 0.1 * seen
+
+
+def test_boards_and_cable_names_are_hit_at_the_signal_to_noise_that_is_wanted() -> None:
+    data = drawn_data(7)
+    rng = np.random.default_rng(1)
+    for scope, word in (("group", "group board"), ("cable", "cable")):
+        planted = data.with_snr(data.draw("gain_step", rng, (scope,)), 10.0)
+        assert planted is not None
+        assert planted.label.startswith(word)
+        assert data.snr(planted) == pytest.approx(10.0, rel=0.01)
+        assert len(planted.fault.where.mask(data.scene).nonzero()[0]) > 2
+    groups = {record.group for record in data.instrument.antennas}
+    assert groups == {"board 0", "board 1", "board 2"}
+
+
+def test_what_other_models_of_the_sky_make_as_well_cannot_be_shown() -> None:
+    data = drawn_data(7)
+    rng = np.random.default_rng(1)
+    assert data.with_snr(data.draw("lna_noise_slope", rng), 10.0) is None
+    assert data.detector.share_left([data.draw("gain_step", rng, ("path",)).fault]) > 0.99
+
+
+def outcome_row(seed: int, snr: float, sets: list[list[str]], said_of: str = "station") -> dict:
+    outcome = Outcome(
+        snr,
+        "gain_step",
+        "station",
+        "station",
+        verdict="explained" if sets else "consistent",
+        sets=sets,
+        said_of=said_of,
+    )
+    return {"seed": seed, **asdict(outcome), "sky": "lfsm", "outside": "", "antenna": "inverted-v", "noise": "front"}
+
+
+def test_a_name_counts_and_another_beside_it_counts_against() -> None:
+    right, set_of_two = [["gain_step"]], [["gain_drift", "gain_step"]]
+    beside, other = [["gain_step"], ["lst_offset"]], [["lst_offset"]]
+    rows = [outcome_row(k, 10.0, sets) for k, sets in enumerate((right, set_of_two, beside, other, []))]
+    rows.append(outcome_row(9, 5.0, other))
+    named, misnamed = judge_one(rows)
+    assert (named.found, misnamed.found, named.n) == (3 / 5, 2 / 5, 5)
+    wrong_target = outcome_row(5, 10.0, right, said_of="cable 80")
+    assert judge_targets([*rows[:2], wrong_target])[-1].found == 2 / 3
+    lines = tell_names(rows)
+    assert sum(line.startswith("- seed") for line in lines) == 3
+    assert any(line.startswith("| gain_step | 5 | 1 |") for line in lines)
+
+
+@pytest.mark.parametrize(("axis", "named", "right"), [("utc", [], 1), ("lst", [], 0), ("utc", ["gain_step"], 1)])
+def test_the_axis_and_silence_about_names_are_judged_in_drawn_worlds(axis: str, named: list[str], right: int) -> None:
+    row = {"kind": "MainsHum", "axes": "utc", "verdict": "unexplained", "axis": axis, "named": named}
+    row["is_right_axis"] = Unknown("MainsHum", "utc", "unexplained", axis, "station", named).is_right_axis
+    claims = {claim.key: claim.found for claim in judge_unknown([row])}
+    assert claims == {"right_axis": right, "forced": len(named)}
 
 
 def test_pulls_of_every_form_of_the_gains_are_measured_in_paths_and_stations() -> None:
