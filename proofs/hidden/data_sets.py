@@ -174,11 +174,13 @@ class DataSet:
         self, faults: Sequence[Fault] = (), *, is_own_sky: bool = False
     ) -> tuple[Answer, FittedModel | None]:
         """The answer, and the fitted model with what was found; None where the finder broke down."""
+        known = None if self.world is None else alternatives(self.world, self.finder)
         return ask_finder(
             self.spectra(faults),
             self.instrument,
             self.finder.power(),
-            is_own_sky=is_own_sky or self.world is not None,
+            is_own_sky=is_own_sky or known is not None,
+            models=known,
             seed=self.seed,
         )
 

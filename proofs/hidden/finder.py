@@ -18,6 +18,7 @@ from lbacal_core.grids import Floats
 from lbacal_core.instrument import Instrument
 from lbacal_core.lstcurve.curve import LstCurve
 from lbacal_core.provenance import Provenance
+from lbacal_core.skypower.differences import DifferenceModels
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra import Spectra
 
@@ -106,13 +107,16 @@ def ask_finder(
     *,
     is_own_sky: bool,
     seed: int,
+    models: DifferenceModels | None = None,
 ) -> tuple[Answer, FittedModel | None]:
     """Ask what is hidden in the spectra of one station.
+
+    With `models` the differences that are profiled out are those of these models.
 
     A finder that breaks down on the data is recorded, and never counts as right.
     """
     try:
-        report, stations = investigate(spectra, instrument, sky_power, is_own_sky=is_own_sky, seed=seed)
+        report, stations = investigate(spectra, instrument, sky_power, is_own_sky=is_own_sky, models=models, seed=seed)
     except (ArithmeticError, LookupError, ValueError) as error:
         return Answer(f"failed: {error}", [], None, []), None
     scores = [

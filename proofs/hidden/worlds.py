@@ -12,6 +12,8 @@ from lbacal_core.antenna.names import DEFAULT_ANTENNA
 from lbacal_core.grids import Floats
 from lbacal_core.instrument import DIPOLES, Instrument, load_instrument
 from lbacal_core.sky.names import DEFAULT_SKY, load_sky
+from lbacal_core.skypower.differences import SIMULATED_LBA as SIMULATED_NAME
+from lbacal_core.skypower.differences import DifferenceModels
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.twin.view import View
@@ -20,8 +22,6 @@ from proofs.machinery.parts import SHARED
 
 SIMULATED_LBA = SHARED / "data" / "antenna" / "lba_vout.npz"
 """A simulated antenna that may not ship: it joins the antennas that are drawn where the folder ../shared is present."""
-SIMULATED_NAME = "wipl-d"
-"""Its name among the models from which the finder makes its modes."""
 LEVEL_DEGREE, LEVEL_PRIOR = 3, 0.1
 """Degree of the Legendre polynomials in ln nu of a level that is free, and the standard deviation of each."""
 
@@ -38,14 +38,6 @@ class Finder:
         return power_of(self.sky, self.antenna)
 
 
-@dataclass(frozen=True)
-class Alternatives:
-    """Names of the other skies and antennas that the finder knows."""
-
-    skies: tuple[str, ...]
-    antennas: tuple[str, ...]
-
-
 def draw(seed: int, finder: Finder) -> World:
     """The world of a data set: a sky and an antenna that are not the finder's."""
     rng = np.random.default_rng([20261122, seed])
@@ -53,7 +45,7 @@ def draw(seed: int, finder: Finder) -> World:
     return draw_world(rng, _without(SKIES, finder.sky), _without(antennas, finder.antenna))
 
 
-def alternatives(world: World, finder: Finder) -> Alternatives:
+def alternatives(world: World, finder: Finder) -> DifferenceModels:
     """Models that the finder may know: all that ship but for its own, and but for those that were drawn.
 
     Of a sky that is made of others the first one, which gives it what the others do not have, is left out as well.
@@ -61,10 +53,10 @@ def alternatives(world: World, finder: Finder) -> Alternatives:
     drawn = {world.sky, *MADE_OF.get(world.sky, ())[:1], finder.sky}
     skies = tuple(name for name in SKIES if name not in drawn | set(MADE_OF))
     antennas = (SIMULATED_NAME, *(name for name in ANTENNAS if name not in {world.antenna, finder.antenna}))
-    return Alternatives(skies, antennas[1:] if world.antenna == str(SIMULATED_LBA) else antennas)
+    return DifferenceModels(skies, antennas[1:] if world.antenna == str(SIMULATED_LBA) else antennas)
 
 
-def free_modes(finder: Finder, known: Alternatives, lst_hours: Floats) -> Floats:
+def free_modes(finder: Finder, known: DifferenceModels, lst_hours: Floats) -> Floats:
     """Changes of ln P_sky that are free to a finder who knows these models, each one standard deviation.
 
     A smooth level, constant in LST and the same in both polarisations; an isotropic level; and in each polarisation
