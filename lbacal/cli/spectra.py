@@ -31,7 +31,11 @@ def spectra(
         typer.Option(help="CSV of event_id, pulse_unix, temperature_c, rain_mm_h (all but the first optional)."),
     ] = None,
     antenna_set: Annotated[
-        str | None, typer.Option(help="LBA_OUTER or LBA_INNER, overriding the file; decides which receiver is X.")
+        str | None,
+        typer.Option(
+            help="LBA_OUTER, LBA_INNER, LBA_SPARSE_EVEN or _ODD, LBA_X or LBA_Y, where the header has none, or a wrong "
+            "one; decides which receiver is X."
+        ),
     ] = None,
     instrument: Annotated[
         str | None, typer.Option(help="Instrument (name or JSON file) whose channels and longitude to use.")
@@ -57,7 +61,9 @@ def spectra(
     from lbacal_core.traces.assembly import EventFacts, read_event_facts
     from lbacal_core.traces.background import CleaningSettings
     from lbacal_core.traces.discovery import find_files, group_traces
+    from lbacal_core.traces.trace import require_antenna_set
 
+    require_antenna_set(antenna_set)
     if output is None and inspect is None:
         raise BadInputError("lbacal spectra", "--output or --inspect", "--url alone" if url else "neither")
     inputs = {"--instrument": instrument, "--events": events, **{str(trace): trace for trace in traces}}

@@ -18,7 +18,18 @@ ADC_LOWEST, ADC_HIGHEST = -2048, 2047
 """Range of the 12-bit converters (van Haarlem et al. 2013, A&A 556, A2, section 4.2)."""
 
 UNKNOWN_ANTENNA_SET = "UNDEFINED"
-OUTER_SET = "LBA_OUTER"
+INNER, OUTER = "inner", "outer"
+FIELDS = {
+    "LBA_INNER": (INNER, INNER),
+    "LBA_OUTER": (OUTER, OUTER),
+    "LBA_SPARSE_EVEN": (INNER, OUTER),
+    "LBA_SPARSE_ODD": (OUTER, INNER),
+}
+"""Antenna field of the even and of the odd antennas in each set (AntennaSets.conf of the observatory: inputs h are the
+inner field, inputs l the outer one)."""
+ONE_LETTER = {"LBA_X": "X", "LBA_Y": "Y"}
+"""Sets in which every receiver has the same letter."""
+ANTENNA_SETS = (*FIELDS, *ONE_LETTER)
 
 _CORE_STATIONS = frozenset({101, 103, 201, 301, 302, 401, 501})
 _COUNTRIES = {
@@ -44,15 +55,24 @@ def name_station(station_id: int) -> str:
 
 
 def name_dipole(rcu: int, antenna_set: str) -> str:
-    """Dipole on a receiver (RCU): X on even and Y on odd numbers, and the reverse in the set LBA_OUTER.
+    """Dipole on a receiver (RCU): X on even and Y on odd numbers of the inner field, the reverse in the outer field.
 
-    X is the arm from north-east to south-west, Y from north-west to south-east. In the outer set the two are
+    X is the arm from north-east to south-west, Y from north-west to south-east. In the outer field the two are
     connected the other way round, which the stations undo for their beams (`rspctl --swapxy=1` in modes 1 and 2,
-    LOFAR station scripts, Norden and Romein 2011) but not in the transient buffers (LoLIM `raw_tbb_IO`, Hare).
-    Where the set is not on record the receivers' own labels hold.
+    LOFAR station scripts, Norden and Romein 2011) but not in the transient buffers (LoLIM `raw_tbb_IO`, Hare). The
+    cross-correlations of a station show it for every antenna (docs/explanation/x-and-y.md). Where the set is not on
+    record the receivers' own labels hold.
     """
-    is_even_x = antenna_set != OUTER_SET
-    return "X" if (rcu % 2 == 0) == is_even_x else "Y"
+    if antenna_set in ONE_LETTER:
+        return ONE_LETTER[antenna_set]
+    field = FIELDS.get(antenna_set, (INNER, INNER))[rcu // 2 % 2]
+    return "X" if (rcu % 2 == 0) == (field == INNER) else "Y"
+
+
+def require_antenna_set(name: str | None) -> None:
+    """Refuse the name of an antenna set whose letters are not known: the receivers' own would hold in silence."""
+    if name is not None and name not in ANTENNA_SETS:
+        raise BadInputError("antenna set", f"one of {', '.join(ANTENNA_SETS)}", repr(name))
 
 
 @dataclass(frozen=True)
@@ -66,7 +86,7 @@ class TraceReference:
     start_s, start_sample
         UTC second of the first sample, and its number within that second.
     antenna_set
-        `LBA_OUTER`, `LBA_INNER`, ..., `UNDEFINED` where the file does not state it.
+        One of `ANTENNA_SETS`, of the high band, or `UNDEFINED` where the file does not state it.
     """
 
     path: Path

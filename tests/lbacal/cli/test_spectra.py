@@ -102,6 +102,9 @@ def test_names_weather_and_pulse_times_come_from_the_user(
     assert found.blocks.tolist() == [BLOCKS - 11] * 3
     assert run(monkeypatch, dumps, "--output", output, "--antenna-set", "LBA_OUTER") == 0
     assert read_spectra(output).dipole.tolist() == ["Y", "X", "Y"]
+    # Antenna 5 is of the outer field and antenna 6 of the inner one.
+    assert run(monkeypatch, dumps, "--output", output, "--antenna-set", "LBA_SPARSE_EVEN") == 0
+    assert read_spectra(output).dipole.tolist() == ["Y", "X", "X"]
 
 
 def test_a_broken_file_in_a_folder_stops_nothing_and_is_told(
@@ -127,6 +130,7 @@ def test_bad_usage_is_one_sentence_and_exit_2(
         (broken, "--output", tmp_path / "S.h5"),
         (dumps / "absent.dat", "--output", tmp_path / "S.h5"),
         (dumps, "--output", tmp_path / "S.h5", "--blocks", 3),
+        (dumps, "--output", tmp_path / "S.h5", "--antenna-set", "LBA_OUTTER"),
     ):
         assert run(monkeypatch, *arguments) == 2
         error = capsys.readouterr().err

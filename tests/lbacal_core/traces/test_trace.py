@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from lbacal_core.errors import BadInputError
-from lbacal_core.traces.trace import Trace, TraceReference, name_dipole, name_station
+from lbacal_core.traces.trace import Trace, TraceReference, name_dipole, name_station, require_antenna_set
 
 REFERENCE = TraceReference(Path("a.dat"), "10", "CS011", 10, 1_311_073_541, 7_283_712, 200e6)
 
@@ -37,6 +37,21 @@ def test_the_outer_set_exchanges_the_letters_of_even_and_odd_receivers() -> None
     assert [name_dipole(rcu, "UNDEFINED") for rcu in (10, 11)] == ["X", "Y"]
     assert [name_dipole(rcu, "LBA_INNER") for rcu in (10, 11)] == ["X", "Y"]
     assert [name_dipole(rcu, "LBA_OUTER") for rcu in (10, 11)] == ["Y", "X"]
+
+
+def test_mixed_sets_have_the_letters_of_the_field_of_each_antenna() -> None:
+    """Antenna 4 (receivers 8 and 9) and antenna 5 (10 and 11): once inner and outer, once the reverse."""
+    assert [name_dipole(rcu, "LBA_SPARSE_EVEN") for rcu in (8, 9, 10, 11)] == ["X", "Y", "Y", "X"]
+    assert [name_dipole(rcu, "LBA_SPARSE_ODD") for rcu in (8, 9, 10, 11)] == ["Y", "X", "X", "Y"]
+    assert {name_dipole(rcu, "LBA_X") for rcu in range(96)} == {"X"}
+    assert {name_dipole(rcu, "LBA_Y") for rcu in range(96)} == {"Y"}
+
+
+def test_a_set_that_nobody_knows_is_refused_instead_of_named_by_parity() -> None:
+    require_antenna_set(None)
+    require_antenna_set("LBA_SPARSE_ODD")
+    with pytest.raises(BadInputError, match="LBA_SPARSE_EVEN"):
+        require_antenna_set("LBA_OUTTER")
 
 
 def test_a_reference_knows_its_instant_and_antenna() -> None:
