@@ -64,7 +64,7 @@ class StationCorrelations:
         """Whether both receivers of an antenna have power, shape (antenna,)."""
         return np.asarray(np.diag(self.matrix).real.reshape(-1, 2).min(axis=1) > 0)
 
-    def same_letter_share(self, reference: NDArray[np.bool_]) -> Floats:
+    def same_parity_share(self, reference: NDArray[np.bool_]) -> Floats:
         """Share of each antenna's coherence with reference antennas that is in receivers of its own parity.
 
         It is 1 where receivers of one parity carry the same letter in an antenna and in the reference, and 0 where the

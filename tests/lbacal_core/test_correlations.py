@@ -58,7 +58,7 @@ def receivers(is_inner):
 
 
 def test_every_outer_antenna_has_its_letters_exchanged_by_parity_against_the_inner_ones(station, is_inner):
-    share = station.same_letter_share(is_inner)
+    share = station.same_parity_share(is_inner)
     assert station.works.sum() == 47
     assert np.nanmin(share[is_inner]) > 0.85  # 0.86 to 0.99: parallel arms share much more of the sky
     assert np.nanmax(share[~is_inner]) < 0.16  # 0.04 to 0.15
@@ -120,11 +120,11 @@ def test_an_ideal_station_gives_back_the_powers_that_were_put_in(station):
     fit = ideal.fit_sources(EVEN, tuple(powers))
     assert fit.powers == pytest.approx(powers, rel=1e-9)
     assert fit.explained == pytest.approx(1.0)
-    assert ideal.same_letter_share(np.ones(48, dtype=bool)) == pytest.approx(1.0)
+    assert ideal.same_parity_share(np.ones(48, dtype=bool)) == pytest.approx(1.0)
     order = np.arange(96)
     order[[90, 91]] = order[[91, 90]]
     swapped = replace(ideal, matrix=matrix[np.ix_(order, order)])
-    assert swapped.same_letter_share(np.arange(48) < 40)[45] == pytest.approx(0.0)
+    assert swapped.same_parity_share(np.arange(48) < 40)[45] == pytest.approx(0.0)
 
 
 def test_a_matrix_of_another_size_is_refused(station):
