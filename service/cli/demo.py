@@ -226,4 +226,8 @@ def _step(name: str) -> Iterator[None]:
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    try:
+        sys.exit(main(sys.argv[1:]))
+    except KeyboardInterrupt:
+        print("\n./dev demo: stopped", file=sys.stderr)
+        sys.exit(130)

@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import os
 import shutil
+import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -73,8 +75,9 @@ def serve_demonstration(
     url = f"http://127.0.0.1:{port}"
     environment = os.environ | {"LBACAL_DATABASE_URL": str(folder / "lbacal.sqlite"), "LBACAL_POLL_S": "0.2"}
     command = [sys.executable, "-m", "service.cli.main"]
+    serve = [sys.executable, "-m", "service.cli.demo_service", "serve", "--port", str(port)]
     with (folder / "log").open("wb") as log:
-        server = subprocess.Popen([*command, "serve", "--port", str(port)], env=environment, stdout=log, stderr=log)
+        server = subprocess.Popen(serve, env=environment, stdin=subprocess.PIPE, stdout=log, stderr=log)
     try:
         spectra = simulate_campaign(SETTINGS, instrument, sky_power, np.random.default_rng(SEED), [STEP]).spectra
         with Client(url) as client:
@@ -143,3 +146,17 @@ def _is_done(client: Client) -> bool:
     jobs = client.get("/v1/jobs")["jobs"]
     years = sum(job["kind"] == "drift" for job in jobs)
     return years >= 2 and all(job["state"] in ("done", "failed") for job in jobs)
+
+
+def end_with_parent() -> None:
+    """Ask this process to end when its standard input does: whoever started it has gone, in whatever way."""
+    while os.read(0, 4096):
+        pass
+    os.kill(os.getpid(), signal.SIGTERM)
+
+
+if __name__ == "__main__":
+    from service.cli.main import main
+
+    threading.Thread(target=end_with_parent, daemon=True).start()
+    main()

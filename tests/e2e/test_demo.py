@@ -1,8 +1,15 @@
 from __future__ import annotations
 
+import os
+import signal
 import subprocess
 import sys
+import time
+from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
+
+import pytest
 
 
 def test_the_demo_finds_what_it_planted_and_ends_by_itself(tmp_path: Path) -> None:
@@ -25,3 +32,44 @@ def test_the_demo_names_what_it_does_not_know() -> None:
     command = [sys.executable, "-m", "service.cli.demo", "--quick"]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
     assert (done.returncode, done.stderr) == (2, "usage: ./dev demo [--serve], found '--quick'\n")
+
+
+DEMO = [sys.executable, "-m", "service.cli.demo", "--serve"]
+
+
+def children_in(folder: Path) -> list[int]:
+    """The processes that run in a folder: those of the demo and of its server."""
+    found = []
+    for entry in Path("/proc").iterdir():
+        if entry.name.isdigit():
+            with suppress(OSError):
+                if (entry / "cwd").resolve() == folder and (entry / "stat").read_text().rpartition(")")[2].split()[
+                    0
+                ] != "Z":
+                    found.append(int(entry.name))
+    return found
+
+
+def wait_for(is_so: Callable[[], bool]) -> None:
+    for _ in range(1500):
+        if is_so():
+            return
+        time.sleep(0.1)
+    raise TimeoutError
+
+
+@pytest.mark.skipif(not Path("/proc/self/cwd").exists(), reason="needs /proc")
+@pytest.mark.parametrize("ending", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_a_demo_that_is_stopped_left_a_traceback_and_orphans(tmp_path: Path, ending: signal.Signals) -> None:
+    demo = subprocess.Popen(
+        DEMO, cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, start_new_session=True
+    )
+    wait_for(lambda: len(children_in(tmp_path)) >= 3)
+    if ending is signal.SIGINT:
+        os.killpg(demo.pid, ending)  # a terminal tells them all
+    else:
+        demo.send_signal(ending)
+    _, said = demo.communicate(timeout=60)
+    assert demo.returncode == (130 if ending is signal.SIGINT else -ending)
+    assert said == ("\n./dev demo: stopped\n" if ending is signal.SIGINT else "")
+    wait_for(lambda: children_in(tmp_path) == [])
