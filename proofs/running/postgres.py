@@ -5,13 +5,17 @@ from __future__ import annotations
 import os
 import pwd
 import shutil
+import signal
 import subprocess
 import tempfile
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+STARTS = 40
 PLACES = ("/usr/lib/postgresql/*/bin", "/usr/local/pgsql/bin", "/opt/homebrew/opt/postgresql*/bin", "/usr/local/bin")
 
 
@@ -24,6 +28,79 @@ def find_binaries() -> Path | None:
     return next((folder for folder in candidates if (folder / "pg_ctl").exists()), None)
 
 
+@dataclass
+class Server:
+    """A PostgreSQL server of one's own."""
+
+    folder: Path
+    binaries: Path
+
+    @property
+    def url(self) -> str:
+        """Its first database."""
+        return f"postgresql://lbacal@/postgres?host={self.folder}"
+
+    def start(self) -> None:
+        """Start it; after a kill, as soon as what is left of it has gone."""
+        # processes are killed in the tests, not the machine: fsync would only cost time
+        options = f"-c listen_addresses='' -c unix_socket_directories='{self.folder}' -c fsync=off"
+        command = ["pg_ctl", "-D", str(self._data), "-w", "-l", str(self.folder / "log")]
+        for attempt in range(STARTS):
+            try:
+                self._run(*command, "-o", f"{options} -c max_connections=200", "start")
+            except subprocess.CalledProcessError:
+                if attempt == STARTS - 1:
+                    raise
+                time.sleep(0.5)
+            else:
+                return
+
+    def kill(self) -> None:
+        """Kill it as a power cut would (signal 9), and start it anew."""
+        number = int((self._data / "postmaster.pid").read_text().split()[0])
+        os.kill(number, signal.SIGKILL)
+        self.start()
+
+    def stop(self) -> None:
+        """End it."""
+        self._run("pg_ctl", "-D", str(self._data), "-w", "-m", "immediate", "stop")
+
+    def make(self) -> None:
+        """Make its folder."""
+        user = _owner()
+        if user is not None:
+            os.chown(self.folder, user.pw_uid, user.pw_gid)
+        self._run("initdb", "-D", str(self._data), "-U", "lbacal", "-A", "trust", "-E", "UTF8", "--no-sync")
+
+    @property
+    def _data(self) -> Path:
+        return self.folder / "data"
+
+    def _run(self, *command: str) -> None:
+        user = _owner()
+        as_user: dict[str, Any] = (
+            {} if user is None else {"user": user.pw_uid, "group": user.pw_gid, "extra_groups": []}
+        )
+        program = [str(self.binaries / command[0]), *command[1:]]
+        subprocess.run(program, check=True, cwd=self.folder, stdout=subprocess.DEVNULL, **as_user)
+
+
+@contextmanager
+def run_server() -> Iterator[Server]:
+    """A server of our own that ends with the block; FileNotFoundError where there are no binaries."""
+    binaries = find_binaries()
+    if binaries is None:
+        raise FileNotFoundError("no PostgreSQL server binaries; set LBACAL_TEST_PG or install postgresql")
+    with tempfile.TemporaryDirectory(prefix="lbacal-pg-") as name:
+        server = Server(Path(name), binaries)
+        server.make()
+        server.start()
+        try:
+            yield server
+        finally:
+            server.stop()
+
+
 @contextmanager
 def run_postgres() -> Iterator[str]:
     """Yield the URL of a database: `LBACAL_TEST_PG` where set, else of a server of our own that ends with the block.
@@ -34,31 +111,8 @@ def run_postgres() -> Iterator[str]:
     if given:
         yield given
         return
-    binaries = find_binaries()
-    if binaries is None:
-        raise FileNotFoundError("no PostgreSQL server binaries; set LBACAL_TEST_PG or install postgresql")
-    with tempfile.TemporaryDirectory(prefix="lbacal-pg-") as name:
-        folder, user = Path(name), _owner()
-        if user is not None:
-            os.chown(folder, user.pw_uid, user.pw_gid)
-        as_user: dict[str, Any] = (
-            {} if user is None else {"user": user.pw_uid, "group": user.pw_gid, "extra_groups": []}
-        )
-        data = folder / "data"
-
-        def run(*command: str) -> None:
-            subprocess.run(
-                [str(binaries / command[0]), *command[1:]], check=True, cwd=folder, stdout=subprocess.DEVNULL, **as_user
-            )
-
-        run("initdb", "-D", str(data), "-U", "lbacal", "-A", "trust", "-E", "UTF8", "--no-sync")
-        # processes are killed in the tests, not the machine: fsync would only cost time
-        options = f"-c listen_addresses='' -c unix_socket_directories='{folder}' -c fsync=off -c max_connections=200"
-        run("pg_ctl", "-D", str(data), "-w", "-l", str(folder / "log"), "-o", options, "start")
-        try:
-            yield f"postgresql://lbacal@/postgres?host={folder}"
-        finally:
-            run("pg_ctl", "-D", str(data), "-w", "-m", "immediate", "stop")
+    with run_server() as server:
+        yield server.url
 
 
 def _owner() -> pwd.struct_passwd | None:

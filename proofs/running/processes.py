@@ -64,6 +64,11 @@ class Process:
         with self._log.open("ab") as log:
             return subprocess.Popen(command, env=self._environment, stdout=log, stderr=log)
 
+    @property
+    def number(self) -> int:
+        """The number of the process that runs now."""
+        return self._running.pid
+
     def kill(self) -> None:
         """Kill it as a power cut would (signal 9), and start it anew."""
         self._running.kill()
