@@ -33,7 +33,7 @@ from proofs.sky_models import DATA, MAPS, TABLES, WIPL, fourier_series_curve, pu
 
 BAND = (30.0, 80.0)
 HARMONICS = 8
-"""Of the published tables, which have 24 instants at LSTs rounded to 0.01 h; the beam leaves nothing above."""
+"""Harmonics fitted to the published tables, 24 instants at LSTs rounded to 0.01 h; the beam leaves nothing above."""
 DIGITISED_DB = 0.012
 """Noise given to curves that are drawn or computed, not measured: what two readings of the figure differ by."""
 

@@ -19,17 +19,28 @@ def docstrings(source: str) -> Iterator[str]:
                 yield str(statement.value.value)
 
 
+def comments(source: str) -> list[str]:
+    """Every comment that has a line of its own, without its sign."""
+    return re.findall(r"^\s*# (.*)$", source, re.MULTILINE)
+
+
 def test_the_search_for_fragments_finds_one() -> None:
     source = '"""A module.\n\nAttributes\n----------\nname\n    Of the station.\n"""\nEDGE = 1\n"""Of a range."""\n'
     assert [len(FRAGMENT.findall(text)) for text in docstrings(source)] == [1, 1]
+    assert [len(FRAGMENT.findall(text)) for text in comments("x = 1\n    # Of a range.\n# A range.\n")] == [1, 0]
 
 
-def test_no_docstring_has_a_fragment_that_begins_with_of(repository: Path, tracked: list[Path]) -> None:
+PLACES = ("lbacal", "lbacal_core", "service", "proofs", "scripts", "benchmarks")
+
+
+def test_no_docstring_and_no_comment_has_a_fragment_that_begins_with_of(repository: Path, tracked: list[Path]) -> None:
+    sources = {
+        path: (repository / path).read_text() for path in tracked if path.suffix == ".py" and path.parts[0] in PLACES
+    }
     found = [
         f"{path}: {text.strip()[:80]}"
-        for path in tracked
-        if path.suffix == ".py" and path.parts[0] in ("lbacal_core", "service")
-        for text in docstrings((repository / path).read_text())
+        for path, source in sources.items()
+        for text in (*docstrings(source), *comments(source))
         if FRAGMENT.search(text)
     ]
     assert found == []

@@ -38,7 +38,7 @@ class Difference:
 
     @property
     def relative(self) -> float:
-        """Of two numbers, the difference over the larger; infinite for anything else."""
+        """The difference of two numbers over the larger; infinite for anything else."""
         if not (_is_number(self.before) and _is_number(self.after)):
             return float("inf")
         return float(abs(self.after - self.before) / max(abs(self.before), abs(self.after)))

@@ -114,7 +114,7 @@ def _of_scores(scores: Sequence[dict[str, Any]], station: StationReport) -> dict
 
 
 def in_first_window(score: dict[str, Any]) -> dict[str, Any]:
-    """Of two windows that share out the day, the one that does not contain midnight.
+    """The one of two windows that share out the day that does not contain midnight.
 
     Power without a slope in one window, or as much less in the other: A(nu) and N_ADC absorb the difference, the two
     scores are equal and opposite, and rounding decides which of them is the best.
@@ -127,7 +127,7 @@ def in_first_window(score: dict[str, Any]) -> dict[str, Any]:
 
 
 def _summarise(scores: Sequence[tuple[str, np.ndarray, np.ndarray]]) -> dict[str, Any]:
-    """Of all scores of a cause: how many are not absorbed, sum, sum of squares, largest, mean ln sigma of the size."""
+    """All scores of a cause in short: how many are seen, sum, sum of squares, largest, mean ln sigma of the size."""
     summary = {}
     for cause in dict.fromkeys(name for name, _, _ in scores):
         z = np.concatenate([one.ravel() for name, one, _ in scores if name == cause])

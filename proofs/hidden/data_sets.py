@@ -61,7 +61,7 @@ SCOPES: dict[str, tuple[str, ...]] = {
     "adc_jitter": ("station", "path"),
     "rfi_line": ("station", "antenna"),
 }
-"""Whom a cause can concern; the station where nothing is said. Of the contract, and where it is silent of the physics:
+"""Whom a cause can concern; the station where nothing is said. The contract says so, and where it is silent the physics does:
 the sky is common to a station, a plug belongs to an antenna, a receiver to a path."""
 ON_BOARDS = ("gain_step", "gain_drift", "adc_noise_step", "gain_temperature", "lna_noise_temperature", "compression")
 """What a board that antennas share can do to all of them, where a data set has boards."""
@@ -90,7 +90,7 @@ class DataSet:
     Attributes
     ----------
     seed
-        Of events, weather, hardware and noise, and of the finder.
+        Seed of events, weather, hardware and noise, and of the finder.
     half
         0 or 1: only every second event, from the first or the second on; None: all.
     world

@@ -32,7 +32,7 @@ class Answer:
     findings
         As in the report, most significant first.
     scores
-        Of the first scan: cause, target and score in standard deviations.
+        Cause, target and score in standard deviations, of the first scan.
     """
 
     verdict: str

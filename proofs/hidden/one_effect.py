@@ -63,7 +63,7 @@ class Outcome:
     sets
         Each cause named, with those that the data cannot tell from it.
     score
-        Of the true cause for the true target.
+        Score of the true cause for the true target.
     pull
         (Size reported - size planted) / its error, where the true cause is named first.
     said_of

@@ -37,7 +37,7 @@ def planted_size(data: DataSet, planted: Planted) -> float:
     """The planted size in the unit of the contract's report, of rain and ripples as `size_pull` compares them."""
     fault, scene = planted.fault, data.scene
     if isinstance(fault, RfiLine):
-        # Of the recorded power, which has more noise than what reaches the converter, in the strongest channel.
+        # The unit is the power recorded in the strongest channel, which has more noise than what reaches the converter.
         before, after = data.detector.power([]), data.detector.power([fault])
         of_path = ((after - before) / before.mean(axis=1, keepdims=True)).max(axis=(1, 2))
         return float(of_path[of_path > 0].mean())

@@ -48,7 +48,7 @@ def draw(seed: int, finder: Finder) -> World:
 def alternatives(world: World, finder: Finder) -> DifferenceModels:
     """Models that the finder may know: all that ship but for its own, and but for those that were drawn.
 
-    Of a sky that is made of others the first one, which gives it what the others do not have, is left out as well.
+    Where a sky is made of others, the first one, which gives it what the others do not have, is left out as well.
     """
     drawn = {world.sky, *MADE_OF.get(world.sky, ())[:1], finder.sky}
     skies = tuple(name for name in SKIES if name not in drawn | set(MADE_OF))

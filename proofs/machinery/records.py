@@ -15,7 +15,7 @@ from proofs.machinery.seeds import Block, joined
 RECORDS = Path(__file__).parents[1] / "records"
 LOOKED_AT = RECORDS / "looked_at.json"
 FRESH, REPETITION, SEEN, NO_CHANCE = "fresh", "repetition", "seen before", "no chance"
-"""Of the data sets: never seen before; those of an earlier record; used while the code was written; not drawn."""
+"""Standing of data sets: never seen before; those of an earlier record; used while the code was written; not drawn."""
 
 
 @dataclass(frozen=True)
