@@ -61,8 +61,8 @@ SCOPES: dict[str, tuple[str, ...]] = {
     "adc_jitter": ("station", "path"),
     "rfi_line": ("station", "antenna"),
 }
-"""Whom a cause can concern; the station where nothing is said. The contract says so, and where it is silent the physics does:
-the sky is common to a station, a plug belongs to an antenna, a receiver to a path."""
+"""Whom a cause can concern, by the contract; where it is silent, by the physics: the sky is common to a station, a plug
+belongs to an antenna, a receiver to a path. The station, where nothing is said."""
 ON_BOARDS = ("gain_step", "gain_drift", "adc_noise_step", "gain_temperature", "lna_noise_temperature", "compression")
 """What a board that antennas share can do to all of them, where a data set has boards."""
 BOARD = 4
