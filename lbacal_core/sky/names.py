@@ -11,6 +11,7 @@ import numpy as np
 
 from lbacal_core.errors import UnknownNameError, UnreadableFileError
 from lbacal_core.sky.maps import PYGDSM_NAMES, make_pygdsm_model, read_component_maps
+from lbacal_core.sky.measured import BASE_SKY, MEASURED_SKY, read_sky_level, tie_to_measurements
 from lbacal_core.sky.model import SkyModel
 
 DEFAULT_SKY = "gsm"
@@ -24,6 +25,8 @@ def list_skies() -> list[str]:
 
 def load_sky(name_or_file: str) -> SkyModel:
     """The sky model of a name, of a file of component maps (.npz), or of FITS maps (a file or a folder)."""
+    if name_or_file == MEASURED_SKY:
+        return tie_to_measurements(load_sky(BASE_SKY), read_sky_level())
     shipped = list_skies()
     if name_or_file in shipped:
         path_of_shipped = files("lbacal_core") / "data/skies" / f"{name_or_file}.json"
@@ -39,7 +42,7 @@ def load_sky(name_or_file: str) -> SkyModel:
         return read_fits_maps(path)
     if path.is_file():
         raise UnreadableFileError(f"{path}: expected a sky model, a file that ends in .npz or .fits")
-    raise UnknownNameError("sky model", name_or_file, sorted([*shipped, *PYGDSM_NAMES]))
+    raise UnknownNameError("sky model", name_or_file, sorted([*shipped, MEASURED_SKY, *PYGDSM_NAMES]))
 
 
 def _parse_sky(content: dict[str, Any]) -> SkyModel:

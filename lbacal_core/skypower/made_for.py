@@ -13,6 +13,7 @@ from lbacal_core.antenna.names import ANTENNAS, load_antenna
 from lbacal_core.errors import BadInputError
 from lbacal_core.instrument import Instrument
 from lbacal_core.provenance import MODEL_VERSION
+from lbacal_core.sky.measured import MEASURED_SKY
 from lbacal_core.sky.names import list_skies, load_sky
 
 ARM_TOLERANCE_DEG = 1e-6
@@ -95,7 +96,7 @@ class MadeFor:
 
 def shipped_sky_digest(name: str | None) -> str | None:
     """Digest of a sky model that ships with the package; None for any other."""
-    return load_sky(name).digest() if name in list_skies() else None
+    return load_sky(name).digest() if name in [*list_skies(), MEASURED_SKY] else None
 
 
 def shipped_antenna_digest(name: str | None) -> str | None:
