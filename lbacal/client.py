@@ -86,6 +86,11 @@ class Client:
             raise BadInputError("LBACAL_CACHE", "a folder for the answers of the tag", "nothing")
         return self._cache.sync(self, tag, on_step)
 
+    def send(self, method: str, path: str, body: dict[str, Any], **params: Any) -> Any:
+        """Send a JSON body, without fields that are None unless they are `calibration`; the JSON that comes back."""
+        given = {name: value for name, value in body.items() if value is not None or name == "calibration"}
+        return self._transport.request(method, path, params=params, body=given).json()
+
     def ask(
         self, station: str | None = None, antenna: int | None = None, dipole: str | None = None, *,
         at: Any, as_of: Any = None, gap: str | None = None, scope: str | None = None, tag: str | None = None,

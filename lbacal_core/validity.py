@@ -36,6 +36,11 @@ class Scope:
             raise BadInputError("dipole", "X or Y", repr(self.dipole))
 
     @property
+    def parts(self) -> tuple[str | None, int | None, str | None]:
+        """Station, antenna and dipole."""
+        return self.station, self.antenna, self.dipole
+
+    @property
     def level(self) -> str:
         """``array``, ``station`` or ``antenna``."""
         if self.antenna is not None:

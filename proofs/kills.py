@@ -251,7 +251,8 @@ def _send_once(http: httpx2.Client, body: dict[str, Any], record: Record) -> boo
 
 def _promote(address: str, key: str, record: Record, is_over: threading.Event) -> None:
     """Withdraw the array's calibration of a year long gone, again and again: a promotion that disturbs no refit."""
-    body = {"calibration": None, "valid_from": "2010-01-01", "valid_to": "2011-01-01", "reason": "proof"}
+    year = {"valid_from": "2010-01-01", "valid_to": "2011-01-01"}
+    body = {"calibration": None, "scope": "array", **year, "reason": "proof"}
     with httpx2.Client(base_url=address, headers={"Authorization": f"Bearer {key}"}, timeout=60) as http:
         while not is_over.wait(0.1):
             try:

@@ -11,7 +11,7 @@ from prometheus_client import CollectorRegistry
 from starlette.middleware.gzip import GZipMiddleware
 
 from service.factory import Factory
-from service.handlers import calibrations, drift, health, jobs, pages, problems, session, spectra
+from service.handlers import calibrations, drift, health, jobs, ledger, pages, problems, session, spectra
 from service.handlers.edge import Edge
 from service.handlers.head import AnswersHead
 from service.handlers.limits import KeyGuard
@@ -39,6 +39,7 @@ def make_app(factory: Factory) -> FastAPI:
         spectra.router,
         calibrations.router,
         jobs.router,
+        ledger.router,
         drift.router,
         health.router,
         pages.router,

@@ -22,6 +22,7 @@ from service.usecases.keys import Keys
 from service.usecases.promotions import Promotions
 from service.usecases.refits import Jobs, Limits, Refits
 from service.usecases.status import Status
+from service.usecases.tags import Tags
 from service.wire.hdf5_body import FileReader
 
 
@@ -61,6 +62,11 @@ class Factory:
     def promotions(self) -> Promotions:
         """The ledger."""
         return Promotions(self.database, self.instrument, self.clock)
+
+    @cached_property
+    def tags(self) -> Tags:
+        """Names for instants of the ledger."""
+        return Tags(self.database, self.clock)
 
     @cached_property
     def sky_power(self) -> SkyPower:

@@ -20,6 +20,7 @@ from lbacal.cli.client import effective, ingest, jobs, refit, sync
 from lbacal.cli.fit import fit
 from lbacal.cli.import_ import import_
 from lbacal.cli.investigate import investigate
+from lbacal.cli.ledger import promote, rollback, tag, withdraw
 from lbacal.cli.lst_curve import lst_curve
 from lbacal.cli.paper import paper
 from lbacal.cli.sky_power import sky_power
@@ -63,7 +64,9 @@ def _name(command: Callable[..., None]) -> str:
 _COMPUTING: tuple[Callable[..., None], ...] = (
     fit, investigate, lst_curve, paper, sky_power, antenna_gain, spectra
 )  # fmt: skip
-_ASKING: tuple[Callable[..., None], ...] = (ingest, refit, effective, jobs, status, sync)
+_ASKING: tuple[Callable[..., None], ...] = (
+    ingest, refit, promote, withdraw, rollback, tag, effective, jobs, status, sync
+)  # fmt: skip
 for command in (*map(_needing_fit, _COMPUTING), import_, *_ASKING):
     app.command(_name(command))(command)
 

@@ -54,8 +54,6 @@ FILES: dict[int | str, dict[str, Any]] = {
     200: {"content": {media: {} for media in FORMATS.values() if media != "application/json"}}
 }
 """What the routes with `format=` answer, for the OpenAPI document."""
-SETTLED_US = 60_000_000
-"""The ledger at an instant is final once this time has passed: promotions commit within 5 s of their `at`."""
 
 
 @router.get(
@@ -63,7 +61,8 @@ SETTLED_US = 60_000_000
     response_model=InEffectAnswer,
     summary="The calibration in effect on a date",
     description="`at` (or `mjd`) is when the data were taken, `as_of` when the question is asked: pin it to get the "
-    "same answer for ever. A path is answered by its own version, else its station's, else the array's; a curve of a "
+    "same answer for ever, or ask by a `tag`, which does that under a name. A path is answered by its own version, "
+    "else its station's, else the array's; a curve of a "
     "station or of the array is carried through the path's own cable (`factor`), with the spread of single paths as "
     "`c_sigma_sys`. `scope=array` asks for the array's reference chain itself, which is nobody's cable.",
     responses=FILES | document(401, 404, 422, 503),
@@ -79,22 +78,23 @@ def get_in_effect(
     antenna: AntennaQuery = None,
     dipole: str | None = None,
     as_of: str | None = None,
+    tag: Annotated[str | None, Query(description="as_of of a tag")] = None,
     gap: Literal["error", "hold"] = "error",
     format: Format | None = None,  # noqa: A002 - its name on the wire
 ) -> Response:
     kind = choose_format(format, request.headers.get("accept"))
     paths = select_scope(use.calibrations.instrument, scope, station, antenna, dipole)
-    known_at = None if as_of is None else parse_instant("as_of", as_of)
-    found = use.calibrations.in_effect(parse_at(at, mjd), paths, known_at, hold=gap == "hold")
+    instant = parse_at(at, mjd)
+    known = use.tags.read_knowledge(as_of, tag)
+    found = use.calibrations.in_effect(instant, paths, known.as_of, hold=gap == "hold")
     wanted = [c for c in found.curves if dipole in (None, c.told.curve.dipole)]
     curves = [describe_curve_in_effect(c.told, c.chain, c.promotion, c.trace, is_held=c.is_held) for c in wanted]
-    content = describe_in_effect(found.at, as_of, curves, list(found.missing))
-    is_settled = known_at is not None and known_at < use.clock() - SETTLED_US
+    content = describe_in_effect(found.at, known.text, curves, list(found.missing))
     return answer(
         request,
         content if kind == "json" else write_format(kind, content),
         media_type=FORMATS[kind],
-        cache=IMMUTABLE if is_settled else REVALIDATE,
+        cache=IMMUTABLE if known.is_final else REVALIDATE,
     )
 
 
@@ -208,7 +208,7 @@ def promote(
         caller.name,
         idempotency_key,
         b"promotion" + body,
-        lambda: use.promotions.promote(plan, lambda *made: to_json(describe_changes(*made))),
+        lambda: use.promotions.promote(plan, lambda made, changes: to_json(describe_changes(made[0], changes))),
     )
     return answer(request, content, status=201)
 

@@ -154,6 +154,16 @@ promotion = Table(
     Index("ix_promotion_withdrawn_end", "scope", "valid_to_us", sqlite_where=WITHDRAWS, postgresql_where=WITHDRAWS),
 )
 
+tag = Table(
+    "tag",
+    metadata,
+    Column("name", Text, primary_key=True),
+    Column("as_of_us", BigInteger, nullable=False, index=True, comment="the instant at which the ledger is frozen"),
+    Column("by", Text, nullable=False),
+    Column("reason", Text, nullable=False),
+    Column("at_us", BigInteger, nullable=False, comment="when it was made"),
+)
+
 job = Table(
     "job",
     metadata,

@@ -23,6 +23,7 @@ from service.storage.keys import KeyStore
 from service.storage.ledger import LedgerStore
 from service.storage.processes import ProcessStore
 from service.storage.spectra import SpectraStore
+from service.storage.tags import TagStore
 from service.storage.versions import VersionStore
 
 BUSY_S = 10
@@ -67,6 +68,11 @@ class Stores:
     def ledger(self) -> LedgerStore:
         """Promotions."""
         return LedgerStore(self._connection)
+
+    @cached_property
+    def tags(self) -> TagStore:
+        """Names for instants of the ledger."""
+        return TagStore(self._connection)
 
     @cached_property
     def jobs(self) -> JobStore:

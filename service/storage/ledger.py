@@ -26,7 +26,7 @@ from sqlalchemy.dialects.postgresql import ARRAY
 
 from lbacal_core.validity import Instant, Promotion, Scope
 from service.errors import UnavailableError
-from service.schema.tables import promotion
+from service.schema.tables import promotion, tag
 
 LOCK = 5_240_121
 """Names the one lock that orders promotions on PostgreSQL."""
@@ -66,15 +66,16 @@ class LedgerStore:
     def append(self, wanted: Sequence[Promotion], clock: Callable[[], Instant]) -> list[Promotion]:
         """Write promotions as one act: the same `at`, later than any before. The last statement before the commit.
 
-        `number` and `at` of what is wanted are replaced. Where the newest promotion is far ahead of the clock, one of
-        the two clocks was wrong: what would be written now could not be read as of now.
+        `at` is later than every tag, too: what a tag froze stays what it was. `number` and `at` of what is wanted are
+        replaced. Where the newest promotion is far ahead of the clock, one of the two clocks was wrong: what would be
+        written now could not be read as of now.
         """
         if not wanted:
             return []
         self.lock()
         if self._connection.dialect.name == "postgresql":
             self._connection.execute(text(f"SET LOCAL idle_in_transaction_session_timeout = {PROMPT_US // 1000}"))
-        newest = self._connection.execute(select(func.max(promotion.c.at_us))).scalar_one()
+        newest = self.newest_instant()
         now = clock()
         if newest is not None and newest > now + AHEAD_US:
             raise UnavailableError(
@@ -143,12 +144,23 @@ class LedgerStore:
                 found.setdefault(station, set()).add(edge)
         return found
 
+    def act_of(self, number: int) -> list[Promotion]:
+        """A promotion and those that were one act with it, in order of their numbers; empty if there is none."""
+        of_number = select(promotion.c.at_us).where(promotion.c.id == number).scalar_subquery()
+        statement = select(promotion).where(promotion.c.at_us == of_number).order_by(promotion.c.id)
+        return [_value(row) for row in self._connection.execute(statement)]
+
     def standing(
-        self, scopes: Iterable[Scope], since: Instant | None = None, until: Instant | None = None
+        self,
+        scopes: Iterable[Scope],
+        since: Instant | None = None,
+        until: Instant | None = None,
+        before: Instant | None = None,
     ) -> list[Promotion]:
         """The promotions that can decide somewhere in [since, until), oldest first: the newest of each interval.
 
-        Later ids have later instants `at`, so the largest id of an interval is its newest promotion.
+        Later ids have later instants `at`, so the largest id of an interval is its newest promotion. With `before` only
+        promotions made before that instant count.
         """
         keys = self._keys({scope.key for scope in scopes})
         newest = select(func.max(promotion.c.id)).where(promotion.c.scope.in_(select(keys.c.value)))
@@ -156,9 +168,16 @@ class LedgerStore:
             newest = newest.where(or_(promotion.c.valid_to_us.is_(None), promotion.c.valid_to_us > since))
         if until is not None:
             newest = newest.where(promotion.c.valid_from_us < until)
+        if before is not None:
+            newest = newest.where(promotion.c.at_us < before)
         newest = newest.group_by(promotion.c.scope, promotion.c.valid_from_us, promotion.c.valid_to_us)
         statement = select(promotion).where(promotion.c.id.in_(newest)).order_by(promotion.c.id)
         return [_value(row) for row in self._connection.execute(statement)]
+
+    def newest_instant(self) -> Instant | None:
+        """The instant before which nothing can be promoted any more: of the newest promotion or the newest tag."""
+        instants = select(func.max(promotion.c.at_us)).union_all(select(func.max(tag.c.as_of_us)))
+        return max((one for one in self._connection.execute(instants).scalars() if one is not None), default=None)
 
     def newest_number(self) -> int:
         """The number of the newest promotion; 0 if there is none."""

@@ -85,8 +85,6 @@ class Calibrations:
         self, at: Instant, paths: Sequence[Scope], as_of: Instant | None = None, *, hold: bool = False
     ) -> InEffect:
         """What answers for paths at an instant; an error naming the neighbours if nothing does for any of them."""
-        if as_of is not None and as_of > self.clock():
-            raise BadInputError("as_of", "an instant not later than now", format_instant(as_of))
         with self.database.read() as stores:
             asked = stores.ledger.answers(paths, at, as_of)
             decisive = {path: said[-1] for path, said in asked.items() if said and said[-1].calibration is not None}

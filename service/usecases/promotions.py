@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
 from lbacal_core.curves import CONVERGED
 from lbacal_core.errors import BadInputError
 from lbacal_core.instrument import Instrument
 from lbacal_core.validity import Instant, Promotion, Scope, Stretch, timeline
-from service.errors import ConflictError
+from service.errors import ConflictError, NotFoundError
 from service.storage.database import Database, Stores
+from service.storage.jobs import OPEN
 from service.storage.versions import Version
 from service.usecases.calibrations import select_paths
 from service.usecases.comparison import CurveChange, compare_curves
-from service.wire.bodies import PromotionBody
+from service.wire.bodies import PromotionBody, ReasonBody
 from service.wire.instants import parse_instant
 
 LAST = 2**63 - 1
@@ -40,11 +41,18 @@ class Change:
 
 @dataclass(frozen=True)
 class Plan:
-    """A promotion that is wanted, and what it changes as long as `newest` is the number of the newest promotion."""
+    """Promotions that are wanted as one act, and what they change while `newest` is the number of the newest promotion.
 
-    wanted: Promotion
+    `left_out` says of versions that were meant why they are not promoted, by their ids.
+    """
+
+    wanted: Sequence[Promotion]
     changes: list[Change]
     newest: int
+    left_out: Mapping[str, str] = field(default_factory=dict)
+
+
+Describe = Callable[[Sequence[Promotion], list[Change]], Answer]
 
 
 @dataclass(frozen=True)
@@ -58,10 +66,37 @@ class Promotions:
     def plan(self, body: PromotionBody, by: str) -> Plan:
         """Work out a promotion and what it would change, while others may promote."""
         with self.database.read() as stores:
-            wanted = self._read(stores, body, by)
+            wanted = [self._read(stores, body, by)]
             return Plan(wanted, self._changes(stores, wanted), stores.ledger.newest_number())
 
-    def promote(self, plan: Plan, describe: Callable[[Promotion, list[Change]], Answer]) -> Answer:
+    def plan_job(self, number: int, body: ReasonBody, by: str) -> Plan:
+        """Work out the promotion of all converged versions of a job that has ended, each for its own window."""
+        with self.database.read() as stores:
+            job = stores.jobs.get(number)
+            if job.state in OPEN:
+                raise ConflictError(f"job {number} is {job.state}: wait until it has ended")
+            names = [name for result in job.results for name in result["calibrations"]]
+            versions = stores.versions.get_many(names)
+            good = [versions[name] for name in names if versions[name].status == CONVERGED]
+            if not good:
+                raise ConflictError(f"job {number} made no version that converged: nothing to promote")
+            wanted = [Promotion(0, v.scope, v.since, v.until, v.id, LAST, by, body.reason) for v in good]
+            left_out = {name: v.status for name, v in versions.items() if v.status != CONVERGED}
+            return Plan(wanted, self._changes(stores, wanted), stores.ledger.newest_number(), left_out)
+
+    def plan_rollback(self, number: int, body: ReasonBody, by: str) -> Plan:
+        """Work out how to undo a promotion and all that were one act with it."""
+        with self.database.read() as stores:
+            act = stores.ledger.act_of(number)
+            if not act:
+                raise NotFoundError(f"no promotion {number}; GET /v1/calibrations/effective names those that answer")
+            since = min(p.valid_from for p in act)
+            until = None if any(p.valid_to is None for p in act) else max(p.valid_to or 0 for p in act)
+            before = stores.ledger.standing({p.scope for p in act}, since, until, before=act[0].at)
+            wanted = [one for p in act for one in _undo(p, before, by, body.reason)]
+            return Plan(wanted, self._changes(stores, wanted), stores.ledger.newest_number())
+
+    def promote(self, plan: Plan, describe: Describe[Answer]) -> Answer:
         """Promote, and describe what that changed; what cannot be described is not promoted.
 
         The changes are worked out again only if somebody else promoted since the plan was made.
@@ -70,17 +105,21 @@ class Promotions:
             stores.ledger.lock()
             is_current = stores.ledger.newest_number() == plan.newest
             changes = plan.changes if is_current else self._changes(stores, plan.wanted)
-            return describe(stores.ledger.append([plan.wanted], self.clock)[0], changes)
+            return describe(stores.ledger.append(plan.wanted, self.clock), changes)
 
     def _read(self, stores: Stores, body: PromotionBody, by: str) -> Promotion:
         stated = Scope(body.station, body.antenna, body.dipole)
-        scope = stated
+        scope, version = stated, None
+        if body.scope is not None and stated != Scope():
+            raise BadInputError("body.scope", "no station, antenna or dipole beside the scope array", stated.key)
         if body.calibration is None:
+            if stated == Scope() and body.scope is None:
+                raise BadInputError("body", 'a station, or "scope": "array" to withdraw what the array has', "neither")
             _require_part_of(self.instrument, scope)
         else:
             version = stores.versions.get(body.calibration)
             scope = version.scope
-            if stated not in (Scope(), scope):
+            if stated not in (Scope(), scope) or (body.scope is not None and scope != Scope()):
                 raise BadInputError("body", f"the scope of the version, {scope.key}", stated.key)
             _require_converged(version)
         return Promotion(
@@ -88,25 +127,41 @@ class Promotions:
             scope=scope,
             valid_from=parse_instant("body.valid_from", body.valid_from),
             valid_to=None if body.valid_to is None else parse_instant("body.valid_to", body.valid_to),
-            calibration=body.calibration,
+            calibration=None if version is None else version.id,
             at=LAST,
             by=by,
             reason=body.reason,
         )
 
-    def _changes(self, stores: Stores, wanted: Promotion) -> list[Change]:
-        paths = select_paths(self.instrument, wanted.scope.station, wanted.scope.antenna, wanted.scope.dipole)
+    def _changes(self, stores: Stores, wanted: Sequence[Promotion]) -> list[Change]:
+        """What promotions change for every path that they can answer."""
+        # numbers order what shares its instant; the ledger gives others in the same order
+        wanted = [replace(p, number=k) for k, p in enumerate(wanted)]
+        new = {scope: [p for p in wanted if p.scope == scope] for scope in dict.fromkeys(p.scope for p in wanted)}
+        paths = list(dict.fromkeys(path for s in new for path in select_paths(self.instrument, *s.parts)))
+        since = min(p.valid_from for p in wanted)
+        until = None if any(p.valid_to is None for p in wanted) else max(p.valid_to or 0 for p in wanted)
         of_scope: dict[Scope, list[Promotion]] = {}
-        scopes = {scope for path in paths for scope in path.widening}
-        for promotion in stores.ledger.standing(scopes, wanted.valid_from, wanted.valid_to):
+        for promotion in stores.ledger.standing({s for path in paths for s in path.widening}, since, until):
             of_scope.setdefault(promotion.scope, []).append(promotion)
         found = []
         for path in paths:
             old = [p for scope in path.widening for p in of_scope.get(scope, [])]
-            found += _differences(path, timeline(old, path), timeline([*old, wanted], path))
+            added = [p for scope in path.widening for p in new.get(scope, [])]
+            found += _differences(path, timeline(old, path), timeline([*old, *added], path))
         ids = {version_id for change in found for version_id in (change.before, change.after) if version_id}
         versions = stores.versions.get_many(ids)
         return [_with_size(change, versions) for change in found]
+
+
+def _undo(made: Promotion, before: Sequence[Promotion], by: str, reason: str) -> Iterator[Promotion]:
+    """Promote again what a scope had before a promotion, stretch by stretch over its interval."""
+    for stretch in timeline([p for p in before if p.scope == made.scope], made.scope):
+        start = made.valid_from if stretch.start is None else max(stretch.start, made.valid_from)
+        ends = [end for end in (stretch.end, made.valid_to) if end is not None]
+        end = min(ends, default=None)
+        if end is None or start < end:
+            yield Promotion(0, made.scope, start, end, stretch.calibration, LAST, by, reason)
 
 
 def _require_part_of(instrument: Instrument, scope: Scope) -> None:

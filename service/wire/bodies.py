@@ -77,14 +77,31 @@ class FlagBody(Body):
 
 
 class PromotionBody(Body):
-    """Promote a version for an interval; `calibration` null withdraws what the scope has there."""
+    """Promote a version for an interval; `calibration` null withdraws what the scope has there.
+
+    To withdraw what the array has, `scope` must say so: a forgotten `station` must not do it.
+    """
 
     calibration: Name | None
+    scope: Literal["array"] | None = None
     station: Name | None = None
     antenna: Number | None = None
     dipole: Literal["X", "Y"] | None = None
     valid_from: str
     valid_to: str | None = None
+    reason: Reason
+
+
+class ReasonBody(Body):
+    """Why something is done whose address says what."""
+
+    reason: Reason
+
+
+class TagBody(Body):
+    """Freeze the ledger as it was known at `as_of`, or as it is now."""
+
+    as_of: str | None = None
     reason: Reason
 
 

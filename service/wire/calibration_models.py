@@ -248,6 +248,46 @@ class PromotionAnswer(ChangesAnswer):
     reason: str
 
 
+class PromotionLine(Answer):
+    """One line of the ledger."""
+
+    promotion: int
+    scope: Level
+    station: str | None
+    antenna: int | None
+    dipole: str | None
+    valid_from: str
+    valid_to: str | None
+    calibration: str | None
+    at: str
+    by: str
+    reason: str
+
+
+class PromotionsAnswer(ChangesAnswer):
+    """Promotions made as one act, none for a dry run, and what they change."""
+
+    promotions: list[PromotionLine]
+    left_out: dict[str, str] = Field(description="versions that are not promoted, and their status")
+
+
+class TagAnswer(Answer):
+    """A name under which the ledger is frozen."""
+
+    name: str
+    as_of: str
+    at: str = Field(description="when it was made")
+    by: str
+    reason: str
+
+
+class TagsAnswer(Answer):
+    """A page of tags."""
+
+    tags: list[TagAnswer]
+    next: str | None = Field(description="cursor of the next page")
+
+
 class DriftVersion(Answer):
     """The band mean of C of a version."""
 

@@ -268,7 +268,7 @@ def test_a_dry_run_tells_the_changes_and_writes_nothing(client: TestClient, stor
 
 
 def test_withdrawing_where_nothing_was_changes_nothing(client: TestClient) -> None:
-    assert promote(client, None, "2014-01-01")["changes"] == []
+    assert promote(client, None, "2014-01-01", scope="array")["changes"] == []
 
 
 @pytest.mark.parametrize(
@@ -280,9 +280,9 @@ def test_withdrawing_where_nothing_was_changes_nothing(client: TestClient) -> No
         ({"reason": ""}, 422),
         ({"station": "CS002"}, 422),
         ({"antenna": 0}, 422),
-        ({"calibration": None, "antenna": 0, "dipole": "X"}, 422),
-        ({"calibration": None, "station": "CS009"}, 422),
-        ({"calibration": None, "station": "CS001", "antenna": 99, "dipole": "X"}, 422),
+        ({"calibration": None, "scope": "array", "antenna": 0, "dipole": "X"}, 422),
+        ({"calibration": None, "scope": "array", "station": "CS009"}, 422),
+        ({"calibration": None, "scope": "array", "station": "CS001", "antenna": 99, "dipole": "X"}, 422),
         ({"valid_form": "2014-01-01"}, 422),
     ],
 )

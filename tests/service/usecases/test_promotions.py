@@ -23,7 +23,7 @@ def test_a_promotion_whose_answer_cannot_be_written_is_not_made(factory: Factory
         factory.promotions.promote(plan, fail)
     with factory.database.read() as stores:
         assert stores.ledger.recent(10) == []
-    assert factory.promotions.promote(plan, lambda made, _: made.calibration) == stored["array"].id
+    assert factory.promotions.promote(plan, lambda made, _: made[0].calibration) == stored["array"].id
 
 
 def test_changes_that_somebody_elses_promotion_made_untrue_are_worked_out_again(factory: Factory, stored: Any) -> None:
@@ -52,6 +52,7 @@ def test_what_a_promotion_changes_agrees_with_asking_at_each_instant(factory: Fa
         start, end = sorted(rng.choice(40, 2, replace=False).tolist())
         body = PromotionBody(
             calibration=None if rng.random() < 0.3 else str(rng.choice(ids[scope])),
+            scope="array" if scope == Scope() else None,
             station=scope.station, antenna=scope.antenna, dipole=scope.dipole,
             valid_from=format_instant(start * DAY_US),
             valid_to=None if rng.random() < 0.2 else format_instant(end * DAY_US),
