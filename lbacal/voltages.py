@@ -46,11 +46,11 @@ def curve_of(effective: QTable) -> CalibrationCurve:
 
     def column(name: str) -> Floats | None:
         values = np.asarray(effective[name].to_value("V"), dtype=float)
-        return values if np.all(np.isfinite(values)) else None
+        return values if np.any(np.isfinite(values)) else None
 
     c = column("c")
     if c is None:
-        raise BadInputError("effective", "a finite C in every channel", "NaN")
+        raise BadInputError("effective", "a C in some channel", "none")
     return CalibrationCurve(
         station=station or None,
         antenna=None if antenna < 0 else antenna,
@@ -64,4 +64,5 @@ def curve_of(effective: QTable) -> CalibrationCurve:
         chi2_per_dof=None,
         lst_coverage=0.0,
         parameters={},
+        flag=tuple(str(flag) for flag in effective["flag"]),
     )

@@ -58,6 +58,7 @@ def draw(content: PaperFigure) -> Any:
 def _draw_panel(axes: Any, panel: Panel) -> None:
     groups = list(dict.fromkeys(one.group or one.name for one in panel.series))
     for one in panel.series:
+        # matplotlib leaves names that begin with an underscore out of the legend
         place = groups.index(one.group or one.name) % len(COLOURS)
         _draw_series(axes, one, COLOURS[place], MARKERS[place], WIDTHS[place])
     for x in panel.vertical:

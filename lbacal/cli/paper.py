@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import time
 from pathlib import Path
@@ -21,6 +22,10 @@ def paper(
         typer.Option(
             help="Folder of measured data and models that do not ship (sky/, antenna/, caltables/): tests more."
         ),
+    ] = None,
+    showers: Annotated[
+        list[Path] | None,
+        typer.Option(help="CoREAS shower (HDF5, or .reas with its folder); may be given several times."),
     ] = None,
     antennas: Annotated[int, typer.Option(help="Antennas of each simulated station.", min=4, max=48)] = 48,
 ) -> None:
@@ -44,14 +49,23 @@ def paper(
     def tell(step: str) -> None:
         print(f"{time.monotonic() - began:5.1f} s  {step}", flush=True)
 
-    redone = redo_paper(tell, antennas=antennas, data=data)
+    redone = redo_paper(tell, antennas=antennas, data=data, showers=showers or ())
     tell("draw the figures and write the report")
     (output / "claims.json").write_text(json.dumps(redone.claims, indent=1, allow_nan=False, ensure_ascii=False) + "\n")
     images = {}
     for figure in redone.figures:
         images[figure.number] = _write_figure(figure, output)
+    for number, table in enumerate(redone.tables, start=1):
+        _write_table(table, output / f"table-{number}.csv")
     write_page(redone, images, output / "report.html")
     print(f"{describe_verdicts(redone.claims)}; wrote {output / 'report.html'}, claims.json and {len(images)} figures")
+
+
+def _write_table(table: Any, path: Path) -> None:
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(table.header)
+        writer.writerows(table.rows)
 
 
 def _write_figure(figure: Any, output: Path) -> bytes:

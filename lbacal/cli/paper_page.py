@@ -23,6 +23,7 @@ def write_page(redone: RedonePaper, images: Mapping[int, bytes], path: Path) -> 
         figures=figures,
         verdicts=describe_verdicts(redone.claims),
         notes=redone.notes,
+        tables=redone.tables,
     )
     with written_beside(path) as beside:
         beside.write_text(page, encoding="utf-8")

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lbacal_core.calibration.fit import fit_calibration
+from lbacal_core.curves import CalibrationCurve
 from lbacal_core.grids import Floats
 from lbacal_core.instrument import DIPOLES
 from lbacal_core.paper.study import SEED, STATION, Study
@@ -121,7 +122,7 @@ def measure_electronics(study: Study) -> dict[str, Floats]:
     """
     spread = {}
     for dipole in DIPOLES:
-        fitted = [one for one in study.paths.curves if one.dipole == dipole and one.c is not None]
+        fitted = [one for one in study.paths.curves if one.dipole == dipole and has_every_channel(one)]
         log_c = np.array([np.log(np.asarray(one.c)) + 0.5 * np.log(_loss(study, one)) for one in fitted])
         station = np.array([one.station for one in fitted])
         names = sorted(set(station))
@@ -134,9 +135,15 @@ def measure_electronics(study: Study) -> dict[str, Floats]:
     return spread
 
 
+def has_every_channel(curve: CalibrationCurve) -> bool:
+    """Whether a curve has a value in every channel: spreads are those of the same paths everywhere."""
+    return curve.c is not None and bool(np.all(curve.has_value))
+
+
 def spread_with_cables(study: Study, dipole: str) -> Floats:
     """Standard deviation of ln C between single paths with their cables left in, shape (freq,)."""
-    log_c = [np.log(one.c) for one in study.paths.curves if one.dipole == dipole and one.c is not None]
+    fitted = [one for one in study.paths.curves if one.dipole == dipole and has_every_channel(one)]
+    log_c = [np.log(np.asarray(one.c)) for one in fitted]
     return np.asarray(np.std(log_c, axis=0, ddof=1))
 
 

@@ -24,6 +24,7 @@ from lbacal_core.lstcurve.compare import (
 )
 from lbacal_core.lstcurve.curve import LstCurve
 from lbacal_core.lstcurve.noise import estimate_noise
+from lbacal_core.paper.budget import has_every_channel
 from lbacal_core.paper.statements import Finding
 from lbacal_core.paper.study import STATION, Study
 from lbacal_core.sidereal import local_sidereal_time
@@ -180,7 +181,7 @@ def _gain_by_chain(study: Study) -> Finding:
     tied = {
         curve.antenna: np.asarray(curve.c_sigma_stat) / np.asarray(curve.c)
         for curve in study.paths.curves
-        if curve.c is not None and (curve.station, curve.dipole) == (block.station, block.dipole)
+        if has_every_channel(curve) and (curve.station, curve.dipole) == (block.station, block.dipole)
     }
     ratio = [np.median(alone[k] / tied[int(a)]) for k, a in enumerate(block.antennas) if int(a) in tied]
     return Finding(

@@ -32,7 +32,8 @@ class CalibratedTrace:
         One standard deviation of ln C for each independent error, shape (factor, bin): one factor is fully correlated
         along frequency. 0 outside the band.
     is_inside
-        Which bins lie in the band of the curve, shape (bin,); what lies outside is not calibrated, and was set to 0.
+        Which bins lie in the band of the curve, between channels that have a value, shape (bin,); what lies outside
+        is not calibrated, and was set to 0.
     """
 
     samples: Floats
@@ -85,14 +86,14 @@ def calibrate_trace(samples: Floats, sample_rate_mhz: float, curve: CalibrationC
         raise BadInputError(curve.name, "a curve that converged", curve.status)
     frequency_mhz = np.asarray(np.fft.rfftfreq(values.size, 1.0 / sample_rate_mhz), dtype=np.float64)
     channels = curve.frequency_mhz
-    is_inside = (frequency_mhz >= channels[0]) & (frequency_mhz <= channels[-1])
+    is_inside = np.interp(frequency_mhz, channels, curve.has_value.astype(float), 0.0, 0.0) == 1.0
     if not np.any(is_inside):
         band = f"{channels[0]:g} to {channels[-1]:g} MHz"
         raise BadInputError(
             "samples", f"FFT bins in the band of {curve.name}, {band}", f"{frequency_mhz[-1]:g} MHz at most"
         )
-    c = np.where(is_inside, np.interp(frequency_mhz, channels, curve.c), 0.0)
-    factors = np.array([np.interp(frequency_mhz, channels, factor) for factor in relative_errors(curve)])
+    c = np.where(is_inside, np.interp(frequency_mhz, channels, curve.filled(curve.c)), 0.0)
+    factors = np.array([np.interp(frequency_mhz, channels, curve.filled(factor)) for factor in relative_errors(curve)])
     spectrum = np.fft.rfft(values) * c
     return CalibratedTrace(
         np.fft.irfft(spectrum, values.size),
@@ -106,7 +107,7 @@ def calibrate_trace(samples: Floats, sample_rate_mhz: float, curve: CalibrationC
 
 
 def relative_errors(curve: CalibrationCurve) -> list[Floats]:
-    """The known errors of ln C, each fully correlated along frequency, shape (freq,) each.
+    """The known errors of ln C, each fully correlated along frequency, shape (freq,) each; NaN where C has no value.
 
     Statistical errors of a fit are nearly so, because three noise constants and one level tie all channels together.
     """

@@ -47,7 +47,7 @@ def test_the_report_is_one_file_that_loads_nothing(redone: Path) -> None:
 
 def test_every_figure_is_a_pdf_a_png_and_a_csv(redone: Path) -> None:
     numbers = sorted(int(path.stem.removeprefix("figure-")) for path in redone.glob("figure-*.csv"))
-    assert numbers == list(range(1, len(numbers) + 1))
+    assert numbers == list(range(1, 10))
     for number in numbers:
         assert (redone / f"figure-{number}.pdf").read_bytes().startswith(b"%PDF")
         assert (redone / f"figure-{number}.png").read_bytes().startswith(b"\x89PNG")

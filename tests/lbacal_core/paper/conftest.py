@@ -2,6 +2,8 @@ from __future__ import annotations
 
 import pytest
 
+from lbacal_core.paper.budget import Budget, compute_budget
+from lbacal_core.paper.shower_study import ShowerStudy, study_showers
 from lbacal_core.paper.study import Study, make_study
 
 
@@ -9,3 +11,14 @@ from lbacal_core.paper.study import Study, make_study
 def study() -> Study:
     """A small Superterp-year: six antennas a station."""
     return make_study(lambda _: None, antennas=6)
+
+
+@pytest.fixture(scope="session")
+def budget(study: Study) -> Budget:
+    return compute_budget(study)
+
+
+@pytest.fixture(scope="session")
+def showers(study: Study, budget: Budget) -> ShowerStudy:
+    """1653 stand-in signals with every calibration."""
+    return study_showers(study, budget)

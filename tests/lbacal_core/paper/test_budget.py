@@ -4,13 +4,8 @@ import numpy as np
 import pytest
 
 from lbacal_core.instrument import DIPOLES
-from lbacal_core.paper.budget import Budget, compute_budget, measure_electronics, spread_with_cables
+from lbacal_core.paper.budget import Budget, measure_electronics, spread_with_cables
 from lbacal_core.paper.study import Study
-
-
-@pytest.fixture(scope="module")
-def budget(study: Study) -> Budget:
-    return compute_budget(study)
 
 
 def test_a_brighter_sky_scales_c_by_its_root_in_every_channel(budget: Budget) -> None:

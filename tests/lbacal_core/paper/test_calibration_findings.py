@@ -5,15 +5,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lbacal_core.paper.budget import compute_budget
+from lbacal_core.paper.budget import Budget
 from lbacal_core.paper.calibration_findings import find_about_calibration
 from lbacal_core.paper.statements import AGREE, Finding, judge, load_statements
 from lbacal_core.paper.study import Study
 
 
 @pytest.fixture(scope="module")
-def findings(study: Study) -> dict[str, Finding]:
-    return find_about_calibration(study, compute_budget(study), None)
+def findings(study: Study, budget: Budget) -> dict[str, Finding]:
+    return find_about_calibration(study, budget, None)
 
 
 def test_what_hangs_on_event_spectra_says_so(findings: dict[str, Finding]) -> None:
@@ -34,18 +34,18 @@ def test_the_limit_of_the_pattern_contains_no_change_or_its_neighbourhood(findin
     assert 2.0 < limit < 15.0
 
 
-def test_the_spread_of_gain_tables_is_measured(study: Study, tmp_path: Path) -> None:
+def test_the_spread_of_gain_tables_is_measured(study: Study, budget: Budget, tmp_path: Path) -> None:
     (tmp_path / "caltables").mkdir()
     rng = np.random.default_rng(1)
     for station in (2, 3):
         gains = np.exp(rng.normal(0, 0.05, 96))[None, :] * np.ones((512, 1)) + 0j
         (tmp_path / f"caltables/CalTable_00{station}_mode1.dat").write_bytes(gains.astype("<c16").tobytes())
-    found = find_about_calibration(study, compute_budget(study), tmp_path)["table-electronics"]
+    found = find_about_calibration(study, budget, tmp_path)["table-electronics"]
     assert found.ours == pytest.approx(5.0, abs=1.2)
 
 
 @pytest.mark.shared
-def test_the_measured_gain_tables_agree_with_the_paper(study: Study, shared: Path) -> None:
-    found = find_about_calibration(study, compute_budget(study), shared / "data")["table-electronics"]
+def test_the_measured_gain_tables_agree_with_the_paper(study: Study, budget: Budget, shared: Path) -> None:
+    found = find_about_calibration(study, budget, shared / "data")["table-electronics"]
     assert found.ours is not None
     assert 2.0 < found.ours < 6.5

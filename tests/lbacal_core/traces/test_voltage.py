@@ -113,3 +113,15 @@ def test_a_curve_that_did_not_converge_is_refused() -> None:
     failed = replace(curve(), status="not_converged", c=None, c_sigma_stat=None, c_sigma_sys=None)
     with pytest.raises(BadInputError, match="converged"):
         calibrate_trace(noise(), RATE, failed)
+
+
+def test_a_channel_without_a_value_is_not_calibrated_through() -> None:
+    c, stat = C.copy(), 0.01 * C
+    c[20] = stat[20] = np.nan
+    flag = ("ok",) * 20 + ("outside",) + ("ok",) * 30
+    found = calibrate_trace(noise(), RATE, replace(curve(), c=c, c_sigma_stat=stat, c_sigma_sys=None, flag=flag))
+    beside = (found.frequency_mhz > 49) & (found.frequency_mhz < 51)
+    assert not np.any(found.is_inside[beside])
+    assert np.all(found.spectrum[beside] == 0)
+    assert np.all(np.isfinite(found.samples))
+    assert np.all(found.is_inside[(found.frequency_mhz >= 51) & (found.frequency_mhz <= 80)])

@@ -1,0 +1,157 @@
+"""Section 5.1 on simulated signals: what each calibration, and each term of the budget, does to the slopes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from lbacal_core.antenna.names import DEFAULT_ANTENNA, load_antenna
+from lbacal_core.calibration.antenna_noise import recorded_background
+from lbacal_core.calibration.reference_source import (
+    Geometry,
+    SourceCalibration,
+    calibrate_with_source,
+    expected_power,
+)
+from lbacal_core.grids import Floats
+from lbacal_core.instrument import DIPOLES
+from lbacal_core.paper.budget import Budget
+from lbacal_core.paper.stand_in_source import SCALED_M, stand_in_tables, true_field
+from lbacal_core.paper.study import SEED, Study
+from lbacal_core.showers.comparison import Displacement, compare_calibrations
+from lbacal_core.showers.coreas import Shower
+from lbacal_core.showers.recording import Recording, field_power, record, true_power
+from lbacal_core.showers.signals import draw_signals, signals_of_showers
+
+RIGHT, FITTED = "true C", "Galactic fit"
+MEASURED_SKY = "sky level of EDGES over our sky"
+LEVEL_MHZ, LEVEL = (50.0, 60.0, 75.0, 80.0), (1.15, 1.13, 1.10, 1.09)
+"""LST means of the absolutely calibrated EDGES sky over our sky (Mozdzen et al. 2019, 1812.02660), +- 0.01."""
+EDGE_BAND_MHZ = (70.0, 78.0)
+WEAK, STRONG = (1.0, 10.0), (30.0, 3000.0)
+"""Signal over background of weak events, and of the strongest."""
+PUBLISHED_SPREAD = 0.065
+DISTANCE_SIGMA_M = 0.1
+
+
+@dataclass(frozen=True)
+class ShowerStudy:
+    """Recorded signals and their slopes with every calibration.
+
+    Attributes
+    ----------
+    displacements
+        By the name of the calibration.
+    weak_power, weak_unsubtracted
+        Reconstructed over true power of weak signals at 70-78 MHz with its standard deviation, and without the
+        background subtracted.
+    sources
+        The two calibrations with the stand-in of the reference source.
+    """
+
+    recording: Recording
+    calibrations: Mapping[str, Floats]
+    displacements: Mapping[str, Displacement]
+    weak_power: tuple[float, float]
+    weak_unsubtracted: float
+    sources: tuple[SourceCalibration, SourceCalibration]
+    showers: Sequence[Shower]
+
+
+def study_showers(study: Study, budget: Budget, showers: Sequence[Shower] = ()) -> ShowerStudy:
+    """Record signals of the paper's number with the planted chain, and calibrate them in every way.
+
+    Parameters
+    ----------
+    showers
+        CoREAS showers; without any, stand-in pulses.
+    """
+    rng = np.random.default_rng(SEED)
+    instrument, channels = study.instrument, study.frequency_mhz
+    antenna = load_antenna(DEFAULT_ANTENNA)
+    truth = np.array([study.campaign.truth.curve(dipole) for dipole in DIPOLES])
+    background = np.array(
+        [
+            recorded_background(study.mean_curve(dipole), instrument, study.sky_power, np.array([0.0]))[0]
+            for dipole in DIPOLES
+        ]
+    )
+    signals = signals_of_showers(showers) if showers else draw_signals(rng)
+    strong = record(signals, instrument, antenna, truth, background, rng, STRONG)
+    faint = record(draw_signals(rng), instrument, antenna, truth, background, rng, WEAK)
+    sources = calibrate_with_stand_in(study)
+    calibrations = {
+        RIGHT: truth,
+        FITTED: np.array([study.mean_curve(dipole).c for dipole in DIPOLES], dtype=float),
+        **{one.name: truth * one.c / study.campaign.truth.curve("X") for one in sources},
+        **_wrong(study, budget, truth, strong, rng),
+    }
+    return ShowerStudy(
+        strong,
+        calibrations,
+        compare_calibrations(strong, channels, calibrations),
+        _power_at_edge(faint, truth, channels, subtract=True),
+        _power_at_edge(faint, truth, channels, subtract=False)[0],
+        sources,
+        tuple(showers),
+    )
+
+
+def _power_at_edge(recording: Recording, c: Floats, channels: Floats, *, subtract: bool) -> tuple[float, float]:
+    """Mean over signals of reconstructed over true power in the last channels, and its standard deviation."""
+    bins = recording.signals.frequency_mhz
+    edge = (bins >= EDGE_BAND_MHZ[0]) & (bins <= EDGE_BAND_MHZ[1])
+    power, _ = field_power(recording, c, channels, subtract=subtract)
+    ratio = power[:, edge].sum(axis=1) / true_power(recording)[:, edge].sum(axis=1)
+    return float(ratio.mean()), float(ratio.std() / np.sqrt(ratio.size))
+
+
+def _wrong(
+    study: Study, budget: Budget, truth: Floats, recording: Recording, rng: np.random.Generator
+) -> dict[str, Floats]:
+    """The true C with one standard deviation of each error."""
+    terms = {
+        f"+1 sigma: {name}": truth * np.exp([budget.terms[name][dipole] for dipole in DIPOLES]) for name in budget.terms
+    }
+    level = np.interp(study.frequency_mhz, LEVEL_MHZ, LEVEL)
+    spread = rng.normal(0.0, PUBLISHED_SPREAD, (recording.signals.event.size, 2, 1))
+    cables = study.instrument.cables
+    first, last = sorted(cables, key=lambda name: float(cables[name].mean()))[:: len(cables) - 1]
+    return {
+        **terms,
+        "one C for all antennas, 6.5 % flat spread": truth * np.exp(spread),
+        MEASURED_SKY: truth * np.sqrt(level),
+        f"cable {last} m taken for {first} m": truth * np.sqrt(cables[first] / cables[last]),
+        "no dependence on frequency": np.broadcast_to(truth.mean(axis=1)[:, None], truth.shape),
+    }
+
+
+def calibrate_with_stand_in(study: Study) -> tuple[SourceCalibration, SourceCalibration]:
+    """C of the mean X path by both characterisations of the stand-in, from what that path records of it."""
+    frequency, instrument = study.frequency_mhz, study.instrument
+    truth = study.campaign.truth.curve("X")
+    received = expected_power(true_field(frequency), instrument.antenna_gain) / truth**2
+    geometry = Geometry(SCALED_M, DISTANCE_SIGMA_M)
+    first, second = (
+        calibrate_with_source(table, geometry, instrument.antenna_gain, received, np.full_like(frequency, 0.01))
+        for table in stand_in_tables(frequency)
+    )
+    return first, second
+
+
+def describe_displacements(showers: ShowerStudy) -> list[list[str]]:
+    """Rows of a table: calibration, change of both slopes, distance from the diagonal."""
+    rows = []
+    for name, one in showers.displacements.items():
+        rows.append(
+            [
+                name,
+                f"{one.low_shift:+.2f}",
+                f"{one.high_shift:+.2f}",
+                f"{one.difference:+.2f} ± {one.difference_sigma:.2f}",
+                f"{one.significance:+.1f}",
+            ]
+        )
+    return rows
