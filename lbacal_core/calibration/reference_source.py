@@ -178,7 +178,7 @@ class CurveRatio:
     ratio, sigma
         C over C of the reference source, and the standard deviation of its logarithm, shape (freq,).
     chi2
-        Of ln ratio = 0, with the whole covariance.
+        chi2 of ln ratio = 0, with the whole covariance.
     trend, trend_sigma
         Slope of ln ratio against frequency, per MHz, by generalised least squares.
     """

@@ -25,7 +25,7 @@ class Displacement:
     Attributes
     ----------
     slopes
-        Of every signal.
+        Slopes of every signal.
     difference, difference_sigma
         Mean over events of the slope above minus the slope below the resonance, and its standard deviation from the
         scatter of the events: signals of one event share direction and calibration.

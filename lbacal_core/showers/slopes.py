@@ -15,7 +15,7 @@ FLOOR = 0.01
 """Scatter of strong spectra about a straight line, a fraction of the power: one strong bin does not decide alone."""
 STEPS = 12
 LARGEST_STEP = 0.05
-"""Of the slope of ln power in one step, per MHz."""
+"""Change of the slope of ln power in one step, per MHz."""
 STEEPEST = 0.5
 """Slope of ln power per MHz beyond which no pulse lies."""
 LARGEST_SIGMA = 0.01
