@@ -231,8 +231,8 @@ def fit_published_noise(seed: int) -> Row:
 
 
 PARTS = (
-    Part("published-noise", fit_published_noise, judge, 2000, tell, ("efficiency", "bias", "errors")),
-    Part("example", fit_example, judge, 1000, tell, ("efficiency",), needs_shared=True),
+    Part("published-noise", fit_published_noise, judge, 2000, tell, ("efficiency", "errors")),
+    Part("example", fit_example, judge, 1000, tell, (), needs_shared=True),
 )
 IMAGES = {"fit.png": "Error of the fit over the Fisher bound, and spread of its pulls, with 95 % intervals"}
 

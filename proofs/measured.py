@@ -276,7 +276,7 @@ def judge_variants(rows: Sequence[Row]) -> list[Claim]:
         text = f"Size of `{label}` in the measured curve is not 0"
         claims.append(Claim(label, text, asked, size, interval, rows[0]["points"]))
     noise, sigma, known, width = rows[0]["noise_of_sky"]
-    text = "Electronic noise of the measured curve over the mean sky power, against what is published"
+    text = f"Electronic noise over the mean sky power, as published, in the measured curve against {rows[0]['words']}"
     asked = between(round(known - 1.96 * width, 2), round(known + 1.96 * width, 2))
     interval = (noise - 1.96 * sigma, noise + 1.96 * sigma)
     return [*claims, Claim("noise", text, asked, noise, interval, rows[0]["points"])]
@@ -319,8 +319,8 @@ def tell(rows: Sequence[Row]) -> list[str]:
 FIXED: dict[str, Any] = {"has_chance": False, "needs_shared": True, "code": ("lbacal_core", "proofs", "service")}
 PARTS = (
     Part("own", partial(ask_one, own_questions), judge_variants, 16, tell, ("exchange", "noise"), **FIXED),
-    Part("tables", partial(ask_one, tables_questions), judge_variants, 13, tell, ("exchange",), **FIXED),
-    Part("others", partial(ask_one, other_questions), judge_others, 5, tell, **FIXED),
+    Part("tables", partial(ask_one, tables_questions), judge_variants, 13, tell, (), **FIXED),
+    Part("others", partial(ask_one, other_questions), judge_others, 5, tell, ("zenith_weighting",), **FIXED),
 )
 IMAGES = {
     "measured-own.png": "Measured LOFAR curve, X, Y and their difference, with the simulation before and after",

@@ -150,4 +150,4 @@ def tell_superterp(seed: int) -> Row:
     return tell_campaign(SETTINGS, seed)
 
 
-PARTS = (Part("superterp", tell_superterp, judge, 96, tell),)
+PARTS = (Part("superterp", tell_superterp, judge, 96, tell, ("station_1", "silent_1")),)

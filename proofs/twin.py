@@ -98,6 +98,6 @@ def tell(rows: Sequence[Row]) -> list[str]:
 
 SPREADS = ("antenna_spread", "station_spread")
 PARTS = (
-    Part("clean", partial(fit_campaign, NONE), partial(judge, "no nuisances"), 300, tell, SPREADS),
+    Part("clean", partial(fit_campaign, NONE), partial(judge, "no nuisances"), 300, tell, ()),
     Part("nuisances", partial(fit_campaign, REALISTIC), partial(judge, "realistic nuisances"), 300, tell, SPREADS),
 )

@@ -144,4 +144,4 @@ def tell(rows: Sequence[Row]) -> list[str]:
     ]
 
 
-PARTS = (Part("held-out", try_held_out, judge, 40, tell, ("left", "covered")),)
+PARTS = (Part("held-out", try_held_out, judge, 40, tell, ()),)

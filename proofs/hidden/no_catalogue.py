@@ -94,4 +94,4 @@ def tell(rows: Sequence[Row]) -> list[str]:
     return lines
 
 
-PARTS = (Part("unknown", try_unknown, judge, 40, tell, ("unexplained", "forced")),)
+PARTS = (Part("unknown", try_unknown, judge, 40, tell, ("unexplained",)),)

@@ -25,7 +25,8 @@ on what has been published. `./dev prove NAME` runs a proof, keeps every trial i
 A claim is decided by the 95 % interval of the figure against what is asked. **Shown**: the whole interval is within
 what is asked. **Refuted**: none of it is. **Undecided**: it reaches over the limit, because there were too few trials,
 or the data sets had been seen while the code was written. Seeds below 1,000,000 are for debugging, a block of seeds
-that was recorded once is spent, and nothing is recorded from a changed tree. n counts independent trials.
+that was recorded once is spent, and nothing is recorded from a changed tree. n counts independent trials. The rows are
+the main claims; all others are in the records, and whatever is refuted or undecided, a row or not, is said at the end.
 """
 LIMITS = """\
 - The twin that makes the data is ours. It shares no code with what is tested, but its author has read both: a fault of
@@ -64,7 +65,7 @@ def _section(proof: str, records: Sequence[Record]) -> list[str]:
 
 def _is_headline(claim: Claim, record: Record) -> bool:
     headlines = parts_of(record.proof)[record.part].headlines
-    return not headlines or claim.key in headlines
+    return headlines is None or claim.key in headlines
 
 
 def _row(claim: Claim, record: Record) -> str:
@@ -76,16 +77,24 @@ def _row(claim: Claim, record: Record) -> str:
 
 
 def _open_claims(records: Iterable[Record]) -> list[str]:
-    """One line a refuted claim, one an undecided headline, and one of all records on data sets that had been seen."""
+    """What is not shown: one line a refuted claim or an undecided row, one a record for its other undecided claims.
+
+    All records on data sets that had been seen share a line.
+    """
     lines, seen = [], []
     for record in sorted(records, key=lambda r: r.name):
         if record.seeds not in (FRESH, NO_CHANCE):
             seen.append(record.name)
             continue
+        details = []
         for claim in record.claims:
             if claim.verdict == REFUTED or (claim.verdict == UNDECIDED and _is_headline(claim, record)):
                 found = f"Asked {claim.words_asked}, found {claim.words_found}"
                 lines.append(f"- {claim.verdict.capitalize()}: {claim.claim}. {found} ({record.name}).")
+            elif claim.verdict == UNDECIDED:
+                details.append(f"{claim.claim} (asked {claim.words_asked}, found {claim.words_found})")
+        if details:
+            lines.append(f"- Undecided in {record.name}: {'; '.join(details)}.")
     if seen:
         lines.append(f"- Undecided whatever the figure, because the data sets had been seen before: {', '.join(seen)}.")
     return lines

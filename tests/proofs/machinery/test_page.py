@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from proofs.machinery.records import Record, read_records
 
 
 def record(*claims, seeds: str = "fresh") -> Record:
-    return Record("twin", "clean", "1234567", "2027-01-01T00:00:00Z", "abc", (), seeds, 1.5, claims)
+    return Record("twin", "nuisances", "1234567", "2027-01-01T00:00:00Z", "abc", (), seeds, 1.5, claims)
 
 
 def test_the_page_is_that_of_the_records(repository: Path) -> None:
@@ -25,12 +26,25 @@ def test_a_headline_is_a_row_and_what_is_refuted_is_said_below_even_of_details()
     detail = claim_mean("antenna_mean", "A detail", at_least(0.0), np.array([1.0, 2.0]))
     page = write_page([record(shown, refuted, detail)])
     assert (
-        "| It is found | >= 50 % | 99 % (94.6 to 99.8) | 100 | shown | `./dev prove twin --part clean` | 1234567 |"
+        "| It is found | >= 50 % | 99 % (94.6 to 99.8) | 100 | shown | `./dev prove twin --part nuisances` | 1234567 |"
         in page
     )
-    assert "A detail" not in page
+    assert "| A detail |" not in page
     assert "- Refuted: It is named. Asked >= 90 %" in page.partition("## What is not shown")[2]
     assert "It is found" not in page.partition("## What is not shown")[2]
+
+
+def test_an_undecided_detail_is_no_row_and_is_not_hidden() -> None:
+    detail = claim_rate("station_mean", "A detail", at_least(0.9), 9, 10)
+    rows, _, below = write_page([record(detail)]).partition("## What is not shown")
+    assert "A detail" not in rows
+    assert "- Undecided in twin-nuisances: A detail (asked >= 90 %, found 90 %" in below
+
+
+def test_a_part_may_have_no_row_at_all() -> None:
+    """Two kinds of noise are alike: one of them is the row."""
+    claim = claim_rate("antenna_spread", "It is found", at_least(0.5), 99, 100)
+    assert "It is found" not in write_page([replace(record(claim), part="clean")])
 
 
 def test_a_claim_of_data_sets_that_had_been_seen_says_so() -> None:
