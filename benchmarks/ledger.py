@@ -21,10 +21,10 @@ from lbacal_core.curves import CONVERGED, CalibrationCurve
 from lbacal_core.errors import LbacalError
 from lbacal_core.instrument import load_instrument
 from lbacal_core.validity import Promotion, Scope
+from proofs.running.ledger import write_promotions
 from proofs.running.postgres import run_postgres
 from service.config import Settings
 from service.factory import Factory
-from service.schema.tables import promotion
 from service.storage.migration import upgrade
 from service.storage.versions import Version
 from service.usecases.calibrations import select_paths
@@ -32,7 +32,6 @@ from service.wire.bodies import PromotionBody
 from service.wire.instants import parse_instant
 
 TURNS = 9
-BATCH = 50_000
 SINCE, UNTIL = parse_instant("", "2020-01-01"), parse_instant("", "2021-01-01")
 GAP, INSIDE = parse_instant("", "2030-06-01"), parse_instant("", "2020-06-01")
 INSTRUMENT = load_instrument("lofar-superterp")
@@ -59,19 +58,13 @@ def fill(factory: Factory, nights: int) -> dict[Scope, list[str]]:
     ids = {scope: [version.id for version in of_scope] for scope, of_scope in versions.items()}
     with factory.database.write() as stores:
         stores.versions.add([version for of_scope in versions.values() for version in of_scope])
-        stores.ledger.append([Promotion(0, path, SINCE, UNTIL, ids[path][0], 0) for path in PATHS], lambda: SINCE)
-    rows = [
-        {
-            "scope": path.key, "station": path.station, "antenna": path.antenna, "dipole": path.dipole,
-            "valid_from_us": SINCE, "valid_to_us": UNTIL, "calibration": ids[path][night % 2],
-            "at_us": SINCE + 1 + night, "by": "benchmark", "reason": "night",
-        }
-        for night in range(nights)
+    nightly = (
+        Promotion(0, path, SINCE, UNTIL, ids[path][night % 2], SINCE + 1 + night, "benchmark", "night")
+        for night in range(-1, nights)
         for path in PATHS
-    ]  # fmt: skip
+    )
+    write_promotions(factory, nightly)
     with factory.database.engine.begin() as connection:
-        for start in range(0, len(rows), BATCH):
-            connection.execute(promotion.insert(), rows[start : start + BATCH])
         connection.exec_driver_sql("ANALYZE")
     return ids
 

@@ -154,6 +154,16 @@ promotion = Table(
     Index("ix_promotion_withdrawn_end", "scope", "valid_to_us", sqlite_where=WITHDRAWS, postgresql_where=WITHDRAWS),
 )
 
+standing = Table(
+    "standing",
+    metadata,
+    Column("scope", Text, primary_key=True),
+    Column("valid_from_us", BigInteger, primary_key=True),
+    Column("valid_to_us", BigInteger, primary_key=True, comment="2^63 - 1 where the interval is open"),
+    Column("promotion", BigNumber, ForeignKey("promotion.id"), nullable=False, comment="the newest of the interval"),
+    comment="what follows from the ledger: the promotions that can decide as of now",
+)
+
 tag = Table(
     "tag",
     metadata,

@@ -23,15 +23,19 @@ from sqlalchemy import (
     text,
 )
 from sqlalchemy.dialects.postgresql import ARRAY
+from sqlalchemy.dialects.postgresql import insert as postgresql_insert
+from sqlalchemy.dialects.sqlite import insert as sqlite_insert
 
 from lbacal_core.validity import Instant, Promotion, Scope
 from service.errors import UnavailableError
-from service.schema.tables import promotion, tag
+from service.schema.tables import promotion, standing, tag
 
 LOCK = 5_240_121
 """Names the one lock that orders promotions on PostgreSQL."""
 PROMPT_US = 5_000_000
 """A promotion is committed within this time of its `at`, or not at all."""
+OPEN_END = 2**63 - 1
+"""The end of an open interval in the table `standing`, whose key has no null."""
 AHEAD_US = 60_000_000
 """Clocks of servers may differ by this much."""
 
@@ -93,7 +97,19 @@ class LedgerStore:
             for p in wanted
         ]  # fmt: skip
         statement = promotion.insert().returning(promotion, sort_by_parameter_order=True)
-        return [_value(row) for row in self._connection.execute(statement, rows)]
+        made = [_value(row) for row in self._connection.execute(statement, rows)]
+        self._let_stand(made)
+        return made
+
+    def _let_stand(self, made: Sequence[Promotion]) -> None:
+        """Put promotions in place of those of the same scope and interval."""
+        newest = {(p.scope.key, p.valid_from, OPEN_END if p.valid_to is None else p.valid_to): p.number for p in made}
+        keys = ("scope", "valid_from_us", "valid_to_us")
+        rows = [dict(zip((*keys, "promotion"), (*key, number), strict=True)) for key, number in sorted(newest.items())]
+        insert: Any = sqlite_insert if self._connection.dialect.name == "sqlite" else postgresql_insert
+        statement = insert(standing)
+        changed = {"promotion": statement.excluded.promotion}
+        self._connection.execute(statement.on_conflict_do_update(index_elements=keys, set_=changed), rows)
 
     def require_prompt(self) -> None:
         """Refuse, just before the commit, promotions whose instant is past: they would change what was answered."""
@@ -160,19 +176,29 @@ class LedgerStore:
         """The promotions that can decide somewhere in [since, until), oldest first: the newest of each interval.
 
         Later ids have later instants `at`, so the largest id of an interval is its newest promotion. With `before` only
-        promotions made before that instant count.
+        promotions made before that instant count: then all are gone through, and not only those that stand now.
         """
         keys = self._keys({scope.key for scope in scopes})
+        if before is None:
+            return self._standing_now(keys, since, until)
         newest = select(func.max(promotion.c.id)).where(promotion.c.scope.in_(select(keys.c.value)))
         if since is not None:
             newest = newest.where(or_(promotion.c.valid_to_us.is_(None), promotion.c.valid_to_us > since))
         if until is not None:
             newest = newest.where(promotion.c.valid_from_us < until)
-        if before is not None:
-            newest = newest.where(promotion.c.at_us < before)
+        newest = newest.where(promotion.c.at_us < before)
         newest = newest.group_by(promotion.c.scope, promotion.c.valid_from_us, promotion.c.valid_to_us)
         statement = select(promotion).where(promotion.c.id.in_(newest)).order_by(promotion.c.id)
         return [_value(row) for row in self._connection.execute(statement)]
+
+    def _standing_now(self, keys: FromClause, since: Instant | None, until: Instant | None) -> list[Promotion]:
+        statement = select(promotion).join(standing, standing.c.promotion == promotion.c.id)
+        statement = statement.join(keys, keys.c.value == standing.c.scope)
+        if since is not None:
+            statement = statement.where(standing.c.valid_to_us > since)
+        if until is not None:
+            statement = statement.where(standing.c.valid_from_us < until)
+        return [_value(row) for row in self._connection.execute(statement.order_by(promotion.c.id))]
 
     def newest_instant(self) -> Instant | None:
         """The instant before which nothing can be promoted any more: of the newest promotion or the newest tag."""

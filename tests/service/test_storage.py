@@ -13,8 +13,8 @@ from sqlalchemy import Engine, event
 from sqlalchemy.pool import Pool
 
 from lbacal_core.validity import Promotion, Scope
+from proofs.running.ledger import write_promotions
 from service.factory import Factory
-from service.schema.tables import promotion
 from service.storage.versions import Version
 from service.wire.instants import DAY_US, parse_instant
 
@@ -71,15 +71,10 @@ def grow(factory: Factory, versions: dict[Scope, list[Version]]) -> None:
     for k in range(INTERVALS):
         since = YEAR["valid_from"] + (k % 4000) * DAY_US // 20
         rows.append((first, since, since + DAY_US * (1 + k % 7), versions[first][k % 2].id))
-    values = [
-        {
-            "scope": p.key, "station": p.station, "antenna": p.antenna, "dipole": p.dipole, "valid_from_us": since,
-            "valid_to_us": until, "calibration": name, "at_us": k, "by": "test", "reason": "night",
-        }
-        for k, (p, since, until, name) in enumerate(rows)
-    ]  # fmt: skip
-    with factory.database.engine.begin() as connection:
-        connection.execute(promotion.insert(), values)
+    made = [
+        Promotion(0, path, since, until, name, k, "test", "night") for k, (path, since, until, name) in enumerate(rows)
+    ]
+    write_promotions(factory, made)
 
 
 def ask_everything(client: TestClient, new: Version) -> dict[str, Reading]:

@@ -9,10 +9,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from lbacal_core.validity import Promotion, Scope
+from lbacal_core.validity import Promotion, Scope, answer_path
+from proofs.running.ledger import write_promotions
 from service.errors import UnavailableError
 from service.factory import Factory
-from service.schema.tables import promotion
 from service.storage.ledger import Neighbours
 from service.storage.versions import Version
 
@@ -58,20 +58,6 @@ def brute_force_neighbours(
     return before, after
 
 
-def write_all(factory: Factory, wanted: list[Promotion]) -> None:
-    """Write promotions in bulk, each with its own `at`, which does not fall."""
-    rows = [
-        {
-            "id": p.number, "scope": p.scope.key, "station": p.scope.station, "antenna": p.scope.antenna,
-            "dipole": p.scope.dipole, "valid_from_us": p.valid_from, "valid_to_us": p.valid_to,
-            "calibration": p.calibration, "at_us": p.at, "by": "test", "reason": "test",
-        }
-        for p in wanted
-    ]  # fmt: skip
-    with factory.database.engine.begin() as connection:
-        connection.execute(promotion.insert(), rows)
-
-
 def fill(factory: Factory, names: tuple[str, ...], new_version: Callable[..., Version]) -> dict[str, str]:
     versions = {name: new_version(Scope(), name) for name in names}
     with factory.database.write() as stores:
@@ -101,6 +87,7 @@ def test_the_ledger_answers_as_brute_force_does(
 ) -> None:
     ids = fill(factory, NAMES, new_version)
     with factory.database.engine.begin() as connection:
+        connection.exec_driver_sql("DELETE FROM standing")
         connection.exec_driver_sql("DELETE FROM promotion")
     lines = [
         append(factory, scope, start, None if length is None else start + length, ids.get(str(name)), at)
@@ -130,13 +117,14 @@ def test_the_neighbours_of_a_gap_are_those_of_brute_force(
 ) -> None:
     ids = fill(factory, NAMES, new_version)
     with factory.database.engine.begin() as connection:
+        connection.exec_driver_sql("DELETE FROM standing")
         connection.exec_driver_sql("DELETE FROM promotion")
     made = [
         Promotion(k + 1, scope, start, None if length is None else start + length, ids.get(str(name)), 1000 + k // 2)
         for k, (scope, start, length, name, _) in enumerate(wanted)
     ]
     if made:
-        write_all(factory, made)
+        write_promotions(factory, made)
     lines = [Line(p.number, (p.scope.station, p.scope.antenna, p.scope.dipole), p.valid_from, p.valid_to,
                   p.calibration, p.at) for p in made]  # fmt: skip
     silent = [path for path in PATHS if brute_force(lines, path, instant, as_of) is None]
@@ -249,3 +237,32 @@ def test_one_promotion_by_a_clock_that_is_years_ahead_is_told_to_the_next_and_no
     append(factory, Scope(), 0, None, version, now + 1000 * second)
     with pytest.raises(UnavailableError, match="1000 s ahead of this server's clock"):
         append(factory, Scope(), 0, None, None, now)
+
+
+@given(st.lists(promotions, max_size=15), st.integers(0, 20), st.integers(1, 12))
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_what_stands_decides_as_the_whole_ledger_does(
+    factory: Factory,
+    new_version: Callable[..., Version],
+    wanted: list[tuple[Scope, int, int | None, str | None, int]],
+    since: int,
+    length: int,
+) -> None:
+    """The oracle asks the whole ledger at every instant of the interval; some intervals nobody closed."""
+    ids = fill(factory, NAMES, new_version)
+    with factory.database.engine.begin() as connection:
+        connection.exec_driver_sql("DELETE FROM standing")
+        connection.exec_driver_sql("DELETE FROM promotion")
+    lines = [
+        append(factory, scope, start, None if more is None else start + more, ids.get(str(name)), at)
+        for scope, start, more, name, at in wanted
+    ]
+    with factory.database.read() as stores:
+        stands = stores.ledger.standing(SCOPES, since, since + length)
+        all_before = stores.ledger.standing(SCOPES, since, since + length, before=10**9)
+    assert stands == all_before
+    for instant in range(since, since + length):
+        for path in PATHS:
+            found = answer_path(stands, path, instant)
+            expected = brute_force(lines, path, instant, None)
+            assert (found and (found.number, found.calibration)) == expected

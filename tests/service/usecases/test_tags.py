@@ -127,8 +127,8 @@ def test_tags_are_what_brute_force_remembers(
 ) -> None:
     """The oracle writes down at each tag what stood last; clocks go forward and back by seconds."""
     with factory.database.engine.begin() as connection:
-        for table in ("promotion", "tag"):
-            connection.exec_driver_sql(f"DELETE FROM {table}")  # noqa: S608 - the two above
+        for table in ("standing", "promotion", "tag"):
+            connection.exec_driver_sql(f"DELETE FROM {table}")  # noqa: S608 - those above
     standing: str | None = None
     remembered: dict[str, str | None] = {}
     for k, (deed, seconds) in enumerate(deeds):
