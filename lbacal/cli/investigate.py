@@ -65,6 +65,8 @@ def investigate(
             print(f"    these data cannot tell it from {', '.join(finding['indistinguishable'])}")
     if content["unexplained"]:
         print(f"  {content['unexplained']['description']} (p = {content['unexplained']['p_value']:.1e})")
+        for finding in content["unexplained"]["similar_to"]:
+            print(f"    similar to: {finding['sentence']}")
 
 
 def _ask_spectra(spectra: Path, chain: Any, sky: Any, is_own_sky: bool, html: Path | None) -> dict[str, Any]:

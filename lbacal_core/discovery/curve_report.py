@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from lbacal_core.discovery.curve_fit import CurveFit
-from lbacal_core.discovery.lst_curve import CurveFinding, CurveInvestigation, Rival
+from lbacal_core.discovery.lst_curve import CurveFinding, CurveInvestigation
 from lbacal_core.discovery.report import BY_RATIO, CONSISTENT, EXPLAINED, UNEXPLAINED, tell_finding, tell_gain
 from lbacal_core.discovery.trials import sigma_of
 from lbacal_core.grids import Floats
@@ -25,12 +24,13 @@ def describe_curve(found: CurveInvestigation, provenance: Provenance) -> dict[st
     first, last = found.first, found.last
     is_left = found.structure_p < found.policy.structure_alpha
     verdict = UNEXPLAINED if is_left else EXPLAINED if found.findings else CONSISTENT
+    findings = [_finding(found, finding) for finding in found.findings]
     shown = {fit.labels: fit for fit in (last, *found.open, *found.single) if fit.choices}
     return {
         "verdict": verdict,
         "sentence": _summary(found, verdict),
-        "findings": [_finding(found, finding) for finding in found.findings],
-        "unexplained": _unexplained(found) if is_left else None,
+        "findings": [] if is_left else findings,
+        "unexplained": _unexplained(found, findings) if is_left else None,
         "unidentifiable": [{"cause": cause, "why": why} for cause, why in sorted(found.unidentifiable.items())],
         "noise": _noise(found),
         "chi2": {
@@ -56,6 +56,8 @@ def _summary(found: CurveInvestigation, verdict: str) -> str:
         what = "The points and the simulation agree" if verdict == CONSISTENT else "No cause of the catalogue helps"
         return f"{what}, with {noise}."
     names = "; ".join(_words(found.last, one.place) for one in found.findings)
+    if verdict == UNEXPLAINED:
+        names = f"residual structure in LST remains beside what describes most of it, {names}"
     before, after = found.first.per_point, found.last.per_point
     return (
         f"What the simulation gets wrong: {names}. With {noise}, chi^2 per point falls from "
@@ -120,11 +122,11 @@ def _noise(found: CurveInvestigation) -> dict[str, Any]:
 def _finding(found: CurveInvestigation, finding: CurveFinding) -> dict[str, Any]:
     last, place = found.last, finding.place
     cause, one = finding.choice.cause, _cause(last, place)
-    change = found.fitter.calibration_change(_less(last, place), last)
-    others = [(r.choice.cause.identifier, r.correlation) for r in finding.rivals if not r.is_excluded]
+    change = found.fitter.calibration_change(finding.without, last)
+    others = {r.cause: r.correlation for r in finding.rivals if not r.is_excluded and r.cause != cause.identifier}
     told = tell_finding(
         cause,
-        indistinguishable=[(name, r) for name, r in dict(others).items() if name != cause.identifier],
+        indistinguishable=list(others.items()),
         size=(one["size"]["value"], one["size"]["sigma"]),
         parameters=one["parameters"],
         chance=(sigma_of(finding.p_value), finding.p_value),
@@ -141,29 +143,11 @@ def _finding(found: CurveInvestigation, finding: CurveFinding) -> dict[str, Any]
         evidence={
             "score_sigma": finding.z,
             "trials": found.trials,
-            "in_its_place": [_rival(last, rival) for rival in finding.rivals],
+            "correlations": others,
             "note": BY_RATIO if cause.acts_by_ratio else "",
         },
     )
     return {**told, "calibration_change": {**told["calibration_change"], **_change(found, change)}}
-
-
-def _less(fit: CurveFit, place: int) -> CurveFit:
-    """The set without one of its causes and with the sizes of the others, for the effect of this one alone."""
-    choices = fit.choices[:place] + fit.choices[place + 1 :]
-    return replace(fit, choices=choices, sizes=np.delete(fit.sizes, place), sigmas=np.delete(fit.sigmas, place))
-
-
-def _rival(last: CurveFit, rival: Rival) -> dict[str, Any]:
-    """Another cause in the place of one that was named."""
-    return {
-        **_cause(rival.fit, rival.fit.choices.index(rival.choice)),
-        "chi2": rival.fit.chi2,
-        "chi2_above_named": rival.fit.chi2 - last.chi2,
-        "chi2_drawn_bars_above_named": rival.fit.chi2_drawn - last.chi2_drawn,
-        "correlation": rival.correlation,
-        "is_excluded": rival.is_excluded,
-    }
 
 
 def _hypothesis(found: CurveInvestigation, fit: CurveFit) -> dict[str, Any]:
@@ -194,12 +178,13 @@ def _change(found: CurveInvestigation, change: dict[str, Floats]) -> dict[str, A
     }
 
 
-def _unexplained(found: CurveInvestigation) -> dict[str, Any]:
+def _unexplained(found: CurveInvestigation, findings: list[dict[str, Any]]) -> dict[str, Any]:
+    """Residual structure, and the causes that describe a part of it: all act along the one axis that there is."""
     return {
         "p_value": found.structure_p,
         "where": {"station": None, "axis": "lst", "target": None, "frequency_mhz": list(found.band_mhz), "dates": None},
         "description": "the points scatter about the causes found by more than about a smooth curve: residual "
         "structure in LST that no cause of the catalogue describes; it widens the errors of the sizes",
         "gain": {"chi2": found.last.chi2, "terms": 0, "held_out_log_likelihood_gain": None},
-        "similar_to": [],
+        "similar_to": findings,
     }

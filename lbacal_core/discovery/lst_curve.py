@@ -30,17 +30,19 @@ from lbacal_core.skypower.table import SkyPower
 
 @dataclass(frozen=True)
 class Rival:
-    """Another cause in the place of one that was named.
+    """The last fit with another cause in the place of one that was found.
 
     Attributes
     ----------
+    cause
+        Identifier of the other cause.
     correlation
         Correlation of the two signatures at the sizes found.
     is_excluded
         Whether the data exclude it.
     """
 
-    choice: Choice
+    cause: str
     fit: CurveFit
     correlation: float
     is_excluded: bool
@@ -226,7 +228,7 @@ class _Search:
             is_excluded = (
                 min((fit.chi2 - last.chi2) / last.scale, separable * (1 - r**2)) >= self.policy.indistinguishable
             )
-            rivals.append(Rival(fit.choices[fit.labels.index(new)], fit, r, is_excluded))
+            rivals.append(Rival(fit.choices[fit.labels.index(new)].cause.identifier, fit, r, is_excluded))
         z, p_value = self.p_value(without, last)
         gain = self.fitter.held_out_gain(without, last)
         return CurveFinding(choice, place, without, rivals, z, p_value, gain)
