@@ -16,6 +16,7 @@ from typing import Annotated, Any
 import typer
 
 from lbacal.cli.antenna_gain import antenna_gain
+from lbacal.cli.audit import audit
 from lbacal.cli.client import effective, ingest, jobs, refit, sync
 from lbacal.cli.fit import fit
 from lbacal.cli.import_ import import_
@@ -62,7 +63,7 @@ def _name(command: Callable[..., None]) -> str:
 
 
 _COMPUTING: tuple[Callable[..., None], ...] = (
-    fit, investigate, lst_curve, paper, sky_power, antenna_gain, spectra
+    audit, fit, investigate, lst_curve, paper, sky_power, antenna_gain, spectra
 )  # fmt: skip
 _ASKING: tuple[Callable[..., None], ...] = (
     ingest, refit, promote, withdraw, rollback, tag, effective, jobs, status, sync

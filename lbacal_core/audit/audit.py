@@ -1,0 +1,88 @@
+"""The audit of a station: what is dead, mislabelled, on the wrong cable, turned, late or in the wrong unit.
+
+Cables come first, because antennas are compared through them; then paths that do not work, which count nowhere; then
+single antennas whose dipoles are exchanged; what the others saw of the sky comes last.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from lbacal_core.audit.cables import find_wrong_cables
+from lbacal_core.audit.exchange import compare_polarisations, tell_exchanged
+from lbacal_core.audit.finding import WRONG, Line
+from lbacal_core.audit.health import compare_paths, find_ill_paths
+from lbacal_core.audit.sky_match import SkyMatch
+from lbacal_core.audit.station import AuditedStation, split_stations
+from lbacal_core.instrument import Instrument
+from lbacal_core.spectra import Spectra
+
+
+@dataclass(frozen=True)
+class AuditReport:
+    """The lines of an audit, and what was audited."""
+
+    lines: Sequence[Line]
+    stations: Sequence[AuditedStation]
+
+    @property
+    def is_healthy(self) -> bool:
+        """Whether nothing was found to be wrong."""
+        return all(line.verdict != WRONG for line in self.lines)
+
+    def as_dict(self) -> dict[str, Any]:
+        """The report as JSON values."""
+        return {
+            "healthy": self.is_healthy,
+            "lines": [line.as_dict() for line in self.lines],
+            "stations": [
+                {
+                    "station": station.name,
+                    "antennas": int(station.antennas.size),
+                    "spectra": int(np.isfinite(station.power[..., 0]).sum()),
+                    "hours": round(station.hours, 3),
+                }
+                for station in self.stations
+            ],
+        }
+
+
+def audit(spectra: Spectra, instrument: Instrument, sky: str | None = None, antenna: str | None = None) -> AuditReport:
+    """Audit every station of some spectra.
+
+    Parameters
+    ----------
+    sky, antenna
+        Models of what a working station sees, by name or file; those that the instrument names unless given.
+    """
+    stations = tuple(split_stations(spectra, instrument))
+    lines: list[Line] = []
+    with warnings.catch_warnings():
+        warnings.filterwarnings(
+            "ignore", "All-NaN|Mean of empty|Degrees of freedom", RuntimeWarning
+        )  # nothing recorded
+        for station in stations:
+            lines += _audit_station(station, instrument, sky, antenna)
+    return AuditReport(lines, stations)
+
+
+def _audit_station(station: AuditedStation, instrument: Instrument, sky: str | None, antenna: str | None) -> list[Line]:
+    wrong_cables, found = find_wrong_cables(station, compare_paths(station), instrument)
+    station = station.with_cables(found, instrument)
+    comparison = compare_paths(station)
+    ill, is_ill = find_ill_paths(station, comparison)
+    is_usable = np.asarray(~is_ill.any(axis=1) & np.isfinite(comparison.level).all(axis=1))
+    match = SkyMatch(station, instrument, sky, antenna)
+    exchange = compare_polarisations(station, is_usable)
+    most, others = np.setdiff1d(exchange.rows, exchange.exchanged()), exchange.exchanged()
+    if others.size and match.gain_of_exchange(most) > match.gain_of_exchange(others):
+        exchange, most = exchange.flipped(), others
+    of_sky = match.tell(most)
+    if any(line.check == "unit" and line.verdict == WRONG for line in of_sky):
+        return of_sky  # what was compared is no power
+    return [*ill, *wrong_cables, *tell_exchanged(station, exchange), *of_sky]

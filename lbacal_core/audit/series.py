@@ -1,0 +1,149 @@
+"""What a station saw of the sky with time: the power of its polarisations in a few bands, and the noise of that.
+
+The power of a band, over its mean, is 1 + k (P_sky / mean P_sky - 1): the share k of the sky in the power dilutes how
+it changes. Each band of each polarisation has a level and a share of its own. The covariance holds the scatter of the
+antennas, the gain of each instant (common to everything), and departures of the sky from its model that last for hours.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve, solve_triangular
+
+from lbacal_core.audit.station import AuditedStation, spread
+from lbacal_core.grids import Floats
+
+BANDS = 4
+LONGEST = 96
+"""Instants; more are averaged: a quarter of an hour of a day."""
+SHARE, SHARE_SPREAD, BAND_SPREAD = 0.7, 0.2, 0.1
+"""Share of the sky in the recorded power, how well it is known, and its spread from band to band: electronic noise is
+15-50 % of the power in the published noise terms."""
+GAIN = 0.03
+"""Gain of an instant, common to all antennas and channels: 3 % of 5 % from event to event (Mulrey et al. 2019)."""
+SKY_COMMON, SKY_POLARISATION, SKY_BAND, SKY_HOURS = 0.02, 0.01, 0.005, 3.0
+"""Departures of the LST shape of one sky and antenna model from another's, and how long they last: 3-7 % between maps
+and drawn shapes, 1-2 % between maps (differences of the models at hand)."""
+FREE = 1.0
+MEDIAN = (np.pi / 2) ** 0.5
+"""Standard deviation of a median over that of a mean."""
+SMALLEST_NOISE = 1e-3
+
+
+@dataclass(frozen=True)
+class Series:
+    """Power against time, over its mean, of a station.
+
+    Attributes
+    ----------
+    frequency_mhz
+        Mean frequency of each band, shape (band,).
+    lst_hours
+        Shape (time,), by the clock and place on record.
+    power
+        Shape (dipole, band, time), mean 1 over time.
+    noise
+        Standard deviation by the scatter of the antennas, same shape.
+    """
+
+    frequency_mhz: Floats
+    lst_hours: Floats
+    power: Floats
+    noise: Floats
+
+
+def mean_frequencies(frequency_mhz: Floats) -> Floats:
+    """Mean frequency of each band, shape (band,), MHz."""
+    return np.array([band.mean() for band in np.array_split(frequency_mhz, BANDS)])
+
+
+def make_series(station: AuditedStation, rows: NDArray[np.int64]) -> Series:
+    """Average the usable antennas and the channels of each band.
+
+    Parameters
+    ----------
+    rows
+        Which antennas.
+    """
+    power = station.power[rows] / station.loss[rows][:, None, None, :]
+    bands = np.array_split(np.arange(station.frequency_mhz.size), BANDS)
+    level = np.nanmedian(power, axis=2, keepdims=True)
+    of_band = np.stack([np.nanmedian(power[..., band] / level[..., band], axis=-1) for band in bands], axis=2)
+    bins = _bin_times(station.time_unix)
+    binned = np.stack([np.nanmean(of_band[..., bins == k], axis=-1) for k in range(bins.max() + 1)], axis=-1)
+    lst = np.array([_mean_hour(station.lst_hours[bins == k]) for k in range(bins.max() + 1)])
+    seen = np.nanmedian(binned, axis=0)
+    count = np.maximum(np.sum(np.isfinite(binned), axis=0), 1)
+    scatter = spread(binned - np.nanmedian(binned, axis=-1, keepdims=True))
+    noise = np.maximum(MEDIAN * scatter / count**0.5, SMALLEST_NOISE)
+    mean = np.nanmean(seen, axis=-1, keepdims=True)
+    is_whole = np.all(np.isfinite(seen), axis=(0, 1))
+    seen, noise = (seen / mean)[..., is_whole], (noise / mean)[..., is_whole]
+    return Series(mean_frequencies(station.frequency_mhz), lst[is_whole], seen, noise)
+
+
+def as_power(recorded: Floats, unit: str) -> Floats:
+    """Power, if the recorded values are in a unit: `power`, `dB` or `volt`."""
+    if unit == "dB":
+        return np.asarray(10 ** (recorded / 10))
+    return recorded**2 if unit == "volt" else recorded
+
+
+def _bin_times(time_unix: Floats) -> NDArray[np.int64]:
+    if time_unix.size <= LONGEST:
+        return np.arange(time_unix.size)
+    width = (time_unix[-1] - time_unix[0]) / LONGEST
+    raw = np.minimum((time_unix - time_unix[0]) // width, LONGEST - 1)
+    return np.asarray(np.unique(raw, return_inverse=True)[1])
+
+
+def _mean_hour(hours: Floats) -> float:
+    return float(np.angle(np.mean(np.exp(2j * np.pi / 24 * hours))) * 12 / np.pi % 24)
+
+
+class SeriesLikelihood:
+    """ln L of a series for any shape that the sky may have had."""
+
+    def __init__(self, series: Series) -> None:
+        self.series = series
+        dipoles, bands, times = series.power.shape
+        hours = series.lst_hours[:, None] - series.lst_hours
+        lasting = np.exp((np.cos(2 * np.pi / 24 * hours) - 1) * (24 / (2 * np.pi * SKY_HOURS)) ** 2)
+        same = np.eye(dipoles * bands)
+        dipole = np.kron(np.eye(dipoles), np.ones((bands, bands)))
+        everything = np.ones_like(same)
+        covariance = np.kron(SKY_COMMON**2 * everything + SKY_POLARISATION**2 * dipole + SKY_BAND**2 * same, lasting)
+        covariance += np.kron(GAIN**2 * everything, np.eye(times))
+        covariance += np.kron(FREE**2 * same, np.ones((times, times)))
+        covariance[np.diag_indices_from(covariance)] += series.noise.ravel() ** 2
+        self.factor = np.linalg.cholesky(covariance)
+        self.rest = solve_triangular(self.factor, series.power.ravel() - 1.0, lower=True)
+
+    def log_likelihood(self, sky_power: Floats) -> float:
+        """Log likelihood, up to a constant; `sky_power` has the shape (dipole, band, time)."""
+        shares = self._whiten_changes(sky_power)
+        prior = BAND_SPREAD**2 * np.eye(shares.shape[1]) + SHARE_SPREAD**2
+        rest = self.rest - SHARE * shares.sum(axis=1)
+        inner = cho_factor(np.linalg.inv(prior) + shares.T @ shares)
+        along = shares.T @ rest
+        chi2 = rest @ rest - along @ cho_solve(inner, along)
+        volume = np.sum(np.log(np.diag(inner[0]))) + np.linalg.slogdet(prior)[1] / 2
+        return float(-chi2 / 2 - volume)
+
+    def share(self, sky_power: Floats) -> tuple[float, float]:
+        """The share of the sky in the power that the data show, one for all bands, and its error."""
+        change = self._whiten_changes(sky_power).sum(axis=1)
+        weight = float(change @ change)
+        return float(change @ self.rest) / weight, weight**-0.5
+
+    def _whiten_changes(self, sky_power: Floats) -> Floats:
+        """The change of the sky in each band and polarisation, whitened; shape (value, dipole x band)."""
+        change = sky_power / sky_power.mean(axis=-1, keepdims=True) - 1.0
+        dipoles, bands, times = change.shape
+        columns = np.zeros((dipoles * bands, times, dipoles * bands))
+        each = np.arange(dipoles * bands)
+        columns[each, :, each] = change.reshape(-1, times)
+        return np.asarray(solve_triangular(self.factor, columns.reshape(-1, each.size), lower=True))

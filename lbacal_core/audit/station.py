@@ -1,0 +1,105 @@
+"""The spectra of one station as the audit compares them: antennas beside each other, each through its own cable."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lbacal_core.errors import BadInputError
+from lbacal_core.grids import Floats, require_same_grid
+from lbacal_core.instrument import DIPOLES, Instrument
+from lbacal_core.sidereal import local_sidereal_time
+from lbacal_core.spectra import Spectra
+
+ROBUST = 1.4826
+"""Standard deviation of a normal distribution over its median absolute deviation."""
+
+
+@dataclass(frozen=True)
+class AuditedStation:
+    """The spectra of one station.
+
+    Attributes
+    ----------
+    power
+        Shape (antenna, dipole, time, freq), as recorded; NaN where there is no spectrum.
+    antennas, cables
+        Number and cable on record of each antenna, shape (antenna,).
+    loss
+        L_coax of each antenna's cable, shape (antenna, freq).
+    time_unix, lst_hours
+        Shape (time,).
+    """
+
+    name: str
+    frequency_mhz: Floats
+    power: Floats
+    antennas: NDArray[np.int64]
+    cables: NDArray[np.str_]
+    loss: Floats
+    time_unix: Floats
+    lst_hours: Floats
+
+    @property
+    def hours(self) -> float:
+        """From the first spectrum to the last."""
+        return float(self.time_unix[-1] - self.time_unix[0]) / 3600.0
+
+    @property
+    def length(self) -> str:
+        """How long the data are, in words."""
+        if self.time_unix.size == 1:
+            return "one spectrum a path does"
+        return f"{60 * self.hours:.0f} min do" if self.hours < LONG_HOURS else f"{self.hours:.1f} h do"
+
+    def with_cables(self, cables: Mapping[int, str], instrument: Instrument) -> AuditedStation:
+        """The station with other cables at some rows."""
+        names, loss = self.cables.astype(object), self.loss.copy()
+        for row, name in cables.items():
+            names[row], loss[row] = name, instrument.cables[name]
+        return replace(self, cables=names.astype(str), loss=loss)
+
+    def before_cable(self) -> Floats:
+        """ln(P / L_coax), shape (antenna, dipole, time, freq)."""
+        return np.asarray(np.log(self.power) - np.log(self.loss)[:, None, None, :])
+
+
+def split_stations(spectra: Spectra, instrument: Instrument) -> Iterator[AuditedStation]:
+    """The stations of some spectra, by name."""
+    require_same_grid(spectra.origin, spectra.frequency_mhz, instrument.frequency_mhz, instrument.name)
+    for station in np.unique(spectra.station):
+        rows = np.flatnonzero(spectra.station == station)
+        antennas, at = np.unique(spectra.antenna[rows], return_inverse=True)
+        times, when = np.unique(spectra.time_unix[rows], return_inverse=True)
+        dipole = np.searchsorted(DIPOLES, spectra.dipole[rows])
+        power = np.full((antennas.size, len(DIPOLES), times.size, spectra.frequency_mhz.size), np.nan)
+        power[at, dipole, when] = spectra.power[rows]
+        cables = np.array([instrument.cable_of(str(station), int(a), float(times[0])) for a in antennas])
+        if antennas.size < FEWEST:
+            raise BadInputError(
+                f"{spectra.origin}: station {station}", f"at least {FEWEST} antennas to compare", f"{antennas.size}"
+            )
+        yield AuditedStation(
+            str(station),
+            spectra.frequency_mhz,
+            power,
+            antennas,
+            cables,
+            np.array([instrument.cables[cable] for cable in cables]),
+            times,
+            local_sidereal_time(times, instrument.longitude_deg),
+        )
+
+
+LONG_HOURS = 2.0
+FEWEST = 4
+"""Antennas below which a median says nothing about the others."""
+
+
+def spread(values: Floats, axis: int = 0) -> Floats:
+    """Robust standard deviation along an axis, NaN left out."""
+    centre = np.nanmedian(values, axis=axis, keepdims=True)
+    return np.asarray(ROBUST * np.nanmedian(np.abs(values - centre), axis=axis))

@@ -1,0 +1,46 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lbacal_core.audit.series import BAND_SPREAD, SHARE, SHARE_SPREAD, SeriesLikelihood, make_series
+from lbacal_core.audit.station import AuditedStation
+
+
+def draw_sky(likelihood: SeriesLikelihood, seed: int) -> np.ndarray:
+    """Some change of the sky with time in every band."""
+    rng = np.random.default_rng(seed)
+    angle = 2 * np.pi * likelihood.series.lst_hours / 24
+    return 1.0 + 0.2 * np.cos(angle - rng.uniform(0, 6, (*likelihood.series.power.shape[:2], 1)))
+
+
+def test_series_has_mean_one_and_keeps_the_order_of_instants(station: AuditedStation) -> None:
+    series = make_series(station, np.arange(6))
+    np.testing.assert_allclose(series.power.mean(axis=-1), 1.0)
+    np.testing.assert_allclose(series.lst_hours, station.lst_hours)
+
+
+def test_likelihood_is_that_of_the_dense_normal_distribution(station: AuditedStation) -> None:
+    likelihood = SeriesLikelihood(make_series(station, np.arange(6)))
+    covariance = likelihood.factor @ likelihood.factor.T
+    values = likelihood.series.power.ravel() - 1.0
+
+    def dense(sky: np.ndarray) -> float:
+        change = (sky / sky.mean(axis=-1, keepdims=True) - 1.0).reshape(8, -1)
+        columns = np.zeros((values.size, 8))
+        for k in range(8):
+            columns[k * change.shape[1] : (k + 1) * change.shape[1], k] = change[k]
+        whole = covariance + columns @ (BAND_SPREAD**2 * np.eye(8) + SHARE_SPREAD**2) @ columns.T
+        rest = values - SHARE * columns.sum(axis=1)
+        return float(-rest @ np.linalg.solve(whole, rest) / 2 - np.linalg.slogdet(whole)[1] / 2)
+
+    one, other = draw_sky(likelihood, 1), draw_sky(likelihood, 2)
+    expected = dense(one) - dense(other)
+    assert likelihood.log_likelihood(one) - likelihood.log_likelihood(other) == pytest.approx(expected, rel=1e-6)
+
+
+def test_share_of_the_sky_is_found(station: AuditedStation) -> None:
+    likelihood = SeriesLikelihood(make_series(station, np.arange(6)))
+    sky = draw_sky(likelihood, 3)
+    likelihood.rest = 0.4 * likelihood._whiten_changes(sky).sum(axis=1)
+    assert likelihood.share(sky)[0] == pytest.approx(0.4)

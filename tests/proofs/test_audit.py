@@ -1,0 +1,36 @@
+"""A small instance of `./dev prove audit`."""
+
+from __future__ import annotations
+
+import pytest
+
+from proofs.audit import KINDS, judge_day, judge_minute, tell_audit, tell_kinds
+from proofs.machinery.parts import Row
+
+
+@pytest.fixture(scope="module")
+def rows() -> list[Row]:
+    return [tell_audit("day", seed) for seed in range(2 * len(KINDS))]
+
+
+def test_every_kind_of_fault_is_named_in_a_day_and_nothing_in_healthy_stations(rows: list[Row]) -> None:
+    assert {row["kind"] for row in rows} == {"nothing", *KINDS}
+    assert [(row["kind"], row["said"]) for row in rows if row["outcome"] != "right"] == []
+
+
+def test_clock_and_arms_are_found_within_their_errors(rows: list[Row]) -> None:
+    for row in rows:
+        if "off" in row:
+            assert abs(row["off"]) < 4 * row["sigma"]
+
+
+def test_a_minute_names_no_clock_and_still_finds_a_dead_path() -> None:
+    said = [tell_audit("minute", seed) for seed in (1, 15, 17)]  # dead, clock, arms
+    assert [row["outcome"] for row in said] == ["right", "silent", "silent"]
+    assert {claim.verdict for claim in judge_minute(said)} == {"undecided"}
+
+
+def test_the_judgement_refutes_an_audit_that_names_healthy_stations(rows: list[Row]) -> None:
+    rash = [row | {"outcome": "false"} if row["kind"] == "nothing" else row for row in rows]
+    assert {claim.key: claim.verdict for claim in judge_day(rash)}["false"] == "refuted"
+    assert len(tell_kinds(rows)) == 2 + 1 + len(KINDS)
