@@ -16,6 +16,8 @@ COLOURS = ("#000000", "#d55e00", "#0072b2", "#009e73", "#cc79a7", "#e69f00", "#5
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 WIDTHS = (1.6, 1.2, 1.2, 1.2, 1.2, 1.2, 1.2)
 DASHES: dict[str, Any] = {"ours": "-", PUBLISHED: (0, (5, 2)), OTHER: (0, (1, 1.2))}
+LEGEND_ROOM = 4.0
+"""Space above the curves of a logarithmic panel, a factor."""
 PANEL_INCHES = (3.5, 3.0)
 SETTINGS: Any = {
     "font.size": 8,
@@ -71,6 +73,7 @@ def _draw_panel(axes: Any, panel: Panel) -> None:
     axes.set_ylabel(panel.y_label)
     if panel.is_log:
         axes.set_yscale("log")
+        axes.set_ylim(top=LEGEND_ROOM * axes.get_ylim()[1])
     if panel.title:
         axes.set_title(panel.title, fontsize=8)
     axes.legend(ncols=2 if len(panel.series) > 6 else 1)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from lbacal.cli.figure_style import COLOURS
 from lbacal_core.calibration.residuals import noise_at_input
 from lbacal_core.curves import CalibrationCurve
 from lbacal_core.data.tables import read_table
@@ -16,7 +17,7 @@ from lbacal_core.instrument import DIPOLES, Instrument
 from lbacal_core.lstcurve.compare import Comparison, in_db
 from lbacal_core.skypower.table import SkyPower
 
-DIPOLE_COLOURS = {"X": "#b3322b", "Y": "#2b5fb3"}
+DIPOLE_COLOURS = {"X": COLOURS[1], "Y": COLOURS[2]}
 GREY = "#666666"
 FULL_DAY = np.linspace(0.0, 24.0, 289)
 
@@ -119,7 +120,7 @@ def draw_noise(curve: CalibrationCurve, instrument: Instrument, sky_power: SkyPo
     factor = float(np.exp(np.log(sky / published_sky).mean()))
     ours = {"sky": sky, **noise_at_input(curve, instrument)}
     words = {"sky": "sky", "lna": "N_LNA", "rcu": "N_RCU", "adc": "N_ADC"}
-    colours = {"sky": "black", "lna": "#2b8a5f", "rcu": "#b3322b", "adc": "#2b5fb3"}
+    colours = dict(zip(words, COLOURS, strict=False))
     for name, label in words.items():
         axes.plot(frequency, ours[name], color=colours[name], lw=1.6, label=f"{label}, this fit")
         axes.plot(terms["mhz"], factor * terms[name], "--", color=colours[name], lw=1.0, label=f"{label}, published")

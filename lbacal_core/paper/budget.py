@@ -16,7 +16,8 @@ from lbacal_core.curves import CalibrationCurve
 from lbacal_core.grids import Floats
 from lbacal_core.instrument import DIPOLES
 from lbacal_core.paper.study import SEED, STATION, Study
-from lbacal_core.sky.names import DEFAULT_SKY, load_sky
+from lbacal_core.sky.measured import MEASURED_SKY
+from lbacal_core.sky.names import DEFAULT_SKY, list_skies, load_sky
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.skypower.variation import vary_sky_power
@@ -32,6 +33,10 @@ EDGE_MHZ = 77.0
 """Above, the pass band falls so steeply that the paper gives electronics a term of its own."""
 REALISATIONS = 3
 """Simulated years over which a change of C is averaged where single years scatter by a tenth of it."""
+MEASURED = "sky tied to absolute measurements"
+"""The change of C, not an uncertainty: the default sky is fainter than what absolutely calibrated experiments see."""
+OTHER_SKY = "sky model "
+"""Followed by the name of another sky model that ships: the change of C that the exchange makes."""
 STATIC_INDEX = 0.1
 """A change of the sky's spectral index, to show what a tilt does."""
 
@@ -90,6 +95,12 @@ def compute_budget(study: Study) -> Budget:
         "antenna, bins weighted alike": _without_event_gain(study, zenith[1], zenith[-1]),
         "index of the sky": change(compute_sky_power(instrument, tilted)),
         "electronics": measure_electronics(study),
+        MEASURED: change(compute_sky_power(instrument, MEASURED_SKY)),
+        **{
+            f"{OTHER_SKY}{name}": change(compute_sky_power(instrument, name))
+            for name in list_skies()
+            if name != DEFAULT_SKY
+        },
     }
     return Budget(study.frequency_mhz, terms, fraction)
 

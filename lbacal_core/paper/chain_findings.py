@@ -60,7 +60,7 @@ def find_about_chain(study: Study) -> dict[str, Finding]:
             "peak of G_ant = C^2 / N_ADC,in from the published C and noise terms, parabola through its three largest "
             f"channels; with A(nu) the peak lies at {with_correction:.1f} MHz",
         ),
-        "pass-band-edge": Finding(edge, 0.1, "where the shipped pass band lies 3 dB below its mean over 40-60 MHz"),
+        "pass-band-edge": Finding(edge, 0.1, _describe_edge(frequency, instrument.receiver_gain)),
         "rise-by-cable": _rise(study, mean_loss(instrument), 30.0, 77.0, ELECTRONICS, "loss of the mean cable"),
         "rise-at-edge": _rise(study, instrument.receiver_gain, 77.0, 80.0, ELECTRONICS_AT_EDGE, "receiver's pass band"),
         "feature-at-58": describe_feature(study),
@@ -74,6 +74,17 @@ def edge_of_pass_band(frequency_mhz: Floats, gain: Floats, fall_db: float = 3.0)
     above = int(np.flatnonzero(level > plateau - fall_db)[-1])
     both = slice(above, above + 2)
     return float(np.interp(-(plateau - fall_db), -level[both], frequency_mhz[both]))
+
+
+def _describe_edge(frequency_mhz: Floats, gain: Floats) -> str:
+    level = 10.0 * np.log10(gain)
+    at_edge = float(np.interp(78.0, frequency_mhz, level))
+    plateau = float(level[(frequency_mhz >= 40) & (frequency_mhz <= 60)].mean())
+    return (
+        "where the shipped pass band lies 3 dB below its mean over 40-60 MHz; at 78 MHz it lies "
+        f"{plateau - at_edge:.1f} dB below that mean, {level.max() - at_edge:.1f} dB below its maximum and "
+        f"{-at_edge:.1f} dB below its reference of 0 dB"
+    )
 
 
 def find_peak(frequency_mhz: Floats, gain: Floats) -> float:

@@ -7,7 +7,7 @@ import numpy as np
 from lbacal_core.calibration.reference_source import compare_with_source
 from lbacal_core.grids import Floats
 from lbacal_core.instrument import DIPOLES
-from lbacal_core.paper.budget import Budget
+from lbacal_core.paper.budget import MEASURED, Budget
 from lbacal_core.paper.figures import BAND, OTHER, OURS, POINTS, Panel, PaperFigure, Series
 from lbacal_core.paper.shower_study import FITTED, ShowerStudy
 from lbacal_core.paper.stand_in_source import CELL, CHAMBER, stand_in_tables, true_field
@@ -81,12 +81,16 @@ def _draw_ratio(study: Study, budget: Budget, showers: ShowerStudy) -> PaperFigu
         covariance = covariance + np.outer(budget.terms[name][DIPOLES[0]], budget.terms[name][DIPOLES[0]])
     series: list[Series] = []
     words = []
+    tied = c * np.exp(budget.terms[MEASURED][DIPOLES[0]])
     for source in showers.sources:
         found = compare_with_source(c, covariance, source)
         low, high = found.ratio * np.exp(-found.sigma), found.ratio * np.exp(found.sigma)
         if not series:
             series.append(Series("one standard deviation", frequency, found.ratio, low, high, BAND, group=source.name))
         series.append(Series(f"Galactic fit / {source.name}", frequency, found.ratio, group=source.name))
+        if source is showers.sources[-1]:
+            name = f"the same, {MEASURED}"
+            series.append(Series(name, frequency, tied / source.c, origin=OTHER, group=MEASURED))
         words.append(
             f"{source.name}: trend {1e3 * found.trend:+.1f} +- {1e3 * found.trend_sigma:.1f} per mille a MHz, chi2 "
             f"{found.chi2:.0f} for {frequency.size} channels"

@@ -53,7 +53,7 @@ def find_about_showers(showers: ShowerStudy) -> dict[str, Finding]:
         "source-off-diagonal": not_testable(
             f"needs {TABLES} and {RECORDED}. With the stand-in ({both} sigma off the diagonal) residual floor "
             "reflections of 15 % "
-            "and the near field displace slopes as the paper shows"
+            "and the near field displace them"
         ),
         "source-ratio": not_testable(
             f"needs {TABLES}, {RECORDED}, and the Tunka-Rex ratio of simulated to measured amplitudes (private "

@@ -17,7 +17,7 @@ from lbacal_core.calibration.reference_source import (
 )
 from lbacal_core.grids import Floats
 from lbacal_core.instrument import DIPOLES
-from lbacal_core.paper.budget import Budget
+from lbacal_core.paper.budget import MEASURED, OTHER_SKY, Budget
 from lbacal_core.paper.stand_in_source import SCALED_M, stand_in_tables, true_field
 from lbacal_core.paper.study import SEED, Study
 from lbacal_core.showers.comparison import Displacement, compare_calibrations
@@ -26,9 +26,6 @@ from lbacal_core.showers.recording import Recording, field_power, record, true_p
 from lbacal_core.showers.signals import draw_signals, signals_of_showers
 
 RIGHT, FITTED = "true C", "Galactic fit"
-MEASURED_SKY = "sky level of EDGES over our sky"
-LEVEL_MHZ, LEVEL = (50.0, 60.0, 75.0, 80.0), (1.15, 1.13, 1.10, 1.09)
-"""LST means of the absolutely calibrated EDGES sky over our sky (Mozdzen et al. 2019, 1812.02660), +- 0.01."""
 EDGE_BAND_MHZ = (70.0, 78.0)
 WEAK, STRONG = (1.0, 10.0), (30.0, 3000.0)
 """Signal over background of weak events, and of the strongest."""
@@ -112,17 +109,17 @@ def _wrong(
     study: Study, budget: Budget, truth: Floats, recording: Recording, rng: np.random.Generator
 ) -> dict[str, Floats]:
     """The true C with one standard deviation of each error."""
-    terms = {
-        f"+1 sigma: {name}": truth * np.exp([budget.terms[name][dipole] for dipole in DIPOLES]) for name in budget.terms
-    }
-    level = np.interp(study.frequency_mhz, LEVEL_MHZ, LEVEL)
+    terms = {}
+    for name, term in budget.terms.items():
+        is_exchange = name == MEASURED or name.startswith(OTHER_SKY)
+        label = name if is_exchange else f"+1 sigma: {name}"
+        terms[label] = truth * np.exp([term[dipole] for dipole in DIPOLES])
     spread = rng.normal(0.0, PUBLISHED_SPREAD, (recording.signals.event.size, 2, 1))
     cables = study.instrument.cables
     first, last = sorted(cables, key=lambda name: float(cables[name].mean()))[:: len(cables) - 1]
     return {
         **terms,
         "one C for all antennas, 6.5 % flat spread": truth * np.exp(spread),
-        MEASURED_SKY: truth * np.sqrt(level),
         f"cable {last} m taken for {first} m": truth * np.sqrt(cables[first] / cables[last]),
         "no dependence on frequency": np.broadcast_to(truth.mean(axis=1)[:, None], truth.shape),
     }
