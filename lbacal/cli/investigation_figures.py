@@ -104,11 +104,12 @@ def draw_finding(report: StationReport, finding: Finding) -> Figure:
 
 
 def draw_antenna(score: AntennaScore, frequency_mhz: Floats) -> Figure:
-    """An antenna against the others of its cable along frequency, and the shape that was found."""
+    """An antenna or a cable name against the others along frequency, and the shape that was found."""
     figure = Figure(figsize=(9.5, 3.4), layout="constrained")
     axes: Any = figure.subplots()
-    level = score.observed.mean()
-    label = f"{score.target.label} less the others of its cable"
+    level = np.nanmean(score.observed)
+    others = "other cables" if score.target.scope == "cable" else "the others of its cable"
+    label = f"{score.target.label} less {others}"
     axes.errorbar(frequency_mhz, 100 * (score.observed - level), 100 * score.error, label=label, **POINTS)
     fine = np.linspace(frequency_mhz[0], frequency_mhz[-1], 10 * frequency_mhz.size)
     shape = score.size * (score.departure - score.departure.mean())

@@ -1,8 +1,9 @@
-"""Causes in the cables that are constant in time: only a comparison of antennas of one cable name shows them.
+"""Causes in the cables that are constant in time: only a comparison of antennas, or of cable names, shows them.
 
 The antennas of a station share A(nu), so that a departure of one antenna's front gain along frequency is visible
-beside it. Antennas of one cable name are not compared with those of another: the noise of the common event gain
-moves the slopes of short and long cables apart, all together and far beyond the error of each.
+beside it. An antenna is compared with others of its cable name alone: the noise of the common event gain moves the
+slopes of short and long cables apart, all together and far beyond the error of each. A whole cable name is compared
+with the others by its length, that noise known.
 `AntennaTemplate` gives the departure of ln C^-2 = ln (A L_coax G_RCU S) that a cause makes.
 """
 
@@ -58,10 +59,17 @@ class CableLength(AntennaCause):
     meaning: str = "the length of the cable on record is wrong"
     confirm: str = "measure the delay of the cable, or compare with the delays of the station calibration"
     needs: str = "the names of the cables are not lengths in m"
+    scopes: Sequence[str] = ("antenna", "cable")
 
     def templates(self, frequency_mhz: Floats, log_loss_per_metre: Floats | None) -> list[AntennaTemplate]:
-        """Ln L_coax of one more metre."""
+        """Ln L_coax of one more metre, of an antenna against its cable name or of a name against the others."""
         return [] if log_loss_per_metre is None else [AntennaTemplate({}, log_loss_per_metre + 0.0 * frequency_mhz)]
+
+    def note(self, parameters: Mapping[str, float], size: float) -> str:
+        """Which cable it may be as well."""
+        if "or_size" not in parameters:
+            return ""
+        return f"Only two cable names are compared: {-size:.2g} m more of the other one would look the same."
 
 
 @dataclass(frozen=True)

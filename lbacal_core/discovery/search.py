@@ -14,6 +14,7 @@ import numpy as np
 from lbacal_core.causes.catalogue import CAUSES
 from lbacal_core.causes.cause import signature
 from lbacal_core.discovery.antennas import AntennaScore, compare_antennas, why_no_comparison
+from lbacal_core.discovery.cable_names import compare_cable_names
 from lbacal_core.discovery.growth import grow
 from lbacal_core.discovery.hypothesis import Hypothesis, Target, list_targets
 from lbacal_core.discovery.policy import Policy
@@ -127,6 +128,8 @@ def search_station(
     ]
     again = search.again
     antenna_scores = compare_antennas(station, models[-1].baseline, targets, policy, seed)
+    antenna_scores += compare_cable_names(models[-1].baseline, models[-1].linear, targets)
+    antenna_scores.sort(key=lambda score: score.p_value)
     progress(f"{station.name}: looking for structure that no cause explains")
     whole = models[-1] if again is None else others[again.number]
     chance = None if again is None else again.score.p_value

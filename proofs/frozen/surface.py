@@ -109,8 +109,10 @@ def _all_scores(model: LinearModel) -> list[Any]:
 def _of_scores(scores: Sequence[dict[str, Any]], station: StationReport) -> dict[str, Any]:
     """The best score of every cause by its ID, with the trials factor."""
     both: list[Any] = [*station.scores, *station.antenna_scores]
-    trials = {one.cause.identifier: float(one.trials) for one in both}
-    return {one["cause"]: {**in_first_window(one), "trials": trials[one["cause"]]} for one in scores}
+    best: dict[str, Any] = {}
+    for one, told in zip(both, scores, strict=True):
+        best.setdefault(told["cause"], {**in_first_window(told), "trials": float(one.trials)})
+    return best
 
 
 def in_first_window(score: dict[str, Any]) -> dict[str, Any]:

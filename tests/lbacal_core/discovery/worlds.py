@@ -19,6 +19,7 @@ from lbacal_core.causes.catalogue import ANTENNA_CAUSES, CAUSES
 from lbacal_core.causes.cause import Template, signature, spectral_signature
 from lbacal_core.discovery import search
 from lbacal_core.discovery.antennas import AntennaScore, compare_antennas
+from lbacal_core.discovery.cable_names import compare_cable_names
 from lbacal_core.discovery.hypothesis import Hypothesis, Target, list_targets
 from lbacal_core.discovery.noise import split_residuals
 from lbacal_core.discovery.policy import Policy
@@ -327,6 +328,10 @@ class Look:
     def static_scores(self, seed: int = 0) -> list[AntennaScore]:
         """The best score of each static cause, most significant first."""
         return compare_antennas(self.data, self.model.baseline, list_targets(self.data), Policy(), seed)
+
+    def cable_scores(self) -> list[AntennaScore]:
+        """Scores of the length of each cable name, most significant first."""
+        return compare_cable_names(self.model.baseline, self.model.linear, list_targets(self.data))
 
     @property
     def residual(self) -> Floats:
