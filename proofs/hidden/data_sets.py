@@ -222,7 +222,7 @@ class DataSet:
     def snr(self, planted: Planted) -> float:
         """The ideal SNR of a fault."""
         if planted.cause in STATIC:
-            return self.detector.snr_against_others(planted.fault, planted.fault.where.antennas[0])
+            return self.detector.snr_against_others(planted.fault)
         if self.world is not None:  # so many events show effects so small that the fit is linear in them
             return self.detector.linear_snr([planted.fault])
         return self.detector.snr([planted.fault])

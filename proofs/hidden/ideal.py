@@ -7,9 +7,9 @@ generalised least squares the signal-to-noise ratio of a fault is
     SNR^2 = d' V^-1 d - (N' V^-1 d)' (N' V^-1 N)^-1 (N' V^-1 d).
 
 Static departures of one antenna's cable are absorbed by its A(nu) to the last digit. What is left of them is the
-comparison with the other antennas of the same cable: SNR^2 = t' C^-1 t, with t the change of ln A(nu) and C the
-covariance of the fitted ln A(nu) of the antenna (mean of its dipoles) less the mean of the others, a gain that is flat
-along frequency left free (`snr_against_others`).
+comparison with the other antennas of the same cable, or of a whole cable name with the others: SNR^2 = t' C^-1 t, with
+t the change of ln A(nu) and C the covariance of the fitted ln A(nu) of the antenna (mean of its dipoles) less the mean
+of the others, a gain that is flat along frequency left free (`snr_against_others`).
 
 Where the finder's sky is its own, it also leaves free how other models of sky and antenna differ from it: these modes
 of ln P_sky, each with a prior of one standard deviation, count as free here too.
@@ -171,18 +171,24 @@ class IdealDetector:
         without = [self.power([other for other in faults if other is not one]) for one in faults]
         return best.information((everything - np.stack(without)) / best.chains.power)
 
-    def snr_against_others(self, fault: Fault, antenna: int) -> float:
-        """Ideal SNR of a static fault of one antenna's front gain, against the antennas of the same cable."""
+    def snr_against_others(self, fault: Fault) -> float:
+        """Ideal SNR of a static fault of the front gain of some antennas against others.
+
+        Those are the others of the same cable name; of a whole cable name all antennas with other cables.
+        """
         scene = self.station.scene
         changed = np.log(_front(fault.alter(self.station.stages, scene)) / _front(self.station.stages))
         seen_of_path = np.broadcast_to(changed, (len(scene.antennas), len(DIPOLES), *changed.shape[2:])).mean(axis=2)
         channels = seen_of_path.shape[2]
-        own = scene.antennas == antenna
-        others = (scene.cables == scene.cables[own][0]) & ~own
-        contrast = own.astype(float) - others / others.sum()
+        own = fault.where.mask(scene)[:, 0, 0, 0] > 0
+        others = np.isin(scene.cables, scene.cables[own]) & ~own
+        others = others if np.any(others) else ~own
+        contrast = own / own.sum() - others / others.sum()
         share = np.repeat(contrast, len(DIPOLES)) / len(DIPOLES)
         covariance = np.einsum("p,pfqg,q->fg", share, self._slope_covariance, share, optimize=True)
         covariance = covariance + np.sum(share**2) * self.departure
+        moved = np.einsum("p,mpf->mf", share, self._moved_by_modes)
+        covariance = covariance + moved.T @ moved
         free_gain = 1e3 * np.trace(covariance) * np.ones((channels, channels))
         seen = np.einsum("p,pf->f", share, seen_of_path.reshape(-1, channels))
         return float(np.sqrt(seen @ np.linalg.solve(covariance + free_gain, seen)))
@@ -248,6 +254,15 @@ class IdealDetector:
         scaled[np.diag_indices_from(scaled)] = 1.0 + TINY_RIDGE
         factor: tuple[Floats, bool] = cho_factor(scaled)
         return factor
+
+    @cached_property
+    def _moved_by_modes(self) -> Floats:
+        """Change of the fitted ln A(nu) of all paths by each mode of the sky, shape (mode, path, freq)."""
+        paths, _, channels = self.chains.columns[0].shape
+        if not len(self.modes):
+            return np.empty((0, paths, channels))
+        moved = cho_solve(self._normal_factor, self._mode_products[0].T).T * self._scale
+        return np.asarray(moved.reshape(len(self.modes), paths, -1)[:, :, :channels])
 
     @cached_property
     def _slope_covariance(self) -> Floats:

@@ -151,13 +151,29 @@ def test_a_static_gain_is_absorbed_but_shows_against_other_antennas(low_band: In
     detector = ideal_detector(settings, NONE, station, spectra)
     longer = CableLength(size=5.0, where=Where(antennas=(2,)))
     assert detector.snr([longer]) < 1e-3
-    snr = detector.snr_against_others(longer, 2)
+    snr = detector.snr_against_others(longer)
     assert snr > 1.0
     twice = replace(longer, size=10.0)
-    assert detector.snr_against_others(twice, 2) == pytest.approx(2 * snr, rel=1e-6)
+    assert detector.snr_against_others(twice) == pytest.approx(2 * snr, rel=1e-6)
     ripple = CableReflection(size=0.01, delay_us=0.4, where=Where(antennas=(2,)))
     # Each channel of the mean of two dipoles is known to about 0.04 / sqrt(2 x 200 x the sky's share of the scatter).
-    assert 1.0 < detector.snr_against_others(ripple, 2) < 60.0
+    assert 1.0 < detector.snr_against_others(ripple) < 60.0
+
+
+def test_a_cable_name_shows_against_the_others_and_a_free_sky_hides_some_of_it(
+    low_band: Instrument, two_waves: SkyPower
+) -> None:
+    settings = TwinSettings(stations=("CS002",), antennas=6, events_per_year=200)
+    records = [AntennaRecord("CS002", a, "80" if a % 2 else "50") for a in range(6)]
+    named = replace(low_band, antennas=records)
+    spectra = simulate_campaign(settings, named, two_waves, np.random.default_rng(1)).spectra
+    (station,), _ = draw_stations(settings, named, two_waves, np.random.default_rng(1))
+    bend = np.linspace(-0.1, 0.1, 51) * np.ones((1, 2, 200, 1))
+    told, free = (ideal_detector(settings, NONE, station, spectra, modes=modes) for modes in (None, bend))
+    longer = CableLength(size=5.0, where=Where(cables=("50",)))
+    assert told.snr_against_others(longer) > free.snr_against_others(longer) > 0.1
+    shorter = CableLength(size=-5.0, where=Where(cables=("80",)))
+    assert told.snr_against_others(shorter) == pytest.approx(told.snr_against_others(longer), rel=1e-6)
 
 
 def test_what_paths_depart_by_hides_a_static_fault_and_no_other(low_band: Instrument, two_waves: SkyPower) -> None:
@@ -170,7 +186,7 @@ def test_what_paths_depart_by_hides_a_static_fault_and_no_other(low_band: Instru
         (station,), _ = draw_stations(settings, alike, two_waves, np.random.default_rng(1), nuisances)
         detector = ideal_detector(settings, nuisances, station, spectra)
         longer = CableLength(size=5.0, where=Where(antennas=(2,)))
-        snr[size] = detector.snr_against_others(longer, 2), detector.snr([GainTemperature(size=0.01)])
+        snr[size] = detector.snr_against_others(longer), detector.snr([GainTemperature(size=0.01)])
     assert snr[0.02][0] < 0.7 * snr[0.0][0]
     assert snr[0.02][1] == pytest.approx(snr[0.0][1], rel=0.05)
 
