@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from lbacal.cli.figures import DIPOLE_COLOURS, GREY
 from lbacal.cli.report_pages import embed, fill_report
 from lbacal_core.audit.audit import AuditReport
+from lbacal_core.audit.health import compare_paths
 from lbacal_core.audit.station import AuditedStation
 from lbacal_core.instrument import DIPOLES
 
@@ -28,12 +29,13 @@ def draw_page(report: AuditReport, source: str) -> str:
 
 
 def _draw_station(station: AuditedStation) -> Figure:
-    """Departure of every path from the median of its polarisation along frequency, and band power against LST."""
+    """Departure of every path from the median of its polarisation and cable name, and band power against LST."""
     has_sky = station.hours >= SHORTEST_HOURS
     figure = Figure(figsize=(10, 7.5 if has_sky else 4.5), layout="constrained")
-    axes: Any = figure.subplots(2 if has_sky else 1, 2, squeeze=False)
+    axes: Any = figure.subplots(2 if has_sky else 1, 2, squeeze=False, sharey="row")
     power = station.before_cable()
-    departure = 10 / np.log(10) * np.nanmedian(power - np.nanmedian(power, axis=0), axis=2)
+    comparison = compare_paths(station)
+    departure = 10 / np.log(10) * (comparison.level[..., None] + comparison.profile)
     edges = _edges(station.frequency_mhz)
     for column, dipole in enumerate(DIPOLES):
         image = axes[0, column].pcolormesh(
@@ -55,7 +57,7 @@ def _draw_station(station: AuditedStation) -> Figure:
     axes[0, 0].set_ylabel("antenna")
     if has_sky:
         axes[1, 0].set_ylabel("power of the band over its median (dB)")
-    figure.colorbar(image, ax=axes[0], label="power over the median antenna (dB)")
+    figure.colorbar(image, ax=axes[0], label="power over the median of the cable name (dB)")
     return figure
 
 
