@@ -24,7 +24,7 @@ from service.handlers.request import (
     describes,
     require_read,
 )
-from service.storage.versions import Version
+from service.storage.versions import ID_DIGITS, Version
 from service.usecases.calibrations import select_scope
 from service.usecases.comparison import compare_versions
 from service.usecases.keys import Caller
@@ -164,7 +164,7 @@ def get_version(
     more = {"reference": chains or None, "anomalies": version.anomalies.as_dict()}
     content = {**describe_version(version), "curves": version.payload, **more}
     body = content if kind == "json" else write_format(kind, describe_version_rows(version))
-    return answer(request, body, media_type=FORMATS[kind], cache=IMMUTABLE)
+    return answer(request, body, media_type=FORMATS[kind], cache=_keeping(version_id))
 
 
 @router.get(
@@ -178,7 +178,7 @@ def get_version(
 )
 def get_diff(request: Request, use: UseCases, first: InPath, second: InPath) -> Response:
     a, b = use.calibrations.pair(first, second)
-    return answer(request, describe_diff(a, b), cache=IMMUTABLE)
+    return answer(request, describe_diff(a, b), cache=_keeping(first, second))
 
 
 @router.post(
@@ -211,6 +211,11 @@ def promote(
         lambda: use.promotions.promote(plan, lambda made, changes: to_json(describe_changes(made[0], changes))),
     )
     return answer(request, content, status=201)
+
+
+def _keeping(*ids: str) -> str:
+    """How long an answer about versions may be kept: a short id may be that of several one day."""
+    return IMMUTABLE if all(len(one) == ID_DIGITS for one in ids) else REVALIDATE
 
 
 def describe_version(version: Version) -> dict[str, Any]:

@@ -4,6 +4,7 @@ import csv
 import hashlib
 import io
 import math
+from collections.abc import Callable
 from typing import Any
 
 import h5py
@@ -14,6 +15,8 @@ from fastapi.testclient import TestClient
 
 from lbacal.tables import rows_of
 from lbacal_core.provenance import canonical_json
+from lbacal_core.validity import Scope
+from service.factory import Factory
 from service.storage.versions import Version
 
 Stored = dict[str, Version]
@@ -313,3 +316,35 @@ def test_a_promotion_whose_answer_was_lost_is_not_made_twice(client: TestClient,
     changed = {**body, "reason": "other"}
     assert client.post(**{**ask, "json": changed}).status_code == 409
     assert client.post("/v1/promotions", json=body).json()["promotion"] != first.json()["promotion"]
+
+
+def test_short_ids_are_taken_where_one_version_has_them(
+    client: TestClient, stored: Stored, factory: Factory, new_version: Callable[..., Version]
+) -> None:
+    """Pages and commands print ten to twelve digits; the interface wanted 64."""
+    first, second = stored["path"], stored["other"]
+    for digits in (6, 10, 12, 63):
+        found = client.get(f"/v1/calibrations/{first.id[:digits]}")
+        assert (found.status_code, found.json()["id"]) == (200, first.id)
+        assert "immutable" not in found.headers["cache-control"]
+        assert client.get(f"/calibrations/{first.id[:digits]}").status_code == 200
+    assert "immutable" in client.get(f"/v1/calibrations/{first.id}").headers["cache-control"]
+    told = client.get(f"/v1/calibrations/{first.id[:8]}/diff/{second.id[:8]}").json()
+    assert (told["first"], told["second"]) == (first.id, second.id)
+    body = {"calibration": first.id[:10], "valid_from": "2014-01-01", "reason": "test"}
+    assert client.post("/v1/promotions", json=body).json()["calibration"] == first.id
+    for wrong in (
+        first.id[:5],
+        first.id[:10].upper(),
+        first.id[:9] + "%25",
+        "_" * 10,
+        first.id[:63] + "g",
+        first.id + "0",
+    ):
+        assert client.get(f"/v1/calibrations/{wrong}").status_code == 404, wrong
+    alike = [new_version(Scope("CS001", 0, "X"), f"name {k}") for k in (6597, 6634)]
+    assert alike[0].id[:6] == alike[1].id[:6], "two names whose hashes begin alike"
+    with factory.database.write() as stores:
+        stores.versions.add(alike)
+    refused = client.get(f"/v1/calibrations/{alike[0].id[:6]}")
+    assert (refused.status_code, "more digits of the id of one version" in refused.json()["detail"]) == (422, True)
