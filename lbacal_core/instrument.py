@@ -229,7 +229,7 @@ def load_instrument(name_or_file: str) -> Instrument:
     if name_or_file in shipped:
         return parse_instrument(json.loads(shipped[name_or_file].read_text(encoding="utf-8")), name_or_file)
     path = Path(name_or_file)
-    if not path.exists():
+    if not _is_there(path):
         raise UnknownNameError("instrument", name_or_file, sorted(shipped))
     read = parse_instrument(read_json(path), str(path))
     return replace(read, antenna=_beside(path, read.antenna), sky=_beside(path, read.sky))
@@ -237,9 +237,17 @@ def load_instrument(name_or_file: str) -> Instrument:
 
 def _beside(path: Path, name_or_file: str | None) -> str | None:
     """A file that an instrument file names relative to itself; a name stays what it is."""
-    if name_or_file is None or not (path.parent / name_or_file).exists():
+    if name_or_file is None or not _is_there(path.parent / name_or_file):
         return name_or_file
     return str(path.parent / name_or_file)
+
+
+def _is_there(path: Path) -> bool:
+    """Whether a file has that name; a name that no file can have is none."""
+    try:
+        return path.exists()
+    except OSError:
+        return False
 
 
 def read_json(path: Path) -> Any:

@@ -1,20 +1,19 @@
-"""Kill -9 of server, worker and scheduler while spectra come in, versions are promoted and refits run.
+"""Kill -9 of server, worker, scheduler and PostgreSQL, at random, while clients write, promote, tag and ask for fits.
 
-At the end nothing that was acknowledged is missing, nothing is there twice, and the calibrations in effect are, id by
-id, those of a calm run on the same spectra: a version's id is the hash of its inputs, so equal ids mean equal fits.
-A trial is twenty kills, in turn, on one database.
+At the end nothing that was acknowledged is missing, nothing is there twice, a tag answers as it did when it was made,
+and the calibrations in effect are those of a calm run on the same spectra: the same versions, or C within the shift
+that a night leaves unstored. Nobody lends a hand: what was killed is only started again. A trial is forty kills.
 """
 
 from __future__ import annotations
 
-import itertools
 import tempfile
 import threading
 import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -24,6 +23,7 @@ import numpy as np
 import psycopg
 
 from lbacal.bodies import bodies_of_events
+from lbacal_core.grids import Floats
 from lbacal_core.instrument import load_instrument
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.table import write_sky_power
@@ -32,7 +32,8 @@ from lbacal_core.twin.campaign import simulate_campaign
 from lbacal_core.twin.settings import TwinSettings
 from proofs.machinery.claims import Claim, at_most, claim_rate
 from proofs.machinery.parts import Part, Row
-from proofs.running.postgres import run_postgres
+from proofs.running.clients import WRITERS, Clients, Record, ask_pinned
+from proofs.running.postgres import run_server
 from proofs.running.processes import Process, find_free_port, is_ready, run_command, running, wait_until
 from service.config import Settings
 from service.factory import Factory
@@ -40,62 +41,68 @@ from service.logs import configure_logs
 from service.storage.database import Database
 from service.storage.migration import upgrade
 from service.usecases.calibrations import select_paths
+from service.usecases.refits import SMALLEST_SHIFT
 from service.wire.instants import parse_instant
 from service.worker import Worker
 
-CLIENTS = 4
-KILLS = 20
-QUEUED = 6
+KILLS = 40
 DONE = "SELECT job FROM job_part WHERE state = 'done' OR substr(error, 1, 9) = 'no usable'"
 UNDONE = "SELECT job FROM job_part WHERE state <> 'done' AND substr(coalesce(error, ''), 1, 9) <> 'no usable'"
 DUE_TWICE = "SELECT due_key FROM job WHERE due_key IS NOT NULL GROUP BY due_key HAVING count(*) > 1"
 DATES = ("2014-07-01", "2015-07-01")
-LARGEST_SHARE = 0.05
-"""Share of kills that may break a promise, as far as they can be counted: 0 of 73 shows it."""
+LARGEST_SHARE = 0.01
+"""Of kills that may break a promise, as far as they can be counted: 0 of 368 shows it."""
 SKY = "sky_power.json"
 _SETTINGS: dict[str, Any] = {"lease_s": 3, "poll_s": 0.1, "gate_error": 0.5, "gate_change": 0.9, "log_level": "warning"}
 
 
-@dataclass
-class Record:
-    """What clients were told."""
+@dataclass(frozen=True)
+class Told:
+    """What a path is told: by which version, C and its statistical error, shape (freq,)."""
 
-    acknowledged: set[str] = field(default_factory=set)
-    stored: int = 0
-    promotions: set[int] = field(default_factory=set)
-    jobs: set[int] = field(default_factory=set)
-    answers: Counter[int] = field(default_factory=Counter)
-    lock: threading.Lock = field(default_factory=threading.Lock)
+    version: str
+    c: Floats
+    sigma: Floats
+
+
+InEffect = dict[tuple[str, ...], Told]
+"""By date, station, antenna and dipole."""
 
 
 def kill_and_compare(kind: str, kills: int, seed: int) -> Row:
     """Run on one kind of database and compare with the calm run."""
     configure_logs("warning")
-    with tempfile.TemporaryDirectory(prefix="lbacal-kills-") as name, _database(kind, Path(name)) as url:
+    with tempfile.TemporaryDirectory(prefix="lbacal-kills-") as name, _database(kind, Path(name)) as database:
         folder = Path(name)
         spectra = _simulate(folder, seed)
         bodies = list(bodies_of_events(spectra))
         calm = _fit_calmly(folder, spectra)
-        wild = _run(folder, url, bodies, kills, seed)
+        wild = _run(folder, database, bodies, kills, seed)
     checks = {
         "every acknowledged spectrum is there, once": wild.spectra == len(spectra),
         "no spectrum was reported as stored twice": wild.record.stored <= wild.spectra,
         "every acknowledged promotion is in the ledger": wild.record.promotions <= wild.ledger,
         "every answer was a success, `nothing stored yet` or `unavailable`": set(wild.record.answers)
         <= {200, 201, 202, 409, 503},
+        "every acknowledged tag is there, at its instant": wild.tags_kept == len(wild.record.tags),
+        "every tag answers as it did when it was made": wild.tags_changed == 0,
         "every acknowledged refit is done": wild.record.jobs <= wild.done,
         "every part of what was due is done, or found its window still empty": wild.undone == 0,
         "every due refit is enqueued once": wild.due_twice == 0,
         "no version was promoted twice in a row": wild.promoted_twice == 0,
-        "the calibrations in effect are those of the calm run": wild.in_effect == calm,
+        "the calibrations in effect are those of the calm run, or as near as a night leaves them": _are_alike(
+            wild.in_effect, calm
+        ),
     }
     return {
         "kills": kills,
+        "victims": dict(sorted(wild.victims.items())),
         "broken": [check for check, holds in checks.items() if not holds],
         "spectra": len(spectra),
         "answers": {str(code): count for code, count in sorted(wild.record.answers.items())},
         "promotions": len(wild.record.promotions),
         "refits": len(wild.record.jobs),
+        "tags": len(wild.record.tags),
         "parts_done": sum(wild.parts.values()),
         "attempts": int(wild.attempts),
         "curves_in_effect": len(wild.in_effect),
@@ -105,7 +112,7 @@ def kill_and_compare(kind: str, kills: int, seed: int) -> Row:
 def judge(kind: str, rows: Sequence[Row]) -> list[Claim]:
     """How many kills broke a promise; a run with a broken promise counts as one."""
     kills, broken = sum(row["kills"] for row in rows), sum(bool(row["broken"]) for row in rows)
-    text = f"A kill -9 of server, worker or scheduler loses, doubles or changes something ({kind})"
+    text = f"A kill -9 of server, worker, scheduler or database loses, doubles or changes something ({kind})"
     return [claim_rate("broken", text, at_most(LARGEST_SHARE), broken, kills)]
 
 
@@ -114,25 +121,33 @@ def tell(rows: Sequence[Row]) -> list[str]:
     lines = []
     for row in rows:
         lines.append(
-            f"- {row['kills']} kills; {CLIENTS} clients, {row['spectra']} spectra, sent again and again; answers "
-            f"{row['answers']}; {row['promotions']} promotions and {row['refits']} refits acknowledged; "
-            f"{row['parts_done']} parts done in {row['attempts']} attempts; {row['curves_in_effect']} curves in effect"
+            f"- {row['kills']} kills {row['victims']}; {WRITERS} writers, {row['spectra']} spectra, again and again; "
+            f"answers {row['answers']}; acknowledged {row['promotions']} promotions, {row['tags']} tags, "
+            f"{row['refits']} refits; {row['parts_done']} parts in {row['attempts']} attempts; "
+            f"{row['curves_in_effect']} curves in effect"
         )
         lines += [f"  NOT SO: {check}" for check in row["broken"]]
     return lines
 
 
+@dataclass(frozen=True)
+class Killable:
+    """An empty database, and how to kill its server, if it has one."""
+
+    url: str
+    kill: Callable[[], None] | None = None
+
+
 @contextmanager
-def _database(kind: str, folder: Path) -> Iterator[str]:
+def _database(kind: str, folder: Path) -> Iterator[Killable]:
     """An empty database of a kind."""
     if kind == "sqlite":
-        yield str(folder / "kills.sqlite")
+        yield Killable(str(folder / "kills.sqlite"))
         return
-    with run_postgres() as server:
-        with psycopg.connect(server, autocommit=True) as connection:
-            connection.execute("DROP DATABASE IF EXISTS kills")
+    with run_server() as server:
+        with psycopg.connect(server.url, autocommit=True) as connection:
             connection.execute("CREATE DATABASE kills")
-        yield server.replace("/postgres?", "/kills?")
+        yield Killable(server.url.replace("/postgres?", "/kills?"), server.kill)
 
 
 def _simulate(folder: Path, seed: int) -> Spectra:
@@ -144,7 +159,7 @@ def _simulate(folder: Path, seed: int) -> Spectra:
     return simulate_campaign(settings, instrument, sky, np.random.default_rng([20, seed])).spectra
 
 
-def _fit_calmly(folder: Path, spectra: Spectra) -> dict[tuple[str, ...], str]:
+def _fit_calmly(folder: Path, spectra: Spectra) -> InEffect:
     """The calibrations in effect after one undisturbed night in one process."""
     factory = Factory(Settings(database_url=str(folder / "calm.sqlite"), **_SETTINGS, sky_power=folder / SKY))
     upgrade(factory.database)
@@ -153,14 +168,27 @@ def _fit_calmly(folder: Path, spectra: Spectra) -> dict[tuple[str, ...], str]:
     factory.due.enqueue()
     Worker(factory).run(threading.Event(), until_idle=True)
     paths = select_paths(factory.instrument, None, None, None)
-    found: dict[tuple[str, ...], str] = {}
+    found: InEffect = {}
     for date in DATES:
         for curve in factory.calibrations.in_effect(parse_instant("date", date), paths).curves:
             path = curve.told.curve
             key = (date, str(path.station), str(path.antenna), str(path.dipole))
-            found[key] = str(curve.promotion.calibration)
+            found[key] = Told(str(curve.promotion.calibration), _floats(path.c), _floats(path.c_sigma_stat))
     factory.database.close()
     return found
+
+
+def _are_alike(found: InEffect, calm: InEffect) -> bool:
+    """Whether the same paths are told the same versions, or C that differs by what a night does not store."""
+    return found.keys() == calm.keys() and all(
+        one.version == calm[path].version
+        or bool(np.all(np.abs(one.c - calm[path].c) <= SMALLEST_SHIFT * np.fmin(one.sigma, calm[path].sigma)))
+        for path, one in found.items()
+    )
+
+
+def _floats(values: Any) -> Floats:
+    return np.array([] if values is None else values, dtype=float)
 
 
 @dataclass(frozen=True)
@@ -176,121 +204,58 @@ class Outcome:
     undone: int
     due_twice: int
     promoted_twice: int
-    in_effect: dict[tuple[str, ...], str]
+    in_effect: InEffect
+    tags_kept: int
+    tags_changed: int
+    victims: Counter[str]
 
 
-def _run(folder: Path, url: str, bodies: list[dict[str, Any]], kills: int, seed: int) -> Outcome:
+def _run(folder: Path, database: Killable, bodies: list[dict[str, Any]], kills: int, seed: int) -> Outcome:
     port = find_free_port()
     address = f"http://127.0.0.1:{port}"
     environment = {f"LBACAL_{name.upper()}": str(value) for name, value in _SETTINGS.items()}
-    environment |= {"LBACAL_DATABASE_URL": url, "LBACAL_SKY_POWER": str(folder / SKY)}
+    environment |= {"LBACAL_DATABASE_URL": database.url, "LBACAL_SKY_POWER": str(folder / SKY)}
     run_command(environment, "db", "upgrade")
     key = run_command(environment, "keys", "create", "--scope", "admin").splitlines()[-1]
     log = folder / "log"
-    server = Process(environment, log, "serve", "--port", str(port), "--api-only")
-    worker, scheduler = Process(environment, log, "worker"), Process(environment, log, "scheduler")
+    processes = [
+        Process(environment, log, "serve", "--port", str(port), "--api-only"),
+        Process(environment, log, "worker"),
+        Process(environment, log, "scheduler"),
+    ]
     by_mistake = Process(environment, log, "scheduler")
-    record = Record()
-    with running(server, worker, scheduler, by_mistake):
+    victims: dict[str, Callable[[], None]] = {process.name: process.kill for process in processes}
+    if database.kill is not None:
+        victims["database"] = database.kill
+    killed: Counter[str] = Counter()
+    with running(*processes, by_mistake):
         wait_until(lambda: is_ready(address), "the server")
-        is_over = threading.Event()
-        threads = [
-            threading.Thread(target=_send, args=(address, key, bodies, k, record, is_over)) for k in range(CLIENTS)
-        ]
-        threads.append(threading.Thread(target=_promote, args=(address, key, record, is_over)))
-        threads.append(threading.Thread(target=_refit, args=(address, key, record, is_over, seed)))
-        for thread in threads:
-            thread.start()
+        clients = Clients(address, key, bodies, seed)
+        clients.start()
         rng = np.random.default_rng([21, seed])
-        for victim in itertools.islice(itertools.cycle((server, worker, scheduler)), kills):
-            time.sleep(float(rng.uniform(0.2, 2.0)))
-            if victim is worker:
+        for name in rng.choice(sorted(victims), kills):
+            time.sleep(float(rng.uniform(0.1, 1.5)))
+            if name == "worker":
                 wait_until(lambda: _is_at_work(address), "the worker to be at work")
-            victim.kill()
+            victims[str(name)]()
+            killed[str(name)] += 1
+        record = clients.record
         wait_until(lambda: len(record.acknowledged) == len(bodies), "every event to be acknowledged")
-        is_over.set()
-        for thread in threads:
-            thread.join()
+        clients.stop()
         wait_until(lambda: is_ready(address), "the server")
         run_command(environment, "scheduler", "--once")
         wait_until(lambda: _is_idle(address), "the refits")
         time.sleep(0.5)
         wait_until(lambda: _is_idle(address), "the drift")
-        in_effect = _read_in_effect(address)
-    return _read_outcome(url, record, in_effect)
-
-
-def _send(
-    address: str, key: str, bodies: list[dict[str, Any]], k: int, record: Record, is_over: threading.Event
-) -> None:
-    """Send all events again and again, each client from another one on."""
-    start = k * len(bodies) // CLIENTS
-    with httpx2.Client(base_url=address, headers={"Authorization": f"Bearer {key}"}, timeout=60) as http:
-        is_first = True
-        while is_first or not is_over.is_set():
-            is_first = False
-            for body in [*bodies[start:], *bodies[:start]]:
-                while not _send_once(http, body, record):
-                    time.sleep(0.2)
-                if is_over.is_set():
-                    return
-
-
-def _send_once(http: httpx2.Client, body: dict[str, Any], record: Record) -> bool:
-    try:
-        answer = http.post("/v1/spectra", json=body)
-    except httpx2.TransportError:
-        return False
-    with record.lock:
-        record.answers[answer.status_code] += 1
-        if answer.is_success:
-            record.acknowledged.add(body["spectra"][0]["event_id"])
-            record.stored += answer.json()["stored"]
-    return bool(answer.is_success)
-
-
-def _promote(address: str, key: str, record: Record, is_over: threading.Event) -> None:
-    """Withdraw the array's calibration of a year long gone, again and again: a promotion that disturbs no refit."""
-    year = {"valid_from": "2010-01-01", "valid_to": "2011-01-01"}
-    body = {"calibration": None, "scope": "array", **year, "reason": "proof"}
-    with httpx2.Client(base_url=address, headers={"Authorization": f"Bearer {key}"}, timeout=60) as http:
-        while not is_over.wait(0.1):
-            try:
-                answer = http.post("/v1/promotions", json=body)
-            except httpx2.TransportError:
-                continue
-            with record.lock:
-                record.answers[answer.status_code] += 1
-                if answer.is_success:
-                    record.promotions.add(answer.json()["promotion"])
-
-
-def _refit(address: str, key: str, record: Record, is_over: threading.Event, seed: int) -> None:
-    """Keep the worker busy with refits of windows of 14 months, so that kills find it at work."""
-    rng = np.random.default_rng([22, seed])
-    body = {"scope": "antenna", "promote": False, "reason": "proof"}
-    with httpx2.Client(base_url=address, headers={"Authorization": f"Bearer {key}"}, timeout=60) as http:
-        while not is_over.wait(0.1):
-            try:
-                jobs = http.get("/v1/jobs", params={"limit": 20}).json()["jobs"]
-                if sum(job["state"] in ("queued", "running") for job in jobs) >= QUEUED:
-                    continue
-                day = int(rng.integers(1, 29))
-                window = {"since": f"2014-01-{day:02d}", "until": f"2015-03-{day:02d}"}
-                answer = http.post("/v1/refits", json={**body, **window})
-            except (httpx2.TransportError, KeyError):
-                continue
-            with record.lock:
-                record.answers[answer.status_code] += 1
-                if answer.is_success:
-                    record.jobs.add(answer.json()["job"])
+        in_effect, kept, changed = _read_in_effect(address), *_compare_tags(address, record)
+    return _read_outcome(database.url, record, in_effect, kept, changed, killed)
 
 
 def _is_at_work(address: str) -> bool:
     try:
         jobs = httpx2.get(f"{address}/v1/jobs", params={"limit": 20}, timeout=30).json()["jobs"]
-    except httpx2.TransportError:
-        return False
+    except (httpx2.TransportError, KeyError):
+        return False  # nobody there, or no database
     return any(job["state"] == "running" for job in jobs)
 
 
@@ -299,16 +264,36 @@ def _is_idle(address: str) -> bool:
     return all(job["state"] in ("done", "failed") for job in jobs)
 
 
-def _read_in_effect(address: str) -> dict[tuple[str, ...], str]:
-    found: dict[tuple[str, ...], str] = {}
+def _read_in_effect(address: str) -> InEffect:
+    found: InEffect = {}
     for date in DATES:
         curves = httpx2.get(f"{address}/v1/calibrations/effective", params={"at": date}, timeout=60).json()["curves"]
         for curve in curves:
-            found[(date, curve["station"], str(curve["antenna"]), curve["dipole"])] = curve["calibration"]
+            key = (date, curve["station"], str(curve["antenna"]), curve["dipole"])
+            found[key] = Told(curve["calibration"], _floats(curve["c"]), _floats(curve["c_sigma_stat"]))
     return found
 
 
-def _read_outcome(url: str, record: Record, in_effect: dict[tuple[str, ...], str]) -> Outcome:
+def _compare_tags(address: str, record: Record) -> tuple[int, int]:
+    """How many of the acknowledged tags are there with their instants, and how many give another answer than then."""
+    with httpx2.Client(base_url=address, timeout=60) as http:
+        found: dict[str, str] = {}
+        cursor: Any = None
+        while True:
+            more = {} if cursor is None else {"cursor": cursor}
+            page = http.get("/v1/tags", params={"limit": 1000, **more}).json()
+            found |= {tag["name"]: tag["as_of"] for tag in page["tags"]}
+            cursor = page.get("next")
+            if cursor is None:
+                break
+        kept = sum(found.get(name) == as_of for name, (as_of, _) in record.tags.items())
+        changed = sum(then is not None and ask_pinned(http, as_of) != then for as_of, then in record.tags.values())
+    return kept, changed
+
+
+def _read_outcome(
+    url: str, record: Record, in_effect: InEffect, tags_kept: int, tags_changed: int, victims: Counter[str]
+) -> Outcome:
     """Look into the database behind the service's back."""
     database = Database(Settings(database_url=url).sqlalchemy_url)
     try:
@@ -334,6 +319,9 @@ def _read_outcome(url: str, record: Record, in_effect: dict[tuple[str, ...], str
                 due_twice=len(rows(DUE_TWICE)),
                 promoted_twice=twice,
                 in_effect=in_effect,
+                tags_kept=tags_kept,
+                tags_changed=tags_changed,
+                victims=victims,
             )
     finally:
         database.close()

@@ -246,6 +246,13 @@ def test_a_longitude_may_be_counted_to_either_side() -> None:
         assert parse_instrument(content, "i.json").longitude_deg == longitude
 
 
+def test_a_name_longer_than_any_files_was_an_error_of_the_system(tmp_path: Path) -> None:
+    (tmp_path / "i.json").write_text(json.dumps(make_content() | {"antenna": "a" * 300}))
+    assert load_instrument(str(tmp_path / "i.json")).antenna == "a" * 300
+    with pytest.raises(UnknownNameError):
+        load_instrument("b" * 5000)
+
+
 def test_an_antenna_file_is_found_beside_the_instrument_file(tmp_path: Path) -> None:
     (tmp_path / "lba.npz").touch()
     (tmp_path / "i.json").write_text(json.dumps(make_content() | {"antenna": "lba.npz", "sky": "gsm"}))

@@ -1,0 +1,193 @@
+"""The client with a synced cache, at a server that is there, and that is gone."""
+
+from __future__ import annotations
+
+import json
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+import uvicorn
+from fastapi.testclient import TestClient
+
+import lbacal
+from lbacal.cache import Cache, CacheError
+from lbacal_core.errors import BadInputError, LbacalError
+from service.app import make_app
+from service.factory import Factory
+from service.storage.versions import Version
+
+ABSENT = "http://127.0.0.1:9"
+KINDS = ("json", "csv", "ecsv", "fits", "hdf5")
+PATH = {"station": "CS001", "antenna": 0, "dipole": "X"}
+INSTANTS = (
+    "2012-12-31T23:59:59.999999Z", "2013-01-01", "2013-12-31T23:59:59.999999Z", "2014-01-01T00:00:00Z", "2014-03-01",
+    "2014-05-31T23:59:59.999999Z", "2014-06-01T00:00:00+00:00", "2014-12-31", "2015-01-01", "2099-01-01",
+)  # fmt: skip
+
+
+@contextmanager
+def listening(factory: Factory) -> Iterator[str]:
+    """A real server on a port of its own."""
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        server = uvicorn.Server(uvicorn.Config(make_app(factory), log_config=None, access_log=False))
+        thread = threading.Thread(target=server.run, args=([taken],))
+        thread.start()
+        while not server.started:
+            time.sleep(0.01)
+        yield f"http://127.0.0.1:{taken.getsockname()[1]}"
+        server.should_exit = True
+        thread.join()
+
+
+@pytest.fixture
+def tagged(client: TestClient, stored: dict[str, Version], clock: Any) -> str:
+    """A ledger with all scopes, gaps and a withdrawal, frozen as `paper`; what came later is not in the tag."""
+
+    def promote(name: str | None, start: str, end: str | None = None, **scope: Any) -> None:
+        version = None if name is None else stored[name].id
+        body = {"calibration": version, "valid_from": start, "valid_to": end, "reason": "test", **scope}
+        assert client.post("/v1/promotions", json=body).status_code == 201
+
+    promote("array", "2013-01-01", "2015-01-01")
+    promote("station", "2014-01-01", "2014-06-01")
+    promote("path", "2014-03-01")
+    promote(None, "2014-06-01", "2014-07-01", **PATH)
+    made = client.put("/v1/tags/paper", json={"reason": "test"})
+    assert made.status_code == 201, made.text
+    clock.now += 100_000_000
+    promote("other", "2012-01-01")
+    promote("station", "2001-01-01")
+    return "paper"
+
+
+@pytest.fixture
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("LBACAL_CACHE", str(tmp_path / "cache"))
+    return tmp_path / "cache"
+
+
+def ask_all(ask: Callable[..., bytes], **more: Any) -> list[Any]:
+    """Every question to every instant: the answer, or the sentence of the refusal."""
+    said: list[Any] = []
+    questions = [PATH, {"station": "CS001"}, {"station": "CS002", "dipole": "Y"}, {}, {"scope": "array"}]
+    for at in INSTANTS:
+        for question in questions:
+            for kind in KINDS if at == "2014-03-01" else ("json",):
+                try:
+                    said.append(ask(**question, at=at, kind=kind, **more))
+                except lbacal.RefusedError as error:
+                    said.append((error.status, error.code))
+    return said
+
+
+def test_the_cache_gives_the_bytes_that_the_server_gave(factory: Factory, tagged: str, cache: Path) -> None:
+    with listening(factory) as url, lbacal.Client(url) as client:
+        snapshot, fetched = client.sync(tagged)
+        assert fetched == sum(len(station["edges"]) for station in snapshot.stations.values())
+        served = ask_all(client.ask, as_of=snapshot.as_of)
+    assert len({str(one) for one in served}) > 20, "the questions have many answers"
+    with lbacal.Client(ABSENT) as client:
+        assert ask_all(client.ask, as_of=snapshot.as_of) == served
+        assert ask_all(client.ask, tag=tagged) == served
+        assert ask_all(client.ask) == served
+    assert cache.is_dir()
+
+
+@pytest.mark.usefixtures("cache")
+def test_who_is_answered_from_the_cache_is_told_at_once(factory: Factory, tagged: str) -> None:
+    with listening(factory) as url, lbacal.Client(url) as client:
+        snapshot, _ = client.sync(tagged)
+        table = client.effective(**PATH, at="2014-03-01")
+        assert table.meta["source"] == url
+    began = time.monotonic()
+    with lbacal.Client(ABSENT) as client, pytest.warns(lbacal.CachedAnswerWarning, match="does not answer: tag paper"):
+        table = client.effective(**PATH, at="2014-03-01")
+    assert time.monotonic() - began < 2.0
+    assert table.meta["source"].startswith(f"cache: tag paper, as known at {snapshot.as_of}, synced at 20")
+
+
+@pytest.mark.usefixtures("cache", "stored")
+def test_a_second_sync_fetches_only_what_is_damaged(factory: Factory, tagged: str, cache: Path) -> None:
+    with listening(factory) as url, lbacal.Client(url) as client:
+        snapshot, _ = client.sync(tagged)
+        assert client.sync(tagged)[1] == 0
+        digest = min(snapshot.files)
+        path = cache / "files" / digest[:2] / digest
+        content = bytearray(path.read_bytes())
+        content[len(content) // 2] ^= 1
+        path.write_bytes(content)
+        with pytest.raises(CacheError, match=r"is damaged or missing: run `lbacal sync paper`"):
+            ask_all(lbacal.Client(ABSENT).ask)
+        (uses,) = {sum(d == digest for _, d in s["edges"]) for s in snapshot.stations.values()} - {0}
+        assert client.sync(tagged)[1] == uses
+        assert len(ask_all(lbacal.Client(ABSENT).ask)) > 0
+
+
+def test_every_flipped_byte_of_a_list_is_noticed(factory: Factory, tagged: str, cache: Path) -> None:
+    with listening(factory) as url, lbacal.Client(url) as client:
+        client.sync(tagged)
+    pointer = cache / "tags" / "paper.json"
+    digest = json.loads(pointer.read_text())["list"]
+    listed = cache / "files" / digest[:2] / digest
+    for path in (pointer, listed):
+        whole = path.read_bytes()
+        for k in range(0, len(whole), max(1, len(whole) // 60)):
+            path.write_bytes(whole[:k] + bytes([whole[k] ^ 2]) + whole[k + 1 :])
+            with pytest.raises(CacheError):
+                Cache(cache).snapshot("paper")
+        path.write_bytes(b"")
+        with pytest.raises(CacheError):
+            Cache(cache).snapshot("paper")
+        path.write_bytes(whole)
+    assert Cache(cache).snapshot(None).tag == "paper"
+
+
+def test_without_a_cache_it_fails_within_two_seconds_and_names_the_next_step(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """It was silent for 16 s, and then asked whether the address was right."""
+    monkeypatch.delenv("LBACAL_CACHE", raising=False)
+    began = time.monotonic()
+    with pytest.raises(
+        lbacal.UnreachableError, match=r"nobody answers at .*: start `lbacal serve` there, or set LBACAL_URL"
+    ):
+        lbacal.Client(ABSENT).ask(**PATH, at="2014-03-01")
+    with socket.create_server(("127.0.0.1", 0), backlog=0) as deaf:
+        blocked = [socket.create_connection(deaf.getsockname()) for _ in range(1)]
+        url = f"http://127.0.0.1:{deaf.getsockname()[1]}"
+        with pytest.raises(lbacal.UnreachableError):
+            lbacal.Client(url).ask(**PATH, at="2014-03-01")
+        for one in blocked:
+            one.close()
+    assert time.monotonic() - began < 5.0
+    monkeypatch.setenv("LBACAL_CACHE", str(tmp_path))
+    with pytest.raises(CacheError, match="holds no tag: run `lbacal sync TAG`"):
+        lbacal.Client(ABSENT).ask(**PATH, at="2014-03-01")
+
+
+@pytest.mark.usefixtures("cache")
+def test_what_a_cache_does_not_know_is_refused_in_a_sentence(factory: Factory, tagged: str) -> None:
+    with listening(factory) as url, lbacal.Client(url) as client:
+        with pytest.raises(BadInputError, match="a tag of the server"):
+            client.sync("none")
+        client.sync(tagged)
+    client = lbacal.Client(ABSENT)
+    for question, sentence in (
+        ({"station": "CS009"}, "station: expected one of CS001, CS002"),
+        ({"station": "CS001", "antenna": 77}, "antenna: expected an antenna of CS001"),
+        ({"antenna": 1}, "antenna: expected a station beside it"),
+        ({"dipole": "Z"}, "dipole: expected X or Y"),
+        ({"as_of": "2013-01-01"}, "the instant of the cached tag paper"),
+        ({"at": "2014"}, "at: expected an ISO 8601 date"),
+        ({"gap": "hold"}, "nobody answers at"),
+        ({"tag": "../x"}, "tag: expected letters"),
+        ({"tag": "other"}, "run `lbacal sync other`"),
+    ):
+        with pytest.raises(LbacalError, match=sentence):
+            client.ask(**{"at": "2014-03-01", **question})
