@@ -1,4 +1,4 @@
-"""The client with a synced cache, at a server that is there, and that is gone."""
+"""What comes over the wire is what a synced cache holds: the client at a server that is there, and that is gone."""
 
 from __future__ import annotations
 
