@@ -51,7 +51,7 @@ UNDONE = "SELECT job FROM job_part WHERE state <> 'done' AND substr(coalesce(err
 DUE_TWICE = "SELECT due_key FROM job WHERE due_key IS NOT NULL GROUP BY due_key HAVING count(*) > 1"
 DATES = ("2014-07-01", "2015-07-01")
 LARGEST_SHARE = 0.01
-"""Of kills that may break a promise, as far as they can be counted: 0 of 368 shows it."""
+"""The share of kills that may break a promise: 0 of 368 shows that it is smaller."""
 SKY = "sky_power.json"
 _SETTINGS: dict[str, Any] = {"lease_s": 3, "poll_s": 0.1, "gate_error": 0.5, "gate_change": 0.9, "log_level": "warning"}
 
