@@ -76,7 +76,7 @@ def _draw_panel(axes: Any, panel: Panel) -> None:
         axes.set_ylim(top=LEGEND_ROOM * axes.get_ylim()[1])
     if panel.title:
         axes.set_title(panel.title, fontsize=8)
-    axes.legend(ncols=2 if len(panel.series) > 6 else 1)
+    axes.legend(ncols=2 if len(panel.series) > 8 else 1)
 
 
 def _draw_series(axes: Any, one: Series, colour: str, marker: str, width: float) -> None:

@@ -18,6 +18,7 @@ from lbacal_core.paper.budget import Budget
 from lbacal_core.paper.chain_findings import mean_loss, published_correction
 from lbacal_core.paper.figures import BAND, BOXES, OTHER, POINTS, PUBLISHED, Panel, PaperFigure, Series
 from lbacal_core.paper.noise_findings import FULL_DAY
+from lbacal_core.paper.shower_study import calibrate_with_stand_in
 from lbacal_core.paper.study import EXCHANGE, Study
 
 FREQUENCY = "frequency (MHz)"
@@ -190,6 +191,10 @@ def _draw_calibration(study: Study, budget: Budget) -> PaperFigure:
         _band("published, 13 %", frequency, published, PUBLISHED_SYSTEMATIC, PUBLISHED),
         Series("published", frequency, published, origin=PUBLISHED, group="published"),
     ]
+    upper += [
+        Series(f"source, {one.name}", frequency, MICRO * one.c, origin=OTHER, group=one.name)
+        for one in calibrate_with_stand_in(study)
+    ]
     lower = []
     for dipole in DIPOLES:
         curve = study.mean_curve(dipole)
@@ -208,7 +213,8 @@ def _draw_calibration(study: Study, budget: Budget) -> PaperFigure:
         "C(nu) of the mean path. Ours is the fit of a simulated Superterp-year whose chain is drawn about the "
         "published curve "
         "with 3 % of smooth departures: it shows what the method recovers (right), not a new measurement. Systematic "
-        "bands: Table 1 of the paper, and our refits.",
+        "bands: Table 1 of the paper, and our refits. The two reference source calibrations of the paper are not "
+        "public; dotted are those with a stand-in.",
         [
             Panel(FREQUENCY, "C (µV per ADC unit)", upper),
             Panel(FREQUENCY, "error of the fit (%)", lower),

@@ -52,9 +52,10 @@ def find_about_sky(skies: Sequence[SkyModel], frequency_mhz: Floats) -> dict[str
         ),
         "isotropic-index": Finding(
             float(effect.mean()),
-            float(level * effect.mean()),
+            float(np.hypot(level * effect.mean(), effect.std())),
             f"half the change of T_Iso for an index of 2.75 +- {INDEX_ERROR}, over the sky mean of {skies[0].name}, "
-            f"averaged over the band; it falls from {effect.max():.1f} % to {effect.min():.1f} % with frequency, "
+            f"averaged over the band, with its scatter over the band in the error; it falls from {effect.max():.1f} "
+            f"% to {effect.min():.1f} % with frequency, "
             "because "
             "the pivot is 150 MHz.",
         ),
