@@ -30,6 +30,8 @@ from lbacal_core.lstcurve.noise_share import LARGEST_RATIO
 FOLDS = 4
 FOLD_HOURS = 2.0
 NO_START: Mapping[str, float] = {}
+INSIDE = 1e-3
+"""Distance of a start from the end of its range, in units of what the fit takes for a step."""
 
 
 @dataclass(frozen=True)
@@ -159,62 +161,56 @@ class CurveFitter:
         start
             Sizes to start from, by label.
         """
-        prior = self.station.prior
+        prior, dipoles = self.station.prior, len(DIPOLES)
         kept = np.arange(self.measured.size) if rows is None else np.flatnonzero(rows)
         root = np.linalg.cholesky(self.covariance[np.ix_(kept, kept)])
-        absorbed = np.linalg.qr(solve_triangular(root, self.offsets[kept], lower=True))[0]
-        sizes = np.array([choice.cause.whole_array_size or 0.0 for choice in choices])
+        free = [choice for choice in choices if not choice.is_statement]
         is_free = np.array([not choice.is_statement for choice in choices], dtype=bool)
         has_own_noise = any(choice.cause.identifier == "missing_noise" for choice in choices)
 
-        def take(free: Floats) -> tuple[Floats, float]:
-            full = sizes.copy()
-            full[is_free] = free[1:]
-            return full, float(prior.mean if has_own_noise else free[0])
+        def sizes_of(values: Floats) -> Floats:
+            sizes = np.array([choice.cause.whole_array_size or 0.0 for choice in choices])
+            sizes[is_free] = values[dipoles + 1 :]
+            return sizes
 
-        def residual(free: Floats) -> Floats:
-            full, noise = take(free)
-            left = self.measured[kept] - self.points_with(choices, full, noise)[kept]
-            white = solve_triangular(root, left, lower=True)
-            return np.append(white - absorbed @ (absorbed.T @ white), (free[0] - prior.mean) / prior.sigma)
+        def noise_of(values: Floats) -> float:
+            return float(prior.mean if has_own_noise else values[dipoles])
 
-        ranges = [choice.sizes for choice in choices if not choice.is_statement]
-        begins = [
-            [
-                start.get(one.label, one.sizes.starts[k % len(one.sizes.starts)])
-                for one in choices
-                if not one.is_statement
-            ]
-            for k in range(max((len(one.sizes.starts) for one in choices if one.label not in start), default=1))
-        ]
-        bounds = np.array([[0.0, LARGEST_RATIO], *([one.lowest, one.highest] for one in ranges)]).T
-        inside = 1e-4 * (bounds[1] - bounds[0])
-        span = np.array([0.1, *(max(abs(one.starts[-1]), 0.1) for one in ranges)])
-        firsts = (np.clip([prior.mean, *one], bounds[0] + inside, bounds[1] - inside) for one in begins)
-        tried = [least_squares(residual, one, bounds=bounds, x_scale=span, max_nfev=60) for one in firsts]
+        def left(values: Floats) -> Floats:
+            model = self.points_with(choices, sizes_of(values), noise_of(values))
+            return np.asarray(self.measured - model - self.offsets @ values[:dipoles])
+
+        def residual(values: Floats) -> Floats:
+            white = solve_triangular(root, left(values)[kept], lower=True)
+            return np.append(white, (values[dipoles] - prior.mean) / prior.sigma)
+
+        lowest = [*[-np.inf] * dipoles, 0.0, *(choice.sizes.lowest for choice in free)]
+        highest = [*[np.inf] * dipoles, LARGEST_RATIO, *(choice.sizes.highest for choice in free)]
+        span = np.array([*[0.1] * (dipoles + 1), *(max(abs(choice.sizes.starts[-1]), 0.1) for choice in free)])
+        tries = max((len(choice.sizes.starts) for choice in free if choice.label not in start), default=1)
+        tried = []
+        for k in range(tries):
+            sizes = [start.get(one.label, one.sizes.starts[k % len(one.sizes.starts)]) for one in free]
+            first = np.clip([*[0.0] * dipoles, prior.mean, *sizes], lowest + INSIDE * span, highest - INSIDE * span)
+            tried.append(least_squares(residual, first, bounds=(lowest, highest), x_scale=span, max_nfev=60))
         found = min(tried, key=lambda one: float(one.cost))
         errors = np.sqrt(np.diag(np.linalg.inv(found.jac.T @ found.jac + 1e-12 * np.diag(span**-2.0))))
         sigmas = np.zeros(len(choices))
-        sigmas[is_free] = errors[1:]
-        best, noise = take(found.x)
-        chi2 = 2 * float(found.cost)
-        left = self.measured - self.points_with(choices, best, noise)
-        white = solve_triangular(root, left[kept], lower=True)
-        offsets = np.linalg.lstsq(solve_triangular(root, self.offsets[kept], lower=True), white, rcond=None)[0]
-        band = self.band_with(choices, best, noise)
-        fitted = kept.size - len(DIPOLES) - int(is_free.sum()) - (not prior.is_known)
+        sigmas[is_free] = errors[dipoles + 1 :]
+        best, noise = sizes_of(found.x), noise_of(found.x)
+        band = 10 * np.log10(self.band_with(choices, best, noise)) + found.x[:dipoles, None]
         return CurveFit(
             choices=tuple(choices),
             sizes=best,
             sigmas=sigmas,
             noise=noise,
-            noise_sigma=0.0 if has_own_noise else float(errors[0]),
-            curve_db={d: 10 * np.log10(band[k]) + offsets[k] for k, d in enumerate(DIPOLES)},
-            residual_db=self._by_dipole(left - self.offsets @ offsets),
-            chi2=chi2,
-            chi2_drawn=self._chi2_drawn(left),
+            noise_sigma=0.0 if has_own_noise else float(errors[dipoles]),
+            curve_db=dict(zip(DIPOLES, band, strict=True)),
+            residual_db=self._by_dipole(left(found.x)),
+            chi2=2 * float(found.cost),
+            chi2_drawn=self._chi2_drawn(left(found.x)),
             points=kept.size,
-            dof=max(fitted, 1),
+            dof=max(kept.size - dipoles - len(free) - (not prior.is_known), 1),
         )
 
     def _by_dipole(self, values: Floats) -> dict[str, Floats]:
