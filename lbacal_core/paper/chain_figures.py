@@ -15,9 +15,9 @@ from lbacal_core.grids import Floats
 from lbacal_core.instrument import DIPOLES
 from lbacal_core.lstcurve.compare import AS_RECORDED, BAND_MHZ, band_weights, in_db, simulate_band_power
 from lbacal_core.paper.budget import Budget
-from lbacal_core.paper.chain_findings import mean_loss, published_correction
+from lbacal_core.paper.chain_results import mean_loss, published_correction
 from lbacal_core.paper.figures import BAND, BOXES, OTHER, POINTS, PUBLISHED, Panel, PaperFigure, Series
-from lbacal_core.paper.noise_findings import FULL_DAY
+from lbacal_core.paper.noise_results import FULL_DAY
 from lbacal_core.paper.shower_study import calibrate_with_stand_in
 from lbacal_core.paper.study import EXCHANGE, Study
 
@@ -65,8 +65,8 @@ def _draw_chain(study: Study) -> PaperFigure:
         1,
         "The signal chain",
         "The chain of eq. full_chain, and the power at its three points for the mean X path of a simulated "
-        "Superterp-year, in "
-        "dB over the median recorded power (S behind point 1 in the same unit). The paper draws the schematic only.",
+        "Superterp-year, in dB over the median recorded power (S behind point 1 in the same unit). The paper draws "
+        "the schematic only.",
         [Panel("", "", schematic), Panel(FREQUENCY, "power (dB)", levels)],
     )
 
@@ -93,8 +93,7 @@ def _draw_parts(study: Study, data: Path | None) -> PaperFigure:
         2,
         "Antenna gain and cable loss",
         "Left: G_ant over its maximum; 'with A' is what the published C makes of it. Right: power gain of the cables "
-        "on record, "
-        "and of the mean path of the Superterp, which is what one calibration for all antennas stands for.",
+        "on record, and of the mean path of the Superterp, which is what one calibration for all antennas stands for.",
         [Panel(FREQUENCY, "G_ant / maximum", models), Panel(FREQUENCY, "gain (dB)", cables)],
     )
 
@@ -123,9 +122,8 @@ def _draw_pass_band(study: Study) -> PaperFigure:
         3,
         "Receiver pass band",
         "The published mean pass band and the level 3 dB below its plateau; the line marks the published edge. The "
-        "published "
-        "spread of units is not public. A(nu) rises where the pass band falls: the published C follows only a part "
-        "of its fall.",
+        "published spread of units is not public. A(nu) rises where the pass band falls: the published C follows "
+        "only a part of its fall.",
         [Panel(FREQUENCY, "power gain (dB)", series, vertical=(78.0,))],
     )
 
@@ -152,8 +150,8 @@ def _draw_variation(study: Study) -> PaperFigure:
         4,
         "LST variation of the band power",
         "The published measured variation and our simulation of the arm NE-SW (X) and NW-SE (Y). The measured "
-        "letters are "
-        "exchanged against the arms (docs/decisions/dipole-letters.md). Fitted: offset, and right the noise share.",
+        "letters are exchanged against the arms (docs/decisions/dipole-letters.md). Fitted: offset, and right the "
+        "noise share.",
         panels,
     )
 
@@ -178,9 +176,8 @@ def _draw_noise(study: Study) -> PaperFigure:
         5,
         "Noise at the start of the chain",
         "Noise terms referred to the start of the chain. Ours: the fit of a simulated Superterp-year whose noise "
-        "constants are "
-        "drawn within 5 % of the published ones, mean X path. Published terms times one factor, that of the two sky "
-        "powers.",
+        "constants are drawn within 5 % of the published ones, mean X path. Published terms times one factor, that "
+        "of the two sky powers.",
         [Panel(FREQUENCY, "power (W m$^{-2}$ MHz$^{-1}$)", series, is_log=True)],
     )
 
@@ -211,10 +208,9 @@ def _draw_calibration(study: Study, budget: Budget) -> PaperFigure:
         6,
         "Calibration factor",
         "C(nu) of the mean path. Ours is the fit of a simulated Superterp-year whose chain is drawn about the "
-        "published curve "
-        "with 3 % of smooth departures: it shows what the method recovers (right), not a new measurement. Systematic "
-        "bands: Table 1 of the paper, and our refits. The two reference source calibrations of the paper are not "
-        "public; dotted are those with a stand-in.",
+        "published curve with 3 % of smooth departures: it shows what the method recovers (right), not a new "
+        "measurement. Systematic bands: Table 1 of the paper, and our refits. The two reference source calibrations "
+        "of the paper are not public; dotted are those with a stand-in.",
         [
             Panel(FREQUENCY, "C (µV per ADC unit)", upper),
             Panel(FREQUENCY, "error of the fit (%)", lower),

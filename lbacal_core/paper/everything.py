@@ -11,31 +11,29 @@ from threadpoolctl import threadpool_limits
 
 from lbacal_core.instrument import DIPOLES
 from lbacal_core.paper.budget import Budget, compute_budget
-from lbacal_core.paper.calibration_findings import find_about_calibration
+from lbacal_core.paper.calibration_results import find_about_calibration
 from lbacal_core.paper.chain_figures import make_chain_figures
-from lbacal_core.paper.chain_findings import find_about_chain
+from lbacal_core.paper.chain_results import find_about_chain
 from lbacal_core.paper.figures import PaperFigure
-from lbacal_core.paper.noise_findings import find_about_noise
+from lbacal_core.paper.noise_results import find_about_noise
 from lbacal_core.paper.shower_figures import make_shower_figures
-from lbacal_core.paper.shower_findings import find_about_showers
+from lbacal_core.paper.shower_results import find_about_showers
 from lbacal_core.paper.shower_study import describe_displacements, study_showers
-from lbacal_core.paper.sky_findings import find_about_sky, find_skies
+from lbacal_core.paper.sky_results import find_about_sky, find_skies
 from lbacal_core.paper.statements import load_statements, make_claims
 from lbacal_core.paper.study import make_study
 from lbacal_core.showers.coreas import Shower, read_coreas
 
 WITHOUT_DATA = (
-    "Run without --data: the comparison of sky models is that of those that ship, the spread of the receivers' "
-    "gains is not "
-    "tested, and figure 2 lacks the WIPL-D table. A folder with sky/*.npz, caltables/ and antenna/lba_vout.npz adds "
-    "them."
+    "Run without --data: the comparison of sky models is that of those that ship, the spread of the receivers' gains "
+    "is not tested, and figure 2 lacks the WIPL-D table. A folder with sky/*.npz, caltables/ and "
+    "antenna/lba_vout.npz adds them."
 )
 
 
 WITHOUT_SHOWERS = (
     "Run without --showers: section 5.1 is tested on stand-in pulses, straight by construction. CoREAS showers (HDF5 "
-    "or .reas), "
-    "such as the three examples in the PyPI package nuradiomc, replace them."
+    "or .reas), such as the three examples in the PyPI package nuradiomc, replace them."
 )
 BUDGET_HEADER = ("term", "published (%)", "ours, largest up to 77 MHz (%)", "above (%)")
 DISPLACEMENTS = "What each calibration does to the slopes of section 5.1"
@@ -74,7 +72,7 @@ def redo_paper(
     data: Path | None = None,
     showers: Sequence[Path] = (),
 ) -> RedonePaper:
-    """Compute every finding and every figure.
+    """Compute every result and every figure.
 
     Parameters
     ----------
@@ -101,7 +99,7 @@ def _redo(
     tell("calibrate signals of showers in every way")
     signals = study_showers(study, budget, showers)
     tell("judge the statements")
-    findings = {
+    results = {
         **find_about_sky(find_skies(data), study.frequency_mhz),
         **find_about_chain(study),
         **find_about_noise(study),
@@ -113,7 +111,7 @@ def _redo(
     if not showers:
         notes.append(WITHOUT_SHOWERS)
     tables = [tabulate_budget(budget), Table(DISPLACEMENTS, DISPLACED, describe_displacements(signals))]
-    return RedonePaper(make_claims(load_statements(), findings), figures, tables, notes)
+    return RedonePaper(make_claims(load_statements(), results), figures, tables, notes)
 
 
 def tabulate_budget(budget: Budget) -> Table:

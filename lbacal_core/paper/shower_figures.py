@@ -56,11 +56,9 @@ def _draw_slopes(study: Study, showers: ShowerStudy) -> PaperFigure:
         7,
         "Slopes of power spectra",
         "Left: one signal. Right: 68 % contours of the slopes below and above the resonance, "
-        f"{recording.signals.event.size} "
-        f"signals of {int(recording.signals.event.max()) + 1} events ({recording.signals.origin}), recorded with the "
-        "simulated "
-        "Superterp. The published signals and both published reference calibrations are not public; the two of the "
-        "reference source are a stand-in.",
+        f"{recording.signals.event.size} signals of {int(recording.signals.event.max()) + 1} events "
+        f"({recording.signals.origin}), recorded with the simulated Superterp. The published signals and both "
+        "published reference calibrations are not public; the two of the reference source are a stand-in.",
         [
             Panel(FREQUENCY, "log10 power (median of the field = 0)", series),
             Panel("slope 30-58 MHz (10$^{-3}$/MHz)", "slope 62-78 MHz (10$^{-3}$/MHz)", contours, diagonal=True),
@@ -114,8 +112,7 @@ def _draw_field(study: Study) -> PaperFigure:
         9,
         "Field of the reference source",
         "Field at 10 m as two laboratories would state it of a stand-in source with a known field: measured at 3 m, "
-        "in the "
-        "near field, scaled with 1/r; in the chamber 15 % of the floor's reflection is left. The published tables "
-        "are not public.",
+        "in the near field, scaled with 1/r; in the chamber 15 % of the floor's reflection is left. The published "
+        "tables are not public.",
         [Panel(FREQUENCY, "field at 10 m (mV m$^{-1}$ MHz$^{-1/2}$)", series)],
     )

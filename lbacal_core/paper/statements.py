@@ -52,7 +52,7 @@ class Statement:
 
 
 @dataclass(frozen=True)
-class Finding:
+class Result:
     """What this project finds about one statement.
 
     Attributes
@@ -68,27 +68,27 @@ class Finding:
     how: str
 
 
-def not_testable(how: str) -> Finding:
-    """The finding for a statement about data that nobody has published."""
-    return Finding(None, 0.0, how)
+def not_testable(how: str) -> Result:
+    """The result for a statement about data that nobody has published."""
+    return Result(None, 0.0, how)
 
 
-def judge(statement: Statement, finding: Finding) -> str:
-    """Compare a finding with a statement: one of `VERDICTS`."""
-    if finding.ours is None:
+def judge(statement: Statement, result: Result) -> str:
+    """Compare a result with a statement: one of `VERDICTS`."""
+    if result.ours is None:
         return UNTESTED
-    if not (math.isfinite(finding.ours) and math.isfinite(finding.sigma)):
-        raise ValueError(f"statement {statement.identifier}: {finding.ours} +- {finding.sigma}")
-    excess = finding.ours - statement.value
+    if not (math.isfinite(result.ours) and math.isfinite(result.sigma)):
+        raise ValueError(f"statement {statement.identifier}: {result.ours} +- {result.sigma}")
+    excess = result.ours - statement.value
     distance = {EQUAL: abs(excess), AT_MOST: excess, AT_LEAST: -excess}[statement.relation]
-    return AGREE if distance <= LARGEST_PULL * math.hypot(statement.precision, finding.sigma) else DISAGREE
+    return AGREE if distance <= LARGEST_PULL * math.hypot(statement.precision, result.sigma) else DISAGREE
 
 
-def make_claims(statements: Iterable[Statement], findings: Mapping[str, Finding]) -> list[dict[str, Any]]:
-    """The content of claims.json: every statement has a finding and every finding a statement."""
+def make_claims(statements: Iterable[Statement], results: Mapping[str, Result]) -> list[dict[str, Any]]:
+    """The content of claims.json: every statement has a result and every result a statement."""
     known = {statement.identifier: statement for statement in statements}
-    if set(known) != set(findings):
-        raise ValueError(f"statements and findings differ: {sorted(set(known) ^ set(findings))}")
+    if set(known) != set(results):
+        raise ValueError(f"statements and results differ: {sorted(set(known) ^ set(results))}")
     return [
         {
             "id": name,
@@ -98,22 +98,22 @@ def make_claims(statements: Iterable[Statement], findings: Mapping[str, Finding]
             "relation": one.relation,
             "precision": one.precision,
             "unit": one.unit,
-            "ours": None if findings[name].ours is None else round_to_error(findings[name]),
-            "sigma": None if findings[name].ours is None else float(f"{findings[name].sigma:.2g}"),
-            "verdict": judge(one, findings[name]),
-            "how": findings[name].how,
+            "ours": None if results[name].ours is None else round_to_error(results[name]),
+            "sigma": None if results[name].ours is None else float(f"{results[name].sigma:.2g}"),
+            "verdict": judge(one, results[name]),
+            "how": results[name].how,
         }
         for name, one in known.items()
     ]
 
 
-def round_to_error(finding: Finding) -> float:
+def round_to_error(result: Result) -> float:
     """Our number with two digits of its error, or four digits where it has none."""
-    if finding.ours is None:
+    if result.ours is None:
         raise ValueError("there is no number of ours")
-    if finding.sigma <= 0:
-        return float(f"{finding.ours:.4g}")
-    return round(finding.ours, 1 - math.floor(math.log10(finding.sigma)))
+    if result.sigma <= 0:
+        return float(f"{result.ours:.4g}")
+    return round(result.ours, 1 - math.floor(math.log10(result.sigma)))
 
 
 def describe_verdicts(claims: Sequence[Mapping[str, Any]]) -> str:

@@ -8,7 +8,7 @@ from lbacal_core.paper.statements import (
     AGREE,
     DISAGREE,
     UNTESTED,
-    Finding,
+    Result,
     Statement,
     judge,
     load_statements,
@@ -35,24 +35,24 @@ def statement(relation: str = "equal", precision: float = 1.0) -> Statement:
     ],
 )
 def test_a_verdict_follows_the_relation_and_two_standard_deviations(relation: str, ours: float, verdict: str) -> None:
-    assert judge(statement(relation), Finding(ours, 0.0, "")) == verdict
+    assert judge(statement(relation), Result(ours, 0.0, "")) == verdict
 
 
 def test_our_error_counts_with_the_precision_of_the_statement() -> None:
-    assert judge(statement(), Finding(14.0, 0.0, "")) == DISAGREE
-    assert judge(statement(), Finding(14.0, 2.0, "")) == AGREE
+    assert judge(statement(), Result(14.0, 0.0, "")) == DISAGREE
+    assert judge(statement(), Result(14.0, 2.0, "")) == AGREE
 
 
 def test_what_cannot_be_tested_is_no_agreement() -> None:
     assert judge(statement(), not_testable("needs spectra")) == UNTESTED
 
 
-def test_a_finding_that_is_not_a_number_is_refused() -> None:
+def test_a_result_that_is_not_a_number_is_refused() -> None:
     with pytest.raises(ValueError, match="nan"):
-        judge(statement(), Finding(np.nan, 0.0, ""))
+        judge(statement(), Result(np.nan, 0.0, ""))
 
 
-def test_every_statement_needs_a_finding_and_every_finding_a_statement() -> None:
+def test_every_statement_needs_a_result_and_every_result_a_statement() -> None:
     with pytest.raises(ValueError, match="'s'"):
         make_claims([statement()], {})
     with pytest.raises(ValueError, match="'t'"):
@@ -60,9 +60,9 @@ def test_every_statement_needs_a_finding_and_every_finding_a_statement() -> None
 
 
 def test_a_number_is_rounded_to_two_digits_of_its_error() -> None:
-    assert round_to_error(Finding(12.3456, 0.123, "")) == 12.35
-    assert round_to_error(Finding(12.3456, 0.0, "")) == 12.35
-    assert round_to_error(Finding(1234.0, 56.0, "")) == 1234.0
+    assert round_to_error(Result(12.3456, 0.123, "")) == 12.35
+    assert round_to_error(Result(12.3456, 0.0, "")) == 12.35
+    assert round_to_error(Result(1234.0, 56.0, "")) == 1234.0
 
 
 def test_the_published_noise_share_is_that_of_the_published_terms() -> None:

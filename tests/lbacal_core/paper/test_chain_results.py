@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lbacal_core.paper.chain_findings import edge_of_pass_band, find_about_chain, find_peak
+from lbacal_core.paper.chain_results import edge_of_pass_band, find_about_chain, find_peak
 from lbacal_core.paper.study import Study
 
 FREQUENCY = np.arange(30.0, 81.0)
@@ -28,10 +28,10 @@ def test_a_misplaced_resonance_is_recognised_as_a_shift(study: Study, monkeypatc
     loss = np.mean([instrument.cables[record.cable] for record in instrument.antennas], axis=0)
     c = (shifted / instrument.antenna_gain * loss * instrument.receiver_gain) ** -0.5
     monkeypatch.setattr(Study, "published_c", lambda _: c)
-    finding = find_about_chain(study)["feature-at-58"]
-    assert finding.ours is not None
-    assert finding.ours > 0.9
-    assert "+1.0 MHz" in finding.how
+    result = find_about_chain(study)["feature-at-58"]
+    assert result.ours is not None
+    assert result.ours > 0.9
+    assert "+1.0 MHz" in result.how
 
 
 def test_a_c_that_follows_the_cable_alone_is_explained_by_it(study: Study, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,11 +1,11 @@
 from __future__ import annotations
 
-from lbacal_core.paper.shower_findings import find_about_showers
+from lbacal_core.paper.shower_results import find_about_showers
 from lbacal_core.paper.shower_study import ShowerStudy
 from lbacal_core.paper.statements import AGREE, judge, load_statements
 
 
-def test_findings_on_showers_name_what_is_missing(showers: ShowerStudy) -> None:
+def test_results_on_showers_name_what_is_missing(showers: ShowerStudy) -> None:
     found = find_about_showers(showers)
     for name in ("source-off-diagonal", "source-ratio", "source-difference"):
         assert found[name].ours is None

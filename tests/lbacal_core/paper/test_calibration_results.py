@@ -6,30 +6,30 @@ import numpy as np
 import pytest
 
 from lbacal_core.paper.budget import Budget
-from lbacal_core.paper.calibration_findings import find_about_calibration
-from lbacal_core.paper.statements import AGREE, Finding, judge, load_statements
+from lbacal_core.paper.calibration_results import find_about_calibration
+from lbacal_core.paper.statements import AGREE, Result, judge, load_statements
 from lbacal_core.paper.study import Study
 
 
 @pytest.fixture(scope="module")
-def findings(study: Study, budget: Budget) -> dict[str, Finding]:
+def results(study: Study, budget: Budget) -> dict[str, Result]:
     return find_about_calibration(study, budget, None)
 
 
-def test_what_hangs_on_event_spectra_says_so(findings: dict[str, Finding]) -> None:
+def test_what_hangs_on_event_spectra_says_so(results: dict[str, Result]) -> None:
     for name in ("event-fluctuation", "yearly-scatter", "no-trend"):
-        assert findings[name].ours is None
-        assert "background spectra" in findings[name].how
+        assert results[name].ours is None
+        assert "background spectra" in results[name].how
 
 
-def test_table_1_follows_for_the_sky_and_in_total(findings: dict[str, Finding]) -> None:
+def test_table_1_follows_for_the_sky_and_in_total(results: dict[str, Result]) -> None:
     statements = {one.identifier: one for one in load_statements()}
     for name in ("sky-quadrature", "table-sky", "table-total"):
-        assert judge(statements[name], findings[name]) == AGREE
+        assert judge(statements[name], results[name]) == AGREE
 
 
-def test_the_limit_of_the_pattern_contains_no_change_or_its_neighbourhood(findings: dict[str, Finding]) -> None:
-    limit = findings["pattern-limit"].ours
+def test_the_limit_of_the_pattern_contains_no_change_or_its_neighbourhood(results: dict[str, Result]) -> None:
+    limit = results["pattern-limit"].ours
     assert limit is not None
     assert 2.0 < limit < 15.0
 

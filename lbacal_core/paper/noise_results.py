@@ -26,7 +26,7 @@ from lbacal_core.lstcurve.compare import (
 from lbacal_core.lstcurve.curve import LstCurve
 from lbacal_core.lstcurve.noise import estimate_noise
 from lbacal_core.paper.budget import has_every_channel
-from lbacal_core.paper.statements import Finding, not_testable
+from lbacal_core.paper.statements import Result, not_testable
 from lbacal_core.paper.study import STATION, Study
 from lbacal_core.sidereal import local_sidereal_time
 from lbacal_core.sky.names import DEFAULT_SKY, list_skies
@@ -40,23 +40,22 @@ CROSSING_SIGMA_MHZ = 0.5
 """What noise constants drawn within 5 % at six stations move the crossings by: 2 % of noise, 0.06 in ln a MHz."""
 
 
-def find_about_noise(study: Study) -> dict[str, Finding]:
-    """Findings on the electronic noise."""
+def find_about_noise(study: Study) -> dict[str, Result]:
+    """Results on the electronic noise."""
     share, sigma, parts = find_noise_share(study, study.exchanged)
     as_named, sigma_named, _ = find_noise_share(study, study.comparison)
     chi2 = {name: _chi2(one) for name, one in (("exchanged", study.exchanged), ("as named", study.comparison))}
     return {
         "swing-without-noise": _swing(study),
-        "swing-with-noise": Finding(
+        "swing-with-noise": Result(
             chi2["exchanged"][0] / chi2["exchanged"][1],
             0.0,
             "chi2 of the measured curve (91 points, drawn bars), letters X and Y exchanged "
-            "(docs/decisions/dipole-letters.md): "
-            f"{chi2['exchanged'][0]:.0f} with our sky alone, {chi2['exchanged'][1]:.0f} with a noise share for each "
-            "dipole; "
-            f"letters as named {chi2['as named'][0]:.0f} and {chi2['as named'][1]:.0f}",
+            f"(docs/decisions/dipole-letters.md): {chi2['exchanged'][0]:.0f} with our sky alone, "
+            f"{chi2['exchanged'][1]:.0f} with a noise share for each dipole; letters as named "
+            f"{chi2['as named'][0]:.0f} and {chi2['as named'][1]:.0f}",
         ),
-        "noise-share": Finding(
+        "noise-share": Result(
             share,
             sigma,
             "mean of the shares of both dipoles, fitted to the measured LST curve with our sky, letters exchanged; "
@@ -74,7 +73,7 @@ def _chi2(comparison: Comparison) -> tuple[float, float]:
     return without, with_noise
 
 
-def _swing(study: Study) -> Finding:
+def _swing(study: Study) -> Result:
     weights = band_weights(study.instrument, AS_RECORDED, BAND_MHZ)
     ratio, sigma, words = [], [], []
     curve = study.exchanged.curve
@@ -85,10 +84,10 @@ def _swing(study: Study) -> Finding:
         ratio.append(simulated / measured)
         sigma.append(simulated / measured**2 * noise.sigma_db[dipole])
         words.append(f"{dipole} {simulated:.2f} against {measured:.2f} dB")
-    return Finding(
+    return Result(
         float(np.mean(ratio)),
         float(np.mean(sigma)),
-        f"largest minus smallest band power, our sky alone against the measured curve, letters exchanged: "
+        "largest minus smallest band power, our sky alone against the measured curve, letters exchanged: "
         f"{', '.join(words)}; mean of the two ratios",
     )
 
@@ -149,7 +148,7 @@ def crossings(frequency_mhz: Floats, ratio: Floats) -> tuple[float, float]:
     )
 
 
-def _crossings(study: Study) -> dict[str, Finding]:
+def _crossings(study: Study) -> dict[str, Result]:
     ratios = {dipole: sky_over_noise(study, dipole) for dipole in DIPOLES}
     found = np.array([crossings(study.frequency_mhz, ratio) for ratio in ratios.values()])
     table = read_table("noise_terms")
@@ -163,22 +162,22 @@ def _crossings(study: Study) -> dict[str, Finding]:
     )
     edges = {name: 1.0 / np.mean([ratio[k] for ratio in ratios.values()]) for name, k in (("low", 0), ("high", -1))}
     return {
-        "sky-dominates-from": Finding(
+        "sky-dominates-from": Result(
             mean[0], float(np.hypot(half[0], CROSSING_SIGMA_MHZ)), how.format(*found[:, 0], drawn[0])
         ),
-        "sky-dominates-to": Finding(
+        "sky-dominates-to": Result(
             mean[1], float(np.hypot(half[1], CROSSING_SIGMA_MHZ)), how.format(*found[:, 1], drawn[1])
         ),
-        "noise-at-low-edge": Finding(
+        "noise-at-low-edge": Result(
             float(edges["low"]), 0.0, "sum of the fitted noise terms over the sky at 30 MHz; same fit"
         ),
-        "noise-at-high-edge": Finding(
+        "noise-at-high-edge": Result(
             float(edges["high"]), 0.0, "sum of the fitted noise terms over the sky at 80 MHz; same fit"
         ),
     }
 
 
-def _gain_by_chain(study: Study) -> Finding:
+def _gain_by_chain(study: Study) -> Result:
     """What the chain's three noise constants change: the statistical error of C, and its change with the sky model."""
     spectra = study.campaign.spectra
     station = spectra.select(np.flatnonzero(spectra.station == STATION))
@@ -211,11 +210,8 @@ def _gain_by_chain(study: Study) -> Finding:
     moved = np.sqrt(np.mean(np.square(changes), axis=(0, 2)))
     return not_testable(
         "needs the fit of Nelles et al. 2015, whose noise had an uncertainty of 37 %. On a simulated station-year "
-        "the chain's "
-        f"three noise constants bring sigma(C) of an antenna from {100 * alone:.1f} % (a free intercept in each "
-        "channel) to "
-        f"{100 * np.median(tied):.1f} %; but exchanging the sky model ({len(changes)} models) moves C by "
-        f"{100 * moved[1]:.0f} % "
-        f"r.m.s. with the chain and by {100 * moved[0]:.0f} % without: the tie makes C sensitive to the level of the "
-        "sky"
+        f"the chain's three noise constants bring sigma(C) of an antenna from {100 * alone:.1f} % (a free intercept "
+        f"in each channel) to {100 * np.median(tied):.1f} %; but exchanging the sky model ({len(changes)} models) "
+        f"moves C by {100 * moved[1]:.0f} % r.m.s. with the chain and by {100 * moved[0]:.0f} % without: the tie "
+        "makes C sensitive to the level of the sky"
     )

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lbacal_core.paper.sky_findings import find_about_sky, find_skies, isotropic_temperature, mean_temperature
+from lbacal_core.paper.sky_results import find_about_sky, find_skies, isotropic_temperature, mean_temperature
 from lbacal_core.sky.names import load_sky
 
 FREQUENCY = np.arange(30.0, 81.0)

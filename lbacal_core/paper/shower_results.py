@@ -1,4 +1,4 @@
-"""Findings on sections 5.1 and 5.2 and appendix A."""
+"""Results on sections 5.1 and 5.2 and appendix A."""
 
 from __future__ import annotations
 
@@ -7,22 +7,22 @@ import numpy as np
 from lbacal_core.calibration.reference_source import near_field_factor
 from lbacal_core.paper.shower_study import FITTED, RIGHT, WEAK, ShowerStudy
 from lbacal_core.paper.stand_in_source import CELL, CHAMBER, LABORATORY_M
-from lbacal_core.paper.statements import Finding, not_testable
+from lbacal_core.paper.statements import Result, not_testable
 from lbacal_core.showers.comparison import MILLI
 from lbacal_core.showers.signals import EVENTS, SIGNALS, signals_of_showers
 from lbacal_core.showers.slopes import fit_slopes
 
 TABLES = (
-    "the field tables of the VSQ 1000 in anechoic chamber and GTEM cell "
-    "(manufacturer, private communication of the authors)"
+    "the field tables of the VSQ 1000 in anechoic chamber and GTEM cell (manufacturer, private communication of the "
+    "authors)"
 )
 RECORDED = "the LBAs' recordings of the source in May 2014"
 SYSTEMATIC = ("+1 sigma: antenna", "+1 sigma: index of the sky", "+1 sigma: electronics")
 """Terms of our budget that tilt C, one standard deviation each."""
 
 
-def find_about_showers(showers: ShowerStudy) -> dict[str, Finding]:
-    """Findings from simulated signals, CoREAS showers where they are at hand, and the physics of the source."""
+def find_about_showers(showers: ShowerStudy) -> dict[str, Result]:
+    """Results from simulated signals, CoREAS showers where they are at hand, and the physics of the source."""
     moved = showers.displacements
     fitted = moved[FITTED]
     tilts = [moved[name].difference - moved[RIGHT].difference for name in SYSTEMATIC]
@@ -30,41 +30,38 @@ def find_about_showers(showers: ShowerStudy) -> dict[str, Finding]:
     size = near_field_factor(np.array([30.0, 80.0]), LABORATORY_M)
     origin = showers.recording.signals.origin
     return {
-        "background-subtraction": Finding(
+        "background-subtraction": Result(
             showers.weak_power[0],
             showers.weak_power[1],
             f"{SIGNALS} simulated signals with {WEAK[0]:g}-{WEAK[1]:g} times the power of the background at 45-65 "
-            "MHz, true C, "
-            f"the background of each event subtracted; without it {showers.weak_unsubtracted:.2f}",
+            f"MHz, true C, the background of each event subtracted; without it {showers.weak_unsubtracted:.2f}",
         ),
-        "signals-per-event": Finding(
+        "signals-per-event": Result(
             SIGNALS / EVENTS, 0.0, f"{SIGNALS} / {EVENTS}: 1.7 of six stations' antennas on average"
         ),
         "coreas-straight": _straightness(showers),
-        "galaxy-on-diagonal": Finding(
+        "galaxy-on-diagonal": Result(
             fitted.difference,
             float(np.sqrt(fitted.difference_sigma**2 + np.sum(np.square(tilts)))),
             f"mean slope above minus below the resonance over {EVENTS} events, {origin}, C fitted to a simulated "
             f"Superterp-year; with the true C {moved[RIGHT].difference:+.2f} +- {moved[RIGHT].difference_sigma:.2f}. "
-            "The error is "
-            f"mostly systematic: antenna pattern {tilts[0]:+.1f}, index of the sky {tilts[1]:+.1f}, electronics "
-            f"{tilts[2]:+.1f}",
+            f"The error is mostly systematic: antenna pattern {tilts[0]:+.1f}, index of the sky {tilts[1]:+.1f}, "
+            f"electronics {tilts[2]:+.1f}",
         ),
         "source-off-diagonal": not_testable(
             f"needs {TABLES} and {RECORDED}. With the stand-in ({both} sigma off the diagonal) residual floor "
-            "reflections of 15 % "
-            "and the near field displace them"
+            "reflections of 15 % and the near field displace them"
         ),
         "source-ratio": not_testable(
             f"needs {TABLES}, {RECORDED}, and the Tunka-Rex ratio of simulated to measured amplitudes (private "
             "communication)"
         ),
-        "source-far-field": Finding(
+        "source-far-field": Result(
             float(100.0 * (1.0 - size[0])),
             0.0,
             f"1 - |1 + 1/ikr - 1/(kr)^2| of a short dipole at {LABORATORY_M:g} m and 30 MHz; "
-            f"{100 * (1 - size[1]):.1f} % at "
-            "80 MHz: scaled with 1/r the field at 10 m comes out low, more so at low frequencies",
+            f"{100 * (1 - size[1]):.1f} % at 80 MHz: scaled with 1/r the field at 10 m comes out low, more so at low "
+            "frequencies",
         ),
         "source-difference": not_testable(
             f"needs {TABLES}. A reflecting floor alone makes a difference that grows or falls smoothly over the band "
@@ -73,7 +70,7 @@ def find_about_showers(showers: ShowerStudy) -> dict[str, Finding]:
     }
 
 
-def _straightness(showers: ShowerStudy) -> Finding:
+def _straightness(showers: ShowerStudy) -> Result:
     if not showers.showers:
         return not_testable(
             "needs CoREAS showers (--showers FILE): the PyPI package nuradiomc carries three as examples "
@@ -84,10 +81,9 @@ def _straightness(showers: ShowerStudy) -> Finding:
     slopes = fit_slopes(signals.frequency_mhz, power, 1e-6 * power.mean(axis=1, keepdims=True) * np.ones_like(power))
     difference = MILLI * slopes.difference
     spread = float(np.diff(np.percentile(difference, [16, 84]))[0] / 2)
-    return Finding(
+    return Result(
         float(np.median(difference)),
         1.25 * spread / np.sqrt(difference.size),
         f"median over {difference.size} places of {len(showers.showers)} CoREAS showers without noise "
-        f"({signals.origin}); 68 % of "
-        f"the places within +-{spread:.1f}: single spectra bend, the mean does not",
+        f"({signals.origin}); 68 % of the places within +-{spread:.1f}: single spectra bend, the mean does not",
     )

@@ -14,7 +14,7 @@ from lbacal_core.lstcurve.compare import (
     in_db,
     simulate_band_power,
 )
-from lbacal_core.paper.noise_findings import crossings, find_noise_share, smooth_swing
+from lbacal_core.paper.noise_results import crossings, find_noise_share, smooth_swing
 from lbacal_core.paper.study import Study
 
 FREQUENCY = np.arange(30.0, 81.0)

@@ -12,7 +12,7 @@ from scipy.optimize import minimize_scalar
 
 from lbacal_core.grids import Floats
 from lbacal_core.instrument import Instrument
-from lbacal_core.paper.statements import Finding
+from lbacal_core.paper.statements import Result
 from lbacal_core.paper.study import Study
 from lbacal_core.traces.trace import BLOCK_SAMPLES
 
@@ -36,8 +36,8 @@ def published_correction(study: Study) -> Floats:
     return np.asarray(correction / np.median(correction))
 
 
-def find_about_chain(study: Study) -> dict[str, Finding]:
-    """Findings from the published curves alone."""
+def find_about_chain(study: Study) -> dict[str, Result]:
+    """Results from the published curves alone."""
     instrument, frequency = study.instrument, study.frequency_mhz
     antennas = len(instrument.antennas)
     events = SAMPLES_PER_BIN * LST_BINS / antennas
@@ -45,22 +45,22 @@ def find_about_chain(study: Study) -> dict[str, Finding]:
     peak = find_peak(frequency, instrument.antenna_gain)
     with_correction = find_peak(frequency, instrument.antenna_gain * published_correction(study))
     return {
-        "frequency-resolution": Finding(
+        "frequency-resolution": Result(
             SAMPLE_RATE_MHZ / BLOCK_SAMPLES, 0.0, f"{SAMPLE_RATE_MHZ:g} MHz / {BLOCK_SAMPLES} samples"
         ),
-        "samples-per-bin": Finding(
+        "samples-per-bin": Result(
             events,
             0.0,
             f"{SAMPLES_PER_BIN} x {LST_BINS} bins / {antennas} antennas: events that must have had every antenna in "
             "the outer set. Read as samples of one station it would take six times as many, more than were recorded.",
         ),
-        "resonance": Finding(
+        "resonance": Result(
             peak,
             0.5,
             "peak of G_ant = C^2 / N_ADC,in from the published C and noise terms, parabola through its three largest "
             f"channels; with A(nu) the peak lies at {with_correction:.1f} MHz",
         ),
-        "pass-band-edge": Finding(edge, 0.1, _describe_edge(frequency, instrument.receiver_gain)),
+        "pass-band-edge": Result(edge, 0.1, _describe_edge(frequency, instrument.receiver_gain)),
         "rise-by-cable": _rise(study, mean_loss(instrument), 30.0, 77.0, ELECTRONICS, "loss of the mean cable"),
         "rise-at-edge": _rise(study, instrument.receiver_gain, 77.0, 80.0, ELECTRONICS_AT_EDGE, "receiver's pass band"),
         "feature-at-58": describe_feature(study),
@@ -95,23 +95,23 @@ def find_peak(frequency_mhz: Floats, gain: Floats) -> float:
     return float(frequency_mhz[k] + 0.5 * step * (left - right) / (left - 2 * middle + right))
 
 
-def _rise(study: Study, gain: Floats, low: float, high: float, error: float, what: str) -> Finding:
+def _rise(study: Study, gain: Floats, low: float, high: float, error: float, what: str) -> Result:
     """Share of the rise of ln C between two frequencies that a power gain explains."""
     at = [int(np.argmin(np.abs(study.frequency_mhz - mhz))) for mhz in (low, high)]
     c = study.published_c()
     rise = float(np.log(c[at[1]] / c[at[0]]))
     explained = float(0.5 * np.log(gain[at[0]] / gain[at[1]]))
     share = explained / rise
-    return Finding(
+    return Result(
         share,
         abs(share) * np.sqrt(2.0) * error / rise,
         f"the published C rises by a factor {np.exp(rise):.2f} from {low:g} to {high:g} MHz, the {what} explains "
-        f"{np.exp(explained):.2f}; A(nu) must explain the factor {np.exp(rise - explained):.2f}. "
-        f"Error: {100 * error:.3g} % in each C.",
+        f"{np.exp(explained):.2f}; A(nu) must explain the factor {np.exp(rise - explained):.2f}. Error: "
+        f"{100 * error:.3g} % in each C.",
     )
 
 
-def describe_feature(study: Study) -> Finding:
+def describe_feature(study: Study) -> Result:
     """How much of the feature of ln A at the resonance a shift, and a smeared resonance, can describe."""
     frequency = study.frequency_mhz
     inside = (frequency >= FEATURE_MHZ[0]) & (frequency <= FEATURE_MHZ[1])
@@ -137,14 +137,12 @@ def describe_feature(study: Study) -> Finding:
     shift = minimize_scalar(lambda by: left(shifted(by)), bounds=(-4.0, 4.0), method="bounded")
     smear = minimize_scalar(lambda sigma: left(smeared(sigma)), bounds=(0.0, 4.0), method="bounded")
     by_shift, by_smear = (1.0 - (float(one.fun) / alone) ** 2 for one in (shift, smear))
-    return Finding(
+    return Result(
         by_shift,
         0.1,
         "share of the variance of ln A(nu) about a straight line, 48-70 MHz, that the best shift "
         f"({float(shift.x):+.1f} MHz) of the published G_ant describes. A(nu) has one dip to "
         f"{float(np.exp(log_a[inside].min())):.2f}, not the dip and bump of a shift; the same G_ant averaged over "
-        "places "
-        f"that scatter by {float(smear.x):.1f} MHz describes {100 * by_smear:.0f} %: the simulated resonance is too "
-        "high and "
-        "too narrow for a year's mean, rather than misplaced.",
+        f"places that scatter by {float(smear.x):.1f} MHz describes {100 * by_smear:.0f} %: the simulated resonance "
+        "is too high and too narrow for a year's mean, rather than misplaced.",
     )

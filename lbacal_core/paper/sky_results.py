@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from lbacal_core.grids import Floats
-from lbacal_core.paper.statements import Finding, not_testable
+from lbacal_core.paper.statements import Result, not_testable
 from lbacal_core.sky.model import SkyModel
 from lbacal_core.sky.names import DEFAULT_SKY, list_skies, load_sky
 
@@ -35,35 +35,33 @@ def isotropic_temperature(frequency_mhz: Floats, index: float = 2.75) -> Floats:
     return np.asarray(50.0 * (150.0 / frequency_mhz) ** index)
 
 
-def find_about_sky(skies: Sequence[SkyModel], frequency_mhz: Floats) -> dict[str, Finding]:
-    """Findings on the isotropic component and on the difference of sky models."""
+def find_about_sky(skies: Sequence[SkyModel], frequency_mhz: Floats) -> dict[str, Result]:
+    """Results on the isotropic component and on the difference of sky models."""
     total = mean_temperature(skies[0], frequency_mhz)
     share = 100.0 * isotropic_temperature(frequency_mhz) / total
     changed = [isotropic_temperature(frequency_mhz, 2.75 + sign * INDEX_ERROR) for sign in (-1, 1)]
     effect = 100.0 * np.abs(changed[1] - changed[0]) / 2.0 / total
     level = 0.12
     return {
-        "isotropic-share": Finding(
+        "isotropic-share": Result(
             float(share.max()),
             float(level * share.max()),
             f"50 K (150 MHz/nu)^2.75 over the sky mean of {skies[0].name}, largest at "
             f"{frequency_mhz[share.argmax()]:g} MHz; {share.min():.0f} % at the smallest. Error: seven sky models "
             "spread by 12 % in level (arXiv 2211.03086).",
         ),
-        "isotropic-index": Finding(
+        "isotropic-index": Result(
             float(effect.mean()),
             float(np.hypot(level * effect.mean(), effect.std())),
             f"half the change of T_Iso for an index of 2.75 +- {INDEX_ERROR}, over the sky mean of {skies[0].name}, "
-            f"averaged over the band, with its scatter over the band in the error; it falls from {effect.max():.1f} "
-            f"% to {effect.min():.1f} % with frequency, "
-            "because "
-            "the pivot is 150 MHz.",
+            f"averaged over the band, with its scatter over the band in the error; it falls from {effect.max():.1f} % "
+            f"to {effect.min():.1f} % with frequency, because the pivot is 150 MHz.",
         ),
         "sky-models": _compare(skies, frequency_mhz),
     }
 
 
-def _compare(skies: Sequence[SkyModel], frequency_mhz: Floats) -> Finding:
+def _compare(skies: Sequence[SkyModel], frequency_mhz: Floats) -> Result:
     if len(skies) < 2:
         return not_testable("a second sky model is needed (--data with sky/*.npz, or pygdsm); LFmap is not at hand")
     mean = {sky.name: mean_temperature(sky, frequency_mhz) for sky in skies}
@@ -72,9 +70,9 @@ def _compare(skies: Sequence[SkyModel], frequency_mhz: Floats) -> Finding:
     others = {name: value for name, value in ratio.items() if name != skies[0].name}
     largest = max(abs(a - b) for a in ratio.values() for b in ratio.values())
     words = ", ".join(f"{name} {value:+.1f} %" for name, value in others.items())
-    return Finding(
+    return Result(
         float(largest),
         0.0,
-        f"largest difference of any two sky models at hand, averaged over the sky and the band, against "
+        "largest difference of any two sky models at hand, averaged over the sky and the band, against "
         f"{skies[0].name}: {words}. LFmap itself is not at hand; the paper compared LFmap with one version of the GSM.",
     )
