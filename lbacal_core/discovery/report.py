@@ -39,6 +39,7 @@ def describe(reports: Sequence[StationReport], provenance: Provenance) -> dict[s
             "findings": [k for k, (_, name) in enumerate(found) if name == report.station.name],
             "unexplained": None if report.structure is None else _unexplained(report.structure, report),
             "unidentifiable": [{"cause": cause, "why": why} for cause, why in sorted(report.unidentifiable.items())],
+            "deaf": report.deaf,
         }
         for report in reports
     ]

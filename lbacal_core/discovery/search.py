@@ -15,6 +15,7 @@ from lbacal_core.causes.catalogue import CAUSES
 from lbacal_core.causes.cause import signature
 from lbacal_core.discovery.antennas import AntennaScore, compare_antennas, why_no_comparison
 from lbacal_core.discovery.cable_names import compare_cable_names
+from lbacal_core.discovery.deaf import leave_out_deaf
 from lbacal_core.discovery.growth import grow
 from lbacal_core.discovery.hypothesis import Hypothesis, Target, list_targets
 from lbacal_core.discovery.policy import Policy
@@ -62,6 +63,8 @@ class StationReport:
 
     Attributes
     ----------
+    deaf
+        Paths that were left out, because they hardly hear the sky.
     scores, antenna_scores
         Scores of every cause on the baseline; scores of the antenna comparison on the last fitted model.
     similar
@@ -75,6 +78,7 @@ class StationReport:
     """
 
     station: Station
+    deaf: list[str]
     findings: list[Finding]
     antennas: list[AntennaScore]
     structure: ResidualStructure | None
@@ -116,6 +120,7 @@ def search_station(
         Called with a sentence before each step.
     """
     policy = policy or Policy()
+    station, deaf = leave_out_deaf(station)
     targets = list_targets(station)
     progress(f"{station.name}: fitting the baseline of {len(station.antenna)} paths")
     search = StationSearch(station, targets, policy, stations, seed, progress)
@@ -137,6 +142,7 @@ def search_station(
     similar = [] if structure is None else _withdrawn(models[0].linear, findings, structure, again, policy)
     return StationReport(
         station=station,
+        deaf=deaf,
         findings=[f for f in findings if not any(f is one for one in similar)],
         antennas=[score for score in antenna_scores[:1] if score.p_value < policy.antenna_alpha / stations],
         structure=structure,
