@@ -11,7 +11,18 @@ from prometheus_client import CollectorRegistry
 from starlette.middleware.gzip import GZipMiddleware
 
 from service.factory import Factory
-from service.handlers import calibrations, drift, health, jobs, ledger, pages, problems, session, spectra
+from service.handlers import (
+    calibrations,
+    drift,
+    health,
+    investigations,
+    jobs,
+    ledger,
+    pages,
+    problems,
+    session,
+    spectra,
+)
 from service.handlers.edge import Edge
 from service.handlers.head import AnswersHead
 from service.handlers.limits import KeyGuard
@@ -40,6 +51,7 @@ def make_app(factory: Factory) -> FastAPI:
         calibrations.router,
         jobs.router,
         ledger.router,
+        investigations.router,
         drift.router,
         health.router,
         pages.router,

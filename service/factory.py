@@ -18,6 +18,7 @@ from service.usecases.due import DueWork
 from service.usecases.gate import Gate
 from service.usecases.inputs import Inputs, name_inputs
 from service.usecases.intake import Intake
+from service.usecases.investigations import Investigations
 from service.usecases.keys import Keys
 from service.usecases.promotions import Promotions
 from service.usecases.refits import Jobs, Limits, Refits
@@ -92,6 +93,15 @@ class Factory:
         sky, resistance = self._get_sky_power, self.settings.resistance_ohm
         limits = Limits(self.settings.max_open_parts, self.settings.max_window_days)
         return Refits(self.database, self.instrument, sky, resistance, gate, limits, self.clock)
+
+    @cached_property
+    def investigations(self) -> Investigations:
+        """What the simulation gets wrong in stored spectra."""
+        limits = Limits(self.settings.max_open_parts, self.settings.max_window_days)
+        is_own_sky, resistance = self.settings.sky_power is None, self.settings.resistance_ohm
+        return Investigations(
+            self.database, self.instrument, self._get_sky_power, is_own_sky, resistance, limits, self.clock
+        )
 
     @cached_property
     def drift(self) -> Drift:

@@ -16,6 +16,7 @@ from service.storage.jobs import LeaseLostError, Part
 from service.storage.processes import WORKER
 from service.usecases.drift import KIND as DRIFT
 from service.usecases.inputs import explain_difference
+from service.usecases.investigations import KIND as INVESTIGATION
 from service.usecases.pulse import Pulse, name_process
 from service.usecases.refits import KIND as REFIT
 
@@ -32,7 +33,11 @@ class Worker:
         self._inputs = factory.inputs.text
         self._name = name or name_process()
         self._left: dict[str, int] = {}
-        self._deeds: dict[str, Callable[[Part, str], None]] = {REFIT: factory.refits.run, DRIFT: factory.drift.run}
+        self._deeds: dict[str, Callable[[Part, str], None]] = {
+            REFIT: factory.refits.run,
+            DRIFT: factory.drift.run,
+            INVESTIGATION: factory.investigations.run,
+        }
         self._lease_us = round(factory.settings.lease_s * 1e6)
 
     def run(self, stop: threading.Event, *, until_idle: bool = False) -> None:

@@ -106,7 +106,7 @@ def describe_job(job: Job) -> dict[str, Any]:
         "promoted": [name for result in job.results for name in result.get("promoted", [])],
         "gated": {name: why for result in job.results for name, why in result.get("gated", {}).items()},
         "examined": sum(result.get("examined", 0) for result in job.results),
-        "results": [],
+        "results": [name for result in job.results for name in result.get("results", [])],
         "error": "; ".join(job.errors) or None,
         "request": {name: _on_the_wire(name, value) for name, value in job.request.items()},
         "reason": job.reason,

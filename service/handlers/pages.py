@@ -88,6 +88,12 @@ def show_calibration(request: Request, use: UseCases, version_id: InPath) -> Res
     )  # fmt: skip
 
 
+@router.get("/investigations/{name}")
+def show_investigation(request: Request, use: UseCases, name: InPath) -> Response:
+    found = use.investigations.get(name)
+    return _page(request, use, "investigation.html", "/", found=found, report=found.report)
+
+
 def _rows_of_chains(version: Version) -> list[dict[str, Any]]:
     """Departures of single paths from their mean, by cable, at the median channel."""
     rows = []

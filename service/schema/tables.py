@@ -174,6 +174,22 @@ tag = Table(
     Column("at_us", BigInteger, nullable=False, comment="when it was made"),
 )
 
+investigation = Table(
+    "investigation",
+    metadata,
+    Column("id", Text, primary_key=True, comment="hash of the inputs"),
+    Column("station", Text, nullable=False),
+    Column("since_us", BigInteger, nullable=False),
+    Column("until_us", BigInteger, nullable=False),
+    Column("inputs", Text, nullable=False, comment="JSON"),
+    Column("verdict", Text, nullable=False, comment="consistent, explained or unexplained"),
+    Column("report", Text, nullable=False, comment="JSON, as it was made"),
+    Column("made_us", BigInteger, nullable=False),
+    Column("made_by", Text, nullable=False),
+    Column("reason", Text, nullable=False),
+    Index("ix_investigation_made_us", "made_us", "id"),
+)
+
 job = Table(
     "job",
     metadata,

@@ -18,6 +18,7 @@ from service.storage.deeds import DeedStore
 from service.storage.drift import DriftStore
 from service.storage.examined import ExaminedStore
 from service.storage.failures import FULL, READ_ONLY, explain_failure
+from service.storage.investigations import InvestigationStore
 from service.storage.jobs import JobStore
 from service.storage.keys import KeyStore
 from service.storage.ledger import LedgerStore
@@ -73,6 +74,11 @@ class Stores:
     def tags(self) -> TagStore:
         """Names for instants of the ledger."""
         return TagStore(self._connection)
+
+    @cached_property
+    def investigations(self) -> InvestigationStore:
+        """What the simulation gets wrong in stored spectra."""
+        return InvestigationStore(self._connection)
 
     @cached_property
     def jobs(self) -> JobStore:

@@ -20,6 +20,13 @@ def find_years(stores: Stores) -> Iterator[tuple[Instant, Instant]]:
         yield start_of_year(year), start_of_year(year + 1)
 
 
+def split_years(stores: Stores, since: Instant, until: Instant) -> Iterator[tuple[Instant, Instant]]:
+    """The part of a window in each calendar year from the first event to the last."""
+    for first, last in find_years(stores):
+        if max(first, since) < min(last, until):
+            yield max(first, since), min(last, until)
+
+
 def start_of_year(year: int) -> Instant:
     """The first instant of a year, UTC."""
     return parse_instant("year", f"{year}-01-01")

@@ -105,6 +105,15 @@ class TagBody(Body):
     reason: Reason
 
 
+class InvestigationBody(Body):
+    """Ask what the simulation gets wrong in the window [since, until): one report a station and calendar year."""
+
+    since: str
+    until: str
+    station: Name | None = None
+    reason: Reason
+
+
 class RefitBody(Body):
     """Ask for fits over the window [since, until)."""
 

@@ -288,6 +288,34 @@ class TagsAnswer(Answer):
     next: str | None = Field(description="cursor of the next page")
 
 
+class InvestigationLine(Answer):
+    """An investigation without its report."""
+
+    id: str
+    station: str
+    since: str
+    until: str
+    verdict: str = Field(description="consistent, explained or unexplained")
+    findings: list[str] = Field(description="causes found, most significant first")
+    made_at: str
+    made_by: str
+    reason: str
+
+
+class InvestigationsAnswer(Answer):
+    """A page of investigations."""
+
+    investigations: list[InvestigationLine]
+    next: str | None = Field(description="cursor of the next page")
+
+
+class InvestigationAnswer(InvestigationLine):
+    """An investigation as it was made."""
+
+    inputs: dict[str, Any] = Field(description="what it was made from; the id is their hash")
+    report: dict[str, Any] = Field(description="the report, as `lbacal investigate` writes it")
+
+
 class DriftVersion(Answer):
     """The band mean of C of a version."""
 

@@ -1,0 +1,122 @@
+"""Investigations of stored spectra: what the simulation gets wrong in a station's window.
+
+A report is named by its inputs: the spectra, instrument, sky power, model version and the policy of the search. The
+same inputs are investigated once; whoever asks again is told the id of the report that there is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from lbacal_core.errors import BadInputError
+from lbacal_core.instrument import Instrument
+from lbacal_core.provenance import MODEL_VERSION, hash_arrays, hash_content
+from lbacal_core.skypower.table import SkyPower
+from lbacal_core.spectra import Spectra
+from lbacal_core.validity import Instant, Scope
+from service.errors import ConflictError, TooManyError
+from service.storage.database import Database
+from service.storage.investigations import Investigation
+from service.storage.jobs import Order, Part
+from service.storage.spectra import Window
+from service.usecases.calibrations import select_paths
+from service.usecases.inputs import name_inputs
+from service.usecases.refits import RETRY_S, Limits
+from service.usecases.years import split_years
+from service.wire.bodies import InvestigationBody
+from service.wire.instants import format_instant, parse_instant
+
+KIND = "investigation"
+
+
+@dataclass(frozen=True)
+class Investigations:
+    """Makes reports from stored spectra, and reads them."""
+
+    database: Database
+    instrument: Instrument
+    sky_power: Callable[[], SkyPower]
+    is_own_sky: bool
+    resistance_ohm: float
+    limits: Limits
+    clock: Callable[[], Instant]
+
+    def request(self, body: InvestigationBody, by: str) -> int:
+        """Enqueue one part a station and calendar year that hold spectra in the window."""
+        since, until = parse_instant("body.since", body.since), parse_instant("body.until", body.until)
+        if until <= since:
+            raise BadInputError("body.until", "an instant after since", body.until)
+        select_paths(self.instrument, body.station, None, None)
+        inputs = name_inputs(self.instrument, self.sky_power()).text
+        with self.database.write() as stores:
+            stations = [body.station] if body.station else stores.spectra.stations()
+            parts = [
+                {"station": station, "since": first, "until": last}
+                for station in stations
+                for first, last in split_years(stores, since, until)
+                if stores.spectra.content(Window(first, last, Scope(station)))[0]
+            ]
+            if not parts:
+                raise ConflictError("no usable spectra are stored in this window: ingest some, or ask for another one")
+            waiting = stores.jobs.count_open(by)
+            if waiting + len(parts) > self.limits.open_parts:
+                raise TooManyError(
+                    f"{waiting} parts of jobs of {by} wait or run, and {len(parts)} more would be above "
+                    f"{self.limits.open_parts} (LBACAL_MAX_OPEN_PARTS)", RETRY_S
+                )  # fmt: skip
+            order = Order(KIND, body.model_dump(), parts, body.reason, by, inputs=inputs)
+            number = stores.jobs.add(order, self.clock())
+        if number is None:
+            raise ConflictError("the job could not be made")
+        return number
+
+    def run(self, part: Part, worker: str) -> None:
+        """Do a part: read, search, and write report and the end of the part in one transaction."""
+        station, since, until = (part.request[name] for name in ("station", "since", "until"))
+        with self.database.read() as stores:
+            window = Window(since, until, Scope(station))
+            spectra = stores.spectra.load(window, self.instrument.frequency_mhz, self.resistance_ohm)
+        if spectra is None:
+            between = f"{format_instant(since)} and {format_instant(until)}"
+            raise ConflictError(f"no usable spectra of {station} between {between}")
+        inputs = self._inputs(spectra)
+        name = hash_content(inputs)
+        with self.database.read() as stores:
+            made = stores.investigations.find(name)
+        if made is None:
+            report = self._investigate(spectra)
+            made = Investigation(name, station, since, until, inputs, report, self.clock(), part.by, part.reason)
+        with self.database.write() as stores:
+            stores.investigations.add(made)
+            stores.jobs.complete(part, worker, {"calibrations": [], "results": [name]}, self.clock())
+
+    def _inputs(self, spectra: Spectra) -> dict[str, Any]:
+        from lbacal_core.discovery.policy import Policy  # with scipy: only workers need it
+
+        covariates = sorted(spectra.environment)
+        return {
+            "spectra": spectra.digest(),
+            "environment": hash_arrays(covariates, *(spectra.environment[name] for name in covariates)),
+            "instrument": self.instrument.digest(),
+            "sky_power": self.sky_power().digest(),
+            "own_sky": self.is_own_sky,
+            "policy": Policy().as_dict(),
+            "model_version": MODEL_VERSION,
+        }
+
+    def _investigate(self, spectra: Spectra) -> dict[str, Any]:
+        from lbacal_core.discovery.investigate import investigate  # a second to import, and only workers need it
+
+        return investigate(spectra, self.instrument, self.sky_power(), is_own_sky=self.is_own_sky)[0]
+
+    def get(self, name: str) -> Investigation:
+        """One investigation."""
+        with self.database.read() as stores:
+            return stores.investigations.get(name)
+
+    def newest(self, *, before: str | None, station: str | None, limit: int) -> Sequence[Investigation]:
+        """Investigations, newest first."""
+        with self.database.read() as stores:
+            return stores.investigations.newest(before=before, station=station, limit=limit)
