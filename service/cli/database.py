@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+from lbacal.cli.outputs import require_outputs
 
 if TYPE_CHECKING:
     from service.factory import Factory
@@ -41,6 +44,20 @@ def check() -> None:
     migration.require_current(database)
     migration.require_complete(database)
     print(f"schema {migration.find_revision(database)}, as needed")
+
+
+@db.command()
+def backup(output: Annotated[Path, typer.Argument(help="File to write.")]) -> None:
+    """Copy an SQLite database into a file, while the service runs; for PostgreSQL there is pg_dump.
+
+    Example: lbacal db backup backup.sqlite
+    """
+    from service.storage.backup import copy_sqlite
+
+    settings = _factory().settings
+    require_outputs({"OUTPUT": output}, {"LBACAL_DATABASE_URL": settings.database_url if settings.is_sqlite else None})
+    size = copy_sqlite(settings.sqlalchemy_url, output)
+    print(f"wrote {output}: {size:,} bytes, checked")
 
 
 @keys.command()
