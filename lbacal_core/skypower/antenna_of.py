@@ -13,6 +13,15 @@ LOFAR_RADIUS_DEG = 1.5
 """Latitude and longitude of LOFAR's core, and how far its Dutch stations reach: about 100 km."""
 
 
+def antenna_for_ratios(instrument: Instrument) -> str:
+    """The antenna model that an instrument names, else the default one.
+
+    For changes of the beam or the sky by ratio, P own(with) / own(without), beside a sky power that was given: there
+    the pattern of another antenna is off by the difference of the ratios only.
+    """
+    return instrument.antenna or DEFAULT_ANTENNA
+
+
 def antenna_of(instrument: Instrument) -> str:
     """The antenna model that an instrument names; for one among LOFAR's Dutch stations that of LOFAR.
 

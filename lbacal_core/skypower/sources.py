@@ -8,12 +8,13 @@ from dataclasses import replace
 import numpy as np
 
 from lbacal_core.antenna.model import AntennaModel, directional_response
-from lbacal_core.antenna.names import DEFAULT_ANTENNA, load_antenna
+from lbacal_core.antenna.names import load_antenna
 from lbacal_core.grids import Floats
 from lbacal_core.instrument import Instrument
 from lbacal_core.provenance import hash_content
 from lbacal_core.sky.frames import DATA_EPOCH, local_direction, precess
 from lbacal_core.sky.sources import PointSource
+from lbacal_core.skypower.antenna_of import antenna_for_ratios
 from lbacal_core.skypower.power import IMPEDANCE_OF_FREE_SPACE, RESISTANCE_OHM
 from lbacal_core.skypower.table import SkyPower
 
@@ -26,7 +27,7 @@ def response_towards(
     dipole: str,
     zenith: Floats,
     azimuth: Floats,
-    antenna: str | AntennaModel = DEFAULT_ANTENNA,
+    antenna: str | AntennaModel | None = None,
 ) -> Floats:
     """D of one dipole towards directions, shape (..., freq); 0 below the horizon.
 
@@ -35,6 +36,7 @@ def response_towards(
     zenith, azimuth
         Shape (...), rad, azimuth north through east.
     """
+    antenna = antenna or antenna_for_ratios(instrument)
     model = load_antenna(antenna) if isinstance(antenna, str) else antenna
     from_arm = np.asarray(azimuth) - np.radians(instrument.dipole_azimuth_deg[dipole])
     return np.moveaxis(directional_response(model, instrument.frequency_mhz, np.asarray(zenith), from_arm), 0, -1)
@@ -61,7 +63,7 @@ def source_sky_power(
     dipole: str,
     lst_hours: Floats,
     year: float = DATA_EPOCH,
-    antenna: str | AntennaModel = DEFAULT_ANTENNA,
+    antenna: str | AntennaModel | None = None,
 ) -> Floats:
     """Contribution of a source to P_sky of one dipole over a sidereal day, shape (lst, freq)."""
     right_ascension, declination = np.radians([[source.right_ascension_deg], [source.declination_deg]])
@@ -75,11 +77,12 @@ def add_sources(
     instrument: Instrument,
     sources: Sequence[PointSource],
     year: float = DATA_EPOCH,
-    antenna: str | AntennaModel = DEFAULT_ANTENNA,
+    antenna: str | AntennaModel | None = None,
 ) -> SkyPower:
     """P_sky with point sources added; maps that resolve them contain them already (docs/explanation)."""
     if not sources:
         return sky_power
+    antenna = antenna or antenna_for_ratios(instrument)
     model = load_antenna(antenna) if isinstance(antenna, str) else antenna
     power = {
         dipole: values
