@@ -17,7 +17,7 @@ from threadpoolctl import threadpool_limits
 
 from lbacal_core.anomalies import Anomaly
 from lbacal_core.calibration.channels import SMALLEST_BAND, flag_channels, solve_without_interference
-from lbacal_core.calibration.lines import Lines, fit_lines
+from lbacal_core.calibration.lines import ChainForms, Lines, fit_lines
 from lbacal_core.calibration.separable import solve_separable
 from lbacal_core.calibration.spreads import SinglePaths, join_paths, measure_spreads
 from lbacal_core.chain.model import calibration_factor
@@ -102,7 +102,8 @@ def fit_calibration(spectra: Spectra, instrument: Instrument, sky_power: SkyPowe
 
     def fit_paths(paths: _Paths) -> _Fitted:
         sky = sky_power.at(paths.owners[0][2], paths.lst_hours)
-        curves = _fit_paths(paths, fit_lines(paths.power, sky, paths.relative_variance), instrument)
+        forms = ChainForms.of(instrument.frequency_mhz, instrument.antenna_gain, instrument.receiver_gain)
+        curves = _fit_paths(paths, fit_lines(paths.power, sky, paths.relative_variance, forms), instrument)
         return [(curve, _chain_of(curve, paths, instrument, table, cable_of)) for curve in curves], paths.anomalies
 
     # NumPy leaves the interpreter's lock in its loops, so blocks of paths share the cores as threads; the threads that
@@ -230,7 +231,12 @@ def _mean_path(
         power, variance = part.power[has_enough], part.relative_variance[has_enough]
         is_present = np.isfinite(variance)
         sky = sky_power.at(dipole, part.lst_hours)
-        lines = fit_lines(power, sky, variance)
+        lines = fit_lines(
+            power,
+            sky,
+            variance,
+            ChainForms.of(instrument.frequency_mhz, instrument.antenna_gain, instrument.receiver_gain),
+        )
         expected = lines.power(sky)
         deviation[at] += np.einsum("pe,pef->ef", is_present, power - expected)
         total[at] += np.einsum("pe,pef->ef", is_present, expected)

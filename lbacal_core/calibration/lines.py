@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lbacal_core.calibration.noise import NoiseLevels, estimate_noise_levels
+from lbacal_core.calibration.noise import NoiseLevels, estimate_noise_levels, slope_of_gain
 from lbacal_core.calibration.normal_equations import solve_normal_equations
 from lbacal_core.grids import Floats
 
@@ -20,6 +20,52 @@ PATHS_AT_ONCE = 6
 
 RIDGE = 1e-12
 """Where the sky hardly varies, slope and intercept of a channel are nearly one parameter."""
+SEEDS_RIDGE = 1e-4
+"""Where nothing is added behind, gains in front and behind are one."""
+
+
+@dataclass(frozen=True)
+class ChainForms:
+    """How the chain acts along frequency, by which an event's gain may fluctuate.
+
+    Attributes
+    ----------
+    antenna_slope
+        d ln G_ant / d nu, shape (freq,): the form of a resonance that moves.
+    receiver_gain
+        G_RCU, shape (freq,): what multiplies N_RCU.
+    """
+
+    antenna_slope: Floats
+    receiver_gain: Floats
+
+    @classmethod
+    def of(cls, frequency_mhz: Floats, antenna_gain: Floats, receiver_gain: Floats) -> ChainForms:
+        """The forms of an instrument."""
+        return cls(slope_of_gain(frequency_mhz, antenna_gain), receiver_gain)
+
+
+@dataclass(frozen=True)
+class SharedNoise:
+    """The vectors of `NoiseLevels` at each event: v_k - a_k / P, because the share of the sky changes with LST.
+
+    Attributes
+    ----------
+    constant, behind
+        v_k where nothing is added behind, and a_k, shape (path, vector, freq).
+    """
+
+    constant: Floats
+    behind: Floats
+
+    @classmethod
+    def of(cls, levels: NoiseLevels, seeds: Floats, behind: Floats, chain: ChainForms) -> SharedNoise:
+        """Split the vectors into the gains in front of N_RCU, which act on 1 - behind / P, and the rest."""
+        normal = np.matmul(seeds, seeds.transpose(0, 2, 1))
+        amount = solve_normal_equations(normal, np.matmul(seeds, levels.vectors.transpose(0, 2, 1)), SEEDS_RIDGE)
+        gain = amount[:, 1, :, None] + amount[:, 2, :, None] * chain.antenna_slope
+        rest = levels.vectors - np.matmul(amount.transpose(0, 2, 1), seeds)
+        return cls(amount[:, 0, :, None] + gain + rest, gain * behind[:, None])
 
 
 @dataclass(frozen=True)
@@ -34,19 +80,22 @@ class Lines:
         Inverse covariance of (s, b), shape (path, 2 freq, 2 freq), all s first.
     levels
         The noise levels estimated on the way.
+    shared
+        What each event shares along frequency.
     """
 
     slope: Floats
     intercept: Floats
     information: Floats
     levels: NoiseLevels
+    shared: SharedNoise
 
     def power(self, sky_power: Floats) -> Floats:
         """The power on the lines, shape (path, event, freq), for P_sky, shape (event, freq)."""
         return self.slope[:, None, :] * sky_power + self.intercept[:, None, :]
 
 
-def fit_lines(power: Floats, sky_power: Floats, relative_variance: Floats) -> Lines:
+def fit_lines(power: Floats, sky_power: Floats, relative_variance: Floats, chain: ChainForms | None = None) -> Lines:
     """Fit the lines by generalised least squares with noise levels estimated from the data.
 
     The weights come from lines fitted without weights (right to 1 %), not from the recorded power, which would favour
@@ -60,30 +109,42 @@ def fit_lines(power: Floats, sky_power: Floats, relative_variance: Floats) -> Li
         P_sky, shape (event, freq).
     relative_variance
         Variance of the radiometer noise over that of the typical spectrum, shape (path, event); infinite where absent.
+    chain
+        The form of the chain along frequency; None where it is not known, such as for an LST curve.
     """
+    chain = chain or ChainForms(np.zeros(power.shape[2]), np.ones(power.shape[2]))
     parts = [slice(k, k + PATHS_AT_ONCE) for k in range(0, power.shape[0], PATHS_AT_ONCE)]
-    lines = [_fit_part(power[part], sky_power, relative_variance[part]) for part in parts]
+    lines = [_fit_part(power[part], sky_power, relative_variance[part], chain) for part in parts]
     return Lines(
         np.concatenate([part.slope for part in lines]),
         np.concatenate([part.intercept for part in lines]),
         np.concatenate([part.information for part in lines]),
         NoiseLevels(
             np.concatenate([part.levels.radiometer for part in lines]),
-            np.concatenate([part.levels.event_gain for part in lines]),
+            np.concatenate([part.levels.vectors for part in lines]),
+        ),
+        SharedNoise(
+            np.concatenate([part.shared.constant for part in lines]),
+            np.concatenate([part.shared.behind for part in lines]),
         ),
     )
 
 
-def _fit_part(power: Floats, sky_power: Floats, relative_variance: Floats) -> Lines:
+def _fit_part(power: Floats, sky_power: Floats, relative_variance: Floats, chain: ChainForms) -> Lines:
     slope, intercept = _unweighted_lines(power, sky_power, np.isfinite(relative_variance).astype(float))
+    mean_sky = sky_power.mean(axis=0)
+    behind = _behind(slope, intercept, mean_sky, chain)
+    front = 1.0 - behind / (slope * mean_sky + intercept)
+    seeds = np.stack([np.ones_like(front), front, front * chain.antenna_slope], axis=1)
     inverse_model = slope[:, None, :] * sky_power
     inverse_model += intercept[:, None, :]
     np.reciprocal(inverse_model, out=inverse_model)
     residual = power * inverse_model
     residual -= 1.0
-    levels = estimate_noise_levels(residual, relative_variance, fitted_per_channel=2)
-    step, information = _correlated_step(residual, sky_power, inverse_model, relative_variance, levels)
-    return Lines(slope + step[:, 0], intercept + step[:, 1], information, levels)
+    levels = estimate_noise_levels(residual, relative_variance, 2, seeds)
+    shared = SharedNoise.of(levels, seeds, behind, chain)
+    step, information = _correlated_step(residual, sky_power, inverse_model, relative_variance, levels, shared)
+    return Lines(slope + step[:, 0], intercept + step[:, 1], information, levels, shared)
 
 
 def _unweighted_lines(power: Floats, sky_power: Floats, is_present: Floats) -> tuple[Floats, Floats]:
@@ -102,31 +163,58 @@ def _unweighted_lines(power: Floats, sky_power: Floats, is_present: Floats) -> t
     return tilt / mean_sky, level - tilt
 
 
+def _behind(slope: Floats, intercept: Floats, mean_sky: Floats, chain: ChainForms) -> Floats:
+    """What the chain adds behind the place of a gain in front of N_RCU, shape (path, freq): N_RCU S G_RCU + N_ADC.
+
+    From the intercepts, b = N_LNA s + N_RCU S G_RCU + N_ADC, weighed with the power.
+    """
+    power = slope * mean_sky + intercept
+    added = np.broadcast_to(np.stack([chain.receiver_gain, np.ones_like(mean_sky)]), (len(slope), 2, mean_sky.size))
+    columns = np.concatenate([slope[:, None], added], axis=1) / power[:, None]
+    normal = np.matmul(columns, columns.transpose(0, 2, 1))
+    levels = solve_normal_equations(normal, np.matmul(columns, (intercept / power)[:, :, None]), RIDGE)
+    return np.asarray(np.clip(np.matmul(levels[:, 1:].transpose(0, 2, 1), added)[:, 0], 0.0, power))
+
+
 def _correlated_step(
-    residual: Floats, sky_power: Floats, inverse_model: Floats, relative_variance: Floats, levels: NoiseLevels
+    residual: Floats,
+    sky_power: Floats,
+    inverse_model: Floats,
+    relative_variance: Floats,
+    levels: NoiseLevels,
+    noise: SharedNoise,
 ) -> tuple[Floats, Floats]:
     """One step to the generalised least-squares lines, shape (path, 2, freq), and their information matrix.
 
-    The derivative of the relative model of an event by (s, b) is d = (P_sky, 1) / model in each channel. With
-    C_i^-1 = V_i - c_i V_i 1 1^T V_i and V_i = diag(v) / k_i the information is the sum over events of d V d less that
-    of c (d V 1) (d V 1)^T. Overwrites `inverse_model`.
+    The derivative of the relative model of an event by (s, b) is d = (P_sky, 1) / model in each channel. With the
+    vectors B_i of an event, V_i = diag(sigma^-2) / k_i and C_i^-1 = V_i - V_i B_i^T (1 + B_i V_i B_i^T)^-1 B_i V_i
+    (Woodbury) the information is the sum over events of d V d less that of the second term. Overwrites
+    `inverse_model`.
     """
     paths, events, channels = residual.shape
     precision = 1.0 / relative_variance
     weight = levels.radiometer**-2
-    shared = levels.shared_weight(relative_variance)
-    common = precision * np.matmul(residual, weight[:, :, None])[:, :, 0]
+    is_there = np.any(levels.vectors != 0, axis=(0, 2))
+    vectors = noise.constant[:, None, is_there] - noise.behind[:, None, is_there] * inverse_model[:, :, None]
+    weighted = vectors * weight[:, None, None]
+    size = np.matmul(weighted, vectors.transpose(0, 1, 3, 2)) * precision[:, :, None, None]
+    # Each row of the root of the inverse makes one vector of the event.
+    root = np.linalg.inv(np.linalg.cholesky(size + np.eye(size.shape[-1]))) * np.sqrt(precision)[:, :, None, None]
+    weighted = np.matmul(root, weighted)
+    common = np.matmul(weighted, residual[..., None])
 
+    information = np.zeros((paths, 2 * channels, 2 * channels))
+    # what is left of the residual once what the event shares has taken its part
+    pull = residual - np.matmul(weighted.transpose(0, 1, 3, 2), common)[..., 0] / weight[:, None]
+    weighted *= inverse_model[:, :, None]
+    weighted *= np.sqrt(precision)[:, :, None, None]
     rows = np.empty((paths, events, 2 * channels))
-    np.multiply(inverse_model, (np.sqrt(shared) * precision)[:, :, None], out=rows[:, :, channels:])
-    np.multiply(rows[:, :, channels:], sky_power, out=rows[:, :, :channels])
-    twice = np.concatenate([weight, weight], axis=1)
-    information = np.matmul(rows.transpose(0, 2, 1), rows)
-    information *= -twice[:, :, None] * twice[:, None, :]
+    for k in range(weighted.shape[2]):
+        rows[:, :, channels:] = weighted[:, :, k]
+        np.multiply(weighted[:, :, k], sky_power, out=rows[:, :, :channels])
+        information -= np.matmul(rows.transpose(0, 2, 1), rows)
 
-    # what is left of the residual once the event's common gain has taken its share
     gradient = np.empty((paths, 2, channels))
-    pull = residual - (shared * common)[:, :, None]
     pull *= inverse_model
     gradient[:, 1] = weight * _sum_events(precision, pull)
     pull *= sky_power

@@ -264,7 +264,16 @@ def _compare(number: int, log_slope: Floats, covariance: Floats, cable: NDArray[
     white = np.linalg.solve(root, departure.T).T[:, None, :, None]
     flat = np.asarray(np.linalg.solve(root, np.ones(channels)), dtype=np.float64)[None, :, None]
     one = np.ones((1, channels))
-    view = View(one, one[None], flat, np.empty((0, 1, channels, 1)), np.empty(0), np.ones((2, channels)), white)
+    view = View(
+        one,
+        one[None, :, :, None, None],
+        np.ones((1, 1)),
+        flat,
+        np.empty((0, 1, channels, 1)),
+        np.empty(0),
+        np.ones((2, channels)),
+        white,
+    )
     return _Comparison(view, root, departure[0] - departure[0].mean())
 
 

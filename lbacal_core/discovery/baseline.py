@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lbacal_core.calibration.lines import fit_lines
+from lbacal_core.calibration.lines import ChainForms, fit_lines
 from lbacal_core.calibration.separable import SeparableSolution, solve_separable
 from lbacal_core.chain.terms import ChainTerms
 from lbacal_core.discovery.station import Station
@@ -50,9 +50,10 @@ def fit_baseline(station: Station, ratio: Floats | None = None) -> Baseline:
     design = np.stack([conditions.receiver_gain, np.ones(channels)], axis=1)
     slope, intercept = np.empty((paths, channels)), np.empty((paths, channels))
     information = np.empty((paths, 2 * channels, 2 * channels))
+    forms = ChainForms.of(conditions.frequency_mhz, conditions.antenna_gain, conditions.receiver_gain)
     members = [np.flatnonzero(station.class_of == index) for index in range(len(conditions.dipoles))]
     for rows, sky in zip(members, station.sky, strict=True):
-        lines = fit_lines(power[rows], sky, station.relative_variance[rows])
+        lines = fit_lines(power[rows], sky, station.relative_variance[rows], forms)
         slope[rows], intercept[rows], information[rows] = lines.slope, lines.intercept, lines.information
     solution = solve_separable(slope, intercept, information, design)
     noise = solution.n[:, None] * solution.x + solution.q @ design.T

@@ -158,7 +158,7 @@ def _influence(station: Station, baseline: Baseline, model: LinearModel, path: i
     """Change of ln s of a path by the residual of each event, and by each difference between sky models.
 
     The estimator is linear about its solution: delta(x, n, q) = Cov J' V^-1 r, with J the derivative of ln P and V the
-    noise of the fit, radiometer noise in each channel and a gain of the event.
+    noise of the fit, radiometer noise in each channel and what an event shares.
 
     Returns
     -------
@@ -175,21 +175,26 @@ def _influence(station: Station, baseline: Baseline, model: LinearModel, path: i
     precision = np.where(present, 1.0 / station.relative_variance[path], 0.0)
     scale = float(model.residuals.levels.path_scale[path])
     channels = slope.size
-    radiometer, gain = (levels.path_channel * scale) ** 2, (levels.path_band * scale) ** 2
+    radiometer = (levels.path_channel * scale) ** 2
+    variance, turned = np.linalg.eigh(levels.path_shared * scale**2)
+    vectors = turned.T @ levels.vectors
+    # What an event shares along each vector takes this part of its weight, shape (vector, event).
+    over = np.maximum(variance, 0.0)[:, None] * precision / radiometer
+    taken = over / (1.0 + over)
 
     def weigh(values: Floats) -> Floats:
         """V^-1 times vectors of shape (..., event, freq)."""
         own = values * precision[:, None] / radiometer
-        shared = gain / (1.0 + gain * channels * precision / radiometer)
-        return np.asarray(own - (shared * precision / radiometer * own.sum(axis=-1))[..., None])
+        return np.asarray(own - (own @ vectors.T * taken.T) @ vectors)
 
     information = np.zeros((channels + len(constants), channels + len(constants)))
     weighed = weigh(constants)
     side = np.einsum("ef,cef->fc", of_slope, weighed)
     information[channels:, channels:] = np.einsum("cef,def->cd", constants, weighed)
     information[:channels, channels:], information[channels:, :channels] = side, side.T
-    shared = gain / (1.0 + gain * channels * precision / radiometer) * (precision / radiometer) ** 2
-    information[:channels, :channels] = -(of_slope * shared[:, None]).T @ of_slope
+    for vector, part in zip(vectors, taken, strict=True):
+        along = of_slope * vector
+        information[:channels, :channels] -= (along * (part * precision / radiometer)[:, None]).T @ along
     information[np.arange(channels), np.arange(channels)] += precision @ of_slope**2 / radiometer
     unit = np.sqrt(np.diag(information))
     inverse = np.linalg.inv(information / np.outer(unit, unit)) / np.outer(unit, unit)

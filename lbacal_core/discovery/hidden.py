@@ -1,7 +1,8 @@
-"""What the differences between sky and antenna models hide: causes whose signature they describe.
+"""What nuisances take: causes that differences between sky models hide, and what the noise's vectors take of each.
 
 With the amounts of the differences free without limit, no information on such a cause is left. What their prior leaves
-tells how much models differ, and nothing about the instrument.
+tells how much models differ, and nothing about the instrument. The noise that events share along frequency takes a part
+of the information on every cause, which the report gives.
 """
 
 from __future__ import annotations
@@ -72,3 +73,20 @@ def list_hidden(
             sigma, plain_sigma = float(left[best] ** -0.5), float(whole[best] ** -0.5)
             hidden.append(HiddenCause(cause, float(left[best] / whole[best]), sigma, plain_sigma))
     return hidden
+
+
+def shares_taken(model: LinearModel, causes: Sequence[Cause], target: Target) -> dict[str, float]:
+    """Share of the information on each cause of the station that the vectors of the noise take."""
+    levels = model.residuals.levels
+    nothing = np.zeros_like(levels.common_sum)
+    plain = model.with_levels(replace(levels, path_shared=nothing, common_sum=nothing, common_difference=nothing))
+    taken = {}
+    for cause in causes:
+        families = list_families(model.station.conditions, [cause]) if "station" in cause.scopes else []
+        if families:
+            typical = families[len(families) // 2]
+            left, whole = (see_best(one, typical, target) for one in (model, plain))
+            best = int(np.argmax(whole))
+            if whole[best] > 0:
+                taken[cause.identifier] = float(1.0 - left[best] / whole[best])
+    return taken

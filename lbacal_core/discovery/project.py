@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from lbacal_core.chain.terms import ChainTerms
 from lbacal_core.discovery.hypothesis import Target
-from lbacal_core.discovery.noise import NoiseLevels, Residuals, split_residuals
+from lbacal_core.discovery.noise import NoiseLevels, Residuals, estimate_again, split_residuals
 from lbacal_core.discovery.station import SkyModes, Station
 from lbacal_core.discovery.view import Seen, View
 from lbacal_core.grids import Floats
@@ -74,8 +74,15 @@ class LinearModel:
             return self
         station = self.station.on_events(is_known)
         whole = self.residuals.deviation + self.residuals.mean[self.polarisation_of[station.class_of]]
-        residuals = split_residuals(station, whole * station.is_present[:, :, None])
-        return replace(self, station=station, residuals=residuals)
+        residuals = split_residuals(station, whole * station.is_present[:, :, None], self.residuals.seeds)
+        return replace(self, station=station, residuals=residuals).beside_modes()
+
+    def beside_modes(self) -> LinearModel:
+        """The same with noise levels estimated beside the differences between models, which are no noise."""
+        if self.modes is None:
+            return self
+        mean = self.common.clean(self.residuals.mean[None])[0]
+        return replace(self, residuals=estimate_again(self.station, self.residuals, mean))
 
     @cached_property
     def polarisation_of(self) -> NDArray[np.int64]:
@@ -113,17 +120,18 @@ class LinearModel:
         channel = is_known / (
             levels.common_channel[:, None] ** 2 + levels.path_channel**2 * residuals.spread + ~is_known
         )
-        joint = residuals.spread.mean(axis=0) * levels.path_band**2
+        everyone = np.all(is_known, axis=0).reshape(-1, 1, 1)
+        size = np.eye(len(levels.vectors))
+        variance = np.mean(levels.common_channel**2) + levels.path_channel**2 * residuals.spread.mean(axis=0)
+        joint = residuals.spread.mean(axis=0)[:, None, None] * levels.path_shared + variance[:, None, None] * size
         of_sum, of_difference = (
-            is_known.all(axis=0) / (2 * (level**2 + joint) + ~is_known.all(axis=0))
-            for level in (levels.common_sum, levels.common_difference)
+            everyone * np.linalg.inv(np.where(everyone, shared + joint, size))
+            for shared in (levels.common_sum, levels.common_difference)
         )
-        band = np.empty((polarisations, polarisations, joint.size))
-        if polarisations == 1:
-            band[0, 0] = 2 * of_sum
-        else:
-            band[:] = of_sum - of_difference
-            band[[0, 1], [0, 1]] = of_sum + of_difference
+        inside = of_sum[None, None]
+        if polarisations == 2:
+            same, other = (of_sum + of_difference) / 2, (of_sum - of_difference) / 2
+            inside = np.stack([np.stack([same, other]), np.stack([other, same])])
         slope, constants = self._mean_free_vectors
         free = np.zeros((constants.shape[0] * polarisations, *slope.shape))
         for d in range(polarisations):
@@ -134,7 +142,8 @@ class LinearModel:
             free, prior = np.concatenate([free, modes]), np.concatenate([prior, np.full(len(modes), self.modes.prior)])
         if self.empirical is not None:
             free, prior = np.concatenate([free, self.empirical]), np.concatenate([prior, np.zeros(len(self.empirical))])
-        return View(channel, band, slope, free, prior, np.ones((1, joint.size)), residuals.mean[None])
+        weight = np.ones((1, channel.shape[1]))
+        return View(channel, inside, levels.vectors, slope, free, prior, weight, residuals.mean[None])
 
     def _modes_in_mean(self, modes: SkyModes) -> Floats:
         """What the differences between models do to the means, one prior sigma each."""
@@ -148,7 +157,7 @@ class LinearModel:
         """The deviations of the paths of each class."""
         slope, constants = self._free_vectors
         return [
-            self._path_view(slope[c], constants[:, c], np.ones(slope.shape[1]), self.weight[members], members)
+            self._path_view(slope[c], constants[:, c], self.weight[members], members)
             for c, members in enumerate(self.members)
         ]
 
@@ -158,17 +167,18 @@ class LinearModel:
         slope, constants = self._mean_free_vectors
         polarisation, in_mean = self.polarisation_of[self.station.class_of], self.residuals.in_mean
         weights = [self.weight[in_mean & (polarisation == d)].mean(axis=0) for d in range(len(slope))]
-        everyone, nobody = np.ones((1, slope.shape[1])), np.empty(0, dtype=np.int64)
-        return [self._path_view(slope[d], constants[:, d], w, everyone, nobody) for d, w in enumerate(weights)]
+        nobody = np.empty(0, dtype=np.int64)
+        return [self._path_view(slope[d], constants[:, d], w[None], nobody) for d, w in enumerate(weights)]
 
-    def _path_view(
-        self, slope: Floats, constants: Floats, scale: Floats, weight: Floats, members: NDArray[np.int64]
-    ) -> View:
+    def _path_view(self, slope: Floats, constants: Floats, weight: Floats, members: NDArray[np.int64]) -> View:
         levels = self.residuals.levels
-        channel, band = scale / levels.path_channel**2, scale / levels.path_band**2
-        residual = self.residuals.deviation[members][:, None]
-        free = constants[:, None]
-        return View(channel[None], band[None, None], slope[None], free, np.zeros(len(free)), weight, residual)
+        variance = levels.path_channel**2
+        channel = np.array([[1.0 / variance]])
+        inside = np.asarray(np.linalg.inv(levels.path_shared + variance * np.eye(len(levels.vectors))))[
+            None, None, None
+        ]
+        free, residual = constants[:, None], self.residuals.deviation[members][:, None]
+        return View(channel, inside, levels.vectors, slope[None], free, np.zeros(len(free)), weight, residual)
 
     @cached_property
     def _free_vectors(self) -> tuple[Floats, Floats]:

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from lbacal_core.calibration.noise import slope_of_gain
 from lbacal_core.causes.cause import Template, signature, spectral_signature
 from lbacal_core.chain.terms import ChainTerms
 from lbacal_core.discovery.baseline import Baseline, fit_baseline
@@ -65,7 +66,19 @@ def fit_chain(station: Station, modes: SkyModes | None = None) -> FittedModel:
 
 
 def _linearise(station: Station, baseline: Baseline, modes: SkyModes | None) -> LinearModel:
-    return LinearModel(station, split_residuals(station, baseline.residual), baseline.terms, modes)
+    residuals = split_residuals(station, baseline.residual, _shared_vectors(station, baseline.terms))
+    return LinearModel(station, residuals, baseline.terms, modes).beside_modes()
+
+
+def _shared_vectors(station: Station, terms: ChainTerms) -> Floats:
+    """Vectors along frequency that the noise of an event may share, shape (vector, freq).
+
+    A gain behind everything, one in front of N_RCU, and a resonance that moves.
+    """
+    conditions = station.conditions
+    front = np.mean((terms.sky + terms.n_lna) * terms.front / terms.power(), axis=(0, 1))
+    moved = front * slope_of_gain(conditions.frequency_mhz, conditions.antenna_gain)
+    return np.stack([np.ones_like(front), front, moved])
 
 
 def power_ratio(station: Station, terms: ChainTerms, hypotheses: Sequence[Hypothesis]) -> Floats:

@@ -69,10 +69,14 @@ def _verdict(report: StationReport) -> str:
 
 def _noise(report: StationReport) -> dict[str, Any]:
     station, levels = report.station, report.last.linear.residuals.levels
+    channels = levels.vectors.shape[1]
     return {
         "radiometer_per_mhz": levels.path_channel,
-        "path_event_gain": levels.path_band,
-        "station_event_gain": levels.common_sum / 2**0.5,
+        "path_event_gain": float(np.sqrt(np.trace(levels.path_shared) / channels)),
+        "station_event_gain": float(np.sqrt(np.trace(levels.common_sum) / (2 * channels))),
+        "path_vectors": _vectors(levels.vectors, levels.path_shared),
+        "station_vectors": _vectors(levels.vectors, levels.common_sum / 2),
+        "taken": report.taken,
         "common_per_mhz": levels.common_channel.tolist(),
         "noisy_paths": [
             {"antenna": int(a), "dipole": str(d), "scale": float(s)}
@@ -80,6 +84,13 @@ def _noise(report: StationReport) -> dict[str, Any]:
             if s > NOISY
         ],
     }
+
+
+def _vectors(vectors: Floats, covariance: Floats) -> list[dict[str, Any]]:
+    """What events share along frequency, strongest first: rms over frequency, and one standard deviation in each."""
+    values, turned = np.linalg.eigh(covariance)
+    along = (vectors.T @ turned * np.sqrt(np.maximum(values, 0.0))).T[::-1]
+    return [{"level": float(np.sqrt(np.mean(one**2))), "by_channel": one.tolist()} for one in along]
 
 
 def _scores(report: StationReport) -> list[dict[str, Any]]:

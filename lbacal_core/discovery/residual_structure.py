@@ -220,9 +220,10 @@ def _in_single_events(model: LinearModel, rng: np.random.Generator) -> _Candidat
     rest = _whiten_rest(model, model.residuals.mean)
     events, channels = rest.shape
     values = np.linalg.svd(rest, compute_uv=False)
-    noise = np.array([_largest_of_noise(rng, events, channels) for _ in range(NOISE_DRAWS)])
+    outside = channels - int(np.linalg.matrix_rank(model.common.vectors))
+    noise = np.array([_largest_of_noise(rng, events, outside) for _ in range(NOISE_DRAWS)])
     # Scaled to the total of the noise, so that a wrong noise level does not look like structure.
-    observed = values[0] ** 2 / np.sum(rest**2) * (events * (channels - 1))
+    observed = values[0] ** 2 / np.sum(rest**2) * (events * outside)
     mean, spread = float(noise.mean()), float(noise.std())
     excess = max((observed - mean) / spread, 0.0)
     p_value = float(min(np.exp(-2.0 / 3.0 * (TAIL * excess) ** 1.5), 1.0))
@@ -231,7 +232,6 @@ def _in_single_events(model: LinearModel, rng: np.random.Generator) -> _Candidat
 
 def _largest_of_noise(rng: np.random.Generator, events: int, channels: int) -> float:
     noise = rng.standard_normal((events, channels))
-    noise -= noise.mean(axis=1, keepdims=True)
     return float(np.linalg.eigvalsh(noise.T @ noise)[-1])
 
 
@@ -245,13 +245,13 @@ def _largest_pattern(model: LinearModel) -> Floats:
 
 
 def share_of_channels(model: LinearModel, values: Floats) -> Floats:
-    """Share of each channel in a vector of the means that is not flat in frequency, shape (freq,), the sum is 1."""
+    """Share of each channel in a vector of the means outside the noise's vectors, shape (freq,), the sum is 1."""
     squares = np.sum(_whiten_rest(model, values) ** 2, axis=0)
     return np.asarray(squares / max(float(squares.sum()), 1e-300))
 
 
 def _whiten_rest(model: LinearModel, values: Floats) -> Floats:
-    """The part of a vector of the means that varies with frequency, both polarisations, in standard deviations."""
-    clean = model.common.clean(values)
-    rest = (clean - clean.mean(axis=-1, keepdims=True)) * np.sqrt(model.common.channel)[..., None]
+    """The part of a vector of the means outside the noise's vectors, both polarisations, in standard deviations."""
+    clean, vectors = model.common.clean(values), model.common.vectors
+    rest = (clean - clean @ vectors.T @ vectors) * np.sqrt(model.common.channel)[..., None]
     return np.asarray(rest.sum(axis=0) / np.sqrt(len(rest)))

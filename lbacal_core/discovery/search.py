@@ -17,6 +17,7 @@ from lbacal_core.discovery.antennas import AntennaScore, compare_antennas, why_n
 from lbacal_core.discovery.cable_names import compare_cable_names
 from lbacal_core.discovery.deaf import leave_out_deaf
 from lbacal_core.discovery.growth import grow
+from lbacal_core.discovery.hidden import shares_taken
 from lbacal_core.discovery.hypothesis import Hypothesis, Target, list_targets
 from lbacal_core.discovery.policy import Policy
 from lbacal_core.discovery.project import LinearModel
@@ -73,6 +74,8 @@ class StationReport:
         The fitted model without hypotheses, and with those of all findings.
     unidentifiable
         Causes that these data can never show, with the reason.
+    taken
+        Share of the information on each cause of the station that the vectors of the noise take.
     stations
         Number of stations that were searched together.
     """
@@ -88,6 +91,7 @@ class StationReport:
     first: FittedModel
     last: FittedModel
     unidentifiable: dict[str, str]
+    taken: dict[str, float]
     policy: Policy
     stations: int
 
@@ -152,6 +156,7 @@ def search_station(
         first=models[0],
         last=models[-1],
         unidentifiable=_unidentifiable(station, search),
+        taken=shares_taken(models[-1].linear, CAUSES, targets[-1]),
         policy=policy,
         stations=stations,
     )

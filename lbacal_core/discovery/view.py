@@ -102,9 +102,11 @@ class View:
     Attributes
     ----------
     channel
-        Inverse variance of what is not flat in frequency, shape (row, event).
-    band
-        Inverse covariance of the band means of the rows, shape (row, row, event).
+        Inverse variance of what lies outside the vectors of the noise, shape (row, event), or 1 for event.
+    inside
+        Inverse covariance of the amounts of these vectors, shape (row, row, event, k, k), or 1 for event.
+    vectors
+        Orthonormal vectors along frequency that the noise of an event shares, shape (k, freq).
     slope
         Relative change of the power with ln A(nu): one free vector for each row and channel, shape (row, event, freq).
     constants
@@ -118,7 +120,8 @@ class View:
     """
 
     channel: Floats
-    band: Floats
+    inside: Floats
+    vectors: Floats
     slope: Floats
     constants: Floats
     prior: Floats
@@ -135,10 +138,13 @@ class View:
 
     def _weigh(self, values: Floats) -> Floats:
         """W times vectors, shape (..., row, event, freq)."""
-        band = values.mean(axis=-1)
-        across = np.einsum("rse,...se->...re", self.band, band) / values.shape[-1]
-        weighed = (values - band[..., None]) * self.channel[..., None]
-        weighed += across[..., None]
+        amount = values @ self.vectors.T
+        if len(self.inside) == 1:
+            across = np.squeeze(amount[..., None, :] @ self.inside[0, 0], -2)
+        else:
+            across = np.einsum("rsekl,...sel->...rek", self.inside, amount)
+        weighed = values * self.channel[..., None]
+        weighed += (across - amount * self.channel[..., None]) @ self.vectors
         return np.asarray(weighed)
 
     def inner(self, templates: Seen, profiles: TimeProfiles) -> tuple[Floats, Floats]:
@@ -268,15 +274,27 @@ class View:
         row_of = np.repeat(np.arange(rows), channels)
         for r in range(rows):
             for s in range(rows):
-                at = self.band[r, s] / channels**2 - (self.channel[r] / channels if r == s else 0.0)
-                left = self.slope[r] * (weight * at)[:, :, None]
                 block = slice(r * channels, (r + 1) * channels), slice(s * channels, (s + 1) * channels)
-                gram[:, block[0], block[1]] = np.swapaxes(left, 1, 2) @ self.slope[s]
+                gram[:, block[0], block[1]] = self._along_vectors(weight, r, s)
         square = weight @ (flat**2 * self.channel.T[:, row_of])
         gram[:, np.arange(size), np.arange(size)] += square
         gram[:, size:, :] = np.einsum("ke,jev->kjv", weight, self.see(self.constants).free, optimize=True)
         gram[:, :size, size:] = np.swapaxes(gram[:, size:, :size], 1, 2)
         return gram
+
+    def _along_vectors(self, weight: Floats, r: int, s: int) -> Floats:
+        """The part of N'WN of the slopes of two rows that the vectors of the noise add, shape (set, freq, freq)."""
+        size = len(self.vectors)
+        amount = self.inside[r, s] - (self.channel[r][:, None, None] * np.eye(size) if r == s else 0.0)
+        if len(amount) == 1:
+            pairs = np.swapaxes(self.slope[r] * weight[:, :, None], 1, 2) @ self.slope[s]
+            return np.asarray(pairs * (self.vectors.T @ amount[0] @ self.vectors))
+        total = np.zeros((len(weight), self.slope.shape[2], self.slope.shape[2]))
+        for k in range(size):
+            for j in range(size):
+                left = self.slope[r] * self.vectors[k] * (weight * amount[:, k, j])[:, :, None]
+                total += np.swapaxes(left, 1, 2) @ (self.slope[s] * self.vectors[j])
+        return total
 
 
 def _indicators(fold: NDArray[np.int64]) -> Floats:

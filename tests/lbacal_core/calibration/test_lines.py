@@ -33,8 +33,9 @@ def test_lines_and_information_equal_the_dense_generalised_least_squares(scene):
         model = np.stack(
             [np.polyval(np.polyfit(x, y, 1), x) for x, y in zip(sky[kept].T, power[path][kept].T, strict=True)], 1
         )
-        levels = [lines.levels.radiometer[path], lines.levels.event_gain[path]]
-        covariances = [k * np.diag(levels[0] ** 2) + levels[1] ** 2 for k in relative_variance[path][kept]]
+        diagonal = np.diag(lines.levels.radiometer[path] ** 2)
+        vectors = [lines.shared.constant[path] - lines.shared.behind[path] / at for at in model]
+        covariances = [k * diagonal + v.T @ v for k, v in zip(relative_variance[path][kept], vectors, strict=True)]
         expected, information = slow_lines(power[path][kept], sky[kept], model, covariances)
         np.testing.assert_allclose(lines.slope[path], expected[:channels], rtol=1e-9)
         np.testing.assert_allclose(lines.intercept[path], expected[channels:], rtol=1e-8)

@@ -7,6 +7,10 @@ import pytest
 
 from lbacal_core.discovery.noise import split_residuals
 
+NU = np.linspace(-1.0, 1.0, 51)
+FLAT = np.ones((1, 51))
+THREE = np.stack([np.ones(51), 1.0 - 0.5 * NU**2, np.exp(-0.5 * (NU / 0.2) ** 2) * NU])
+
 
 @pytest.fixture(scope="module")
 def noise(station):
@@ -18,11 +22,12 @@ def noise(station):
 
 
 def test_the_levels_of_known_noise_are_found(station, noise):
-    levels = split_residuals(station, noise).levels
+    levels = split_residuals(station, noise, FLAT).levels
     assert abs(levels.path_channel / 0.044 - 1) < 0.02  # 1/sqrt(2 x 16 paths x 300 events x 50) is 0.15 %
-    assert abs(levels.path_band / np.hypot(0.04, 0.044 / 51**0.5) - 1) < 0.05  # the median of 16 paths
-    assert abs(levels.common_sum / (0.03 * 2**0.5) - 1) < 0.15  # 300 events: 4 %, and the share of the paths
-    assert levels.common_difference < 0.008
+    # a vector of 51 channels: its amount is root 51 times the gain
+    assert abs((levels.path_shared[0, 0] / 51) ** 0.5 / 0.04 - 1) < 0.05  # the median of 16 paths
+    assert abs((levels.common_sum[0, 0] / 51) ** 0.5 / (0.03 * 2**0.5) - 1) < 0.15  # 300 events: 4 %, and the paths
+    assert (levels.common_difference[0, 0] / 51) ** 0.5 < 0.008
     np.testing.assert_allclose(levels.path_scale, 1.0)
 
 
@@ -31,7 +36,7 @@ def test_a_dead_antenna_leaves_the_mean_but_is_still_compared_with_it(station, n
     dead = station.antenna == station.antenna[0]
     relative_variance[dead, 100:] = np.inf
     damaged = replace(station, relative_variance=relative_variance)
-    residuals = split_residuals(damaged, noise * damaged.is_present[:, :, None])
+    residuals = split_residuals(damaged, noise * damaged.is_present[:, :, None], FLAT)
     assert not np.any(residuals.in_mean[dead])
     assert np.all(residuals.in_mean[~dead])
     assert np.all(residuals.deviation[dead][:, 100:] == 0.0)
@@ -45,7 +50,7 @@ def test_an_antenna_that_dies_in_the_last_days_leaves_the_mean_and_one_with_gaps
     relative_variance[late, 275:] = np.inf
     relative_variance[np.ix_(gappy, rng.choice(300, 45, replace=False))] = np.inf
     damaged = replace(station, relative_variance=relative_variance)
-    in_mean = split_residuals(damaged, noise * damaged.is_present[:, :, None]).in_mean
+    in_mean = split_residuals(damaged, noise * damaged.is_present[:, :, None], FLAT).in_mean
     assert not np.any(in_mean[late])
     assert np.all(in_mean[~late])
 
@@ -53,6 +58,37 @@ def test_an_antenna_that_dies_in_the_last_days_leaves_the_mean_and_one_with_gaps
 def test_a_noisy_path_gets_its_own_scale(station, noise):
     louder = noise.copy()
     louder[3] *= 2.0
-    scale = split_residuals(station, louder).levels.path_scale
+    scale = split_residuals(station, louder, FLAT).levels.path_scale
     assert abs(scale[3] - 2.0) < 0.2  # its own share of the mean is taken out of it
     np.testing.assert_allclose(np.delete(scale, 3), 1.0, atol=0.06)
+
+
+def test_gains_with_a_shape_along_frequency_are_found_for_the_means_and_for_paths(station, noise):
+    """Only a gain flat in frequency was noise; any other was structure, or a name."""
+    rng = np.random.default_rng(4)
+    flat = noise - noise.mean(axis=2, keepdims=True)
+    front = 0.04 * rng.standard_normal((*noise.shape[:2], 1)) * THREE[1]
+    moved = 0.02 * rng.standard_normal((1, noise.shape[1], 1)) * THREE[2]
+    levels = split_residuals(station, flat + front + moved, THREE).levels
+    of_path = levels.vectors.T @ levels.path_shared @ levels.vectors
+    of_mean = levels.vectors.T @ levels.common_sum @ levels.vectors / 2
+    assert np.sqrt(np.diag(of_path)) == pytest.approx(0.04 * THREE[1], rel=0.1)
+    assert np.sqrt(np.diag(of_mean)[18:21]) == pytest.approx(0.02 * np.abs(THREE[2, 18:21]), rel=0.3)
+
+
+def test_what_most_events_share_is_noise_and_what_a_few_have_is_not(station, noise):
+    rng = np.random.default_rng(6)
+    shape, events = np.sin(9 * NU), noise.shape[1]
+    often = noise + 0.02 * rng.standard_normal((1, events, 1)) * shape
+    burst = noise + 0.12 * (np.arange(events) % 36 == 0)[:, None] * shape
+    seeds = np.concatenate([FLAT, NU[None]])
+    in_often, in_burst = (split_residuals(station, one, seeds).levels.vectors for one in (often, burst))
+    along = [np.linalg.norm(vectors @ shape) / np.linalg.norm(shape) for vectors in (in_often, in_burst)]
+    by_seeds = np.linalg.norm(np.linalg.qr(seeds.T)[0].T @ shape) / np.linalg.norm(shape)
+    assert along[0] > 0.9
+    assert along[1] == pytest.approx(by_seeds, abs=0.05)
+
+
+def test_levels_are_at_most_three_vectors(station, noise):
+    seeds = np.concatenate([THREE, NU[None]])
+    assert split_residuals(station, noise, seeds).levels.vectors.shape == (3, 51)

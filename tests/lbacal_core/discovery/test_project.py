@@ -48,10 +48,12 @@ def slow_product(covariance, absorbed, left, right):
     return whole - of_left @ np.linalg.pinv(gram, rcond=1e-10, hermitian=True) @ of_right
 
 
-def covariance_of(channel, band, channels):
-    """Noise that is flat and noise that is not, of one path: shape (freq, freq)."""
-    flat = np.ones((channels, channels)) / channels
-    return channel**2 * (np.eye(channels) - flat) + band**2 * channels * flat
+def covariance_of(levels):
+    """Noise of one path, shape (freq, freq)."""
+    return (
+        levels.path_channel**2 * np.eye(levels.vectors.shape[1])
+        + levels.vectors.T @ levels.path_shared @ levels.vectors
+    )
 
 
 def free_vectors_of(view):
@@ -73,7 +75,7 @@ def test_scores_of_paths_equal_those_of_a_dense_covariance(model):
     k = int(np.flatnonzero(score.target.is_member)[0])
     c = int(data.class_of[k])
     d = int(model.polarisation_of[c])
-    own = covariance_of(levels.path_channel, levels.path_band, channels) * levels.path_scale[k] ** 2
+    own = covariance_of(levels) * levels.path_scale[k] ** 2
     full = np.full((data.power.shape[1], channels, channels), np.inf)
     full[data.is_present[k]] = own
     absorbed = free_vectors_of(model.paths[c])[:, 0]
@@ -84,7 +86,7 @@ def test_scores_of_paths_equal_those_of_a_dense_covariance(model):
     typical = []
     for other in members:
         full = np.full((data.power.shape[1], channels, channels), np.inf)
-        full[data.is_present[other]] = covariance_of(levels.path_channel, levels.path_band, channels)
+        full[data.is_present[other]] = covariance_of(levels)
         full *= levels.path_scale[other] ** 2
         typical.append(slow_product(full, absorbed, values[c], values[c]))
     f -= model.paths_in_mean[d] * model.share_of_mean(score.target.is_member)[c] ** 2 * np.mean(typical)
@@ -98,15 +100,16 @@ def slow_mean(model, mean):
     letters, events, channels = mean.shape
     covariance = np.empty((events, letters * channels, letters * channels))
     for e in range(events):
-        joint = spread[:, e].mean() * levels.path_band**2
-        plus, minus = levels.common_sum**2 + joint, levels.common_difference**2 + joint
-        flat = np.ones((channels, channels)) / channels
+        vectors = levels.vectors
+        common = np.mean(levels.common_channel**2) + levels.path_channel**2 * spread[:, e].mean()
+        joint = spread[:, e].mean() * levels.path_shared + common * np.eye(len(vectors))
+        plus, minus = levels.common_sum + joint, levels.common_difference + joint
         blocks = [[(plus + minus) / 2 if i == j else (plus - minus) / 2 for j in range(2)] for i in range(2)]
-        matrix = np.block([[b * channels * flat for b in row] for row in blocks])
+        matrix = np.block([[vectors.T @ b @ vectors for b in row] for row in blocks])
         for i in range(letters):
             at = slice(i * channels, (i + 1) * channels)
             own = levels.common_channel[i] ** 2 + levels.path_channel**2 * spread[i, e]
-            matrix[at, at] += own * (np.eye(channels) - flat)
+            matrix[at, at] += own * (np.eye(channels) - vectors.T @ vectors)
         covariance[e] = matrix
 
     def lay(values):
@@ -147,7 +150,7 @@ def test_a_path_outside_the_mean_shows_the_noise_of_both(station):
     variance[(station.antenna >= 3), 200:] = np.inf
     damaged = replace(station, relative_variance=variance)
     noise = 0.05 * rng.standard_normal(station.power.shape) * damaged.is_present[:, :, None]
-    model = LinearModel(damaged, split_residuals(damaged, noise), fit_baseline(station).terms, None)
+    model = LinearModel(damaged, split_residuals(damaged, noise, np.ones((1, 51))), fit_baseline(station).terms, None)
     assert np.array_equal(model.residuals.in_mean, few)
     outside = model.residuals.deviation[~few, :200]
     np.testing.assert_allclose(np.std(outside), 0.05 * (4 / 3) ** 0.5, rtol=0.01)

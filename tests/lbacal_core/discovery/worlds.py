@@ -110,7 +110,9 @@ def look_at(spectra: Spectra, instrument: Instrument, sky: SkyPower, *, with_mod
 def look_with_residual(look: Look, residual: Floats) -> Look:
     """The same chains, but other relative residuals, shape (path, event, freq)."""
     model = look.model
-    linear = LinearModel(look.data, split_residuals(look.data, residual), model.baseline.terms, look.modes)
+    linear = LinearModel(
+        look.data, split_residuals(look.data, residual, model.linear.residuals.seeds), model.baseline.terms, look.modes
+    )
     return replace(look, model=replace(model, linear=linear))
 
 
