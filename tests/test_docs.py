@@ -214,8 +214,8 @@ def test_no_machine_and_no_registry_is_named_in_a_file(repository: Path, tracked
     assert named == []
 
 
-def test_the_example_of_unfolding_runs(repository: Path) -> None:
+def test_the_examples_of_unfolding_run(repository: Path) -> None:
     page = (repository / "docs/how-to/calibrate-traces.md").read_text()
-    found = re.search(r"^## Field.*?^```python\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
-    assert found is not None
-    exec(found[1], {})  # noqa: S102  (our own page)
+    blocks = re.findall(r"^```python\n(.*?)^```", page.split("## Field")[1].split("\n## ")[0], re.MULTILINE | re.DOTALL)
+    assert len(blocks) == 2
+    exec("\n".join(blocks), {})  # noqa: S102  (our own page)
