@@ -59,10 +59,14 @@ def read_sky_level() -> SkyLevel:
 
 
 def tie_to_measurements(sky: SkyModel, level: SkyLevel) -> SkyModel:
-    """The sky model with the measured level and slope; its anisotropy relative to its mean stays."""
+    """The sky model with the measured level and slope; its anisotropy relative to its mean stays.
+
+    Levels are rounded to ten digits: the last bits of an exponential differ between machines, digests must not.
+    """
+    exact = sky.level * np.exp(level.ln_ratio(sky.frequency_mhz))
     return replace(
         sky,
         name=MEASURED_SKY,
-        level=sky.level * np.exp(level.ln_ratio(sky.frequency_mhz)),
+        level=np.array([float(f"{value:.10g}") for value in exact]),
         origin=f"{sky.origin}; level and slope as measured (docs/explanation/measured-sky.md)",
     )

@@ -41,6 +41,13 @@ def test_no_correction_changes_nothing_but_the_name() -> None:
     np.testing.assert_array_equal(same.temperature(NU), base.temperature(NU))
 
 
+def test_the_digest_does_not_hang_on_the_last_bits_of_an_exponential() -> None:
+    level = read_sky_level()
+    nudged = SkyLevel(np.nextafter(level.level, 1.0), level.slope, level.covariance, level.scatter)
+    base = load_sky("gsm")
+    assert tie_to_measurements(base, nudged).digest() == tie_to_measurements(base, level).digest()
+
+
 def test_the_name_is_offered_where_another_is_unknown() -> None:
     with pytest.raises(UnknownNameError, match="measured"):
         load_sky("nowhere")
