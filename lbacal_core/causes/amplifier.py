@@ -98,8 +98,7 @@ class MissingNoise(Cause):
 
     def sizes_of(self, template: Template) -> SizeRange:
         """Noise is never negative: no less than all of the known noise is taken away."""
-        least = -float(template.parameters["known_noise"])
-        return SizeRange(least, 10.0, physical_end=least)
+        return SizeRange(-float(template.parameters["known_noise"]), 10.0)
 
     def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:  # noqa: ARG002
         """N_LNA plus noise that is flat in frequency."""
