@@ -107,7 +107,9 @@ class Client:
         if self._cache and tag is not None and as_of is None and gap is None and self._cache.has(tag):
             return self._ask_cache(self._cache, params)
         try:
-            return self._transport.request("GET", _EFFECTIVE, params=params, is_quick=True).content
+            # with a cache nobody need wait for a server that may come back
+            tries = None if self._cache is None else 1
+            return self._transport.request("GET", _EFFECTIVE, params=params, is_quick=True, tries=tries).content
         except UnreachableError:
             if self._cache is None or gap is not None:
                 raise

@@ -62,7 +62,7 @@ class Transport:
 
     def request(
         self, method: str, path: str, *, params: Mapping[str, Any] | None = None, body: Any = None,
-        file: bytes | None = None, is_quick: bool = False,
+        file: bytes | None = None, is_quick: bool = False, tries: int | None = None,
     ) -> httpx2.Response:  # fmt: skip
         """Ask, with a JSON body or a spectra file, and ask again while nobody answers or the server is busy.
 
@@ -75,7 +75,7 @@ class Transport:
         more: dict[str, Any] = {"timeout": httpx2.Timeout(TIMEOUT_S, connect=QUICK_CONNECT_S)} if is_quick else {}
         end = time.monotonic() + QUICK_S if is_quick else math.inf
         pause, problem = FIRST_PAUSE_S, UnreachableError("no answer")
-        for attempt in range(self.tries):
+        for attempt in range(tries or self.tries):
             if attempt > 0:
                 if time.monotonic() + pause + QUICK_CONNECT_S > end:
                     break
