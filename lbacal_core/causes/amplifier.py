@@ -67,6 +67,7 @@ class LnaNoiseSlope(Cause):
     unit: str = "fraction per 25 MHz"
     meaning: str = "the noise of the LNA has a slope in frequency"
     confirm: str = "measure the noise temperature of an LNA on a dummy load"
+    sizes: SizeRange = SizeRange(-1.0, 1.0)
 
     def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:  # noqa: ARG002
         """N_LNA with a slope about 55 MHz."""
@@ -120,6 +121,7 @@ class LnaNoiseTemperature(TemperatureCause):
 
     identifier: str = "lna_noise_temperature"
     unit: str = "fraction per 10 K"
+    sizes: SizeRange = SizeRange(-0.5, 0.5)
     meaning: str = "the noise of the LNA follows temperature"
     confirm: str = "compare nights of equal LST in summer and winter at the lowest frequencies"
     scopes: Sequence[str] = ("station", "group", "antenna", "path")
@@ -135,6 +137,7 @@ class GainTemperature(TemperatureCause):
 
     identifier: str = "gain_temperature"
     unit: str = "fraction per 10 K"
+    sizes: SizeRange = SizeRange(-0.5, 0.5)
     meaning: str = "the gain in front of the receiver follows temperature"
     confirm: str = "compare the gain by day and by night at equal LST"
     axes: Sequence[str] = ("temperature", "utc", "date")
@@ -160,6 +163,7 @@ class GainStep(StepCause):
 
     identifier: str = "gain_step"
     unit: str = "fraction"
+    sizes: SizeRange = SizeRange(-1.0, 10.0)
     meaning: str = "the gain stepped at a date"
     confirm: str = "look into the maintenance log of that date"
 
@@ -174,6 +178,7 @@ class GainDrift(Cause):
 
     identifier: str = "gain_drift"
     unit: str = "fraction per year"
+    sizes: SizeRange = SizeRange(-1.0, 1.0)
     meaning: str = "the gain drifts"
     confirm: str = "compare with earlier and later years"
     axes: Sequence[str] = ("date",)

@@ -121,6 +121,7 @@ class ResonanceShift(ResonanceCause):
 
     identifier: str = "resonance_shift"
     unit: str = "MHz per 10 K, at full season or wetness, or per mm/h"
+    sizes: SizeRange = SizeRange(-5.0, 5.0)
     meaning: str = "the antenna's resonance moves with temperature, season or wetness"
     confirm: str = "measure the antenna's impedance warm and cold, dry and wet"
     step: float = 0.01
@@ -142,6 +143,7 @@ class ResonanceWidth(ResonanceCause):
 
     identifier: str = "resonance_width"
     unit: str = "fraction per 10 K, at full season or wetness, or per mm/h"
+    sizes: SizeRange = SizeRange(-0.9, 5.0)
     meaning: str = "the antenna's resonance widens with temperature, season or wetness"
     confirm: str = "measure the antenna's impedance warm and cold, dry and wet"
     step: float = 0.002

@@ -20,6 +20,8 @@ from lbacal_core.grids import Floats
 
 EDGE = 1e-3
 """Share of a range that counts as its end."""
+BEYOND_SIGMA = 3.0
+"""Standard deviations by which an error may carry a size beyond a physical end of its range."""
 SCOPES = ("path", "antenna", "group", "cable", "station")
 """Kinds of targets: one path, the two paths of an antenna, paths that share hardware, paths of a cable name, the whole
 station."""
@@ -48,6 +50,13 @@ class SizeRange:
     highest: float = np.inf
     starts: Sequence[float] = (0.02,)
     physical_end: float | None = None
+
+    def allows(self, size: float, sigma: float) -> bool:
+        """Whether a size found without limits is possible; beyond a physical end the error may have carried it."""
+        below, above = (
+            BEYOND_SIGMA * sigma if end == self.physical_end else 0.0 for end in (self.lowest, self.highest)
+        )
+        return self.lowest - below < size < self.highest + above
 
     def is_at_edge(self, size: float) -> bool:
         """Whether a size has run to the end of the plausible range: the cause then does not describe the data."""

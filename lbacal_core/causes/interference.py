@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lbacal_core.causes.cause import Cause, Template
+from lbacal_core.causes.cause import Cause, SizeRange, Template
 from lbacal_core.causes.conditions import Conditions
 from lbacal_core.chain.terms import ChainTerms
 from lbacal_core.grids import Floats
@@ -48,6 +48,7 @@ class RfiLine(InterferenceCause):
 
     identifier: str = "rfi_line"
     unit: str = "fraction of the mean power in its strongest channel"
+    sizes: SizeRange = SizeRange(0.0, 1e3)
     meaning: str = "a narrow line of interference is left"
     confirm: str = "look at the unbinned spectra of those hours"
     scopes: Sequence[str] = ("station", "antenna")
@@ -89,6 +90,7 @@ class RfiBroadband(InterferenceCause):
 
     identifier: str = "rfi_broadband"
     unit: str = "fraction of the mean sky power at 55 MHz"
+    sizes: SizeRange = SizeRange(0.0, 1e2)
     meaning: str = "broad-band interference is left"
     confirm: str = "look for its direction by correlating antennas at those hours"
     spectral_parameters: Sequence[str] = ("spectral_index",)

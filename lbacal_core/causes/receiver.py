@@ -20,6 +20,7 @@ class CableTemperature(TemperatureCause):
 
     identifier: str = "cable_temperature"
     unit: str = "fraction per 10 K"
+    sizes: SizeRange = SizeRange(-1.0, 1.0)
     meaning: str = "the loss of the cables (in dB) follows temperature"
     confirm: str = "compare short and long cables by day and by night"
     scopes: Sequence[str] = ("station", "cable", "group", "antenna")
@@ -35,6 +36,7 @@ class FilterShift(Cause):
 
     identifier: str = "filter_shift"
     unit: str = "fraction at 10 K, or the step"
+    sizes: SizeRange = SizeRange(-0.1, 0.1)
     meaning: str = "the receiver's filter moves in frequency"
     confirm: str = "measure the pass band of the receiver again"
     axes: Sequence[str] = ("date", "temperature")
@@ -79,6 +81,7 @@ class AdcNoiseStep(StepCause):
 
     identifier: str = "adc_noise_step"
     unit: str = "fraction"
+    sizes: SizeRange = SizeRange(-1.0, 100.0)
     meaning: str = "the noise of the digitiser stepped at a date"
     confirm: str = "look into the maintenance log of that date"
 
@@ -111,6 +114,7 @@ class AdcJitter(Cause):
 
     identifier: str = "adc_jitter"
     unit: str = "fraction of the mean power"
+    sizes: SizeRange = SizeRange(0.0, 1.0)
     meaning: str = "clock jitter adds white noise that follows the signal"
     confirm: str = "feed a sine of rising frequency and watch the noise floor"
     scopes: Sequence[str] = ("station", "group", "antenna", "path")

@@ -124,6 +124,7 @@ class SolarEmission(Cause):
 
     identifier: str = "solar_emission"
     unit: str = "fraction of the mean sky power at 55 MHz, Sun overhead"
+    sizes: SizeRange = SizeRange(0.0, 3.0)
     meaning: str = "the Sun adds power by day"
     confirm: str = "compare with solar monitoring, and days of high activity with quiet ones"
     needs: str = NO_SUN
@@ -153,6 +154,7 @@ class IonosphericAbsorption(Cause):
 
     identifier: str = "ionospheric_absorption"
     unit: str = "tau at 30 MHz, Sun overhead"
+    sizes: SizeRange = SizeRange(0.0, 3.0)
     meaning: str = "the daytime ionosphere absorbs"
     confirm: str = "compare with a riometer or with absorption maps from ionosondes"
     needs: str = NO_SUN

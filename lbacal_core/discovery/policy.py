@@ -30,6 +30,11 @@ class Policy:
     same_spectrum
         Overlap (Bhattacharyya 1943) of two spectra, each the share of the whitened structure in every channel, beyond
         which they are alike: the templates of different stages of the chain overlap by less.
+    crowd, crowd_alpha
+        Number of accepted causes along one axis after which the search ends, if structure along it remains with a
+        probability below this: no proof hides more, and causes then describe piece by piece what none of them is.
+    stands_alpha
+        Probability of structure along the axes of a finding below which the finding does not stand.
     hidden_share
         Share of the information of a cause that free differences between models leave, below which they hide it: it is
         then neither looked for nor named. They leave nothing of a slope of N_LNA and of an isotropic level, and 0.06
@@ -45,6 +50,9 @@ class Policy:
     indistinguishable: float = 9.0
     beside_structure_alpha: float = 0.05
     same_spectrum: float = 0.8
+    crowd: int = 2
+    crowd_alpha: float = 1e-6
+    stands_alpha: float = 0.001
     hidden_share: float = 0.03
 
     @property

@@ -78,8 +78,8 @@ class LinearModel:
         return replace(self, station=station, residuals=residuals).beside_modes()
 
     def beside_modes(self) -> LinearModel:
-        """The same with noise levels estimated beside the differences between models, which are no noise."""
-        if self.modes is None:
+        """The same with noise levels estimated beside what is no noise: differences between models, known structure."""
+        if self.modes is None and self.empirical is None:
             return self
         mean = self.common.clean(self.residuals.mean[None])[0]
         return replace(self, residuals=estimate_again(self.station, self.residuals, mean))

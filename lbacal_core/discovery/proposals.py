@@ -8,12 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from lbacal_core.causes.catalogue import CAUSES
-from lbacal_core.causes.cause import Template
+from lbacal_core.causes.cause import Cause, Template
 from lbacal_core.discovery.hidden import HiddenCause, list_hidden
 from lbacal_core.discovery.hypothesis import Hypothesis, Target
 from lbacal_core.discovery.policy import Policy
 from lbacal_core.discovery.project import LinearModel
 from lbacal_core.discovery.refit import FittedModel, held_out_gain, refit
+from lbacal_core.discovery.residual_structure import STATION, chance_along
 from lbacal_core.discovery.scan import Score, group_templates, scan, score_families
 from lbacal_core.discovery.station import Station
 
@@ -64,6 +65,10 @@ class StationSearch:
         Scores of every cause before anything was added.
     again
         Why the search ended, where a cause was significant once more.
+    has_significant
+        Whether chance did not explain some score.
+    impossible
+        A score that chance does not explain, where no cause describes it with a size that it can have.
     hidden
         Causes that the differences between models hide, known with the first model.
     """
@@ -76,29 +81,42 @@ class StationSearch:
         stations: int,
         seed: int,
         progress: Callable[[str], None],
+        causes: Sequence[Cause] = CAUSES,
     ) -> None:
+        self.causes = causes
         self.name, self.targets, self.policy, self.seed = station.name, targets, policy, seed
-        self.alpha, self.progress = policy.catalogue_alpha / stations, progress
+        self.stations, self.alpha, self.progress = stations, policy.catalogue_alpha / stations, progress
+        self.has_significant = False
         self.first_scores: list[Score] = []
         self.again: SameAgain | None = None
         self.hidden: list[HiddenCause] | None = None
+        self.impossible: Score | None = None
 
     def propose(self, before: FittedModel) -> list[Candidate]:
         """The model with each of the best significant causes, fitted without linearising."""
-        self.progress(f"{self.name}: scoring {len(CAUSES)} causes for {len(self.targets)} targets")
+        self.progress(f"{self.name}: scoring {len(self.causes)} causes for {len(self.targets)} targets")
         if self.hidden is None:
-            self.hidden = list_hidden(before.linear, CAUSES, self.targets[-1], self.policy.hidden_share)
+            self.hidden = list_hidden(before.linear, self.causes, self.targets[-1], self.policy.hidden_share)
         hidden = [one.cause for one in self.hidden]
-        scores = scan(before.linear, [one for one in CAUSES if one not in hidden], self.targets, self.seed)
+        scores = scan(before.linear, [one for one in self.causes if one not in hidden], self.targets, self.seed)
         self.first_scores = self.first_scores or scores
         significant = [score for score in scores if score.p_value < self.alpha]
+        self.has_significant |= bool(significant)
         if significant:
             self.again = _same_again(significant[0], before.hypotheses)
-        if not significant or self.again is not None:
+        if not significant or self.again is not None or self._is_crowded(before):
             return []
         self.progress(f"{self.name}: fitting everything again with {significant[0].cause.identifier}")
         fitted = [_fit(before, score, self.policy) for score in _rivals(significant, self.policy)]
-        return sorted((one for one in fitted if one is not None), key=lambda one: -one.gain)
+        possible = [one for one in fitted if one is not None and _is_possible(one.model)]
+        self.impossible = None if possible else significant[0]
+        return sorted(possible, key=lambda one: -one.gain)
+
+    def _is_crowded(self, before: FittedModel) -> bool:
+        """Whether causes along one axis were accepted again and again, and structure along it remains."""
+        axes = [axis for one in before.hypotheses if one.target.is_wide for axis in one.cause.axes]
+        crowded = {axis for axis in axes if axes.count(axis) >= self.policy.crowd}
+        return bool(crowded) and chance_along(before.linear, crowded, STATION) < self.policy.crowd_alpha
 
     def model_of(self, candidate: Candidate) -> FittedModel:
         """The fitted model of a candidate."""
@@ -107,6 +125,11 @@ class StationSearch:
     def held_out_gain(self, before: FittedModel, candidate: Candidate) -> float:
         """Gain in log-likelihood on events that were not used, the template chosen again."""
         return gain_of(before, candidate.model.hypotheses[-1], candidate.score)
+
+
+def _is_possible(model: FittedModel) -> bool:
+    """Whether the sizes of all hypotheses lie in their physical ranges."""
+    return all(one.cause.sizes_of(one.template).allows(one.size, one.uncertainty) for one in model.hypotheses)
 
 
 def _rivals(significant: Sequence[Score], policy: Policy) -> list[Score]:

@@ -65,9 +65,11 @@ def fit_chain(station: Station, modes: SkyModes | None = None) -> FittedModel:
     return FittedModel([], baseline, _linearise(station, baseline, modes), is_converged=True)
 
 
-def _linearise(station: Station, baseline: Baseline, modes: SkyModes | None) -> LinearModel:
+def _linearise(
+    station: Station, baseline: Baseline, modes: SkyModes | None, empirical: Floats | None = None
+) -> LinearModel:
     residuals = split_residuals(station, baseline.residual, _shared_vectors(station, baseline.terms))
-    return LinearModel(station, residuals, baseline.terms, modes).beside_modes()
+    return LinearModel(station, residuals, baseline.terms, modes, empirical).beside_modes()
 
 
 def _shared_vectors(station: Station, terms: ChainTerms) -> Floats:
@@ -127,7 +129,7 @@ def refit(before: FittedModel, new: Hypothesis) -> FittedModel | None:
         if not np.all((ratio > LARGEST_CHANGE**-1) & (ratio < LARGEST_CHANGE)):
             return None
         baseline = fit_baseline(station, ratio)
-        linear = _linearise(station, baseline, before.linear.modes)
+        linear = _linearise(station, baseline, before.linear.modes, before.linear.empirical)
         # The noise levels stay those of the model before, so that every round minimises the same chi^2.
         weighed = linear.with_levels(levels)
         conditions = station.conditions

@@ -7,6 +7,7 @@ residuals are noise. One more test uses no axis: the largest singular value of t
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -55,6 +56,8 @@ class ResidualStructure:
         Share of the structure in each channel, shape (freq,).
     vectors
         Vectors that describe it in the means, shape (vector, polarisation, event, freq); None where a path shows it.
+    term
+        What they describe, relative change of the power along an axis, shape (polarisation, event, freq), or None.
     """
 
     axis: Axis | None
@@ -65,6 +68,7 @@ class ResidualStructure:
     held_out_gain: float | None
     channel_share: Floats
     vectors: Floats | None
+    term: Floats | None = None
 
     @property
     def axis_name(self) -> str:
@@ -100,18 +104,33 @@ def find_structure(
     corrected = p_of_best(best.p_value, len(found))
     if corrected >= alpha and again is None:
         return None
-    held_out, vectors = None, None
+    held_out, vectors, term = None, None, None
     if best.axis is None or best.place is None:
         vectors = _largest_pattern(model)
         share = np.linalg.svd(_whiten_rest(model, model.residuals.mean), full_matrices=False)[2][0] ** 2
     else:
-        held_out, share = _describe(best.place, axes[best.axis], held_out_fold(model.station))
+        held_out, share, fitted = _describe(best.place, axes[best.axis], held_out_fold(model.station))
         if held_out <= 0 and again is None:
             return None
         if best.target == STATION:
-            vectors = _vectors(best.place, axes[best.axis])
+            vectors, term = _vectors(best.place, axes[best.axis]), fitted
     p_value = min(corrected, 1.0 if again is None else again)
-    return ResidualStructure(best.axis, best.target, p_value, best.gain, best.dof, held_out, share, vectors)
+    return ResidualStructure(best.axis, best.target, p_value, best.gain, best.dof, held_out, share, vectors, term)
+
+
+def chance_along(model: LinearModel, names: Collection[str], target: str) -> float:
+    """Probability by chance of the strongest structure along axes, as causes call them, in the means or in paths."""
+    conditions = model.station.conditions
+    polynomials = _polynomials(model.station.power.shape[2])
+    found = [
+        _in_means(model, axis, basis, polynomials)
+        if target == STATION
+        else _in_paths(model, axis, basis, polynomials[: PATH_DEGREE + 1])
+        for axis in list_axes(conditions)
+        if axis.along in names and (basis := axis.basis(conditions)) is not None
+    ]
+    best = min((one.p_value for one in found), default=1.0)
+    return p_of_best(best, max(len(found), 1))
 
 
 @dataclass(frozen=True)
@@ -196,8 +215,8 @@ def _vectors(place: _Place, basis: Floats) -> Floats:
     return np.asarray(np.einsum("ne,kref->knref", basis, values).reshape(-1, *values.shape[1:]))
 
 
-def _describe(place: _Place, basis: Floats, fold: NDArray[np.int64]) -> tuple[float, Floats]:
-    """Gain in log-likelihood of the empirical term on held-out events, and its share in each channel."""
+def _describe(place: _Place, basis: Floats, fold: NDArray[np.int64]) -> tuple[float, Floats, Floats]:
+    """Gain in log-likelihood of the empirical term on held-out events, its share in each channel, and the term."""
     view, member = place.view, place.member
     information, _, fitted = view.inner_by_fold(place.seen, basis, fold, member)
     score = view.score_by_fold(place.seen, basis, fold, member, fitted)
@@ -208,7 +227,7 @@ def _describe(place: _Place, basis: Floats, fold: NDArray[np.int64]) -> tuple[fl
     size = _solve(information.sum(axis=0), score.sum(axis=0))
     term = np.tensordot(size, _vectors(place, basis), axes=1)
     squares = np.einsum("ref,e->f", view.clean(term, member) ** 2, view.weight[member] > 0)
-    return held_out, squares / max(float(squares.sum()), 1e-300)
+    return held_out, squares / max(float(squares.sum()), 1e-300), term
 
 
 def _solve(information: Floats, score: Floats) -> Floats:

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from lbacal_core.causes.axes import Axis
 from lbacal_core.causes.catalogue import CAUSES
 from lbacal_core.causes.cause import signature
 from lbacal_core.discovery.antennas import AntennaScore, compare_antennas, why_no_comparison
@@ -23,7 +24,13 @@ from lbacal_core.discovery.policy import Policy
 from lbacal_core.discovery.project import LinearModel
 from lbacal_core.discovery.proposals import SameAgain, StationSearch, chi_squared_of, gain_of
 from lbacal_core.discovery.refit import FittedModel, fit_chain, refit
-from lbacal_core.discovery.residual_structure import ResidualStructure, find_structure, share_of_channels
+from lbacal_core.discovery.residual_structure import (
+    STATION,
+    ResidualStructure,
+    chance_along,
+    find_structure,
+    share_of_channels,
+)
 from lbacal_core.discovery.scan import (
     Score,
     SpectralFamily,
@@ -34,6 +41,9 @@ from lbacal_core.discovery.station import SkyModes, Station
 from lbacal_core.discovery.trials import p_of
 from lbacal_core.discovery.view import make_profiles
 from lbacal_core.grids import Floats
+
+KNOWN_CHANGE = (0.5, 2.0)
+"""Factors on the power between which a structure may be taken out of the data."""
 
 
 @dataclass(frozen=True)
@@ -129,37 +139,101 @@ def search_station(
     progress(f"{station.name}: fitting the baseline of {len(station.antenna)} paths")
     search = StationSearch(station, targets, policy, stations, seed, progress)
     first = fit_chain(station, modes)
-    steps = grow(first, search, policy.most_findings)
-    models = [first, *(step.candidate.model for step in steps)]
-    others = [_without(models, number) for number in range(len(steps))]
-    findings = [
-        _finding(others[number], models[-1], number, step.candidate.score, policy) for number, step in enumerate(steps)
-    ]
-    again = search.again
-    antenna_scores = compare_antennas(station, models[-1].baseline, targets, policy, seed)
-    antenna_scores += compare_cable_names(models[-1].baseline, models[-1].linear, targets)
+    grown = _grow(first, search)
+    antenna_scores = compare_antennas(station, grown.last.baseline, targets, policy, seed)
+    antenna_scores += compare_cable_names(grown.last.baseline, grown.last.linear, targets)
     antenna_scores.sort(key=lambda score: score.p_value)
     progress(f"{station.name}: looking for structure that no cause explains")
-    whole = models[-1] if again is None else others[again.number]
-    chance = None if again is None else again.score.p_value
-    structure = find_structure(whole.linear, np.random.default_rng(seed), policy.structure_alpha / stations, chance)
-    similar = [] if structure is None else _withdrawn(models[0].linear, findings, structure, again, policy)
+    structure = _structure_beside(grown, search, np.random.default_rng(seed))
+    last, similar = grown, list[Finding]()
+    if structure is not None:
+        withdrawn = _withdrawn(first.linear, grown.findings, structure, search.again, policy)
+        if structure.axis is not None and structure.term is not None and search.has_significant:
+            progress(f"{station.name}: looking for causes beside that structure")
+            last = _grow_beside(station, modes, structure.axis, structure.term, search)
+            withdrawn = _withdrawn(first.linear, last.findings, structure, None, policy)
+    findings = [f for f in last.findings if structure is None or not any(f is one for one in withdrawn)]
+    if structure is not None:
+        kept = {(f.hypothesis.cause.identifier, f.hypothesis.target.label) for f in findings}
+        named = [(f, (f.hypothesis.cause.identifier, f.hypothesis.target.label)) for f in grown.findings]
+        similar = [f for f, name in named if name not in kept]
     return StationReport(
         station=station,
         deaf=deaf,
-        findings=[f for f in findings if not any(f is one for one in similar)],
+        findings=findings,
         antennas=[score for score in antenna_scores[:1] if score.p_value < policy.antenna_alpha / stations],
         structure=structure,
         similar=similar,
         scores=search.first_scores,
         antenna_scores=antenna_scores,
-        first=models[0],
-        last=models[-1],
+        first=first,
+        last=last.last,
         unidentifiable=_unidentifiable(station, search),
-        taken=shares_taken(models[-1].linear, CAUSES, targets[-1]),
+        taken=shares_taken(grown.last.linear, CAUSES, targets[-1]),
         policy=policy,
         stations=stations,
     )
+
+
+@dataclass(frozen=True)
+class _Grown:
+    """A model grown as far as held-out events confirm it.
+
+    Attributes
+    ----------
+    others
+        The last model without each of its hypotheses.
+    findings
+        One a hypothesis.
+    """
+
+    last: FittedModel
+    others: list[FittedModel]
+    findings: list[Finding]
+
+
+def _grow(first: FittedModel, search: StationSearch) -> _Grown:
+    steps = grow(first, search, search.policy.most_findings)
+    models = [first, *(step.candidate.model for step in steps)]
+    others = [_without(models, number) for number in range(len(steps))]
+    findings = [
+        _finding(others[number], models[-1], number, step.candidate.score, search.policy)
+        for number, step in enumerate(steps)
+    ]
+    return _Grown(models[-1], others, findings)
+
+
+def _grow_beside(station: Station, modes: SkyModes | None, axis: Axis, term: Floats, search: StationSearch) -> _Grown:
+    """Look again for causes that do not act along the axis of a structure, after taking the structure out of the data.
+
+    A structure along one axis explains what varies along it, and nothing else: a gain step beside it is still named.
+    """
+    letters = np.unique(station.dipole)
+    change = 1.0 + term[np.searchsorted(letters, station.dipole)]
+    without = replace(station, power=station.power / np.clip(change, *KNOWN_CHANGE))
+    others = [one for one in CAUSES if axis.along not in one.axes]
+    beside = StationSearch(
+        without, search.targets, search.policy, search.stations, search.seed, search.progress, others
+    )
+    beside.hidden = search.hidden
+    return _grow(fit_chain(without, modes), beside)
+
+
+def _structure_beside(grown: _Grown, search: StationSearch, rng: np.random.Generator) -> ResidualStructure | None:
+    """Residual structure beside the findings, with what shows that a finding does not describe its effect.
+
+    Structure remains for certain where a cause was significant twice, where none has a size that it can have, and where
+    structure along the axes of a finding remains beside it.
+    """
+    policy, again = search.policy, search.again
+    alpha = policy.structure_alpha / search.stations
+    if again is not None:
+        return find_structure(grown.others[again.number].linear, rng, alpha, again.score.p_value)
+    if search.impossible is not None:
+        return find_structure(grown.last.linear, rng, alpha, search.impossible.p_value)
+    along = {axis for one in grown.last.hypotheses if one.target.is_wide for axis in one.cause.axes}
+    chance = chance_along(grown.last.linear, along, STATION)
+    return find_structure(grown.last.linear, rng, alpha, chance if chance < policy.stands_alpha else None)
 
 
 def _finding(without: FittedModel, last: FittedModel, number: int, score: Score, policy: Policy) -> Finding:

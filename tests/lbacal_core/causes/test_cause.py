@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from lbacal_core.causes.catalogue import CAUSES, DESCRIPTIONS
-from lbacal_core.causes.cause import SCOPES, Template, signature
+from lbacal_core.causes.cause import SCOPES, SizeRange, Template, signature
 from lbacal_core.causes.conditions import Conditions
 from lbacal_core.chain.terms import ChainTerms
 from lbacal_core.twin.faults.catalogue import catalogue_faults
@@ -101,7 +101,7 @@ def test_only_the_end_of_what_is_believed_counts_as_an_edge():
     assert not sizes["pattern_width"].is_at_edge(0.34)
     assert not sizes["dipole_swap"].is_at_edge(1.0)
     assert sizes["dipole_swap"].is_at_edge(0.0)
-    assert not sizes["gain_step"].is_at_edge(1e9)
+    assert not SizeRange().is_at_edge(1e9)
 
 
 @pytest.mark.parametrize("cause", CAUSES, ids=lambda cause: cause.identifier)
@@ -162,3 +162,25 @@ def test_without_temperature_and_rain_their_causes_say_what_is_missing(condition
         if cause.identifier in ("resonance_shift", "resonance_width"):
             assert cause.templates(bare) == []
             assert "static" in cause.needs
+
+
+def test_a_size_outside_its_physical_range_is_not_allowed():
+    """Negative powers of interference and slopes of N_LNA of -11.8 per 25 MHz were named."""
+    sizes = {cause.identifier: cause.sizes for cause in CAUSES}
+    assert not sizes["rfi_broadband"].allows(-0.016, 0.019)
+    assert not sizes["lna_noise_slope"].allows(-11.8, 1.0)
+    assert sizes["rfi_broadband"].allows(0.016, 0.003)
+    assert sizes["gain_step"].allows(-0.01, 0.001)
+
+
+def test_an_error_may_carry_a_size_beyond_a_physical_end():
+    """An exchange of dipoles is 1, and is measured as a little more as often as a little less."""
+    swap = next(cause.sizes for cause in CAUSES if cause.identifier == "dipole_swap")
+    assert swap.allows(1.02, 0.01)
+    assert not swap.allows(1.05, 0.01)
+    assert not swap.allows(-0.26, 0.05)
+
+
+def test_every_cause_of_spectra_has_a_range():
+    without = [cause.identifier for cause in CAUSES if not np.isfinite(cause.sizes.lowest + cause.sizes.highest)]
+    assert without in ([], ["missing_noise"]), "a share of noise is a matter of LST curves"
