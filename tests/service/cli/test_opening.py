@@ -66,6 +66,13 @@ def newer_schema(folder: Path, template: Path) -> dict[str, str]:
     return {"DATABASE_URL": str(folder / "newer.sqlite")}
 
 
+def older_schema(folder: Path, template: Path) -> dict[str, str]:
+    shutil.copy(template, folder / "older.sqlite")
+    with closing(sqlite3.connect(folder / "older.sqlite")) as connection, connection:
+        connection.execute("UPDATE alembic_version SET version_num = '0001'")
+    return {"DATABASE_URL": str(folder / "older.sqlite")}
+
+
 def misspelt_name(folder: Path, _template: Path) -> dict[str, str]:
     return {"DATABASE_URL": str(folder / "x.sqlite"), "INSTRUMNET": "lofar-superterp"}
 
@@ -88,6 +95,7 @@ WORLDS: dict[World, tuple[int, str]] = {
     bad_port: (2, "LBACAL_DATABASE_URL: expected a number as port"),
     absent_server: (1, "the database does not answer"),
     newer_schema: (1, "newer than this version of lbacal knows"),
+    older_schema: (1, "is needed: run `lbacal db upgrade`"),
     misspelt_name: (2, "INSTRUMNET: expected a name such as LBACAL_INSTRUMENT"),
     absent_sky: (2, "nowhere.json"),
     absent_instrument: (2, "nowhere.json"),
@@ -96,6 +104,7 @@ NOT_CONCERNED = {
     absent_sky: {CHECK, UPGRADE, LIST},
     absent_instrument: {CHECK, UPGRADE, LIST},
     newer_schema: {LIST},
+    older_schema: {UPGRADE, LIST, ("serve", "--port", "1")},  # two that upgrade, and one whose table is as it was
 }
 
 
@@ -174,6 +183,15 @@ def test_a_command_waits_for_a_database_that_is_still_starting(postgres: str, tm
     assert first == "lbacal: the database does not answer; waiting for it up to 1 s"
     assert last.startswith("lbacal: the database does not answer: ")
     assert postgres
+
+
+def test_a_database_that_a_server_does_not_have_is_one_sentence(postgres: str, tmp_path: Path) -> None:
+    url = postgres.replace("/postgres?", "/nowhere?")
+    for arguments in (CHECK, UPGRADE, LIST):
+        said = run(arguments, {"DATABASE_URL": url, "WAIT_S": "0"}, tmp_path)
+        assert said.returncode == 1
+        assert "Traceback" not in said.stderr
+        assert "nowhere" in said.stderr.splitlines()[-1]
 
 
 def test_upgrades_at_once_all_succeed(postgres: str, tmp_path: Path) -> None:
