@@ -35,6 +35,9 @@ class Policy:
         probability below this: no proof hides more, and causes then describe piece by piece what none of them is.
     stands_alpha
         Probability of structure along the axes of a finding below which the finding does not stand.
+    beside_share
+        Factor on the probability of a false alarm of causes that are looked for beside a structure that was taken out:
+        what the smooth term leaves of it is no noise.
     hidden_share
         Share of the information of a cause that free differences between models leave, below which they hide it: it is
         then neither looked for nor named. They leave nothing of a slope of N_LNA and of an isotropic level, and 0.06
@@ -53,6 +56,7 @@ class Policy:
     crowd: int = 2
     crowd_alpha: float = 1e-6
     stands_alpha: float = 0.001
+    beside_share: float = 0.01
     hidden_share: float = 0.03
 
     @property

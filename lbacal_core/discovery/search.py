@@ -215,7 +215,7 @@ def _grow_beside(station: Station, modes: SkyModes | None, axis: Axis, term: Flo
     beside = StationSearch(
         without, search.targets, search.policy, search.stations, search.seed, search.progress, others
     )
-    beside.hidden = search.hidden
+    beside.hidden, beside.alpha = search.hidden, search.alpha * search.policy.beside_share
     return _grow(fit_chain(without, modes), beside)
 
 
