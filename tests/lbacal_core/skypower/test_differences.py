@@ -80,6 +80,15 @@ def test_an_arm_and_not_a_letter_has_a_shape(superterp: Instrument, differences:
             assert left_by(differences.shape[other], shape)[0] < 2e-4, "the modes left out; of 0.04"
 
 
+def test_each_dipole_has_the_shapes_of_its_own_arm(superterp: Instrument, differences: ModelDifferences) -> None:
+    other, default = compute_sky_power(superterp, "lfsm"), compute_sky_power(superterp)
+    for own, across in ("XY", "YX"):
+        change = np.log(other.power[own] / default.power[own])
+        change -= change.mean(axis=0)
+        assert left_by(differences.changes_at(own, other.lst_hours), change)[0] < 3e-4
+        assert left_by(differences.changes_at(across, other.lst_hours), change)[0] > 1e-3
+
+
 def test_an_instrument_elsewhere_gets_the_differences_of_its_own_site(superterp: Instrument) -> None:
     """They were those of the Superterp everywhere."""
     south = replace(superterp, latitude_deg=-35.2)
