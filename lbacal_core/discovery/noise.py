@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lbacal_core.calibration.noise import CHANNELS_PER_VECTOR, MOST_VECTORS, orthonormal
+from lbacal_core.causes.axes import list_axes
 from lbacal_core.discovery.station import Station
 from lbacal_core.grids import Floats
 
@@ -29,6 +30,8 @@ STANDS_OUT = 1.03
 """Factor above the largest eigenvalue of noise beyond which the means have a vector of their own."""
 ONE_SIGMA, IN_MOST = 0.683, 0.5
 """Quantile of a normal amount at one standard deviation, and the part of an excess variance that most events show."""
+STRUCTURE_SHARE, SMALLEST_PROFILE = 1 / 3, 1e-6
+"""Most profiles in time that are no noise, as a share of the events; and the size of one that others contain."""
 NOISIER_SIGMA = 4.0
 """Standard deviations of the estimate beyond which a path gets a noise scale of its own."""
 
@@ -188,9 +191,12 @@ def _estimate_levels(
     seeds: Floats,
 ) -> NoiseLevels:
     polarisations, events, channels = mean.shape
-    vectors = _choose_vectors(mean, seeds[: max(1, channels // CHANNELS_PER_VECTOR)])
+    structure = _structure(station)
+    free_events = max(events - 2 - structure.shape[1], 1)
+    mean = _clean(mean, structure)
+    vectors = _choose_vectors(mean, seeds[: max(1, channels // CHANNELS_PER_VECTOR)], free_events)
     outside = max(channels - int(np.sum(np.any(vectors != 0, axis=1))), 1)
-    used = events / max(events - 2, 1)
+    used = events / free_events
     along = mean @ vectors.T
     of_mean = np.mean((mean - along @ vectors) ** 2, axis=(1, 2)) * channels / outside * used
     if len(deviation) == polarisations:
@@ -202,7 +208,8 @@ def _estimate_levels(
         dof = np.maximum(station.is_present.sum(axis=1) - 2, 1) * _share_of_path(in_mean, polarisation_of) * scale**2
         rest = np.einsum("pef,pef->p", deviation, deviation) - np.einsum("pek,pek->p", amount, amount)
         own_channel = max(float(np.sqrt(np.median((rest / (dof * outside))[in_mean]))), SMALLEST_LEVEL)
-        of_path = np.einsum("pek,pej->pkj", amount, amount) / dof[:, None, None]
+        amount = _clean(amount, structure)
+        of_path = np.einsum("pek,pej->pkj", amount, amount) / (dof * free_events / max(events - 2, 1))[:, None, None]
         shared = _beyond(np.median(of_path[in_mean], axis=0), own_channel**2)
     common_channel = np.sqrt(np.maximum(of_mean - own_channel**2 * spread.mean(axis=1), 0.0))
     # The variance of the mean beyond the variance of a mean of independent paths.
@@ -215,7 +222,29 @@ def _estimate_levels(
     return NoiseLevels(vectors, own_channel, shared, scale, common_channel, of_sum, of_difference)
 
 
-def _choose_vectors(mean: Floats, seeds: Floats) -> Floats:
+def _structure(station: Station) -> Floats:
+    """Orthonormal profiles in time of what varies smoothly along any axis of the data, shape (event, profile).
+
+    What follows an axis is structure, which causes may explain, and no noise: noise would swallow it. Axes are taken in
+    their order while the profiles are few beside the events.
+    """
+    conditions = station.conditions
+    events = station.power.shape[1]
+    profiles: list[Floats] = [np.ones((1, events))]
+    for axis in list_axes(conditions):
+        basis = axis.basis(conditions)
+        if basis is not None and sum(map(len, profiles)) + len(basis) <= STRUCTURE_SHARE * events:
+            profiles.append(basis)
+    found, sizes, _ = np.linalg.svd(np.concatenate(profiles).T, full_matrices=False)
+    return np.asarray(found[:, sizes > SMALLEST_PROFILE * sizes[0]])
+
+
+def _clean(values: Floats, structure: Floats) -> Floats:
+    """Values, shape (..., event, any), less their part along profiles in time."""
+    return np.asarray(values - structure @ (structure.T @ values))
+
+
+def _choose_vectors(mean: Floats, seeds: Floats, free_events: int) -> Floats:
     """The vectors that events share: the seeds, or where the means have one more, the strongest of all, orthonormal.
 
     A vector of the means' own must be in most events. What stands out in a few is no noise.
@@ -226,7 +255,7 @@ def _choose_vectors(mean: Floats, seeds: Floats) -> Floats:
     pooled = np.sum(rest / level[:, None, None], axis=0) / len(mean) ** 0.5
     events, channels = pooled.shape
     values, turned = np.linalg.eigh(pooled.T @ pooled / events)
-    largest_of_noise = (1.0 + (channels / events) ** 0.5) ** 2 * channels / max(channels - len(known), 1)
+    largest_of_noise = (1.0 + (channels / free_events) ** 0.5) ** 2 * channels / max(channels - len(known), 1)
     amount = pooled @ turned[:, -1]
     of_most = float(np.quantile(np.abs(amount), ONE_SIGMA)) ** 2
     if values[-1] < STANDS_OUT * largest_of_noise or of_most - 1.0 < IN_MOST * (values[-1] - 1.0):

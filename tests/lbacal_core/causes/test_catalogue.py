@@ -9,7 +9,7 @@ import pytest
 
 from lbacal_core.twin.faults.catalogue import catalogue_faults
 from lbacal_core.twin.faults.fault import Where
-from tests.lbacal_core.discovery.worlds import MOVING, QUIET, SILENT, STATIC, static_templates
+from tests.lbacal_core.discovery.worlds import CALM, MOVING, QUIET, SILENT, STATIC, static_templates
 
 DATE = "2014-07-01"
 ALIKE = {
@@ -102,7 +102,10 @@ def test_the_fitted_size_is_the_planted_one_with_its_sign_and_unit(cause, world,
     law = {key: DATE if value is None else value for key, value in CHOSEN.get(cause, entry.laws[0]).items()}
     fault = entry.fault(size=entry.typical, **law)
     match = exact.best_match(cause, silent.effect(fault))
-    fitted = world.with_settings(**QUIET).look(fault).fit(cause, match.template)
+    # The season's template is that of another resonance: of a fault that stands a thousand times above the noise only
+    # what lies outside the vectors that events share is weighed, and there the two differ by a tenth.
+    noise = CALM if cause == "resonance_width" else QUIET
+    fitted = world.with_settings(**noise).look(fault).fit(cause, match.template)
     assert fitted.model.is_converged
     expected = 0.89 * fault.size if cause == "rfi_line" else fault.size
     # 4 %: the two forms of one mechanism.

@@ -9,7 +9,7 @@ from lbacal_core.twin.faults.antenna import GainDrift, GainStep, LnaNoiseSlope
 from lbacal_core.twin.faults.fault import Where
 from lbacal_core.twin.faults.interference import RfiBroadband
 from lbacal_core.twin.faults.sky import LstOffset
-from tests.lbacal_core.discovery.worlds import FOLD_COUNT, QUIET, CannotBeFittedError, look_at
+from tests.lbacal_core.discovery.worlds import CALM, FOLD_COUNT, CannotBeFittedError, look_at
 
 CHANGES = {
     "gain_step": (GainStep(size=0.01, date="2014-07-01", where=Where(antennas=(1,))), "antenna 1"),
@@ -22,7 +22,7 @@ CHANGES = {
 def test_the_change_of_c_is_that_between_a_fit_with_the_fault_and_one_without(cause, world):
     """Against two plain fits: of the spoilt data, and of the same data as they are without the fault."""
     fault, target = CHANGES[cause]
-    quiet = world.with_settings(**QUIET)
+    quiet = world.with_settings(**CALM)
     spoilt, mended = quiet.look(fault), quiet.look()
     template = spoilt.best_match(cause, quiet.effect(fault)).template
     fitted = spoilt.fit(cause, template, target)
@@ -142,7 +142,7 @@ def test_two_effects_that_cannot_be_told_apart_are_not_fitted_together(world):
 
 
 def test_two_effects_are_fitted_together_with_the_size_of_each(world):
-    quiet = world.with_settings(**QUIET)
+    quiet = world.with_settings(**CALM)
     look = quiet.look(GainDrift(size=0.007), LstOffset(size=0.01))
     first = look.fit("gain_drift", look.template("gain_drift"))
     both = replace(look, model=first.model).fit("lst_offset", look.template("lst_offset"))
