@@ -20,7 +20,7 @@ from scipy.optimize import OptimizeResult, least_squares
 from threadpoolctl import threadpool_limits
 
 from lbacal_core.calibration.fit import fit_calibration
-from lbacal_core.calibration.lines import fit_lines
+from lbacal_core.calibration.lines import ChainForms, fit_lines
 from lbacal_core.curves import FitReport
 from lbacal_core.grids import Floats
 from lbacal_core.instrument import AntennaRecord, load_instrument
@@ -84,19 +84,23 @@ class OnePath:
     """
 
     def __init__(self, scene: Scene, power: Floats, sky: Floats) -> None:
-        self.receiver_gain, self.power, self.sky = scene.instrument.receiver_gain, power, sky
-        levels = fit_lines(power[None], sky, np.ones((1, len(power)))).levels
-        covariance = np.diag(levels.radiometer[0] ** 2) + levels.event_gain[0] ** 2
-        self.whitener = np.linalg.inv(np.linalg.cholesky(covariance)).T
+        instrument = scene.instrument
+        self.receiver_gain, self.power, self.sky = instrument.receiver_gain, power, sky
         lines = [np.polyfit(x, y, 1) for x, y in zip(sky.T, power.T, strict=True)]
         self.model = np.stack([np.polyval(line, x) for line, x in zip(lines, sky.T, strict=True)], axis=1)
+        forms = ChainForms.of(instrument.frequency_mhz, instrument.antenna_gain, instrument.receiver_gain)
+        fitted = fit_lines(power[None], sky, np.ones((1, len(power))), forms)
+        vectors = fitted.shared.constant[0] - fitted.shared.behind[0] / self.model[:, None, :]
+        covariance = np.diag(fitted.levels.radiometer[0] ** 2) + np.swapaxes(vectors, 1, 2) @ vectors
+        self.whitener = np.swapaxes(np.linalg.inv(np.linalg.cholesky(covariance)), 1, 2)
         self.start = np.concatenate([[line[0] for line in lines], 0.5 * np.array(scene.noise)])
 
     def residual(self, parameters: Floats) -> Floats:
         """Whitened relative residuals, shape (event x freq,); parameters in units of their start."""
         slope, (n_lna, n_rcu, n_adc) = np.split(parameters * self.start, [self.sky.shape[1]])
         power = slope * (self.sky + n_lna) + n_rcu * self.receiver_gain + n_adc
-        return ((self.power - power) / self.model @ self.whitener).ravel()
+        relative = (self.power - power) / self.model
+        return np.asarray((relative[:, None, :] @ self.whitener).ravel())
 
     def jacobian(self, parameters: Floats) -> Floats:
         """Its derivative, shape (event x freq, parameter)."""
@@ -109,7 +113,7 @@ class OnePath:
         derivative[:, :, channels + 1] = self.receiver_gain
         derivative[:, :, channels + 2] = 1.0
         derivative *= -self.start / self.model[:, :, None]
-        return np.matmul(self.whitener.T, derivative).reshape(-1, channels + 3)
+        return np.matmul(np.swapaxes(self.whitener, 1, 2), derivative).reshape(-1, channels + 3)
 
     def minimise(self, jacobian: str | Callable[[Floats], Floats]) -> OptimizeResult:
         """SciPy's trust-region least squares with its own tolerances."""

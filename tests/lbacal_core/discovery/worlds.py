@@ -50,7 +50,7 @@ QUIET = {"radiometer": 512**-0.5 / 300, "event_gain_common": 1e-4, "event_gain_p
 """A three-hundredth of the noise: what a fault does stands far above it."""
 CALM = {"radiometer": 512**-0.5 / 30, "event_gain_common": 1e-3, "event_gain_path": 1e-3}
 """A thirtieth of it, where a fault a thousand times above the noise would itself be the noise that events share."""
-SILENT = {"radiometer": 0.0, "event_gain_common": 0.0, "event_gain_path": 0.0}
+SILENT = dict.fromkeys(QUIET, 0.0)
 
 _NAMED: dict[str, Any] = {cause.identifier: cause for cause in (*CAUSES, *ANTENNA_CAUSES)}
 
