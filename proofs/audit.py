@@ -62,7 +62,7 @@ def draw_station(rng: np.random.Generator, length: str) -> tuple[str, Spectra, I
         start_unix=1.4e9 + rng.uniform(0, 3e7), years=years, events_per_year=round(count / years), stations=(STATION,),
         antennas=int(rng.choice(SIZES)), event_gain_common=gain, event_gain_path=gain / 3, radiometer=0.005,
     )  # fmt: skip
-    sky_power, nuisances = world.sky_power(instrument), Nuisances(departures=0.01, missing=0.01)
+    sky_power, nuisances = world.sky_power(instrument), Nuisances(departures=0.01, missing=0.01 if count > 1 else 0.0)
     while True:
         try:
             spectra = simulate_campaign(settings, instrument, sky_power, rng, nuisances=nuisances).spectra

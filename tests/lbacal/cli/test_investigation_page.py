@@ -11,7 +11,7 @@ from lbacal_core.twin.campaign import simulate_campaign
 from lbacal_core.twin.faults.antenna import GainStep
 from lbacal_core.twin.faults.cable import CableReflection
 from lbacal_core.twin.faults.fault import Where
-from lbacal_core.twin.faults.uncatalogued import WorkingWeek
+from lbacal_core.twin.faults.uncatalogued import FrostAndHeat
 from lbacal_core.twin.settings import TwinSettings
 
 pytestmark = pytest.mark.timeout(300)
@@ -20,12 +20,12 @@ SETTINGS = TwinSettings(stations=("CS002",), antennas=6, events_per_year=250)
 
 @pytest.fixture(scope="module")
 def written(tmp_path_factory):
-    """The page of a station in which one path stepped, and which follows the working week besides."""
+    """The page of a station in which one path stepped, and which follows the square of the temperature besides."""
     chain = load_instrument("lofar-superterp")
     sky = compute_sky_power(chain)
     faults = [
         GainStep(size=0.08, where=Where(antennas=(2,), dipoles=("Y",)), date="2014-08-07"),
-        WorkingWeek(size=0.08),
+        FrostAndHeat(size=0.08),
     ]
     spectra = simulate_campaign(SETTINGS, chain, sky, np.random.default_rng(8), faults).spectra
     content, reports = investigate(spectra, chain, sky)
@@ -49,7 +49,7 @@ def test_structure_that_no_cause_explains_is_drawn_along_its_axis(written):
 
 def test_every_picture_is_inside_the_page(written):
     _, page = written
-    assert page.count("<img") == page.count("data:image/png;base64,") == 6
+    assert page.count("<img") == page.count("data:image/png;base64,") == 9
     assert "http" not in page
 
 
