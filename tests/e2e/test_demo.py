@@ -69,7 +69,7 @@ def test_a_demo_that_is_stopped_left_a_traceback_and_orphans(tmp_path: Path, end
         os.killpg(demo.pid, ending)  # a terminal tells them all
     else:
         demo.send_signal(ending)
-    _, said = demo.communicate(timeout=60)
+    _, said = demo.communicate(timeout=200)  # a part of a job may have to end first, on a busy machine
     assert demo.returncode == (130 if ending is signal.SIGINT else -ending)
     assert said == ("\n./dev demo: stopped\n" if ending is signal.SIGINT else "")
     wait_for(lambda: children_in(tmp_path) == [])
