@@ -29,7 +29,7 @@ class Settings(BaseSettings):
     sky_power: Path | None = Field(default=None, description="sky power file; none = the package's own sky")
     resistance_ohm: float = Field(default=50.0, gt=0, description="R_r of all spectra, Ohm; it cancels in C")
     max_body_mb: float = Field(default=64, gt=0, description="largest request body, MB")
-    max_open_parts: int = Field(default=50, gt=0, description="parts of refits that one key may have waiting")
+    max_open_parts: int = Field(default=50, gt=0, description="parts of jobs that one key may have waiting")
     max_window_days: float = Field(default=732, gt=0, description="longest window of a refit, days")
     max_connections: int = Field(default=500, gt=0, description="connections of clients at once; more are closed")
     max_rate: float = Field(
@@ -40,6 +40,9 @@ class Settings(BaseSettings):
     lease_s: float = Field(default=120, gt=0, description="a worker silent for this long has lost its part, s")
     poll_s: float = Field(default=1, gt=0, description="pause of an idle worker between two looks for work, s")
     nightly_utc: str = Field(default="02:00", pattern=_TIME_OF_DAY, description="when due refits are found, UTC")
+    nightly_investigations: bool = Field(
+        default=True, description="whether the night also looks for what the simulation gets wrong"
+    )
     gate_change: float = Field(default=0.1, gt=0, description="largest change of mean C that passes, fraction")
     gate_error: float = Field(
         default=0.05, gt=0, description="largest mean error of C in the good channels that passes, fraction"

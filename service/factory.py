@@ -20,8 +20,9 @@ from service.usecases.inputs import Inputs, name_inputs
 from service.usecases.intake import Intake
 from service.usecases.investigations import Investigations
 from service.usecases.keys import Keys
+from service.usecases.orders import Limits
 from service.usecases.promotions import Promotions
-from service.usecases.refits import Jobs, Limits, Refits
+from service.usecases.refits import Jobs, Refits
 from service.usecases.status import Status
 from service.usecases.tags import Tags
 from service.wire.hdf5_body import FileReader
@@ -91,16 +92,14 @@ class Factory:
         limits_of_gate = ("gate_change", "gate_error", "gate_coverage", "gate_band")
         gate = Gate(*(getattr(self.settings, name) for name in limits_of_gate))
         sky, resistance = self._get_sky_power, self.settings.resistance_ohm
-        limits = Limits(self.settings.max_open_parts, self.settings.max_window_days)
-        return Refits(self.database, self.instrument, sky, resistance, gate, limits, self.clock)
+        return Refits(self.database, self.instrument, sky, resistance, gate, self._limits, self.clock)
 
     @cached_property
     def investigations(self) -> Investigations:
         """What the simulation gets wrong in stored spectra."""
-        limits = Limits(self.settings.max_open_parts, self.settings.max_window_days)
         is_own_sky, resistance = self.settings.sky_power is None, self.settings.resistance_ohm
         return Investigations(
-            self.database, self.instrument, self._get_sky_power, is_own_sky, resistance, limits, self.clock
+            self.database, self.instrument, self._get_sky_power, is_own_sky, resistance, self._limits, self.clock
         )
 
     @cached_property
@@ -112,7 +111,8 @@ class Factory:
     @cached_property
     def due(self) -> DueWork:
         """What the night finds to do."""
-        return DueWork(self.database, self.instrument, self._get_sky_power, self.clock)
+        searches = self.investigations if self.settings.nightly_investigations else None
+        return DueWork(self.database, self.instrument, self._get_sky_power, self.clock, searches)
 
     @cached_property
     def jobs(self) -> Jobs:
@@ -128,6 +128,10 @@ class Factory:
     def deeds(self) -> Deeds:
         """What is done once under one name."""
         return Deeds(self.database, self.clock)
+
+    @property
+    def _limits(self) -> Limits:
+        return Limits(self.settings.max_open_parts, self.settings.max_window_days)
 
     def _get_sky_power(self) -> SkyPower:
         return self.sky_power

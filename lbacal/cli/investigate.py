@@ -14,7 +14,9 @@ from lbacal.files import written_beside
 
 
 def investigate(
-    report: Annotated[Path, typer.Option(help="Report to write (JSON).")],
+    report: Annotated[
+        Path | None, typer.Option(help="Report to write (JSON); with --stored it is kept there and need not be.")
+    ] = None,
     spectra: Annotated[Path | None, typer.Argument(help="Spectra file (HDF5, lbacal-spectra-1).")] = None,
     lst_curve: Annotated[
         Path | None, typer.Option(help="Ask a band-averaged LST curve instead (CSV: lst_h, x_db, y_db, error_db).")
@@ -31,13 +33,30 @@ def investigate(
         80.0,
     ),
     html: Annotated[Path | None, typer.Option(help="The report as a page with its figures (HTML).")] = None,
+    stored: Annotated[bool, typer.Option("--stored", help="Let the service investigate the spectra it keeps.")] = False,
+    since: Annotated[str | None, typer.Option(help="First instant of the stored window, ISO 8601, UTC.")] = None,
+    until: Annotated[str | None, typer.Option(help="End of the stored window, not included.")] = None,
+    station: Annotated[str | None, typer.Option(help="Station of the stored spectra; without it all.")] = None,
+    reason: Annotated[str | None, typer.Option(help="Why the stored spectra are investigated; it is kept.")] = None,
 ) -> None:
     """Find what the simulation gets wrong: name the cause, extend the model, measure the gain.
 
     Example: lbacal investigate spectra.h5 --instrument lofar-superterp --report R.json --html R.html
 
     Exit 0 for every verdict: consistent, explained, unexplained.
+
+    The service does it with its stored spectra, one report a station and calendar year:
+    lbacal investigate --stored --since 2014-01-01 --until 2015-01-01 --reason "new map"
     """
+    if stored:
+        from lbacal.cli.stored import Wanted, investigate_stored
+
+        if spectra is not None or lst_curve is not None:
+            raise typer.BadParameter("--stored names the spectra: no file and no --lst-curve beside it")
+        investigate_stored(Wanted(since, until, station, reason), report)
+        return
+    if report is None:
+        raise typer.BadParameter("name the report to write with --report")
     from lbacal.cli.outputs import require_outputs
     from lbacal_core.instrument import load_instrument
     from lbacal_core.skypower.model import compute_sky_power
@@ -59,6 +78,11 @@ def investigate(
     with written_beside(report) as beside:
         beside.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n")
     print(f"{content['verdict']}; wrote {report}{f' and {html}' if html else ''}")
+    _tell(content)
+
+
+def _tell(content: dict[str, Any]) -> None:
+    """Print the findings, and what no cause explains."""
     for finding in content["findings"]:
         print(f"  {finding['significance_sigma']:.1f} sigma: {finding['sentence']}")
         if finding["indistinguishable"]:

@@ -47,11 +47,11 @@ app = typer.Typer(
 
 
 def _needing_fit(command: Callable[..., None]) -> Callable[..., None]:
-    """The command, which refuses to begin where the extra `fit` is not installed."""
+    """The command, which refuses to begin where the extra `fit` is not installed, unless a server does the work."""
 
     @wraps(command)
     def checked(*arguments: Any, **options: Any) -> None:
-        if not all(find_spec(name) for name in FIT):
+        if not options.get("stored") and not all(find_spec(name) for name in FIT):
             raise MissingExtraError(f"lbacal {_name(command)}", "fit")
         command(*arguments, **options)
 

@@ -33,6 +33,8 @@ def print_state(state: dict[str, Any]) -> None:
     print(f"parts of jobs: {parts}")
     newest = state["newest_event"] or "none"
     print(f"{state['events']} events, the newest of {newest}; {state['gated']} versions wait for a human")
+    for one in state["investigations"]:
+        print_news(one)
     for sentence in state["stuck"]:
         print(f"stuck: {sentence}")
     for failure in state["failures"]:
@@ -40,3 +42,15 @@ def print_state(state: dict[str, Any]) -> None:
         what = " ".join(str(request[name]) for name in ("scope", "station") if request.get(name))
         again = f"; again after {failure['again_after']}" if failure["again_after"] else ""
         print(f"failed: job {failure['job']} ({failure['kind']} {what}): {failure['error']}{again}")
+
+
+def print_news(news: dict[str, Any]) -> None:
+    """Print the newest investigation of a station in one line, and below it what the one before did not say."""
+    causes = f" ({', '.join(news['findings'])})" if news["findings"] else ""
+    window = f"{news['since'][:10]} to {news['until'][:10]}"
+    has_news = news["before"] is not None and (news["new"] or news["stronger"] or news["gone"])
+    told = "" if news["before"] is None or has_news else ", as before"
+    print(f"{news['station']}, {window}: {news['verdict']}{causes}{told}; investigation {news['id'][:12]}")
+    for name, kind in (("new", "new"), ("stronger", "stronger"), ("gone", "no longer")):
+        for sentence in news[name]:
+            print(f"  {kind}: {sentence}")

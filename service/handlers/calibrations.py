@@ -24,7 +24,8 @@ from service.handlers.request import (
     describes,
     require_read,
 )
-from service.storage.versions import ID_DIGITS, Version
+from service.storage.short_ids import ID_DIGITS
+from service.storage.versions import Version
 from service.usecases.calibrations import select_scope
 from service.usecases.comparison import compare_versions
 from service.usecases.keys import Caller

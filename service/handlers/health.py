@@ -8,10 +8,12 @@ from fastapi import APIRouter, Depends, Request, Response
 from fastapi.responses import PlainTextResponse
 from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, generate_latest
 
+from service.handlers.investigations import describe_investigation
 from service.handlers.metrics import describe_state
 from service.handlers.problems import document
 from service.handlers.request import UseCases, answer, require_read
 from service.storage.jobs import Failure
+from service.usecases.night import StationNews
 from service.usecases.status import State
 from service.wire.calibration_models import AliveAnswer, ReadyAnswer, StatusAnswer
 from service.wire.instants import format_instant, format_optional
@@ -41,13 +43,14 @@ def get_readiness(request: Request, use: UseCases) -> Response:
     "/v1/status",
     response_model=StatusAnswer,
     summary="What an operator looks at",
-    description="Readiness and its problem, processes, parts of jobs by state, and the failures of the last 30 days "
-    "that nothing has made up for, with the time after which due work is tried again.",
+    description="Readiness and its problem, processes, parts of jobs by state, the newest investigation of every "
+    "station with what the one before did not say, and the failures of the last 30 days that nothing has made up for, "
+    "with the time after which due work is tried again.",
     responses=document(401, 503),
     dependencies=[Depends(require_read)],
 )
 def get_status(request: Request, use: UseCases) -> Response:
-    return answer(request, describe_status(use.status.look()))
+    return answer(request, describe_status(use.status.look(), use.investigations.news()))
 
 
 @router.get(
@@ -63,7 +66,7 @@ def get_metrics(request: Request, use: UseCases) -> Response:
     return answer(request, text, media_type=CONTENT_TYPE_LATEST)
 
 
-def describe_status(state: State) -> dict[str, Any]:
+def describe_status(state: State, news: list[StationNews]) -> dict[str, Any]:
     """What an operator looks at, as JSON values."""
     return {
         "ready": state.problem is None,
@@ -83,7 +86,19 @@ def describe_status(state: State) -> dict[str, Any]:
         "events": state.events,
         "newest_event": format_optional(state.newest_event),
         "gated": state.gated,
+        "investigations": [describe_news(one) for one in news],
         "failures": [describe_failure(failure) for failure in state.failures],
+    }
+
+
+def describe_news(news: StationNews) -> dict[str, Any]:
+    """The newest investigation of a station, and what is new in it, as JSON values."""
+    return {
+        **describe_investigation(news.newest),
+        "before": news.before,
+        "new": list(news.new),
+        "stronger": list(news.stronger),
+        "gone": list(news.gone),
     }
 
 

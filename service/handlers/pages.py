@@ -43,7 +43,8 @@ def get_asset(request: Request, digest: str, name: str) -> Response:
 def show_overview(request: Request, use: UseCases) -> Response:
     overview = look_over(use.database, use.instrument, use.clock)
     steps = use.drift.series(Scope()).steps[:5]
-    return _page(request, use, "overview.html", "/", overview=overview, steps=steps)
+    news = use.investigations.news()
+    return _page(request, use, "overview.html", "/", overview=overview, steps=steps, news=news)
 
 
 @router.get("/jobs")

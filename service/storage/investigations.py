@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from sqlalchemy import Connection, Row, and_, or_, select
+from sqlalchemy import Connection, Row, and_, func, or_, select
 from sqlalchemy.dialects.postgresql import insert as postgresql_insert
 from sqlalchemy.dialects.sqlite import insert as sqlite_insert
 
@@ -15,6 +15,7 @@ from lbacal_core.provenance import canonical_json
 from lbacal_core.validity import Instant
 from service.errors import NotFoundError
 from service.schema.tables import investigation
+from service.storage.short_ids import complete_id
 
 
 @dataclass(frozen=True)
@@ -55,8 +56,8 @@ class InvestigationStore:
         return None if row is None else _value(row)
 
     def get(self, name: str) -> Investigation:
-        """The investigation of that id, or an error that says where the ids are."""
-        found = self.find(name)
+        """The investigation of that id or of that beginning of one, or an error that says where the ids are."""
+        found = self.find(complete_id(self._connection, investigation.c.id, name, "investigation"))
         if found is None:
             raise NotFoundError(f"no investigation {name!r}; GET /v1/investigations lists them")
         return found
@@ -72,6 +73,20 @@ class InvestigationStore:
             same = and_(investigation.c.made_us == last.made, investigation.c.id < last.id)
             statement = statement.where(or_(is_earlier, same))
         return [_value(row) for row in self._connection.execute(statement.limit(limit))]
+
+    def newest_pairs(self) -> list[tuple[Investigation, Investigation | None]]:
+        """The newest investigation of every station's last window, and the one before it, of that window or an earlier.
+
+        Stations come in alphabetical order.
+        """
+        order = (investigation.c.until_us.desc(), investigation.c.made_us.desc(), investigation.c.id)
+        rank = func.row_number().over(partition_by=investigation.c.station, order_by=order).label("rank")
+        ranked = select(investigation.c.id, rank).subquery()
+        statement = select(investigation).join(ranked, ranked.c.id == investigation.c.id).where(ranked.c.rank <= 2)
+        of_station: dict[str, list[Investigation]] = {}
+        for row in self._connection.execute(statement.order_by(investigation.c.station, ranked.c.rank)):
+            of_station.setdefault(row.station, []).append(_value(row))
+        return [(newest, before[0] if before else None) for newest, *before in of_station.values()]
 
 
 def _value(row: Row[Any]) -> Investigation:

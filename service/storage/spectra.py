@@ -58,7 +58,9 @@ class SpectraStore:
         """Store what is new and return its count; a different spectrum under a stored key is a conflict."""
         return self.arrivals.add(spectra)
 
-    def load(self, window: Window, frequency_mhz: Floats, resistance_ohm: float) -> Spectra | None:
+    def load(
+        self, window: Window, frequency_mhz: Floats, resistance_ohm: float, *, with_covariates: bool = False
+    ) -> Spectra | None:
         """Everything a fit of a window uses, path by path; None where there is nothing. Fits use no covariates.
 
         Rows go into arrays as they are read, one path at a time: what a fit needs is the arrays and little more.
@@ -89,8 +91,22 @@ class SpectraStore:
             dipole=np.array([one.dipole for one in paths], dtype=np.str_)[path_at],
             blocks=blocks,
             resistance_ohm=resistance_ohm,
+            environment=self._covariates(event_at) if with_covariates else {},
             origin="stored spectra",
         )
+
+    def _covariates(self, numbers: NDArray[np.int64]) -> dict[str, Floats]:
+        """Covariates by name at the events of some row numbers, shape (row,); NaN where unknown."""
+        found, at = np.unique(numbers, return_inverse=True)
+        known: dict[str, Floats] = {}
+        for start in range(0, found.size, EVENTS_AT_ONCE):
+            some = found[start : start + EVENTS_AT_ONCE]
+            statement = select(event.c.id, event.c.env).where(event.c.id.in_(some.tolist()), event.c.env.is_not(None))
+            for number, env in self._connection.execute(statement):
+                for name, value in json.loads(env).items():
+                    values = known.setdefault(name, np.full(found.size, np.nan))
+                    values[np.searchsorted(found, number)] = np.nan if value is None else value
+        return {name: values[at] for name, values in known.items()}
 
     def _paths(self, scope: Scope) -> Sequence[Row[Any]]:
         """The stored paths of a scope, in key order."""
@@ -133,6 +149,11 @@ class SpectraStore:
         flags = select(func.coalesce(func.max(event_flag.c.id), 0)).join(event, event.c.id == event_flag.c.event)
         flags = flags.where(event.c.time_us >= window.since, event.c.time_us < window.until)
         return int(count), int(self._connection.execute(flags).scalar_one())
+
+    def most_of_a_path(self, window: Window) -> int:
+        """The largest number of usable spectra that any path of a window has."""
+        of_paths = _usable(select(func.count().label("spectra")), window).group_by(spectrum.c.path).subquery()
+        return int(self._connection.execute(select(func.max(of_paths.c.spectra))).scalar_one() or 0)
 
     def events(
         self,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -16,16 +15,14 @@ from sqlalchemy.dialects.sqlite import insert as sqlite_insert
 from lbacal_core.anomalies import NONE, Anomalies, parse_anomalies
 from lbacal_core.calibration.own_cable import ToldCurve, carry_to_path
 from lbacal_core.curves import STATUSES, CalibrationCurve, parse_curve
-from lbacal_core.errors import BadInputError
 from lbacal_core.provenance import canonical_json, hash_content
 from lbacal_core.reference_chain import ReferenceChain
 from lbacal_core.validity import Instant, Scope
 from service.errors import NotFoundError
 from service.schema.tables import calibration, calibration_mean, promotion
 from service.storage.chains import read_cable_changes, read_chains, write_chains
+from service.storage.short_ids import complete_id
 
-ID_DIGITS = 64
-_SHORT_ID = re.compile(r"[0-9a-f]{6,63}")
 MICROSECONDS = 1e6
 """An instant in microseconds over this is in seconds."""
 
@@ -158,21 +155,10 @@ class VersionStore:
 
     def get(self, version_id: str) -> Version:
         """One version by its id, or by as many of its first digits as no other begins with."""
-        found = self.get_many([version_id] if len(version_id) == ID_DIGITS else self._find_ids(version_id))
-        if len(found) > 1:
-            raise BadInputError(
-                "calibration", "more digits of the id of one version", f"{version_id}, which several have"
-            )
+        found = self.get_many([complete_id(self._connection, calibration.c.id, version_id, "version")])
         if not found:
             raise NotFoundError(f"no calibration {version_id!r}; GET /v1/calibrations lists them")
         return next(iter(found.values()))
-
-    def _find_ids(self, beginning: str) -> list[str]:
-        """Two at most of the ids that begin with some digits."""
-        if not _SHORT_ID.fullmatch(beginning):
-            return []
-        is_meant = calibration.c.id.between(beginning, beginning.ljust(ID_DIGITS, "f"))
-        return list(self._connection.execute(select(calibration.c.id).where(is_meant).limit(2)).scalars())
 
     def get_many(self, ids: Iterable[str]) -> dict[str, Version]:
         """Versions by their ids; unknown ids are left out."""

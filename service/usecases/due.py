@@ -1,8 +1,9 @@
 """What is due: every night, whatever the stored spectra call for and nobody has done.
 
 The rule. For every calendar year (UTC) that holds usable spectra there is one refit for the array, and for every
-station with spectra in it one of scope station and one of scope antenna. It is due when its window got new spectra or a
-flag was set or cleared in it, or when its version is too old: made with another instrument, sky power or model version.
+station with spectra in it one of scope station and one of scope antenna, and after all refits an investigation. It is
+due when its window got new spectra or a flag was set or cleared in it, or when what was made is too old: made with
+another instrument, sky power or model version, or by another policy of the search.
 Work is named by exactly these. It is due until a part of that name is *done*: two schedulers, a restart or a night
 missed change nothing, and work that failed or was cancelled is tried again, after ten minutes and then after ever
 longer pauses, because what is due follows from what is stored and not from when anybody looked.
@@ -25,6 +26,8 @@ from service.storage.spectra import Window
 from service.usecases.drift import KIND as DRIFT
 from service.usecases.drift import find_references
 from service.usecases.inputs import Inputs, name_inputs
+from service.usecases.investigations import KIND as INVESTIGATION
+from service.usecases.investigations import Investigations
 from service.usecases.refits import KIND as REFIT
 from service.usecases.refits import describe_part
 from service.usecases.years import find_years
@@ -41,6 +44,8 @@ class DueWork:
     instrument: Instrument
     sky_power: Callable[[], SkyPower]
     clock: Callable[[], Instant]
+    investigations: Investigations | None
+    """None where nobody wants them by schedule."""
 
     def enqueue(self) -> list[int]:
         """Enqueue everything that is due, and return the new jobs.
@@ -52,6 +57,7 @@ class DueWork:
             stores.jobs.drop_outdated(self._inputs.text, self.clock(), reason)
         with self.database.read() as stores:
             orders = [*self._refits(stores), *self._drift(stores, stores.spectra.stations())]
+            orders += self._investigations(stores)
         return self._add(orders)
 
     def has_failed_lately(self) -> bool:
@@ -103,6 +109,12 @@ class DueWork:
                 part = {"station": station, "since": since, "until": until}
                 reason = "new spectra in the window, or another reference"
                 yield self._order(DRIFT, part, [content, sorted(references.values())], reason)
+
+    def _investigations(self, stores: Stores) -> Iterator[Order]:
+        if self.investigations is not None:
+            reason = "new spectra in the window, or another policy or inputs than before"
+            for part, called_for_by in self.investigations.due(stores):
+                yield self._order(INVESTIGATION, part, called_for_by, reason)
 
     def _order(self, kind: str, part: dict[str, Any], called_for_by: list[Any], reason: str) -> Order:
         own = self._inputs

@@ -6,27 +6,29 @@ same inputs are investigated once; whoever asks again is told the id of the repo
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from lbacal_core.errors import BadInputError
+from lbacal_core.calibration.fit import MIN_EVENTS
+from lbacal_core.discovery.policy import Policy
 from lbacal_core.instrument import Instrument
 from lbacal_core.provenance import MODEL_VERSION, hash_arrays, hash_content
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra import Spectra
 from lbacal_core.validity import Instant, Scope
-from service.errors import ConflictError, TooManyError
-from service.storage.database import Database
+from service.errors import ConflictError
+from service.storage.database import Database, Stores
 from service.storage.investigations import Investigation
 from service.storage.jobs import Order, Part
 from service.storage.spectra import Window
 from service.usecases.calibrations import select_paths
 from service.usecases.inputs import name_inputs
-from service.usecases.refits import RETRY_S, Limits
-from service.usecases.years import split_years
+from service.usecases.night import StationNews, tell_news
+from service.usecases.orders import Limits, place_order, read_window
+from service.usecases.years import find_years, split_years
 from service.wire.bodies import InvestigationBody
-from service.wire.instants import format_instant, parse_instant
+from service.wire.instants import format_instant
 
 KIND = "investigation"
 
@@ -45,39 +47,42 @@ class Investigations:
 
     def request(self, body: InvestigationBody, by: str) -> int:
         """Enqueue one part a station and calendar year that hold spectra in the window."""
-        since, until = parse_instant("body.since", body.since), parse_instant("body.until", body.until)
-        if until <= since:
-            raise BadInputError("body.until", "an instant after since", body.until)
+        since, until = read_window(body.since, body.until)
         select_paths(self.instrument, body.station, None, None)
         inputs = name_inputs(self.instrument, self.sky_power()).text
         with self.database.write() as stores:
             stations = [body.station] if body.station else stores.spectra.stations()
             parts = [
-                {"station": station, "since": first, "until": last}
+                describe_part(station, first, last)
                 for station in stations
                 for first, last in split_years(stores, since, until)
                 if stores.spectra.content(Window(first, last, Scope(station)))[0]
             ]
             if not parts:
                 raise ConflictError("no usable spectra are stored in this window: ingest some, or ask for another one")
-            waiting = stores.jobs.count_open(by)
-            if waiting + len(parts) > self.limits.open_parts:
-                raise TooManyError(
-                    f"{waiting} parts of jobs of {by} wait or run, and {len(parts)} more would be above "
-                    f"{self.limits.open_parts} (LBACAL_MAX_OPEN_PARTS)", RETRY_S
-                )  # fmt: skip
             order = Order(KIND, body.model_dump(), parts, body.reason, by, inputs=inputs)
-            number = stores.jobs.add(order, self.clock())
-        if number is None:
-            raise ConflictError("the job could not be made")
-        return number
+            return place_order(stores, order, self.limits, self.clock)
+
+    def due(self, stores: Stores) -> Iterator[tuple[dict[str, Any], list[Any]]]:
+        """The parts that the stored spectra call for, each with what besides the inputs of fits would change it.
+
+        A station's year with too few events for any fit is not yet due.
+        """
+        search = [self.is_own_sky, Policy().as_dict()]
+        for since, until in find_years(stores):
+            for station in stores.spectra.stations():
+                window = Window(since, until, Scope(station))
+                if stores.spectra.most_of_a_path(window) >= MIN_EVENTS:
+                    yield describe_part(station, since, until), [stores.spectra.content(window), search]
 
     def run(self, part: Part, worker: str) -> None:
         """Do a part: read, search, and write report and the end of the part in one transaction."""
         station, since, until = (part.request[name] for name in ("station", "since", "until"))
         with self.database.read() as stores:
-            window = Window(since, until, Scope(station))
-            spectra = stores.spectra.load(window, self.instrument.frequency_mhz, self.resistance_ohm)
+            spectra = stores.spectra.load(
+                Window(since, until, Scope(station)), self.instrument.frequency_mhz, self.resistance_ohm,
+                with_covariates=True,
+            )  # fmt: skip
         if spectra is None:
             between = f"{format_instant(since)} and {format_instant(until)}"
             raise ConflictError(f"no usable spectra of {station} between {between}")
@@ -93,8 +98,6 @@ class Investigations:
             stores.jobs.complete(part, worker, {"calibrations": [], "results": [name]}, self.clock())
 
     def _inputs(self, spectra: Spectra) -> dict[str, Any]:
-        from lbacal_core.discovery.policy import Policy  # with scipy: only workers need it
-
         covariates = sorted(spectra.environment)
         return {
             "spectra": spectra.digest(),
@@ -112,7 +115,7 @@ class Investigations:
         return investigate(spectra, self.instrument, self.sky_power(), is_own_sky=self.is_own_sky)[0]
 
     def get(self, name: str) -> Investigation:
-        """One investigation."""
+        """One investigation, by its id or by as many of its first digits as no other begins with."""
         with self.database.read() as stores:
             return stores.investigations.get(name)
 
@@ -120,3 +123,14 @@ class Investigations:
         """Investigations, newest first."""
         with self.database.read() as stores:
             return stores.investigations.newest(before=before, station=station, limit=limit)
+
+    def news(self) -> list[StationNews]:
+        """The newest investigation of every station against the one before."""
+        with self.database.read() as stores:
+            pairs = stores.investigations.newest_pairs()
+        return [tell_news(newest, before) for newest, before in pairs]
+
+
+def describe_part(station: str, since: Instant, until: Instant) -> dict[str, Any]:
+    """A part of an investigation as JSON: whose spectra, and when they were taken."""
+    return {"station": station, "since": since, "until": until}

@@ -18,7 +18,7 @@ from lbacal_core.reference_chain import ReferenceChain
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra import Spectra
 from lbacal_core.validity import Instant, Promotion, Scope
-from service.errors import ConflictError, TooManyError
+from service.errors import ConflictError
 from service.storage.database import Database, Stores
 from service.storage.examined import Examined
 from service.storage.jobs import Job, Order, Part
@@ -28,21 +28,13 @@ from service.usecases.calibrations import select_paths
 from service.usecases.comparison import find_shift
 from service.usecases.gate import Gate, find_predecessors
 from service.usecases.inputs import name_inputs
+from service.usecases.orders import Limits, place_order, read_window
 from service.wire.bodies import RefitBody
-from service.wire.instants import DAY_US, format_instant, parse_instant
+from service.wire.instants import DAY_US, format_instant
 
 KIND = "refit"
-RETRY_S = 60.0
 SMALLEST_SHIFT = 0.25
 """Due work that moves C by less than this, in standard deviations and in every channel, is no news."""
-
-
-@dataclass(frozen=True)
-class Limits:
-    """What one key may ask for: open parts at once, and the longest window."""
-
-    open_parts: int
-    window_days: float
 
 
 @dataclass(frozen=True)
@@ -59,9 +51,7 @@ class Refits:
 
     def request(self, body: RefitBody, by: str) -> int:
         """Enqueue what an admin asks for: one part for the array, else one a station."""
-        since, until = parse_instant("body.since", body.since), parse_instant("body.until", body.until)
-        if until <= since:
-            raise BadInputError("body.until", "an instant after since", body.until)
+        since, until = read_window(body.since, body.until)
         if until - since > self.limits.window_days * DAY_US:
             most = f"a window of at most {self.limits.window_days:g} days (LBACAL_MAX_WINDOW_DAYS)"
             raise BadInputError("body.until", most, f"{(until - since) / DAY_US:.0f} days")
@@ -77,18 +67,8 @@ class Refits:
                 raise ConflictError("no spectra are stored: ingest some, then ask for a refit")
             wanted = [Scope()] if body.scope == "array" else [Scope(s, scope.antenna, scope.dipole) for s in stations]
             parts = [describe_part(body.scope, one, since, until, promote=body.promote) for one in wanted]
-            waiting = stores.jobs.count_open(by)
-            if waiting + len(parts) > self.limits.open_parts:
-                raise TooManyError(
-                    f"{waiting} parts of refits of {by} wait or run, and {len(parts)} more would be above "
-                    f"{self.limits.open_parts} (LBACAL_MAX_OPEN_PARTS)", RETRY_S
-                )  # fmt: skip
-            number = stores.jobs.add(
-                Order(KIND, body.model_dump(), parts, body.reason, by, inputs=inputs), self.clock()
-            )
-        if number is None:
-            raise ConflictError("the job could not be made")
-        return number
+            order = Order(KIND, body.model_dump(), parts, body.reason, by, inputs=inputs)
+            return place_order(stores, order, self.limits, self.clock)
 
     def run(self, part: Part, worker: str) -> None:
         """Do a part: read, fit, then write versions, promotions and the end of the part in one transaction."""

@@ -45,6 +45,29 @@ class FailureAnswer(Answer):
     again_after: str | None = Field(description="when it is tried again; null where nobody will unless asked")
 
 
+class InvestigationLine(Answer):
+    """An investigation without its report."""
+
+    id: str
+    station: str
+    since: str
+    until: str
+    verdict: str = Field(description="consistent, explained or unexplained")
+    findings: list[str] = Field(description="causes found, most significant first")
+    made_at: str
+    made_by: str
+    reason: str
+
+
+class NewsAnswer(InvestigationLine):
+    """The newest investigation of a station, against the one before."""
+
+    before: str | None = Field(description="id of the one before; null where there is none")
+    new: list[str] = Field(description="findings that the one before did not have")
+    stronger: list[str] = Field(description="findings whose significance rose by 2 standard deviations or more")
+    gone: list[str] = Field(description="findings that only the one before has")
+
+
 class StatusAnswer(Answer):
     """What an operator looks at."""
 
@@ -56,6 +79,7 @@ class StatusAnswer(Answer):
     events: int
     newest_event: str | None
     gated: int = Field(description="versions that the gate kept back and nobody promoted")
+    investigations: list[NewsAnswer] = Field(description="the newest of every station")
     failures: list[FailureAnswer]
 
 
@@ -286,20 +310,6 @@ class TagsAnswer(Answer):
 
     tags: list[TagAnswer]
     next: str | None = Field(description="cursor of the next page")
-
-
-class InvestigationLine(Answer):
-    """An investigation without its report."""
-
-    id: str
-    station: str
-    since: str
-    until: str
-    verdict: str = Field(description="consistent, explained or unexplained")
-    findings: list[str] = Field(description="causes found, most significant first")
-    made_at: str
-    made_by: str
-    reason: str
 
 
 class InvestigationsAnswer(Answer):

@@ -1,8 +1,10 @@
 from __future__ import annotations
 
+import json
 import os
 import re
 from datetime import datetime
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -159,3 +161,16 @@ def test_a_refusal_and_an_absent_server_are_exceptions_with_a_sentence() -> None
         pytest.raises(lbacal.UnreachableError, match="LBACAL_URL"),
     ):
         absent.get("/healthz")
+
+
+def test_stored_spectra_are_investigated_and_the_status_says_what_the_night_found(service: Any, tmp_path: Path) -> None:
+    window = ("--since", "2014-01-01", "--until", "2015-01-01")
+    report = tmp_path / "R.json"
+    asked = service.run("investigate", "--stored", *window, "--reason", "test", "--report", str(report))
+    assert asked.returncode == 0, asked.stderr
+    assert re.match(r"CS002, 2014-01-01 to 2015-01-01: \w+; investigation [0-9a-f]{12}\n", asked.stdout)
+    assert f": {json.loads(report.read_text())['verdict']};" in asked.stdout
+    said = service.run("status")
+    assert re.search(r"^CS002, 2015-01-01 to 2016-01-01: \w+.*; investigation [0-9a-f]{12}$", said.stdout, re.MULTILINE)
+    refused = service.run("investigate", "--stored", *window)
+    assert (refused.returncode, "--reason" in refused.stderr) == (2, True)

@@ -220,7 +220,9 @@ def three_cables(superterp: Instrument, sky_power_file: Path) -> Campaign:
 @pytest.fixture
 def station(database_url: str, sky_power_file: Path, campaign: Spectra, clock: Clock) -> Iterator[Factory]:
     """A service that holds the campaign."""
-    settings = Settings(database_url=database_url, sky_power=sky_power_file, poll_s=0.01, lease_s=5)
+    # an investigation of a year takes seconds: tests/service/usecases/test_due.py looks at the nightly ones
+    quick = {"poll_s": 0.01, "lease_s": 5.0, "nightly_investigations": False}
+    settings = Settings(database_url=database_url, sky_power=sky_power_file, **quick)
     made = Factory(settings, clock)
     with made.database.write() as stores:
         stores.spectra.add(campaign)

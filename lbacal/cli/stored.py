@@ -1,0 +1,55 @@
+"""`lbacal investigate --stored`: the service investigates what it keeps."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import typer
+
+from lbacal.client import Client
+from lbacal.files import written_beside
+from lbacal_core.errors import BadInputError
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """The window of stored spectra, and why it is investigated."""
+
+    since: str | None
+    until: str | None
+    station: str | None
+    reason: str | None
+
+
+def investigate_stored(wanted: Wanted, report: Path | None) -> None:
+    """Ask the server for investigations, one a station and calendar year, wait for them and print what they found."""
+    body = {"since": wanted.since, "until": wanted.until, "reason": wanted.reason}
+    for name, value in body.items():
+        if value is None:
+            raise BadInputError(f"--{name}", "a value beside --stored", "nothing")
+    with Client() as client:
+        job = client.wait_for(client.send("POST", "/v1/investigations", {**body, "station": wanted.station})["job"])
+        found = [client.get(f"/v1/investigations/{name}") for name in job["results"]]
+    if report is not None and len(found) != 1:
+        raise BadInputError("--report", "one station and one calendar year, which make one report", str(len(found)))
+    for one in found:
+        print_investigation(one)
+    if report is not None:
+        with written_beside(report) as beside:
+            beside.write_text(json.dumps(found[0]["report"], indent=1, allow_nan=False) + "\n")
+    if job["state"] != "done":
+        print(f"job {job['job']} is {job['state']}: {job['error']}")
+        raise typer.Exit(1)
+
+
+def print_investigation(one: dict[str, Any]) -> None:
+    """Print the verdict of a stored investigation, and its findings with the numbers by which they are adopted."""
+    window = f"{one['since'][:10]} to {one['until'][:10]}"
+    print(f"{one['station']}, {window}: {one['report']['verdict']}; investigation {one['id'][:12]}")
+    for number, finding in enumerate(one["report"]["findings"]):
+        print(f"  #{number} {finding['significance_sigma']:.1f} sigma: {finding['sentence']}")
+    if one["report"]["unexplained"]:
+        print(f"  {one['report']['unexplained']['description']}")
