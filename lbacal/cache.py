@@ -22,6 +22,7 @@ from lbacal.files import written_beside
 from lbacal.instants import format_instant, parse_instant
 from lbacal.tables import write_format
 from lbacal.transport import RefusedError
+from lbacal_core.covariance import name_budgets
 from lbacal_core.errors import BadInputError, LbacalError
 from lbacal_core.validity import Instant
 
@@ -152,6 +153,7 @@ class Cache:
     def _gather(self, snapshot: Snapshot, asked: Question) -> dict[str, Any]:
         curves: list[dict[str, Any]] = []
         missing: list[dict[str, Any]] = []
+        budgets: dict[str, Any] = {}
         for name in _select_stations(snapshot, asked):
             station = snapshot.stations[name]
             digest = _at(station["edges"], asked.at)
@@ -159,6 +161,7 @@ class Cache:
                 content = json.loads(self._read(digest, snapshot.tag))
                 curves += content["curves"]
                 missing += content["missing"]
+                budgets |= content.get("budgets", {})
             else:
                 missing += [
                     {"station": name or None, "antenna": antenna, "dipole": dipole}
@@ -169,7 +172,13 @@ class Cache:
         if not curves:
             sentence = f"no calibration is in effect for {asked.name} at {format_instant(asked.at)} in {snapshot.tag}"
             raise RefusedError(NOT_FOUND, "not_in_effect", sentence)
-        return {"at": format_instant(asked.at), "as_of": snapshot.as_of, "curves": curves, "missing": missing}
+        return {
+            "at": format_instant(asked.at),
+            "as_of": snapshot.as_of,
+            "curves": curves,
+            "budgets": {name: budgets[name] for name in name_budgets(curves) if name in budgets},
+            "missing": missing,
+        }
 
     def _held_before(self, tag: str, as_of: str) -> dict[tuple[str, str], str | None]:
         try:

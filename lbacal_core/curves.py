@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,17 +12,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lbacal_core.anomalies import Anomalies, Anomaly
+from lbacal_core.covariance import Budget, CurveCovariance, parse_covariance
 from lbacal_core.grids import Floats
 from lbacal_core.provenance import Provenance, hash_arrays
 from lbacal_core.reference_chain import ReferenceChain
 
 CONVERGED = "converged"
+MISFIT = "misfit"
 NOT_CONVERGED = "not_converged"
 TOO_FEW_EVENTS = "too_few_events"
 TOO_FEW_LST_BINS = "too_few_lst_bins"
 NOT_IDENTIFIABLE = "not_identifiable"
-STATUSES = (CONVERGED, NOT_IDENTIFIABLE, NOT_CONVERGED, TOO_FEW_LST_BINS, TOO_FEW_EVENTS)
+STATUSES = (CONVERGED, MISFIT, NOT_IDENTIFIABLE, NOT_CONVERGED, TOO_FEW_LST_BINS, TOO_FEW_EVENTS)
 """Every way a fit ends, from best to worst."""
+WITH_VALUES = (CONVERGED, MISFIT)
+"""A misfit converged, but noise and the freedom of sky and pattern cannot explain the data: C and errors are given."""
 
 OK = "ok"
 UNCERTAIN = "uncertain"
@@ -49,12 +53,14 @@ class CalibrationCurve:
     station, antenna, dipole
         What it belongs to: `antenna` is None for a station, `station` too for the array.
     status
-        One of `STATUSES`; `c` and its errors are None unless it is `converged`.
+        One of `STATUSES`; `c` and its errors are None unless it is `converged` or `misfit`.
     events
         Number of events used.
     c, c_sigma_stat, c_sigma_sys
         Shape (freq,), V per ADC unit (relative where P_sky or G_ant are relative); one standard deviation. NaN in a
         channel whose flag is `outside`.
+    chi2_per_dof, chi2_per_dof_profiled
+        The chain test with noise alone, and with the sky free within what is known of it (`calibration.chain_test`).
     lst_coverage
         Fraction of the 96 LST bins of 15 minutes that hold an event.
     parameters
@@ -63,6 +69,8 @@ class CalibrationCurve:
         One of `FLAGS` for each channel; None where there is no curve, or in one older than flags (all are good).
     antenna_gain
         G_ant that the chain was fitted with, shape (freq,); None where nobody kept it.
+    covariance
+        Covariance of ln C along frequency; None where nobody kept it.
     """
 
     station: str | None
@@ -79,12 +87,14 @@ class CalibrationCurve:
     parameters: Mapping[str, Parameter]
     flag: Sequence[str] | None = None
     antenna_gain: Floats | None = None
+    chi2_per_dof_profiled: float | None = None
+    covariance: CurveCovariance | None = None
 
     def __post_init__(self) -> None:
         if self.status not in STATUSES:
             raise ValueError(f"status {self.status!r} is not one of {STATUSES}")
-        if (self.status == CONVERGED) != (self.c is not None):
-            raise ValueError("a curve has values exactly when its status is converged")
+        if (self.status in WITH_VALUES) != (self.c is not None):
+            raise ValueError("a curve has values exactly when its status is converged or misfit")
         if self.flag is not None and (len(self.flag) != self.frequency_mhz.size or not {*self.flag} <= {*FLAGS}):
             raise ValueError(
                 f"flags {self.flag!r} are not one of {FLAGS} for each of {self.frequency_mhz.size} channels"
@@ -136,6 +146,10 @@ class CalibrationCurve:
             return None
         return np.asarray(self.c / np.sqrt(self.antenna_gain))
 
+    def as_misfit(self) -> CalibrationCurve:
+        """The same curve as a misfit: no channel of it is good."""
+        return replace(self, status=MISFIT, flag=tuple(np.where(self.flags == OK, UNCERTAIN, self.flags).tolist()))
+
     def as_dict(self) -> dict[str, Any]:
         """The curve as JSON values; never NaN. What belongs to G_ant is absent where nobody kept G_ant."""
         content = {
@@ -154,7 +168,11 @@ class CalibrationCurve:
             **self._gain_as_dict(),
         }
         # a version from before flags keeps its content and with it its hash
-        return content if self.flag is None else {**content, "flag": list(self.flag)}
+        if self.flag is not None:
+            content |= {"flag": list(self.flag), "chi2_per_dof_profiled": self.chi2_per_dof_profiled}
+        if self.covariance is not None:
+            content["covariance"] = self.covariance.as_dict()
+        return content
 
     def _gain_as_dict(self) -> dict[str, Any]:
         if self.antenna_gain is None:
@@ -183,6 +201,8 @@ def parse_curve(content: Mapping[str, Any]) -> CalibrationCurve:
         parameters={name: Parameter(p["value"], p["sigma"]) for name, p in content["parameters"].items()},
         flag=None if content.get("flag") is None else tuple(content["flag"]),
         antenna_gain=_array(content.get("antenna_gain")),
+        chi2_per_dof_profiled=content.get("chi2_per_dof_profiled"),
+        covariance=None if content.get("covariance") is None else parse_covariance(content["covariance"]),
     )
 
 
@@ -196,12 +216,15 @@ class FitReport:
         What each curve belongs to, in the order of `curves`; None where there is no curve. Empty where nobody knows.
     anomalies
         Spectra with anomalous power, left out of the fit or not.
+    budgets
+        The systematic terms that the curves share, by hash.
     """
 
     curves: Sequence[CalibrationCurve]
     provenance: Provenance
     chains: Sequence[ReferenceChain | None] = ()
     anomalies: Sequence[Anomaly] = ()
+    budgets: Mapping[str, Budget] = field(default_factory=dict)
 
     @property
     def status(self) -> str:
@@ -213,6 +236,7 @@ class FitReport:
         return {
             "status": self.status,
             "curves": [{**curve.as_dict(), "reference": chain} for curve, chain in self._with_reference()],
+            "budgets": {digest: budget.as_dict() for digest, budget in self.budgets.items()},
             "anomalies": Anomalies.of(self.anomalies).as_dict(),
             "provenance": self.provenance.as_dict(),
         }
@@ -260,14 +284,15 @@ def write_calibration_table(report: FitReport, path: Path) -> None:
         "frequency_mhz": "centre of the 1 MHz channel",
         "c": "calibration factor C(nu), V per ADC unit; relative unless P_sky is W m^-2 MHz^-1 and G_ant m^2",
         "c_sigma_stat": "statistical standard deviation of c",
-        "c_sigma_sys": "systematic standard deviation of c; NaN until a budget exists",
+        "c_sigma_sys": "systematic standard deviation of c, by the budget in fit.json",
         "flag": "ok, uncertain (error above 13 %), interference, or outside (C is not determined: NaN)",
         "c_over_h": "C/|H_zenith|, V/m per ADC unit, field along the arm from the zenith: G_ant cancels",
         "antenna_gain": "G_ant that the chain was fitted with; c belongs to an antenna of this gain",
     }
     for name, text in descriptions.items():
         table[name].info.description = text
-    table.meta = {"provenance": report.provenance.as_dict(), "status": report.status}
+    budgets = {digest: budget.as_dict() for digest, budget in report.budgets.items()}
+    table.meta = {"provenance": report.provenance.as_dict(), "status": report.status, "budgets": budgets}
     table.write(path, format="ascii.ecsv", overwrite=True)
 
 

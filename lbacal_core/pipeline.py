@@ -4,19 +4,28 @@ P_sky(LST, nu)      lbacal_core.skypower    the Galaxy, seen by the antenna
 P = s P_sky + b     lbacal_core.calibration.lines       a straight line per channel and path
 b = N_LNA s + ...   lbacal_core.calibration.separable   the chain ties the intercepts together
 C = (G_ant / s)^1/2 lbacal_core.chain       the calibration factor
+sigma_sys(C)        lbacal_core.uncertainty every input that may be wrong, exchanged and fitted again
 """
 
 from __future__ import annotations
 
 from lbacal_core.calibration.fit import fit_calibration
+from lbacal_core.calibration.freedom import free_own_sky
 from lbacal_core.curves import FitReport
 from lbacal_core.instrument import Instrument
+from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra import Spectra
+from lbacal_core.uncertainty.changes import DEFAULT_SKY_BUDGET
+from lbacal_core.uncertainty.refit import add_budget, compute_budget
 
 
 def calibrate(
-    spectra: Spectra, instrument: Instrument, sky_power: SkyPower | None = None, scope: str = "antenna"
+    spectra: Spectra,
+    instrument: Instrument,
+    sky_power: SkyPower | None = None,
+    scope: str = "antenna",
+    sky_budget: str = DEFAULT_SKY_BUDGET,
 ) -> FitReport:
     """Calibrate antennas with the Galaxy.
 
@@ -30,14 +39,14 @@ def calibrate(
         P_sky of both dipoles; without it the package's own sky and antenna model.
     scope
         ``antenna``, ``station`` or ``array``: what one curve belongs to.
+    sky_budget
+        Where the systematic error of the sky is taken from: ``paper``, ``models`` or ``measured``.
 
     Returns
     -------
-    The curves C(nu) with statistical errors, noise constants and status.
+    The curves C(nu) with statistical and systematic errors, noise constants and status.
     """
-    if sky_power is None:
-        # Imported here because healpy takes a second to load and is not needed with a sky power file.
-        from lbacal_core.skypower.model import compute_sky_power
-
-        sky_power = compute_sky_power(instrument)
-    return fit_calibration(spectra, instrument, sky_power, scope)
+    freedom = None if sky_power is not None else free_own_sky(instrument)
+    sky_power = sky_power or compute_sky_power(instrument)
+    report = fit_calibration(spectra, instrument, sky_power, scope, freedom)
+    return add_budget(report, compute_budget(spectra, instrument, sky_power, sky_budget))

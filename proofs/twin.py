@@ -11,7 +11,8 @@ from functools import cache, partial
 
 import numpy as np
 
-from lbacal_core.calibration.fit import MIN_EVENTS, fit_calibration
+from lbacal_core.calibration.fit import fit_calibration
+from lbacal_core.calibration.paths import MIN_EVENTS
 from lbacal_core.curves import CalibrationCurve
 from lbacal_core.instrument import DIPOLES, load_instrument
 from lbacal_core.skypower.model import compute_sky_power

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable
 from functools import cached_property
 
+from lbacal_core.calibration.chain_test import SkyFreedom
 from lbacal_core.instrument import Instrument, load_instrument
 from lbacal_core.skypower.table import SkyPower, read_sky_power
 from lbacal_core.validity import Instant
@@ -82,6 +83,15 @@ class Factory:
         return compute_sky_power(self.instrument)
 
     @cached_property
+    def freedom(self) -> SkyFreedom | None:
+        """What the package's own P_sky may be wrong by; a file is taken at its word."""
+        if self.settings.sky_power is not None:
+            return None
+        from lbacal_core.calibration.freedom import free_own_sky
+
+        return free_own_sky(self.instrument)
+
+    @cached_property
     def inputs(self) -> Inputs:
         """What fits are made with here, besides spectra."""
         return name_inputs(self.instrument, self.sky_power)
@@ -92,7 +102,9 @@ class Factory:
         limits_of_gate = ("gate_change", "gate_error", "gate_coverage", "gate_band")
         gate = Gate(*(getattr(self.settings, name) for name in limits_of_gate))
         sky, resistance = self._get_sky_power, self.settings.resistance_ohm
-        return Refits(self.database, self.instrument, sky, resistance, gate, self._limits, self.clock)
+        return Refits(
+            self.database, self.instrument, sky, self._get_freedom, resistance, gate, self._limits, self.clock
+        )
 
     @cached_property
     def investigations(self) -> Investigations:
@@ -135,6 +147,9 @@ class Factory:
 
     def _get_sky_power(self) -> SkyPower:
         return self.sky_power
+
+    def _get_freedom(self) -> SkyFreedom | None:
+        return self.freedom
 
     @cached_property
     def keys(self) -> Keys:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -12,6 +13,7 @@ import typer
 
 from lbacal.cli.outputs import require_outputs
 from lbacal.files import written_beside
+from lbacal_core.curves import CalibrationCurve
 from lbacal_core.reference_chain import ReferenceChain
 
 
@@ -36,6 +38,22 @@ def describe_chain(chain: ReferenceChain) -> str:
     return f"reference chain of {len(chain.members)} paths, nobody's cable; {known}"
 
 
+def describe_misfits(misfits: Sequence[CalibrationCurve], command: str, sky_power: Path | None) -> str:
+    """Which curves noise and the freedom of the sky cannot explain, and the command to run next."""
+    alone, profiled = (
+        [float(getattr(curve, name) or 0.0) for curve in misfits] for name in ("chi2_per_dof", "chi2_per_dof_profiled")
+    )
+    names = misfits[0].name if len(misfits) == 1 else f"{len(misfits)} curves, {misfits[0].name} to {misfits[-1].name}"
+    free, given = "sky and pattern free within what is known of them", ""
+    if sky_power is not None:
+        free, given = "the sky power taken at its word", f" --sky-power {sky_power}"
+    return (
+        f"misfit: {names}: chi2/dof {np.median(alone):.1f} with noise alone, {np.median(profiled):.1f} with {free} "
+        "(1 expected): units, clock, place, letters or antenna may be wrong; "
+        f"next: {command}{given} --report R.json --html R.html"
+    )
+
+
 def fit(
     spectra: Annotated[Path, typer.Argument(help="Spectra file (HDF5, lbacal-spectra-1).")],
     instrument: Annotated[str, typer.Option(help="Instrument: a name such as lofar-superterp, or a JSON file.")],
@@ -53,7 +71,7 @@ def fit(
     Exit 0 if any curve converged, else 1; the report is written either way.
     """
     from lbacal_core.anomalies import Anomalies
-    from lbacal_core.curves import CONVERGED, write_calibration_table, write_fit_report
+    from lbacal_core.curves import CONVERGED, MISFIT, write_calibration_table, write_fit_report
     from lbacal_core.instrument import load_instrument
     from lbacal_core.pipeline import calibrate
     from lbacal_core.skypower.table import read_sky_power
@@ -81,8 +99,11 @@ def fit(
             f"anomalous power: {found.left_out} of {len(measured)} spectra left out, {found.fitted} fitted; "
             f"worst: {found.name_worst(3)}"
         )
+    misfits = [curve for curve in result.curves if curve.status == MISFIT]
+    if misfits:
+        print(describe_misfits(misfits, f"lbacal investigate {spectra} --instrument {instrument}", sky_power))
     for curve in result.curves:
-        if curve.status != CONVERGED:
+        if curve.status not in (CONVERGED, MISFIT):
             print(f"{curve.name}: {curve.status} ({curve.events} events, LST coverage {curve.lst_coverage:.2f})")
     for curve, reference in zip(result.curves, result.chains, strict=True):
         if reference is not None and curve.antenna is None:

@@ -17,6 +17,7 @@ import typer
 
 from lbacal.cli.antenna_gain import antenna_gain
 from lbacal.cli.audit import audit
+from lbacal.cli.budget import budget
 from lbacal.cli.client import effective, ingest, jobs, refit, sync
 from lbacal.cli.fit import fit
 from lbacal.cli.import_ import import_
@@ -63,7 +64,7 @@ def _name(command: Callable[..., None]) -> str:
 
 
 _COMPUTING: tuple[Callable[..., None], ...] = (
-    audit, fit, investigate, lst_curve, paper, sky_power, antenna_gain, spectra
+    audit, fit, budget, investigate, lst_curve, paper, sky_power, antenna_gain, spectra
 )  # fmt: skip
 _ASKING: tuple[Callable[..., None], ...] = (
     ingest, refit, promote, withdraw, rollback, tag, effective, jobs, status, sync

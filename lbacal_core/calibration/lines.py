@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lbacal_core.calibration.noise import NoiseLevels, estimate_noise_levels, slope_of_gain
 from lbacal_core.calibration.normal_equations import solve_normal_equations
@@ -89,6 +90,12 @@ class Lines:
     information: Floats
     levels: NoiseLevels
     shared: SharedNoise
+
+    def select(self, paths: NDArray[np.intp]) -> Lines:
+        """Some of the paths."""
+        levels = NoiseLevels(self.levels.radiometer[paths], self.levels.vectors[paths])
+        shared = SharedNoise(self.shared.constant[paths], self.shared.behind[paths])
+        return Lines(self.slope[paths], self.intercept[paths], self.information[paths], levels, shared)
 
     def power(self, sky_power: Floats) -> Floats:
         """The power on the lines, shape (path, event, freq), for P_sky, shape (event, freq)."""
@@ -194,13 +201,7 @@ def _correlated_step(
     paths, events, channels = residual.shape
     precision = 1.0 / relative_variance
     weight = levels.radiometer**-2
-    is_there = np.any(levels.vectors != 0, axis=(0, 2))
-    vectors = noise.constant[:, None, is_there] - noise.behind[:, None, is_there] * inverse_model[:, :, None]
-    weighted = vectors * weight[:, None, None]
-    size = np.matmul(weighted, vectors.transpose(0, 1, 3, 2)) * precision[:, :, None, None]
-    # Each row of the root of the inverse makes one vector of the event.
-    root = np.linalg.inv(np.linalg.cholesky(size + np.eye(size.shape[-1]))) * np.sqrt(precision)[:, :, None, None]
-    weighted = np.matmul(root, weighted)
+    weighted = weigh_shared_noise(inverse_model, precision, levels, noise)
     common = np.matmul(weighted, residual[..., None])
 
     information = np.zeros((paths, 2 * channels, 2 * channels))
@@ -232,6 +233,25 @@ def _correlated_step(
 
     step = solve_normal_equations(information, gradient.reshape(paths, -1, 1), RIDGE)
     return step.reshape(paths, 2, channels), information
+
+
+def weigh_shared_noise(inverse_model: Floats, precision: Floats, levels: NoiseLevels, noise: SharedNoise) -> Floats:
+    """The second term of C_i^-1 as vectors u_k, shape (path, event, vector, freq): V_i - sum_k u_k u_k^T / k_i.
+
+    Parameters
+    ----------
+    inverse_model
+        1 / P of the lines, shape (path, event, freq).
+    precision
+        1 / k_i, shape (path, event).
+    """
+    is_there = np.any(levels.vectors != 0, axis=(0, 2))
+    vectors = noise.constant[:, None, is_there] - noise.behind[:, None, is_there] * inverse_model[:, :, None]
+    weighted = vectors * (levels.radiometer**-2)[:, None, None]
+    size = np.matmul(weighted, vectors.transpose(0, 1, 3, 2)) * precision[:, :, None, None]
+    # Each row of the root of the inverse makes one vector of the event.
+    root = np.linalg.inv(np.linalg.cholesky(size + np.eye(size.shape[-1]))) * np.sqrt(precision)[:, :, None, None]
+    return np.asarray(np.matmul(root, weighted))
 
 
 def _sum_events(weight: Floats, values: Floats) -> Floats:

@@ -44,9 +44,9 @@ def carry_to_path(
 ) -> ToldCurve:
     """Carry a curve through the cable that a path has at an instant: C_path = C (L_ref / L_path)^1/2.
 
-    `c_sigma_sys` becomes half the root mean square departure of A g among paths with that cable, as a fraction of C, if
-    it was measured. Otherwise it is unknown, and the flag is ``uncertain``. A path's own curve is unchanged as long as
-    its cable is.
+    Half the root mean square departure of A g among paths with that cable, as a fraction of C, is added to
+    `c_sigma_sys` if it was measured. Otherwise `c_sigma_sys` is unknown, and the flag is ``uncertain``. A path's own
+    curve is unchanged as long as its cable is.
 
     Parameters
     ----------
@@ -98,6 +98,10 @@ def _departure(chain: ReferenceChain, station: str, cable: str, *, is_own: bool)
 def _scaled(curve: CalibrationCurve, factor: Floats, variance: Floats | None) -> CalibrationCurve:
     if curve.c is None or curve.c_sigma_stat is None:
         return curve
-    c = curve.c * factor
-    sigma = None if variance is None else c * np.sqrt(variance) / 2.0
-    return replace(curve, c=c, c_sigma_stat=curve.c_sigma_stat * factor, c_sigma_sys=sigma)
+    c, sigma, covariance = curve.c * factor, None, None
+    if variance is not None:
+        departure = np.sqrt(variance) / 2.0
+        known = np.zeros_like(c) if curve.c_sigma_sys is None else curve.c_sigma_sys / curve.c
+        sigma = c * np.hypot(known, departure)
+        covariance = None if curve.covariance is None else curve.covariance.with_own(departure)
+    return replace(curve, c=c, c_sigma_stat=curve.c_sigma_stat * factor, c_sigma_sys=sigma, covariance=covariance)

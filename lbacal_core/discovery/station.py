@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lbacal_core.calibration.fit import MIN_EVENTS, Cables, require_one_cable_each
+from lbacal_core.calibration.paths import MIN_EVENTS, Cables, require_one_cable_each
 from lbacal_core.causes.conditions import OTHER, Conditions
 from lbacal_core.causes.directions import SkyRatio, sky_ratios
 from lbacal_core.errors import BadInputError

@@ -22,6 +22,7 @@ from lbacal.cli.figures import (
 )
 from lbacal.cli.report_pages import embed, fill_report
 from lbacal_core.calibration.fit import fit_calibration
+from lbacal_core.calibration.freedom import free_own_sky
 from lbacal_core.calibration.residuals import map_residuals
 from lbacal_core.curves import CalibrationCurve, FitReport
 from lbacal_core.data.tables import read_table
@@ -63,8 +64,9 @@ def demonstrate(instrument: Instrument, sky_power: SkyPower, settings: TwinSetti
     with _step("simulate spectra"):
         campaign = simulate_campaign(settings, instrument, sky_power, np.random.default_rng(seed))
     with _step("fit every path, and the station"):
-        paths = fit_calibration(campaign.spectra, instrument, sky_power, "antenna")
-        station = fit_calibration(campaign.spectra, instrument, sky_power, "station")
+        freedom = free_own_sky(instrument)
+        paths = fit_calibration(campaign.spectra, instrument, sky_power, "antenna", freedom)
+        station = fit_calibration(campaign.spectra, instrument, sky_power, "station", freedom)
     with _step("compare the measured LST curve"):
         real = compare_lst_curve(read_lst_curve(measured_curve()), sky_power, instrument)
     return Demonstration(instrument, sky_power, campaign, paths, station, real)

@@ -39,6 +39,7 @@ from service.wire.answers import (
 )
 from service.wire.bodies import PromotionBody, parse_body
 from service.wire.calibration_models import (
+    BudgetAnswer,
     ChangesAnswer,
     DiffAnswer,
     EdgesAnswer,
@@ -90,13 +91,26 @@ def get_in_effect(
     found = use.calibrations.in_effect(instant, paths, known.as_of, hold=gap == "hold")
     wanted = [c for c in found.curves if dipole in (None, c.told.curve.dipole)]
     curves = [describe_curve_in_effect(c.told, c.chain, c.promotion, c.trace, is_held=c.is_held) for c in wanted]
-    content = describe_in_effect(found.at, known.text, curves, list(found.missing))
+    content = describe_in_effect(found.at, known.text, curves, list(found.missing), found.budgets)
     return answer(
         request,
         content if kind == "json" else write_format(kind, content),
         media_type=FORMATS[kind],
         cache=IMMUTABLE if known.is_final else REVALIDATE,
     )
+
+
+@router.get(
+    "/v1/budgets/{digest}",
+    response_model=BudgetAnswer,
+    summary="One budget",
+    description="The systematic terms that curves share: name, source and, by polarisation, vectors of d ln C along "
+    "frequency, one standard deviation each, independent of each other. A term of the same name is the same for all.",
+    responses=document(401, 404, 422, 503),
+    dependencies=[Depends(require_read)],
+)
+def get_budget(request: Request, use: UseCases, digest: InPath) -> Response:
+    return answer(request, use.calibrations.budget(digest), cache=IMMUTABLE)
 
 
 @router.get(

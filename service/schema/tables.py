@@ -121,6 +121,13 @@ chain_part = Table(
     Column("content", Text, nullable=False, comment="canonical JSON of a cable table or of the spreads of A g"),
 )
 
+budget = Table(
+    "budget",
+    metadata,
+    Column("sha256", Text, primary_key=True),
+    Column("content", Text, nullable=False, comment="canonical JSON of the terms that curves share"),
+)
+
 calibration_mean = Table(
     "calibration_mean",
     metadata,

@@ -14,6 +14,7 @@ from sqlalchemy import URL, Connection, Engine, create_engine, event, make_url, 
 from sqlalchemy.exc import SQLAlchemyError
 
 from service.errors import UnavailableError
+from service.storage.budgets import BudgetStore
 from service.storage.deeds import DeedStore
 from service.storage.drift import DriftStore
 from service.storage.examined import ExaminedStore
@@ -54,6 +55,11 @@ class Stores:
     def spectra(self) -> SpectraStore:
         """Events and their spectra."""
         return SpectraStore(self._connection)
+
+    @cached_property
+    def budgets(self) -> BudgetStore:
+        """Budgets of systematic errors."""
+        return BudgetStore(self._connection)
 
     @cached_property
     def versions(self) -> VersionStore:

@@ -82,6 +82,12 @@ class Version:
         """The largest number of events behind any of its curves."""
         return max(curve.events for curve in self.curves)
 
+    @property
+    def budgets(self) -> set[str]:
+        """Hashes of the budgets that its curves name."""
+        covariances = (curve.covariance for curve in self.curves)
+        return {one.budget for one in covariances if one is not None and one.budget is not None}
+
     def curve_of(self, dipole: str) -> CalibrationCurve:
         """The curve that serves a dipole."""
         return next(curve for curve in self.curves if curve.dipole in (dipole, None))

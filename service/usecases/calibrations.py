@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from lbacal_core.calibration.own_cable import ToldCurve, tell_reference
 from lbacal_core.errors import BadInputError
@@ -38,11 +39,15 @@ class CurveInEffect:
 
 @dataclass(frozen=True)
 class InEffect:
-    """The answer for some paths at an instant; `missing` are those for which nothing is in effect."""
+    """The answer for some paths at an instant; `missing` are those for which nothing is in effect.
+
+    `budgets` are those that the curves name, by their hash, as JSON values.
+    """
 
     at: Instant
     curves: Sequence[CurveInEffect]
     missing: Sequence[Scope]
+    budgets: Mapping[str, Any]
 
 
 def select_paths(instrument: Instrument, station: str | None, antenna: int | None, dipole: str | None) -> list[Scope]:
@@ -99,13 +104,14 @@ class Calibrations:
                     raise NotInEffectError(_explain_gap(missing, found[missing[0]], at))
             answers = decisive | held
             versions = stores.versions.get_many(str(promotion.calibration) for promotion in answers.values())
+            budgets = stores.budgets.get_many(name for version in versions.values() for name in version.budgets)
         curves = [
             CurveInEffect(told, chain, answers[path], path in held, asked[path])
             for path in paths
             if path in answers
             for told, chain in _tell(versions[str(answers[path].calibration)], path, at)
         ]
-        return InEffect(at, curves, [path for path in paths if path not in answers])
+        return InEffect(at, curves, [path for path in paths if path not in answers], budgets)
 
     def edges(self, as_of: Instant) -> dict[str | None, list[Instant]]:
         """The instants between which every answer about a station (None: the array) is the same, in order."""
@@ -119,6 +125,11 @@ class Calibrations:
             changes = {math.ceil(seconds * MICROSECONDS) for seconds in cables.get(station, ())}
             found[station] = sorted(everywhere | edges.get(station, set()) | changes)
         return found
+
+    def budget(self, digest: str) -> dict[str, Any]:
+        """The systematic terms that curves share, as JSON values."""
+        with self.database.read() as stores:
+            return stores.budgets.get(digest)
 
     def get(self, version_id: str) -> Version:
         """A version by its id."""

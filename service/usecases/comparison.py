@@ -103,5 +103,8 @@ def through_common_cable(version: Version, dipole: str) -> CalibrationCurve:
 
 
 def _total_error(curve: CalibrationCurve) -> Floats:
+    """The error that curves do not share: that of the sky and of the antenna moves all of them alike."""
     of_noise = np.asarray(curve.c_sigma_stat, dtype=float)
+    if curve.covariance is not None and curve.c is not None:
+        return np.asarray(np.hypot(of_noise, curve.c * np.sqrt(np.sum(curve.covariance.own**2, axis=0))))
     return of_noise if curve.c_sigma_sys is None else np.hypot(of_noise, curve.c_sigma_sys)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lbacal_core.curves import CONVERGED, OK, CalibrationCurve
+from lbacal_core.curves import CONVERGED, MISFIT, OK, CalibrationCurve
 from lbacal_core.validity import Instant, Scope
 from service.storage.ledger import LedgerStore
 from service.storage.versions import Version, mean_over_band
@@ -63,6 +63,12 @@ class Gate:
 
     def _weakness(self, curve: CalibrationCurve) -> str | None:
         """What a curve by itself lacks; None if nothing."""
+        if curve.status == MISFIT:
+            return (
+                f"misfit: chi2 per degree of freedom {curve.chi2_per_dof:.1f} with noise alone and "
+                f"{curve.chi2_per_dof_profiled:.1f} with sky and pattern free within what is known of them; "
+                "lbacal investigate says what is wrong"
+            )
         if curve.status != CONVERGED or curve.c is None or curve.c_sigma_stat is None:
             seen = f"{24 * curve.lst_coverage:.1f} h of the sidereal day"
             return f"{curve.status} with {curve.events} events that see {seen}"

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from lbacal_core.calibration.fit import MIN_EVENTS
+from lbacal_core.calibration.paths import MIN_EVENTS
 from lbacal_core.discovery.policy import Policy
 from lbacal_core.instrument import Instrument
 from lbacal_core.provenance import MODEL_VERSION, hash_arrays, hash_content

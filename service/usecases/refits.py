@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lbacal_core.anomalies import Anomalies
+from lbacal_core.calibration.chain_test import SkyFreedom
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.curves import CalibrationCurve, FitReport
 from lbacal_core.errors import BadInputError
@@ -17,6 +18,7 @@ from lbacal_core.instrument import Instrument
 from lbacal_core.reference_chain import ReferenceChain
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra import Spectra
+from lbacal_core.uncertainty.refit import add_budget, compute_budget
 from lbacal_core.validity import Instant, Promotion, Scope
 from service.errors import ConflictError
 from service.storage.database import Database, Stores
@@ -44,6 +46,7 @@ class Refits:
     database: Database
     instrument: Instrument
     sky_power: Callable[[], SkyPower]
+    freedom: Callable[[], SkyFreedom | None]
     resistance_ohm: float
     gate: Gate
     limits: Limits
@@ -80,10 +83,13 @@ class Refits:
         if spectra is None:
             since, until = format_instant(window.since), format_instant(window.until)
             raise ConflictError(f"no usable spectra of {window.scope.key} between {since} and {until}")
-        report = fit_calibration(spectra, self.instrument, self.sky_power(), wanted["scope"])
+        report = fit_calibration(spectra, self.instrument, self.sky_power(), wanted["scope"], self.freedom())
+        report = add_budget(report, compute_budget(spectra, self.instrument, self.sky_power()))
         versions = self._versions(spectra, report, part, made)
         with self.database.write() as stores:
             kept = self._keep(stores, versions, part)
+            if kept.result["calibrations"]:
+                stores.budgets.add(report.budgets)
             # the end of the part before the promotions, whose instant must be the last thing before the commit
             stores.jobs.complete(part, worker, kept.result, self.clock())
             stores.ledger.append(kept.promotions, self.clock)

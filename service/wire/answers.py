@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from lbacal_core.calibration.own_cable import ToldCurve
+from lbacal_core.covariance import name_budgets
 from lbacal_core.curves import OK, UNCERTAIN
 from lbacal_core.reference_chain import ReferenceChain
 from lbacal_core.validity import Instant, Promotion, Scope
@@ -79,12 +80,17 @@ def describe_reference(chain: ReferenceChain, cable: str | None) -> dict[str, An
 
 
 def describe_in_effect(
-    at: Instant, as_of: str | None, curves: list[dict[str, Any]], missing: list[Scope]
+    at: Instant,
+    as_of: str | None,
+    curves: list[dict[str, Any]],
+    missing: list[Scope],
+    budgets: Mapping[str, Any],
 ) -> dict[str, Any]:
     """The answer to "in effect at"; `missing` names paths for which nothing is in effect."""
     return {
         "at": format_instant(at),
         "as_of": as_of,
         "curves": curves,
+        "budgets": {name: budgets[name] for name in name_budgets(curves) if name in budgets},
         "missing": [describe_scope(path) for path in missing],
     }

@@ -156,6 +156,22 @@ class CurveInEffectAnswer(CurveAnswer):
     trace: list[TraceAnswer]
 
 
+class BudgetTermAnswer(Answer):
+    """One source of systematic error."""
+
+    name: str
+    source: str
+    is_of_gain: bool = Field(description="an error of G_ant, which cancels in C/|H|")
+    vectors: dict[str, list[list[float]]] = Field(description="by polarisation: d ln C, one standard deviation each")
+
+
+class BudgetAnswer(Answer):
+    """The systematic terms that curves share."""
+
+    frequency_mhz: list[float]
+    terms: list[BudgetTermAnswer]
+
+
 class InEffectAnswer(Answer):
     """The calibration in effect at an instant."""
 
@@ -164,6 +180,7 @@ class InEffectAnswer(Answer):
     at: str
     as_of: str | None = Field(description="as it was asked")
     curves: list[CurveInEffectAnswer]
+    budgets: dict[str, BudgetAnswer] = Field(description="by hash, those that the curves name")
     missing: list[PathAnswer] = Field(description="paths for which nothing is in effect")
 
 

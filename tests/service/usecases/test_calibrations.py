@@ -19,6 +19,7 @@ from fastapi.testclient import TestClient
 
 from lbacal.cli.client import print_curve
 from lbacal.client import make_table
+from lbacal_core.covariance import parse_budget
 from lbacal_core.instrument import AntennaRecord, Instrument
 from lbacal_core.provenance import hash_content
 from lbacal_core.reference_chain import CableTable, ReferenceChain
@@ -68,7 +69,10 @@ def ask(http: TestClient, **params: Any) -> Any:
 
 
 def total_error(curve: dict[str, Any]) -> Any:
-    return np.hypot(curve["c_sigma_stat"], curve["c_sigma_sys"])
+    """The error that the twin draws: it has the sky and the antenna of the fit, so the shared terms are not in it."""
+    own = np.sum(np.square(curve["covariance"]["systematic"]["own"]), axis=0)
+    assert np.all(np.array(curve["c_sigma_sys"]) > np.array(curve["c"]) * np.sqrt(own))
+    return np.hypot(curve["c_sigma_stat"], curve["c"] * np.sqrt(own))
 
 
 def test_a_station_answers_each_path_through_the_paths_own_cable(
@@ -111,6 +115,18 @@ def test_a_path_with_a_bad_channel_at_80_mhz_has_a_curve_of_its_own_all_the_same
         c, sigma = (np.array(curve[name], dtype=float) for name in ("c", "c_sigma_stat"))
         assert np.nanmax(np.abs((c - truth) / sigma)) < 5
         assert np.array_equal(np.isnan(c), np.array(curve["flag"]) == "outside")
+
+
+def test_the_budget_that_curves_name_stands_once_in_the_answer_and_at_its_own_address(http: TestClient) -> None:
+    answer = ask(http, station="CS002")
+    names = {curve["covariance"]["systematic"]["budget"] for curve in answer["curves"]}
+    assert set(answer["budgets"]) == names
+    for name in names:
+        content = http.get(f"/v1/budgets/{name}").json()
+        assert content == answer["budgets"][name]
+        assert parse_budget(content).digest == name
+        assert parse_budget(content).variance("X")[25] > 0.07**2
+    assert http.get(f"/v1/budgets/{'0' * 64}").status_code == 404
 
 
 def test_a_station_without_data_is_answered_by_the_array_with_a_flag(http: TestClient) -> None:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from lbacal_core.calibration.fit import fit_calibration
+from lbacal_core.provenance import MODEL_VERSION
 from lbacal_core.spectra import Spectra
 from lbacal_core.validity import Scope
 from service.factory import Factory
@@ -178,7 +179,7 @@ def test_another_model_is_news_even_where_c_stays(station: Factory, monkeypatch:
     for place in ("lbacal_core.provenance.Provenance.__init__", "service.usecases.inputs.Inputs.__init__"):
         module, owner, _ = place.rsplit(".", 2)
         made = getattr(__import__(module, fromlist=[owner]), owner)
-        defaults = tuple(99 if value in (2, 3, 4) else value for value in made.__init__.__defaults__)
+        defaults = tuple(99 if value == MODEL_VERSION else value for value in made.__init__.__defaults__)
         monkeypatch.setattr(made.__init__, "__defaults__", defaults)
     later = Factory(station.settings, station.clock)
     results = [job.results[0] for job in night(later)]

@@ -1,0 +1,103 @@
+"""`lbacal budget`: how far C may be off and why, as a table and as a figure."""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+import typer
+
+from lbacal.cli.outputs import require_outputs
+from lbacal_core.covariance import Budget, BudgetTerm
+from lbacal_core.grids import Floats
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+SHOWN = 6
+"""Frequencies of the table, from the lowest channel to the highest."""
+
+
+def budget(
+    spectra: Annotated[Path, typer.Argument(help="Spectra file (HDF5, lbacal-spectra-1).")],
+    instrument: Annotated[str, typer.Option(help="Instrument: a name such as lofar-superterp, or a JSON file.")],
+    sky_power: Annotated[
+        Path | None, typer.Option(help="P_sky(LST, nu) file (JSON); without it the package's own sky and antenna.")
+    ] = None,
+    sky: Annotated[
+        str, typer.Option(help="Error of the sky: paper (20 %), models (seven models, 12 %), measured (absolute).")
+    ] = "models",
+    report: Annotated[Path | None, typer.Option(help="Terms with their vectors (JSON).")] = None,
+    plot: Annotated[Path | None, typer.Option(help="Terms stacked against frequency (PNG, PDF or SVG).")] = None,
+) -> None:
+    """Print how far C may be off, term by term as in Table 1 of the paper; every term is a refit of these spectra.
+
+    Example: lbacal budget spectra.h5 --instrument lofar-superterp --sky measured --plot budget.png
+    """
+    from lbacal_core.instrument import load_instrument
+    from lbacal_core.skypower.model import compute_sky_power
+    from lbacal_core.skypower.table import read_sky_power
+    from lbacal_core.spectra import read_spectra
+    from lbacal_core.uncertainty.refit import compute_budget, measure_electronics
+
+    require_outputs(
+        {"--report": report, "--plot": plot}, {"SPECTRA": spectra, "--instrument": instrument, "--sky-power": sky_power}
+    )
+    chain = load_instrument(instrument)
+    measured = read_spectra(spectra, now_unix=time.time())
+    power = compute_sky_power(chain) if sky_power is None else read_sky_power(sky_power)
+    shared = compute_budget(measured, chain, power, sky)
+    of_antennas = measure_electronics(measured, chain, power)
+    terms = [*shared.terms, *([] if of_antennas is None else [of_antennas])]
+    for line in tabulate(shared.frequency_mhz, terms):
+        print(line)
+    print(f"budget {shared.digest}")
+    if report is not None:
+        report.write_text(json.dumps({shared.digest: shared.as_dict()}, indent=1, allow_nan=False) + "\n")
+    if plot is not None:
+        draw_budget(shared, terms).savefig(plot, dpi=150)
+
+
+def tabulate(frequency_mhz: Floats, terms: list[BudgetTerm]) -> list[str]:
+    """The standard deviation of C by each term and by all together, per cent, X / Y at a few frequencies."""
+    at = np.unique(np.linspace(0, frequency_mhz.size - 1, SHOWN).round().astype(int))
+    width = max(len(term.name) for term in terms)
+    lines = [" ".join([f"{'sigma(C), %, X / Y':{width}}", *(f"{frequency_mhz[k]:7g} MHz" for k in at)])]
+    rows = [(term.name, {p: term.variance(p) for p in term.vectors}) for term in terms]
+    total = {p: np.sum([variance[p] for _, variance in rows], axis=0) for p in rows[0][1]}
+    for name, variance in [*rows, ("total", total)]:
+        cells = ["/".join(f"{100 * np.sqrt(v[k]):.1f}" for v in variance.values()) for k in at]
+        lines.append(" ".join([f"{name:{width}}", *(f"{cell:>11}" for cell in cells)]))
+    if any(term.is_of_gain for term in terms):
+        lines.append("C/|H| has no error of the antenna gain.")
+    return lines
+
+
+def draw_budget(shared: Budget, terms: list[BudgetTerm]) -> Figure:
+    """Variances stacked against frequency, on the scale of the standard deviation of what lies below."""
+    from matplotlib.figure import Figure
+
+    polarisations = list(terms[0].vectors)
+    figure = Figure(figsize=(5.2 * len(polarisations), 5.0), layout="constrained")
+    panels: Any = np.atleast_1d(figure.subplots(1, len(polarisations), sharey=True))
+    for axes, polarisation in zip(panels, polarisations, strict=True):
+        below = np.zeros(shared.frequency_mhz.size)
+        for k, term in enumerate(terms):
+            above = below + term.variance(polarisation)
+            axes.fill_between(
+                shared.frequency_mhz, 100 * np.sqrt(below), 100 * np.sqrt(above), color=f"C{k % 10}",
+                alpha=0.75 if k < 10 else 0.4, lw=0,
+                label=term.name,
+            )  # fmt: skip
+            below = above
+        axes.plot(shared.frequency_mhz, 100 * np.sqrt(below), color="black", lw=1.4, label="total")
+        axes.set(xlabel="frequency (MHz)", title=f"polarisation {polarisation}", ylim=(0, None))
+        axes.set_xlim(shared.frequency_mhz[0], shared.frequency_mhz[-1])
+        axes.grid(alpha=0.3)
+    panels[0].set_ylabel("systematic error of C (%), terms added in quadrature")
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(handles, labels, fontsize=8, frameon=False, ncols=3, loc="outside lower center")
+    return figure

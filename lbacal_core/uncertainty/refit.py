@@ -1,0 +1,204 @@
+"""The budget of C: every change of an input is put into a full refit of the same data.
+
+The data are those of the reference chains, the mean of all paths for each polarisation, so that all refits together
+take a second or two.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from lbacal_core.calibration.channels import solve_without_interference
+from lbacal_core.calibration.fit import fit_calibration
+from lbacal_core.calibration.lines import ChainForms, fit_lines
+from lbacal_core.calibration.paths import Paths, chain_forms, noise_design, paths_of_scope, require_one_cable_each
+from lbacal_core.covariance import Budget, BudgetTerm
+from lbacal_core.curves import CalibrationCurve, FitReport
+from lbacal_core.grids import Floats
+from lbacal_core.instrument import Instrument
+from lbacal_core.reference_chain import ReferenceChain
+from lbacal_core.skypower.sky_terms import SkyTerm
+from lbacal_core.skypower.table import SkyPower, read_at
+from lbacal_core.spectra import Spectra
+from lbacal_core.uncertainty.changes import DEFAULT_SKY_BUDGET, PAPER_BUDGET, list_changes
+
+INTERFERENCE = 0.002
+"""Interference left after narrow lines are removed, fraction of the mean power."""
+SMALLEST_SHARE = 1e-4
+"""Vectors of a term whose squares add less than this to its variance are left out."""
+
+
+@dataclass(frozen=True)
+class _Refit:
+    """The mean path of one polarisation, and its fit."""
+
+    paths: Paths
+    sky: Floats
+    design: Floats
+    forms: ChainForms
+    log_c: Floats
+
+    @classmethod
+    def of(cls, paths: Paths, sky: Floats, design: Floats, forms: ChainForms) -> _Refit:
+        """The fit with the sky as it is."""
+        plain = cls(paths, sky, design, forms, np.zeros(sky.shape[1]))
+        return replace(plain, log_c=plain.fit(paths.power, sky))
+
+    def fit(self, power: Floats, sky: Floats) -> Floats:
+        """Ln C up to a constant along time, shape (freq,); NaN where it is not determined."""
+        lines = fit_lines(power, sky, self.paths.relative_variance, self.forms)
+        solution, _ = solve_without_interference(lines.slope, lines.intercept, lines.information, self.design)
+        slope = solution.x[0]
+        return np.where(slope > 0, -0.5 * np.log(np.where(slope > 0, slope, 1.0)), np.nan)
+
+    def change_sky(self, change: SkyTerm) -> Floats:
+        """Change of ln C by a change of ln P_sky: half the difference between both signs, shape (freq,)."""
+        hours = self.paths.lst_hours - change.lst_hours[0]
+        size = read_at(change.d_ln_p[self.paths.owners[0][2]], hours)
+        up, down = (self.fit(self.paths.power, self.sky * np.exp(sign * size)) for sign in (1.0, -1.0))
+        return (up - down) / 2.0
+
+    def add_power(self, fraction: float) -> Floats:
+        """Change of ln C by power that is recorded at all times, a fraction of the mean."""
+        is_present = np.isfinite(self.paths.relative_variance[0])
+        mean = self.paths.power[:, is_present].mean(axis=1, keepdims=True)
+        return self.fit(self.paths.power + fraction * mean, self.sky) - self.log_c
+
+
+def compute_budget(
+    spectra: Spectra, instrument: Instrument, sky_power: SkyPower, sky_budget: str = DEFAULT_SKY_BUDGET
+) -> Budget:
+    """The systematic terms of C that all curves of these data share.
+
+    Parameters
+    ----------
+    sky_budget
+        Where the error of the sky is taken from: a name of `SKY_BUDGETS`.
+    """
+    cables = require_one_cable_each(spectra, instrument)
+    design, forms = noise_design(instrument), chain_forms(instrument)
+    # threads of BLAS cost more than they give for matrices as small as these
+    with threadpool_limits(1), ThreadPoolExecutor(os.cpu_count()) as pool:
+        changes = list_changes(instrument, sky_budget)
+        refits = {
+            paths.owners[0][2]: _Refit.of(paths, sky_power.at(paths.owners[0][2], paths.lst_hours), design, forms)
+            for paths in paths_of_scope(spectra, instrument, sky_power, "array", cables)
+            if paths.members
+        }
+        found = {polarisation: list(pool.map(refit.change_sky, changes)) for polarisation, refit in refits.items()}
+    terms = [
+        BudgetTerm(change.name, change.source, {p: _finite(vectors[k])[None] for p, vectors in found.items()})
+        for k, change in enumerate(changes)
+    ]
+    if sky_budget != PAPER_BUDGET:
+        left = {p: _finite(refit.add_power(INTERFERENCE))[None] for p, refit in refits.items()}
+        terms.append(BudgetTerm("interference left", "0.2 % of the mean power", left))
+        terms += _gain_terms(instrument, list(refits))
+    return Budget(instrument.frequency_mhz, tuple(_gather(terms)))
+
+
+def add_budget(report: FitReport, budget: Budget) -> FitReport:
+    """The report with the systematic errors of a budget.
+
+    A curve whose `chi2_per_dof` is above what noise makes of it, without being a misfit, has one more term of its own:
+    its statistical error times (chi^2 per degree of freedom - 1)^1/2, fully correlated along frequency.
+    """
+    curves = [_with_errors(curve, budget) if curve.c is not None else curve for curve in report.curves]
+    return replace(report, curves=tuple(curves), budgets={budget.digest: budget})
+
+
+def _with_errors(curve: CalibrationCurve, budget: Budget) -> CalibrationCurve:
+    if curve.c is None or curve.c_sigma_stat is None or curve.covariance is None:
+        return curve
+    covariance = replace(curve.covariance, budget=budget.digest)
+    variance = budget.variance(str(curve.dipole))
+    excess = (curve.chi2_per_dof or 1.0) - 1.0
+    if excess > 3.0 * np.sqrt(2.0 / (curve.frequency_mhz.size - 3)):
+        own = np.sqrt(excess) * curve.c_sigma_stat / curve.c
+        covariance = covariance.with_own(own)
+        variance = variance + own**2
+    return replace(
+        curve, c_sigma_sys=np.where(curve.has_value, curve.c * np.sqrt(variance), np.nan), covariance=covariance
+    )
+
+
+def _gain_terms(instrument: Instrument, polarisations: Sequence[str]) -> list[BudgetTerm]:
+    """Errors of G_ant: C^2 is proportional to it. The unit of a relative one is a convention and no error."""
+    gain = instrument.gain_provenance
+    if gain is None:
+        return []
+    sizes = {"shape of the antenna gain": gain.shape_error}
+    if gain.kind == "absolute" and gain.scale_error is not None:
+        sizes["level of the antenna gain"] = np.full(instrument.frequency_mhz.size, gain.scale_error)
+    return [
+        BudgetTerm(name, gain.source, dict.fromkeys(polarisations, size[None] / 2.0), is_of_gain=True)
+        for name, size in sizes.items()
+        if size is not None
+    ]
+
+
+def _gather(terms: Sequence[BudgetTerm]) -> list[BudgetTerm]:
+    """Terms whose names are alike up to a bracket, as one with several vectors; those that add nothing are left out."""
+    groups: dict[str, list[BudgetTerm]] = {}
+    for term in terms:
+        groups.setdefault(term.name.partition(" (")[0], []).append(term)
+    return [
+        BudgetTerm(
+            name,
+            "; ".join(term.source for term in group),
+            _strongest({p: np.concatenate([term.vectors[p] for term in group]) for p in group[0].vectors}),
+            group[0].is_of_gain,
+        )
+        for name, group in groups.items()
+    ]
+
+
+def _strongest(vectors: Mapping[str, Floats]) -> dict[str, Floats]:
+    """The principal axes of a few vectors, shape (vector, freq) for each polarisation.
+
+    The axes are those of both polarisations together: a vector is one error, which moves X and Y alike.
+    """
+    if all(len(of_one) == 1 for of_one in vectors.values()):
+        return dict(vectors)
+    _, size, axes = np.linalg.svd(np.concatenate(list(vectors.values()), axis=1), full_matrices=False)
+    keep: NDArray[np.bool_] = size**2 > SMALLEST_SHARE * np.sum(size**2)
+    keep[0] = True
+    # the sign of an axis is free; this one is the same on every machine
+    scaled = (size * np.where(axes.sum(axis=1) < 0, -1.0, 1.0))[keep, None] * axes[keep]
+    return dict(zip(vectors, np.split(scaled, len(vectors), axis=1), strict=True))
+
+
+def _finite(vector: Floats) -> Floats:
+    """A vector with channels that have no value as those beside them."""
+    at = np.isfinite(vector)
+    channel = np.arange(vector.size)
+    return np.asarray(np.interp(channel, channel[at], vector[at])) if np.any(at) else np.zeros(vector.size)
+
+
+def measure_electronics(spectra: Spectra, instrument: Instrument, sky_power: SkyPower) -> BudgetTerm | None:
+    """The departure of single antennas from their mean, each through its own cable; None for fewer than three paths.
+
+    What a curve of a station or of the array has beside the shared terms when it is used for one antenna; the curve of
+    a path by itself has its statistical error instead.
+    """
+    chains = zip(*_fit_mean(spectra, instrument, sky_power), strict=True)
+    found = {curve.dipole: chain.spreads for curve, chain in chains if chain is not None and chain.spreads is not None}
+    if not found:
+        return None
+    vectors = {str(p): 0.5 * np.sqrt(one.all_paths.variance)[None] for p, one in found.items()}
+    paths = max(one.all_paths.paths for one in found.values())
+    return BudgetTerm("electronics between antennas", f"{paths} paths fitted by themselves", vectors)
+
+
+def _fit_mean(
+    spectra: Spectra, instrument: Instrument, sky_power: SkyPower
+) -> tuple[Sequence[CalibrationCurve], Sequence[ReferenceChain | None]]:
+    report = fit_calibration(spectra, instrument, sky_power, "array")
+    return report.curves, report.chains

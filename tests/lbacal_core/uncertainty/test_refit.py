@@ -1,0 +1,101 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lbacal_core.calibration.fit import fit_calibration
+from lbacal_core.instrument import load_instrument
+from lbacal_core.skypower.model import compute_sky_power
+from lbacal_core.twin.campaign import simulate_campaign
+from lbacal_core.twin.settings import TwinSettings
+from lbacal_core.uncertainty.changes import list_changes
+from lbacal_core.uncertainty.refit import add_budget, compute_budget, measure_electronics
+
+
+@pytest.fixture(scope="module")
+def study():
+    instrument = load_instrument("lofar-superterp")
+    sky = compute_sky_power(instrument)
+    settings = TwinSettings(stations=("CS002",), antennas=12)
+    return simulate_campaign(settings, instrument, sky, np.random.default_rng(3)).spectra, instrument, sky
+
+
+@pytest.fixture(scope="module")
+def paper(study):
+    return compute_budget(*study, "paper")
+
+
+def test_the_scale_of_the_sky_moves_c_by_half_of_it_at_all_frequencies(paper):
+    scale = next(term for term in paper.terms if term.name == "scale of the sky maps")
+    # half the difference between exp(+0.2) and exp(-0.2)
+    np.testing.assert_allclose(np.abs(scale.vectors["X"]), 0.1, rtol=1e-6)
+
+
+def test_fed_the_inputs_of_the_paper_the_budget_is_the_papers_13_per_cent_below_77_mhz(paper, study):
+    """Table 1: antenna 2.5, sky 11, electronics 6.5, total 13 %."""
+    electronics = 0.065
+    below = paper.frequency_mhz < 76.5
+    for polarisation in "XY":
+        total = np.sqrt(paper.variance(polarisation) + electronics**2)[below]
+        assert np.max(np.abs(total - 0.13)) < 0.02
+    assert measure_electronics(*study).vectors["X"].mean() == pytest.approx(0.02, abs=0.01)  # the twin's 4 % of power
+
+
+def test_a_term_is_what_a_fit_with_the_changed_input_gives(study, paper):
+    spectra, instrument, sky = study
+    brighter = replace(sky, power={p: values * np.exp(0.2) for p, values in sky.power.items()})
+    before, after = (fit_calibration(spectra, instrument, one, "array").curves for one in (sky, brighter))
+    expected = np.log(after[0].c / before[0].c)
+    scale = next(term for term in paper.terms if term.name == "scale of the sky maps")
+    np.testing.assert_allclose(np.abs(scale.vectors["X"][0]), np.abs(expected), rtol=1e-3)
+
+
+def test_curves_get_the_error_of_their_polarisation_and_name_the_budget(study, paper):
+    spectra, instrument, sky = study
+    report = add_budget(fit_calibration(spectra, instrument, sky, "station"), paper)
+    assert list(report.budgets) == [paper.digest]
+    for curve in report.curves:
+        own = np.sum(curve.covariance.own**2, axis=0)
+        expected = np.sqrt(paper.variance(curve.dipole) + own)
+        np.testing.assert_allclose(curve.c_sigma_sys / curve.c, expected)
+        assert curve.covariance.budget == paper.digest
+        statistical = np.sum(curve.covariance.factor**2, axis=0) + curve.covariance.diagonal
+        np.testing.assert_allclose(curve.c_sigma_stat**2, curve.c**2 * statistical, rtol=1e-9)
+
+
+def test_a_curve_whose_first_number_is_high_has_a_wider_error(study, paper):
+    spectra, instrument, sky = study
+    report = fit_calibration(spectra, instrument, sky, "station")
+    odd = replace(report, curves=tuple(replace(curve, chi2_per_dof=5.0) for curve in report.curves))
+    for before, after in zip(report.curves, add_budget(odd, paper).curves, strict=True):
+        wider = np.sqrt(paper.variance(before.dipole) + 4.0 * (before.c_sigma_stat / before.c) ** 2)
+        np.testing.assert_allclose(after.c_sigma_sys / after.c, wider)
+
+
+def test_the_shape_of_a_relative_antenna_gain_is_an_error_and_its_level_is_a_convention(study):
+    names = {term.name: term for term in compute_budget(*study, "models").terms}
+    assert names["shape of the antenna gain"].is_of_gain
+    assert "level of the antenna gain" not in names
+    assert "interference left" in names
+
+
+def test_the_vectors_of_x_and_y_that_were_compressed_apart_no_longer_lose_what_both_share(study):
+    spectra, instrument, sky = study
+    shape = next(term for term in compute_budget(*study, "models").terms if term.name == "spectrum and LST shape")
+    # the same change of the sky in full fits, one for each other sky
+    changes = [one for one in list_changes(instrument, "models") if one.name.startswith("spectrum and LST shape")]
+    assert len(changes) > 1
+    moved = []
+    for one in changes:
+        ends = []
+        for sign in (1.0, -1.0):
+            power = {p: sky.power[p] * np.exp(sign * one.d_ln_p[p]) for p in sky.power}
+            curves = fit_calibration(spectra, instrument, replace(sky, power=power), "array").curves
+            ends.append(np.array([np.log(curve.c) for curve in curves]))
+        moved.append((ends[0] - ends[1]) / 2)
+    x, y = np.array(moved).swapaxes(0, 1)
+    shared = shape.vectors["X"].T @ shape.vectors["Y"]
+    # vectors that add less than 1e-4 of the variance are left out
+    np.testing.assert_allclose(shared, x.T @ y, atol=2e-3 * np.abs(x.T @ y).max())
