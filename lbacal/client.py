@@ -7,7 +7,7 @@ import json
 import os
 import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
 from itertools import islice
 from pathlib import Path
@@ -34,7 +34,7 @@ EVENTS_AT_ONCE = 50
 _COLUMNS = {
     "c": "calibration factor C(nu), V per ADC unit",
     "c_sigma_stat": "statistical standard deviation of c",
-    "c_sigma_sys": "systematic standard deviation of c: of single paths where a wider scope answers; else NaN",
+    "c_sigma_sys": "systematic standard deviation of c, by the budget that its covariance names; NaN in old versions",
 }
 
 
@@ -262,6 +262,11 @@ def format_time(instant: Any) -> str:
     return moment.astimezone(UTC).isoformat().replace("+00:00", "Z")
 
 
+def name_path(curve: Mapping[str, Any]) -> str:
+    """A path in words, as the key of its covariance in the table's metadata: ``CS002 17 X``."""
+    return " ".join(str(curve[name]) for name in ("station", "antenna", "dipole") if curve[name] not in (None, "", -1))
+
+
 def make_table(answer: dict[str, Any]) -> QTable:
     """The rows of an answer to "in effect at" as a table with units; the versions are in its column `calibration`."""
     from astropy import units as u
@@ -295,5 +300,7 @@ def make_table(answer: dict[str, Any]) -> QTable:
     table["c_over_h"].info.description = "C/|H_zenith|, V/m per ADC unit, field along the arm from the zenith"
     table["antenna_gain"] = join("antenna_gain") * u.m**2
     table["antenna_gain"].info.description = "G_ant that c belongs to; NaN where the version does not keep it"
-    table.meta = {"at": answer["at"], "as_of": answer["as_of"], "missing": answer["missing"]}
+    table.meta = {name: answer[name] for name in ("at", "as_of", "missing")}
+    table.meta["budgets"] = answer.get("budgets", {})
+    table.meta["covariances"] = {name_path(curve): curve.get("covariance") for curve in curves}
     return table

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from lbacal.client import name_path
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
 
@@ -28,13 +29,17 @@ def calibrate_trace(samples: Floats, sample_rate_mhz: float, effective: QTable) 
     effective
         The answer of `lbacal.effective` for the one path that recorded the trace.
     """
+    from lbacal_core.covariance import parse_budget
     from lbacal_core.traces.voltage import calibrate_trace as calibrate
 
-    return calibrate(samples, sample_rate_mhz, curve_of(effective))
+    curve = curve_of(effective)
+    named = None if curve.covariance is None else effective.meta["budgets"].get(curve.covariance.budget)
+    return calibrate(samples, sample_rate_mhz, curve, None if named is None else parse_budget(named))
 
 
 def curve_of(effective: QTable) -> CalibrationCurve:
     """The curve in the rows of one path."""
+    from lbacal_core.covariance import parse_covariance
     from lbacal_core.curves import CONVERGED, CalibrationCurve
 
     paths = {(str(row["station"]), int(row["antenna"]), str(row["dipole"])) for row in effective}
@@ -48,6 +53,7 @@ def curve_of(effective: QTable) -> CalibrationCurve:
         values = np.asarray(effective[name].to_value("V"), dtype=float)
         return values if np.any(np.isfinite(values)) else None
 
+    covariance = effective.meta.get("covariances", {}).get(name_path(effective[0]))
     c = column("c")
     if c is None:
         raise BadInputError("effective", "a C in some channel", "none")
@@ -65,4 +71,5 @@ def curve_of(effective: QTable) -> CalibrationCurve:
         lst_coverage=0.0,
         parameters={},
         flag=tuple(str(flag) for flag in effective["flag"]),
+        covariance=None if covariance is None else parse_covariance(covariance),
     )

@@ -57,9 +57,13 @@ class Budget:
         """Variance of ln C by all terms, shape (freq,)."""
         return np.asarray(np.sum([term.variance(polarisation) for term in self.terms], axis=0))
 
+    def vectors(self, polarisation: str) -> Floats:
+        """The vectors of all terms, shape (vector, freq)."""
+        return np.concatenate([term.vectors[polarisation] for term in self.terms])
+
     def covariance(self, polarisation: str) -> Floats:
         """Covariance of ln C along frequency, shape (freq, freq)."""
-        vectors = np.concatenate([term.vectors[polarisation] for term in self.terms])
+        vectors = self.vectors(polarisation)
         return np.asarray(vectors.T @ vectors)
 
     def as_dict(self) -> dict[str, Any]:

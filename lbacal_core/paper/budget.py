@@ -7,7 +7,7 @@ The refit decides what the noise terms take over.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -19,16 +19,15 @@ from lbacal_core.paper.study import SEED, STATION, Study
 from lbacal_core.sky.measured import MEASURED_SKY
 from lbacal_core.sky.names import DEFAULT_SKY, list_skies, load_sky
 from lbacal_core.skypower.model import compute_sky_power
+from lbacal_core.skypower.sky_terms import PAPER
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.skypower.variation import vary_sky_power
 from lbacal_core.spectra import Spectra
 from lbacal_core.twin.campaign import simulate_campaign
 from lbacal_core.twin.settings import TwinSettings
+from lbacal_core.uncertainty import refit as uncertainty
+from lbacal_core.uncertainty.changes import PAPER_BUDGET, PATTERN, ZENITH_GAIN
 
-SCALE, MAPS, CHOICE = 0.20, 0.10, 0.05
-"""Uncertainties of the sky in power: absolute scale, fit of the maps, choice of model (section 4.2 and appendix C)."""
-ZENITH = 0.10
-"""By how much the power pattern at zenith is varied at fixed total power (section 4.2)."""
 EDGE_MHZ = 77.0
 """Above, the pass band falls so steeply that the paper gives electronics a term of its own."""
 REALISATIONS = 3
@@ -78,20 +77,21 @@ def compute_budget(study: Study) -> Budget:
     def log_c(power: SkyPower) -> dict[str, Floats]:
         return _log_c(station, study, power)
 
-    def change(higher: SkyPower, lower: SkyPower | None = None) -> dict[str, Floats]:
-        """Half the difference between both ends, or the difference to the default."""
-        up, down = log_c(higher), base if lower is None else log_c(lower)
-        factor = 1.0 if lower is None else 0.5
-        return {dipole: factor * (up[dipole] - down[dipole]) for dipole in DIPOLES}
+    def change(power: SkyPower) -> dict[str, Floats]:
+        """Difference to the default."""
+        exchanged = log_c(power)
+        return {dipole: exchanged[dipole] - base[dipole] for dipole in DIPOLES}
 
     base = log_c(sky_power)
-    fraction = float(np.sqrt(SCALE**2 + MAPS**2 + CHOICE**2))
-    scaled = {sign: _scaled(sky_power, 1.0 + sign * fraction) for sign in (-1, 1)}
-    zenith = {sign: vary_sky_power(instrument, zenith_gain_fraction=sign * ZENITH) for sign in (-1, 1)}
+    systematic = uncertainty.compute_budget(station, instrument, sky_power, PAPER_BUDGET)
+
+    of_sky = [term for term in systematic.terms if term.name in PAPER]
+    (pattern,) = [term for term in systematic.terms if term.name == PATTERN]
+    zenith = {sign: vary_sky_power(instrument, zenith_gain_fraction=sign * ZENITH_GAIN) for sign in (-1, 1)}
     tilted = load_sky(DEFAULT_SKY).changed(spectral_index=STATIC_INDEX)
     terms = {
-        "sky": change(scaled[1], scaled[-1]),
-        "antenna": change(zenith[1], zenith[-1]),
+        "sky": {p: np.sqrt(np.sum([term.variance(p) for term in of_sky], axis=0)) for p in DIPOLES},
+        "antenna": {p: pattern.vectors[p][0] for p in DIPOLES},
         "antenna, bins weighted alike": _without_event_gain(study, zenith[1], zenith[-1]),
         "index of the sky": change(compute_sky_power(instrument, tilted)),
         "electronics": measure_electronics(study),
@@ -102,7 +102,7 @@ def compute_budget(study: Study) -> Budget:
             if name != DEFAULT_SKY
         },
     }
-    return Budget(study.frequency_mhz, terms, fraction)
+    return Budget(study.frequency_mhz, terms, float(np.sqrt(sum(size**2 for size in PAPER.values()))))
 
 
 def _log_c(spectra: Spectra, study: Study, power: SkyPower) -> dict[str, Floats]:
@@ -162,7 +162,3 @@ def _loss(study: Study, curve: object) -> Floats:
     station, antenna = str(getattr(curve, "station", "")), int(getattr(curve, "antenna", 0) or 0)
     first = float(study.campaign.spectra.time_unix[0])
     return np.asarray(study.instrument.cables[study.instrument.cable_of(station, antenna, first)])
-
-
-def _scaled(sky_power: SkyPower, factor: float) -> SkyPower:
-    return replace(sky_power, power={dipole: factor * values for dipole, values in sky_power.power.items()})

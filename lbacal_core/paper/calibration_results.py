@@ -8,10 +8,11 @@ import numpy as np
 
 from lbacal_core.instrument import DIPOLES
 from lbacal_core.lstcurve.compare import compare_lst_curve
-from lbacal_core.paper.budget import EDGE_MHZ, ZENITH, Budget, spread_with_cables
+from lbacal_core.paper.budget import EDGE_MHZ, Budget, spread_with_cables
 from lbacal_core.paper.statements import Result, not_testable
 from lbacal_core.paper.study import Study
 from lbacal_core.skypower.variation import vary_sky_power
+from lbacal_core.uncertainty.changes import ZENITH_GAIN
 
 GAIN_TABLES = "caltables/CalTable_*_mode1.dat"
 SUBBANDS, RECEIVERS, HIGHEST_MHZ = 512, 96, 100.0
@@ -36,13 +37,13 @@ def find_about_calibration(study: Study, budget: Budget, data: Path | None) -> d
         "table-sky": Result(
             100.0 * budget.typical("sky"),
             0.0,
-            f"refits of one simulated station-year with the sky {100 * budget.sky_fraction:.0f} % brighter and "
-            "fainter, half the difference of ln C; the noise terms scale with the sky, so C follows its root",
+            "refits of one simulated station-year with the sky 20, 10 and 5 % brighter and fainter, half the "
+            "difference of ln C, in quadrature; the noise terms scale with the sky, so C follows its root",
         ),
         "table-antenna": Result(
             100.0 * budget.largest("antenna, bins weighted alike"),
             0.2,
-            f"refits with the zenith gain +-{100 * ZENITH:.0f} % at fixed total, largest half difference up to "
+            f"refits with the zenith gain +-{100 * ZENITH_GAIN:.0f} % at fixed total, largest half difference up to "
             f"{EDGE_MHZ:g} MHz, weights without event gain, which is what a least-squares fit of bins amounts to. "
             f"With the weights that the 5 % event gain calls for it is {100 * budget.largest('antenna'):.1f} %: the "
             "flat gain takes the common LST variation out, and C then depends on how the variation changes with "

@@ -7,11 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lbacal_core.covariance import Budget
 from lbacal_core.curves import CalibrationCurve
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
 
 Complexes = NDArray[np.complex128]
+SMALLEST_OWN = 1e-3
+"""Share of a channel's variance that it has for itself, below which it is left out."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +63,9 @@ class CalibratedTrace:
         return float(np.linalg.norm(2.0 * self.factors @ power) / power.sum())
 
 
-def calibrate_trace(samples: Floats, sample_rate_mhz: float, curve: CalibrationCurve) -> CalibratedTrace:
+def calibrate_trace(
+    samples: Floats, sample_rate_mhz: float, curve: CalibrationCurve, budget: Budget | None = None
+) -> CalibratedTrace:
     """Multiply the spectrum of a trace by C(nu), interpolated linearly to the FFT bins.
 
     The convention is that of NuRadioReco's stationGalacticCalibrator, which multiplies the Fourier transform by the
@@ -76,6 +81,8 @@ def calibrate_trace(samples: Floats, sample_rate_mhz: float, curve: CalibrationC
         200 for LOFAR.
     curve
         C(nu) in effect for the path of the trace, as `lbacal.effective` or a fit gives it.
+    budget
+        The systematic terms that the curve's covariance names.
     """
     values = np.asarray(samples, dtype=float)
     if values.ndim != 1 or values.size < 2 or not np.all(np.isfinite(values)):
@@ -93,7 +100,8 @@ def calibrate_trace(samples: Floats, sample_rate_mhz: float, curve: CalibrationC
             "samples", f"FFT bins in the band of {curve.name}, {band}", f"{frequency_mhz[-1]:g} MHz at most"
         )
     c = np.where(is_inside, np.interp(frequency_mhz, channels, curve.filled(curve.c)), 0.0)
-    factors = np.array([np.interp(frequency_mhz, channels, curve.filled(factor)) for factor in relative_errors(curve)])
+    errors = relative_errors(curve, budget)
+    factors = np.array([np.interp(frequency_mhz, channels, curve.filled(factor)) for factor in errors])
     spectrum = np.fft.rfft(values) * c
     return CalibratedTrace(
         np.fft.irfft(spectrum, values.size),
@@ -106,12 +114,23 @@ def calibrate_trace(samples: Floats, sample_rate_mhz: float, curve: CalibrationC
     )
 
 
-def relative_errors(curve: CalibrationCurve) -> list[Floats]:
-    """The known errors of ln C, each fully correlated along frequency, shape (freq,) each; NaN where C has no value.
+def relative_errors(curve: CalibrationCurve, budget: Budget | None = None) -> list[Floats]:
+    """The known errors of ln C, independent of each other, shape (freq,) each; NaN where C has no value.
 
-    Statistical errors of a fit are nearly so, because three noise constants and one level tie all channels together.
+    Each is fully correlated along frequency. Without the curve's covariance so are its standard deviations, and without
+    the budget that the covariance names its systematic one: nearly so, because three noise constants and one level tie
+    all channels together.
     """
     if curve.c is None:
         return []
-    known = [error for error in (curve.c_sigma_stat, curve.c_sigma_sys) if error is not None]
-    return [np.asarray(error / curve.c) for error in known]
+    stat, sys = (None if error is None else error / curve.c for error in (curve.c_sigma_stat, curve.c_sigma_sys))
+    covariance = curve.covariance
+    if covariance is not None:
+        has_own = covariance.diagonal > SMALLEST_OWN * np.sum(covariance.factor**2, axis=0)
+        alone = np.diag(np.sqrt(covariance.diagonal))[has_own]
+        statistical = [*covariance.factor, *np.where(curve.has_value, alone, np.nan)]
+        if budget is not None:
+            return [*statistical, *covariance.own, *budget.vectors(str(curve.dipole))]
+    else:
+        statistical = [] if stat is None else [stat]
+    return [*statistical, *([] if sys is None else [sys])]

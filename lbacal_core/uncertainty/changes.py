@@ -12,6 +12,7 @@ from lbacal_core.skypower.variation import vary_sky_power
 
 DEFAULT_SKY_BUDGET = "models"
 PAPER_BUDGET = "paper"
+PATTERN = "antenna pattern"
 ZENITH_GAIN = 0.10
 """Change of the pattern's gain at zenith with its total fixed (section 4.2 of the paper)."""
 GROUND = {30.0: 0.004, 55.0: 0.017, 80.0: 0.041}
@@ -45,7 +46,7 @@ def _pattern(instrument: Instrument) -> SkyTerm:
     own, wider = (vary_sky_power(instrument, zenith_gain_fraction=size) for size in (0.0, ZENITH_GAIN))
     change = {dipole: np.log(wider.power[dipole] / power) for dipole, power in own.power.items()}
     source = "gain at zenith +-10 % with the total fixed (Mulrey et al. 2019, section 4.2)"
-    return SkyTerm("antenna pattern", source, own.lst_hours, change)
+    return SkyTerm(PATTERN, source, own.lst_hours, change)
 
 
 def _ground(instrument: Instrument) -> SkyTerm:

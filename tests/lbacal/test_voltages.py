@@ -28,6 +28,21 @@ def test_a_trace_is_calibrated_with_what_effective_answers() -> None:
     assert found.c_sigma[inside] == pytest.approx(0.01 * found.c[inside])
 
 
+def test_the_covariance_of_one_path_is_found_among_the_rows_of_many() -> None:
+    def covariance(size: float) -> dict[str, object]:
+        statistical = {"factor": [[0.0, 0.0, 0.0]], "diagonal": [1e-4] * 3}
+        return {"statistical": statistical, "systematic": {"budget": "b", "own": [[size, 0.0, -size]]}}
+
+    term = {"name": "level", "source": "a test", "is_of_gain": False, "vectors": {"X": [[0.1, 0.1, 0.1]]}}
+    many = answer(covariance=covariance(0.05))
+    many["curves"] = [*answer(antenna=16, covariance=covariance(9.0))["curves"], *many["curves"]]  # type: ignore[misc]
+    many["budgets"] = {"b": {"frequency_mhz": CHANNELS, "terms": [term]}}
+    table = make_table(many)
+    found = lbacal.calibrate_trace(np.ones(2000), 200.0, table[table["antenna"] == 17])
+    (low,), (high,) = (np.flatnonzero(found.frequency_mhz == mhz) for mhz in (30.0, 32.0))
+    assert found.factors[:, low] @ found.factors[:, high] == pytest.approx(0.1**2 - 0.05**2)
+
+
 def test_unknown_errors_are_not_taken_for_zero_errors() -> None:
     curve = curve_of(make_table(answer()))
     assert curve.c_sigma_sys is None

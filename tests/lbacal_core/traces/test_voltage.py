@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from lbacal_core.covariance import Budget, BudgetTerm, CurveCovariance
 from lbacal_core.curves import CalibrationCurve
 from lbacal_core.errors import BadInputError
-from lbacal_core.traces.voltage import calibrate_trace
+from lbacal_core.traces.voltage import calibrate_trace, relative_errors
 
 CHANNELS = np.arange(30.0, 81.0)
 C = 1e-5 * (1.0 + (CHANNELS - 30.0) / 20.0)
@@ -87,6 +88,41 @@ def test_the_error_of_the_energy_covers_wrong_calibrations() -> None:
     energy = np.sum(np.abs(right.spectrum) ** 2)
     # 400 draws know a standard deviation to 3.5 %
     assert np.std(np.array(energies) / energy) == pytest.approx(right.sigma_of_energy(), rel=0.12)
+
+
+def known_to(slope: float, alone: float) -> tuple[CalibrationCurve, Budget]:
+    """A curve with a covariance, and the budget that it names: a level of 3 %, and a slope."""
+    x = (CHANNELS - 55.0) / 25.0
+    budget = Budget(
+        CHANNELS,
+        (
+            BudgetTerm("level", "a test", {"X": np.full((1, 51), 0.03)}),
+            BudgetTerm("slope", "a test", {"X": slope * x[None]}),
+        ),
+    )
+    covariance = CurveCovariance(np.full((1, 51), 0.01), np.full(51, alone**2), budget.digest, np.full((1, 51), 0.02))
+    stat, sys = C * np.hypot(0.01, alone), C * np.sqrt(0.03**2 + 0.02**2 + (slope * x) ** 2)
+    return replace(curve(), c_sigma_stat=stat, c_sigma_sys=sys, covariance=covariance), budget
+
+
+def test_with_its_budget_a_curve_has_the_covariance_of_the_budget_along_frequency() -> None:
+    one, budget = known_to(slope=0.1, alone=0.004)
+    found = calibrate_trace(noise(), RATE, one, budget)
+    (low,), (high,) = (np.flatnonzero(found.frequency_mhz == mhz) for mhz in (31.25, 78.125))
+    between = found.factors[:, low] @ found.factors[:, high]
+    x = (found.frequency_mhz[[low, high]] - 55.0) / 25.0
+    assert between == pytest.approx(0.01**2 + 0.02**2 + 0.03**2 + 0.1**2 * x[0] * x[1])
+    # a standard deviation that were fully correlated would be positive here, and the energy's error larger
+    assert between < 0
+    assert found.sigma_of_energy() < calibrate_trace(noise(), RATE, one).sigma_of_energy()
+
+
+def test_at_the_channels_a_covariance_gives_the_standard_deviations_of_the_curve() -> None:
+    one, budget = known_to(slope=0.05, alone=0.004)
+    expected = np.hypot(one.c_sigma_stat, one.c_sigma_sys) / one.c
+    for named in (budget, None):
+        total = np.sqrt(np.sum(np.square(relative_errors(one, named)), axis=0))
+        assert total == pytest.approx(expected)
 
 
 def test_a_curve_without_errors_claims_none() -> None:
