@@ -15,6 +15,13 @@ INSERT INTO standing (scope, valid_from_us, valid_to_us, promotion)
 SELECT scope, valid_from_us, coalesce(valid_to_us, 9223372036854775807) AS until_us, max(id) FROM promotion
 GROUP BY scope, valid_from_us, until_us
 """
+EDGES = """
+INSERT INTO edge (station, at_us, known_us)
+SELECT station, at_us, min(known_us) FROM (
+    SELECT coalesce(station, '') AS station, valid_from_us AS at_us, at_us AS known_us FROM promotion
+    UNION ALL SELECT coalesce(station, ''), valid_to_us, at_us FROM promotion WHERE valid_to_us IS NOT NULL
+) AS ends GROUP BY station, at_us
+"""
 
 
 def write_promotions(factory: Factory, made: Iterable[Promotion]) -> None:
@@ -32,5 +39,6 @@ def write_promotions(factory: Factory, made: Iterable[Promotion]) -> None:
                 for p in some
             ]  # fmt: skip
             connection.execute(promotion.insert(), rows)
-        connection.exec_driver_sql("DELETE FROM standing")
-        connection.exec_driver_sql(STAND)
+        for table, fill in (("standing", STAND), ("edge", EDGES)):
+            connection.exec_driver_sql(f"DELETE FROM {table}")  # noqa: S608 - those above
+            connection.exec_driver_sql(fill)

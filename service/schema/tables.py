@@ -18,6 +18,11 @@ from sqlalchemy import (
     text,
 )
 
+IS_OPEN = text("state IN ('queued', 'running')")
+HAS_FAILED = text("state = 'failed'")
+IS_GATED = text("gate IS NOT NULL")
+"""Select the few rows that partial indexes hold. A query must use these very words: a parameter does not imply them."""
+
 metadata = MetaData(
     naming_convention={
         "ix": "ix_%(table_name)s_%(column_0_N_name)s",
@@ -100,6 +105,7 @@ calibration = Table(
     Column("made_us", BigInteger, nullable=False),
     Column("made_by", Text, nullable=False),
     Column("reason", Text, nullable=False),
+    Index("ix_calibration_gated", "id", sqlite_where=IS_GATED, postgresql_where=IS_GATED),
 )
 
 examined = Table(
@@ -171,6 +177,15 @@ standing = Table(
     comment="what follows from the ledger: the promotions that can decide as of now",
 )
 
+edge = Table(
+    "edge",
+    metadata,
+    Column("station", Text, primary_key=True, comment="empty for the array"),
+    Column("at_us", BigInteger, primary_key=True, comment="where an interval begins or ends"),
+    Column("known_us", BigInteger, nullable=False, comment="the instant `at` of the first promotion that has it"),
+    comment="what follows from the ledger: between two edges every answer about a station is the same",
+)
+
 tag = Table(
     "tag",
     metadata,
@@ -226,6 +241,8 @@ job_part = Table(
     Column("error", Text),
     Column("ended_us", BigInteger),
     Index(None, "state", "id"),
+    Index("ix_job_part_open", "id", sqlite_where=IS_OPEN, postgresql_where=IS_OPEN),
+    Index("ix_job_part_failed", "ended_us", sqlite_where=HAS_FAILED, postgresql_where=HAS_FAILED),
 )
 
 process = Table(

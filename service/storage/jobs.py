@@ -14,7 +14,7 @@ from sqlalchemy.dialects.sqlite import insert as sqlite_insert
 from lbacal_core.provenance import canonical_json
 from lbacal_core.validity import Instant
 from service.errors import ConflictError, NotFoundError
-from service.schema.tables import job, job_part
+from service.schema.tables import HAS_FAILED, IS_OPEN, job, job_part
 from service.storage.clocks import read_database_clock
 
 QUEUED, RUNNING, DONE, FAILED, CANCELLED = "queued", "running", "done", "failed", "cancelled"
@@ -161,7 +161,7 @@ class JobStore:
         now = read_database_clock(self._connection)
         is_abandoned = and_(job_part.c.state == RUNNING, job_part.c.lease_until_us < now)
         free = select(job_part.c.id, job_part.c.attempts).join(job, job.c.id == job_part.c.job)
-        free = free.where(or_(job_part.c.state == QUEUED, is_abandoned))
+        free = free.where(IS_OPEN, or_(job_part.c.state == QUEUED, is_abandoned))
         free = free.where(or_(job_part.c.inputs.is_(None), job_part.c.inputs == inputs))
         free = free.order_by(job.c.due_name.is_(None), job_part.c.id).limit(1)
         found = self._connection.execute(free.with_for_update(skip_locked=True, of=job_part)).one_or_none()
@@ -218,7 +218,7 @@ class JobStore:
     def drop_outdated(self, inputs: str, now: Instant, reason: str) -> int:
         """Give up due parts that nobody has begun and that were made for other inputs; return their count."""
         due = select(job.c.id).where(job.c.due_name.is_not(None))
-        is_outdated = and_(job_part.c.state == QUEUED, job_part.c.inputs != inputs, job_part.c.job.in_(due))
+        is_outdated = and_(IS_OPEN, job_part.c.state == QUEUED, job_part.c.inputs != inputs, job_part.c.job.in_(due))
         values = {"state": FAILED, "ended_us": now, "error": reason}
         return self._connection.execute(update(job_part).where(is_outdated).values(values)).rowcount
 
@@ -238,14 +238,14 @@ class JobStore:
 
     def count_open(self, by: str | None = None) -> int:
         """How many parts wait or run, all or those that somebody asked for."""
-        statement = select(func.count()).select_from(job_part).where(job_part.c.state.in_(OPEN))
+        statement = select(func.count()).select_from(job_part).where(IS_OPEN)
         if by is not None:
             statement = statement.join(job, job.c.id == job_part.c.job).where(job.c.by == by)
         return int(self._connection.execute(statement).scalar_one())
 
     def waiting(self) -> dict[str | None, int]:
         """How many parts are queued, by the inputs that they need."""
-        statement = select(job_part.c.inputs, func.count().label("parts")).where(job_part.c.state == QUEUED)
+        statement = select(job_part.c.inputs, func.count().label("parts")).where(IS_OPEN, job_part.c.state == QUEUED)
         return {row.inputs: row.parts for row in self._connection.execute(statement.group_by(job_part.c.inputs))}
 
     def count_by_state(self) -> dict[str, int]:
@@ -259,8 +259,8 @@ class JobStore:
         later = job.alias()
         is_same = and_(later.c.id > job.c.id, later.c.request == job.c.request, later.c.kind == job.c.kind)
         made_up = select(later.c.id).where(is_same, later.c.due_name.is_not(None), job.c.due_name.is_not(None)).exists()
-        statement = select(job.c.id, job.c.due_name).join(job_part, job_part.c.job == job.c.id).distinct()
-        statement = statement.where(job_part.c.state == FAILED, job_part.c.ended_us >= since, ~made_up)
+        failed = select(job_part.c.job).where(HAS_FAILED, job_part.c.ended_us >= since)
+        statement = select(job.c.id, job.c.due_name).where(job.c.id.in_(failed), ~made_up)
         rows = self._connection.execute(statement.order_by(job.c.id.desc()).limit(limit)).all()
         jobs = self._with_parts([row.id for row in rows])
         tries = {row.id: self._tries(row.due_name) if row.due_name else None for row in rows}

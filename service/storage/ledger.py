@@ -28,7 +28,7 @@ from sqlalchemy.dialects.sqlite import insert as sqlite_insert
 
 from lbacal_core.validity import Instant, Promotion, Scope
 from service.errors import UnavailableError
-from service.schema.tables import promotion, standing, tag
+from service.schema.tables import edge, promotion, standing, tag
 
 LOCK = 5_240_121
 """Names the one lock that orders promotions on PostgreSQL."""
@@ -102,7 +102,7 @@ class LedgerStore:
         return made
 
     def _let_stand(self, made: Sequence[Promotion]) -> None:
-        """Put promotions in place of those of the same scope and interval."""
+        """Put promotions in place of those of the same scope and interval, and add their edges that are new."""
         newest = {(p.scope.key, p.valid_from, OPEN_END if p.valid_to is None else p.valid_to): p.number for p in made}
         keys = ("scope", "valid_from_us", "valid_to_us")
         rows = [dict(zip((*keys, "promotion"), (*key, number), strict=True)) for key, number in sorted(newest.items())]
@@ -110,6 +110,11 @@ class LedgerStore:
         statement = insert(standing)
         changed = {"promotion": statement.excluded.promotion}
         self._connection.execute(statement.on_conflict_do_update(index_elements=keys, set_=changed), rows)
+        edges = {
+            (p.scope.station or "", end): p.at for p in made for end in (p.valid_from, p.valid_to) if end is not None
+        }
+        rows = [{"station": station, "at_us": end, "known_us": at} for (station, end), at in sorted(edges.items())]
+        self._connection.execute(insert(edge).on_conflict_do_nothing(), rows)
 
     def require_prompt(self) -> None:
         """Refuse, just before the commit, promotions whose instant is past: they would change what was answered."""
@@ -154,10 +159,8 @@ class LedgerStore:
     def edges(self, as_of: Instant) -> dict[str | None, set[Instant]]:
         """Where intervals begin or end, by station (None: those of the array), as known at an instant."""
         found: dict[str | None, set[Instant]] = {}
-        for column in (promotion.c.valid_from_us, promotion.c.valid_to_us):
-            known = select(promotion.c.station, column).where(promotion.c.at_us <= as_of, column.is_not(None))
-            for station, edge in self._connection.execute(known.distinct()):
-                found.setdefault(station, set()).add(edge)
+        for row in self._connection.execute(select(edge).where(edge.c.known_us <= as_of)):
+            found.setdefault(row.station or None, set()).add(row.at_us)
         return found
 
     def act_of(self, number: int) -> list[Promotion]:

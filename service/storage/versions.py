@@ -19,7 +19,7 @@ from lbacal_core.provenance import canonical_json, hash_content
 from lbacal_core.reference_chain import ReferenceChain
 from lbacal_core.validity import Instant, Scope
 from service.errors import NotFoundError
-from service.schema.tables import calibration, calibration_mean, promotion
+from service.schema.tables import IS_GATED, calibration, calibration_mean, promotion
 from service.storage.chains import read_cable_changes, read_chains, write_chains
 from service.storage.short_ids import complete_id
 
@@ -192,7 +192,7 @@ class VersionStore:
     def count_gated(self) -> int:
         """How many versions wait for a human: the gate kept them back and nobody promoted them."""
         promoted = select(promotion.c.id).where(promotion.c.calibration == calibration.c.id).exists()
-        waiting = select(func.count()).select_from(calibration).where(calibration.c.gate.is_not(None), ~promoted)
+        waiting = select(func.count()).select_from(calibration).where(IS_GATED, ~promoted)
         return int(self._connection.execute(waiting).scalar_one())
 
     def newest(self, limit: int) -> list[Version]:

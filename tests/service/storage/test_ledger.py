@@ -106,6 +106,28 @@ def test_the_ledger_answers_as_brute_force_does(
                 assert found == brute_force(lines, path, instant, as_of)
 
 
+@given(st.lists(promotions, max_size=15))
+@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_the_edges_known_at_any_time_are_those_of_the_whole_ledger(
+    factory: Factory, new_version: Callable[..., Version], wanted: list[tuple[Scope, int, int | None, str | None, int]]
+) -> None:
+    ids = fill(factory, NAMES, new_version)
+    with factory.database.engine.begin() as connection:
+        for table in ("edge", "standing", "promotion"):
+            connection.exec_driver_sql(f"DELETE FROM {table}")  # noqa: S608 - those above
+    lines = [
+        append(factory, scope, start, None if length is None else start + length, ids.get(str(name)), at)
+        for scope, start, length, name, at in wanted
+    ]
+    for as_of in {line.at + d for line in lines for d in (-1, 0)}:
+        ends: dict[str | None, set[int]] = {}
+        for line in lines:
+            if line.at <= as_of:
+                ends.setdefault(line.scope[0], set()).update({line.start} | ({line.end} - {None}))
+        with factory.database.read() as stores:
+            assert stores.ledger.edges(as_of) == ends
+
+
 @given(st.lists(promotions, max_size=15), st.integers(-2, 20), st.one_of(st.none(), st.integers(999, 1008)))
 @settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_the_neighbours_of_a_gap_are_those_of_brute_force(
