@@ -109,7 +109,7 @@ def _draw_boxes(axes: Any, boxes: Sequence[Series]) -> None:
             "lw": 0.8,
         }
         axes.annotate(
-            one.name.replace(" G", "\nG").replace(" L", "\nL"),
+            one.name.replace(" G", "\nG").replace(" L", "\nL").replace("sky + ", "sky\n+ "),
             (x, 0.0),
             ha="center",
             va="center",
@@ -118,7 +118,7 @@ def _draw_boxes(axes: Any, boxes: Sequence[Series]) -> None:
         )
         if x > 0:
             axes.annotate(
-                "", (x - 0.42, 0.0), (x - 0.62, 0.0), arrowprops={"arrowstyle": "-|>", "lw": 0.8, "fc": "black"}
+                "", (x - 0.37, 0.0), (x - 0.58, 0.0), arrowprops={"arrowstyle": "-|>", "lw": 0.8, "fc": "black"}
             )
     axes.set_xlim(-0.6, len(boxes) - 0.4)
     axes.set_ylim(-1.0, 1.0)

@@ -1,4 +1,4 @@
-"""The terms of Table 1 of the paper, each by full refits of one station, none quoted.
+"""The terms of Table 1 of the paper, and those of today's budgets, each by full refits, none quoted.
 
 A term is the change of ln C when one input of the fit is exchanged and everything else stays, the data included.
 The refit decides what the noise terms take over.
@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lbacal_core import covariance
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.curves import CalibrationCurve
 from lbacal_core.grids import Floats
@@ -28,6 +29,9 @@ from lbacal_core.twin.settings import TwinSettings
 from lbacal_core.uncertainty import refit as uncertainty
 from lbacal_core.uncertainty.changes import PAPER_BUDGET, PATTERN, ZENITH_GAIN
 
+TIED = "measured"
+TODAY = ("models", TIED)
+"""Where today's budgets take the error of the sky from: the spread of sky models, or absolute measurements."""
 EDGE_MHZ = 77.0
 """Above, the pass band falls so steeply that the paper gives electronics a term of its own."""
 REALISATIONS = 3
@@ -42,11 +46,22 @@ STATIC_INDEX = 0.1
 
 @dataclass(frozen=True)
 class Budget:
-    """Systematic changes of ln C, shape (freq,) for each polarisation, one standard deviation each."""
+    """Systematic changes of ln C, shape (freq,) for each polarisation, one standard deviation each.
+
+    Attributes
+    ----------
+    terms
+        Those of Table 1, and what else is exchanged to see what it does.
+    sky_fraction
+        Uncertainty of the sky's power in Table 1.
+    today
+        What `lbacal budget` says of the mean path of this simulated year, by where the error of the sky comes from.
+    """
 
     frequency_mhz: Floats
     terms: Mapping[str, Mapping[str, Floats]]
     sky_fraction: float
+    today: Mapping[str, covariance.Budget]
 
     def below_edge(self) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
         """Channels below the edge of the pass band."""
@@ -102,7 +117,9 @@ def compute_budget(study: Study) -> Budget:
             if name != DEFAULT_SKY
         },
     }
-    return Budget(study.frequency_mhz, terms, float(np.sqrt(sum(size**2 for size in PAPER.values()))))
+    fraction = float(np.sqrt(sum(size**2 for size in PAPER.values())))
+    today = {name: uncertainty.compute_budget(study.campaign.spectra, instrument, sky_power, name) for name in TODAY}
+    return Budget(study.frequency_mhz, terms, fraction, today)
 
 
 def _log_c(spectra: Spectra, study: Study, power: SkyPower) -> dict[str, Floats]:

@@ -75,7 +75,7 @@ def _draw_parts(study: Study, data: Path | None) -> PaperFigure:
     frequency, instrument = study.frequency_mhz, study.instrument
     gain = instrument.antenna_gain
     models = [
-        Series("published (from C and N_ADC)", frequency, gain / gain.max(), origin=PUBLISHED, group="published"),
+        Series("published", frequency, gain / gain.max(), origin=PUBLISHED, group="published"),
         Series("circuit, ours", frequency, _relative(ResonanceCircuit().gain(frequency)), group="ours"),
         Series("published, with A", frequency, _relative(gain * published_correction(study)), origin=OTHER, group="A"),
     ]
@@ -92,7 +92,8 @@ def _draw_parts(study: Study, data: Path | None) -> PaperFigure:
     return PaperFigure(
         2,
         "Antenna gain and cable loss",
-        "Left: G_ant over its maximum; 'with A' is what the published C makes of it. Right: power gain of the cables "
+        "Left: G_ant over its maximum, the published one from C and N_ADC; 'with A' is what the published C makes of "
+        "it. Right: power gain of the cables "
         "on record, and of the mean path of the Superterp, which is what one calibration for all antennas stands for.",
         [Panel(FREQUENCY, "G_ant / maximum", models), Panel(FREQUENCY, "gain (dB)", cables)],
     )

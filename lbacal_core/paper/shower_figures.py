@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
-from lbacal_core.calibration.reference_source import compare_with_source
+from lbacal_core.calibration.reference_source import add_disagreement, compare_with_source
 from lbacal_core.grids import Floats
 from lbacal_core.instrument import DIPOLES
-from lbacal_core.paper.budget import MEASURED, Budget
+from lbacal_core.paper.budget import MEASURED, TIED, Budget
 from lbacal_core.paper.figures import BAND, OTHER, OURS, POINTS, Panel, PaperFigure, Series
 from lbacal_core.paper.shower_study import FITTED, ShowerStudy
 from lbacal_core.paper.stand_in_source import CELL, CHAMBER, stand_in_tables, true_field
@@ -15,6 +17,7 @@ from lbacal_core.paper.study import Study
 from lbacal_core.showers.comparison import MILLI, true_slopes
 from lbacal_core.showers.recording import field_power, true_power
 from lbacal_core.showers.slopes import HIGH_MHZ, LOW_MHZ
+from lbacal_core.traces.voltage import relative_errors
 
 FREQUENCY = "frequency (MHz)"
 SHOWN = (FITTED, CHAMBER, CELL, "+1 sigma: antenna")
@@ -74,14 +77,15 @@ def _draw_ratio(study: Study, budget: Budget, showers: ShowerStudy) -> PaperFigu
     frequency = study.frequency_mhz
     curve = study.mean_curve(DIPOLES[0])
     c = np.asarray(curve.c)
-    covariance = np.diag((np.asarray(curve.c_sigma_stat) / c) ** 2)
-    for name in ("sky", "antenna", "electronics"):
-        covariance = covariance + np.outer(budget.terms[name][DIPOLES[0]], budget.terms[name][DIPOLES[0]])
+    # G_ant is in both calibrations and cancels
+    of_sky = [term for term in budget.today[TIED].terms if not term.is_of_gain]
+    factors = [*relative_errors(replace(curve, c_sigma_sys=None)), *(v for t in of_sky for v in t.vectors[DIPOLES[0]])]
+    covariance = np.asarray(factors).T @ np.asarray(factors)
     series: list[Series] = []
     words = []
     tied = c * np.exp(budget.terms[MEASURED][DIPOLES[0]])
-    for source in showers.sources:
-        found = compare_with_source(c, covariance, source)
+    for source, other in zip(showers.sources, reversed(showers.sources), strict=True):
+        found = compare_with_source(c, covariance, add_disagreement(source, other))
         low, high = found.ratio * np.exp(-found.sigma), found.ratio * np.exp(found.sigma)
         if not series:
             series.append(Series("one standard deviation", frequency, found.ratio, low, high, BAND, group=source.name))
@@ -93,11 +97,15 @@ def _draw_ratio(study: Study, budget: Budget, showers: ShowerStudy) -> PaperFigu
             f"{source.name}: trend {1e3 * found.trend:+.1f} +- {1e3 * found.trend_sigma:.1f} per mille a MHz, chi2 "
             f"{found.chi2:.0f} for {frequency.size} channels"
         )
+    stated = (
+        "Errors: C by the budget with the sky tied to absolute measurements, the stated 18 % of the field, and the "
+        "difference of both characterisations in full; the near field is in no stated error"
+    )
     return PaperFigure(
         8,
         "Calibrations in ratio",
         "Galactic over reference source calibration of the simulated Superterp, with a stand-in for the source. "
-        f"{'; '.join(words)}. The paper's ratio and that of Tunka-Rex are not public as numbers.",
+        f"{stated}. {'; '.join(words)}. The paper's ratio and that of Tunka-Rex are not public as numbers.",
         [Panel(FREQUENCY, "ratio of C", series)],
     )
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from lbacal_core.calibration.reference_source import near_field_factor
-from lbacal_core.paper.shower_study import FITTED, RIGHT, WEAK, ShowerStudy
+from lbacal_core.paper.budget import TIED
+from lbacal_core.paper.shower_study import FITTED, RIGHT, TOTAL, WEAK, ShowerStudy
 from lbacal_core.paper.stand_in_source import CELL, CHAMBER, LABORATORY_M
 from lbacal_core.paper.statements import Result, not_testable
 from lbacal_core.showers.comparison import MILLI
@@ -17,15 +18,14 @@ TABLES = (
     "authors)"
 )
 RECORDED = "the LBAs' recordings of the source in May 2014"
-SYSTEMATIC = ("+1 sigma: antenna", "+1 sigma: index of the sky", "+1 sigma: electronics")
-"""Terms of our budget that tilt C, one standard deviation each."""
 
 
 def find_about_showers(showers: ShowerStudy) -> dict[str, Result]:
     """Results from simulated signals, CoREAS showers where they are at hand, and the physics of the source."""
     moved = showers.displacements
     fitted = moved[FITTED]
-    tilts = [moved[name].difference - moved[RIGHT].difference for name in SYSTEMATIC]
+    terms = {name: float(sizes[2]) for name, sizes in showers.terms[TIED].items()}
+    largest = sorted((name for name in terms if name != TOTAL), key=lambda name: -terms[name])[:3]
     both = " and ".join(f"{name} {moved[name].significance:+.0f}" for name in (CHAMBER, CELL))
     size = near_field_factor(np.array([30.0, 80.0]), LABORATORY_M)
     origin = showers.recording.signals.origin
@@ -42,11 +42,12 @@ def find_about_showers(showers: ShowerStudy) -> dict[str, Result]:
         "coreas-straight": _straightness(showers),
         "galaxy-on-diagonal": Result(
             fitted.difference,
-            float(np.sqrt(fitted.difference_sigma**2 + np.sum(np.square(tilts)))),
+            float(np.hypot(fitted.difference_sigma, terms[TOTAL])),
             f"mean slope above minus below the resonance over {EVENTS} events, {origin}, C fitted to a simulated "
             f"Superterp-year; with the true C {moved[RIGHT].difference:+.2f} +- {moved[RIGHT].difference_sigma:.2f}. "
-            f"The error is mostly systematic: antenna pattern {tilts[0]:+.1f}, index of the sky {tilts[1]:+.1f}, "
-            f"electronics {tilts[2]:+.1f}",
+            "The error is that of C by our budget, with the sky tied to absolute measurements: "
+            f"{', '.join(f'{name} {terms[name]:.1f}' for name in largest)}; 20 events alone would know "
+            f"{fitted.difference_sigma:.2f}",
         ),
         "source-off-diagonal": not_testable(
             f"needs {TABLES} and {RECORDED}. With the stand-in ({both} sigma off the diagonal) residual floor "

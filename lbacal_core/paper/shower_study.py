@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lbacal_core import covariance
 from lbacal_core.antenna.names import DEFAULT_ANTENNA, load_antenna
 from lbacal_core.calibration.antenna_noise import recorded_background
 from lbacal_core.calibration.reference_source import (
@@ -25,6 +26,7 @@ from lbacal_core.showers.coreas import Shower
 from lbacal_core.showers.recording import Recording, field_power, record, true_power
 from lbacal_core.showers.signals import draw_signals, signals_of_showers
 
+TOTAL = "all together"
 RIGHT, FITTED = "true C", "Galactic fit"
 EDGE_BAND_MHZ = (70.0, 78.0)
 WEAK, STRONG = (1.0, 10.0), (30.0, 3000.0)
@@ -46,6 +48,9 @@ class ShowerStudy:
         background subtracted.
     sources
         The two calibrations with the stand-in of the reference source.
+    terms
+        By today's budget and its term: what one standard deviation changes of the slope below and above the resonance,
+        and of their difference, 10^-3 per MHz; `TOTAL` is their quadrature.
     """
 
     recording: Recording
@@ -55,6 +60,7 @@ class ShowerStudy:
     weak_unsubtracted: float
     sources: tuple[SourceCalibration, SourceCalibration]
     showers: Sequence[Shower]
+    terms: Mapping[str, Mapping[str, Floats]]
 
 
 def study_showers(study: Study, budget: Budget, showers: Sequence[Shower] = ()) -> ShowerStudy:
@@ -93,7 +99,32 @@ def study_showers(study: Study, budget: Budget, showers: Sequence[Shower] = ()) 
         _power_at_edge(faint, truth, channels, subtract=False)[0],
         sources,
         tuple(showers),
+        {name: _displace_by_terms(strong, channels, truth, one) for name, one in budget.today.items()},
     )
+
+
+def _displace_by_terms(
+    recording: Recording, channels: Floats, truth: Floats, budget: covariance.Budget
+) -> dict[str, Floats]:
+    """What one standard deviation of each term does to the slopes; the vectors of a term are added in quadrature.
+
+    An error of G_ant is none of the field: C and H have the same one.
+    """
+    of_field = [term for term in budget.terms if not term.is_of_gain]
+    calibrations = {RIGHT: truth} | {
+        f"{term.name}, {k}": truth * np.exp([term.vectors[dipole][k] for dipole in DIPOLES])
+        for term in of_field
+        for k in range(len(term.vectors[DIPOLES[0]]))
+    }
+    moved = compare_calibrations(recording, channels, calibrations)
+
+    def steps(term: covariance.BudgetTerm) -> Floats:
+        found = [moved[f"{term.name}, {k}"] for k in range(len(term.vectors[DIPOLES[0]]))]
+        numbers = [(one.low_shift, one.high_shift, one.difference) for one in (moved[RIGHT], *found)]
+        return np.asarray(np.linalg.norm(np.subtract(numbers[1:], numbers[0]), axis=0))
+
+    terms = {term.name: steps(term) for term in of_field}
+    return terms | {TOTAL: np.linalg.norm(list(terms.values()), axis=0)}
 
 
 def _power_at_edge(recording: Recording, c: Floats, channels: Floats, *, subtract: bool) -> tuple[float, float]:
@@ -152,3 +183,12 @@ def describe_displacements(showers: ShowerStudy) -> list[list[str]]:
             ]
         )
     return rows
+
+
+def describe_terms(showers: ShowerStudy) -> list[list[str]]:
+    """Rows of a table: budget, term, and what one standard deviation changes."""
+    return [
+        [budget, name, *(f"{size:.2f}" for size in sizes)]
+        for budget, terms in showers.terms.items()
+        for name, sizes in terms.items()
+    ]

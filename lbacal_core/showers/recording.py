@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -35,6 +36,11 @@ class Recording:
     spectrum: Complexes
     background: Floats
     jones: Complexes
+
+    @cached_property
+    def inverse_jones(self) -> Complexes:
+        """Component of the field by voltage, shape (signal, bin, component, dipole), 1/m."""
+        return np.asarray(np.linalg.inv(self.jones))
 
 
 def record(
@@ -96,7 +102,7 @@ def field_power(
     bins = recording.signals.frequency_mhz
     each = np.broadcast_to(c, (recording.spectrum.shape[0], 2, channels_mhz.size))
     c_at = _interpolate(each, channels_mhz, bins)
-    inverse = np.linalg.inv(recording.jones)
+    inverse = recording.inverse_jones
     field = np.einsum("sbij,sjb->sib", inverse, c_at * recording.spectrum)
     power = np.sum(np.abs(field) ** 2, axis=1)
     weight = np.einsum("sbij->sjb", np.abs(inverse) ** 2) * c_at**2

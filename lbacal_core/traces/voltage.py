@@ -31,9 +31,9 @@ class CalibratedTrace:
         `numpy.fft.rfft` of `samples`, complex, shape (bin,), V; zero outside the band.
     c
         C at each bin, V per ADC unit, shape (bin,); 0 outside the band.
-    factors
-        One standard deviation of ln C for each independent error, shape (factor, bin): one factor is fully correlated
-        along frequency. 0 outside the band.
+    channels_mhz, errors
+        One standard deviation of ln C for each independent error on the channels of the curve, shapes (freq,) and
+        (factor, freq). Between channels each is interpolated as C is.
     is_inside
         Which bins lie in the band of the curve, between channels that have a value, shape (bin,); what lies outside
         is not calibrated, and was set to 0.
@@ -44,8 +44,15 @@ class CalibratedTrace:
     frequency_mhz: Floats
     spectrum: Complexes
     c: Floats
-    factors: Floats
+    channels_mhz: Floats
+    errors: Floats
     is_inside: NDArray[np.bool_]
+
+    @property
+    def factors(self) -> Floats:
+        """The errors at each bin, shape (factor, bin); 0 outside the band."""
+        rows = [np.interp(self.frequency_mhz, self.channels_mhz, error) for error in self.errors]
+        return np.reshape(rows, (-1, self.frequency_mhz.size)) * self.is_inside
 
     @property
     def c_sigma(self) -> Floats:
@@ -60,7 +67,8 @@ class CalibratedTrace:
     def sigma_of_energy(self) -> float:
         """Relative standard deviation of the energy sum |spectrum|^2 from the calibration alone."""
         power = np.abs(self.spectrum) ** 2
-        return float(np.linalg.norm(2.0 * self.factors @ power) / power.sum())
+        change = [power @ np.interp(self.frequency_mhz, self.channels_mhz, error) for error in self.errors]
+        return float(2.0 * np.linalg.norm(change) / power.sum())
 
 
 def calibrate_trace(
@@ -100,8 +108,7 @@ def calibrate_trace(
             "samples", f"FFT bins in the band of {curve.name}, {band}", f"{frequency_mhz[-1]:g} MHz at most"
         )
     c = np.where(is_inside, np.interp(frequency_mhz, channels, curve.filled(curve.c)), 0.0)
-    errors = relative_errors(curve, budget)
-    factors = np.array([np.interp(frequency_mhz, channels, curve.filled(factor)) for factor in errors])
+    errors = [curve.filled(error) for error in relative_errors(curve, budget)]
     spectrum = np.fft.rfft(values) * c
     return CalibratedTrace(
         np.fft.irfft(spectrum, values.size),
@@ -109,7 +116,8 @@ def calibrate_trace(
         frequency_mhz,
         spectrum,
         c,
-        factors.reshape(-1, frequency_mhz.size) * is_inside,
+        channels,
+        np.reshape(errors, (-1, channels.size)),
         is_inside,
     )
 

@@ -54,3 +54,17 @@ def test_rows_of_two_paths_are_refused() -> None:
     both["curves"] = [*both["curves"], *answer(dipole="Y")["curves"]]  # type: ignore[misc]
     with pytest.raises(BadInputError, match="2 paths"):
         curve_of(make_table(both))
+
+
+def test_the_covariance_that_the_service_sends_reaches_the_trace() -> None:
+    covariance = {
+        "statistical": {"factor": [[0.01, 0.01, 0.01]], "diagonal": [0.0, 0.0, 0.0]},
+        "systematic": {"budget": "b1", "own": []},
+    }
+    table = make_table(answer(covariance=covariance, c_sigma_sys=[1e-6, 2e-6, 3e-6]) | {"budgets": {}})
+    curve = curve_of(table)
+    assert curve.covariance is not None
+    assert curve.covariance.factor.tolist() == [[0.01] * 3]
+    # without the budget the systematic error is one number for all channels
+    found = lbacal.calibrate_trace(np.random.default_rng(1).normal(size=2000), 200.0, table)
+    assert found.errors == pytest.approx(np.array([[0.01] * 3, [0.1] * 3]))

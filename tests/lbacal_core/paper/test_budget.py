@@ -14,6 +14,12 @@ def test_a_brighter_sky_scales_c_by_its_root_in_every_channel(budget: Budget) ->
         assert budget.terms["sky"][dipole] == pytest.approx(np.full(51, budget.sky_fraction / 2), rel=1e-6)
 
 
+def test_todays_budgets_are_those_of_lbacal_budget(budget: Budget) -> None:
+    assert list(budget.today) == ["models", "measured"]
+    for one in budget.today.values():
+        assert {"antenna pattern", "level of the sky"} <= {term.name for term in one.terms}
+
+
 def test_the_total_is_the_quadrature_of_its_terms(budget: Budget) -> None:
     parts = [budget.terms[name]["X"] for name in ("sky", "antenna", "electronics")]
     assert budget.total("X") == pytest.approx(np.sqrt(sum(part**2 for part in parts)))

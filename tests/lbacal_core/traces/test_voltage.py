@@ -7,6 +7,7 @@ import pytest
 
 from lbacal_core.covariance import Budget, BudgetTerm, CurveCovariance
 from lbacal_core.curves import CalibrationCurve
+from lbacal_core.data.tables import read_table
 from lbacal_core.errors import BadInputError
 from lbacal_core.traces.voltage import calibrate_trace, relative_errors
 
@@ -14,6 +15,18 @@ CHANNELS = np.arange(30.0, 81.0)
 C = 1e-5 * (1.0 + (CHANNELS - 30.0) / 20.0)
 RATE = 200.0
 SAMPLES = 4096
+RECORDED_V = 1e-6 * np.array(
+    [
+        83.06974, 74.33752, 316.09703, 77.66920, -530.99788, -58.85100, 278.50474, 376.86378,
+        -407.90568, -384.55475, 814.74723, -375.08628, -390.55618, 692.85525, -410.23492, -17.19827,
+        282.63622, -308.21109, 212.99989, -139.08168, 17.35469, 154.31178, -262.34974, 257.95030,
+        -111.65991, -58.58787, 141.08638, -238.27612, 316.24359, -237.11739, -42.10495, 495.00385,
+        -702.27719, 250.57401, 499.23282, -811.87876, 261.09956, 512.30998, -269.65260, -337.00228,
+        -112.30557, 519.34526, 61.13550, -257.18734, -4.23009, -201.54977, 186.84999, 136.30547,
+        -50.70806, 42.37127, -205.30170, 75.69878, -10.30214, -29.24241, 224.64045, -146.24558,
+        26.85775, -35.36792, -160.08762, 145.75405, -14.44499, 239.62706, -37.43636, -415.53904,
+    ]
+)  # fmt: skip
 
 
 def curve(stat: float | None = 0.01, sys: float | None = 0.05) -> CalibrationCurve:
@@ -55,12 +68,21 @@ def test_inside_the_band_it_is_what_nuradioreco_does() -> None:
     assert np.all((found.frequency_mhz[beyond] > 29) & (found.frequency_mhz[beyond] < 81))
 
 
+def test_a_trace_comes_out_as_nuradioreco_3_1_0_gave_it() -> None:
+    # Recorded: NuRadioMC 3.1.0 (PyPI), stationGalacticCalibrator._calibrate_channel on the trace below at 200 MHz with
+    # its own curve for LOFAR_LBA, its relative calibration set to 1; V at samples 0 to 63, eight digits. Its bins are
+    # 3.125 MHz wide, so none lies in the channel beyond the edge where its curve falls to 0.
+    k = np.arange(64)
+    trace = np.round(20 * np.sin(0.9 * k + 0.05 * k**2), 3)
+    published = read_table("published_calibration")
+    ours = calibrate_trace(trace, RATE, replace(curve(None, None), c=published["c"]))
+    assert np.max(np.abs(ours.samples - RECORDED_V)) < 1e-6 * np.max(np.abs(RECORDED_V))
+
+
 def test_nuradioreco_itself_gives_the_same_inside_the_band() -> None:
     module = pytest.importorskip("NuRadioReco.modules.LOFAR.stationGalacticCalibrator")
     theirs = module.stationGalacticCalibrator()
     theirs.begin()
-    from lbacal_core.data.tables import read_table
-
     published = read_table("published_calibration")
     ours = calibrate_trace(noise(), RATE, replace(curve(None, None), c=published["c"], c_sigma_stat=None))
     inside = ours.frequency_mhz[ours.is_inside]
