@@ -89,7 +89,8 @@ def draw_calibration(
             continue
         top, below, colour = axes[0, column], axes[1, column], DIPOLE_COLOURS[station.dipole]
         frequency, planted = station.frequency_mhz, truth[station.dipole]
-        spread = np.percentile([p.c for p in paths if p.c is not None and p.dipole == station.dipole], [16, 84], axis=0)
+        of_paths = np.array([p.c for p in paths if p.c is not None and p.dipole == station.dipole])
+        spread = np.nanpercentile(of_paths, [16, 84], axis=0)
         top.fill_between(frequency, *(1e6 * spread), color=GREY, alpha=0.25, lw=0, label="68 % of its paths")
         top.plot(frequency, 1e6 * station.c, color=colour, lw=1.5, label=f"{station.name}, fitted")
         top.plot(frequency, 1e6 * planted, ":", color="black", lw=1.5, label="planted in the simulation")

@@ -1,20 +1,32 @@
-"""`lbacal fit`: calibration curves from a spectra file, without a database."""
+"""`lbacal fit`: calibration curves from spectra files, without a database."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 import typer
 
-from lbacal.cli.outputs import require_outputs
+from lbacal.cli.fit_inputs import find_spectra_files, parse_selection, read_selected
+from lbacal.cli.fit_summary import align, describe_error, explain_chi2, tabulate_curves
+from lbacal.cli.outputs import require_image, require_outputs
+from lbacal.cli.progress import progress
 from lbacal.files import written_beside
 from lbacal_core.curves import CalibrationCurve
 from lbacal_core.reference_chain import ReferenceChain
+
+if TYPE_CHECKING:
+    from lbacal_core.curves import FitReport
+    from lbacal_core.instrument import Instrument
+    from lbacal_core.skypower.table import SkyPower
+    from lbacal_core.spectra import Spectra
+
+STEPS_OF_FIT = 2
+"""What the progress bar counts beside the files: the fit, and the error of one event."""
 
 
 class Scope(StrEnum):
@@ -55,7 +67,7 @@ def describe_misfits(misfits: Sequence[CalibrationCurve], command: str, sky_powe
 
 
 def fit(
-    spectra: Annotated[Path, typer.Argument(help="Spectra file (HDF5, lbacal-spectra-1).")],
+    spectra: Annotated[list[Path], typer.Argument(help="Spectra files (HDF5, lbacal-spectra-1), or folders of them.")],
     instrument: Annotated[str, typer.Option(help="Instrument: a name such as lofar-superterp, or a JSON file.")],
     output: Annotated[Path, typer.Option(help="Calibration table to write (ECSV).")],
     report: Annotated[Path, typer.Option(help="Report to write (JSON), whatever the outcome.")],
@@ -63,50 +75,109 @@ def fit(
         Path | None, typer.Option(help="P_sky(LST, nu) file (JSON); without it the package's own sky and antenna.")
     ] = None,
     scope: Annotated[Scope, typer.Option(help="What one curve belongs to.")] = Scope.antenna,
+    since: Annotated[str | None, typer.Option(help="First instant of the events to use, ISO 8601, UTC.")] = None,
+    until: Annotated[str | None, typer.Option(help="End of the events to use, not included.")] = None,
+    year: Annotated[int | None, typer.Option(help="One calendar year, in the place of both.", min=1, max=9998)] = None,
+    station: Annotated[list[str] | None, typer.Option(help="Station to use; may be given several times.")] = None,
+    html: Annotated[Path | None, typer.Option(help="Page to write: table, figure, budget (one HTML file).")] = None,
+    plot: Annotated[
+        Path | None, typer.Option(help="Figure to write: C with its errors, residuals, noise, chi2 (PNG, PDF or SVG).")
+    ] = None,
 ) -> None:
     """Fit the signal chain to background spectra and write C(nu) with its errors.
 
-    Example: lbacal fit spectra.h5 --instrument lofar-superterp --scope station --output C.ecsv --report fit.json
+    Example: lbacal fit 2014/ --instrument lofar-superterp --scope station --year 2014 --output C.ecsv --report fit.json
+    --html fit.html
 
     Exit 0 if any curve converged, else 1; the report is written either way.
     """
-    from lbacal_core.anomalies import Anomalies
-    from lbacal_core.curves import CONVERGED, MISFIT, write_calibration_table, write_fit_report
+    from lbacal_core.curves import CONVERGED, write_calibration_table, write_fit_report
     from lbacal_core.instrument import load_instrument
     from lbacal_core.pipeline import calibrate
+    from lbacal_core.skypower.model import compute_sky_power
     from lbacal_core.skypower.table import read_sky_power
-    from lbacal_core.spectra import read_spectra
+    from lbacal_core.uncertainty.one_event import measure_error
 
+    selection = parse_selection(since, until, year, station)
+    files = find_spectra_files(spectra)
     require_outputs(
-        {"--output": output, "--report": report},
-        {"SPECTRA": spectra, "--instrument": instrument, "--sky-power": sky_power},
+        {"--output": output, "--report": report, "--html": html, "--plot": plot},
+        {"--instrument": instrument, "--sky-power": sky_power, **{f"SPECTRA {file}": file for file in files}},
     )
+    require_image(plot)
     chain = load_instrument(instrument)
-    measured = read_spectra(spectra, now_unix=time.time())
     sky = None if sky_power is None else read_sky_power(sky_power)
-    result = calibrate(measured, chain, sky, scope.value)
-    with written_beside(report) as beside:
-        write_fit_report(result, beside)
-    with written_beside(output) as beside:
-        write_calibration_table(result, beside)
+    with progress(len(files) + STEPS_OF_FIT + (html is not None or plot is not None)) as tell:
+        measured = read_selected(files, selection, time.time(), tell)
+        tell(f"fit {len(measured)} spectra")
+        result = calibrate(measured, chain, sky, scope.value)
+        tell("error of one event")
+        power = sky or compute_sky_power(chain)
+        error = measure_error(result, measured, chain, power)
+        with written_beside(report) as beside:
+            write_fit_report(result, beside)
+        with written_beside(output) as beside:
+            write_calibration_table(result, beside)
+        numbers = [] if error is None else [describe_error(error)]
+        if html is not None or plot is not None:
+            tell("draw")
+            _draw(result, measured, chain, power, html, plot, numbers)
     converged = [curve for curve in result.curves if curve.status == CONVERGED]
-    print(f"{len(converged)} of {len(result.curves)} curves converged; wrote {output} and {report}")
-    for name, note in result.provenance.notes.items():
-        print(f"{name}: {note}")
-    found = Anomalies.of(result.anomalies)
-    if found.worst:
-        print(
-            f"anomalous power: {found.left_out} of {len(measured)} spectra left out, {found.fitted} fitted; "
-            f"worst: {found.name_worst(3)}"
-        )
-    misfits = [curve for curve in result.curves if curve.status == MISFIT]
-    if misfits:
-        print(describe_misfits(misfits, f"lbacal investigate {spectra} --instrument {instrument}", sky_power))
-    for curve in result.curves:
-        if curve.status not in (CONVERGED, MISFIT):
-            print(f"{curve.name}: {curve.status} ({curve.events} events, LST coverage {curve.lst_coverage:.2f})")
-    for curve, reference in zip(result.curves, result.chains, strict=True):
-        if reference is not None and curve.antenna is None:
-            print(f"{curve.name}: {describe_chain(reference)}")
+    written = " and ".join(str(path) for path in (output, report, html, plot) if path is not None)
+    print(f"{len(converged)} of {len(result.curves)} curves converged; wrote {written}")
+    for line in [*align(tabulate_curves(result.curves)), *numbers]:
+        print(line)
+    if any(curve.c is not None for curve in result.curves):
+        print(explain_chi2(result.curves))
+    rerun = " ".join(str(path) for path in spectra)
+    for line in describe_rest(
+        result, len(measured), f"lbacal investigate {rerun} --instrument {instrument}", sky_power
+    ):
+        print(line)
     if not converged:
         raise typer.Exit(1)
+
+
+def describe_rest(report: FitReport, spectra: int, command: str, sky_power: Path | None) -> Iterator[str]:
+    """What else there is to know: inputs, anomalous power, misfits, curves without values, and reference chains."""
+    from lbacal_core.anomalies import Anomalies
+    from lbacal_core.curves import CONVERGED, MISFIT
+
+    for name, note in report.provenance.notes.items():
+        yield f"{name}: {note}"
+    found = Anomalies.of(report.anomalies)
+    if found.worst:
+        yield (
+            f"anomalous power: {found.left_out} of {spectra} spectra left out, {found.fitted} fitted; "
+            f"worst: {found.name_worst(3)}"
+        )
+    misfits = [curve for curve in report.curves if curve.status == MISFIT]
+    if misfits:
+        yield describe_misfits(misfits, command, sky_power)
+    for curve in report.curves:
+        if curve.status not in (CONVERGED, MISFIT):
+            yield f"{curve.name}: {curve.status} ({curve.events} events, LST coverage {curve.lst_coverage:.2f})"
+    for curve, reference in zip(report.curves, report.chains, strict=True):
+        if reference is not None and curve.antenna is None:
+            yield f"{curve.name}: {describe_chain(reference)}"
+
+
+def _draw(
+    result: FitReport,
+    measured: Spectra,
+    chain: Instrument,
+    power: SkyPower,
+    html: Path | None,
+    plot: Path | None,
+    sentences: Sequence[str],
+) -> None:
+    """Draw the figure once, for both outputs."""
+    from lbacal.cli.fit_figures import average_residuals, draw_fit
+    from lbacal.cli.fit_page import draw_page
+
+    figure = draw_fit(result, average_residuals(measured, result.curves, chain, power), chain, power)
+    if plot is not None:
+        figure.savefig(plot, dpi=150)
+    if html is not None:
+        with written_beside(html) as beside:
+            beside.write_text(draw_page(result, figure, measured.origin, sentences), encoding="utf-8")

@@ -7,6 +7,8 @@ from pathlib import Path
 
 from lbacal_core.errors import BadInputError
 
+IMAGES = (".png", ".pdf", ".svg")
+
 
 def require_outputs(outputs: Mapping[str, Path | None], inputs: Mapping[str, str | Path | None]) -> None:
     """Refuse outputs that cannot be written, that are the same file, or that would replace an input.
@@ -27,3 +29,9 @@ def require_outputs(outputs: Mapping[str, Path | None], inputs: Mapping[str, str
         if path.resolve() in taken:
             raise BadInputError(f"{option} {path}", "a file of its own", f"the file of {taken[path.resolve()]}")
         taken[path.resolve()] = option
+
+
+def require_image(plot: Path | None) -> None:
+    """Refuse a figure in a form that cannot be drawn."""
+    if plot is not None and plot.suffix.lower() not in IMAGES:
+        raise BadInputError(f"--plot {plot}", f"a name that ends in {', '.join(IMAGES)}", plot.suffix or "no ending")

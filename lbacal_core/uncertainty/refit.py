@@ -114,13 +114,18 @@ def add_budget(report: FitReport, budget: Budget) -> FitReport:
     return replace(report, curves=tuple(curves), budgets={budget.digest: budget})
 
 
+def largest_chi2_per_dof(channels: int) -> float:
+    """The largest chi^2 per degree of freedom that noise makes: three of its standard deviations above 1."""
+    return 1.0 + 3.0 * float(np.sqrt(2.0 / (channels - 3)))
+
+
 def _with_errors(curve: CalibrationCurve, budget: Budget) -> CalibrationCurve:
     if curve.c is None or curve.c_sigma_stat is None or curve.covariance is None:
         return curve
     covariance = replace(curve.covariance, budget=budget.digest)
     variance = budget.variance(str(curve.dipole))
     excess = (curve.chi2_per_dof or 1.0) - 1.0
-    if excess > 3.0 * np.sqrt(2.0 / (curve.frequency_mhz.size - 3)):
+    if 1.0 + excess > largest_chi2_per_dof(curve.frequency_mhz.size):
         own = np.sqrt(excess) * curve.c_sigma_stat / curve.c
         covariance = covariance.with_own(own)
         variance = variance + own**2

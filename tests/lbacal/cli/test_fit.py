@@ -4,6 +4,7 @@ import json
 import re
 import sys
 from collections.abc import Callable
+from datetime import UTC, datetime
 from pathlib import Path
 
 import h5py
@@ -12,6 +13,7 @@ import pytest
 from astropy.table import Table
 
 from lbacal.cli.main import main
+from lbacal_core.spectra import read_spectra, write_spectra
 
 OUTPUTS = ["--output", "C.ecsv", "--report", "fit.json"]
 FIT = ["fit", "spectra.h5", "--instrument", "instrument.json", "--sky-power", "sky_power.json", *OUTPUTS]
@@ -48,6 +50,48 @@ def test_curves_of_a_scope_go_to_table_and_report(folder: Path, lbacal: Lbacal, 
         # 120 events of 2 % noise give about 0.3 % per channel: five times that.
         np.testing.assert_allclose(curve["c"], 0.5, rtol=0.03)
     assert len(Table.read(folder / "C.ecsv", format="ascii.ecsv")) == curves * 51
+
+
+def test_the_table_says_chi2_and_one_line_the_error_for_one_event(lbacal: Lbacal) -> None:
+    _, out, _ = lbacal(*FIT, "--scope", "station")
+    (line,) = [line for line in out.splitlines() if line.startswith("CS002 X ")]
+    assert re.search(r"converged +120 +\d\.\d\d +\d+\.\d\d +\d+\.\d\d +\d+ of 51 ", line)
+    assert out.count("error of C for one event on one antenna:") == 1
+    assert "chi2/dof tests the chain along frequency: 1.0 +- 0.2" in out
+
+
+def test_page_and_figure_are_written(folder: Path, lbacal: Lbacal) -> None:
+    code, out, err = lbacal(*FIT, "--html", "fit.html", "--plot", "fit.svg")
+    assert (code, err) == (0, "")
+    assert "wrote C.ecsv and fit.json and fit.html and fit.svg" in out
+    page = (folder / "fit.html").read_text()
+    assert "for one event on one antenna" in page
+    assert not re.findall(r"""(?:src|href)=["'](?!data:|#)""", page)
+    assert "<svg" in (folder / "fit.svg").read_text()[:2000]
+
+
+def test_two_halves_in_a_folder_are_the_whole(folder: Path, lbacal: Lbacal) -> None:
+    lbacal(*FIT)
+    whole = json.loads((folder / "fit.json").read_text())
+    spectra = read_spectra(folder / "spectra.h5")
+    (folder / "halves").mkdir()
+    for number, rows in enumerate((slice(0, None, 2), slice(1, None, 2))):
+        write_spectra(spectra.select(np.arange(len(spectra))[rows]), folder / "halves" / f"{number}.h5")
+    code, _, err = lbacal("fit", "halves", *FIT[2:])
+    assert (code, err) == (0, "")
+    halves = json.loads((folder / "fit.json").read_text())
+    assert halves["provenance"]["inputs"] == whole["provenance"]["inputs"]
+    assert halves["curves"] == whole["curves"]
+
+
+def test_a_window_and_a_station_are_chosen(folder: Path, lbacal: Lbacal) -> None:
+    spectra = read_spectra(folder / "spectra.h5")
+    middle = datetime.fromtimestamp(float(np.median(spectra.time_unix)), UTC).isoformat()
+    lbacal(*FIT, "--since", middle, "--station", "CS002")
+    assert {curve["events"] for curve in json.loads((folder / "fit.json").read_text())["curves"]} == {60}
+    code, _, err = lbacal(*FIT, "--station", "CS099")
+    assert code == 2
+    assert "of CS002" in err
 
 
 def test_the_antenna_is_the_scope_unless_another_is_given(folder: Path, lbacal: Lbacal) -> None:
@@ -136,7 +180,10 @@ BAD_INPUT: dict[str, tuple[Callable[[Path], None], str]] = {
         lambda folder: (folder / "spectra.h5").unlink(),
         "spectra.h5: expected a spectra file, found no file",
     ),
-    "spectra are a folder": (make_folder("spectra.h5"), "spectra.h5: expected a spectra file, found a folder"),
+    "a folder without spectra": (
+        make_folder("spectra.h5"),
+        "spectra.h5: expected spectra files .* none in this folder",
+    ),
     "empty spectra": (write("spectra.h5", b""), "found an empty file"),
     "random spectra": (write("spectra.h5", bytes(range(256)) * 40), "found something unreadable"),
     "no rows": (cut_to(0), "spectra.h5: expected at least one spectrum, found none"),

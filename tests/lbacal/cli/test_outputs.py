@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from lbacal.cli.main import main
-from lbacal.cli.outputs import require_outputs
+from lbacal.cli.outputs import require_image, require_outputs
 from lbacal_core.errors import BadInputError
 
 
@@ -65,3 +65,14 @@ def test_every_command_refuses_an_output_before_it_looks_at_its_input(
         main()
     assert caught.value.code == 2
     assert capsys.readouterr().err.endswith("none/out: expected a file in a folder that exists, found no folder none\n")
+
+
+@pytest.mark.parametrize("name", ["C", "C.jpeg", "C.png.txt"])
+def test_a_figure_in_a_form_that_cannot_be_drawn_is_refused(name: str) -> None:
+    with pytest.raises(BadInputError, match=r"ends in \.png, \.pdf, \.svg"):
+        require_image(Path(name))
+
+
+def test_a_figure_in_a_known_form_or_none_is_fine() -> None:
+    for path in (Path("C.PNG"), Path("a/C.pdf"), None):
+        require_image(path)

@@ -1,7 +1,9 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from lbacal_core.instrument import Instrument
@@ -20,6 +22,29 @@ def test_the_demonstration_fits_every_path_and_the_station(shown: Demonstration)
     assert shown.paths.status == shown.station.status == "converged"
     assert (len(shown.paths.curves), len(shown.station.curves)) == (6, 2)
     assert describe_recovery(shown).startswith("6 of 6 paths converged")
+
+
+def test_a_flagged_channel_costs_the_demonstration_that_channel(shown: Demonstration) -> None:
+    first, *others = shown.paths.curves
+    at = int(np.argmin(np.abs(first.frequency_mhz - SHOWN_MHZ[-1])))
+    flag = np.array(first.flags, dtype="U12")
+    flag[at] = "outside"
+    values = {name: np.array(getattr(first, name)) for name in ("c", "c_sigma_stat")}
+    for one in values.values():
+        one[at] = np.nan
+    first = replace(first, flag=tuple(flag.tolist()), **values, c_sigma_sys=None, covariance=None)
+    flagged = replace(shown, paths=replace(shown.paths, curves=(first, *others)))
+    assert flagged.paths.status == "converged"
+    sentence = describe_recovery(flagged)
+    assert sentence.startswith("6 of 6 paths converged")
+    assert "nan" not in sentence
+    assert tabulate(flagged)[0][-1] == "outside"
+    assert "nan" not in str(tabulate(flagged))
+    render_report(flagged)
+
+
+def test_the_expected_band_of_one_campaign_is_said(shown: Demonstration) -> None:
+    assert "Expected of one campaign are 44 to 80 %" in describe_recovery(shown)
 
 
 def test_the_table_has_fitted_planted_and_published_values(shown: Demonstration) -> None:

@@ -1,0 +1,114 @@
+"""The spectra that a fit is given: files and folders, and which of their events and stations to use."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+from lbacal.instants import format_instant, parse_instant
+from lbacal_core.errors import BadInputError
+from lbacal_core.hdf5 import HDF5_FAILURES
+from lbacal_core.spectra import FORMAT, Spectra, read_spectra
+from lbacal_core.spectra_join import join_spectra
+from lbacal_core.validity import Instant
+
+SUFFIXES = (".h5", ".hdf5")
+MICRO = 1e-6
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Which spectra to use: events from `since` on and before `until`, of some stations; None or empty for all."""
+
+    since: Instant | None = None
+    until: Instant | None = None
+    stations: tuple[str, ...] = ()
+
+    def apply(self, spectra: Spectra) -> Spectra:
+        """The spectra that are chosen."""
+        chosen = np.ones(len(spectra), dtype=bool)
+        if self.since is not None:
+            chosen &= spectra.time_unix >= MICRO * self.since
+        if self.until is not None:
+            chosen &= spectra.time_unix < MICRO * self.until
+        if self.stations:
+            chosen &= np.isin(spectra.station, self.stations)
+        return spectra if np.all(chosen) else spectra.select(chosen)
+
+    @property
+    def options(self) -> str:
+        """As it would be written on the command line, with a space in front; empty for everything."""
+        parts = [f" --since {format_instant(self.since)}"] if self.since is not None else []
+        parts += [f" --until {format_instant(self.until)}"] if self.until is not None else []
+        return "".join([*parts, *(f" --station {name}" for name in self.stations)])
+
+
+def parse_selection(
+    since: str | None, until: str | None, year: int | None, stations: Sequence[str] | None
+) -> Selection:
+    """Read the options of a selection."""
+    if year is not None and (since is not None or until is not None):
+        raise BadInputError("--year", "either --year or --since and --until", "both")
+    if year is not None:
+        since, until = f"{year:04d}-01-01", f"{year + 1:04d}-01-01"
+    first, last = (
+        None if text is None else parse_instant(option, text)
+        for option, text in (("--since", since), ("--until", until))
+    )
+    if first is not None and last is not None and first >= last:
+        raise BadInputError("--since, --until", "an end after the beginning", f"{since} to {until}")
+    return Selection(first, last, tuple(dict.fromkeys(stations or ())))
+
+
+def find_spectra_files(paths: Sequence[Path]) -> list[Path]:
+    """The spectra files that are named, and those in the folders that are named, however deep, each once."""
+    found: dict[Path, None] = {}
+    for path in paths:
+        if path.is_dir():
+            inside = [file for file in sorted(path.rglob("*")) if file.suffix in SUFFIXES and _is_spectra(file)]
+            if not inside:
+                raise BadInputError(
+                    f"{path}", f"spectra files ({FORMAT}; {', '.join(SUFFIXES)})", "none in this folder"
+                )
+            found |= dict.fromkeys(file.resolve() for file in inside)
+        else:
+            found[path.resolve() if path.exists() else path] = None
+    return list(found)
+
+
+def _is_spectra(file: Path) -> bool:
+    """Whether a file of a folder says that it is a spectra file; traces and other HDF5 may lie beside."""
+    try:
+        with h5py.File(file, "r") as opened:
+            return opened.attrs.get("format") in (FORMAT, FORMAT.encode())
+    except HDF5_FAILURES:
+        return False
+
+
+def read_selected(
+    files: Sequence[Path], selection: Selection, now_unix: float, tell: Callable[[str], None] = lambda _: None
+) -> Spectra:
+    """Read files one by one, keep what is chosen, and join it."""
+    kept, seen = [], []
+    for file in files:
+        tell(f"read {file.name}")
+        whole = read_spectra(file, now_unix)
+        if len(whole):
+            seen.append((float(whole.time_unix.min()), float(whole.time_unix.max()), set(whole.station.tolist())))
+        chosen = selection.apply(whole)
+        if len(chosen) or len(files) == 1:
+            kept.append(chosen)
+    if seen and not any(len(one) for one in kept):
+        first, last = (
+            f"{datetime.fromtimestamp(t, UTC):%Y-%m-%d}" for t in (min(s[0] for s in seen), max(s[1] for s in seen))
+        )
+        names = sorted(set().union(*(stations for *_, stations in seen)))
+        raise BadInputError(
+            f"spectra{selection.options}", "some", f"none: there are {first} to {last} of {', '.join(names)}"
+        )
+    return join_spectra(kept)
