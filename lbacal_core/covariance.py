@@ -7,7 +7,7 @@ deviation each; vectors are independent of each other, and each is the same for 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -115,21 +115,26 @@ class CurveCovariance:
         Hash of the shared systematic terms; None where there is no budget.
     own
         Systematic terms of this curve alone, shape (vector, freq).
+    common
+        The part of the statistical covariance that the sizes of adopted causes add, shape (vector, freq): the vector
+        of a number is the same amount for all curves of a station and window. None where no cause was adopted.
     """
 
     factor: Floats
     diagonal: Floats
     budget: str | None
     own: Floats
+    common: Floats | None = None
 
     def with_own(self, vector: Floats) -> CurveCovariance:
         """The same with one more systematic term of this curve alone."""
-        return CurveCovariance(self.factor, self.diagonal, self.budget, np.concatenate([self.own, vector[None]]))
+        return replace(self, own=np.concatenate([self.own, vector[None]]))
 
     def as_dict(self) -> dict[str, Any]:
         """The covariance as JSON values."""
+        shared = {} if self.common is None else {"common": _rows(self.common)}
         return {
-            "statistical": {"factor": _rows(self.factor), "diagonal": _rows(self.diagonal[None])[0]},
+            "statistical": {"factor": _rows(self.factor), "diagonal": _rows(self.diagonal[None])[0], **shared},
             "systematic": {"budget": self.budget, "own": _rows(self.own)},
         }
 
@@ -140,7 +145,8 @@ def parse_covariance(content: Mapping[str, Any]) -> CurveCovariance:
     diagonal = np.array(statistical["diagonal"], dtype=float)
     own = np.array(systematic["own"], dtype=float).reshape(-1, diagonal.size)
     factor = np.array(statistical["factor"], dtype=float).reshape(-1, diagonal.size)
-    return CurveCovariance(factor, diagonal, systematic["budget"], own)
+    common = None if "common" not in statistical else np.array(statistical["common"], dtype=float)
+    return CurveCovariance(factor, diagonal, systematic["budget"], own, common)
 
 
 def name_budgets(curves: Iterable[Mapping[str, Any]]) -> list[str]:

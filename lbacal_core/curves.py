@@ -146,6 +146,13 @@ class CalibrationCurve:
             return None
         return np.asarray(self.c / np.sqrt(self.antenna_gain))
 
+    def as_not_converged(self) -> CalibrationCurve:
+        """The same curve without values."""
+        return replace(
+            self, status=NOT_CONVERGED, c=None, c_sigma_stat=None, c_sigma_sys=None, chi2_per_dof=None, parameters={},
+            flag=None, chi2_per_dof_profiled=None, covariance=None,
+        )  # fmt: skip
+
     def as_misfit(self) -> CalibrationCurve:
         """The same curve as a misfit: no channel of it is good."""
         return replace(self, status=MISFIT, flag=tuple(np.where(self.flags == OK, UNCERTAIN, self.flags).tolist()))
@@ -218,6 +225,8 @@ class FitReport:
         Spectra with anomalous power, left out of the fit or not.
     budgets
         The systematic terms that the curves share, by hash.
+    causes
+        The adopted causes of the model with their sizes, as JSON values; empty for a model without any.
     """
 
     curves: Sequence[CalibrationCurve]
@@ -225,6 +234,7 @@ class FitReport:
     chains: Sequence[ReferenceChain | None] = ()
     anomalies: Sequence[Anomaly] = ()
     budgets: Mapping[str, Budget] = field(default_factory=dict)
+    causes: Sequence[Mapping[str, Any]] = ()
 
     @property
     def status(self) -> str:
@@ -238,6 +248,7 @@ class FitReport:
             "curves": [{**curve.as_dict(), "reference": chain} for curve, chain in self._with_reference()],
             "budgets": {digest: budget.as_dict() for digest, budget in self.budgets.items()},
             "anomalies": Anomalies.of(self.anomalies).as_dict(),
+            **({"causes": list(self.causes)} if self.causes else {}),
             "provenance": self.provenance.as_dict(),
         }
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import cached_property
 from typing import Any
@@ -196,6 +196,8 @@ class Model:
         """
         made_with = report.get("model")
         before = cls() if made_with is None else cls.from_text(made_with)
+        if number is None and not before.is_plain and not report.get("findings"):
+            return before
         return before.adopt(report, number, since_unix)
 
     def adopt(self, report: Mapping[str, Any], number: int | None = None, since_unix: int | None = None) -> Model:
@@ -220,9 +222,9 @@ class Model:
         """The causes of some stations."""
         return Model(tuple(one for one in self.causes if one.station in names))
 
-    def with_fixed_sizes(self) -> Model:
-        """The same causes with their sizes as they were adopted."""
-        return Model(tuple(replace(one, is_free=False) for one in self.causes))
+
+PLAIN = Model()
+"""The chain alone."""
 
 
 def _adopt_finding(finding: Mapping[str, Any], place: str, since_unix: int | None) -> AdoptedCause:

@@ -4,15 +4,17 @@ P_sky(LST, nu)      lbacal_core.skypower    the Galaxy, seen by the antenna
 P = s P_sky + b     lbacal_core.calibration.lines       a straight line per channel and path
 b = N_LNA s + ...   lbacal_core.calibration.separable   the chain ties the intercepts together
 C = (G_ant / s)^1/2 lbacal_core.chain       the calibration factor
+P / P(causes)       lbacal_core.adopted     what the model's adopted causes do, their sizes fitted with C
 sigma_sys(C)        lbacal_core.uncertainty every input that may be wrong, exchanged and fitted again
 """
 
 from __future__ import annotations
 
-from lbacal_core.calibration.fit import fit_calibration
+from lbacal_core.adopted import fit_causes
 from lbacal_core.calibration.freedom import free_own_sky
 from lbacal_core.curves import FitReport
 from lbacal_core.instrument import Instrument
+from lbacal_core.model import PLAIN, Model
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra import Spectra
@@ -26,6 +28,7 @@ def calibrate(
     sky_power: SkyPower | None = None,
     scope: str = "antenna",
     sky_budget: str = DEFAULT_SKY_BUDGET,
+    model: Model = PLAIN,
 ) -> FitReport:
     """Calibrate antennas with the Galaxy.
 
@@ -41,6 +44,8 @@ def calibrate(
         ``antenna``, ``station`` or ``array``: what one curve belongs to.
     sky_budget
         Where the systematic error of the sky is taken from: ``paper``, ``models`` or ``measured``.
+    model
+        The chain with its adopted causes, whose sizes are fitted together with C.
 
     Returns
     -------
@@ -48,5 +53,6 @@ def calibrate(
     """
     freedom = None if sky_power is not None else free_own_sky(instrument)
     sky_power = sky_power or compute_sky_power(instrument)
-    report = fit_calibration(spectra, instrument, sky_power, scope, freedom)
-    return add_budget(report, compute_budget(spectra, instrument, sky_power, sky_budget))
+    fitted = fit_causes(spectra, instrument, sky_power, model, is_own_sky=freedom is not None)
+    report = fitted.fit(scope, freedom)
+    return add_budget(report, compute_budget(fitted.spectra, instrument, sky_power, sky_budget))

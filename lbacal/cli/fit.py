@@ -15,6 +15,7 @@ from lbacal.cli.fit_inputs import find_spectra_files, parse_selection, read_sele
 from lbacal.cli.fit_summary import align, describe_error, explain_chi2, tabulate_curves
 from lbacal.cli.outputs import require_image, require_outputs
 from lbacal.cli.progress import progress
+from lbacal.cli.with_model import HELP, read_model, report_path
 from lbacal.files import written_beside
 from lbacal_core.curves import CalibrationCurve
 from lbacal_core.reference_chain import ReferenceChain
@@ -79,6 +80,7 @@ def fit(
     until: Annotated[str | None, typer.Option(help="End of the events to use, not included.")] = None,
     year: Annotated[int | None, typer.Option(help="One calendar year, in the place of both.", min=1, max=9998)] = None,
     station: Annotated[list[str] | None, typer.Option(help="Station to use; may be given several times.")] = None,
+    with_: Annotated[str | None, typer.Option("--with", metavar="R.json[#n]", help=HELP)] = None,
     html: Annotated[Path | None, typer.Option(help="Page to write: table, figure, budget (one HTML file).")] = None,
     plot: Annotated[
         Path | None, typer.Option(help="Figure to write: C with its errors, residuals, noise, chi2 (PNG, PDF or SVG).")
@@ -100,17 +102,19 @@ def fit(
 
     selection = parse_selection(since, until, year, station)
     files = find_spectra_files(spectra)
+    known = {"--instrument": instrument, "--sky-power": sky_power, "--with": with_ and report_path(with_)}
     require_outputs(
         {"--output": output, "--report": report, "--html": html, "--plot": plot},
-        {"--instrument": instrument, "--sky-power": sky_power, **{f"SPECTRA {file}": file for file in files}},
+        {**known, **{f"SPECTRA {file}": file for file in files}},
     )
     require_image(plot)
+    model = read_model(with_)
     chain = load_instrument(instrument)
     sky = None if sky_power is None else read_sky_power(sky_power)
     with progress(len(files) + STEPS_OF_FIT + (html is not None or plot is not None)) as tell:
         measured = read_selected(files, selection, time.time(), tell)
         tell(f"fit {len(measured)} spectra")
-        result = calibrate(measured, chain, sky, scope.value)
+        result = calibrate(measured, chain, sky, scope.value, model=model)
         tell("error of one event")
         power = sky or compute_sky_power(chain)
         error = measure_error(result, measured, chain, power)

@@ -10,6 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
+from lbacal.cli.with_model import HELP, read_model, report_path
 from lbacal.files import written_beside
 
 
@@ -33,6 +34,7 @@ def investigate(
         80.0,
     ),
     html: Annotated[Path | None, typer.Option(help="The report as a page with its figures (HTML).")] = None,
+    with_: Annotated[str | None, typer.Option("--with", metavar="R.json[#n]", help=HELP)] = None,
     stored: Annotated[bool, typer.Option("--stored", help="Let the service investigate the spectra it keeps.")] = False,
     since: Annotated[str | None, typer.Option(help="First instant of the stored window, ISO 8601, UTC.")] = None,
     until: Annotated[str | None, typer.Option(help="End of the stored window, not included.")] = None,
@@ -51,8 +53,10 @@ def investigate(
     if stored:
         from lbacal.cli.stored import Wanted, investigate_stored
 
-        if spectra is not None or lst_curve is not None:
-            raise typer.BadParameter("--stored names the spectra: no file and no --lst-curve beside it")
+        if spectra is not None or lst_curve is not None or with_ is not None:
+            raise typer.BadParameter(
+                "--stored names spectra and model: no file, no --lst-curve and no --with beside it"
+            )
         investigate_stored(Wanted(since, until, station, reason), report)
         return
     if report is None:
@@ -66,13 +70,17 @@ def investigate(
         raise typer.BadParameter("name a spectra file or --lst-curve, one of the two")
     if spectra is not None and instrument is None:
         raise typer.BadParameter("spectra need --instrument, a name such as lofar-superterp or a JSON file")
+    if lst_curve is not None and with_ is not None:
+        raise typer.BadParameter("--with names findings of spectra; an LST curve has its own")
     inputs: dict[str, str | Path | None] = {"SPECTRA": spectra, "--lst-curve": lst_curve, "--sky-power": sky_power}
+    inputs["--with"] = None if with_ is None else report_path(with_)
     require_outputs({"--report": report, "--html": html}, {**inputs, "--instrument": instrument})
+    model = read_model(with_)
     chain = load_instrument(instrument or "lofar-superterp")
     sky = compute_sky_power(chain) if sky_power is None else read_sky_power(sky_power)
     sky.require_made_for(chain)
     if spectra is not None:
-        content = _ask_spectra(spectra, chain, sky, sky_power is None, html)
+        content = _ask_spectra(spectra, chain, sky, sky_power is None, html, model)
     else:
         content = _ask_curve(lst_curve, chain, sky, sky_power is None, band, html)
     with written_beside(report) as beside:
@@ -82,7 +90,10 @@ def investigate(
 
 
 def _tell(content: dict[str, Any]) -> None:
-    """Print the findings, and what no cause explains."""
+    """Print adopted causes with their sizes, the findings, and what no cause explains."""
+    for one in content.get("adopted", []):
+        value, sigma, whom = one["size"]["value"], one["size"]["sigma"], f"{one['target']} of {one['station']}"
+        print(f"  adopted: {one['cause']} in {whom}, here {value:.3g} ± {sigma:.2g}")
     for finding in content["findings"]:
         print(f"  {finding['significance_sigma']:.1f} sigma: {finding['sentence']}")
         if finding["indistinguishable"]:
@@ -93,12 +104,14 @@ def _tell(content: dict[str, Any]) -> None:
             print(f"    similar to: {finding['sentence']}")
 
 
-def _ask_spectra(spectra: Path, chain: Any, sky: Any, is_own_sky: bool, html: Path | None) -> dict[str, Any]:
+def _ask_spectra(
+    spectra: Path, chain: Any, sky: Any, is_own_sky: bool, html: Path | None, model: Any
+) -> dict[str, Any]:
     from lbacal_core.discovery.investigate import investigate as ask
     from lbacal_core.spectra import read_spectra
 
     measured = read_spectra(spectra, now_unix=time.time())
-    content, stations = ask(measured, chain, sky, is_own_sky=is_own_sky, progress=_say)
+    content, stations = ask(measured, chain, sky, is_own_sky=is_own_sky, progress=_say, model=model)
     if html is not None:
         from lbacal.cli.investigation_page import write_investigation_page
 

@@ -58,6 +58,8 @@ class Conditions:
         D towards the Sun, shape (class, event, freq), 0 below the horizon.
     known_noise
         Electronic noise over the mean sky power, where it is known before the fit; None where the fit leaves it free.
+    reference_c
+        Temperature from which causes count; None for the mean of the data.
     """
 
     frequency_mhz: Floats
@@ -78,6 +80,7 @@ class Conditions:
     sky_ratio: Mapping[str, Callable[[Floats], Floats]] = field(default_factory=dict)
     sun_response: Floats | None = None
     known_noise: float | None = None
+    reference_c: float | None = None
 
     def with_covariates(self, **values: Floats) -> Conditions:
         """The same with other covariates, shape (event,) each."""
@@ -99,14 +102,15 @@ class Conditions:
         return is_known
 
     def warmth(self, delay_h: float = 0.0) -> Floats:
-        """(Temperature - its mean) / 10 K, shape (event, 1); 0 where it is not known.
+        """(Temperature - its mean, or the reference) / 10 K, shape (event, 1); 0 where it is not known.
 
         A delayed temperature is the one measured now, moved by the fitted diurnal wave of the season: events are hours
         to days apart, so that the record itself cannot be shifted.
         """
         values = self.covariates[TEMPERATURE]
         is_known = np.isfinite(values)
-        measured = (values - values[is_known].mean()) / 10.0
+        reference = values[is_known].mean() if self.reference_c is None else self.reference_c
+        measured = (values - reference) / 10.0
         if delay_h != 0.0:
             now, earlier = self._diurnal_waves(0.0), self._diurnal_waves(delay_h)
             amplitude, *_ = np.linalg.lstsq(now[is_known], measured[is_known], rcond=None)

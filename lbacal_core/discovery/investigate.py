@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 from threadpoolctl import threadpool_limits
 
+from lbacal_core.discovery.adopted import describe_size
 from lbacal_core.discovery.policy import Policy
 from lbacal_core.discovery.report import describe
 from lbacal_core.discovery.search import StationReport, search_station
 from lbacal_core.discovery.station import gather_stations, model_modes
 from lbacal_core.grids import require_same_grid
 from lbacal_core.instrument import Instrument
+from lbacal_core.model import PLAIN, Model
 from lbacal_core.provenance import Provenance
 from lbacal_core.skypower.differences import DifferenceModels, compute_model_differences
 from lbacal_core.skypower.table import SkyPower
@@ -28,6 +31,7 @@ def investigate(
     models: DifferenceModels | None = None,
     seed: int = 0,
     progress: Callable[[str], None] = lambda _: None,
+    model: Model = PLAIN,
 ) -> tuple[dict[str, Any], list[StationReport]]:
     """Find what the simulation gets wrong in the spectra of every station.
 
@@ -42,6 +46,8 @@ def investigate(
         Seed of the simulated trials factors.
     progress
         Called with a sentence before each step.
+    model
+        Its adopted causes belong to the baseline, with sizes fitted again: what is looked for is what they leave.
 
     Returns
     -------
@@ -63,6 +69,7 @@ def investigate(
                 seed=seed,
                 policy=policy,
                 progress=progress,
+                model=model,
             )
             for station in stations
         ]
@@ -70,4 +77,8 @@ def investigate(
         inputs={"spectra": spectra.digest(), "instrument": instrument.digest(), "sky_power": sky_power.digest()},
         settings={"policy": policy.as_dict(), "seed": seed, "own_sky": is_own_sky},
     )
-    return describe(reports, provenance), reports
+    if model.is_plain:
+        return describe(reports, provenance), reports
+    provenance = replace(provenance, inputs={**provenance.inputs, "model": model.id})
+    adopted = [describe_size(size) for report in reports for size in report.adopted]
+    return {**describe(reports, provenance), "model": model.to_text(), "adopted": adopted}, reports

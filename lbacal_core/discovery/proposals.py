@@ -41,18 +41,18 @@ class SameAgain:
     Attributes
     ----------
     number
-        Number of the finding that named the cause first.
+        Number of the finding that named the cause first; negative for an adopted cause.
     """
 
     score: Score
     number: int
 
 
-def _same_again(score: Score, hypotheses: Sequence[Hypothesis]) -> SameAgain | None:
+def _same_again(score: Score, hypotheses: Sequence[Hypothesis], adopted: int) -> SameAgain | None:
     for number, earlier in enumerate(hypotheses):
-        is_same = earlier.cause is score.cause and earlier.target.label == score.target.label
+        is_same = earlier.cause.identifier == score.cause.identifier and earlier.target.label == score.target.label
         if is_same and not score.cause.is_another(score.template, earlier.template):
-            return SameAgain(score, number)
+            return SameAgain(score, number - adopted)
     return None
 
 
@@ -71,6 +71,8 @@ class StationSearch:
         A score that chance does not explain, where no cause describes it with a size that it can have.
     hidden
         Causes that the differences between models hide, known with the first model.
+    adopted
+        Number of hypotheses that the model had before the search.
     """
 
     def __init__(
@@ -91,6 +93,7 @@ class StationSearch:
         self.again: SameAgain | None = None
         self.hidden: list[HiddenCause] | None = None
         self.impossible: Score | None = None
+        self.adopted = 0
 
     def propose(self, before: FittedModel) -> list[Candidate]:
         """The model with each of the best significant causes, fitted without linearising."""
@@ -103,7 +106,7 @@ class StationSearch:
         significant = [score for score in scores if score.p_value < self.alpha]
         self.has_significant |= bool(significant)
         if significant:
-            self.again = _same_again(significant[0], before.hypotheses)
+            self.again = _same_again(significant[0], before.hypotheses, self.adopted)
         if not significant or self.again is not None or self._is_crowded(before):
             return []
         self.progress(f"{self.name}: fitting everything again with {significant[0].cause.identifier}")
@@ -114,7 +117,7 @@ class StationSearch:
 
     def _is_crowded(self, before: FittedModel) -> bool:
         """Whether causes along one axis were accepted again and again, and structure along it remains."""
-        axes = [axis for one in before.hypotheses if one.target.is_wide for axis in one.cause.axes]
+        axes = [axis for one in before.hypotheses[self.adopted :] if one.target.is_wide for axis in one.cause.axes]
         crowded = {axis for axis in axes if axes.count(axis) >= self.policy.crowd}
         return bool(crowded) and chance_along(before.linear, crowded, STATION) < self.policy.crowd_alpha
 

@@ -17,7 +17,7 @@ from lbacal_core.causes.cause import Template, signature, spectral_signature
 from lbacal_core.chain.terms import ChainTerms
 from lbacal_core.discovery.baseline import Baseline, fit_baseline
 from lbacal_core.discovery.hypothesis import Hypothesis
-from lbacal_core.discovery.noise import split_residuals
+from lbacal_core.discovery.noise import NoiseLevels, split_residuals
 from lbacal_core.discovery.project import LinearModel
 from lbacal_core.discovery.scan import group_templates
 from lbacal_core.discovery.station import SkyModes, Station
@@ -62,12 +62,13 @@ def fit_chain(station: Station, modes: SkyModes | None = None) -> FittedModel:
         Relative changes of P_sky by which sky and antenna models differ, or None where P_sky is exact.
     """
     baseline = fit_baseline(station)
-    return FittedModel([], baseline, _linearise(station, baseline, modes), is_converged=True)
+    return FittedModel([], baseline, linearise(station, baseline, modes), is_converged=True)
 
 
-def _linearise(
+def linearise(
     station: Station, baseline: Baseline, modes: SkyModes | None, empirical: Floats | None = None
 ) -> LinearModel:
+    """The linear model of a baseline's residuals, with noise levels estimated from them."""
     residuals = split_residuals(station, baseline.residual, _shared_vectors(station, baseline.terms))
     return LinearModel(station, residuals, baseline.terms, modes, empirical).beside_modes()
 
@@ -121,30 +122,63 @@ def refit(before: FittedModel, new: Hypothesis) -> FittedModel | None:
     station = before.station.on_events(new.cause.known_events(before.station.conditions, new.template))
     most = new.cause.largest_step
     hypotheses = [*before.hypotheses, replace(new, size=float(np.clip(new.size, -most, most)))]
-    limit = np.array([one.cause.largest_step for one in hypotheses])
     levels = before.linear.on_events(station.is_used).residuals.levels
-    baseline = before.baseline
+    modes, empirical = before.linear.modes, before.linear.empirical
+    found = fit_sizes(station, before.baseline, hypotheses, levels, modes, empirical)
+    return None if found is None else found[0]
+
+
+def fit_sizes(
+    station: Station,
+    baseline: Baseline,
+    hypotheses: Sequence[Hypothesis],
+    levels: NoiseLevels,
+    modes: SkyModes | None,
+    empirical: Floats | None = None,
+    *,
+    is_free: NDArray[np.bool_] | None = None,
+) -> tuple[FittedModel, Floats] | None:
+    """Fit the chain of every path and the sizes of hypotheses together, with noise levels that stay as they are.
+
+    Parameters
+    ----------
+    baseline
+        The chain from which to start.
+    hypotheses
+        At the sizes from which to start.
+    is_free
+        Sizes that are fitted, shape (hypothesis,); None for all.
+
+    Returns
+    -------
+    The fitted model and the information on the sizes, shape (hypothesis, hypothesis); None where the hypotheses cannot
+    be told apart or the fit runs away.
+    """
+    limit = np.array([one.cause.largest_step for one in hypotheses])
+    at = np.arange(len(hypotheses)) if is_free is None else np.flatnonzero(is_free)
     for _ in range(MAX_ROUNDS):
         ratio = power_ratio(station, baseline.terms, hypotheses)
         if not np.all((ratio > LARGEST_CHANGE**-1) & (ratio < LARGEST_CHANGE)):
             return None
         baseline = fit_baseline(station, ratio)
-        linear = _linearise(station, baseline, before.linear.modes, before.linear.empirical)
+        linear = linearise(station, baseline, modes, empirical)
         # The noise levels stay those of the model before, so that every round minimises the same chi^2.
         weighed = linear.with_levels(levels)
         conditions = station.conditions
         templates = [signature(one.cause, baseline.terms, conditions, one.template, one.size) for one in hypotheses]
         score, information = weighed.products(templates, [one.target for one in hypotheses])
-        if not _can_be_told_apart(information):
+        own = information[np.ix_(at, at)]
+        if not _can_be_told_apart(own):
             return None
-        step = np.clip(np.linalg.solve(information, score), -limit, limit)
-        sigma = np.sqrt(np.diag(np.linalg.inv(information)))
+        step, sigma = np.zeros(len(hypotheses)), np.array([one.sigma for one in hypotheses])
+        step[at] = np.clip(np.linalg.solve(own, score[at]), -limit[at], limit[at])
+        sigma[at] = np.sqrt(np.diag(np.linalg.inv(own)))
         is_converged = bool(np.all(np.abs(step) < STANDS_STILL * sigma))
         fitted = [replace(one, sigma=float(s)) for one, s in zip(hypotheses, sigma, strict=True)]
         if is_converged:
             break
         hypotheses = [replace(one, size=one.size + float(d)) for one, d in zip(fitted, step, strict=True)]
-    return FittedModel(fitted, baseline, linear, is_converged)
+    return FittedModel(fitted, baseline, linear, is_converged), information
 
 
 def _can_be_told_apart(information: Floats) -> bool:
@@ -153,7 +187,7 @@ def _can_be_told_apart(information: Floats) -> bool:
     if not np.all(np.isfinite(information)) or np.any(seen <= 0):
         return False
     size = np.sqrt(seen)
-    return bool(np.linalg.eigvalsh(information / np.outer(size, size))[0] > SMALLEST_DIFFERENCE)
+    return bool(seen.size == 0 or np.linalg.eigvalsh(information / np.outer(size, size))[0] > SMALLEST_DIFFERENCE)
 
 
 def held_out_fold(station: Station) -> NDArray[np.int64]:

@@ -14,6 +14,7 @@ import numpy as np
 from lbacal_core.causes.axes import Axis
 from lbacal_core.causes.catalogue import CAUSES
 from lbacal_core.causes.cause import signature
+from lbacal_core.discovery.adopted import FittedSize, fit_adopted
 from lbacal_core.discovery.antennas import AntennaScore, compare_antennas, why_no_comparison
 from lbacal_core.discovery.cable_names import compare_cable_names
 from lbacal_core.discovery.deaf import leave_out_deaf
@@ -23,7 +24,7 @@ from lbacal_core.discovery.hypothesis import Hypothesis, Target, list_targets
 from lbacal_core.discovery.policy import Policy
 from lbacal_core.discovery.project import LinearModel
 from lbacal_core.discovery.proposals import SameAgain, StationSearch, chi_squared_of, gain_of
-from lbacal_core.discovery.refit import FittedModel, fit_chain, refit
+from lbacal_core.discovery.refit import FittedModel, refit
 from lbacal_core.discovery.residual_structure import (
     STATION,
     ResidualStructure,
@@ -41,6 +42,7 @@ from lbacal_core.discovery.station import SkyModes, Station
 from lbacal_core.discovery.trials import p_of
 from lbacal_core.discovery.view import make_profiles
 from lbacal_core.grids import Floats
+from lbacal_core.model import PLAIN, Model
 
 KNOWN_CHANGE = (0.5, 2.0)
 """Factors on the power between which a structure may be taken out of the data."""
@@ -81,13 +83,15 @@ class StationReport:
     similar
         Findings that were withdrawn, because residual structure explains the data as well.
     first, last
-        The fitted model without hypotheses, and with those of all findings.
+        The fitted model with the adopted causes alone, none in a plain model, and with all findings beside them.
     unidentifiable
         Causes that these data can never show, with the reason.
     taken
         Share of the information on each cause of the station that the vectors of the noise take.
     stations
         Number of stations that were searched together.
+    adopted
+        The adopted causes with their sizes in these data.
     """
 
     station: Station
@@ -104,6 +108,7 @@ class StationReport:
     taken: dict[str, float]
     policy: Policy
     stations: int
+    adopted: Sequence[FittedSize] = ()
 
     def alpha_of(self, score: Score | AntennaScore) -> float:
         """p-value below which a score is significant in this search."""
@@ -119,6 +124,7 @@ def search_station(
     seed: int = 0,
     policy: Policy | None = None,
     progress: Callable[[str], None] = lambda _: None,
+    model: Model = PLAIN,
 ) -> StationReport:
     """Find what the simulation gets wrong in one station's data.
 
@@ -132,13 +138,16 @@ def search_station(
         Seed of the simulated trials factors.
     progress
         Called with a sentence before each step.
+    model
+        The model whose adopted causes are fitted with the baseline: what is looked for is what they leave.
     """
     policy = policy or Policy()
     station, deaf = leave_out_deaf(station)
     targets = list_targets(station)
     progress(f"{station.name}: fitting the baseline of {len(station.antenna)} paths")
     search = StationSearch(station, targets, policy, stations, seed, progress)
-    first = fit_chain(station, modes)
+    adopted = fit_adopted(station, model, modes)
+    first, search.adopted = adopted.model, len(adopted.sizes)
     grown = _grow(first, search)
     antenna_scores = compare_antennas(station, grown.last.baseline, targets, policy, seed)
     antenna_scores += compare_cable_names(grown.last.baseline, grown.last.linear, targets)
@@ -150,7 +159,7 @@ def search_station(
         withdrawn = _withdrawn(first.linear, grown.findings, structure, search.again, policy)
         if structure.axis is not None and structure.term is not None and search.has_significant:
             progress(f"{station.name}: looking for causes beside that structure")
-            last = _grow_beside(station, modes, structure.axis, structure.term, search)
+            last = _grow_beside(station, modes, structure.axis, structure.term, search, model)
             withdrawn = _withdrawn(first.linear, last.findings, structure, None, policy)
     findings = [f for f in last.findings if structure is None or not any(f is one for one in withdrawn)]
     if structure is not None:
@@ -172,6 +181,7 @@ def search_station(
         taken=shares_taken(grown.last.linear, CAUSES, targets[-1]),
         policy=policy,
         stations=stations,
+        adopted=adopted.sizes,
     )
 
 
@@ -184,7 +194,7 @@ class _Grown:
     others
         The last model without each of its hypotheses.
     findings
-        One a hypothesis.
+        One a hypothesis beside the adopted ones.
     """
 
     last: FittedModel
@@ -195,15 +205,17 @@ class _Grown:
 def _grow(first: FittedModel, search: StationSearch) -> _Grown:
     steps = grow(first, search, search.policy.most_findings)
     models = [first, *(step.candidate.model for step in steps)]
-    others = [_without(models, number) for number in range(len(steps))]
+    others = [_without(models, number, search.adopted) for number in range(len(steps))]
     findings = [
-        _finding(others[number], models[-1], number, step.candidate.score, search.policy)
+        _finding(others[number], models[-1], search.adopted + number, step.candidate.score, search.policy)
         for number, step in enumerate(steps)
     ]
     return _Grown(models[-1], others, findings)
 
 
-def _grow_beside(station: Station, modes: SkyModes | None, axis: Axis, term: Floats, search: StationSearch) -> _Grown:
+def _grow_beside(
+    station: Station, modes: SkyModes | None, axis: Axis, term: Floats, search: StationSearch, model: Model
+) -> _Grown:
     """Look again for causes that do not act along the axis of a structure, after taking the structure out of the data.
 
     A structure along one axis explains what varies along it, and nothing else: a gain step beside it is still named.
@@ -216,7 +228,9 @@ def _grow_beside(station: Station, modes: SkyModes | None, axis: Axis, term: Flo
         without, search.targets, search.policy, search.stations, search.seed, search.progress, others
     )
     beside.hidden, beside.alpha = search.hidden, search.alpha * search.policy.beside_share
-    return _grow(fit_chain(without, modes), beside)
+    adopted = fit_adopted(without, model, modes)
+    beside.adopted = len(adopted.sizes)
+    return _grow(adopted.model, beside)
 
 
 def _structure_beside(grown: _Grown, search: StationSearch, rng: np.random.Generator) -> ResidualStructure | None:
@@ -228,10 +242,12 @@ def _structure_beside(grown: _Grown, search: StationSearch, rng: np.random.Gener
     policy, again = search.policy, search.again
     alpha = policy.structure_alpha / search.stations
     if again is not None:
-        return find_structure(grown.others[again.number].linear, rng, alpha, again.score.p_value)
+        before = grown.others[again.number] if again.number >= 0 else grown.last
+        return find_structure(before.linear, rng, alpha, again.score.p_value)
     if search.impossible is not None:
         return find_structure(grown.last.linear, rng, alpha, search.impossible.p_value)
-    along = {axis for one in grown.last.hypotheses if one.target.is_wide for axis in one.cause.axes}
+    found = grown.last.hypotheses[search.adopted :]
+    along = {axis for one in found if one.target.is_wide for axis in one.cause.axes}
     chance = chance_along(grown.last.linear, along, STATION)
     return find_structure(grown.last.linear, rng, alpha, chance if chance < policy.stands_alpha else None)
 
@@ -252,10 +268,10 @@ def _finding(without: FittedModel, last: FittedModel, number: int, score: Score,
     )
 
 
-def _without(models: Sequence[FittedModel], number: int) -> FittedModel:
+def _without(models: Sequence[FittedModel], number: int, adopted: int) -> FittedModel:
     """The fitted model with all hypotheses but one, so that the residuals contain the whole effect of that one."""
     model = models[number]
-    for hypothesis in models[-1].hypotheses[number + 1 :]:
+    for hypothesis in models[-1].hypotheses[adopted + number + 1 :]:
         model = refit(model, hypothesis) or model
     return model
 

@@ -125,4 +125,3 @@ def test_a_model_is_cut_to_a_window_and_to_stations():
 def test_a_withdrawn_cause_leaves_the_model_as_it_was():
     model = Model((SWAP, STEP))
     assert model.without(1).id == Model((SWAP,)).id
-    assert all(not one.is_free for one in model.with_fixed_sizes().causes)

@@ -1,0 +1,47 @@
+"""The option `--with`: a model that a report extends, or the findings of a report themselves."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from lbacal_core.errors import BadInputError, UnreadableFileError
+
+if TYPE_CHECKING:
+    from lbacal_core.model import Model
+
+HELP = "Extend the model by the findings of a report (JSON), or by one of them: R.json#0 is the first."
+
+
+def report_path(text: str) -> Path:
+    """The file of a value such as ``R.json#1``."""
+    return Path(_split(text)[0])
+
+
+def read_model(text: str | None) -> Model:
+    """The model that a value such as ``R.json`` or ``R.json#1`` names; the chain alone without one."""
+    from lbacal_core.model import PLAIN, Model
+
+    if text is None:
+        return PLAIN
+    name, number = _split(text)
+    try:
+        content = json.loads(Path(name).read_text())
+    except (OSError, ValueError) as error:
+        raise UnreadableFileError(f"--with {name}: no report of an investigation can be read: {error}") from error
+    if not isinstance(content, dict) or "verdict" not in content:
+        raise BadInputError(f"--with {name}", "a report of lbacal investigate", "another JSON file")
+    try:
+        return Model.from_report(content, number)
+    except BadInputError as error:
+        raise BadInputError(f"--with {text}: {error.place}", error.expected, error.found) from error
+
+
+def _split(text: str) -> tuple[str, int | None]:
+    name, hash_sign, number = text.rpartition("#")
+    if not hash_sign or Path(text).is_file():
+        return text, None
+    if not number.isdecimal():
+        raise BadInputError(f"--with {text}", "the number of a finding after #, from 0", repr(number))
+    return name, int(number)

@@ -1,0 +1,264 @@
+"""The causes that a model has adopted, as hypotheses about one station's data, and the fit of their sizes.
+
+A size belongs to its target: it is fitted once, jointly with the chains of all paths that the target covers. A cause
+that the chain of these data describes already, such as a step before the first event, has no size in them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lbacal_core.calibration.paths import MIN_EVENTS
+from lbacal_core.causes.cause import Cause, SizeRange, Template, signature
+from lbacal_core.causes.conditions import Conditions
+from lbacal_core.chain.terms import ChainTerms
+from lbacal_core.discovery.baseline import fit_baseline
+from lbacal_core.discovery.hypothesis import Hypothesis, Target
+from lbacal_core.discovery.project import LinearModel
+from lbacal_core.discovery.refit import FittedModel, fit_chain, fit_sizes, linearise, power_ratio
+from lbacal_core.discovery.station import SkyModes, Station
+from lbacal_core.discovery.view import SMALLEST_SHARE
+from lbacal_core.errors import BadInputError
+from lbacal_core.grids import Floats
+from lbacal_core.model import AdoptedCause, Model
+
+REFERENCE_C = 10.0
+"""Temperature to which C belongs where a model follows temperature: near the mean of the Superterp."""
+
+_NOTHING = Cause("", "", "", "")
+
+
+@dataclass(frozen=True)
+class BoundedCause(Cause):
+    """A cause that acts in an interval.
+
+    Attributes
+    ----------
+    whole
+        The cause without ends.
+    since_unix, until_unix
+        The interval, s UTC, half open; None where an end is open.
+    """
+
+    whole: Cause = _NOTHING
+    since_unix: int | None = None
+    until_unix: int | None = None
+
+    @classmethod
+    def of(cls, whole: Cause, since_unix: int | None, until_unix: int | None) -> BoundedCause:
+        """The cause between two instants."""
+        own = {field.name: getattr(whole, field.name) for field in fields(Cause)}
+        return cls(**own, whole=whole, since_unix=since_unix, until_unix=until_unix)
+
+    def is_inside(self, conditions: Conditions) -> NDArray[np.bool_]:
+        """Whether each event lies in the interval, shape (event,)."""
+        return is_between(conditions.time_unix, self.since_unix, self.until_unix)
+
+    def sizes_of(self, template: Template) -> SizeRange:
+        """Sizes of the cause without ends."""
+        return self.whole.sizes_of(template)
+
+    def covariates(self, template: Template) -> Sequence[str]:
+        """Covariates of the cause without ends."""
+        return self.whole.covariates(template)
+
+    def time_profile(self, conditions: Conditions, template: Template) -> Floats:
+        """0 outside the interval."""
+        return self.whole.time_profile(conditions, template) * self.is_inside(conditions)[:, None]
+
+    def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:
+        """The chain with the cause."""
+        return self.whole.act(terms, conditions, template, amount)
+
+    def known_events(self, conditions: Conditions, template: Template) -> NDArray[np.bool_]:
+        """Events outside the interval need no covariate."""
+        return np.asarray(self.whole.known_events(conditions, template) | ~self.is_inside(conditions))
+
+
+def is_between(time_unix: Floats, since_unix: int | None, until_unix: int | None) -> NDArray[np.bool_]:
+    """Whether instants lie in an interval, half open."""
+    is_inside = np.ones(time_unix.shape, dtype=bool)
+    if since_unix is not None:
+        is_inside &= time_unix >= since_unix
+    if until_unix is not None:
+        is_inside &= time_unix < until_unix
+    return is_inside
+
+
+@dataclass(frozen=True)
+class FittedSize:
+    """The size of an adopted cause in some data.
+
+    Attributes
+    ----------
+    adopted
+        The cause as the model has it.
+    value, sigma
+        The size in these data; that of the model where it is fixed.
+    is_fitted
+        Whether these data determined it.
+    """
+
+    adopted: AdoptedCause
+    value: float
+    sigma: float
+    is_fitted: bool
+
+
+@dataclass(frozen=True)
+class FittedSizes:
+    """A station's chains fitted together with the sizes of the adopted causes.
+
+    Attributes
+    ----------
+    model
+        The fitted model; its hypotheses are the causes of `sizes`.
+    sizes
+        Only causes that act in these data and that the chain does not describe.
+    covariance
+        Covariance of the sizes, shape (size, size).
+    """
+
+    model: FittedModel
+    sizes: Sequence[FittedSize]
+    covariance: Floats
+
+
+def describe_size(size: FittedSize) -> dict[str, Any]:
+    """An adopted cause with its size in some data, as JSON values."""
+    adopted = size.adopted
+    return {
+        **adopted.as_dict(),
+        "size": {"value": size.value, "sigma": size.sigma, "unit": adopted.in_catalogue.unit},
+        "adopted": {"value": adopted.size, "sigma": adopted.sigma},
+    }
+
+
+def find_members(station: Station, label: str) -> NDArray[np.bool_]:
+    """Whether each path belongs to a target that a report named, shape (path,)."""
+    scope, *words = label.split(" ")
+    rest = " ".join(words)
+    if scope == "station" and not words:
+        return np.ones(station.antenna.size, dtype=bool)
+    if scope == "antenna" and words and words[0].isdigit():
+        is_member = station.antenna == int(words[0])
+        return np.asarray(is_member if len(words) == 1 else is_member & (station.dipole == " ".join(words[1:])))
+    if scope == "cable":
+        return np.asarray(np.array(station.conditions.cables)[station.class_of] == rest)
+    if scope == "group":
+        return np.asarray(station.group == rest)
+    expected = "station, antenna N, antenna N X, cable NAME or group NAME"
+    raise BadInputError(f"adopted cause: target in {station.name}", expected, repr(label))
+
+
+def list_hypotheses(model: Model, station: Station) -> list[tuple[AdoptedCause, Hypothesis]]:
+    """The adopted causes that act on paths of a station within its data, at the sizes of the model."""
+    times = station.conditions.time_unix
+    found = []
+    for adopted in model.of_stations([station.name]).causes:
+        is_inside = is_between(times, adopted.since_unix, adopted.until_unix)
+        is_member = find_members(station, adopted.target)
+        if not np.any(is_inside) or not np.any(is_member):
+            continue
+        cause = adopted.in_catalogue
+        for name in cause.covariates(Template(adopted.parameters)):
+            if name not in station.conditions.covariates:
+                raise BadInputError(
+                    f"spectra of {station.name}", f"the column {name}, {cause.identifier} needs it", "none"
+                )
+        if not np.all(is_inside):
+            cause = BoundedCause.of(cause, adopted.since_unix, adopted.until_unix)
+        words = len(adopted.target.split(" "))
+        scope = "path" if adopted.target.startswith("antenna") and words > 2 else adopted.target.split(" ")[0]
+        hypothesis = Hypothesis(
+            cause, Template(adopted.parameters), Target(scope, adopted.target, is_member), adopted.size, adopted.sigma
+        )
+        found.append((adopted, hypothesis))
+    return found
+
+
+def at_reference(station: Station) -> Station:
+    """The station with temperatures counted from the one to which C belongs."""
+    return replace(station, conditions=replace(station.conditions, reference_c=REFERENCE_C))
+
+
+def fit_adopted(
+    station: Station, model: Model, modes: SkyModes | None = None, *, are_sizes_kept: bool = False
+) -> FittedSizes:
+    """Fit the chains of a station's paths together with the free sizes of a model.
+
+    Parameters
+    ----------
+    modes
+        Relative changes of P_sky by which sky and antenna models differ, or None where P_sky is exact.
+    are_sizes_kept
+        Whether all sizes stay as they were adopted, so that these data test them.
+
+    Raises
+    ------
+    BadInputError
+        Where the data cannot tell the adopted causes apart, or lack the covariate of one of them.
+    """
+    named = list_hypotheses(model, station)
+    if not named:
+        return FittedSizes(fit_chain(station, modes), [], np.zeros((0, 0)))
+    station = at_reference(station)
+    for _, one in named:
+        station = station.on_events(one.cause.known_events(station.conditions, one.template))
+    if station.is_used.sum() < MIN_EVENTS:
+        expected = f"{MIN_EVENTS} events or more on which the covariates of the adopted causes are known"
+        raise BadInputError(f"spectra of {station.name}", expected, str(int(station.is_used.sum())))
+    baseline = fit_baseline(station)
+    plain = linearise(station, baseline, modes)
+    named = [pair for pair in named if is_seen(plain, pair[1])]
+    hypotheses = [one for _, one in named]
+    if not hypotheses:
+        return FittedSizes(fit_chain(station, modes), [], np.zeros((0, 0)))
+    is_free = np.array([adopted.is_free and not are_sizes_kept for adopted, _ in named])
+    baseline = fit_baseline(station, power_ratio(station, baseline.terms, hypotheses))
+    levels = linearise(station, baseline, modes).residuals.levels
+    found = fit_sizes(station, baseline, hypotheses, levels, modes, is_free=is_free)
+    if found is None:
+        names = ", ".join(one.cause.identifier for one in hypotheses)
+        raise BadInputError(
+            f"spectra of {station.name}",
+            f"data that tell the adopted causes apart ({names})",
+            "no joint fit of their sizes",
+        )
+    fitted, information = found
+    covariance = _covariance(information, is_free, np.array([adopted.sigma for adopted, _ in named]))
+    sigma = np.sqrt(np.diag(covariance))
+    sizes = [
+        FittedSize(adopted, one.size, float(s), bool(free))
+        for (adopted, _), one, s, free in zip(named, fitted.hypotheses, sigma, is_free, strict=True)
+    ]
+    final = [replace(one, sigma=size.sigma) for one, size in zip(fitted.hypotheses, sizes, strict=True)]
+    return FittedSizes(replace(fitted, hypotheses=final), sizes, covariance)
+
+
+def is_seen(linear: LinearModel, hypothesis: Hypothesis) -> bool:
+    """Whether anything of a hypothesis is left beside the free vectors of the chain."""
+    conditions = linear.station.conditions
+    template = signature(hypothesis.cause, linear.terms, conditions, hypothesis.template)
+    everyone = np.zeros(conditions.time_unix.size, dtype=np.int64)
+    _, information, whole = linear.by_fold(template, np.ones((1, everyone.size)), hypothesis.target, everyone)
+    return bool(information[0, 0] > SMALLEST_SHARE * whole[0, 0])
+
+
+def _covariance(information: Floats, is_free: NDArray[np.bool_], sigma: Floats) -> Floats:
+    """Covariance of sizes: fitted ones by their information, fixed ones by their own sigma, which moves the others."""
+    covariance = np.diag(np.where(is_free, 0.0, sigma**2))
+    if np.any(is_free):
+        free, fixed = np.flatnonzero(is_free), np.flatnonzero(~is_free)
+        own = np.linalg.inv(information[np.ix_(free, free)])
+        moved = -own @ information[np.ix_(free, fixed)]
+        of_fixed = np.diag(sigma[fixed] ** 2)
+        covariance[np.ix_(free, free)] = own + moved @ of_fixed @ moved.T
+        covariance[np.ix_(free, fixed)] = moved @ of_fixed
+        covariance[np.ix_(fixed, free)] = (moved @ of_fixed).T
+    return covariance

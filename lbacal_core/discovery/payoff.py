@@ -1,0 +1,169 @@
+"""What an adopted cause gains on data that did not serve to adopt it: promised beforehand, measured afterwards.
+
+With the size s as it was adopted, the score S of its template (`discovery.view`) and the information I, both of the new
+events and in the residuals of the model with the cause, the log-likelihood of these events with the cause less that
+without it is
+
+    gain = s S + s^2 I / 2.
+
+For a true size s_0 it has the mean s s_0 I - s^2 I / 2 and the standard deviation s I^1/2: SNR^2 / 2 and SNR, where the
+true size is the adopted one. Gains of different events add up.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+from scipy.stats import norm
+from threadpoolctl import threadpool_limits
+
+from lbacal_core.causes.catalogue import CAUSES
+from lbacal_core.causes.cause import signature
+from lbacal_core.discovery.adopted import FittedSizes, fit_adopted
+from lbacal_core.discovery.deaf import leave_out_deaf
+from lbacal_core.discovery.policy import Policy
+from lbacal_core.discovery.station import Station, gather_stations, model_modes
+from lbacal_core.instrument import Instrument
+from lbacal_core.model import INSTANT, Model
+from lbacal_core.skypower.differences import compute_model_differences
+from lbacal_core.skypower.table import SkyPower
+from lbacal_core.spectra import Spectra
+
+OLD, NEW = 0, 1
+
+
+@dataclass(frozen=True)
+class MeasuredGain:
+    """The gain of one adopted cause on some events.
+
+    Attributes
+    ----------
+    number
+        Number of the cause in the model.
+    events
+        Number of events counted: those on which the target recorded and the cause acts.
+    gain
+        Log-likelihood with the cause less that without it, the size as adopted and the chain fitted both times.
+    expected, expected_sigma
+        What these events gain if the size is the adopted one within its error; both 0 where the chain of these data
+        describes the cause.
+    """
+
+    number: int
+    events: int
+    gain: float
+    expected: float
+    expected_sigma: float
+
+
+@dataclass(frozen=True)
+class Promise:
+    """The gain in log-likelihood that a finding promises for as many events again, a year later, and its error."""
+
+    gain: float
+    sigma: float
+
+
+def measure_gains(
+    spectra: Spectra,
+    instrument: Instrument,
+    sky_power: SkyPower,
+    model: Model,
+    *,
+    is_own_sky: bool,
+    is_new: NDArray[np.bool_] | None = None,
+) -> list[MeasuredGain]:
+    """Measure what every adopted cause gains on new events, its size as it was adopted.
+
+    Parameters
+    ----------
+    spectra
+        A window of whole stations, with which the chain is fitted: old events and new ones.
+    is_own_sky
+        Whether `sky_power` is the package's own, so that the differences between sky and antenna models are profiled
+        out. A sky power from a file is taken as exact.
+    is_new
+        Spectra whose events count, shape (row,); None for all.
+    """
+    names = {one.station for one in model.causes} & set(np.unique(spectra.station).tolist())
+    if not names:
+        return []
+    rows = np.isin(spectra.station, sorted(names))
+    counted = rows if is_new is None else rows & is_new
+    new = {
+        (str(name), str(event)) for name, event in zip(spectra.station[counted], spectra.event_id[counted], strict=True)
+    }
+    known = compute_model_differences(instrument) if is_own_sky else None
+    found: list[MeasuredGain] = []
+    with threadpool_limits(1):
+        for gathered in gather_stations(spectra.select(rows), instrument, sky_power):
+            station = leave_out_deaf(gathered)[0]
+            modes = None if known is None else model_modes(station, known)
+            fitted = fit_adopted(station, model, modes, are_sizes_kept=True)
+            fold = np.array([NEW if (station.name, event) in new else OLD for event in station.event_id.tolist()])
+            found += _gains_of(station, model, fitted, fold)
+    return sorted(found, key=lambda one: one.number)
+
+
+def _gains_of(station: Station, model: Model, fitted: FittedSizes, fold: NDArray[np.int64]) -> list[MeasuredGain]:
+    seen = [size.adopted for size in fitted.sizes]
+    linear, found = fitted.model.linear, []
+    for number, adopted in enumerate(model.causes):
+        if adopted.station != station.name:
+            continue
+        at = next((k for k, one in enumerate(seen) if one is adopted), None)
+        if at is None or not np.any(fold == NEW):
+            found.append(MeasuredGain(number, 0, 0.0, 0.0, 0.0))
+            continue
+        one, conditions = fitted.model.hypotheses[at], linear.station.conditions
+        # Half the size: a step from none to all of it is then right to second order.
+        template = signature(one.cause, linear.terms, conditions, one.template, 0.5 * one.size)
+        scores, informations, _ = linear.by_fold(template, np.ones((1, fold.size)), one.target, fold)
+        score, information = float(scores[NEW, 0]), max(float(informations[NEW, 0]), 0.0)
+        acts = np.any(linear.station.is_present[one.target.is_member], axis=0) & (fold == NEW)
+        noise, of_size = one.size**2 * information, one.size * information * adopted.sigma
+        found.append(
+            MeasuredGain(
+                number,
+                int(acts.sum()),
+                one.size * score + 0.5 * one.size**2 * information,
+                0.5 * noise,
+                float(np.sqrt(noise + of_size**2)),
+            )
+        )
+    return found
+
+
+def promise_of(finding: Mapping[str, Any]) -> Promise:
+    """The gain that a finding of a report promises for as many events again, a year later.
+
+    Among all templates that were tried the most significant one is reported, and only above a threshold: the true size
+    is smaller than the one found. It is that at which a score above the threshold has the one found as its mean. An
+    effect that steps at a date promises nothing, because the chain of a later year describes it.
+    """
+    evidence, size = finding["evidence"], finding["size"]
+    if INSTANT in finding["parameters"]:
+        return Promise(0.0, 0.0)
+    sigma = evidence.get("sigma_for_this_template", size["sigma"])
+    found, uncertain = abs(size["value"]) / sigma, size["sigma"] / sigma
+    true = found * true_share(abs(evidence["score_sigma"]), evidence["trials"] * len(CAUSES))
+    return Promise(found * true - 0.5 * found**2, found * float(np.sqrt(1.0 + uncertain**2)))
+
+
+def true_share(z: float, trials: float) -> float:
+    """The true score over the one found, which is the largest of so many and above the threshold of a search."""
+    threshold = float(norm.isf(0.5 * Policy().catalogue_alpha / max(trials, 1.0)))
+    if z <= threshold:
+        return 0.0
+
+    def surplus(true: float) -> float:
+        """Mean score above the threshold less the one found."""
+        above = threshold - true
+        return float(true + np.exp(norm.logpdf(above) - norm.logsf(above)) - z)
+
+    return float(brentq(surplus, 0.0, z)) / z if surplus(0.0) < 0 else 0.0

@@ -1,0 +1,144 @@
+"""`--with`: fits and investigations of a model that findings of a report extend."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from lbacal.cli.main import app
+from lbacal.cli.with_model import read_model
+from lbacal_core.errors import BadInputError, UnreadableFileError
+from lbacal_core.instrument import load_instrument
+from lbacal_core.model import PLAIN, AdoptedCause, Model
+from lbacal_core.skypower.model import compute_sky_power
+from lbacal_core.skypower.table import write_sky_power
+from lbacal_core.spectra import write_spectra
+from lbacal_core.twin.campaign import simulate_campaign
+from lbacal_core.twin.faults.sky import LstOffset
+from lbacal_core.twin.settings import TwinSettings
+
+
+def finding(cause, size):
+    return {
+        "cause": cause,
+        "size": {"value": size, "sigma": 0.02, "unit": "h"},
+        "parameters": {},
+        "where": {"station": "CS002", "dates": ["2014-01-01T00:00:00Z", "2014-12-31T00:00:00Z"]},
+        "evidence": {"target": "station"},
+    }
+
+
+@pytest.fixture
+def report(tmp_path):
+    path = tmp_path / "R.json"
+    content = {"verdict": "explained", "findings": [finding("lst_offset", 0.27), finding("cable_length", 3.0)]}
+    path.write_text(json.dumps(content))
+    return path
+
+
+@pytest.fixture(scope="module")
+def late(tmp_path_factory):
+    """A station whose clock is 0.3 h off, and the sky power that it was simulated with."""
+    folder = tmp_path_factory.mktemp("late")
+    chain = load_instrument("lofar-superterp")
+    sky = compute_sky_power(chain)
+    settings = TwinSettings(stations=("CS002",), antennas=4, events_per_year=250)
+    spectra = simulate_campaign(settings, chain, sky, np.random.default_rng(3), [LstOffset(size=0.3)]).spectra
+    write_spectra(spectra, folder / "S.h5")
+    write_sky_power(sky, folder / "P.json")
+    return folder
+
+
+def run(*words):
+    return CliRunner().invoke(app, [str(word) for word in words])
+
+
+def fit(late, *more):
+    return run(
+        "fit", late / "S.h5", "--instrument", "lofar-superterp", "--sky-power", late / "P.json", "--scope", "station",
+        "--output", late / "C.ecsv", "--report", late / "fit.json", *more,
+    )  # fmt: skip
+
+
+def test_a_finding_is_named_by_its_number(report):
+    assert [one.cause for one in read_model(f"{report}#0").causes] == ["lst_offset"]
+    assert read_model(None) is PLAIN
+
+
+def test_all_findings_are_adopted_without_a_number(report):
+    with pytest.raises(BadInputError, match="cable_length"):
+        read_model(str(report))
+
+
+def test_the_model_of_a_report_with_nothing_left_is_the_one_it_was_made_with(tmp_path):
+    made_with = Model((AdoptedCause("lst_offset", "CS002", "station", 0.27, 0.02),))
+    path = tmp_path / "R2.json"
+    path.write_text(json.dumps({"verdict": "consistent", "findings": [], "model": made_with.to_text()}))
+    assert read_model(str(path)) == made_with
+
+
+@pytest.mark.parametrize("text", ["R.json#", "R.json#one", "R.json#-1"])
+def test_a_number_that_is_none_is_refused(text):
+    with pytest.raises(BadInputError, match="the number of a finding"):
+        read_model(text)
+
+
+def test_a_file_whose_name_has_a_hash_sign_is_a_file(report):
+    odd = report.with_name("R#0")
+    odd.write_text(json.dumps({"verdict": "explained", "findings": [finding("lst_offset", 0.27)]}))
+    assert len(read_model(str(odd)).causes) == 1
+
+
+def test_what_is_no_report_is_refused(tmp_path):
+    with pytest.raises(UnreadableFileError, match="no report"):
+        read_model(str(tmp_path / "none.json"))
+    other = tmp_path / "fit.json"
+    other.write_text("{}")
+    with pytest.raises(BadInputError, match="another JSON file"):
+        read_model(str(other))
+
+
+def test_fit_with_a_finding_writes_the_size_and_the_model(late, report):
+    done = fit(late, "--with", f"{report}#0")
+    assert done.exit_code == 0, done.output
+    content = json.loads((late / "fit.json").read_text())
+    (cause,) = content["causes"]
+    assert cause["cause"] == "lst_offset"
+    assert abs(cause["size"]["value"] - 0.3) < 4 * cause["size"]["sigma"]
+    assert content["provenance"]["inputs"]["model"] == read_model(f"{report}#0").id
+    assert "1 adopted cause; lst_offset in station of CS002" in done.output
+
+
+def test_fit_without_a_model_names_none(late):
+    assert fit(late).exit_code == 0
+    content = json.loads((late / "fit.json").read_text())
+    assert "causes" not in content
+    assert "model" not in content["provenance"]["inputs"]
+
+
+def test_investigate_with_a_finding_tells_what_is_left(late, report):
+    done = run(
+        "investigate", late / "S.h5", "--instrument", "lofar-superterp", "--sky-power", late / "P.json",
+        "--report", late / "left.json", "--with", f"{report}#0",
+    )  # fmt: skip
+    assert done.exit_code == 0, done.output
+    content = json.loads((late / "left.json").read_text())
+    assert content["verdict"] == "consistent"
+    assert "adopted: lst_offset in station of CS002, here 0.3" in done.output
+    assert Model.from_report(content) == read_model(f"{report}#0")
+    assert content["provenance"]["inputs"]["model"] == read_model(f"{report}#0").id
+
+
+def test_a_report_is_not_overwritten_by_what_is_made_with_it(late, report):
+    done = run(
+        "investigate", late / "S.h5", "--instrument", "lofar-superterp", "--report", report, "--with", f"{report}#0"
+    )
+    assert "the file of --with" in str(done.exception)
+
+
+def test_a_model_of_spectra_is_no_model_of_a_curve(report):
+    done = run("investigate", "--lst-curve", "L.csv", "--report", "R3.json", "--with", f"{report}#0")
+    assert done.exit_code == 2

@@ -1,0 +1,122 @@
+"""What an adopted cause gains on new data: measured, expected, and promised beforehand."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lbacal_core.discovery.payoff import Promise, measure_gains, promise_of, true_share
+from lbacal_core.model import PLAIN, AdoptedCause, Model
+from lbacal_core.twin.faults.sky import LstOffset
+from lbacal_core.twin.settings import YEAR_S
+from tests.lbacal_core.discovery.worlds import look_at
+
+LATE = AdoptedCause("lst_offset", "CS002", "station", 0.3, 0.012)
+
+
+@pytest.fixture(scope="module")
+def late(spoil):
+    return spoil(LstOffset(size=0.3))
+
+
+@pytest.fixture(scope="module")
+def gain(late, chain, sky):
+    (found,) = measure_gains(late, chain, sky, Model((LATE,)), is_own_sky=False)
+    return found
+
+
+def test_a_cause_that_is_there_gains_what_is_expected(gain):
+    assert gain.events == 300
+    assert gain.expected > 100
+    assert abs(gain.gain - gain.expected) < 3 * gain.expected_sigma
+    # SNR^2 / 2 and its error: SNR beside the error of the size
+    snr = np.sqrt(2 * gain.expected)
+    assert gain.expected_sigma == pytest.approx(snr * np.sqrt(1 + (snr * 0.012 / 0.3) ** 2))
+
+
+def test_the_gain_is_the_difference_of_two_log_likelihoods(gain, late, chain, sky):
+    """Against chi^2 of the chain fitted with the cause and without it, each with all its parameters."""
+    with_cause = look_at(late, chain, sky)
+    fitted = with_cause.fit_as_is("lst_offset", with_cause.template("lst_offset"))
+    right, wrong = (with_cause.with_effect(fitted, size) for size in (0.3, 0.0))
+    levels = right.model.linear.residuals.levels
+    chi2 = [look.model.linear.with_levels(levels).chi_squared()[0] for look in (right, wrong)]
+    assert gain.gain == pytest.approx(0.5 * (chi2[1] - chi2[0]), rel=0.1)  # an offset of 0.3 h is not quite linear
+
+
+def test_gains_of_disjoint_events_add_up(gain, late, chain, sky):
+    new = np.isin(late.event_id, np.unique(late.event_id)[::4])
+    parts = [measure_gains(late, chain, sky, Model((LATE,)), is_own_sky=False, is_new=at)[0] for at in (new, ~new)]
+    assert [part.events for part in parts] == [75, 225]
+    assert sum(part.gain for part in parts) == pytest.approx(gain.gain)
+    assert sum(part.expected for part in parts) == pytest.approx(gain.expected)
+
+
+def test_a_cause_that_has_gone_costs(clean, chain, sky):
+    (gain,) = measure_gains(clean, chain, sky, Model((LATE,)), is_own_sky=False)
+    assert gain.gain < gain.expected - 5 * gain.expected_sigma
+    assert gain.gain == pytest.approx(-gain.expected, abs=4 * np.sqrt(2 * gain.expected))
+
+
+def test_a_step_before_the_data_gains_nothing(clean, chain, sky):
+    step = AdoptedCause("gain_step", "CS002", "antenna 1", 0.05, 0.01, {"date_unix": clean.time_unix.min() - 9e6})
+    (gain,) = measure_gains(clean, chain, sky, Model((step,)), is_own_sky=False)
+    assert (gain.events, gain.gain, gain.expected, gain.expected_sigma) == (0, 0.0, 0.0, 0.0)
+
+
+def test_each_cause_has_a_gain_of_its_own_beside_the_other(late, chain, sky):
+    """The second cause is not there: it costs about what it would gain, and takes nothing from the first."""
+    absent = AdoptedCause("ionospheric_absorption", "CS002", "station", 0.05, 0.004, {"exponent": 0.75})
+    first, second = measure_gains(late, chain, sky, Model((absent, LATE)), is_own_sky=False)
+    assert (first.number, second.number) == (0, 1)
+    assert first.gain > 100
+    assert second.gain < 0
+
+
+def test_nothing_is_measured_without_causes_or_without_their_station(clean, chain, sky):
+    assert measure_gains(clean, chain, sky, PLAIN, is_own_sky=False) == []
+    assert measure_gains(clean, chain, sky, Model((replace(LATE, station="CS003"),)), is_own_sky=False) == []
+
+
+FINDING = {
+    "size": {"value": 0.3, "sigma": 0.01},
+    "parameters": {},
+    "evidence": {"sigma_for_this_template": 0.01, "score_sigma": 30.0, "trials": 5.0},
+}
+
+
+def test_a_strong_finding_promises_half_its_squared_snr():
+    promise = promise_of(FINDING)
+    assert promise.gain == pytest.approx(450.0)
+    assert promise.sigma == pytest.approx(30.0 * 2**0.5)
+
+
+def test_a_weak_finding_promises_less_because_it_was_selected():
+    weak = {**FINDING, "size": {"value": 0.05, "sigma": 0.01}}
+    weak["evidence"] = {**FINDING["evidence"], "score_sigma": 5.0}
+    promise = promise_of(weak)
+    assert promise.gain < 0.9 * 12.5
+
+
+def test_a_step_promises_nothing():
+    assert promise_of({**FINDING, "parameters": {"date_unix": YEAR_S * 45}}) == Promise(0.0, 0.0)
+
+
+def test_the_true_score_is_unbiased_above_the_threshold():
+    """A search sees only scores above its threshold, 3.9 for one trial of each cause."""
+    rng = np.random.default_rng(1)
+    for true in (4.5, 6.0, 9.0):
+        drawn = true + rng.standard_normal(4000)
+        shares = np.array([true_share(z, 1.0) for z in drawn])
+        seen = shares > 0
+        corrected, found = np.mean((shares * drawn)[seen]), np.mean(drawn[seen])
+        assert abs(corrected - true) < max(abs(found - true), 0.1)
+
+
+def test_the_true_share_falls_to_none_at_the_threshold():
+    shares = [true_share(z, 10.0) for z in (3.0, 4.4, 5.0, 6.0, 8.0, 20.0)]
+    assert shares[0] == 0.0
+    assert np.all(np.diff(shares) >= 0)
+    assert shares[-1] == pytest.approx(1.0)
