@@ -5,6 +5,7 @@ import pytest
 
 from lbacal_core.discovery.search import search_station
 from lbacal_core.discovery.station import gather_stations
+from lbacal_core.model import AdoptedCause, Model
 from lbacal_core.twin.campaign import simulate_campaign
 from lbacal_core.twin.faults.antenna import GainStep, GainTemperature
 from lbacal_core.twin.faults.fault import Where
@@ -37,3 +38,28 @@ def test_the_sizes_of_all_findings_are_those_of_the_last_fit(world):
     for cause, size in (("gain_temperature", 0.02), ("lst_offset", 0.4)):
         assert (found[cause].size, found[cause].sigma) == (together[cause].size, together[cause].sigma)
         assert found[cause].size == pytest.approx(size, abs=3 * found[cause].uncertainty)
+
+
+def test_beside_an_adopted_cause_only_what_is_left_is_found(world):
+    """The adopted cause is no finding; its size is fitted with those that are found, each of which is of that model."""
+    adopted = AdoptedCause("lst_offset", "CS002", "station", 0.3, 0.02)
+    look = world.look(GainTemperature(size=0.02), LstOffset(size=0.4))
+    report = look.investigate(model=Model((adopted,)))
+    assert [one.hypothesis.cause.identifier for one in report.findings] == ["gain_temperature"]
+    assert report.findings[0].hypothesis.size == pytest.approx(0.02, abs=3 * report.findings[0].hypothesis.uncertainty)
+    assert [one.cause.identifier for one in report.first.hypotheses] == ["lst_offset"]
+    assert [one.cause.identifier for one in report.last.hypotheses] == ["lst_offset", "gain_temperature"]
+    (size,) = report.adopted
+    assert size.value == pytest.approx(0.4, abs=4 * size.sigma)
+    gain = report.findings[0]
+    assert gain.chi2_before - gain.chi2_after == pytest.approx(
+        (gain.hypothesis.size / gain.hypothesis.sigma) ** 2, rel=0.15
+    )
+
+
+def test_an_adopted_cause_of_the_wrong_form_leaves_structure(world):
+    """What follows temperature late is not described by what follows it at once, and gets no second name."""
+    adopted = AdoptedCause("gain_temperature", "CS002", "station", 0.04, 0.02, {"delay_h": 0})
+    report = world.look(GainTemperature(size=0.08, delay_h=3.0)).investigate(model=Model((adopted,)))
+    assert report.structure is not None
+    assert "gain_temperature" not in [one.hypothesis.cause.identifier for one in report.findings]
