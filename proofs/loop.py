@@ -48,10 +48,10 @@ from proofs.twin import CHANNELS, planted_curve
 
 SETTINGS = TwinSettings(stations=("CS002",), antennas=6, events_per_year=500, years=3.0)
 FAULTS: dict[str, Fault] = {
-    "ionospheric_absorption": IonosphericAbsorption(size=0.16),
+    "ionospheric_absorption": IonosphericAbsorption(size=0.24),
     "lst_offset": LstOffset(size=0.5),
     "dipole_swap": DipoleSwap(size=0.3),
-    "gain_temperature": GainTemperature(size=0.08),
+    "gain_temperature": GainTemperature(size=0.13),
     "rfi_broadband": RfiBroadband(size=0.08, index=-2.0, hours=(6.0, 18.0)),
 }
 """Sizes that move C by three statistical errors or more."""
@@ -117,7 +117,7 @@ def close_loop(settings: TwinSettings, scale: float, seed: int) -> Row:
         "without": fit_calibration(spectra, instrument, sky, "station").curves,
         "with": fitted.fit("station").curves,
     }
-    (gain,) = measure_gains(spectra, instrument, sky, model, is_own_sky=False)
+    (gain,) = measure_gains(years.year(3), instrument, sky, model, is_own_sky=False)
     promise = promise_of(report["findings"][0])
     left, _ = investigate(spectra, instrument, sky, model=model)
     return row | {

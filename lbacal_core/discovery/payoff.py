@@ -149,8 +149,9 @@ def promise_of(finding: Mapping[str, Any]) -> Promise:
     evidence, size = finding["evidence"], finding["size"]
     if INSTANT in finding["parameters"]:
         return Promise(0.0, 0.0)
-    sigma = evidence.get("sigma_for_this_template", size["sigma"])
-    found, uncertain = abs(size["value"]) / sigma, size["sigma"] / sigma
+    # By chi^2 of the last model: the sigma of a size was fitted with noise levels that contain the effect.
+    found = float(np.sqrt(finding["gain"]["chi2_before"] - finding["gain"]["chi2_after"]))
+    uncertain = size["sigma"] * found / abs(size["value"])
     true = found * true_share(abs(evidence["score_sigma"]), evidence["trials"] * len(CAUSES))
     return Promise(found * true - 0.5 * found**2, found * float(np.sqrt(1.0 + uncertain**2)))
 

@@ -83,7 +83,8 @@ def test_nothing_is_measured_without_causes_or_without_their_station(clean, chai
 FINDING = {
     "size": {"value": 0.3, "sigma": 0.01},
     "parameters": {},
-    "evidence": {"sigma_for_this_template": 0.01, "score_sigma": 30.0, "trials": 5.0},
+    "gain": {"chi2_before": 1900.0, "chi2_after": 1000.0},
+    "evidence": {"score_sigma": 30.0, "trials": 5.0},
 }
 
 
@@ -94,8 +95,8 @@ def test_a_strong_finding_promises_half_its_squared_snr():
 
 
 def test_a_weak_finding_promises_less_because_it_was_selected():
-    weak = {**FINDING, "size": {"value": 0.05, "sigma": 0.01}}
-    weak["evidence"] = {**FINDING["evidence"], "score_sigma": 5.0}
+    weak = {**FINDING, "size": {"value": 0.05, "sigma": 0.01}, "gain": {"chi2_before": 1025.0, "chi2_after": 1000.0}}
+    weak["evidence"] = {"score_sigma": 5.0, "trials": 5.0}
     promise = promise_of(weak)
     assert promise.gain < 0.9 * 12.5
 
