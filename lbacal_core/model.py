@@ -18,14 +18,17 @@ import numpy as np
 
 from lbacal_core.causes.catalogue import CAUSES
 from lbacal_core.causes.cause import Cause
+from lbacal_core.causes.structure import ResidualTerm
 from lbacal_core.errors import BadInputError
 from lbacal_core.provenance import canonical_json, hash_content
 
 FORMAT = "lbacal-model-1"
 DIGITS = 6
 """Significant digits of the sizes and parameters of an adopted cause."""
-ACTING: Mapping[str, Cause] = {cause.identifier: cause for cause in CAUSES}
-"""Causes that act from event to event, in the order in which they act: those that can be adopted."""
+ACTING: Mapping[str, Cause] = {cause.identifier: cause for cause in (*CAUSES, ResidualTerm())}
+"""Causes that act from event to event, in the order in which they act, and the empirical term: what can be adopted."""
+UNEXPLAINED = "unexplained"
+"""The structure without a name of a report, where the number of a finding is meant."""
 INSTANT, IN_WORDS = "date_unix", "date"
 """The parameter that is an instant, and its name in a text."""
 
@@ -182,7 +185,9 @@ class Model:
             raise BadInputError("model", f"the fields of {FORMAT}", f"{type(error).__name__}: {error}") from error
 
     @classmethod
-    def from_report(cls, report: Mapping[str, Any], number: int | None = None, since_unix: int | None = None) -> Model:
+    def from_report(
+        cls, report: Mapping[str, Any], number: int | str | None = None, since_unix: int | None = None
+    ) -> Model:
         """The model with which a report was made, extended by one of its findings, or by all of them.
 
         Parameters
@@ -190,7 +195,7 @@ class Model:
         report
             The report of an investigation as JSON values.
         number
-            Number of the finding, from 0; None for all findings.
+            Number of the finding, from 0; ``unexplained`` for the structure without a name; None for all findings.
         since_unix
             Instant from which they act, s UTC; None for the first event of the report.
         """
@@ -200,14 +205,16 @@ class Model:
             return before
         return before.adopt(report, number, since_unix)
 
-    def adopt(self, report: Mapping[str, Any], number: int | None = None, since_unix: int | None = None) -> Model:
+    def adopt(self, report: Mapping[str, Any], number: int | str | None = None, since_unix: int | None = None) -> Model:
         """The same model extended by a finding of a report, or by all of them; parameters as in `from_report`."""
+        if number == UNEXPLAINED:
+            return Model((*self.causes, _adopt_structure(report.get("unexplained"), since_unix)))
         findings: Sequence[Mapping[str, Any]] = report.get("findings", [])
         if not findings:
             raise BadInputError("report", "a finding to adopt", f"none: its verdict is {report.get('verdict')!r}")
-        if number is not None and not 0 <= number < len(findings):
+        if number is not None and (isinstance(number, str) or not 0 <= number < len(findings)):
             raise BadInputError(f"report: finding {number}", f"a number from 0 to {len(findings) - 1}", str(number))
-        taken = range(len(findings)) if number is None else [number]
+        taken = range(len(findings)) if number is None else [int(number)]
         return Model((*self.causes, *(_adopt_finding(findings[k], f"finding {k}", since_unix) for k in taken)))
 
     def without(self, number: int) -> Model:
@@ -243,6 +250,21 @@ def _adopt_finding(finding: Mapping[str, Any], place: str, since_unix: int | Non
     )
 
 
+def _adopt_structure(structure: Mapping[str, Any] | None, since_unix: int | None) -> AdoptedCause:
+    """The smooth term of a structure, its size shrunk: of its gain in chi^2 the number of its terms is noise."""
+    place = "report: unexplained"
+    if structure is None:
+        raise BadInputError(place, "structure to adopt", "none")
+    term, gain = structure.get("term"), structure["gain"]
+    if term is None:
+        found = f"structure along {structure['where'].get('axis')} in {structure['where'].get('target')}"
+        raise BadInputError(place, "a smooth term along an axis that recurs, in the mean of a station", found)
+    where, chi2 = structure["where"], float(gain["chi2"])
+    begin = _parse_instant(where["dates"][0]) if since_unix is None else since_unix
+    size, sigma = 1.0 - gain["terms"] / chi2, chi2**-0.5
+    return AdoptedCause(ResidualTerm.identifier, where["station"], "station", size, sigma, term, since_unix=begin)
+
+
 def _rounded(place: str, value: object) -> float:
     """A number with 6 significant digits."""
     if isinstance(value, bool) or not isinstance(value, int | float | np.number) or not np.isfinite(value):
@@ -258,6 +280,8 @@ def _plain(place: str, name: str, value: object) -> Any:
         return int(np.floor(float(value)))
     if isinstance(value, str):
         return value
+    if isinstance(value, Mapping):
+        return {str(key): _plain(place, "", one) for key, one in sorted(value.items())}
     if isinstance(value, Sequence):
         return [_plain(place, "", one) for one in value]
     number = _rounded(place, value)

@@ -11,7 +11,10 @@ from lbacal_core.errors import BadInputError, UnreadableFileError
 if TYPE_CHECKING:
     from lbacal_core.model import Model
 
-HELP = "Extend the model by the findings of a report (JSON), or by one of them: R.json#0 is the first."
+HELP = (
+    "Extend the model by the findings of a report (JSON), or by one of them: R.json#0 is the first, "
+    "R.json#unexplained the structure without a name."
+)
 
 
 def report_path(text: str) -> Path:
@@ -38,10 +41,12 @@ def read_model(text: str | None) -> Model:
         raise BadInputError(f"--with {text}: {error.place}", error.expected, error.found) from error
 
 
-def _split(text: str) -> tuple[str, int | None]:
+def _split(text: str) -> tuple[str, int | str | None]:
     name, hash_sign, number = text.rpartition("#")
     if not hash_sign or Path(text).is_file():
         return text, None
+    if number == "unexplained":
+        return name, number
     if not number.isdecimal():
         raise BadInputError(f"--with {text}", "the number of a finding after #, from 0", repr(number))
     return name, int(number)

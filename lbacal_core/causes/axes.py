@@ -5,7 +5,7 @@ An axis is one entry: its values at the events, and the smooth functions of it t
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,6 +22,10 @@ POLYNOMIALS = 4
 PERIODS_D = (7.0, 27.3, 29.53)
 """Days of a working week, of a solar rotation (Carrington, sidereal 25.4, synodic 27.3) and of a lunar month."""
 DAY_S = 86_400.0
+DATE = "date"
+"""The axis on which nothing recurs."""
+TAILS = [0.01, 0.99]
+"""Quantiles of a covariate between which its polynomials run."""
 
 
 @dataclass(frozen=True)
@@ -75,7 +79,7 @@ def _unit(values: Floats) -> Floats:
 
 def _polynomials(values: Floats) -> Floats:
     """Legendre polynomials over the range of a covariate, its tails of 1 % clipped."""
-    x = 2 * _unit(np.clip(values, *np.quantile(values, [0.01, 0.99]))) - 1
+    x = 2 * _unit(np.clip(values, *np.quantile(values, TAILS))) - 1
     return np.asarray(np.polynomial.legendre.legvander(x, POLYNOMIALS).T[1:], dtype=float)
 
 
@@ -100,7 +104,7 @@ def _period(days: float) -> Axis:
 
 AXES: tuple[Axis, ...] = (
     Axis("lst", "local sidereal time (h)", lambda c: c.lst_hours, lambda h: harmonics(h / 24.0, HARMONICS), "lst"),
-    Axis("date", "days since the first event", _days, lambda t: harmonics(0.5 * _unit(t), DATE_WAVES), "date"),
+    Axis(DATE, "days since the first event", _days, lambda t: harmonics(0.5 * _unit(t), DATE_WAVES), "date"),
     Axis(
         "utc",
         "UTC (h)",
@@ -133,6 +137,32 @@ def list_axes(conditions: Conditions) -> list[Axis]:
 def _column(column: str, name: str) -> Axis:
     """A column of `env` that no cause knows."""
     return Axis(name, f"env/{column}", lambda conditions: conditions.covariate(column), _polynomials, name, column)
+
+
+def smooth_functions(
+    conditions: Conditions, name: str, column: str | None = None, ends: Sequence[float] | None = None
+) -> Floats:
+    """Functions of an axis as they were in other data, shape (function, event), 0 where it is unknown.
+
+    Parameters
+    ----------
+    name
+        Name of the axis in a report.
+    column, ends
+        Column of `env` that it is, and the range of its values in the other data; None for any other axis.
+    """
+    if column is not None and name != "rain" and ends is not None:
+        low, high = ends
+        x = 2 * (np.clip(conditions.covariates[column], low, high) - low) / (high - low) - 1
+        functions = np.polynomial.legendre.legvander(np.nan_to_num(x), POLYNOMIALS).T[1:]
+        return np.asarray(np.where(np.isfinite(x), functions, 0.0), dtype=float)
+    # A short window may lack hours or rain, which the term does not mind.
+    known = {"utc": conditions.utc_hours, "rain": conditions.covariates.get(RAIN)}
+    axis = axis_named(name)
+    values = known[name] if name in known else axis.values(conditions)
+    if values is None:
+        raise ValueError(f"these data have no axis {name}")
+    return np.asarray(np.where(np.isfinite(values), axis.functions(np.nan_to_num(values)), 0.0), dtype=float)
 
 
 def axes_of(conditions: Conditions) -> set[str]:

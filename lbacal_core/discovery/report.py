@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from lbacal_core.causes.cause import Description
+from lbacal_core.causes.structure import describe_term
 from lbacal_core.discovery.antennas import AntennaScore
 from lbacal_core.discovery.hypothesis import Target
 from lbacal_core.discovery.residual_structure import ResidualStructure
@@ -285,8 +286,18 @@ def _unexplained(structure: ResidualStructure, report: StationReport) -> dict[st
             "terms": structure.dof,
             "held_out_log_likelihood_gain": structure.held_out_gain,
         },
+        "term": _term(structure, report),
         "similar_to": [_finding(finding, report) for finding in report.similar],
     }
+
+
+def _term(structure: ResidualStructure, report: StationReport) -> dict[str, Any] | None:
+    """The smooth term that describes the structure, where it can be adopted."""
+    if structure.axis is None or structure.coefficients is None:
+        return None
+    polarisations = report.last.linear.residuals.polarisations.tolist()
+    coefficients = dict(zip(polarisations, structure.coefficients, strict=True))
+    return describe_term(report.station.conditions, structure.axis.name, coefficients)
 
 
 def _date(time_unix: float) -> str:

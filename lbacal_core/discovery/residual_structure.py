@@ -32,6 +32,8 @@ SMALLEST_SIZE = 1e-6
 """Size, relative to the largest, below which a function of an axis is a combination of the others."""
 STATION = "station"
 """Target of structure in the means."""
+SIGNS = np.array([[1.0, 1.0], [1.0, -1.0]])
+"""X and Y in the sum and in the difference of the polarisations."""
 EVENTS = "event"
 """Name of the axis of structure in single events, along none of the axes."""
 
@@ -58,6 +60,8 @@ class ResidualStructure:
         Vectors that describe it in the means, shape (vector, polarisation, event, freq); None where a path shows it.
     term
         What they describe, relative change of the power along an axis, shape (polarisation, event, freq), or None.
+    coefficients
+        Those of the functions in `term`, shape (polarisation, function of frequency, function of the axis), or None.
     """
 
     axis: Axis | None
@@ -69,6 +73,7 @@ class ResidualStructure:
     channel_share: Floats
     vectors: Floats | None
     term: Floats | None = None
+    coefficients: Floats | None = None
 
     @property
     def axis_name(self) -> str:
@@ -104,18 +109,23 @@ def find_structure(
     corrected = p_of_best(best.p_value, len(found))
     if corrected >= alpha and again is None:
         return None
-    held_out, vectors, term = None, None, None
+    held_out, vectors, term, coefficients = None, None, None, None
     if best.axis is None or best.place is None:
         vectors = _largest_pattern(model)
         share = np.linalg.svd(_whiten_rest(model, model.residuals.mean), full_matrices=False)[2][0] ** 2
     else:
-        held_out, share, fitted = _describe(best.place, axes[best.axis], held_out_fold(model.station))
+        held_out, share, size = _describe(best.place, axes[best.axis], held_out_fold(model.station))
         if held_out <= 0 and again is None:
             return None
         if best.target == STATION:
-            vectors, term = _vectors(best.place, axes[best.axis]), fitted
+            vectors = _vectors(best.place, axes[best.axis])
+            term = np.tensordot(size, vectors, axes=1)
+            signs = SIGNS[: len(term), : len(term)]
+            coefficients = np.einsum("sr,slk->rlk", signs, size.reshape(len(term), DEGREE + 1, -1))
     p_value = min(corrected, 1.0 if again is None else again)
-    return ResidualStructure(best.axis, best.target, p_value, best.gain, best.dof, held_out, share, vectors, term)
+    return ResidualStructure(
+        best.axis, best.target, p_value, best.gain, best.dof, held_out, share, vectors, term, coefficients
+    )
 
 
 def chance_along(model: LinearModel, names: Collection[str], target: str) -> float:
@@ -169,7 +179,7 @@ def _in_means(model: LinearModel, axis: Axis, basis: Floats, polynomials: Floats
     """Structure of the sum and the difference of the polarisations."""
     view = model.common
     rows, events, channels = view.slope.shape
-    signs = np.array([[1.0, 1.0], [1.0, -1.0]])[:rows, :rows]
+    signs = SIGNS[:rows, :rows]
     values = np.einsum("sr,lf->slrf", signs, polynomials).reshape(-1, rows, 1, channels)
     seen = view.see(np.broadcast_to(values, (len(values), rows, events, channels)))
     score = np.einsum("kme,ne->mkn", view.score_by_event(seen), basis).reshape(-1)
@@ -216,7 +226,7 @@ def _vectors(place: _Place, basis: Floats) -> Floats:
 
 
 def _describe(place: _Place, basis: Floats, fold: NDArray[np.int64]) -> tuple[float, Floats, Floats]:
-    """Gain in log-likelihood of the empirical term on held-out events, its share in each channel, and the term."""
+    """Gain in log-likelihood of the empirical term on held-out events, its share in each channel, and its sizes."""
     view, member = place.view, place.member
     information, _, fitted = view.inner_by_fold(place.seen, basis, fold, member)
     score = view.score_by_fold(place.seen, basis, fold, member, fitted)
@@ -227,7 +237,7 @@ def _describe(place: _Place, basis: Floats, fold: NDArray[np.int64]) -> tuple[fl
     size = _solve(information.sum(axis=0), score.sum(axis=0))
     term = np.tensordot(size, _vectors(place, basis), axes=1)
     squares = np.einsum("ref,e->f", view.clean(term, member) ** 2, view.weight[member] > 0)
-    return held_out, squares / max(float(squares.sum()), 1e-300), term
+    return held_out, squares / max(float(squares.sum()), 1e-300), size
 
 
 def _solve(information: Floats, score: Floats) -> Floats:
