@@ -30,12 +30,13 @@ from lbacal_core.discovery.adopted import (
     at_reference,
     describe_size,
     fit_adopted,
+    gather_adopted,
     list_hypotheses,
 )
 from lbacal_core.discovery.deaf import leave_out_deaf
 from lbacal_core.discovery.hypothesis import Hypothesis
 from lbacal_core.discovery.refit import power_ratio
-from lbacal_core.discovery.station import Station, gather_stations, model_modes
+from lbacal_core.discovery.station import Station, model_modes
 from lbacal_core.grids import Floats
 from lbacal_core.instrument import Instrument
 from lbacal_core.model import Model
@@ -232,15 +233,12 @@ def fit_causes(
         Whether `sky_power` is the package's own, so that the differences between sky and antenna models are profiled
         out. A sky power from a file is taken as exact.
     """
-    names = {one.station for one in model.causes} & set(np.unique(spectra.station).tolist())
-    if not names:
-        return FittedCauses(spectra, instrument, sky_power, model, [])
-    known = compute_model_differences(instrument) if is_own_sky else None
-    rows = np.flatnonzero(np.isin(spectra.station, sorted(names)))
     found = []
     # The products are small: threads of the linear algebra would wait for each other.
     with threadpool_limits(1):
-        for station in gather_stations(spectra.select(rows), instrument, sky_power):
+        stations = gather_adopted(spectra, instrument, sky_power, model)
+        known = compute_model_differences(instrument) if is_own_sky and stations else None
+        for station in stations:
             modes = None if known is None else model_modes(station, known)
             fitted = fit_adopted(leave_out_deaf(station)[0], model, modes)
             if fitted.sizes:

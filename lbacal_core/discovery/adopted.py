@@ -21,11 +21,14 @@ from lbacal_core.discovery.baseline import fit_baseline
 from lbacal_core.discovery.hypothesis import Hypothesis, Target
 from lbacal_core.discovery.project import LinearModel
 from lbacal_core.discovery.refit import FittedModel, fit_chain, fit_sizes, linearise, power_ratio
-from lbacal_core.discovery.station import SkyModes, Station
+from lbacal_core.discovery.station import SkyModes, Station, gather_stations
 from lbacal_core.discovery.view import SMALLEST_SHARE
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
+from lbacal_core.instrument import Instrument
 from lbacal_core.model import AdoptedCause, Model
+from lbacal_core.skypower.table import SkyPower
+from lbacal_core.spectra import Spectra
 
 REFERENCE_C = 10.0
 """Temperature to which C belongs where a model follows temperature: near the mean of the Superterp."""
@@ -185,6 +188,17 @@ def list_hypotheses(model: Model, station: Station) -> list[tuple[AdoptedCause, 
 def at_reference(station: Station) -> Station:
     """The station with temperatures counted from the one to which C belongs."""
     return replace(station, conditions=replace(station.conditions, reference_c=REFERENCE_C))
+
+
+def gather_adopted(spectra: Spectra, instrument: Instrument, sky_power: SkyPower, model: Model) -> list[Station]:
+    """Lay out the spectra of the stations that have adopted causes, if a path of theirs has enough events for a fit."""
+    found = []
+    for name in sorted({one.station for one in model.causes}):
+        rows = np.flatnonzero(spectra.station == name)
+        paths = np.stack([spectra.antenna[rows], spectra.dipole[rows] == spectra.dipole[rows[:1]]])
+        if rows.size and np.unique(paths, axis=1, return_counts=True)[1].max() >= MIN_EVENTS:
+            found += gather_stations(spectra.select(rows), instrument, sky_power)
+    return found
 
 
 def fit_adopted(

@@ -24,10 +24,10 @@ from threadpoolctl import threadpool_limits
 
 from lbacal_core.causes.catalogue import CAUSES
 from lbacal_core.causes.cause import signature
-from lbacal_core.discovery.adopted import FittedSizes, fit_adopted
+from lbacal_core.discovery.adopted import FittedSizes, fit_adopted, gather_adopted
 from lbacal_core.discovery.deaf import leave_out_deaf
 from lbacal_core.discovery.policy import Policy
-from lbacal_core.discovery.station import Station, gather_stations, model_modes
+from lbacal_core.discovery.station import Station, model_modes
 from lbacal_core.instrument import Instrument
 from lbacal_core.model import INSTANT, Model
 from lbacal_core.skypower.differences import compute_model_differences
@@ -90,18 +90,15 @@ def measure_gains(
     is_new
         Spectra whose events count, shape (row,); None for all.
     """
-    names = {one.station for one in model.causes} & set(np.unique(spectra.station).tolist())
-    if not names:
-        return []
-    rows = np.isin(spectra.station, sorted(names))
-    counted = rows if is_new is None else rows & is_new
+    counted = np.ones(len(spectra), dtype=bool) if is_new is None else is_new
     new = {
         (str(name), str(event)) for name, event in zip(spectra.station[counted], spectra.event_id[counted], strict=True)
     }
-    known = compute_model_differences(instrument) if is_own_sky else None
     found: list[MeasuredGain] = []
     with threadpool_limits(1):
-        for gathered in gather_stations(spectra.select(rows), instrument, sky_power):
+        stations = gather_adopted(spectra, instrument, sky_power, model)
+        known = compute_model_differences(instrument) if is_own_sky and stations else None
+        for gathered in stations:
             station = leave_out_deaf(gathered)[0]
             modes = None if known is None else model_modes(station, known)
             fitted = fit_adopted(station, model, modes, are_sizes_kept=True)

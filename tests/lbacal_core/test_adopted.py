@@ -10,7 +10,7 @@ import pytest
 
 from lbacal_core.adopted import fit_causes
 from lbacal_core.calibration.fit import fit_calibration
-from lbacal_core.curves import CONVERGED, NOT_CONVERGED, parse_curve
+from lbacal_core.curves import CONVERGED, NOT_CONVERGED, TOO_FEW_EVENTS, parse_curve
 from lbacal_core.instrument import load_instrument
 from lbacal_core.model import PLAIN, AdoptedCause, Model
 from lbacal_core.skypower.model import compute_sky_power
@@ -144,6 +144,14 @@ def test_spectra_without_the_covariate_of_their_cause_are_left_out(record, chain
     curves = {curve.name: curve.events for curve in fitted.fit("antenna").curves}
     assert curves["CS002 antenna 2 X"] == 225
     assert curves["CS002 antenna 1 X"] == 300
+
+
+def test_a_station_with_too_few_events_has_no_size(late, chain, sky):
+    """The first weeks of a year with an inherited model: its curves say why they are none, and nothing is refused."""
+    few = late.select(np.isin(late.event_id, np.unique(late.event_id)[:40]))
+    fitted = fit_causes(few, chain, sky, Model((LATE,)), is_own_sky=False)
+    assert fitted.sizes == []
+    assert {curve.status for curve in fitted.fit("antenna").curves} == {TOO_FEW_EVENTS}
 
 
 def test_a_curve_that_fails_within_the_error_of_a_size_has_not_converged(report):
