@@ -48,11 +48,11 @@ from proofs.twin import CHANNELS, planted_curve
 
 SETTINGS = TwinSettings(stations=("CS002",), antennas=6, events_per_year=500, years=3.0)
 FAULTS: dict[str, Fault] = {
-    "ionospheric_absorption": IonosphericAbsorption(size=0.24),
+    "ionospheric_absorption": IonosphericAbsorption(size=0.5),
     "lst_offset": LstOffset(size=0.5),
     "dipole_swap": DipoleSwap(size=0.3),
-    "gain_temperature": GainTemperature(size=0.13),
-    "rfi_broadband": RfiBroadband(size=0.08, index=-2.0, hours=(6.0, 18.0)),
+    "gain_temperature": GainTemperature(size=0.18),
+    "rfi_broadband": RfiBroadband(size=0.1, index=-2.0, hours=(6.0, 18.0)),
 }
 """Sizes that move C by three statistical errors or more."""
 WARM = (0.29, 0.79)

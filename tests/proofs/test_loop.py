@@ -12,9 +12,9 @@ from proofs.machinery.parts import Row
 
 @pytest.fixture(scope="module")
 def rows() -> list[Row]:
-    """An ionosphere and a clock, on a station of four antennas with few events; the faults are larger for it."""
+    """A clock and interference, on a station of four antennas with few events; the faults are larger for it."""
     settings = replace(SETTINGS, antennas=4, events_per_year=300)
-    return [close_loop(settings, 1.5, seed) for seed in (0, 1)]
+    return [close_loop(settings, 1.5, seed) for seed in (1, 4)]
 
 
 def test_the_fault_is_named_and_with_it_c_is_right_again(rows: list[Row]) -> None:
