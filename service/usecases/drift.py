@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lbacal_core.drift.monthly import measure_monthly_ratios
+from lbacal_core.drift.events import measure_event_modes
+from lbacal_core.drift.monthly import average_months
 from lbacal_core.drift.steps import find_steps
 from lbacal_core.grids import Floats
 from lbacal_core.instrument import DIPOLES, Instrument
@@ -116,7 +117,7 @@ class Drift:
         of_block = {s: v for s, v in references.items() if s.dipole == block.dipole}
         curves = {int(str(scope.antenna)): version.curves[0] for scope, version in of_block.items()}
         block = screen_block(block, self.instrument.longitude_deg).block
-        found = measure_monthly_ratios(block, curves, self.instrument, self.sky_power())
+        found = average_months(measure_event_modes(block, curves, self.instrument, self.sky_power()))
         months = found.months.astype("datetime64[us]").astype(np.int64)
         ratios = []
         for k, m in np.argwhere(np.isfinite(found.c_ratio)):

@@ -5,7 +5,8 @@ import pytest
 
 from lbacal_core.chain.model import calibration_factor, chain_power
 from lbacal_core.curves import CalibrationCurve, Parameter
-from lbacal_core.drift.monthly import measure_monthly_ratios
+from lbacal_core.drift.events import measure_event_modes
+from lbacal_core.drift.monthly import MonthlyRatios, average_months
 from lbacal_core.grids import Floats
 from lbacal_core.instrument import AntennaRecord, Instrument
 from lbacal_core.sidereal import local_sidereal_time
@@ -51,6 +52,12 @@ def make_case(
         {name: Parameter(value, 0.1 * value) for name, value in levels.items()},
     )  # fmt: skip
     return block, curve, instrument, sky
+
+
+def measure_monthly_ratios(
+    block: SpectraBlock, curves: dict[int, CalibrationCurve], instrument: Instrument, sky: SkyPower
+) -> MonthlyRatios:
+    return average_months(measure_event_modes(block, curves, instrument, sky))
 
 
 def test_a_gain_of_the_chain_is_measured_exactly_without_noise() -> None:

@@ -1,0 +1,101 @@
+"""What one event tells of a path's calibration, held against a fixed one: its level and two modes along frequency.
+
+With the calibration of a reference window held fixed, the chain predicts the power of every event. What the recorded
+power differs by is put down to a gain g in front of N_RCU (eq. full_chain of Mulrey et al. 2019, A -> g A),
+
+    P = g S + B,    S = (P_sky + N_LNA) G_ant / C^2,    B = N_RCU S_adc G_RCU + N_ADC,
+
+so that the calibration factor of the event is C g^(-1/2): far sharper than fitting everything anew. The gain is the
+mean over channels with weights (S / P)^2: where half of the power is receiver noise, a gain shows half as much over the
+same relative noise. What is left of g(nu) is fitted with two Legendre modes of frequency, a tilt and a curvature, both
+taken less their weighted mean so that they leave the gain alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.polynomial import legendre
+from numpy.typing import NDArray
+
+from lbacal_core.curves import CalibrationCurve
+from lbacal_core.grids import Floats
+from lbacal_core.instrument import Instrument
+from lbacal_core.sidereal import local_sidereal_time
+from lbacal_core.skypower.table import SkyPower
+from lbacal_core.spectra_blocks import SpectraBlock
+
+MODES = ("gain", "tilt", "curvature")
+"""What is followed: ln C in the mean over the band, and the coefficients of the Legendre polynomials 1 and 2 in it."""
+_RIDGE = 1e-9
+
+
+@dataclass(frozen=True)
+class EventModes:
+    """ln(C / C_reference) of every path and event of a block.
+
+    Attributes
+    ----------
+    antennas
+        Shape (antenna,), those with a reference.
+    time_unix
+        Shape (event,), rising.
+    ln_c
+        Shape (antenna, event, mode), NaN where nothing was measured.
+    centre
+        Weighted means of the Legendre polynomials 1 and 2, shape (antenna, 2): a mode is its polynomial less this.
+    """
+
+    antennas: NDArray[np.int64]
+    time_unix: Floats
+    ln_c: Floats
+    centre: Floats
+
+
+def frequency_modes(frequency_mhz: Floats) -> Floats:
+    """The Legendre polynomials 1 and 2 over the band, shape (2, freq); at the highest channel both are 1."""
+    low, high = frequency_mhz[0], frequency_mhz[-1]
+    x = (2.0 * frequency_mhz - low - high) / (high - low)
+    return np.asarray(legendre.legvander(x, 2).T[1:])
+
+
+def measure_event_modes(
+    block: SpectraBlock, references: Mapping[int, CalibrationCurve], instrument: Instrument, sky_power: SkyPower
+) -> EventModes:
+    """Measure every event against converged reference curves, by antenna number."""
+    rows = np.flatnonzero(np.isin(block.antennas, [a for a, curve in references.items() if curve.c is not None]))
+    curves = [references[int(antenna)] for antenna in block.antennas[rows]]
+    modes = frequency_modes(block.frequency_mhz)
+    if not curves:
+        empty = np.empty((0, block.time_unix.size, len(MODES)))
+        return EventModes(block.antennas[rows], block.time_unix, empty, np.empty((0, 2)))
+    has_value = np.array([curve.has_value for curve in curves])
+    c = np.array([curve.filled(np.asarray(curve.c)) for curve in curves])
+    level = {n: np.array([curve.parameters[n].value for curve in curves])[:, None] for n in ("n_lna", "n_rcu", "n_adc")}
+    behind = (level["n_rcu"] * instrument.receiver_gain + level["n_adc"])[:, None, :]
+    sky = sky_power.at(block.dipole, local_sidereal_time(block.time_unix, instrument.longitude_deg))
+    signal = (sky + level["n_lna"][:, :, None]) * (instrument.antenna_gain / c**2)[:, None, :]
+    weight = (signal / (signal + behind)) ** 2 * has_value[:, None, :]
+    ratio = (block.power[rows] - behind) / signal
+    total = weight.sum(axis=2)
+    gain = (weight * ratio).sum(axis=2) / total
+    is_known = block.is_present[rows] & (gain > 0)
+
+    typical = weight.mean(axis=1)
+    centre = typical @ modes.T / typical.sum(axis=1)[:, None]
+    ln_c = np.full((*gain.shape, len(MODES)), np.nan)
+    ln_c[is_known, 0] = -0.5 * np.log(gain[is_known])
+    ln_c[is_known, 1:] = -0.5 * _fit_modes(ratio / np.where(is_known, gain, 1.0)[:, :, None], weight, modes)[is_known]
+    return EventModes(block.antennas[rows], block.time_unix, ln_c, centre)
+
+
+def _fit_modes(ratio: Floats, weight: Floats, modes: Floats) -> Floats:
+    """Coefficients of the modes in g(nu) / g beside a constant, shape (antenna, event, 2), weighted least squares."""
+    columns = np.vstack([np.ones(modes.shape[1]), modes])
+    products = (columns[:, None, :] * columns[None, :, :]).reshape(-1, modes.shape[1])
+    normal = (weight @ products.T).reshape(*weight.shape[:2], 3, 3)
+    normal += _RIDGE * weight.sum(axis=2)[:, :, None, None] * np.eye(3)
+    target = (weight * ratio) @ columns.T
+    return np.asarray(np.linalg.solve(normal, target[..., None])[..., 1:, 0])

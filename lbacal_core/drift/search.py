@@ -1,0 +1,231 @@
+"""Which slopes and steps the series of one kind have: added one by one, the most significant first.
+
+A series is a path against the median of its group, or a group against the median of all. A round removes the medians,
+averages months, fits all series, and scores a slope and a step at every month in each of them, everything that the fit
+describes profiled out. What passes the threshold enters the model; a step gets its date from events; what is no longer
+significant beside the rest leaves, and each term may give its place to a better one: the first step that is added to a
+path with several is a compromise between them. Medians are taken again of what the model leaves, so that a step of one
+path in a small group does not appear in the others; for the same reason a round adds nothing that the best of its group
+could cause.
+
+A score is the sum of squares of the scores of the modes, made uncorrelated: chi-square with one degree a mode. The
+threshold is that of the number of series times months, so that `FALSE_ALARMS` are expected in all of them together.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lbacal_core.drift.model import MOST_STEPS, Series, SeriesModel
+from lbacal_core.drift.noise import Lasting
+from lbacal_core.drift.scores import chi_square, find_significance
+from lbacal_core.drift.terms import SLOPE, STEPS, Terms, fit_terms
+from lbacal_core.grids import Floats
+
+FALSE_ALARMS = 0.05
+"""Steps and slopes expected by chance in all series together; nightly looks at growing data make some times as many."""
+MOST_ROUNDS = 40
+BETTER = 2.0
+"""Chi-square by which a term must explain more than the one whose place it takes."""
+LEAKAGE = 1.5
+"""The median of n series follows a step of one of them by up to this over n, and the other series step against it: a
+round adds nothing with less chi-square, as a share of the group's best, than that has."""
+
+
+@dataclass(frozen=True)
+class Found:
+    """What the series have. Sizes are changes of ln C (of its modes), a slope is one a year.
+
+    Attributes
+    ----------
+    terms
+        Slopes and steps.
+    step_sigma_s, step_earliest, step_latest
+        Error of the dates and the interval that holds 95 %, shape (series, step); NaN where there is none.
+    step_size, step_size_sigma
+        Shape (series, step, mode).
+    step_significance
+        Standard deviations of a normal with the same probability, shape (series, step).
+    slope, slope_sigma
+        Of every series, significant or not, shape (series, mode).
+    slope_significance
+        Shape (series,).
+    season
+        Amplitude of the annual term, shape (series, mode).
+    median
+        What each group has in common, shape (group, event, mode).
+    noise
+        Noise of one event, shape (series, mode).
+    lasting
+        The process beside it, for each mode.
+    threshold
+        Significance from which on something is found.
+    """
+
+    terms: Terms
+    step_sigma_s: Floats
+    step_earliest: Floats
+    step_latest: Floats
+    step_size: Floats
+    step_size_sigma: Floats
+    step_significance: Floats
+    slope: Floats
+    slope_sigma: Floats
+    slope_significance: Floats
+    season: Floats
+    median: NDArray[np.float32]
+    noise: Floats
+    lasting: tuple[Lasting, ...]
+    threshold: float
+
+
+def search_series(series: Series, known_unix: Floats | None = None, false_alarms: float = FALSE_ALARMS) -> Found:
+    """Find slopes and steps.
+
+    Parameters
+    ----------
+    known_unix
+        Dates at which the hardware of a series changed, shape (series, change), infinite where there is none: steps
+        whose size is free and that are no news.
+    """
+    search = _Search(series, known_unix, false_alarms)
+    search.fit()  # before it, the season counts as noise of events
+    for _ in range(MOST_ROUNDS):
+        search.fit()
+        if not search.improve():
+            break
+    return search.report()
+
+
+class _Search(SeriesModel):
+    """A model and what was tried with it."""
+
+    def __init__(self, series: Series, known_unix: Floats | None, false_alarms: float) -> None:
+        super().__init__(series, known_unix, false_alarms)
+        members = np.bincount(series.group, minlength=len(self.median))
+        self.leakage = np.minimum(LEAKAGE / np.maximum(members - 1, 1), 0.9) ** 2
+        self.was_settled, self.was_begun_again = np.zeros((2, len(series.group)), dtype=bool)
+
+    def improve(self) -> bool:
+        """Drop, add, exchange terms or begin again, the first that changes anything; whether anything changed."""
+        return self._drop() or self._add() or self._exchange() or self._begin_again()
+
+    def _drop(self) -> bool:
+        steps, slopes = self.own_chi2()
+        is_out = np.isfinite(self.terms.dates) & ~self.terms.is_known & (steps < self.cut)
+        no_slope = self.terms.has_slope & (slopes < self.cut)
+        self.remove(is_out, no_slope)
+        return self._renew(no_slope | np.any(is_out, axis=1))
+
+    def _add(self) -> bool:
+        steps, slopes = self.scores(self.all)
+        best = np.argmax(steps, axis=1)
+        of_best = steps[self.all, best]
+        top = np.maximum(of_best, slopes)
+        of_group = np.zeros(len(self.median))
+        np.maximum.at(of_group, self.series.group, top)
+        is_added = (top > self.cut) & (top >= (self.leakage * of_group)[self.series.group])
+        gets_slope = is_added & (slopes >= of_best)
+        self.terms = replace(self.terms, has_slope=self.terms.has_slope | gets_slope)
+        rows = np.flatnonzero(is_added & ~gets_slope)
+        self.put_steps(rows, best[rows])
+        return self._renew(is_added)
+
+    def _exchange(self) -> bool:
+        """Take out the terms of series with several in turn, and put in its place what explains more, if any does."""
+        is_free = np.isfinite(self.terms.dates) & ~self.terms.is_known
+        asked = (is_free.sum(axis=1) + self.terms.has_slope > 1) & ~self.was_settled
+        self.was_settled |= asked
+        changed = np.zeros_like(asked)
+        for j in range(-1, is_free.shape[1]):
+            rows = np.flatnonzero(asked & ~changed & (self.terms.has_slope if j < 0 else is_free[:, j]))
+            if rows.size:
+                changed[rows[self._replace_term(rows, j)]] = True
+        return self._renew(changed)
+
+    def _replace_term(self, rows: NDArray[np.int64], step: int) -> NDArray[np.bool_]:
+        """Replace a step of series, or with -1 their slope, where another term explains more; where it did."""
+        own = self.own_chi2()[1][rows] if step < 0 else self.own_chi2()[0][rows, step]
+        before, errors = self.terms, self.errors.copy()
+        out = np.zeros_like(before.is_known)
+        if step >= 0:
+            out[rows, step] = True
+        self.remove(out, np.isin(self.all, rows) & (step < 0))
+        self.fit_terms(rows)
+        steps, slopes = self.scores(rows)
+        best = np.argmax(steps, axis=1)
+        of_best = steps[np.arange(rows.size), best]
+        is_better = np.maximum(of_best, np.where(step < 0, 0.0, slopes)) > own + BETTER
+        gets_slope = is_better & (step >= 0) & (slopes > of_best)
+        self.restore(before, errors, rows[~is_better])
+        self.terms.has_slope[rows[gets_slope]] = True
+        gets_step = is_better & ~gets_slope
+        self.put_steps(rows[gets_step], best[gets_step])
+        self.fit_terms(rows)
+        return np.asarray(is_better)
+
+    def _renew(self, changed: NDArray[np.bool_]) -> bool:
+        """Medians of groups with a changed series are to be taken again; whether there is any."""
+        self.was_settled &= ~changed
+        self.is_new = np.bincount(self.series.group, weights=changed, minlength=len(self.median)) > 0
+        return bool(np.any(changed))
+
+    def _begin_again(self) -> bool:
+        """Explain series that have a slope and steps by steps alone, once, and keep what costs less."""
+        is_free = np.isfinite(self.terms.dates) & ~self.terms.is_known
+        rows = np.flatnonzero(self.terms.has_slope & np.any(is_free, axis=1) & ~self.was_begun_again)
+        if rows.size == 0:
+            return False
+        self.was_begun_again[rows] = True
+        before, errors, cost = self.terms, self.errors.copy(), self.find_cost(rows)
+        of_rows = np.isin(self.all, rows)
+        self.remove(is_free & of_rows[:, None], of_rows)
+        self.fit_terms(rows)
+        for _ in range(MOST_STEPS):
+            steps, _ = self.scores(rows)
+            best = np.argmax(steps, axis=1)
+            is_added = steps[np.arange(rows.size), best] > self.cut
+            self.put_steps(rows[is_added], best[is_added])
+        for j in range(self.terms.dates.shape[1]):
+            has = rows[np.isfinite(self.terms.dates[rows, j]) & ~self.terms.is_known[rows, j]]
+            self._replace_term(has, j)
+        back = rows[self.find_cost(rows) >= cost]
+        self.restore(before, errors, back)
+        self.fit_terms(back)
+        return self._renew(of_rows & ~np.isin(self.all, back))
+
+    def report(self) -> Found:
+        """What was found; slopes of all series from a last fit in which each has one."""
+        steps, _ = self.own_chi2()
+        at = slice(STEPS, None)
+        size = np.einsum("ksj,ks->sjk", self.result.theta[:, :, at], self.scale)
+        deviation = np.sqrt(np.diagonal(self.result.covariance, axis1=2, axis2=3))
+        size_sigma = np.einsum("ksj,ks->sjk", deviation[:, :, at], self.scale)
+        has_step = np.isfinite(self.terms.dates)
+        size[~has_step] = size_sigma[~has_step] = np.nan
+        season = np.hypot(self.result.theta[:, :, 1], self.result.theta[:, :, 2]) * self.scale
+        terms, modes = self.terms, len(self.scale)
+        self.terms = replace(terms, has_slope=np.ones_like(terms.has_slope))
+        last = fit_terms(self.y, self.inverse, self.columns(self.all), self.scale)
+        variance = last.covariance[:, :, SLOPE, SLOPE]
+        slope_chi2 = chi_square(self.whitener, last.theta[:, :, SLOPE], variance)
+        return Found(
+            terms=terms,
+            step_sigma_s=self.errors[0],
+            step_earliest=self.errors[1],
+            step_latest=self.errors[2],
+            step_size=size,
+            step_size_sigma=size_sigma,
+            step_significance=np.where(has_step, find_significance(steps, modes), np.nan),
+            slope=(last.theta[:, :, SLOPE] * self.scale).T,
+            slope_sigma=(np.sqrt(variance) * self.scale).T,
+            slope_significance=find_significance(slope_chi2, modes),
+            season=season.T,
+            median=self.median,
+            noise=self.scale.T,
+            lasting=self.lasting,
+            threshold=float(find_significance(np.array(self.cut), modes)),
+        )

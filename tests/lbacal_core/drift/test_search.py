@@ -1,0 +1,119 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lbacal_core.drift.model import Series
+from lbacal_core.drift.search import Found, search_series
+from lbacal_core.drift.terms import YEAR_S
+
+DAY = 86_400.0
+NOISE = 0.017
+
+
+def _draw(rng: np.random.Generator, *, series: int = 24, years: float = 4.0, groups: int = 1) -> Series:
+    """Series with a common gain of every event, a common level of every year, and a season of their own."""
+    time_unix = np.sort(rng.uniform(0.0, years * YEAR_S, int(400 * years)))
+    values = 0.01 * rng.standard_normal((series, time_unix.size, 3))
+    values[..., 0] = NOISE * rng.standard_normal((series, time_unix.size))
+    angle = 2 * np.pi * time_unix / YEAR_S - rng.uniform(0, 6, (series, 1))
+    values[..., 0] += rng.uniform(0, 0.03, (series, 1)) * np.cos(angle)
+    values[..., 0] += 0.05 * rng.standard_normal(int(years) + 1)[(time_unix / YEAR_S).astype(int)]
+    values += 0.03 * rng.standard_normal((time_unix.size, 1)) * np.array([1.0, 0.0, 0.0])
+    return Series(values.astype(np.float32), np.arange(series) % groups, time_unix)
+
+
+def _dates(found: Found, k: int) -> np.ndarray:
+    return np.sort(found.terms.dates[k][np.isfinite(found.terms.dates[k])])
+
+
+def test_seasons_and_common_years_alone_are_nothing() -> None:
+    found = search_series(_draw(np.random.default_rng(1)))
+    assert not np.any(np.isfinite(found.terms.dates))
+    assert found.slope_significance.max() < found.threshold
+
+
+def test_several_steps_of_one_path_are_found_with_their_dates() -> None:
+    """A path with two steps once showed the larger one only."""
+    series = _draw(np.random.default_rng(2))
+    planted = np.array([1.13, 2.4, 3.2]) * YEAR_S
+    for date, size in zip(planted, (0.03, -0.05, 0.02), strict=True):
+        series.values[5, series.time_unix >= date, 0] += size
+    found = search_series(series)
+    assert _dates(found, 5).size == 3
+    assert np.abs(_dates(found, 5) - planted).max() < 10 * DAY
+    order = np.argsort(found.terms.dates[5])[:3]
+    assert found.step_size[5, order, 0] == pytest.approx([0.03, -0.05, 0.02], abs=0.006)
+    assert np.all((found.step_earliest[5, order] <= planted) & (planted <= found.step_latest[5, order]))
+    assert not np.any(np.isfinite(np.delete(found.terms.dates, 5, axis=0)))
+
+
+def test_a_step_of_the_shape_alone_is_found() -> None:
+    series = _draw(np.random.default_rng(3))
+    series.values[5, series.time_unix >= 2.3 * YEAR_S, 1] += 0.01
+    found = search_series(series)
+    assert np.abs(_dates(found, 5) - 2.3 * YEAR_S).max() < 30 * DAY
+    assert found.step_size[5, 0] == pytest.approx([0.0, 0.01, 0.0], abs=0.004)
+
+
+def test_a_slope_is_a_slope_and_no_staircase() -> None:
+    series = _draw(np.random.default_rng(4))
+    series.values[7, :, 0] += 0.01 * series.time_unix / YEAR_S
+    found = search_series(series)
+    assert found.slope_significance[7] > found.threshold
+    assert found.slope[7, 0] == pytest.approx(0.01, abs=3 * found.slope_sigma[7, 0])
+    assert _dates(found, 7).size == 0
+
+
+def test_a_step_in_one_of_four_does_not_appear_in_the_others() -> None:
+    """The median of four moves when one of them does."""
+    series = _draw(np.random.default_rng(5), series=4, years=3)
+    series.values[2, series.time_unix >= 1.5 * YEAR_S, 0] += 0.08
+    found = search_series(series)
+    assert np.isfinite(found.terms.dates).sum(axis=1).tolist() == [0, 0, 1, 0]
+
+
+def test_a_known_change_of_hardware_is_in_the_model_and_dated_by_who_knows() -> None:
+    series = _draw(np.random.default_rng(6))
+    known = np.full((24, 1), np.inf)
+    known[3] = 1.7 * YEAR_S
+    series.values[3, series.time_unix >= known[3], 0] -= 0.3
+    found = search_series(series, known)
+    assert found.terms.is_known[3].sum() == 1
+    assert _dates(found, 3) == pytest.approx(known[3])
+    assert found.step_size[3, 0, 0] == pytest.approx(-0.3, abs=0.006)
+
+
+def test_a_path_that_was_silent_for_a_year_and_one_without_any_event_do_no_harm() -> None:
+    series = _draw(np.random.default_rng(8))
+    series.values[3, (series.time_unix > YEAR_S) & (series.time_unix < 2 * YEAR_S)] = np.nan
+    series.values[4] = np.nan
+    found = search_series(series)
+    assert not np.any(np.isfinite(found.terms.dates))
+    assert found.slope_sigma[4, 0] > found.slope_sigma[5, 0]
+
+
+def test_noise_that_lasts_for_months_raises_no_alarm() -> None:
+    """Only what lasts is estimated from all series: white noise of events would make each of these many steps."""
+    rng = np.random.default_rng(9)
+    series = _draw(rng, series=40)
+    knots = 0.006 * rng.standard_normal((40, 60))
+    month = series.time_unix / (30 * DAY)
+    walk = np.stack([np.interp(month, np.arange(60), one) for one in knots])
+    series.values[..., 0] += walk
+    found = search_series(series)
+    assert found.lasting[0].variance > 0.0
+    assert np.isfinite(found.terms.dates).any(axis=1).sum() <= 1
+
+
+def test_the_errors_of_slopes_hold() -> None:
+    found = search_series(_draw(np.random.default_rng(10), series=96))
+    pull = found.slope[:, 0] / found.slope_sigma[:, 0]
+    assert np.std(pull) == pytest.approx(1.0, abs=0.22)  # 3 standard deviations of 96 draws
+
+
+def test_fewer_months_than_a_year_still_show_a_step() -> None:
+    series = _draw(np.random.default_rng(11), years=0.5)
+    series.values[2, series.time_unix >= 0.3 * YEAR_S, 0] += 0.06
+    found = search_series(series)
+    assert np.isfinite(found.terms.dates).sum(axis=1).tolist() == [int(k == 2) for k in range(24)]
