@@ -31,8 +31,12 @@ MOST_ROUNDS = 40
 BETTER = 2.0
 """Chi-square by which a term must explain more than the one whose place it takes."""
 LEAKAGE = 1.5
-"""The median of n series follows a step of one of them by up to this over n, and the other series step against it: a
-round adds nothing with less chi-square, as a share of the group's best, than that has."""
+"""The median of n series follows a step of k of them by up to this times k / (n - 1), and the other series step against
+it: a round adds nothing with less chi-square, as a share of the group's best, than that has. Once it were in the model,
+medians would be taken without it, and nothing could tell any more who stepped."""
+ALIKE = 0.25
+"""Share of the best chi-square of a group from which on series count as those that step."""
+MOST_LEAKAGE = 0.9
 
 
 @dataclass(frozen=True)
@@ -106,7 +110,7 @@ class _Search(SeriesModel):
     def __init__(self, series: Series, known_unix: Floats | None, false_alarms: float) -> None:
         super().__init__(series, known_unix, false_alarms)
         members = np.bincount(series.group, minlength=len(self.median))
-        self.leakage = np.minimum(LEAKAGE / np.maximum(members - 1, 1), 0.9) ** 2
+        self.leakage = LEAKAGE / np.maximum(members - 1, 1)
         self.was_settled, self.was_begun_again = np.zeros((2, len(series.group)), dtype=bool)
 
     def improve(self) -> bool:
@@ -127,7 +131,10 @@ class _Search(SeriesModel):
         top = np.maximum(of_best, slopes)
         of_group = np.zeros(len(self.median))
         np.maximum.at(of_group, self.series.group, top)
-        is_added = (top > self.cut) & (top >= (self.leakage * of_group)[self.series.group])
+        is_alike = (top > self.cut) & (top >= ALIKE * of_group[self.series.group])
+        alike = np.bincount(self.series.group, weights=is_alike, minlength=len(self.median))
+        share = np.minimum(self.leakage * alike, MOST_LEAKAGE) ** 2
+        is_added = (top > self.cut) & (top >= (share * of_group)[self.series.group])
         gets_slope = is_added & (slopes >= of_best)
         self.terms = replace(self.terms, has_slope=self.terms.has_slope | gets_slope)
         rows = np.flatnonzero(is_added & ~gets_slope)

@@ -1,0 +1,37 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from lbacal_core.drift.follow import follow
+from proofs.drift_world import START, YEAR, World, draw_history
+
+WORLD = World(years=3.0, stations=3, antennas=4, events_per_year=400)
+
+
+def test_a_trend_of_all_is_of_the_whole_and_of_no_path() -> None:
+    found = follow(draw_history(replace(WORLD, trend=0.03, yearly=0.0), np.random.default_rng(1)))
+    assert found.whole is not None
+    assert found.stations is not None
+    assert abs(found.whole.slope[0] - 0.03) < 3 * found.whole.sigma[0] + 0.003
+    assert found.paths.slope_significance.max() < found.paths.threshold
+    assert found.stations.slope_significance.max() < found.stations.threshold
+
+
+def test_a_slope_of_a_station_is_of_no_path_of_it() -> None:
+    history = draw_history(WORLD, np.random.default_rng(2))
+    rows = np.flatnonzero(history.station == "CS003")
+    history.ln_c[rows, :, 0] += (0.02 * (history.time_unix - START) / YEAR).astype(np.float32)
+    found = follow(history)
+    assert found.stations is not None
+    is_found = found.stations.slope_significance > found.stations.threshold
+    assert {station for (station, _), yes in zip(found.groups, is_found, strict=True) if yes} == {"CS003"}
+    assert found.paths.slope_significance.max() < found.paths.threshold
+
+
+def test_two_stations_are_not_compared_and_still_have_a_whole() -> None:
+    found = follow(draw_history(replace(WORLD, stations=2), np.random.default_rng(3)))
+    assert found.stations is None
+    assert found.whole is not None
+    assert found.whole.years == 3
