@@ -44,7 +44,7 @@ class Change:
     earliest_unix, latest_unix
         The interval that holds 95 % of its probability.
     size, size_sigma
-        Of the most significant member, one entry a mode: gain, tilt, curvature of ln C.
+        Those of the most significant member, one entry a mode: gain, tilt, curvature of ln C.
     significance
         Standard deviations, corrected for nothing: `Followed` says from which on something is found.
     is_known

@@ -21,7 +21,7 @@ FEWEST_EVENTS = 10
 NOISE_ROUNDS = 4
 """Fits, the first among them, after which the noise is known well enough."""
 SMALLEST_NOISE = 1e-4
-"""Of one event, in ln C: exact data, or none, keep a finite weight."""
+"""Noise of one event, in ln C: exact data, or none, keep a finite weight."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class SeriesModel:
     terms
         Slopes and steps.
     errors
-        Of the dates: standard deviation, and both ends of the interval that holds 95 %, shape (3, series, step).
+        Standard deviation of each date, and both ends of the interval that holds 95 %, shape (3, series, step).
     median
         Shape (group, event, mode).
     scale

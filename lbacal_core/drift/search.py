@@ -54,7 +54,7 @@ class Found:
     step_significance
         Standard deviations of a normal with the same probability, shape (series, step).
     slope, slope_sigma
-        Of every series, significant or not, shape (series, mode).
+        Those of every series, significant or not, shape (series, mode).
     slope_significance
         Shape (series,).
     season
