@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -45,6 +45,26 @@ class Parameter:
 
 
 @dataclass(frozen=True)
+class MergedConstants:
+    """Noise constants that the data do not tell apart.
+
+    Attributes
+    ----------
+    constants
+        Their names in `CalibrationCurve.parameters`, where each has an error as large as what they add together.
+    value, sigma
+        What they add together to the recorded power, mean over the channels, ADC^2/Ohm/MHz.
+    reason
+        One sentence.
+    """
+
+    constants: tuple[str, ...]
+    value: float
+    sigma: float
+    reason: str
+
+
+@dataclass(frozen=True)
 class CalibrationCurve:
     """The calibration C(nu) of one path, one station or the whole array, or why there is none.
 
@@ -71,6 +91,8 @@ class CalibrationCurve:
         G_ant that the chain was fitted with, shape (freq,); None where nobody kept it.
     covariance
         Covariance of ln C along frequency; None where nobody kept it.
+    merged
+        Noise constants that the data do not tell apart; None where there are none.
     """
 
     station: str | None
@@ -89,6 +111,7 @@ class CalibrationCurve:
     antenna_gain: Floats | None = None
     chi2_per_dof_profiled: float | None = None
     covariance: CurveCovariance | None = None
+    merged: MergedConstants | None = None
 
     def __post_init__(self) -> None:
         if self.status not in STATUSES:
@@ -173,6 +196,9 @@ class CalibrationCurve:
             "lst_coverage": self.lst_coverage,
             "parameters": {name: {"value": p.value, "sigma": p.sigma} for name, p in self.parameters.items()},
             **self._gain_as_dict(),
+            **(
+                {} if self.merged is None else {"merged": asdict(self.merged) | {"constants": [*self.merged.constants]}}
+            ),
         }
         # a version from before flags keeps its content and with it its hash
         if self.flag is not None:
@@ -210,7 +236,14 @@ def parse_curve(content: Mapping[str, Any]) -> CalibrationCurve:
         antenna_gain=_array(content.get("antenna_gain")),
         chi2_per_dof_profiled=content.get("chi2_per_dof_profiled"),
         covariance=None if content.get("covariance") is None else parse_covariance(content["covariance"]),
+        merged=_parse_merged(content.get("merged")),
     )
+
+
+def _parse_merged(content: Mapping[str, Any] | None) -> MergedConstants | None:
+    if content is None:
+        return None
+    return MergedConstants(tuple(content["constants"]), content["value"], content["sigma"], content["reason"])
 
 
 @dataclass(frozen=True)

@@ -161,6 +161,9 @@ def describe_rest(report: FitReport, spectra: int, command: str, sky_power: Path
     for curve in report.curves:
         if curve.status not in (CONVERGED, MISFIT):
             yield f"{curve.name}: {curve.status} ({curve.events} events, LST coverage {curve.lst_coverage:.2f})"
+    reasons = [curve.merged.reason for curve in report.curves if curve.merged is not None]
+    for reason in dict.fromkeys(reasons):
+        yield f"{reasons.count(reason)} of {len(report.curves)} curves: {reason}"
     for curve, reference in zip(report.curves, report.chains, strict=True):
         if reference is not None and curve.antenna is None:
             yield f"{curve.name}: {describe_chain(reference)}"

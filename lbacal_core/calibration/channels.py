@@ -50,7 +50,7 @@ def solve_without_interference(
     left = information
     at = np.flatnonzero(solution.is_converged & solution.is_identifiable)
     for _ in range(int(MOST_WITH_INTERFERENCE * slope.shape[1])):
-        excess = _excess_of_intercepts(_take(solution, at), slope[at], intercept[at], left[at], design, is_free[at])
+        excess = _excess_of_intercepts(solution.take(at), slope[at], intercept[at], left[at], design, is_free[at])
         channel = np.argmax(excess, axis=1)
         stands_out = excess[np.arange(at.size), channel] > FURTHEST_OUTLIER
         at, channel = at[stands_out], channel[stands_out]
@@ -59,7 +59,7 @@ def solve_without_interference(
         is_free[at, channel] = True
         left = left.copy()
         left[at] = [_free(information[p], is_free[p]) for p in at]
-        solution = _replace(solution, at, solve_separable(slope[at], intercept[at], left[at], design))
+        solution = solution.exchange(at, solve_separable(slope[at], intercept[at], left[at], design))
     return solution, is_free
 
 
@@ -125,19 +125,6 @@ def _free(information: Floats, is_free: Booleans) -> Floats:
     left = information - side @ np.linalg.solve(information[np.ix_(at, at)], side.T)
     left[at] = left[:, at] = 0.0
     return np.asarray(left)
-
-
-def _take(whole: SeparableSolution, at: NDArray[np.intp]) -> SeparableSolution:
-    """Some of a batch of solutions."""
-    return SeparableSolution(**{name: values[at] for name, values in vars(whole).items()})
-
-
-def _replace(whole: SeparableSolution, at: NDArray[np.intp], part: SeparableSolution) -> SeparableSolution:
-    """The solutions of a batch with some of them exchanged."""
-    fields = {name: values.copy() for name, values in vars(whole).items()}
-    for name, values in vars(part).items():
-        fields[name][at] = values
-    return SeparableSolution(**fields)
 
 
 def _median_beside(values: Floats) -> Floats:

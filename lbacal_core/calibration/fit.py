@@ -18,6 +18,7 @@ from lbacal_core.anomalies import Anomaly
 from lbacal_core.calibration.chain_test import SkyFreedom, is_improbable, run_chain_test
 from lbacal_core.calibration.channels import SMALLEST_BAND, flag_channels, solve_without_interference
 from lbacal_core.calibration.lines import Lines, fit_lines
+from lbacal_core.calibration.merged import describe_merged
 from lbacal_core.calibration.paths import (
     MIN_EVENTS,
     Cables,
@@ -193,7 +194,8 @@ def _fit_paths(paths: Paths, sky: Floats, instrument: Instrument, series: Floats
     scatter = np.median(lines.levels.radiometer, axis=1) if paths.scatter is None else paths.scatter
     is_odd = scatter[good] < SMALLEST_OF_LIMIT * paths.smallest_scatter
     is_odd |= _has_negative_noise(solution.q[of_good], variance[of_good, channels + 1 :])
-    dof = channels - 3 - is_free.sum(axis=1)
+    # merged constants are one
+    dof = channels - 3 - is_free.sum(axis=1) + np.maximum(solution.is_merged.sum(axis=1) - 1, 0)
     is_unlikely = is_improbable(solution.chi2[of_good], dof[of_good])
     is_misfit = set(good[tested.is_misfit | (is_odd & is_unlikely)].tolist())
     profiled = dict(zip(good.tolist(), tested.per_dof.tolist(), strict=True))
@@ -222,6 +224,7 @@ def _fit_paths(paths: Paths, sky: Floats, instrument: Instrument, series: Floats
             chi2_per_dof_profiled=profiled.get(k),
             covariance=_covariance_of(solution.x[j], solution.covariance[j], has_value[j]) if is_good else None,
             antenna_gain=instrument.antenna_gain,
+            merged=describe_merged(solution, j, noise_design(instrument)) if is_good else None,
         )
         curves.append(curve.as_misfit() if k in is_misfit else curve)
     return curves

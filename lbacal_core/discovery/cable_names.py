@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import t as student
 
+from lbacal_core.calibration.normal_equations import solve_normal_equations
 from lbacal_core.causes.cable import CableLength, log_loss_per_metre
 from lbacal_core.discovery.antennas import AntennaScore
 from lbacal_core.discovery.baseline import Baseline
@@ -196,8 +197,8 @@ def _influence(station: Station, baseline: Baseline, model: LinearModel, path: i
         along = of_slope * vector
         information[:channels, :channels] -= (along * (part * precision / radiometer)[:, None]).T @ along
     information[np.arange(channels), np.arange(channels)] += precision @ of_slope**2 / radiometer
-    unit = np.sqrt(np.diag(information))
-    inverse = np.linalg.inv(information / np.outer(unit, unit)) / np.outer(unit, unit)
+    # in a flat receiver the information about two noise constants is singular, that about the slopes is not
+    inverse = solve_normal_equations(information[None], np.eye(len(information))[None])[0]
 
     def moved(values: Floats) -> Floats:
         """Change of ln s by each of some residuals, shape (..., event, freq) -> (..., event, freq)."""

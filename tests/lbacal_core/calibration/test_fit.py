@@ -8,6 +8,7 @@ import pytest
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.calibration.freedom import free_own_sky
 from lbacal_core.chain.model import calibration_factor
+from lbacal_core.curves import parse_curve
 from lbacal_core.errors import BadInputError
 from lbacal_core.instrument import AntennaRecord, load_instrument
 from lbacal_core.skypower.model import compute_sky_power
@@ -162,10 +163,41 @@ def test_events_of_a_few_sidereal_hours_are_too_few_lst_bins(scene):
     assert report.status == "too_few_lst_bins"
 
 
-def test_a_flat_receiver_gain_cannot_tell_receiver_noise_from_adc_noise(scene, spectra):
-    flat = replace(scene.instrument, receiver_gain=np.ones_like(scene.instrument.receiver_gain))
-    report = fit_calibration(spectra, flat, scene.sky_power, "station")
-    assert {curve.status for curve in report.curves} == {"not_identifiable"}
+def test_a_flat_receiver_was_refused_and_is_fitted_with_its_two_noise_constants_merged(scene):
+    """All ones, a laboratory-calibrated chain: every path was `not_identifiable` although C is determined."""
+    flat = replace(scene, instrument=replace(scene.instrument, receiver_gain=np.ones(26)))
+    report = fit_calibration(
+        flat.spectra(np.random.default_rng(3), events=300), flat.instrument, scene.sky_power, "antenna"
+    )
+    pulls = []
+    for curve in report.curves:
+        assert curve.status == "converged"
+        assert curve.merged.constants == ("n_rcu", "n_adc")
+        assert "flat along frequency" in curve.merged.reason
+        assert abs(curve.merged.value - (flat.n_rcu + flat.n_adc)) < 4 * curve.merged.sigma
+        assert curve.merged.sigma < 0.2 * curve.merged.value
+        assert curve.parameters["n_rcu"].sigma > 0.5 * curve.parameters["n_rcu"].value
+        truth = calibration_factor(flat.slope("80" if curve.antenna % 2 else "50"), flat.instrument.antenna_gain)
+        pulls.append((curve.c - truth) / curve.c_sigma_stat)
+    # 8 curves of one station
+    assert np.sqrt(np.mean(np.square(pulls))) < 1.8
+    assert parse_curve(report.curves[0].as_dict()).merged == report.curves[0].merged
+
+
+def test_a_chain_flat_from_antenna_to_output_has_one_noise(scene):
+    instrument = replace(
+        scene.instrument,
+        receiver_gain=np.ones(26),
+        antenna_gain=np.ones(26),
+        cables={name: np.full(26, loss.mean()) for name, loss in scene.instrument.cables.items()},
+    )
+    flat = replace(scene, instrument=instrument)
+    report = fit_calibration(flat.spectra(np.random.default_rng(3), events=300), instrument, scene.sky_power, "antenna")
+    for curve in report.curves:
+        assert curve.status == "converged"
+        assert curve.merged.constants == ("n_lna", "n_rcu", "n_adc")
+        truth = calibration_factor(flat.slope("80" if curve.antenna % 2 else "50"), instrument.antenna_gain)
+        assert np.max(np.abs(curve.c - truth) / curve.c_sigma_stat) < 4
 
 
 def test_a_sky_that_does_not_vary_is_not_identifiable(scene, spectra):

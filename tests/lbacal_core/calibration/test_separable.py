@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from scipy.optimize import least_squares
 
 from lbacal_core.calibration.separable import solve_separable
@@ -48,8 +49,24 @@ def test_units_do_not_matter():
     np.testing.assert_allclose(scaled.chi2, plain.chi2, rtol=1e-9)
 
 
-def test_two_equal_columns_are_not_identifiable():
+def test_equal_columns_are_merged_and_leave_x_and_their_sum_as_with_one_column():
     x, y, information, design = problem(np.random.default_rng(3))
-    flat = np.ones_like(design)
-    assert not solve_separable(x[None], y[None], information[None], flat).is_identifiable[0]
-    assert solve_separable(x[None], y[None], information[None], design).is_identifiable[0]
+    flat = solve_separable(x[None], y[None], information[None], np.ones_like(design))
+    one = solve_separable(x[None], y[None], information[None], np.ones((x.size, 1)))
+    assert flat.is_merged.tolist() == [[False, True, True]]
+    assert not one.is_merged.any()
+    size = x.size
+    error = np.sqrt(np.diag(one.covariance[0]))
+    # the prior pulls a sum that is known to 1 % of the mean by a hundredth of its error
+    assert np.max(np.abs(flat.x[0] - one.x[0]) / error[:size]) < 0.02
+    assert abs(flat.q[0].sum() - one.q[0, 0]) < 0.02 * error[-1]
+    of_sum = flat.covariance[0][size + 1 :, size + 1 :].sum()
+    assert np.sqrt(of_sum) == pytest.approx(error[-1], rel=0.01)
+    np.testing.assert_allclose(np.sqrt(np.diag(flat.covariance[0]))[:size], error[:size], rtol=0.01)
+
+
+def test_columns_that_differ_are_not_merged():
+    x, y, information, design = problem(np.random.default_rng(3))
+    solution = solve_separable(x[None], y[None], information[None], design)
+    assert solution.is_identifiable[0]
+    assert not solution.is_merged.any()

@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 
 from lbacal_core.discovery.investigate import investigate
+from lbacal_core.twin.campaign import simulate_campaign
 from lbacal_core.twin.faults.antenna import GainStep
 from lbacal_core.twin.faults.fault import Where
 from lbacal_core.twin.faults.uncatalogued import WorkingWeek
+from tests.lbacal_core.discovery.conftest import SEED, SETTINGS
 
 pytestmark = pytest.mark.timeout(900)
 
@@ -100,3 +102,15 @@ def test_a_gain_step_of_one_board_is_named_for_its_group(spoil, chain, sky):
     assert finding["evidence"]["target"] == "group board 2"
     assert "group board 2" in finding["sentence"]
     assert abs(finding["size"]["value"] - 0.03) < 3 * finding["size"]["sigma"]
+
+
+def test_a_flat_receiver_ended_in_a_traceback_and_its_step_is_named(chain, sky):
+    """All ones: the normal matrix of the noise constants was singular, scores were NaN, no report was written."""
+    step = GainStep(size=0.05, where=Where(antennas=(2,), dipoles=("Y",)), date="2014-08-07")
+    flat = replace(chain, receiver_gain=np.ones_like(chain.receiver_gain))
+    spectra = simulate_campaign(SETTINGS, flat, sky, np.random.default_rng(SEED), [step]).spectra
+    report, _ = investigate(spectra, flat, sky)
+    assert report["verdict"] == "explained"
+    assert [finding["cause"] for finding in report["findings"]] == ["gain_step"]
+    assert "filter_shift" in {one["cause"] for one in report["unidentifiable"]}
+    json.dumps(report, allow_nan=False)
