@@ -124,7 +124,8 @@ class Cache:
                 done += 1
                 if on_step:
                     on_step(done, total)
-            listed[name] = {"antennas": station["antennas"], "edges": edges}
+            dipoles = station.get("dipoles", ["X", "Y"])  # a server from before instruments had other letters
+            listed[name] = {"antennas": station["antennas"], "dipoles": dipoles, "edges": edges}
         snapshot = Snapshot(tag, as_of, client.url, format_instant(_now()), listed)
         content = json.dumps({"format": FORMAT, **vars(snapshot)}, sort_keys=True).encode()
         self._write(self._folder / "tags" / f"{tag}.json", json.dumps({"list": self._keep(content)}).encode())
@@ -166,7 +167,7 @@ class Cache:
                 missing += [
                     {"station": name or None, "antenna": antenna, "dipole": dipole}
                     for antenna in station["antennas"] or [None]
-                    for dipole in ("XY" if name else [None])
+                    for dipole in (station.get("dipoles", ["X", "Y"]) if name else [None])
                 ]
         curves, missing = ([one for one in listed if _is_meant(one, asked)] for listed in (curves, missing))
         if not curves:
@@ -261,8 +262,9 @@ def _select_stations(snapshot: Snapshot, asked: Question) -> Sequence[str]:
     stations = [name for name in snapshot.stations if name != ARRAY]
     if asked.scope == "array":
         return [ARRAY]
-    if asked.dipole not in (None, "X", "Y"):
-        raise BadInputError("dipole", "X or Y", repr(asked.dipole))
+    letters = sorted({letter for name in stations for letter in snapshot.stations[name].get("dipoles", ["X", "Y"])})
+    if asked.dipole not in (None, *letters):
+        raise BadInputError("dipole", f"one of {', '.join(letters)}", repr(asked.dipole))
     if asked.antenna is not None and asked.station is None:
         raise BadInputError("antenna", "a station beside it", f"antenna {asked.antenna} alone")
     if asked.station is None:

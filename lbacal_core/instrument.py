@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -15,13 +15,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lbacal_core.antenna_gain import ABSOLUTE, RELATIVE, GainProvenance
-from lbacal_core.errors import BadInputError, UnknownNameError, UnreadableFileError
+from lbacal_core.dipoles import EXPECTED, is_dipole_name
+from lbacal_core.errors import BadInputError, UnknownNameError
 from lbacal_core.grids import Floats, require_channels
+from lbacal_core.json_values import parse_name, parse_number, parse_numbers, parse_optional_name, read_json
 from lbacal_core.provenance import hash_content
 
-DIPOLES = ("X", "Y")
+STEEPEST_DEG = 90.0
+"""Tilt of an arm that stands upright."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +59,7 @@ class Instrument:
     frequency_mhz
         Shape (freq,), MHz.
     dipole_azimuth_deg
-        Azimuth of each dipole's arm, degrees from north through east.
+        Azimuth of each dipole's arm by its letter, degrees from north through east; one arm or more.
     antenna_gain, receiver_gain
         G_ant and G_RCU of eq. full_chain, shape (freq,), linear power.
     cables
@@ -65,6 +69,9 @@ class Instrument:
         given; None where the instrument names none.
     gain_provenance
         What `antenna_gain` is; None where nobody says.
+    dipole_tilt_deg
+        How far the end of an arm that points to its azimuth is raised above the horizon, degrees, by letter; arms that
+        are absent lie level. `antenna_gain` is that of a level arm: P_sky holds what a tilt changes.
     """
 
     name: str
@@ -80,6 +87,7 @@ class Instrument:
     antenna: str | None = None
     sky: str | None = None
     gain_provenance: GainProvenance | None = None
+    dipole_tilt_deg: Mapping[str, float] = dataclasses.field(default_factory=dict)
 
     def __post_init__(self) -> None:
         place = f"instrument {self.name}"
@@ -92,11 +100,7 @@ class Instrument:
             value = getattr(self, field)
             if not low <= value <= high:
                 raise BadInputError(f"{place}: {field}", f"{low:g} to {high:g}", f"{value}")
-        if set(self.dipole_azimuth_deg) != set(DIPOLES):
-            raise BadInputError(f"{place}: dipoles", "X and Y", ", ".join(self.dipole_azimuth_deg) or "none")
-        for dipole, azimuth in self.dipole_azimuth_deg.items():
-            if not np.isfinite(azimuth):
-                raise BadInputError(f"{place}: dipoles.{dipole}.azimuth_deg", "finite degrees", f"{azimuth}")
+        self._require_dipoles()
         self._require_gain("antenna_gain", self.antenna_gain, np.inf)
         self._require_gain("receiver_gain", self.receiver_gain, np.inf)
         self._require_shape_error()
@@ -110,6 +114,36 @@ class Instrument:
             if record.since is not None and record.until is not None and record.since >= record.until:
                 raise BadInputError(f"{place}: antennas, row {row}: until", "a date after since", "one that is not")
         self._require_one_record_at_a_time()
+
+    def _require_dipoles(self) -> None:
+        place = f"instrument {self.name}: dipoles"
+        if not self.dipole_azimuth_deg:
+            raise BadInputError(place, "one dipole or more", "none")
+        for dipole, azimuth in self.dipole_azimuth_deg.items():
+            if not is_dipole_name(dipole):
+                raise BadInputError(place, EXPECTED, repr(dipole))
+            if not np.isfinite(azimuth):
+                raise BadInputError(f"{place}.{dipole}.azimuth_deg", "finite degrees", f"{azimuth}")
+        for dipole, tilt in self.dipole_tilt_deg.items():
+            if not abs(tilt) <= STEEPEST_DEG:
+                raise BadInputError(f"{place}.{dipole}.tilt_deg", "-90 to 90", f"{tilt}")
+
+    @property
+    def dipoles(self) -> tuple[str, ...]:
+        """Letters of the dipoles, in alphabetical order: the order of every dipole axis."""
+        return tuple(sorted(self.dipole_azimuth_deg))
+
+    def tilt_deg(self, dipole: str) -> float:
+        """Tilt of an arm, 0 where none is given."""
+        return self.dipole_tilt_deg.get(dipole, 0.0)
+
+    def require_dipoles(self, letters: NDArray[np.str_], origin: str) -> None:
+        """Refuse letters of spectra that are none of this instrument's."""
+        unknown = [str(letter) for letter in np.unique(letters) if str(letter) not in self.dipole_azimuth_deg]
+        if unknown:
+            row = int(np.flatnonzero(letters == unknown[0])[0])
+            expected = f"a dipole of instrument {self.name} ({', '.join(self.dipoles)})"
+            raise BadInputError(f"{origin}: dipole, row {row}", expected, repr(unknown[0]))
 
     def _require_one_record_at_a_time(self) -> None:
         """Hardware changes: the records of one antenna may follow each other, never overlap."""
@@ -190,7 +224,10 @@ class Instrument:
             "longitude_deg": self.longitude_deg,
             "height_m": self.height_m,
             "frequency_mhz": self.frequency_mhz.tolist(),
-            "dipoles": {dipole: {"azimuth_deg": value} for dipole, value in self.dipole_azimuth_deg.items()},
+            "dipoles": {
+                dipole: {"azimuth_deg": value, **({"tilt_deg": tilt} if (tilt := self.tilt_deg(dipole)) else {})}
+                for dipole, value in self.dipole_azimuth_deg.items()
+            },
             "antenna_gain": self.antenna_gain.tolist(),
             "receiver_gain": self.receiver_gain.tolist(),
             "cables": {name: loss.tolist() for name, loss in self.cables.items()},
@@ -211,7 +248,9 @@ class Instrument:
 
     def view_digest(self) -> str:
         """Hash of what P_sky takes from an instrument: its place, the arms of its dipoles and its channels."""
-        return hash_content([self.latitude_deg, dict(self.dipole_azimuth_deg), self.frequency_mhz.tolist()])
+        tilts = {dipole: tilt for dipole, tilt in self.dipole_tilt_deg.items() if tilt}
+        view = [self.latitude_deg, dict(self.dipole_azimuth_deg), self.frequency_mhz.tolist()]
+        return hash_content([*view, tilts] if tilts else view)
 
     @property
     def antenna_gain_note(self) -> str:
@@ -250,28 +289,6 @@ def _is_there(path: Path) -> bool:
         return False
 
 
-def read_json(path: Path) -> Any:
-    """Read a JSON file, with one clear sentence when it is not one."""
-    try:
-        text = path.read_text(encoding="utf-8")
-        if not text.strip():
-            raise UnreadableFileError(f"{path}: expected JSON, found an empty file")
-        return json.loads(text, object_pairs_hook=require_unique_fields)
-    except OSError as error:
-        raise UnreadableFileError(f"{path}: cannot be read ({error.strerror})") from error
-    except (ValueError, RecursionError) as error:
-        raise UnreadableFileError(f"{path}: expected JSON, found something else ({error})") from error
-
-
-def require_unique_fields(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """A JSON object, refused when it gives a field twice: one of the two would be lost."""
-    content = dict(pairs)
-    if len(content) < len(pairs):
-        twice = Counter(name for name, _ in pairs).most_common(1)[0][0]
-        raise ValueError(f"the field {twice!r} twice in one object")
-    return content
-
-
 def parse_instrument(content: Any, place: str) -> Instrument:
     """Make an instrument from the content of its file; fields it does not know are left alone."""
     if not isinstance(content, dict):
@@ -285,21 +302,26 @@ def parse_instrument(content: Any, place: str) -> Instrument:
     if not isinstance(dipoles, dict) or not isinstance(cables, dict) or not isinstance(antennas, list):
         raise BadInputError(place, "dipoles and cables as objects, antennas as a list", "another shape")
     return Instrument(
-        name=_name(content["name"], f"{place}: name"),
-        latitude_deg=_number(content["latitude_deg"], f"{place}: latitude_deg"),
-        longitude_deg=_number(content["longitude_deg"], f"{place}: longitude_deg"),
-        height_m=_number(content["height_m"], f"{place}: height_m"),
+        name=parse_name(content["name"], f"{place}: name"),
+        latitude_deg=parse_number(content["latitude_deg"], f"{place}: latitude_deg"),
+        longitude_deg=parse_number(content["longitude_deg"], f"{place}: longitude_deg"),
+        height_m=parse_number(content["height_m"], f"{place}: height_m"),
         frequency_mhz=parse_numbers(content["frequency_mhz"], f"{place}: frequency_mhz"),
         dipole_azimuth_deg={
-            name: _number(dipole.get("azimuth_deg") if isinstance(dipole, dict) else None, f"{place}: dipoles.{name}")
-            for name, dipole in dipoles.items()
+            name: parse_number(arm.get("azimuth_deg") if isinstance(arm, dict) else None, f"{place}: dipoles.{name}")
+            for name, arm in dipoles.items()
+        },
+        dipole_tilt_deg={
+            name: parse_number(arm["tilt_deg"], f"{place}: dipoles.{name}.tilt_deg")
+            for name, arm in dipoles.items()
+            if isinstance(arm, dict) and arm.get("tilt_deg")
         },
         antenna_gain=parse_numbers(content["antenna_gain"], f"{place}: antenna_gain"),
         receiver_gain=parse_numbers(content["receiver_gain"], f"{place}: receiver_gain"),
         cables={str(name): parse_numbers(loss, f"{place}: cables.{name}") for name, loss in cables.items()},
         antennas=tuple(_parse_record(record, f"{place}: antennas, row {k}") for k, record in enumerate(antennas)),
-        antenna=_optional_name(content.get("antenna"), f"{place}: antenna"),
-        sky=_optional_name(content.get("sky"), f"{place}: sky"),
+        antenna=parse_optional_name(content.get("antenna"), f"{place}: antenna"),
+        sky=parse_optional_name(content.get("sky"), f"{place}: sky"),
         gain_provenance=_parse_gain_provenance(
             content.get("antenna_gain_provenance"), len(content["frequency_mhz"]), f"{place}: antenna_gain_provenance"
         ),
@@ -316,42 +338,16 @@ def _parse_gain_provenance(content: Any, channels: int, place: str) -> GainProve
         raise BadInputError(f"{place}: kind", f"{ABSOLUTE} or {RELATIVE}", repr(kind))
     shape, scale = content.get("shape_error"), content.get("scale_error")
     errors = np.empty(0) if shape is None else parse_numbers(shape if isinstance(shape, list) else [shape], place)
-    scale_error = None if scale is None else _number(scale, f"{place}: scale_error")
+    scale_error = None if scale is None else parse_number(scale, f"{place}: scale_error")
     if np.any(errors < 0) or (scale_error is not None and scale_error < 0):
         raise BadInputError(place, "errors >= 0", "a negative one")
     return GainProvenance(
         kind=kind,
-        source=_name(content.get("source"), f"{place}: source"),
+        source=parse_name(content.get("source"), f"{place}: source"),
         shape_error=None if shape is None else (errors if isinstance(shape, list) else np.full(channels, errors[0])),
         scale_error=scale_error,
-        antenna_sha256=_optional_name(content.get("antenna_sha256"), f"{place}: antenna_sha256"),
+        antenna_sha256=parse_optional_name(content.get("antenna_sha256"), f"{place}: antenna_sha256"),
     )
-
-
-def parse_numbers(values: Any, place: str) -> Floats:
-    """Make an array of finite floats from JSON, naming the first entry that is not a number."""
-    if not isinstance(values, list):
-        raise BadInputError(place, "a list of numbers", type(values).__name__)
-    return np.array([_number(value, f"{place}, entry {k}") for k, value in enumerate(values)], dtype=float)
-
-
-def _number(value: Any, place: str) -> float:
-    try:
-        if not isinstance(value, bool) and isinstance(value, int | float) and math.isfinite(value):
-            return float(value)
-    except OverflowError:  # an integer of more than 308 digits
-        pass
-    raise BadInputError(place, "a finite number", repr(value))
-
-
-def _name(value: Any, place: str) -> str:
-    if not isinstance(value, str) or not value or not value.isprintable():
-        raise BadInputError(place, "a name", repr(value))
-    return value
-
-
-def _optional_name(value: Any, place: str) -> str | None:
-    return None if value is None else _name(value, place)
 
 
 def _parse_record(record: Any, place: str) -> AntennaRecord:
@@ -365,12 +361,12 @@ def _parse_record(record: Any, place: str) -> AntennaRecord:
     if isinstance(antenna, bool) or not isinstance(antenna, int) or antenna < 0:
         raise BadInputError(f"{place}: antenna", "a whole number >= 0", repr(antenna))
     return AntennaRecord(
-        station=_name(record["station"], f"{place}: station"),
+        station=parse_name(record["station"], f"{place}: station"),
         antenna=antenna,
-        cable=_name(record["cable"], f"{place}: cable"),
+        cable=parse_name(record["cable"], f"{place}: cable"),
         since=_instant(record.get("since"), f"{place}: since"),
         until=_instant(record.get("until"), f"{place}: until"),
-        group=None if record.get("group") is None else _name(record["group"], f"{place}: group"),
+        group=None if record.get("group") is None else parse_name(record["group"], f"{place}: group"),
     )
 
 

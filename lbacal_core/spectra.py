@@ -14,6 +14,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from lbacal_core.dipoles import EXPECTED, are_dipole_names
 from lbacal_core.errors import BadInputError, UnreadableFileError
 from lbacal_core.grids import Floats, guess_widths, require_channels
 from lbacal_core.hdf5 import (
@@ -28,7 +29,6 @@ from lbacal_core.hdf5 import (
     read_text,
     read_values,
 )
-from lbacal_core.instrument import DIPOLES
 from lbacal_core.provenance import hash_arrays
 
 FORMAT = "lbacal-spectra-1"
@@ -108,7 +108,7 @@ class Spectra:
             raise BadInputError(f"{self.origin}: resistance_ohm", "Ohm > 0", f"{self.resistance_ohm}")
         self._require("power", np.all(np.isfinite(self.power) & (self.power > 0), axis=1), "finite power > 0")
         self._require("time_unix", np.isfinite(self.time_unix) & (self.time_unix > 0), "an instant (s UTC)")
-        self._require("dipole", np.isin(self.dipole, DIPOLES), "X or Y")
+        self._require("dipole", are_dipole_names(self.dipole), EXPECTED)
         self._require("antenna", self.antenna >= 0, "a number >= 0")
         self._require("blocks", self.blocks > 0, "a count > 0")
         self._require("event_id", self.event_id != "", "a name")

@@ -12,8 +12,8 @@ import heapq
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
+from lbacal_core.dipoles import EXPECTED, is_dipole_name
 from lbacal_core.errors import BadInputError
-from lbacal_core.instrument import DIPOLES
 
 Instant = int
 """Whole microseconds since 1970-01-01 UTC."""
@@ -32,8 +32,8 @@ class Scope:
         if (self.antenna is None) != (self.dipole is None) or (is_path and self.station is None):
             found = ", ".join(f"{k} {v}" for k, v in vars(self).items() if v is not None)
             raise BadInputError("scope", "nothing (array), station, or station with antenna and dipole", found)
-        if self.dipole is not None and self.dipole not in DIPOLES:
-            raise BadInputError("dipole", "X or Y", repr(self.dipole))
+        if self.dipole is not None and not is_dipole_name(self.dipole):
+            raise BadInputError("dipole", EXPECTED, repr(self.dipole))
 
     @property
     def parts(self) -> tuple[str | None, int | None, str | None]:

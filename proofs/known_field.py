@@ -25,9 +25,10 @@ from lbacal_core.calibration.reference_source import (
     floor_factor,
     near_field_factor,
 )
+from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.data.tables import read_table
 from lbacal_core.grids import Floats
-from lbacal_core.instrument import DIPOLES, Instrument, load_instrument
+from lbacal_core.instrument import Instrument, load_instrument
 from lbacal_core.paper.stand_in_source import HEIGHT_M, LABORATORY_M, LEFT_OF_FLOOR, STATED, true_field
 from lbacal_core.skypower.power import RESISTANCE_OHM
 from proofs.machinery.claims import Claim, at_least, at_most, between, claim_mean, claim_rate

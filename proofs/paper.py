@@ -24,8 +24,9 @@ from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.calibration.reference_source import floor_factor, near_field_factor
 from lbacal_core.covariance import Budget
 from lbacal_core.curves import CalibrationCurve
+from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.grids import Floats
-from lbacal_core.instrument import DIPOLES, Instrument, load_instrument
+from lbacal_core.instrument import Instrument, load_instrument
 from lbacal_core.paper.stand_in_source import HEIGHT_M, LABORATORY_M, LEFT_OF_FLOOR
 from lbacal_core.showers.comparison import Displacement, compare_calibrations
 from lbacal_core.showers.recording import record

@@ -28,7 +28,6 @@ TESTED_WITH_OTHERS = {
     "causes/receiver.py": "causes/test_catalogue.py",
     "causes/sky.py": "causes/test_catalogue.py",
     "data/tables.py": "lstcurve/test_compare.py",
-    "pipeline.py": "calibration/test_fit.py",
     "skypower/direct.py": "skypower/test_modes.py",
     "skypower/power.py": "skypower/test_modes.py",
     "traces/blocks.py": "traces/test_background.py",

@@ -29,7 +29,8 @@ def antenna_gain(
     """
     from lbacal_core.antenna.gain import take_antenna_gain
     from lbacal_core.errors import BadInputError
-    from lbacal_core.instrument import parse_instrument, read_json
+    from lbacal_core.instrument import parse_instrument
+    from lbacal_core.json_values import read_json
 
     require_outputs({"--output": output}, {"--instrument": instrument, "--antenna": antenna})
     content = read_json(instrument)

@@ -12,7 +12,6 @@ from lbacal.cli.report_pages import embed, fill_report
 from lbacal_core.audit.audit import AuditReport
 from lbacal_core.audit.health import compare_paths
 from lbacal_core.audit.station import AuditedStation
-from lbacal_core.instrument import DIPOLES
 
 SHORTEST_HOURS = 0.5
 LARGEST_DB = 3.0
@@ -37,7 +36,7 @@ def _draw_station(station: AuditedStation) -> Figure:
     comparison = compare_paths(station)
     departure = 10 / np.log(10) * (comparison.level[..., None] + comparison.profile)
     edges = _edges(station.frequency_mhz)
-    for column, dipole in enumerate(DIPOLES):
+    for column, dipole in enumerate(station.dipoles):
         image = axes[0, column].pcolormesh(
             edges, np.arange(station.antennas.size + 1) - 0.5, departure[:, column],
             cmap="RdBu_r", vmin=-LARGEST_DB, vmax=LARGEST_DB,

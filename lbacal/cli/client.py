@@ -19,7 +19,7 @@ from lbacal_core.errors import BadInputError
 
 Station = Annotated[str | None, typer.Option(help="Station such as CS002.")]
 Antenna = Annotated[int | None, typer.Option(help="Antenna number.", min=0)]
-Dipole = Annotated[str | None, typer.Option(help="X or Y.")]
+Dipole = Annotated[str | None, typer.Option(help="Letter of the dipole, such as X.")]
 
 
 class Format(StrEnum):

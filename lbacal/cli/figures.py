@@ -11,9 +11,10 @@ from matplotlib.figure import Figure
 from lbacal.cli.figure_style import COLOURS
 from lbacal_core.calibration.residuals import noise_at_input
 from lbacal_core.curves import CalibrationCurve
+from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.data.tables import read_table
 from lbacal_core.grids import Floats
-from lbacal_core.instrument import DIPOLES, Instrument
+from lbacal_core.instrument import Instrument
 from lbacal_core.lstcurve.compare import Comparison, in_db
 from lbacal_core.skypower.table import SkyPower
 

@@ -10,7 +10,7 @@ from lbacal_core.antenna.model import zenith_gain
 from lbacal_core.antenna.names import ANTENNAS, load_antenna
 from lbacal_core.antenna_gain import ABSOLUTE, RELATIVE
 from lbacal_core.errors import BadInputError
-from lbacal_core.instrument import parse_numbers
+from lbacal_core.json_values import parse_numbers
 
 
 def take_antenna_gain(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.constants import speed_of_light
@@ -31,21 +31,29 @@ class IsotropicAntenna:
 
 @dataclass(frozen=True)
 class ShortDipole:
-    """A short horizontal dipole at a height above a perfectly conducting plane.
+    """A short dipole at a height above a perfectly conducting plane, level unless it is tilted.
 
     J_theta = cos(theta) cos(phi) s, J_phi = -sin(phi) s with s = 2i sin(k h cos(theta)): the dipole and its image,
-    a quarter of a textbook (Balanis, Antenna Theory, 3rd ed., eq. 4-116).
+    a quarter of a textbook (Balanis, Antenna Theory, 3rd ed., eq. 4-116). The image of what stands upright has the
+    same sign: J_theta = -sin(theta) 2 cos(k h cos(theta)) (eq. 4-94).
     """
 
     height_m: float
     name: str = "short-dipole"
+    tilt_deg: float = 0.0
+
+    def tilted(self, tilt_deg: float) -> ShortDipole:
+        """The dipole with the end that points to the azimuth of its arm raised."""
+        return replace(self, tilt_deg=self.tilt_deg + tilt_deg, name=f"{self.name}(tilt_deg={tilt_deg:g})")
 
     def jones(self, frequency_mhz: Floats, zenith: Floats, azimuth_from_arm: Floats) -> tuple[Complexes, Complexes]:
         """Per unit length of the dipole."""
         wavenumber = (2 * np.pi * 1e6 * frequency_mhz / speed_of_light).reshape((-1,) + (1,) * np.ndim(zenith))
         cosine = np.cos(zenith)
-        image = 2j * np.sin(wavenumber * self.height_m * cosine) * (cosine > 0)
-        return image * cosine * np.cos(azimuth_from_arm), -image * np.sin(azimuth_from_arm)
+        phase, tilt = wavenumber * self.height_m * cosine, np.radians(self.tilt_deg)
+        image = 2j * np.sin(phase) * (cosine > 0) * np.cos(tilt)
+        upright = -2.0 * np.cos(phase) * (cosine > 0) * np.sin(tilt) * np.sin(zenith)
+        return image * cosine * np.cos(azimuth_from_arm) + upright, -image * np.sin(azimuth_from_arm)
 
     def solid_angle(self, frequency_mhz: Floats) -> Floats:
         """Integral of D over the hemisphere in closed form, sr, shape (freq,).
@@ -59,4 +67,4 @@ class ShortDipole:
 
     def digest(self) -> str:
         """Hash of the definition."""
-        return hash_content([self.name, self.height_m])
+        return hash_content([self.name, self.height_m, *([self.tilt_deg] if self.tilt_deg else [])])

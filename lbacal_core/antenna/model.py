@@ -61,8 +61,16 @@ def zenith_gain(antenna: AntennaModel, frequency_mhz: Floats) -> Floats:
 
 
 def directional_response(
-    antenna: AntennaModel, frequency_mhz: Floats, zenith: Floats, azimuth_from_arm: Floats
+    antenna: AntennaModel,
+    frequency_mhz: Floats,
+    zenith: Floats,
+    azimuth_from_arm: Floats,
+    level: AntennaModel | None = None,
 ) -> Floats:
-    """D(theta, phi) of eq. total_sky_power_eq, 1 at zenith and 0 below the horizon, shape (freq, ...)."""
-    gain = zenith_gain(antenna, frequency_mhz).reshape((-1,) + (1,) * np.ndim(zenith))
+    """D(theta, phi) of eq. total_sky_power_eq, 1 at zenith and 0 below the horizon, shape (freq, ...).
+
+    With `level`, the antenna with its arm level, D is 1 where that one is: G_ant is the level antenna's, and a raised
+    arm may see nothing at zenith.
+    """
+    gain = zenith_gain(level or antenna, frequency_mhz).reshape((-1,) + (1,) * np.ndim(zenith))
     return np.asarray(power_pattern(antenna, frequency_mhz, zenith, azimuth_from_arm) / gain)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -62,6 +62,13 @@ class VariedAntenna:
             mean = mean_cosine(self.base, frequency_mhz).reshape((-1,) + (1,) * cosine.ndim)
             factor = factor * (1 + self.zenith_gain * (cosine - mean) / (1 - mean))
         return theta * np.sqrt(factor), phi * np.sqrt(factor)
+
+    def tilted(self, tilt_deg: float) -> VariedAntenna:
+        """The same with the arm raised: that of the base where it knows how, else the whole pattern turned."""
+        raise_base = getattr(self.base, "tilted", None)
+        if raise_base is not None:
+            return replace(self, base=raise_base(tilt_deg))
+        return VariedAntenna(self, tilt_deg=tilt_deg, tilt_towards_deg=180.0)
 
     def digest(self) -> str:
         """Hash of the base and the changes."""

@@ -19,6 +19,8 @@ from lbacal_core.grids import Floats
 CERTAIN = np.log(1e3)
 """Odds of 1000 to 1 either way; between them the data cannot say."""
 FEWEST_TIMES = 3
+PAIR = 2
+"""Dipoles of an antenna whose letters can be told apart by their ratio; of one or three the sky alone can tell."""
 ABOVE_NOISE = 1.5
 """Singular value of a common change over the largest that noise alone has, sigma (sqrt(antennas) + sqrt(times))."""
 SMALLEST_SCATTER = 0.03
@@ -60,7 +62,7 @@ def compare_polarisations(station: AuditedStation, is_usable: NDArray[np.bool_])
         Shape (antenna,): both dipoles work.
     """
     rows = np.flatnonzero(is_usable)
-    if rows.size == 0:
+    if rows.size == 0 or len(station.dipoles) != PAIR:
         return ExchangeOdds(rows, np.zeros(0))
     ratio = np.nanmean(np.log(station.power[rows, 0]) - np.log(station.power[rows, 1]), axis=-1)
     odds, sign = _odds_of_changes(ratio)
@@ -70,7 +72,9 @@ def compare_polarisations(station: AuditedStation, is_usable: NDArray[np.bool_])
 
 def tell_exchanged(station: AuditedStation, exchange: ExchangeOdds) -> list[Line]:
     """The exchanged antennas, and those of which these data cannot say."""
-    lines = []
+    lines: list[Line] = []
+    if len(station.dipoles) != PAIR:
+        return lines
     exchanged = exchange.exchanged()
     if exchanged.size:
         found = tuple(int(a) for a in station.antennas[exchanged])

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from lbacal_core.audit.finding import WRONG, Line
 from lbacal_core.audit.station import AuditedStation, spread
 from lbacal_core.grids import Floats
-from lbacal_core.instrument import DIPOLES
 
 DEAD_LEVEL = -np.log(10.0)
 """A path with less than a tenth of the others' power sends nothing of the sky."""
@@ -105,10 +104,10 @@ def find_ill_paths(station: AuditedStation, comparison: Comparison) -> tuple[lis
                 check=kind,
                 verdict=WRONG,
                 station=station.name,
-                sentence=f"antenna {station.antennas[a]} {DIPOLES[d]} {_SENTENCES[kind]}: "
+                sentence=f"antenna {station.antennas[a]} {station.dipoles[d]} {_SENTENCES[kind]}: "
                 f"{10 / np.log(10) * level:+.1f} dB from the others",
                 antennas=(int(station.antennas[a]),),
-                dipole=DIPOLES[d],
+                dipole=station.dipoles[d],
                 value=10 / np.log(10) * level,
                 unit="dB",
             )

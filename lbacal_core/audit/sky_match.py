@@ -20,7 +20,7 @@ from lbacal_core.audit.finding import RIGHT, UNDECIDED, WRONG, Line
 from lbacal_core.audit.series import SHARE, SHARE_SPREAD, SeriesLikelihood, make_series, mean_frequencies
 from lbacal_core.audit.station import AuditedStation
 from lbacal_core.grids import Floats
-from lbacal_core.instrument import DIPOLES, Instrument
+from lbacal_core.instrument import Instrument
 from lbacal_core.sky.frames import DATA_EPOCH
 from lbacal_core.sky.model import SkyModel
 from lbacal_core.sky.multipoles import precess_multipoles
@@ -57,12 +57,16 @@ class SkyOf:
     def __init__(self, instrument: Instrument, sky: SkyModel, antenna: AntennaModel, frequency_mhz: Floats) -> None:
         self.instrument, self.frequency_mhz = instrument, frequency_mhz
         self.temperature = precess_multipoles(sky.temperature(frequency_mhz), DATA_EPOCH)
-        self.beam = beam_multipoles(antenna, frequency_mhz, sky.lmax)
+        tilts = {instrument.tilt_deg(dipole) for dipole in instrument.dipoles}
+        self.beams = {tilt: beam_multipoles(antenna, frequency_mhz, sky.lmax, tilt) for tilt in tilts}
 
     def seen(self, lst_hours: Floats, latitude_deg: float, turned_deg: float = 0.0) -> Floats:
         """Shape (dipole, band, time)."""
-        arms = [self.instrument.dipole_azimuth_deg[dipole] + turned_deg for dipole in DIPOLES]
-        modes = [combine(self.temperature, self.beam, arm, latitude_deg, self.frequency_mhz) for arm in arms]
+        arms = [
+            (self.instrument.dipole_azimuth_deg[dipole] + turned_deg, self.beams[self.instrument.tilt_deg(dipole)])
+            for dipole in self.instrument.dipoles
+        ]
+        modes = [combine(self.temperature, beam, arm, latitude_deg, self.frequency_mhz) for arm, beam in arms]
         return np.stack([sky_power_at(mode, lst_hours).T for mode in modes])
 
 

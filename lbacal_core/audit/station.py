@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats, require_same_grid
-from lbacal_core.instrument import DIPOLES, Instrument
+from lbacal_core.instrument import Instrument
 from lbacal_core.sidereal import local_sidereal_time
 from lbacal_core.spectra import Spectra
 
@@ -24,6 +24,8 @@ class AuditedStation:
 
     Attributes
     ----------
+    dipoles
+        Letters of the dipoles.
     power
         Shape (antenna, dipole, time, freq), as recorded; NaN where there is no spectrum.
     antennas, cables
@@ -35,6 +37,7 @@ class AuditedStation:
     """
 
     name: str
+    dipoles: tuple[str, ...]
     frequency_mhz: Floats
     power: Floats
     antennas: NDArray[np.int64]
@@ -70,12 +73,13 @@ class AuditedStation:
 def split_stations(spectra: Spectra, instrument: Instrument) -> Iterator[AuditedStation]:
     """The stations of some spectra, by name."""
     require_same_grid(spectra.origin, spectra.frequency_mhz, instrument.frequency_mhz, instrument.name)
+    instrument.require_dipoles(spectra.dipole, spectra.origin)
     for station in np.unique(spectra.station):
         rows = np.flatnonzero(spectra.station == station)
         antennas, at = np.unique(spectra.antenna[rows], return_inverse=True)
         times, when = np.unique(spectra.time_unix[rows], return_inverse=True)
-        dipole = np.searchsorted(DIPOLES, spectra.dipole[rows])
-        power = np.full((antennas.size, len(DIPOLES), times.size, spectra.frequency_mhz.size), np.nan)
+        dipole = np.searchsorted(instrument.dipoles, spectra.dipole[rows])
+        power = np.full((antennas.size, len(instrument.dipoles), times.size, spectra.frequency_mhz.size), np.nan)
         power[at, dipole, when] = spectra.power[rows]
         cables = np.array([instrument.cable_of(str(station), int(a), float(times[0])) for a in antennas])
         if antennas.size < FEWEST:
@@ -84,6 +88,7 @@ def split_stations(spectra: Spectra, instrument: Instrument) -> Iterator[Audited
             )
         yield AuditedStation(
             str(station),
+            instrument.dipoles,
             spectra.frequency_mhz,
             power,
             antennas,

@@ -41,10 +41,23 @@ class DipoleSwap(Cause):
     sizes: SizeRange = SizeRange(0.0, 1.0, physical_end=1.0)
     whole_array_size: float | None = 1.0
     whole_array_meaning: str = "the letters of the dipoles X and Y are exchanged"
+    needs: str = "the instrument has one dipole"
+    spectral_parameters: Sequence[str] = ("between",)
 
-    def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:  # noqa: ARG002
+    def templates(self, conditions: Conditions) -> list[Template]:
+        """One for each pair of letters, without a parameter where there is only one pair."""
+        pairs = conditions.dipole_pairs
+        return [Template()] * len(pairs) if len(pairs) < 2 else [Template({"between": " ".join(p)}) for p in pairs]
+
+    def is_another(self, template: Template, earlier: Template) -> bool:
+        """Another pair."""
+        return template.parameters != earlier.parameters
+
+    def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:
         """P_X -> (1 - f) P_X + f P_Y."""
-        return replace(terms, sky=(1.0 - amount) * terms.sky + amount * conditions.across(terms.sky))
+        first, second = template.parameters.get("between", " ".join(conditions.dipole_pairs[0])).split()
+        other = conditions.across(terms.sky, (first, second))
+        return replace(terms, sky=(1.0 - amount) * terms.sky + amount * other)
 
 
 @dataclass(frozen=True)

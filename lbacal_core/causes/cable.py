@@ -15,11 +15,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from lbacal_core.causes.cause import Description
-from lbacal_core.grids import Floats
+from lbacal_core.grids import Floats, guess_widths
 
-CHANNEL_WIDTH_MHZ = 1.0
-DELAYS_US = tuple(np.round(np.arange(0.03, 0.505, 0.01), 3).tolist())
-"""Delays tried. In channels 1 MHz apart a delay and its complement to 1 us make the same ripple."""
+FEWEST_CHANNELS = 8
+FEWEST_PERIODS = 1.5
+"""Periods of a ripple within the band, below which it cannot be told from a slope."""
+EVEN_MHZ = 1e-6
+SMALLEST_RIPPLE = 1e-6
+"""Standard deviation over the channels, per unit of amplitude, of a ripple that they can show at all."""
 
 
 @dataclass(frozen=True)
@@ -83,26 +86,53 @@ class CableReflection(AntennaCause):
 
     def templates(self, frequency_mhz: Floats, log_loss_per_metre: Floats | None) -> list[AntennaTemplate]:  # noqa: ARG002
         """Ripples of each delay and four phases, whose negatives are the other four."""
-        return [_ripple(delay, phase, frequency_mhz) for delay in DELAYS_US for phase in (0.0, 45.0, 90.0, 135.0)]
+        if frequency_mhz.size < FEWEST_CHANNELS:
+            return []
+        phases = (0.0, 45.0, 90.0, 135.0)
+        ripples = [_ripple(delay, phase, frequency_mhz) for delay in _delays_us(frequency_mhz) for phase in phases]
+        return [one for one in ripples if np.std(one.departure) > SMALLEST_RIPPLE]
 
     def finer_templates(self, template: AntennaTemplate, frequency_mhz: Floats) -> list[AntennaTemplate]:
         """Delays between those that were tried, and phases all around."""
-        delays = template.parameters["delay_us"] + np.arange(-0.008, 0.01, 0.002)
+        delays = template.parameters["delay_us"] + _step_us(frequency_mhz) * np.arange(-0.8, 1.0, 0.2)
         phases = np.arange(0.0, 360.0, 15.0)
         return [_ripple(delay, phase, frequency_mhz) for delay in delays.tolist() for phase in phases.tolist()]
 
     def note(self, parameters: Mapping[str, float], size: float) -> str:
-        """What else would look the same in channels of 1 MHz."""
+        """What else would look the same in even channels."""
+        if "or_delay_us" not in parameters:
+            return ""
         delay, other = parameters["delay_us"], parameters["or_delay_us"]
-        larger = size * float(np.sinc(delay * CHANNEL_WIDTH_MHZ) / np.sinc(other * CHANNEL_WIDTH_MHZ))
-        return f"Channels of 1 MHz show the same of a delay of {other:.3g} us with an amplitude of {larger:.2g}."
+        width = 1.0 / (delay + other)
+        larger = size * float(np.sinc(delay * width) / np.sinc(other * width))
+        return (
+            f"Channels of {width:.3g} MHz show the same of a delay of {other:.3g} us with an amplitude of {larger:.2g}."
+        )
 
 
 def _ripple(delay_us: float, phase_deg: float, frequency_mhz: Floats) -> AntennaTemplate:
-    """A ripple of amplitude 1, as channels show it: their width damps it."""
+    """A ripple of amplitude 1, as channels show it: their width damps it.
+
+    In even channels a delay and its complement to one over their distance make the same ripple (``or_delay_us``).
+    """
     wave = np.cos(2 * np.pi * delay_us * frequency_mhz - np.radians(phase_deg))
-    parameters = {"delay_us": delay_us, "phase_deg": phase_deg, "or_delay_us": 1.0 / CHANNEL_WIDTH_MHZ - delay_us}
-    return AntennaTemplate(parameters, np.sinc(delay_us * CHANNEL_WIDTH_MHZ) * wave)
+    parameters = {"delay_us": delay_us, "phase_deg": phase_deg}
+    spacing = np.diff(frequency_mhz)
+    if np.ptp(spacing) < EVEN_MHZ:
+        parameters["or_delay_us"] = 1.0 / float(spacing.mean()) - delay_us
+    return AntennaTemplate(parameters, np.sinc(delay_us * guess_widths(frequency_mhz)) * wave)
+
+
+def _step_us(frequency_mhz: Floats) -> float:
+    """Distance of the delays that are tried: half of what the band resolves."""
+    return 0.5 / float(np.ptp(frequency_mhz))
+
+
+def _delays_us(frequency_mhz: Floats) -> list[float]:
+    """Delays that channels tell apart: from some periods in the band to half a period between the closest two."""
+    step, longest = _step_us(frequency_mhz), 0.5 / float(np.diff(frequency_mhz).min())
+    first = 2 * FEWEST_PERIODS * step
+    return np.round(np.arange(first, longest + step / 2, step), 6).tolist()  # type: ignore[no-any-return]
 
 
 def log_loss_per_metre(cables: dict[str, Floats]) -> Floats | None:

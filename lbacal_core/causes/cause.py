@@ -175,7 +175,7 @@ class Cause(Description):
 
     def spectral_key(self, template: Template) -> tuple[Any, ...]:
         """Key of the spectral template; templates with the same key differ in their time profile alone."""
-        return tuple(template.parameters[name] for name in self.spectral_parameters)
+        return tuple(template.parameters.get(name) for name in self.spectral_parameters)
 
     def known_events(self, conditions: Conditions, template: Template) -> NDArray[np.bool_]:
         """Events on which every covariate of the template is known, shape (event,)."""

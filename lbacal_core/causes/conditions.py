@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +15,6 @@ from lbacal_core.skypower.table import read_at
 
 YEAR_S = 365.25 * 86_400.0
 TEMPERATURE, RAIN = "temperature_c", "rain_mm_h"
-OTHER = {"X": "Y", "Y": "X"}
 FEWEST_KNOWN = 60
 """Smallest number of events on which a covariate must be known: as many as the fit of a path needs."""
 HOURS_BINS, FEWEST_IN_HOURS = 8, 4
@@ -42,8 +42,8 @@ class Conditions:
         Polarisation and cable name of each class.
     mean_sky
         Mean P_sky over LST, shape (class, freq).
-    other_sky
-        P_sky of the other polarisation, shape (class, event, freq).
+    sky_of
+        P_sky by the letter of each dipole of the instrument, shape (event, freq).
     sky_at
         P_sky of each class's polarisation at other LST, shape (event,) hours -> (class, event, freq).
     antenna_gain, receiver_gain
@@ -71,7 +71,7 @@ class Conditions:
     dipoles: Sequence[str]
     cables: Sequence[str]
     mean_sky: Floats
-    other_sky: Floats
+    sky_of: Mapping[str, Floats]
     sky_at: Callable[[Floats], Floats]
     antenna_gain: Floats
     receiver_gain: Floats
@@ -165,16 +165,27 @@ class Conditions:
             return read_at(sky, moved - self.lst_hours[0])
         return np.asarray(sky * self.sky_at(moved) / self.sky_at(self.lst_hours))
 
-    def across(self, sky: Floats) -> Floats:
-        """P_sky of the other polarisation of each class, shape (class, event, freq).
+    @property
+    def dipole_pairs(self) -> list[tuple[str, str]]:
+        """Pairs of dipoles whose letters may be exchanged, of which one was recorded at least."""
+        return [pair for pair in combinations(sorted(self.sky_of), 2) if set(pair) & set(self.dipoles)]
 
-        Where its class is here as well it is what causes have made of it.
+    def across(self, sky: Floats, pair: tuple[str, str]) -> Floats:
+        """P_sky with two letters exchanged, shape (class, event, freq); classes of other letters keep theirs.
+
+        Where the class of the other letter is here as well it is what causes have made of it.
         """
+        other = dict([pair, pair[::-1]])
         labels = list(zip(self.dipoles, self.cables, strict=True))
-        others = [(OTHER[dipole], cable) for dipole, cable in labels]
-        if set(others) != set(labels):
-            return self.other_sky
-        return sky[[labels.index(other) for other in others]]
+        others = [(other.get(dipole, dipole), cable) for dipole, cable in labels]
+        if set(others) == set(labels):
+            return sky[[labels.index(one) for one in others]]
+        return np.stack(
+            [
+                self.sky_of[other[dipole]] if dipole in other else own
+                for dipole, own in zip(self.dipoles, sky, strict=True)
+            ]
+        )
 
     @property
     def has_day_and_night(self) -> bool:

@@ -13,7 +13,7 @@ import numpy as np
 
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
-from lbacal_core.instrument import DIPOLES, Instrument
+from lbacal_core.instrument import Instrument
 from lbacal_core.sky.sources import SOURCES
 from lbacal_core.skypower.sources import source_sky_power
 from lbacal_core.skypower.table import SkyPower, read_at
@@ -56,17 +56,19 @@ def sky_ratios(instrument: Instrument) -> dict[str, SkyRatio]:
     except BadInputError:
         return {}
     shares = {
-        name: {d: source_sky_power(instrument, SOURCES[key], d, own.lst_hours) / own.power[d] for d in DIPOLES}
+        name: {
+            d: source_sky_power(instrument, SOURCES[key], d, own.lst_hours) / own.power[d] for d in instrument.dipoles
+        }
         for name, key in SOURCE_KEYS.items()
     }
     wider = vary_sky_power(instrument, zenith_gain_fraction=0.2).power
-    shares["pattern_width"] = {d: (wider[d] / own.power[d] - 1.0) / 0.2 for d in DIPOLES}
+    shares["pattern_width"] = {d: (wider[d] / own.power[d] - 1.0) / 0.2 for d in instrument.dipoles}
     turned = [vary_sky_power(instrument, azimuth_deg=angle) for angle in TURNS_DEG]
     powers = [vary_sky_power(instrument, zenith_exponent=exponent) for exponent in EXPONENTS]
     return {
-        **{name: SkyRatio({d: share[d][None] for d in DIPOLES}, _add) for name, share in shares.items()},
-        "dipole_azimuth": SkyRatio({d: _series(own, turned, d) for d in DIPOLES}, _turn),
-        "zenith_weighting": SkyRatio({d: _polynomial(own, powers, d) for d in DIPOLES}, _exponentiate),
+        **{name: SkyRatio({d: share[d][None] for d in instrument.dipoles}, _add) for name, share in shares.items()},
+        "dipole_azimuth": SkyRatio({d: _series(own, turned, d) for d in instrument.dipoles}, _turn),
+        "zenith_weighting": SkyRatio({d: _polynomial(own, powers, d) for d in instrument.dipoles}, _exponentiate),
     }
 
 

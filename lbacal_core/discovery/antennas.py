@@ -216,9 +216,11 @@ def _neighbours(templates: Sequence[AntennaTemplate]) -> NDArray[np.bool_]:
     if "delay_us" not in templates[0].parameters:
         return np.eye(len(templates), dtype=bool)
     delay = np.array([template.parameters["delay_us"] for template in templates])
-    # In channels of 1 MHz a delay and its complement to 1 us make the same ripple.
-    seen = np.minimum(delay, 1.0 - delay)
-    reach = np.where(seen < SMOOTH_US, 0.01, REACH_US)
+    # In even channels a delay and its complement make the same ripple.
+    seen = np.minimum(delay, [template.parameters.get("or_delay_us", np.inf) for template in templates])
+    delays = np.unique(delay)
+    step = float(np.diff(delays).min(initial=REACH_US)) if delays.size > 1 else REACH_US
+    reach = np.where(seen < SMOOTH_US, step, REACH_US)
     return np.asarray(np.abs(seen[:, None] - seen) <= np.minimum(reach[:, None], reach) + 1e-9)
 
 

@@ -19,10 +19,10 @@ import numpy as np
 from scipy.linalg import block_diag, solve_triangular
 from scipy.optimize import least_squares
 
+from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.discovery.curve_calibration import fit_station_year
 from lbacal_core.discovery.curve_station import GRID_HOURS, Choice, CurveStation
 from lbacal_core.grids import Floats
-from lbacal_core.instrument import DIPOLES
 from lbacal_core.lstcurve.curve import LstCurve
 from lbacal_core.lstcurve.noise import PointNoise
 from lbacal_core.lstcurve.noise_share import LARGEST_RATIO

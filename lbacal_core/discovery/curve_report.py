@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 
+from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.discovery.curve_fit import CurveFit
 from lbacal_core.discovery.lst_curve import CurveFinding, CurveInvestigation
 from lbacal_core.discovery.report import BY_RATIO, CONSISTENT, EXPLAINED, UNEXPLAINED, tell_finding, tell_gain
 from lbacal_core.discovery.trials import sigma_of
 from lbacal_core.grids import Floats
-from lbacal_core.instrument import DIPOLES
 from lbacal_core.provenance import Provenance
 
 REPORTED_MHZ = (30.0, 40.0, 50.0, 55.0, 60.0, 70.0, 80.0)

@@ -14,11 +14,12 @@ import numpy as np
 from lbacal_core.causes.axes import axes_of
 from lbacal_core.causes.catalogue import CAUSES, DESCRIPTIONS
 from lbacal_core.causes.cause import Cause, SizeRange, Template
-from lbacal_core.causes.conditions import OTHER, Conditions
+from lbacal_core.causes.conditions import Conditions
 from lbacal_core.causes.directions import sky_ratios
 from lbacal_core.chain.terms import ChainTerms
+from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.grids import Floats
-from lbacal_core.instrument import DIPOLES, Instrument
+from lbacal_core.instrument import Instrument
 from lbacal_core.lstcurve.noise_share import NoisePrior
 from lbacal_core.skypower.table import SkyPower
 
@@ -130,7 +131,7 @@ def gather_curve(instrument: Instrument, sky_power: SkyPower, weights: Floats, p
         dipoles=DIPOLES,
         cables=["all"] * len(DIPOLES),
         mean_sky=sky.mean(axis=1),
-        other_sky=np.stack([sky_power.at(OTHER[d], GRID_HOURS) for d in DIPOLES]),
+        sky_of={d: sky_power.at(d, GRID_HOURS) for d in DIPOLES},
         sky_at=lambda hours: np.stack([sky_power.at(d, hours) for d in DIPOLES]),
         antenna_gain=instrument.antenna_gain,
         receiver_gain=instrument.receiver_gain,

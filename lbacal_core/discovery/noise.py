@@ -52,7 +52,8 @@ class NoiseLevels:
     common_channel
         Noise in a channel that all paths of a polarisation share, shape (polarisation,).
     common_sum, common_difference
-        Covariance along the vectors that they share beyond that: of (X + Y) and of (X - Y), each over root 2.
+        Covariance along the vectors that they share beyond that: of the sum of all n polarisations over root n, and of
+        each of the n - 1 normalised differences, which is (X - Y) over root 2 where there are two.
     """
 
     vectors: Floats
@@ -71,7 +72,7 @@ class Residuals:
     Attributes
     ----------
     polarisations
-        ``X``, ``Y``, or the one of them that was recorded, shape (polarisation,).
+        Letters of the dipoles that were recorded, shape (polarisation,).
     in_mean
         Whether a path takes part in the mean, shape (path,).
     mean
@@ -215,10 +216,11 @@ def _estimate_levels(
     # The variance of the mean beyond the variance of a mean of independent paths.
     own = shared * spread.mean()
     channel = float(np.mean(common_channel**2) + own_channel**2 * spread.mean())
-    parts = [along[0], np.zeros_like(along[0])]
-    if polarisations == 2:
-        parts = [(along[0] + along[1]) / 2**0.5, (along[0] - along[1]) / 2**0.5]
-    of_sum, of_difference = (_beyond(part.T @ part / events * used - own, channel) for part in parts)
+    total = along.sum(axis=0) / polarisations**0.5
+    of_sum, of_difference = _beyond(total.T @ total / events * used - own, channel), np.zeros_like(shared)
+    if polarisations > 1:
+        differences = np.concatenate(along - along.mean(axis=0))
+        of_difference = _beyond(differences.T @ differences / (polarisations - 1) / events * used - own, channel)
     return NoiseLevels(vectors, own_channel, shared, scale, common_channel, of_sum, of_difference)
 
 

@@ -128,10 +128,9 @@ class LinearModel:
             everyone * np.linalg.inv(np.where(everyone, shared + joint, size))
             for shared in (levels.common_sum, levels.common_difference)
         )
-        inside = of_sum[None, None]
-        if polarisations == 2:
-            same, other = (of_sum + of_difference) / 2, (of_sum - of_difference) / 2
-            inside = np.stack([np.stack([same, other]), np.stack([other, same])])
+        mean = np.full((polarisations, polarisations), 1.0 / polarisations)[:, :, None, None, None]
+        own = np.eye(polarisations)[:, :, None, None, None]
+        inside = mean * of_sum + (own - mean) * of_difference
         slope, constants = self._mean_free_vectors
         free = np.zeros((constants.shape[0] * polarisations, *slope.shape))
         for d in range(polarisations):

@@ -32,8 +32,6 @@ SMALLEST_SIZE = 1e-6
 """Size, relative to the largest, below which a function of an axis is a combination of the others."""
 STATION = "station"
 """Target of structure in the means."""
-SIGNS = np.array([[1.0, 1.0], [1.0, -1.0]])
-"""X and Y in the sum and in the difference of the polarisations."""
 EVENTS = "event"
 """Name of the axis of structure in single events, along none of the axes."""
 
@@ -120,7 +118,7 @@ def find_structure(
         if best.target == STATION:
             vectors = _vectors(best.place, axes[best.axis])
             term = np.tensordot(size, vectors, axes=1)
-            signs = SIGNS[: len(term), : len(term)]
+            signs = _signs(len(term))
             coefficients = np.einsum("sr,slk->rlk", signs, size.reshape(len(term), DEGREE + 1, -1))
     p_value = min(corrected, 1.0 if again is None else again)
     return ResidualStructure(
@@ -175,11 +173,18 @@ def _polynomials(channels: int) -> Floats:
     return np.asarray(np.polynomial.legendre.legvander(np.linspace(-1, 1, channels), DEGREE).T, dtype=float)
 
 
+def _signs(polarisations: int) -> Floats:
+    """The polarisations in their sum and in the difference of the first and each other, shape (sum or one, one)."""
+    signs = np.eye(polarisations)[0] - np.eye(polarisations)
+    signs[0] = 1.0
+    return np.asarray(signs)
+
+
 def _in_means(model: LinearModel, axis: Axis, basis: Floats, polynomials: Floats) -> _Candidate:
-    """Structure of the sum and the difference of the polarisations."""
+    """Structure of the sum and the differences of the polarisations."""
     view = model.common
     rows, events, channels = view.slope.shape
-    signs = SIGNS[:rows, :rows]
+    signs = _signs(rows)
     values = np.einsum("sr,lf->slrf", signs, polynomials).reshape(-1, rows, 1, channels)
     seen = view.see(np.broadcast_to(values, (len(values), rows, events, channels)))
     score = np.einsum("kme,ne->mkn", view.score_by_event(seen), basis).reshape(-1)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lbacal_core.calibration.paths import MIN_EVENTS, Cables, require_one_cable_each
-from lbacal_core.causes.conditions import OTHER, Conditions
+from lbacal_core.causes.conditions import Conditions
 from lbacal_core.causes.directions import SkyRatio, sky_ratios
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
@@ -181,7 +181,7 @@ def _conditions(
         dipoles=letters,
         cables=[cable for _, cable in classes],
         mean_sky=np.stack([sky_power.power[letter].mean(axis=0) for letter in letters]),
-        other_sky=np.stack([sky_power.at(OTHER[letter], lst) for letter in letters]),
+        sky_of={letter: sky_power.at(letter, lst) for letter in instrument.dipoles},
         sky_at=lambda hours: at(sky_power, hours),
         antenna_gain=instrument.antenna_gain,
         receiver_gain=instrument.receiver_gain,
@@ -219,5 +219,13 @@ def model_modes(station: Station, differences: ModelDifferences) -> SkyModes:
     level = differences.level_modes()[:, None, None]
     return SkyModes(
         common=np.concatenate([np.broadcast_to(level, (len(level), *isotropic.shape)), isotropic[None]]),
-        own=np.stack([differences.changes_at(letter, lst) for letter in dipoles], axis=1),
+        own=_stack_modes([differences.changes_at(letter, lst) for letter in dipoles]),
     )
+
+
+def _stack_modes(modes: Sequence[Floats]) -> Floats:
+    """Modes of each class side by side, shape (mode, class, event, freq); 0 where a class has fewer than others."""
+    stacked = np.zeros((max(map(len, modes)), len(modes), *modes[0].shape[1:]))
+    for c, own in enumerate(modes):
+        stacked[: len(own), c] = own
+    return stacked

@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize_scalar
 
+from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.data.tables import read_table
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats, require_same_grid
-from lbacal_core.instrument import DIPOLES, Instrument
+from lbacal_core.instrument import Instrument
 from lbacal_core.lstcurve.curve import LstCurve
 from lbacal_core.lstcurve.noise import estimate_point_noise
 from lbacal_core.provenance import Provenance

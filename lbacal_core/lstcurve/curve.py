@@ -10,10 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
+from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.data.tables import SHIPPED
 from lbacal_core.errors import BadInputError, UnreadableFileError
 from lbacal_core.grids import Floats
-from lbacal_core.instrument import DIPOLES
 from lbacal_core.provenance import hash_arrays
 
 COLUMNS = ("lst_h", "x_db", "y_db", "error_db")

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
-from lbacal_core.instrument import DIPOLES
 from lbacal_core.lstcurve.curve import LstCurve
 
 SMOOTH_HARMONICS = 6

@@ -6,10 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.data.tables import read_table
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
-from lbacal_core.instrument import DIPOLES, Instrument
+from lbacal_core.instrument import Instrument
 from lbacal_core.lstcurve.compare import published_noise_share
 from lbacal_core.skypower.variation import vary_sky_power
 

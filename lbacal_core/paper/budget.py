@@ -14,8 +14,8 @@ import numpy as np
 from lbacal_core import covariance
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.curves import CalibrationCurve
+from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.grids import Floats
-from lbacal_core.instrument import DIPOLES
 from lbacal_core.paper.study import SEED, STATION, Study
 from lbacal_core.sky.measured import MEASURED_SKY
 from lbacal_core.sky.names import DEFAULT_SKY, list_skies, load_sky

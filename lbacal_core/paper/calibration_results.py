@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lbacal_core.instrument import DIPOLES
+from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.lstcurve.compare import compare_lst_curve
 from lbacal_core.paper.budget import EDGE_MHZ, Budget, spread_with_cables
 from lbacal_core.paper.statements import Result, not_testable

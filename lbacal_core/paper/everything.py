@@ -9,7 +9,7 @@ from typing import Any
 
 from threadpoolctl import threadpool_limits
 
-from lbacal_core.instrument import DIPOLES
+from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.paper.budget import Budget, compute_budget
 from lbacal_core.paper.calibration_results import find_about_calibration
 from lbacal_core.paper.chain_figures import make_chain_figures

@@ -10,9 +10,9 @@ import numpy as np
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.calibration.lines import fit_lines
 from lbacal_core.calibration.residuals import noise_at_input
+from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.data.tables import read_table
 from lbacal_core.grids import Floats
-from lbacal_core.instrument import DIPOLES
 from lbacal_core.lstcurve.compare import (
     AS_RECORDED,
     BAND_MHZ,

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from lbacal_core.calibration.reference_source import add_disagreement, compare_with_source
+from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.grids import Floats
-from lbacal_core.instrument import DIPOLES
 from lbacal_core.paper.budget import MEASURED, TIED, Budget
 from lbacal_core.paper.figures import BAND, OTHER, OURS, POINTS, Panel, PaperFigure, Series
 from lbacal_core.paper.shower_study import FITTED, ShowerStudy

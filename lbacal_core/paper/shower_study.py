@@ -16,8 +16,8 @@ from lbacal_core.calibration.reference_source import (
     calibrate_with_source,
     expected_power,
 )
+from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.grids import Floats
-from lbacal_core.instrument import DIPOLES
 from lbacal_core.paper.budget import MEASURED, OTHER_SKY, Budget
 from lbacal_core.paper.stand_in_source import SCALED_M, stand_in_tables, true_field
 from lbacal_core.paper.study import SEED, Study

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import re
 from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -98,9 +99,10 @@ def _split_fact(line: str) -> tuple[str, str]:
 
 
 def _parse_path(name: str, path: Path) -> tuple[int, str]:
-    if not name[:-1].isdigit() or name[-1] not in "XY":
+    found = re.fullmatch(r"(\d+)([A-Za-z][A-Za-z0-9_+-]{0,7})", name, re.ASCII)
+    if found is None:
         raise BadInputError(f"{path}: column {name!r}", "an antenna and a dipole, such as 17X", repr(name))
-    return int(name[:-1]), name[-1]
+    return int(found[1]), found[2]
 
 
 def _parse_time(text: str, path: Path) -> float:

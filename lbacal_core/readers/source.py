@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lbacal_core.dipoles import EXPECTED, are_dipole_names
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats, require_channels
-from lbacal_core.instrument import DIPOLES
 
 
 @dataclass(frozen=True)
@@ -61,9 +61,9 @@ class Source:
         require_channels(self.name, self.frequency_mhz)
         if self.antenna.size == 0:
             raise BadInputError(self.name, "at least one path (antenna and dipole)", "none")
-        bad = np.flatnonzero(~np.isin(self.dipole, DIPOLES))
+        bad = np.flatnonzero(~are_dipole_names(self.dipole))
         if bad.size:
-            raise BadInputError(f"{self.name}: dipole of path {bad[0]}", "X or Y", repr(str(self.dipole[bad[0]])))
+            raise BadInputError(f"{self.name}: dipole of path {bad[0]}", EXPECTED, repr(str(self.dipole[bad[0]])))
         paths = list(zip(self.station.tolist(), self.antenna.tolist(), self.dipole.tolist(), strict=True))
         twice = [path for k, path in enumerate(paths) if path in paths[:k]]
         if twice:

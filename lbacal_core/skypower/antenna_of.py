@@ -5,12 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from lbacal_core.antenna.names import ANTENNAS, DEFAULT_ANTENNA
+from lbacal_core.data.lofar import LOFAR_DEG, LOFAR_RADIUS_DEG
 from lbacal_core.errors import BadInputError
 from lbacal_core.instrument import Instrument
-
-LOFAR_DEG = (52.9, 6.9)
-LOFAR_RADIUS_DEG = 1.5
-"""Latitude and longitude of LOFAR's core, and how far its Dutch stations reach: about 100 km."""
 
 
 def antenna_for_ratios(instrument: Instrument) -> str:

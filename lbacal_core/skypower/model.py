@@ -28,7 +28,7 @@ def compute_sky_power(
     antenna: str | AntennaModel | None = None,
     lst_hours: Floats | None = None,
 ) -> SkyPower:
-    """P_sky(LST, nu) of both dipoles for the instrument's place, arms and channels.
+    """P_sky(LST, nu) of each dipole for the instrument's place, arms and channels.
 
     Parameters
     ----------
@@ -48,9 +48,12 @@ def compute_sky_power(
     lst = LST_HOURS if lst_hours is None else np.asarray(lst_hours, dtype=float)
     frequency_mhz = instrument.frequency_mhz
     temperature = precess_multipoles(sky_model.temperature(frequency_mhz), DATA_EPOCH)
-    beam = beam_multipoles(antenna_model, frequency_mhz, sky_model.lmax)
+    tilts = {dipole: instrument.tilt_deg(dipole) for dipole in instrument.dipoles}
+    beams = {tilt: beam_multipoles(antenna_model, frequency_mhz, sky_model.lmax, tilt) for tilt in set(tilts.values())}
     power = {
-        dipole: sky_power_at(combine(temperature, beam, arm, instrument.latitude_deg, frequency_mhz), lst)
+        dipole: sky_power_at(
+            combine(temperature, beams[tilts[dipole]], arm, instrument.latitude_deg, frequency_mhz), lst
+        )
         for dipole, arm in instrument.dipole_azimuth_deg.items()
     }
     origin = f"sky {sky_model.name}, antenna {antenna_model.name}"
@@ -62,6 +65,7 @@ def compute_sky_power(
         "frequency_mhz": frequency_mhz.tolist(),
         "lst_hours": lst.tolist(),
         "epoch": DATA_EPOCH,
+        **({"dipole_tilt_deg": tilts} if any(tilts.values()) else {}),
     }
     made_for = describe_view(instrument, sky_model.name, sky_model.digest(), antenna_model.name, antenna_model.digest())
     return SkyPower(frequency_mhz, lst, power, origin, made_for=made_for).of_inputs(hash_content(inputs))

@@ -16,6 +16,7 @@ import numpy as np
 from scipy.special import sph_harm_y
 
 from lbacal_core.antenna.model import AntennaModel, directional_response
+from lbacal_core.antenna.tilted import raise_arm
 from lbacal_core.grids import Floats
 from lbacal_core.sky.frames import DATA_EPOCH
 from lbacal_core.sky.model import SkyModel
@@ -26,13 +27,17 @@ ZENITH_NODES = 64
 AZIMUTHS = 32
 
 
-def beam_multipoles(antenna: AntennaModel, frequency_mhz: Floats, lmax: int) -> Complexes:
-    """b_lm' of D about the zenith, with the azimuth from the arm as longitude; shape (freq, l, m'), m' >= 0."""
+def beam_multipoles(antenna: AntennaModel, frequency_mhz: Floats, lmax: int, tilt_deg: float = 0.0) -> Complexes:
+    """b_lm' of D about the zenith, with the azimuth from the arm as longitude; shape (freq, l, m'), m' >= 0.
+
+    D of an arm that is raised by a tilt is over the gain of the level antenna at zenith.
+    """
     nodes, weights = np.polynomial.legendre.leggauss(ZENITH_NODES)
     cosine, weights = (nodes + 1) / 2, weights / 2
     zenith = np.arccos(cosine)
     azimuth = np.arange(AZIMUTHS) * 2 * np.pi / AZIMUTHS
-    response = directional_response(antenna, frequency_mhz, zenith[:, None], azimuth[None, :])
+    raised = raise_arm(antenna, tilt_deg)
+    response = directional_response(raised, frequency_mhz, zenith[:, None], azimuth[None, :], antenna)
     in_azimuth = np.fft.fft(response, axis=-1)[..., : AZIMUTHS // 2] * (2 * np.pi / AZIMUTHS)
     multipoles = np.zeros((frequency_mhz.size, lmax + 1, lmax + 1), dtype=complex)
     for m in range(min(lmax + 1, AZIMUTHS // 2)):

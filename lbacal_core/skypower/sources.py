@@ -9,6 +9,7 @@ import numpy as np
 
 from lbacal_core.antenna.model import AntennaModel, directional_response
 from lbacal_core.antenna.names import load_antenna
+from lbacal_core.antenna.tilted import raise_arm
 from lbacal_core.grids import Floats
 from lbacal_core.instrument import Instrument
 from lbacal_core.provenance import hash_content
@@ -39,7 +40,9 @@ def response_towards(
     antenna = antenna or antenna_for_ratios(instrument)
     model = load_antenna(antenna) if isinstance(antenna, str) else antenna
     from_arm = np.asarray(azimuth) - np.radians(instrument.dipole_azimuth_deg[dipole])
-    return np.moveaxis(directional_response(model, instrument.frequency_mhz, np.asarray(zenith), from_arm), 0, -1)
+    raised = raise_arm(model, instrument.tilt_deg(dipole))
+    response = directional_response(raised, instrument.frequency_mhz, np.asarray(zenith), from_arm, model)
+    return np.moveaxis(response, 0, -1)
 
 
 def point_source_power(flux_jy: Floats, response: Floats) -> Floats:

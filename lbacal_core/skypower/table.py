@@ -1,4 +1,4 @@
-"""Directional sky power P_sky(LST, nu) of both dipoles, and its file (docs/formats.md)."""
+"""Directional sky power P_sky(LST, nu) of each dipole, and its file (docs/formats.md)."""
 
 from __future__ import annotations
 
@@ -11,9 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lbacal_core.dipoles import is_dipole_name
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats, require_channels
-from lbacal_core.instrument import DIPOLES, Instrument, parse_numbers, read_json
+from lbacal_core.instrument import Instrument
+from lbacal_core.json_values import parse_numbers, read_json
 from lbacal_core.provenance import hash_arrays
 from lbacal_core.skypower.made_for import MadeFor, parse_made_for
 from lbacal_core.skypower.series import HarmonicFit, make_even
@@ -66,12 +68,12 @@ class SkyPower:
                 f"24 h / {lst.size} = {24.0 / lst.size:g} h after the row before",
                 f"{lst[bad[0] + 1] - lst[bad[0]]:g} h after it",
             )
-        for dipole in DIPOLES:
-            values = self.power.get(dipole)
+        if not self.power:
+            raise BadInputError(self.origin, "P_sky of one dipole or more, under its letter", "none")
+        for dipole, values in self.power.items():
             shape = (lst.size, self.frequency_mhz.size)
-            if values is None or values.shape != shape:
-                found = "none" if values is None else f"{values.shape}"
-                raise BadInputError(f"{self.origin}: {dipole}", f"shape {shape} (lst, freq)", found)
+            if values.shape != shape:
+                raise BadInputError(f"{self.origin}: {dipole}", f"shape {shape} (lst, freq)", f"{values.shape}")
             if not (np.all(np.isfinite(values)) and np.all(values > 0)):
                 row, channel = np.argwhere(~(np.isfinite(values) & (values > 0)))[0]
                 raise BadInputError(
@@ -99,12 +101,16 @@ class SkyPower:
         return {
             "frequency_mhz": self.frequency_mhz.tolist(),
             "lst_hours": self.lst_hours.tolist(),
-            **{dipole: self.power[dipole].tolist() for dipole in DIPOLES},
+            **{dipole: values.tolist() for dipole, values in sorted(self.power.items())},
             **({} if self.made_for is None else self.made_for.as_dict()),
         }
 
     def require_made_for(self, instrument: Instrument) -> None:
-        """Refuse an instrument that this sky power says it was not made for."""
+        """Refuse an instrument that this sky power says it was not made for, or of which it lacks a dipole."""
+        missing = [dipole for dipole in instrument.dipoles if dipole not in self.power]
+        if missing:
+            expected = f"P_sky of each dipole of instrument {instrument.name} ({', '.join(instrument.dipoles)})"
+            raise BadInputError(self.origin, expected, f"no {', '.join(missing)}")
         if self.made_for is not None:
             self.made_for.require(instrument, self.origin)
 
@@ -130,7 +136,7 @@ class SkyPower:
     def digest(self) -> str:
         """Hash that names this sky power in provenance and version ids: of its inputs, else of its numbers."""
         return self.inputs_digest or hash_arrays(
-            self.frequency_mhz, self.lst_hours, *(self.power[dipole] for dipole in DIPOLES)
+            self.frequency_mhz, self.lst_hours, *(self.power[dipole] for dipole in sorted(self.power))
         )
 
 
@@ -160,15 +166,17 @@ def read_at(values: Floats, lst_hours: Floats) -> Floats:
 def read_sky_power(path: Path) -> SkyPower:
     """Read a sky power file."""
     content = read_json(path)
-    fields = ["frequency_mhz", "lst_hours", *DIPOLES]
+    fields = ["frequency_mhz", "lst_hours"]
+    wanted = f"the fields {', '.join(fields)} and P_sky of each dipole under its letter"
     if not isinstance(content, dict):
-        raise BadInputError(str(path), f"a JSON object with the fields {', '.join(fields)}", type(content).__name__)
-    missing = [name for name in fields if name not in content]
+        raise BadInputError(str(path), f"a JSON object with {wanted}", type(content).__name__)
+    dipoles = sorted(name for name in _named_dipoles(content) if is_dipole_name(name))
+    missing = [name for name in fields if name not in content] + ([] if dipoles else ["dipole"])
     if missing:
-        raise BadInputError(str(path), f"the fields {', '.join(fields)}", f"no {', '.join(missing)}")
+        raise BadInputError(str(path), wanted, f"no {', '.join(missing)}")
     frequency_mhz = parse_numbers(content["frequency_mhz"], f"{path}: frequency_mhz")
     power = {}
-    for dipole in DIPOLES:
+    for dipole in dipoles:
         rows = content[dipole]
         if not isinstance(rows, list):
             raise BadInputError(f"{path}: {dipole}", "a list of rows, one an LST", type(rows).__name__)
@@ -184,6 +192,14 @@ def read_sky_power(path: Path) -> SkyPower:
     if lst_hours.size < FEWEST_INSTANTS or np.all(_is_even(lst_hours)):
         return SkyPower(frequency_mhz, lst_hours, power, str(path), made_for=made_for)
     return _fit_uneven(str(path), frequency_mhz, lst_hours, power, made_for)
+
+
+def _named_dipoles(content: Mapping[str, Any]) -> list[str]:
+    """The fields that are dipoles: those that the file says it has, single letters, and lists."""
+    said = content.get("dipoles")
+    return [
+        name for name, value in content.items() if isinstance(value, list) or (isinstance(said, dict) and name in said)
+    ]
 
 
 def _is_even(lst_hours: Floats) -> NDArray[np.bool_]:
@@ -206,7 +222,7 @@ def _fit_uneven(
     SkyPower(frequency_mhz, 24.0 * np.arange(lst_hours.size) / lst_hours.size, power, place)
     even, fitted, fit = make_even(place, lst_hours, power)
     table = SkyPower(frequency_mhz, even, fitted, f"{place} ({fit})", fit=fit, made_for=made_for)
-    return table.of_inputs(hash_arrays(frequency_mhz, lst_hours, *(power[dipole] for dipole in DIPOLES)))
+    return table.of_inputs(hash_arrays(frequency_mhz, lst_hours, *(power[dipole] for dipole in sorted(power))))
 
 
 def write_sky_power(sky_power: SkyPower, path: Path) -> None:

@@ -13,9 +13,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats, require_channels
-from lbacal_core.instrument import DIPOLES
 from lbacal_core.traces.blocks import FEWEST_SEGMENTS, find_segments, transform_segments, transform_trace
 from lbacal_core.traces.density import bin_weights, channel_frequencies, density_per_square, sum_of_squares
 from lbacal_core.traces.discovery import read_trace

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lbacal_core.errors import UnknownNameError
 from lbacal_core.grids import Floats, require_same_grid
-from lbacal_core.instrument import DIPOLES, Instrument
+from lbacal_core.instrument import Instrument
 from lbacal_core.sidereal import local_sidereal_time
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra import Spectra
@@ -76,6 +76,7 @@ def simulate_campaign(
             instrument.frequency_mhz,
             [one.truth for one in drawn],
             [fault.as_dict() for fault in faults],
+            drawn[0].scene.dipoles,
         ),
     )
 
@@ -167,7 +168,7 @@ def _gather(scenes: list[Scene], powers: list[Floats], blocks: list[NDArray[np.i
     scene = scenes[0]
     events = len(scene.time_unix)
     event_id = np.array([str(int(t) - UNIX_2010) for t in scene.time_unix])
-    paths = [(one.station, int(a), dipole) for one in scenes for a in one.antennas for dipole in DIPOLES]
+    paths = [(one.station, int(a), dipole) for one in scenes for a in one.antennas for dipole in one.dipoles]
     return Spectra(
         frequency_mhz=scene.frequency_mhz,
         power=np.concatenate([power.reshape(-1, power.shape[3]) for power in powers]),

@@ -32,10 +32,10 @@ def build_station(
     response = 1.0 / (c_published**2 * mean_loss * instrument.receiver_gain)
     scale = float(np.median(response))
     wave = np.cos(np.pi * np.outer((frequency - frequency[0]) / (np.ptp(frequency) or 1.0), [1, 2, 3]))
-    departure = rng.normal(scale=settings.response / 1.5**0.5, size=(1, 2, 1, 3)) @ wave.T
+    departure = rng.normal(scale=settings.response / 1.5**0.5, size=(1, len(scene.dipoles), 1, 3)) @ wave.T
     antenna = instrument.antenna_gain * response / scale * np.exp(departure)
     receiver = instrument.receiver_gain * scale
-    gain = np.exp(rng.normal(scale=settings.path_gain, size=(len(scene.antennas), 2, 1, 1)))
+    gain = np.exp(rng.normal(scale=settings.path_gain, size=(len(scene.antennas), len(scene.dipoles), 1, 1)))
     sky = scene.mean_sky.mean(axis=(0, 1, 2))
     forward = {
         "lna": np.ones_like(sky),

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lbacal_core.grids import Floats
-from lbacal_core.instrument import DIPOLES
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.twin.view import View
 from lbacal_core.twin.weather import Weather
@@ -28,7 +27,7 @@ class Scene:
     time_unix, lst_hours, temperature_c, rain_mm_h
         Shape (event,).
     sky_power
-        P_sky of both dipoles at any LST.
+        P_sky of each dipole at any LST.
     weather
         The weather at any instant, for what follows it with a delay.
     view
@@ -49,14 +48,19 @@ class Scene:
     weather: Weather
     view: View
 
+    @property
+    def dipoles(self) -> tuple[str, ...]:
+        """Letters of the dipoles, in the order of the axis."""
+        return tuple(sorted(self.sky_power.power))
+
     def sky_at(self, lst_hours: Floats) -> Floats:
         """P_sky at one LST per event, shape (1, dipole, event, freq)."""
-        return np.stack([self.sky_power.at(dipole, lst_hours) for dipole in DIPOLES])[None]
+        return np.stack([self.sky_power.at(dipole, lst_hours) for dipole in self.dipoles])[None]
 
     @property
     def mean_sky(self) -> Floats:
         """P_sky averaged over LST, shape (1, dipole, 1, freq)."""
-        return np.stack([self.sky_power.power[dipole].mean(axis=0) for dipole in DIPOLES])[None, :, None]
+        return np.stack([self.sky_power.power[dipole].mean(axis=0) for dipole in self.dipoles])[None, :, None]
 
     @property
     def warmth(self) -> Floats:

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from lbacal_core.errors import UnknownNameError, UnreadableFileError
 from lbacal_core.grids import Floats
-from lbacal_core.instrument import DIPOLES
 from lbacal_core.provenance import canonical_json, hash_content
 
 SEAL = "lbacal-sealed-truth-1"
@@ -54,6 +53,7 @@ class Truth:
     frequency_mhz: Floats
     stations: Sequence[StationTruth]
     faults: Sequence[Mapping[str, Any]] = ()
+    dipoles: tuple[str, ...] = ("X", "Y")
 
     def curve(self, dipole: str, station: str | None = None, antenna: int | None = None) -> Floats:
         """C(nu) of one path, of a station or of the array.
@@ -64,7 +64,7 @@ class Truth:
         chosen = [one for one in self.stations if station in (None, one.station)]
         if not chosen:
             raise UnknownNameError("station", str(station), [one.station for one in self.stations])
-        k = DIPOLES.index(dipole)
+        k = self.dipoles.index(dipole)
         gains = [
             one.c[one.antennas == antenna, k] ** -2 if antenna is not None else one.c[:, k] ** -2 for one in chosen
         ]
@@ -92,6 +92,7 @@ class Truth:
             "frequency_mhz": self.frequency_mhz.tolist(),
             "stations": stations,
             "faults": [dict(fault) for fault in self.faults],
+            "dipoles": list(self.dipoles),
         }
 
 
@@ -128,4 +129,10 @@ def unseal_truth(path: Path) -> Truth:
         )
         for one in content["stations"]
     ]
-    return Truth(content["settings"], np.array(content["frequency_mhz"]), stations, content["faults"])
+    return Truth(
+        content["settings"],
+        np.array(content["frequency_mhz"]),
+        stations,
+        content["faults"],
+        tuple(content.get("dipoles", ("X", "Y"))),
+    )

@@ -15,8 +15,9 @@ from scipy.interpolate import CubicSpline
 
 from lbacal_core.antenna.model import AntennaModel, Complexes
 from lbacal_core.antenna.names import DEFAULT_ANTENNA, load_antenna
+from lbacal_core.antenna.tilted import raise_arm
 from lbacal_core.grids import Floats
-from lbacal_core.instrument import DIPOLES, Instrument
+from lbacal_core.instrument import Instrument
 from lbacal_core.sky.model import SkyModel
 from lbacal_core.sky.names import DEFAULT_SKY, load_sky
 from lbacal_core.twin.bodies import horizontal, on_the_equator_of
@@ -47,14 +48,15 @@ class View:
     antenna: str | AntennaModel = DEFAULT_ANTENNA
 
     def response(self, zenith: Floats, azimuth: Floats, frequency_mhz: Floats, turned_deg: float = 0.0) -> Floats:
-        """D of both dipoles towards directions of shape (...), 1 at zenith; shape (dipole, ..., freq)."""
+        """D of each dipole towards directions of shape (...), 1 at zenith; shape (dipole, ..., freq)."""
         antenna = load_antenna(self.antenna) if isinstance(self.antenna, str) else self.antenna
         around = np.linspace(0.0, 2 * np.pi, 8, endpoint=False)
         at_zenith = _power(antenna.jones(frequency_mhz, np.zeros(8), around)).mean(axis=-1)
         patterns = []
-        for dipole in DIPOLES:
+        for dipole in self.instrument.dipoles:
             arm = np.radians(self.instrument.dipole_azimuth_deg[dipole] + turned_deg)
-            pattern = _power(antenna.jones(frequency_mhz, zenith, azimuth - arm))
+            raised = raise_arm(antenna, self.instrument.tilt_deg(dipole))
+            pattern = _power(raised.jones(frequency_mhz, zenith, azimuth - arm))
             patterns.append(np.moveaxis(pattern / np.reshape(at_zenith, (-1,) + (1,) * zenith.ndim), 0, -1))
         return np.stack(patterns)
 

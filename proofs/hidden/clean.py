@@ -7,7 +7,8 @@ from functools import partial
 
 import numpy as np
 
-from lbacal_core.instrument import DIPOLES, load_instrument
+from lbacal_core.data.lofar import DIPOLES
+from lbacal_core.instrument import load_instrument
 from lbacal_core.lstcurve.compare import AS_RECORDED, band_weights
 from lbacal_core.lstcurve.curve import LstCurve
 from proofs.hidden.data_sets import FEW_EVENTS, SMALLEST, comparable, plain, realistic, sky_power

@@ -8,8 +8,9 @@ from functools import cache, cached_property
 
 import numpy as np
 
+from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.grids import Floats
-from lbacal_core.instrument import DIPOLES, Instrument, load_instrument
+from lbacal_core.instrument import Instrument, load_instrument
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra import Spectra
 from lbacal_core.twin.campaign import draw_stations, simulate_campaign

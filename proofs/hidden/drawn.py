@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.grids import Floats
-from lbacal_core.instrument import DIPOLES
 from lbacal_core.twin.nuisances import REALISTIC
 from proofs.hidden.data_sets import OWN, STATION, DataSet
 from proofs.hidden.ideal import IdealDetector, PathChains

@@ -11,8 +11,8 @@ from dataclasses import asdict, dataclass, fields, replace
 
 import numpy as np
 
+from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.grids import Floats
-from lbacal_core.instrument import DIPOLES
 from lbacal_core.spectra import Spectra
 from proofs.hidden.data_sets import EVENTS, DataSet, draw_one, moving_causes, sky_power
 from proofs.hidden.finder import FittedModel

@@ -26,8 +26,8 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
+from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.grids import Floats
-from lbacal_core.instrument import DIPOLES
 from lbacal_core.spectra import Spectra
 from lbacal_core.twin.campaign import DrawnStation, expected_power
 from lbacal_core.twin.faults.fault import Fault

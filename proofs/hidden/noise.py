@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
+from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.grids import Floats
-from lbacal_core.instrument import DIPOLES
 from lbacal_core.spectra import Spectra
 from lbacal_core.twin.gains import BEHIND_EVERYTHING, EventGains
 from lbacal_core.twin.nuisances import Nuisances

@@ -9,7 +9,8 @@ import numpy as np
 
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.curves import CalibrationCurve
-from lbacal_core.instrument import DIPOLES, load_instrument
+from lbacal_core.data.lofar import DIPOLES
+from lbacal_core.instrument import load_instrument
 from lbacal_core.reference_chain import ReferenceChain
 from lbacal_core.twin.campaign import simulate_campaign
 from lbacal_core.twin.gains import NOISES

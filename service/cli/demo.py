@@ -25,8 +25,9 @@ from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.calibration.freedom import free_own_sky
 from lbacal_core.calibration.residuals import map_residuals
 from lbacal_core.curves import OK, CalibrationCurve, FitReport
+from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.data.tables import read_table
-from lbacal_core.instrument import DIPOLES, Instrument, load_instrument
+from lbacal_core.instrument import Instrument, load_instrument
 from lbacal_core.lstcurve.compare import (
     AS_RECORDED,
     BAND_MHZ,

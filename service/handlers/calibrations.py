@@ -124,10 +124,12 @@ def get_budget(request: Request, use: UseCases, digest: InPath) -> Response:
 )
 def list_edges(request: Request, use: UseCases, as_of: str) -> Response:
     found = use.calibrations.edges(parse_instant("as_of", as_of))
-    antennas = {s: sorted({r.antenna for r in use.calibrations.instrument.antennas if r.station == s}) for s in found}
+    instrument = use.calibrations.instrument
+    antennas = {s: sorted({r.antenna for r in instrument.antennas if r.station == s}) for s in found}
+    listed = {station: [format_instant(edge) for edge in edges] for station, edges in found.items()}
     stations = [
-        {"station": station, "antennas": antennas[station], "edges": [format_instant(edge) for edge in edges]}
-        for station, edges in found.items()
+        {"station": station, "antennas": antennas[station], "dipoles": list(instrument.dipoles), "edges": edges}
+        for station, edges in listed.items()
     ]
     return answer(request, {"as_of": as_of, "stations": stations})
 

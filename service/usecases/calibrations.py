@@ -9,7 +9,7 @@ from typing import Any
 
 from lbacal_core.calibration.own_cable import ToldCurve, tell_reference
 from lbacal_core.errors import BadInputError
-from lbacal_core.instrument import DIPOLES, Instrument
+from lbacal_core.instrument import Instrument
 from lbacal_core.reference_chain import ReferenceChain
 from lbacal_core.validity import Instant, Promotion, Scope
 from service.errors import NotInEffectError
@@ -54,8 +54,8 @@ def select_paths(instrument: Instrument, station: str | None, antenna: int | Non
     """The paths of an instrument that a query means."""
     if antenna is not None and station is None:
         raise BadInputError("antenna", "a station beside it", f"antenna {antenna} alone")
-    if dipole not in (None, *DIPOLES):
-        raise BadInputError("dipole", "X or Y", repr(dipole))
+    if dipole not in (None, *instrument.dipoles):
+        raise BadInputError("dipole", f"one of {', '.join(instrument.dipoles)}", repr(dipole))
     known = sorted({(record.station, record.antenna) for record in instrument.antennas})
     stations = sorted({name for name, _ in known})
     if station not in (None, *stations):
@@ -63,7 +63,7 @@ def select_paths(instrument: Instrument, station: str | None, antenna: int | Non
     chosen = [(s, a) for s, a in known if station in (None, s) and antenna in (None, a)]
     if not chosen:
         raise BadInputError("antenna", f"an antenna of {station}", str(antenna))
-    return [Scope(s, a, d) for s, a in chosen for d in DIPOLES if dipole in (None, d)]
+    return [Scope(s, a, d) for s, a in chosen for d in instrument.dipoles if dipole in (None, d)]
 
 
 def select_scope(

@@ -12,7 +12,7 @@ from lbacal_core.drift.events import measure_event_modes
 from lbacal_core.drift.monthly import average_months
 from lbacal_core.drift.steps import find_steps
 from lbacal_core.grids import Floats
-from lbacal_core.instrument import DIPOLES, Instrument
+from lbacal_core.instrument import Instrument
 from lbacal_core.screening import screen_block
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra_blocks import SpectraBlock, split_into_blocks
@@ -75,7 +75,7 @@ def find_references(stores: Stores, instrument: Instrument, station: str) -> dic
     A version that was made and not promoted changes nothing here.
     """
     antennas = sorted({record.antenna for record in instrument.antennas if record.station == station})
-    paths = [Scope(station, antenna, dipole) for antenna in antennas for dipole in DIPOLES]
+    paths = [Scope(station, antenna, dipole) for antenna in antennas for dipole in instrument.dipoles]
     found: dict[Scope, str] = {}
     for since, until in find_years(stores):
         missing = [path for path in paths if path not in found]

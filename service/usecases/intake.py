@@ -136,7 +136,12 @@ class Intake:
             return Receipt(received, stored)
 
     def _require_on_record(self, spectra: Spectra, name_place: Place) -> None:
-        """Refuse a station or an antenna that the instrument does not have, or does not have at that time."""
+        """Refuse a dipole, station or antenna that the instrument does not have, or does not have at that time."""
+        letters = self.instrument.dipoles
+        unknown = np.flatnonzero(~np.isin(spectra.dipole, letters))
+        if unknown.size:
+            expected, found = f"one of {', '.join(letters)}", repr(str(spectra.dipole[unknown[0]]))
+            raise BadInputError(name_place("dipole", int(unknown[0])), expected, found)
         stations = sorted({station for station, _ in self._records})
         for k, (station, antenna, time) in enumerate(
             zip(spectra.station.tolist(), spectra.antenna.tolist(), spectra.time_unix.tolist(), strict=True)

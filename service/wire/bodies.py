@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, FailFast, Field, StringConstraints, 
 from pydantic_core import from_json
 
 from lbacal_core.errors import BadInputError
-from lbacal_core.instrument import require_unique_fields
+from lbacal_core.json_values import require_unique_fields
 from lbacal_core.spectra import MAX_COVARIATES
 from service.errors import MalformedBodyError, TooLargeError
 from service.refusals import describe_refusal
@@ -36,6 +36,7 @@ Reason = Annotated[
         min_length=1, max_length=2000, pattern=r"^[^\x00-\x08\x0b-\x1f\x7f]*\S[^\x00-\x08\x0b-\x1f\x7f]*$"
     ),
 ]
+DipoleName = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_+-]{0,7}$")]
 CovariateName = Annotated[str, StringConstraints(pattern=r"^[a-z][a-z0-9_]{0,39}$")]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Power = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -55,7 +56,7 @@ class SpectrumBody(Body):
     time_utc: str
     station: Name
     antenna: Number
-    dipole: Literal["X", "Y"]
+    dipole: DipoleName
     blocks: Annotated[int, Field(gt=0, le=2**31 - 1)]
     power: Annotated[list[Power], FailFast()]
     env: Annotated[dict[CovariateName, Finite | None], Field(max_length=MAX_COVARIATES)] | None = None
@@ -86,7 +87,7 @@ class PromotionBody(Body):
     scope: Literal["array"] | None = None
     station: Name | None = None
     antenna: Number | None = None
-    dipole: Literal["X", "Y"] | None = None
+    dipole: DipoleName | None = None
     valid_from: str
     valid_to: str | None = None
     reason: Reason
@@ -122,7 +123,7 @@ class RefitBody(Body):
     until: str
     station: Name | None = None
     antenna: Number | None = None
-    dipole: Literal["X", "Y"] | None = None
+    dipole: DipoleName | None = None
     reason: Reason
     promote: bool = False
 

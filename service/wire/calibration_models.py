@@ -189,6 +189,7 @@ class StationEdges(Answer):
 
     station: str | None
     antennas: list[int]
+    dipoles: list[str]
     edges: list[str]
 
 

@@ -52,7 +52,7 @@ def test_the_narrowest_scope_with_a_version_answers() -> None:
     assert [a and a.calibration for a in answers] == [None, "array", "station", "path", "station", "station", "array"]
 
 
-@pytest.mark.parametrize("parts", [(None, 1, "X"), ("CS001", 1, None), ("CS001", None, "X"), ("CS001", 1, "Z")])
+@pytest.mark.parametrize("parts", [(None, 1, "X"), ("CS001", 1, None), ("CS001", None, "X"), ("CS001", 1, "?")])
 def test_a_scope_is_the_array_a_station_or_one_path(parts: tuple[str | None, int | None, str | None]) -> None:
     with pytest.raises(BadInputError):
         Scope(*parts)

@@ -182,7 +182,7 @@ def test_what_a_cache_does_not_know_is_refused_in_a_sentence(factory: Factory, t
         ({"station": "CS009"}, "station: expected one of CS001, CS002"),
         ({"station": "CS001", "antenna": 77}, "antenna: expected an antenna of CS001"),
         ({"antenna": 1}, "antenna: expected a station beside it"),
-        ({"dipole": "Z"}, "dipole: expected X or Y"),
+        ({"dipole": "Z"}, "dipole: expected one of X, Y"),
         ({"as_of": "2013-01-01"}, "the instant of the cached tag paper"),
         ({"at": "2014"}, "at: expected an ISO 8601 date"),
         ({"gap": "hold"}, "nobody answers at"),

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from lbacal_core.grids import Floats
-from lbacal_core.instrument import DIPOLES
 from lbacal_core.twin.stages import Scene, Stages
 
 
@@ -32,7 +31,7 @@ class Where:
         is_antenna = np.isin(scene.antennas, self.antennas) | (not self.antennas)
         is_antenna &= np.isin(scene.cables, self.cables) | (not self.cables)
         is_antenna &= scene.station in (self.stations or (scene.station,))
-        is_dipole = np.isin(DIPOLES, self.dipoles) | (not self.dipoles)
+        is_dipole = np.isin(scene.dipoles, self.dipoles) | (not self.dipoles)
         return np.outer(is_antenna, is_dipole).astype(float)[:, :, None, None]
 
 

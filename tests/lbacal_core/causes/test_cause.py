@@ -43,7 +43,7 @@ def conditions() -> Conditions:
         dipoles=["X", "Y"],
         cables=["80", "80"],
         mean_sky=sky.mean(axis=1),
-        other_sky=sky[::-1],
+        sky_of={"X": sky[0], "Y": sky[1]},
         sky_at=sky_at,
         antenna_gain=0.01 + 1 / (1 + ((frequency - 58) / 4) ** 2),
         receiver_gain=1.1 / (1 + np.exp((frequency - 78) / 2)),

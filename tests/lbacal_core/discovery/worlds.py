@@ -17,6 +17,7 @@ import numpy as np
 from lbacal_core.causes.cable import log_loss_per_metre
 from lbacal_core.causes.catalogue import ANTENNA_CAUSES, CAUSES
 from lbacal_core.causes.cause import Template, signature, spectral_signature
+from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.discovery import search
 from lbacal_core.discovery.antennas import AntennaScore, compare_antennas
 from lbacal_core.discovery.cable_names import compare_cable_names
@@ -32,7 +33,7 @@ from lbacal_core.discovery.scan import SMALLEST_INFORMATION, Score, group_templa
 from lbacal_core.discovery.station import SkyModes, Station, gather_stations, model_modes
 from lbacal_core.discovery.trials import p_of
 from lbacal_core.grids import Floats
-from lbacal_core.instrument import DIPOLES, Instrument
+from lbacal_core.instrument import Instrument
 from lbacal_core.provenance import Provenance
 from lbacal_core.skypower.differences import compute_model_differences
 from lbacal_core.skypower.table import SkyPower

@@ -9,7 +9,7 @@ from lbacal_core.readers.source import Source
 
 @pytest.mark.parametrize(
     ("antennas", "dipoles", "message"),
-    [([], [], "at least one path"), ([1], ["Z"], "X or Y"), ([1, 1], ["X", "X"], "A antenna 1 X twice")],
+    [([], [], "at least one path"), ([1], ["?"], "a letter or name"), ([1, 1], ["X", "X"], "A antenna 1 X twice")],
 )
 def test_paths_that_no_spectra_file_could_hold_are_refused(
     antennas: list[int], dipoles: list[str], message: str

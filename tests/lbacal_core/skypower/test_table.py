@@ -115,7 +115,10 @@ def put_value(dipole: str, row: int, channel: int, value: object) -> Callable[[d
 
 
 WRONG_CONTENT: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
-    "missing dipole": (lambda c: c.pop("Y"), "expected the fields frequency_mhz, lst_hours, X, Y, found no Y"),
+    "no dipole": (
+        lambda c: [c.pop(letter) for letter in "XY"],
+        "expected the fields frequency_mhz, lst_hours and P_sky of each dipole under its letter, found no dipole",
+    ),
     "NaN": (put_value("X", 3, 1, float("nan")), "X, row 3, entry 1: expected a finite number, found nan"),
     "infinity": (put_value("Y", 0, 2, float("inf")), "Y, row 0, entry 2: expected a finite number, found inf"),
     "zero": (put_value("X", 23, 0, 0), "X, row 23, channel 0: expected finite power > 0, found 0"),
@@ -182,7 +185,7 @@ def test_wrong_content_is_named_with_field_and_row(tmp_path: Path, case: str) ->
 @pytest.mark.parametrize("content", [[], 3, "text", None, True])
 def test_json_of_another_kind_is_refused(tmp_path: Path, content: object) -> None:
     (tmp_path / "p.json").write_text(json.dumps(content))
-    with pytest.raises(BadInputError, match="expected a JSON object with the fields frequency_mhz, lst_hours, X, Y"):
+    with pytest.raises(BadInputError, match="a JSON object with the fields frequency_mhz, lst_hours and P_sky"):
         read_sky_power(tmp_path / "p.json")
 
 
