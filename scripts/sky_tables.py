@@ -13,11 +13,20 @@ NODES_MHZ = np.array([10, 15, 20, 25, 30, 35, 40, 45, 50, 55, 60, 65, 70, 75, 80
 FOLDER = Path(__file__).parent.parent / "lbacal_core" / "data" / "skies"
 
 
-def write_sky(name: str, origin: str, multipoles: np.ndarray, *, has_cmb: bool, has_isotropic: bool) -> None:
-    """Write multipoles in ICRS at `NODES_MHZ`, shape (node, l, m), as a level and its principal components."""
+def write_sky(
+    name: str,
+    origin: str,
+    multipoles: np.ndarray,
+    *,
+    has_cmb: bool,
+    has_isotropic: bool,
+    nodes_mhz: np.ndarray = NODES_MHZ,
+    folder: Path = FOLDER,
+) -> None:
+    """Write multipoles in ICRS at nodes, shape (node, l, m), as a level and its principal components."""
     level = multipoles[:, 0, 0].real / np.sqrt(4 * np.pi)
     relative = multipoles / level[:, None, None]
-    nodes = NODES_MHZ.size
+    nodes = nodes_mhz.size
     flat = np.concatenate([relative.real.reshape(nodes, -1), relative.imag.reshape(nodes, -1)], 1)
     left, size, right = np.linalg.svd(flat, full_matrices=False)
     kept = min(COMPONENTS, int(np.sum(size > 1e-7 * size[0])))
@@ -44,10 +53,10 @@ def write_sky(name: str, origin: str, multipoles: np.ndarray, *, has_cmb: bool, 
         "frame": "ICRS",
         "has_cmb": has_cmb,
         "has_isotropic": has_isotropic,
-        "frequency_mhz": NODES_MHZ.tolist(),
+        "frequency_mhz": nodes_mhz.tolist(),
         "level_k": [float(f"{value:.8g}") for value in level],
         "weight": [[float(f"{value:.8g}") for value in row] for row in weight],
         "multipoles": {"columns": "l, m, then real and imaginary part of each component", "rows": rows},
     }
     lines = json.dumps(content, indent=None).replace("], [", "],\n[").replace(', "', ',\n"')
-    (FOLDER / f"{name}.json").write_text(lines + "\n")
+    (folder / f"{name}.json").write_text(lines + "\n")

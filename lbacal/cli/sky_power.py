@@ -31,7 +31,7 @@ def sky_power(
     Example: lbacal sky-power --instrument lofar-superterp --output P.json
     """
     from lbacal_core.instrument import load_instrument
-    from lbacal_core.sky.names import DEFAULT_SKY, load_sky
+    from lbacal_core.sky.names import default_sky, load_sky
     from lbacal_core.sky.sources import find_sources
     from lbacal_core.skypower.antenna_of import antenna_of
     from lbacal_core.skypower.model import compute_sky_power
@@ -40,7 +40,7 @@ def sky_power(
 
     require_outputs({"--output": output}, {"--instrument": instrument, "--sky": sky, "--antenna": antenna})
     chain = load_instrument(instrument)
-    model = load_sky(sky or chain.sky or DEFAULT_SKY).changed(scale, spectral_index, isotropic)
+    model = load_sky(sky or chain.sky or default_sky(chain.frequency_mhz)).changed(scale, spectral_index, isotropic)
     pattern = antenna or antenna_of(chain)
     result = compute_sky_power(chain, model, pattern)
     result = add_sources(result, chain, find_sources(source or []), year, pattern)

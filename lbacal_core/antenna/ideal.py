@@ -30,6 +30,29 @@ class IsotropicAntenna:
 
 
 @dataclass(frozen=True)
+class QuarterWaveDipole:
+    """A short level dipole a quarter of a wavelength above a perfectly conducting plane, at every frequency.
+
+    A stand-in for a log-periodic antenna, whose active part keeps its height in wavelengths: the pattern of
+    `ShortDipole` with k h = pi/2, the same at all frequencies.
+    """
+
+    name: str = "quarter-wave"
+
+    def jones(self, frequency_mhz: Floats, zenith: Floats, azimuth_from_arm: Floats) -> tuple[Complexes, Complexes]:
+        """Per unit length of the dipole."""
+        cosine = np.cos(zenith)
+        image = np.ones(frequency_mhz.size).reshape((-1,) + (1,) * np.ndim(zenith)) * (
+            2j * np.sin(np.pi / 2 * cosine) * (cosine > 0)
+        )
+        return image * cosine * np.cos(azimuth_from_arm), -image * np.sin(azimuth_from_arm)
+
+    def digest(self) -> str:
+        """Hash of the definition."""
+        return hash_content([self.name])
+
+
+@dataclass(frozen=True)
 class ShortDipole:
     """A short dipole at a height above a perfectly conducting plane, level unless it is tilted.
 

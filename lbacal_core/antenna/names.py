@@ -8,7 +8,7 @@ from pathlib import Path
 from lbacal_core.antenna.circuit import ResonanceCircuit, ResonantAntenna
 from lbacal_core.antenna.files import read_jones_npz, read_jones_text
 from lbacal_core.antenna.hamaker import load_hamaker
-from lbacal_core.antenna.ideal import IsotropicAntenna, ShortDipole
+from lbacal_core.antenna.ideal import IsotropicAntenna, QuarterWaveDipole, ShortDipole
 from lbacal_core.antenna.inverted_v import InvertedV
 from lbacal_core.antenna.model import AntennaModel
 from lbacal_core.errors import UnknownNameError
@@ -19,6 +19,7 @@ ANTENNAS: dict[str, Callable[[], AntennaModel]] = {
     "hamaker-resonant": lambda: ResonantAntenna(load_hamaker(), ResonanceCircuit()),
     "short-dipole": lambda: ShortDipole(height_m=1.5),
     "isotropic": IsotropicAntenna,
+    "quarter-wave": QuarterWaveDipole,
     "inverted-v": InvertedV,
     "inverted-v-wet": lambda: InvertedV(droop_deg=40.0, permittivity=30.0, conductivity=0.03, name="inverted-v-wet"),
 }

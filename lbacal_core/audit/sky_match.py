@@ -24,7 +24,7 @@ from lbacal_core.instrument import Instrument
 from lbacal_core.sky.frames import DATA_EPOCH
 from lbacal_core.sky.model import SkyModel
 from lbacal_core.sky.multipoles import precess_multipoles
-from lbacal_core.sky.names import DEFAULT_SKY, load_sky
+from lbacal_core.sky.names import default_sky, load_sky
 from lbacal_core.skypower.antenna_of import antenna_of
 from lbacal_core.skypower.modes import beam_multipoles, combine, sky_power_at
 
@@ -79,7 +79,7 @@ class SkyMatch:
     @cached_property
     def sky_of(self) -> SkyOf:
         """P_sky in the bands of the series; not computed where the data are too short for it."""
-        sky = load_sky(self.sky or self.instrument.sky or DEFAULT_SKY)
+        sky = load_sky(self.sky or self.instrument.sky or default_sky(self.instrument.frequency_mhz))
         antenna = load_antenna(self.antenna or antenna_of(self.instrument))
         return SkyOf(self.instrument, sky, antenna, mean_frequencies(self.station.frequency_mhz))
 

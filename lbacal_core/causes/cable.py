@@ -21,8 +21,6 @@ FEWEST_CHANNELS = 8
 FEWEST_PERIODS = 1.5
 """Periods of a ripple within the band, below which it cannot be told from a slope."""
 EVEN_MHZ = 1e-6
-SMALLEST_RIPPLE = 1e-6
-"""Standard deviation over the channels, per unit of amplitude, of a ripple that they can show at all."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +88,7 @@ class CableReflection(AntennaCause):
             return []
         phases = (0.0, 45.0, 90.0, 135.0)
         ripples = [_ripple(delay, phase, frequency_mhz) for delay in _delays_us(frequency_mhz) for phase in phases]
-        return [one for one in ripples if np.std(one.departure) > SMALLEST_RIPPLE]
+        return [one for one in ripples if np.any(one.departure)]
 
     def finer_templates(self, template: AntennaTemplate, frequency_mhz: Floats) -> list[AntennaTemplate]:
         """Delays between those that were tried, and phases all around."""

@@ -79,7 +79,9 @@ class SkyModel:
         outside = (frequency_mhz < low) | (frequency_mhz > high)
         if np.any(outside):
             raise BadInputError(
-                f"sky {self.name}: frequency_mhz", f"{low:g} to {high:g} MHz", f"{frequency_mhz[outside][0]:g} MHz"
+                f"sky {self.name}: frequency_mhz",
+                f"{low:g} to {high:g} MHz (gsm-wide reaches 10 to 408 MHz; any other sky by its file)",
+                f"{frequency_mhz[outside][0]:g} MHz",
             )
         nodes, x = np.log(self.frequency_mhz), np.log(frequency_mhz)
         level = np.exp(CubicSpline(nodes, np.log(self.level))(x))

@@ -10,11 +10,22 @@ from typing import Any
 import numpy as np
 
 from lbacal_core.errors import UnknownNameError, UnreadableFileError
+from lbacal_core.grids import Floats
 from lbacal_core.sky.maps import PYGDSM_NAMES, make_pygdsm_model, read_component_maps
 from lbacal_core.sky.measured import BASE_SKY, MEASURED_SKY, read_sky_level, tie_to_measurements
 from lbacal_core.sky.model import SkyModel
 
 DEFAULT_SKY = "gsm"
+DEFAULT_TO_MHZ = 120.0
+"""End of the default sky."""
+WIDE_SKY = "gsm-wide"
+WIDE_SKIES = ("gsm-wide", "haslam-wide", "lfsm-wide")
+"""Skies from 10 to 408 MHz (scripts/make_wide_skies.py)."""
+
+
+def default_sky(frequency_mhz: Floats) -> str:
+    """The sky model for channels where nobody names one: the default, and beyond its end the wide one."""
+    return DEFAULT_SKY if np.max(frequency_mhz) <= DEFAULT_TO_MHZ else WIDE_SKY
 
 
 def list_skies() -> list[str]:
@@ -31,6 +42,8 @@ def load_sky(name_or_file: str) -> SkyModel:
     if name_or_file in shipped:
         path_of_shipped = files("lbacal_core") / "data/skies" / f"{name_or_file}.json"
         return _parse_sky(json.loads(path_of_shipped.read_text()))
+    if name_or_file in WIDE_SKIES:
+        return _parse_sky(json.loads((files("lbacal_core") / f"data/skies/wide/{name_or_file}.json").read_text()))
     if name_or_file in PYGDSM_NAMES:
         return make_pygdsm_model(name_or_file)
     path = Path(name_or_file)
@@ -42,7 +55,7 @@ def load_sky(name_or_file: str) -> SkyModel:
         return read_fits_maps(path)
     if path.is_file():
         raise UnreadableFileError(f"{path}: expected a sky model, a file that ends in .npz or .fits")
-    raise UnknownNameError("sky model", name_or_file, sorted([*shipped, MEASURED_SKY, *PYGDSM_NAMES]))
+    raise UnknownNameError("sky model", name_or_file, sorted([*shipped, *WIDE_SKIES, MEASURED_SKY, *PYGDSM_NAMES]))
 
 
 def _parse_sky(content: dict[str, Any]) -> SkyModel:

@@ -17,11 +17,13 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from lbacal_core.antenna.names import DEFAULT_ANTENNA, load_antenna
+from lbacal_core.antenna.varied import VariedAntenna
 from lbacal_core.grids import Floats
 from lbacal_core.instrument import Instrument
 from lbacal_core.sky.frames import DATA_EPOCH
 from lbacal_core.sky.multipoles import Complexes, precess_multipoles
-from lbacal_core.sky.names import DEFAULT_SKY, load_sky
+from lbacal_core.sky.names import DEFAULT_SKY, default_sky, load_sky
+from lbacal_core.skypower.antenna_of import antenna_for_ratios
 from lbacal_core.skypower.modes import beam_multipoles, combine, sky_power_at
 from lbacal_core.skypower.table import read_at
 
@@ -45,6 +47,11 @@ class DifferenceModels:
     antennas: tuple[str, ...] = (SIMULATED_LBA, "inverted-v", "inverted-v-wet")
 
 
+WIDE_MODELS = DifferenceModels(skies=("lfsm-wide", "haslam-wide"), antennas=())
+"""For channels beyond the default sky."""
+LOFAR_ANTENNAS = ("hamaker", "hamaker-resonant")
+ZENITH_GAIN = 0.1
+"""How far the gain of another antenna than LOFAR's at zenith is known, at fixed total power (Table 1 of the paper)."""
 FULL_MAPS = DifferenceModels(skies=("gsm408", "lfsm"), antennas=(SIMULATED_LBA,))
 """Models of several maps each, and the simulated LBA: their spread is the covariance of an LST curve's points."""
 
@@ -100,23 +107,19 @@ def compute_model_differences(instrument: Instrument, models: DifferenceModels |
     Each single exchange is one standard deviation, and what the exchange of sky and antenna together adds to the two
     single ones another.
     """
-    models = models or DifferenceModels()
-    default, skies = load_sky(DEFAULT_SKY), [load_sky(name) for name in models.skies]
+    own_sky = default_sky(instrument.frequency_mhz)
+    models = models or (DifferenceModels() if own_sky == DEFAULT_SKY else WIDE_MODELS)
+    default, skies = load_sky(own_sky), [load_sky(name) for name in models.skies]
     low = max(sky.frequency_mhz[0] for sky in (default, *skies))
     high = min(sky.frequency_mhz[-1] for sky in (default, *skies))
     # Beyond the range of all models the difference at its edge holds.
     nu = np.clip(instrument.frequency_mhz, low, high)
-    plain = beam_multipoles(load_antenna(DEFAULT_ANTENNA), nu, default.lmax)
-    beams = [
-        plain + _simulated_difference(nu, default.lmax)
-        if name == SIMULATED_LBA
-        else beam_multipoles(load_antenna(name), nu, default.lmax)
-        for name in models.antennas
-    ]
+    patterns = {tilt: _patterns(instrument, models, nu, default.lmax, tilt) for tilt in _tilts(instrument)}
     temperatures = {sky.name: precess_multipoles(sky.temperature(nu), DATA_EPOCH) for sky in (default, *skies)}
     added = precess_multipoles(default.changed(extra_isotropic=1.0).temperature(nu), DATA_EPOCH)
     shape, level, isotropic = {}, {}, {}
     for dipole, arm in instrument.dipole_azimuth_deg.items():
+        plain, beams = patterns[instrument.tilt_deg(dipole)]
 
         def log_power(temperature: Complexes, beam: Complexes, arm_deg: float = arm) -> Floats:
             return np.log(sky_power_at(combine(temperature, beam, arm_deg, instrument.latitude_deg, nu), LST_HOURS))
@@ -134,6 +137,33 @@ def compute_model_differences(instrument: Instrument, models: DifferenceModels |
         shape[dipole] = _principal_axes(change - level[dipole][:, None])
         isotropic[dipole] = np.exp(log_power(added, plain) - base) - 1.0
     return ModelDifferences(shape, level, isotropic, instrument.frequency_mhz)
+
+
+def _tilts(instrument: Instrument) -> set[float]:
+    return {instrument.tilt_deg(dipole) for dipole in instrument.dipoles}
+
+
+def _patterns(
+    instrument: Instrument, models: DifferenceModels, frequency_mhz: Floats, lmax: int, tilt_deg: float
+) -> tuple[Complexes, list[Complexes]]:
+    """The pattern of the instrument's antenna, and those that it is exchanged for.
+
+    LOFAR's antenna has several models; any other is exchanged for one with more gain at zenith at fixed total power.
+    """
+    name = antenna_for_ratios(instrument)
+    antenna = load_antenna(name)
+    if name not in LOFAR_ANTENNAS:
+        varied = VariedAntenna(antenna, zenith_gain=ZENITH_GAIN)
+        plain, other = (beam_multipoles(one, frequency_mhz, lmax, tilt_deg) for one in (antenna, varied))
+        return plain, [other]
+    plain = beam_multipoles(load_antenna(DEFAULT_ANTENNA), frequency_mhz, lmax, tilt_deg)
+    others = [
+        plain + _simulated_difference(frequency_mhz, lmax)
+        if other == SIMULATED_LBA
+        else beam_multipoles(load_antenna(other), frequency_mhz, lmax, tilt_deg)
+        for other in models.antennas
+    ]
+    return plain, others
 
 
 def model_difference_modes(

@@ -12,7 +12,7 @@ from lbacal_core.provenance import hash_content
 from lbacal_core.sky.frames import DATA_EPOCH
 from lbacal_core.sky.model import SkyModel
 from lbacal_core.sky.multipoles import precess_multipoles
-from lbacal_core.sky.names import DEFAULT_SKY, load_sky
+from lbacal_core.sky.names import default_sky, load_sky
 from lbacal_core.skypower.antenna_of import antenna_of
 from lbacal_core.skypower.made_for import describe_view
 from lbacal_core.skypower.modes import beam_multipoles, combine, sky_power_at
@@ -41,7 +41,7 @@ def compute_sky_power(
     -------
     Directional sky power, W m^-2 MHz^-1 for R_r = 50 ohm.
     """
-    sky = sky or instrument.sky or DEFAULT_SKY
+    sky = sky or instrument.sky or default_sky(instrument.frequency_mhz)
     antenna = antenna or antenna_of(instrument)
     sky_model = load_sky(sky) if isinstance(sky, str) else sky
     antenna_model = load_antenna(antenna) if isinstance(antenna, str) else antenna

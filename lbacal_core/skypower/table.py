@@ -196,10 +196,8 @@ def read_sky_power(path: Path) -> SkyPower:
 
 def _named_dipoles(content: Mapping[str, Any]) -> list[str]:
     """The fields that are dipoles: those that the file says it has, single letters, and lists."""
-    said = content.get("dipoles")
-    return [
-        name for name, value in content.items() if isinstance(value, list) or (isinstance(said, dict) and name in said)
-    ]
+    said = content["dipoles"] if isinstance(content.get("dipoles"), dict) else {}
+    return [name for name, value in content.items() if isinstance(value, list) or name in said or len(name) == 1]
 
 
 def _is_even(lst_hours: Floats) -> NDArray[np.bool_]:

@@ -113,7 +113,7 @@ def draw_stations(
         settings.start_unix, settings.years, settings.event_count, of_events, nuisances.clustered
     )
     weather = draw_weather(time_unix, instrument.longitude_deg, of_events)
-    own_view = view or View(instrument)
+    own_view = view or View.of(instrument)
     drawn = []
     for station, of_station in zip(stations, of_stations, strict=True):
         antennas = np.array(sorted({r.antenna for r in instrument.antennas if r.station == station}), dtype=np.int64)

@@ -19,7 +19,7 @@ from lbacal_core.antenna.tilted import raise_arm
 from lbacal_core.grids import Floats
 from lbacal_core.instrument import Instrument
 from lbacal_core.sky.model import SkyModel
-from lbacal_core.sky.names import DEFAULT_SKY, load_sky
+from lbacal_core.sky.names import DEFAULT_SKY, default_sky, load_sky
 from lbacal_core.twin.bodies import horizontal, on_the_equator_of
 
 EPOCH = 2015.0
@@ -46,6 +46,11 @@ class View:
     instrument: Instrument
     sky: str | SkyModel = DEFAULT_SKY
     antenna: str | AntennaModel = DEFAULT_ANTENNA
+
+    @classmethod
+    def of(cls, instrument: Instrument) -> View:
+        """What an instrument sees of the default sky of its channels through its own antenna."""
+        return cls(instrument, default_sky(instrument.frequency_mhz), instrument.antenna or DEFAULT_ANTENNA)
 
     def response(self, zenith: Floats, azimuth: Floats, frequency_mhz: Floats, turned_deg: float = 0.0) -> Floats:
         """D of each dipole towards directions of shape (...), 1 at zenith; shape (dipole, ..., freq)."""

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lbacal_core.errors import BadInputError, UnknownNameError, UnreadableFileError
-from lbacal_core.sky.names import load_sky
+from lbacal_core.sky.names import WIDE_SKIES, default_sky, load_sky
 
 
 def test_the_embedded_sky_has_the_mean_temperature_of_its_source() -> None:
@@ -61,4 +61,28 @@ def test_a_file_of_another_kind_is_refused(tmp_path: Path) -> None:
 
 def test_frequencies_beyond_the_table_are_refused() -> None:
     with pytest.raises(BadInputError, match="10 to 120 MHz"):
+        load_sky("gsm").temperature(np.array([150.0]))
+
+
+@pytest.mark.parametrize(
+    ("name", "frequency_mhz", "kelvin"),
+    # Means of the maps of lsl, K: 7946.77 at 45 MHz, 32.058 at 408 MHz, and for `lfsm` 4695.29 at 60 MHz.
+    [
+        ("gsm-wide", 45.0, 7946.77), ("gsm-wide", 408.0, 32.058), ("lfsm-wide", 60.0, 4695.29),
+        ("haslam-wide", 408.0, 32.058), ("haslam-wide", 45.0, 8860.0),
+    ],
+)  # fmt: skip
+def test_wide_skies_have_the_mean_temperature_of_their_source(name: str, frequency_mhz: float, kelvin: float) -> None:
+    sky = load_sky(name)
+    mean = sky.spectra(np.array([frequency_mhz])) @ sky.multipoles[:, 0, 0].real / np.sqrt(4 * np.pi)
+    # nodes 27 % apart: between them a spline passes the maps of LFSM, 10 MHz apart, by 0.7 %
+    assert mean[0] == pytest.approx(kelvin, rel=1e-2)
+
+
+def test_the_sky_ended_at_120_mhz_and_goes_on_where_nobody_names_one() -> None:
+    assert default_sky(np.array([30.0, 120.0])) == "gsm"
+    assert default_sky(np.array([50.0, 120.5])) == "gsm-wide"
+    for name in WIDE_SKIES:
+        assert load_sky(name).temperature(np.array([10.0, 400.0])).shape[0] == 2
+    with pytest.raises(BadInputError, match=r"gsm-wide reaches 10 to 408 MHz"):
         load_sky("gsm").temperature(np.array([150.0]))

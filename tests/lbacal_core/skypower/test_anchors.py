@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lbacal_core.antenna.ideal import IsotropicAntenna, ShortDipole
+from lbacal_core.antenna.ideal import IsotropicAntenna, QuarterWaveDipole, ShortDipole
 from lbacal_core.sky.measured import read_sky_level
 from lbacal_core.sky.model import SkyModel
 from lbacal_core.sky.names import load_sky
@@ -120,3 +120,23 @@ def test_above_the_range_of_a_sky_model_its_index_goes_on() -> None:
     mean = mean_temperature(sky, ShortDipole(0.5), np.array([110.0, 120.0, 150.0]), 0.0)
     before, after = np.diff(np.log(mean)) / np.log([120 / 110, 150 / 120])
     assert before == pytest.approx(after, abs=0.02)
+
+
+@pytest.mark.shared
+def test_edges_confirms_the_wide_sky_through_any_of_three_dipoles(shared: Path) -> None:
+    """LST mean and modulation at 75, 150 and 190 MHz; the antenna that EDGES used is not public."""
+    lines = (shared / "data/anchor/edges_sky_temperature.csv").read_text().splitlines()
+    rows = list(csv.DictReader(line for line in lines if not line.startswith("#")))
+    columns = ("lst_h", "t75_k", "t150_k", "beta_high")
+    lst, t75, t150, index = (np.array([float(row[name]) for row in rows]) for name in columns)
+    measured = np.stack([t75, t150, t150 * (190 / 150) ** index], axis=1)
+    frequency_mhz, sky = np.array([75.0, 150.0, 190.0]), load_sky("gsm-wide")
+    means = []
+    for antenna in (QuarterWaveDipole(), ShortDipole(0.3), ShortDipole(0.45)):
+        ratio = measured / dipole_temperature(sky, antenna, frequency_mhz, -26.715, lst)
+        means.append(ratio.mean(axis=0))
+        assert np.all(ratio.std(axis=0) < 0.08)
+    # 7.5 % is what is claimed for the absolute scale at 2 sigma; 2 % what is found above 100 MHz
+    assert np.all(np.abs(np.array(means)[:, 0] - 1.08) < 0.015)
+    assert np.all(np.abs(np.array(means)[:, 1:] - 1.0) < 0.025)
+    assert np.ptp(means, axis=0).max() < 0.015

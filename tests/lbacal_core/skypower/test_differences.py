@@ -15,6 +15,7 @@ from lbacal_core.skypower.differences import (
     model_difference_modes,
 )
 from lbacal_core.skypower.model import compute_sky_power
+from lbacal_core.skypower.variation import vary_sky_power
 
 
 @pytest.fixture(scope="module")
@@ -131,3 +132,22 @@ def test_the_shapes_span_every_exchange_of_the_full_models(
         # 3e-4: the modes left out, and the nodes of the table; 3 % to begin with.
         assert left < 3e-4
         assert np.all(np.abs(amount) < 2.0), "within the prior"
+
+
+def test_the_pattern_of_lofar_stood_in_for_that_of_every_instrument():
+    """Differences are taken about the antenna that an instrument names, and beyond 120 MHz about the wide sky."""
+    lofar = load_instrument("lofar-superterp")
+    wide = np.array([60.0, 150.0, 300.0])
+    other = replace(
+        lofar, frequency_mhz=wide, antenna_gain=np.ones(3), receiver_gain=np.ones(3), antenna="quarter-wave",
+        cables={name: np.ones(3) for name in lofar.cables}, dipole_azimuth_deg={"A": 20.0}, gain_provenance=None,
+        sky=None,
+    )  # fmt: skip
+    differences = compute_model_differences(other)
+    own = compute_sky_power(other)
+    hotter = compute_sky_power(other, "lfsm-wide")
+    varied = vary_sky_power(other, zenith_gain_fraction=0.1)
+    gain = 1.1  # what it adds at zenith: P_sky of the differences has D = 1 there
+    for exchange, changed in zip((0, 1), (varied.power["A"] / gain, hotter.power["A"]), strict=True):
+        mean = np.log(changed / own.power["A"]).mean(axis=0)
+        np.testing.assert_allclose(differences.level["A"][exchange], mean, atol=1e-9)

@@ -2,9 +2,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.constants import speed_of_light
 
 from lbacal_core.antenna.hamaker import load_hamaker
-from lbacal_core.antenna.ideal import IsotropicAntenna, ShortDipole
+from lbacal_core.antenna.ideal import IsotropicAntenna, QuarterWaveDipole, ShortDipole
 from lbacal_core.antenna.model import AntennaModel, directional_response
 from lbacal_core.antenna.varied import VariedAntenna
 from lbacal_core.sky.frames import local_direction, precess
@@ -119,3 +120,15 @@ def test_the_beam_has_no_multipole_beyond_its_azimuthal_orders() -> None:
     beam = beam_multipoles(load_hamaker(), FREQUENCY_MHZ, 12)
     assert np.abs(beam[..., 7:]).max() < 1e-12
     assert np.abs(beam[..., 1::2]).max() < 1e-12
+
+
+def test_a_quarter_wave_dipole_is_a_short_one_at_that_height_at_every_frequency():
+    zenith, azimuth = np.radians([[10.0, 60.0]]), np.radians([[20.0, 200.0]])
+    for nu in (30.0, 350.0):
+        short = ShortDipole(speed_of_light / (4e6 * nu))
+        for one, other in zip(
+            QuarterWaveDipole().jones(np.array([nu]), zenith, azimuth),
+            short.jones(np.array([nu]), zenith, azimuth),
+            strict=True,
+        ):
+            np.testing.assert_allclose(one, other, rtol=1e-12)
