@@ -16,12 +16,15 @@ from service.usecases.calibrations import Calibrations
 from service.usecases.deeds import Deeds
 from service.usecases.drift import Drift
 from service.usecases.due import DueWork
+from service.usecases.fits import Fits
 from service.usecases.gate import Gate
 from service.usecases.inputs import Inputs, name_inputs
 from service.usecases.intake import Intake
 from service.usecases.investigations import Investigations
 from service.usecases.keys import Keys
+from service.usecases.models import Models
 from service.usecases.orders import Limits
+from service.usecases.payoff import Payoff
 from service.usecases.promotions import Promotions
 from service.usecases.refits import Jobs, Refits
 from service.usecases.status import Status
@@ -101,10 +104,25 @@ class Factory:
         """New versions."""
         limits_of_gate = ("gate_change", "gate_error", "gate_coverage", "gate_band")
         gate = Gate(*(getattr(self.settings, name) for name in limits_of_gate))
-        sky, resistance = self._get_sky_power, self.settings.resistance_ohm
-        return Refits(
-            self.database, self.instrument, sky, self._get_freedom, resistance, gate, self._limits, self.clock
-        )
+        sky = self._get_sky_power
+        return Refits(self.database, self.instrument, sky, self.fits, self.payoff, gate, self._limits, self.clock)
+
+    @cached_property
+    def fits(self) -> Fits:
+        """Versions from stored spectra."""
+        is_own_sky, resistance = self.settings.sky_power is None, self.settings.resistance_ohm
+        sky, freedom = self._get_sky_power, self._get_freedom
+        return Fits(self.instrument, sky, freedom, is_own_sky, resistance, self.clock)
+
+    @cached_property
+    def payoff(self) -> Payoff:
+        """What adopted causes gain on later events."""
+        return Payoff(self.instrument, self._get_sky_power, self.settings.sky_power is None, self.clock)
+
+    @cached_property
+    def models(self) -> Models:
+        """What is adopted into the models of stations."""
+        return Models(self.database, self.fits, self.promotions, self.due, self.clock)
 
     @cached_property
     def investigations(self) -> Investigations:

@@ -246,6 +246,7 @@ def describe_version(version: Version) -> dict[str, Any]:
         "status": version.status,
         "events": version.events,
         "gate": version.gate,
+        "model": version.model,
         "made_at": format_instant(version.made),
         "made_by": version.made_by,
         "reason": version.reason,
@@ -299,6 +300,7 @@ def describe_changes(promotion: Promotion | None, changes: list[Change]) -> dict
             "after": change.after,
             "max_fraction": change.curve_change and change.curve_change.max_fraction,
             "max_sigma": change.curve_change and change.curve_change.max_sigma,
+            "mean_c": change.curve_change and list(change.curve_change.means),
         }
         for change in changes
     ]

@@ -13,6 +13,7 @@ from service.handlers.metrics import describe_state
 from service.handlers.problems import document
 from service.handlers.request import UseCases, answer, require_read
 from service.storage.jobs import Failure
+from service.usecases.models import list_stopped
 from service.usecases.night import StationNews
 from service.usecases.status import State
 from service.wire.calibration_models import AliveAnswer, ReadyAnswer, StatusAnswer
@@ -50,7 +51,8 @@ def get_readiness(request: Request, use: UseCases) -> Response:
     dependencies=[Depends(require_read)],
 )
 def get_status(request: Request, use: UseCases) -> Response:
-    return answer(request, describe_status(use.status.look(), use.investigations.news()))
+    stopped = list_stopped(use.models.history())
+    return answer(request, describe_status(use.status.look(), use.investigations.news(), stopped))
 
 
 @router.get(
@@ -66,7 +68,7 @@ def get_metrics(request: Request, use: UseCases) -> Response:
     return answer(request, text, media_type=CONTENT_TYPE_LATEST)
 
 
-def describe_status(state: State, news: list[StationNews]) -> dict[str, Any]:
+def describe_status(state: State, news: list[StationNews], stopped: list[str]) -> dict[str, Any]:
     """What an operator looks at, as JSON values."""
     return {
         "ready": state.problem is None,
@@ -87,6 +89,7 @@ def describe_status(state: State, news: list[StationNews]) -> dict[str, Any]:
         "newest_event": format_optional(state.newest_event),
         "gated": state.gated,
         "investigations": [describe_news(one) for one in news],
+        "stopped_paying": stopped,
         "failures": [describe_failure(failure) for failure in state.failures],
     }
 

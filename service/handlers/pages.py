@@ -17,6 +17,7 @@ from service.page.render import format_day, name_scope, render_page
 from service.storage.versions import MeanC, Version
 from service.usecases.calibrations import select_paths
 from service.usecases.drift import DriftSeries, relative_to_station
+from service.usecases.models import list_stopped
 from service.usecases.overview import look_over
 from service.wire.formats import FORMATS
 from service.wire.instants import format_instant
@@ -44,7 +45,8 @@ def show_overview(request: Request, use: UseCases) -> Response:
     overview = look_over(use.database, use.instrument, use.clock)
     steps = use.drift.series(Scope()).steps[:5]
     news = use.investigations.news()
-    return _page(request, use, "overview.html", "/", overview=overview, steps=steps, news=news)
+    stopped = list_stopped(use.models.history())
+    return _page(request, use, "overview.html", "/", overview=overview, steps=steps, news=news, stopped=stopped)
 
 
 @router.get("/jobs")
@@ -87,6 +89,11 @@ def show_calibration(request: Request, use: UseCases, version_id: InPath) -> Res
         chains=_rows_of_chains(version), confirmed=confirmed,
         downloads=[name for name in FORMATS if name != "nuradio" or version.scope.antenna is not None],
     )  # fmt: skip
+
+
+@router.get("/models")
+def show_models(request: Request, use: UseCases) -> Response:
+    return _page(request, use, "models.html", "/models", models=use.models.history())
 
 
 @router.get("/investigations/{name}")

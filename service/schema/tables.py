@@ -210,6 +210,50 @@ investigation = Table(
     Column("made_by", Text, nullable=False),
     Column("reason", Text, nullable=False),
     Index("ix_investigation_made_us", "made_us", "id"),
+    Index("ix_investigation_newest", "station", "until_us", "made_us", "id"),
+)
+
+model = Table(
+    "model",
+    metadata,
+    Column("id", Text, primary_key=True, comment="SHA-256 of the content"),
+    Column("content", Text, nullable=False, comment="canonical JSON of the adopted causes"),
+)
+
+model_change = Table(
+    "model_change",
+    metadata,
+    Column("id", BigNumber, primary_key=True),
+    Column("station", Text, nullable=False),
+    Column("act", Text, nullable=False, comment="adopted or withdrawn"),
+    Column("model", Text, ForeignKey("model.id"), nullable=False, comment="what the station has from now on"),
+    Column("before", Text, ForeignKey("model.id"), nullable=False),
+    Column("cause", Text, ForeignKey("model.id"), nullable=False, comment="the model that has the one cause alone"),
+    Column("since_us", BigInteger, comment="the interval in which the cause acts"),
+    Column("until_us", BigInteger),
+    Column("known_until_us", BigInteger, comment="the newest event of the investigation"),
+    Column("investigation", Text, ForeignKey("investigation.id")),
+    Column("finding", Integer, comment="its number in the report"),
+    Column("announced", Text, nullable=False, comment="change of mean C and its error by scope and dipole, JSON"),
+    Column("promise", Text, comment="gain in log-likelihood and its error, JSON"),
+    Column("at_us", BigInteger, nullable=False),
+    Column("by", Text, nullable=False),
+    Column("reason", Text, nullable=False),
+    Index(None, "station", "id"),
+)
+
+model_gain = Table(
+    "model_gain",
+    metadata,
+    Column("cause", Text, ForeignKey("model.id"), primary_key=True),
+    Column("since_us", BigInteger, primary_key=True),
+    Column("until_us", BigInteger, primary_key=True),
+    Column("station", Text, nullable=False),
+    Column("events", Integer, nullable=False, comment="of the window that the adoption had not seen"),
+    Column("gain", Float, nullable=False, comment="log-likelihood with the cause minus without"),
+    Column("expected", Float, nullable=False, comment="if its size is as adopted"),
+    Column("expected_sigma", Float, nullable=False),
+    Column("made_us", BigInteger, nullable=False),
 )
 
 job = Table(

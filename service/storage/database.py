@@ -23,6 +23,7 @@ from service.storage.investigations import InvestigationStore
 from service.storage.jobs import JobStore
 from service.storage.keys import KeyStore
 from service.storage.ledger import LedgerStore
+from service.storage.models import ModelStore
 from service.storage.processes import ProcessStore
 from service.storage.spectra import SpectraStore
 from service.storage.tags import TagStore
@@ -85,6 +86,11 @@ class Stores:
     def investigations(self) -> InvestigationStore:
         """What the simulation gets wrong in stored spectra."""
         return InvestigationStore(self._connection)
+
+    @cached_property
+    def models(self) -> ModelStore:
+        """Models that were adopted."""
+        return ModelStore(self._connection)
 
     @cached_property
     def jobs(self) -> JobStore:

@@ -54,6 +54,11 @@ class Version:
         return hash_content(self.inputs)
 
     @property
+    def model(self) -> str | None:
+        """The id of the model, where causes were adopted into it; None for the chain alone."""
+        return self.inputs.get("model")
+
+    @property
     def window(self) -> tuple[Instant, Instant]:
         """The half-open interval whose spectra it was made from."""
         return self.since, self.until

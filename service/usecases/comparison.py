@@ -18,12 +18,14 @@ from service.storage.versions import Version
 class CurveChange:
     """Change of C from one curve to another, shape (freq,): as a fraction, and in standard deviations of both.
 
-    NaN in a channel in which one of them has no value.
+    NaN in a channel in which one of them has no value. `means` are those of C over the channels that both have, before
+    and after, V per ADC unit.
     """
 
     frequency_mhz: Floats
     fraction: Floats
     sigma: Floats
+    means: tuple[float, float]
 
     @property
     def max_fraction(self) -> float:
@@ -42,7 +44,9 @@ def compare_curves(before: CalibrationCurve, after: CalibrationCurve) -> CurveCh
         raise BadInputError("calibrations", "two converged curves", f"{before.status} and {after.status}")
     require_same_grid(after.name, after.frequency_mhz, before.frequency_mhz, before.name)
     sigma = np.hypot(_total_error(before), _total_error(after))
-    return CurveChange(before.frequency_mhz, after.c / before.c - 1.0, (after.c - before.c) / sigma)
+    is_known = np.isfinite(before.c) & np.isfinite(after.c)
+    means = (float(before.c[is_known].mean()), float(after.c[is_known].mean()))
+    return CurveChange(before.frequency_mhz, after.c / before.c - 1.0, (after.c - before.c) / sigma, means)
 
 
 def compare_versions(first: Version, second: Version) -> list[tuple[str | None, CurveChange]]:

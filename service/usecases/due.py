@@ -3,7 +3,8 @@
 The rule. For every calendar year (UTC) that holds usable spectra there is one refit for the array, and for every
 station with spectra in it one of scope station and one of scope antenna, and after all refits an investigation. It is
 due when its window got new spectra or a flag was set or cleared in it, or when what was made is too old: made with
-another instrument, sky power or model version, or by another policy of the search.
+another instrument, sky power or model version, by another policy of the search, or before the adoption or withdrawal of
+a cause that acts in the window.
 Work is named by exactly these. It is due until a part of that name is *done*: two schedulers, a restart or a night
 missed change nothing, and work that failed or was cancelled is tried again, after ten minutes and then after ever
 longer pauses, because what is due follows from what is stored and not from when anybody looked.
@@ -12,7 +13,7 @@ longer pauses, because what is due follows from what is stored and not from when
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -22,6 +23,7 @@ from lbacal_core.skypower.table import SkyPower
 from lbacal_core.validity import Instant, Scope
 from service.storage.database import Database, Stores
 from service.storage.jobs import Order
+from service.storage.models import ModelChange
 from service.storage.spectra import Window
 from service.usecases.drift import KIND as DRIFT
 from service.usecases.drift import find_references
@@ -60,6 +62,15 @@ class DueWork:
             orders += self._investigations(stores)
         return self._add(orders)
 
+    def enqueue_model(self, stores: Stores, change: ModelChange, *, promote: bool) -> list[int]:
+        """Enqueue the refits that a change of a station's model calls for, within the transaction that writes it."""
+        found = []
+        for order in self._refits(stores, change):
+            if order.request["station"] in (None, change.station):
+                part = {**order.request, "promote": promote}
+                found.append(replace(order, request=part, parts=[part], by=change.by, reason=change.reason))
+        return self._add(found)
+
     def has_failed_lately(self) -> bool:
         """Whether due work failed within a day or two: then it is worth looking again before the night."""
         with self.database.read() as stores:
@@ -76,11 +87,17 @@ class DueWork:
         if not orders:
             return []
         with self.database.write() as stores:
+            for order in orders:
+                if "model" in order.request:
+                    part = order.request
+                    stores.models.put(stores.models.during(part["station"], part["since"], part["until"]))
             made = [stores.jobs.add(order, self.clock()) for order in orders]
         return [number for number in made if number is not None]
 
-    def _refits(self, stores: Stores) -> Iterator[Order]:
+    def _refits(self, stores: Stores, change: ModelChange | None = None) -> Iterator[Order]:
         for since, until in find_years(stores):
+            if change is not None and not change.touches(since, until):
+                continue
             filled = []
             for station in stores.spectra.stations():
                 content = stores.spectra.content(Window(since, until, Scope(station)))
@@ -88,14 +105,15 @@ class DueWork:
                     continue
                 filled.append((station, content))
                 for scope in ("antenna", "station"):
-                    yield self._refit(scope, Scope(station), since, until, content)
+                    yield self._refit(stores, scope, Scope(station), since, until, content)
             if filled:
-                yield self._refit("array", Scope(), since, until, filled)
+                yield self._refit(stores, "array", Scope(), since, until, filled)
 
-    def _refit(self, scope: str, of: Scope, since: Instant, until: Instant, content: Any) -> Order:
-        part = describe_part(scope, of, since, until, promote=True)
+    def _refit(self, stores: Stores, scope: str, of: Scope, since: Instant, until: Instant, content: Any) -> Order:
+        model = stores.models.during(of.station, since, until)
+        part = describe_part(scope, of, since, until, model, promote=True)
         reason = "new spectra in the window, or other inputs than before"
-        return self._order(REFIT, part, [content], reason)
+        return self._order(REFIT, part, [content, *_name_change(stores, of.station, since, until)], reason)
 
     def _drift(self, stores: Stores, stations: list[str]) -> Iterator[Order]:
         for station in stations:
@@ -114,7 +132,8 @@ class DueWork:
         if self.investigations is not None:
             reason = "new spectra in the window, or another policy or inputs than before"
             for part, called_for_by in self.investigations.due(stores):
-                yield self._order(INVESTIGATION, part, called_for_by, reason)
+                change = _name_change(stores, *(part[name] for name in ("station", "since", "until")))
+                yield self._order(INVESTIGATION, part, [*called_for_by, *change], reason)
 
     def _order(self, kind: str, part: dict[str, Any], called_for_by: list[Any], reason: str) -> Order:
         own = self._inputs
@@ -124,3 +143,9 @@ class DueWork:
     @cached_property
     def _inputs(self) -> Inputs:
         return name_inputs(self.instrument, self.sky_power())
+
+
+def _name_change(stores: Stores, station: str | None, since: Instant, until: Instant) -> list[int]:
+    """The number of the newest change of a model that touches a window: with each the window is due again."""
+    change = stores.models.last_change(station, since, until)
+    return [] if change is None else [change.number]

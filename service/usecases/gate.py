@@ -2,7 +2,8 @@
 
 A version passes if every curve converged, most channels are good and the statistical error of C in these is small
 enough, the events see enough of the sidereal day, and the mean of C differs by less than the limit from the version of
-the same scope that was in effect for the window, or else nearest to it in time, both through the same cable. An
+the same scope that was in effect for the window, or else nearest to it in time, both through the same cable, or by what
+the adoption or withdrawal of a cause announced, within its error. An
 objection names the events of the window whose power is most anomalous.
 The limits are settings; a jump beyond them is either a fault or news, and both deserve a look.
 """
@@ -17,9 +18,12 @@ import numpy as np
 from lbacal_core.curves import CONVERGED, MISFIT, OK, CalibrationCurve
 from lbacal_core.validity import Instant, Scope
 from service.storage.ledger import LedgerStore
+from service.storage.models import ModelChange
 from service.storage.versions import Version, mean_over_band
 from service.usecases.comparison import through_common_cable
 
+ANNOUNCED_SIGMA = 3.0
+"""Standard deviations by which a change of C may depart from what the adoption of a cause announced."""
 EVENTS_NAMED = 3
 """An objection names so many anomalous events, the worst first."""
 
@@ -43,22 +47,33 @@ class Gate:
     coverage: float
     band: float
 
-    def objection(self, version: Version, predecessor: Version | None) -> str | None:
-        """Why a version may not go into effect by itself, with the worst of its events; None if it may."""
-        reason = self._object(version, predecessor)
+    def objection(
+        self, version: Version, predecessor: Version | None, model_change: ModelChange | None = None
+    ) -> str | None:
+        """Why a version may not go into effect by itself, with the worst of its events; None if it may.
+
+        Where the predecessor was fitted with another model, a change of C passes that `model_change` announced.
+        """
+        reason = self._object(version, predecessor, model_change)
         worst = version.anomalies.name_worst(EVENTS_NAMED)
         return f"{reason}; worst events: {worst}" if reason and worst else reason
 
-    def _object(self, version: Version, predecessor: Version | None) -> str | None:
+    def _object(self, version: Version, predecessor: Version | None, model_change: ModelChange | None) -> str | None:
         if predecessor and predecessor.made > version.made and predecessor.window == version.window:
             return f"{predecessor.id[:12]} was made from later data and is in effect"
         for curve in version.curves:
             weakness = self._weakness(curve)
             if weakness is not None:
                 return f"{curve.name}: {weakness}"
-            change = _change_of_mean(version, predecessor, str(curve.dipole)) if predecessor else None
-            if change is not None and abs(change) > self.change:
-                return f"{curve.name}: mean C differs by {change:+.1%} from before, at most {self.change:.1%} passes"
+            change = find_change_of_mean(version, predecessor, str(curve.dipole)) if predecessor else None
+            if change is None or abs(change) <= self.change:
+                continue
+            told = f"{curve.name}: mean C differs by {change:+.1%} from before, at most {self.change:.1%} passes"
+            if predecessor is None or model_change is None or predecessor.model == version.model:
+                return told
+            low, high = find_announced(model_change, version.scope, str(curve.dipole))
+            if not low <= change <= high:
+                return f"{told}, or {low:+.1%} to {high:+.1%} for the change of the model"
         return None
 
     def _weakness(self, curve: CalibrationCurve) -> str | None:
@@ -93,7 +108,22 @@ class Gate:
         return None
 
 
-def _change_of_mean(version: Version, predecessor: Version, dipole: str) -> float | None:
+def find_announced(change: ModelChange, scope: Scope, dipole: str) -> tuple[float, float]:
+    """The range of changes of mean C that a change of the model announced for a scope.
+
+    The mean of an array moves by at most what the mean of the one station does.
+    """
+    one = change.announced.get(f"{scope.key} {dipole}")
+    if one is not None:
+        return one.fraction - ANNOUNCED_SIGMA * one.sigma, one.fraction + ANNOUNCED_SIGMA * one.sigma
+    of_station = change.announced.get(f"{change.station} {dipole}")
+    if of_station is None or scope != Scope():
+        return 0.0, 0.0
+    reach = ANNOUNCED_SIGMA * of_station.sigma
+    return min(of_station.fraction, 0.0) - reach, max(of_station.fraction, 0.0) + reach
+
+
+def find_change_of_mean(version: Version, predecessor: Version, dipole: str) -> float | None:
     """Change of the band mean of C through one and the same cable: which antennas were averaged is not a jump."""
     is_known = dipole in version.chains and dipole in predecessor.chains
     curves = [through_common_cable(v, dipole) if is_known else v.curve_of(dipole) for v in (version, predecessor)]

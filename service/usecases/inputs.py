@@ -9,8 +9,9 @@ import json
 from dataclasses import asdict, dataclass
 
 from lbacal_core.instrument import Instrument
-from lbacal_core.provenance import MODEL_VERSION, canonical_json
+from lbacal_core.provenance import MODEL_VERSION, canonical_json, hash_arrays
 from lbacal_core.skypower.table import SkyPower
+from lbacal_core.spectra import Spectra
 
 SHOWN = 12
 """Digits of a hash that a sentence shows."""
@@ -33,6 +34,12 @@ class Inputs:
 def name_inputs(instrument: Instrument, sky_power: SkyPower) -> Inputs:
     """The inputs of this process."""
     return Inputs(instrument.digest(), sky_power.digest())
+
+
+def hash_covariates(spectra: Spectra) -> str:
+    """The hash of the covariates of spectra, which their own digest leaves out."""
+    names = sorted(spectra.environment)
+    return hash_arrays(names, *(spectra.environment[name] for name in names))
 
 
 def explain_difference(needed: str, found: str) -> str:

@@ -13,7 +13,8 @@ from typing import Any
 from lbacal_core.calibration.paths import MIN_EVENTS
 from lbacal_core.discovery.policy import Policy
 from lbacal_core.instrument import Instrument
-from lbacal_core.provenance import MODEL_VERSION, hash_arrays, hash_content
+from lbacal_core.model import Model
+from lbacal_core.provenance import MODEL_VERSION, hash_content
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra import Spectra
 from lbacal_core.validity import Instant, Scope
@@ -23,7 +24,7 @@ from service.storage.investigations import Investigation
 from service.storage.jobs import Order, Part
 from service.storage.spectra import Window
 from service.usecases.calibrations import select_paths
-from service.usecases.inputs import name_inputs
+from service.usecases.inputs import hash_covariates, name_inputs
 from service.usecases.night import StationNews, tell_news
 from service.usecases.orders import Limits, place_order, read_window
 from service.usecases.years import find_years, split_years
@@ -83,36 +84,37 @@ class Investigations:
                 Window(since, until, Scope(station)), self.instrument.frequency_mhz, self.resistance_ohm,
                 with_covariates=True,
             )  # fmt: skip
+            model = stores.models.during(station, since, until)
         if spectra is None:
             between = f"{format_instant(since)} and {format_instant(until)}"
             raise ConflictError(f"no usable spectra of {station} between {between}")
-        inputs = self._inputs(spectra)
+        inputs = self._inputs(spectra, model)
         name = hash_content(inputs)
         with self.database.read() as stores:
             made = stores.investigations.find(name)
         if made is None:
-            report = self._investigate(spectra)
+            report = self._investigate(spectra, model)
             made = Investigation(name, station, since, until, inputs, report, self.clock(), part.by, part.reason)
         with self.database.write() as stores:
             stores.investigations.add(made)
             stores.jobs.complete(part, worker, {"calibrations": [], "results": [name]}, self.clock())
 
-    def _inputs(self, spectra: Spectra) -> dict[str, Any]:
-        covariates = sorted(spectra.environment)
+    def _inputs(self, spectra: Spectra, model: Model) -> dict[str, Any]:
         return {
             "spectra": spectra.digest(),
-            "environment": hash_arrays(covariates, *(spectra.environment[name] for name in covariates)),
+            "environment": hash_covariates(spectra),
             "instrument": self.instrument.digest(),
             "sky_power": self.sky_power().digest(),
             "own_sky": self.is_own_sky,
             "policy": Policy().as_dict(),
             "model_version": MODEL_VERSION,
+            **({} if model.is_plain else {"model": model.id}),
         }
 
-    def _investigate(self, spectra: Spectra) -> dict[str, Any]:
+    def _investigate(self, spectra: Spectra, model: Model) -> dict[str, Any]:
         from lbacal_core.discovery.investigate import investigate  # a second to import, and only workers need it
 
-        return investigate(spectra, self.instrument, self.sky_power(), is_own_sky=self.is_own_sky)[0]
+        return investigate(spectra, self.instrument, self.sky_power(), is_own_sky=self.is_own_sky, model=model)[0]
 
     def get(self, name: str) -> Investigation:
         """One investigation, by its id or by as many of its first digits as no other begins with."""

@@ -67,7 +67,7 @@ class Promotions:
         """Work out a promotion and what it would change, while others may promote."""
         with self.database.read() as stores:
             wanted = [self._read(stores, body, by)]
-            return Plan(wanted, self._changes(stores, wanted), stores.ledger.newest_number())
+            return Plan(wanted, self.changes(stores, wanted), stores.ledger.newest_number())
 
     def plan_job(self, number: int, body: ReasonBody, by: str) -> Plan:
         """Work out the promotion of all converged versions of a job that has ended, each for its own window."""
@@ -82,7 +82,7 @@ class Promotions:
                 raise ConflictError(f"job {number} made no version that converged: nothing to promote")
             wanted = [Promotion(0, v.scope, v.since, v.until, v.id, LAST, by, body.reason) for v in good]
             left_out = {name: v.status for name, v in versions.items() if v.status != CONVERGED}
-            return Plan(wanted, self._changes(stores, wanted), stores.ledger.newest_number(), left_out)
+            return Plan(wanted, self.changes(stores, wanted), stores.ledger.newest_number(), left_out)
 
     def plan_rollback(self, number: int, body: ReasonBody, by: str) -> Plan:
         """Work out how to undo a promotion and all that were one act with it."""
@@ -93,8 +93,8 @@ class Promotions:
             since = min(p.valid_from for p in act)
             until = None if any(p.valid_to is None for p in act) else max(p.valid_to or 0 for p in act)
             before = stores.ledger.standing({p.scope for p in act}, since, until, before=act[0].at)
-            wanted = [one for p in act for one in _undo(p, before, by, body.reason)]
-            return Plan(wanted, self._changes(stores, wanted), stores.ledger.newest_number())
+            wanted = [one for p in act for one in undo(p, before, by, body.reason)]
+            return Plan(wanted, self.changes(stores, wanted), stores.ledger.newest_number())
 
     def promote(self, plan: Plan, describe: Describe[Answer]) -> Answer:
         """Promote, and describe what that changed; what cannot be described is not promoted.
@@ -104,7 +104,7 @@ class Promotions:
         with self.database.write() as stores:
             stores.ledger.lock()
             is_current = stores.ledger.newest_number() == plan.newest
-            changes = plan.changes if is_current else self._changes(stores, plan.wanted)
+            changes = plan.changes if is_current else self.changes(stores, plan.wanted)
             return describe(stores.ledger.append(plan.wanted, self.clock), changes)
 
     def _read(self, stores: Stores, body: PromotionBody, by: str) -> Promotion:
@@ -133,8 +133,8 @@ class Promotions:
             reason=body.reason,
         )
 
-    def _changes(self, stores: Stores, wanted: Sequence[Promotion]) -> list[Change]:
-        """What promotions change for every path that they can answer."""
+    def changes(self, stores: Stores, wanted: Sequence[Promotion], made: Sequence[Version] = ()) -> list[Change]:
+        """What promotions change for every path that they can answer; `made` are versions that are not stored."""
         # numbers order what shares its instant; the ledger gives others in the same order
         wanted = [replace(p, number=k) for k, p in enumerate(wanted)]
         new = {scope: [p for p in wanted if p.scope == scope] for scope in dict.fromkeys(p.scope for p in wanted)}
@@ -150,11 +150,15 @@ class Promotions:
             added = [p for scope in path.widening for p in new.get(scope, [])]
             found += _differences(path, timeline(old, path), timeline([*old, *added], path))
         ids = {version_id for change in found for version_id in (change.before, change.after) if version_id}
-        versions = stores.versions.get_many(ids)
+        versions = stores.versions.get_many(ids) | {version.id: version for version in made}
         return [_with_size(change, versions) for change in found]
 
+    def paths_of(self, station: str) -> list[Scope]:
+        """The paths of a station."""
+        return select_paths(self.instrument, station, None, None)
 
-def _undo(made: Promotion, before: Sequence[Promotion], by: str, reason: str) -> Iterator[Promotion]:
+
+def undo(made: Promotion, before: Sequence[Promotion], by: str, reason: str) -> Iterator[Promotion]:
     """Promote again what a scope had before a promotion, stretch by stretch over its interval."""
     for stretch in timeline([p for p in before if p.scope == made.scope], made.scope):
         start = made.valid_from if stretch.start is None else max(stretch.start, made.valid_from)

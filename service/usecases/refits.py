@@ -6,33 +6,25 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from lbacal_core.anomalies import Anomalies
-from lbacal_core.calibration.chain_test import SkyFreedom
-from lbacal_core.calibration.fit import fit_calibration
-from lbacal_core.curves import CalibrationCurve, FitReport
 from lbacal_core.errors import BadInputError
 from lbacal_core.instrument import Instrument
-from lbacal_core.reference_chain import ReferenceChain
+from lbacal_core.model import Model
 from lbacal_core.skypower.table import SkyPower
-from lbacal_core.spectra import Spectra
-from lbacal_core.uncertainty.refit import add_budget, compute_budget
 from lbacal_core.validity import Instant, Promotion, Scope
 from service.errors import ConflictError
 from service.storage.database import Database, Stores
 from service.storage.examined import Examined
 from service.storage.jobs import Job, Order, Part
-from service.storage.spectra import Window
 from service.storage.versions import Version
 from service.usecases.calibrations import select_paths
 from service.usecases.comparison import find_shift
+from service.usecases.fits import Fits, read_part
 from service.usecases.gate import Gate, find_predecessors
 from service.usecases.inputs import name_inputs
 from service.usecases.orders import Limits, place_order, read_window
+from service.usecases.payoff import Payoff
 from service.wire.bodies import RefitBody
-from service.wire.instants import DAY_US, format_instant
+from service.wire.instants import DAY_US
 
 KIND = "refit"
 SMALLEST_SHIFT = 0.25
@@ -46,14 +38,14 @@ class Refits:
     database: Database
     instrument: Instrument
     sky_power: Callable[[], SkyPower]
-    freedom: Callable[[], SkyFreedom | None]
-    resistance_ohm: float
+    fits: Fits
+    payoff: Payoff
     gate: Gate
     limits: Limits
     clock: Callable[[], Instant]
 
     def request(self, body: RefitBody, by: str) -> int:
-        """Enqueue what an admin asks for: one part for the array, else one a station."""
+        """Enqueue what an admin asks for: one part for the array, else one a station, with the model adopted now."""
         since, until = read_window(body.since, body.until)
         if until - since > self.limits.window_days * DAY_US:
             most = f"a window of at most {self.limits.window_days:g} days (LBACAL_MAX_WINDOW_DAYS)"
@@ -69,62 +61,33 @@ class Refits:
             if not stations:
                 raise ConflictError("no spectra are stored: ingest some, then ask for a refit")
             wanted = [Scope()] if body.scope == "array" else [Scope(s, scope.antenna, scope.dipole) for s in stations]
-            parts = [describe_part(body.scope, one, since, until, promote=body.promote) for one in wanted]
+            parts = []
+            for one in wanted:
+                model = stores.models.during(one.station, since, until)
+                stores.models.put(model)
+                parts.append(describe_part(body.scope, one, since, until, model, promote=body.promote))
             order = Order(KIND, body.model_dump(), parts, body.reason, by, inputs=inputs)
             return place_order(stores, order, self.limits, self.clock)
 
     def run(self, part: Part, worker: str) -> None:
         """Do a part: read, fit, then write versions, promotions and the end of the part in one transaction."""
-        wanted = part.request
-        window = Window(wanted["since"], wanted["until"], Scope(wanted["station"], wanted["antenna"], wanted["dipole"]))
-        made = self.clock()
         with self.database.read() as stores:
-            spectra = stores.spectra.load(window, self.instrument.frequency_mhz, self.resistance_ohm)
-        if spectra is None:
-            since, until = format_instant(window.since), format_instant(window.until)
-            raise ConflictError(f"no usable spectra of {window.scope.key} between {since} and {until}")
-        report = fit_calibration(spectra, self.instrument, self.sky_power(), wanted["scope"], self.freedom())
-        report = add_budget(report, compute_budget(spectra, self.instrument, self.sky_power()))
-        versions = self._versions(spectra, report, part, made)
+            name = part.request.get("model")
+            model = Model() if name is None else stores.models.get(name)
+            wanted = read_part(part.request, model, part.by, part.reason)
+            spectra = self.fits.load(stores, wanted)
+            known = self.payoff.known_until(stores, wanted)
+        whole = self.fits.fit_causes(spectra, model)
+        made = self.fits.make(whole, wanted)
+        gains = self.payoff.measure(whole, wanted, known)
         with self.database.write() as stores:
-            kept = self._keep(stores, versions, part)
+            kept = self._keep(stores, made.versions, part)
             if kept.result["calibrations"]:
-                stores.budgets.add(report.budgets)
+                stores.budgets.add(made.budgets)
+            self.payoff.keep(stores, gains)
             # the end of the part before the promotions, whose instant must be the last thing before the commit
             stores.jobs.complete(part, worker, kept.result, self.clock())
             stores.ledger.append(kept.promotions, self.clock)
-
-    def _versions(self, spectra: Spectra, report: FitReport, part: Part, made: Instant) -> list[Version]:
-        groups: dict[Scope, list[CalibrationCurve]] = {}
-        chains: dict[Scope, dict[str, ReferenceChain]] = {}
-        for curve, chain in zip(report.curves, report.chains, strict=True):
-            scope = Scope(curve.station, curve.antenna, None if curve.antenna is None else curve.dipole)
-            groups.setdefault(scope, []).append(curve)
-            if chain is not None:
-                chains.setdefault(scope, {})[str(curve.dipole)] = chain
-        return [
-            Version(
-                scope=scope,
-                since=part.request["since"],
-                until=part.request["until"],
-                inputs={
-                    **report.provenance.inputs,
-                    "spectra": _of_scope(spectra, scope).digest(),
-                    "scope": scope.key,
-                    "settings": dict(report.provenance.settings),
-                    "model_version": report.provenance.model_version,
-                },
-                curves=tuple(group),
-                made=made,
-                made_by=part.by,
-                reason=part.reason,
-                chains=chains.get(scope, {}),
-                anomalies=Anomalies.of(
-                    one for one in report.anomalies if scope in Scope(one.station, one.antenna, one.dipole).widening
-                ),
-            )
-            for scope, group in groups.items()
-        ]
 
     def _keep(self, stores: Stores, made: list[Version], part: Part) -> _Kept:
         """Store new versions, each with the objection of the gate if promotion was asked for.
@@ -146,7 +109,11 @@ class Refits:
             for scope, promotion in stores.ledger.decisive(scopes, middle, None).items()
             if promotion.calibration is not None and promotion.covers(since) and promotion.covers(until - 1)
         }
-        gated = {v.id: self.gate.objection(v, predecessors.get(before.get(v.scope, ""))) for v in made}
+        change = stores.models.last_change(part.request["station"], since, until)
+        superseded = _explain_other_model(stores, part)
+        gated = {
+            v.id: superseded or self.gate.objection(v, predecessors.get(before.get(v.scope, "")), change) for v in made
+        }
         news, examined = list(made), []
         if part.is_due:
             in_effect = {scope: predecessors[name] for scope, name in standing.items()}
@@ -171,6 +138,16 @@ class _Kept:
     promotions: list[Promotion]
 
 
+def _explain_other_model(stores: Stores, part: Part) -> str | None:
+    """Why versions must not go into effect whose model was replaced while they were made; None where it was not."""
+    wanted = part.request
+    now = stores.models.during(wanted["station"], wanted["since"], wanted["until"])
+    if wanted.get("model") == (None if now.is_plain else now.id):
+        return None
+    named = "the chain alone" if now.is_plain else f"model {now.id[:12]}"
+    return f"{named} was adopted for this window after the fit was asked for"
+
+
 def _examine(new: Version, in_effect: Version | None) -> Examined | None:
     """The fit as a confirmation of the version in effect; None if it is news, or that version itself."""
     if in_effect is None or in_effect.id == new.id:
@@ -181,21 +158,17 @@ def _examine(new: Version, in_effect: Version | None) -> Examined | None:
     return Examined(new.scope, *new.window, new.id, in_effect.id, shift, new.made)
 
 
-def describe_part(scope: str, of: Scope, since: Instant, until: Instant, *, promote: bool) -> dict[str, Any]:
-    """A part of a refit as JSON: the scope of its versions, and whose spectra they are made from."""
+def describe_part(
+    scope: str, of: Scope, since: Instant, until: Instant, model: Model, *, promote: bool
+) -> dict[str, Any]:
+    """A part of a refit as JSON: the scope of its versions, whose spectra they are made from, and the model.
+
+    A model without causes is not named: parts are what they were before there were models.
+    """
     return {
         "scope": scope, "station": of.station, "antenna": of.antenna, "dipole": of.dipole,
-        "since": since, "until": until, "promote": promote,
+        "since": since, "until": until, "promote": promote, **({} if model.is_plain else {"model": model.id}),
     }  # fmt: skip
-
-
-def _of_scope(spectra: Spectra, scope: Scope) -> Spectra:
-    rows: NDArray[np.bool_] = np.ones(len(spectra), dtype=bool)
-    if scope.station is not None:
-        rows &= spectra.station == scope.station
-    if scope.antenna is not None:
-        rows &= (spectra.antenna == scope.antenna) & (spectra.dipole == scope.dipole)
-    return spectra.select(rows)
 
 
 @dataclass(frozen=True)

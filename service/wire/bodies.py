@@ -106,6 +106,14 @@ class TagBody(Body):
     reason: Reason
 
 
+class AdoptionBody(Body):
+    """Adopt a finding of an investigation, by its number in the report, into its station's model."""
+
+    finding: Number
+    reason: Reason
+    promote: bool = False
+
+
 class InvestigationBody(Body):
     """Ask what the simulation gets wrong in the window [since, until): one report a station and calendar year."""
 

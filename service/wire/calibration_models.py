@@ -80,6 +80,7 @@ class StatusAnswer(Answer):
     newest_event: str | None
     gated: int = Field(description="versions that the gate kept back and nobody promoted")
     investigations: list[NewsAnswer] = Field(description="the newest of every station")
+    stopped_paying: list[str] = Field(description="adopted causes that gain less on new events than they should")
     failures: list[FailureAnswer]
 
 
@@ -211,6 +212,7 @@ class VersionAnswer(PathAnswer):
     until: str
     status: str
     events: int
+    model: str | None = Field(description="id of the model, where causes were adopted into it")
     gate: str | None = Field(description="why it was not promoted by itself")
     made_at: str
     made_by: str
@@ -264,6 +266,7 @@ class ChangeAnswer(PathAnswer):
     after: str | None
     max_fraction: float | None
     max_sigma: float | None
+    mean_c: list[float] | None = Field(description="mean of C over the band before and after, V per ADC unit")
 
 
 class ChangesAnswer(Answer):

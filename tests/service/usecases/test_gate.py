@@ -7,8 +7,9 @@ import pytest
 
 from lbacal_core.curves import CONVERGED, TOO_FEW_EVENTS, CalibrationCurve
 from lbacal_core.validity import Promotion, Scope
+from service.storage.models import Announced, ModelChange
 from service.storage.versions import Version
-from service.usecases.gate import Gate, find_predecessors
+from service.usecases.gate import Gate, find_announced, find_predecessors
 
 GATE = Gate(change=0.1, error=0.05, coverage=0.4, band=0.7)
 PATH = Scope("CS001", 0, "X")
@@ -127,3 +128,38 @@ def test_in_a_gap_the_last_version_before_it_is_the_predecessor(factory, stored)
 def test_a_withdrawn_version_is_no_predecessor(factory, stored):
     promote(factory, stored, (PATH, 0, 100, "path"), (PATH, 100, 200, "other"), (PATH, 100, 200, None))
     assert predecessor(factory, PATH, 150) == stored["path"].id
+
+
+def with_model(one: Version, model: str | None) -> Version:
+    """The version as a fit with a model made it."""
+    return replace(one, inputs={**one.inputs, **({} if model is None else {"model": model})})
+
+
+def announce(**changes: tuple[float, float]) -> ModelChange:
+    """The adoption of a cause that announced changes of mean C, by dipole of CS002."""
+    told = {f"CS002 {dipole}": Announced(*change) for dipole, change in changes.items()}
+    return ModelChange(
+        1, "CS002", "adopted", "new", "old", "cause", 0, None, 50, None, None, told, None, 60, "somebody", "a test"
+    )
+
+
+@pytest.mark.parametrize(("factor", "passes"), [(1.25, True), (1.28, True), (1.35, False), (1.12, False), (0.8, False)])
+def test_a_jump_passes_that_the_adoption_announced_within_three_of_its_errors(factor: float, passes: bool) -> None:
+    new = version(curve(1e-3 * factor), curve(1e-3 * factor, dipole="Y"), made=200)
+    change = announce(X=(0.25, 0.02), Y=(0.25, 0.02))
+    objection = GATE.objection(with_model(new, "new"), BEFORE, change)
+    assert (objection is None) == passes
+    if objection:
+        assert "or +19.0% to +31.0% for the change of the model" in objection
+    assert GATE.objection(with_model(new, "new"), with_model(BEFORE, "new"), change) is not None, (
+        "the model is the same"
+    )
+    assert GATE.objection(with_model(new, "new"), BEFORE, None) is not None
+
+
+def test_the_array_may_move_by_any_part_of_what_one_of_its_stations_does() -> None:
+    change = announce(X=(0.25, 0.02))
+    assert find_announced(change, CS002, "X") == pytest.approx((0.19, 0.31))
+    assert find_announced(change, Scope(), "X") == pytest.approx((-0.06, 0.31))
+    assert find_announced(change, Scope("CS003"), "X") == (0.0, 0.0)
+    assert find_announced(change, Scope(), "Y") == (0.0, 0.0)

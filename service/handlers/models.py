@@ -1,0 +1,163 @@
+"""Models: findings adopted, models listed and withdrawn."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Depends, Query, Request, Response
+
+from lbacal_core.model import AdoptedCause, Model
+from service.handlers.calibrations import describe_changes
+from service.handlers.problems import document
+from service.handlers.request import (
+    IdempotencyKey,
+    InPath,
+    JsonBody,
+    Limit,
+    UseCases,
+    Whole,
+    answer,
+    caller_with,
+    describes,
+    require_read,
+)
+from service.storage.models import Gain
+from service.usecases.keys import Caller
+from service.usecases.models import AdoptedModel, Adoption
+from service.wire.answers import to_json
+from service.wire.bodies import AdoptionBody, ReasonBody, parse_body
+from service.wire.instants import format_instant
+from service.wire.model_answers import AdoptionAnswer, AdoptionPlanAnswer, ModelsAnswer
+
+router = APIRouter(tags=["models"])
+Promoter = Annotated[Caller, caller_with("calibrations:promote")]
+
+
+@router.post(
+    "/v1/investigations/{name}/adoption",
+    status_code=202,
+    response_model=AdoptionAnswer,
+    summary="Adopt a finding into its station's model",
+    description="From the investigated window on, until it is withdrawn, fits of the station have the cause. The "
+    "windows that it touches are fitted again; `promote` puts those that pass the gate into effect, and it lets a "
+    "change of C pass that `dry_run=true` announces. A dry run fits the investigated year, answers 200 and writes "
+    "nothing.",
+    responses=document(400, 401, 403, 404, 409, 415, 422, 503) | {200: {"model": AdoptionPlanAnswer}},
+    openapi_extra=describes(AdoptionBody),
+)
+def adopt_finding(
+    request: Request,
+    use: UseCases,
+    caller: Promoter,
+    name: InPath,
+    body: JsonBody,
+    dry_run: bool = False,
+    idempotency_key: IdempotencyKey = None,
+) -> Response:
+    wanted = parse_body(AdoptionBody, body)
+    plan = use.models.plan_adoption(name, wanted, caller.name)
+    if dry_run:
+        return answer(request, describe_plan(plan))
+
+    def adopt() -> bytes:
+        return to_json({"model": plan.model.id, "jobs": use.models.adopt(plan, promote=wanted.promote)})
+
+    asked = b"adoption of " + name.encode() + body
+    return answer(request, use.deeds.once(caller.name, idempotency_key, asked, adopt), status=202)
+
+
+@router.get(
+    "/v1/models",
+    response_model=ModelsAnswer,
+    summary="What stations' models have and had",
+    description="Newest first: every adoption and withdrawal, with the causes that the station had from then on and "
+    "what each gained on later events; `next` is the cursor of the next page.",
+    responses=document(401, 422, 503),
+    dependencies=[Depends(require_read)],
+)
+def list_models(
+    request: Request,
+    use: UseCases,
+    cursor: Annotated[Whole | None, Query(ge=0, le=2**63 - 1)] = None,
+    limit: Limit = 100,
+) -> Response:
+    found = [one for one in use.models.history() if cursor is None or one.change.number < cursor][:limit]
+    following = found[-1].change.number if len(found) == limit else None
+    return answer(request, {"models": [describe_model(one) for one in found], "next": following})
+
+
+@router.post(
+    "/v1/models/{name}/withdrawal",
+    status_code=202,
+    response_model=AdoptionAnswer,
+    summary="Withdraw a model",
+    description="Takes the cause that was adopted with it out of its station's model, puts back at once what was in "
+    "effect before, and enqueues refits without the cause.",
+    responses=document(400, 401, 403, 404, 409, 415, 422, 503),
+    openapi_extra=describes(ReasonBody),
+)
+def withdraw_model(
+    request: Request,
+    use: UseCases,
+    caller: Promoter,
+    name: InPath,
+    body: JsonBody,
+    idempotency_key: IdempotencyKey = None,
+) -> Response:
+    wanted = parse_body(ReasonBody, body)
+
+    def withdraw() -> bytes:
+        model, jobs = use.models.withdraw(name, wanted, caller.name)
+        return to_json({"model": model.id, "jobs": jobs})
+
+    asked = b"withdrawal of model " + name.encode() + body
+    return answer(request, use.deeds.once(caller.name, idempotency_key, asked, withdraw), status=202)
+
+
+def describe_plan(plan: Adoption) -> dict[str, Any]:
+    """What an adoption would change, as JSON values."""
+    return {"model": plan.model.id, "cause": plan.cause.sentence, **describe_changes(None, list(plan.changes))}
+
+
+def describe_model(one: AdoptedModel) -> dict[str, Any]:
+    """A line of the ledger of models as JSON values."""
+    change = one.change
+    return {
+        "id": change.model,
+        "station": change.station,
+        "act": change.act,
+        "before": change.before,
+        "in_effect": one.is_in_effect,
+        "changed": one.changed.sentence,
+        "investigation": change.investigation,
+        "finding": change.finding,
+        "promise": None if change.promise is None else list(change.promise),
+        "at": format_instant(change.at),
+        "by": change.by,
+        "reason": change.reason,
+        "causes": [describe_cause(cause, one.gains.get(Model((cause,)).id, ())) for cause in one.model.causes],
+    }
+
+
+def describe_cause(cause: AdoptedCause, gains: Any) -> dict[str, Any]:
+    """An adopted cause and what it gained, as JSON values."""
+    content = cause.as_dict()
+    return {
+        **{name: content[name] for name in ("cause", "target", "parameters", "size", "sigma", "since", "until")},
+        "unit": cause.in_catalogue.unit,
+        "is_free": cause.is_free,
+        "sentence": cause.sentence,
+        "gains": [describe_gain(gain) for gain in gains],
+    }
+
+
+def describe_gain(gain: Gain) -> dict[str, Any]:
+    """What a cause gained on the new events of a window, as JSON values."""
+    return {
+        "since": format_instant(gain.since),
+        "until": format_instant(gain.until),
+        "events": gain.events,
+        "log_likelihood_gain": gain.gain,
+        "expected": gain.expected,
+        "expected_sigma": gain.expected_sigma,
+    }

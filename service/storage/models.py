@@ -1,0 +1,189 @@
+"""Models that were adopted: canonical texts under their hash, and an insert-only ledger of what each station has."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from sqlalchemy import Connection, Row, func, select
+from sqlalchemy.dialects.postgresql import insert as postgresql_insert
+from sqlalchemy.dialects.sqlite import insert as sqlite_insert
+
+from lbacal_core.model import Model
+from lbacal_core.provenance import canonical_json
+from lbacal_core.validity import Instant
+from service.errors import NotFoundError
+from service.schema.tables import model, model_change, model_gain
+from service.storage.short_ids import complete_id
+
+ADOPTED, WITHDRAWN = "adopted", "withdrawn"
+MICROSECONDS = 1e6
+STOPPED_SIGMA = 3.0
+"""Standard deviations by which a gain lies below the expected one where a cause has stopped paying."""
+
+
+@dataclass(frozen=True)
+class Announced:
+    """The change of the band mean of C that a change of the model was said to make, as a fraction, and its error."""
+
+    fraction: float
+    sigma: float
+
+
+@dataclass(frozen=True)
+class ModelChange:
+    """One line of the ledger: from now on a station's fits use another model, with one cause more or less.
+
+    Attributes
+    ----------
+    cause
+        The id of the model that has this cause alone: what gains are kept under.
+    since, until
+        The interval in which the cause acts; windows outside keep what they have.
+    known_until
+        The newest event of the investigation: what the cause gains is counted on later ones.
+    announced
+        By the key of a scope and dipole (``CS002/17/X X``).
+    promise
+        The gain in log-likelihood that the finding promises for as many events again, with its error; None if unknown.
+    """
+
+    number: int
+    station: str
+    act: str
+    model: str
+    before: str
+    cause: str
+    since: Instant | None
+    until: Instant | None
+    known_until: Instant | None
+    investigation: str | None
+    finding: int | None
+    announced: Mapping[str, Announced]
+    promise: tuple[float, float] | None
+    at: Instant
+    by: str
+    reason: str
+
+    def touches(self, since: Instant, until: Instant) -> bool:
+        """Whether the cause acts in a window."""
+        return (self.since is None or self.since < until) and (self.until is None or self.until > since)
+
+
+@dataclass(frozen=True)
+class Gain:
+    """What an adopted cause gained in log-likelihood on the events of a window that its adoption had not seen.
+
+    `expected` and its error follow from the size as it was adopted.
+    """
+
+    cause: str
+    station: str
+    since: Instant
+    until: Instant
+    events: int
+    gain: float
+    expected: float
+    expected_sigma: float
+    made: Instant
+
+    @property
+    def has_stopped_paying(self) -> bool:
+        """Whether these events gain significantly less than they would with the size as adopted."""
+        return self.gain < self.expected - STOPPED_SIGMA * self.expected_sigma
+
+
+class ModelStore:
+    """Models, changes and gains; only the gain of a window is replaced, by that of more events."""
+
+    def __init__(self, connection: Connection) -> None:
+        self._connection = connection
+        self._insert: Any = sqlite_insert if connection.dialect.name == "sqlite" else postgresql_insert
+
+    def put(self, *models: Model) -> None:
+        """Keep the texts of models; one that is kept already stays as it is."""
+        rows = [{"id": one.id, "content": one.to_text()} for one in models]
+        self._connection.execute(self._insert(model).on_conflict_do_nothing(), rows)
+
+    def get(self, name: str) -> Model:
+        """A model by its id or by as many of its first digits as no other begins with."""
+        whole = complete_id(self._connection, model.c.id, name, "model")
+        text = self._connection.execute(select(model.c.content).where(model.c.id == whole)).scalar_one_or_none()
+        if text is None:
+            raise NotFoundError(f"no model {name!r}; GET /v1/models lists them")
+        return Model.from_text(text)
+
+    def change(self, made: ModelChange) -> ModelChange:
+        """Write a line of the ledger, and return it with the number that the database gives it."""
+        row = {
+            "station": made.station, "act": made.act, "model": made.model, "before": made.before, "cause": made.cause,
+            "since_us": made.since, "until_us": made.until, "known_until_us": made.known_until,
+            "investigation": made.investigation, "finding": made.finding,
+            "announced": canonical_json({key: [one.fraction, one.sigma] for key, one in made.announced.items()}),
+            "promise": None if made.promise is None else canonical_json(list(made.promise)),
+            "at_us": made.at, "by": made.by, "reason": made.reason,
+        }  # fmt: skip
+        number = self._connection.execute(model_change.insert().values(row).returning(model_change.c.id)).scalar_one()
+        return replace(made, number=number)
+
+    def changes(self, station: str | None = None) -> list[ModelChange]:
+        """The ledger, oldest first, of all stations or of one."""
+        statement = select(model_change).order_by(model_change.c.id)
+        if station is not None:
+            statement = statement.where(model_change.c.station == station)
+        return [_change(row) for row in self._connection.execute(statement)]
+
+    def current(self) -> Model:
+        """Everything that is adopted now, at all stations."""
+        newest = select(func.max(model_change.c.id)).group_by(model_change.c.station)
+        statement = select(model.c.content).join(model_change, model_change.c.model == model.c.id)
+        texts = self._connection.execute(statement.where(model_change.c.id.in_(newest))).scalars()
+        return Model(tuple(cause for text in texts for cause in Model.from_text(text).causes))
+
+    def during(self, station: str | None, since: Instant, until: Instant) -> Model:
+        """The adopted causes that act in a window, of one station or of all."""
+        acting = self.current().during(since / MICROSECONDS, until / MICROSECONDS)
+        return acting if station is None else acting.of_stations([station])
+
+    def last_change(self, station: str | None, since: Instant, until: Instant) -> ModelChange | None:
+        """The newest change that touches a window, of one station or of all."""
+        touching = [one for one in self.changes(station) if one.touches(since, until)]
+        return touching[-1] if touching else None
+
+    def put_gains(self, gains: Sequence[Gain]) -> None:
+        """Write gains in place of those of the same cause and window."""
+        rows = [
+            {
+                "cause": one.cause, "station": one.station, "since_us": one.since, "until_us": one.until,
+                "events": one.events, "gain": one.gain, "expected": one.expected,
+                "expected_sigma": one.expected_sigma, "made_us": one.made,
+            }
+            for one in gains
+        ]  # fmt: skip
+        if rows:
+            insert = self._insert(model_gain)
+            keys = ["cause", "since_us", "until_us"]
+            changed = {name: insert.excluded[name] for name in rows[0] if name not in keys}
+            self._connection.execute(insert.on_conflict_do_update(index_elements=keys, set_=changed), rows)
+
+    def gains(self) -> list[Gain]:
+        """All gains, in order of their windows."""
+        statement = select(model_gain).order_by(model_gain.c.since_us, model_gain.c.cause)
+        return [
+            Gain(
+                row.cause, row.station, row.since_us, row.until_us, row.events, row.gain, row.expected,
+                row.expected_sigma, row.made_us,
+            )
+            for row in self._connection.execute(statement)
+        ]  # fmt: skip
+
+
+def _change(row: Row[Any]) -> ModelChange:
+    announced = {key: Announced(*values) for key, values in json.loads(row.announced).items()}
+    promise = None if row.promise is None else tuple(json.loads(row.promise))
+    return ModelChange(
+        row.id, row.station, row.act, row.model, row.before, row.cause, row.since_us, row.until_us,
+        row.known_until_us, row.investigation, row.finding, announced, promise, row.at_us, row.by, row.reason,
+    )  # fmt: skip

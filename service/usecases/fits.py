@@ -1,0 +1,159 @@
+"""Fits of stored spectra with the model that is adopted: versions, their budgets and what the causes gained.
+
+Nothing is written here: a refit keeps what these functions make, and the dry run of an adoption shows it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lbacal_core.adopted import FittedCauses, fit_causes
+from lbacal_core.anomalies import Anomalies
+from lbacal_core.calibration.chain_test import SkyFreedom
+from lbacal_core.calibration.paths import MIN_EVENTS
+from lbacal_core.covariance import Budget
+from lbacal_core.curves import CalibrationCurve, FitReport
+from lbacal_core.instrument import Instrument
+from lbacal_core.model import Model
+from lbacal_core.reference_chain import ReferenceChain
+from lbacal_core.skypower.table import SkyPower
+from lbacal_core.spectra import Spectra
+from lbacal_core.uncertainty.refit import add_budget, compute_budget
+from lbacal_core.validity import Instant, Scope
+from service.errors import ConflictError
+from service.storage.database import Stores
+from service.storage.spectra import Window
+from service.storage.versions import Version
+from service.usecases.inputs import hash_covariates
+from service.wire.instants import format_instant
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """A fit: the scope of its versions, whose spectra they are made from, the window and the model; who wants it."""
+
+    scope: str
+    of: Scope
+    since: Instant
+    until: Instant
+    model: Model
+    by: str
+    reason: str
+
+    @property
+    def window(self) -> Window:
+        """What is read: the whole station where a path's model has causes, whose sizes belong to more than the path."""
+        is_part = self.of.antenna is not None and not self.model.is_plain
+        return Window(self.since, self.until, Scope(self.of.station) if is_part else self.of)
+
+
+@dataclass(frozen=True)
+class Made:
+    """The versions of a fit, one for every scope, and the budgets that their curves name, by hash."""
+
+    versions: list[Version]
+    budgets: Mapping[str, Budget]
+
+
+@dataclass(frozen=True)
+class Fits:
+    """Makes versions from stored spectra."""
+
+    instrument: Instrument
+    sky_power: Callable[[], SkyPower]
+    freedom: Callable[[], SkyFreedom | None]
+    is_own_sky: bool
+    resistance_ohm: float
+    clock: Callable[[], Instant]
+
+    def load(self, stores: Stores, wanted: Wanted) -> Spectra:
+        """The spectra of a fit, or an error where there is none."""
+        spectra = stores.spectra.load(
+            wanted.window, self.instrument.frequency_mhz, self.resistance_ohm,
+            with_covariates=not wanted.model.is_plain,
+        )  # fmt: skip
+        if spectra is None:
+            since, until = format_instant(wanted.since), format_instant(wanted.until)
+            raise ConflictError(f"no usable spectra of {wanted.of.key} between {since} and {until}")
+        return spectra
+
+    def fit_causes(self, spectra: Spectra, model: Model) -> FittedCauses:
+        """Fit the sizes of the adopted causes to all spectra of their stations, where these are enough for any fit."""
+        enough = model.of_stations([name for name in np.unique(spectra.station).tolist() if _has_enough(spectra, name)])
+        return fit_causes(spectra, self.instrument, self.sky_power(), enough, is_own_sky=self.is_own_sky)
+
+    def make(self, whole: FittedCauses, wanted: Wanted) -> Made:
+        """Fit the chain to the spectra that a fit wants, the sizes of the causes fitted to the whole station's."""
+        made, spectra = self.clock(), whole.recorded
+        is_part = wanted.window.scope != wanted.of
+        fitted = whole.select(_rows_of(spectra, wanted.of)) if is_part else whole
+        report = fitted.fit(wanted.scope, self.freedom())
+        report = add_budget(report, compute_budget(fitted.spectra, self.instrument, self.sky_power()))
+        beside = {} if whole.model.is_plain else {"environment": hash_covariates(spectra)}
+        if beside and wanted.scope == "antenna":
+            beside["model_spectra"] = spectra.digest()
+        return Made(_versions(spectra, report, wanted, made, beside), report.budgets)
+
+
+def _versions(
+    spectra: Spectra, report: FitReport, wanted: Wanted, made: Instant, beside: Mapping[str, str]
+) -> list[Version]:
+    """The versions of a report, each named by its own inputs; `beside` are those that all of them share."""
+    groups: dict[Scope, list[CalibrationCurve]] = {}
+    chains: dict[Scope, dict[str, ReferenceChain]] = {}
+    for curve, chain in zip(report.curves, report.chains, strict=True):
+        scope = Scope(curve.station, curve.antenna, None if curve.antenna is None else curve.dipole)
+        groups.setdefault(scope, []).append(curve)
+        if chain is not None:
+            chains.setdefault(scope, {})[str(curve.dipole)] = chain
+    return [
+        Version(
+            scope=scope,
+            since=wanted.since,
+            until=wanted.until,
+            inputs={
+                **report.provenance.inputs,
+                **beside,
+                "spectra": spectra.select(_rows_of(spectra, scope)).digest(),
+                "scope": scope.key,
+                "settings": dict(report.provenance.settings),
+                "model_version": report.provenance.model_version,
+            },
+            curves=tuple(group),
+            made=made,
+            made_by=wanted.by,
+            reason=wanted.reason,
+            chains=chains.get(scope, {}),
+            anomalies=Anomalies.of(
+                one for one in report.anomalies if scope in Scope(one.station, one.antenna, one.dipole).widening
+            ),
+        )
+        for scope, group in groups.items()
+    ]
+
+
+def _has_enough(spectra: Spectra, station: str) -> bool:
+    """Whether any path of a station has the events that a fit needs."""
+    of_station = spectra.station == station
+    paths = np.stack([spectra.antenna[of_station], spectra.dipole[of_station] == "Y"])
+    return bool(np.unique(paths, axis=1, return_counts=True)[1].max() >= MIN_EVENTS)
+
+
+def _rows_of(spectra: Spectra, scope: Scope) -> NDArray[np.bool_]:
+    rows: NDArray[np.bool_] = np.ones(len(spectra), dtype=bool)
+    if scope.station is not None:
+        rows &= spectra.station == scope.station
+    if scope.antenna is not None:
+        rows &= (spectra.antenna == scope.antenna) & (spectra.dipole == scope.dipole)
+    return rows
+
+
+def read_part(request: Mapping[str, Any], model: Model, by: str, reason: str) -> Wanted:
+    """The fit that a part of a job asks for."""
+    of = Scope(request["station"], request["antenna"], request["dipole"])
+    return Wanted(request["scope"], of, request["since"], request["until"], model, by, reason)

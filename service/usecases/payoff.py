@@ -1,0 +1,58 @@
+"""What adopted causes gain on events that their adoption had not seen, measured by every later refit of the station."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+from lbacal_core.adopted import FittedCauses
+from lbacal_core.discovery.payoff import measure_gains
+from lbacal_core.instrument import Instrument
+from lbacal_core.model import Model
+from lbacal_core.skypower.table import SkyPower
+from lbacal_core.validity import Instant
+from service.storage.database import Stores
+from service.storage.models import ADOPTED, MICROSECONDS, Gain
+from service.usecases.fits import Wanted
+
+
+@dataclass(frozen=True)
+class Payoff:
+    """Measures gains in the refits of a whole station, with the sizes as they were adopted."""
+
+    instrument: Instrument
+    sky_power: Callable[[], SkyPower]
+    is_own_sky: bool
+    clock: Callable[[], Instant]
+
+    def known_until(self, stores: Stores, wanted: Wanted) -> dict[str, Instant]:
+        """The newest event that the adoption of each cause had seen, by the id of the cause; empty for other scopes."""
+        if wanted.scope != "station" or wanted.model.is_plain:
+            return {}
+        changes = stores.models.changes(wanted.of.station)
+        return {one.cause: one.known_until for one in changes if one.act == ADOPTED and one.known_until is not None}
+
+    def measure(self, whole: FittedCauses, wanted: Wanted, known_until: Mapping[str, Instant]) -> list[Gain]:
+        """The gain of every adopted cause on the events of a window that are new to it."""
+        spectra, found = whole.recorded, []
+        names = [Model((cause,)).id for cause in whole.model.causes]
+        for last in sorted({known_until[name] for name in names if name in known_until}):
+            is_new = spectra.time_unix > last / MICROSECONDS
+            if not (is_new.any() and whole.stations):
+                continue
+            measured = measure_gains(
+                spectra, self.instrument, self.sky_power(), whole.model, is_new=is_new, is_own_sky=self.is_own_sky
+            )
+            found += [
+                Gain(
+                    names[one.number], str(wanted.of.station), wanted.since, wanted.until, one.events, one.gain,
+                    one.expected, one.expected_sigma, self.clock(),
+                )
+                for one in measured
+                if known_until.get(names[one.number]) == last
+            ]  # fmt: skip
+        return found
+
+    def keep(self, stores: Stores, gains: Sequence[Gain]) -> None:
+        """Write gains."""
+        stores.models.put_gains(gains)
