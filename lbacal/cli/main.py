@@ -24,6 +24,7 @@ from lbacal.cli.import_ import import_
 from lbacal.cli.investigate import investigate
 from lbacal.cli.ledger import promote, rollback, tag, withdraw
 from lbacal.cli.lst_curve import lst_curve
+from lbacal.cli.models import abandon, adopt, models
 from lbacal.cli.paper import paper
 from lbacal.cli.sky_power import sky_power
 from lbacal.cli.spectra import spectra
@@ -67,7 +68,7 @@ _COMPUTING: tuple[Callable[..., None], ...] = (
     audit, fit, budget, investigate, lst_curve, paper, sky_power, antenna_gain, spectra
 )  # fmt: skip
 _ASKING: tuple[Callable[..., None], ...] = (
-    ingest, refit, promote, withdraw, rollback, tag, effective, jobs, status, sync
+    ingest, refit, promote, withdraw, rollback, tag, effective, jobs, status, sync, adopt, models, abandon
 )  # fmt: skip
 for command in (*map(_needing_fit, _COMPUTING), import_, *_ASKING):
     app.command(_name(command))(command)

@@ -35,6 +35,8 @@ def print_state(state: dict[str, Any]) -> None:
     print(f"{state['events']} events, the newest of {newest}; {state['gated']} versions wait for a human")
     for one in state["investigations"]:
         print_news(one)
+    for sentence in state["stopped_paying"]:
+        print(f"no longer pays: {sentence}")
     for sentence in state["stuck"]:
         print(f"stuck: {sentence}")
     for failure in state["failures"]:

@@ -6,7 +6,8 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,6 +20,8 @@ from lbacal_core.instrument import load_instrument
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.spectra import write_spectra
 from lbacal_core.twin.campaign import simulate_campaign
+from lbacal_core.twin.faults.fault import Fault
+from lbacal_core.twin.faults.sky import LstOffset
 from lbacal_core.twin.settings import TwinSettings
 
 QUIET = [
@@ -47,7 +50,22 @@ class Service:
 @pytest.fixture(scope="session")
 def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
     """Two years of two antennas, served, ingested and fitted with the commands of the README."""
-    folder = tmp_path_factory.mktemp("service")
+    settings = TwinSettings(stations=("CS002",), antennas=2, years=1.99, events_per_year=100)
+    with serve(tmp_path_factory.mktemp("service"), settings) as made:
+        yield made
+
+
+@pytest.fixture(scope="session")
+def faulty(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
+    """The same with a clock that is two hours behind, in the year 2014."""
+    settings = TwinSettings(stations=("CS002",), antennas=2, years=0.99, events_per_year=200)
+    with serve(tmp_path_factory.mktemp("faulty"), settings, [LstOffset(size=2.0)]) as made:
+        yield made
+
+
+@contextmanager
+def serve(folder: Path, settings: TwinSettings, faults: Sequence[Fault] = ()) -> Iterator[Service]:
+    """A service with the spectra of a simulated campaign, one of whose nights has passed."""
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
@@ -58,9 +76,8 @@ def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
     }  # fmt: skip
     spectra = folder / "spectra.h5"
     instrument = load_instrument("lofar-superterp")
-    settings = TwinSettings(stations=("CS002",), antennas=2, years=1.99, events_per_year=100)
     sky = compute_sky_power(instrument)
-    write_spectra(simulate_campaign(settings, instrument, sky, np.random.default_rng(5)).spectra, spectra)
+    write_spectra(simulate_campaign(settings, instrument, sky, np.random.default_rng(5), faults).spectra, spectra)
     with (folder / "log").open("wb") as log:
         command = [sys.executable, "-m", "service.cli.main", "serve", "--port", str(port)]
         server = subprocess.Popen(command, env=environment, stdout=log, stderr=log)
@@ -71,7 +88,7 @@ def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
             made.environment["LBACAL_API_KEY"] = key
             assert made.run("ingest", str(spectra)).returncode == 0
             assert made.run("scheduler", "--once").returncode == 0
-            _wait_until(lambda: _is_idle(url), "the refits to end")
+            _wait_until(lambda: _is_idle(url), "the night to end")
             yield made
         finally:
             server.terminate()
@@ -94,9 +111,10 @@ def _answers(url: str) -> bool:
 
 
 def _is_idle(url: str) -> bool:
+    """Whether all that the night enqueued has ended; what it investigates comes last."""
     jobs = httpx2.get(f"{url}/v1/jobs").json()["jobs"]
-    is_drift_done = sum(job["kind"] == "drift" for job in jobs) == 2
-    return is_drift_done and all(job["state"] in ("done", "failed") for job in jobs)
+    is_last_there = any(job["kind"] == "investigation" for job in jobs)
+    return is_last_there and all(job["state"] in ("done", "failed") for job in jobs)
 
 
 @pytest.fixture(scope="session")
