@@ -72,7 +72,7 @@ InEffect = dict[tuple[str, ...], Told]
 def kill_and_compare(kind: str, kills: int, seed: int) -> Row:
     """Run on one kind of database and compare with the calm run."""
     configure_logs("warning")
-    with tempfile.TemporaryDirectory(prefix="lbacal-kills-") as name, _database(kind, Path(name)) as database:
+    with tempfile.TemporaryDirectory(prefix="lbacal-kills-") as name, open_database(kind, Path(name)) as database:
         folder = Path(name)
         spectra = _simulate(folder, seed)
         bodies = list(bodies_of_events(spectra))
@@ -139,7 +139,7 @@ class Killable:
 
 
 @contextmanager
-def _database(kind: str, folder: Path) -> Iterator[Killable]:
+def open_database(kind: str, folder: Path) -> Iterator[Killable]:
     """An empty database of a kind."""
     if kind == "sqlite":
         yield Killable(str(folder / "kills.sqlite"))
