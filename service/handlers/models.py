@@ -55,6 +55,10 @@ def adopt_finding(
     idempotency_key: IdempotencyKey = None,
 ) -> Response:
     wanted = parse_body(AdoptionBody, body)
+    asked = b"adoption of " + name.encode() + body
+    earlier = None if dry_run else use.deeds.recall(caller.name, idempotency_key, asked)
+    if earlier is not None:
+        return answer(request, earlier, status=202)
     plan = use.models.plan_adoption(name, wanted, caller.name)
     if dry_run:
         return answer(request, describe_plan(plan))
@@ -62,7 +66,6 @@ def adopt_finding(
     def adopt() -> bytes:
         return to_json({"model": plan.model.id, "jobs": use.models.adopt(plan, promote=wanted.promote)})
 
-    asked = b"adoption of " + name.encode() + body
     return answer(request, use.deeds.once(caller.name, idempotency_key, asked, adopt), status=202)
 
 

@@ -37,8 +37,13 @@ class DeedStore:
         statement = self._insert(deed).values(row).on_conflict_do_nothing().returning(deed.c.name)
         if self._connection.execute(statement).scalar_one_or_none() is not None:
             return None
-        found = self._connection.execute(select(deed).where(deed.c.by == by, deed.c.name == name)).one()
-        return Deed(found.request_sha256, found.answer)
+        return self.find(by, name)
+
+    def find(self, by: str, name: str) -> Deed | None:
+        """The deed under a name, once it is done."""
+        statement = select(deed).where(deed.c.by == by, deed.c.name == name, deed.c.answer.is_not(None))
+        found = self._connection.execute(statement).one_or_none()
+        return None if found is None else Deed(found.request_sha256, found.answer)
 
     def end(self, by: str, name: str, answer: str) -> None:
         """Keep what was answered."""

@@ -10,6 +10,7 @@ from lbacal_core.errors import BadInputError
 from lbacal_core.validity import Instant
 from service.errors import ConflictError
 from service.storage.database import Database
+from service.storage.deeds import Deed
 
 LONGEST_NAME = 200
 
@@ -36,15 +37,35 @@ class Deeds:
         if name is None:
             with self.database.write():
                 return do()
-        if not (0 < len(name) <= LONGEST_NAME and name.isprintable()):
-            raise BadInputError("Idempotency-Key", f"1 to {LONGEST_NAME} printable characters", repr(name[:60]))
-        digest = hashlib.sha256(request).hexdigest()
+        _require_printable(name)
         with self.database.write() as stores:
-            earlier = stores.deeds.begin(by, name, digest, self.clock())
+            earlier = stores.deeds.begin(by, name, _digest(request), self.clock())
             if earlier is not None:
-                if earlier.request_sha256 != digest:
-                    raise ConflictError(f"something else was asked under the Idempotency-Key {name!r}")
-                return earlier.answer.encode()
+                return _answer_of(earlier, name, request)
             answer = do()
             stores.deeds.end(by, name, answer.decode())
             return answer
+
+    def recall(self, by: str, name: str | None, request: bytes) -> bytes | None:
+        """The stored answer of an idempotency key, for requests that take long to work out; None if there is none."""
+        if name is None:
+            return None
+        _require_printable(name)
+        with self.database.read() as stores:
+            earlier = stores.deeds.find(by, name)
+        return None if earlier is None else _answer_of(earlier, name, request)
+
+
+def _require_printable(name: str) -> None:
+    if not (0 < len(name) <= LONGEST_NAME and name.isprintable()):
+        raise BadInputError("Idempotency-Key", f"1 to {LONGEST_NAME} printable characters", repr(name[:60]))
+
+
+def _digest(request: bytes) -> str:
+    return hashlib.sha256(request).hexdigest()
+
+
+def _answer_of(earlier: Deed, name: str, request: bytes) -> bytes:
+    if earlier.request_sha256 != _digest(request):
+        raise ConflictError(f"something else was asked under the Idempotency-Key {name!r}")
+    return earlier.answer.encode()

@@ -171,7 +171,7 @@ class Models:
         versions = stores.versions.get_many(p.calibration for p in (*standing, *earlier) if p.calibration is not None)
         others = tuple(one for one in stores.models.current().causes if one.station != adopted.station)
         current = Model((*others, *model.causes))
-        for scope in scopes:
+        for scope in sorted(scopes, key=lambda scope: scope.key):
             for stretch in timeline([p for p in standing if p.scope == scope], scope):
                 if stretch.start is None or not _has(versions.get(stretch.calibration or ""), adopted.cause):
                     continue

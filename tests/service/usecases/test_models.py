@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import threading
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -126,6 +127,17 @@ def test_an_adopted_finding_changes_c_as_announced_and_withdrawal_restores_it_bi
     again = http.post(f"/v1/models/{made['model']}/withdrawal", json={"reason": "once more"})
     assert (again.status_code, "no longer has the cause" in again.text) == (409, True)
     assert told(http, "2015-06-01", as_of=line["at"])["calibration"] == before["2015-06-01"]["calibration"]
+
+
+def test_a_repeated_adoption_was_refused_although_its_first_try_was_done(http: TestClient, found: str) -> None:
+    """Its plan was made before the idempotency key was looked up, and found the cause adopted already."""
+    body = {"finding": 0, "reason": "test", "promote": True}
+    ask = partial(http.post, f"/v1/investigations/{found}/adoption", headers={"Idempotency-Key": "one"})
+    first, again = ask(json=body), ask(json=body)
+    assert (first.status_code, again.status_code, again.json()) == (202, 202, first.json())
+    assert len(http.get("/v1/models").json()["models"]) == 1
+    other = ask(json={**body, "reason": "another"})
+    assert (other.status_code, "something else was asked" in other.text) == (409, True)
 
 
 def test_new_events_of_later_nights_inherit_the_model(station: Factory, http: TestClient, found: str) -> None:
