@@ -20,6 +20,8 @@ from lbacal_core.grids import Floats
 
 LARGEST_CONDITION = 10.0
 """Beyond, one combination of the components is known ten times worse than another."""
+SMALLEST_SINGULAR_VALUE = 1e-12
+"""The smallest singular value of J over its largest below which rounding alone tells two dipoles apart."""
 
 
 @dataclass(frozen=True)
@@ -121,7 +123,7 @@ def unfold_field(
     if voltage.shape != expected or jones.shape != (frequency_mhz.size, 2, 2):
         raise BadInputError("voltage, jones", f"shapes {expected} and (freq, 2, 2)", f"{voltage.shape}, {jones.shape}")
     largest, smallest = np.linalg.svd(jones, compute_uv=False).T
-    is_solvable = smallest > np.finfo(float).eps * np.maximum(largest, 1e-300)
+    is_solvable = smallest > SMALLEST_SINGULAR_VALUE * np.maximum(largest, 1e-300)
     condition = np.where(is_solvable, largest / np.where(is_solvable, smallest, 1.0), np.inf)
     inverse = np.zeros_like(jones)
     inverse[is_solvable] = np.linalg.inv(jones[is_solvable])

@@ -8,6 +8,7 @@ from lbacal_core.antenna.ideal import ShortDipole
 from lbacal_core.antenna.model import AntennaModel
 from lbacal_core.antenna.unfolding import jones_matrix, unfold_field
 from lbacal_core.errors import BadInputError
+from lbacal_core.instrument import load_instrument
 
 FREQUENCY = np.arange(30.0, 81.0)
 ARMS = {"X": 45.0, "Y": 135.0}
@@ -100,3 +101,17 @@ def test_a_direction_below_the_horizon_and_unequal_shapes_are_refused() -> None:
         matrix(90.0, 0.0)
     with pytest.raises(BadInputError, match="voltage"):
         unfold_field(FREQUENCY, np.zeros((2, 50), dtype=complex), matrix(0.0, 0.0))
+
+
+def test_two_dipoles_on_one_arm_are_degenerate_in_every_direction_and_raise_nothing() -> None:
+    # zenith 52.4, azimuth 80.2 deg was a LinAlgError: rounding left a smallest singular value of a few 1e-16
+    voltage = np.ones((2, FREQUENCY.size), dtype=complex)
+    gain = load_instrument("lofar-superterp").antenna_gain
+    rng = np.random.default_rng(2)
+    directions = [(52.40373413002243, 80.16466953206078), *rng.uniform((0, 0), (85, 360), (60, 2)).tolist()]
+    for zenith, azimuth in directions:
+        one_arm = dict.fromkeys(("X", "Y"), 45.0)
+        jones = jones_matrix(load_hamaker(), gain, one_arm, FREQUENCY, zenith, azimuth)
+        found = unfold_field(FREQUENCY, voltage, jones)
+        assert np.all(found.is_degenerate)
+        assert np.all(np.isinf(found.condition))
