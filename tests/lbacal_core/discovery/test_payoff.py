@@ -31,9 +31,10 @@ def test_a_cause_that_is_there_gains_what_is_expected(gain):
     assert gain.events == 300
     assert gain.expected > 100
     assert abs(gain.gain - gain.expected) < 3 * gain.expected_sigma
-    # SNR^2 / 2 and its error: SNR beside the error of the size
+    # SNR^2 / 2 and its error: SNR beside the error of the size, and what is not linear
     snr = np.sqrt(2 * gain.expected)
-    assert gain.expected_sigma == pytest.approx(snr * np.sqrt(1 + (snr * 0.012 / 0.3) ** 2))
+    sigma = np.hypot(snr * np.sqrt(1 + (snr * 0.012 / 0.3) ** 2), 0.05 * gain.expected)
+    assert gain.expected_sigma == pytest.approx(sigma)
 
 
 def test_the_gain_is_the_difference_of_two_log_likelihoods(gain, late, chain, sky):
@@ -84,19 +85,20 @@ FINDING = {
     "size": {"value": 0.3, "sigma": 0.01},
     "parameters": {},
     "gain": {"chi2_before": 1900.0, "chi2_after": 1000.0},
-    "evidence": {"score_sigma": 30.0, "trials": 5.0},
+    "evidence": {"score_sigma": 30.0, "trials": 5.0, "events": 400},
 }
 
 
 def test_a_strong_finding_promises_half_its_squared_snr():
     promise = promise_of(FINDING)
     assert promise.gain == pytest.approx(450.0)
-    assert promise.sigma == pytest.approx(30.0 * 2**0.5)
+    # noise and the error of the size, the noise levels of both years (400 events each), and what is not linear
+    assert promise.sigma == pytest.approx(np.sqrt(2 * 30.0**2 + 45.0**2 + 22.5**2))
 
 
 def test_a_weak_finding_promises_less_because_it_was_selected():
     weak = {**FINDING, "size": {"value": 0.05, "sigma": 0.01}, "gain": {"chi2_before": 1025.0, "chi2_after": 1000.0}}
-    weak["evidence"] = {"score_sigma": 5.0, "trials": 5.0}
+    weak["evidence"] = {**FINDING["evidence"], "score_sigma": 5.0}
     promise = promise_of(weak)
     assert promise.gain < 0.9 * 12.5
 
