@@ -3,13 +3,43 @@
 >>> import lbacal
 >>> lbacal.effective("CS002", antenna=17, dipole="X", at="2014-05-01")  # doctest: +SKIP
 
+To calibrate, with the extra `fit` (docs/tutorials):
+
+>>> instrument = lbacal.Instrument.load("lofar-superterp")  # doctest: +SKIP
+>>> lbacal.fit("spectra.h5", instrument).plot()  # doctest: +SKIP
+
 The server is `LBACAL_URL`, the key `LBACAL_API_KEY`, and `LBACAL_CACHE` the folder that answers while no server does.
 """
+
+from __future__ import annotations
+
+from importlib import import_module
+from importlib.util import find_spec
+from typing import Any
 
 from lbacal.antenna import carry_to_antenna
 from lbacal.client import CachedAnswerWarning, Client, effective, ingest, refit
 from lbacal.transport import RefusedError, UnreachableError
 from lbacal.voltages import calibrate_trace
+from lbacal_core.errors import MissingExtraError
+
+ANALYSIS = ("Antenna", "Calibration", "Chain", "Instrument", "Site", "fit", "read_spectra", "simulate")
+"""What `lbacal.analysis` has; it needs the extra `fit`, and is imported when it is asked for."""
+_EXTRA = ("healpy", "matplotlib", "scipy", "threadpoolctl")
+
+
+def __getattr__(name: str) -> Any:
+    """Import the part that fits when it is first used."""
+    if name not in ANALYSIS:
+        raise AttributeError(f"module 'lbacal' has no attribute {name!r}")
+    if not all(find_spec(module) for module in _EXTRA):
+        raise MissingExtraError(f"lbacal.{name}", "fit")
+    return getattr(import_module("lbacal.analysis"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *ANALYSIS])
+
 
 __all__ = [
     "CachedAnswerWarning",

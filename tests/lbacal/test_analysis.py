@@ -1,0 +1,114 @@
+"""A calibration in Python: the parts of an instrument, units at the edge, results that show themselves."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from astropy import units as u
+
+import lbacal
+from lbacal_core.errors import BadInputError, MissingExtraError, UnknownNameError
+from lbacal_core.instrument import load_instrument
+
+SITE = lbacal.Site(-30.7 * u.deg, 21.4 * u.deg, 1.05 * u.km)
+ANTENNA = lbacal.Antenna("short-dipole", {"E": 90, "N": 0 * u.rad, "UP": (0, 90 * u.deg)}, gain=2 * u.m**2)
+
+
+def make(chain, frequency, **more) -> lbacal.Instrument:
+    return lbacal.Instrument("mine", SITE, ANTENNA, chain, frequency, **more)
+
+
+@pytest.fixture(scope="module")
+def found() -> lbacal.Calibration:
+    instrument = lbacal.Instrument("mine", SITE, ANTENNA, lbacal.Chain(), np.arange(50, 80) * u.MHz, antennas=2)
+    return lbacal.fit(lbacal.simulate(instrument, events=150), instrument)
+
+
+def test_an_instrument_from_its_parts_is_that_of_its_file(tmp_path):
+    made = make(lbacal.Chain(cable=-3 * u.dB), np.arange(50e6, 80e6, 1e6) * u.Hz, antennas=[3, 8])
+    made.save(tmp_path / "mine.json")
+    core = lbacal.Instrument.load(tmp_path / "mine.json").core
+    assert core.as_dict() == made.core.as_dict()
+    assert core.height_m == 1050.0
+    assert core.dipole_azimuth_deg == {"E": 90.0, "N": 0.0, "UP": 0.0}
+    assert core.dipole_tilt_deg == {"UP": 90.0}
+    assert core.cables["all"] == pytest.approx(10**-0.3)
+    assert core.antenna_gain == pytest.approx(2.0)
+    assert [record.antenna for record in core.antennas] == [3, 8]
+    assert repr(made).startswith("<Instrument mine: 2 antennas with E, N, UP, 30 channels 50-79 MHz")
+
+
+def test_stages_of_a_chain_multiply_whatever_their_kind():
+    nu = np.array([50.0, 60.0, 70.0])
+    table = ([50, 70] * u.MHz, [0, -20] * u.dB)
+    chain = lbacal.Chain([20 * u.dB, 0.5, table, lambda frequency_mhz: 1 + (frequency_mhz > 55)])
+    assert chain.receiver_gain(nu) == pytest.approx([50.0, 10.0, 1.0])
+    assert lbacal.Chain().receiver_gain(nu) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    ("table", "sentence"),
+    [
+        (([50, 60] * u.MHz, [1, 2]), "a table from 50 to 70 MHz, found 50 to 60 MHz"),
+        (([60, 50] * u.MHz, [1, 2]), "two or more rising frequencies"),
+        (([50, 60] * u.MHz, [1, 2, 3]), "two or more rising frequencies"),
+    ],
+)
+def test_a_table_that_does_not_cover_the_channels_is_refused(table, sentence):
+    with pytest.raises(BadInputError, match=sentence):
+        lbacal.Chain([table]).receiver_gain(np.array([50.0, 70.0]))
+
+
+def test_a_quantity_of_another_kind_is_no_angle():
+    with pytest.raises(u.UnitConversionError):
+        lbacal.Instrument("mine", lbacal.Site(3 * u.m, 0), ANTENNA, lbacal.Chain(), [50, 60] * u.MHz)
+
+
+def test_a_curve_is_a_table_with_units(found):
+    curve = found["S1", 1, "UP"]
+    assert curve["c"].unit == u.V
+    assert curve["frequency"].to_value(u.Hz) == pytest.approx(np.arange(50e6, 80e6, 1e6))
+    report = next(one for one in found.report.curves if (one.antenna, one.dipole) == (1, "UP"))
+    np.testing.assert_array_equal(curve["c"].value, report.c)
+    assert len(found.table) == 6 * 30
+    with pytest.raises(UnknownNameError, match="unknown curve 'S1 7 E'; known: S1 antenna 0 E"):
+        found["S1", 7, "E"]
+
+
+def test_a_result_shows_itself_in_a_shell_and_in_a_notebook(found):
+    assert repr(found).startswith("<Calibration mine>")
+    assert "S1 antenna 0 E: converged, chi2/dof" in repr(found)
+    page = found._repr_html_()
+    assert page.count("<tr>") == 1 + 6
+    assert "N_RCU, N_ADC cannot be told apart" in page
+
+
+def test_a_figure_is_drawn_and_written(found, tmp_path):
+    figure = found.plot(tmp_path / "c.png")
+    assert (tmp_path / "c.png").stat().st_size > 10_000
+    assert [axes.get_title() for axes in figure.axes[:3]] == [f"polarisation {d}" for d in ("E", "N", "UP")]
+
+
+def test_no_antenna_named_is_an_error_that_lists_what_there_is():
+    core = load_instrument("lofar-superterp")
+    elsewhere = lbacal.Instrument("mine", SITE, lbacal.Antenna("nothing", {"A": 0}), lbacal.Chain(), [50, 60] * u.MHz)
+    with pytest.raises(UnknownNameError, match=r"unknown antenna model 'nothing'; known: hamaker.*quarter-wave"):
+        elsewhere.sky_power()
+    assert lbacal.Instrument.load("lofar-superterp").core.as_dict() == core.as_dict()
+
+
+def test_importing_lbacal_loads_nothing_that_fits():
+    code = "import sys, lbacal; print([m for m in ('scipy', 'healpy', 'matplotlib') if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_without_the_extra_one_sentence_names_it(monkeypatch):
+    monkeypatch.setattr("lbacal.find_spec", lambda _: None)
+    with pytest.raises(MissingExtraError, match=r"^lbacal.fit needs the extra fit: pip install 'lbacal\[fit\]'$"):
+        _ = lbacal.fit
+    with pytest.raises(AttributeError, match="no attribute 'fitt'"):
+        _ = lbacal.fitt

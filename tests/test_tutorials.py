@@ -1,0 +1,33 @@
+"""The tutorials run as they are printed, in ten lines each."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+from matplotlib.figure import Figure
+
+TUTORIALS = sorted(path for path in (Path(__file__).parent.parent / "docs/tutorials").glob("*.md"))
+CODE = re.compile(r"^```python\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+
+
+def code_of(page: Path) -> str:
+    return "\n".join(CODE.findall(page.read_text()))
+
+
+@pytest.mark.parametrize("page", [page for page in TUTORIALS if page.name != "README.md"], ids=lambda page: page.stem)
+def test_a_tutorial_runs_and_ends_in_a_figure(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    code = code_of(page)
+    lines = [line for line in code.splitlines() if line.strip()]
+    assert 5 <= len(lines) <= 10
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, object] = {}
+    exec(compile(code, str(page), "exec"), names)  # noqa: S102 - the page is ours
+    assert isinstance(names["figure"], Figure)
+    assert {curve.status for curve in names["found"].report.curves} == {"converged"}  # type: ignore[attr-defined]
+
+
+def test_the_list_of_tutorials_names_each() -> None:
+    listed = set(re.findall(r"\]\(([a-z-]+\.md)\)", (TUTORIALS[0].parent / "README.md").read_text()))
+    assert listed == {page.name for page in TUTORIALS} - {"README.md"}
