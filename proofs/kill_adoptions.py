@@ -41,7 +41,7 @@ FAULT = LstOffset(size=2.0)
 WINDOW = {"since": "2014-01-01", "until": "2015-01-01", "reason": "proof"}
 ASKED = {"station": "CS002", "at": "2014-07-01"}
 ACTS = "SELECT act, count(*) FROM model_change GROUP BY act"
-REFITS = "SELECT reason, count(*) FROM job WHERE kind = 'refit' AND reason LIKE 'act %' GROUP BY reason"
+REFITS = "SELECT reason, count(*) FROM job WHERE kind = 'refit' AND substr(reason, 1, 4) = 'act ' GROUP BY reason"
 UNDONE = "SELECT id FROM job_part WHERE state <> 'done'"
 REFITS_OF_AN_ACT = 3
 """One year of the scopes antenna, station and array."""

@@ -20,10 +20,10 @@ def run(service: Any, line: str, **names: str) -> str:
 
 
 def in_effect(service: Any) -> list[Any]:
+    """What the paths of the station are told; nothing where the gate held every fit back."""
     asked = {"station": "CS002", "at": "2014-06-01", "gap": "hold"}
-    return [
-        curve["c"] for curve in httpx2.get(f"{service.url}/v1/calibrations/effective", params=asked).json()["curves"]
-    ]
+    answer = httpx2.get(f"{service.url}/v1/calibrations/effective", params=asked)
+    return [curve["c"] for curve in answer.json().get("curves", [])]
 
 
 def test_the_commands_of_the_page_close_the_loop(faulty: Any, repository: Path) -> None:
@@ -35,16 +35,17 @@ def test_the_commands_of_the_page_close_the_loop(faulty: Any, repository: Path) 
     assert re.search(r"^  #0 .* sigma: In station CS002, .*sidereal", found, re.MULTILINE)
     tried = run(faulty, dry_run, INVESTIGATION=name)
     assert "would be adopted: In station CS002" in tried
-    assert "4 changes of what paths are told (dry run: nothing was written)" in tried or "changes of what" in tried
+    assert "changes of what paths are told (dry run: nothing was written)" in tried
+    before = in_effect(faulty)
     made = run(faulty, adopt, INVESTIGATION=name)
     (model,) = re.findall(r"`lbacal abandon ([0-9a-f]{12})`", made)
     assert len(re.findall(r"^job \d+: refit .*, done \(100%\)", made, re.MULTILINE)) == 3
-    after = in_effect(faulty)
+    assert len(in_effect(faulty)) == 96
     listed = run(faulty, models)
     assert f"model {model} of CS002, in effect" in listed
     gone = run(faulty, abandon, MODEL=model)
     assert len(re.findall(r"^job \d+: refit .*, done \(100%\)", gone, re.MULTILINE)) == 3
-    assert after != in_effect(faulty)
+    assert in_effect(faulty) == before
     assert "withdrawn: In station CS002" in run(faulty, models)
     missing = faulty.run("adopt", "0" * 12, "--reason", "x")
     assert (missing.returncode, "no investigation" in missing.stderr) == (1, True)
