@@ -61,7 +61,7 @@ def draw_lst_comparison(comparison: Comparison, simulated: dict[str, Floats]) ->
         )
     label_lst_panels(axes)
     low, high = comparison.band_mhz
-    figure.suptitle(f"LOFAR low band, {low:g}-{high:g} MHz: only noise share and offset fitted", fontsize=11)
+    figure.suptitle(f"Band of {low:g}-{high:g} MHz: only noise share and offset fitted", fontsize=11)
     return figure
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from lbacal_core.data.lofar import DIPOLES
+from lbacal_core.data.lofar import DIPOLES, SUPERTERP
 from lbacal_core.data.tables import read_table
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats, require_same_grid
@@ -146,22 +146,29 @@ def compare_lst_curve(
 
 
 def band_weights(instrument: Instrument, name: str, band_mhz: tuple[float, float]) -> Floats:
-    """Weight of every channel in the band power, shape (freq,), 0 outside the band, summing to 1."""
+    """Weight of every channel in the band power, shape (freq,), 0 outside the band, summing to 1.
+
+    As recorded it is G_ant / C^2. C is the published one for LOFAR's Superterp; of any other instrument
+    G_ant L_coax G_RCU is known, which is that but for A(nu).
+    """
     low, high = band_mhz
-    published = read_table("published_calibration")
     frequency = instrument.frequency_mhz
     is_inside = (frequency >= low) & (frequency <= high)
     if not low < high or not np.any(is_inside):
         raise BadInputError("band", f"LO below HI and channels of {instrument.name} between", f"{low:g} to {high:g}")
-    covered = (frequency >= published["mhz"][0]) & (frequency <= published["mhz"][-1])
-    if name == AS_RECORDED and not np.all(covered[is_inside]):
-        span = f"{published['mhz'][0]:g} to {published['mhz'][-1]:g} MHz"
-        raise BadInputError("band", f"channels of the published C(nu), {span}", f"{low:g} to {high:g} MHz")
     if name == FLAT:
-        weights = is_inside.astype(float)
+        response = np.ones(frequency.size)
+    elif instrument.name == SUPERTERP:
+        published = read_table("published_calibration")
+        covered = (frequency >= published["mhz"][0]) & (frequency <= published["mhz"][-1])
+        if not np.all(covered[is_inside]):
+            span = f"{published['mhz'][0]:g} to {published['mhz'][-1]:g} MHz"
+            raise BadInputError("band", f"channels of the published C(nu), {span}", f"{low:g} to {high:g} MHz")
+        response = instrument.antenna_gain / np.interp(frequency, published["mhz"], published["c"]) ** 2
     else:
-        c = np.interp(frequency, published["mhz"], published["c"])
-        weights = np.where(is_inside, instrument.antenna_gain / c**2, 0.0)
+        loss = np.mean(list(instrument.cables.values()), axis=0)
+        response = instrument.antenna_gain * loss * instrument.receiver_gain
+    weights = np.where(is_inside, response, 0.0)
     return np.asarray(weights / weights.sum())
 
 

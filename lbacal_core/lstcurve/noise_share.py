@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lbacal_core.data.lofar import DIPOLES
+from lbacal_core.data.lofar import DIPOLES, SUPERTERP
 from lbacal_core.data.tables import read_table
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
@@ -14,7 +14,6 @@ from lbacal_core.instrument import Instrument
 from lbacal_core.lstcurve.compare import published_noise_share
 from lbacal_core.skypower.variation import vary_sky_power
 
-PUBLISHED_FOR = "lofar-superterp"
 SKY_SCALE = 0.23
 """Relative error of the simulated sky power to which the published noise is referred (Mulrey et al. 2019, Table 1)."""
 LARGEST_RATIO = 99.0
@@ -58,7 +57,7 @@ def noise_prior(instrument: Instrument, band_mhz: tuple[float, float], weights: 
     """
     share = published_noise_share(band_mhz)
     lna_alone = np.stack([weights, 0.0 * weights, 0.0 * weights])
-    if instrument.name != PUBLISHED_FOR or share is None:
+    if instrument.name != SUPERTERP or share is None:
         return NoisePrior(0.5, np.inf, lna_alone)
     try:
         own, narrow = (vary_sky_power(instrument, zenith_exponent=exponent) for exponent in (0.0, 1.0))

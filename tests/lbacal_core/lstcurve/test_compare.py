@@ -8,7 +8,7 @@ import pytest
 
 from lbacal_core.data.tables import read_table
 from lbacal_core.errors import BadInputError
-from lbacal_core.instrument import Instrument
+from lbacal_core.instrument import Instrument, load_instrument
 from lbacal_core.lstcurve.compare import (
     AS_RECORDED,
     FLAT,
@@ -98,6 +98,7 @@ def test_points_that_are_absent_change_nothing(
 
 
 def test_weights_follow_c_and_the_antenna_and_stay_inside_the_band(lst_instrument: Instrument) -> None:
+    lst_instrument = replace(lst_instrument, name="lofar-superterp")
     c = read_table("published_calibration")["c"]
     weights = band_weights(lst_instrument, AS_RECORDED, (40.0, 60.0))
     assert weights.sum() == pytest.approx(1.0)
@@ -128,3 +129,17 @@ def test_the_report_is_json_without_nan(noiseless: LstCurve, lst_sky: SkyPower, 
     assert content["points"] == 95
     assert len(content["comparisons"]) == 8
     assert {one["weights"] for one in content["comparisons"]} == {AS_RECORDED, FLAT}
+
+
+def test_the_band_of_another_instrument_was_weighed_with_lofars_calibration_and_ended_at_80_mhz() -> None:
+    lofar = load_instrument("lofar-superterp")
+    nu = np.arange(60.0, 190.0, 10.0)
+    other = replace(
+        lofar, name="elsewhere", frequency_mhz=nu, antenna_gain=nu / 60.0, receiver_gain=np.full(nu.size, 2.0),
+        cables={name: np.full(nu.size, 0.5) for name in lofar.cables}, gain_provenance=None,
+    )  # fmt: skip
+    weights = band_weights(other, AS_RECORDED, (100.0, 150.0))
+    inside = (nu >= 100.0) & (nu <= 150.0)
+    np.testing.assert_allclose(weights, np.where(inside, nu, 0.0) / nu[inside].sum())
+    with pytest.raises(BadInputError, match="expected LO below HI and channels of elsewhere between"):
+        band_weights(other, AS_RECORDED, (30.0, 50.0))
