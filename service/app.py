@@ -12,6 +12,7 @@ from starlette.middleware.gzip import GZipMiddleware
 
 from service.factory import Factory
 from service.handlers import (
+    alarms,
     calibrations,
     drift,
     health,
@@ -55,6 +56,7 @@ def make_app(factory: Factory) -> FastAPI:
         investigations.router,
         models.router,
         drift.router,
+        alarms.router,
         health.router,
         pages.router,
         pages.assets,

@@ -43,6 +43,9 @@ class Settings(BaseSettings):
     nightly_investigations: bool = Field(
         default=True, description="whether the night also looks for what the simulation gets wrong"
     )
+    stale_days: float = Field(
+        default=30, ge=0, description="age of the newest event from which on data count as stale, days; 0 = never"
+    )
     gate_change: float = Field(default=0.1, gt=0, description="largest change of mean C that passes, fraction")
     gate_error: float = Field(
         default=0.05, gt=0, description="largest mean error of C in the good channels that passes, fraction"

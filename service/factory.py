@@ -12,6 +12,7 @@ from lbacal_core.skypower.table import SkyPower, read_sky_power
 from lbacal_core.validity import Instant
 from service.config import Settings
 from service.storage.database import Database
+from service.usecases.alarms import Alarms
 from service.usecases.calibrations import Calibrations
 from service.usecases.deeds import Deeds
 from service.usecases.drift import Drift
@@ -29,6 +30,7 @@ from service.usecases.promotions import Promotions
 from service.usecases.refits import Jobs, Refits
 from service.usecases.status import Status
 from service.usecases.tags import Tags
+from service.usecases.watch import Watch
 from service.wire.hdf5_body import FileReader
 
 
@@ -139,10 +141,20 @@ class Factory:
         return Drift(self.database, self.instrument, sky, resistance, self.clock)
 
     @cached_property
+    def watch(self) -> Watch:
+        """What changed."""
+        return Watch(self.database, self.instrument, self.clock)
+
+    @cached_property
+    def alarms(self) -> Alarms:
+        """What is wrong."""
+        return Alarms(self.database, self.clock, self.settings.stale_days)
+
+    @cached_property
     def due(self) -> DueWork:
         """What the night finds to do."""
         searches = self.investigations if self.settings.nightly_investigations else None
-        return DueWork(self.database, self.instrument, self._get_sky_power, self.clock, searches)
+        return DueWork(self.database, self.instrument, self._get_sky_power, self.clock, searches, self.watch)
 
     @cached_property
     def jobs(self) -> Jobs:

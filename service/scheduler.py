@@ -23,9 +23,10 @@ FIRST_PAUSE_S, LONGEST_PAUSE_S = 1.0, 60.0
 
 
 def look_for_due_work(factory: Factory) -> list[int]:
-    """Enqueue what is due; looking twice enqueues it once."""
+    """Enqueue what is due, and raise the alarms of what the database tells; looking twice does both once."""
     jobs = factory.due.enqueue()
-    log.info("looked for due work", enqueued=len(jobs))
+    raised = factory.alarms.look()
+    log.info("looked for due work", enqueued=len(jobs), alarms=len(raised))
     return jobs
 
 

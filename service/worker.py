@@ -14,11 +14,13 @@ from service.errors import UnavailableError
 from service.factory import Factory
 from service.storage.jobs import LeaseLostError, Part
 from service.storage.processes import WORKER
+from service.usecases.alarms import describe_failed
 from service.usecases.drift import KIND as DRIFT
 from service.usecases.inputs import explain_difference
 from service.usecases.investigations import KIND as INVESTIGATION
 from service.usecases.pulse import Pulse, name_process
 from service.usecases.refits import KIND as REFIT
+from service.usecases.watch import KIND as WATCH
 
 log = structlog.get_logger()
 RENEWALS = 4
@@ -37,6 +39,7 @@ class Worker:
             REFIT: factory.refits.run,
             DRIFT: factory.drift.run,
             INVESTIGATION: factory.investigations.run,
+            WATCH: factory.watch.run,
         }
         self._lease_us = round(factory.settings.lease_s * 1e6)
 
@@ -90,12 +93,15 @@ class Worker:
         else:
             if part.kind == REFIT and part.request["scope"] == "antenna":
                 self._factory.due.enqueue_drift(part.request["station"])
+            if part.kind == DRIFT:
+                self._factory.due.enqueue_watch()
 
     def _fail(self, part: Part, reason: str) -> None:
         log.warning("part failed", job=part.job, part=part.number, error=reason)
         try:
             with self._factory.database.write() as stores:
                 stores.jobs.fail(part, self._name, reason, self._factory.clock())
+                stores.alarms.raise_alarm(describe_failed(stores.jobs.get(part.job), reason), self._factory.clock())
         except LeaseLostError as error:
             log.warning("part given up", error=str(error))
 

@@ -49,7 +49,6 @@ def test_no_docstring_and_no_comment_has_a_fragment_that_begins_with_of(reposito
 EXCEPTIONS = {
     "find_excess": "the excess power of an interference line",
     "find_station_excess": "the excess power of an interference line",
-    "false_alarm_rate": "a false alarm is a false detection",
 }
 """Names with a word that is not used, and what they mean."""
 

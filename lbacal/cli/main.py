@@ -15,6 +15,7 @@ from typing import Annotated, Any
 
 import typer
 
+from lbacal.cli.alarms import alarms
 from lbacal.cli.antenna_gain import antenna_gain
 from lbacal.cli.audit import audit
 from lbacal.cli.budget import budget
@@ -68,7 +69,7 @@ _COMPUTING: tuple[Callable[..., None], ...] = (
     audit, fit, budget, investigate, lst_curve, paper, sky_power, antenna_gain, spectra
 )  # fmt: skip
 _ASKING: tuple[Callable[..., None], ...] = (
-    ingest, refit, promote, withdraw, rollback, tag, effective, jobs, status, sync, adopt, models, abandon
+    ingest, refit, promote, withdraw, rollback, tag, effective, jobs, status, alarms, sync, adopt, models, abandon
 )  # fmt: skip
 for command in (*map(_needing_fit, _COMPUTING), import_, *_ASKING):
     app.command(_name(command))(command)

@@ -33,6 +33,7 @@ def print_state(state: dict[str, Any]) -> None:
     print(f"parts of jobs: {parts}")
     newest = state["newest_event"] or "none"
     print(f"{state['events']} events, the newest of {newest}; {state['gated']} versions wait for a human")
+    print(f"alarms: {state['alarms']['line']}")
     for one in state["investigations"]:
         print_news(one)
     for sentence in state["stopped_paying"]:

@@ -7,6 +7,7 @@ station, and what all of them share are told apart, and each is reported once.
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +18,9 @@ from lbacal_core.drift.model import Series
 from lbacal_core.drift.search import Found, search_series
 from lbacal_core.drift.whole import Whole, measure_whole
 from lbacal_core.grids import Floats
+
+BOTH = "XY"
+"""The polarisation of a group that has both."""
 
 
 @dataclass(frozen=True)
@@ -67,9 +71,7 @@ class Followed:
 
 def follow(history: History) -> Followed:
     """Find what changed."""
-    names = np.array([f"{s}\n{d}" for s, d in zip(history.station, history.dipole, strict=True)])
-    found, group = np.unique(names, return_inverse=True)
-    groups = tuple((str(name).split("\n")[0], str(name).split("\n")[1]) for name in found)
+    groups, group = _group_paths(history)
     paths = search_series(Series(history.ln_c, group, history.time_unix), history.known_unix)
     median = paths.median
     of_dipole = np.unique([dipole for _, dipole in groups], return_inverse=True)[1]
@@ -78,6 +80,15 @@ def follow(history: History) -> Followed:
         stations = search_series(Series(median, of_dipole, history.time_unix))
         median = stations.median
     return Followed(groups, paths, stations, measure_whole(history.time_unix, _average(median)))
+
+
+def _group_paths(history: History) -> tuple[tuple[tuple[str, str], ...], NDArray[np.int64]]:
+    """The groups, and which one each path belongs to: its station's polarisation, or all of a very small station."""
+    keys = list(zip(history.station.tolist(), history.dipole.tolist(), strict=True))
+    few = {station for (station, _), count in Counter(keys).items() if count < FEWEST_COMPANIONS}
+    keys = [(station, BOTH if station in few else dipole) for station, dipole in keys]
+    groups = tuple(sorted(set(keys)))
+    return groups, np.array([groups.index(key) for key in keys])
 
 
 def _average(median: NDArray[np.float32]) -> Floats:

@@ -57,6 +57,8 @@ def estimate_lasting(
     more
         One more column of each series that is no noise, shape (series, month); zeros where there is none.
     """
+    if not np.any(events > 0):
+        return Lasting(0.0, 1.0)
     some = slice(None, None, max(1, -(-len(y) // MOST_SERIES)))
     y, events, scale, more = y[some], events[some], scale[some], more[some]
     prior = np.full((len(y), smooth.shape[1]), _FREE)

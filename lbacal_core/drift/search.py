@@ -47,6 +47,8 @@ class Found:
     ----------
     terms
         Slopes and steps.
+    events
+        How many events of each series had companions to compare it with, shape (series,).
     step_sigma_s, step_earliest, step_latest
         Error of the dates and the interval that holds 95 %, shape (series, step); NaN where there is none.
     step_size, step_size_sigma
@@ -70,6 +72,7 @@ class Found:
     """
 
     terms: Terms
+    events: NDArray[np.int64]
     step_sigma_s: Floats
     step_earliest: Floats
     step_latest: Floats
@@ -221,6 +224,7 @@ class _Search(SeriesModel):
         slope_chi2 = chi_square(self.whitener, last.theta[:, :, SLOPE], variance)
         return Found(
             terms=terms,
+            events=self.is_known.sum(axis=1),
             step_sigma_s=self.errors[0],
             step_earliest=self.errors[1],
             step_latest=self.errors[2],

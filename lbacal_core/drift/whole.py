@@ -14,7 +14,7 @@ import numpy as np
 from scipy import stats
 
 from lbacal_core.drift.monthly import find_months
-from lbacal_core.drift.terms import SLOPE, smooth_columns
+from lbacal_core.drift.terms import SLOPE, YEAR_S, smooth_columns
 from lbacal_core.grids import Floats
 
 FEWEST_YEARS = 3
@@ -37,6 +37,10 @@ class Whole:
         How many there are.
     p_value
         Probability of so large a slope without one, of the gain.
+    middle_unix
+        Mean time of the years, s UTC.
+    season
+        Coefficients of the columns of `smooth_columns`, shape (4, mode).
     """
 
     slope: Floats
@@ -45,6 +49,8 @@ class Whole:
     scatter: Floats
     years: int
     p_value: float
+    middle_unix: float
+    season: Floats
 
 
 def measure_whole(time_unix: Floats, values: Floats) -> Whole | None:
@@ -72,6 +78,7 @@ def measure_whole(time_unix: Floats, values: Floats) -> Whole | None:
     season = np.linalg.lstsq(columns, y, rcond=None)[0][is_of.shape[1] : -1]
     mean = is_of.T[kept] / is_of.T[kept].sum(axis=1, keepdims=True)
     level, when = mean @ (y - smooth[:, 1:SLOPE] @ season), mean @ smooth[:, SLOPE]
+    middle_unix = float(time_unix[0] + when.mean() * YEAR_S)
     when = when - when.mean()
     slope = when @ level / np.sum(when**2)
     left = level - level.mean(axis=0) - when[:, None] * slope
@@ -80,4 +87,4 @@ def measure_whole(time_unix: Floats, values: Floats) -> Whole | None:
     error = scatter / np.sqrt(np.sum(when**2))
     p_value = 2.0 * float(stats.t.sf(abs(slope[0]) / max(error[0], 1e-300), freedom))
     sigma, limit = (error * stats.t.ppf(q, freedom) for q in (ONE_SIGMA, LIMIT))
-    return Whole(slope, sigma, limit, scatter, len(kept), p_value)
+    return Whole(slope, sigma, limit, scatter, len(kept), p_value, middle_unix, season)

@@ -74,6 +74,7 @@ def serve_demonstration(
         port = free.getsockname()[1]
     url = f"http://127.0.0.1:{port}"
     environment = os.environ | {"LBACAL_DATABASE_URL": str(folder / "lbacal.sqlite"), "LBACAL_POLL_S": "0.2"}
+    environment["LBACAL_STALE_DAYS"] = "0"  # the simulated years are long ago
     command = [sys.executable, "-m", "service.cli.main"]
     serve = [sys.executable, "-m", "service.cli.demo_service", "serve", "--port", str(port)]
     with (folder / "log").open("wb") as log:
@@ -142,10 +143,11 @@ def _answers(client: Client) -> bool:
 
 
 def _is_done(client: Client) -> bool:
-    """Whether every refit has ended, and the drift of both years that follows from them."""
+    """Whether every refit has ended, the drift of both years that follows from them, and the watch over it."""
     jobs = client.get("/v1/jobs")["jobs"]
     years = sum(job["kind"] == "drift" for job in jobs)
-    return years >= 2 and all(job["state"] in ("done", "failed") for job in jobs)
+    is_watched = any(job["kind"] == "watch" for job in jobs)
+    return years >= 2 and is_watched and all(job["state"] in ("done", "failed") for job in jobs)
 
 
 def end_with_parent() -> None:

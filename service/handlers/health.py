@@ -44,9 +44,9 @@ def get_readiness(request: Request, use: UseCases) -> Response:
     "/v1/status",
     response_model=StatusAnswer,
     summary="What an operator looks at",
-    description="Readiness and its problem, processes, parts of jobs by state, the newest investigation of every "
-    "station with what the one before did not say, and the failures of the last 30 days that nothing has made up for, "
-    "with the time after which due work is tried again.",
+    description="Readiness and its problem, processes, parts of jobs, alarms, the newest investigation of "
+    "every station with what the one before did not say, and the failures of the last 30 days that nothing has made up "
+    "for, with the time after which due work is tried again.",
     responses=document(401, 503),
     dependencies=[Depends(require_read)],
 )
@@ -88,6 +88,12 @@ def describe_status(state: State, news: list[StationNews], stopped: list[str]) -
         "events": state.events,
         "newest_event": format_optional(state.newest_event),
         "gated": state.gated,
+        "alarms": {
+            "line": state.alarms.line,
+            "open": dict(state.alarms.open),
+            "acknowledged": dict(state.alarms.acknowledged),
+            "new": state.alarms.new,
+        },
         "investigations": [describe_news(one) for one in news],
         "stopped_paying": stopped,
         "failures": [describe_failure(failure) for failure in state.failures],

@@ -5,6 +5,7 @@ from __future__ import annotations
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram
 
 from lbacal_core.validity import Instant
+from service.storage.alarms import ACKNOWLEDGED, KINDS, OPEN
 from service.storage.processes import API, SCHEDULER, WORKER
 from service.usecases.status import State
 
@@ -46,6 +47,10 @@ def describe_state(state: State, now: Instant) -> CollectorRegistry:
     parts = Gauge("lbacal_parts", "Parts of jobs by state; running ones hold a lease.", ["state"], registry=registry)
     for name, count in state.parts.items():
         parts.labels(name).set(count)
+    alarms = Gauge("lbacal_alarms", "Alarms that last.", ["kind", "state"], registry=registry)
+    for kind in KINDS:
+        alarms.labels(kind, OPEN).set(state.alarms.open.get(kind, 0))
+        alarms.labels(kind, ACKNOWLEDGED).set(state.alarms.acknowledged.get(kind, 0))
     processes = Gauge("lbacal_processes_alive", "Processes seen within a minute.", ["kind"], registry=registry)
     for kind in (API, SCHEDULER, WORKER):
         processes.labels(kind).set(sum(one.is_alive for one in state.processes if one.kind == kind))

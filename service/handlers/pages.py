@@ -14,6 +14,7 @@ from lbacal_core.validity import Scope
 from service.handlers.request import FORM_COOKIE, IMMUTABLE, KEY_COOKIE, InPath, UseCases, answer, require_read
 from service.page.assets import find_asset
 from service.page.render import format_day, name_scope, render_page
+from service.storage.alarms import ACKNOWLEDGED, ENDED, OPEN
 from service.storage.versions import MeanC, Version
 from service.usecases.calibrations import select_paths
 from service.usecases.drift import DriftSeries, relative_to_station
@@ -26,6 +27,7 @@ router = APIRouter(include_in_schema=False, dependencies=[Depends(require_read)]
 assets = APIRouter(include_in_schema=False, default_response_class=Response)
 HTML = "text/html; charset=utf-8"
 STEPS_SHOWN = 25
+ALARMS_SHOWN, ENDED_SHOWN = 500, 50
 
 
 def _page(request: Request, use: UseCases, name: str, here: str, **content: Any) -> Response:
@@ -43,10 +45,10 @@ def get_asset(request: Request, digest: str, name: str) -> Response:
 @router.get("/")
 def show_overview(request: Request, use: UseCases) -> Response:
     overview = look_over(use.database, use.instrument, use.clock)
-    steps = use.drift.series(Scope()).steps[:5]
-    news = use.investigations.news()
-    stopped = list_stopped(use.models.history())
-    return _page(request, use, "overview.html", "/", overview=overview, steps=steps, news=news, stopped=stopped)
+    steps = use.drift.steps(5)
+    news, state = use.investigations.news(), use.status.look()
+    told = {"news": news, "stopped": list_stopped(use.models.history()), "alarms": state.alarms}
+    return _page(request, use, "overview.html", "/", overview=overview, steps=steps, **told)
 
 
 @router.get("/jobs")
@@ -63,7 +65,19 @@ def show_drift(request: Request, use: UseCases) -> Response:
     series = [*stations, *([whole] if len(stations) > 1 else [])]
     rows = [row for one in series for row in _version_rows(one)]
     plot = {"series": [_plot_of_series(one) for one in series]}
-    return _page(request, use, "drift.html", "/drift", plot=plot, steps=whole.steps[:STEPS_SHOWN], rows=rows)
+    trends = [(name_scope(one.scope), one.slope) for one in series if one.slope is not None]
+    return _page(
+        request, use, "drift.html", "/drift", plot=plot, steps=whole.steps[:STEPS_SHOWN], rows=rows, trends=trends,
+        threshold=whole.threshold_sigma,
+    )  # fmt: skip
+
+
+@router.get("/alarms")
+def show_alarms(request: Request, use: UseCases) -> Response:
+    lasting = use.alarms.newest(states=(OPEN, ACKNOWLEDGED), kind=None, station=None, before=None, limit=ALARMS_SHOWN)
+    ended = use.alarms.newest(states=(ENDED,), kind=None, station=None, before=None, limit=ENDED_SHOWN)
+    content = {"lasting": lasting, "ended": ended, "now": use.clock(), "counts": use.status.look().alarms}
+    return _page(request, use, "alarms.html", "/alarms", **content)
 
 
 @router.get("/stations/{station}")
@@ -157,6 +171,7 @@ def _plot_of_series(series: DriftSeries) -> dict[str, Any]:
                 "high": point.high,
                 "paths": point.paths,
                 "events": point.events,
+                "line": point.line,
                 "url": f"/calibrations/{point.calibration}" if point.calibration else fallback,
             }
             for point in series.months

@@ -12,6 +12,8 @@ from lbacal_core.validity import Instant, Scope
 from service.page.assets import load_assets
 from service.wire.instants import format_instant
 
+SHORT_DAYS = 10.0
+
 
 @cache
 def _environment() -> Environment:
@@ -23,6 +25,7 @@ def _environment() -> Environment:
         lstrip_blocks=True,
     )
     environment.filters |= {"day": format_day, "moment": format_moment, "percent": format_percent, "scope": name_scope}
+    environment.filters["days"] = format_days
     environment.filters |= {"short": lambda text: text[:10]}
     environment.globals["assets"] = {name: asset.url for name, asset in load_assets().items()}
     return environment
@@ -46,6 +49,11 @@ def format_moment(instant: Instant) -> str:
 def format_percent(fraction: float | None, digits: int = 1) -> str:
     """A signed change in percent."""
     return "" if fraction is None else f"{100 * fraction:+.{digits}f} %"
+
+
+def format_days(days: float) -> str:
+    """A number of days with as many digits as say something."""
+    return f"{days:.1f}" if days < SHORT_DAYS else f"{days:.0f}"
 
 
 def name_scope(scope: Scope) -> str:

@@ -329,4 +329,52 @@ monthly_ratio = Table(
     Column("c_ratio", Float, nullable=False, comment="band-mean C of the month over that of the reference"),
     Column("c_ratio_sigma", Float, nullable=False),
     Column("events", Integer, nullable=False),
+    Column("tilt", Float, comment="of ln C: coefficient of the Legendre polynomial 1 over the band"),
+    Column("tilt_sigma", Float),
+    Column("curvature", Float, comment="of ln C: coefficient of the Legendre polynomial 2"),
+    Column("curvature_sigma", Float),
+)
+
+event_modes = Table(
+    "event_modes",
+    metadata,
+    Column("station", Text, primary_key=True),
+    Column("dipole", Text, primary_key=True),
+    Column("since_us", BigInteger, primary_key=True, comment="the first instant of the year"),
+    Column("antennas", Text, nullable=False, comment="JSON"),
+    Column("time_us", LargeBinary, nullable=False, comment="little-endian i8, one an event"),
+    Column("ln_c", LargeBinary, nullable=False, comment="little-endian f4 (antenna, event, mode)"),
+    Column("sha256", Text, nullable=False),
+)
+
+drift_report = Table(
+    "drift_report",
+    metadata,
+    Column("inputs", Text, primary_key=True, comment="hash of what it was made from"),
+    Column("report", Text, nullable=False, comment="JSON"),
+    Column("made_us", BigInteger, nullable=False),
+)
+
+alarm = Table(
+    "alarm",
+    metadata,
+    Column("id", BigNumber, primary_key=True),
+    Column("kind", Text, nullable=False),
+    Column("scope", Text, nullable=False, comment="array, CS002 or CS002/17/X"),
+    Column("station", Text),
+    Column("antenna", Integer),
+    Column("dipole", Text),
+    Column("subject", Text, nullable=False, comment="tells problems of one kind and scope apart"),
+    Column("sentence", Text, nullable=False),
+    Column("content", Text, nullable=False, comment="JSON"),
+    Column("since_us", BigInteger, comment="when the problem began"),
+    Column("since_error_us", BigInteger, nullable=False),
+    Column("raised_us", BigInteger, nullable=False),
+    Column("seen_us", BigInteger, nullable=False, comment="when it was found last"),
+    Column("ended_us", BigInteger, comment="null while it lasts"),
+    Column("known_by", Text, comment="who acknowledged it last"),
+    Column("known_us", BigInteger),
+    Column("known_why", Text),
+    Column("known_until_us", BigInteger, comment="null is for good"),
+    Index(None, "kind", "scope"),
 )

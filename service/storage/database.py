@@ -14,6 +14,7 @@ from sqlalchemy import URL, Connection, Engine, create_engine, event, make_url, 
 from sqlalchemy.exc import SQLAlchemyError
 
 from service.errors import UnavailableError
+from service.storage.alarms import AlarmStore
 from service.storage.budgets import BudgetStore
 from service.storage.deeds import DeedStore
 from service.storage.drift import DriftStore
@@ -111,6 +112,11 @@ class Stores:
     def drift(self) -> DriftStore:
         """Monthly ratios of C."""
         return DriftStore(self._connection)
+
+    @cached_property
+    def alarms(self) -> AlarmStore:
+        """What is wrong."""
+        return AlarmStore(self._connection)
 
     @cached_property
     def keys(self) -> KeyStore:

@@ -1,19 +1,32 @@
-"""Monthly ratios of C: a cache of what follows from the stored spectra, replaced whole, station by station."""
+"""Drift: caches of what follows from the stored spectra, replaced whole, station by station.
+
+Monthly ratios are for the eye; the events of every path are what steps and slopes are found in; the report is what was
+found last.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
 from sqlalchemy import Connection, delete, select
 
+from lbacal_core.provenance import canonical_json
 from lbacal_core.validity import Instant, Scope
-from service.schema.tables import monthly_ratio, path
+from service.schema.tables import drift_report, event_modes, monthly_ratio, path
+
+SINGLE = "<f4"
+MODES = 3
 
 
 @dataclass(frozen=True)
 class MonthlyRatio:
-    """C of a path in a month over that of the reference version."""
+    """C of a path in a month over that of the reference version, and the tilt and curvature of ln C along frequency."""
 
     path: Scope
     month: Instant
@@ -21,16 +34,37 @@ class MonthlyRatio:
     c_ratio: float
     c_ratio_sigma: float
     events: int
+    shape: tuple[float, float] | None = None
+    shape_sigma: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True)
+class StoredModes:
+    """ln(C / C_reference) of one polarisation of a station in the events of a year, shape (antenna, event, mode)."""
+
+    station: str
+    dipole: str
+    since: Instant
+    antennas: tuple[int, ...]
+    time_us: NDArray[np.int64]
+    ln_c: NDArray[np.float32]
 
 
 class DriftStore:
-    """Monthly ratios by path."""
+    """Months and events by path, and what was found in them."""
 
     def __init__(self, connection: Connection) -> None:
         self._connection = connection
 
-    def replace(self, station: str, since: Instant, until: Instant, ratios: Sequence[MonthlyRatio]) -> None:
-        """Put the ratios of a station's months in [since, until) in place of the old ones."""
+    def replace(
+        self,
+        station: str,
+        since: Instant,
+        until: Instant,
+        ratios: Sequence[MonthlyRatio],
+        modes: Sequence[StoredModes] = (),
+    ) -> None:
+        """Put what was measured in a station's [since, until) in place of the old."""
         rows = self._connection.execute(select(path).where(path.c.station == station))
         numbers = {Scope(row.station, row.antenna, row.dipole): row.id for row in rows}
         is_old = monthly_ratio.c.path.in_(numbers.values())
@@ -40,11 +74,27 @@ class DriftStore:
             {
                 "path": numbers[ratio.path], "month_us": ratio.month, "reference": ratio.reference,
                 "c_ratio": ratio.c_ratio, "c_ratio_sigma": ratio.c_ratio_sigma, "events": ratio.events,
+                **_shape(ratio),
             }
             for ratio in ratios
         ]  # fmt: skip
         if new:
             self._connection.execute(monthly_ratio.insert(), new)
+        is_of = event_modes.c.station == station
+        is_within = (event_modes.c.since_us >= since) & (event_modes.c.since_us < until)
+        self._connection.execute(delete(event_modes).where(is_of & is_within))
+        blobs = [
+            {
+                "station": one.station, "dipole": one.dipole, "since_us": one.since,
+                "antennas": json.dumps(one.antennas),
+                "time_us": (times := one.time_us.astype("<i8").tobytes()),
+                "ln_c": (content := one.ln_c.astype(SINGLE).tobytes()),
+                "sha256": hashlib.sha256(times + content).hexdigest(),
+            }
+            for one in modes
+        ]  # fmt: skip
+        if blobs:
+            self._connection.execute(event_modes.insert(), blobs)
 
     def ratios(self, scope: Scope) -> list[MonthlyRatio]:
         """All months of the paths of a scope, in order of path and month."""
@@ -59,6 +109,40 @@ class DriftStore:
             MonthlyRatio(
                 Scope(row.station, row.antenna, row.dipole), row.month_us, row.reference,
                 row.c_ratio, row.c_ratio_sigma, row.events,
+                None if row.tilt is None else (row.tilt, row.curvature),
+                None if row.tilt is None else (row.tilt_sigma, row.curvature_sigma),
             )
             for row in self._connection.execute(statement)
         ]  # fmt: skip
+
+    def digests(self) -> list[str]:
+        """Hashes of all stored events, in order of station, polarisation and year."""
+        columns = event_modes.c.station, event_modes.c.dipole, event_modes.c.since_us
+        return list(self._connection.execute(select(event_modes.c.sha256).order_by(*columns)).scalars())
+
+    def modes(self) -> list[StoredModes]:
+        """Everything that steps and slopes are found in."""
+        columns = event_modes.c.station, event_modes.c.dipole, event_modes.c.since_us
+        found = []
+        for row in self._connection.execute(select(event_modes).order_by(*columns)):
+            antennas = tuple(json.loads(row.antennas))
+            times = np.frombuffer(row.time_us, "<i8").astype(np.int64)
+            ln_c = np.frombuffer(row.ln_c, SINGLE).astype(np.float32).reshape(len(antennas), times.size, MODES)
+            found.append(StoredModes(row.station, row.dipole, row.since_us, antennas, times, ln_c))
+        return found
+
+    def keep_report(self, inputs: str, report: Mapping[str, Any], now: Instant) -> None:
+        """Keep what was found in place of what was found before."""
+        self._connection.execute(delete(drift_report))
+        row = {"inputs": inputs, "report": canonical_json(report), "made_us": now}
+        self._connection.execute(drift_report.insert().values(row))
+
+    def report(self) -> dict[str, Any] | None:
+        """What was found last."""
+        text = self._connection.execute(select(drift_report.c.report)).scalar_one_or_none()
+        return None if text is None else dict(json.loads(text))
+
+
+def _shape(ratio: MonthlyRatio) -> dict[str, float | None]:
+    value, sigma = ratio.shape or (None, None), ratio.shape_sigma or (None, None)
+    return {"tilt": value[0], "curvature": value[1], "tilt_sigma": sigma[0], "curvature_sigma": sigma[1]}

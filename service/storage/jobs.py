@@ -243,6 +243,11 @@ class JobStore:
             statement = statement.join(job, job.c.id == job_part.c.job).where(job.c.by == by)
         return int(self._connection.execute(statement).scalar_one())
 
+    def is_open(self, kind: str) -> bool:
+        """Whether a part of some kind of job waits or runs."""
+        statement = select(job_part.c.id).join(job, job.c.id == job_part.c.job).where(job.c.kind == kind)
+        return self._connection.execute(statement.where(job_part.c.state.in_(OPEN)).limit(1)).first() is not None
+
     def waiting(self) -> dict[str | None, int]:
         """How many parts are queued, by the inputs that they need."""
         statement = select(job_part.c.inputs, func.count().label("parts")).where(IS_OPEN, job_part.c.state == QUEUED)

@@ -136,6 +136,20 @@ class SpectraStore:
         row = self._connection.execute(select(func.min(event.c.time_us), func.max(event.c.time_us))).one()
         return None if row[0] is None else (int(row[0]), int(row[1]))
 
+    def newest_by_path(self) -> dict[Scope, Instant]:
+        """The newest spectrum of every path that has any, in order of the paths."""
+        newest = select(func.max(spectrum.c.time_us)).where(spectrum.c.path == path.c.id).scalar_subquery()
+        statement = select(path.c.station, path.c.antenna, path.c.dipole, newest.label("newest"))
+        rows = self._connection.execute(statement.order_by(path.c.station, path.c.antenna, path.c.dipole))
+        return {Scope(row.station, row.antenna, row.dipole): int(row.newest) for row in rows if row.newest is not None}
+
+    def count_after(self, scope: Scope, instant: Instant) -> int:
+        """How many spectra of a path are newer than an instant."""
+        statement = select(func.count()).select_from(spectrum).join(path, path.c.id == spectrum.c.path)
+        statement = statement.where(path.c.station == scope.station, path.c.antenna == scope.antenna)
+        statement = statement.where(path.c.dipole == scope.dipole, spectrum.c.time_us > instant)
+        return int(self._connection.execute(statement).scalar_one())
+
     def count_events(self) -> int:
         """How many events are stored."""
         return int(self._connection.execute(select(func.count()).select_from(event)).scalar_one())

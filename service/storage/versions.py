@@ -8,13 +8,13 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from sqlalchemy import Connection, Row, func, select
+from sqlalchemy import Connection, Row, and_, func, select
 from sqlalchemy.dialects.postgresql import insert as postgresql_insert
 from sqlalchemy.dialects.sqlite import insert as sqlite_insert
 
 from lbacal_core.anomalies import NONE, Anomalies, parse_anomalies
 from lbacal_core.calibration.own_cable import ToldCurve, carry_to_path
-from lbacal_core.curves import STATUSES, CalibrationCurve, parse_curve
+from lbacal_core.curves import MISFIT, STATUSES, CalibrationCurve, parse_curve
 from lbacal_core.provenance import canonical_json, hash_content
 from lbacal_core.reference_chain import ReferenceChain
 from lbacal_core.validity import Instant, Scope
@@ -193,6 +193,21 @@ class VersionStore:
     def cable_changes(self) -> dict[str, set[float]]:
         """When antennas change cables, unix seconds by station."""
         return read_cable_changes(self._connection)
+
+    def misfits(self) -> dict[tuple[str | None, str, Instant, Instant], list[str]]:
+        """Versions that misfit and that no newer one of their window replaced, by station, level and window."""
+        later = calibration.alias()
+        is_later = and_(
+            later.c.scope == calibration.c.scope, later.c.since_us == calibration.c.since_us,
+            later.c.until_us == calibration.c.until_us, later.c.made_us > calibration.c.made_us,
+        )  # fmt: skip
+        statement = select(calibration).where(calibration.c.status == MISFIT)
+        statement = statement.where(~select(later.c.id).where(is_later).exists()).order_by(calibration.c.scope)
+        found: dict[tuple[str | None, str, Instant, Instant], list[str]] = {}
+        for row in self._connection.execute(statement):
+            level = Scope(row.station, row.antenna, row.dipole).level
+            found.setdefault((row.station, level, row.since_us, row.until_us), []).append(row.id)
+        return found
 
     def count_gated(self) -> int:
         """How many versions wait for a human: the gate kept them back and nobody promoted them."""

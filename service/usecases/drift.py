@@ -1,16 +1,17 @@
-"""Drift: C of every path, station and the array over time, against the first year; and where it jumps."""
+"""Drift: C of every path, station and the array over time, against the first year; and what changed."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lbacal_core.drift.events import measure_event_modes
 from lbacal_core.drift.monthly import average_months
-from lbacal_core.drift.steps import find_steps
+from lbacal_core.drift.terms import SLOPE, smooth_columns
 from lbacal_core.grids import Floats
 from lbacal_core.instrument import Instrument
 from lbacal_core.screening import screen_block
@@ -18,7 +19,7 @@ from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra_blocks import SpectraBlock, split_into_blocks
 from lbacal_core.validity import Instant, Promotion, Scope, timeline
 from service.storage.database import Database, Stores
-from service.storage.drift import MonthlyRatio
+from service.storage.drift import MonthlyRatio, StoredModes
 from service.storage.jobs import Part
 from service.storage.spectra import Window
 from service.storage.versions import MeanC, Version
@@ -26,13 +27,19 @@ from service.usecases.calibrations import select_paths
 from service.usecases.years import find_years
 
 KIND = "drift"
+SECOND_US = 1_000_000
+HALF_A_MONTH_S = 15 * 86_400.0
 BAND = (16.0, 50.0, 84.0)
 """Percentiles of the paths of a station: median and the middle 68 %."""
 
 
 @dataclass(frozen=True)
 class MonthPoint:
-    """A month of one path: C over that of the reference; or of many: the median and the middle 68 % of their ratios."""
+    """A month of one path: C over that of the reference; or of many: the median and the middle 68 % of their ratios.
+
+    `shape` is the tilt and curvature of ln C; `line` what offset, season and slope make of the month, with its lower
+    and upper end (one standard deviation): None where years are too few to tell.
+    """
 
     month: Instant
     c_ratio: float
@@ -41,22 +48,29 @@ class MonthPoint:
     paths: int
     events: int
     calibration: str | None
+    shape: tuple[float, float] | None
+    line: tuple[float, float, float] | None = None
 
 
 @dataclass(frozen=True)
 class Step:
-    """A jump of a path against its station's median: C changes by the fraction `size`."""
+    """What changed at a date, as the report of the watch tells it, and the version in effect then."""
 
-    path: Scope
-    date: Instant
-    size: float
-    sigma: float
+    change: Mapping[str, Any]
     calibration: str | None
 
     @property
-    def significance(self) -> float:
-        """|size| / sigma, not corrected for having tried every month."""
-        return abs(self.size) / self.sigma
+    def date(self) -> Instant:
+        """The most probable date."""
+        return round(float(self.change["date_unix"]) * SECOND_US)
+
+    @property
+    def path(self) -> Scope:
+        """The path that steps; the station where several do."""
+        first, *others = self.change["members"]
+        station = self.change["station"]
+        is_one_path = not others and first["antenna"] is not None
+        return Scope(station, first["antenna"], first["dipole"]) if is_one_path else Scope(station)
 
 
 @dataclass(frozen=True)
@@ -67,6 +81,8 @@ class DriftSeries:
     versions: Sequence[MeanC]
     months: Sequence[MonthPoint]
     steps: Sequence[Step]
+    slope: Mapping[str, Any] | None
+    threshold_sigma: float | None
 
 
 def find_references(stores: Stores, instrument: Instrument, station: str) -> dict[Scope, str]:
@@ -108,24 +124,33 @@ class Drift:
             spectra = stores.spectra.load(window, self.instrument.frequency_mhz, self.resistance_ohm)
         by_path = {scope: versions[name] for scope, name in references.items()}
         blocks = [] if spectra is None else split_into_blocks(spectra)
-        ratios = [ratio for block in blocks for ratio in self._measure(block, by_path)]
+        measured = [self._measure(block, by_path, since) for block in blocks]
+        ratios = [ratio for of_block, _ in measured for ratio in of_block]
         with self.database.write() as stores:
-            stores.drift.replace(station, since, until, ratios)
+            stores.drift.replace(station, since, until, ratios, [modes for _, modes in measured if modes.antennas])
             stores.jobs.complete(part, worker, {"calibrations": []}, self.clock())
 
-    def _measure(self, block: SpectraBlock, references: Mapping[Scope, Version]) -> list[MonthlyRatio]:
+    def _measure(
+        self, block: SpectraBlock, references: Mapping[Scope, Version], since: Instant
+    ) -> tuple[list[MonthlyRatio], StoredModes]:
+        """Months and events of the paths of a block that have a reference."""
         of_block = {s: v for s, v in references.items() if s.dipole == block.dipole}
         curves = {int(str(scope.antenna)): version.curves[0] for scope, version in of_block.items()}
         block = screen_block(block, self.instrument.longitude_deg).block
-        found = average_months(measure_event_modes(block, curves, self.instrument, self.sky_power()))
+        modes = measure_event_modes(block, curves, self.instrument, self.sky_power())
+        found = average_months(modes)
         months = found.months.astype("datetime64[us]").astype(np.int64)
         ratios = []
         for k, m in np.argwhere(np.isfinite(found.c_ratio)):
             path = Scope(block.station, int(found.antennas[k]), block.dipole)
             c_ratio, sigma = float(found.c_ratio[k, m]), float(found.c_ratio_sigma[k, m])
             events = int(found.events[k, m])
-            ratios.append(MonthlyRatio(path, int(months[m]), of_block[path].id, c_ratio, sigma, events))
-        return ratios
+            shape, shape_sigma = ((float(v[k, m, 0]), float(v[k, m, 1])) for v in (found.shape, found.shape_sigma))
+            month, reference = int(months[m]), of_block[path].id
+            ratios.append(MonthlyRatio(path, month, reference, c_ratio, sigma, events, shape, shape_sigma))
+        times = np.round(modes.time_unix * SECOND_US).astype(np.int64)
+        antennas, ln_c = tuple(modes.antennas.tolist()), modes.ln_c.astype(np.float32)
+        return ratios, StoredModes(block.station, block.dipole, since, antennas, times, ln_c)
 
     def ratios(self, station: str) -> list[MonthlyRatio]:
         """The months of all paths of a station."""
@@ -139,23 +164,33 @@ class Drift:
         return sorted(means, key=lambda mean: (mean.scope.antenna or 0, mean.dipole, mean.since))
 
     def series(self, scope: Scope) -> DriftSeries:
-        """Versions in effect, months and steps of a scope."""
+        """Versions in effect, months, steps and slope of a scope."""
         with self.database.read() as stores:
-            ratios = stores.drift.ratios(Scope(scope.station))
-            of_paths = find_means_in_effect(stores, select_paths(self.instrument, scope.station, None, None))
+            ratios, report = stores.drift.ratios(scope), stores.drift.report()
             of_scope = find_means_in_effect(stores, [scope])
-        return _gather(scope, ratios, of_scope, _rank_steps(ratios, of_paths))
+            return _gather(scope, ratios, of_scope, report, self._versions_at(stores, scope, report))
 
     def overall(self) -> tuple[DriftSeries, list[DriftSeries]]:
         """The array, and every station with spectra."""
         with self.database.read() as stores:
-            ratios = stores.drift.ratios(Scope())
-            of_paths = find_means_in_effect(stores, select_paths(self.instrument, None, None, None))
+            ratios, report = stores.drift.ratios(Scope()), stores.drift.report()
             scopes = [Scope(), *(Scope(station) for station in stores.spectra.stations())]
-            of_scope = {scope: find_means_in_effect(stores, [scope]) for scope in scopes}
-        steps = _rank_steps(ratios, of_paths)
-        array, *stations = (_gather(scope, ratios, of_scope[scope], steps) for scope in scopes)
+            in_effect = self._versions_at(stores, Scope(), report)
+            array, *stations = (
+                _gather(scope, ratios, find_means_in_effect(stores, [scope]), report, in_effect) for scope in scopes
+            )
         return array, stations
+
+    def steps(self, count: int) -> list[Step]:
+        """The most significant steps."""
+        with self.database.read() as stores:
+            report = stores.drift.report()
+            return _steps(Scope(), report, self._versions_at(stores, Scope(), report))[:count]
+
+    def _versions_at(self, stores: Stores, scope: Scope, report: Mapping[str, Any] | None) -> Sequence[MeanC]:
+        """Versions of the paths that step, by which a step leads to the one in effect."""
+        paths = {step.path for step in _steps(scope, report, ()) if step.path.antenna is not None}
+        return find_means_in_effect(stores, sorted(paths, key=lambda path: path.key))
 
 
 def find_means_in_effect(stores: Stores, scopes: Sequence[Scope]) -> list[MeanC]:
@@ -171,11 +206,45 @@ def find_means_in_effect(stores: Stores, scopes: Sequence[Scope]) -> list[MeanC]
 
 
 def _gather(
-    scope: Scope, ratios: Sequence[MonthlyRatio], versions: Sequence[MeanC], steps: Sequence[Step]
+    scope: Scope,
+    ratios: Sequence[MonthlyRatio],
+    versions: Sequence[MeanC],
+    report: Mapping[str, Any] | None,
+    in_effect: Sequence[MeanC],
 ) -> DriftSeries:
     """Select what belongs to a scope."""
     own = [ratio for ratio in ratios if scope in ratio.path.widening]
-    return DriftSeries(scope, versions, _months(own, versions), [step for step in steps if scope in step.path.widening])
+    slope = None if report is None else _slope(scope, report)
+    months = draw_line(_months(own, versions), slope)
+    threshold = None if report is None else float(report["threshold_sigma"])
+    return DriftSeries(scope, versions, months, _steps(scope, report, in_effect), slope, threshold)
+
+
+def _steps(scope: Scope, report: Mapping[str, Any] | None, in_effect: Sequence[MeanC]) -> list[Step]:
+    """The changes of a scope, each with the version of its path in effect then."""
+    changes = [] if report is None else [one for one in report["changes"] if _concerns(scope, one)]
+    steps = []
+    for change in changes:
+        step = Step(change, None)
+        of_path = [mean for mean in in_effect if mean.scope == step.path]
+        steps.append(Step(change, _version_at(of_path, step.date)))
+    return steps
+
+
+def _concerns(scope: Scope, change: Mapping[str, Any]) -> bool:
+    if scope.station is None or scope.antenna is None:
+        return scope.station in (None, change["station"])
+    mine = {(scope.antenna, scope.dipole), (None, scope.dipole)}
+    return scope.station == change["station"] and any((m["antenna"], m["dipole"]) in mine for m in change["members"])
+
+
+def _slope(scope: Scope, report: Mapping[str, Any]) -> Mapping[str, Any] | None:
+    """The slope of a path beside its station; of a station or the array, that of C itself."""
+    if scope.antenna is None:
+        found: Mapping[str, Any] | None = report["trends"].get(scope.station or "array")
+        return found
+    slopes = (one for one in report["slopes"] if (one["station"], one["antenna"], one["dipole"]) == scope.parts)
+    return next(slopes, None)
 
 
 def _months(ratios: Sequence[MonthlyRatio], versions: Sequence[MeanC]) -> list[MonthPoint]:
@@ -188,35 +257,29 @@ def _months(ratios: Sequence[MonthlyRatio], versions: Sequence[MeanC]) -> list[M
         if len(of_month) == 1:
             low, high = median - of_month[0].c_ratio_sigma, median + of_month[0].c_ratio_sigma
         events = max(ratio.events for ratio in of_month)
-        points.append(MonthPoint(month, median, low, high, len(of_month), events, _version_at(versions, month)))
+        known = [ratio.shape for ratio in of_month if ratio.shape is not None]
+        shape = (float(np.median([s[0] for s in known])), float(np.median([s[1] for s in known]))) if known else None
+        version = _version_at(versions, month)
+        points.append(MonthPoint(month, median, low, high, len(of_month), events, version, shape))
     return points
+
+
+def draw_line(months: list[MonthPoint], trend: Mapping[str, Any] | None) -> list[MonthPoint]:
+    """Give every month what offset, season and slope make of it, where there is a trend."""
+    if trend is None or "middle_unix" not in trend or not months:
+        return months
+    time_unix = np.array([point.month for point in months]) / SECOND_US + HALF_A_MONTH_S
+    columns = smooth_columns(time_unix, trend["middle_unix"])
+    line = columns[:, 1:SLOPE] @ np.array(trend["season"]) + columns[:, SLOPE] * trend["slope"]
+    line += np.mean(np.log([point.c_ratio for point in months]) - line)
+    sigma = np.hypot(trend["sigma"] * columns[:, SLOPE], trend["scatter"] / trend["years"] ** 0.5)
+    ends = np.exp(np.stack([line, line - sigma, line + sigma], axis=1)).tolist()
+    return [replace(point, line=tuple(three)) for point, three in zip(months, ends, strict=True)]
 
 
 def _version_at(versions: Sequence[MeanC], instant: Instant) -> str | None:
     """The version whose window holds an instant, the one made last."""
     return next((v.calibration for v in reversed(versions) if v.since <= instant < v.until), None)
-
-
-def _rank_steps(ratios: Sequence[MonthlyRatio], versions: Sequence[MeanC]) -> list[Step]:
-    """The best step of every path against the median of its station, the most significant first."""
-    by_station: dict[str, list[MonthlyRatio]] = {}
-    of_path: dict[Scope, list[MeanC]] = {}
-    for ratio in ratios:
-        by_station.setdefault(str(ratio.path.station), []).append(ratio)
-    for mean in versions:
-        of_path.setdefault(mean.scope, []).append(mean)
-    steps = []
-    for of_station in by_station.values():
-        matrix = relative_to_station(of_station)
-        if len(matrix.paths) < 2:
-            continue  # a path divided by itself has no step
-        found = find_steps(matrix.values, matrix.sigmas)
-        for k, path in enumerate(matrix.paths):
-            if np.isfinite(found.size[k]):
-                date = _within_month(int(matrix.months[found.month[k]]), float(found.passed[k]))
-                version = _version_at(of_path.get(path, []), date)
-                steps.append(Step(path, date, float(found.size[k]), float(found.sigma[k]), version))
-    return sorted(steps, key=lambda step: (-step.significance, step.path.key))
 
 
 @dataclass(frozen=True)
@@ -226,7 +289,6 @@ class PathMatrix:
     paths: Sequence[Scope]
     months: NDArray[np.int64]
     values: Floats
-    sigmas: Floats
 
 
 def relative_to_station(ratios: Sequence[MonthlyRatio]) -> PathMatrix:
@@ -234,15 +296,8 @@ def relative_to_station(ratios: Sequence[MonthlyRatio]) -> PathMatrix:
     paths = list(dict.fromkeys(ratio.path for ratio in ratios))
     months = np.unique(np.array([ratio.month for ratio in ratios], dtype=np.int64))
     row = {path: k for k, path in enumerate(paths)}
-    values, sigmas = np.full((2, len(paths), months.size), np.nan)
+    values = np.full((len(paths), months.size), np.nan)
     for ratio in ratios:
-        at = row[ratio.path], int(np.searchsorted(months, ratio.month))
-        values[at], sigmas[at] = ratio.c_ratio, ratio.c_ratio_sigma
+        values[row[ratio.path], int(np.searchsorted(months, ratio.month))] = ratio.c_ratio
     median = np.array([np.median(column[np.isfinite(column)]) for column in values.T])
-    return PathMatrix(paths, months, values / median, sigmas / median)
-
-
-def _within_month(month: Instant, passed: float) -> Instant:
-    start = np.datetime64(month, "us").astype("datetime64[M]")
-    end = int((start + 1).astype("datetime64[us]").astype(np.int64))
-    return month + round(passed * (end - month))
+    return PathMatrix(paths, months, values / median)

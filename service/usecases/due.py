@@ -32,6 +32,8 @@ from service.usecases.investigations import KIND as INVESTIGATION
 from service.usecases.investigations import Investigations
 from service.usecases.refits import KIND as REFIT
 from service.usecases.refits import describe_part
+from service.usecases.watch import KIND as WATCH
+from service.usecases.watch import Watch
 from service.usecases.years import find_years
 from service.wire.instants import DAY_US
 
@@ -48,6 +50,7 @@ class DueWork:
     clock: Callable[[], Instant]
     investigations: Investigations | None
     """None where nobody wants them by schedule."""
+    watch: Watch
 
     def enqueue(self) -> list[int]:
         """Enqueue everything that is due, and return the new jobs.
@@ -60,7 +63,7 @@ class DueWork:
         with self.database.read() as stores:
             orders = [*self._refits(stores), *self._drift(stores, stores.spectra.stations())]
             orders += self._investigations(stores)
-        return self._add(orders)
+        return self._add(orders) or self.enqueue_watch()
 
     def enqueue_model(self, stores: Stores, change: ModelChange, *, promote: bool) -> list[int]:
         """Enqueue the refits that a change of a station's model calls for, within the transaction that writes it."""
@@ -82,6 +85,14 @@ class DueWork:
         with self.database.read() as stores:
             orders = list(self._drift(stores, [station]))
         return self._add(orders)
+
+    def enqueue_watch(self) -> list[int]:
+        """Enqueue the watch over all stations, once their measured events are others and none waits to be measured."""
+        with self.database.read() as stores:
+            inputs = self.watch.name_inputs(stores)
+            if inputs is None or stores.jobs.is_open(DRIFT):
+                return []
+        return self._add([self._order(WATCH, {}, [inputs], "another drift was measured than the one before")])
 
     def _add(self, orders: list[Order]) -> list[int]:
         if not orders:

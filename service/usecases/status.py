@@ -13,6 +13,7 @@ from service.storage.failures import FULL
 from service.storage.jobs import Failure
 from service.storage.migration import require_current
 from service.storage.processes import WORKER, Process
+from service.usecases.alarms import AlarmCounts, count_alarms
 from service.usecases.inputs import explain_difference
 from service.wire.instants import DAY_US
 
@@ -34,6 +35,7 @@ class State:
     events: int
     newest_event: Instant | None
     gated: int
+    alarms: AlarmCounts
 
 
 @dataclass(frozen=True)
@@ -75,6 +77,7 @@ class Status:
                 events=stores.spectra.count_events(),
                 newest_event=None if span is None else span[1],
                 gated=stores.versions.count_gated(),
+                alarms=count_alarms(stores, self.clock()),
             )
 
 

@@ -99,6 +99,13 @@ class ReasonBody(Body):
     reason: Reason
 
 
+class AcknowledgementBody(Body):
+    """Say that a problem is known, until an instant or for good."""
+
+    until: str | None = None
+    reason: Reason
+
+
 class TagBody(Body):
     """Freeze the ledger as it was known at `as_of`, or as it is now."""
 

@@ -68,6 +68,15 @@ class NewsAnswer(InvestigationLine):
     gone: list[str] = Field(description="findings that only the one before has")
 
 
+class AlarmCountsAnswer(Answer):
+    """Alarms that last, by kind."""
+
+    line: str = Field(description="all of it in one line")
+    open: dict[str, int]
+    acknowledged: dict[str, int]
+    new: int = Field(description="raised within a day")
+
+
 class StatusAnswer(Answer):
     """What an operator looks at."""
 
@@ -79,6 +88,7 @@ class StatusAnswer(Answer):
     events: int
     newest_event: str | None
     gated: int = Field(description="versions that the gate kept back and nobody promoted")
+    alarms: AlarmCountsAnswer
     investigations: list[NewsAnswer] = Field(description="the newest of every station")
     stopped_paying: list[str] = Field(description="adopted causes that gain less on new events than they should")
     failures: list[FailureAnswer]
@@ -345,46 +355,3 @@ class InvestigationAnswer(InvestigationLine):
 
     inputs: dict[str, Any] = Field(description="what it was made from; the id is their hash")
     report: dict[str, Any] = Field(description="the report, as `lbacal investigate` writes it")
-
-
-class DriftVersion(Answer):
-    """The band mean of C of a version."""
-
-    calibration: str
-    dipole: str | None
-    since: str
-    until: str
-    events: int
-    c: float
-    c_sigma: float
-
-
-class DriftMonth(Answer):
-    """C of a month over that of the first whole year."""
-
-    month: str
-    c_ratio: float
-    low: float
-    high: float
-    paths: int
-    events: int
-    calibration: str | None
-
-
-class DriftStep(PathAnswer):
-    """The best step of a path against its station."""
-
-    date: str
-    size: float
-    sigma: float
-    significance: float
-    calibration: str | None
-
-
-class DriftAnswer(PathAnswer):
-    """C over time."""
-
-    scope: Level
-    versions: list[DriftVersion]
-    months: list[DriftMonth]
-    steps: list[DriftStep]

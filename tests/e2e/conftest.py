@@ -113,8 +113,8 @@ def _answers(url: str) -> bool:
 def _is_idle(url: str) -> bool:
     """Whether all that the night enqueued has ended; what it investigates comes last."""
     jobs = httpx2.get(f"{url}/v1/jobs").json()["jobs"]
-    is_last_there = any(job["kind"] == "investigation" for job in jobs)
-    return is_last_there and all(job["state"] in ("done", "failed") for job in jobs)
+    are_last_there = {"watch", "investigation"} <= {job["kind"] for job in jobs}
+    return are_last_there and all(job["state"] in ("done", "failed") for job in jobs)
 
 
 @pytest.fixture(scope="session")

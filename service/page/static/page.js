@@ -25,6 +25,12 @@ function drift(data) {
     traces.push({ x, y: one.months.map((m) => m.c_ratio), mode: "lines+markers", name: one.name, legendgroup: one.name,
       line: { color: colour, width: 2 }, marker: { size: 6 }, customdata: one.months.map((m) => m.url),
       text: one.months.map((m) => `${m.paths} paths, ${m.events} events`), hovertemplate: "%{x|%Y-%m}: %{y:.4f}<br>%{text}<extra>" + one.name + "</extra>" });
+    const lines = one.months.filter((m) => m.line), at = lines.map((m) => m.month + "-15");
+    if (lines.length) {
+      traces.push(band(at, lines.map((m) => m.line[1]), lines.map((m) => m.line[2]), colour, one.name));
+      traces.push({ x: at, y: lines.map((m) => m.line[0]), mode: "lines", line: { color: colour, width: 1.5, dash: "dash" }, name: one.name + ", season and slope",
+        legendgroup: one.name, showlegend: false, hovertemplate: "season and slope: %{y:.4f}<extra>" + one.name + "</extra>" });
+    }
     one.versions.forEach((v) => traces.push({ x: [v.middle], y: [v.ratio], error_y: { type: "data", array: [v.sigma], color: colour },
       mode: "markers", marker: { size: 11, symbol: v.dipole === "Y" ? "square-open" : "diamond-open", color: colour, line: { width: 2 } },
       name: `${one.name} ${v.dipole} version`, legendgroup: one.name, showlegend: false, customdata: [v.url],

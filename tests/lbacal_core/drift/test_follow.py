@@ -35,3 +35,16 @@ def test_two_stations_are_not_compared_and_still_have_a_whole() -> None:
     assert found.stations is None
     assert found.whole is not None
     assert found.whole.years == 3
+
+
+def test_two_antennas_are_compared_over_both_polarisations_and_one_with_nothing() -> None:
+    """A station of two antennas has no three paths of one polarisation, and its steps were not looked for."""
+    history = draw_history(replace(WORLD, stations=1, antennas=2), np.random.default_rng(4))
+    history.ln_c[1, np.flatnonzero(history.time_unix >= START + 1.5 * YEAR), 0] += 0.06
+    found = follow(history)
+    assert found.groups == (("CS002", "XY"),)
+    assert np.isfinite(found.paths.terms.dates).sum(axis=1).tolist() == [0, 1, 0, 0]
+    alone = follow(draw_history(replace(WORLD, stations=1, antennas=1), np.random.default_rng(5)))
+    assert not np.any(np.isfinite(alone.paths.terms.dates))
+    assert alone.paths.events.tolist() == [0, 0]
+    assert alone.whole is None

@@ -7,6 +7,11 @@ from typing import Any
 import pytest
 from fastapi.testclient import TestClient
 
+from lbacal_core.validity import Scope
+from service.app import make_app
+from service.factory import Factory
+from service.scheduler import look_for_due_work
+from service.storage.alarms import News
 from service.storage.versions import Version
 from service.wire.answer_models import (
     Answer,
@@ -22,13 +27,14 @@ from service.wire.calibration_models import (
     AliveAnswer,
     ChangesAnswer,
     DiffAnswer,
-    DriftAnswer,
     InEffectAnswer,
     PromotionAnswer,
     StatusAnswer,
     VersionsAnswer,
     WholeVersionAnswer,
 )
+from service.wire.drift_models import AlarmAnswer, AlarmsAnswer, DriftAnswer
+from tests.service.test_worker import work
 
 ROW = {
     "event_id": "e", "time_utc": "2014-03-01", "station": "CS001", "antenna": 0, "dipole": "X", "blocks": 100,
@@ -68,6 +74,27 @@ def test_an_answer_has_the_fields_that_the_documentation_tells(
     told = stored_client.get("/openapi.json").json()["paths"][route][method.lower()]["responses"]
     schema = told[str(answer.status_code)]["content"]["application/json"]["schema"]
     assert schema == {"$ref": f"#/components/schemas/{model.__name__}"}
+
+
+def test_an_alarm_has_the_fields_that_the_documentation_tells(factory: Factory, client: TestClient) -> None:
+    news = News("step", Scope("CS001", 0, "X"), "", "it jumped", {"size": 0.03}, 1_400_000_000_000_000, 10**10)
+    with factory.database.write() as stores:
+        number = stores.alarms.raise_alarm(news, factory.clock())
+    AlarmsAnswer.model_validate_json(client.get("/v1/alarms?limit=1").content)
+    known = client.post(f"/v1/alarms/{number}/acknowledgement", json={"reason": "test"})
+    AlarmAnswer.model_validate_json(known.content)
+    told = client.get("/openapi.json").json()["paths"]
+    assert told["/v1/alarms"]["get"]["responses"]["200"]["content"]["application/json"]["schema"] == {
+        "$ref": "#/components/schemas/AlarmsAnswer"
+    }
+
+
+def test_drift_has_the_fields_that_the_documentation_tells_when_something_was_found(station: Factory) -> None:
+    look_for_due_work(station)
+    work(station)
+    with TestClient(make_app(station)) as client:
+        for query in ("", "?station=CS002", "?station=CS002&antenna=2&dipole=Y"):
+            DriftAnswer.model_validate_json(client.get(f"/v1/drift{query}").content)
 
 
 PATH = "station=CS001&antenna=0&dipole=X"

@@ -1,0 +1,112 @@
+"""What was found of an array over time as JSON values: changes, slopes, and the trend of each station and the whole."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from lbacal_core.drift.changes import Change, list_changes
+from lbacal_core.drift.events import MODES, frequency_modes
+from lbacal_core.drift.follow import Followed, History
+from lbacal_core.drift.search import Found
+from lbacal_core.drift.whole import Whole, measure_whole
+from lbacal_core.grids import Floats
+
+DAY_S = 86_400.0
+DIGITS = 7
+
+
+def describe_followed(history: History, followed: Followed, frequency_mhz: Floats) -> dict[str, Any]:
+    """Everything, fractions of C and their change a year."""
+    owners = list(zip(history.station.tolist(), history.antenna.tolist(), history.dipole.tolist(), strict=True))
+    slopes = _slopes(followed.paths, owners)
+    if followed.stations is not None:
+        slopes += _slopes(followed.stations, [(station, None, dipole) for station, dipole in followed.groups])
+    trends = {} if followed.whole is None else {"array": _trend(followed.whole, frequency_mhz)}
+    for station in sorted({station for station, _ in followed.groups}):
+        rows = [k for k, (name, _) in enumerate(followed.groups) if name == station]
+        with np.errstate(invalid="ignore"):
+            trend = measure_whole(history.time_unix, followed.paths.median[rows].mean(axis=0))
+        if trend is not None:
+            trends[station] = _trend(trend, frequency_mhz)
+    return {
+        "threshold_sigma": followed.paths.threshold,
+        "first_unix": float(history.time_unix[0]),
+        "last_unix": float(history.time_unix[-1]),
+        "changes": [_change(one) for one in list_changes(history, followed)],
+        "slopes": slopes,
+        "trends": trends,
+    }
+
+
+def _change(change: Change) -> dict[str, Any]:
+    return {
+        "station": change.station,
+        "members": [
+            {
+                "antenna": one.antenna,
+                "dipole": one.dipole,
+                "size": round(float(np.expm1(one.size)), DIGITS),
+                "sigma": round(one.sigma, DIGITS),
+                "significance": round(one.significance, 2),
+            }
+            for one in change.members
+        ],
+        "date_unix": change.date_unix,
+        "date_sigma_days": change.date_sigma_s / DAY_S,
+        "earliest_unix": change.earliest_unix,
+        "latest_unix": change.latest_unix,
+        "size": round(float(np.expm1(change.size[0])), DIGITS),
+        "sigma": round(change.size_sigma[0], DIGITS),
+        "shape": _of_modes(change.size[1:], change.size_sigma[1:]),
+        "significance": round(change.significance, 2),
+        "is_known": change.is_known,
+    }
+
+
+def _of_modes(value: Any, sigma: Any) -> dict[str, dict[str, float]]:
+    """Tilt and curvature of ln C, each with its error."""
+    return {
+        name: {"value": round(float(v), DIGITS), "sigma": round(float(s), DIGITS)}
+        for name, v, s in zip(MODES[1:], value, sigma, strict=True)
+    }
+
+
+def _slopes(found: Found, owners: list[tuple[str, int | None, str]]) -> list[dict[str, Any]]:
+    """The slope of every series beside its companions, a year, and the amplitude of its season."""
+    return [
+        {
+            "station": station,
+            "antenna": antenna,
+            "dipole": dipole,
+            "slope": round(float(found.slope[k, 0]), DIGITS),
+            "sigma": round(float(found.slope_sigma[k, 0]), DIGITS),
+            "shape": _of_modes(found.slope[k, 1:], found.slope_sigma[k, 1:]),
+            "significance": round(float(found.slope_significance[k]), 2),
+            "is_found": bool(found.slope_significance[k] > found.threshold),
+            "season": round(float(found.season[k, 0]), DIGITS),
+        }
+        for k, (station, antenna, dipole) in enumerate(owners)
+        if found.events[k] > 0
+    ]
+
+
+def _trend(trend: Whole, frequency_mhz: Floats) -> dict[str, Any]:
+    """The trend of what many paths share, in frequency too, and what draws it."""
+    modes = np.vstack([np.ones_like(frequency_mhz), frequency_modes(frequency_mhz)])
+    return {
+        "slope": float(trend.slope[0]),
+        "sigma": float(trend.sigma[0]),
+        "limit_95": float(trend.limit[0]),
+        "scatter": float(trend.scatter[0]),
+        "years": trend.years,
+        "p_value": trend.p_value,
+        "middle_unix": trend.middle_unix,
+        "season": [float(value) for value in trend.season[:, 0]],
+        "frequency": {
+            "mhz": frequency_mhz.tolist(),
+            "slope": (trend.slope @ modes).tolist(),
+            "sigma": np.sqrt((trend.sigma**2) @ modes**2).tolist(),
+        },
+    }

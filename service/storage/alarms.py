@@ -1,0 +1,218 @@
+"""Alarms: what is wrong, raised once, kept with who acknowledged it, ended when it is over."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from sqlalchemy import Connection, Row, and_, func, or_, select, update
+
+from lbacal_core.provenance import canonical_json
+from lbacal_core.validity import Instant, Scope
+from service.errors import NotFoundError
+from service.schema.tables import alarm
+from service.wire.instants import DAY_US
+
+STEP = "step"
+SLOPE = "slope"
+LOST_PATH = "lost_path"
+STALE_DATA = "stale_data"
+MISFIT = "misfit"
+CAUSE_STOPPED_PAYING = "cause_stopped_paying"
+FAILED_JOB = "failed_job"
+KINDS = (STEP, SLOPE, LOST_PATH, STALE_DATA, MISFIT, CAUSE_STOPPED_PAYING, FAILED_JOB)
+
+OPEN, ACKNOWLEDGED, ENDED = "open", "acknowledged", "ended"
+STATES = (OPEN, ACKNOWLEDGED, ENDED)
+
+SAME_SIGMA = 3.0
+"""Standard deviations of the difference of two dates within which they are the date of one problem."""
+
+
+@dataclass(frozen=True)
+class News:
+    """What is wrong, as somebody found it this time.
+
+    Attributes
+    ----------
+    kind
+        One of `KINDS`.
+    scope
+        Whom it concerns.
+    subject
+        Tells problems of the same kind and scope apart: a job's work, a model's cause.
+    sentence
+        What is wrong, for a human, in one line.
+    content
+        The numbers, as JSON values.
+    since, since_error_us
+        When it began and the standard deviation of that; another night may date it a little differently.
+    """
+
+    kind: str
+    scope: Scope
+    subject: str
+    sentence: str
+    content: Mapping[str, Any] = field(default_factory=dict)
+    since: Instant | None = None
+    since_error_us: int = 0
+
+    def __post_init__(self) -> None:
+        if self.kind not in KINDS:
+            raise ValueError(f"{self.kind!r} is not one of {KINDS}")
+
+
+@dataclass(frozen=True)
+class Acknowledgement:
+    """Who knows of an alarm, why it is no news, and until when; None is for good."""
+
+    by: str
+    at: Instant
+    reason: str
+    until: Instant | None
+
+
+@dataclass(frozen=True)
+class Alarm:
+    """A problem from the night on which it was raised; `ended` None while it lasts."""
+
+    number: int
+    news: News
+    raised: Instant
+    seen: Instant
+    ended: Instant | None
+    acknowledgement: Acknowledgement | None
+
+    def state_at(self, now: Instant) -> str:
+        """One of `STATES`: an acknowledgement that has run out leaves the alarm open."""
+        if self.ended is not None:
+            return ENDED
+        known = self.acknowledgement
+        return OPEN if known is None or (known.until is not None and known.until <= now) else ACKNOWLEDGED
+
+
+class AlarmStore:
+    """Alarms, each raised once."""
+
+    def __init__(self, connection: Connection) -> None:
+        self._connection = connection
+
+    def raise_alarm(self, news: News, now: Instant) -> int:
+        """Raise an alarm, or see the one again that this problem has; its number."""
+        return self._see(news, self._of([news.kind], news.scope.key), set(), now)
+
+    def settle(
+        self, kinds: Collection[str], present: Sequence[News], now: Instant, station: str | None = None
+    ) -> list[int]:
+        """Take in the complete list of what is wrong of some kinds (and one station): the alarms that are new.
+
+        What is there already is seen again, what is gone has ended.
+        """
+        known = self._of(kinds, None, station)
+        before = {one.number for one in known}
+        used: set[int] = set()
+        for news in present:
+            used.add(self._see(news, known, used, now))
+        gone = [one.number for one in known if one.ended is None and one.number not in used]
+        if gone:
+            self._connection.execute(update(alarm).where(alarm.c.id.in_(gone)).values(ended_us=now))
+        return sorted(used - before)
+
+    def acknowledge(self, number: int, acknowledgement: Acknowledgement) -> Alarm:
+        """Record that somebody knows of an alarm; the last acknowledgement counts."""
+        self.get(number)
+        row = {
+            "known_by": acknowledgement.by, "known_us": acknowledgement.at, "known_why": acknowledgement.reason,
+            "known_until_us": acknowledgement.until,
+        }  # fmt: skip
+        self._connection.execute(update(alarm).where(alarm.c.id == number).values(row))
+        return self.get(number)
+
+    def get(self, number: int) -> Alarm:
+        """One alarm."""
+        row = self._connection.execute(select(alarm).where(alarm.c.id == number)).one_or_none()
+        if row is None:
+            raise NotFoundError(f"no alarm {number}; GET /v1/alarms lists them")
+        return _value(row)
+
+    def newest(
+        self, *, now: Instant, states: Collection[str], kind: str | None, station: str | None, before: int | None,
+        limit: int,
+    ) -> list[Alarm]:  # fmt: skip
+        """Alarms in some states, newest first."""
+        statement = select(alarm).where(or_(*(_in_state(state, now) for state in states)))
+        if kind is not None:
+            statement = statement.where(alarm.c.kind == kind)
+        if station is not None:
+            statement = statement.where(alarm.c.station == station)
+        if before is not None:
+            statement = statement.where(alarm.c.id < before)
+        return [_value(row) for row in self._connection.execute(statement.order_by(alarm.c.id.desc()).limit(limit))]
+
+    def count(self, now: Instant, state: str) -> dict[str, int]:
+        """How many there are in a state, by kind."""
+        statement = select(alarm.c.kind, func.count()).where(_in_state(state, now)).group_by(alarm.c.kind)
+        return {kind: int(count) for kind, count in self._connection.execute(statement.order_by(alarm.c.kind))}
+
+    def count_raised(self, since: Instant) -> int:
+        """How many were raised after an instant and still last."""
+        statement = select(func.count()).select_from(alarm).where(alarm.c.raised_us > since, alarm.c.ended_us.is_(None))
+        return int(self._connection.execute(statement).scalar_one())
+
+    def _of(self, kinds: Iterable[str], scope: str | None, station: str | None = None) -> list[Alarm]:
+        statement = select(alarm).where(alarm.c.kind.in_(list(kinds))).order_by(alarm.c.id)
+        if scope is not None:
+            statement = statement.where(alarm.c.scope == scope)
+        if station is not None:
+            statement = statement.where(alarm.c.station == station)
+        return [_value(row) for row in self._connection.execute(statement)]
+
+    def _see(self, news: News, known: Sequence[Alarm], used: set[int], now: Instant) -> int:
+        """Update the alarm of a problem, or make one."""
+        same = [one for one in known if one.number not in used and _is_same(one.news, news)]
+        told = {
+            "sentence": news.sentence, "content": canonical_json(news.content), "since_us": news.since,
+            "since_error_us": news.since_error_us, "seen_us": now, "ended_us": None,
+        }  # fmt: skip
+        if same:
+            number = min(same, key=lambda one: _distance(one.news, news)).number
+            self._connection.execute(update(alarm).where(alarm.c.id == number).values(told))
+            return number
+        scope = news.scope
+        owner = {"scope": scope.key, "station": scope.station, "antenna": scope.antenna, "dipole": scope.dipole}
+        row = {"kind": news.kind, **owner, "subject": news.subject, "raised_us": now, **told}
+        made = self._connection.execute(alarm.insert().values(row).returning(alarm.c.id))
+        return int(made.scalar_one())
+
+
+def _is_same(one: News, other: News) -> bool:
+    if (one.kind, one.scope, one.subject) != (other.kind, other.scope, other.subject):
+        return False
+    if one.since is None or other.since is None:
+        return one.since is other.since
+    error = math.hypot(one.since_error_us, other.since_error_us)
+    return abs(one.since - other.since) <= SAME_SIGMA * error + DAY_US
+
+
+def _distance(one: News, other: News) -> int:
+    return 0 if one.since is None or other.since is None else abs(one.since - other.since)
+
+
+def _in_state(state: str, now: Instant) -> Any:
+    known = and_(alarm.c.known_us.is_not(None), or_(alarm.c.known_until_us.is_(None), alarm.c.known_until_us > now))
+    lasts = alarm.c.ended_us.is_(None)
+    return {OPEN: and_(lasts, ~known), ACKNOWLEDGED: and_(lasts, known), ENDED: ~lasts}[state]
+
+
+def _value(row: Row[Any]) -> Alarm:
+    news = News(
+        row.kind, Scope(row.station, row.antenna, row.dipole), row.subject, row.sentence, json.loads(row.content),
+        row.since_us, row.since_error_us,
+    )  # fmt: skip
+    known = (
+        None if row.known_us is None else Acknowledgement(row.known_by, row.known_us, row.known_why, row.known_until_us)
+    )
+    return Alarm(row.id, news, row.raised_us, row.seen_us, row.ended_us, known)

@@ -1,0 +1,154 @@
+"""Alarms: what is wrong and lasts, told once; acknowledged by those who know of it.
+
+Steps and slopes come from the watch (`service.usecases.watch`), which follows all paths when their months changed. What
+a look at the database can tell is looked for every night: paths that went silent while others have events, data that
+stopped coming, versions that misfit, work that failed and that nothing made up for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+from lbacal_core.errors import BadInputError
+from lbacal_core.validity import Instant, Scope
+from service.storage.alarms import (
+    ACKNOWLEDGED,
+    FAILED_JOB,
+    LOST_PATH,
+    MISFIT,
+    OPEN,
+    STALE_DATA,
+    Acknowledgement,
+    Alarm,
+    News,
+)
+from service.storage.database import Database, Stores
+from service.storage.jobs import Job
+from service.wire.bodies import AcknowledgementBody
+from service.wire.instants import DAY_US, format_instant, parse_instant
+
+LOST_EVENTS = 20
+"""So many events of others, eight days of a LOFAR year, without one of a path: it is lost."""
+FAILURES_SINCE_US = 30 * DAY_US
+FAILURES_READ = 200
+NAMES = {
+    "step": ("step", "steps"), "slope": ("slope", "slopes"), "lost_path": ("lost path", "lost paths"),
+    "stale_data": ("stale data", "stale data"), "misfit": ("misfit", "misfits"),
+    "cause_stopped_paying": ("cause that stopped paying", "causes that stopped paying"),
+    "failed_job": ("failed job", "failed jobs"),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class AlarmCounts:
+    """How many alarms last, by kind, and how many of all were raised within a day."""
+
+    open: Mapping[str, int]
+    acknowledged: Mapping[str, int]
+    new: int
+
+    @property
+    def line(self) -> str:
+        """All of it in one line."""
+        total, known = sum(self.open.values()), sum(self.acknowledged.values())
+        kinds = ", ".join(f"{count} {NAMES[kind][count > 1]}" for kind, count in self.open.items())
+        told = f"{total} open ({kinds})" if total else "none open"
+        return f"{told}, {known} acknowledged; {self.new} new since yesterday" if total or known else told
+
+
+@dataclass(frozen=True)
+class Alarms:
+    """Looks for what is wrong, lists it, and takes acknowledgements."""
+
+    database: Database
+    clock: Callable[[], Instant]
+    stale_days: float
+
+    def look(self) -> list[int]:
+        """Take in what the database tells; the alarms that are new."""
+        now = self.clock()
+        with self.database.read() as stores:
+            present = [*self._lost(stores), *self._stale(stores, now), *_misfits(stores), *_failures(stores, now)]
+        with self.database.write() as stores:
+            return stores.alarms.settle((LOST_PATH, STALE_DATA, MISFIT, FAILED_JOB), present, now)
+
+    def newest(
+        self, *, states: Sequence[str], kind: str | None, station: str | None, before: int | None, limit: int
+    ) -> list[Alarm]:
+        """Alarms, newest first."""
+        with self.database.read() as stores:
+            return stores.alarms.newest(
+                now=self.clock(), states=states, kind=kind, station=station, before=before, limit=limit
+            )
+
+    def acknowledge(self, number: int, body: AcknowledgementBody, by: str) -> Alarm:
+        """Record that somebody knows of it, until an instant or for good."""
+        now = self.clock()
+        until = None if body.until is None else parse_instant("body.until", body.until)
+        if until is not None and until <= now:
+            raise BadInputError("body.until", "an instant in the future", str(body.until))
+        with self.database.write() as stores:
+            return stores.alarms.acknowledge(number, Acknowledgement(by, now, body.reason, until))
+
+    def _lost(self, stores: Stores) -> Iterator[News]:
+        """Paths without an event while the path that has the newest one had many; those lost together are one alarm."""
+        newest = stores.spectra.newest_by_path()
+        if not newest:
+            return
+        last = max(newest.values())
+        witness = next(path for path, instant in newest.items() if instant == last)
+        lost: dict[tuple[str, int], list[Scope]] = {}
+        for path, instant in newest.items():
+            if instant < last:
+                lost.setdefault((str(path.station), instant), []).append(path)
+        for (station, instant), paths in lost.items():
+            missed = stores.spectra.count_after(witness, instant)
+            if missed < LOST_EVENTS:
+                continue
+            scope = paths[0] if len(paths) == 1 else Scope(station)
+            named = [path.key for path in paths]
+            who = named[0] if len(named) == 1 else f"{len(named)} paths of {station}"
+            day = format_instant(instant)[:10]
+            sentence = f"{who}: no spectrum since {day}, while {witness.key} has {missed} more events"
+            yield News(LOST_PATH, scope, "", sentence, {"paths": named, "events_missed": missed}, instant)
+
+    def _stale(self, stores: Stores, now: Instant) -> Iterator[News]:
+        span = stores.spectra.span()
+        if span is None or self.stale_days == 0.0 or now - span[1] < self.stale_days * DAY_US:
+            return
+        sentence = f"the newest event is of {format_instant(span[1])[:10]}, more than {self.stale_days:g} days ago"
+        yield News(STALE_DATA, Scope(), "", sentence, {"newest_event": format_instant(span[1])}, span[1])
+
+
+def count_alarms(stores: Stores, now: Instant) -> AlarmCounts:
+    """How many alarms there are."""
+    is_open, is_known = (stores.alarms.count(now, state) for state in (OPEN, ACKNOWLEDGED))
+    return AlarmCounts(is_open, is_known, stores.alarms.count_raised(now - DAY_US))
+
+
+def _misfits(stores: Stores) -> Iterator[News]:
+    """Windows of a station, or of the array, whose newest versions misfit."""
+    for (station, level, since, until), scopes in stores.versions.misfits().items():
+        window = f"{format_instant(since)[:10]} to {format_instant(until)[:10]}"
+        who = f"{len(scopes)} paths of {station}" if level == "antenna" else (station or "the array")
+        sentence = f"{who}, {window}: the chain does not describe the spectra within noise and priors (misfit)"
+        content = {"versions": scopes, "since": format_instant(since), "until": format_instant(until)}
+        yield News(MISFIT, Scope(station), f"{level} {window}", sentence, content)
+
+
+def _failures(stores: Stores, now: Instant) -> Iterator[News]:
+    failed: dict[str, News] = {}
+    for failure in stores.jobs.failures(now - FAILURES_SINCE_US, FAILURES_READ):
+        news = describe_failed(failure.job, "; ".join(failure.job.errors))
+        failed.setdefault(news.subject, news)  # the newest try of a work is listed first
+    yield from failed.values()
+
+
+def describe_failed(job: Job, error: str) -> News:
+    """The news that a job failed; another try of the same work is the same problem."""
+    work = {name: value for name, value in job.request.items() if name in ("scope", "station", "since", "until")}
+    named = " ".join(str(work[name]) for name in ("scope", "station") if work.get(name))
+    subject = " ".join([job.kind, *(f"{name}={value}" for name, value in sorted(work.items()))])
+    sentence = f"{job.kind} {named}".strip() + f" failed: {error}"
+    return News(FAILED_JOB, Scope(), subject, sentence, {"job": job.number, "kind": job.kind, "request": work})

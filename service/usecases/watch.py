@@ -1,0 +1,132 @@
+"""The watch: follows every path, station and the whole through all years, and raises alarms of what changed.
+
+It reads what the drift has measured of every event (`service.usecases.drift`), asks the core what changed
+(`lbacal_core.drift.follow`), keeps the answer as the report that pages and the API tell from, and settles the alarms of
+steps and slopes. It is due whenever the measured events are others than those of the last report.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from lbacal_core.drift.follow import History
+from lbacal_core.instrument import Instrument
+from lbacal_core.provenance import hash_content
+from lbacal_core.validity import Instant, Scope
+from service.storage.alarms import SLOPE, STEP, News
+from service.storage.database import Database, Stores
+from service.storage.drift import MODES, StoredModes
+from service.storage.jobs import Part
+from service.wire.instants import DAY_US, format_instant
+
+KIND = "watch"
+SECOND_US = 1_000_000
+TREND_P = 0.001
+"""Probability of a trend of the whole without one, below which it is an alarm."""
+
+
+@dataclass(frozen=True)
+class Watch:
+    """Follows the array."""
+
+    database: Database
+    instrument: Instrument
+    clock: Callable[[], Instant]
+
+    def name_inputs(self, stores: Stores) -> str | None:
+        """The hash of what a report is made from; None where nothing was measured yet."""
+        digests = stores.drift.digests()
+        return hash_content([digests, self._hardware_changes()]) if digests else None
+
+    def run(self, part: Part, worker: str) -> None:
+        """Do a part: follow, keep the report, settle the alarms."""
+        with self.database.read() as stores:
+            inputs, modes = self.name_inputs(stores), stores.drift.modes()
+        report = self._report(modes)
+        with self.database.write() as stores:
+            now = self.clock()
+            stores.drift.keep_report(str(inputs), report, now)
+            stores.alarms.settle((STEP, SLOPE), list(_tell(report)), now)
+            stores.jobs.complete(part, worker, {"calibrations": []}, now)
+
+    def _hardware_changes(self) -> dict[str, list[float]]:
+        """When antennas changed, unix seconds by station and antenna, as the instrument says."""
+        found: dict[str, set[float]] = {}
+        for record in self.instrument.antennas:
+            dates = {date for date in (record.since, record.until) if date is not None}
+            found.setdefault(f"{record.station}/{record.antenna}", set()).update(dates)
+        return {name: sorted(dates) for name, dates in sorted(found.items()) if dates}
+
+    def _report(self, modes: Sequence[StoredModes]) -> dict[str, Any]:
+        from lbacal_core.drift.follow import follow  # with scipy: only workers need it
+        from lbacal_core.drift.report import describe_followed
+
+        history = assemble_history(modes, self._hardware_changes())
+        return describe_followed(history, follow(history), self.instrument.frequency_mhz)
+
+
+def assemble_history(modes: Sequence[StoredModes], changes: Mapping[str, Sequence[float]]) -> History:
+    """Lay what is stored of all years and stations on one axis of events.
+
+    Parameters
+    ----------
+    changes
+        Dates of hardware changes, s UTC, by station and antenna (``CS002/17``).
+    """
+    keys = sorted({(one.station, antenna, one.dipole) for one in modes for antenna in one.antennas})
+    row = {key: k for k, key in enumerate(keys)}
+    time_us = np.unique(np.concatenate([one.time_us for one in modes]))
+    ln_c = np.full((len(keys), time_us.size, MODES), np.nan, dtype=np.float32)
+    for one in modes:
+        rows = np.array([row[one.station, antenna, one.dipole] for antenna in one.antennas], dtype=np.int64)
+        columns = np.searchsorted(time_us, one.time_us)
+        ln_c[np.ix_(rows, columns)] = one.ln_c
+    dates = [changes.get(f"{station}/{antenna}", ()) for station, antenna, _ in keys]
+    known = np.full((len(keys), max(map(len, dates), default=0)), np.inf)
+    for k, of_path in enumerate(dates):
+        known[k, : len(of_path)] = of_path
+    first, last = time_us[0] / SECOND_US, time_us[-1] / SECOND_US
+    known[(known <= first) | (known > last)] = np.inf
+    station, antenna, dipole = (np.array(column) for column in zip(*keys, strict=True))
+    return History(station, antenna.astype(np.int64), dipole, time_us / SECOND_US, ln_c, known)
+
+
+def _tell(report: Mapping[str, Any]) -> Iterator[News]:
+    """The news of a report: changes that nobody knew of, slopes, and a trend of the whole."""
+    for change in report["changes"]:
+        if change["is_known"]:
+            continue
+        named = [_name(change["station"], one) for one in change["members"]]
+        who = named[0] if len(named) == 1 else f"{change['station']}, {len(named)} together ({', '.join(named[:4])}"
+        who += "" if len(named) == 1 else (", ...)" if len(named) > 4 else ")")
+        since = round(change["date_unix"] * SECOND_US)
+        error = round(change["date_sigma_days"] * DAY_US)
+        sentence = (
+            f"{who}: C changed by {change['size']:+.2%} +- {change['sigma']:.2%} "
+            f"on {format_instant(since)[:10]} +- {change['date_sigma_days']:.1f} days"
+        )
+        yield News(STEP, Scope(change["station"]), "", sentence, change, since, error)
+    for slope in report["slopes"]:
+        if not slope["is_found"]:
+            continue
+        is_path = slope["antenna"] is not None
+        scope = Scope(slope["station"], slope["antenna"], slope["dipole"]) if is_path else Scope(slope["station"])
+        beside = "its station" if is_path else "the other stations"
+        sentence = (
+            f"{_name(slope['station'], slope)}: C changes by {slope['slope']:+.2%} +- {slope['sigma']:.2%} a year "
+            f"beside {beside}"
+        )
+        yield News(SLOPE, scope, "" if is_path else slope["dipole"], sentence, slope)
+    whole = report["trends"].get("array")
+    if whole is not None and whole["p_value"] < TREND_P:
+        sentence = f"C of all paths changes by {whole['slope']:+.2%} +- {whole['sigma']:.2%} a year"
+        yield News(SLOPE, Scope(), "", sentence, {name: whole[name] for name in ("slope", "sigma", "limit_95")})
+
+
+def _name(station: str, one: Mapping[str, Any]) -> str:
+    """A path, or a polarisation of a station, in words."""
+    return f"{station} {one['dipole']}" if one["antenna"] is None else f"{station}/{one['antenna']}/{one['dipole']}"

@@ -1,0 +1,109 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from lbacal_core.validity import Scope
+from service.errors import NotFoundError
+from service.factory import Factory
+from service.storage.alarms import (
+    ACKNOWLEDGED,
+    ENDED,
+    FAILED_JOB,
+    LOST_PATH,
+    OPEN,
+    SLOPE,
+    STATES,
+    STEP,
+    Acknowledgement,
+    Alarm,
+    News,
+)
+
+DAY = 86_400_000_000
+NOW = 1_600_000_000_000_000
+JUMP = News(STEP, Scope("CS002"), "", "it jumped", {"size": 0.03}, NOW - 100 * DAY, 2 * DAY)
+
+
+def raise_alarm(factory: Factory, news: News, now: int = NOW) -> int:
+    with factory.database.write() as stores:
+        return stores.alarms.raise_alarm(news, now)
+
+
+def settle(factory: Factory, kinds: tuple[str, ...], *present: News, now: int, station: str | None = None) -> list[int]:
+    with factory.database.write() as stores:
+        return stores.alarms.settle(kinds, present, now, station)
+
+
+def read(factory: Factory, *states: str, now: int = NOW) -> list[Alarm]:
+    with factory.database.read() as stores:
+        return stores.alarms.newest(now=now, states=states or STATES, kind=None, station=None, before=None, limit=100)
+
+
+def test_a_problem_is_raised_once_and_seen_again_another_night(factory: Factory) -> None:
+    number = raise_alarm(factory, JUMP)
+    later = replace(JUMP, sentence="it jumped, said better", since=NOW - 97 * DAY, since_error_us=DAY)
+    assert raise_alarm(factory, later, NOW + DAY) == number
+    (alarm,) = read(factory)
+    assert (alarm.raised, alarm.seen, alarm.news) == (NOW, NOW + DAY, later)
+
+
+def test_steps_of_two_dates_are_two_alarms(factory: Factory) -> None:
+    numbers = {raise_alarm(factory, replace(JUMP, since=NOW - days * DAY)) for days in (100, 80, 40)}
+    assert len(numbers) == 3
+    assert raise_alarm(factory, replace(JUMP, since=NOW - 81 * DAY)) == sorted(numbers)[1]
+
+
+def test_two_steps_found_in_one_night_never_share_an_alarm(factory: Factory) -> None:
+    near = replace(JUMP, since=NOW - 98 * DAY)
+    assert len(settle(factory, (STEP,), JUMP, near, now=NOW)) == 2
+    assert settle(factory, (STEP,), JUMP, near, now=NOW + DAY) == []
+
+
+def test_what_is_gone_has_ended_and_what_comes_back_is_the_same_alarm(factory: Factory) -> None:
+    slope = News(SLOPE, Scope("CS002", 3, "X"), "", "it slopes")
+    first = settle(factory, (STEP, SLOPE), JUMP, slope, now=NOW)
+    assert settle(factory, (STEP, SLOPE), JUMP, now=NOW + DAY) == []
+    assert [one.news.kind for one in read(factory, ENDED)] == [SLOPE]
+    assert settle(factory, (STEP, SLOPE), JUMP, slope, now=NOW + 2 * DAY) == [], "no news: it was raised before"
+    assert {one.number for one in read(factory, OPEN)} == set(first)
+
+
+def test_an_antenna_that_dies_again_is_a_new_problem(factory: Factory) -> None:
+    lost = News(LOST_PATH, Scope("CS002", 3, "X"), "", "no spectrum", since=NOW - 50 * DAY)
+    first = settle(factory, (LOST_PATH,), lost, now=NOW)
+    settle(factory, (LOST_PATH,), now=NOW + DAY)
+    again = settle(factory, (LOST_PATH,), replace(lost, since=NOW + 5 * DAY), now=NOW + 30 * DAY)
+    assert len(again) == 1
+    assert again != first
+
+
+def test_settling_some_kinds_or_a_station_leaves_the_others_alone(factory: Factory) -> None:
+    other = replace(JUMP, scope=Scope("CS003"))
+    for news in (JUMP, other, News(FAILED_JOB, Scope(), "refit", "it failed")):
+        raise_alarm(factory, news)
+    settle(factory, (STEP,), now=NOW + DAY, station="CS003")
+    assert {one.news.scope.key for one in read(factory, OPEN)} == {"CS002", "array"}
+
+
+def test_an_acknowledged_alarm_is_open_again_after_its_time(factory: Factory) -> None:
+    number = raise_alarm(factory, JUMP)
+    with factory.database.write() as stores:
+        stores.alarms.acknowledge(number, Acknowledgement("me", NOW, "ordered", NOW + 10 * DAY))
+    assert [one.state_at(NOW) for one in read(factory, ACKNOWLEDGED)] == [ACKNOWLEDGED]
+    assert read(factory, OPEN, now=NOW + 9 * DAY) == []
+    assert [one.number for one in read(factory, OPEN, now=NOW + 11 * DAY)] == [number]
+    with factory.database.write() as stores:
+        stores.alarms.acknowledge(number, Acknowledgement("me", NOW, "never mind", None))
+    assert read(factory, OPEN, now=NOW + 1000 * DAY) == []
+    with factory.database.read() as stores:
+        assert stores.alarms.count(NOW + 1000 * DAY, ACKNOWLEDGED) == {STEP: 1}
+        assert stores.alarms.count_raised(NOW - 1) == 1
+        with pytest.raises(NotFoundError):
+            stores.alarms.get(number + 1)
+
+
+def test_an_unknown_kind_is_refused() -> None:
+    with pytest.raises(ValueError, match="not one of"):
+        News("noise", Scope(), "", "2 sigma")

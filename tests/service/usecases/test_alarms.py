@@ -1,0 +1,151 @@
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from fastapi.testclient import TestClient
+
+from lbacal_core.spectra import Spectra
+from service.app import make_app
+from service.factory import Factory
+from service.scheduler import look_for_due_work
+from tests.service.conftest import MHZ, Clock, instant
+from tests.service.test_worker import work
+
+DAY_S = 86_400.0
+
+FIRST = 1_388_534_400.0
+"""2014-01-01, s UTC."""
+PATHS = [(station, antenna, dipole) for station in ("CS001", "CS002") for antenna in range(3) for dipole in "XY"]
+
+
+def store(factory: Factory, days: range, silent: Mapping[tuple[str, int, str], int] | None = None) -> None:
+    """Store an event a day of all paths, but for those that fall silent on a day."""
+    ends = silent or {}
+    rows = [(day, *path) for day in days for path in PATHS if day < ends.get(path, 10**6)]
+    day, station, antenna, dipole = zip(*rows, strict=True)
+    spectra = Spectra(
+        frequency_mhz=np.array(MHZ), power=np.ones((len(rows), len(MHZ))),
+        event_id=np.array([f"e{number}" for number in day]), time_unix=FIRST + DAY_S * np.array(day),
+        station=np.array(station), antenna=np.array(antenna), dipole=np.array(dipole), blocks=np.full(len(rows), 100),
+    )  # fmt: skip
+    with factory.database.write() as stores:
+        stores.spectra.add(spectra)
+
+
+def alarms(client: TestClient, **query: Any) -> list[dict[str, Any]]:
+    answer = client.get("/v1/alarms", params=query)
+    assert answer.status_code == 200, answer.text
+    found: list[dict[str, Any]] = answer.json()["alarms"]
+    return found
+
+
+def test_a_path_that_falls_silent_is_an_alarm_until_it_returns(
+    factory: Factory, client: TestClient, clock: Clock
+) -> None:
+    clock.now = instant("2014-02-10")
+    store(factory, range(40), {("CS001", 1, "X"): 12})
+    assert len(factory.alarms.look()) == 1
+    assert factory.alarms.look() == [], "another night is no news"
+    (lost,) = alarms(client)
+    assert (lost["kind"], lost["scope"], lost["station"], lost["antenna"]) == ("lost_path", "antenna", "CS001", 1)
+    assert lost["since"].startswith("2014-01-12")
+    assert "28 more events" in lost["sentence"]
+    store(factory, range(40, 42))
+    factory.alarms.look()
+    assert alarms(client) == []
+    assert [one["state"] for one in alarms(client, state="ended")] == ["ended"]
+
+
+def test_paths_lost_together_are_one_alarm_and_few_missed_events_none(
+    factory: Factory, client: TestClient, clock: Clock
+) -> None:
+    clock.now = instant("2014-02-10")
+    store(factory, range(40), {("CS002", 1, "X"): 12, ("CS002", 1, "Y"): 12, ("CS001", 2, "Y"): 30})
+    factory.alarms.look()
+    (lost,) = alarms(client)
+    assert (lost["station"], lost["antenna"]) == ("CS002", None)
+    assert lost["content"]["paths"] == ["CS002/1/X", "CS002/1/Y"]
+
+
+def test_data_that_stopped_coming_are_stale_unless_nobody_expects_any(
+    factory: Factory, client: TestClient, clock: Clock
+) -> None:
+    clock.now = instant("2014-03-31")
+    store(factory, range(40))
+    factory.alarms.look()
+    assert [one["kind"] for one in alarms(client)] == ["stale_data"]
+    archive = Factory(factory.settings.model_copy(update={"stale_days": 0.0}), clock)
+    archive.alarms.look()
+    archive.database.close()
+    assert alarms(client) == []
+
+
+def test_a_job_that_fails_is_an_alarm_at_once_and_its_next_try_the_same(factory: Factory, client: TestClient) -> None:
+    body = {"scope": "antenna", "since": "2012-01-01", "until": "2013-01-01", "station": "CS001", "reason": "test"}
+    store(factory, range(3))
+    for _ in range(2):
+        assert client.post("/v1/refits", json=body).status_code == 202
+        work(factory)
+    (failed,) = alarms(client, kind="failed_job")
+    assert failed["sentence"].startswith("refit antenna CS001 failed: no usable spectra of CS001")
+    factory.alarms.look()
+    assert len(alarms(client, kind="failed_job")) == 1
+
+
+def test_an_acknowledged_alarm_is_told_no_more_until_its_time_is_over(
+    factory: Factory, client: TestClient, clock: Clock
+) -> None:
+    clock.now = instant("2014-03-31")
+    store(factory, range(40))
+    factory.alarms.look()
+    number = alarms(client)[0]["alarm"]
+    route = f"/v1/alarms/{number}/acknowledgement"
+    assert client.post(route, json={"until": "2014-03-30", "reason": "late"}).status_code == 422
+    assert client.post(route, json={"reason": " "}).status_code == 422
+    assert client.post("/v1/alarms/999/acknowledgement", json={"reason": "x"}).status_code == 404
+    known = client.post(route, json={"until": "2014-05-01", "reason": "winter break"})
+    assert known.status_code == 201
+    assert known.json()["acknowledgement"]["until"] == "2014-05-01T00:00:00Z"
+    assert alarms(client, state="open") == []
+    assert client.get("/v1/status").json()["alarms"]["line"] == "none open, 1 acknowledged; 1 new since yesterday"
+    clock.now = instant("2014-05-02")
+    factory.alarms.look()
+    assert [one["state"] for one in alarms(client, state="open")] == ["open"]
+
+
+def test_who_may_only_read_acknowledges_nothing(factory: Factory) -> None:
+    _, key = factory.keys.create(("read",))
+    with TestClient(make_app(factory), headers={"Authorization": f"Bearer {key}"}) as reader:
+        assert reader.get("/v1/alarms").status_code == 200
+        assert reader.post("/v1/alarms/1/acknowledgement", json={"reason": "x"}).status_code == 403
+
+
+def test_alarms_stand_in_metrics_in_the_status_and_on_top_of_the_overview(
+    factory: Factory, client: TestClient, clock: Clock
+) -> None:
+    clock.now = instant("2014-02-10")
+    store(factory, range(40), {("CS001", 1, "X"): 12})
+    factory.alarms.look()
+    metrics = client.get("/metrics").text
+    assert 'lbacal_alarms{kind="lost_path",state="open"} 1.0' in metrics
+    assert 'lbacal_alarms{kind="step",state="open"} 0.0' in metrics
+    line = "1 open (1 lost path), 0 acknowledged; 1 new since yesterday"
+    assert client.get("/v1/status").json()["alarms"]["line"] == line
+    assert line in client.get("/").text
+    assert "no spectrum since 2014-01-12" in client.get("/alarms").text
+
+
+def test_a_step_is_raised_once_and_a_season_not_at_all(station: Factory) -> None:
+    look_for_due_work(station)
+    work(station)
+    _, key = station.keys.create(("admin",))
+    with TestClient(make_app(station), headers={"Authorization": f"Bearer {key}"}) as client:
+        (step,) = alarms(client, kind="step")
+        assert step["sentence"].startswith("CS002/2/Y: C changed by -6.")
+        assert abs(np.datetime64(step["since"][:10]) - np.datetime64("2015-04-11")) <= np.timedelta64(3, "D")
+        assert alarms(client, kind="slope") == []
+        assert look_for_due_work(station) == []
+        assert len(alarms(client, kind="step", state="all")) == 1
+        assert "CS002/2/Y" in client.get("/alarms").text
