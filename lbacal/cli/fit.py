@@ -12,7 +12,6 @@ import numpy as np
 import typer
 
 from lbacal.cli.fit_inputs import find_spectra_files, parse_selection, read_selected
-from lbacal.cli.fit_summary import align, describe_error, explain_chi2, tabulate_curves
 from lbacal.cli.outputs import require_image, require_outputs
 from lbacal.cli.progress import progress
 from lbacal.cli.with_model import HELP, read_model, report_path
@@ -93,6 +92,7 @@ def fit(
 
     Exit 0 if any curve converged, else 1; the report is written either way.
     """
+    from lbacal.cli.fit_summary import align, describe_error, explain_chi2, tabulate_curves
     from lbacal_core.curves import CONVERGED, write_calibration_table, write_fit_report
     from lbacal_core.instrument import load_instrument
     from lbacal_core.pipeline import calibrate

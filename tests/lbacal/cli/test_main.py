@@ -61,3 +61,10 @@ def test_bad_usage_exits_with_2_without_a_traceback(arguments: list[str]) -> Non
     assert done.returncode == 2
     assert "Traceback" not in done.stderr
     assert done.stdout == ""
+
+
+def test_a_client_without_the_extra_fit_starts() -> None:
+    # every command of a client was a ModuleNotFoundError: what `lbacal fit` prints was imported with all of them
+    program = f"import sys\nsys.modules |= dict.fromkeys({(*command.FIT, 'erfa')!r})\nimport lbacal.cli.main"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
