@@ -57,7 +57,9 @@ def list_hidden(
     """
     if model.modes is None:
         return []
-    plain, free = replace(model, modes=None), replace(model, modes=replace(model.modes, prior=NEARLY_FREE))
+    # A cause that smooth waves along LST describe shows beside them where it is larger than these.
+    known = replace(model, modes=replace(model.modes, waves=None))
+    plain, free = replace(model, modes=None), replace(known, modes=replace(model.modes, waves=None, prior=NEARLY_FREE))
     hidden = []
     for cause in causes:
         if cause.scopes != ("station",) or "lst" not in cause.axes:
@@ -66,7 +68,7 @@ def list_hidden(
         whole = np.array([see_best(plain, family, target).max() for family in families])
         if not whole.size or whole.min() <= 0:
             continue
-        bare, left = (np.array([see_best(one, family, target).max() for family in families]) for one in (free, model))
+        bare, left = (np.array([see_best(one, family, target).max() for family in families]) for one in (free, known))
         # A wider prior leaves less; where it leaves more, that is rounding.
         if np.all(np.minimum(bare, left) < smallest_share * whole):
             best = int(np.argmax(left / whole))

@@ -9,13 +9,17 @@ from the mean are then independent, and so are, in each of them, what lies along
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import helmert
+from scipy.stats import chi2
 
 from lbacal_core.calibration.noise import CHANNELS_PER_VECTOR, MOST_VECTORS, orthonormal
 from lbacal_core.causes.axes import list_axes
+from lbacal_core.causes.conditions import RAIN
 from lbacal_core.discovery.station import Station
 from lbacal_core.grids import Floats
 
@@ -32,6 +36,10 @@ ONE_SIGMA, IN_MOST = 0.683, 0.5
 """Quantile of a normal amount at one standard deviation, and the part of an excess variance that most events show."""
 STRUCTURE_SHARE, SMALLEST_PROFILE = 1 / 3, 1e-6
 """Most profiles in time that are no noise, as a share of the events; and the size of one that others contain."""
+FEWEST_OF_KIND = 40
+"""Events of a kind from which its covariance is estimated, to 22 %."""
+HEAVY, TYLER_ROUNDS = 1e-3, 10
+"""Share of normal events beyond which an event counts as no noise; rounds of a fixed point that needs six."""
 NOISIER_SIGMA = 4.0
 """Standard deviations of the estimate beyond which a path gets a noise scale of its own."""
 
@@ -44,25 +52,32 @@ class NoiseLevels:
     ----------
     vectors
         What an event shares along frequency, orthonormal, shape (k, freq).
+    kind_of
+        Kind of each event, whose noise has its own covariance along the vectors: 1 in rain, else 0, shape (event,).
     path_channel, path_shared
         Deviation of a path from the mean: standard deviation in a channel, and covariance along the vectors beyond
-        that, shape (k, k).
+        that, shape (kind, k, k).
     path_scale
         Noise of each path over the typical one, shape (path,).
     common_channel
         Noise in a channel that all paths of a polarisation share, shape (polarisation,).
     common_sum, common_difference
         Covariance along the vectors that they share beyond that: of the sum of all n polarisations over root n, and of
-        each of the n - 1 normalised differences, which is (X - Y) over root 2 where there are two.
+        each of the n - 1 normalised differences, which is (X - Y) over root 2 where there are two; shape (kind, k, k).
     """
 
     vectors: Floats
+    kind_of: NDArray[np.int64]
     path_channel: float
     path_shared: Floats
     path_scale: Floats
     common_channel: Floats
     common_sum: Floats
     common_difference: Floats
+
+    def of_all(self, covariance: Floats) -> Floats:
+        """Mean of the covariances of the kinds over all events, (kind, k, k) -> (k, k)."""
+        return np.asarray(np.tensordot(np.bincount(self.kind_of) / self.kind_of.size, covariance, axes=1))
 
 
 @dataclass(frozen=True)
@@ -192,36 +207,85 @@ def _estimate_levels(
     seeds: Floats,
 ) -> NoiseLevels:
     polarisations, events, channels = mean.shape
-    structure = _structure(station)
+    structure, known = _structure(station), orthonormal(seeds)
+    is_ordinary = ~is_heavy(mean.sum(axis=0) @ known[np.any(known != 0, axis=1)].T)
     free_events = max(events - 2 - structure.shape[1], 1)
-    mean = _clean(mean, structure)
-    vectors = _choose_vectors(mean, seeds[: max(1, channels // CHANNELS_PER_VECTOR)], free_events)
+    mean = _clean(mean, structure, is_ordinary)
+    kind_of = _kinds(station)
+    kinds = [np.flatnonzero(kind_of == kind) for kind in range(kind_of.max() + 1)]
+    seeds = seeds[: max(1, channels // CHANNELS_PER_VECTOR)]
+    vectors = _choose_vectors(mean, seeds, kinds, free_events / events)
     outside = max(channels - int(np.sum(np.any(vectors != 0, axis=1))), 1)
     used = events / free_events
     along = mean @ vectors.T
     of_mean = np.mean((mean - along @ vectors) ** 2, axis=(1, 2)) * channels / outside * used
     if len(deviation) == polarisations:
         # A single path has no other to be compared with: all noise counts as its own.
-        own_channel, shared = max(float(np.sqrt(of_mean.mean())), SMALLEST_LEVEL), np.zeros((len(vectors),) * 2)
-        shared = _beyond(np.einsum("rek,rej->kj", along, along) / along[..., 0].size * used, own_channel**2)
+        own_channel = max(float(np.sqrt(of_mean.mean())), SMALLEST_LEVEL)
+        of_path = np.stack([np.mean([_scatter(one[own]) for one in along], axis=0) * used for own in kinds])
     else:
         amount = deviation @ vectors.T
-        dof = np.maximum(station.is_present.sum(axis=1) - 2, 1) * _share_of_path(in_mean, polarisation_of) * scale**2
+        share = _share_of_path(in_mean, polarisation_of) * scale**2
+        dof = np.maximum(station.is_present.sum(axis=1) - 2, 1) * share
         rest = np.einsum("pef,pef->p", deviation, deviation) - np.einsum("pek,pek->p", amount, amount)
         own_channel = max(float(np.sqrt(np.median((rest / (dof * outside))[in_mean]))), SMALLEST_LEVEL)
-        amount = _clean(amount, structure)
-        of_path = np.einsum("pek,pej->pkj", amount, amount) / (dof * free_events / max(events - 2, 1))[:, None, None]
-        shared = _beyond(np.median(of_path[in_mean], axis=0), own_channel**2)
+        amount = _clean(amount, structure, is_ordinary)
+        present = np.stack([station.is_present[:, own].sum(axis=1) for own in kinds])
+        square = np.stack([np.einsum("pek,pej->pkj", amount[:, own], amount[:, own]) for own in kinds])
+        square *= (used / np.maximum(present * share, SMALLEST_LEVEL))[..., None, None]
+        of_path = np.median(square[:, in_mean], axis=1)
+    shared = np.stack([_beyond(one, own_channel**2) for one in of_path])
     common_channel = np.sqrt(np.maximum(of_mean - own_channel**2 * spread.mean(axis=1), 0.0))
     # The variance of the mean beyond the variance of a mean of independent paths.
     own = shared * spread.mean()
     channel = float(np.mean(common_channel**2) + own_channel**2 * spread.mean())
-    total = along.sum(axis=0) / polarisations**0.5
-    of_sum, of_difference = _beyond(total.T @ total / events * used - own, channel), np.zeros_like(shared)
+    total, differences = along.sum(axis=0) / polarisations**0.5, np.zeros_like(along[:1])
     if polarisations > 1:
-        differences = np.concatenate(along - along.mean(axis=0))
-        of_difference = _beyond(differences.T @ differences / (polarisations - 1) / events * used - own, channel)
-    return NoiseLevels(vectors, own_channel, shared, scale, common_channel, of_sum, of_difference)
+        differences = np.tensordot(helmert(polarisations), along, axes=1)
+    of_sum, of_difference = (
+        np.stack(
+            [
+                _beyond(np.mean([_scatter(one[at]) for one in parts], axis=0) * used - less, channel)
+                for at, less in zip(kinds, own, strict=True)
+            ]
+        )
+        for parts in (total[None], differences)
+    )
+    return NoiseLevels(vectors, kind_of, own_channel, shared, scale, common_channel, of_sum, of_difference)
+
+
+def _kinds(station: Station) -> NDArray[np.int64]:
+    """Kind of each event, shape (event,): 1 in rain, where the resonance of a wet antenna may move more, else 0."""
+    rain = station.conditions.covariate(RAIN)
+    is_wet = np.zeros(station.power.shape[1], dtype=bool) if rain is None else np.nan_to_num(rain) > 0
+    is_apart = min(np.sum(is_wet & station.is_used), np.sum(~is_wet & station.is_used)) >= FEWEST_OF_KIND
+    return is_wet.astype(np.int64) if is_apart else np.zeros(is_wet.size, dtype=np.int64)
+
+
+def _scatter(amount: Floats) -> Floats:
+    """Covariance of amounts of zero mean, (event, k) -> (k, k), without the few events that are far outside it."""
+    amount = amount[np.any(amount != 0, axis=1)]
+    size = amount.shape[1]
+    inside, cut = amount, 1.0
+    if len(amount) > FEWEST_OF_KIND:
+        # A normal distribution that is cut at the quantile has a smaller variance.
+        inside, cut = amount[~is_heavy(amount)], chi2.cdf(chi2.isf(HEAVY, size), size + 2) / (1.0 - HEAVY)
+    return np.asarray(inside.T @ inside / (max(len(inside), 1) * cut))
+
+
+def is_heavy(amount: Floats) -> NDArray[np.bool_]:
+    """Which events are beyond the quantile `HEAVY` of the normal distribution that most show, (event, k) -> (event,).
+
+    Its form is that of the directions of the amounts (Tyler 1987, Ann. Stat. 15, 234), its size that of their median.
+    """
+    size = amount.shape[1]
+    distance, form = np.ones(len(amount)), np.eye(size)
+    for _ in range(TYLER_ROUNDS):
+        form = amount.T @ (amount / distance[:, None])
+        form *= size / max(float(np.trace(form)), SMALLEST_LEVEL)
+        inverse = np.linalg.pinv(form, hermitian=True)
+        distance = np.maximum(np.einsum("ek,kj,ej->e", amount, inverse, amount), SMALLEST_LEVEL**2)
+    return np.asarray(distance > np.median(distance) * chi2.isf(HEAVY, size) / chi2.median(size))
 
 
 def _structure(station: Station) -> Floats:
@@ -241,31 +305,35 @@ def _structure(station: Station) -> Floats:
     return np.asarray(found[:, sizes > SMALLEST_PROFILE * sizes[0]])
 
 
-def _clean(values: Floats, structure: Floats) -> Floats:
-    """Values, shape (..., event, any), less their part along profiles in time."""
-    return np.asarray(values - structure @ (structure.T @ values))
+def _clean(values: Floats, structure: Floats, is_ordinary: NDArray[np.bool_]) -> Floats:
+    """Values, shape (..., event, any), less what follows profiles in time in the ordinary events.
+
+    A burst in one event would otherwise leave a part of itself in all that its profiles join with it.
+    """
+    return np.asarray(values - structure @ (np.linalg.pinv(structure[is_ordinary]) @ values[..., is_ordinary, :]))
 
 
-def _choose_vectors(mean: Floats, seeds: Floats, free_events: int) -> Floats:
-    """The vectors that events share: the seeds, or where the means have one more, the strongest of all, orthonormal.
+def _choose_vectors(mean: Floats, seeds: Floats, kinds: Sequence[NDArray[np.int64]], share_free: float) -> Floats:
+    """The vectors that events share: the seeds, or where a kind of events has one more, the strongest of all.
 
-    A vector of the means' own must be in most events. What stands out in a few is no noise.
+    Such a vector must be in most events of the kind: what stands out in a few is no noise. Kinds count alike.
     """
     known = orthonormal(seeds)[:MOST_VECTORS]
     rest = mean - mean @ known.T @ known
-    level = np.sqrt(np.maximum(np.mean(rest**2, axis=(1, 2)), SMALLEST_LEVEL**2))
-    pooled = np.sum(rest / level[:, None, None], axis=0) / len(mean) ** 0.5
-    events, channels = pooled.shape
-    values, turned = np.linalg.eigh(pooled.T @ pooled / events)
-    largest_of_noise = (1.0 + (channels / free_events) ** 0.5) ** 2 * channels / max(channels - len(known), 1)
-    amount = pooled @ turned[:, -1]
-    of_most = float(np.quantile(np.abs(amount), ONE_SIGMA)) ** 2
-    if values[-1] < STANDS_OUT * largest_of_noise or of_most - 1.0 < IN_MOST * (values[-1] - 1.0):
-        return known
-    basis = np.concatenate([known, turned[:, -1:].T])
-    along = np.sum(mean / level[:, None, None], axis=0) / len(mean) ** 0.5 @ basis.T
-    values, turned = np.linalg.eigh(along.T @ along / events)
-    return np.asarray(turned[:, -len(known) :].T @ basis)
+    level = np.sqrt(np.maximum(np.mean(rest**2, axis=(1, 2)), SMALLEST_LEVEL**2))[:, None, None]
+    pooled, whole = (np.sum(one / level, axis=0) / len(mean) ** 0.5 for one in (rest, mean))
+    channels, best, chosen = mean.shape[2], 1.0, known
+    for own in kinds:
+        values, turned = np.linalg.eigh(pooled[own].T @ pooled[own] / own.size)
+        free_events = max(own.size * share_free, 1.0)
+        largest_of_noise = (1.0 + (channels / free_events) ** 0.5) ** 2 * channels / max(channels - len(known), 1)
+        of_most = float(np.quantile(np.abs(pooled[own] @ turned[:, -1]), ONE_SIGMA)) ** 2
+        excess = values[-1] / (STANDS_OUT * largest_of_noise)
+        if excess > best and of_most - 1.0 > IN_MOST * (values[-1] - 1.0):
+            best, basis = excess, np.concatenate([known, turned[:, -1:].T])
+            along = np.concatenate([whole[one] @ basis.T / one.size**0.5 for one in kinds])
+            chosen = np.linalg.eigh(along.T @ along)[1][:, -len(known) :].T @ basis
+    return np.asarray(chosen)
 
 
 def _beyond(covariance: Floats, noise: float) -> Floats:

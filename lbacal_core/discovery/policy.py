@@ -13,8 +13,8 @@ class Policy:
     Attributes
     ----------
     catalogue_alpha, antenna_alpha, structure_alpha
-        Probability of a false alarm of the scan, of the comparison of antennas and of the test for residual
-        structure; together the false-alarm rate of a station, 1 in 200, half of the required 1 in 100.
+        Probability of a false alarm of the scan, of the comparisons of antennas and of cable names, and of the test for
+        residual structure; together the false-alarm rate of a station, 1 in 200, half of the required 1 in 100.
     most_findings
         Findings of a station after which the search ends: no proof hides more effects.
     rivals
@@ -58,6 +58,11 @@ class Policy:
     stands_alpha: float = 0.001
     beside_share: float = 0.01
     hidden_share: float = 0.03
+
+    @property
+    def alpha_of_each_comparison(self) -> float:
+        """Probability of a false alarm of the comparison of antennas, and as much of that of cable names."""
+        return self.antenna_alpha / 2
 
     @property
     def false_alarm_rate(self) -> float:

@@ -20,6 +20,7 @@ from lbacal_core.discovery.noise import NoiseLevels, Residuals, estimate_again, 
 from lbacal_core.discovery.station import SkyModes, Station
 from lbacal_core.discovery.view import Seen, View
 from lbacal_core.grids import Floats
+from lbacal_core.skypower.differences import Waves
 
 
 @dataclass(frozen=True)
@@ -81,8 +82,28 @@ class LinearModel:
         """The same with noise levels estimated beside what is no noise: differences between models, known structure."""
         if self.modes is None and self.empirical is None:
             return self
-        mean = self.common.clean(self.residuals.mean[None])[0]
-        return replace(self, residuals=estimate_again(self.station, self.residuals, mean))
+        mean, residuals = self.common.clean(self.residuals.mean[None])[0], self.residuals
+        if self.modes is not None:
+            residuals = replace(residuals, deviation=residuals.deviation - self._seen_in_deviations())
+        return replace(self, residuals=estimate_again(self.station, residuals, mean))
+
+    def _seen_in_deviations(self) -> Floats:
+        """What the changes of the sky that the means show do to the deviations, shape (path, event, freq).
+
+        Paths differ in the share of the sky in their power, and a change of the sky does not cancel in them.
+        """
+        amounts = self.common.fitted(self.residuals.mean)
+        rows, _, channels = self.common.slope.shape
+        amounts[: rows * (channels + len(self._mean_free_vectors[1]))] = 0.0
+        change = self.common.described(amounts) / self._seen_in_mean(np.ones((1, 1, 1, 1)))[0]
+        of_class = self._contrast * change[self.polarisation_of]
+        return np.asarray(of_class[self.station.class_of] * (self.residuals.deviation != 0.0))
+
+    @cached_property
+    def _contrast(self) -> Floats:
+        """Share of the sky in the power of each class less that of the mean path, shape (class, event, freq)."""
+        of_mean = self._seen_in_mean(np.ones((1, 1, 1, 1)))[0]
+        return np.asarray(self._sky_share - of_mean[self.polarisation_of])
 
     @cached_property
     def polarisation_of(self) -> NDArray[np.int64]:
@@ -123,9 +144,10 @@ class LinearModel:
         everyone = np.all(is_known, axis=0).reshape(-1, 1, 1)
         size = np.eye(len(levels.vectors))
         variance = np.mean(levels.common_channel**2) + levels.path_channel**2 * residuals.spread.mean(axis=0)
-        joint = residuals.spread.mean(axis=0)[:, None, None] * levels.path_shared + variance[:, None, None] * size
+        of_paths = residuals.spread.mean(axis=0)[:, None, None] * levels.path_shared[levels.kind_of]
+        joint = of_paths + variance[:, None, None] * size
         of_sum, of_difference = (
-            everyone * np.linalg.inv(np.where(everyone, shared + joint, size))
+            everyone * np.linalg.inv(np.where(everyone, shared[levels.kind_of] + joint, size))
             for shared in (levels.common_sum, levels.common_difference)
         )
         mean = np.full((polarisations, polarisations), 1.0 / polarisations)[:, :, None, None, None]
@@ -136,27 +158,51 @@ class LinearModel:
         for d in range(polarisations):
             free[d * len(constants) : (d + 1) * len(constants), d] = constants[:, d]
         prior = np.zeros(len(free))
+        waves = None
         if self.modes is not None:
             modes = self._modes_in_mean(self.modes)
             free, prior = np.concatenate([free, modes]), np.concatenate([prior, np.full(len(modes), self.modes.prior)])
+            waves = None if self.modes.waves is None else self._waves_in_mean(*self.modes.waves)
         if self.empirical is not None:
             free, prior = np.concatenate([free, self.empirical]), np.concatenate([prior, np.zeros(len(self.empirical))])
         weight = np.ones((1, channel.shape[1]))
-        return View(channel, inside, levels.vectors, slope, free, prior, weight, residuals.mean[None])
+        return View(channel, inside, levels.vectors, slope, free, prior, weight, residuals.mean[None], waves)
 
     def _modes_in_mean(self, modes: SkyModes) -> Floats:
         """What the differences between models do to the means, one prior sigma each."""
-        sky_share, everyone = self.terms.sky * self.terms.front / self.terms.power(), np.ones(len(self.station.antenna))
-        common, own = (self.mean_of(part * sky_share, everyone.astype(bool)) for part in (modes.common, modes.own))
+        common, own = (self._seen_in_mean(part) for part in (modes.common, modes.own))
         polarisations = np.arange(len(self.residuals.polarisations))
         return np.concatenate([common, *(own * (polarisations == d)[:, None, None] for d in polarisations)])
 
+    def _waves_in_mean(self, common: Waves, own: Waves) -> Waves:
+        """What waves along LST do to the means: the mean share of the sky at each frequency shows them."""
+        share = self._seen_in_mean(np.ones((1, 1, 1, 1))).mean(axis=(0, 2))
+        spectra, spectrum_of, profile = [common.spectra[:, None] * share], [common.spectrum_of], [common.profile]
+        for d in range(len(share)):
+            spectrum_of.append(own.spectrum_of + sum(map(len, spectra)))
+            spectra.append(own.spectra[:, None] * share * (np.arange(len(share)) == d)[:, None])
+            profile.append(own.profile)
+        return Waves(np.concatenate(profile), np.concatenate(spectrum_of), np.concatenate(spectra))
+
+    def _seen_in_mean(self, changes: Floats) -> Floats:
+        """Relative changes of P_sky, (mode, class, event, freq), as the means show them, (mode, polarisation, ...)."""
+        return self.mean_of(changes * self._sky_share, np.ones(len(self.station.antenna), dtype=bool))
+
+    @cached_property
+    def _sky_share(self) -> Floats:
+        """Share of the sky in the power of the mean path of each class, shape (class, event, freq)."""
+        return np.asarray(self.terms.sky * self.terms.front / self.terms.power())
+
     @cached_property
     def paths(self) -> list[View]:
-        """The deviations of the paths of each class."""
+        """The deviations of the paths of each class.
+
+        The level of the sky, which the means tell no better than its prior, stays free in them.
+        """
         slope, constants = self._free_vectors
+        level = np.empty((0, *slope.shape)) if self.modes is None else self.modes.common * self._contrast
         return [
-            self._path_view(slope[c], constants[:, c], self.weight[members], members)
+            self._path_view(slope[c], constants[:, c], self.weight[members], members, level[:, c])
             for c, members in enumerate(self.members)
         ]
 
@@ -166,18 +212,20 @@ class LinearModel:
         slope, constants = self._mean_free_vectors
         polarisation, in_mean = self.polarisation_of[self.station.class_of], self.residuals.in_mean
         weights = [self.weight[in_mean & (polarisation == d)].mean(axis=0) for d in range(len(slope))]
-        nobody = np.empty(0, dtype=np.int64)
-        return [self._path_view(slope[d], constants[:, d], w[None], nobody) for d, w in enumerate(weights)]
+        nobody, level = np.empty(0, dtype=np.int64), np.empty((0, *slope.shape[1:]))
+        return [self._path_view(slope[d], constants[:, d], w[None], nobody, level) for d, w in enumerate(weights)]
 
-    def _path_view(self, slope: Floats, constants: Floats, weight: Floats, members: NDArray[np.int64]) -> View:
+    def _path_view(
+        self, slope: Floats, constants: Floats, weight: Floats, members: NDArray[np.int64], level: Floats
+    ) -> View:
         levels = self.residuals.levels
         variance = levels.path_channel**2
         channel = np.array([[1.0 / variance]])
-        inside = np.asarray(np.linalg.inv(levels.path_shared + variance * np.eye(len(levels.vectors))))[
-            None, None, None
-        ]
-        free, residual = constants[:, None], self.residuals.deviation[members][:, None]
-        return View(channel, inside, levels.vectors, slope[None], free, np.zeros(len(free)), weight, residual)
+        inside = np.asarray(np.linalg.inv(levels.path_shared + variance * np.eye(len(levels.vectors))))
+        inside = (inside[levels.kind_of] if len(inside) > 1 else inside)[None, None]
+        free, residual = np.concatenate([constants, level])[:, None], self.residuals.deviation[members][:, None]
+        prior = np.repeat([0.0, 1.0 if self.modes is None else self.modes.prior], [len(constants), len(level)])
+        return View(channel, inside, levels.vectors, slope[None], free, prior, weight, residual)
 
     @cached_property
     def _free_vectors(self) -> tuple[Floats, Floats]:
@@ -211,13 +259,22 @@ class LinearModel:
         counts = np.array([np.sum((is_member & self.residuals.in_mean)[members]) for members in self.members])
         return np.asarray(counts / self.paths_in_mean[self.polarisation_of])
 
+    def shows_in_means_alone(self, is_member: NDArray[np.bool_]) -> bool:
+        """Whether the deviations of the paths say nothing about an effect on these paths."""
+        return self.modes is not None and bool(np.all(is_member))
+
     def share_of_deviation(self, is_member: NDArray[np.bool_]) -> Floats:
         """Share of an effect in the deviation of each path, shape (path,).
+
+        Where the sky is free, changes of the sky have been taken out of the deviations, and an effect on the whole
+        station may look like one: the means alone then show it, and the share is 0.
 
         It is 0 for a path outside the target. A path of the target has the share 1 if it is part of the mean; the
         change of the mean is subtracted from all these paths together (`lost`). If it is not part of the mean, the
         share is 1 less the share of the target's paths in the mean.
         """
+        if self.shows_in_means_alone(is_member):
+            return np.zeros(len(is_member))
         in_mean, polarisation = self.residuals.in_mean, self.polarisation_of[self.station.class_of]
         of_mean = np.zeros(len(self.paths_in_mean))
         np.add.at(of_mean, self.polarisation_of, self.share_of_mean(is_member))
@@ -228,8 +285,9 @@ class LinearModel:
         means = np.stack([self.mean_of(t, target.is_member) for t, target in zip(templates, targets, strict=True)])
         whole = np.ones((len(means), 1))
         yield Part(self.common, self.common.see(means), whole, 1.0)
+        lost = whole * [[not self.shows_in_means_alone(target.is_member)] for target in targets]
         for d, (view, count) in enumerate(zip(self.lost, self.paths_in_mean, strict=True)):
-            yield Part(view, view.see(means[:, d : d + 1]), whole, -float(count))
+            yield Part(view, view.see(means[:, d : d + 1]), lost, -float(count))
         share = np.stack([self.share_of_deviation(target.is_member) for target in targets])
         for c, (view, members) in enumerate(zip(self.paths, self.members, strict=True)):
             if np.any(share[:, members]):

@@ -71,12 +71,13 @@ def _verdict(report: StationReport) -> str:
 def _noise(report: StationReport) -> dict[str, Any]:
     station, levels = report.station, report.last.linear.residuals.levels
     channels, polarisations = levels.vectors.shape[1], len(report.last.linear.residuals.polarisations)
+    of_path, of_station = levels.of_all(levels.path_shared), levels.of_all(levels.common_sum) / polarisations
     return {
         "radiometer_per_mhz": levels.path_channel,
-        "path_event_gain": float(np.sqrt(np.trace(levels.path_shared) / channels)),
-        "station_event_gain": float(np.sqrt(np.trace(levels.common_sum) / (polarisations * channels))),
-        "path_vectors": _vectors(levels.vectors, levels.path_shared),
-        "station_vectors": _vectors(levels.vectors, levels.common_sum / polarisations),
+        "path_event_gain": float(np.sqrt(np.trace(of_path) / channels)),
+        "station_event_gain": float(np.sqrt(np.trace(of_station) / channels)),
+        "path_vectors": _vectors(levels.vectors, of_path),
+        "station_vectors": _vectors(levels.vectors, of_station),
         "taken": report.taken,
         "common_per_mhz": levels.common_channel.tolist(),
         "noisy_paths": [

@@ -201,11 +201,15 @@ class _Scorer:
         concerned = [t for t, target in enumerate(self.targets) if target.scope in cause.scopes]
         wide = [t for t in concerned if self.targets[t].scope == "station"]
         local = [t for t in concerned if t not in wide]
-        differ = bool(wide) and self._differ(spectra)
-        of_mean, mean_information = self._in_common(profiles, spectra)
-        for t in concerned:
-            at = np.flatnonzero(self.share[t])
-            share = self.share[t, at]
+        differ = bool(wide) and model.modes is None and self._differ(spectra)
+        shares = self.share[concerned]
+        if not local and len(wide) == 1:  # the classes act together, and count as one
+            shares, of_mean, mean_information = np.ones((1, 1)), *self._in_common(profiles, spectra, shares)
+        else:
+            of_mean, mean_information = self._in_common(profiles, spectra, np.eye(shares.shape[1]))
+        for t, of_target in zip(concerned, shares, strict=True):
+            at = np.flatnonzero(of_target)
+            share = of_target[at]
             score[:, t] = np.einsum("c,scn->sn", share, of_mean[:, at])
             information[:, t] = np.einsum("c,g,scgn->sn", share, share, mean_information[:, at[:, None], at])
         if local or differ:
@@ -243,13 +247,19 @@ class _Scorer:
             score[:, members] = view.score_by_event(seen)[:, 0] @ profiles.values.T * is_left
         return score, information
 
-    def _in_common(self, profiles: TimeProfiles, spectra: Floats) -> tuple[Floats, Floats]:
-        """Score (family, class, profile) and information (family, class, class, profile) in the station's means."""
+    def _in_common(self, profiles: TimeProfiles, spectra: Floats, shares: Floats) -> tuple[Floats, Floats]:
+        """Score and information in the means of classes taken together by shares, (part, class).
+
+        Returns
+        -------
+        Shape (family, part, profile) and (family, part, part, profile).
+        """
         model, view = self.model, self.model.common
         polarisation = model.polarisation_of
-        alone = np.zeros((len(spectra), len(polarisation), *view.slope.shape))
-        alone[:, np.arange(len(polarisation)), polarisation] = spectra
-        by_event = np.einsum("scef,cef->sce", spectra, view.weighted_residual[0][polarisation])
+        alone = np.zeros((len(spectra), len(shares), *view.slope.shape))
+        for c, share in enumerate(shares.T):
+            alone[:, :, polarisation[c]] += share[:, None, None] * spectra[:, None, c]
+        by_event = np.einsum("sgref,ref->sge", alone, view.weighted_residual[0])
         return by_event @ profiles.values.T, view.inner(view.see(alone), profiles)[0][:, :, :, 0]
 
     def _lost(self, profiles: TimeProfiles, spectra: Floats) -> Floats:

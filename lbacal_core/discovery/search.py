@@ -112,7 +112,7 @@ class StationReport:
 
     def alpha_of(self, score: Score | AntennaScore) -> float:
         """p-value below which a score is significant in this search."""
-        of_kind = self.policy.catalogue_alpha if isinstance(score, Score) else self.policy.antenna_alpha
+        of_kind = self.policy.catalogue_alpha if isinstance(score, Score) else self.policy.alpha_of_each_comparison
         return of_kind / self.stations
 
 
@@ -170,7 +170,7 @@ def search_station(
         station=station,
         deaf=deaf,
         findings=findings,
-        antennas=[score for score in antenna_scores[:1] if score.p_value < policy.antenna_alpha / stations],
+        antennas=[score for score in antenna_scores[:1] if score.p_value < policy.alpha_of_each_comparison / stations],
         structure=structure,
         similar=similar,
         scores=search.first_scores,

@@ -15,7 +15,7 @@ from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
 from lbacal_core.instrument import Instrument
 from lbacal_core.sidereal import local_sidereal_time
-from lbacal_core.skypower.differences import ModelDifferences
+from lbacal_core.skypower.differences import ModelDifferences, Waves, waves_at
 from lbacal_core.skypower.sources import response_towards
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra import Spectra
@@ -194,32 +194,37 @@ def _conditions(
 
 @dataclass(frozen=True)
 class SkyModes:
-    """Relative changes of P_sky by which sky and antenna models differ, one standard deviation of their prior each.
+    """Relative changes of P_sky that are free, one standard deviation of their prior each.
 
     Attributes
     ----------
-    common
-        Changes that both polarisations share, the level at each frequency, shape (mode, class, event, freq).
-    own
-        Changes of each polarisation by itself, the shape along LST, shape (mode, class, event, freq).
+    common, own
+        Differences between models, shape (mode, class, event, freq): those that both polarisations share, the level at
+        each frequency and an isotropic brightness; and those of each polarisation by itself, the shape along LST.
+    waves
+        Smooth waves along LST that no model need have, in both polarisations together and in each by itself.
     prior
-        Inverse variance of their amounts; 0 leaves them free without limit.
+        Inverse variance of the amounts of the differences between models; 0 leaves them free without limit.
     """
 
     common: Floats
     own: Floats
+    waves: tuple[Waves, Waves] | None
     prior: float = 1.0
 
 
 def model_modes(station: Station, differences: ModelDifferences) -> SkyModes:
-    """The differences between models at the events of a station."""
+    """What of the sky is free at the events of a station."""
     conditions = station.conditions
     lst, dipoles = conditions.lst_hours, conditions.dipoles
-    isotropic = np.stack([differences.isotropic_at(letter, lst) for letter in dipoles])
+    # Brightness that does not depend on direction has a spectrum that nobody knows.
+    brighter = np.stack([differences.isotropic_at(letter, lst) for letter in dipoles])
+    isotropic = brighter * differences.smooth_spectra()[:, None, None]
     level = differences.level_modes()[:, None, None]
     return SkyModes(
-        common=np.concatenate([np.broadcast_to(level, (len(level), *isotropic.shape)), isotropic[None]]),
+        common=np.concatenate([np.broadcast_to(level, (len(level), *brighter.shape)), isotropic]),
         own=_stack_modes([differences.changes_at(letter, lst) for letter in dipoles]),
+        waves=waves_at(conditions.frequency_mhz, lst),
     )
 
 

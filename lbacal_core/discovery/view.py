@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lbacal_core.grids import Floats
+from lbacal_core.skypower.differences import Waves
 
 SMALLEST_EIGENVALUE = 1e-10
 """Eigenvalue of the unit-diagonal N'WN below which free vectors are combinations of others to rounding errors."""
@@ -117,6 +118,8 @@ class View:
         Weight of each event for each member, shape (member, event); 0 where absent.
     residual
         Shape (member, row, event, freq).
+    waves
+        Further free vectors with a prior variance of 1, their spectra of shape (spectrum, row, freq), or None.
     """
 
     channel: Floats
@@ -127,14 +130,31 @@ class View:
     prior: Floats
     weight: Floats
     residual: Floats
+    waves: Waves | None = None
 
     def see(self, values: Floats) -> Seen:
         """Weigh templates, shape (..., row, event, freq), and take their products with the free vectors."""
         weighed = self._weigh(values)
         own = np.moveaxis(self.slope * weighed, -3, -2)
         own = own.reshape(*own.shape[:-2], own.shape[-2] * own.shape[-1])
-        other = np.einsum("jref,...ref->...ej", self.constants, weighed)
-        return Seen(values, weighed, np.concatenate([own, other], axis=-1))
+        return Seen(values, weighed, np.concatenate([own, *self._along_others(weighed)], axis=-1))
+
+    def _along_others(self, weighed: Floats) -> list[Floats]:
+        """Products of vectors, (..., row, event, freq), with the constants and with the waves, (..., event, vector)."""
+        events, channels = weighed.shape[-2:]
+        by_event = np.moveaxis(weighed, -2, 0).reshape(events, -1, len(self.slope) * channels)
+        products = [by_event @ self._constants_by_event]
+        if self.waves is not None:
+            of_spectra = by_event @ self.waves.spectra.reshape(len(self.waves.spectra), -1).T
+            products.append(of_spectra[..., self.waves.spectrum_of] * self.waves.profile.T[:, None])
+        shape = (*weighed.shape[:-3], events)
+        return [np.swapaxes(one, 0, 1).reshape(*shape, one.shape[-1]) for one in products]
+
+    @cached_property
+    def _constants_by_event(self) -> Floats:
+        """Shape (event, row x freq, vector)."""
+        flat = np.moveaxis(self.constants, 2, 0)
+        return np.ascontiguousarray(np.swapaxes(flat.reshape(*flat.shape[:2], flat.shape[2] * flat.shape[3]), 1, 2))
 
     def _weigh(self, values: Floats) -> Floats:
         """W times vectors, shape (..., row, event, freq)."""
@@ -222,8 +242,7 @@ class View:
         by_event = np.einsum("kref,ref->ke", templates.values, dual)
         own = np.einsum("ge,ne,ke->gkn", is_in, profiles, by_event, optimize=True).reshape(len(is_in), -1)
         slope = np.einsum("ge,ref,ref->grf", is_in, self.slope, dual, optimize=True).reshape(len(is_in), -1)
-        constants = np.einsum("ge,jref,ref->gj", is_in, self.constants, dual, optimize=True)
-        along = np.concatenate([slope, constants], axis=1)
+        along = np.concatenate([slope, *(is_in @ other for other in self._along_others(dual))], axis=1)
         # The pull of the prior on the fitted amounts, 0 where there is none, counts in equal parts.
         return np.asarray(own - (along - along.mean(axis=0)) @ fitted.T)
 
@@ -237,11 +256,26 @@ class View:
 
     def clean(self, values: Floats, member: int = 0) -> Floats:
         """Templates of shape (..., row, event, freq) less what the free vectors describe."""
-        fitted = np.einsum("e,...ev->...v", self.weight[member], self.see(values).free) @ self._inverse[member]
+        return np.asarray(values - self.described(self.fitted(values, member)))
+
+    def fitted(self, values: Floats, member: int = 0) -> Floats:
+        """Amounts of the free vectors fitted to templates of shape (..., row, event, freq), shape (..., vector)."""
+        onto = np.einsum("e,...ev->...v", self.weight[member], self.see(values).free)
+        return np.asarray(onto @ self._inverse[member])
+
+    def described(self, amounts: Floats) -> Floats:
+        """What amounts of the free vectors describe, (..., vector) -> (..., row, event, freq)."""
         rows, _, channels = self.slope.shape
-        own = fitted[..., : rows * channels].reshape(*fitted.shape[:-1], rows, 1, channels)
-        other = np.tensordot(fitted[..., rows * channels :], self.constants, axes=1)
-        return np.asarray(values - self.slope * own - other)
+        end = rows * channels + len(self.constants)
+        own = self.slope * amounts[..., : rows * channels].reshape(*amounts.shape[:-1], rows, 1, channels)
+        own += np.tensordot(amounts[..., rows * channels : end], self.constants, axes=1)
+        if self.waves is not None:
+            of_spectrum = np.eye(len(self.waves.spectra))[self.waves.spectrum_of]
+            by_event = np.einsum(
+                "...v,ve,vd->...ed", amounts[..., end:], self.waves.profile, of_spectrum, optimize=True
+            )
+            own += np.einsum("...ed,drf->...ref", by_event, self.waves.spectra, optimize=True)
+        return np.asarray(own)
 
     @cached_property
     def rank(self) -> int:
@@ -263,13 +297,14 @@ class View:
     def _prior(self) -> Floats:
         """L, shape (vector, vector)."""
         rows, _, channels = self.slope.shape
-        return np.diag(np.concatenate([np.zeros(rows * channels), self.prior]))
+        waves = np.ones(0 if self.waves is None else len(self.waves.profile))
+        return np.diag(np.concatenate([np.zeros(rows * channels), self.prior, waves]))
 
     def _information_of_free(self, weight: Floats) -> Floats:
         """N'WN for each set of event weights, (set, event) -> (set, vector, vector)."""
         rows, _, channels = self.slope.shape
         size = rows * channels
-        gram = np.empty((len(weight), size + len(self.constants), size + len(self.constants)))
+        gram = np.empty((len(weight), *self._prior.shape))
         flat = np.swapaxes(self.slope, 0, 1).reshape(-1, size)
         row_of = np.repeat(np.arange(rows), channels)
         for r in range(rows):
@@ -278,7 +313,15 @@ class View:
                 gram[:, block[0], block[1]] = self._along_vectors(weight, r, s)
         square = weight @ (flat**2 * self.channel.T[:, row_of])
         gram[:, np.arange(size), np.arange(size)] += square
-        gram[:, size:, :] = np.einsum("ke,jev->kjv", weight, self.see(self.constants).free, optimize=True)
+        end = size + len(self.constants)
+        gram[:, size:end, :] = np.einsum("ke,jev->kjv", weight, self.see(self.constants).free, optimize=True)
+        if self.waves is not None:
+            spectra = np.broadcast_to(
+                self.waves.spectra[:, :, None], (len(self.waves.spectra), rows, flat.shape[0], channels)
+            )
+            for d, free in enumerate(self.see(spectra).free):
+                (own,) = np.nonzero(self.waves.spectrum_of == d)
+                gram[:, end + own, :] = (weight[:, None] * self.waves.profile[own]) @ free
         gram[:, :size, size:] = np.swapaxes(gram[:, size:, :size], 1, 2)
         return gram
 

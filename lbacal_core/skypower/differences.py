@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from importlib.resources import files
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from lbacal_core.antenna.names import DEFAULT_ANTENNA, load_antenna
@@ -31,6 +32,13 @@ LST_HOURS = np.arange(48) / 2.0
 """P_sky of multipoles to l = 16 is exact between these points."""
 LEVEL_DEGREE = 3
 """Degree of the Legendre polynomials in ln nu by which levels differ: between models they leave 0.6 % of power."""
+WAVE_SIZES = (0.008, 0.006, 0.004, 0.002, 0.0007)
+"""Waves along LST in ln P_sky that no model has, harmonics 1 to 5 of the sidereal day, one standard deviation each, for
+each Legendre polynomial in ln nu. Where each model is predicted from the others, they leave about half as much."""
+FULL_WAVES, SMALLEST_WAVE = 3, 3e-4
+"""Degree of the polynomials above which each has half the size of the one before; and the smallest wave that counts."""
+FLAT_WAVE, FLAT_HARMONICS = 0.02, 3
+"""Size of a wave that is alike at all frequencies and in both polarisations, and the number of its harmonics."""
 SIMULATED_LBA = "wipl-d"
 SMALLEST = 2e-4
 """Modes below this rms in ln P are left out: no station-year can see them."""
@@ -54,6 +62,30 @@ ZENITH_GAIN = 0.1
 """How far the gain of another antenna than LOFAR's at zenith is known, at fixed total power (Table 1 of the paper)."""
 FULL_MAPS = DifferenceModels(skies=("gsm408", "lfsm"), antennas=(SIMULATED_LBA,))
 """Models of several maps each, and the simulated LBA: their spread is the covariance of an LST curve's points."""
+
+
+@dataclass(frozen=True)
+class Waves:
+    """Changes of ln P_sky, each a wave in time times a spectrum, one standard deviation of its prior each.
+
+    Attributes
+    ----------
+    profile
+        Shape (wave, event).
+    spectrum_of
+        Number of the spectrum of each, shape (wave,).
+    spectra
+        Shape (spectrum, ..., freq).
+    """
+
+    profile: Floats
+    spectrum_of: NDArray[np.int64]
+    spectra: Floats
+
+    @property
+    def changes(self) -> Floats:
+        """Shape (wave, event, freq), for spectra of shape (spectrum, freq)."""
+        return np.asarray(self.profile[:, :, None] * self.spectra[self.spectrum_of, None])
 
 
 @dataclass(frozen=True)
@@ -89,16 +121,35 @@ class ModelDifferences:
 
     def level_modes(self) -> Floats:
         """Legendre polynomials in ln nu, each of the size that real models have, shape (degree, freq)."""
-        x = np.log(self.frequency_mhz)
-        x = 2.0 * (x - x[0]) / max(float(np.ptp(x)), 1e-300) - 1.0
-        polynomials = np.polynomial.legendre.legvander(x, min(LEVEL_DEGREE, x.size - 1))
+        polynomials = self.smooth_spectra()
         levels = np.mean(list(self.level.values()), axis=0)
-        size = np.sqrt(np.sum(np.linalg.lstsq(polynomials, levels.T, rcond=None)[0] ** 2, axis=1))
-        return np.asarray((polynomials * size).T)
+        size = np.sqrt(np.sum(np.linalg.lstsq(polynomials.T, levels.T, rcond=None)[0] ** 2, axis=1))
+        return np.asarray(polynomials * size[:, None])
+
+    def smooth_spectra(self) -> Floats:
+        """Legendre polynomials in ln nu, shape (degree, freq)."""
+        x = _unit_range(np.log(self.frequency_mhz))
+        return np.asarray(np.polynomial.legendre.legvander(x, min(LEVEL_DEGREE, x.size - 1)).T)
 
     def level_spread(self) -> dict[str, Floats]:
         """Spread of the LST mean of ln P_sky between the models, shape (freq,) a dipole: half of it goes into ln C."""
         return {dipole: np.sqrt(np.sum(values**2, axis=0)) for dipole, values in self.level.items()}
+
+
+def waves_at(frequency_mhz: Floats, lst_hours: Floats) -> tuple[Waves, Waves]:
+    """Smooth waves along LST that no model need have: of both polarisations together, and of each by itself."""
+    x = _unit_range(np.log(frequency_mhz))
+    sizes = np.outer(WAVE_SIZES, 0.5 ** np.maximum(np.arange(x.size) - FULL_WAVES, 0))
+    number, degree = np.nonzero(sizes >= SMALLEST_WAVE)
+    angle = 2.0 * np.pi / 24.0 * np.outer(np.arange(1, len(sizes) + 1), lst_hours)
+    waves = np.stack([np.cos(angle), np.sin(angle)])
+    flat = FLAT_WAVE * waves[:, :FLAT_HARMONICS].reshape(-1, lst_hours.size)
+    own = (sizes[number, degree, None] * waves[:, number]).reshape(-1, lst_hours.size)
+    polynomials = np.asarray(np.polynomial.legendre.legvander(x, int(degree.max())).T, dtype=float)
+    return (
+        Waves(flat, np.zeros(len(flat), dtype=np.int64), np.ones((1, x.size))),
+        Waves(own, np.tile(degree, 2), polynomials),
+    )
 
 
 def compute_model_differences(instrument: Instrument, models: DifferenceModels | None = None) -> ModelDifferences:
@@ -177,6 +228,11 @@ def model_difference_modes(
     """
     differences = compute_model_differences(instrument, models)
     return {dipole: differences.changes_at(dipole, lst_hours) for dipole in differences.shape}
+
+
+def _unit_range(values: Floats) -> Floats:
+    """Values from -1 to 1."""
+    return np.asarray(2.0 * (values - values[0]) / max(float(np.ptp(values)), 1e-300) - 1.0)
 
 
 def _principal_axes(vectors: Floats) -> Floats:

@@ -14,7 +14,7 @@ from lbacal_core.grids import Floats
 from lbacal_core.instrument import Instrument, load_instrument
 from lbacal_core.sky.names import DEFAULT_SKY, load_sky
 from lbacal_core.skypower.differences import SIMULATED_LBA as SIMULATED_NAME
-from lbacal_core.skypower.differences import DifferenceModels
+from lbacal_core.skypower.differences import DifferenceModels, waves_at
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.twin.view import View
@@ -60,8 +60,9 @@ def alternatives(world: World, finder: Finder) -> DifferenceModels:
 def free_modes(finder: Finder, known: DifferenceModels, lst_hours: Floats) -> Floats:
     """Changes of ln P_sky that are free to a finder who knows these models, each one standard deviation.
 
-    A smooth level, constant in LST and the same in both polarisations; an isotropic level; and in each polarisation
-    the change along LST that each exchange of a sky or of the antenna makes.
+    A smooth level, constant in LST and the same in both polarisations; an isotropic brightness with a smooth spectrum;
+    in each polarisation the change along LST that each exchange of a sky or of the antenna makes; and the waves along
+    LST that no model need have.
 
     Returns
     -------
@@ -74,7 +75,8 @@ def free_modes(finder: Finder, known: DifferenceModels, lst_hours: Floats) -> Fl
     modes = [np.broadcast_to(LEVEL_PRIOR * polynomials[:, None, None], shape)]
     brighter = _at(_with_isotropic(finder.sky, finder.antenna), lst_hours)
     base = _at(finder.power(), lst_hours)
-    modes.append((brighter / base - 1.0)[None])
+    modes.append((brighter / base - 1.0) * polynomials[:, None, None])
+    of_each = np.eye(len(DIPOLES))[:, :, None, None]
     exchanged = [(sky, finder.antenna) for sky in known.skies] + [
         (finder.sky, str(SIMULATED_LBA) if antenna == SIMULATED_NAME else antenna)
         for antenna in known.antennas
@@ -83,7 +85,10 @@ def free_modes(finder: Finder, known: DifferenceModels, lst_hours: Floats) -> Fl
     for pair in exchanged:
         change = np.log(_at(power_of(*pair), lst_hours) / base)
         change -= change.mean(axis=1, keepdims=True)
-        modes.append(change * np.eye(len(DIPOLES))[:, :, None, None])
+        modes.append(change * of_each)
+    together, own = waves_at(frequency, lst_hours)
+    modes.append(np.broadcast_to(together.changes[:, None], (len(together.profile), *shape[1:])))
+    modes.append((own.changes[:, None, None] * of_each).reshape(-1, *shape[1:]))
     return np.concatenate(modes)
 
 

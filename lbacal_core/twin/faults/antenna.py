@@ -53,7 +53,7 @@ class ResonanceFault(Fault):
     def alter(self, stages: Stages, scene: Scene) -> Stages:
         """The antenna with the fault."""
         frequency = scene.frequency_mhz
-        curve = np.broadcast_to(stages.antenna, (1, len(scene.dipoles), 1, frequency.size))[0, :, 0]
+        curve = np.broadcast_to(stages.antenna.mean(axis=(0, 2)), (len(scene.dipoles), frequency.size))
         peak = float(frequency[np.argmax(curve.mean(axis=0))])
         shift, widening = self.change(driver(self.follows, scene))
         if self.is_circuit:

@@ -56,3 +56,29 @@ def test_a_gain_step_keeps_its_significance_under_another_sky(world, other_sky):
     (one,), (other,) = told["findings"], own["findings"]
     assert one["cause"] == other["cause"] == "gain_step"
     assert other["significance_sigma"] == pytest.approx(one["significance_sigma"], rel=0.1)
+
+
+@pytest.mark.parametrize("harmonic", [1, 2, 3])
+def test_a_wave_of_the_sky_that_no_model_has_gets_no_name(world, other_sky, harmonic):
+    """It was named: a pattern that is too wide, a source, a line at the end of the band.
+
+    Paths with long cables show less of the sky, and what of a wrong sky their deviations from the mean show had the
+    form of a cause.
+    """
+    phase = 2 * np.pi * harmonic * other_sky.lst_hours / 24
+    factor = 1 + 0.04 * np.cos(phase)[:, None] * np.linspace(1.2, 0.8, 51)
+    sky = replace(other_sky, power={d: power * factor for d, power in other_sky.power.items()})
+    report, _ = investigate(under(world, sky), world.instrument, world.sky, is_own_sky=True)
+    assert report["findings"] == []
+    assert report["unexplained"] is None
+
+
+def test_a_step_beside_a_wave_of_the_sky_is_named_with_its_size(world):
+    """Its size was 8 sigma off: with the wave a part of the step had been taken out of the data."""
+    step = GainStep(size=0.03, date="2014-07-01", where=Where(antennas=(1,)))
+    factor = 1 + 0.04 * np.cos(4 * np.pi * world.sky.lst_hours / 24)[:, None]
+    sky = replace(world.sky, power={d: power * factor for d, power in world.sky.power.items()})
+    report, _ = investigate(under(world, sky, step), world.instrument, world.sky, is_own_sky=True)
+    (found,) = report["findings"]
+    assert (found["cause"], found["evidence"]["target"]) == ("gain_step", "antenna 1")
+    assert abs(found["size"]["value"] - 0.03) < 4 * found["size"]["sigma"]

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lbacal_core.discovery.noise import split_residuals
+from lbacal_core.causes.conditions import RAIN
+from lbacal_core.discovery.noise import HEAVY, _scatter, is_heavy, split_residuals
 
 NU = np.linspace(-1.0, 1.0, 51)
 FLAT = np.ones((1, 51))
@@ -25,9 +26,9 @@ def test_the_levels_of_known_noise_are_found(station, noise):
     levels = split_residuals(station, noise, FLAT).levels
     assert abs(levels.path_channel / 0.044 - 1) < 0.02  # 1/sqrt(2 x 16 paths x 300 events x 50) is 0.15 %
     # a vector of 51 channels: its amount is root 51 times the gain
-    assert abs((levels.path_shared[0, 0] / 51) ** 0.5 / 0.04 - 1) < 0.05  # the median of 16 paths
-    assert abs((levels.common_sum[0, 0] / 51) ** 0.5 / (0.03 * 2**0.5) - 1) < 0.15  # 300 events: 4 %, and the paths
-    assert (levels.common_difference[0, 0] / 51) ** 0.5 < 0.008
+    assert abs((levels.path_shared[0, 0, 0] / 51) ** 0.5 / 0.04 - 1) < 0.05  # the median of 16 paths
+    assert abs((levels.common_sum[0, 0, 0] / 51) ** 0.5 / (0.03 * 2**0.5) - 1) < 0.15  # 300 events: 4 %, and the paths
+    assert (levels.common_difference[0, 0, 0] / 51) ** 0.5 < 0.008
     np.testing.assert_allclose(levels.path_scale, 1.0)
 
 
@@ -72,8 +73,8 @@ def test_gains_with_a_shape_along_frequency_are_found_for_the_means_and_for_path
         front = 0.04 * rng.standard_normal((*noise.shape[:2], 1)) * THREE[1]
         moved = 0.02 * rng.standard_normal((1, noise.shape[1], 1)) * THREE[2]
         levels = split_residuals(station, flat + front + moved, THREE).levels
-        of_path.append(np.diag(levels.vectors.T @ levels.path_shared @ levels.vectors))
-        of_mean.append(np.diag(levels.vectors.T @ levels.common_sum @ levels.vectors / 2))
+        of_path.append(np.diag(levels.vectors.T @ levels.of_all(levels.path_shared) @ levels.vectors))
+        of_mean.append(np.diag(levels.vectors.T @ levels.of_all(levels.common_sum) @ levels.vectors / 2))
     assert np.sqrt(np.mean(of_path, axis=0)) == pytest.approx(0.04 * THREE[1], rel=0.1)
     found = np.sqrt(np.mean(of_mean, axis=0))[18:21]
     assert found == pytest.approx(0.02 * np.abs(THREE[2, 18:21]), rel=0.3)
@@ -84,7 +85,7 @@ def test_what_follows_an_axis_is_structure_and_no_noise_that_events_share(statio
     wave = np.cos(2 * np.pi * station.conditions.lst_hours / 24)[None, :, None] * THREE[2]
     still = split_residuals(station, noise, THREE).levels
     levels = split_residuals(station, noise + 0.02 * wave, THREE).levels
-    assert np.trace(levels.common_sum) < 2 * np.trace(still.common_sum) + 1e-6
+    assert np.trace(levels.common_sum[0]) < 2 * np.trace(still.common_sum[0]) + 1e-6
 
 
 def test_what_most_events_share_is_noise_and_what_a_few_have_is_not(station, noise):
@@ -103,3 +104,29 @@ def test_what_most_events_share_is_noise_and_what_a_few_have_is_not(station, noi
 def test_levels_are_at_most_three_vectors(station, noise):
     seeds = np.concatenate([THREE, NU[None]])
     assert split_residuals(station, noise, seeds).levels.vectors.shape == (3, 51)
+
+
+def test_bursts_in_a_few_events_do_not_count_as_noise(station, noise):
+    """Lightning in six events of a hundred made its own level, and the search said "consistent"."""
+    is_hit = (np.arange(noise.shape[1]) % 16 == 0)[None, :, None]
+    still, burst = (split_residuals(station, one, THREE).levels for one in (noise, noise + 0.2 * is_hit * THREE[1]))
+    assert np.trace(burst.common_sum[0]) == pytest.approx(np.trace(still.common_sum[0]), rel=0.15)
+
+
+def test_normal_amounts_keep_their_covariance_and_hardly_any_is_heavy():
+    rng = np.random.default_rng(8)
+    truth = np.array([[2.0, 0.6, 0.0], [0.6, 1.0, 0.1], [0.0, 0.1, 0.1]])
+    amount = rng.multivariate_normal(np.zeros(3), truth, 20_000)
+    assert is_heavy(amount).mean() == pytest.approx(HEAVY, abs=5 * (HEAVY / 20_000) ** 0.5)
+    np.testing.assert_allclose(_scatter(amount), truth, atol=0.05)
+
+
+def test_events_in_rain_have_levels_of_their_own(station, noise):
+    """A resonance that moves in rain alone was structure in single events, and once a cause that follows rain."""
+    wet = np.arange(noise.shape[1]) % 5 == 0
+    conditions = replace(station.conditions, covariates={**station.conditions.covariates, RAIN: 1.0 * wet})
+    moved = 0.6 * np.random.default_rng(9).standard_normal((1, noise.shape[1], 1)) * wet[:, None] * THREE[2]
+    levels = split_residuals(replace(station, conditions=conditions), noise + moved, THREE).levels
+    np.testing.assert_array_equal(levels.kind_of, wet)
+    dry, rainy = (np.diag(levels.vectors.T @ one @ levels.vectors).max() for one in levels.common_sum)
+    assert rainy > 4 * dry

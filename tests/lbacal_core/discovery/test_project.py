@@ -13,12 +13,14 @@ from lbacal_core.discovery.noise import split_residuals
 from lbacal_core.discovery.project import LinearModel
 from lbacal_core.discovery.refit import fit_chain, held_out_fold
 from lbacal_core.discovery.scan import group_templates, scan, score_families
-from lbacal_core.discovery.station import gather_stations
+from lbacal_core.discovery.station import gather_stations, model_modes
 from lbacal_core.discovery.view import make_profiles
+from lbacal_core.skypower.differences import DifferenceModels, compute_model_differences
 from lbacal_core.twin.campaign import simulate_campaign
 from lbacal_core.twin.nuisances import Nuisances
 from lbacal_core.twin.settings import TwinSettings
 
+NU = np.arange(30.0, 81.0)
 CHOSEN = ("gain_step", "lst_offset", "rfi_line", "gain_temperature", "cable_temperature")
 
 
@@ -52,7 +54,7 @@ def covariance_of(levels):
     """Noise of one path, shape (freq, freq)."""
     return (
         levels.path_channel**2 * np.eye(levels.vectors.shape[1])
-        + levels.vectors.T @ levels.path_shared @ levels.vectors
+        + levels.vectors.T @ levels.path_shared[0] @ levels.vectors
     )
 
 
@@ -63,6 +65,29 @@ def free_vectors_of(view):
         for f in range(channels):
             own[r * channels + f, r, :, f] = view.slope[r, :, f]
     return np.concatenate([own, view.constants])
+
+
+def test_inner_products_beside_a_free_sky_equal_those_of_all_its_vectors_written_out(chain, model):
+    """Waves along LST are kept as profiles and spectra; here every one is a vector of its own, with its prior."""
+    modes = model_modes(model.station, compute_model_differences(chain, DifferenceModels(("lfsm",), ("inverted-v",))))
+    view = replace(model, modes=modes).common
+    share = replace(model, modes=modes)._seen_in_mean(np.ones((1, 1, 1, 1)))[0].mean(axis=1)
+    waves = [modes.waves[0].changes[:, None] * share[:, None]]
+    waves += [modes.waves[1].changes[:, None] * (share * (np.arange(2) == d)[:, None])[:, None] for d in (0, 1)]
+    absorbed = np.concatenate([free_vectors_of(view), *waves])
+    prior = np.zeros(len(absorbed))
+    prior[2 * NU.size : 2 * NU.size + len(view.prior)] = view.prior
+    prior[-sum(map(len, waves)) :] = 1.0
+    templates = np.random.default_rng(2).standard_normal((2, *view.slope.shape))
+    weighed = view.see(templates).weighed
+    along = np.einsum("vref,kref->kv", absorbed, weighed, optimize=True)
+    gram = np.einsum("vref,wref->vw", absorbed, view.see(absorbed).weighed, optimize=True) + np.diag(prior)
+    size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    inverse = np.linalg.pinv(gram / np.outer(size, size), rcond=1e-10, hermitian=True) / np.outer(size, size)
+    slow = np.einsum("kref,jref->kj", templates, weighed, optimize=True) - along @ inverse @ along.T
+    np.testing.assert_allclose(view.gram(view.see(templates))[0], slow, rtol=1e-6, atol=1e-6 * slow[0, 0])
+    left = templates - np.tensordot(along @ inverse, absorbed, axes=1)
+    np.testing.assert_allclose(view.clean(templates), left, atol=1e-6)
 
 
 def test_scores_of_paths_equal_those_of_a_dense_covariance(model):
@@ -102,8 +127,8 @@ def slow_mean(model, mean):
     for e in range(events):
         vectors = levels.vectors
         common = np.mean(levels.common_channel**2) + levels.path_channel**2 * spread[:, e].mean()
-        joint = spread[:, e].mean() * levels.path_shared + common * np.eye(len(vectors))
-        plus, minus = levels.common_sum + joint, levels.common_difference + joint
+        joint = spread[:, e].mean() * levels.path_shared[0] + common * np.eye(len(vectors))
+        plus, minus = levels.common_sum[0] + joint, levels.common_difference[0] + joint
         blocks = [[(plus + minus) / 2 if i == j else (plus - minus) / 2 for j in range(2)] for i in range(2)]
         matrix = np.block([[vectors.T @ b @ vectors for b in row] for row in blocks])
         for i in range(letters):

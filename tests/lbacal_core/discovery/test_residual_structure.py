@@ -16,7 +16,7 @@ from lbacal_core.discovery.residual_structure import (
 )
 from lbacal_core.discovery.station import gather_stations
 from lbacal_core.twin.faults.uncatalogued import MainsHum
-from tests.lbacal_core.discovery.worlds import look_with_residual
+from tests.lbacal_core.discovery.worlds import Look, look_with_residual
 
 SIGNIFICANT = 0.002
 WHATEVER = 1.1
@@ -155,3 +155,18 @@ def test_structure_counts_where_its_probability_is_below_the_one_asked_for(look)
     assert whole.held_out_gain > 0
     assert spoilt.residual_structure(alpha=1.1 * whole.p_value).p_value == whole.p_value
     assert spoilt.residual_structure(alpha=0.9 * whole.p_value) is None
+
+
+def test_bursts_on_one_side_of_zero_are_seen_although_none_stands_out(station, model):
+    """Jupiter adds one or two standard deviations to a fifth of the events, along a vector that their noise has."""
+    rng = np.random.default_rng(12)
+    events, vectors = station.power.shape[1], model.residuals.seeds
+    noise = 0.02 * rng.standard_normal((events, 1)) * vectors[1]
+    burst = 0.08 * (rng.random((events, 1)) < 0.2) * vectors[1]
+    own = 0.044 * rng.standard_normal(station.power.shape)
+    look = Look(station, fit_chain(station), None)
+    for added, is_left in ((noise, False), (noise + burst, True)):
+        linear = look_with_residual(look, own + added).model.linear
+        found = find_structure(linear, np.random.default_rng(1), SIGNIFICANT)
+        assert (found is not None) == is_left
+        assert found is None or (found.axis_name, found.target) == ("event", "station")

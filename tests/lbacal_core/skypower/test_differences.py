@@ -13,6 +13,7 @@ from lbacal_core.skypower.differences import (
     ModelDifferences,
     compute_model_differences,
     model_difference_modes,
+    waves_at,
 )
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.variation import vary_sky_power
@@ -98,6 +99,31 @@ def test_an_instrument_elsewhere_gets_the_differences_of_its_own_site(superterp:
     change -= change.mean(axis=0)
     assert left_by(model_difference_modes(south, other.lst_hours)["X"], change)[0] < 3e-4
     assert left_by(model_difference_modes(superterp, other.lst_hours)["X"], change)[0] > 5e-3
+
+
+def test_waves_are_a_few_percent_and_smaller_at_higher_harmonics_and_degrees(superterp: Instrument) -> None:
+    together, own = waves_at(superterp.frequency_mhz, LST_HOURS)
+    assert together.changes.std(axis=(1, 2)) == pytest.approx(0.02 / 2**0.5)
+    size = np.abs(np.fft.rfft(own.changes, axis=1)).max(axis=2) / 24
+    harmonic = size.argmax(axis=1)
+    assert set(harmonic.tolist()) == {1, 2, 3, 4, 5}
+    strongest = [size[harmonic == k].max() for k in range(1, 6)]
+    assert np.all(np.diff(strongest) < 0)
+    assert strongest[0] == pytest.approx(0.008)
+
+
+def test_waves_describe_what_the_other_models_leave_of_one(superterp: Instrument) -> None:
+    """What a model leaves of another is some tenths of a percent; with the waves within three of their sigma, less."""
+    true, default = compute_sky_power(superterp, "lfsm", "inverted-v-wet"), compute_sky_power(superterp)
+    change = np.log(true.at("X", LST_HOURS) / default.at("X", LST_HOURS))
+    change -= change.mean(axis=0)
+    known = compute_model_differences(superterp, DifferenceModels(("gsm408",), ("inverted-v",))).shape["X"]
+    _, waves = waves_at(superterp.frequency_mhz, LST_HOURS)
+    left, _ = left_by(known, change)
+    beside, amount = left_by(np.concatenate([known, waves.changes]), change)
+    assert left > 3e-3
+    assert beside < 0.1 * left
+    assert np.sqrt(np.mean(amount[len(known) :] ** 2)) < 3
 
 
 def test_models_left_out_do_not_count(superterp: Instrument) -> None:

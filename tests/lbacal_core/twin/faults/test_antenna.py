@@ -1,9 +1,14 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from lbacal_core.twin.campaign import draw_stations, expected_power
 from lbacal_core.twin.faults.antenna import GainStep, GainTemperature, LnaNoiseSlope, ResonanceShift, circuit_response
+from lbacal_core.twin.nuisances import REALISTIC
+from tests.lbacal_core.twin.faults.conftest import QUIET
 
 
 def test_gain_follows_the_temperature_now_or_some_hours_ago(plant) -> None:
@@ -40,3 +45,17 @@ def test_the_circuit_peaks_where_it_is_told_and_a_shift_moves_the_antenna(plant)
         np.testing.assert_allclose(shifted.effect[:, :, ~is_wet], 0.0, atol=1e-12)
         assert np.all(shifted.effect[:, :, is_wet, 20] < 0)  # 50 MHz, below the resonance
         assert np.all(shifted.effect[:, :, is_wet, 36] > 0)  # 66 MHz, above it
+
+
+def test_a_resonance_moves_in_a_station_of_unequal_antennas_too(low_band, two_waves, view) -> None:
+    """It could not: the curve was that of antennas that are all alike."""
+    rng = np.random.default_rng(1)
+    (station,), _ = draw_stations(QUIET, low_band, two_waves, rng, replace(REALISTIC, departures=0.05), view)
+    assert len(station.stages.antenna) > 1
+    clean, moved = (
+        expected_power(station.stages, station.scene, faults)
+        for faults in ((), (ResonanceShift(size=0.1, follows="wet", is_circuit=False),))
+    )
+    is_wet = station.scene.rain_mm_h > 0
+    np.testing.assert_allclose(moved[:, :, ~is_wet], clean[:, :, ~is_wet], rtol=1e-9)
+    assert np.all(moved[:, :, is_wet, 36] > clean[:, :, is_wet, 36])  # 66 MHz, above the resonance
