@@ -44,9 +44,6 @@ from lbacal_core.discovery.view import make_profiles
 from lbacal_core.grids import Floats
 from lbacal_core.model import PLAIN, Model
 
-KNOWN_CHANGE = (0.5, 2.0)
-"""Factors on the power between which a structure may be taken out of the data."""
-
 
 @dataclass(frozen=True)
 class Finding:
@@ -157,9 +154,9 @@ def search_station(
     last, similar = grown, list[Finding]()
     if structure is not None:
         withdrawn = _withdrawn(first.linear, grown.findings, structure, search.again, policy)
-        if structure.axis is not None and structure.term is not None and search.has_significant:
+        if structure.axis is not None and structure.vectors is not None and search.has_significant:
             progress(f"{station.name}: looking for causes beside that structure")
-            last = _grow_beside(station, modes, structure.axis, structure.term, search, model)
+            last = _grow_beside(first, structure.axis, structure.vectors, search)
             withdrawn = _withdrawn(first.linear, last.findings, structure, None, policy)
     findings = [f for f in last.findings if structure is None or not any(f is one for one in withdrawn)]
     if structure is not None:
@@ -213,24 +210,18 @@ def _grow(first: FittedModel, search: StationSearch) -> _Grown:
     return _Grown(models[-1], others, findings)
 
 
-def _grow_beside(
-    station: Station, modes: SkyModes | None, axis: Axis, term: Floats, search: StationSearch, model: Model
-) -> _Grown:
-    """Look again for causes that do not act along the axis of a structure, after taking the structure out of the data.
+def _grow_beside(first: FittedModel, axis: Axis, vectors: Floats, search: StationSearch) -> _Grown:
+    """Look again for causes that do not act along the axis of a structure, with the vectors that describe it free.
 
     A structure along one axis explains what varies along it, and nothing else: a gain step beside it is still named.
     """
-    letters = np.unique(station.dipole)
-    change = 1.0 + term[np.searchsorted(letters, station.dipole)]
-    without = replace(station, power=station.power / np.clip(change, *KNOWN_CHANGE))
     others = [one for one in CAUSES if axis.along not in one.axes]
     beside = StationSearch(
-        without, search.targets, search.policy, search.stations, search.seed, search.progress, others
+        first.station, search.targets, search.policy, search.stations, search.seed, search.progress, others
     )
-    beside.hidden, beside.alpha = search.hidden, search.alpha * search.policy.beside_share
-    adopted = fit_adopted(without, model, modes)
-    beside.adopted = len(adopted.sizes)
-    return _grow(adopted.model, beside)
+    beside.hidden, beside.adopted = search.hidden, search.adopted
+    beside.alpha = search.alpha * search.policy.beside_share
+    return _grow(replace(first, linear=replace(first.linear, empirical=vectors).beside_modes()), beside)
 
 
 def _structure_beside(grown: _Grown, search: StationSearch, rng: np.random.Generator) -> ResidualStructure | None:
