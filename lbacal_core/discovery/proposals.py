@@ -191,7 +191,8 @@ def refine(model: LinearModel, score: Score, policy: Policy) -> Hypothesis:
 def gain_of(before: FittedModel, hypothesis: Hypothesis, score: Score) -> float:
     """Gain in log-likelihood on held-out events, the time profile chosen again for the same spectral template."""
     cause, conditions = hypothesis.cause, before.station.conditions
-    same = {name: hypothesis.template.parameters[name] for name in cause.spectral_parameters}
+    known = hypothesis.template.parameters
+    same = {name: known[name] for name in cause.spectral_parameters if name in known}
     key = cause.spectral_key(score.template)
     alike = [one for one in cause.templates(conditions) if cause.spectral_key(one) == key]
     nearby = [hypothesis.template, *(Template({**one.parameters, **same}) for one in alike)]

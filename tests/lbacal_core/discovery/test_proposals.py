@@ -16,6 +16,7 @@ from lbacal_core.discovery.station import gather_stations
 from lbacal_core.twin.faults.antenna import GainStep
 from lbacal_core.twin.faults.fault import Where
 from lbacal_core.twin.faults.interference import RfiBroadband
+from lbacal_core.twin.faults.sky import DipoleSwap
 
 NAMED = {cause.identifier: cause for cause in CAUSES}
 
@@ -82,3 +83,10 @@ def test_a_cause_of_one_template_keeps_it(clean, chain, sky):
     score = Score(drift, Template(), list_targets(model.station)[0], 5.0, 0.1, events=300)
     found = refine(model, score, Policy())
     assert (found.template, found.size, found.template_sigma) == (Template(), 0.1, 0.0)
+
+
+def test_an_exchange_of_the_only_two_letters_has_a_gain_on_held_out_events(world):
+    """Its template names no pair of letters where there is one, and the gain asked for the pair: KeyError."""
+    look = world.look(DipoleSwap(size=0.3))
+    (found,) = [one for one in look.investigate().findings if one.hypothesis.cause.identifier == "dipole_swap"]
+    assert found.held_out_gain > 0
