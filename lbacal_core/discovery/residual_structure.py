@@ -29,6 +29,8 @@ NOISE_DRAWS = 60
 TAIL = 0.8
 """Units s of the tail exp(-2/3 s^1.5) in one spread of the simulated largest eigenvalue. The Tracy-Widom distribution
 of order 1 (Johnstone 2001, Ann. Stat. 29, 295) has s = 1.27 x - 1.21 at x spreads: 0.8 x is careful beyond x = 2.6."""
+LINE = 5.0
+"""Standard deviations at which a channel of an event is cut: beyond are lines of interference, which noise has not."""
 ORDINARY = 0.01
 """Share of events far outside the noise that is no structure: interference that was left, in drawn worlds 0.7 %."""
 SMALLEST_SIZE = 1e-6
@@ -260,10 +262,11 @@ def _in_single_events(model: LinearModel, rng: np.random.Generator) -> _Candidat
     the skewness of the others (Mardia 1970, Biometrika 57, 519) for the third: noise has no preferred sign.
     """
     white = _whiten(model, model.residuals.mean)
-    _, values, right = np.linalg.svd(white, full_matrices=False)
+    cut = np.clip(white, -LINE, LINE)
+    _, values, right = np.linalg.svd(cut, full_matrices=False)
     noise = np.array([_largest_of_noise(rng, *white.shape) for _ in range(NOISE_DRAWS)])
     # Scaled to the total of the noise, so that a wrong noise level does not look like structure.
-    observed = values[0] ** 2 / np.sum(white**2) * white.size
+    observed = values[0] ** 2 / np.sum(cut**2) * cut.size
     mean, spread = float(noise.mean()), float(noise.std())
     excess = max((observed - mean) / spread, 0.0)
     in_many = float(min(np.exp(-2.0 / 3.0 * (TAIL * excess) ** 1.5), 1.0))
