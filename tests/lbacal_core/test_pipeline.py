@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.discovery.investigate import investigate
 from lbacal_core.errors import BadInputError
 from lbacal_core.instrument import AntennaRecord, Instrument
@@ -96,3 +97,53 @@ def test_a_letter_that_the_instrument_does_not_have_is_named():
         calibrate(other, ONE_ARM)
     with pytest.raises(BadInputError, match=r"P_sky of each dipole of instrument somewhere .*found no EW, NS, UP"):
         sky.require_made_for(THREE_ARMS)
+
+
+def draw_instrument(rng) -> Instrument:
+    """One to three arms, 8-200 uneven channels between 10 and 400 MHz, a flat or a shaped receiver, any latitude."""
+    low = float(rng.uniform(10.0, 200.0))
+    high = min(float(rng.uniform(1.5, 4.0)) * low, 400.0)
+    frequency_mhz = np.sort(rng.uniform(low, high, int(rng.integers(8, 201))))
+    arms = {letter: float(rng.uniform(0.0, 180.0)) for letter in "ABC"[: rng.integers(1, 4)]}
+    shape = np.exp(-((frequency_mhz / high) ** 6) * rng.uniform(0.3, 2.0)) if rng.random() < 0.5 else None
+    latitude = float(np.degrees(np.arcsin(rng.uniform(-0.95, 0.95))))  # within 18 degrees of a pole no sky sets
+    made = make_instrument(arms, frequency_mhz, latitude, antennas=int(rng.integers(1, 4)), receiver_gain=shape)
+    return replace(made, antenna="quarter-wave")
+
+
+def test_instruments_drawn_anywhere_are_calibrated_with_the_truth_inside_the_errors():
+    medians, statuses = [], []
+    for seed in range(10):
+        rng = np.random.default_rng([17, seed])
+        drawn = draw_instrument(rng)
+        campaign = simulate_campaign(TwinSettings(events_per_year=250), drawn, compute_sky_power(drawn), rng)
+        report = fit_calibration(campaign.spectra, drawn, compute_sky_power(drawn))
+        statuses += [curve.status for curve in report.curves]
+        is_flat = np.ptp(drawn.receiver_gain) == 0
+        found = [curve for curve in report.curves if curve.c is not None]
+        assert all((curve.merged is not None) >= is_flat for curve in found)
+        medians += [np.nanmedian(one) for one in pulls_of(replace(report, curves=tuple(found)), campaign.truth)]
+    # 26 of 29 with these ten; a curve that has no answer says so
+    assert np.mean(np.array(statuses) == "converged") > 0.8
+    assert np.max(np.abs(medians)) < 4.0
+    # channels of a curve move together, and so do curves of a station
+    assert np.sqrt(np.mean(np.square(medians))) < 1.5
+
+
+@pytest.mark.parametrize("seed", [1, 7])
+def test_an_instrument_drawn_anywhere_is_investigated_and_found_consistent(seed):
+    rng = np.random.default_rng([17, seed])
+    drawn = draw_instrument(rng)
+    few = np.linspace(0, drawn.frequency_mhz.size - 1, 16).astype(int)  # minutes with 200 channels
+    drawn = replace(
+        drawn,
+        frequency_mhz=drawn.frequency_mhz[few],
+        antenna_gain=drawn.antenna_gain[few],
+        receiver_gain=drawn.receiver_gain[few],
+        cables={name: loss[few] for name, loss in drawn.cables.items()},
+    )
+    sky = compute_sky_power(drawn)
+    spectra = simulate_campaign(TwinSettings(events_per_year=200), drawn, sky, rng).spectra
+    report, _ = investigate(spectra, drawn, sky)
+    assert report["verdict"] == "consistent"
+    json.dumps(report, allow_nan=False)
