@@ -23,7 +23,7 @@ from service.usecases.inputs import Inputs, name_inputs
 from service.usecases.intake import Intake
 from service.usecases.investigations import Investigations
 from service.usecases.keys import Keys
-from service.usecases.models import Models
+from service.usecases.models import Models, find_stopped
 from service.usecases.orders import Limits
 from service.usecases.payoff import Payoff
 from service.usecases.promotions import Promotions
@@ -148,7 +148,7 @@ class Factory:
     @cached_property
     def alarms(self) -> Alarms:
         """What is wrong."""
-        return Alarms(self.database, self.clock, self.settings.stale_days)
+        return Alarms(self.database, self.clock, self.settings.stale_days, lambda: find_stopped(self.models.history()))
 
     @cached_property
     def due(self) -> DueWork:

@@ -2,7 +2,8 @@
 
 Steps and slopes come from the watch (`service.usecases.watch`), which follows all paths when their months changed. What
 a look at the database can tell is looked for every night: paths that went silent while others have events, data that
-stopped coming, versions that misfit, work that failed and that nothing made up for.
+stopped coming, versions that misfit, adopted causes that gain too little on new events, work that failed and that
+nothing made up for.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from lbacal_core.errors import BadInputError
 from lbacal_core.validity import Instant, Scope
 from service.storage.alarms import (
     ACKNOWLEDGED,
+    CAUSE_STOPPED_PAYING,
     FAILED_JOB,
     LOST_PATH,
     MISFIT,
@@ -28,6 +30,7 @@ from service.storage.jobs import Job
 from service.wire.bodies import AcknowledgementBody
 from service.wire.instants import DAY_US, format_instant, parse_instant
 
+LOOKED_FOR = (LOST_PATH, STALE_DATA, MISFIT, FAILED_JOB, CAUSE_STOPPED_PAYING)
 LOST_EVENTS = 20
 """So many events of others, eight days of a LOFAR year, without one of a path: it is lost."""
 FAILURES_SINCE_US = 30 * DAY_US
@@ -64,14 +67,23 @@ class Alarms:
     database: Database
     clock: Callable[[], Instant]
     stale_days: float
+    stopped: Callable[[], Sequence[News]]
+    """Adopted causes that no longer pay."""
 
     def look(self) -> list[int]:
         """Take in what the database tells; the alarms that are new."""
         now = self.clock()
+        stopped = self.stopped()
         with self.database.read() as stores:
-            present = [*self._lost(stores), *self._stale(stores, now), *_misfits(stores), *_failures(stores, now)]
+            present = [
+                *stopped,
+                *self._lost(stores),
+                *self._stale(stores, now),
+                *_misfits(stores),
+                *_failures(stores, now),
+            ]
         with self.database.write() as stores:
-            return stores.alarms.settle((LOST_PATH, STALE_DATA, MISFIT, FAILED_JOB), present, now)
+            return stores.alarms.settle(LOOKED_FOR, present, now)
 
     def newest(
         self, *, states: Sequence[str], kind: str | None, station: str | None, before: int | None, limit: int

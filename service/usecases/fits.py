@@ -6,7 +6,7 @@ Nothing is written here: a refit keeps what these functions make, and the dry ru
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -18,6 +18,7 @@ from lbacal_core.calibration.chain_test import SkyFreedom
 from lbacal_core.calibration.paths import MIN_EVENTS
 from lbacal_core.covariance import Budget
 from lbacal_core.curves import CalibrationCurve, FitReport
+from lbacal_core.drift.windows import cut_window
 from lbacal_core.instrument import Instrument
 from lbacal_core.model import Model
 from lbacal_core.reference_chain import ReferenceChain
@@ -30,6 +31,7 @@ from service.storage.database import Stores
 from service.storage.spectra import Window
 from service.storage.versions import Version
 from service.usecases.inputs import hash_covariates
+from service.usecases.windows import SECOND_US, lend_to_small
 from service.wire.instants import format_instant
 
 
@@ -92,12 +94,21 @@ class Fits:
         made, spectra = self.clock(), whole.recorded
         is_part = wanted.window.scope != wanted.of
         fitted = whole.select(_rows_of(spectra, wanted.of)) if is_part else whole
-        report = fitted.fit(wanted.scope, self.freedom())
-        report = add_budget(report, compute_budget(fitted.spectra, self.instrument, self.sky_power()))
         beside = {} if whole.model.is_plain else {"environment": hash_covariates(spectra)}
         if beside and wanted.scope == "antenna":
             beside["model_spectra"] = spectra.digest()
-        return Made(_versions(spectra, report, wanted, made, beside), report.budgets)
+        ends = wanted.since / SECOND_US, wanted.until / SECOND_US
+        pieces, versions, budgets = [], list[Version](), dict[str, Budget]()
+        for rows in cut_window(fitted.recorded, self.instrument, wanted.scope, *ends):
+            of_piece = fitted if np.all(rows.rows) else fitted.select(rows.rows)
+            report = of_piece.fit(wanted.scope, self.freedom())
+            report = add_budget(report, compute_budget(of_piece.spectra, self.instrument, self.sky_power()))
+            during = replace(wanted, since=round(rows.since_unix * SECOND_US), until=round(rows.until_unix * SECOND_US))
+            recorded = spectra if np.all(rows.rows) else of_piece.recorded
+            versions += _versions(recorded, report, during, made, beside)
+            budgets |= report.budgets
+            pieces.append((during.since, of_piece.spectra))
+        return Made(lend_to_small(versions, pieces, self.instrument, self.sky_power()), budgets)
 
 
 def _versions(

@@ -12,6 +12,7 @@ from typing import Any
 
 from lbacal_core.calibration.paths import MIN_EVENTS
 from lbacal_core.discovery.policy import Policy
+from lbacal_core.drift.windows import leave_out_changed
 from lbacal_core.instrument import Instrument
 from lbacal_core.model import Model
 from lbacal_core.provenance import MODEL_VERSION, hash_content
@@ -88,6 +89,10 @@ class Investigations:
         if spectra is None:
             between = f"{format_instant(since)} and {format_instant(until)}"
             raise ConflictError(f"no usable spectra of {station} between {between}")
+        whole = leave_out_changed(spectra, self.instrument)
+        if whole is None:
+            raise ConflictError(f"every antenna of {station} changed in this window: ask for shorter ones")
+        spectra = whole
         inputs = self._inputs(spectra, model)
         name = hash_content(inputs)
         with self.database.read() as stores:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -99,7 +99,13 @@ class Refits:
             stores.versions.add(made)
             return _Kept({"calibrations": [version.id for version in made], "promoted": [], "gated": {}}, [])
         stores.ledger.lock()
-        since, until = part.request["since"], part.request["until"]
+        windows = dict.fromkeys(version.window for version in made)
+        kept = [self._keep_window(stores, [v for v in made if v.window == window], part) for window in windows]
+        return _Kept.of(kept)
+
+    def _keep_window(self, stores: Stores, made: list[Version], part: Part) -> _Kept:
+        """Store the new versions of one window."""
+        since, until = made[0].window
         middle = (since + until) // 2
         scopes = [version.scope for version in made]
         before = find_predecessors(stores.ledger, scopes, middle)
@@ -136,6 +142,16 @@ class _Kept:
 
     result: Mapping[str, Any]
     promotions: list[Promotion]
+
+    @classmethod
+    def of(cls, kept: Sequence[_Kept]) -> _Kept:
+        """What several windows left behind, together."""
+        result: dict[str, Any] = {
+            name: [one for each in kept for one in each.result[name]] for name in ("calibrations", "promoted")
+        }
+        result["gated"] = {name: why for each in kept for name, why in each.result["gated"].items()}
+        result["examined"] = sum(each.result["examined"] for each in kept)
+        return cls(result, [promotion for each in kept for promotion in each.promotions])
 
 
 def _explain_other_model(stores: Stores, part: Part) -> str | None:

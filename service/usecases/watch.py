@@ -109,7 +109,8 @@ def _tell(report: Mapping[str, Any]) -> Iterator[News]:
             f"{who}: C changed by {change['size']:+.2%} +- {change['sigma']:.2%} "
             f"on {format_instant(since)[:10]} +- {change['date_sigma_days']:.1f} days"
         )
-        yield News(STEP, Scope(change["station"]), "", sentence, change, since, error)
+        content = {**change, "proposal": _propose(change, format_instant(since))}
+        yield News(STEP, Scope(change["station"]), "", sentence, content, since, error)
     for slope in report["slopes"]:
         if not slope["is_found"]:
             continue
@@ -125,6 +126,12 @@ def _tell(report: Mapping[str, Any]) -> Iterator[News]:
     if whole is not None and whole["p_value"] < TREND_P:
         sentence = f"C of all paths changes by {whole['slope']:+.2%} +- {whole['sigma']:.2%} a year"
         yield News(SLOPE, Scope(), "", sentence, {name: whole[name] for name in ("slope", "sigma", "limit_95")})
+
+
+def _propose(change: Mapping[str, Any], date: str) -> list[dict[str, Any]]:
+    """What the instrument file would say if hardware changed then: refits cut their windows there."""
+    antennas = sorted({one["antenna"] for one in change["members"] if one["antenna"] is not None})
+    return [{"station": change["station"], "antenna": antenna, "since": date} for antenna in antennas]
 
 
 def _name(station: str, one: Mapping[str, Any]) -> str:

@@ -1,15 +1,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from fastapi.testclient import TestClient
 
 from lbacal_core.spectra import Spectra
+from lbacal_core.validity import Scope
 from service.app import make_app
 from service.factory import Factory
 from service.scheduler import look_for_due_work
+from service.storage.alarms import CAUSE_STOPPED_PAYING, News
 from tests.service.conftest import MHZ, Clock, instant
 from tests.service.test_worker import work
 
@@ -145,7 +148,20 @@ def test_a_step_is_raised_once_and_a_season_not_at_all(station: Factory) -> None
         (step,) = alarms(client, kind="step")
         assert step["sentence"].startswith("CS002/2/Y: C changed by -6.")
         assert abs(np.datetime64(step["since"][:10]) - np.datetime64("2015-04-11")) <= np.timedelta64(3, "D")
+        (proposed,) = step["content"]["proposal"]
+        assert (proposed["station"], proposed["antenna"], proposed["since"]) == ("CS002", 2, step["since"])
         assert alarms(client, kind="slope") == []
         assert look_for_due_work(station) == []
         assert len(alarms(client, kind="step", state="all")) == 1
         assert "CS002/2/Y" in client.get("/alarms").text
+
+
+def test_a_cause_that_stopped_paying_is_an_alarm_until_it_pays_or_is_withdrawn(
+    factory: Factory, client: TestClient
+) -> None:
+    news = News(CAUSE_STOPPED_PAYING, Scope("CS001"), "a" * 64, "CS001: lst_offset gained 0.1, expected 8.0 ± 2.0")
+    replace(factory.alarms, stopped=lambda: [news]).look()
+    (alarm,) = alarms(client)
+    assert (alarm["kind"], alarm["station"]) == ("cause_stopped_paying", "CS001")
+    factory.alarms.look()
+    assert alarms(client) == []

@@ -1,0 +1,97 @@
+"""Windows follow the hardware: where the instrument says that antennas changed inside one, it is cut.
+
+A path whose antenna changed is fitted before and after by itself. A mean over antennas leaves out those that changed
+inside its window, unless they are most of them: then it is cut at their dates too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lbacal_core.instrument import Instrument
+from lbacal_core.spectra import Spectra
+
+LARGEST_SHARE_LEFT_OUT = 0.5
+
+Owner = tuple[str, int]
+"""Station and antenna."""
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A part of a window, [since, until) in s UTC; `rows` are its spectra, of antennas that did not change in it."""
+
+    since_unix: float
+    until_unix: float
+    rows: NDArray[np.bool_]
+
+
+def find_hardware_changes(instrument: Instrument) -> dict[Owner, tuple[float, ...]]:
+    """When antennas changed, s UTC and rising, as the instrument says; those that never did are left out."""
+    found: dict[Owner, set[float]] = {}
+    for record in instrument.antennas:
+        dates = {date for date in (record.since, record.until) if date is not None}
+        if dates:
+            found.setdefault((record.station, record.antenna), set()).update(dates)
+    return {owner: tuple(sorted(dates)) for owner, dates in found.items()}
+
+
+def cut_window(
+    spectra: Spectra, instrument: Instrument, scope: str, since_unix: float, until_unix: float
+) -> list[Piece]:
+    """Cut the window of a fit; pieces without spectra are left out.
+
+    Parameters
+    ----------
+    scope
+        ``antenna``, ``station`` or ``array``.
+    """
+    inside = {
+        owner: tuple(date for date in dates if since_unix < date < until_unix)
+        for owner, dates in find_hardware_changes(instrument).items()
+    }
+    owners = _owners(spectra)
+    changed = {owner: inside[owner] for owner in sorted(set(owners)) if inside.get(owner)}
+    if not changed:
+        return [Piece(since_unix, until_unix, np.ones(len(spectra), dtype=bool))]
+    has_changed = np.array([owner in changed for owner in owners])
+    rest = [] if np.all(has_changed) else [Piece(since_unix, until_unix, ~has_changed)]
+    if scope == "antenna":
+        return rest + list(_cut_each(spectra, owners, changed, since_unix, until_unix))
+    if len(changed) <= LARGEST_SHARE_LEFT_OUT * len(set(owners)):
+        return rest
+    edges = [since_unix, *sorted({date for dates in changed.values() for date in dates}), until_unix]
+    return list(_pieces(spectra, np.ones(len(spectra), dtype=bool), edges))
+
+
+def leave_out_changed(spectra: Spectra, instrument: Instrument) -> Spectra | None:
+    """The spectra of antennas that did not change while these were recorded; None where there are none."""
+    first, last = float(spectra.time_unix.min()), float(spectra.time_unix.max())
+    changes = find_hardware_changes(instrument)
+    is_whole = np.array([not any(first < d <= last for d in changes.get(o, ())) for o in _owners(spectra)])
+    return spectra if np.all(is_whole) else spectra.select(is_whole) if np.any(is_whole) else None
+
+
+def _owners(spectra: Spectra) -> list[Owner]:
+    return list(zip(spectra.station.tolist(), spectra.antenna.tolist(), strict=True))
+
+
+def _cut_each(
+    spectra: Spectra, owners: list[Owner], changed: dict[Owner, tuple[float, ...]], since_unix: float, until_unix: float
+) -> Iterator[Piece]:
+    """The pieces of antennas that changed; those that changed at the same dates share theirs."""
+    for dates in sorted(set(changed.values())):
+        is_one = np.array([changed.get(owner) == dates for owner in owners])
+        yield from _pieces(spectra, is_one, [since_unix, *dates, until_unix])
+
+
+def _pieces(spectra: Spectra, is_one: NDArray[np.bool_], edges: list[float]) -> Iterator[Piece]:
+    for start, end in pairwise(edges):
+        rows = is_one & (spectra.time_unix >= start) & (spectra.time_unix < end)
+        if np.any(rows):
+            yield Piece(start, end, rows)

@@ -1,0 +1,83 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lbacal_core.drift.windows import cut_window, find_hardware_changes, leave_out_changed
+from lbacal_core.instrument import AntennaRecord, Instrument
+from lbacal_core.spectra import Spectra
+
+MHZ = np.array([30.0, 45.0, 60.0, 80.0])
+DAYS = 100
+ZERO = 1.4e9
+"""Days of these tests are seconds from here, s UTC."""
+
+
+def make_instrument(changes: dict[int, float], antennas: int = 4) -> Instrument:
+    """Antennas of one station; those named change their cable on a day."""
+    records = []
+    for antenna in range(antennas):
+        day = None if antenna not in changes else ZERO + changes[antenna]
+        records.append(AntennaRecord("CS001", antenna, "80m", None, day))
+        if day is not None:
+            records.append(AntennaRecord("CS001", antenna, "50m", day, None))
+    ones = np.ones(4)
+    cables = {"80m": 0.5 * ones, "50m": 0.7 * ones}
+    return Instrument("one", 52.9, 6.9, 50.0, MHZ, {"X": 45.0, "Y": 135.0}, ones, ones, cables, tuple(records))
+
+
+@pytest.fixture
+def spectra() -> Spectra:
+    rows = [(day, antenna) for day in range(DAYS) for antenna in range(4)]
+    day, antenna = (np.array(column) for column in zip(*rows, strict=True))
+    return Spectra(
+        frequency_mhz=MHZ, power=np.ones((len(rows), 4)), event_id=np.array([f"e{d}" for d in day]),
+        time_unix=ZERO + day, station=np.full(len(rows), "CS001"), antenna=antenna,
+        dipole=np.full(len(rows), "X"), blocks=np.full(len(rows), 100),
+    )  # fmt: skip
+
+
+def test_without_changes_a_window_is_whole(spectra: Spectra) -> None:
+    for scope in ("antenna", "station", "array"):
+        (piece,) = cut_window(spectra, make_instrument({}), scope, ZERO, ZERO + 100.0)
+        assert np.all(piece.rows)
+
+
+def test_paths_are_cut_where_their_own_antenna_changed(spectra: Spectra) -> None:
+    pieces = cut_window(spectra, make_instrument({2: 30.0, 3: 60.0}), "antenna", ZERO, ZERO + 100.0)
+    told = [(p.since_unix - ZERO, p.until_unix - ZERO, sorted(set(spectra.antenna[p.rows].tolist()))) for p in pieces]
+    assert told == [(0, 100, [0, 1]), (0, 30, [2]), (30, 100, [2]), (0, 60, [3]), (60, 100, [3])]
+    assert sum(piece.rows.sum() for piece in pieces) == len(spectra)
+
+
+def test_a_mean_leaves_out_the_few_that_changed(spectra: Spectra) -> None:
+    """A cable that was changed inside a year refused the whole station's refit."""
+    (piece,) = cut_window(spectra, make_instrument({2: 30.0}), "station", ZERO, ZERO + 100.0)
+    assert sorted(set(spectra.antenna[piece.rows].tolist())) == [0, 1, 3]
+    assert (piece.since_unix, piece.until_unix) == (ZERO, ZERO + 100.0)
+
+
+def test_where_most_changed_the_mean_is_cut(spectra: Spectra) -> None:
+    pieces = cut_window(spectra, make_instrument({0: 30.0, 1: 30.0, 2: 60.0}), "station", ZERO, ZERO + 100.0)
+    assert [(p.since_unix - ZERO, p.until_unix - ZERO) for p in pieces] == [(0, 30), (30, 60), (60, 100)]
+
+
+def test_changes_outside_the_window_cut_nothing(spectra: Spectra) -> None:
+    for day in (-5.0, 0.0, 100.0, 200.0):
+        assert len(cut_window(spectra, make_instrument({2: day}), "antenna", ZERO, ZERO + 100.0)) == 1
+
+
+def test_what_changed_while_it_was_recorded_is_left_out(spectra: Spectra) -> None:
+    kept = leave_out_changed(spectra, make_instrument({1: 30.0}))
+    assert kept is not None
+    assert 1 not in kept.antenna
+    assert leave_out_changed(spectra, make_instrument({1: 200.0})) is spectra
+    assert leave_out_changed(spectra, make_instrument(dict.fromkeys(range(4), 50.0))) is None
+
+
+def test_changes_are_those_of_the_records() -> None:
+    instrument = make_instrument({2: 30.0})
+    assert find_hardware_changes(instrument) == {("CS001", 2): (ZERO + 30.0,)}
+    assert find_hardware_changes(replace(instrument, antennas=instrument.antennas[:2])) == {}

@@ -1,0 +1,123 @@
+from __future__ import annotations
+
+import json
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from fastapi.testclient import TestClient
+
+from lbacal_core.instrument import Instrument
+from lbacal_core.skypower.table import read_sky_power, write_sky_power
+from lbacal_core.spectra import Spectra
+from service.app import make_app
+from service.config import Settings
+from service.factory import Factory
+from service.wire.bodies import InvestigationBody, RefitBody
+from service.worker import Worker
+from tests.service.conftest import Clock
+
+YEAR = {"since": "2015-01-01", "until": "2016-01-01"}
+
+
+@pytest.fixture
+def with_change(
+    database_url: str, superterp: Instrument, sky_power_file: Path, campaign: Spectra, clock: Clock, tmp_path: Path
+) -> Iterator[Callable[[str], Factory]]:
+    """Makes a service that holds the campaign, with an instrument whose antenna 2 has another cable since a date."""
+    made: list[Factory] = []
+
+    def make(date: str) -> Factory:
+        content = superterp.as_dict()
+        (record,) = [one for one in content["antennas"] if (one["station"], one["antenna"]) == ("CS002", 2)]
+        content["cables"]["spare"] = content["cables"][record["cable"]]
+        content["antennas"].remove(record)
+        content["antennas"] += [{**record, "until": date}, {**record, "cable": "spare", "since": date}]
+        instrument, sky = tmp_path / "instrument.json", tmp_path / "sky.json"
+        instrument.write_text(json.dumps(content))
+        write_sky_power(read_sky_power(sky_power_file), sky)
+        settings = Settings(
+            database_url=database_url, instrument=str(instrument), sky_power=sky, nightly_investigations=False
+        )
+        factory = Factory(settings, clock)
+        with factory.database.write() as stores:
+            stores.spectra.add(campaign)
+        made.append(factory)
+        return factory
+
+    yield make
+    for factory in made:
+        factory.database.close()
+
+
+def refit(factory: Factory, scope: str) -> Any:
+    body = RefitBody.model_validate({"scope": scope, **YEAR, "reason": "test", "promote": True})
+    number = factory.refits.request(body, "test")
+    Worker(factory, "worker").run(threading.Event(), until_idle=True)
+    job = factory.jobs.get(number)
+    assert job.state == "done", job.errors
+    return job
+
+
+def test_a_cable_that_changed_inside_a_year_makes_two_windows_of_its_paths_alone(
+    with_change: Callable[[str], Factory],
+) -> None:
+    factory = with_change("2015-04-11")
+    refit(factory, "antenna")
+    with TestClient(make_app(factory)) as client:
+        versions = client.get("/v1/calibrations?limit=100").json()["calibrations"]
+        windows: dict[int, set[tuple[str, str]]] = {}
+        for one in versions:
+            windows.setdefault(one["antenna"], set()).add((one["since"][:10], one["until"][:10]))
+        whole, change = ("2015-01-01", "2016-01-01"), "2015-04-11"
+        assert windows == {a: {whole} for a in (0, 1, 3)} | {2: {(whole[0], change), (change, whole[1])}}
+        ask = {"station": "CS002", "antenna": 2, "dipole": "Y"}
+        before, after = (
+            client.get("/v1/calibrations/effective", params={"at": at, **ask}).json()["curves"][0]
+            for at in ("2015-03-01", "2015-06-01")
+        )
+        # the power gain rises by 15 % at that date: C falls by 6.7 %, and neither window mixes both
+        assert np.median(np.array(after["c"]) / np.array(before["c"])) == pytest.approx(1.15**-0.5, abs=0.02)
+
+
+def test_a_window_too_small_for_a_fit_borrows_from_its_neighbour_and_says_so(
+    with_change: Callable[[str], Factory],
+) -> None:
+    factory = with_change("2015-12-01")
+    refit(factory, "antenna")
+    with TestClient(make_app(factory)) as client:
+        ask = {"station": "CS002", "antenna": 2, "dipole": "X", "at": "2015-12-15"}
+        (curve,) = client.get("/v1/calibrations/effective", params=ask).json()["curves"]
+        assert curve["answered_by"] == "antenna"
+        assert curve["events"] < 60
+        version = client.get(f"/v1/calibrations/{curve['calibration']}").json()
+        assert "too few events for a fit: C is that of 2015-01-01 to 2015-12-01" in version["reason"]
+        (longer,) = client.get("/v1/calibrations/effective", params={**ask, "at": "2015-06-01"}).json()["curves"]
+        ratio = np.array(curve["c"]) / np.array(longer["c"])
+        assert np.ptp(ratio) < 1e-9, "one gain: nothing else is its own"
+        assert ratio[0] == pytest.approx(1.0, abs=0.03)
+        assert curve["c_sigma_stat"][20] > longer["c_sigma_stat"][20]
+
+
+def test_a_station_is_fitted_without_the_antenna_whose_cable_changed(with_change: Callable[[str], Factory]) -> None:
+    """A cable that was changed inside a year refused the whole station's refit."""
+    factory = with_change("2015-06-01")
+    job = refit(factory, "station")
+    with factory.database.read() as stores:
+        version = stores.versions.get(job.results[0]["calibrations"][0])
+    assert {antenna for _, antenna in version.chains["X"].members} == {0, 1, 3}
+
+
+def test_an_investigation_leaves_out_the_antenna_whose_cable_changed(with_change: Callable[[str], Factory]) -> None:
+    factory = with_change("2015-06-01")
+    body = InvestigationBody.model_validate({**YEAR, "station": "CS002", "reason": "test"})
+    number = factory.investigations.request(body, "test")
+    Worker(factory, "worker").run(threading.Event(), until_idle=True)
+    job = factory.jobs.get(number)
+    assert job.state == "done", job.errors
+    report = factory.investigations.get(job.results[0]["results"][0]).report
+    # the step was planted in the antenna that is left out
+    assert "gain_step" not in [finding["cause"] for finding in report["findings"]]
