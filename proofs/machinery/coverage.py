@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from lbacal_core.grids import Floats
-from proofs.machinery.claims import Asked, Claim, between, claim_mean
+from proofs.machinery.claims import Asked, Claim, between, claim_mean, claim_rate
 from proofs.machinery.parts import Row
 
 WITHIN = {1: between(0.60, 0.76), 2: between(0.91, 0.98)}
@@ -20,10 +20,15 @@ def count_within(name: str, pull: Floats) -> Row:
 
 
 def claim_coverage(rows: Sequence[Row], name: str, what: str, asked: dict[int, Asked] | None = None) -> list[Claim]:
-    """Claims about the mean of `count_within` over trials; `what` is the beginning of the sentence."""
-    return [
-        claim_mean(
-            f"{name}_{k}", f"{what} lies within {k} sigma", limits, np.array([r[f"{name}_{k}"] for r in rows]), "%"
-        )
-        for k, limits in (asked or WITHIN).items()
-    ]
+    """Claims about the mean of `count_within` over trials; `what` is the beginning of the sentence.
+
+    Where a trial has one number, it is within or not, and the interval is that of a rate.
+    """
+    claims = []
+    for k, limits in (asked or WITHIN).items():
+        values, text = np.array([row[f"{name}_{k}"] for row in rows]), f"{what} lies within {k} sigma"
+        if np.all(np.isin(values, (0.0, 1.0))):
+            claims.append(claim_rate(f"{name}_{k}", text, limits, int(values.sum()), values.size))
+        else:
+            claims.append(claim_mean(f"{name}_{k}", text, limits, values, "%"))
+    return claims

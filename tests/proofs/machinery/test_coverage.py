@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from proofs.machinery.claims import REFUTED, SHOWN, at_least
+from proofs.machinery.claims import REFUTED, SHOWN, UNDECIDED, at_least
 from proofs.machinery.coverage import claim_coverage, count_within
 
 
@@ -19,3 +19,12 @@ def test_normal_pulls_are_shown_and_wide_ones_refuted() -> None:
     (only,) = claim_coverage(wide, "c", "The truth", {1: at_least(0.3)})
     assert only.verdict == SHOWN
     assert only.claim == "The truth lies within 1 sigma"
+
+
+def test_forty_of_forty_leave_room_for_a_few_outside() -> None:
+    # the interval of a mean of 40 ones has no width, and refuted 95 %
+    rows = [count_within("c", np.array([0.3])) for _ in range(40)]
+    within_1, within_2 = claim_coverage(rows, "c", "The truth")
+    assert within_1.verdict == REFUTED
+    assert within_2.verdict == UNDECIDED
+    assert 0.9 < within_2.interval[0] < within_2.interval[1] == 1.0
