@@ -8,7 +8,7 @@ An error counts over all paths and channels. The errors of one campaign have muc
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
 
 import numpy as np
@@ -29,6 +29,7 @@ from proofs.machinery.parts import Part, Row
 SETTINGS = TwinSettings(stations=("CS002", "CS003", "CS004", "CS005", "CS006", "CS007"), events_per_year=300)
 NUISANCES = Nuisances(missing=0.05, departures=0.01)
 CABLES = ("50", "80", "115")
+FITTED = ("antenna", "station", "array")
 SCOPES = {
     "own": "its own curve",
     "station": "its station's curve",
@@ -53,8 +54,13 @@ def tell_campaign(settings: TwinSettings, seed: int) -> Row:
     campaign = simulate_campaign(settings, instrument, sky_power, rng, nuisances=NUISANCES)
     silent = settings.stations[seed % len(settings.stations)]
     spectra = campaign.spectra.select(campaign.spectra.station != silent)
-    reports = {name: fit_calibration(spectra, instrument, sky_power, name) for name in ("antenna", "station", "array")}
-    heard = [station for station in settings.stations if station != silent]
+    reports = {name: fit_calibration(spectra, instrument, sky_power, name) for name in FITTED}
+    return compare_scopes(reports, campaign, silent)
+
+
+def compare_scopes(reports: Mapping[str, FitReport], campaign: Campaign, silent: str) -> Row:
+    """What every path is told by each kind of answer, against the truth; one station gave no spectra."""
+    heard = [one.station for one in campaign.truth.stations if one.station != silent]
     return {
         "own": _compare(reports["antenna"], campaign, heard),
         "station": _compare(reports["station"], campaign, heard),
@@ -72,17 +78,19 @@ def _compare(report: FitReport, campaign: Campaign, stations: Sequence[str]) -> 
     )
     fraction, told_error = c / np.array(truths) - 1.0, sigma / c
     pull = np.abs(c - np.array(truths)) / sigma
+    has_value = np.isfinite(pull)
     row: Row = {"uncertain": float(np.mean([one.flag == UNCERTAIN for one in told]))}
     for cable in ("all", *CABLES):
         rows = np.array([cable in ("all", one.cable) for one in told])
+        at = has_value & rows[:, None]
         row[cable] = {
             "paths": int(rows.sum()),
-            "within_1": round(float(np.mean(pull[rows] < 1.0)), 4),
-            "within_2": round(float(np.mean(pull[rows] < 2.0)), 4),
-            "offset": round(float(np.median(fraction[rows])), 5),
-            "error": round(float(np.median(np.abs(fraction[rows]))), 5),
-            "error_95": round(float(np.quantile(np.abs(fraction[rows]), 0.95)), 5),
-            "told": round(float(np.median(told_error[rows])), 5),
+            "within_1": round(float(np.mean(pull[at] < 1.0)), 4),
+            "within_2": round(float(np.mean(pull[at] < 2.0)), 4),
+            "offset": round(float(np.median(fraction[at])), 5),
+            "error": round(float(np.median(np.abs(fraction[at]))), 5),
+            "error_95": round(float(np.quantile(np.abs(fraction[at]), 0.95)), 5),
+            "told": round(float(np.median(told_error[at])), 5),
         }
     return row
 

@@ -26,16 +26,16 @@ ln nu. Were they as large as 0.017, a clock that is two hours late would be as g
 SHAPE_HARMONICS = 3
 
 
-def free_own_sky(instrument: Instrument) -> SkyFreedom:
-    """The freedom of `compute_sky_power` for an instrument."""
+def free_own_sky(instrument: Instrument, models: DifferenceModels | None = None) -> SkyFreedom:
+    """The freedom of `compute_sky_power` for an instrument; by all other models that ship unless named."""
     with threadpool_limits(1):
-        return _free_own_sky(instrument)
+        return _free_own_sky(instrument, models or DifferenceModels())
 
 
-def _free_own_sky(instrument: Instrument) -> SkyFreedom:
+def _free_own_sky(instrument: Instrument, models: DifferenceModels) -> SkyFreedom:
     own = compute_sky_power(instrument, lst_hours=LST_HOURS)
     wider = vary_sky_power(instrument, lst_hours=LST_HOURS, zenith_gain_fraction=ZENITH_GAIN)
-    differences = compute_model_differences(instrument)
+    differences = compute_model_differences(instrument, models)
     smooth = _smooth_modes(instrument.frequency_mhz, LST_HOURS)
     modes = {}
     for dipole, values in own.power.items():
@@ -43,7 +43,6 @@ def _free_own_sky(instrument: Instrument) -> SkyFreedom:
         pattern = np.log(wider.power[dipole] / values)[None]
         modes[dipole] = np.concatenate([levels, differences.shape[dipole], pattern, smooth])
     made_of = {"own": own.digest(), "level": LEVEL, "zenith_gain": ZENITH_GAIN, "shape": [SHAPE, SHAPE_HARMONICS]}
-    models = DifferenceModels()
     return SkyFreedom(modes, hash_content({**made_of, "skies": models.skies, "antennas": models.antennas}))
 
 

@@ -73,7 +73,11 @@ class _Refit:
 
 
 def compute_budget(
-    spectra: Spectra, instrument: Instrument, sky_power: SkyPower, sky_budget: str = DEFAULT_SKY_BUDGET
+    spectra: Spectra,
+    instrument: Instrument,
+    sky_power: SkyPower,
+    sky_budget: str = DEFAULT_SKY_BUDGET,
+    changes: Sequence[SkyTerm] | None = None,
 ) -> Budget:
     """The systematic terms of C that all curves of these data share.
 
@@ -81,12 +85,14 @@ def compute_budget(
     ----------
     sky_budget
         Where the error of the sky is taken from: a name of `SKY_BUDGETS`.
+    changes
+        What `list_changes` gives for the instrument and this name, if it is at hand: it takes longer than the refits.
     """
     cables = require_one_cable_each(spectra, instrument)
     design, forms = noise_design(instrument), chain_forms(instrument)
     # threads of BLAS cost more than they give for matrices as small as these
     with threadpool_limits(1), ThreadPoolExecutor(os.cpu_count()) as pool:
-        changes = list_changes(instrument, sky_budget)
+        changes = list_changes(instrument, sky_budget) if changes is None else changes
         refits = {
             paths.owners[0][2]: _Refit.of(paths, sky_power.at(paths.owners[0][2], paths.lst_hours), design, forms)
             for paths in paths_of_scope(spectra, instrument, sky_power, "array", cables)

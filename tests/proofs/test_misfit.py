@@ -1,0 +1,39 @@
+"""A small instance of `./dev prove misfit`."""
+
+from __future__ import annotations
+
+import pytest
+
+from proofs.machinery.parts import Row
+from proofs.misfit import KINDS, PATTERN, SCOPES, fit_clean, fit_wrong, judge_clean, judge_wrong, tell_clean
+
+
+@pytest.fixture(scope="module")
+def clean() -> list[Row]:
+    return [fit_clean(seed) for seed in (1, 2)]
+
+
+def test_clean_curves_of_drawn_worlds_are_no_misfits(clean: list[Row]) -> None:
+    assert {row["outside"] for row in clean}.isdisjoint({"lst"})
+    for scope in SCOPES:
+        assert sum(row[scope]["curves"] for row in clean) >= 12
+        assert sum(row[scope]["misfits"] for row in clean) == 0
+    assert len(tell_clean(clean)) > 2
+
+
+def test_wrong_inputs_do_not_converge() -> None:
+    row = fit_wrong(0)
+    assert {kind: row[kind]["converged"] for kind in KINDS if kind != PATTERN} == {
+        kind: 0 for kind in KINDS if kind != PATTERN
+    }
+    # the own sky is free to be that of other antennas, a file is not
+    assert 0 < row[PATTERN]["converged"] <= row[PATTERN]["curves"] / 2
+    verdicts = {claim.key: claim.verdict for claim in judge_wrong([row] * 30)}
+    assert verdicts["X_and_Y_exchanged"] == "shown"
+    assert verdicts[PATTERN.replace(" ", "_")] == "refuted"
+
+
+def test_the_judgement_refutes_a_test_that_is_too_strict(clean: list[Row]) -> None:
+    strict = [{**row, "station": {**row["station"], "misfits": row["station"]["curves"]}} for row in clean]
+    verdicts = {claim.key: claim.verdict for claim in judge_clean(strict)}
+    assert verdicts["station"] == "refuted"
