@@ -27,7 +27,8 @@ from lbacal_core.twin.gains import NOISES
 from lbacal_core.twin.settings import TwinSettings
 from proofs.hidden.data_sets import OWN
 from proofs.hidden.drawn import EVERYTHING
-from proofs.hidden.worlds import alternatives, draw
+from proofs.hidden.worlds import alternatives
+from proofs.hidden.worlds import draw as draw_world
 from proofs.machinery.claims import Claim, at_most, claim_rate
 from proofs.machinery.parts import Part, Row
 
@@ -50,7 +51,7 @@ def _freedom(known: DifferenceModels) -> SkyFreedom:
 
 def fit_clean(seed: int) -> Row:
     """A campaign of a drawn world: how many of its curves are misfits, by scope."""
-    instrument, world = load_instrument("lofar-superterp"), draw(FIRST_SEED + seed, OWN)
+    instrument, world = load_instrument("lofar-superterp"), draw_world(FIRST_SEED + seed, OWN)
     nuisances = replace(EVERYTHING, noisy_stations=("CS003",) if seed % 3 == 0 else ())
     rng = np.random.default_rng([13_02, seed])
     spectra = simulate_campaign(

@@ -11,6 +11,7 @@ import numpy as np
 import typer
 
 from lbacal.cli.outputs import require_outputs
+from lbacal.cli.with_model import read_open_terms
 from lbacal_core.covariance import Budget, BudgetTerm
 from lbacal_core.grids import Floats
 
@@ -30,6 +31,10 @@ def budget(
     sky: Annotated[
         str, typer.Option(help="Error of the sky: paper (20 %), models (seven models, 12 %), measured (absolute).")
     ] = "models",
+    left_open: Annotated[
+        str | None,
+        typer.Option(help="What an investigation of these data leaves open: R.json, or R.json#n where n is adopted."),
+    ] = None,
     report: Annotated[Path | None, typer.Option(help="Terms with their vectors (JSON).")] = None,
     plot: Annotated[Path | None, typer.Option(help="Terms stacked against frequency (PNG, PDF or SVG).")] = None,
 ) -> None:
@@ -52,6 +57,9 @@ def budget(
     shared = compute_budget(measured, chain, power, sky)
     of_antennas = measure_electronics(measured, chain, power)
     terms = [*shared.terms, *([] if of_antennas is None else [of_antennas])]
+    if left_open is not None:
+        members = sorted(set(zip(measured.station.tolist(), measured.antenna.tolist(), strict=True)))
+        terms += [one.for_mean_of(members, terms[0].vectors) for one in read_open_terms(left_open, "--left-open")]
     for line in tabulate(shared.frequency_mhz, terms):
         print(line)
     print(f"budget {shared.digest}")

@@ -14,7 +14,7 @@ import typer
 from lbacal.cli.fit_inputs import find_spectra_files, parse_selection, read_selected
 from lbacal.cli.outputs import require_image, require_outputs
 from lbacal.cli.progress import progress
-from lbacal.cli.with_model import HELP, read_model, report_path
+from lbacal.cli.with_model import HELP, read_model, read_open_terms, report_path
 from lbacal.files import written_beside
 from lbacal_core.curves import CalibrationCurve
 from lbacal_core.reference_chain import ReferenceChain
@@ -98,6 +98,7 @@ def fit(
     from lbacal_core.pipeline import calibrate
     from lbacal_core.skypower.model import compute_sky_power
     from lbacal_core.skypower.table import read_sky_power
+    from lbacal_core.uncertainty.left_open import widen_by_open_terms
     from lbacal_core.uncertainty.one_event import measure_error
 
     selection = parse_selection(since, until, year, station)
@@ -108,13 +109,13 @@ def fit(
         {**known, **{f"SPECTRA {file}": file for file in files}},
     )
     require_image(plot)
-    model = read_model(with_)
+    model, left_open = read_model(with_), read_open_terms(with_)
     chain = load_instrument(instrument)
     sky = None if sky_power is None else read_sky_power(sky_power)
     with progress(len(files) + STEPS_OF_FIT + (html is not None or plot is not None)) as tell:
         measured = read_selected(files, selection, time.time(), tell)
         tell(f"fit {len(measured)} spectra")
-        result = calibrate(measured, chain, sky, scope.value, model=model)
+        result = widen_by_open_terms(calibrate(measured, chain, sky, scope.value, model=model), left_open)
         tell("error of one event")
         power = sky or compute_sky_power(chain)
         error = measure_error(result, measured, chain, power)

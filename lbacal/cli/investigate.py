@@ -108,6 +108,7 @@ def _ask_spectra(
     spectra: Path, chain: Any, sky: Any, is_own_sky: bool, html: Path | None, model: Any
 ) -> dict[str, Any]:
     from lbacal_core.discovery.investigate import investigate as ask
+    from lbacal_core.discovery.left_open import add_left_open
     from lbacal_core.spectra import read_spectra
 
     measured = read_spectra(spectra, now_unix=time.time())
@@ -116,7 +117,7 @@ def _ask_spectra(
         from lbacal.cli.investigation_page import write_investigation_page
 
         write_investigation_page(content, stations, html)
-    return content
+    return add_left_open(content, stations)
 
 
 def _ask_curve(

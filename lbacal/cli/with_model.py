@@ -10,6 +10,7 @@ from lbacal_core.errors import BadInputError, UnreadableFileError
 
 if TYPE_CHECKING:
     from lbacal_core.model import Model
+    from lbacal_core.uncertainty.left_open import OpenTerm
 
 HELP = (
     "Extend the model by the findings of a report (JSON), or by one of them: R.json#0 is the first, "
@@ -39,6 +40,24 @@ def read_model(text: str | None) -> Model:
         return Model.from_report(content, number)
     except BadInputError as error:
         raise BadInputError(f"--with {text}: {error.place}", error.expected, error.found) from error
+
+
+def read_open_terms(text: str | None, option: str = "--with") -> list[OpenTerm]:
+    """What a report leaves open beside the findings that are adopted: n of ``R.json#n``.
+
+    ``R.json`` adopts all of them with `--with`, and none with another option.
+    """
+    from lbacal_core.uncertainty.left_open import list_open_terms
+
+    if text is None:
+        return []
+    name, number = _split(text)
+    try:
+        content = json.loads(Path(name).read_text(encoding="utf-8"))
+        every = range(len(content["findings"])) if option == "--with" else ()
+        return list_open_terms(content, every if number is None else [number])
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise BadInputError(f"{option} {text}", "a report of lbacal investigate", "another file") from error
 
 
 def _split(text: str) -> tuple[str, int | str | None]:

@@ -118,8 +118,10 @@ class Investigations:
 
     def _investigate(self, spectra: Spectra, model: Model) -> dict[str, Any]:
         from lbacal_core.discovery.investigate import investigate  # a second to import, and only workers need it
+        from lbacal_core.discovery.left_open import add_left_open
 
-        return investigate(spectra, self.instrument, self.sky_power(), is_own_sky=self.is_own_sky, model=model)[0]
+        sky = self.sky_power()
+        return add_left_open(*investigate(spectra, self.instrument, sky, is_own_sky=self.is_own_sky, model=model))
 
     def get(self, name: str) -> Investigation:
         """One investigation, by its id or by as many of its first digits as no other begins with."""

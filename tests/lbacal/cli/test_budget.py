@@ -42,7 +42,14 @@ def test_the_command_prints_the_papers_table_and_writes_the_terms(tmp_path, caps
     settings = TwinSettings(stations=("CS002",), antennas=4, events_per_year=300)
     campaign = simulate_campaign(settings, instrument, compute_sky_power(instrument), np.random.default_rng(1))
     write_spectra(campaign.spectra, tmp_path / "S.h5")
+    finding = {
+        "cause": "lst_offset",
+        "where": {"station": "CS002", "antennas": [0, 1, 2, 3]},
+        "left_open": [{"weight": 1.0, "d_ln_c": {p: [0.071] * 51 for p in "XY"}}],
+    }
+    (tmp_path / "R.json").write_text(json.dumps({"findings": [finding], "stations": []}))
     arguments = ["budget", "S.h5", "--instrument", "lofar-superterp", "--sky", "paper", "--report", "B.json"]
+    arguments += ["--left-open", "R.json"]
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("sys.argv", ["lbacal", *arguments, "--plot", "B.png"])
     with pytest.raises(SystemExit) as ended:
@@ -51,6 +58,8 @@ def test_the_command_prints_the_papers_table_and_writes_the_terms(tmp_path, caps
     out = capsys.readouterr().out
     assert "scale of the sky maps" in out
     assert "electronics between antennas" in out
+    (of_finding,) = [line for line in out.splitlines() if line.startswith("lst_offset not adopted")]
+    assert of_finding.split()[-6:] == ["7.1/7.1"] * 6
     ((digest, content),) = json.loads((tmp_path / "B.json").read_text()).items()
     assert parse_budget(content).digest == digest
     assert f"budget {digest}" in out

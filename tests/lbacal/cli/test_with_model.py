@@ -9,7 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 from lbacal.cli.main import app
-from lbacal.cli.with_model import read_model
+from lbacal.cli.with_model import read_model, read_open_terms
 from lbacal_core.errors import BadInputError, UnreadableFileError
 from lbacal_core.instrument import load_instrument
 from lbacal_core.model import PLAIN, AdoptedCause, Model
@@ -142,3 +142,36 @@ def test_a_report_is_not_overwritten_by_what_is_made_with_it(late, report):
 def test_a_model_of_spectra_is_no_model_of_a_curve(report):
     done = run("investigate", "--lst-curve", "L.csv", "--report", "R3.json", "--with", f"{report}#0")
     assert done.exit_code == 2
+
+
+def test_what_a_report_leaves_open_depends_on_what_is_adopted(tmp_path):
+    def left(change):
+        return [{"weight": weight, "d_ln_c": {"X": [size] * 3}} for weight, size in ((1.0, change), (1.0, 0.0))]
+
+    place = {"station": "CS002", "antennas": [1]}
+    findings = [{"cause": cause, "where": place, "left_open": left(size)} for cause, size in (("a", 0.1), ("b", 0.3))]
+    unexplained = {"d_ln_c": {"X": [0.7] * 3}}
+    content = {"findings": findings, "stations": [{"station": "CS002", "unexplained": unexplained}]}
+    path = tmp_path / "R.json"
+    path.write_text(json.dumps(content))
+
+    def sizes(text, option):
+        return {one.name: np.sqrt(np.sum(one.vectors["X"] ** 2, axis=0))[0] for one in read_open_terms(text, option)}
+
+    half, name = 0.5**0.5, "structure without a name"
+    expected = {"a adopted": 0.1 * half, "b adopted": 0.3 * half, name: 0.7}
+    assert sizes(str(path), "--with") == pytest.approx(expected)
+    expected = {"a not adopted": 0.1 * half, "b not adopted": 0.3 * half, name: 0.7}
+    assert sizes(str(path), "--left-open") == pytest.approx(expected)
+    assert set(sizes(f"{path}#1", "--left-open")) == {"a not adopted", "b adopted", name}
+    assert set(sizes(f"{path}#unexplained", "--with")) == {"a not adopted", "b not adopted"}
+    assert read_open_terms(None) == []
+
+
+@pytest.mark.parametrize("content", [None, "[]", '{"findings": 3}', '{"findings": [{}]}'])
+def test_something_else_than_a_report_leaves_nothing_open_and_is_refused(tmp_path, content):
+    path = tmp_path / "R.json"
+    if content is not None:
+        path.write_text(content)
+    with pytest.raises(BadInputError, match="a report of lbacal investigate"):
+        read_open_terms(f"{path}", "--left-open")

@@ -1,0 +1,172 @@
+"""What a search leaves open, as changes of C: hypotheses that it does not exclude, and structure without a name."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from lbacal_core.causes.catalogue import CAUSES
+from lbacal_core.causes.cause import Template
+from lbacal_core.discovery.hypothesis import Hypothesis, Target
+from lbacal_core.discovery.proposals import chi_squared_of
+from lbacal_core.discovery.refit import FittedModel, fit_chain, refit
+from lbacal_core.discovery.report import plain_parameters
+from lbacal_core.discovery.scan import SpectralFamily, correlate, list_families
+from lbacal_core.discovery.search import Finding, StationReport
+from lbacal_core.discovery.view import make_profiles
+from lbacal_core.grids import Floats
+
+KNOWN_CHANGE = (0.5, 2.0)
+"""Factors on the power between which a structure may be taken out of the data."""
+
+
+@dataclass(frozen=True)
+class OpenHypothesis:
+    """A hypothesis that the data do not exclude.
+
+    Attributes
+    ----------
+    delta_chi2
+        Chi^2 with it less that with the finding, both fitted in full.
+    d_ln_c
+        By dipole, shape (freq,): ln C with it less ln C with no hypothesis in its place, mean of the target's paths.
+    """
+
+    hypothesis: Hypothesis
+    delta_chi2: float
+    d_ln_c: Mapping[str, Floats]
+
+    @property
+    def weight(self) -> float:
+        """Likelihood in units of that of the finding, at most 1."""
+        return float(np.exp(-0.5 * max(self.delta_chi2, 0.0)))
+
+
+def weigh_alternatives(
+    without: FittedModel, last: FittedModel, found: Hypothesis, names: Sequence[str]
+) -> list[OpenHypothesis]:
+    """The finding and, each fitted in its place, the causes that the data cannot tell apart from it.
+
+    Parameters
+    ----------
+    without, last
+        Fitted models without the finding, and with it.
+    names
+        Causes that the data cannot tell apart from it at its size.
+    """
+    hypotheses = [OpenHypothesis(found, 0.0, _change(without, last, found.target))]
+    for name, template in _nearest_templates(without, found, names).items():
+        cause = next(one for one in CAUSES if one.identifier == name)
+        other = refit(without, Hypothesis(cause, template, found.target, 0.0))
+        if other is not None:
+            chi2_found, chi2_other, _ = chi_squared_of(last, other)
+            change = _change(without, other, found.target)
+            hypotheses.append(OpenHypothesis(other.hypotheses[-1], chi2_other - chi2_found, change))
+    return hypotheses
+
+
+def _without(last: FittedModel, found: Hypothesis) -> FittedModel:
+    """The fitted model with all hypotheses but one."""
+    model = fit_chain(last.station, last.linear.modes)
+    for one in last.hypotheses:
+        if one is not found:
+            model = refit(model, one) or model
+    return model
+
+
+def _change_by_structure(report: StationReport) -> dict[str, Floats] | None:
+    """Change of ln C by dipole if the residual structure is taken out of the data; None where there is none to take."""
+    structure, station = report.structure, report.first.station
+    if structure is None or structure.term is None:
+        return None
+    every = Target("station", "station", np.ones(len(station.antenna), dtype=bool))
+    ratio = 1.0 + structure.term[np.searchsorted(np.unique(station.dipole), station.dipole)]
+    clean = replace(station, power=station.power / np.clip(ratio, *KNOWN_CHANGE))
+    return _change(report.first, fit_chain(clean, report.first.linear.modes), every)
+
+
+def _change(before: FittedModel, after: FittedModel, target: Target) -> dict[str, Floats]:
+    """Change of ln C = -ln(slope) / 2, mean over the paths of a target whose slopes are positive."""
+    old, new = before.baseline.solution.x, after.baseline.solution.x
+    has_c = (old > 0) & (new > 0) & target.is_member[:, None]
+    change = -0.5 * np.log(np.divide(new, old, out=np.ones_like(old), where=has_c))
+    dipole = before.station.dipole
+    members = {letter: has_c & (dipole == letter)[:, None] for letter in np.unique(dipole[target.is_member]).tolist()}
+    return {
+        letter: np.sum(change, axis=0, where=here) / np.maximum(here.sum(axis=0), 1) for letter, here in members.items()
+    }
+
+
+def _nearest_templates(model: FittedModel, found: Hypothesis, names: Sequence[str]) -> dict[str, Template]:
+    """For each cause the template with the largest correlation with the one found."""
+    if not names:
+        return {}
+    conditions, cause = model.station.conditions, found.cause
+    profile = make_profiles(cause.time_profile(conditions, found.template).T)
+    own = SpectralFamily(cause, [found.template], profile)
+    known = model.linear.on_events(cause.known_events(conditions, found.template))
+    families = list_families(conditions, [one for one in CAUSES if one.identifier in names])
+    correlation = np.abs(correlate(known, [own], found.target, families))[0]
+    templates = [(family.cause.identifier, template) for family in families for template in family.templates]
+    best: dict[str, tuple[float, Template]] = {}
+    for size, (name, template) in zip(correlation.tolist(), templates, strict=True):
+        if name not in best or size > best[name][0]:
+            best[name] = (size, template)
+    return {name: template for name, (_, template) in best.items()}
+
+
+def add_left_open(content: dict[str, Any], reports: Sequence[StationReport]) -> dict[str, Any]:
+    """A report as JSON values with what it leaves open, each with its change of C.
+
+    A finding of the catalogue gets `left_open`: itself with the weight 1, then what the data cannot tell apart from it.
+    Structure without a name gets `d_ln_c`: the change of C if it is taken out of the data.
+    """
+    # The products are small: threads of the linear algebra would wait for each other.
+    with threadpool_limits(1):
+        return _add_left_open(content, reports)
+
+
+def _add_left_open(content: dict[str, Any], reports: Sequence[StationReport]) -> dict[str, Any]:
+    findings = [dict(finding) for finding in content["findings"]]
+    stations = [dict(station) for station in content["stations"]]
+    for station, report in zip(stations, reports, strict=True):
+        for number in station["findings"]:
+            found = _find(report, findings[number])
+            if found is not None:
+                names = [name for name, _ in found.indistinguishable]
+                without = _without(report.last, found.hypothesis)
+                hypotheses = weigh_alternatives(without, report.last, found.hypothesis, names)
+                findings[number]["left_open"] = [_describe(one) for one in hypotheses]
+        if station["unexplained"] is not None:
+            change = _change_by_structure(report)
+            station["unexplained"] = {
+                **station["unexplained"],
+                "d_ln_c": None if change is None else {dipole: one.tolist() for dipole, one in change.items()},
+            }
+    left = [station["unexplained"] for station in stations if station["unexplained"] is not None]
+    unexplained = min(left, key=lambda one: float(one["p_value"]), default=None)
+    return {**content, "findings": findings, "stations": stations, "unexplained": unexplained}
+
+
+def _find(report: StationReport, finding: Mapping[str, Any]) -> Finding | None:
+    """The finding behind its JSON values; None for one of the comparison of antennas, which moves no C."""
+    named = finding["cause"], finding["evidence"]["target"], finding["size"]["value"]
+    for one in report.findings:
+        if named == (one.hypothesis.cause.identifier, one.hypothesis.target.label, one.hypothesis.size):
+            return one
+    return None
+
+
+def _describe(one: OpenHypothesis) -> dict[str, Any]:
+    return {
+        "cause": one.hypothesis.cause.identifier,
+        "parameters": plain_parameters(one.hypothesis.template.parameters),
+        "size": one.hypothesis.size,
+        "delta_chi2": one.delta_chi2,
+        "weight": one.weight,
+        "d_ln_c": {dipole: values.tolist() for dipole, values in one.d_ln_c.items()},
+    }
