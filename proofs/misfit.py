@@ -1,4 +1,4 @@
-"""A misfit is what noise and the freedom of sky and pattern cannot explain: no clean curve is, every wrong input is.
+"""A misfit is what noise and the freedom of sky and pattern cannot explain: no clean curve may be, a wrong input must.
 
 Clean: part of a year of three stations in a drawn world with everything that such a year brings; the fit knows neither
 the world's sky nor its antenna, and not the models that they were drawn from. Wrong: an input of a clean campaign is
