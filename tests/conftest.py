@@ -8,12 +8,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import settings
 
 from lbacal_core.instrument import AntennaRecord, Instrument
 from lbacal_core.skypower.table import SkyPower
 from proofs.running.postgres import find_binaries
 
 FREQUENCY = np.arange(30.0, 81.0)
+
+settings.register_profile("lbacal", deadline=None)  # a busy machine fails no test
+settings.load_profile("lbacal")
 
 
 @pytest.fixture(scope="session")
