@@ -14,7 +14,7 @@ from pathlib import Path
 import httpx2
 import numpy as np
 import pytest
-from playwright.sync_api import Browser, sync_playwright
+from playwright.sync_api import Browser, expect, sync_playwright
 
 from lbacal_core.instrument import load_instrument
 from lbacal_core.skypower.model import compute_sky_power
@@ -28,6 +28,7 @@ QUIET = [
     "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
     "--disable-component-update", "--disable-sync",
 ]  # fmt: skip
+expect.set_options(timeout=30_000)  # a busy machine fails no test
 Run = Callable[..., subprocess.CompletedProcess[str]]
 
 
@@ -96,11 +97,11 @@ def serve(folder: Path, settings: TwinSettings, faults: Sequence[Fault] = ()) ->
 
 
 def _wait_until(is_so: Callable[[], bool], what: str) -> None:
-    for _ in range(600):
+    for _ in range(2400):
         if is_so():
             return
         time.sleep(0.1)
-    raise TimeoutError(f"waited 60 s for {what}")
+    raise TimeoutError(f"waited 240 s for {what}")
 
 
 def _answers(url: str) -> bool:
