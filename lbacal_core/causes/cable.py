@@ -127,8 +127,8 @@ def _step_us(frequency_mhz: Floats) -> float:
 
 
 def _delays_us(frequency_mhz: Floats) -> list[float]:
-    """Delays that channels tell apart: from some periods in the band to half a period between the closest two."""
-    step, longest = _step_us(frequency_mhz), 0.5 / float(np.diff(frequency_mhz).min())
+    """Delays that channels tell apart: from some periods in the band to half a period between typical neighbours."""
+    step, longest = _step_us(frequency_mhz), 0.5 / float(np.median(np.diff(frequency_mhz)))
     first = 2 * FEWEST_PERIODS * step
     return np.round(np.arange(first, longest + step / 2, step), 6).tolist()  # type: ignore[no-any-return]
 

@@ -39,3 +39,18 @@ def test_the_note_names_the_delay_that_looks_the_same_with_its_amplitude():
     assert f"{0.01 * np.sinc(0.35) / np.sinc(0.65):.2g}" in note
     about = cause.finer_templates(shape, FREQUENCY)
     assert any(np.allclose(one.departure, -shape.departure) for one in about)
+
+
+def test_two_channels_close_to_each_other_asked_for_50_000_delays_and_9_gigabytes():
+    uneven = np.sort(np.r_[np.random.default_rng(1).uniform(40.0, 117.0, 150), 60.0, 60.0001])
+    tried = CableReflection().templates(uneven, None)
+    assert len(tried) < 4 * 2 * uneven.size
+    longest = max(template.parameters["delay_us"] for template in tried)
+    assert longest < 1.0 / np.median(np.diff(uneven))
+
+
+def test_finer_channels_reach_longer_delays():
+    """With channels of 0.39 MHz an echo of 0.85 us was named 0.026 us."""
+    fine = np.arange(50.0, 70.0, 0.39)
+    delays = {template.parameters["delay_us"] for template in CableReflection().templates(fine, None)}
+    assert min(abs(delay - 0.85) for delay in delays) < 0.5 / np.ptp(fine)
