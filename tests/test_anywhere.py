@@ -20,6 +20,7 @@ FOR_LOFAR = {
     "lstcurve/": "the columns x_db and y_db of an LST curve, the published one and its band",
     "discovery/curve_": "the same",
     "calibration/reference_source.py": "the reference source of the paper",
+    "drift/follow.py": "the stored label of a small station whose dipoles are followed together",
 }
 """What may name LOFAR, its letters or its band, and why."""
 PIVOTS = {
