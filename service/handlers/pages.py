@@ -63,7 +63,8 @@ def show_jobs(request: Request, use: UseCases) -> Response:
 def show_drift(request: Request, use: UseCases) -> Response:
     whole, stations = use.drift.overall()
     series = [*stations, *([whole] if len(stations) > 1 else [])]
-    rows = [row for one in series for row in _version_rows(one)]
+    stories = use.drift.stories(series)
+    rows = [{**row, "why": stories[row["calibration"], row["dipole"]]} for one in series for row in _version_rows(one)]
     plot = {"series": [_plot_of_series(one) for one in series]}
     trends = [(name_scope(one.scope), one.slope) for one in series if one.slope is not None]
     return _page(

@@ -24,6 +24,7 @@ from service.storage.jobs import Part
 from service.storage.spectra import Window
 from service.storage.versions import MeanC, Version
 from service.usecases.calibrations import select_paths
+from service.usecases.story import explain_version
 from service.usecases.years import find_years
 
 KIND = "drift"
@@ -180,6 +181,20 @@ class Drift:
                 _gather(scope, ratios, find_means_in_effect(stores, [scope]), report, in_effect) for scope in scopes
             )
         return array, stations
+
+    def stories(self, series: Sequence[DriftSeries]) -> dict[tuple[str, str], str]:
+        """Why each version of some scopes differs from the first of its polarisation, by version and polarisation."""
+        with self.database.read() as stores:
+            versions = stores.versions.get_many({mean.calibration for one in series for mean in one.versions})
+        told: dict[tuple[str, str], str] = {}
+        for one in series:
+            first: dict[str, Version] = {}
+            for mean in sorted(one.versions, key=lambda mean: (mean.since, mean.calibration)):
+                version = versions[mean.calibration]
+                told[mean.calibration, mean.dipole] = explain_version(
+                    version, first.setdefault(mean.dipole, version), mean.dipole
+                )
+        return told
 
     def steps(self, count: int) -> list[Step]:
         """The most significant steps."""
