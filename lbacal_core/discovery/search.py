@@ -14,6 +14,7 @@ import numpy as np
 from lbacal_core.causes.axes import Axis
 from lbacal_core.causes.catalogue import CAUSES
 from lbacal_core.causes.cause import signature
+from lbacal_core.causes.conditions import Conditions
 from lbacal_core.discovery.adopted import FittedSize, fit_adopted
 from lbacal_core.discovery.antennas import AntennaScore, compare_antennas, why_no_comparison
 from lbacal_core.discovery.cable_names import compare_cable_names
@@ -308,7 +309,7 @@ def _withdrawn(
         finding
         for number, finding in enumerate(findings)
         if (again is not None and number == again.number)
-        or _lives_there(finding, structure)
+        or _lives_there(finding, structure, first.station.conditions)
         or _has_its_spectrum(first, finding, structure, policy)
         or not is_seen[number]
     ]
@@ -341,11 +342,20 @@ def _has_its_spectrum(model: LinearModel, finding: Finding, structure: ResidualS
     return float(np.sum(np.sqrt(own * structure.channel_share))) > policy.same_spectrum
 
 
-def _lives_there(finding: Finding, structure: ResidualStructure) -> bool:
-    """Whether the residual structure varies along an axis of the finding's cause, for the same kind of target."""
-    if structure.axis is None or structure.axis.along not in finding.hypothesis.cause.axes:
-        return False
-    return finding.hypothesis.target.is_wide == (structure.target == "station")
+def _lives_there(finding: Finding, structure: ResidualStructure, conditions: Conditions) -> bool:
+    """Whether the residual structure varies along an axis of the finding's cause, for the same kind of target.
+
+    What acts at all times alike shows along LST alone, along which the sky beside it changes.
+    """
+    one = finding.hypothesis
+    axes = set(one.cause.axes)
+    if np.ptp(one.cause.time_profile(conditions, one.template)) == 0:
+        axes.add("lst")
+    return (
+        structure.axis is not None
+        and structure.axis.along in axes
+        and one.target.is_wide == (structure.target == STATION)
+    )
 
 
 def _unidentifiable(station: Station, search: StationSearch) -> dict[str, str]:
