@@ -11,7 +11,12 @@ branch_labels = None
 depends_on = None
 
 BigNumber = sa.BigInteger().with_variant(sa.Integer, "sqlite")
-SHAPES = ("tilt", "tilt_sigma", "curvature", "curvature_sigma")
+SHAPES = {
+    "tilt": "of ln C: coefficient of the Legendre polynomial 1 over the band",
+    "tilt_sigma": None,
+    "curvature": "of ln C: coefficient of the Legendre polynomial 2",
+    "curvature_sigma": None,
+}
 
 
 def upgrade() -> None:
@@ -58,8 +63,8 @@ def upgrade() -> None:
         sa.PrimaryKeyConstraint("inputs", name="pk_drift_report"),
     )
     with op.batch_alter_table("monthly_ratio") as batch:
-        for name in SHAPES:
-            batch.add_column(sa.Column(name, sa.Float()))
+        for name, comment in SHAPES.items():
+            batch.add_column(sa.Column(name, sa.Float(), comment=comment))
 
 
 def downgrade() -> None:
