@@ -127,6 +127,8 @@ def browser() -> Iterator[Browser]:
             raise FileNotFoundError("no chromium: apt-get install chromium")
         pytest.skip("needs chromium")
     with sync_playwright() as playwright:
+        # the five seconds of the library are short of a page with plots on a machine that runs the whole suite
+        expect.set_options(timeout=60_000)
         made = playwright.chromium.launch(executable_path=executable, args=QUIET)
         yield made
         made.close()
