@@ -12,8 +12,8 @@ const axis = (title, more) => ({ title: { text: title }, gridcolor: LINE, zeroli
 const faded = (colour, alpha) => colour + Math.round(255 * alpha).toString(16).padStart(2, "0");
 
 // A band as one closed outline, behind its median.
-function band(x, low, high, colour, name) {
-  return { x: [...x, ...[...x].reverse()], y: [...high, ...[...low].reverse()], fill: "toself", fillcolor: faded(colour, 0.18),
+function band(x, low, high, colour, name, alpha = 0.18) {
+  return { x: [...x, ...[...x].reverse()], y: [...high, ...[...low].reverse()], fill: "toself", fillcolor: faded(colour, alpha),
     line: { width: 0 }, mode: "lines", hoverinfo: "skip", legendgroup: name, showlegend: false };
 }
 
@@ -27,7 +27,7 @@ function drift(data) {
       text: one.months.map((m) => `${m.paths} paths, ${m.events} events`), hovertemplate: "%{x|%Y-%m}: %{y:.4f}<br>%{text}<extra>" + one.name + "</extra>" });
     const lines = one.months.filter((m) => m.line), at = lines.map((m) => m.month + "-15");
     if (lines.length) {
-      traces.push(band(at, lines.map((m) => m.line[1]), lines.map((m) => m.line[2]), colour, one.name));
+      traces.push(band(at, lines.map((m) => m.line[1]), lines.map((m) => m.line[2]), colour, one.name, 0.06));
       traces.push({ x: at, y: lines.map((m) => m.line[0]), mode: "lines", line: { color: colour, width: 1.5, dash: "dash" }, name: one.name + ", season and slope",
         legendgroup: one.name, showlegend: false, hovertemplate: "season and slope: %{y:.4f}<extra>" + one.name + "</extra>" });
     }
