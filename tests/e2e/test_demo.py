@@ -34,9 +34,6 @@ def test_the_demo_names_what_it_does_not_know() -> None:
     assert (done.returncode, done.stderr) == (2, "usage: ./dev demo [--serve], found '--quick'\n")
 
 
-DEMO = [sys.executable, "-m", "service.cli.demo", "--serve"]
-
-
 def children_in(folder: Path) -> list[int]:
     """The processes that run in a folder: those of the demo and of its server."""
     found = []
@@ -61,9 +58,13 @@ def wait_for(is_so: Callable[[], bool]) -> None:
 @pytest.mark.skipif(not Path("/proc/self/cwd").exists(), reason="needs /proc")
 @pytest.mark.parametrize("ending", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
 def test_a_demo_that_is_stopped_left_a_traceback_and_orphans(tmp_path: Path, ending: signal.Signals) -> None:
+    # a shell's background jobs ignore SIGINT, and so would the demo of a suite that runs as one
+    heed = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"
+    start = "import runpy; runpy.run_module('service.cli.demo', None, '__main__')"
     demo = subprocess.Popen(
-        DEMO, cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, start_new_session=True
-    )
+        [sys.executable, "-c", f"{heed}; {start}", "--serve"], cwd=tmp_path,
+        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, start_new_session=True,
+    )  # fmt: skip
     wait_for(lambda: len(children_in(tmp_path)) >= 3)
     if ending is signal.SIGINT:
         os.killpg(demo.pid, ending)  # a terminal tells them all
