@@ -27,8 +27,8 @@ from lbacal_core.skypower.table import write_sky_power
 from lbacal_core.twin.campaign import simulate_campaign
 from lbacal_core.twin.faults.sky import LstOffset
 from lbacal_core.twin.settings import TwinSettings
-from proofs.kills import LARGEST_SHARE, Killable, open_database
-from proofs.machinery.claims import Claim, at_most, claim_rate
+from proofs.kills import Killable, claim_broken, open_database
+from proofs.machinery.claims import Claim
 from proofs.machinery.parts import Part, Row
 from proofs.running.processes import Process, find_free_port, is_ready, run_command, running, wait_until
 from service.config import Settings
@@ -183,10 +183,9 @@ def _read_in_effect(address: str) -> Any:
 
 
 def judge(kind: str, rows: Sequence[Row]) -> list[Claim]:
-    """How many kills broke a promise; a run with a broken promise counts as one."""
-    kills, broken = sum(row["kills"] for row in rows), sum(bool(row["broken"]) for row in rows)
+    """Whether fewer than the allowed share of the kills leave an adoption half done."""
     text = f"A kill -9 during adoptions and withdrawals leaves one of them half done, or twice ({kind})"
-    return [claim_rate("broken", text, at_most(LARGEST_SHARE), broken, kills)]
+    return claim_broken(text, rows)
 
 
 def tell(rows: Sequence[Row]) -> list[str]:

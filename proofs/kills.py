@@ -109,11 +109,16 @@ def kill_and_compare(kind: str, kills: int, seed: int) -> Row:
     }
 
 
-def judge(kind: str, rows: Sequence[Row]) -> list[Claim]:
+def claim_broken(text: str, rows: Sequence[Row]) -> list[Claim]:
     """How many kills broke a promise; a run with a broken promise counts as one."""
     kills, broken = sum(row["kills"] for row in rows), sum(bool(row["broken"]) for row in rows)
-    text = f"A kill -9 of server, worker, scheduler or database loses, doubles or changes something ({kind})"
     return [claim_rate("broken", text, at_most(LARGEST_SHARE), broken, kills)]
+
+
+def judge(kind: str, rows: Sequence[Row]) -> list[Claim]:
+    """Whether fewer than the allowed share of the kills break a promise."""
+    text = f"A kill -9 of server, worker, scheduler or database loses, doubles or changes something ({kind})"
+    return claim_broken(text, rows)
 
 
 def tell(rows: Sequence[Row]) -> list[str]:

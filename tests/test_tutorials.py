@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import Any
 
 import pytest
 from matplotlib.figure import Figure
@@ -22,10 +23,10 @@ def test_a_tutorial_runs_and_ends_in_a_figure(page: Path, tmp_path: Path, monkey
     lines = [line for line in code.splitlines() if line.strip()]
     assert 5 <= len(lines) <= 10
     monkeypatch.chdir(tmp_path)
-    names: dict[str, object] = {}
+    names: dict[str, Any] = {}
     exec(compile(code, str(page), "exec"), names)  # noqa: S102 - the page is ours
     assert isinstance(names["figure"], Figure)
-    assert {curve.status for curve in names["found"].report.curves} == {"converged"}  # type: ignore[attr-defined]
+    assert {curve.status for curve in names["found"].report.curves} == {"converged"}
 
 
 def test_the_list_of_tutorials_names_each() -> None:

@@ -87,8 +87,10 @@ def installed(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathF
     tree, folder = tmp_path_factory.mktemp("tree"), tmp_path_factory.mktemp("elsewhere")
     for name in TREE:
         source = request.config.rootpath / name
-        copy = shutil.copytree if source.is_dir() else shutil.copy2
-        copy(source, tree / name)  # type: ignore[operator] # the two have the same first arguments
+        if source.is_dir():
+            shutil.copytree(source, tree / name)
+        else:
+            shutil.copy2(source, tree / name)
     uv = str(Path(sys.executable).with_name("uv"))
     for project in (tree, tree / "wheels/server"):
         build = [uv, "build", "--wheel", "--no-build-isolation", "--offline", "--python", sys.executable]

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -11,7 +13,7 @@ from lbacal_core.errors import BadInputError
 CHANNELS = [30.0, 31.0, 32.0]
 
 
-def answer(**changes: object) -> dict[str, object]:
+def answer(**changes: object) -> dict[str, Any]:
     curve = {
         "station": "CS002", "antenna": 17, "dipole": "X", "frequency_mhz": CHANNELS, "c": [1e-5, 2e-5, 3e-5],
         "c_sigma_stat": [1e-7, 2e-7, 3e-7], "c_sigma_sys": None, "factor": [1.0] * 3, "flag": ["ok"] * 3,
@@ -35,7 +37,7 @@ def test_the_covariance_of_one_path_is_found_among_the_rows_of_many() -> None:
 
     term = {"name": "level", "source": "a test", "is_of_gain": False, "vectors": {"X": [[0.1, 0.1, 0.1]]}}
     many = answer(covariance=covariance(0.05))
-    many["curves"] = [*answer(antenna=16, covariance=covariance(9.0))["curves"], *many["curves"]]  # type: ignore[misc]
+    many["curves"] = [*answer(antenna=16, covariance=covariance(9.0))["curves"], *many["curves"]]
     many["budgets"] = {"b": {"frequency_mhz": CHANNELS, "terms": [term]}}
     table = make_table(many)
     found = lbacal.calibrate_trace(np.ones(2000), 200.0, table[table["antenna"] == 17])
@@ -51,7 +53,7 @@ def test_unknown_errors_are_not_taken_for_zero_errors() -> None:
 
 def test_rows_of_two_paths_are_refused() -> None:
     both = answer()
-    both["curves"] = [*both["curves"], *answer(dipole="Y")["curves"]]  # type: ignore[misc]
+    both["curves"] = [*both["curves"], *answer(dipole="Y")["curves"]]
     with pytest.raises(BadInputError, match="2 paths"):
         curve_of(make_table(both))
 

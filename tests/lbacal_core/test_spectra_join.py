@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,10 +11,10 @@ from lbacal_core.spectra import Spectra
 from lbacal_core.spectra_join import join_spectra
 
 
-def part(events: range, **changes: object) -> Spectra:
+def part(events: range, **changes: Any) -> Spectra:
     n = len(events)
     power = 1.0 + np.outer(np.array(events), np.ones(3))
-    values: dict[str, object] = {
+    values: dict[str, Any] = {
         "frequency_mhz": np.array([30.0, 31.0, 32.0]),
         "power": power,
         "event_id": np.array([f"E{k:03d}" for k in events]),
@@ -24,7 +25,7 @@ def part(events: range, **changes: object) -> Spectra:
         "blocks": np.full(n, 100),
         "origin": f"{events.start}.h5",
     }
-    return Spectra(**(values | changes))  # type: ignore[arg-type]
+    return Spectra(**(values | changes))
 
 
 def test_files_make_one_set_in_their_order() -> None:

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,12 +14,12 @@ FREQUENCY = np.arange(30.0, 81.0)
 C = np.full(51, 2e-5)
 
 
-def curve(antenna: int = 3, dipole: str = "X", **changes: object) -> CalibrationCurve:
+def curve(antenna: int = 3, dipole: str = "X", **changes: Any) -> CalibrationCurve:
     one = CalibrationCurve(
         "CS002", antenna, dipole, "converged", 900, FREQUENCY, C, 0.01 * C, 0.1 * C, 1.13, 0.97, {},
         chi2_per_dof_profiled=0.87,
     )  # fmt: skip
-    return replace(one, **changes)  # type: ignore[arg-type]
+    return replace(one, **changes)
 
 
 def failed() -> CalibrationCurve:

@@ -52,7 +52,7 @@ QUIET = {"radiometer": 512**-0.5 / 300, "event_gain_common": 1e-4, "event_gain_p
 CALM = {"radiometer": 512**-0.5 / 30, "event_gain_common": 1e-3, "event_gain_path": 1e-3}
 """A thirtieth of it, where a fault a thousand times above the noise would itself be the noise that events share."""
 SILENT = dict.fromkeys(QUIET, 0.0)
-
+FOLD_COUNT = FOLDS
 _NAMED: dict[str, Any] = {cause.identifier: cause for cause in (*CAUSES, *ANTENNA_CAUSES)}
 
 
@@ -398,6 +398,3 @@ def p_value_of(score: Score, z: float) -> float:
 def p_of_score(z: float, trials: float) -> float:
     """Probability that the largest of so many independent scores exceeds z."""
     return p_of(z, trials)
-
-
-FOLD_COUNT = FOLDS
