@@ -60,7 +60,7 @@ def test_a_slope_is_found_within_three_years() -> None:
 
 
 def test_what_a_station_or_a_board_shares_is_reported_once() -> None:
-    rows = [plant_in_stations(replace(WORLD, events_per_year=900), seed) for seed in range(3)]
+    rows = [plant_in_stations(replace(WORLD, stations=6, events_per_year=900), seed) for seed in range(3)]
     assert sum(row["station_once"] for row in rows) >= 2
     assert sum(row["board_once"] for row in rows) >= 2
     assert all(claim.verdict != "refuted" for claim in judge_stations(rows))

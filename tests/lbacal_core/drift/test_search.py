@@ -112,6 +112,17 @@ def test_the_errors_of_slopes_hold() -> None:
     assert np.std(pull) == pytest.approx(1.0, abs=0.22)  # 3 standard deviations of 96 draws
 
 
+def test_slopes_of_a_few_paths_do_not_move_those_of_all_others() -> None:
+    """Six of 40 paths that fall moved the median by a seventh of it: the others rose, twice their error too often."""
+    series = _draw(np.random.default_rng(12), series=40, years=3)
+    series.values[:6, :, 0] -= (0.015 * series.time_unix / YEAR_S).astype(np.float32)
+    found = search_series(series)
+    pull = (found.slope[:, 0] + np.where(np.arange(40) < 6, 0.015, 0.0)) / found.slope_sigma[:, 0]
+    assert np.all(found.slope_significance[:6] > found.threshold)
+    assert abs(np.mean(pull)) < 3 / 40**0.5
+    assert np.std(pull) == pytest.approx(1.0, abs=0.34)  # 3 standard deviations of 40 draws
+
+
 def test_fewer_months_than_a_year_still_show_a_step() -> None:
     series = _draw(np.random.default_rng(11), years=0.5)
     series.values[2, series.time_unix >= 0.3 * YEAR_S, 0] += 0.06
