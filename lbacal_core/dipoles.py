@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Collection
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,3 +23,8 @@ def are_dipole_names(names: NDArray[np.str_]) -> NDArray[np.bool_]:
     """Whether dipoles may bear these names, shape as given."""
     found, at = np.unique(names, return_inverse=True)
     return np.asarray(np.array([is_dipole_name(str(name)) for name in found], dtype=bool)[at])
+
+
+def look_like_radians(azimuth_deg: Collection[float]) -> bool:
+    """Whether arms of different azimuths all lie within 2 pi: nobody builds dipoles a few degrees apart."""
+    return len(set(azimuth_deg)) > 1 and max(abs(azimuth) for azimuth in azimuth_deg) <= 2.0 * np.pi

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lbacal_core.antenna_gain import ABSOLUTE, RELATIVE, GainProvenance
-from lbacal_core.dipoles import EXPECTED, is_dipole_name
+from lbacal_core.dipoles import EXPECTED, is_dipole_name, look_like_radians
 from lbacal_core.errors import BadInputError, UnknownNameError
 from lbacal_core.grids import Floats, require_channels
 from lbacal_core.json_values import parse_name, parse_number, parse_numbers, parse_optional_name, read_json
@@ -124,6 +124,10 @@ class Instrument:
                 raise BadInputError(place, EXPECTED, repr(dipole))
             if not np.isfinite(azimuth):
                 raise BadInputError(f"{place}.{dipole}.azimuth_deg", "finite degrees", f"{azimuth}")
+        if look_like_radians(self.dipole_azimuth_deg.values()):
+            found = ", ".join(f"{dipole} {azimuth:.3g}" for dipole, azimuth in self.dipole_azimuth_deg.items())
+            meant = "degrees (360 more for one of arms that are so near each other)"
+            raise BadInputError(f"{place}: azimuth_deg", meant, f"{found}, which look like radians")
         for dipole, tilt in self.dipole_tilt_deg.items():
             if not abs(tilt) <= STEEPEST_DEG:
                 raise BadInputError(f"{place}.{dipole}.tilt_deg", "-90 to 90", f"{tilt}")

@@ -17,6 +17,7 @@ from lbacal_core.calibration.chain_test import SkyFreedom
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.calibration.freedom import free_own_sky
 from lbacal_core.curves import CONVERGED, MISFIT
+from lbacal_core.errors import BadInputError
 from lbacal_core.instrument import Instrument, load_instrument
 from lbacal_core.skypower.differences import DifferenceModels
 from lbacal_core.skypower.model import compute_sky_power
@@ -125,12 +126,17 @@ OF_INSTRUMENT: Mapping[str, Callable[[Instrument], Instrument]] = {
 }
 PATTERN = "a short dipole taken for the antenna"
 KINDS = (*OF_SPECTRA, *OF_INSTRUMENT, PATTERN)
+CURVES = 20
+"""Of each kind: four antennas and their station, two dipoles, own sky and a file. An error has none."""
 
 
 @lru_cache(maxsize=16)
-def _believed(kind: str) -> tuple[Instrument, SkyPower, SkyFreedom]:
-    """Instrument, sky power and its freedom as somebody believes them who made a mistake."""
-    instrument = OF_INSTRUMENT.get(kind, _as_it_is)(load_instrument("lofar-superterp"))
+def _believed(kind: str) -> tuple[Instrument, SkyPower, SkyFreedom] | None:
+    """Instrument, sky power and its freedom as somebody believes them who made a mistake; None where it is an error."""
+    try:
+        instrument = OF_INSTRUMENT.get(kind, _as_it_is)(load_instrument("lofar-superterp"))
+    except BadInputError:
+        return None
     return instrument, compute_sky_power(instrument), free_own_sky(instrument)
 
 
@@ -148,7 +154,11 @@ def fit_wrong(seed: int) -> Row:
     row: Row = {}
     for kind in KINDS:
         wrong = of_other if kind == PATTERN else OF_SPECTRA.get(kind, _as_they_are)(spectra)
-        believed, power, freedom = _believed(kind if kind in OF_INSTRUMENT else "")
+        found = _believed(kind if kind in OF_INSTRUMENT else "")
+        if found is None:
+            row[kind] = {"curves": CURVES, "converged": 0}
+            continue
+        believed, power, freedom = found
         curves = [
             curve
             for scope in SCOPES

@@ -77,6 +77,10 @@ WRONG_CONTENT: dict[str, tuple[Callable[[dict[str, Any]], None], str]] = {
     "dipoles as list": (put("dipoles", [45, 135]), "expected dipoles and cables as objects, antennas as a list"),
     "azimuth as number": (put("dipoles", "X", 45), "dipoles.X: expected a finite number"),
     "no azimuth": (put("dipoles", "X", {}), "dipoles.X: expected a finite number, found None"),
+    "arms in radians": (
+        put("dipoles", {"X": {"azimuth_deg": 0.785}, "Y": {"azimuth_deg": 2.36}}),
+        r"expected degrees \(360 more .*, found X 0.785, Y 2.36, which look like radians",
+    ),
     "short gain": (put("antenna_gain", [1, 1]), r"antenna_gain: expected 3 numbers, one a channel, found shape \(2,\)"),
     "gain zero": (
         put("receiver_gain", 2, 0),
