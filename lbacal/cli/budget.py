@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 import typer
 
-from lbacal.cli.outputs import require_outputs
+from lbacal.cli.fit_inputs import find_spectra_files, parse_selection, read_selected
+from lbacal.cli.outputs import require_image, require_outputs
 from lbacal.cli.with_model import read_open_terms
 from lbacal_core.covariance import Budget, BudgetTerm
 from lbacal_core.grids import Floats
@@ -23,7 +24,7 @@ SHOWN = 6
 
 
 def budget(
-    spectra: Annotated[Path, typer.Argument(help="Spectra file (HDF5, lbacal-spectra-1).")],
+    spectra: Annotated[list[Path], typer.Argument(help="Spectra files (HDF5, lbacal-spectra-1), or folders of them.")],
     instrument: Annotated[str, typer.Option(help="Instrument: a name such as lofar-superterp, or a JSON file.")],
     sky_power: Annotated[
         Path | None, typer.Option(help="P_sky(LST, nu) file (JSON); without it the package's own sky and antenna.")
@@ -31,6 +32,10 @@ def budget(
     sky: Annotated[
         str, typer.Option(help="Error of the sky: paper (20 %), models (seven models, 12 %), measured (absolute).")
     ] = "models",
+    since: Annotated[str | None, typer.Option(help="First instant of the events to use, ISO 8601, UTC.")] = None,
+    until: Annotated[str | None, typer.Option(help="End of the events to use, not included.")] = None,
+    year: Annotated[int | None, typer.Option(help="One calendar year, in the place of both.", min=1, max=9998)] = None,
+    station: Annotated[list[str] | None, typer.Option(help="Station to use; may be given several times.")] = None,
     left_open: Annotated[
         str | None,
         typer.Option(help="What an investigation of these data leaves open: R.json, or R.json#n where n is adopted."),
@@ -45,14 +50,15 @@ def budget(
     from lbacal_core.instrument import load_instrument
     from lbacal_core.skypower.model import compute_sky_power
     from lbacal_core.skypower.table import read_sky_power
-    from lbacal_core.spectra import read_spectra
     from lbacal_core.uncertainty.refit import compute_budget, measure_electronics
 
-    require_outputs(
-        {"--report": report, "--plot": plot}, {"SPECTRA": spectra, "--instrument": instrument, "--sky-power": sky_power}
-    )
+    selection = parse_selection(since, until, year, station)
+    files = find_spectra_files(spectra)
+    inputs = {"--instrument": instrument, "--sky-power": sky_power}
+    require_outputs({"--report": report, "--plot": plot}, {**inputs, **{f"SPECTRA {file}": file for file in files}})
+    require_image(plot)
     chain = load_instrument(instrument)
-    measured = read_spectra(spectra, now_unix=time.time())
+    measured = read_selected(files, selection, time.time())
     power = compute_sky_power(chain) if sky_power is None else read_sky_power(sky_power)
     shared = compute_budget(measured, chain, power, sky)
     of_antennas = measure_electronics(measured, chain, power)

@@ -135,9 +135,8 @@ def fit(
     if any(curve.c is not None for curve in result.curves):
         print(explain_chi2(result.curves))
     rerun = " ".join(str(path) for path in spectra)
-    for line in describe_rest(
-        result, len(measured), f"lbacal investigate {rerun} --instrument {instrument}", sky_power
-    ):
+    command = f"lbacal investigate {rerun}{selection.options} --instrument {instrument}"
+    for line in describe_rest(result, len(measured), command, sky_power):
         print(line)
     if not converged:
         raise typer.Exit(1)

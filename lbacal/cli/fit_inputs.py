@@ -1,4 +1,4 @@
-"""The spectra that a fit is given: files and folders, and which of their events and stations to use."""
+"""The spectra that a command is given: files and folders, and which of their events and stations to use."""
 
 from __future__ import annotations
 

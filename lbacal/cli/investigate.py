@@ -6,19 +6,25 @@ import json
 import sys
 import time
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from lbacal.cli.fit_inputs import Selection, find_spectra_files, parse_selection, read_selected
 from lbacal.cli.with_model import HELP, read_model, report_path
 from lbacal.files import written_beside
 
+if TYPE_CHECKING:
+    from lbacal_core.spectra import Spectra
+
 
 def investigate(
+    spectra: Annotated[
+        list[Path] | None, typer.Argument(help="Spectra files (HDF5, lbacal-spectra-1), or folders of them.")
+    ] = None,
     report: Annotated[
         Path | None, typer.Option(help="Report to write (JSON); with --stored it is kept there and need not be.")
     ] = None,
-    spectra: Annotated[Path | None, typer.Argument(help="Spectra file (HDF5, lbacal-spectra-1).")] = None,
     lst_curve: Annotated[
         Path | None, typer.Option(help="Ask a band-averaged LST curve instead (CSV: lst_h, x_db, y_db, error_db).")
     ] = None,
@@ -36,28 +42,32 @@ def investigate(
     html: Annotated[Path | None, typer.Option(help="The report as a page with its figures (HTML).")] = None,
     with_: Annotated[str | None, typer.Option("--with", metavar="R.json[#n]", help=HELP)] = None,
     stored: Annotated[bool, typer.Option("--stored", help="Let the service investigate the spectra it keeps.")] = False,
-    since: Annotated[str | None, typer.Option(help="First instant of the stored window, ISO 8601, UTC.")] = None,
-    until: Annotated[str | None, typer.Option(help="End of the stored window, not included.")] = None,
-    station: Annotated[str | None, typer.Option(help="Station of the stored spectra; without it all.")] = None,
+    since: Annotated[str | None, typer.Option(help="First instant of the events to use, ISO 8601, UTC.")] = None,
+    until: Annotated[str | None, typer.Option(help="End of the events to use, not included.")] = None,
+    year: Annotated[int | None, typer.Option(help="One calendar year, in the place of both.", min=1, max=9998)] = None,
+    station: Annotated[
+        list[str] | None, typer.Option(help="Station to use; may be given several times, with --stored once.")
+    ] = None,
     reason: Annotated[str | None, typer.Option(help="Why the stored spectra are investigated; it is kept.")] = None,
 ) -> None:
     """Find what the simulation gets wrong: name the cause, extend the model, measure the gain.
 
-    Example: lbacal investigate spectra.h5 --instrument lofar-superterp --report R.json --html R.html
+    Example: lbacal investigate 2014/ --instrument lofar-superterp --station CS002 --report R.json --html R.html
 
     Exit 0 for every verdict: consistent, explained, unexplained.
 
     The service does it with its stored spectra, one report a station and calendar year:
     lbacal investigate --stored --since 2014-01-01 --until 2015-01-01 --reason "new map"
     """
+    selection = parse_selection(since, until, year, station)
     if stored:
         from lbacal.cli.stored import Wanted, investigate_stored
 
-        if spectra is not None or lst_curve is not None or with_ is not None:
+        if spectra or lst_curve is not None or with_ is not None:
             raise typer.BadParameter(
                 "--stored names spectra and model: no file, no --lst-curve and no --with beside it"
             )
-        investigate_stored(Wanted(since, until, station, reason), report)
+        investigate_stored(Wanted.of(selection, reason), report)
         return
     if report is None:
         raise typer.BadParameter("name the report to write with --report")
@@ -66,21 +76,26 @@ def investigate(
     from lbacal_core.skypower.model import compute_sky_power
     from lbacal_core.skypower.table import read_sky_power
 
-    if (spectra is None) == (lst_curve is None):
-        raise typer.BadParameter("name a spectra file or --lst-curve, one of the two")
-    if spectra is not None and instrument is None:
+    if (not spectra) == (lst_curve is None):
+        raise typer.BadParameter("name spectra files or --lst-curve, one of the two")
+    if spectra and instrument is None:
         raise typer.BadParameter("spectra need --instrument, a name such as lofar-superterp or a JSON file")
-    if lst_curve is not None and with_ is not None:
-        raise typer.BadParameter("--with names findings of spectra; an LST curve has its own")
-    inputs: dict[str, str | Path | None] = {"SPECTRA": spectra, "--lst-curve": lst_curve, "--sky-power": sky_power}
+    if lst_curve is not None and (with_ is not None or selection != Selection()):
+        raise typer.BadParameter(
+            "--with, --since, --until, --year and --station belong to spectra, not to an LST curve"
+        )
+    files = find_spectra_files(spectra or [])
+    inputs: dict[str, str | Path | None] = {f"SPECTRA {file}": file for file in files}
+    inputs |= {"--lst-curve": lst_curve, "--sky-power": sky_power}
     inputs["--with"] = None if with_ is None else report_path(with_)
     require_outputs({"--report": report, "--html": html}, {**inputs, "--instrument": instrument})
     model = read_model(with_)
     chain = load_instrument(instrument or "lofar-superterp")
     sky = compute_sky_power(chain) if sky_power is None else read_sky_power(sky_power)
     sky.require_made_for(chain)
-    if spectra is not None:
-        content = _ask_spectra(spectra, chain, sky, sky_power is None, html, model)
+    if files:
+        measured = read_selected(files, selection, time.time(), _say)
+        content = _ask_spectra(measured, chain, sky, sky_power is None, html, model)
     else:
         content = _ask_curve(lst_curve, chain, sky, sky_power is None, band, html)
     with written_beside(report) as beside:
@@ -105,13 +120,11 @@ def _tell(content: dict[str, Any]) -> None:
 
 
 def _ask_spectra(
-    spectra: Path, chain: Any, sky: Any, is_own_sky: bool, html: Path | None, model: Any
+    measured: Spectra, chain: Any, sky: Any, is_own_sky: bool, html: Path | None, model: Any
 ) -> dict[str, Any]:
     from lbacal_core.discovery.investigate import investigate as ask
     from lbacal_core.discovery.left_open import add_left_open
-    from lbacal_core.spectra import read_spectra
 
-    measured = read_spectra(spectra, now_unix=time.time())
     content, stations = ask(measured, chain, sky, is_own_sky=is_own_sky, progress=_say, model=model)
     if html is not None:
         from lbacal.cli.investigation_page import write_investigation_page

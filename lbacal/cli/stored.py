@@ -9,8 +9,10 @@ from typing import Any
 
 import typer
 
+from lbacal.cli.fit_inputs import Selection
 from lbacal.client import Client
 from lbacal.files import written_beside
+from lbacal.instants import format_instant
 from lbacal_core.errors import BadInputError
 
 
@@ -22,6 +24,14 @@ class Wanted:
     until: str | None
     station: str | None
     reason: str | None
+
+    @classmethod
+    def of(cls, selection: Selection, reason: str | None) -> Wanted:
+        """What the options of the command select."""
+        if len(selection.stations) > 1:
+            raise BadInputError("--station", "one beside --stored, or none for all", ", ".join(selection.stations))
+        since, until = (None if at is None else format_instant(at) for at in (selection.since, selection.until))
+        return cls(since, until, selection.stations[0] if selection.stations else None, reason)
 
 
 def investigate_stored(wanted: Wanted, report: Path | None) -> None:

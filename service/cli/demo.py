@@ -23,7 +23,6 @@ from lbacal.cli.figures import (
 from lbacal.cli.report_pages import embed, fill_report
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.calibration.freedom import free_own_sky
-from lbacal_core.calibration.residuals import map_residuals
 from lbacal_core.curves import OK, CalibrationCurve, FitReport
 from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.data.tables import read_table
@@ -41,6 +40,7 @@ from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra_blocks import split_into_blocks
 from lbacal_core.twin.campaign import Campaign, simulate_campaign
 from lbacal_core.twin.settings import TwinSettings
+from lbacal_core.uncertainty.departures import map_departures
 from service.cli.demo_service import ServedRun, describe_served, serve_demonstration
 
 STATION = "CS002"
@@ -136,7 +136,7 @@ def render_report(shown: Demonstration, served: ServedRun | None = None) -> str:
     sky_curves = {d: simulate_band_power(shown.sky_power, d, FULL_DAY, weights) for d in DIPOLES}
     fitted = [curve for curve in shown.station.curves if curve.c is not None]
     maps = {
-        block.dipole: map_residuals(block, shown.paths.curves, shown.instrument, shown.sky_power)
+        block.dipole: map_departures(block, shown.paths.curves, shown.instrument, shown.sky_power)
         for block in split_into_blocks(spectra)
     }
     figures = {

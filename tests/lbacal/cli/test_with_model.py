@@ -120,16 +120,26 @@ def test_fit_without_a_model_names_none(late):
 
 
 def test_investigate_with_a_finding_tells_what_is_left(late, report):
+    """It takes folders, and a choice from them, as `fit` does."""
     done = run(
-        "investigate", late / "S.h5", "--instrument", "lofar-superterp", "--sky-power", late / "P.json",
-        "--report", late / "left.json", "--with", f"{report}#0",
+        "investigate", late, late / "S.h5", "--station", "CS002", "--instrument", "lofar-superterp",
+        "--sky-power", late / "P.json", "--report", late / "left.json", "--with", f"{report}#0",
     )  # fmt: skip
     assert done.exit_code == 0, done.output
     content = json.loads((late / "left.json").read_text())
     assert content["verdict"] == "consistent"
     assert "adopted: lst_offset in station of CS002, here 0.3" in done.output
+    assert done.output.count("read S.h5") == 1
     assert Model.from_report(content) == read_model(f"{report}#0")
     assert content["provenance"]["inputs"]["model"] == read_model(f"{report}#0").id
+
+
+@pytest.mark.parametrize("command", ["investigate", "budget"])
+def test_what_is_not_in_the_files_is_named(late, command):
+    outputs = {"investigate": ("--report", late / "left.json"), "budget": ("--plot", late / "b.png")}
+    done = run(command, late / "S.h5", "--year", "1999", "--instrument", "lofar-superterp", *outputs[command])
+    assert "--since 1999-01-01T00:00:00Z" in str(done.exception)
+    assert "of CS002" in str(done.exception)
 
 
 def test_a_report_is_not_overwritten_by_what_is_made_with_it(late, report):

@@ -1,12 +1,9 @@
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-from lbacal_core.calibration.fit import fit_calibration
-from lbacal_core.calibration.residuals import map_residuals, noise_at_input, predict_power
+from lbacal_core.calibration.residuals import noise_at_input, predict_power
 from lbacal_core.curves import CONVERGED, CalibrationCurve, Parameter
 from lbacal_core.instrument import Instrument
 from lbacal_core.sidereal import local_sidereal_time
@@ -52,23 +49,3 @@ def test_noise_terms_at_the_input_add_up_to_the_predicted_power(campaign: Campai
     silent = predict_power(curve, low_band, np.zeros((1, low_band.frequency_mhz.size)))[0]
     np.testing.assert_allclose(sum(terms.values()) * low_band.antenna_gain / curve.c**2, silent)
     assert terms["adc"] == pytest.approx(curve.parameters["n_adc"].value * curve.c**2 / low_band.antenna_gain)
-
-
-def test_the_residual_map_shows_what_was_added_and_nothing_else(
-    campaign: Campaign, low_band: Instrument, two_waves: SkyPower
-) -> None:
-    curves = fit_calibration(campaign.spectra, low_band, two_waves).curves
-    spectra = campaign.spectra
-    lst = local_sidereal_time(spectra.time_unix, low_band.longitude_deg)
-    power = spectra.power.copy()
-    is_evening = (lst >= 6) & (lst < 8)
-    power[np.ix_(is_evening, np.arange(51) == 20)] *= 1.3
-    marked = split_into_blocks(replace(spectra, power=power))[0]
-    plain = split_into_blocks(spectra)[0]
-    difference = map_residuals(marked, curves, low_band, two_waves, 12) - map_residuals(
-        plain, curves, low_band, two_waves, 12
-    )
-    assert difference.shape == (12, 51)
-    assert difference[3, 20] == pytest.approx(0.3, abs=0.02)
-    difference[3, 20] = 0.0
-    assert np.abs(difference).max() == 0.0

@@ -1,9 +1,10 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from lbacal_core.calibration.residuals import map_residuals
 from lbacal_core.curves import CalibrationCurve, Parameter
 from lbacal_core.instrument import Instrument
 from lbacal_core.sidereal import local_sidereal_time
@@ -45,15 +46,18 @@ def test_a_path_is_compared_with_the_narrowest_curve_that_answers(low_band: Inst
     assert list(compare_paths(seen, [curve(9, dipole="Y")], low_band, two_waves)) == []
 
 
-def test_a_map_of_paths_with_curves_of_their_own_is_that_of_residuals(
-    low_band: Instrument, two_waves: SkyPower
-) -> None:
-    seen = block(low_band, two_waves, (1.02, 1.1))
-    curves = [curve(4), curve(9)]
-    expected = map_residuals(seen, curves, low_band, two_waves)
-    found = map_departures(seen, curves, low_band, two_waves)
-    np.testing.assert_allclose(found, expected)
-    assert np.nanmean(found) == pytest.approx((0.02 * 2 + 0.1) / 3, abs=0.005)
+def test_the_map_shows_what_was_added_and_nothing_else(low_band: Instrument, two_waves: SkyPower) -> None:
+    plain, curves = block(low_band, two_waves, (1.02, 1.1)), [curve(4), curve(9)]
+    lst = local_sidereal_time(plain.time_unix, low_band.longitude_deg)
+    power = plain.power.copy()
+    power[:, (lst >= 6.0) & (lst < 6.5), 20] *= 1.3
+    before, after = (map_departures(one, curves, low_band, two_waves) for one in (plain, replace(plain, power=power)))
+    assert before.shape == (48, 51)
+    assert np.nanmean(before) == pytest.approx((0.02 * 2 + 0.1) / 3, abs=0.005)
+    difference = after - before
+    assert difference[12, 20] == pytest.approx(0.3 * (1 + before[12, 20]))
+    difference[12, 20] = 0.0
+    assert np.nanmax(np.abs(difference)) == 0.0
 
 
 def test_the_gain_of_a_path_is_no_departure_from_its_stations_curve(low_band: Instrument, two_waves: SkyPower) -> None:
