@@ -127,7 +127,7 @@ OF_INSTRUMENT: Mapping[str, Callable[[Instrument], Instrument]] = {
 PATTERN = "a short dipole taken for the antenna"
 KINDS = (*OF_SPECTRA, *OF_INSTRUMENT, PATTERN)
 CURVES = 20
-"""Of each kind: four antennas and their station, two dipoles, own sky and a file. An error has none."""
+"""Curves of each kind: four antennas and their station, two dipoles, own sky and a file; what is an error has none."""
 
 
 @lru_cache(maxsize=16)
