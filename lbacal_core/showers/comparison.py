@@ -6,6 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import brentq
+from scipy.stats import norm
+from scipy.stats import t as student_t
 
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
@@ -14,6 +17,8 @@ from lbacal_core.showers.slopes import Slopes, fit_slopes
 
 FEWEST_EVENTS = 3
 """Fewer leave the scatter of events unknown."""
+ONE_SIGMA = float(norm.cdf(1.0))
+"""Probability below one standard deviation."""
 MILLI = 1e3
 """Slopes are reported in 10^-3 per MHz."""
 
@@ -27,8 +32,8 @@ class Displacement:
     slopes
         Slopes of every signal.
     difference, difference_sigma
-        Mean over events of the slope above minus the slope below the resonance, and its standard deviation from the
-        scatter of the events: signals of one event share direction and calibration.
+        Mean over events of the slope above minus the slope below the resonance, and half of its 68 % interval from
+        the scatter of the events (`mean_of_unequal`): signals of one event share direction and calibration.
     low_shift, high_shift
         Median change of each slope against the true field's.
     """
@@ -80,18 +85,40 @@ def true_slopes(recording: Recording) -> Slopes:
 
 
 def _mean_over_events(recording: Recording, slopes: Slopes) -> tuple[float, float]:
-    """Mean of high - low, each signal weighted by its error, and the error of the mean from jackknifing the events."""
+    """Mean of high - low over events and its error; each signal of an event is weighted by its own error."""
     difference = slopes.high - slopes.low
     is_known = np.isfinite(difference)
-    seen = np.unique(recording.signals.event[is_known]).size
-    if seen < FEWEST_EVENTS:
+    _, event = np.unique(recording.signals.event[is_known], return_inverse=True)
+    if event.size == 0 or event.max() + 1 < FEWEST_EVENTS:
+        seen = 0 if event.size == 0 else int(event.max()) + 1
         raise BadInputError("signals", f"{FEWEST_EVENTS} events or more above the background", f"{seen}")
-    events, values = recording.signals.event[is_known], difference[is_known]
     weight = 1.0 / (slopes.low_sigma[is_known] ** 2 + slopes.high_sigma[is_known] ** 2)
-    total, count = float(weight @ values), float(weight.sum())
-    left_out = []
-    for k in np.unique(events):
-        own = events == k
-        left_out.append((total - weight[own] @ values[own]) / (count - weight[own].sum()))
-    size = len(left_out)
-    return total / count, float(np.sqrt((size - 1) * np.var(left_out)))
+    total = np.bincount(event, weight)
+    return mean_of_unequal(np.bincount(event, weight * difference[is_known]) / total, np.asarray(total**-0.5))
+
+
+def mean_of_unequal(values: Floats, sigma: Floats) -> tuple[float, float]:
+    """Mean of a few values of unequal error that may scatter by more than it, and half of the mean's 68 % interval.
+
+    With weights w = 1/(sigma^2 + tau^2) the error of the mean is that of Hartung and Knapp (2001, Statistics in
+    Medicine 20, 1771), sum w (y - mean)^2 / ((n - 1) sum w), whose pull follows Student's t with n - 1 degrees
+    of freedom; tau, the scatter between values, is that of Paule and Mandel (1982, J. Res. NBS 87, 377). A jackknife
+    has fewer degrees of freedom than it has values, because few of them have most of the weight: of 20 events whose
+    signal over background spans a factor of 100 about eight, and it states the error a tenth too small.
+
+    Parameters
+    ----------
+    values, sigma
+        Shape (n,).
+    """
+    freedom = values.size - 1
+
+    def chi2_beyond(scatter: float) -> float:
+        """Chi^2 about the mean above its expectation, for a variance between values."""
+        weight = 1.0 / (sigma**2 + scatter)
+        return float(weight @ (values - weight @ values / weight.sum()) ** 2) - freedom
+
+    scatter = 0.0 if chi2_beyond(0.0) <= 0.0 else brentq(chi2_beyond, 0.0, float(np.sum((values - values.mean()) ** 2)))
+    weight = 1.0 / (sigma**2 + scatter)
+    variance = (chi2_beyond(scatter) / freedom + 1.0) / weight.sum()
+    return float(weight @ values / weight.sum()), float(student_t.ppf(ONE_SIGMA, freedom) * np.sqrt(variance))
