@@ -1,13 +1,13 @@
 """What an adopted cause gains on data that did not serve to adopt it: promised beforehand, measured afterwards.
 
-With the size s as it was adopted, the score S of its template (`discovery.view`) and the information I, both of the new
-events and in the residuals of the model with the cause, the log-likelihood of these events with the cause less that
-without it is
+The chain of every path is fitted with the cause, at the size as it was adopted, and without it. With the residuals e of
+the first fit, d those of the second less those of the first, and the noise levels of the first, the log-likelihood with
+the cause less that without it is
 
-    gain = s S + s^2 I / 2.
+    gain = <e, d> + <d, d> / 2,
 
-For a true size s_0 it has the mean s s_0 I - s^2 I / 2 and the standard deviation s I^1/2: SNR^2 / 2 and SNR, where the
-true size is the adopted one. Gains of different events add up.
+summed over the new events. It is the difference of two likelihoods, right for effects of any size. Where the true size
+is the adopted one, its mean is <d, d> / 2 = SNR^2 / 2 and its standard deviation SNR. Gains of different events add up.
 """
 
 from __future__ import annotations
@@ -23,20 +23,15 @@ from scipy.stats import norm
 from threadpoolctl import threadpool_limits
 
 from lbacal_core.causes.catalogue import CAUSES
-from lbacal_core.causes.cause import signature
 from lbacal_core.discovery.adopted import FittedSizes, fit_adopted, gather_adopted
 from lbacal_core.discovery.deaf import leave_out_deaf
 from lbacal_core.discovery.policy import Policy
-from lbacal_core.discovery.station import Station, model_modes
+from lbacal_core.discovery.station import SkyModes, Station, model_modes
 from lbacal_core.instrument import Instrument
 from lbacal_core.model import INSTANT, Model
 from lbacal_core.skypower.differences import compute_model_differences
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra import Spectra
-
-OLD, NEW = 0, 1
-LINEAR = 0.05
-"""Part of the gain by which it differs from that of two fits of the whole model: 0.06 for a clock that is 0.3 h off."""
 
 
 @dataclass(frozen=True)
@@ -104,37 +99,36 @@ def measure_gains(
             station = leave_out_deaf(gathered)[0]
             modes = None if known is None else model_modes(station, known)
             fitted = fit_adopted(station, model, modes, are_sizes_kept=True)
-            fold = np.array([NEW if (station.name, event) in new else OLD for event in station.event_id.tolist()])
-            found += _gains_of(station, model, fitted, fold)
+            events = fitted.model.station.event_id.tolist()
+            is_new = np.array([(station.name, event) in new for event in events], dtype=bool)
+            found += _gains_of(station, model, fitted, modes, is_new)
     return sorted(found, key=lambda one: one.number)
 
 
-def _gains_of(station: Station, model: Model, fitted: FittedSizes, fold: NDArray[np.int64]) -> list[MeasuredGain]:
+def _gains_of(
+    station: Station, model: Model, fitted: FittedSizes, modes: SkyModes | None, is_new: NDArray[np.bool_]
+) -> list[MeasuredGain]:
     seen = [size.adopted for size in fitted.sizes]
     linear, found = fitted.model.linear, []
     for number, adopted in enumerate(model.causes):
         if adopted.station != station.name:
             continue
         at = next((k for k, one in enumerate(seen) if one is adopted), None)
-        if at is None or not np.any(fold == NEW):
+        if at is None or not np.any(is_new):
             found.append(MeasuredGain(number, 0, 0.0, 0.0, 0.0))
             continue
-        one, conditions = fitted.model.hypotheses[at], linear.station.conditions
-        # Half the size: a step from none to all of it is then right to second order.
-        template = signature(one.cause, linear.terms, conditions, one.template, 0.5 * one.size)
-        scores, informations, _ = linear.by_fold(template, np.ones((1, fold.size)), one.target, fold)
-        score, information = float(scores[NEW, 0]), max(float(informations[NEW, 0]), 0.0)
-        acts = np.any(linear.station.is_present[one.target.is_member], axis=0) & (fold == NEW)
-        noise, of_size = one.size**2 * information, one.size * information * adopted.sigma
-        found.append(
-            MeasuredGain(
-                number,
-                int(acts.sum()),
-                one.size * score + 0.5 * one.size**2 * information,
-                0.5 * noise,
-                float(np.sqrt(noise + of_size**2 + (LINEAR * 0.5 * noise) ** 2)),
-            )
+        one = fitted.model.hypotheses[at]
+        acts = np.any(linear.station.is_present[one.target.is_member], axis=0) & is_new
+        rest = fit_adopted(linear.station, model.without(number), modes, are_sizes_kept=True).model.linear
+        without = linear.with_residuals(rest.residuals.mean, rest.residuals.deviation)
+        moved = linear.with_residuals(
+            rest.residuals.mean - linear.residuals.mean, rest.residuals.deviation - linear.residuals.deviation
         )
+        gain = 0.5 * (without.chi_squared_by_event() - linear.chi_squared_by_event())[is_new].sum()
+        noise = float(moved.chi_squared_by_event()[is_new].sum())
+        of_size = noise * adopted.sigma / one.size
+        error = float(np.sqrt(noise + of_size**2))
+        found.append(MeasuredGain(number, int(acts.sum()), float(gain), 0.5 * noise, error))
     return found
 
 
@@ -155,7 +149,7 @@ def promise_of(finding: Mapping[str, Any]) -> Promise:
     true = found * true_share(abs(evidence["score_sigma"]), evidence["trials"] * len(CAUSES))
     gain = found * true - 0.5 * found**2
     of_noise = gain * 2.0 / float(np.sqrt(evidence["events"]))
-    return Promise(gain, float(np.sqrt(found**2 * (1.0 + uncertain**2) + of_noise**2 + (LINEAR * gain) ** 2)))
+    return Promise(gain, float(np.sqrt(found**2 * (1.0 + uncertain**2) + of_noise**2)))
 
 
 def true_share(z: float, trials: float) -> float:

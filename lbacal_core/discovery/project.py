@@ -69,6 +69,10 @@ class LinearModel:
         """The same residuals weighed with other noise levels."""
         return replace(self, residuals=replace(self.residuals, levels=levels))
 
+    def with_residuals(self, mean: Floats, deviation: Floats) -> LinearModel:
+        """Other residuals of the same events, weighed alike."""
+        return replace(self, residuals=replace(self.residuals, mean=mean, deviation=deviation))
+
     def on_events(self, is_known: NDArray[np.bool_]) -> LinearModel:
         """The model of some events alone, such as those whose temperature is known; shape (event,)."""
         if np.all(is_known):
@@ -325,9 +329,14 @@ class LinearModel:
     def chi_squared(self) -> tuple[float, int]:
         """Chi^2 of the residuals, and its degrees of freedom."""
         residuals, is_present = self.residuals, self.station.is_present
-        total = sum(float(np.sum(view.residual * view.weighted_residual)) for view in (self.common, *self.paths))
+        total = float(self.chi_squared_by_event().sum())
         polarisations, events, channels = residuals.mean.shape
         count = polarisations * events * channels - self.common.rank
         shares = 1.0 - residuals.in_mean / self.paths_in_mean[self.polarisation_of[self.station.class_of]]
         count += int(np.sum(shares * np.maximum(is_present.sum(axis=1) * channels - channels - 3, 0)))
         return total, count
+
+    def chi_squared_by_event(self) -> Floats:
+        """What each event adds to chi^2, shape (event,)."""
+        views = (self.common, *self.paths)
+        return np.sum([np.einsum("mref,mref->e", view.residual, view.weighted_residual) for view in views], axis=0)
