@@ -339,4 +339,5 @@ class LinearModel:
     def chi_squared_by_event(self) -> Floats:
         """What each event adds to chi^2, shape (event,)."""
         views = (self.common, *self.paths)
-        return np.sum([np.einsum("mref,mref->e", view.residual, view.weighted_residual) for view in views], axis=0)
+        parts = [np.einsum("mref,mref->e", view.residual, view.weighted_residual) for view in views]
+        return np.asarray(np.sum(parts, axis=0))
