@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import cached_property
 from pathlib import Path
@@ -51,7 +51,7 @@ _KINDS = {
     "dipole": STRINGS,
     "blocks": INTEGERS,
 }
-_OPTIONAL = {"width_mhz": NUMBERS, "duration_s": NUMBERS}
+_OPTIONAL = {"width_mhz": NUMBERS, "duration_s": NUMBERS, "flag": STRINGS}
 
 
 @dataclass(frozen=True)
@@ -78,6 +78,11 @@ class Spectra:
         Widths of the channels, shape (freq,), MHz; None where the file has none: see `channel_widths`.
     duration_s
         What was averaged in each spectrum, shape (row,), s; None where only `blocks` counts it.
+    flag
+        Why a spectrum must not be used, shape (row,), empty where it may; None where nothing is flagged. A file keeps
+        flagged spectra, and `read_spectra` leaves them out.
+    left_out
+        How many flagged spectra were left out when the file was read, by flag.
     """
 
     frequency_mhz: Floats
@@ -93,6 +98,8 @@ class Spectra:
     origin: str = "spectra"
     width_mhz: Floats | None = None
     duration_s: Floats | None = None
+    flag: NDArray[np.str_] | None = None
+    left_out: Mapping[str, int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         require_channels(self.origin, self.frequency_mhz)
@@ -113,6 +120,8 @@ class Spectra:
         self._require("blocks", self.blocks > 0, "a count > 0")
         self._require("event_id", self.event_id != "", "a name")
         self._require("station", self.station != "", "a name")
+        if self.flag is not None and self.flag.shape != (rows,):
+            raise BadInputError(f"{self.origin}: flag", f"{rows} texts, one a row", f"shape {self.flag.shape}")
         self._require_covariates(rows)
         self._require_widths_and_durations(rows)
         self._require_unique_keys()
@@ -191,7 +200,23 @@ class Spectra:
             self.origin,
             self.width_mhz,
             None if self.duration_s is None else self.duration_s[rows],
+            None if self.flag is None else self.flag[rows],
+            self.left_out,
         )
+
+    def without_flagged(self) -> Spectra:
+        """The spectra that are not flagged; `left_out` counts the others."""
+        if self.flag is None:
+            return self
+        flags, counts = np.unique(self.flag[self.flag != ""], return_counts=True)
+        found = dict(zip(flags.tolist(), counts.tolist(), strict=True))
+        return replace(self.select(self.flag == ""), flag=None, left_out=found)
+
+    @property
+    def flagged_words(self) -> str:
+        """How many spectra were left out for their flags, in words."""
+        words = ", ".join(f"{count} {flag}" for flag, count in self.left_out.items())
+        return f"{sum(self.left_out.values())} spectra are flagged ({words})"
 
     def channel_widths(self) -> Floats:
         """Widths of the channels, shape (freq,), MHz: as given, else 1 on a grid of whole MHz, else the spacing."""
@@ -231,7 +256,7 @@ class Spectra:
 
 
 def read_spectra(path: Path, now_unix: float | None = None) -> Spectra:
-    """Read a spectra file; with `now_unix`, refuse spectra of the future."""
+    """Read a spectra file without its flagged spectra; with `now_unix`, refuse spectra of the future."""
     if not path.is_file():
         raise UnreadableFileError(
             f"{path}: expected a spectra file, found {'a folder' if path.is_dir() else 'no file'}"
@@ -246,14 +271,18 @@ def read_spectra(path: Path, now_unix: float | None = None) -> Spectra:
         raise UnreadableFileError(
             f"{path}: expected a spectra file (HDF5), found something unreadable ({reason})"
         ) from error
-    spectra = Spectra(**content, origin=path.name)
+    spectra = Spectra(**content, origin=path.name).without_flagged()
+    if len(spectra) == 0 and spectra.left_out:
+        raise BadInputError(
+            f"{path}: flag", "a spectrum that is not flagged", f"all {sum(spectra.left_out.values())} are"
+        )
     if now_unix is not None:
         spectra.require_past(now_unix)
     return spectra
 
 
 def read_columns(content: bytes, place: str, largest_bytes: int) -> dict[str, Any]:
-    """Read the bytes of a spectra file into the fields of `Spectra`, which has not checked them yet.
+    """Read the bytes of a spectra file into the fields of `Spectra`, which has not checked them yet; none is flagged.
 
     Parameters
     ----------
@@ -264,11 +293,17 @@ def read_columns(content: bytes, place: str, largest_bytes: int) -> dict[str, An
     """
     try:
         with h5py.File(h5py.h5f.open_file_image(content), "r") as file:
-            return _read_open_file(file, place, largest_bytes)
+            columns = _read_open_file(file, place, largest_bytes)
     except HDF5_FAILURES as error:
         reason = str(error)[:120]
         sentence = f"{place}: expected a spectra file (HDF5), found something unreadable ({reason})"
         raise UnreadableFileError(sentence) from error
+    flagged = np.flatnonzero(columns.pop("flag", np.array([""])) != "")
+    if flagged.size:
+        raise BadInputError(
+            f"{place}: flag, row {flagged[0]}", "no flagged spectra (lbacal ingest leaves them out)", "one"
+        )
+    return columns
 
 
 def _read_open_file(file: h5py.File, place: str, largest_bytes: int | None = None) -> dict[str, Any]:
@@ -341,7 +376,8 @@ def write_spectra(spectra: Spectra, file: Path | IO[bytes]) -> None:
             # texts of one length: ten times as fast to write and read as texts that each have their own
             opened[name] = np.char.encode(values, "utf-8") if values.dtype.kind == "U" else values
         for name in _OPTIONAL:
-            if getattr(spectra, name) is not None:
-                opened[name] = getattr(spectra, name)
+            values = getattr(spectra, name)
+            if values is not None:
+                opened[name] = np.char.encode(values, "utf-8") if values.dtype.kind == "U" else values
         for name, values in spectra.environment.items():
             opened[f"env/{name}"] = values

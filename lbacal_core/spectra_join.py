@@ -50,6 +50,7 @@ def join_spectra(parts: Sequence[Spectra]) -> Spectra:
         f"{first.origin} and {len(parts) - 1} more",
         first.width_mhz,
         np.concatenate(durations) if durations else None,
+        left_out={flag: sum(part.left_out.get(flag, 0) for part in parts) for part in parts for flag in part.left_out},
     )
 
 

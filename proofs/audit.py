@@ -16,6 +16,7 @@ import numpy as np
 from lbacal_core.audit.audit import audit
 from lbacal_core.errors import BadInputError
 from lbacal_core.instrument import Instrument, load_instrument
+from lbacal_core.skypower.differences import DifferenceModels
 from lbacal_core.spectra import Spectra
 from lbacal_core.twin.campaign import simulate_campaign
 from lbacal_core.twin.nuisances import Nuisances
@@ -51,11 +52,25 @@ class Faulty:
     size: float | None = None
 
 
-def draw_station(rng: np.random.Generator, length: str) -> tuple[str, Spectra, Instrument]:
+@dataclass(frozen=True)
+class Station:
+    """Spectra and true record of a drawn station, and the models that the audit may know: none that was drawn."""
+
+    world: str
+    spectra: Spectra
+    instrument: Instrument
+    others: DifferenceModels
+
+
+def draw_station(rng: np.random.Generator, length: str) -> Station:
     """Spectra of a station in a drawn world, and its record."""
     instrument = load_instrument("lofar-superterp")
     hours, count = LENGTHS[length]
     world = draw_world(rng, SKIES, ANTENNAS)
+    others = DifferenceModels(
+        tuple(sky for sky in DifferenceModels().skies if sky != world.sky),
+        tuple(antenna for antenna in DifferenceModels().antennas if antenna != world.antenna),
+    )
     gain = float(rng.choice(GAINS))
     years = hours / 24 / 365.25
     settings = TwinSettings(
@@ -69,7 +84,7 @@ def draw_station(rng: np.random.Generator, length: str) -> tuple[str, Spectra, I
         except BadInputError:  # two of the random instants lie in one second, which names an event
             continue
         break
-    return world.label, spectra, instrument
+    return Station(world.label, spectra, instrument, others)
 
 
 def hide(kind: str, spectra: Spectra, instrument: Instrument, rng: np.random.Generator) -> Faulty:
@@ -124,11 +139,12 @@ def tell_audit(length: str, seed: int) -> Row:
     """Draw a station, hide one fault in every second one, and audit it."""
     rng = np.random.default_rng([20261122, seed])
     kind = KINDS[seed // 2 % len(KINDS)] if seed % 2 else "nothing"
-    label, spectra, instrument = draw_station(rng, length)
+    station = draw_station(rng, length)
+    spectra, instrument = station.spectra, station.instrument
     faulty = Faulty(spectra, instrument) if kind == "nothing" else hide(kind, spectra, instrument, rng)
-    report = audit(faulty.spectra, faulty.instrument)
+    report = audit(faulty.spectra, faulty.instrument, others=station.others)
     wrong = [line for line in report.lines if line.verdict == "wrong"]
-    row: Row = {"kind": kind, "world": label, "antennas": int(np.unique(spectra.antenna).size)}
+    row: Row = {"kind": kind, "world": station.world, "antennas": int(np.unique(spectra.antenna).size)}
     row["outcome"] = "right" if kind == "nothing" and not wrong else "false" if kind == "nothing" else "silent"
     if kind == "nothing" or not wrong:
         return row | {"said": [line.sentence for line in wrong]}

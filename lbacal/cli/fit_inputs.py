@@ -98,6 +98,8 @@ def read_selected(
     for file in files:
         tell(f"read {file.name}")
         whole = read_spectra(file, now_unix)
+        if whole.left_out:
+            tell(f"{file.name}: {whole.flagged_words}, left out")
         if len(whole):
             seen.append((float(whole.time_unix.min()), float(whole.time_unix.max()), set(whole.station.tolist())))
         chosen = selection.apply(whole)

@@ -7,8 +7,9 @@ single antennas whose dipoles are exchanged; what the others saw of the sky come
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -17,9 +18,12 @@ from lbacal_core.audit.cables import find_wrong_cables
 from lbacal_core.audit.exchange import compare_polarisations, tell_exchanged
 from lbacal_core.audit.finding import WRONG, Line
 from lbacal_core.audit.health import compare_paths, find_ill_paths
+from lbacal_core.audit.series import mean_frequencies
 from lbacal_core.audit.sky_match import SkyMatch
+from lbacal_core.audit.sky_models import SkyModels, load_models
 from lbacal_core.audit.station import AuditedStation, split_stations
 from lbacal_core.instrument import Instrument
+from lbacal_core.skypower.differences import DifferenceModels
 from lbacal_core.spectra import Spectra
 
 
@@ -52,32 +56,46 @@ class AuditReport:
         }
 
 
-def audit(spectra: Spectra, instrument: Instrument, sky: str | None = None, antenna: str | None = None) -> AuditReport:
+def audit(
+    spectra: Spectra,
+    instrument: Instrument,
+    sky: str | None = None,
+    antenna: str | None = None,
+    others: DifferenceModels | None = None,
+) -> AuditReport:
     """Audit every station of some spectra.
 
     Parameters
     ----------
     sky, antenna
         Models of what a working station sees, by name or file; those that the instrument names unless given.
+    others
+        Models whose differences from these are the errors of what it sees; all that ship unless given.
     """
     stations = tuple(split_stations(spectra, instrument))
     lines: list[Line] = []
+
+    @cache
+    def models() -> SkyModels:
+        """Not computed where no station needs them."""
+        return load_models(instrument, mean_frequencies(spectra.frequency_mhz), sky, antenna, others)
+
     with warnings.catch_warnings():
         warnings.filterwarnings(
             "ignore", "All-NaN|Mean of empty|Degrees of freedom", RuntimeWarning
         )  # nothing recorded
         for station in stations:
-            lines += _audit_station(station, instrument, sky, antenna)
+            lines += _audit_station(station, instrument, models)
     return AuditReport(lines, stations)
 
 
-def _audit_station(station: AuditedStation, instrument: Instrument, sky: str | None, antenna: str | None) -> list[Line]:
+def _audit_station(station: AuditedStation, instrument: Instrument, models: Callable[[], SkyModels]) -> list[Line]:
     wrong_cables, found = find_wrong_cables(station, compare_paths(station), instrument)
     station = station.with_cables(found, instrument)
     comparison = compare_paths(station)
     ill, is_ill = find_ill_paths(station, comparison)
     is_usable = np.asarray(~is_ill.any(axis=1) & np.isfinite(comparison.level).all(axis=1))
-    match = SkyMatch(station, instrument, sky, antenna)
+    match = SkyMatch(station, instrument, models)
     exchange = compare_polarisations(station, is_usable)
     most, others = np.setdiff1d(exchange.rows, exchange.exchanged()), exchange.exchanged()
     if others.size and match.gain_of_exchange(most) > match.gain_of_exchange(others):

@@ -24,6 +24,8 @@ class Line:
         Natural logarithm of the odds for the answer against the claim on record; None where nothing was compared.
     value, sigma, unit
         Size, where there is one.
+    candidates
+        Checks of which the data cannot say which one is wrong, where there are several.
     sentence
         The answer in words, and for `undecided` what would decide.
     """
@@ -38,6 +40,7 @@ class Line:
     value: float | None = None
     sigma: float | None = None
     unit: str = ""
+    candidates: tuple[str, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """The line as JSON values."""
@@ -51,5 +54,6 @@ class Line:
             "value": None if self.value is None else float(f"{self.value:.4g}"),
             "sigma": None if self.sigma is None else float(f"{self.sigma:.2g}"),
             "unit": self.unit,
+            "candidates": list(self.candidates),
             "sentence": self.sentence,
         }

@@ -2,7 +2,8 @@
 
 The power of a band, over its mean, is 1 + k (P_sky / mean P_sky - 1): the share k of the sky in the power dilutes how
 it changes. Each band of each polarisation has a level and a share of its own. The covariance holds the scatter of the
-antennas, the gain of each instant (common to everything), and departures of the sky from its model that last for hours.
+antennas, the gain of each instant (common to everything), what the exchange of a sky or antenna model for another
+changes, and departures of the sky from all models that last for hours.
 """
 
 from __future__ import annotations
@@ -19,18 +20,34 @@ from lbacal_core.grids import Floats
 BANDS = 4
 LONGEST = 96
 """Instants; more are averaged: a quarter of an hour of a day."""
-SHARE, SHARE_SPREAD, BAND_SPREAD = 0.7, 0.2, 0.1
+SHARE, SHARE_SPREAD, BAND_SPREAD = 0.7, 0.2, 0.15
 """Share of the sky in the recorded power, how well it is known, and its spread from band to band: electronic noise is
 15-50 % of the power in the published noise terms."""
 GAIN = 0.03
 """Gain of an instant, common to all antennas and channels: 3 % of 5 % from event to event (Mulrey et al. 2019)."""
-SKY_COMMON, SKY_POLARISATION, SKY_BAND, SKY_HOURS = 0.02, 0.01, 0.005, 3.0
-"""Departures of the LST shape of one sky and antenna model from another's, and how long they last: 3-7 % between maps
-and drawn shapes, 1-2 % between maps (differences of the models at hand)."""
+SKY_COMMON, SKY_POLARISATION, SKY_BAND, SKY_HOURS = 0.03, 0.002, 0.0015, 3.0
+"""Departures of the LST shape from all models, and how long they last: of everything, of a polarisation and of a
+band by itself. Where each model is predicted from the others, 0.1-0.3 % is left of polarisations and bands."""
 FREE = 1.0
 MEDIAN = (np.pi / 2) ** 0.5
 """Standard deviation of a median over that of a mean."""
 SMALLEST_NOISE = 1e-3
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What a station should see of the sky.
+
+    Attributes
+    ----------
+    change
+        P_sky over its mean in time, less 1, shape (dipole, band, time).
+    differences
+        What other models differ by in this, one standard deviation each, shape (exchange, dipole, band, time).
+    """
+
+    change: Floats
+    differences: Floats
 
 
 @dataclass(frozen=True)
@@ -79,10 +96,23 @@ def make_series(station: AuditedStation, rows: NDArray[np.int64]) -> Series:
     count = np.maximum(np.sum(np.isfinite(binned), axis=0), 1)
     scatter = spread(binned - np.nanmedian(binned, axis=-1, keepdims=True))
     noise = np.maximum(MEDIAN * scatter / count**0.5, SMALLEST_NOISE)
+    noise = np.maximum(noise, _scatter_of_instants(seen)[..., None])
     mean = np.nanmean(seen, axis=-1, keepdims=True)
     is_whole = np.all(np.isfinite(seen), axis=(0, 1))
     seen, noise = (seen / mean)[..., is_whole], (noise / mean)[..., is_whole]
     return Series(mean_frequencies(station.frequency_mhz), lst[is_whole], seen, noise)
+
+
+def _scatter_of_instants(seen: Floats) -> Floats:
+    """How much an instant departs from its neighbours in a band more than in all of them, shape (dipole, band)."""
+    if seen.shape[-1] < FEWEST_INSTANTS:
+        return np.zeros(seen.shape[:2])
+    own = np.log(seen) - np.nanmean(np.log(seen), axis=(0, 1))
+    bend = own[..., 1:-1] - (own[..., :-2] + own[..., 2:]) / 2
+    return np.asarray(np.nan_to_num(spread(bend, axis=-1)) / 1.5**0.5 * np.nanmedian(seen, axis=-1))
+
+
+FEWEST_INSTANTS = 8
 
 
 def as_power(recorded: Floats, unit: str) -> Floats:
@@ -120,30 +150,40 @@ class SeriesLikelihood:
         covariance += np.kron(FREE**2 * same, np.ones((times, times)))
         covariance[np.diag_indices_from(covariance)] += series.noise.ravel() ** 2
         self.factor = np.linalg.cholesky(covariance)
-        self.rest = solve_triangular(self.factor, series.power.ravel() - 1.0, lower=True)
+        self.whiten = solve_triangular(self.factor, np.eye(len(covariance)), lower=True)
+        self.rest = self.whiten @ (series.power.ravel() - 1.0)
 
-    def log_likelihood(self, sky_power: Floats) -> float:
-        """Log likelihood, up to a constant; `sky_power` has the shape (dipole, band, time)."""
-        shares = self._whiten_changes(sky_power)
-        prior = BAND_SPREAD**2 * np.eye(shares.shape[1]) + SHARE_SPREAD**2
+    def log_likelihood(self, seen: Seen) -> float:
+        """Log likelihood, up to a constant."""
+        shares, differences = self._whiten_changes(seen)
+        count = shares.shape[1]
+        prior = np.eye(count + differences.shape[1])
+        prior[:count, :count] = BAND_SPREAD**2 * np.eye(count) + SHARE_SPREAD**2
+        columns = np.hstack([shares, differences])
         rest = self.rest - SHARE * shares.sum(axis=1)
-        inner = cho_factor(np.linalg.inv(prior) + shares.T @ shares)
-        along = shares.T @ rest
+        inner = cho_factor(np.linalg.inv(prior) + columns.T @ columns)
+        along = columns.T @ rest
         chi2 = rest @ rest - along @ cho_solve(inner, along)
         volume = np.sum(np.log(np.diag(inner[0]))) + np.linalg.slogdet(prior)[1] / 2
         return float(-chi2 / 2 - volume)
 
-    def share(self, sky_power: Floats) -> tuple[float, float]:
-        """The share of the sky in the power that the data show, one for all bands, and its error."""
-        change = self._whiten_changes(sky_power).sum(axis=1)
-        weight = float(change @ change)
-        return float(change @ self.rest) / weight, weight**-0.5
+    def share(self, seen: Seen) -> tuple[float, float]:
+        """The share of the sky in the power that the data show, in the mean of the bands, and its error."""
+        shares, differences = self._whiten_changes(seen)
+        count = shares.shape[1]
+        columns = np.hstack([shares, differences])
+        information = columns.T @ columns + np.diag([1e-6] * count + [1.0] * differences.shape[1])
+        covariance = np.linalg.inv(information)
+        of_bands = covariance @ (columns.T @ self.rest)
+        weights = np.linalg.solve(covariance[:count, :count] + BAND_SPREAD**2 * np.eye(count), np.ones(count))
+        return float(weights @ of_bands[:count] / weights.sum()), float(weights.sum() ** -0.5)
 
-    def _whiten_changes(self, sky_power: Floats) -> Floats:
-        """The change of the sky in each band and polarisation, whitened; shape (value, dipole x band)."""
-        change = sky_power / sky_power.mean(axis=-1, keepdims=True) - 1.0
-        dipoles, bands, times = change.shape
+    def _whiten_changes(self, seen: Seen) -> tuple[Floats, Floats]:
+        """The change of the sky in each band and polarisation, and model differences; shape (value, column) each."""
+        dipoles, bands, times = seen.change.shape
         columns = np.zeros((dipoles * bands, times, dipoles * bands))
         each = np.arange(dipoles * bands)
-        columns[each, :, each] = change.reshape(-1, times)
-        return np.asarray(solve_triangular(self.factor, columns.reshape(-1, each.size), lower=True))
+        columns[each, :, each] = seen.change.reshape(-1, times)
+        differences = SHARE * seen.differences.reshape(len(seen.differences), dipoles * bands * times).T
+        whitened = self.whiten @ np.hstack([columns.reshape(-1, each.size), differences])
+        return whitened[:, : each.size], whitened[:, each.size :]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import re
 from collections.abc import Iterator, Sequence
-from datetime import UTC, datetime
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +14,7 @@ from lbacal_core.errors import BadInputError, UnreadableFileError
 from lbacal_core.grids import Floats, guess_widths
 from lbacal_core.npz import read_npz
 from lbacal_core.readers.source import Integrations, Source
+from lbacal_core.readers.tables import COVARIATE, parse_time
 
 SUFFIXES = (".csv", ".npz")
 
@@ -23,15 +24,16 @@ def open_folder(files: Sequence[Path], station: str) -> Source:
 
     A CSV file has a column `frequency_mhz` and one column a path (`17X`), and a line `# time: 2014-05-01T03:04:05Z`; a
     NumPy archive has `frequency_mhz` (freq,), `power` (path, freq), `antenna` (path,), `dipole` (path,) and
-    `time_unix`, and `duration_s` if it is not 1 s.
+    `time_unix`, and `duration_s` if it is not 1 s. Both may have `event_id`, `flag` and covariates `env/...`.
     """
-    frequency_mhz, paths, time_unix, *_ = _read_file(files[0])
-    instants = [time_unix]
+    first = _read_file(files[0])
+    frequency_mhz, paths = first.frequency_mhz, first.paths
+    instants = [first.time_unix]
     for file in files[1:]:
-        frequency, names, time_unix, *_ = _read_file(file)
-        if names != paths or not np.array_equal(frequency, frequency_mhz):
+        content = _read_file(file)
+        if content.paths != paths or not np.array_equal(content.frequency_mhz, frequency_mhz):
             raise BadInputError(str(file), f"the channels and paths of {files[0].name}", "others")
-        instants.append(time_unix)
+        instants.append(content.time_unix)
     in_order = [files[k] for k in np.argsort(instants, kind="stable")]
     return Source(
         name=files[0].parent.name or str(files[0]),
@@ -47,16 +49,43 @@ def open_folder(files: Sequence[Path], station: str) -> Source:
 
 def _read(files: Sequence[Path]) -> Iterator[Integrations]:
     for file in files:
-        _, _, time_unix, duration_s, power = _read_file(file)
-        yield Integrations(np.array([time_unix]), np.array([duration_s]), power[None])
+        content = _read_file(file)
+        facts = content.facts
+        length = _read_number(facts.get("duration_s", "1"), file, "duration_s")
+        yield Integrations(
+            np.array([content.time_unix]),
+            np.array([length]),
+            content.power[None],
+            event_id=np.array([facts.get("event_id", "")]),
+            flag=np.array([facts.get("flag", "")]),
+            environment={
+                name.removeprefix(COVARIATE): np.array([_read_number(text, file, name)])
+                for name, text in facts.items()
+                if name.startswith(COVARIATE)
+            },
+        )
 
 
-_Content = tuple[Floats, list[tuple[int, str]], float, float, Floats]
+@dataclass(frozen=True)
+class _Content:
+    """One file: channels, paths, middle of the integration, power (path, freq), and its facts as texts."""
+
+    frequency_mhz: Floats
+    paths: list[tuple[int, str]]
+    time_unix: float
+    power: Floats
+    facts: dict[str, str]
 
 
 def _read_file(path: Path) -> _Content:
-    """Channels, paths, time, length and power (path, freq) of one file."""
     return _read_archive(path) if path.suffix == ".npz" else _read_table(path)
+
+
+def _read_number(text: str, path: Path, name: str) -> float:
+    try:
+        return float(text)
+    except ValueError as error:
+        raise BadInputError(f"{path}: {name}", "a number", repr(text[:40])) from error
 
 
 def _read_table(path: Path) -> _Content:
@@ -79,18 +108,22 @@ def _read_table(path: Path) -> _Content:
         raise BadInputError(str(path), f"{len(paths) + 1} columns in every row", "fewer or more")
     if "time" not in facts:
         raise BadInputError(str(path), "a line '# time: 2014-05-01T03:04:05Z'", "none")
-    return values[:, 0], paths, _parse_time(facts["time"], path), float(facts.get("duration_s", 1.0)), values[:, 1:].T
+    return _Content(values[:, 0], paths, parse_time(facts["time"], path), values[:, 1:].T, facts)
 
 
 def _read_archive(path: Path) -> _Content:
     needed = ("frequency_mhz", "power", "antenna", "dipole", "time_unix")
     content = read_npz(path, needed, "one integration")
-    paths = [(int(a), str(d)) for a, d in zip(content["antenna"], content["dipole"], strict=True)]
-    power = np.asarray(content["power"], dtype=float)
-    frequency = np.asarray(content["frequency_mhz"], dtype=float)
+    try:
+        paths = [(int(a), str(d)) for a, d in zip(content["antenna"], content["dipole"], strict=True)]
+        power, frequency = (np.asarray(content[name], dtype=float) for name in ("power", "frequency_mhz"))
+        time_unix = float(content["time_unix"])
+    except (ValueError, TypeError) as error:
+        raise BadInputError(str(path), "numbers, and one antenna and dipole a path", str(error)[:80]) from error
     if power.shape != (len(paths), frequency.size):
         raise BadInputError(f"{path}: power", f"shape {(len(paths), frequency.size)} (path, freq)", f"{power.shape}")
-    return frequency, paths, float(content["time_unix"]), float(content.get("duration_s", 1.0)), power
+    facts = {name: str(values) for name, values in content.items() if name not in needed and values.ndim == 0}
+    return _Content(frequency, paths, time_unix, power, facts)
 
 
 def _split_fact(line: str) -> tuple[str, str]:
@@ -103,11 +136,3 @@ def _parse_path(name: str, path: Path) -> tuple[int, str]:
     if found is None:
         raise BadInputError(f"{path}: column {name!r}", "an antenna and a dipole, such as 17X", repr(name))
     return int(found[1]), found[2]
-
-
-def _parse_time(text: str, path: Path) -> float:
-    try:
-        instant = datetime.fromisoformat(text)
-    except ValueError as error:
-        raise BadInputError(f"{path}: time", "an ISO 8601 instant", repr(text)) from error
-    return (instant if instant.tzinfo else instant.replace(tzinfo=UTC)).timestamp()

@@ -9,13 +9,15 @@ import numpy as np
 from lbacal_core.errors import BadInputError, UnreadableFileError
 from lbacal_core.grids import guess_widths
 from lbacal_core.instrument import Instrument
-from lbacal_core.readers import folder, statistics, visibilities
+from lbacal_core.readers import folder, nenufar, statistics, tables, visibilities
 from lbacal_core.readers.average import Channels
 from lbacal_core.readers.source import Source
 
 FORMATS = (
     "visibilities (.uvh5, .uvfits)",
     "LOFAR 2.0 sub-band statistics (.h5)",
+    "NenuFAR sub-band statistics (.fits)",
+    "a .csv table with a row an integration and path",
     "a folder of LOFAR's ..._sst_rcuNNN.dat",
     "a folder of .csv or .npz files, one an integration",
 )
@@ -31,22 +33,30 @@ def open_source(path: Path, station: str | None = None) -> Source:
         Name of the station where the data have none.
     """
     if path.is_dir():
-        receivers = statistics.find_receiver_files(path)
-        if receivers:
-            return statistics.open_receiver_files(receivers, station or DEFAULT_STATION)
-        files = sorted(file for file in path.iterdir() if file.suffix in folder.SUFFIXES)
-        if not files:
-            raise BadInputError(str(path), "; ".join(FORMATS), "a folder without any of them")
-        return folder.open_folder(files, station or DEFAULT_STATION)
+        return _open_folder(path, station or DEFAULT_STATION)
     if not path.is_file():
         raise UnreadableFileError(f"{path}: no such file or folder")
     if path.suffix in visibilities.SUFFIXES:
         return visibilities.open_visibilities(path)
     if statistics.is_statistics(path):
         return statistics.open_statistics(path)
+    if path.suffix in nenufar.SUFFIXES:
+        return nenufar.open_mini_arrays(path, station)
+    if path.suffix == ".csv" and tables.is_table_of_rows(path):
+        return tables.open_table(path, station or DEFAULT_STATION)
     if path.suffix in folder.SUFFIXES:
         return folder.open_folder([path], station or DEFAULT_STATION)
     raise BadInputError(str(path), "; ".join(FORMATS), f"a file {path.suffix or 'without a suffix'}")
+
+
+def _open_folder(path: Path, station: str) -> Source:
+    receivers = statistics.find_receiver_files(path)
+    if receivers:
+        return statistics.open_receiver_files(receivers, station)
+    files = sorted(file for file in path.iterdir() if file.suffix in folder.SUFFIXES)
+    if not files:
+        raise BadInputError(str(path), "; ".join(FORMATS), "a folder without any of them")
+    return folder.open_folder(files, station)
 
 
 def choose_channels(

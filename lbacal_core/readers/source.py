@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,11 +24,20 @@ class Integrations:
         Middle and length of each integration, shape (time,), s.
     power
         Shape (time, path, freq), any unit of power per MHz; NaN or <= 0 where it was flagged or not recorded.
+    event_id
+        Names of the integrations, shape (time,), empty where one has none; None where none has.
+    flag
+        Why an integration must not be used, shape (time,), empty where it may; None where all may.
+    environment
+        Covariates by name, shape (time,) each.
     """
 
     time_unix: Floats
     duration_s: Floats
     power: NDArray[np.floating]
+    event_id: NDArray[np.str_] | None = None
+    flag: NDArray[np.str_] | None = None
+    environment: Mapping[str, Floats] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -65,6 +75,6 @@ class Source:
         if bad.size:
             raise BadInputError(f"{self.name}: dipole of path {bad[0]}", EXPECTED, repr(str(self.dipole[bad[0]])))
         paths = list(zip(self.station.tolist(), self.antenna.tolist(), self.dipole.tolist(), strict=True))
-        twice = [path for k, path in enumerate(paths) if path in paths[:k]]
+        twice = [path for path, count in Counter(paths).items() if count > 1]
         if twice:
             raise BadInputError(self.name, "each path once", f"{twice[0][0]} antenna {twice[0][1]} {twice[0][2]} twice")

@@ -68,6 +68,9 @@ def _describe(path: Path, file: h5py.File) -> Source:
     inputs, antennas, letters, left_out = _list_inputs(path, file, first.shape[0])
     station = _text(file.attrs.get("station_name", "")) or path.stem
     notes = ["the unit of the power is the station's: C becomes relative"]
+    boards = [str(board) for board in np.ravel(file.attrs.get("rcu_pcb_id", [])) if board > 0]
+    if boards:
+        notes.append(f"recorded with the RCU boards {', '.join(boards)}")
     if left_out:
         notes.append(f"left out by the antenna status or the usage mask: {', '.join(left_out)}")
     return Source(

@@ -165,7 +165,7 @@ def compute_model_differences(instrument: Instrument, models: DifferenceModels |
     high = min(sky.frequency_mhz[-1] for sky in (default, *skies))
     # Beyond the range of all models the difference at its edge holds.
     nu = np.clip(instrument.frequency_mhz, low, high)
-    patterns = {tilt: _patterns(instrument, models, nu, default.lmax, tilt) for tilt in _tilts(instrument)}
+    patterns = {tilt: list_patterns(instrument, models, nu, default.lmax, tilt) for tilt in _tilts(instrument)}
     temperatures = {sky.name: precess_multipoles(sky.temperature(nu), DATA_EPOCH) for sky in (default, *skies)}
     added = precess_multipoles(default.changed(extra_isotropic=1.0).temperature(nu), DATA_EPOCH)
     shape, level, isotropic = {}, {}, {}
@@ -194,7 +194,7 @@ def _tilts(instrument: Instrument) -> set[float]:
     return {instrument.tilt_deg(dipole) for dipole in instrument.dipoles}
 
 
-def _patterns(
+def list_patterns(
     instrument: Instrument, models: DifferenceModels, frequency_mhz: Floats, lmax: int, tilt_deg: float
 ) -> tuple[Complexes, list[Complexes]]:
     """The pattern of the instrument's antenna, and those that it is exchanged for.

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from lbacal_core.errors import BadInputError, LbacalError, UnreadableFileError
 from lbacal_core.grids import guess_widths
-from lbacal_core.spectra import Spectra, read_spectra, write_spectra
+from lbacal_core.spectra import Spectra, read_columns, read_spectra, write_spectra
 
 NOW = 1_500_000_000.0
 
@@ -390,3 +390,22 @@ def test_channels_without_widths_are_as_wide_as_the_nearer_neighbour_is_away(two
 def test_widths_and_durations_that_are_none_are_refused(two_stations: Spectra, name: str, values: list[float]) -> None:
     with pytest.raises(BadInputError, match=name):
         replace(two_stations, **{name: np.array(values)})
+
+
+def test_flagged_spectra_stay_in_the_file_and_are_left_out_when_it_is_read(
+    two_stations: Spectra, tmp_path: Path
+) -> None:
+    flag = np.full(ROWS, "", dtype="U5")
+    flag[[2, 5]] = "storm"
+    write_spectra(replace(two_stations, flag=flag), tmp_path / "s.h5")
+    with h5py.File(tmp_path / "s.h5") as file:
+        assert len(file["power"]) == ROWS
+    read = read_spectra(tmp_path / "s.h5")
+    assert read.left_out == {"storm": 2}
+    assert read.flag is None
+    assert read.digest() == two_stations.select(flag == "").digest()
+    with pytest.raises(BadInputError, match=r"flag, row 2: expected no flagged spectra"):
+        read_columns((tmp_path / "s.h5").read_bytes(), "body", 1 << 30)
+    write_spectra(replace(two_stations, flag=np.full(ROWS, "storm")), tmp_path / "s.h5")
+    with pytest.raises(BadInputError, match=f"flag: expected a spectrum that is not flagged, found all {ROWS} are"):
+        read_spectra(tmp_path / "s.h5")

@@ -17,5 +17,6 @@ def test_a_line_becomes_json_with_null_for_what_is_not_known() -> None:
         "value": 1.235,
         "sigma": 0.051,
         "unit": "h",
+        "candidates": [],
         "sentence": "late",
     }

@@ -1,17 +1,21 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from lbacal_core.audit.series import BAND_SPREAD, SHARE, SHARE_SPREAD, SeriesLikelihood, make_series
+from lbacal_core.audit.series import BAND_SPREAD, SHARE, SHARE_SPREAD, Seen, SeriesLikelihood, make_series
 from lbacal_core.audit.station import AuditedStation
 
 
-def draw_sky(likelihood: SeriesLikelihood, seed: int) -> np.ndarray:
-    """Some change of the sky with time in every band."""
+def draw_sky(likelihood: SeriesLikelihood, seed: int) -> Seen:
+    """Some change of the sky with time in every band, and three models that differ in it."""
     rng = np.random.default_rng(seed)
     angle = 2 * np.pi * likelihood.series.lst_hours / 24
-    return 1.0 + 0.2 * np.cos(angle - rng.uniform(0, 6, (*likelihood.series.power.shape[:2], 1)))
+    shape = likelihood.series.power.shape[:2]
+    change = 0.2 * np.cos(angle - rng.uniform(0, 6, (*shape, 1)))
+    return Seen(change, 0.02 * np.cos(angle - rng.uniform(0, 6, (3, *shape, 1))))
 
 
 def test_series_has_mean_one_and_keeps_the_order_of_instants(station: AuditedStation) -> None:
@@ -25,12 +29,14 @@ def test_likelihood_is_that_of_the_dense_normal_distribution(station: AuditedSta
     covariance = likelihood.factor @ likelihood.factor.T
     values = likelihood.series.power.ravel() - 1.0
 
-    def dense(sky: np.ndarray) -> float:
-        change = (sky / sky.mean(axis=-1, keepdims=True) - 1.0).reshape(8, -1)
+    def dense(seen: Seen) -> float:
+        change = seen.change.reshape(8, -1)
         columns = np.zeros((values.size, 8))
         for k in range(8):
             columns[k * change.shape[1] : (k + 1) * change.shape[1], k] = change[k]
         whole = covariance + columns @ (BAND_SPREAD**2 * np.eye(8) + SHARE_SPREAD**2) @ columns.T
+        differences = SHARE * seen.differences.reshape(3, -1).T
+        whole += differences @ differences.T
         rest = values - SHARE * columns.sum(axis=1)
         return float(-rest @ np.linalg.solve(whole, rest) / 2 - np.linalg.slogdet(whole)[1] / 2)
 
@@ -39,8 +45,17 @@ def test_likelihood_is_that_of_the_dense_normal_distribution(station: AuditedSta
     assert likelihood.log_likelihood(one) - likelihood.log_likelihood(other) == pytest.approx(expected, rel=1e-6)
 
 
-def test_share_of_the_sky_is_found(station: AuditedStation) -> None:
+def test_share_of_the_sky_is_found_beside_what_models_differ_by(station: AuditedStation) -> None:
     likelihood = SeriesLikelihood(make_series(station, np.arange(6)))
     sky = draw_sky(likelihood, 3)
-    likelihood.rest = 0.4 * likelihood._whiten_changes(sky).sum(axis=1)
-    assert likelihood.share(sky)[0] == pytest.approx(0.4)
+    seen = 0.4 * sky.change + SHARE * sky.differences[1]
+    likelihood.rest = likelihood.whiten @ seen.ravel()
+    assert likelihood.share(sky)[0] == pytest.approx(0.4, abs=0.01)
+
+
+def test_an_instant_in_which_one_band_departs_is_noise(station: AuditedStation) -> None:
+    quiet = make_series(station, np.arange(6)).noise
+    power = station.power.copy()
+    power[..., :13] *= np.random.default_rng(1).normal(1.0, 0.03, (station.power.shape[2], 1))
+    noise = make_series(replace(station, power=power), np.arange(6)).noise
+    assert noise[:, 0].min() > 0.01 > quiet.max()

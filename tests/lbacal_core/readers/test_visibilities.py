@@ -5,6 +5,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from astropy.coordinates import EarthLocation
 
 from lbacal_core.errors import UnreadableFileError
 from lbacal_core.readers.average import average
@@ -36,3 +37,42 @@ def test_file_that_is_no_visibilities_is_refused(tmp_path: Path) -> None:
     (tmp_path / "a.uvh5").write_bytes(b"no")
     with pytest.raises(UnreadableFileError, match=r"a\.uvh5"):
         open_source(tmp_path / "a.uvh5")
+
+
+@pytest.mark.parametrize("suffix", ["uvh5", "uvfits"])
+def test_autocorrelations_of_both_formats_are_read_with_their_flags(tmp_path: Path, suffix: str) -> None:
+    from pyuvdata import Telescope, UVData
+
+    location = EarthLocation.from_geodetic(21.4, -30.7, 1050.0)
+    positions = {k: np.array([14.0 * k, 0.0, 0.0]) for k in range(3)}
+    data = UVData.new(
+        freq_array=100e6 + 4e5 * np.arange(6),
+        polarization_array=np.array([-5, -6]),
+        times=2459122.25 + np.arange(4) * 10 / 86_400,
+        telescope=Telescope.new(
+            location=location, name="made", instrument="made", antenna_positions=positions, x_orientation="east",
+            feeds=["x", "y"], mount_type="fixed",
+        ),
+        antpairs=[(0, 0), (1, 1), (2, 2), (0, 1)],
+        integration_time=10.0,
+        channel_width=4e5,
+        empty=True,
+        do_blt_outer=True,
+    )  # fmt: skip
+    data.data_array[...] = 2.0 + data.ant_1_array[:, None, None]
+    data.data_array[..., 1] *= 10.0
+    data.flag_array[...] = False
+    data.flag_array[data.ant_1_array == 1, 1:5, 0] = True
+    path = tmp_path / f"a.{suffix}"
+    if suffix == "uvh5":
+        data.write_uvh5(path)
+    else:
+        data.phase_to_time(data.time_array[0])
+        data.write_uvfits(path)
+    source = open_source(path)
+    assert any("X points to 90 deg" in note for note in source.notes)
+    spectra = average(source, None, choose_channels(source, width_mhz=0.8)).spectra
+    assert len(set(spectra.event_id.tolist())) == 4
+    levels = {(int(a), str(d)): p[0] for a, d, p in zip(spectra.antenna, spectra.dipole, spectra.power, strict=True)}
+    expected = {(a, d): (2.0 + a) * (10.0 if d == "Y" else 1.0) for a in range(3) for d in "XY" if (a, d) != (1, "X")}
+    assert levels == pytest.approx(expected)

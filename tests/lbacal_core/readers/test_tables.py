@@ -1,0 +1,72 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lbacal_core.errors import BadInputError
+from lbacal_core.readers.average import average
+from lbacal_core.readers.open import open_source
+
+TABLE = """# a comment
+time, antenna, dipole, duration_s, event_id, flag, env/temperature_c, 50.0, 50.4, 51.2
+2014-05-01T03:00:00Z, 1, EW, 10, first, , 7.5, 1.0, 2.0, 3.0
+2014-05-01T03:00:00Z, 2, EW, 10, first, , 7.5, 4.0, 5.0,
+2014-05-01T03:00:20Z, 1, EW, 10, second, storm, , 9.0, 9.0, 9.0
+2014-05-01T03:00:40Z, 1, EW, 30, third, , 9.5, 2.0, 3.0, 4.0
+2014-05-01T03:00:40Z, 2, EW, 30, third, , 9.5, 5.0, 6.0, 7.0
+"""
+
+
+@pytest.fixture
+def table(tmp_path: Path) -> Path:
+    path = tmp_path / "rows.csv"
+    path.write_text(TABLE)
+    return path
+
+
+def test_every_row_is_a_spectrum_of_its_event_with_flag_and_covariates(table: Path) -> None:
+    found = average(open_source(table, "MIST"), None)
+    spectra = found.spectra
+    assert list(zip(spectra.event_id.tolist(), spectra.antenna.tolist(), strict=True)) == [
+        ("first", 1), ("second", 1), ("third", 1), ("third", 2),
+    ]  # fmt: skip
+    assert found.spectra_left_out == 1  # antenna 2 lacks a channel of the first event
+    assert found.flags == {"storm": 1}
+    assert spectra.flag is not None
+    assert spectra.flag.tolist() == ["", "storm", "", ""]
+    np.testing.assert_array_equal(spectra.environment["temperature_c"], [7.5, np.nan, 9.5, 9.5])
+    assert spectra.time_unix[0] == 1398913200.0
+    np.testing.assert_allclose(spectra.channel_widths(), [0.4, 0.4, 0.8])
+    assert set(spectra.station.tolist()) == {"MIST"}
+
+
+def test_a_flagged_integration_does_not_count_in_the_mean_of_its_interval(table: Path) -> None:
+    found = average(open_source(table), 300.0)
+    spectra = found.spectra
+    assert found.flags == {}
+    first = spectra.power[spectra.antenna == 1][0]
+    np.testing.assert_allclose(first, (10 * np.array([1.0, 2.0, 3.0]) + 30 * np.array([2.0, 3.0, 4.0])) / 40)
+    assert spectra.environment["temperature_c"][0] == pytest.approx((10 * 7.5 + 30 * 9.5) / 40)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "message"),
+    [
+        ("antenna, dipole", "aerial, dipole", "no antenna"),
+        ("50.4", "gain", "column 'gain': expected a frequency in MHz"),
+        ("2014-05-01T03:00:20Z", "2014-05-01T02:00:20Z", "rows in order of time"),
+        (", 1, EW, 30", ", one, EW, 30", "antenna: expected a number >= 0 in every row, found 'one'"),
+        ("9.0, 9.0, 9.0", "9.0, many, 9.0", "50.4 MHz: expected a number, found 'many'"),
+        ("03:00:20Z", "noon", "an ISO 8601 instant"),
+        (", 51.2", ", 50.4", "a name for every column, each once"),
+        (", 50.0, 50.4, 51.2", "", "at least one column that is a frequency"),
+    ],
+)
+def test_a_table_that_does_not_follow_the_format_is_refused_with_its_place(
+    table: Path, before: str, after: str, message: str
+) -> None:
+    table.write_text(TABLE.replace(before, after))
+    with pytest.raises(BadInputError, match=message):
+        average(open_source(table), None)
