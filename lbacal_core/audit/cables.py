@@ -16,8 +16,8 @@ LEAST_LOG_ODDS = np.log(1e4)
 """One antenna in a hundred has a wrong entry at most, and every other cable name is tried for each."""
 FITS_SIGMA = 4.0
 """The cable that is named must describe the antenna within this many standard deviations."""
-PAIR, MEDIAN = 2, np.pi / 2
-"""Antennas of another cable name that represent it, and the variance of a median of n values times n."""
+MEDIAN = np.pi / 2
+"""Variance of a median of n values times n."""
 BEHIND_CABLE = 0.2
 """Share of the loss that noise behind the cable hides, at most."""
 SMALLEST = np.array([0.03, 0.01])
@@ -29,7 +29,8 @@ def find_wrong_cables(
 ) -> tuple[list[Line], dict[int, str]]:
     """Name antennas that another cable describes far better; and the cable of each, by its row.
 
-    A cable name that several antennas have is represented by their median: it holds the noise behind the cable too.
+    A cable name that other antennas have is represented by their median: it holds the noise behind the cable too. Where
+    none has it, its loss must do, with what that noise hides of the loss as an error.
     """
     axis = station.frequency_mhz - station.frequency_mhz.mean()
     axis = axis / np.sqrt(np.mean(axis**2)) if axis.size > 1 else axis
@@ -38,9 +39,10 @@ def find_wrong_cables(
     distances = {}
     for name, loss in instrument.cables.items():
         rows = station.cables == name
-        expected = comparison.level[..., None] + comparison.profile + np.log(station.loss / loss)[:, None, :]
-        if rows.sum() < PAIR:
-            distances[name] = _distance(expected, axis, sigma)
+        lost = np.log(station.loss / loss)[:, None, :]
+        expected = comparison.level[..., None] + comparison.profile + lost
+        if not rows.any():
+            distances[name] = _distance(expected, axis, np.hypot(sigma, BEHIND_CABLE * _level_and_slope(lost, axis)))
             continue
         of_others = _distance(recorded - np.nanmedian(recorded[rows], axis=0), axis, sigma) / (1 + MEDIAN / rows.sum())
         distances[name] = np.where(rows & (rows.sum() < CLASS), _distance(expected, axis, sigma), of_others)
@@ -60,7 +62,7 @@ def find_wrong_cables(
 
 
 def _distance(difference: Floats, axis: Floats, sigma: Floats) -> Floats:
-    """Squared distance of level and slope in standard deviations, shape (antenna,)."""
+    """Squared distance of level and slope in standard deviations (shape (2,) or (antenna, 2)), shape (antenna,)."""
     return np.asarray(np.sum((_level_and_slope(difference, axis) / sigma) ** 2, axis=1))
 
 

@@ -113,6 +113,8 @@ def _scatter_of_instants(seen: Floats) -> Floats:
 
 
 FEWEST_INSTANTS = 8
+CLEAR, FOLLOWS = 3.0, (0.3, 2.0)
+"""What stands this far above the noise is a change; and the range in which a band can follow it."""
 
 
 def as_power(recorded: Floats, unit: str) -> Floats:
@@ -134,18 +136,30 @@ def _mean_hour(hours: Floats) -> float:
     return float(np.angle(np.mean(np.exp(2j * np.pi / 24 * hours))) * 12 / np.pi % 24)
 
 
+def _follow(series: Series) -> Floats:
+    """How much of the change of all bands each band follows, shape (dipole x band,): as its share of the sky does."""
+    change = series.power.reshape(-1, series.power.shape[-1]) - 1.0
+    common = change.mean(axis=0)
+    if change.shape[1] < FEWEST_INSTANTS or common.std() < CLEAR * series.noise.mean():
+        return np.ones(len(change))
+    return np.clip(change @ common / (common @ common), *FOLLOWS)
+
+
 class SeriesLikelihood:
     """ln L of a series for any shape that the sky may have had."""
 
     def __init__(self, series: Series) -> None:
         self.series = series
+        self.follows = _follow(series)
         dipoles, bands, times = series.power.shape
         hours = series.lst_hours[:, None] - series.lst_hours
         lasting = np.exp((np.cos(2 * np.pi / 24 * hours) - 1) * (24 / (2 * np.pi * SKY_HOURS)) ** 2)
         same = np.eye(dipoles * bands)
         dipole = np.kron(np.eye(dipoles), np.ones((bands, bands)))
         everything = np.ones_like(same)
-        covariance = np.kron(SKY_COMMON**2 * everything + SKY_POLARISATION**2 * dipole + SKY_BAND**2 * same, lasting)
+        together = np.outer(self.follows, self.follows)
+        departures = SKY_COMMON**2 * together + SKY_POLARISATION**2 * dipole + SKY_BAND**2 * same
+        covariance = np.kron(departures, lasting)
         covariance += np.kron(GAIN**2 * everything, np.eye(times))
         covariance += np.kron(FREE**2 * same, np.ones((times, times)))
         covariance[np.diag_indices_from(covariance)] += series.noise.ravel() ** 2
@@ -184,6 +198,7 @@ class SeriesLikelihood:
         columns = np.zeros((dipoles * bands, times, dipoles * bands))
         each = np.arange(dipoles * bands)
         columns[each, :, each] = seen.change.reshape(-1, times)
-        differences = SHARE * seen.differences.reshape(len(seen.differences), dipoles * bands * times).T
+        shown = SHARE * self.follows.reshape(dipoles, bands, 1) * seen.differences
+        differences = shown.reshape(len(shown), dipoles * bands * times).T
         whitened = self.whiten @ np.hstack([columns.reshape(-1, each.size), differences])
         return whitened[:, : each.size], whitened[:, each.size :]

@@ -22,8 +22,8 @@ from lbacal_core.instrument import Instrument
 
 SHORTEST_HOURS = 0.5
 """The sky hardly changes in less."""
-CLOCK_RANGE, CLOCK_STEP, CLOCK_FINE = 24.0, 0.25, 1 / 60
-ARMS_RANGE, ARMS_STEP, ARMS_FINE = 180.0, 5.0, 0.5
+CLOCK_RANGE, CLOCK_STEP, CLOCK_FINE = 24.0, 0.5, 0.05
+ARMS_RANGE, ARMS_STEP, ARMS_FINE = 180.0, 10.0, 1.0
 PAIR = 2
 
 
@@ -91,7 +91,7 @@ def _scan(tell: Callable[[float], float], coarse: Floats, fine: float) -> tuple[
     around = best + np.arange(-step, step + fine / 2, fine)
     near = np.array([tell(float(x)) for x in around])
     k = int(np.argmax(near))
-    at = slice(max(k - 5, 0), k + 6)
+    at = slice(max(k - 2, 0), k + 3)
     bend, slope, height = np.polyfit(around[at] - around[k], near[at], 2)
     if bend >= 0:
         return float(near[k]), float(around[k]), float("inf")

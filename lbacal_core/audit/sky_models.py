@@ -31,9 +31,9 @@ class SkyModels:
     Attributes
     ----------
     temperatures
-        Of each sky, the own one first: multipoles, shape (band, l, m).
+        Multipoles of each sky, the own one first, shape (band, l, m).
     patterns
-        By tilt of the arm, of each antenna, the own one first: multipoles, shape (band, l, m').
+        Multipoles of each antenna by tilt of the arm, the own one first, shape (band, l, m').
     """
 
     instrument: Instrument

@@ -35,7 +35,7 @@ class Possibility:
     Attributes
     ----------
     log_likelihood
-        Of a possibility with a size, averaged over all sizes.
+        Averaged over all sizes that the possibility may have.
     value, sigma
         Size of a clock (h) or of turned arms (deg); of a place, the clock that would look like it (h).
     """

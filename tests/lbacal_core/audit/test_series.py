@@ -35,7 +35,7 @@ def test_likelihood_is_that_of_the_dense_normal_distribution(station: AuditedSta
         for k in range(8):
             columns[k * change.shape[1] : (k + 1) * change.shape[1], k] = change[k]
         whole = covariance + columns @ (BAND_SPREAD**2 * np.eye(8) + SHARE_SPREAD**2) @ columns.T
-        differences = SHARE * seen.differences.reshape(3, -1).T
+        differences = SHARE * (seen.differences * likelihood.follows.reshape(2, 4, 1)).reshape(3, -1).T
         whole += differences @ differences.T
         rest = values - SHARE * columns.sum(axis=1)
         return float(-rest @ np.linalg.solve(whole, rest) / 2 - np.linalg.slogdet(whole)[1] / 2)
@@ -45,10 +45,18 @@ def test_likelihood_is_that_of_the_dense_normal_distribution(station: AuditedSta
     assert likelihood.log_likelihood(one) - likelihood.log_likelihood(other) == pytest.approx(expected, rel=1e-6)
 
 
+def test_bands_follow_the_common_change_by_their_share_of_the_sky(station: AuditedStation) -> None:
+    series = make_series(station, np.arange(6))
+    power = series.power.copy()
+    power[:, 3] = 1.0 + 0.5 * (power[:, 0] - 1.0)
+    follows = SeriesLikelihood(replace(series, power=power)).follows.reshape(2, 4)
+    np.testing.assert_allclose(follows[:, 3], 0.5 * follows[:, 0])
+
+
 def test_share_of_the_sky_is_found_beside_what_models_differ_by(station: AuditedStation) -> None:
     likelihood = SeriesLikelihood(make_series(station, np.arange(6)))
     sky = draw_sky(likelihood, 3)
-    seen = 0.4 * sky.change + SHARE * sky.differences[1]
+    seen = 0.4 * sky.change + SHARE * sky.differences[1] * likelihood.follows.reshape(2, 4, 1)
     likelihood.rest = likelihood.whiten @ seen.ravel()
     assert likelihood.share(sky)[0] == pytest.approx(0.4, abs=0.01)
 
