@@ -142,7 +142,7 @@ def _follow(series: Series) -> Floats:
     common = change.mean(axis=0)
     if change.shape[1] < FEWEST_INSTANTS or common.std() < CLEAR * series.noise.mean():
         return np.ones(len(change))
-    return np.clip(change @ common / (common @ common), *FOLLOWS)
+    return np.asarray(np.clip(change @ common / (common @ common), *FOLLOWS))
 
 
 class SeriesLikelihood:
