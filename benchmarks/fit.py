@@ -19,11 +19,12 @@ import numpy as np
 from scipy.optimize import OptimizeResult, least_squares
 from threadpoolctl import threadpool_limits
 
+from lbacal_core.antenna_records import AntennaRecord
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.calibration.lines import ChainForms, fit_lines
 from lbacal_core.curves import FitReport
 from lbacal_core.grids import Floats
-from lbacal_core.instrument import AntennaRecord, load_instrument
+from lbacal_core.instrument import load_instrument
 from lbacal_core.sidereal import local_sidereal_time
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.spectra import Spectra

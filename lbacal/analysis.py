@@ -24,11 +24,12 @@ import numpy as np
 from astropy import units as u
 from astropy.table import QTable
 
+from lbacal_core.antenna_records import AntennaRecord
 from lbacal_core.curves import CalibrationCurve, FitReport
 from lbacal_core.errors import BadInputError, UnknownNameError
 from lbacal_core.grids import Floats
-from lbacal_core.instrument import AntennaRecord, load_instrument
 from lbacal_core.instrument import Instrument as CoreInstrument
+from lbacal_core.instrument import load_instrument
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra import Spectra
 from lbacal_core.spectra import read_spectra as read_core_spectra

@@ -5,7 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
+from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
+from lbacal_core.json_values import parse_name, parse_number, parse_numbers, parse_optional_name
 
 ABSOLUTE, RELATIVE = "absolute", "relative"
 """What an antenna gain is: in m^2 by itself, or tied to something else by a factor or a shape."""
@@ -55,3 +59,26 @@ class GainProvenance:
             "antenna_sha256": self.antenna_sha256,
         }
         return {name: value for name, value in values.items() if value is not None}
+
+
+def parse_gain_provenance(content: Any, channels: int, place: str) -> GainProvenance | None:
+    """Make the provenance from the content of an instrument file; None where it says nothing."""
+    if content is None:
+        return None
+    if not isinstance(content, dict):
+        raise BadInputError(place, "an object with kind and source", type(content).__name__)
+    kind = content.get("kind")
+    if kind not in (ABSOLUTE, RELATIVE):
+        raise BadInputError(f"{place}: kind", f"{ABSOLUTE} or {RELATIVE}", repr(kind))
+    shape, scale = content.get("shape_error"), content.get("scale_error")
+    errors = np.empty(0) if shape is None else parse_numbers(shape if isinstance(shape, list) else [shape], place)
+    scale_error = None if scale is None else parse_number(scale, f"{place}: scale_error")
+    if np.any(errors < 0) or (scale_error is not None and scale_error < 0):
+        raise BadInputError(place, "errors >= 0", "a negative one")
+    return GainProvenance(
+        kind=kind,
+        source=parse_name(content.get("source"), f"{place}: source"),
+        shape_error=None if shape is None else (errors if isinstance(shape, list) else np.full(channels, errors[0])),
+        scale_error=scale_error,
+        antenna_sha256=parse_optional_name(content.get("antenna_sha256"), f"{place}: antenna_sha256"),
+    )

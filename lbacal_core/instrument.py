@@ -8,7 +8,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
-from difflib import get_close_matches
 from importlib.resources import files
 from itertools import pairwise
 from pathlib import Path
@@ -17,37 +16,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lbacal_core.antenna_gain import ABSOLUTE, RELATIVE, GainProvenance
+from lbacal_core.antenna_gain import ABSOLUTE, GainProvenance, parse_gain_provenance
+from lbacal_core.antenna_records import AntennaRecord, parse_record, record_as_dict
 from lbacal_core.dipoles import EXPECTED, is_dipole_name, look_like_radians
 from lbacal_core.errors import BadInputError, UnknownNameError
 from lbacal_core.grids import Floats, require_channels
 from lbacal_core.json_values import parse_name, parse_number, parse_numbers, parse_optional_name, read_json
 from lbacal_core.provenance import hash_content
+from lbacal_core.stage_files import parse_stages
+from lbacal_core.stages import IN_LINE, Stage, fill_fields, gain_behind
 
 STEEPEST_DEG = 90.0
 """Tilt of an arm that stands upright."""
-
-
-@dataclass(frozen=True)
-class AntennaRecord:
-    """One antenna and its cable, from `since` (inclusive) until `until` (exclusive), unix seconds or open.
-
-    Attributes
-    ----------
-    group
-        Name of the hardware that it shares with others, such as a board or a cabinet; None where nobody said.
-    """
-
-    station: str
-    antenna: int
-    cable: str
-    since: float | None = None
-    until: float | None = None
-    group: str | None = None
-
-    def covers(self, time_unix: float) -> bool:
-        """Whether the record holds at an instant."""
-        return (self.since is None or self.since <= time_unix) and (self.until is None or time_unix < self.until)
 
 
 @dataclass(frozen=True)
@@ -72,6 +52,9 @@ class Instrument:
     dipole_tilt_deg
         How far the end of an arm that points to its azimuth is raised above the horizon, degrees, by letter; arms that
         are absent lie level. `antenna_gain` is that of a level arm: P_sky holds what a tilt changes.
+    stages
+        The chain in the order of the signal, `receiver_gain` being the product of the gains behind A(nu); empty for
+        that of eq. full_chain (`chain.noise`).
     """
 
     name: str
@@ -88,6 +71,7 @@ class Instrument:
     sky: str | None = None
     gain_provenance: GainProvenance | None = None
     dipole_tilt_deg: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    stages: Sequence[Stage] = ()
 
     def __post_init__(self) -> None:
         place = f"instrument {self.name}"
@@ -104,6 +88,7 @@ class Instrument:
         self._require_gain("antenna_gain", self.antenna_gain, np.inf)
         self._require_gain("receiver_gain", self.receiver_gain, np.inf)
         self._require_shape_error()
+        self._require_stages()
         for cable, loss in self.cables.items():
             self._require_gain(f"cables.{cable}", loss, 1.0)
         for row, record in enumerate(self.antennas):
@@ -170,6 +155,20 @@ class Instrument:
                     "two whose since and until overlap",
                 )
 
+    def _require_stages(self) -> None:
+        if not self.stages:
+            return
+        place = f"instrument {self.name}: stages"
+        if not np.allclose(self.receiver_gain, gain_behind(self.stages, self.frequency_mhz.size), rtol=1e-9, atol=0.0):
+            raise BadInputError(place, "receiver_gain as the product of the gains behind the cable", "another")
+        known = [stage.name for stage in self.stages if stage.noise_k is not None and stage.kind in IN_LINE]
+        if known and (self.gain_provenance is None or self.gain_provenance.kind != ABSOLUTE):
+            raise BadInputError(
+                f"{place}: noise_temperature_k",
+                f"an antenna_gain in m^2 (antenna_gain_provenance: kind {ABSOLUTE}), to refer kelvin to the sky",
+                f"a temperature of {known[0]} beside one that is not said to be",
+            )
+
     def _require_shape_error(self) -> None:
         error = None if self.gain_provenance is None else self.gain_provenance.shape_error
         if error is not None and error.shape != self.frequency_mhz.shape:
@@ -235,10 +234,11 @@ class Instrument:
             "antenna_gain": self.antenna_gain.tolist(),
             "receiver_gain": self.receiver_gain.tolist(),
             "cables": {name: loss.tolist() for name, loss in self.cables.items()},
-            "antennas": [_record_as_dict(record) for record in self.antennas],
+            "antennas": [record_as_dict(record) for record in self.antennas],
             **({} if self.antenna is None else {"antenna": self.antenna}),
             **({} if self.sky is None else {"sky": self.sky}),
             **({} if self.gain_provenance is None else {"antenna_gain_provenance": self.gain_provenance.as_dict()}),
+            **({"stages": [stage.as_dict() for stage in self.stages]} if self.stages else {}),
         }
 
     def digest(self) -> str:
@@ -274,7 +274,7 @@ def load_instrument(name_or_file: str) -> Instrument:
     path = Path(name_or_file)
     if not _is_there(path):
         raise UnknownNameError("instrument", name_or_file, sorted(shipped))
-    read = parse_instrument(read_json(path), str(path))
+    read = parse_instrument(read_json(path), str(path), path.parent)
     return replace(read, antenna=_beside(path, read.antenna), sky=_beside(path, read.sky))
 
 
@@ -293,10 +293,21 @@ def _is_there(path: Path) -> bool:
         return False
 
 
-def parse_instrument(content: Any, place: str) -> Instrument:
-    """Make an instrument from the content of its file; fields it does not know are left alone."""
+def parse_instrument(content: Any, place: str, folder: Path | None = None) -> Instrument:
+    """Make an instrument from the content of its file; fields it does not know are left alone.
+
+    Parameters
+    ----------
+    folder
+        Where files are that its stages name; None where there are none to be read.
+    """
     if not isinstance(content, dict):
         raise BadInputError(place, "a JSON object", type(content).__name__)
+    stages: tuple[Stage, ...] = ()
+    if "stages" in content:
+        frequency_mhz = parse_numbers(content.get("frequency_mhz"), f"{place}: frequency_mhz")
+        stages = parse_stages(content["stages"], frequency_mhz, f"{place}: stages", folder)
+        content = fill_fields(content, stages, frequency_mhz.size)
     fields = ["name", "latitude_deg", "longitude_deg", "height_m", "frequency_mhz", "dipoles"]
     fields += ["antenna_gain", "receiver_gain", "cables", "antennas"]
     missing = [field for field in fields if field not in content]
@@ -323,72 +334,11 @@ def parse_instrument(content: Any, place: str) -> Instrument:
         antenna_gain=parse_numbers(content["antenna_gain"], f"{place}: antenna_gain"),
         receiver_gain=parse_numbers(content["receiver_gain"], f"{place}: receiver_gain"),
         cables={str(name): parse_numbers(loss, f"{place}: cables.{name}") for name, loss in cables.items()},
-        antennas=tuple(_parse_record(record, f"{place}: antennas, row {k}") for k, record in enumerate(antennas)),
+        antennas=tuple(parse_record(record, f"{place}: antennas, row {k}") for k, record in enumerate(antennas)),
         antenna=parse_optional_name(content.get("antenna"), f"{place}: antenna"),
         sky=parse_optional_name(content.get("sky"), f"{place}: sky"),
-        gain_provenance=_parse_gain_provenance(
+        gain_provenance=parse_gain_provenance(
             content.get("antenna_gain_provenance"), len(content["frequency_mhz"]), f"{place}: antenna_gain_provenance"
         ),
+        stages=stages,
     )
-
-
-def _parse_gain_provenance(content: Any, channels: int, place: str) -> GainProvenance | None:
-    if content is None:
-        return None
-    if not isinstance(content, dict):
-        raise BadInputError(place, "an object with kind and source", type(content).__name__)
-    kind = content.get("kind")
-    if kind not in (ABSOLUTE, RELATIVE):
-        raise BadInputError(f"{place}: kind", f"{ABSOLUTE} or {RELATIVE}", repr(kind))
-    shape, scale = content.get("shape_error"), content.get("scale_error")
-    errors = np.empty(0) if shape is None else parse_numbers(shape if isinstance(shape, list) else [shape], place)
-    scale_error = None if scale is None else parse_number(scale, f"{place}: scale_error")
-    if np.any(errors < 0) or (scale_error is not None and scale_error < 0):
-        raise BadInputError(place, "errors >= 0", "a negative one")
-    return GainProvenance(
-        kind=kind,
-        source=parse_name(content.get("source"), f"{place}: source"),
-        shape_error=None if shape is None else (errors if isinstance(shape, list) else np.full(channels, errors[0])),
-        scale_error=scale_error,
-        antenna_sha256=parse_optional_name(content.get("antenna_sha256"), f"{place}: antenna_sha256"),
-    )
-
-
-def _parse_record(record: Any, place: str) -> AntennaRecord:
-    if not isinstance(record, dict) or not {"station", "antenna", "cable"} <= set(record):
-        raise BadInputError(place, "station, antenna and cable", repr(record))
-    for field in set(record) - {"station", "antenna", "cable", "since", "until", "group"}:
-        # Other fields are somebody else's, but a misspelt `since` would give the antenna a cable at the wrong time.
-        for meant in get_close_matches(field.lower(), ("since", "until", "group")):
-            raise BadInputError(f"{place}: {meant}", f"the field {meant!r} or none", f"{field!r}")
-    antenna = record["antenna"]
-    if isinstance(antenna, bool) or not isinstance(antenna, int) or antenna < 0:
-        raise BadInputError(f"{place}: antenna", "a whole number >= 0", repr(antenna))
-    return AntennaRecord(
-        station=parse_name(record["station"], f"{place}: station"),
-        antenna=antenna,
-        cable=parse_name(record["cable"], f"{place}: cable"),
-        since=_instant(record.get("since"), f"{place}: since"),
-        until=_instant(record.get("until"), f"{place}: until"),
-        group=None if record.get("group") is None else parse_name(record["group"], f"{place}: group"),
-    )
-
-
-def _instant(text: Any, place: str) -> float | None:
-    if text is None:
-        return None
-    try:
-        instant = datetime.fromisoformat(text)
-        return (instant if instant.tzinfo else instant.replace(tzinfo=UTC)).astimezone(UTC).timestamp()
-    except (TypeError, ValueError, OverflowError) as error:
-        raise BadInputError(place, "an ISO 8601 date", repr(text)) from error
-
-
-def _record_as_dict(record: AntennaRecord) -> dict[str, Any]:
-    content: dict[str, Any] = {"station": record.station, "antenna": record.antenna, "cable": record.cable}
-    for field, instant in (("since", record.since), ("until", record.until)):
-        if instant is not None:
-            content[field] = datetime.fromtimestamp(instant, UTC).isoformat()
-    if record.group is not None:
-        content["group"] = record.group
-    return content

@@ -25,8 +25,9 @@ from typing import Any, Self
 
 import numpy as np
 
+from lbacal_core.antenna_records import AntennaRecord
 from lbacal_core.grids import Floats
-from lbacal_core.instrument import AntennaRecord, Instrument
+from lbacal_core.instrument import Instrument
 from lbacal_core.provenance import hash_content
 
 JENSEN = 3.0 / 8.0

@@ -14,11 +14,12 @@ from functools import cache, partial
 
 import numpy as np
 
+from lbacal_core.antenna_records import AntennaRecord
 from lbacal_core.calibration.chain_test import SkyFreedom
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.calibration.freedom import free_own_sky
 from lbacal_core.curves import MISFIT
-from lbacal_core.instrument import AntennaRecord, Instrument, load_instrument
+from lbacal_core.instrument import Instrument, load_instrument
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.sky_terms import SkyTerm
 from lbacal_core.skypower.table import SkyPower

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
-from lbacal_core.instrument import AntennaRecord, Instrument
+from lbacal_core.antenna_records import AntennaRecord
+from lbacal_core.instrument import Instrument
 from lbacal_core.skypower.table import SkyPower
 from proofs.running.postgres import find_binaries
 

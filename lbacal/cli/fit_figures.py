@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import cycle
 from typing import Any
 
 import numpy as np
@@ -26,7 +27,8 @@ SMALLEST_LIMIT = 0.5
 LARGEST_LINEAR = 5.0
 """A chi2 per degree of freedom above which a linear axis would show the good curves as one line."""
 LEGEND_ROOM = 1.45
-TERMS = {"sky": ("sky, mean over LST", "-"), "lna": ("N_LNA", "--"), "rcu": ("N_RCU", "-."), "adc": ("N_ADC", ":")}
+STYLES = ("--", "-.", ":", (0, (5, 1)), (0, (1, 3)), (0, (3, 1, 1, 1)), (0, (7, 3)))
+"""Lines of the noise terms, in the order of the chain."""
 
 
 def average_residuals(
@@ -128,10 +130,12 @@ def _draw_noise(axes: Any, curves: Sequence[CalibrationCurve], instrument: Instr
     if not curves:
         return
     found = [noise_at_input(curve, instrument) for curve in curves]
-    values = {name: np.nanmedian([one[name] for one in found], axis=0) for name in ("lna", "rcu", "adc")} | {"sky": sky}
-    for (name, (label, style)), colour in zip(TERMS.items(), COLOURS, strict=False):
+    lines: list[tuple[str, Floats, Any]] = [("sky, mean over LST", sky, "-")]
+    for name, style in zip(found[0], cycle(STYLES), strict=False):
+        lines.append((f"N_{name.upper()}", np.nanmedian([one[name] for one in found], axis=0), style))
+    for (label, values, style), colour in zip(lines, cycle(COLOURS), strict=False):
         axes.plot(
-            instrument.frequency_mhz, np.where(values[name] > 0, values[name], np.nan), style, color=colour, label=label
+            instrument.frequency_mhz, np.where(values > 0, values, np.nan), linestyle=style, color=colour, label=label
         )
     axes.legend(fontsize=8, frameon=False, ncols=2)
 

@@ -28,6 +28,7 @@ from scipy.stats import chi2 as chi2_distribution
 from lbacal_core.calibration.lines import Lines, weigh_shared_noise
 from lbacal_core.calibration.normal_equations import scale_to_unit_diagonal, solve_normal_equations
 from lbacal_core.grids import Floats
+from lbacal_core.intercepts import Intercepts
 
 MISFIT_PROBABILITY = 1e-6
 """A curve whose chi^2 is less probable than this is a misfit: of 2000 good ones 0.002 are."""
@@ -96,7 +97,7 @@ def run_chain_test(
     lines: Lines,
     n: Floats,
     slope: Floats,
-    design: Floats,
+    terms: Intercepts,
     is_free: NDArray[np.bool_],
     series: Floats | None,
 ) -> ChainTest:
@@ -111,10 +112,10 @@ def run_chain_test(
     lines
         Lines of these paths.
     n, slope
-        Fitted N_LNA, shape (path,), and s, shape (path, freq). Noise and freedom are taken at these: a search for the
-        N_LNA at which both are widest would always succeed.
-    design
-        What N_RCU S and N_ADC add to an intercept, shape (freq, 2).
+        Fitted noise in front, shape (path, r), and s, shape (path, freq). Noise and freedom are taken at these: a
+        search for the N_LNA at which both are widest would always succeed.
+    terms
+        What each noise constant adds to an intercept.
     is_free
         Channels whose intercept is not tested, shape (path, freq).
     series
@@ -127,7 +128,7 @@ def run_chain_test(
         path = _Path.of(
             power[p, is_present], sky_power[is_present], relative_variance[p, is_present], lines.select(np.array([p]))
         )
-        found.append(_test_path(path, basis[is_present], n[p], slope[p], design, is_free[p], series))
+        found.append(_test_path(path, basis[is_present], terms.before(n[p]), slope[p], terms, is_free[p], series))
     chi2, dof = np.array(found, dtype=float).reshape(-1, 2).T
     return ChainTest(chi2, dof)
 
@@ -163,9 +164,9 @@ class _Path:
 def _test_path(
     path: _Path,
     basis: Floats,
-    n: float,
+    before: Floats,
     slope: Floats,
-    design: Floats,
+    terms: Intercepts,
     is_free: NDArray[np.bool_],
     series: Floats | None,
 ) -> tuple[float, float]:
@@ -181,22 +182,23 @@ def _test_path(
     scaled, unit = scale_to_unit_diagonal(path.information[None])
     covariance = np.linalg.inv(scaled[0] + 1e-12 * np.eye(2 * channels)) * np.outer(unit[0], unit[0])
     tested = np.flatnonzero(~is_free)
-    to_residual = np.concatenate([-n * np.eye(channels), np.eye(channels)], axis=1)[tested]
+    to_residual = np.concatenate([-np.diag(before), np.eye(channels)], axis=1)[tested]
     noise = to_residual @ covariance @ to_residual.T
     scale = np.sqrt(np.diag(noise))
-    value = np.concatenate([(path.intercept - n * path.slope)[tested] / scale, look.value])
+    value = np.concatenate([(path.intercept - before * path.slope)[tested] / scale, look.value])
     response = np.concatenate([moved @ to_residual.T / scale, beside], axis=1)
     total = np.eye(value.size) + response.T @ response
     total[: tested.size, : tested.size] += noise / np.outer(scale, scale) - np.eye(tested.size)
-    columns = np.zeros((value.size, 1 + design.shape[1]))
-    columns[: tested.size] = np.column_stack([slope, design])[tested] / scale[:, None]
+    columns = np.zeros((value.size, len(terms.names)))
+    forms = np.concatenate([terms.front * slope, terms.behind])
+    columns[: tested.size] = forms.T[tested] / scale[:, None]
     whitener = np.linalg.cholesky(total)
     white, white_columns, of_sky_modes = (np.linalg.solve(whitener, x) for x in (value, columns, response.T))
     normal, target = white_columns.T @ white_columns, white_columns.T @ np.column_stack([white, of_sky_modes])
     fitted = white_columns @ solve_normal_equations(normal[None], target[None])[0]
     chi2 = float(np.sum((white - fitted[:, 0]) ** 2))
     determined = float(np.sum((of_sky_modes - fitted[:, 1:]) ** 2))
-    return chi2, value.size - 1 - design.shape[1] - determined
+    return chi2, value.size - len(terms.names) - determined
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from lbacal_core.calibration.normal_equations import solve_normal_equations
 from lbacal_core.calibration.separable import SeparableSolution, solve_separable
 from lbacal_core.curves import INTERFERENCE, OK, OUTSIDE, UNCERTAIN
 from lbacal_core.grids import Floats
+from lbacal_core.intercepts import Intercepts
 
 Booleans = NDArray[np.bool_]
 
@@ -37,7 +38,7 @@ SMALLEST_SHARE = 1e-9
 
 
 def solve_without_interference(
-    slope: Floats, intercept: Floats, information: Floats, design: Floats
+    slope: Floats, intercept: Floats, information: Floats, terms: Intercepts
 ) -> tuple[SeparableSolution, Booleans]:
     """Fit the chain to lines, with the intercept of a channel left free where it stands out above all others.
 
@@ -45,12 +46,12 @@ def solve_without_interference(
     -------
     The solution, and which channels have a free intercept, shape (path, freq).
     """
-    solution = solve_separable(slope, intercept, information, design)
+    solution = solve_separable(slope, intercept, information, terms)
     is_free = np.zeros(slope.shape, dtype=bool)
     left = information
     at = np.flatnonzero(solution.is_converged & solution.is_identifiable)
     for _ in range(int(MOST_WITH_INTERFERENCE * slope.shape[1])):
-        excess = _excess_of_intercepts(solution.take(at), slope[at], intercept[at], left[at], design, is_free[at])
+        excess = _excess_of_intercepts(solution.take(at), slope[at], intercept[at], left[at], terms, is_free[at])
         channel = np.argmax(excess, axis=1)
         stands_out = excess[np.arange(at.size), channel] > FURTHEST_OUTLIER
         at, channel = at[stands_out], channel[stands_out]
@@ -59,7 +60,7 @@ def solve_without_interference(
         is_free[at, channel] = True
         left = left.copy()
         left[at] = [_free(information[p], is_free[p]) for p in at]
-        solution = solution.exchange(at, solve_separable(slope[at], intercept[at], left[at], design))
+        solution = solution.exchange(at, solve_separable(slope[at], intercept[at], left[at], terms))
     return solution, is_free
 
 
@@ -87,7 +88,7 @@ def _excess_of_intercepts(
     slope: Floats,
     intercept: Floats,
     information: Floats,
-    design: Floats,
+    terms: Intercepts,
     is_free: Booleans,
 ) -> Floats:
     """By how many standard deviations each intercept lies above what all else predicts; shape (path, freq).
@@ -97,14 +98,14 @@ def _excess_of_intercepts(
     widens the standard deviation of all.
     """
     paths, channels = slope.shape
-    x, n = solution.x, solution.n[:, None]
-    derivative = np.zeros((paths, 2 * channels, channels + 1 + design.shape[1]))
+    x, before = solution.x, terms.before(solution.n)
+    derivative = np.zeros((paths, 2 * channels, channels + len(terms.names)))
     at = np.arange(channels)
     derivative[:, at, at] = 1.0
-    derivative[:, channels + at, at] = n
-    derivative[:, channels:, channels] = x
-    derivative[:, channels:, channels + 1 :] = design
-    residual = np.concatenate([slope - x, intercept - n * x - solution.q @ design.T], axis=1)
+    derivative[:, channels + at, at] = before
+    derivative[:, channels:, channels : channels + len(terms.front)] = x[:, :, None] * terms.front.T
+    derivative[:, channels:, channels + len(terms.front) :] = terms.design
+    residual = np.concatenate([slope - x, intercept - before * x - solution.q @ terms.behind], axis=1)
     side = np.matmul(information, derivative)
     normal = np.matmul(derivative.transpose(0, 2, 1), side)
     of_intercept = side[:, channels:]

@@ -24,12 +24,12 @@ from lbacal_core.calibration.paths import (
     Cables,
     Paths,
     chain_forms,
-    noise_design,
     paths_of_scope,
     require_one_cable_each,
 )
 from lbacal_core.calibration.spreads import measure_spreads
 from lbacal_core.chain.model import calibration_factor
+from lbacal_core.chain.noise import noise_constants
 from lbacal_core.covariance import CurveCovariance, compress_covariance
 from lbacal_core.curves import (
     CONVERGED,
@@ -126,7 +126,8 @@ def fit_calibration(
             "min_lst_bins": MIN_LST_BINS,
             "sky_freedom": None if freedom is None else freedom.digest,
         },
-        notes={"antenna_gain": instrument.antenna_gain_note, "sky_power": sky_power.note_for(instrument)},
+        notes={"antenna_gain": instrument.antenna_gain_note, "sky_power": sky_power.note_for(instrument)}
+        | ({"noise_constants": noise_constants(instrument).describe()} if instrument.stages else {}),
     )
     return FitReport(
         tuple(_share_misfits([curve for curve, _ in fitted])),
@@ -158,6 +159,7 @@ def _chain_of(
 def _fit_paths(paths: Paths, sky: Floats, instrument: Instrument, series: Floats | None) -> list[CalibrationCurve]:
     """The chain fitted to the lines of a batch of paths, with the status of each."""
     lines = fit_lines(paths.power, sky, paths.relative_variance, chain_forms(instrument))
+    terms = noise_constants(instrument)
     is_present = np.isfinite(paths.relative_variance)
     events = is_present.sum(axis=1)
     bins = np.floor(paths.lst_hours / 24.0 * LST_BINS).astype(int) % LST_BINS
@@ -171,9 +173,7 @@ def _fit_paths(paths: Paths, sky: Floats, instrument: Instrument, series: Floats
     status[covered < MIN_LST_BINS] = TOO_FEW_LST_BINS
     status[events < MIN_EVENTS] = TOO_FEW_EVENTS
     at = np.flatnonzero(status == CONVERGED)
-    solution, is_free = solve_without_interference(
-        lines.slope[at], lines.intercept[at], lines.information[at], noise_design(instrument)
-    )
+    solution, is_free = solve_without_interference(lines.slope[at], lines.intercept[at], lines.information[at], terms)
     channels = instrument.frequency_mhz.size
     variance = np.einsum("pii->pi", solution.covariance)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -189,20 +189,20 @@ def _fit_paths(paths: Paths, sky: Floats, instrument: Instrument, series: Floats
     of_good = np.searchsorted(at, good)
     tested = run_chain_test(
         paths.power[good], sky, paths.relative_variance[good], paths.lst_hours, lines.select(good), solution.n[of_good],
-        solution.x[of_good], noise_design(instrument), is_free[of_good], series,
+        solution.x[of_good], terms, is_free[of_good], series,
     )  # fmt: skip
     scatter = np.median(lines.levels.radiometer, axis=1) if paths.scatter is None else paths.scatter
     is_odd = scatter[good] < SMALLEST_OF_LIMIT * paths.smallest_scatter
-    is_odd |= _has_negative_noise(solution.q[of_good], variance[of_good, channels + 1 :])
+    is_odd |= _has_negative_noise(solution.q[of_good], variance[of_good, channels + len(terms.front) :])
     # merged constants are one
-    dof = channels - 3 - is_free.sum(axis=1) + np.maximum(solution.is_merged.sum(axis=1) - 1, 0)
+    dof = channels - terms.free_count - is_free.sum(axis=1) + np.maximum(solution.is_merged.sum(axis=1) - 1, 0)
     is_unlikely = is_improbable(solution.chi2[of_good], dof[of_good])
     is_misfit = set(good[tested.is_misfit | (is_odd & is_unlikely)].tolist())
     profiled = dict(zip(good.tolist(), tested.per_dof.tolist(), strict=True))
     curves = []
     for k, (station, antenna, dipole) in enumerate(paths.owners):
         is_good, j = k in profiled, int(np.searchsorted(at, k))
-        values = (solution.n[j], *solution.q[j]) if is_good else ()
+        values = (*solution.n[j], *solution.q[j]) if is_good else ()
         sigmas = np.sqrt(variance[j, channels:]) if is_good else ()
         curve = CalibrationCurve(
             station=station,
@@ -218,13 +218,13 @@ def _fit_paths(paths: Paths, sky: Floats, instrument: Instrument, series: Floats
             lst_coverage=float(covered[k] / LST_BINS),
             parameters={
                 name: Parameter(float(value), float(sigma))
-                for name, value, sigma in zip(("n_lna", "n_rcu", "n_adc"), values, sigmas, strict=False)
+                for name, value, sigma in zip(terms.names, values, sigmas, strict=False)
             },
             flag=tuple(flag[j].tolist()) if is_good else None,
             chi2_per_dof_profiled=profiled.get(k),
             covariance=_covariance_of(solution.x[j], solution.covariance[j], has_value[j]) if is_good else None,
             antenna_gain=instrument.antenna_gain,
-            merged=describe_merged(solution, j, noise_design(instrument)) if is_good else None,
+            merged=describe_merged(solution, j, terms) if is_good else None,
         )
         curves.append(curve.as_misfit() if k in is_misfit else curve)
     return curves

@@ -11,6 +11,7 @@ from lbacal_core.anomalies import Anomaly
 from lbacal_core.calibration.lines import ChainForms, Lines, fit_lines
 from lbacal_core.calibration.separable import solve_separable
 from lbacal_core.calibration.spreads import SinglePaths, join_paths
+from lbacal_core.chain.noise import noise_constants
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
 from lbacal_core.instrument import Instrument
@@ -196,7 +197,7 @@ def _mean_path(
 
 def _single_paths(owners: list[tuple[str, int]], lines: Lines, instrument: Instrument, cable_of: Cables) -> SinglePaths:
     """The slopes of paths fitted by themselves; NaN where the fit determined none."""
-    solution = solve_separable(lines.slope, lines.intercept, lines.information, noise_design(instrument))
+    solution = solve_separable(lines.slope, lines.intercept, lines.information, noise_constants(instrument))
     channels = instrument.frequency_mhz.size
     variance = np.einsum("pii->pi", solution.covariance)[:, :channels]
     is_good = (solution.is_converged & solution.is_identifiable)[:, None] & np.isfinite(solution.x) & (variance > 0)
@@ -208,11 +209,6 @@ def _single_paths(owners: list[tuple[str, int]], lines: Lines, instrument: Instr
         sigma=np.sqrt(np.where(is_good, variance, np.nan)),
         loss=np.array([instrument.cables[cable] for cable in cables]),
     )
-
-
-def noise_design(instrument: Instrument) -> Floats:
-    """What N_RCU S and N_ADC add to an intercept, shape (freq, 2)."""
-    return np.stack([instrument.receiver_gain, np.ones_like(instrument.receiver_gain)], axis=1)
 
 
 def chain_forms(instrument: Instrument) -> ChainForms:

@@ -1,16 +1,17 @@
-"""A separable least-squares solver: one non-linear number, everything else linear, many problems at once.
+"""A separable least-squares solver: a few non-linear numbers, everything else linear, many problems at once.
 
 It knows no physics. Each problem has measured vectors x and y with their joint information matrix W, and the model
 
-    y = n x + H q,
+    y = (known + n F) x + H q,
 
-x free, q a few numbers, n one number. Given n the problem is linear in (x, q), so only n is iterated (variable
-projection: Golub & Pereyra 1973, SIAM J. Numer. Anal. 10, 413). At the linear optimum the derivative of chi^2 by n is
-the partial one, and the Schur complement of the information matrix is its curvature: Newton's step is analytic.
+x free, n and q a few numbers, F and H what each of them does along x. Given n the problem is linear in (x, q), so only
+n is iterated (variable projection: Golub & Pereyra 1973, SIAM J. Numer. Anal. 10, 413). At the linear optimum the
+derivative of chi^2 by n is the partial one, and the Schur complement of the information matrix is its curvature:
+Newton's step is analytic. What is known of n beforehand, a mean and an error, is one more measured number.
 
 Where the data determine x but not each of n and q, because two columns of (x, H) are nearly one (a flat chain), those
-are told apart by a weak prior alone: each term n x, H_j q_j is about as large as y at most. What they add together is
-determined by the data, x does not depend on how it is shared, and `is_merged` says which they are.
+are told apart by a weak prior alone: each term n_i F_i x, H_j q_j is about as large as y at most. What they add
+together is determined by the data, x does not depend on how it is shared, and `is_merged` says which they are.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from numpy.typing import NDArray
 
 from lbacal_core.calibration.normal_equations import scale_to_unit_diagonal, solve_normal_equations
 from lbacal_core.grids import Floats
+from lbacal_core.intercepts import Intercepts
 
 MAX_ITERATIONS = 50
 STEP_TOLERANCE = 1e-5
@@ -30,7 +32,7 @@ STEP_TOLERANCE = 1e-5
 SMALLEST_EIGENVALUE = 1e-11
 """Below this eigenvalue of the unit-diagonal information matrix of (n, q) the data do not determine them."""
 WIDEST = 1.0
-"""Standard deviation of the prior of a term n x or H_j q_j about 0, in units of the mean of |y|."""
+"""Standard deviation of the prior of a term n_i F_i x or H_j q_j about 0, in units of the mean of |y|."""
 MERGED_FROM = 0.5
 """Data that leave a term less certain than this, in the same unit, do not tell it apart from others."""
 
@@ -44,17 +46,17 @@ class SeparableSolution:
     x
         Shape (problem, m).
     n
-        Shape (problem,).
+        Shape (problem, r).
     q
         Shape (problem, k).
     covariance
-        Covariance of (x, n, q), shape (problem, m + 1 + k, m + 1 + k); NaN where not identifiable.
+        Covariance of (x, n, q), shape (problem, m + r + k, m + r + k); NaN where not identifiable.
     chi2
-        Shape (problem,); m - 1 - k degrees of freedom.
+        Shape (problem,); m - r - k degrees of freedom, and one more for each n of which something is known.
     is_converged, is_identifiable
         Shape (problem,).
     is_merged
-        Which of (n, q) the data do not tell apart, shape (problem, 1 + k): all False, or at least two of them True.
+        Which of (n, q) the data do not tell apart, shape (problem, r + k): all False, or at least two of them True.
     """
 
     x: Floats
@@ -78,7 +80,7 @@ class SeparableSolution:
         return SeparableSolution(**fields)
 
 
-def solve_separable(x: Floats, y: Floats, information: Floats, design: Floats) -> SeparableSolution:
+def solve_separable(x: Floats, y: Floats, information: Floats, terms: Intercepts) -> SeparableSolution:
     """Minimise chi^2 over (x, n, q) for a batch of problems.
 
     Parameters
@@ -87,10 +89,10 @@ def solve_separable(x: Floats, y: Floats, information: Floats, design: Floats) -
         Measured, shape (problem, m).
     information
         Inverse covariance of (x, y), shape (problem, 2 m, 2 m).
-    design
-        H, shape (m, k), the same for all problems.
+    terms
+        F, H, and what is known of n, the same for all problems.
     """
-    problem = _Scaled.of(x, y, information, design)
+    problem = _Scaled.of(x, y, information, terms)
     solution = problem.solve(0.0)
     at = np.flatnonzero(~(problem.spread(solution).max(axis=1) <= MERGED_FROM))
     if at.size == 0:
@@ -109,51 +111,68 @@ class _Scaled:
 
     Attributes
     ----------
-    measured, weight, design
-        (x, y), information and H in these units, shape (problem, 2 m), (problem, 2 m, 2 m) and (problem, m, k).
-    x_unit, y_unit, q_unit
-        Shape (problem, 1), (problem, 1) and (problem, k).
+    measured, weight
+        (x, y) and information in these units, shape (problem, 2 m) and (problem, 2 m, 2 m).
+    known, forms, design
+        What multiplies x without n, F and H in these units, shape (problem, m), (problem, r, m) and (problem, m, k).
+    mean, precision
+        What is known of n, shape (problem, r).
+    x_unit, y_unit, n_unit, q_unit
+        Shape (problem, 1), (problem, 1), (problem, r) and (problem, k).
     """
 
     measured: Floats
     weight: Floats
+    known: Floats
+    forms: Floats
     design: Floats
+    mean: Floats
+    precision: Floats
     x_unit: Floats
     y_unit: Floats
+    n_unit: Floats
     q_unit: Floats
 
     @classmethod
-    def of(cls, x: Floats, y: Floats, information: Floats, design: Floats) -> _Scaled:
+    def of(cls, x: Floats, y: Floats, information: Floats, terms: Intercepts) -> _Scaled:
         """Scale problems."""
         size = x.shape[1]
         x_unit, y_unit = _typical(x), _typical(y)
-        q_unit = y_unit / np.sqrt(np.mean(design**2, axis=0))
+        n_unit = (y_unit / x_unit) / np.sqrt(np.mean(terms.front**2, axis=1))
+        q_unit = y_unit / np.sqrt(np.mean(terms.behind**2, axis=1))
         unit = np.concatenate([np.repeat(x_unit, size, 1), np.repeat(y_unit, size, 1)], axis=1)
         return cls(
             np.concatenate([x / x_unit, y / y_unit], axis=1),
             information * unit[:, :, None] * unit[:, None, :],
-            design * (q_unit / y_unit)[:, None, :],
-            x_unit, y_unit, q_unit,
+            terms.known * (x_unit / y_unit),
+            terms.front * (n_unit * (x_unit / y_unit))[:, :, None],
+            terms.design * (q_unit / y_unit)[:, None, :],
+            terms.mean / n_unit, terms.precision * n_unit**2,
+            x_unit, y_unit, n_unit, q_unit,
         )  # fmt: skip
 
     def take(self, at: NDArray[np.intp]) -> _Scaled:
         """Some of the problems."""
         return _Scaled(**{name: values[at] for name, values in vars(self).items()})
 
+    def before(self, n: Floats) -> Floats:
+        """What multiplies x, shape (problem, m)."""
+        return np.asarray(self.known + np.matmul(n[:, None], self.forms)[:, 0])
+
     def solve(self, prior: float) -> SeparableSolution:
         """The solution in unit columns, with so much prior information about each of (n, q) being 0."""
         problems, size = self.measured.shape[0], self.design.shape[1]
-        own = np.einsum("pii->pi", self.weight[:, size:, size:])
-        n = _start(self.measured[:, :size], self.measured[:, size:], own, self.design)
+        n = self._start()
         is_converged = np.zeros(problems, dtype=bool)
         for _ in range(MAX_ITERATIONS):
-            optimum = _solve_linear(n, self.design, self.weight, self.measured, prior)
-            has_curvature = optimum.curvature > 0
-            step = np.divide(optimum.gradient, optimum.curvature, out=np.zeros(problems), where=has_curvature)
-            is_converged |= np.abs(step) * np.sqrt(optimum.curvature) <= STEP_TOLERANCE
+            optimum = _solve_linear(self, n, prior)
+            step = solve_normal_equations(optimum.curvature, optimum.gradient[:, :, None])[:, :, 0]
+            # the length of the step in standard deviations of n
+            length = np.einsum("pi,pij,pj->p", step, optimum.curvature, step)
+            is_converged |= length <= STEP_TOLERANCE**2
             if np.all(is_converged):
                 break
-            n = np.where(is_converged, n, n + step)
+            n = np.where(is_converged[:, None], n, n + step)
         is_converged &= np.isfinite(optimum.chi2)
         covariance, is_identifiable = _invert(_full_information(optimum, size), size)
         return SeparableSolution(
@@ -164,33 +183,36 @@ class _Scaled:
             chi2=optimum.chi2,
             is_converged=is_converged,
             is_identifiable=is_identifiable,
-            is_merged=np.zeros((problems, 1 + self.design.shape[2]), dtype=bool),
+            is_merged=np.zeros((problems, n.shape[1] + self.design.shape[2]), dtype=bool),
         )
 
+    def _start(self) -> Floats:
+        """N of the weighted regression of y on x and H, as if x were without error; shape (problem, r)."""
+        size, r = self.design.shape[1], self.forms.shape[1]
+        x, y = self.measured[:, :size], self.measured[:, size:]
+        columns = np.concatenate([x[:, :, None] * self.forms.transpose(0, 2, 1), self.design], axis=2)
+        weighted = columns * np.einsum("pii->pi", self.weight[:, size:, size:])[:, :, None]
+        normal = np.matmul(weighted.transpose(0, 2, 1), columns)
+        target = np.matmul(weighted.transpose(0, 2, 1), (y - self.known * x)[:, :, None])
+        at = np.arange(r)
+        normal[:, at, at] += self.precision
+        target[:, :r, 0] += self.precision * self.mean
+        return solve_normal_equations(normal, target)[:, :r, 0]
+
     def spread(self, solution: SeparableSolution) -> Floats:
-        """Standard deviations of (n, q) in unit columns, shape (problem, 1 + k); NaN where not identifiable."""
+        """Standard deviations of (n, q) in unit columns, shape (problem, r + k); NaN where not identifiable."""
         return np.asarray(np.sqrt(np.einsum("pii->pi", solution.covariance)[:, self.design.shape[1] :]))
 
     def unscale(self, solution: SeparableSolution) -> SeparableSolution:
         """The solution in the units of the problem."""
-        back = np.concatenate(
-            [np.repeat(self.x_unit, self.design.shape[1], 1), self.y_unit / self.x_unit, self.q_unit], axis=1
-        )
+        back = np.concatenate([np.repeat(self.x_unit, self.design.shape[1], 1), self.n_unit, self.q_unit], axis=1)
         return replace(
             solution,
             x=solution.x * self.x_unit,
-            n=solution.n * (self.y_unit / self.x_unit)[:, 0],
+            n=solution.n * self.n_unit,
             q=solution.q * self.q_unit,
             covariance=solution.covariance * back[:, :, None] * back[:, None, :],
         )
-
-
-def _start(x: Floats, y: Floats, weight: Floats, design: Floats) -> Floats:
-    """N of the weighted regression of y on x and H, as if x were without error; shape (problem,)."""
-    columns = np.concatenate([x[:, :, None], design], axis=2)
-    weighted = columns * weight[:, :, None]
-    target = np.matmul(weighted.transpose(0, 2, 1), y[:, :, None])
-    return solve_normal_equations(np.matmul(weighted.transpose(0, 2, 1), columns), target)[:, 0, 0]
 
 
 def _typical(values: Floats) -> Floats:
@@ -212,57 +234,65 @@ class _Optimum:
     own: Floats
 
 
-def _solve_linear(n: Floats, design: Floats, weight: Floats, measured: Floats, prior: float) -> _Optimum:
-    size = design.shape[1]
+def _solve_linear(problem: _Scaled, n: Floats, prior: float) -> _Optimum:
+    design, weight = problem.design, problem.weight
+    size, constants = design.shape[1], design.shape[2]
     w_xx, w_xy = weight[:, :size, :size], weight[:, :size, size:]
     w_yx, w_yy = weight[:, size:, :size], weight[:, size:, size:]
-    factor = n[:, None, None]
-    # The derivative of the model by (x, q) is [[1, 0], [n 1, H]]; its normal matrix written out by blocks.
+    before = problem.before(n)
+    row, column = before[:, :, None], before[:, None, :]
+    # The derivative of the model by (x, q) is [[1, 0], [before, H]]; its normal matrix written out by blocks.
     w_yh = np.matmul(w_yy, design)
-    side = np.matmul(w_xy, design) + factor * w_yh
-    normal = np.empty((n.size, size + design.shape[2], size + design.shape[2]))
-    normal[:, :size, :size] = w_xx + factor * (w_xy + w_yx + factor * w_yy)
+    side = np.matmul(w_xy, design) + row * w_yh
+    normal = np.empty((len(n), size + constants, size + constants))
+    normal[:, :size, :size] = w_xx + w_xy * column + row * (w_yx + w_yy * column)
     normal[:, :size, size:] = side
     normal[:, size:, :size] = side.transpose(0, 2, 1)
-    normal[:, size:, size:] = np.matmul(design.transpose(0, 2, 1), w_yh) + prior * np.eye(design.shape[2])
-    weighted = np.matmul(weight, measured[:, :, None])
-    linear = solve_normal_equations(normal, _project(weighted, factor, design))[:, :, 0]
+    normal[:, size:, size:] = np.matmul(design.transpose(0, 2, 1), w_yh) + prior * np.eye(constants)
+    weighted = np.matmul(weight, problem.measured[:, :, None])
+    linear = solve_normal_equations(normal, _project(weighted, row, design))[:, :, 0]
 
     x, q = linear[:, :size], linear[:, size:]
-    model = np.concatenate([x, n[:, None] * x + np.matmul(design, q[:, :, None])[:, :, 0]], axis=1)
-    residual = measured - model
+    model = np.concatenate([x, before * x + np.matmul(design, q[:, :, None])[:, :, 0]], axis=1)
+    residual = problem.measured - model
     weighted_residual = np.matmul(weight, residual[:, :, None])[:, :, 0]
-    # The derivative of the model by n is (0, x).
-    along = np.matmul(weight[:, :, size:], x[:, :, None])
-    border = _project(along, factor, design)
-    own = np.einsum("pi,pi->p", x, along[:, size:, 0]) + prior
-    absorbed = np.einsum("pi,pi->p", border[:, :, 0], solve_normal_equations(normal, border)[:, :, 0])
+    # The derivative of the model by n is (0, F x).
+    terms = problem.forms * x[:, None, :]
+    along = np.matmul(weight[:, :, size:], terms.transpose(0, 2, 1))
+    border = _project(along, row, design)
+    known = problem.precision * (n - problem.mean)
+    own = np.matmul(terms, along[:, size:]) + np.einsum("pr,rs->prs", problem.precision + prior, np.eye(n.shape[1]))
+    absorbed = np.matmul(border.transpose(0, 2, 1), solve_normal_equations(normal, border))
+    curvature = own - absorbed
+    at = np.arange(n.shape[1])
+    curvature[:, at, at] = np.maximum(curvature[:, at, at], 1e-15 * own[:, at, at])
     return _Optimum(
         linear=linear,
-        chi2=np.einsum("pi,pi->p", residual, weighted_residual),
-        gradient=np.einsum("pi,pi->p", x, weighted_residual[:, size:]) - prior * n,
-        curvature=np.maximum(own - absorbed, 1e-15 * own),
+        chi2=np.einsum("pi,pi->p", residual, weighted_residual) + np.sum(known * (n - problem.mean), axis=1),
+        gradient=np.matmul(terms, weighted_residual[:, size:, None])[:, :, 0] - prior * n - known,
+        curvature=curvature,
         normal=normal,
-        border=border[:, :, 0],
+        border=border,
         own=own,
     )
 
 
-def _project(weighted: Floats, factor: Floats, design: Floats) -> Floats:
-    """The transposed derivative by (x, q) times a weighted vector."""
+def _project(weighted: Floats, row: Floats, design: Floats) -> Floats:
+    """The transposed derivative by (x, q) times weighted vectors."""
     size = design.shape[1]
     on_y = weighted[:, size:]
-    return np.concatenate([weighted[:, :size] + factor * on_y, np.matmul(design.transpose(0, 2, 1), on_y)], axis=1)
+    return np.concatenate([weighted[:, :size] + row * on_y, np.matmul(design.transpose(0, 2, 1), on_y)], axis=1)
 
 
 def _full_information(optimum: _Optimum, size: int) -> Floats:
     """Information about (x, n, q) at the solution."""
-    total = optimum.normal.shape[1] + 1
-    full = np.empty((optimum.own.size, total, total))
-    full[:, :-1, :-1] = optimum.normal
-    full[:, -1, :-1] = full[:, :-1, -1] = optimum.border
-    full[:, -1, -1] = optimum.own
-    order = np.r_[0:size, total - 1, size : total - 1]
+    linear, r = optimum.normal.shape[1], optimum.own.shape[1]
+    full = np.empty((len(optimum.own), linear + r, linear + r))
+    full[:, :linear, :linear] = optimum.normal
+    full[:, :linear, linear:] = optimum.border
+    full[:, linear:, :linear] = optimum.border.transpose(0, 2, 1)
+    full[:, linear:, linear:] = optimum.own
+    order = np.r_[0:size, linear : linear + r, size:linear]
     return full[:, order][:, :, order]
 
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from lbacal_core.grids import Floats
+from lbacal_core.intercepts import Intercepts, three_constants
 from lbacal_core.skypower.table import read_at
 
 YEAR_S = 365.25 * 86_400.0
@@ -60,6 +61,8 @@ class Conditions:
         Electronic noise over the mean sky power, where it is known before the fit; None where the fit leaves it free.
     reference_c
         Temperature from which causes count; None for the mean of the data.
+    noise
+        The noise constants of the chain; None for N_LNA, N_RCU and N_ADC.
     """
 
     frequency_mhz: Floats
@@ -81,6 +84,12 @@ class Conditions:
     sun_response: Floats | None = None
     known_noise: float | None = None
     reference_c: float | None = None
+    noise: Intercepts | None = None
+
+    @property
+    def intercepts(self) -> Intercepts:
+        """The noise constants of the chain."""
+        return self.noise or three_constants(self.receiver_gain)
 
     def with_covariates(self, **values: Floats) -> Conditions:
         """The same with other covariates, shape (event,) each."""

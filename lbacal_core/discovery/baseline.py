@@ -46,8 +46,7 @@ def fit_baseline(station: Station, ratio: Floats | None = None) -> Baseline:
     """
     power = station.power if ratio is None else station.power / ratio
     paths, _, channels = power.shape
-    conditions = station.conditions
-    design = np.stack([conditions.receiver_gain, np.ones(channels)], axis=1)
+    conditions, terms = station.conditions, station.conditions.intercepts
     slope, intercept = np.empty((paths, channels)), np.empty((paths, channels))
     information = np.empty((paths, 2 * channels, 2 * channels))
     forms = ChainForms.of(conditions.frequency_mhz, conditions.antenna_gain, conditions.receiver_gain)
@@ -55,8 +54,8 @@ def fit_baseline(station: Station, ratio: Floats | None = None) -> Baseline:
     for rows, sky in zip(members, station.sky, strict=True):
         lines = fit_lines(power[rows], sky, station.relative_variance[rows], forms)
         slope[rows], intercept[rows], information[rows] = lines.slope, lines.intercept, lines.information
-    solution = solve_separable(slope, intercept, information, design)
-    noise = solution.n[:, None] * solution.x + solution.q @ design.T
+    solution = solve_separable(slope, intercept, information, terms)
+    noise = terms.before(solution.n) * solution.x + solution.q @ terms.behind
     residual = np.empty_like(power)
     for rows, sky in zip(members, station.sky, strict=True):
         model = solution.x[rows][:, None, :] * sky + noise[rows][:, None, :]
@@ -77,12 +76,13 @@ def _mean_terms(station: Station, solution: SeparableSolution) -> ChainTerms:
     variance = np.diagonal(solution.covariance[is_good], axis1=1, axis2=2)[:, channels:]
     floor = 0.5 * np.sqrt(np.nan_to_num(np.median(variance, axis=0)))
     levels = np.column_stack([solution.n[is_good], solution.q[is_good]])
-    n_lna, *noise = np.maximum(np.median(levels, axis=0), floor)
+    constants, terms = np.maximum(np.median(levels, axis=0), floor), station.conditions.intercepts
+    before, behind = terms.before(constants[: len(terms.front)]), terms.split_behind(constants[len(terms.front) :])
     slope = np.stack([np.median(solution.x[rows], axis=0) for rows in members])
     return ChainTerms(
         sky=station.sky,
-        n_lna=np.array(n_lna),
+        n_lna=before,
         front=slope[:, None, :],
-        receiver_noise=noise[0] * station.conditions.receiver_gain,
-        adc_noise=np.array(noise[1]),
+        receiver_noise=behind[0],
+        adc_noise=behind[1],
     )

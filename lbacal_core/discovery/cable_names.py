@@ -167,11 +167,11 @@ def _influence(station: Station, baseline: Baseline, model: LinearModel, path: i
     """
     solution, levels = baseline.solution, model.residuals.levels
     c = int(station.class_of[path])
-    sky, design = station.sky[c], np.stack([station.conditions.receiver_gain, np.ones(station.power.shape[2])])
-    slope, n_lna = solution.x[path], solution.n[path]
-    power = slope * (sky + n_lna) + solution.q[path] @ design
-    of_slope = (sky + n_lna) / power
-    constants = np.stack([slope / power, *(design[:, None] / power)])
+    sky, terms = station.sky[c], station.conditions.intercepts
+    slope, before = solution.x[path], terms.before(solution.n[path])
+    power = slope * (sky + before) + solution.q[path] @ terms.behind
+    of_slope = (sky + before) / power
+    constants = np.concatenate([terms.front * slope, terms.behind])[:, None] / power
     present = station.is_present[path]
     precision = np.where(present, 1.0 / station.relative_variance[path], 0.0)
     scale = float(model.residuals.levels.path_scale[path])

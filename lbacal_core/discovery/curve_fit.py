@@ -256,10 +256,10 @@ class CurveFitter:
         new = station.terms_with(more.choices, more.sizes, more.noise).power()
         old = station.terms_with(fewer.choices, fewer.sizes, fewer.noise).power()
         plain = station.terms_with([], np.zeros(0), fewer.noise)
-        receiver_gain, sky = station.conditions.receiver_gain[inside], plain.sky[..., inside]
+        terms, sky = station.conditions.intercepts.select(inside), plain.sky[..., inside]
         power = new[..., inside] * (plain.power() / old)[..., inside]
-        named = fit_station_year(power, sky, receiver_gain)
-        right = fit_station_year(plain.power()[..., inside], sky, receiver_gain)
+        named = fit_station_year(power, sky, terms)
+        right = fit_station_year(plain.power()[..., inside], sky, terms)
         return dict(zip(DIPOLES, np.sqrt(np.maximum(named / right, 0.0)) - 1.0, strict=True))
 
     def signature(self, fewer: CurveFit, more: CurveFit) -> Floats:

@@ -16,6 +16,7 @@ from lbacal_core.causes.catalogue import CAUSES, DESCRIPTIONS
 from lbacal_core.causes.cause import Cause, SizeRange, Template
 from lbacal_core.causes.conditions import Conditions
 from lbacal_core.causes.directions import sky_ratios
+from lbacal_core.chain.noise import noise_constants
 from lbacal_core.chain.terms import ChainTerms
 from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.grids import Floats
@@ -135,6 +136,7 @@ def gather_curve(instrument: Instrument, sky_power: SkyPower, weights: Floats, p
         sky_at=lambda hours: np.stack([sky_power.at(d, hours) for d in DIPOLES]),
         antenna_gain=instrument.antenna_gain,
         receiver_gain=instrument.receiver_gain,
+        noise=noise_constants(instrument),
         cable_log_loss=np.zeros((len(DIPOLES), instrument.frequency_mhz.size)),
         sky_ratio={name: ratio.at(DIPOLES, GRID_HOURS) for name, ratio in sky_ratios(instrument).items()},
         known_noise=prior.mean if prior.is_known else None,

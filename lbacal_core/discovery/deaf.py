@@ -36,9 +36,9 @@ def leave_out_deaf(station: Station) -> tuple[Station, list[str]]:
 def sky_shares(station: Station) -> Floats:
     """Median over the channels of the share of the sky in the power of each path, shape (path,)."""
     solution = fit_baseline(station).solution
-    design = np.stack([station.conditions.receiver_gain, np.ones(station.power.shape[2])])
+    terms = station.conditions.intercepts
     sky = station.sky.mean(axis=1)[station.class_of] * solution.x
-    power = sky + solution.n[:, None] * solution.x + solution.q @ design
+    power = sky + terms.before(solution.n) * solution.x + solution.q @ terms.behind
     return np.asarray(np.median(sky / power, axis=1))
 
 

@@ -233,10 +233,11 @@ class LinearModel:
 
     @cached_property
     def _free_vectors(self) -> tuple[Floats, Floats]:
-        """Derivatives of ln P by ln A, (class, event, freq), and by three noise constants, (3, class, event, freq)."""
+        """Derivatives of ln P by ln A, (class, event, freq), and by each noise constant, (constant, class, ...)."""
         terms, power = self.terms, self.terms.power()
         slope = np.broadcast_to((terms.sky + terms.n_lna) * terms.front / power, power.shape)
-        columns = (terms.front / power, self.station.conditions.receiver_gain / power, 1.0 / power)
+        noise = self.station.conditions.intercepts
+        columns = [*(form * terms.front / power for form in noise.front), *(form / power for form in noise.behind)]
         return slope, np.stack([np.broadcast_to(column, power.shape) for column in columns])
 
     @cached_property

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from lbacal_core.calibration.paths import MIN_EVENTS, Cables, require_one_cable_each
 from lbacal_core.causes.conditions import Conditions
 from lbacal_core.causes.directions import SkyRatio, sky_ratios
+from lbacal_core.chain.noise import noise_constants
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
 from lbacal_core.instrument import Instrument
@@ -185,6 +186,7 @@ def _conditions(
         sky_at=lambda hours: at(sky_power, hours),
         antenna_gain=instrument.antenna_gain,
         receiver_gain=instrument.receiver_gain,
+        noise=noise_constants(instrument),
         cable_log_loss=np.stack([np.log(instrument.cables[cable]) for _, cable in classes]),
         covariates=covariates,
         sky_ratio={name: ratio.at(letters, lst) for name, ratio in ratios.items()},

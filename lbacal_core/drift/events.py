@@ -20,6 +20,7 @@ import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
+from lbacal_core.chain.noise import noise_constants
 from lbacal_core.curves import CalibrationCurve
 from lbacal_core.grids import Floats
 from lbacal_core.instrument import Instrument
@@ -73,10 +74,11 @@ def measure_event_modes(
         return EventModes(block.antennas[rows], block.time_unix, empty, np.empty((0, 2)))
     has_value = np.array([curve.has_value for curve in curves])
     c = np.array([curve.filled(np.asarray(curve.c)) for curve in curves])
-    level = {n: np.array([curve.parameters[n].value for curve in curves])[:, None] for n in ("n_lna", "n_rcu", "n_adc")}
-    behind = (level["n_rcu"] * instrument.receiver_gain + level["n_adc"])[:, None, :]
+    noise = noise_constants(instrument)
+    level = np.array([[curve.parameters[name].value for name in noise.names] for curve in curves])
+    front, behind = len(noise.front), (level[:, len(noise.front) :] @ noise.behind)[:, None, :]
     sky = sky_power.at(block.dipole, local_sidereal_time(block.time_unix, instrument.longitude_deg))
-    signal = (sky + level["n_lna"][:, :, None]) * (instrument.antenna_gain / c**2)[:, None, :]
+    signal = (sky + noise.before(level[:, :front])[:, None, :]) * (instrument.antenna_gain / c**2)[:, None, :]
     weight = (signal / (signal + behind)) ** 2 * has_value[:, None, :]
     ratio = (block.power[rows] - behind) / signal
     total = weight.sum(axis=2)

@@ -8,6 +8,7 @@ from lbacal_core.data.tables import read_table
 from lbacal_core.grids import Floats
 from lbacal_core.instrument import Instrument
 from lbacal_core.twin.settings import TwinSettings
+from lbacal_core.twin.stage_noise import draw_stage_noise
 from lbacal_core.twin.stages import Scene, Stages
 from lbacal_core.twin.truth import StationTruth
 
@@ -47,15 +48,21 @@ def build_station(
         * float(np.exp(rng.normal(scale=settings.noise_level)))
         for name, carried in forward.items()
     }
+    lna_noise, rcu_noise = np.full((1, 1, 1, 1), levels["lna"]), np.full((1, 1, 1, 1), levels["rcu"])
+    adc, constants = levels["adc"], None
+    if instrument.stages:
+        noise = draw_stage_noise(instrument, levels["lna"], levels["rcu"] * scale, levels["adc"], rng)
+        lna_noise, rcu_noise = noise.at_sky[None, None, None], (noise.at_output / receiver)[None, None, None]
+        adc, constants = noise.adc, noise.constants
     stages = Stages(
         sky=scene.sky_at(scene.lst_hours),
-        lna_noise=np.full((1, 1, 1, 1), levels["lna"]),
+        lna_noise=lna_noise,
         antenna=antenna,
         gain=gain,
         cable=loss,
-        rcu_noise=np.full((1, 1, 1, 1), levels["rcu"]),
+        rcu_noise=rcu_noise,
         receiver=receiver[None, None, None, :],
-        adc_noise=np.full((1, 1, 1, 1), levels["adc"]),
+        adc_noise=np.full((1, 1, 1, 1), adc),
     )
     truth = StationTruth(
         station=scene.station,
@@ -65,6 +72,7 @@ def build_station(
         n_lna=levels["lna"],
         n_rcu=levels["rcu"] * scale,
         n_adc=levels["adc"],
+        constants=constants,
     )
     return stages, truth
 

@@ -33,7 +33,10 @@ class StationTruth:
     path_gain
         Shape (antenna, dipole).
     n_lna, n_rcu, n_adc
-        In the units of a fit: of P_sky, and power at the output (N_RCU S and N_ADC).
+        In the units of a fit: of P_sky, and power at the output (N_RCU S and N_ADC); with stages, about what theirs
+        add up to.
+    constants
+        The constants of stages by name; None where the instrument has no stages.
     """
 
     station: str
@@ -43,6 +46,7 @@ class StationTruth:
     n_lna: float
     n_rcu: float
     n_adc: float
+    constants: Mapping[str, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -84,6 +88,7 @@ class Truth:
                 "n_lna": one.n_lna,
                 "n_rcu": one.n_rcu,
                 "n_adc": one.n_adc,
+                **({} if one.constants is None else {"constants": dict(one.constants)}),
             }
             for one in self.stations
         ]
@@ -126,6 +131,7 @@ def unseal_truth(path: Path) -> Truth:
             n_lna=one["n_lna"],
             n_rcu=one["n_rcu"],
             n_adc=one["n_adc"],
+            constants=one.get("constants"),
         )
         for one in content["stations"]
     ]

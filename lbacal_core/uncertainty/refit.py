@@ -18,11 +18,13 @@ from threadpoolctl import threadpool_limits
 from lbacal_core.calibration.channels import solve_without_interference
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.calibration.lines import ChainForms, fit_lines
-from lbacal_core.calibration.paths import Paths, chain_forms, noise_design, paths_of_scope, require_one_cable_each
+from lbacal_core.calibration.paths import Paths, chain_forms, paths_of_scope, require_one_cable_each
+from lbacal_core.chain.noise import noise_constants
 from lbacal_core.covariance import Budget, BudgetTerm
 from lbacal_core.curves import CalibrationCurve, FitReport
 from lbacal_core.grids import Floats
 from lbacal_core.instrument import Instrument
+from lbacal_core.intercepts import Intercepts
 from lbacal_core.reference_chain import ReferenceChain
 from lbacal_core.skypower.sky_terms import SkyTerm
 from lbacal_core.skypower.table import SkyPower, read_at
@@ -41,20 +43,20 @@ class _Refit:
 
     paths: Paths
     sky: Floats
-    design: Floats
+    terms: Intercepts
     forms: ChainForms
     log_c: Floats
 
     @classmethod
-    def of(cls, paths: Paths, sky: Floats, design: Floats, forms: ChainForms) -> _Refit:
+    def of(cls, paths: Paths, sky: Floats, terms: Intercepts, forms: ChainForms) -> _Refit:
         """The fit with the sky as it is."""
-        plain = cls(paths, sky, design, forms, np.zeros(sky.shape[1]))
+        plain = cls(paths, sky, terms, forms, np.zeros(sky.shape[1]))
         return replace(plain, log_c=plain.fit(paths.power, sky))
 
     def fit(self, power: Floats, sky: Floats) -> Floats:
         """Ln C up to a constant along time, shape (freq,); NaN where it is not determined."""
         lines = fit_lines(power, sky, self.paths.relative_variance, self.forms)
-        solution, _ = solve_without_interference(lines.slope, lines.intercept, lines.information, self.design)
+        solution, _ = solve_without_interference(lines.slope, lines.intercept, lines.information, self.terms)
         slope = solution.x[0]
         return np.where(slope > 0, -0.5 * np.log(np.where(slope > 0, slope, 1.0)), np.nan)
 
@@ -89,12 +91,12 @@ def compute_budget(
         What `list_changes` gives for the instrument and this name, if it is at hand: it takes longer than the refits.
     """
     cables = require_one_cable_each(spectra, instrument)
-    design, forms = noise_design(instrument), chain_forms(instrument)
+    noise, forms = noise_constants(instrument), chain_forms(instrument)
     # threads of BLAS cost more than they give for matrices as small as these
     with threadpool_limits(1), ThreadPoolExecutor(os.cpu_count()) as pool:
         changes = list_changes(instrument, sky_budget) if changes is None else changes
         refits = {
-            paths.owners[0][2]: _Refit.of(paths, sky_power.at(paths.owners[0][2], paths.lst_hours), design, forms)
+            paths.owners[0][2]: _Refit.of(paths, sky_power.at(paths.owners[0][2], paths.lst_hours), noise, forms)
             for paths in paths_of_scope(spectra, instrument, sky_power, "array", cables)
             if paths.members
         }

@@ -9,9 +9,10 @@ from functools import cached_property
 
 import numpy as np
 
+from lbacal_core.antenna_records import AntennaRecord
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import require_same_grid
-from lbacal_core.instrument import AntennaRecord, Instrument
+from lbacal_core.instrument import Instrument
 from lbacal_core.spectra import Spectra
 from lbacal_core.validity import Instant
 from service.errors import ConflictError

@@ -6,7 +6,6 @@ import math
 
 from service.storage.versions import Version
 
-NOISE = {"n_lna": "N_LNA", "n_rcu": "N_RCU", "n_adc": "N_ADC"}
 NOTICEABLE = 2.0
 """Standard deviations from which on a noise constant is told to be another."""
 
@@ -21,11 +20,11 @@ def explain_version(version: Version, first: Version, dipole: str) -> str:
         gone, new = len(before.member_set - now.member_set), len(now.member_set - before.member_set)
         told.append(f"other antennas ({gone} left out, {new} more)")
     was, is_now = (one.curve_of(dipole).parameters for one in (first, version))
-    for name, symbol in NOISE.items():
-        if name not in was or name not in is_now:
+    for name in is_now:
+        if name not in was:
             continue
         change = is_now[name].value / was[name].value - 1.0
         sigma = math.hypot(was[name].sigma / was[name].value, is_now[name].sigma / is_now[name].value)
         if abs(change) > NOTICEABLE * sigma:
-            told.append(f"{symbol} {change:+.0%} ± {sigma:.0%}")
+            told.append(f"N_{name.removeprefix('n_').upper()} {change:+.0%} ± {sigma:.0%}")
     return ", ".join(told) or "the same antennas, noise constants within their errors"

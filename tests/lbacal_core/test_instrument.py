@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from lbacal_core.errors import BadInputError, LbacalError, UnknownNameError, UnreadableFileError
-from lbacal_core.instrument import AntennaRecord, load_instrument, parse_instrument
+from lbacal_core.instrument import load_instrument, parse_instrument
 
 
 def make_content() -> dict[str, Any]:
@@ -238,11 +238,6 @@ def test_a_group_is_kept_and_changes_with_the_record() -> None:
     content["antennas"][2]["grup"] = "board 3"
     with pytest.raises(BadInputError, match="the field 'group' or none"):
         parse_instrument(content, "i.json")
-
-
-def test_a_record_covers_its_first_instant_and_not_its_last() -> None:
-    record = AntennaRecord("CS002", 0, "50 m", since=10.0, until=20.0)
-    assert [record.covers(instant) for instant in (9.9, 10.0, 19.9, 20.0)] == [False, True, True, False]
 
 
 def test_a_longitude_may_be_counted_to_either_side() -> None:

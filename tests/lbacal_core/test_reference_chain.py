@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from lbacal_core.instrument import AntennaRecord
+from lbacal_core.antenna_records import AntennaRecord
 from lbacal_core.provenance import hash_content
 from lbacal_core.reference_chain import (
     CableTable,

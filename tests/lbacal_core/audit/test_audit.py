@@ -6,8 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from lbacal_core.antenna_records import AntennaRecord
 from lbacal_core.audit.audit import audit
-from lbacal_core.instrument import AntennaRecord, Instrument
+from lbacal_core.instrument import Instrument
 from lbacal_core.readers.average import average
 from lbacal_core.readers.open import choose_channels, open_source
 from lbacal_core.spectra import Spectra

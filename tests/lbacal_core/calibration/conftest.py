@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
+from lbacal_core.antenna_records import AntennaRecord
 from lbacal_core.grids import Floats
-from lbacal_core.instrument import AntennaRecord, Instrument
+from lbacal_core.instrument import Instrument
 from lbacal_core.sidereal import local_sidereal_time
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra import Spectra

@@ -17,6 +17,7 @@ from lbacal_core.calibration.chain_test import (
 from lbacal_core.calibration.lines import fit_lines
 from lbacal_core.calibration.paths import chain_forms
 from lbacal_core.calibration.separable import solve_separable
+from lbacal_core.intercepts import three_constants
 
 
 def run_test(scene, paths, events, seed, freedom=None, change=None):
@@ -29,11 +30,11 @@ def run_test(scene, paths, events, seed, freedom=None, change=None):
     power = scene.mean_power(true) * gain * rng.gamma(0.045**-2, 0.045**2, (paths, events, sky.shape[1]))
     variance = np.ones(power.shape[:2])
     lines = fit_lines(power, sky, variance)
-    design = np.stack([scene.instrument.receiver_gain, np.ones(sky.shape[1])], axis=1)
-    solution = solve_separable(lines.slope, lines.intercept, lines.information, design)
+    terms = three_constants(scene.instrument.receiver_gain)
+    solution = solve_separable(lines.slope, lines.intercept, lines.information, terms)
     series = None if freedom is None else freedom.series("X")
     is_free = np.zeros(lines.slope.shape, dtype=bool)
-    return run_chain_test(power, sky, variance, lst, lines, solution.n, solution.x, design, is_free, series)
+    return run_chain_test(power, sky, variance, lst, lines, solution.n, solution.x, terms, is_free, series)
 
 
 def tilt(scene, size):

@@ -5,34 +5,42 @@ import pytest
 from scipy.optimize import least_squares
 
 from lbacal_core.calibration.separable import solve_separable
+from lbacal_core.intercepts import Intercepts, three_constants
 
 
 def problem(rng, size=12):
-    design = np.stack([1.2 - 0.9 * np.linspace(0, 1, size) ** 3, np.ones(size)], axis=1)
+    terms = three_constants(1.2 - 0.9 * np.linspace(0, 1, size) ** 3)
     x = 50 * np.exp(-((np.linspace(-1.5, 1, size)) ** 2) * 2)
-    y = 0.3 * x + design @ [4.0, 2.5]
+    y = 0.3 * x + terms.design @ [4.0, 2.5]
     root = rng.standard_normal((2 * size, 2 * size)) * 0.01 + np.diag(np.r_[0.02 * x, 0.03 * y])
     covariance = root @ root.T
     noise = root @ rng.standard_normal(2 * size)
-    return x + noise[:size], y + noise[size:], np.linalg.inv(covariance), design
+    return x + noise[:size], y + noise[size:], np.linalg.inv(covariance), terms
+
+
+def with_one_constant(size):
+    both = three_constants(np.ones(size))
+    return Intercepts(
+        both.names[:2], both.front, both.behind[:1], both.known, both.mean, both.precision, both.units[:2]
+    )
 
 
 def test_solution_and_covariance_equal_a_general_least_squares_solver():
     rng = np.random.default_rng(1)
-    x, y, information, design = problem(rng)
+    x, y, information, terms = problem(rng)
     root = np.linalg.cholesky(information).T
     size = x.size
 
     def residual(parameters):
         free, n, q = parameters[:size], parameters[size], parameters[size + 1 :]
-        return root @ np.concatenate([x - free, y - n * free - design @ q])
+        return root @ np.concatenate([x - free, y - n * free - terms.design @ q])
 
     start = np.concatenate([x, [0.1, 1.0, 1.0]])
     expected = least_squares(residual, start, jac="3-point", xtol=1e-14, ftol=1e-14, gtol=1e-12, x_scale=start)
-    solution = solve_separable(x[None], y[None], information[None], design)
+    solution = solve_separable(x[None], y[None], information[None], terms)
     assert solution.is_converged[0]
     assert solution.is_identifiable[0]
-    found = np.concatenate([solution.x[0], [solution.n[0]], solution.q[0]])
+    found = np.concatenate([solution.x[0], solution.n[0], solution.q[0]])
     np.testing.assert_allclose(found, expected.x, rtol=1e-5)
     np.testing.assert_allclose(solution.chi2[0], 2 * expected.cost, rtol=1e-6)
     sigma = np.sqrt(np.diag(solution.covariance[0]))
@@ -40,19 +48,19 @@ def test_solution_and_covariance_equal_a_general_least_squares_solver():
 
 
 def test_units_do_not_matter():
-    x, y, information, design = problem(np.random.default_rng(2))
-    plain = solve_separable(x[None], y[None], information[None], design)
+    x, y, information, terms = problem(np.random.default_rng(2))
+    plain = solve_separable(x[None], y[None], information[None], terms)
     unit = np.r_[np.full(x.size, 1e14), np.full(x.size, 1e-3)]
-    scaled = solve_separable((x * 1e14)[None], (y * 1e-3)[None], (information / np.outer(unit, unit))[None], design)
+    scaled = solve_separable((x * 1e14)[None], (y * 1e-3)[None], (information / np.outer(unit, unit))[None], terms)
     np.testing.assert_allclose(scaled.n * 1e17, plain.n, rtol=1e-9)
     np.testing.assert_allclose(scaled.q * 1e3, plain.q, rtol=1e-9)
     np.testing.assert_allclose(scaled.chi2, plain.chi2, rtol=1e-9)
 
 
 def test_equal_columns_are_merged_and_leave_x_and_their_sum_as_with_one_column():
-    x, y, information, design = problem(np.random.default_rng(3))
-    flat = solve_separable(x[None], y[None], information[None], np.ones_like(design))
-    one = solve_separable(x[None], y[None], information[None], np.ones((x.size, 1)))
+    x, y, information, _ = problem(np.random.default_rng(3))
+    flat = solve_separable(x[None], y[None], information[None], three_constants(np.ones(x.size)))
+    one = solve_separable(x[None], y[None], information[None], with_one_constant(x.size))
     assert flat.is_merged.tolist() == [[False, True, True]]
     assert not one.is_merged.any()
     size = x.size
@@ -66,7 +74,7 @@ def test_equal_columns_are_merged_and_leave_x_and_their_sum_as_with_one_column()
 
 
 def test_columns_that_differ_are_not_merged():
-    x, y, information, design = problem(np.random.default_rng(3))
-    solution = solve_separable(x[None], y[None], information[None], design)
+    x, y, information, terms = problem(np.random.default_rng(3))
+    solution = solve_separable(x[None], y[None], information[None], terms)
     assert solution.is_identifiable[0]
     assert not solution.is_merged.any()

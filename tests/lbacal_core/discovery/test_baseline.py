@@ -48,4 +48,4 @@ def test_a_level_that_comes_out_below_zero_is_taken_for_half_of_its_error(world)
     assert np.median(less.solution.q[:, 1]) < 0
     channels = less.solution.x.shape[1]
     error = np.sqrt(np.median(less.solution.covariance[:, channels + 2, channels + 2]))
-    assert float(less.terms.adc_noise) == pytest.approx(0.5 * error)
+    assert less.terms.adc_noise == pytest.approx(0.5 * error)

@@ -3,12 +3,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from lbacal_core.antenna_records import AntennaRecord
 from lbacal_core.chain.model import calibration_factor, chain_power
 from lbacal_core.curves import CalibrationCurve, Parameter
 from lbacal_core.drift.events import measure_event_modes
 from lbacal_core.drift.monthly import MonthlyRatios, average_months
 from lbacal_core.grids import Floats
-from lbacal_core.instrument import AntennaRecord, Instrument
+from lbacal_core.instrument import Instrument
 from lbacal_core.sidereal import local_sidereal_time
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra_blocks import SpectraBlock

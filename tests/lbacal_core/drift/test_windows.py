@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from lbacal_core.antenna_records import AntennaRecord
 from lbacal_core.drift.windows import cut_window, find_hardware_changes, leave_out_changed
-from lbacal_core.instrument import AntennaRecord, Instrument
+from lbacal_core.instrument import Instrument
 from lbacal_core.spectra import Spectra
 
 MHZ = np.array([30.0, 45.0, 60.0, 80.0])

@@ -6,9 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from lbacal_core.antenna_records import AntennaRecord
 from lbacal_core.data.tables import read_table
 from lbacal_core.errors import BadInputError, UnknownNameError
-from lbacal_core.instrument import AntennaRecord, Instrument
+from lbacal_core.instrument import Instrument
 from lbacal_core.sidereal import local_sidereal_time
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra import read_spectra, write_spectra

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lbacal_core.instrument import AntennaRecord, Instrument
+from lbacal_core.antenna_records import AntennaRecord
+from lbacal_core.instrument import Instrument
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.twin.campaign import draw_stations, expected_power, simulate_campaign
 from lbacal_core.twin.faults.antenna import GainStep, GainTemperature

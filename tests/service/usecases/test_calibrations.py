@@ -19,8 +19,9 @@ from fastapi.testclient import TestClient
 
 from lbacal.cli.client import print_curve
 from lbacal.client import make_table
+from lbacal_core.antenna_records import AntennaRecord
 from lbacal_core.covariance import parse_budget
-from lbacal_core.instrument import AntennaRecord, Instrument
+from lbacal_core.instrument import Instrument
 from lbacal_core.provenance import hash_content
 from lbacal_core.reference_chain import CableTable, ReferenceChain
 from lbacal_core.twin.campaign import Campaign

@@ -1,0 +1,90 @@
+"""Stages as an instrument file gives them."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from lbacal_core.errors import BadInputError, UnreadableFileError
+from lbacal_core.instrument import load_instrument, parse_instrument
+from lbacal_core.stage_files import parse_stages
+
+NU = np.array([50.0, 60.0, 80.0])
+ADC = {"name": "adc", "kind": "adc", "noise_temperature_k": "free"}
+TOUCHSTONE = """! a filter of 20, 10 and 0 dB with 3 dB between
+# MHz S DB R 50
+40 -20 0 {0} 0 -60 0 -20 0
+60 -20 0 {1} 0 -60 0 -20 0
+90 -20 0 {2} 0 -60 0 -20 0
+"""
+
+
+def gain_of(content, folder=None):
+    filter_and_adc = [{"name": "filter", "kind": "filter", **content}, ADC]
+    return parse_stages(filter_and_adc, NU, "i.json: stages", folder)[0].gain
+
+
+@pytest.mark.parametrize(
+    ("content", "expected"),
+    [
+        ({"gain": 0.5}, [0.5, 0.5, 0.5]),
+        ({"gain_db": 20}, [100.0, 100.0, 100.0]),
+        ({"gain": [1, 2, 3]}, [1.0, 2.0, 3.0]),
+        ({"gain_db": [0, 10, 20]}, [1.0, 10.0, 100.0]),
+        ({"gain": {"frequency_mhz": [40, 60, 100], "gain_db": [-10, -20, 0]}}, [10**-1.5, 0.01, 0.1]),
+        ({"gain": {"frequency_mhz": [40, 60, 100], "gain": [0.1, 0.01, 1.0]}}, [10**-1.5, 0.01, 0.1]),
+    ],
+)
+def test_a_gain_is_a_number_one_a_channel_or_a_table_in_power_or_in_decibel(content, expected):
+    np.testing.assert_allclose(gain_of(content), expected)
+
+
+def test_a_touchstone_file_beside_the_instrument_gives_the_gain_from_port_1_to_port_2(tmp_path):
+    pytest.importorskip("skrf")
+    (tmp_path / "filter.s2p").write_text(TOUCHSTONE.format(-20, -10, -4))
+    np.testing.assert_allclose(gain_of({"gain": "filter.s2p"}, tmp_path), [10**-1.5, 0.1, 10**-0.6])
+    content = {
+        "name": "staged", "latitude_deg": 1, "longitude_deg": 2, "height_m": 3, "frequency_mhz": NU.tolist(),
+        "dipoles": {"A": {"azimuth_deg": 0}}, "antenna_gain": [1, 1, 1], "antenna": "short-dipole",
+        "stages": [{"name": "filter", "kind": "filter", "gain": "filter.s2p"}, ADC],
+        "antennas": [{"station": "S1", "antenna": 0}],
+    }  # fmt: skip
+    (tmp_path / "mine.json").write_text(json.dumps(content))
+    instrument = load_instrument(str(tmp_path / "mine.json"))
+    np.testing.assert_allclose(instrument.receiver_gain, [10**-1.5, 0.1, 10**-0.6])
+    # what is written is complete: no file is needed beside it
+    again = parse_instrument(json.loads(json.dumps(instrument.as_dict())), "again")
+    assert again.digest() == instrument.digest()
+
+
+def test_a_touchstone_file_of_one_port_or_none_at_all_is_refused(tmp_path):
+    pytest.importorskip("skrf")
+    (tmp_path / "one.s1p").write_text("# MHz S DB R 50\n40 -20 0\n90 -20 0\n")
+    with pytest.raises(BadInputError, match=r"two ports \(\.s2p\), found 1"):
+        gain_of({"gain": "one.s1p"}, tmp_path)
+    (tmp_path / "no.s2p").write_text("nothing of the kind\n")
+    with pytest.raises(UnreadableFileError, match="expected a Touchstone file"):
+        gain_of({"gain": "no.s2p"}, tmp_path)
+    with pytest.raises(UnreadableFileError, match="expected a Touchstone file"):
+        gain_of({"gain": "absent.s2p"}, tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ({}, "a gain or gain_db, found none"),
+        ({"gain": 1, "gain_db": 0}, "gain or gain_db, found both"),
+        ({"gain": [1, 2]}, "one number, 3 or a table with frequency_mhz, found 2"),
+        ({"gain": 0}, "numbers > 0, found 0.0"),
+        ({"gain": {"frequency_mhz": [55, 90], "gain": [1, 1]}}, "a table from 50 to 80 MHz, found 55 to 90 MHz"),
+        ({"gain": "f.s2p"}, "no folder to look for files in"),
+        ({"gain": 1, "noise": 3}, "noise_temperature_k, .*found noise"),
+        ({"gain": 1, "noise_temperature_error_k": 3}, "an error >= 0 of a known noise_temperature_k"),
+        ({"gain": 1, "noise_temperature_k": "unknown"}, "a finite number, found 'unknown'"),
+    ],
+)
+def test_a_stage_that_says_something_else_is_refused(content, message):
+    with pytest.raises(BadInputError, match=message):
+        gain_of(content)
