@@ -50,7 +50,7 @@ class Stage:
     error_k
         One standard deviation of the mean of `noise_k`, which moves as a whole; 0 where it is taken at its word.
     solid_angle_sr
-        Of `ground` and `ice`: integral over the body of D, which is 1 at zenith.
+        Integral of D, which is 1 at zenith, over the body that `ground` or `ice` is.
     """
 
     name: str
