@@ -12,6 +12,7 @@ from sqlalchemy import (
     Integer,
     LargeBinary,
     MetaData,
+    PrimaryKeyConstraint,
     Table,
     Text,
     UniqueConstraint,
@@ -68,12 +69,13 @@ path = Table(
 spectrum = Table(
     "spectrum",
     metadata,
-    Column("path", Integer, ForeignKey("path.id"), primary_key=True),
-    Column("event", BigNumber, ForeignKey("event.id"), primary_key=True),
-    Column("time_us", BigInteger, nullable=False),
+    Column("path", Integer, ForeignKey("path.id"), nullable=False),
+    Column("event", BigNumber, ForeignKey("event.id"), nullable=False),
+    Column("time_us", BigInteger, nullable=False, comment="within a minute of that of its event"),
     Column("blocks", Integer, nullable=False),
     Column("power", LargeBinary, nullable=False, comment="little-endian f8, one a channel, ADC^2/Ohm/MHz"),
-    Index(None, "path", "time_us"),
+    # by event: what arrives together lies together, and what a window holds is found by its events
+    PrimaryKeyConstraint("event", "path"),
 )
 
 receipt = Table(

@@ -71,7 +71,7 @@ class Arrivals:
         times = np.round(spectra.time_unix * 1e6).astype(np.int64)
         events = self._number_events(spectra, times)
         paths = self._number_paths(spectra)
-        order = np.lexsort((events, paths))
+        order = np.lexsort((paths, events))
         buffer = spectra.power[order].astype(POWER).tobytes()
         width = len(buffer) // max(len(order), 1)
         powers = [buffer[k : k + width] for k in range(0, len(buffer), width)]
@@ -106,15 +106,9 @@ class Arrivals:
         found, first, of_row = np.unique(spectra.event_id, return_index=True, return_inverse=True)
         names: list[str] = found.tolist()
         covariates = _covariates_of_events(spectra, of_row, len(names))
+        texts = [json.dumps(given) if given else None for given in covariates]
+        self._insert("event", list(zip(names, times[first].tolist(), texts, strict=True)))
         stored = self._stored_events(names)
-        new = [
-            (name, int(times[first[k]]), json.dumps(covariates[k]) if covariates[k] else None)
-            for k, name in enumerate(names)
-            if name not in stored
-        ]
-        if new:
-            self._insert("event", new)
-            stored |= self._stored_events([name for name, _, _ in new])
         self._require_one_time(names, of_row, times, stored)
         self._add_covariates({stored[name]: given for name, given in zip(names, covariates, strict=True) if given})
         return np.array([stored[name].id for name in names], dtype=np.int64)[of_row]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -12,10 +13,12 @@ from sqlalchemy.dialects.postgresql import insert as postgresql_insert
 from sqlalchemy.dialects.sqlite import insert as sqlite_insert
 
 from lbacal_core.provenance import canonical_json
-from lbacal_core.reference_chain import ReferenceChain, parse_cable_table, parse_spreads
+from lbacal_core.reference_chain import CableTable, GainSpreads, ReferenceChain, parse_cable_table, parse_spreads
 from service.schema.tables import chain_part
 
 MANY_KEYS = 500
+PARTS_REMEMBERED = 64
+"""Tables of cables, and as many of spreads, that stay in memory; they never change, and there are few."""
 
 
 def write_chains(connection: Connection, chains: Mapping[str, Mapping[str, ReferenceChain]]) -> dict[str, str | None]:
@@ -57,8 +60,8 @@ def read_chains(connection: Connection, references: Mapping[str, str | None]) ->
     tables = {chain["cables"] for chain in described}
     spreads = {chain["spreads"] for chain in described if chain["spreads"] is not None}
     contents = dict(_read_parts(connection, tables | spreads))
-    table_of = {digest: parse_cable_table(contents[digest]) for digest in tables}
-    spreads_of = {digest: parse_spreads(contents[digest]) for digest in spreads}
+    table_of = {digest: _parse_cables(contents[digest]) for digest in tables}
+    spreads_of = {digest: _parse_spreads(contents[digest]) for digest in spreads}
     return {
         name: {
             dipole: ReferenceChain(
@@ -83,9 +86,19 @@ def read_cable_changes(connection: Connection) -> dict[str, set[float]]:
     return found
 
 
-def _read_parts(connection: Connection, digests: Iterable[str]) -> Iterable[tuple[str, Any]]:
+@lru_cache(PARTS_REMEMBERED)
+def _parse_cables(text: str) -> CableTable:
+    return parse_cable_table(json.loads(text))
+
+
+@lru_cache(PARTS_REMEMBERED)
+def _parse_spreads(text: str) -> GainSpreads:
+    return parse_spreads(json.loads(text))
+
+
+def _read_parts(connection: Connection, digests: Iterable[str]) -> Iterable[tuple[str, str]]:
     wanted = sorted(digests)
     for start in range(0, len(wanted), MANY_KEYS):
         of_keys = chain_part.c.sha256.in_(wanted[start : start + MANY_KEYS])
         for row in connection.execute(select(chain_part).where(of_keys)):
-            yield row.sha256, json.loads(row.content)
+            yield row.sha256, row.content

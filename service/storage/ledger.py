@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 from sqlalchemy import (
@@ -14,8 +15,10 @@ from sqlalchemy import (
     FromClause,
     Row,
     ScalarSelect,
+    Select,
     Text,
     and_,
+    bindparam,
     cast,
     func,
     or_,
@@ -292,19 +295,16 @@ class LedgerStore:
         Whether anything begins before the instant and ends after it is asked first: where nothing does, as in the gap
         after the last window, the promotions of the scope need not be gone through.
         """
-        pairs, some = self._pairs(sorted(set(asked))), promotion.alias()
-        of_scope = select(some.c.id).where(some.c.scope == pairs.c.scope).correlate(pairs)
-        may_be_covered = and_(
-            of_scope.where(some.c.valid_from_us <= pairs.c.instant).exists(),
-            or_(
-                of_scope.where(some.c.valid_to_us > pairs.c.instant).exists(),
-                of_scope.where(some.c.valid_to_us.is_(None)).exists(),
-            ),
-        )
-        newest = _newest(pairs.c.scope, pairs.c.instant, as_of, pairs, "id")
-        statement = select(promotion, pairs.c.instant).select_from(pairs).join(promotion, promotion.c.id == newest)
-        statement = statement.where(may_be_covered)
-        return {(row.scope, row.instant): _value(row) for row in self._connection.execute(statement)}
+        pairs = sorted(set(asked))
+        is_postgresql = self._connection.dialect.name == "postgresql"
+        if is_postgresql:
+            bound: dict[str, Any] = {"scopes": [key for key, _ in pairs], "instants": [instant for _, instant in pairs]}
+        else:
+            bound = {"pairs": json.dumps(pairs)}
+        if as_of is not None:
+            bound["as_of"] = as_of
+        rows = self._connection.execute(_state_decisive(is_postgresql, is_pinned=as_of is not None), bound)
+        return {(row.scope, row.instant): _value(row) for row in rows}
 
     def _keys(self, keys: Iterable[str]) -> FromClause:
         """Scopes as a table of one column, `value`."""
@@ -312,21 +312,36 @@ class LedgerStore:
             return func.unnest(cast(sorted(keys), ARRAY(Text))).table_valued("value").render_derived()
         return func.json_each(json.dumps(sorted(keys))).table_valued("value")
 
-    def _pairs(self, pairs: Sequence[tuple[str, Instant]]) -> FromClause:
-        """Scopes and instants as a table of these two columns."""
-        if self._connection.dialect.name == "postgresql":
-            keys = cast([key for key, _ in pairs], ARRAY(Text))
-            instants = cast([instant for _, instant in pairs], ARRAY(BigInteger))
-            return func.unnest(keys, instants).table_valued("scope", "instant").render_derived()
-        sent = func.json_each(json.dumps(pairs)).table_valued("value")
-        parts = (func.json_extract(sent.c.value, f"$[{k}]").label(name) for k, name in enumerate(("scope", "instant")))
-        return select(*parts).subquery()
+
+@cache
+def _state_decisive(is_postgresql: bool, *, is_pinned: bool) -> Select[Any]:
+    """The statement for the newest promotion of each pair of a scope and an instant; to make it takes long."""
+    if is_postgresql:
+        sent = cast(bindparam("scopes"), ARRAY(Text)), cast(bindparam("instants"), ARRAY(BigInteger))
+        pairs: FromClause = func.unnest(*sent).table_valued("scope", "instant").render_derived()
+    else:
+        each = func.json_each(bindparam("pairs")).table_valued("value")
+        names = enumerate(("scope", "instant"))
+        pairs = select(*(func.json_extract(each.c.value, f"$[{k}]").label(name) for k, name in names)).subquery()
+    some = promotion.alias()
+    of_scope = select(some.c.id).where(some.c.scope == pairs.c.scope).correlate(pairs)
+    may_be_covered = and_(
+        of_scope.where(some.c.valid_from_us <= pairs.c.instant).exists(),
+        or_(
+            of_scope.where(some.c.valid_to_us > pairs.c.instant).exists(),
+            of_scope.where(some.c.valid_to_us.is_(None)).exists(),
+        ),
+    )
+    as_of = bindparam("as_of", type_=BigInteger) if is_pinned else None
+    newest = _newest(pairs.c.scope, pairs.c.instant, as_of, pairs, "id")
+    statement = select(promotion, pairs.c.instant).select_from(pairs).join(promotion, promotion.c.id == newest)
+    return statement.where(may_be_covered)
 
 
 def _newest(
     scope: ColumnElement[str],
     instant: ColumnElement[int],
-    as_of: Instant | None,
+    as_of: Instant | ColumnElement[int] | None,
     outer: FromClause,
     column: str,
 ) -> ScalarSelect[Any]:

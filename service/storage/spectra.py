@@ -16,7 +16,7 @@ from lbacal_core.spectra import Spectra
 from lbacal_core.validity import Instant, Scope
 from service.errors import NotFoundError
 from service.schema.tables import event, event_flag, path, spectrum
-from service.storage.arrivals import POWER, Arrivals
+from service.storage.arrivals import EVENT_SPAN_US, POWER, Arrivals
 
 EVENTS_AT_ONCE = 500
 
@@ -138,16 +138,18 @@ class SpectraStore:
 
     def newest_by_path(self) -> dict[Scope, Instant]:
         """The newest spectrum of every path that has any, in order of the paths."""
-        newest = select(func.max(spectrum.c.time_us)).where(spectrum.c.path == path.c.id).scalar_subquery()
-        statement = select(path.c.station, path.c.antenna, path.c.dipole, newest.label("newest"))
+        # walks back from the newest event to the first that has the path
+        newest = select(spectrum.c.time_us).join(event, event.c.id == spectrum.c.event)
+        newest = newest.where(spectrum.c.path == path.c.id).order_by(event.c.time_us.desc()).limit(1)
+        statement = select(path.c.station, path.c.antenna, path.c.dipole, newest.scalar_subquery().label("newest"))
         rows = self._connection.execute(statement.order_by(path.c.station, path.c.antenna, path.c.dipole))
         return {Scope(row.station, row.antenna, row.dipole): int(row.newest) for row in rows if row.newest is not None}
 
     def count_after(self, scope: Scope, instant: Instant) -> int:
         """How many spectra of a path are newer than an instant."""
-        statement = select(func.count()).select_from(spectrum).join(path, path.c.id == spectrum.c.path)
-        statement = statement.where(path.c.station == scope.station, path.c.antenna == scope.antenna)
-        statement = statement.where(path.c.dipole == scope.dipole, spectrum.c.time_us > instant)
+        statement = _joined(select(func.count())).where(path.c.station == scope.station)
+        statement = statement.where(path.c.antenna == scope.antenna, path.c.dipole == scope.dipole)
+        statement = statement.where(event.c.time_us > instant - EVENT_SPAN_US, spectrum.c.time_us > instant)
         return int(self._connection.execute(statement).scalar_one())
 
     def count_events(self) -> int:
@@ -225,14 +227,19 @@ class SpectraStore:
 
 def _usable(statement: Select[Any], window: Window) -> Select[Any]:
     """Restrict a statement to the spectra that a fit of a window uses."""
-    statement = statement.select_from(spectrum).join(path, path.c.id == spectrum.c.path)
-    statement = statement.join(event, event.c.id == spectrum.c.event)
-    statement = statement.where(
-        spectrum.c.time_us >= window.since, spectrum.c.time_us < window.until, event.c.flag.is_(None)
-    )
+    statement = _joined(statement).where(
+        event.c.time_us >= window.since - EVENT_SPAN_US, event.c.time_us < window.until + EVENT_SPAN_US,
+        spectrum.c.time_us >= window.since, spectrum.c.time_us < window.until, event.c.flag.is_(None),
+    )  # fmt: skip
     scope = window.scope
     if scope.station is not None:
         statement = statement.where(path.c.station == scope.station)
     if scope.antenna is not None:
         statement = statement.where(path.c.antenna == scope.antenna, path.c.dipole == scope.dipole)
     return statement
+
+
+def _joined(statement: Select[Any]) -> Select[Any]:
+    """Join spectra with their events, by whose times they are found, and paths."""
+    statement = statement.select_from(spectrum).join(path, path.c.id == spectrum.c.path)
+    return statement.join(event, event.c.id == spectrum.c.event)

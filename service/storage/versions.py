@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,8 @@ from service.schema.tables import IS_GATED, calibration, calibration_mean, promo
 from service.storage.chains import read_cable_changes, read_chains, write_chains
 from service.storage.short_ids import complete_id
 
+CURVES_REMEMBERED = 1200
+"""Versions whose curves stay in memory: those of all paths of the Superterp in two years, about 40 MB."""
 MICROSECONDS = 1e6
 """An instant in microseconds over this is in seconds."""
 
@@ -253,7 +256,7 @@ def _value(row: Row[Any], chains: Mapping[str, ReferenceChain]) -> Version:
         since=row.since_us,
         until=row.until_us,
         inputs=json.loads(row.inputs),
-        curves=tuple(parse_curve(curve) for curve in json.loads(row.curves)),
+        curves=_parse_curves(row.curves),
         made=row.made_us,
         made_by=row.made_by,
         reason=row.reason,
@@ -261,3 +264,9 @@ def _value(row: Row[Any], chains: Mapping[str, ReferenceChain]) -> Version:
         chains=chains,
         anomalies=NONE if row.anomalies is None else parse_anomalies(json.loads(row.anomalies)),
     )
+
+
+@lru_cache(CURVES_REMEMBERED)
+def _parse_curves(text: str) -> tuple[CalibrationCurve, ...]:
+    """Curves from their stored text; the same text, which never changes, is read once."""
+    return tuple(parse_curve(curve) for curve in json.loads(text))

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from alembic import command
 from fastapi.testclient import TestClient
-from sqlalchemy import text
+from sqlalchemy import inspect, text
 
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.calibration.own_cable import carry_to_path
@@ -22,7 +22,7 @@ from lbacal_core.twin.campaign import Campaign
 from service.config import Settings
 from service.errors import UnavailableError
 from service.factory import Factory
-from service.schema.tables import calibration, promotion
+from service.schema.tables import calibration, metadata, promotion
 from service.storage.migration import make_config, require_current, upgrade
 from service.storage.processes import WORKER
 from service.usecases.calibrations import select_paths
@@ -30,6 +30,10 @@ from service.usecases.calibrations import select_paths
 
 def test_the_migrations_make_the_schema_that_the_code_states(factory: Factory) -> None:
     command.check(make_config(factory.database))
+    found = inspect(factory.database.engine)  # Alembic compares no keys
+    for table in metadata.sorted_tables:
+        key = found.get_pk_constraint(table.name)["constrained_columns"]
+        assert key == [column.name for column in table.primary_key], table.name
 
 
 def test_an_upgrade_can_be_run_again(factory: Factory) -> None:
