@@ -22,6 +22,7 @@ import psycopg
 from fastapi.testclient import TestClient
 
 from lbacal_core.curves import CONVERGED, CalibrationCurve
+from lbacal_core.drift.whole import FEWEST_YEARS
 from lbacal_core.instrument import load_instrument
 from lbacal_core.spectra import Spectra
 from lbacal_core.validity import Promotion, Scope
@@ -38,6 +39,7 @@ from service.storage.drift import MonthlyRatio
 from service.storage.migration import upgrade
 from service.storage.versions import Version
 from service.usecases.calibrations import select_paths
+from service.usecases.months import keep_missing, keep_months
 from service.usecases.years import start_of_year
 from service.wire.bodies import TagBody
 
@@ -47,6 +49,7 @@ KEPT = 40
 TURNS = 9
 NIGHTS = 365
 PARTS_A_NIGHT = 19
+STEPS_A_YEAR = 4
 BATCH = 2000
 LARGEST_RATIO = 2.0
 GAP_S, PROMOTION_S = 0.020, 0.050
@@ -92,6 +95,8 @@ def fill(factory: Factory, years: int, kept: int) -> None:
         _fill_months(factory, year, {p.scope: str(p.calibration) for p in promotions[-len(scopes) :]}, rng)
         _fill_jobs(factory, year)
     write_promotions(factory, promotions)
+    with factory.database.write() as stores:
+        stores.drift.keep_report("proof", make_report(years, rng), start_of_year(FIRST + years))
     factory.tags.put("growth", TagBody(reason="proof"), "proof")
     with factory.database.engine.begin() as connection:
         connection.exec_driver_sql("ANALYZE")
@@ -131,6 +136,39 @@ def _fill_months(factory: Factory, year: int, versions: dict[Scope, str], rng: n
                 for month in months
             ]
             stores.drift.replace(station, since, until, ratios)
+            keep_months(stores, station, since, ratios)
+        keep_missing(stores)
+
+
+def make_report(years: int, rng: np.random.Generator) -> dict[str, Any]:
+    """What a watch finds: steps of single paths every year, a slope of every path, trends from the third year on."""
+    shape = {name: {"value": 0.0, "sigma": 0.001} for name in ("tilt", "curvature")}
+    changes = []
+    for k in range(STEPS_A_YEAR * years):
+        path, date = PATHS[int(rng.integers(len(PATHS)))], start_of_year(FIRST) / 1e6 + 7e6 * k
+        size = {"size": 0.03, "sigma": 0.002, "significance": 12.0}
+        changes.append(
+            {
+                "station": path.station, "members": [{"antenna": path.antenna, "dipole": path.dipole, **size}],
+                "date_unix": date, "date_sigma_days": 1.0, "earliest_unix": date - 2e5, "latest_unix": date + 2e5,
+                "shape": shape, "is_known": False, **size,
+            }
+        )  # fmt: skip
+    slopes = [
+        {
+            "station": path.station, "antenna": path.antenna, "dipole": path.dipole, "slope": 0.0, "sigma": 1e-4,
+            "shape": shape, "significance": 1.0, "is_found": False, "season": 0.01,
+        }
+        for path in PATHS
+    ]  # fmt: skip
+    zeros = [0.0] * INSTRUMENT.frequency_mhz.size
+    trend = {
+        "slope": 0.0, "sigma": 0.01, "limit_95": 0.02, "scatter": 0.05, "years": years, "p_value": 0.5,
+        "middle_unix": start_of_year(FIRST) / 1e6 + 1.6e7 * years, "season": [0.01, 0.0, 0.0, 0.0],
+        "frequency": {"mhz": INSTRUMENT.frequency_mhz.tolist(), "slope": zeros, "sigma": zeros},
+    }  # fmt: skip
+    names = ["array", *STATIONS] if years >= FEWEST_YEARS else []
+    return {"threshold_sigma": 5.2, "changes": changes, "slopes": slopes, "trends": dict.fromkeys(names, trend)}
 
 
 def _fill_jobs(factory: Factory, year: int) -> None:

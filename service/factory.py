@@ -23,6 +23,7 @@ from service.usecases.inputs import Inputs, name_inputs
 from service.usecases.intake import Intake
 from service.usecases.investigations import Investigations
 from service.usecases.keys import Keys
+from service.usecases.last_made import LastMade
 from service.usecases.models import Models, find_stopped
 from service.usecases.orders import Limits
 from service.usecases.payoff import Payoff
@@ -138,7 +139,7 @@ class Factory:
     def drift(self) -> Drift:
         """C over time."""
         sky, resistance = self._get_sky_power, self.settings.resistance_ohm
-        return Drift(self.database, self.instrument, sky, resistance, self.clock)
+        return Drift(self.database, self.instrument, sky, resistance, LastMade(), self.clock)
 
     @cached_property
     def watch(self) -> Watch:

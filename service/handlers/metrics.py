@@ -44,7 +44,7 @@ def describe_state(state: State, now: Instant) -> CollectorRegistry:
     tell("stuck_parts", "Kinds of parts that no worker may begin.", len(state.stuck))
     if state.newest_event is not None:
         tell("newest_event_age_seconds", "Time since the newest event, s.", (now - state.newest_event) / 1e6)
-    parts = Gauge("lbacal_parts", "Parts of jobs by state; running ones hold a lease.", ["state"], registry=registry)
+    parts = Gauge("lbacal_parts", "Parts of jobs by state, ended ones of 30 days.", ["state"], registry=registry)
     for name, count in state.parts.items():
         parts.labels(name).set(count)
     alarms = Gauge("lbacal_alarms", "Alarms that last.", ["kind", "state"], registry=registry)

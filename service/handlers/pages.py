@@ -6,22 +6,22 @@ from itertools import groupby
 from typing import Any
 
 import numpy as np
-from fastapi import APIRouter, Depends, Request, Response
-from fastapi.responses import HTMLResponse
+from fastapi import APIRouter, Depends, Request, Response, status
+from fastapi.responses import HTMLResponse, RedirectResponse
 
 from lbacal_core.curves import list_numbers
 from lbacal_core.validity import Scope
 from service.handlers.request import FORM_COOKIE, IMMUTABLE, KEY_COOKIE, InPath, UseCases, answer, require_read
 from service.page.assets import find_asset
-from service.page.render import format_day, name_scope, render_page
+from service.page.render import format_day, name_scope, render_page, render_part
 from service.storage.alarms import ACKNOWLEDGED, ENDED, OPEN
-from service.storage.versions import MeanC, Version
+from service.storage.versions import Version
 from service.usecases.calibrations import select_paths
-from service.usecases.drift import DriftSeries, relative_to_station
+from service.usecases.drift import DriftSeries
 from service.usecases.models import list_stopped
 from service.usecases.overview import look_over
 from service.wire.formats import FORMATS
-from service.wire.instants import format_instant
+from service.wire.instants import format_instant, parse_instant
 
 router = APIRouter(include_in_schema=False, dependencies=[Depends(require_read)], default_response_class=HTMLResponse)
 assets = APIRouter(include_in_schema=False, default_response_class=Response)
@@ -61,14 +61,19 @@ def show_jobs(request: Request, use: UseCases) -> Response:
 
 @router.get("/drift")
 def show_drift(request: Request, use: UseCases) -> Response:
+    main = use.drift.shown.get(use.drift.state(), lambda: _tell_drift(use))
+    return _page(request, use, "drift.html", "/drift", main=main)
+
+
+def _tell_drift(use: UseCases) -> str:
+    """The part of the page that is the same for everybody until the next night."""
     whole, stations = use.drift.overall()
     series = [*stations, *([whole] if len(stations) > 1 else [])]
     stories = use.drift.stories(series)
     rows = [{**row, "why": stories[row["calibration"], row["dipole"]]} for one in series for row in _version_rows(one)]
-    plot = {"series": [_plot_of_series(one) for one in series]}
-    trends = [(name_scope(one.scope), one.slope) for one in series if one.slope is not None]
-    return _page(
-        request, use, "drift.html", "/drift", plot=plot, steps=whole.steps[:STEPS_SHOWN], rows=rows, trends=trends,
+    return render_part(
+        "drift_main.html", plot={"series": [_plot_of_series(one) for one in series]}, steps=whole.steps[:STEPS_SHOWN],
+        rows=rows, trends=[(name_scope(one.scope), one.slope) for one in series if one.slope is not None],
         threshold=whole.threshold_sigma,
     )  # fmt: skip
 
@@ -86,9 +91,17 @@ def show_station(request: Request, use: UseCases, station: InPath) -> Response:
     select_paths(use.instrument, station, None, None)
     series = use.drift.series(Scope(station))
     means = use.drift.means_of_paths(station)
-    plot = _plot_of_matrix(use, station, means)
     steps = series.steps[:STEPS_SHOWN]
-    return _page(request, use, "station.html", "/", station=station, plot=plot, steps=steps, means=means)
+    return _page(
+        request, use, "station.html", "/", station=station, years=use.drift.matrix(station), steps=steps, means=means
+    )
+
+
+@router.get("/stations/{station}/{antenna}/{dipole}/{month}")
+def show_version_of_month(use: UseCases, station: InPath, antenna: int, dipole: InPath, month: InPath) -> Response:
+    (path,) = select_paths(use.instrument, station, antenna, dipole)
+    version = use.drift.version_at(path, parse_instant("month", f"{month}-15"))
+    return RedirectResponse(f"/calibrations/{version}", status.HTTP_303_SEE_OTHER)
 
 
 @router.get("/calibrations/{version_id}")
@@ -160,43 +173,24 @@ def _version_rows(series: DriftSeries) -> list[dict[str, Any]]:
 
 
 def _plot_of_series(series: DriftSeries) -> dict[str, Any]:
-    station = series.scope.station
-    fallback = f"/stations/{station}" if station else "/"
+    """Months as rows of numbers: with ten years the names of their fields were most of the page."""
+    rows = _version_rows(series)
+    number = {row["calibration"]: k for k, row in enumerate(rows)}
     return {
         "name": name_scope(series.scope),
+        "url": f"/stations/{series.scope.station}" if series.scope.station else "/",
         "months": [
-            {
-                "month": format_instant(point.month)[:7],
-                "c_ratio": point.c_ratio,
-                "low": point.low,
-                "high": point.high,
-                "paths": point.paths,
-                "events": point.events,
-                "line": point.line,
-                "url": f"/calibrations/{point.calibration}" if point.calibration else fallback,
-            }
-            for point in series.months
+            [
+                format_instant(p.month)[:7], p.c_ratio, p.low, p.high, p.paths, p.events, p.line,
+                None if p.calibration is None else number[p.calibration],
+            ]
+            for p in series.months
         ],
         "versions": [
             {
                 "middle": row["middle"], "window": row["window"], "dipole": row["dipole"], "url": row["url"],
                 "ratio": 1.0 + row["change"], "sigma": row["c_sigma"] / row["c"],
             }
-            for row in _version_rows(series)
+            for row in rows
         ],
     }  # fmt: skip
-
-
-def _plot_of_matrix(use: UseCases, station: str, means: list[MeanC]) -> dict[str, Any]:
-    found = relative_to_station(use.drift.ratios(station))
-    urls = []
-    for path in found.paths:
-        own = [mean for mean in means if mean.scope == path]
-        of_month = [next((m.calibration for m in reversed(own) if m.since <= t < m.until), None) for t in found.months]
-        urls.append([f"/calibrations/{name}" if name else None for name in of_month])
-    return {
-        "months": [format_instant(int(month))[:7] for month in found.months],
-        "paths": [f"{path.antenna} {path.dipole}" for path in found.paths],
-        "values": [[float(v) - 1.0 if np.isfinite(v) else None for v in row] for row in found.values],
-        "urls": urls,
-    }

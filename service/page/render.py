@@ -33,7 +33,12 @@ def _environment() -> Environment:
 
 def render_page(name: str, **content: Any) -> bytes:
     """A page as HTML."""
-    return _environment().get_template(name).render(**content).encode()
+    return render_part(name, **content).encode()
+
+
+def render_part(name: str, **content: Any) -> str:
+    """A page, or the part of one that a template puts in as it is, as HTML."""
+    return _environment().get_template(name).render(**content)
 
 
 def format_day(instant: Instant | None) -> str:

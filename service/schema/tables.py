@@ -21,6 +21,7 @@ from sqlalchemy import (
 
 IS_OPEN = text("state IN ('queued', 'running')")
 HAS_FAILED = text("state = 'failed'")
+HAS_SETTLED = text("state IN ('done', 'cancelled')")
 IS_GATED = text("gate IS NOT NULL")
 """Select the few rows that partial indexes hold. A query must use these very words: a parameter does not imply them."""
 
@@ -107,6 +108,7 @@ calibration = Table(
     Column("made_us", BigInteger, nullable=False),
     Column("made_by", Text, nullable=False),
     Column("reason", Text, nullable=False),
+    Index(None, "made_us", "id"),
     Index("ix_calibration_gated", "id", sqlite_where=IS_GATED, postgresql_where=IS_GATED),
 )
 
@@ -289,6 +291,7 @@ job_part = Table(
     Index(None, "state", "id"),
     Index("ix_job_part_open", "id", sqlite_where=IS_OPEN, postgresql_where=IS_OPEN),
     Index("ix_job_part_failed", "ended_us", sqlite_where=HAS_FAILED, postgresql_where=HAS_FAILED),
+    Index("ix_job_part_settled", "ended_us", sqlite_where=HAS_SETTLED, postgresql_where=HAS_SETTLED),
 )
 
 process = Table(
@@ -320,41 +323,6 @@ api_key = Table(
     Column("created_us", BigInteger, nullable=False),
     Column("expires_us", BigInteger),
     Column("revoked_us", BigInteger),
-)
-
-monthly_ratio = Table(
-    "monthly_ratio",
-    metadata,
-    Column("path", Integer, ForeignKey("path.id"), primary_key=True),
-    Column("month_us", BigInteger, primary_key=True, comment="the month's first instant"),
-    Column("reference", Text, ForeignKey("calibration.id"), nullable=False),
-    Column("c_ratio", Float, nullable=False, comment="band-mean C of the month over that of the reference"),
-    Column("c_ratio_sigma", Float, nullable=False),
-    Column("events", Integer, nullable=False),
-    Column("tilt", Float, comment="of ln C: coefficient of the Legendre polynomial 1 over the band"),
-    Column("tilt_sigma", Float),
-    Column("curvature", Float, comment="of ln C: coefficient of the Legendre polynomial 2"),
-    Column("curvature_sigma", Float),
-)
-
-event_modes = Table(
-    "event_modes",
-    metadata,
-    Column("station", Text, primary_key=True),
-    Column("dipole", Text, primary_key=True),
-    Column("since_us", BigInteger, primary_key=True, comment="the first instant of the year"),
-    Column("antennas", Text, nullable=False, comment="JSON"),
-    Column("time_us", LargeBinary, nullable=False, comment="little-endian i8, one an event"),
-    Column("ln_c", LargeBinary, nullable=False, comment="little-endian f4 (antenna, event, mode)"),
-    Column("sha256", Text, nullable=False),
-)
-
-drift_report = Table(
-    "drift_report",
-    metadata,
-    Column("inputs", Text, primary_key=True, comment="hash of what it was made from"),
-    Column("report", Text, nullable=False, comment="JSON"),
-    Column("made_us", BigInteger, nullable=False),
 )
 
 alarm = Table(

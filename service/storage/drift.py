@@ -1,14 +1,14 @@
 """Drift: caches of what follows from the stored spectra, replaced whole, station by station.
 
-Monthly ratios are for the eye; the events of every path are what steps and slopes are found in; the report is what was
-found last.
+Monthly ratios are for the eye, and what the months of a year say together is kept with them; the events of every path
+are what steps and slopes are found in; the report is what was found last.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,7 +18,8 @@ from sqlalchemy import Connection, delete, select
 
 from lbacal_core.provenance import canonical_json
 from lbacal_core.validity import Instant, Scope
-from service.schema.tables import drift_report, event_modes, monthly_ratio, path
+from service.schema.drift import drift_report, drift_year, event_modes, monthly_ratio
+from service.schema.tables import path
 
 SINGLE = "<f4"
 MODES = 3
@@ -50,6 +51,21 @@ class StoredModes:
     ln_c: NDArray[np.float32]
 
 
+@dataclass(frozen=True)
+class StoredYear:
+    """What the months of a year of a station say together, as JSON; None where that is still to be computed.
+
+    `inputs` names the months that it was made from: for the array, whose station is the empty string, those of all
+    stations. `matrix` holds every path beside the station's median; the array has none.
+    """
+
+    station: str
+    since: Instant
+    inputs: str
+    months: str | None
+    matrix: str | None = None
+
+
 class DriftStore:
     """Months and events by path, and what was found in them."""
 
@@ -64,7 +80,10 @@ class DriftStore:
         ratios: Sequence[MonthlyRatio],
         modes: Sequence[StoredModes] = (),
     ) -> None:
-        """Put what was measured in a station's [since, until) in place of the old."""
+        """Put what was measured in a station's year [since, until) in place of the old.
+
+        What its months say together is then to be kept anew (`keep_year`), in the same transaction.
+        """
         rows = self._connection.execute(select(path).where(path.c.station == station))
         numbers = {Scope(row.station, row.antenna, row.dipole): row.id for row in rows}
         is_old = monthly_ratio.c.path.in_(numbers.values())
@@ -96,14 +115,51 @@ class DriftStore:
         if blobs:
             self._connection.execute(event_modes.insert(), blobs)
 
-    def ratios(self, scope: Scope) -> list[MonthlyRatio]:
-        """All months of the paths of a scope, in order of path and month."""
+    def keep_year(self, year: StoredYear) -> None:
+        """Keep what the months of a year say together in place of what was kept."""
+        is_same = (drift_year.c.station == year.station) & (drift_year.c.since_us == year.since)
+        self._connection.execute(delete(drift_year).where(is_same))
+        row = {
+            "station": year.station, "since_us": year.since, "inputs": year.inputs,
+            "months": year.months, "matrix": year.matrix,
+        }  # fmt: skip
+        self._connection.execute(drift_year.insert(), row)
+
+    def years(self, stations: Collection[str], *, with_matrix: bool = False) -> list[StoredYear]:
+        """What is kept of stations, in order of station and year; the empty string is the array."""
+        columns = [drift_year.c.station, drift_year.c.since_us, drift_year.c.inputs, drift_year.c.months]
+        columns += [drift_year.c.matrix] * with_matrix
+        statement = select(*columns).where(drift_year.c.station.in_(stations))
+        ordered = statement.order_by(drift_year.c.station, drift_year.c.since_us)
+        return [StoredYear(*row) for row in self._connection.execute(ordered)]
+
+    def state(self) -> list[list[Any]]:
+        """What there is, by name: the report, and the months of every year that is kept."""
+        years = select(drift_year.c.station, drift_year.c.since_us, drift_year.c.inputs)
+        ordered = years.order_by(drift_year.c.station, drift_year.c.since_us)
+        reports = self._connection.execute(select(drift_report.c.inputs, drift_report.c.made_us)).all()
+        return [list(row) for row in (*reports, *self._connection.execute(ordered))]
+
+    def inputs_of_years(self) -> dict[Instant, dict[str, str]]:
+        """The hashes of the months of all stations, by year and station."""
+        columns = drift_year.c.since_us, drift_year.c.station, drift_year.c.inputs
+        found: dict[Instant, dict[str, str]] = {}
+        for since, station, inputs in self._connection.execute(select(*columns).where(drift_year.c.station != "")):
+            found.setdefault(since, {})[station] = inputs
+        return found
+
+    def ratios(self, scope: Scope, since: Instant | None = None, until: Instant | None = None) -> list[MonthlyRatio]:
+        """The months of the paths of a scope, all or those of [since, until), in order of path and month."""
         statement = select(monthly_ratio, path.c.station, path.c.antenna, path.c.dipole)
         statement = statement.join(path, path.c.id == monthly_ratio.c.path)
         if scope.station is not None:
             statement = statement.where(path.c.station == scope.station)
         if scope.antenna is not None:
             statement = statement.where(path.c.antenna == scope.antenna, path.c.dipole == scope.dipole)
+        if since is not None:
+            statement = statement.where(monthly_ratio.c.month_us >= since)
+        if until is not None:
+            statement = statement.where(monthly_ratio.c.month_us < until)
         statement = statement.order_by(path.c.station, path.c.antenna, path.c.dipole, monthly_ratio.c.month_us)
         return [
             MonthlyRatio(

@@ -14,7 +14,7 @@ from sqlalchemy.dialects.sqlite import insert as sqlite_insert
 from lbacal_core.provenance import canonical_json
 from lbacal_core.validity import Instant
 from service.errors import ConflictError, NotFoundError
-from service.schema.tables import HAS_FAILED, IS_OPEN, job, job_part
+from service.schema.tables import HAS_FAILED, HAS_SETTLED, IS_OPEN, job, job_part
 from service.storage.clocks import read_database_clock
 
 QUEUED, RUNNING, DONE, FAILED, CANCELLED = "queued", "running", "done", "failed", "cancelled"
@@ -253,10 +253,13 @@ class JobStore:
         statement = select(job_part.c.inputs, func.count().label("parts")).where(IS_OPEN, job_part.c.state == QUEUED)
         return {row.inputs: row.parts for row in self._connection.execute(statement.group_by(job_part.c.inputs))}
 
-    def count_by_state(self) -> dict[str, int]:
-        """How many parts there are in each state."""
-        statement = select(job_part.c.state, func.count().label("parts")).group_by(job_part.c.state)
-        counts = {row.state: row.parts for row in self._connection.execute(statement)}
+    def count_by_state(self, since: Instant) -> dict[str, int]:
+        """How many parts wait or run, and how many ended at an instant or later, by state."""
+        is_late = job_part.c.ended_us >= since
+        counts: dict[str, int] = {}
+        for condition in (IS_OPEN, and_(HAS_FAILED, is_late), and_(HAS_SETTLED, is_late)):  # one index each
+            statement = select(job_part.c.state, func.count().label("parts")).where(condition)
+            counts |= {row.state: row.parts for row in self._connection.execute(statement.group_by(job_part.c.state))}
         return {state: counts.get(state, 0) for state in (QUEUED, RUNNING, DONE, FAILED, CANCELLED)}
 
     def failures(self, since: Instant, limit: int) -> list[Failure]:

@@ -146,6 +146,11 @@ class LedgerStore:
         found = self._decisive([(scope.key, instant) for scope in scopes], as_of)
         return {promotion.scope: promotion for promotion in found.values()}
 
+    def decisive_at(self, asked: Iterable[tuple[Scope, Instant]]) -> dict[tuple[Scope, Instant], Promotion]:
+        """The newest promotion of scopes that covers an instant of each, as the ledger stands now."""
+        found = self._decisive([(scope.key, instant) for scope, instant in asked], None)
+        return {(promotion.scope, instant): promotion for (_, instant), promotion in found.items()}
+
     def neighbours(self, paths: Sequence[Scope], instant: Instant, as_of: Instant | None) -> dict[Scope, Neighbours]:
         """The nearest promotions before and after an instant at which nothing answers for some paths, in two queries.
 

@@ -15,7 +15,7 @@ from alembic.script import ScriptDirectory
 
 from lbacal_core.instrument import Instrument
 from service.errors import UnavailableError
-from service.schema.tables import metadata
+from service.schema.drift import SCHEMA
 from service.storage.database import Database, explaining_failures
 
 
@@ -52,8 +52,8 @@ def require_current(database: Database) -> None:
 def require_complete(database: Database) -> None:
     """Refuse a schema of the right number whose tables are not those that this code states."""
     with database.connect() as connection:
-        context = MigrationContext.configure(connection, opts={"compare_type": True, "target_metadata": metadata})
-        found = [_name_difference(one) for one in compare_metadata(context, metadata)]
+        context = MigrationContext.configure(connection, opts={"compare_type": True, "target_metadata": SCHEMA})
+        found = [_name_difference(one) for one in compare_metadata(context, SCHEMA)]
     if found:
         raise UnavailableError(f"the database differs from its schema in {len(found)} places: {'; '.join(found[:3])}")
 

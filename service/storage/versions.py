@@ -220,7 +220,7 @@ class VersionStore:
 
     def newest(self, limit: int) -> list[Version]:
         """The versions made last, newest first."""
-        statement = select(calibration).order_by(calibration.c.made_us.desc(), calibration.c.id).limit(limit)
+        statement = select(calibration).order_by(calibration.c.made_us.desc(), calibration.c.id.desc()).limit(limit)
         return self._values(self._connection.execute(statement).all())
 
     def means(self, ids: Iterable[str]) -> list[MeanC]:

@@ -2,55 +2,38 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lbacal_core.drift.events import measure_event_modes
 from lbacal_core.drift.monthly import average_months
 from lbacal_core.drift.terms import SLOPE, smooth_columns
-from lbacal_core.grids import Floats
 from lbacal_core.instrument import Instrument
+from lbacal_core.provenance import hash_content
 from lbacal_core.screening import screen_block
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra_blocks import SpectraBlock, split_into_blocks
 from lbacal_core.validity import Instant, Promotion, Scope, timeline
+from service.errors import NotFoundError
 from service.storage.database import Database, Stores
 from service.storage.drift import MonthlyRatio, StoredModes
 from service.storage.jobs import Part
 from service.storage.spectra import Window
 from service.storage.versions import MeanC, Version
 from service.usecases.calibrations import select_paths
+from service.usecases.last_made import LastMade
+from service.usecases.months import DIGITS, MonthPoint, keep_months, read_matrix, read_months
 from service.usecases.story import explain_version
 from service.usecases.years import find_years
+from service.wire.instants import format_instant
 
 KIND = "drift"
 SECOND_US = 1_000_000
 HALF_A_MONTH_S = 15 * 86_400.0
-BAND = (16.0, 50.0, 84.0)
-"""Percentiles of the paths of a station: median and the middle 68 %."""
-
-
-@dataclass(frozen=True)
-class MonthPoint:
-    """A month of one path: C over that of the reference; or of many: the median and the middle 68 % of their ratios.
-
-    `shape` is the tilt and curvature of ln C; `line` what offset, season and slope make of the month, with its lower
-    and upper end (one standard deviation): None where years are too few to tell.
-    """
-
-    month: Instant
-    c_ratio: float
-    low: float
-    high: float
-    paths: int
-    events: int
-    calibration: str | None
-    shape: tuple[float, float] | None
-    line: tuple[float, float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -113,6 +96,8 @@ class Drift:
     instrument: Instrument
     sky_power: Callable[[], SkyPower]
     resistance_ohm: float
+    shown: LastMade[Any]
+    """What the page of the drift shows."""
     clock: Callable[[], Instant]
 
     def run(self, part: Part, worker: str) -> None:
@@ -129,6 +114,7 @@ class Drift:
         ratios = [ratio for of_block, _ in measured for ratio in of_block]
         with self.database.write() as stores:
             stores.drift.replace(station, since, until, ratios, [modes for _, modes in measured if modes.antennas])
+            keep_months(stores, station, since, ratios)
             stores.jobs.complete(part, worker, {"calibrations": []}, self.clock())
 
     def _measure(
@@ -153,33 +139,38 @@ class Drift:
         antennas, ln_c = tuple(modes.antennas.tolist()), modes.ln_c.astype(np.float32)
         return ratios, StoredModes(block.station, block.dipole, since, antennas, times, ln_c)
 
-    def ratios(self, station: str) -> list[MonthlyRatio]:
-        """The months of all paths of a station."""
+    def matrix(self, station: str) -> list[str]:
+        """Every path of a station beside its median, one JSON text a year."""
         with self.database.read() as stores:
-            return stores.drift.ratios(Scope(station))
+            return read_matrix(stores, station)
 
     def means_of_paths(self, station: str) -> list[MeanC]:
-        """Band means of C of the versions in effect of a station's paths, path by path."""
+        """Band means of C of the versions that answer for a station's paths at the last event, path by path."""
+        paths = select_paths(self.instrument, station, None, None)
         with self.database.read() as stores:
-            means = find_means_in_effect(stores, select_paths(self.instrument, station, None, None))
+            span = stores.spectra.span()
+            decisive = {} if span is None else stores.ledger.decisive(paths, span[1], None)
+            means = stores.versions.means(p.calibration for p in decisive.values() if p.calibration is not None)
         return sorted(means, key=lambda mean: (mean.scope.antenna or 0, mean.dipole, mean.since))
+
+    def version_at(self, path: Scope, instant: Instant) -> str:
+        """The version of a path itself that answers at an instant; not found where there is none."""
+        with self.database.read() as stores:
+            decisive = stores.ledger.decisive([path], instant, None).get(path)
+        if decisive is None or decisive.calibration is None:
+            raise NotFoundError(f"no version of {path.key} is in effect at {format_instant(instant)[:10]}")
+        return decisive.calibration
 
     def series(self, scope: Scope) -> DriftSeries:
         """Versions in effect, months, steps and slope of a scope."""
         with self.database.read() as stores:
-            ratios, report = stores.drift.ratios(scope), stores.drift.report()
-            of_scope = find_means_in_effect(stores, [scope])
-            return _gather(scope, ratios, of_scope, report, self._versions_at(stores, scope, report))
+            return _gather(stores, [scope], stores.drift.report())[0]
 
     def overall(self) -> tuple[DriftSeries, list[DriftSeries]]:
         """The array, and every station with spectra."""
         with self.database.read() as stores:
-            ratios, report = stores.drift.ratios(Scope()), stores.drift.report()
             scopes = [Scope(), *(Scope(station) for station in stores.spectra.stations())]
-            in_effect = self._versions_at(stores, Scope(), report)
-            array, *stations = (
-                _gather(scope, ratios, find_means_in_effect(stores, [scope]), report, in_effect) for scope in scopes
-            )
+            array, *stations = _gather(stores, scopes, stores.drift.report())
         return array, stations
 
     def stories(self, series: Sequence[DriftSeries]) -> dict[tuple[str, str], str]:
@@ -196,16 +187,15 @@ class Drift:
                 )
         return told
 
+    def state(self) -> str:
+        """Names what the drift is told from: the months, what the watch found in them, and what is in effect."""
+        with self.database.read() as stores:
+            return hash_content([stores.drift.state(), stores.ledger.newest_number()])
+
     def steps(self, count: int) -> list[Step]:
         """The most significant steps."""
         with self.database.read() as stores:
-            report = stores.drift.report()
-            return _steps(Scope(), report, self._versions_at(stores, Scope(), report))[:count]
-
-    def _versions_at(self, stores: Stores, scope: Scope, report: Mapping[str, Any] | None) -> Sequence[MeanC]:
-        """Versions of the paths that step, by which a step leads to the one in effect."""
-        paths = {step.path for step in _steps(scope, report, ()) if step.path.antenna is not None}
-        return find_means_in_effect(stores, sorted(paths, key=lambda path: path.key))
+            return _steps(stores, Scope(), stores.drift.report(), count)
 
 
 def find_means_in_effect(stores: Stores, scopes: Sequence[Scope]) -> list[MeanC]:
@@ -220,30 +210,29 @@ def find_means_in_effect(stores: Stores, scopes: Sequence[Scope]) -> list[MeanC]
     return stores.versions.means(stretch.calibration for stretch in stretches if stretch.calibration is not None)
 
 
-def _gather(
-    scope: Scope,
-    ratios: Sequence[MonthlyRatio],
-    versions: Sequence[MeanC],
-    report: Mapping[str, Any] | None,
-    in_effect: Sequence[MeanC],
-) -> DriftSeries:
-    """Select what belongs to a scope."""
-    own = [ratio for ratio in ratios if scope in ratio.path.widening]
-    slope = None if report is None else _slope(scope, report)
-    months = draw_line(_months(own, versions), slope)
+def _gather(stores: Stores, scopes: Sequence[Scope], report: Mapping[str, Any] | None) -> list[DriftSeries]:
+    """Gather what belongs to some scopes."""
+    of_scope, in_effect = read_months(stores, scopes), find_means_in_effect(stores, scopes)
     threshold = None if report is None else float(report["threshold_sigma"])
-    return DriftSeries(scope, versions, months, _steps(scope, report, in_effect), slope, threshold)
+    steps = _steps(stores, Scope() if Scope() in scopes else scopes[0], report)
+    found = []
+    for scope in scopes:
+        own = [step for step in steps if _concerns(scope, step.change)]
+        versions = [mean for mean in in_effect if mean.scope == scope]
+        slope = None if report is None else _slope(scope, report)
+        months = draw_line(_name_versions(of_scope.get(scope, []), versions), slope)
+        found.append(DriftSeries(scope, versions, months, own, slope, threshold))
+    return found
 
 
-def _steps(scope: Scope, report: Mapping[str, Any] | None, in_effect: Sequence[MeanC]) -> list[Step]:
+def _steps(stores: Stores, scope: Scope, report: Mapping[str, Any] | None, count: int | None = None) -> list[Step]:
     """The changes of a scope, each with the version of its path in effect then."""
     changes = [] if report is None else [one for one in report["changes"] if _concerns(scope, one)]
-    steps = []
-    for change in changes:
-        step = Step(change, None)
-        of_path = [mean for mean in in_effect if mean.scope == step.path]
-        steps.append(Step(change, _version_at(of_path, step.date)))
-    return steps
+    steps = [Step(change, None) for change in changes[:count]]
+    asked = [(step.path, step.date) for step in steps if step.path.antenna is not None]
+    decisive = stores.ledger.decisive_at(asked)
+    at = {pair: promotion.calibration for pair, promotion in decisive.items()}
+    return [replace(step, calibration=at.get((step.path, step.date))) for step in steps]
 
 
 def _concerns(scope: Scope, change: Mapping[str, Any]) -> bool:
@@ -262,21 +251,14 @@ def _slope(scope: Scope, report: Mapping[str, Any]) -> Mapping[str, Any] | None:
     return next(slopes, None)
 
 
-def _months(ratios: Sequence[MonthlyRatio], versions: Sequence[MeanC]) -> list[MonthPoint]:
-    by_month: dict[Instant, list[MonthlyRatio]] = {}
-    for ratio in ratios:
-        by_month.setdefault(ratio.month, []).append(ratio)
-    points = []
-    for month, of_month in sorted(by_month.items()):
-        low, median, high = (float(v) for v in np.percentile([ratio.c_ratio for ratio in of_month], BAND))
-        if len(of_month) == 1:
-            low, high = median - of_month[0].c_ratio_sigma, median + of_month[0].c_ratio_sigma
-        events = max(ratio.events for ratio in of_month)
-        known = [ratio.shape for ratio in of_month if ratio.shape is not None]
-        shape = (float(np.median([s[0] for s in known])), float(np.median([s[1] for s in known]))) if known else None
-        version = _version_at(versions, month)
-        points.append(MonthPoint(month, median, low, high, len(of_month), events, version, shape))
-    return points
+def _name_versions(months: Sequence[MonthPoint], versions: Sequence[MeanC]) -> list[MonthPoint]:
+    """Give every month the version whose window holds it, of several the one made last."""
+    starts = [point.month for point in months]
+    names: list[str | None] = [None] * len(starts)
+    for version in versions:
+        first, last = bisect_left(starts, version.since), bisect_left(starts, version.until)
+        names[first:last] = [version.calibration] * (last - first)
+    return [point._replace(calibration=name) for point, name in zip(months, names, strict=True)]
 
 
 def draw_line(months: list[MonthPoint], trend: Mapping[str, Any] | None) -> list[MonthPoint]:
@@ -288,31 +270,5 @@ def draw_line(months: list[MonthPoint], trend: Mapping[str, Any] | None) -> list
     line = columns[:, 1:SLOPE] @ np.array(trend["season"]) + columns[:, SLOPE] * trend["slope"]
     line += np.mean(np.log([point.c_ratio for point in months]) - line)
     sigma = np.hypot(trend["sigma"] * columns[:, SLOPE], trend["scatter"] / trend["years"] ** 0.5)
-    ends = np.exp(np.stack([line, line - sigma, line + sigma], axis=1)).tolist()
-    return [replace(point, line=tuple(three)) for point, three in zip(months, ends, strict=True)]
-
-
-def _version_at(versions: Sequence[MeanC], instant: Instant) -> str | None:
-    """The version whose window holds an instant, the one made last."""
-    return next((v.calibration for v in reversed(versions) if v.since <= instant < v.until), None)
-
-
-@dataclass(frozen=True)
-class PathMatrix:
-    """Paths of one station by month: their ratios over the station's median, shape (path, month); NaN where unknown."""
-
-    paths: Sequence[Scope]
-    months: NDArray[np.int64]
-    values: Floats
-
-
-def relative_to_station(ratios: Sequence[MonthlyRatio]) -> PathMatrix:
-    """Divide out what the paths of a station have in common: the gain of an event, the season."""
-    paths = list(dict.fromkeys(ratio.path for ratio in ratios))
-    months = np.unique(np.array([ratio.month for ratio in ratios], dtype=np.int64))
-    row = {path: k for k, path in enumerate(paths)}
-    values = np.full((len(paths), months.size), np.nan)
-    for ratio in ratios:
-        values[row[ratio.path], int(np.searchsorted(months, ratio.month))] = ratio.c_ratio
-    median = np.array([np.median(column[np.isfinite(column)]) for column in values.T])
-    return PathMatrix(paths, months, values / median)
+    ends = np.exp(np.stack([line, line - sigma, line + sigma], axis=1)).round(DIGITS).tolist()
+    return [point._replace(line=tuple(three)) for point, three in zip(months, ends, strict=True)]

@@ -19,7 +19,8 @@ from service.wire.instants import DAY_US
 
 ROOM_BYTES = 16_000_000
 """With less room than this on its disk, an SQLite file counts as unable to grow."""
-FAILURES_SINCE_US = 30 * DAY_US
+ENDED_SINCE_US = 30 * DAY_US
+"""Parts of jobs that ended earlier are not counted, and failures not shown."""
 FAILURES_SHOWN = 50
 
 
@@ -71,9 +72,9 @@ class Status:
             return State(
                 problem=problem,
                 processes=processes,
-                parts=stores.jobs.count_by_state(),
+                parts=stores.jobs.count_by_state(self.clock() - ENDED_SINCE_US),
                 stuck=_explain_waiting(stores.jobs.waiting(), processes),
-                failures=stores.jobs.failures(self.clock() - FAILURES_SINCE_US, FAILURES_SHOWN),
+                failures=stores.jobs.failures(self.clock() - ENDED_SINCE_US, FAILURES_SHOWN),
                 events=stores.spectra.count_events(),
                 newest_event=None if span is None else span[1],
                 gated=stores.versions.count_gated(),

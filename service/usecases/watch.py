@@ -21,6 +21,7 @@ from service.storage.alarms import SLOPE, STEP, News
 from service.storage.database import Database, Stores
 from service.storage.drift import MODES, StoredModes
 from service.storage.jobs import Part
+from service.usecases.months import keep_missing
 from service.wire.instants import DAY_US, format_instant
 
 KIND = "watch"
@@ -50,6 +51,7 @@ class Watch:
         with self.database.write() as stores:
             now = self.clock()
             stores.drift.keep_report(str(inputs), report, now)
+            keep_missing(stores)
             stores.alarms.settle((STEP, SLOPE), list(_tell(report)), now)
             stores.jobs.complete(part, worker, {"calibrations": []}, now)
 

@@ -30,3 +30,8 @@ def split_years(stores: Stores, since: Instant, until: Instant) -> Iterator[tupl
 def start_of_year(year: int) -> Instant:
     """The first instant of a year, UTC."""
     return parse_instant("year", f"{year}-01-01")
+
+
+def end_of_year(since: Instant) -> Instant:
+    """The first instant of the year after one that begins at an instant."""
+    return start_of_year(datetime.fromtimestamp(since / 1e6, UTC).year + 1)

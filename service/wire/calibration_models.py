@@ -83,7 +83,7 @@ class StatusAnswer(Answer):
     ready: bool
     problem: str | None
     processes: list[ProcessAnswer]
-    parts: dict[str, int] = Field(description="parts of jobs by state")
+    parts: dict[str, int] = Field(description="parts of jobs by state; ended ones of the last 30 days")
     stuck: list[str]
     events: int
     newest_event: str | None

@@ -20,12 +20,14 @@ function band(x, low, high, colour, name, alpha = 0.18) {
 function drift(data) {
   const traces = [];
   data.series.forEach((one, k) => {
-    const colour = COLOURS[k % COLOURS.length], x = one.months.map((m) => m.month + "-15");
-    traces.push(band(x, one.months.map((m) => m.low), one.months.map((m) => m.high), colour, one.name));
-    traces.push({ x, y: one.months.map((m) => m.c_ratio), mode: "lines+markers", name: one.name, legendgroup: one.name,
-      line: { color: colour, width: 2 }, marker: { size: 6 }, customdata: one.months.map((m) => m.url),
-      text: one.months.map((m) => `${m.paths} paths, ${m.events} events`), hovertemplate: "%{x|%Y-%m}: %{y:.4f}<br>%{text}<extra>" + one.name + "</extra>" });
-    const lines = one.months.filter((m) => m.line), at = lines.map((m) => m.month + "-15");
+    const names = ["month", "c_ratio", "low", "high", "paths", "events", "line", "version"];
+    const months = one.months.map((row) => Object.fromEntries(names.map((name, j) => [name, row[j]])));
+    const colour = COLOURS[k % COLOURS.length], x = months.map((m) => m.month + "-15");
+    traces.push(band(x, months.map((m) => m.low), months.map((m) => m.high), colour, one.name));
+    traces.push({ x, y: months.map((m) => m.c_ratio), mode: "lines+markers", name: one.name, legendgroup: one.name,
+      line: { color: colour, width: 2 }, marker: { size: 6 }, customdata: months.map((m) => m.version === null ? one.url : one.versions[m.version].url),
+      text: months.map((m) => `${m.paths} paths, ${m.events} events`), hovertemplate: "%{x|%Y-%m}: %{y:.4f}<br>%{text}<extra>" + one.name + "</extra>" });
+    const lines = months.filter((m) => m.line), at = lines.map((m) => m.month + "-15");
     if (lines.length) {
       traces.push(band(at, lines.map((m) => m.line[1]), lines.map((m) => m.line[2]), colour, one.name, 0.06));
       traces.push({ x: at, y: lines.map((m) => m.line[0]), mode: "lines", line: { color: colour, width: 1.5, dash: "dash" }, name: one.name + ", season and slope",
@@ -40,10 +42,19 @@ function drift(data) {
   return [traces, layout];
 }
 
+// The years of a station one beside the other: paths that a year does not have are empty there.
 function matrix(data) {
-  const span = Math.max(0.02, ...data.values.flat().filter((v) => v !== null).map((v) => Math.abs(v)));
-  const trace = { type: "heatmap", x: data.months.map((m) => m + "-15"), y: data.paths, z: data.values.map((row) => row.map((v) => v === null ? null : 100 * v)),
-    customdata: data.urls, colorscale: [[0, "#b2452d"], [0.5, "#f7f7f5"], [1, "#1b5e8c"]], zmin: -100 * span, zmax: 100 * span,
+  const keys = new Map(data.years.flatMap((year) => year.paths).map((path) => [path.join(" "), path]));
+  const paths = [...keys.values()].sort((a, b) => a[0] - b[0] || a[1].localeCompare(b[1]));
+  const months = data.years.flatMap((year) => year.months), z = paths.map(() => []);
+  data.years.forEach((year) => {
+    const rows = new Map(year.paths.map((path, k) => [path.join(" "), year.values[k]]));
+    paths.forEach((path, k) => z[k].push(...(rows.get(path.join(" ")) ?? year.months.map(() => null))));
+  });
+  const span = Math.max(0.02, ...z.map((row) => Math.max(...row.map((v) => Math.abs(v ?? 0)))));
+  const url = (path, k) => `/stations/${encodeURIComponent(data.station)}/${path[0]}/${encodeURIComponent(path[1])}/${months[k]}`;
+  const trace = { type: "heatmap", x: months.map((m) => m + "-15"), y: paths.map((path) => path.join(" ")), z: z.map((row) => row.map((v) => v === null ? null : 100 * v)),
+    customdata: z.map((row, p) => row.map((v, k) => v === null ? null : url(paths[p], k))), colorscale: [[0, "#b2452d"], [0.5, "#f7f7f5"], [1, "#1b5e8c"]], zmin: -100 * span, zmax: 100 * span,
     colorbar: { title: { text: "change of C, %" } }, hovertemplate: "%{y}, %{x|%Y-%m}: %{z:+.2f} %<extra></extra>" };
   const layout = { ...LAYOUT, margin: { l: 90, r: 20, t: 20, b: 50 }, xaxis: axis("month (UTC)", { type: "date" }),
     yaxis: axis("antenna and dipole", { type: "category", autorange: "reversed" }) };
