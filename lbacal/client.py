@@ -7,7 +7,7 @@ import json
 import os
 import time
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from datetime import UTC, datetime
 from itertools import islice
 from pathlib import Path
@@ -19,6 +19,7 @@ from lbacal.cache import Cache, Question, Snapshot, find_cache
 from lbacal.instants import parse_instant
 from lbacal.transport import TRIES, Transport, UnreachableError
 from lbacal_core.errors import BadInputError
+from lbacal_core.galcal import name_path
 
 if TYPE_CHECKING:
     from astropy.table import QTable
@@ -260,11 +261,6 @@ def format_time(instant: Any) -> str:
         raise BadInputError("at", "an astropy Time, a datetime or ISO 8601 text", repr(instant)[:80])
     moment = instant if instant.tzinfo else instant.replace(tzinfo=UTC)
     return moment.astimezone(UTC).isoformat().replace("+00:00", "Z")
-
-
-def name_path(curve: Mapping[str, Any]) -> str:
-    """A path in words, as the key of its covariance in the table's metadata: ``CS002 17 X``."""
-    return " ".join(str(curve[name]) for name in ("station", "antenna", "dipole") if curve[name] not in (None, "", -1))
 
 
 def make_table(answer: dict[str, Any]) -> QTable:

@@ -12,11 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lbacal_core.errors import BadInputError
+from lbacal_core.galcal import KEY, make_head
+from lbacal_core.provenance import canonical_json
 
 if TYPE_CHECKING:
     from astropy.table import Table
 
 FORMAT = "lbacal-effective-1"
+LAYOUT = ("v108", "v108")
+"""HDF5's file format: the first that has room for long attributes."""
 NURADIO_MHZ = np.arange(101.0)
 NO_ANTENNA = -1
 
@@ -103,16 +107,19 @@ def write_csv(answer: dict[str, Any]) -> bytes:
 
 
 def write_ecsv(answer: dict[str, Any]) -> bytes:
-    """Enhanced CSV of astropy: units and descriptions in the head."""
+    """Enhanced CSV of astropy: units and descriptions in the head, with covariances and budgets as JSON text."""
     table = _make_table(answer)
-    table.meta = {"at": answer["at"], "as_of": answer["as_of"] or ""}
+    table.meta = {"at": answer["at"] or "", "as_of": answer["as_of"] or "", KEY: _write_head(answer)}
     text = io.StringIO()
     table.write(text, format="ascii.ecsv")
     return text.getvalue().encode()
 
 
 def write_fits(answer: dict[str, Any]) -> bytes:
-    """One binary table, AT and AS_OF in its header. FITS holds ASCII: other characters are written as escapes."""
+    """One binary table, AT and AS_OF in its header. FITS holds ASCII: other characters are written as escapes.
+
+    Covariances and budgets are JSON text, whose bytes are the image GALCAL.
+    """
     from astropy.io import fits
 
     table = _make_table(answer)
@@ -121,24 +128,33 @@ def write_fits(answer: dict[str, Any]) -> bytes:
             table[name] = np.char.encode(table[name].data, "ascii", "backslashreplace")
     hdu = fits.table_to_hdu(table)
     hdu.header["EXTNAME"] = "EFFECTIVE"
-    hdu.header["AT"] = (answer["at"], "when the data were taken, UTC")
+    hdu.header["AT"] = (answer["at"] or "", "when the data were taken, UTC")
     hdu.header["AS_OF"] = (answer["as_of"] or "", "as known at this instant")
     for k, name in enumerate(table.colnames, start=1):
         hdu.header[f"TCOMM{k}"] = COLUMNS[name].description
+    head = np.frombuffer(_write_head(answer).encode(), dtype=np.uint8)
     file = io.BytesIO()
-    fits.HDUList([fits.PrimaryHDU(), hdu]).writeto(file)
+    fits.HDUList([fits.PrimaryHDU(), hdu, fits.ImageHDU(head, name=KEY.upper())]).writeto(file)
     return file.getvalue()
 
 
 def write_hdf5(answer: dict[str, Any]) -> bytes:
-    """One dataset [N] a column, with its unit and description as attributes; texts are UTF-8."""
+    """One dataset [N] a column, with its unit and description as attributes; texts are UTF-8.
+
+    Covariances and budgets are JSON text, an attribute: of more than 64 kB only files of HDF5 1.8 and later hold one.
+    """
     file = io.BytesIO()
-    with h5py.File(file, "w") as root:
-        root.attrs.update({"format": FORMAT, "at": answer["at"], "as_of": answer["as_of"] or ""})
+    with h5py.File(file, "w", libver=LAYOUT) as root:
+        root.attrs.update({"format": FORMAT, "at": answer["at"] or "", "as_of": answer["as_of"] or ""})
+        root.attrs[KEY] = _write_head(answer)
         for name, values in _make_columns(answer).items():
             dataset = root.create_dataset(name, data=_encode_texts(values))
             dataset.attrs.update({"unit": COLUMNS[name].unit, "description": COLUMNS[name].description})
     return file.getvalue()
+
+
+def _write_head(answer: dict[str, Any]) -> str:
+    return canonical_json(make_head(answer))
 
 
 def _encode_texts(values: NDArray[Any]) -> NDArray[Any]:
@@ -175,13 +191,41 @@ def write_nuradio(answer: dict[str, Any]) -> bytes:
     values = np.interp(NURADIO_MHZ, frequency_mhz, c, left=0.0, right=0.0)
     gain = curve.get("antenna_gain_sha256")
     head = [
-        f"lbacal calibration {curve['calibration']}",
-        f"{_name_owner(curve)} at {answer['at']}",
+        f"lbacal calibration {curve['calibration'] or 'from a file'}",
+        f"{_name_owner(curve)}{' at ' if answer['at'] else ''}{answer['at'] or ''}",
         *([f"uncertain: {curve['flag_reason']}"] if curve["flag_reason"] else []),
         *([f"C belongs to the antenna gain {gain[:12]}: not for the height of another (c_over_h)"] if gain else []),
         "C in V per ADC unit at 0, 1, ... 100 MHz; 0 outside the band",
     ]
     return "".join([f"# {line}\n" for line in head] + [f"{value!r}\n" for value in values.tolist()]).encode()
+
+
+def mean_curve(answer: dict[str, Any]) -> dict[str, Any]:
+    """An answer whose one curve is that of the mean recorded power of its curves, C = (mean of C^-2)^(-1/2).
+
+    A program that scales every channel to one mean Galaxy, such as NuRadioReco's stationGalacticCalibrator, needs this
+    one curve for all of them, both dipoles included.
+    """
+    curves = answer["curves"]
+    first = curves[0]
+    if any(curve["frequency_mhz"] != first["frequency_mhz"] for curve in curves):
+        raise BadInputError("frequency_mhz", "the same channels in every curve", "others")
+    c = np.array([[np.nan if value is None else value for value in curve["c"]] for curve in curves])
+    known = np.isfinite(c).all(axis=0)
+    mean = np.mean(np.where(known, c, 1.0) ** -2.0, axis=0) ** -0.5
+    stations = {curve["station"] for curve in curves}
+    names = sorted({(curve["calibration"] or "from a file")[:12] for curve in curves})
+    return answer | {
+        "curves": [
+            first | {
+                "station": stations.pop() if len(stations) == 1 else None, "antenna": None,
+                "dipole": "/".join(sorted({str(one["dipole"]) for one in curves})),
+                "calibration": f"{', '.join(names)}: mean recorded power of {len(curves)} curves",
+                "c": [value if inside else None for value, inside in zip(mean.tolist(), known, strict=True)],
+                "antenna_gain_sha256": None,
+            }
+        ]
+    }  # fmt: skip
 
 
 def _name_owner(curve: dict[str, Any]) -> str:
@@ -193,4 +237,5 @@ def _name_owner(curve: dict[str, Any]) -> str:
     cable = (curve.get("reference") or {}).get("cable")
     through = f", carried through its own cable {cable}" if cable else ""
     path = f"{curve['station']} antenna {curve['antenna']} dipole {curve['dipole']}"
-    return f"{path}, answered by {curve['answered_by']}{through}"
+    answered = f", answered by {curve['answered_by']}" if curve["answered_by"] else ""
+    return f"{path}{answered}{through}"

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lbacal.client import name_path
 from lbacal_core.errors import BadInputError
+from lbacal_core.galcal import name_path
 from lbacal_core.grids import Floats
 
 if TYPE_CHECKING:

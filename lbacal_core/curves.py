@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from lbacal_core.anomalies import Anomalies, Anomaly
 from lbacal_core.covariance import Budget, CurveCovariance, parse_covariance
+from lbacal_core.galcal import KEY, make_head
 from lbacal_core.grids import Floats
-from lbacal_core.provenance import Provenance, hash_arrays
+from lbacal_core.provenance import Provenance, canonical_json, hash_arrays
 from lbacal_core.reference_chain import ReferenceChain
 
 CONVERGED = "converged"
@@ -296,8 +297,11 @@ def write_fit_report(report: FitReport, path: Path) -> None:
     path.write_text(json.dumps(report.as_dict(), indent=1, allow_nan=False) + "\n")
 
 
-def write_calibration_table(report: FitReport, path: Path) -> None:
-    """Write the converged curves as an ECSV table, one row per path and frequency."""
+def write_calibration_table(report: FitReport, path: Path, made_with: Mapping[str, Any] | None = None) -> None:
+    """Write the curves with values as an ECSV table, one row per path and frequency (docs/formats/galcal.md).
+
+    `made_with` are the instrument and the models of sky and antenna, for the head of the file.
+    """
     from astropy import units as u
     from astropy.table import Table
 
@@ -335,8 +339,10 @@ def write_calibration_table(report: FitReport, path: Path) -> None:
     }
     for name, text in descriptions.items():
         table[name].info.description = text
-    budgets = {digest: budget.as_dict() for digest, budget in report.budgets.items()}
-    table.meta = {"provenance": report.provenance.as_dict(), "status": report.status, "budgets": budgets}
+    content = report.as_dict()
+    table.meta = {name: content[name] for name in ("provenance", "status")}
+    kept = [curve for curve in content["curves"] if curve["c"] is not None]
+    table.meta[KEY] = canonical_json(make_head(content | {"curves": kept} | dict(made_with or {})))
     table.write(path, format="ascii.ecsv", overwrite=True)
 
 

@@ -5,12 +5,15 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import settings
 
 from lbacal_core.antenna_records import AntennaRecord
+from lbacal_core.covariance import Budget, BudgetTerm, CurveCovariance
+from lbacal_core.curves import CalibrationCurve
 from lbacal_core.instrument import Instrument
 from lbacal_core.skypower.table import SkyPower
 from proofs.running.postgres import find_binaries
@@ -133,3 +136,31 @@ def flip_bytes(tmp_path: Path) -> Callable[..., list[str]]:
         return found
 
     return outcomes
+
+
+@pytest.fixture
+def calibrations() -> dict[str, Any]:
+    """Curves of two antennas of a station as `effective` answers, with covariance and budget that agree with them."""
+    frequency = np.arange(30.0, 81.0)
+    shape = {letter: np.stack([np.full(51, level), 0.02 * np.linspace(-1, 1, 51)])
+             for letter, level in (("X", 0.06), ("Y", 0.05))}  # fmt: skip
+    budget = Budget(frequency, (BudgetTerm("sky", "drawn", shape),))
+    curves = []
+    for antenna in (4, 17):
+        for letter in "XY":
+            c = 1e-5 * (1.0 + frequency / 30.0 + 0.01 * antenna)
+            own, factor = np.full((1, 51), 0.01), np.full((1, 51), 0.004)
+            flag = ["interference" if k == 12 else "outside" if k == 50 else "ok" for k in range(51)]
+            c[50] = np.nan
+            gain = np.full(51, 4.0)
+            curve = CalibrationCurve(
+                "CS002", antenna, letter, "converged", 900, frequency, c, c * np.hypot(0.004, 0.003),
+                c * np.sqrt(np.sum(np.round(shape[letter], 6) ** 2, axis=0) + 1e-4), 1.0, 1.0, {}, flag, gain,
+                covariance=CurveCovariance(factor, np.full(51, 9e-6), budget.digest, own),
+            )  # fmt: skip
+            curves.append(curve.as_dict() | {
+                "flag_reason": None, "factor": [1.0] * 51, "calibration": "ab" * 32, "answered_by": "antenna",
+                "valid": {"from": "2014-01-01T00:00:00Z", "to": "2015-01-01T00:00:00Z"},
+            })  # fmt: skip
+    return {"at": "2014-05-01T00:00:00Z", "as_of": "2026-01-01T00:00:00Z", "curves": curves,
+            "budgets": {budget.digest: budget.as_dict()}}  # fmt: skip

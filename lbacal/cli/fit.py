@@ -94,6 +94,7 @@ def fit(
     """
     from lbacal.cli.fit_summary import align, describe_error, explain_chi2, tabulate_curves
     from lbacal_core.curves import CONVERGED, write_calibration_table, write_fit_report
+    from lbacal_core.galcal import describe_made_with
     from lbacal_core.instrument import load_instrument
     from lbacal_core.pipeline import calibrate
     from lbacal_core.skypower.model import compute_sky_power
@@ -122,7 +123,8 @@ def fit(
         with written_beside(report) as beside:
             write_fit_report(result, beside)
         with written_beside(output) as beside:
-            write_calibration_table(result, beside)
+            models = None if power.made_for is None else power.made_for.as_dict()
+            write_calibration_table(result, beside, describe_made_with(chain, models))
         numbers = [] if error is None else [describe_error(error)]
         if html is not None or plot is not None:
             tell("draw")

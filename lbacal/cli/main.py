@@ -19,6 +19,7 @@ from lbacal.cli.alarms import alarms
 from lbacal.cli.antenna_gain import antenna_gain
 from lbacal.cli.audit import audit
 from lbacal.cli.budget import budget
+from lbacal.cli.calibration_tables import check_table, export
 from lbacal.cli.client import effective, ingest, jobs, refit, sync
 from lbacal.cli.fit import fit
 from lbacal.cli.import_ import import_
@@ -69,7 +70,8 @@ _COMPUTING: tuple[Callable[..., None], ...] = (
     audit, fit, budget, investigate, lst_curve, paper, sky_power, antenna_gain, spectra
 )  # fmt: skip
 _ASKING: tuple[Callable[..., None], ...] = (
-    ingest, refit, promote, withdraw, rollback, tag, effective, jobs, status, alarms, sync, adopt, models, abandon
+    ingest, refit, promote, withdraw, rollback, tag, effective, jobs, status, alarms, sync, adopt, models, abandon,
+    check_table, export,
 )  # fmt: skip
 for command in (*map(_needing_fit, _COMPUTING), import_, *_ASKING):
     app.command(_name(command))(command)

@@ -5,6 +5,7 @@ import hashlib
 import io
 import math
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import h5py
@@ -13,7 +14,9 @@ import pytest
 from astropy.table import Table
 from fastapi.testclient import TestClient
 
+from lbacal.calibration_files import read_calibrations
 from lbacal.tables import rows_of
+from lbacal_core.galcal_rules import find_problems
 from lbacal_core.provenance import canonical_json
 from lbacal_core.validity import Scope
 from service.factory import Factory
@@ -181,6 +184,19 @@ def read_columns(kind: str, body: bytes) -> dict[str, list[Any]]:
         name: [None if v in ("", -1) or (isinstance(v, float) and math.isnan(v)) else v for v in values.tolist()]
         for name, values in columns.items()
     }
+
+
+@pytest.mark.parametrize("ending", ["json", "ecsv", "fits", "hdf5"])
+def test_what_is_served_is_a_calibration_file_that_follows_its_format(
+    client: TestClient, stored: Stored, tmp_path: Path, ending: str
+) -> None:
+    promote(client, stored["array"], "2014-01-01")
+    path = tmp_path / f"c.{ending}"
+    path.write_bytes(ask(client, station="CS001", format=ending).content)
+    content = read_calibrations(path)
+    assert find_problems(content) == []
+    assert len(content["curves"]) == 6
+    assert content["at"] == "2014-06-01T00:00:00Z"
 
 
 @pytest.mark.parametrize("kind", ["csv", "ecsv", "fits", "hdf5"])

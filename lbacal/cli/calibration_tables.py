@@ -1,0 +1,138 @@
+"""`lbacal check-table` and `lbacal export`: files of calibration curves (docs/formats/galcal.md)."""
+
+from __future__ import annotations
+
+import json
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from lbacal.cli.client import Antenna, Dipole, Station
+from lbacal.cli.outputs import require_outputs
+from lbacal.files import written_beside
+from lbacal_core.errors import BadInputError
+
+File = Annotated[Path, typer.Argument(help="Calibration file: .ecsv, .fits, .h5 or .json.")]
+
+
+class ExportFormat(StrEnum):
+    """What `export` writes."""
+
+    ecsv = "ecsv"
+    fits = "fits"
+    hdf5 = "hdf5"
+    csv = "csv"
+    json = "json"
+    nuradio = "nuradio"
+    uvcal = "uvcal"
+    lofar2 = "lofar2"
+
+
+BY_SUFFIX = {
+    ".ecsv": ExportFormat.ecsv, ".fits": ExportFormat.fits, ".h5": ExportFormat.hdf5, ".hdf5": ExportFormat.hdf5,
+    ".csv": ExportFormat.csv, ".json": ExportFormat.json, ".txt": ExportFormat.nuradio,
+    ".calfits": ExportFormat.uvcal, ".calh5": ExportFormat.uvcal,
+}  # fmt: skip
+
+
+def check_table(
+    files: Annotated[list[Path], typer.Argument(help="Calibration files: .ecsv, .fits, .h5 or .json.")],
+) -> None:
+    """Check that calibration files follow galcal-1 and agree with themselves.
+
+    Example: lbacal check-table C.ecsv effective.fits
+
+    Checked are C and its errors where the flag says that there are any, the covariance against the errors, the budget
+    against its hash and against the errors, C over H against G_ant, arms, and the interval of validity. Exit 0 if all
+    files agree, 1 if one does not, 2 if one cannot be read.
+    """
+    from lbacal.calibration_files import read_calibrations
+    from lbacal_core.galcal_rules import find_problems
+
+    failed = False
+    for path in files:
+        content = read_calibrations(path)
+        problems = find_problems(content)
+        failed = failed or bool(problems)
+        print(f"{path}: {_describe(content) if not problems else f'{len(problems)} problems'}")
+        for problem in problems:
+            print(f"  {problem}")
+    if failed:
+        raise typer.Exit(1)
+
+
+def export(
+    source: File,
+    output: Annotated[Path, typer.Option(help="File to write; its ending says in which format.")],
+    kind: Annotated[
+        ExportFormat | None, typer.Option("--format", help="Format, where the ending does not say it (lofar2).")
+    ] = None,
+    station: Station = None,
+    antenna: Antenna = None,
+    dipole: Dipole = None,
+    mean: Annotated[bool, typer.Option("--mean", help="nuradio: one curve, that of the mean recorded power.")] = False,
+    instrument: Annotated[str | None, typer.Option(help="uvcal: where the antennas stand, and their arms.")] = None,
+    at: Annotated[str | None, typer.Option(help="When the data are taken, for a file that does not say it.")] = None,
+) -> None:
+    """Write calibration curves of a file in another format.
+
+    Example: lbacal export C.ecsv --output C.calfits --instrument lofar-superterp --at 2014-05-01
+
+    ecsv, fits, hdf5 and json keep everything; csv has the rows; nuradio (.txt), uvcal (.calfits, .calh5) and lofar2
+    (with --format) have C for those programs.
+    """
+    from lbacal.calibration_files import read_calibrations
+    from lbacal.exports import write_station_table, write_uvcal
+    from lbacal.tables import mean_curve, write_format
+
+    chosen = kind or BY_SUFFIX.get(output.suffix.lower())
+    if chosen is None:
+        raise BadInputError("--output", f"--format, or a name that ends in {', '.join(BY_SUFFIX)}", output.name)
+    if mean and chosen is not ExportFormat.nuradio:
+        raise BadInputError("--mean", "the format nuradio", chosen.value)
+    require_outputs({"--output": output}, {"SOURCE": source, "--instrument": instrument})
+    content = read_calibrations(source)
+    content["at"] = content["at"] or at
+    content["curves"] = [
+        curve
+        for curve in content["curves"]
+        if station in (None, curve["station"]) and antenna in (None, curve["antenna"])
+        and dipole in (None, curve["dipole"])
+    ]  # fmt: skip
+    if not content["curves"]:
+        raise BadInputError(str(source), "a curve of that station, antenna and dipole", "none")
+    with written_beside(output) as beside:
+        if chosen is ExportFormat.uvcal:
+            write_uvcal(content, _require_instrument(instrument), beside)
+        elif chosen is ExportFormat.lofar2:
+            write_station_table(content, beside)
+        elif chosen is ExportFormat.json:
+            beside.write_text(json.dumps(content, allow_nan=False, indent=1) + "\n")
+        else:
+            beside.write_bytes(write_format(chosen.value, mean_curve(content) if mean else content))
+    print(f"wrote {output}: {len(content['curves'])} curves as {chosen.value}")
+
+
+def _require_instrument(name: str | None) -> Any:
+    from lbacal_core.instrument import load_instrument
+
+    if name is None:
+        raise BadInputError("--instrument", "the instrument, for its place and its arms", "none")
+    return load_instrument(name)
+
+
+def _describe(content: dict[str, Any]) -> str:
+    """One line about a file that follows its format."""
+    curves = content["curves"]
+    low, high = (pick(pick(curve["frequency_mhz"]) for curve in curves) for pick in (min, max))
+    covered = sum(bool(curve.get("covariance")) for curve in curves)
+    parts = [
+        f"{len(curves)} curves, {low:g} to {high:g} MHz",
+        f"covariance of {covered}",
+        f"{len(content['budgets'])} budgets",
+        *([f"in effect at {content['at']}"] if content["at"] else []),
+        *([f"as of {content['as_of']}"] if content["as_of"] else []),
+    ]
+    return f"follows galcal-1: {', '.join(parts)}"
