@@ -29,7 +29,7 @@ from service.handlers.edge import Edge
 from service.handlers.head import AnswersHead
 from service.handlers.limits import KeyGuard
 from service.handlers.metrics import Traffic
-from service.handlers.request import require_acceptable, require_known_query
+from service.handlers.request import LARGE_READS, require_acceptable, require_known_query
 
 GZIP_FROM = 100_000
 """Bytes from which an answer is compressed for those who accept that: the curves of a station, not of a path."""
@@ -48,6 +48,7 @@ def make_app(factory: Factory) -> FastAPI:
     app.state.guard = KeyGuard()
     app.state.registry = CollectorRegistry()
     app.state.large_bodies = asyncio.Semaphore(1)
+    app.state.large_reads = asyncio.Semaphore(LARGE_READS)
     for router in (
         spectra.router,
         calibrations.router,

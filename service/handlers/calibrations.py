@@ -13,6 +13,7 @@ from service.handlers.problems import document
 from service.handlers.request import (
     IMMUTABLE,
     REVALIDATE,
+    TAKES_TURN,
     AntennaQuery,
     IdempotencyKey,
     InPath,
@@ -68,7 +69,7 @@ FILES: dict[int | str, dict[str, Any]] = {
     "station or of the array is carried through the path's own cable (`factor`), with the spread of single paths as "
     "`c_sigma_sys`. `scope=array` asks for the array's reference chain itself, which is nobody's cable.",
     responses=FILES | document(401, 404, 422, 503),
-    dependencies=[Depends(require_read)],
+    dependencies=[Depends(require_read), TAKES_TURN],
 )
 def get_in_effect(
     request: Request,
@@ -120,7 +121,7 @@ def get_budget(request: Request, use: UseCases, digest: InPath) -> Response:
     description="The instants at which what `effective` answers about a station may change, as known at `as_of`: "
     "between two of them it is the same. `station` null is the array's reference chain. `lbacal sync` asks at each.",
     responses=document(401, 422, 503),
-    dependencies=[Depends(require_read)],
+    dependencies=[Depends(require_read), TAKES_TURN],
 )
 def list_edges(request: Request, use: UseCases, as_of: str) -> Response:
     found = use.calibrations.edges(parse_instant("as_of", as_of))

@@ -11,7 +11,7 @@ from fastapi import APIRouter, Depends, Request, Response
 from lbacal_core.errors import BadInputError
 from lbacal_core.validity import Scope
 from service.handlers.problems import document
-from service.handlers.request import AntennaQuery, UseCases, answer, require_read
+from service.handlers.request import TAKES_TURN, AntennaQuery, UseCases, answer, require_read
 from service.usecases.calibrations import select_paths
 from service.usecases.drift import SECOND_US, DriftSeries, Step
 from service.wire.answers import describe_scope
@@ -30,7 +30,7 @@ router = APIRouter(tags=["drift"])
     "slope make of it, the changes beside the station or the other stations, the most significant first, and the slope "
     "with its error.",
     responses=document(401, 422, 503),
-    dependencies=[Depends(require_read)],
+    dependencies=[Depends(require_read), TAKES_TURN],
 )
 def get_drift(
     request: Request,

@@ -11,7 +11,16 @@ from fastapi.responses import HTMLResponse, RedirectResponse
 
 from lbacal_core.curves import list_numbers
 from lbacal_core.validity import Scope
-from service.handlers.request import FORM_COOKIE, IMMUTABLE, KEY_COOKIE, InPath, UseCases, answer, require_read
+from service.handlers.request import (
+    FORM_COOKIE,
+    IMMUTABLE,
+    KEY_COOKIE,
+    TAKES_TURN,
+    InPath,
+    UseCases,
+    answer,
+    require_read,
+)
 from service.page.assets import find_asset
 from service.page.render import format_day, name_scope, render_page, render_part
 from service.storage.alarms import ACKNOWLEDGED, ENDED, OPEN
@@ -23,7 +32,9 @@ from service.usecases.overview import look_over
 from service.wire.formats import FORMATS
 from service.wire.instants import format_instant, parse_instant
 
-router = APIRouter(include_in_schema=False, dependencies=[Depends(require_read)], default_response_class=HTMLResponse)
+router = APIRouter(
+    include_in_schema=False, dependencies=[Depends(require_read), TAKES_TURN], default_response_class=HTMLResponse
+)
 assets = APIRouter(include_in_schema=False, default_response_class=Response)
 HTML = "text/html; charset=utf-8"
 STEPS_SHOWN = 25

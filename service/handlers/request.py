@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import hashlib
 import re
 from collections.abc import AsyncIterator, Sequence
@@ -13,7 +14,7 @@ from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 from pydantic import BaseModel, BeforeValidator
 
 from lbacal_core.errors import BadInputError
-from service.errors import TooLargeError, UnauthenticatedError, UnsupportedMediaError
+from service.errors import TooLargeError, UnauthenticatedError, UnavailableError, UnsupportedMediaError
 from service.factory import Factory
 from service.handlers.limits import KeyGuard
 from service.usecases.keys import Caller
@@ -28,6 +29,11 @@ SMALL_BODY = 65_536
 """Bytes of a body that changes one thing; the longest reason takes 24,000."""
 LARGE_BODY = 4_000_000
 """Bytes from which a body waits for its turn: as values it takes ten times its size in memory."""
+
+LARGE_READS = 4
+"""Reads about many paths that are worked on at once; each may take tens of MB."""
+TURN_S = 5.0
+"""How long such a read waits for its turn."""
 
 
 def _require_digits(value: Any) -> Any:
@@ -116,6 +122,30 @@ async def require_acceptable(request: Request) -> None:
     media = getattr(route.response_class, "value", route.response_class).media_type
     if media is not None and not any(parameter.alias == "format" for parameter in route.dependant.query_params):
         choose_media({"": media}, request.headers.get("accept"))
+
+
+async def take_turn(request: Request) -> AsyncIterator[None]:
+    """Work on few large reads at once: many of them must leave threads, connections and memory to everybody else.
+
+    What is asked about one antenna is small. The turn ends with the work, and not when a slow client has read it.
+    """
+    if "antenna" in request.query_params:
+        yield
+        return
+    turns: asyncio.Semaphore = request.app.state.large_reads
+    try:
+        async with asyncio.timeout(TURN_S):
+            await turns.acquire()
+    except TimeoutError as error:
+        sentence = f"{LARGE_READS} answers about many paths are being made, as many as this server makes at once"
+        raise UnavailableError(sentence) from error
+    try:
+        yield
+    finally:
+        turns.release()
+
+
+TAKES_TURN = Depends(take_turn, scope="function")
 
 
 def caller_with(*scopes: str) -> Any:

@@ -1,9 +1,16 @@
 from __future__ import annotations
 
+import asyncio
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import pytest
 from fastapi.testclient import TestClient
+
+from service.app import make_app
+from service.factory import Factory
+from service.handlers import request
+from service.handlers.request import LARGE_READS
 
 LOCAL_MIN = "0001-01-01T00:00:00+14:00"
 
@@ -66,3 +73,27 @@ def test_a_local_datetime_min_poisoned_every_page_and_is_refused_now(
         assert client.get(page).status_code == 200
     assert client.get("/v1/calibrations/effective", params={"at": LOCAL_MIN}).status_code == 422
     assert client.get("/v1/calibrations/effective", params={"at": "0001-01-01"}).status_code == 404
+
+
+def test_five_questions_about_all_paths_at_once_kept_the_server_busy_for_everybody(
+    factory: Factory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Those above the limit are told to come again; what is asked about one antenna needs no turn."""
+    monkeypatch.setattr(request, "TURN_S", 0.02)
+    app = make_app(factory)
+    turns: asyncio.Semaphore = app.state.large_reads
+
+    async def take_all() -> None:
+        for _ in range(LARGE_READS):
+            await turns.acquire()
+
+    large = ("/v1/calibrations/effective?at=2014-05-01", "/v1/drift", "/", "/stations/CS001")
+    small = "/v1/calibrations/effective?at=2014-05-01&station=CS001&antenna=0&dipole=X"
+    with TestClient(app) as client, ThreadPoolExecutor(1) as pool:
+        pool.submit(asyncio.run, take_all()).result()
+        answers = [client.get(address) for address in large]
+        assert [(answer.status_code, answer.headers["retry-after"]) for answer in answers] == [(503, "5")] * len(large)
+        assert client.get(small).status_code == 404
+        turns.release()
+        for _ in range(2):  # a turn is given back, by failures too
+            assert [client.get(address).status_code for address in large] == [404, 200, 200, 200]
