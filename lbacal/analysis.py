@@ -24,10 +24,11 @@ import numpy as np
 from astropy import units as u
 from astropy.table import QTable
 
+from lbacal.chain import Chain, convert_number, convert_numbers
+from lbacal_core.antenna_gain import ABSOLUTE, GainProvenance
 from lbacal_core.antenna_records import AntennaRecord
 from lbacal_core.curves import CalibrationCurve, FitReport
-from lbacal_core.errors import BadInputError, UnknownNameError
-from lbacal_core.grids import Floats
+from lbacal_core.errors import UnknownNameError
 from lbacal_core.instrument import Instrument as CoreInstrument
 from lbacal_core.instrument import load_instrument
 from lbacal_core.skypower.table import SkyPower
@@ -39,14 +40,6 @@ if TYPE_CHECKING:
 
 SHOWN_ROWS = 12
 STATION, CABLE = "S1", "all"
-
-
-def _number(value: Any, unit: u.UnitBase) -> float:
-    return float(u.Quantity(value, unit).value)
-
-
-def _numbers(value: Any, unit: u.UnitBase) -> Floats:
-    return np.atleast_1d(np.asarray(u.Quantity(value, unit).value, dtype=float))
 
 
 @dataclass(frozen=True)
@@ -70,54 +63,14 @@ class Antenna:
         Azimuth of each dipole's arm by its letter, deg, north through east; or (azimuth, tilt).
     gain
         G_ant, m^2: one number, or one a channel. 1 makes C relative.
+    gain_source
+        Where a G_ant in m^2 comes from, in words; None for one that is in m^2 up to a factor.
     """
 
     model: str
     arms: Mapping[str, Any]
     gain: Any = 1.0
-
-
-@dataclass(frozen=True)
-class Chain:
-    """What comes behind the antenna: a list of stages, each a power gain.
-
-    Attributes
-    ----------
-    stages
-        In the order of the signal, each a factor, a Quantity in dB, a table (frequency, gain), or a function of the
-        frequency in MHz; none for a flat receiver. What is a cable belongs to `cable`.
-    cable
-        L_coax, the same kinds; its gain is at most 1.
-    """
-
-    stages: Sequence[Any] = ()
-    cable: Any = 1.0
-
-    def receiver_gain(self, frequency_mhz: Floats) -> Floats:
-        """The product of the stages, shape (freq,)."""
-        return np.asarray(np.prod([_gain(one, frequency_mhz) for one in (1.0, *self.stages)], axis=0))
-
-
-def _gain(stage: Any, frequency_mhz: Floats) -> Floats:
-    """Linear power gain of one stage on the channels, shape (freq,)."""
-    if callable(stage):
-        return np.broadcast_to(np.asarray(stage(frequency_mhz), dtype=float), frequency_mhz.shape)
-    if isinstance(stage, tuple):
-        nu, gain = _numbers(stage[0], u.MHz), _linear(stage[1])
-        if nu.shape != gain.shape or nu.size < 2 or np.any(np.diff(nu) <= 0):
-            raise BadInputError("chain: stage", "a gain for each of two or more rising frequencies", f"{nu.shape}")
-        if frequency_mhz[0] < nu[0] or frequency_mhz[-1] > nu[-1]:
-            expected = f"a table from {frequency_mhz[0]:g} to {frequency_mhz[-1]:g} MHz"
-            raise BadInputError("chain: stage", expected, f"{nu[0]:g} to {nu[-1]:g} MHz")
-        return np.exp(np.interp(frequency_mhz, nu, np.log(gain)))
-    return np.broadcast_to(_linear(stage), frequency_mhz.shape)
-
-
-def _linear(gain: Any) -> Floats:
-    """A power gain, linear or in dB, as a linear one."""
-    if isinstance(gain, u.Quantity) and gain.unit == u.dB:
-        return np.asarray(10.0 ** (np.asarray(gain.value, dtype=float) / 10.0))
-    return np.asarray(u.Quantity(gain, u.dimensionless_unscaled).value, dtype=float)
+    gain_source: str | None = None
 
 
 class Instrument:
@@ -136,24 +89,27 @@ class Instrument:
         antennas: int | Sequence[int] = 1,
         sky: str | None = None,
     ) -> None:
-        frequency_mhz = _numbers(frequency, u.MHz)
+        frequency_mhz = convert_numbers(frequency, u.MHz)
         arms = {letter: arm if isinstance(arm, tuple) else (arm, 0.0) for letter, arm in antenna.arms.items()}
-        tilts = {letter: _number(tilt, u.deg) for letter, (_, tilt) in arms.items()}
+        tilts = {letter: convert_number(tilt, u.deg) for letter, (_, tilt) in arms.items()}
         numbers = range(antennas) if isinstance(antennas, int) else antennas
         self.core = CoreInstrument(
             name=name,
-            latitude_deg=_number(site.latitude, u.deg),
-            longitude_deg=_number(site.longitude, u.deg),
-            height_m=_number(site.height, u.m),
+            latitude_deg=convert_number(site.latitude, u.deg),
+            longitude_deg=convert_number(site.longitude, u.deg),
+            height_m=convert_number(site.height, u.m),
             frequency_mhz=frequency_mhz,
-            dipole_azimuth_deg={letter: _number(azimuth, u.deg) for letter, (azimuth, _) in arms.items()},
-            antenna_gain=np.broadcast_to(_numbers(antenna.gain, u.m**2), frequency_mhz.shape).copy(),
+            dipole_azimuth_deg={letter: convert_number(azimuth, u.deg) for letter, (azimuth, _) in arms.items()},
+            antenna_gain=np.broadcast_to(convert_numbers(antenna.gain, u.m**2), frequency_mhz.shape).copy(),
             receiver_gain=chain.receiver_gain(frequency_mhz).copy(),
-            cables={CABLE: _gain(chain.cable, frequency_mhz).copy()},
+            cables={CABLE: chain.cable_loss(frequency_mhz).copy()},
             antennas=tuple(AntennaRecord(STATION, int(number), CABLE) for number in numbers),
             antenna=antenna.model,
             sky=sky,
             dipole_tilt_deg={letter: tilt for letter, tilt in tilts.items() if tilt},
+            gain_provenance=None if antenna.gain_source is None else GainProvenance(ABSOLUTE, antenna.gain_source),
+            stages=chain.core_stages(frequency_mhz),
+            kelvin_error=chain.kelvin_error,
         )
 
     @classmethod
@@ -253,7 +209,12 @@ class Calibration:
                 curve.name,
                 curve.status,
                 "-" if curve.chi2_per_dof is None else f"{curve.chi2_per_dof:.2f}",
-                "" if curve.merged is None else curve.merged.reason,
+                "; ".join(
+                    [
+                        *([curve.merged.reason] if curve.merged else []),
+                        *([str(curve.sky_level)] if curve.sky_level else []),
+                    ]
+                ),
             )
             for curve in self.report.curves
         ]
@@ -273,7 +234,7 @@ class Calibration:
         )
         more = len(self.report.curves) - SHOWN_ROWS
         rest = f"<p>and {more} more</p>" if more > 0 else ""
-        head = "<tr><th>curve</th><th>status</th><th>chi²/dof</th><th>merged</th></tr>"
+        head = "<tr><th>curve</th><th>status</th><th>chi²/dof</th><th>remarks</th></tr>"
         return f"<p>{escape(self.instrument.name)}</p><table>{head}{cells}</table>{rest}"
 
 

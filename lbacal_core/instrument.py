@@ -55,6 +55,9 @@ class Instrument:
     stages
         The chain in the order of the signal, `receiver_gain` being the product of the gains behind A(nu); empty for
         that of eq. full_chain (`chain.noise`).
+    kelvin_error
+        Error of a receiver that is calibrated in kelvin, a fraction of the power: spectra are then temperatures behind
+        the antenna. None for spectra in ADC units.
     """
 
     name: str
@@ -72,6 +75,7 @@ class Instrument:
     gain_provenance: GainProvenance | None = None
     dipole_tilt_deg: Mapping[str, float] = dataclasses.field(default_factory=dict)
     stages: Sequence[Stage] = ()
+    kelvin_error: float | None = None
 
     def __post_init__(self) -> None:
         place = f"instrument {self.name}"
@@ -89,6 +93,7 @@ class Instrument:
         self._require_gain("receiver_gain", self.receiver_gain, np.inf)
         self._require_shape_error()
         self._require_stages()
+        self._require_kelvin()
         for cable, loss in self.cables.items():
             self._require_gain(f"cables.{cable}", loss, 1.0)
         for row, record in enumerate(self.antennas):
@@ -162,11 +167,22 @@ class Instrument:
         if not np.allclose(self.receiver_gain, gain_behind(self.stages, self.frequency_mhz.size), rtol=1e-9, atol=0.0):
             raise BadInputError(place, "receiver_gain as the product of the gains behind the cable", "another")
         known = [stage.name for stage in self.stages if stage.noise_k is not None and stage.kind in IN_LINE]
-        if known and (self.gain_provenance is None or self.gain_provenance.kind != ABSOLUTE):
+        if known:
+            self._require_square_metres(f"{place}: noise_temperature_k", f"a temperature of {known[0]}")
+
+    def _require_kelvin(self) -> None:
+        if self.kelvin_error is not None:
+            place = f"instrument {self.name}: calibrated_in_kelvin"
+            self._require_square_metres(place, "kelvin")
+            if not 0 < self.kelvin_error < 1:
+                raise BadInputError(f"{place}.error", "a fraction of the power, 0 to 1", f"{self.kelvin_error}")
+
+    def _require_square_metres(self, place: str, found: str) -> None:
+        if self.gain_provenance is None or self.gain_provenance.kind != ABSOLUTE:
             raise BadInputError(
-                f"{place}: noise_temperature_k",
+                place,
                 f"an antenna_gain in m^2 (antenna_gain_provenance: kind {ABSOLUTE}), to refer kelvin to the sky",
-                f"a temperature of {known[0]} beside one that is not said to be",
+                f"{found} beside one that is not said to be",
             )
 
     def _require_shape_error(self) -> None:
@@ -239,6 +255,7 @@ class Instrument:
             **({} if self.sky is None else {"sky": self.sky}),
             **({} if self.gain_provenance is None else {"antenna_gain_provenance": self.gain_provenance.as_dict()}),
             **({"stages": [stage.as_dict() for stage in self.stages]} if self.stages else {}),
+            **({} if self.kelvin_error is None else {"calibrated_in_kelvin": {"error": self.kelvin_error}}),
         }
 
     def digest(self) -> str:
@@ -341,4 +358,13 @@ def parse_instrument(content: Any, place: str, folder: Path | None = None) -> In
             content.get("antenna_gain_provenance"), len(content["frequency_mhz"]), f"{place}: antenna_gain_provenance"
         ),
         stages=stages,
+        kelvin_error=_parse_kelvin_error(content.get("calibrated_in_kelvin"), f"{place}: calibrated_in_kelvin"),
     )
+
+
+def _parse_kelvin_error(content: Any, place: str) -> float | None:
+    if content is None:
+        return None
+    if not isinstance(content, dict):
+        raise BadInputError(place, "an object with error", type(content).__name__)
+    return parse_number(content.get("error"), f"{place}.error")

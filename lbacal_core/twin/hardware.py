@@ -8,7 +8,7 @@ from lbacal_core.data.tables import read_table
 from lbacal_core.grids import Floats
 from lbacal_core.instrument import Instrument
 from lbacal_core.twin.settings import TwinSettings
-from lbacal_core.twin.stage_noise import draw_stage_noise
+from lbacal_core.twin.stage_noise import KELVIN_W_MHZ, draw_stage_noise
 from lbacal_core.twin.stages import Scene, Stages
 from lbacal_core.twin.truth import StationTruth
 
@@ -30,13 +30,17 @@ def build_station(
     mean_loss = loss.mean(axis=(0, 1, 2))
     published, terms = read_table("published_calibration"), read_table("noise_terms")
     c_published = np.interp(frequency, published["mhz"], published["c"])
+    path_gain, own_response = settings.path_gain, settings.response
+    if instrument.kelvin_error is not None:
+        # the laboratory has divided the receiver out
+        c_published, path_gain, own_response = np.full(frequency.size, KELVIN_W_MHZ**0.5), instrument.kelvin_error, 0.0
     response = 1.0 / (c_published**2 * mean_loss * instrument.receiver_gain)
     scale = float(np.median(response))
     wave = np.cos(np.pi * np.outer((frequency - frequency[0]) / (np.ptp(frequency) or 1.0), [1, 2, 3]))
-    departure = rng.normal(scale=settings.response / 1.5**0.5, size=(1, len(scene.dipoles), 1, 3)) @ wave.T
+    departure = rng.normal(scale=own_response / 1.5**0.5, size=(1, len(scene.dipoles), 1, 3)) @ wave.T
     antenna = instrument.antenna_gain * response / scale * np.exp(departure)
     receiver = instrument.receiver_gain * scale
-    gain = np.exp(rng.normal(scale=settings.path_gain, size=(len(scene.antennas), len(scene.dipoles), 1, 1)))
+    gain = np.exp(rng.normal(scale=path_gain, size=(len(scene.antennas), len(scene.dipoles), 1, 1)))
     sky = scene.mean_sky.mean(axis=(0, 1, 2))
     forward = {
         "lna": np.ones_like(sky),

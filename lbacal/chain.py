@@ -1,0 +1,143 @@
+"""The signal chain in Python: stages with their gains and noise, in astropy's units."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from astropy import units as u
+
+from lbacal_core.errors import BadInputError
+from lbacal_core.grids import Floats
+from lbacal_core.stage_files import interpolate, read_touchstone_gain
+from lbacal_core.stages import FREE, gain_behind, require_chain
+from lbacal_core.stages import Stage as CoreStage
+
+
+def convert_number(value: Any, unit: u.UnitBase) -> float:
+    """A number in a unit, which it is taken in where it has none."""
+    return float(u.Quantity(value, unit).value)
+
+
+def convert_numbers(value: Any, unit: u.UnitBase) -> Floats:
+    """Numbers in a unit, shape (number,)."""
+    return np.atleast_1d(np.asarray(u.Quantity(value, unit).value, dtype=float))
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One stage of a chain with its noise (docs/how-to/describe-your-chain.md).
+
+    Attributes
+    ----------
+    kind
+        antenna, ground, ice, load, lna, cable, filter, amplifier or adc.
+    gain
+        Power gain: a factor, a Quantity in dB, a table (frequency, gain), a function of the frequency in MHz, or the
+        name of a Touchstone file; None for what has none, and for the cable of `Chain`.
+    noise
+        Noise temperature at the input, K: a number, or a table (frequency, temperature); ``"free"`` where the data
+        determine it; None for no noise.
+    error
+        Standard deviation of a known noise temperature, K.
+    solid_angle
+        Integral of D over a ground or ice, sr.
+    name
+        The name of its noise constant; the kind, unless given.
+    """
+
+    kind: str
+    gain: Any = None
+    noise: Any = None
+    error: Any = 0.0
+    solid_angle: Any = 1.0
+    name: str | None = None
+
+    def on_channels(self, frequency_mhz: Floats) -> CoreStage:
+        """The stage with its tables on the channels of an instrument."""
+        is_free = isinstance(self.noise, str) and self.noise == FREE
+        noise = None if self.noise is None or is_free else _temperature(self.noise, frequency_mhz)
+        return CoreStage(
+            name=self.name or self.kind,
+            kind=self.kind,
+            gain=None if self.gain is None else convert_gain(self.gain, frequency_mhz).copy(),
+            noise_k=noise,
+            is_free=is_free,
+            error_k=convert_number(self.error, u.K),
+            solid_angle_sr=convert_number(self.solid_angle, u.sr),
+        )
+
+
+@dataclass(frozen=True)
+class Chain:
+    """What comes behind the antenna: a list of stages, each a power gain, or a `Stage` that says its noise too.
+
+    Attributes
+    ----------
+    stages
+        In the order of the signal, each a gain as `Stage.gain`, or a `Stage`; none for a flat receiver. Where one is a
+        `Stage`, bare gains among them are filters without noise.
+    cable
+        L_coax, a gain of at most 1.
+    kelvin_error
+        Error of a receiver that is calibrated in kelvin, a fraction of the power; None for spectra in ADC units.
+    """
+
+    stages: Sequence[Any] = ()
+    cable: Any = 1.0
+    kelvin_error: float | None = None
+
+    def core_stages(self, frequency_mhz: Floats) -> tuple[CoreStage, ...]:
+        """The stages on the channels; none where no stage says anything of its noise."""
+        if not any(isinstance(one, Stage) for one in self.stages):
+            return ()
+        made = tuple(
+            (one if isinstance(one, Stage) else Stage("filter", one, name=f"gain {k}")).on_channels(frequency_mhz)
+            for k, one in enumerate(self.stages)
+        )
+        require_chain(made, "chain: stages")
+        return made
+
+    def receiver_gain(self, frequency_mhz: Floats) -> Floats:
+        """The product of the gains behind the cable, shape (freq,)."""
+        made = self.core_stages(frequency_mhz)
+        if made:
+            return gain_behind(made, frequency_mhz.size)
+        return np.asarray(np.prod([convert_gain(one, frequency_mhz) for one in (1.0, *self.stages)], axis=0))
+
+    def cable_loss(self, frequency_mhz: Floats) -> Floats:
+        """L_coax, shape (freq,)."""
+        gains = [one.gain for one in self.core_stages(frequency_mhz) if one.kind == "cable" and one.gain is not None]
+        return gains[0] if gains else convert_gain(self.cable, frequency_mhz)
+
+
+def convert_gain(gain: Any, frequency_mhz: Floats) -> Floats:
+    """Linear power gain of one stage on the channels, shape (freq,)."""
+    if callable(gain):
+        return np.broadcast_to(np.asarray(gain(frequency_mhz), dtype=float), frequency_mhz.shape)
+    if isinstance(gain, str | Path):
+        return read_touchstone_gain(Path(gain), frequency_mhz)
+    if isinstance(gain, tuple):
+        nu, values = convert_numbers(gain[0], u.MHz), _linear(gain[1])
+        if nu.shape != values.shape or nu.size < 2 or np.any(np.diff(nu) <= 0):
+            raise BadInputError("chain: stage", "a gain for each of two or more rising frequencies", f"{nu.shape}")
+        return np.exp(interpolate(nu, np.log(values), frequency_mhz, "chain: stage"))
+    return np.broadcast_to(_linear(gain), frequency_mhz.shape)
+
+
+def _temperature(noise: Any, frequency_mhz: Floats) -> Floats:
+    if isinstance(noise, tuple):
+        return interpolate(
+            convert_numbers(noise[0], u.MHz), convert_numbers(noise[1], u.K), frequency_mhz, "chain: noise"
+        )
+    return np.broadcast_to(convert_numbers(noise, u.K), frequency_mhz.shape).copy()
+
+
+def _linear(gain: Any) -> Floats:
+    """A power gain, linear or in dB, as a linear one."""
+    if isinstance(gain, u.Quantity) and gain.unit == u.dB:
+        return np.asarray(10.0 ** (np.asarray(gain.value, dtype=float) / 10.0))
+    return np.asarray(u.Quantity(gain, u.dimensionless_unscaled).value, dtype=float)
