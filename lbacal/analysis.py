@@ -212,7 +212,7 @@ class Calibration:
                 "; ".join(
                     [
                         *([curve.merged.reason] if curve.merged else []),
-                        *([str(curve.sky_level)] if curve.sky_level else []),
+                        *([str(curve.sky_over_model)] if curve.sky_over_model else []),
                     ]
                 ),
             )

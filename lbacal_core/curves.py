@@ -17,7 +17,7 @@ from lbacal_core.galcal import KEY, make_head
 from lbacal_core.grids import Floats
 from lbacal_core.provenance import Provenance, canonical_json, hash_arrays
 from lbacal_core.reference_chain import ReferenceChain
-from lbacal_core.sky_level import SkyLevel, parse_sky_level
+from lbacal_core.sky_over_model import SkyOverModel, parse_sky_over_model
 
 CONVERGED = "converged"
 MISFIT = "misfit"
@@ -95,7 +95,7 @@ class CalibrationCurve:
         Covariance of ln C along frequency; None where nobody kept it.
     merged
         Noise constants that the data do not tell apart; None where there are none.
-    sky_level
+    sky_over_model
         The sky over its model, where the data are calibrated in kelvin; None elsewhere.
     """
 
@@ -116,7 +116,7 @@ class CalibrationCurve:
     chi2_per_dof_profiled: float | None = None
     covariance: CurveCovariance | None = None
     merged: MergedConstants | None = None
-    sky_level: SkyLevel | None = None
+    sky_over_model: SkyOverModel | None = None
 
     def __post_init__(self) -> None:
         if self.status not in STATUSES:
@@ -178,7 +178,7 @@ class CalibrationCurve:
         """The same curve without values."""
         return replace(
             self, status=NOT_CONVERGED, c=None, c_sigma_stat=None, c_sigma_sys=None, chi2_per_dof=None, parameters={},
-            flag=None, chi2_per_dof_profiled=None, covariance=None, sky_level=None,
+            flag=None, chi2_per_dof_profiled=None, covariance=None, sky_over_model=None,
         )  # fmt: skip
 
     def as_misfit(self) -> CalibrationCurve:
@@ -205,8 +205,8 @@ class CalibrationCurve:
                 {} if self.merged is None else {"merged": asdict(self.merged) | {"constants": [*self.merged.constants]}}
             ),
         }
-        if self.sky_level is not None:
-            content["sky_level"] = self.sky_level.as_dict()
+        if self.sky_over_model is not None:
+            content["sky_over_model"] = self.sky_over_model.as_dict()
         # a version from before flags keeps its content and with it its hash
         if self.flag is not None:
             content |= {"flag": list(self.flag), "chi2_per_dof_profiled": self.chi2_per_dof_profiled}
@@ -244,7 +244,7 @@ def parse_curve(content: Mapping[str, Any]) -> CalibrationCurve:
         chi2_per_dof_profiled=content.get("chi2_per_dof_profiled"),
         covariance=None if content.get("covariance") is None else parse_covariance(content["covariance"]),
         merged=_parse_merged(content.get("merged")),
-        sky_level=parse_sky_level(content.get("sky_level")),
+        sky_over_model=parse_sky_over_model(content.get("sky_over_model")),
     )
 
 

@@ -166,7 +166,7 @@ def describe_rest(report: FitReport, spectra: int, command: str, sky_power: Path
     reasons = [curve.merged.reason for curve in report.curves if curve.merged is not None]
     for reason in dict.fromkeys(reasons):
         yield f"{reasons.count(reason)} of {len(report.curves)} curves: {reason}"
-    levels = [curve.sky_level for curve in report.curves if curve.sky_level is not None]
+    levels = [curve.sky_over_model for curve in report.curves if curve.sky_over_model is not None]
     if levels:
         yield f"median of {len(levels)} curves: {sorted(levels, key=lambda one: one.mean)[len(levels) // 2]}"
     for curve, reference in zip(report.curves, report.chains, strict=True):

@@ -49,7 +49,7 @@ from lbacal_core.grids import Floats, require_same_grid
 from lbacal_core.instrument import Instrument
 from lbacal_core.provenance import Provenance
 from lbacal_core.reference_chain import CableTable, ReferenceChain
-from lbacal_core.sky_level import SkyLevel
+from lbacal_core.sky_over_model import SkyOverModel
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra import Spectra
 
@@ -226,7 +226,7 @@ def _fit_paths(paths: Paths, sky: Floats, instrument: Instrument, series: Floats
             chi2_per_dof_profiled=profiled.get(k),
             covariance=_covariance_of(solution.x[j], solution.covariance[j], has_value[j]) if is_good else None,
             antenna_gain=instrument.antenna_gain,
-            sky_level=_sky_level(c[j], solution, j, instrument.kelvin_error) if is_good else None,
+            sky_over_model=_sky_over_model(c[j], solution, j, instrument.kelvin_error) if is_good else None,
             merged=describe_merged(solution, j, terms) if is_good else None,
         )
         curves.append(curve.as_misfit() if k in is_misfit else curve)
@@ -241,12 +241,12 @@ def _covariance_of(slope: Floats, covariance: Floats, has_value: NDArray[np.bool
     return CurveCovariance(*compress_covariance(of_log_c), None, np.zeros((0, channels)))
 
 
-def _sky_level(c: Floats, solution: SeparableSolution, path: int, error: float | None) -> SkyLevel | None:
+def _sky_over_model(c: Floats, solution: SeparableSolution, path: int, error: float | None) -> SkyOverModel | None:
     """The sky over its model, where the laboratory knows C within an error."""
     if error is None:
         return None
     derivative = 0.5 / solution.x[path]
-    return SkyLevel.of(c, solution.covariance[path][: c.size, : c.size] * np.outer(derivative, derivative), error)
+    return SkyOverModel.of(c, solution.covariance[path][: c.size, : c.size] * np.outer(derivative, derivative), error)
 
 
 def _has_negative_noise(noise: Floats, variance: Floats) -> NDArray[np.bool_]:

@@ -13,7 +13,7 @@ from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.curves import parse_curve
 from lbacal_core.errors import BadInputError
 from lbacal_core.instrument import parse_instrument
-from lbacal_core.sky_level import SkyLevel, parse_sky_level
+from lbacal_core.sky_over_model import SkyOverModel, parse_sky_over_model
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.twin.campaign import simulate_campaign
@@ -41,7 +41,7 @@ def test_a_sky_that_is_brighter_than_the_model_is_measured_and_c_is_known():
     kelvin = campaign.spectra.power
     assert 300 < np.median(kelvin[:, 0]) < 50_000, "temperatures, at 50 MHz"
     report = fit_calibration(campaign.spectra, instrument, sky)
-    levels = [curve.sky_level for curve in report.curves]
+    levels = [curve.sky_over_model for curve in report.curves]
     pulls = [(one.mean / 1.1 - 1.0) / np.hypot(one.mean_sigma_stat / one.mean, one.sigma_laboratory) for one in levels]
     assert np.sqrt(np.mean(np.square(pulls))) < 2.0
     assert all(one.mean_sigma_stat < 0.03 for one in levels)
@@ -53,20 +53,20 @@ def test_a_sky_that_is_brighter_than_the_model_is_measured_and_c_is_known():
 
 
 def test_the_error_of_the_mean_takes_correlations_along_frequency_whole():
-    alone = SkyLevel.of(np.full(4, 3.7157e-9), 1e-4 * np.eye(4), 0.01)
-    together = SkyLevel.of(np.full(4, 3.7157e-9), np.full((4, 4), 1e-4), 0.01)
+    alone = SkyOverModel.of(np.full(4, 3.7157e-9), 1e-4 * np.eye(4), 0.01)
+    together = SkyOverModel.of(np.full(4, 3.7157e-9), np.full((4, 4), 1e-4), 0.01)
     assert together.mean == pytest.approx(1.0, rel=1e-4)
     assert together.mean_sigma_stat == pytest.approx(0.02, rel=1e-3)
     assert alone.mean_sigma_stat == pytest.approx(0.01, rel=1e-3)
 
 
 def test_a_channel_without_c_counts_for_nothing_and_is_null():
-    level = SkyLevel.of(np.array([np.nan, 3.7157e-9]), 1e-4 * np.eye(2), 0.01)
+    level = SkyOverModel.of(np.array([np.nan, 3.7157e-9]), 1e-4 * np.eye(2), 0.01)
     content = json.loads(json.dumps(level.as_dict(), allow_nan=False))
     assert content["ratio"][0] is None
     assert level.mean == pytest.approx(1.0, rel=1e-4)
-    assert parse_sky_level(content).as_dict() == content
-    assert parse_sky_level(None) is None
+    assert parse_sky_over_model(content).as_dict() == content
+    assert parse_sky_over_model(None) is None
 
 
 @pytest.mark.parametrize(

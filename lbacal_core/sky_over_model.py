@@ -19,7 +19,7 @@ WATT_PER_MHZ = 1.380649e-17
 
 
 @dataclass(frozen=True)
-class SkyLevel:
+class SkyOverModel:
     """How bright the sky is that a path records, over the model's.
 
     Attributes
@@ -45,7 +45,7 @@ class SkyLevel:
     c_sigma: float
 
     @classmethod
-    def of(cls, c: Floats, covariance: Floats, error: float) -> SkyLevel:
+    def of(cls, c: Floats, covariance: Floats, error: float) -> SkyOverModel:
         """The level from a C that was fitted with the model's sky.
 
         Parameters
@@ -55,7 +55,7 @@ class SkyLevel:
         covariance
             Statistical covariance of ln C, shape (freq, freq).
         error
-            Of the receiver's calibration, a fraction of the power.
+            Error of the receiver's calibration, a fraction of the power.
         """
         known = WATT_PER_MHZ**0.5
         ratio, at = known**2 / c**2, np.isfinite(c)
@@ -95,11 +95,11 @@ class SkyLevel:
         )
 
 
-def parse_sky_level(content: Mapping[str, Any] | None) -> SkyLevel | None:
+def parse_sky_over_model(content: Mapping[str, Any] | None) -> SkyOverModel | None:
     """Make the level from its JSON values."""
     if content is None:
         return None
     ratio, sigma = (np.array(content[name], dtype=float) for name in ("ratio", "sigma_stat"))
-    return SkyLevel(ratio, sigma, *(content[name] for name in (
+    return SkyOverModel(ratio, sigma, *(content[name] for name in (
         "sigma_laboratory", "mean", "mean_sigma_stat", "c", "c_sigma",
     )))  # fmt: skip
