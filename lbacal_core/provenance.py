@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib.metadata import version
 from typing import Any
 
@@ -50,6 +50,10 @@ class Provenance:
     settings: Mapping[str, Any] = field(default_factory=dict)
     model_version: int = MODEL_VERSION
     notes: Mapping[str, str] = field(default_factory=dict)
+
+    def with_note(self, name: str, note: str) -> Provenance:
+        """The provenance with one more note."""
+        return replace(self, notes={**self.notes, name: note})
 
     def as_dict(self) -> dict[str, Any]:
         """Everything as JSON values, package version included."""

@@ -1,7 +1,8 @@
 """The audit of drawn stations: every kind of fault named, nothing named where nothing is wrong.
 
-A station has 12 to 96 antennas, is seen for a sidereal day, an hour or a minute, and stands in a drawn world: its sky,
-its antenna and the gains of its integrations are not what the audit believes. The fault lies in the record (letters,
+A station has 12 to 256 antennas, is seen for a sidereal day, an hour or a minute, and stands in a drawn world: its sky,
+its antenna and the gains of its integrations are not what the audit believes, nor are sky and antenna among the models
+whose differences it takes for its errors. The fault lies in the record (letters,
 cable, arms, latitude), in the clock, in the unit, or in one path; it is made from the recorded values here, and shares
 no code with the audit.
 """
@@ -29,16 +30,18 @@ SKIES, ANTENNAS = ("gsm408", "lfsm", "haslam", "maeda"), ("hamaker", "inverted-v
 STATION = "CS002"
 LENGTHS = {"day": (23.93, 96), "hour": (1.0, 60), "minute": (1 / 60, 1)}
 """Hours, and spectra a path."""
-SIZES = (12, 24, 48)
+SIZES, SIZE_CHANCES = (12, 24, 48, 96, 256), (0.3, 0.3, 0.2, 0.1, 0.1)
 GAINS = (0.0, 0.01, 0.03)
 """Gain of an integration common to the station: a stable receiver to a trace buffer's event."""
-PATH_KINDS = ("dead", "deaf", "oscillating")
-SKY_KINDS = ("letters of all", "clock", "arms", "latitude", "decibels", "volts")
+PATH_KINDS = ("dead", "deaf", "oscillating", "clipped", "outlying")
+SKY_KINDS = ("letters of all", "clock", "arms", "latitude", "longitude", "decibels", "volts")
 KINDS = (*PATH_KINDS, "letters of one", "letters of a field", "cable", *SKY_KINDS)
 CHECKS = {
-    "letters of one": "exchange", "letters of a field": "exchange", "letters of all": "exchange", "latitude": "place",
-    "decibels": "unit", "volts": "unit",
+    "letters of one": ("exchange",), "letters of a field": ("exchange",), "letters of all": ("exchange",),
+    "latitude": ("place",), "longitude": ("place",), "decibels": ("unit",), "volts": ("unit",),
+    "dead": ("dead", "deaf"), "deaf": ("dead", "deaf"), "clipped": ("clipped", "oscillating"),
 }  # fmt: skip
+"""Names that are right for a fault: a clipped path is loud, and only hours show that it is clipped."""
 ARMS_WITHIN_DEG, CLOCK_WITHIN_MIN, CLOCK_SIGMAS = 5.0, 2.0, 3.0
 
 
@@ -71,11 +74,12 @@ def draw_station(rng: np.random.Generator, length: str) -> Station:
         tuple(sky for sky in DifferenceModels().skies if sky != world.sky),
         tuple(antenna for antenna in DifferenceModels().antennas if antenna != world.antenna),
     )
-    gain = float(rng.choice(GAINS))
+    gain, size = float(rng.choice(GAINS)), int(rng.choice(SIZES, p=SIZE_CHANCES))
+    instrument = _enlarge(instrument, size)
     years = hours / 24 / 365.25
     settings = TwinSettings(
         start_unix=1.4e9 + rng.uniform(0, 3e7), years=years, events_per_year=round(count / years), stations=(STATION,),
-        antennas=int(rng.choice(SIZES)), event_gain_common=gain, event_gain_path=gain / 3, radiometer=0.005,
+        antennas=size, event_gain_common=gain, event_gain_path=gain / 3, radiometer=0.005,
     )  # fmt: skip
     sky_power, nuisances = world.sky_power(instrument), Nuisances(departures=0.01, missing=0.01 if count > 1 else 0.0)
     while True:
@@ -85,6 +89,13 @@ def draw_station(rng: np.random.Generator, length: str) -> Station:
             continue
         break
     return Station(world.label, spectra, instrument, others)
+
+
+def _enlarge(instrument: Instrument, antennas: int) -> Instrument:
+    """The record of a station with at least so many antennas; what it lacks has its cables in turn."""
+    records = [record for record in instrument.antennas if record.station == STATION]
+    records += [replace(records[k % len(records)], antenna=k) for k in range(len(records), antennas)]
+    return replace(instrument, antennas=tuple(records))
 
 
 def hide(kind: str, spectra: Spectra, instrument: Instrument, rng: np.random.Generator) -> Faulty:
@@ -107,6 +118,7 @@ def hide(kind: str, spectra: Spectra, instrument: Instrument, rng: np.random.Gen
         "clock": Faulty(replace(spectra, time_unix=spectra.time_unix + 3600 * hours), instrument, size=-hours),
         "arms": Faulty(spectra, replace(instrument, dipole_azimuth_deg=arms), size=-turned),
         "latitude": Faulty(spectra, replace(instrument, latitude_deg=-instrument.latitude_deg)),
+        "longitude": Faulty(spectra, replace(instrument, longitude_deg=-instrument.longitude_deg)),
         "decibels": Faulty(replace(spectra, power=10 * np.log10(spectra.power) + 200), instrument),
         "volts": Faulty(replace(spectra, power=spectra.power**0.5), instrument),
     }[kind]
@@ -129,6 +141,11 @@ def _break(kind: str, spectra: Spectra, rows: np.ndarray, rng: np.random.Generat
     if kind == "oscillating":
         peak = rng.uniform(3.0, 30.0) * np.exp(-0.5 * ((spectra.frequency_mhz - rng.uniform(40, 70)) / 1.5) ** 2)
         power[rows] *= 1.0 + peak
+    elif kind == "outlying":
+        power[rows] *= np.exp(rng.choice([-1, 1]) * rng.uniform(0.5, 0.9))
+    elif kind == "clipped":
+        mean = power[rows].mean(axis=0)
+        power[rows] = rng.uniform(4.0, 20.0) * mean * (power[rows] / mean) ** rng.uniform(0.1, 0.5)
     else:
         level = 1e-3 * power[rows].mean() if kind == "dead" else rng.uniform(0.8, 1.5) * power[rows].min()
         power[rows] = level * rng.normal(1.0, 0.01, shape)
@@ -148,13 +165,15 @@ def tell_audit(length: str, seed: int) -> Row:
     row["outcome"] = "right" if kind == "nothing" and not wrong else "false" if kind == "nothing" else "silent"
     if kind == "nothing" or not wrong:
         return row | {"said": [line.sentence for line in wrong]}
-    names = ("dead", "deaf") if kind in ("dead", "deaf") else (CHECKS.get(kind, kind),)
+    names = CHECKS.get(kind, (kind,))
     hits = [line for line in wrong if line.check in names and faulty.antenna in (None, *line.antennas)]
     if hits and faulty.size is not None:
         turn, unit = (24.0, 60.0) if kind == "clock" else (180.0, 1.0)
         row["off"] = unit * float(((hits[0].value or 0.0) - faulty.size + turn / 2) % turn - turn / 2)
         row["sigma"] = unit * float(hits[0].sigma or 0.0)
     row["outcome"] = "right" if hits and len(wrong) == len(hits) else "wrong"
+    if len(wrong) == 1 and set(names) & set(wrong[0].candidates):
+        row["outcome"] = "among"
     return row | {"said": [line.sentence for line in wrong]}
 
 
@@ -181,7 +200,7 @@ def judge_common(rows: Sequence[Row], length: str) -> list[Claim]:
     """Nothing is named where nothing is wrong; no wrong name where something is."""
     clean = [row for row in rows if row["kind"] == "nothing"]
     faulty = [row for row in rows if row["kind"] != "nothing"]
-    path = [row for row in faulty if row["kind"] in PATH_KINDS]
+    path = [row for row in faulty if row["kind"] in ("dead", "deaf", "oscillating", "clipped")]
     return [
         claim_rate(
             "false", f"Something named in a healthy station seen for a {length}", at_most(0.01), *_count(clean, "false")
@@ -189,7 +208,7 @@ def judge_common(rows: Sequence[Row], length: str) -> list[Claim]:
         claim_rate("wrong", f"A fault named wrongly, seen for a {length}", at_most(0.01), *_count(faulty, "wrong")),
         claim_rate(
             "path",
-            f"Dead, deaf and oscillating paths named, seen for a {length}",
+            f"Dead, deaf, oscillating and clipped paths named, seen for a {length}",
             at_least(0.99),
             *_count(path, "right"),
         ),
@@ -200,7 +219,7 @@ def judge_day(rows: Sequence[Row]) -> list[Claim]:
     """A day decides letters, clock, arms, place and unit."""
     claims = judge_common(rows, "day")
     letters = [row for row in rows if row["kind"].startswith("letters")]
-    others = [row for row in rows if row["kind"] in ("latitude", "decibels", "volts", "cable")]
+    others = [row for row in rows if row["kind"] in ("latitude", "longitude", "decibels", "volts", "cable")]
     clocks = [row for row in rows if row["kind"] == "clock"]
     arms = [row for row in rows if row["kind"] == "arms"]
     near = [row for row in arms if abs(row.get("off", np.inf)) <= ARMS_WITHIN_DEG]
@@ -209,7 +228,7 @@ def judge_day(rows: Sequence[Row]) -> list[Claim]:
     return [
         *claims,
         claim_rate("letters", "Exchanged letters, a day: named", at_least(0.99), *_count(letters, "right")),
-        claim_rate("record", "A cable, the latitude, the unit, a day: named", at_least(0.99), *_count(others, "right")),
+        claim_rate("record", "A cable, the place, the unit, a day: named", at_least(0.99), *_count(others, "right")),
         claim_rate("arms", "Turned arms, a day: found to 5 deg", at_least(0.99), len(near), len(arms)),
         claim_rate("clock", "A clock that is off, a day: found to 2 min", at_least(0.99), len(close), len(clocks)),
         claim_rate("error", "The same: within three standard deviations", at_least(0.99), len(honest), len(clocks)),
@@ -228,10 +247,11 @@ def judge_minute(rows: Sequence[Row]) -> list[Claim]:
 
 def tell_kinds(rows: Sequence[Row]) -> list[str]:
     """A table of outcomes by kind."""
-    lines = ["| fault | right | wrong | silent |", "|---|---|---|---|"]
+    lines = ["| fault | right | among several | wrong | silent |", "|---|---|---|---|---|"]
     for kind in ("nothing", *KINDS):
         of_kind = [row["outcome"] for row in rows if row["kind"] == kind]
-        counts = [of_kind.count("right"), of_kind.count("wrong") + of_kind.count("false"), of_kind.count("silent")]
+        outcomes = (("right",), ("among",), ("wrong", "false"), ("silent",))
+        counts = [sum(of_kind.count(one) for one in names) for names in outcomes]
         lines.append(f"| {kind} | " + " | ".join(str(count) for count in counts) + " |")
     return lines
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -93,6 +94,7 @@ def fit(
     Exit 0 if any curve converged, else 1; the report is written either way.
     """
     from lbacal.cli.fit_summary import align, describe_error, explain_chi2, tabulate_curves
+    from lbacal_core.audit.quick import audit_quickly
     from lbacal_core.curves import CONVERGED, write_calibration_table, write_fit_report
     from lbacal_core.galcal import describe_made_with
     from lbacal_core.instrument import load_instrument
@@ -115,8 +117,11 @@ def fit(
     sky = None if sky_power is None else read_sky_power(sky_power)
     with progress(len(files) + STEPS_OF_FIT + (html is not None or plot is not None)) as tell:
         measured = read_selected(files, selection, time.time(), tell)
+        audited = audit_quickly(measured, chain)
+        audited.require_power(measured.origin)
         tell(f"fit {len(measured)} spectra")
         result = widen_by_open_terms(calibrate(measured, chain, sky, scope.value, model=model), left_open)
+        result = replace(result, provenance=result.provenance.with_note("audit", audited.sentence))
         tell("error of one event")
         power = sky or compute_sky_power(chain)
         error = measure_error(result, measured, chain, power)

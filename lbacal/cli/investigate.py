@@ -122,14 +122,19 @@ def _tell(content: dict[str, Any]) -> None:
 def _ask_spectra(
     measured: Spectra, chain: Any, sky: Any, is_own_sky: bool, html: Path | None, model: Any
 ) -> dict[str, Any]:
+    from lbacal_core.audit.quick import audit_quickly
     from lbacal_core.discovery.investigate import investigate as ask
     from lbacal_core.discovery.left_open import add_left_open
 
+    audited = audit_quickly(measured, chain)
+    audited.require_power(measured.origin)
+    print(f"audit: {audited.sentence}")
     content, stations = ask(measured, chain, sky, is_own_sky=is_own_sky, progress=_say, model=model)
     if html is not None:
         from lbacal.cli.investigation_page import write_investigation_page
 
         write_investigation_page(content, stations, html)
+    content["provenance"].setdefault("notes", {})["audit"] = audited.sentence
     return add_left_open(content, stations)
 
 

@@ -19,7 +19,7 @@ from lbacal_core.audit.exchange import compare_polarisations, tell_exchanged
 from lbacal_core.audit.finding import WRONG, Line
 from lbacal_core.audit.health import compare_paths, find_ill_paths
 from lbacal_core.audit.series import mean_frequencies
-from lbacal_core.audit.sky_match import SkyMatch
+from lbacal_core.audit.sky_match import SkyMatch, tell_unit
 from lbacal_core.audit.sky_models import SkyModels, load_models
 from lbacal_core.audit.station import AuditedStation, split_stations
 from lbacal_core.instrument import Instrument
@@ -73,13 +73,24 @@ def audit(
         Models whose differences from these are the errors of what it sees; all that ship unless given.
     """
     stations = tuple(split_stations(spectra, instrument))
-    lines: list[Line] = []
 
     @cache
     def models() -> SkyModels:
         """Not computed where no station needs them."""
         return load_models(instrument, mean_frequencies(spectra.frequency_mhz), sky, antenna, others)
 
+    return _audit(stations, instrument, models)
+
+
+def audit_antennas(stations: Sequence[AuditedStation], instrument: Instrument) -> AuditReport:
+    """What antennas say against each other, without any model of the sky."""
+    return _audit(tuple(stations), instrument, None)
+
+
+def _audit(
+    stations: Sequence[AuditedStation], instrument: Instrument, models: Callable[[], SkyModels] | None
+) -> AuditReport:
+    lines: list[Line] = []
     with warnings.catch_warnings():
         warnings.filterwarnings(
             "ignore", "All-NaN|Mean of empty|Degrees of freedom", RuntimeWarning
@@ -89,18 +100,27 @@ def audit(
     return AuditReport(lines, stations)
 
 
-def _audit_station(station: AuditedStation, instrument: Instrument, models: Callable[[], SkyModels]) -> list[Line]:
-    wrong_cables, found = find_wrong_cables(station, compare_paths(station), instrument)
+def _audit_station(
+    station: AuditedStation, instrument: Instrument, models: Callable[[], SkyModels] | None
+) -> list[Line]:
+    as_recorded = compare_paths(station)
+    is_off = find_ill_paths(station, as_recorded)[1].any(axis=1)
+    of_unit = tell_unit(station, np.flatnonzero(~is_off), instrument)
+    if of_unit:
+        return of_unit  # what else would be compared is no power
+    wrong_cables, found = find_wrong_cables(station, as_recorded, instrument)
     station = station.with_cables(found, instrument)
     comparison = compare_paths(station)
     ill, is_ill = find_ill_paths(station, comparison)
     is_usable = np.asarray(~is_ill.any(axis=1) & np.isfinite(comparison.level).all(axis=1))
-    match = SkyMatch(station, instrument, models)
     exchange = compare_polarisations(station, is_usable)
+    if models is None:
+        return [*ill, *wrong_cables, *tell_exchanged(station, exchange)]
+    match = SkyMatch(station, instrument, models)
     most, others = np.setdiff1d(exchange.rows, exchange.exchanged()), exchange.exchanged()
     if others.size and match.gain_of_exchange(most) > match.gain_of_exchange(others):
         exchange, most = exchange.flipped(), others
     of_sky = match.tell(most)
     if any(line.check == "unit" and line.verdict == WRONG for line in of_sky):
-        return of_sky  # what was compared is no power
+        return of_sky
     return [*ill, *wrong_cables, *tell_exchanged(station, exchange), *of_sky]

@@ -20,6 +20,11 @@ MEDIAN = np.pi / 2
 """Variance of a median of n values times n."""
 BEHIND_CABLE = 0.2
 """Share of the loss that noise behind the cable hides, at most."""
+SKY_INDEX = -0.55
+"""Exponent of P_sky along frequency, W m^-2 MHz^-1: that of the brightness (-2.55; Mozdzen et al. 2019) plus 2."""
+CORRECTION, BANDS, BAND_SAYS = 0.7, 4, 1.5
+"""Ln A(nu), what nobody knows of antenna gains: a factor 2, independent in as many parts of the band; and the most that
+one of them says: spectra from which the pass band was divided out exist."""
 SMALLEST = np.array([0.03, 0.01])
 """Scatter of level and slope that working antennas have at least: 3-5 % of gain (station gain tables of 2013)."""
 
@@ -72,12 +77,29 @@ def _level_and_slope(difference: Floats, axis: Floats) -> Floats:
     return np.stack([seen.mean(axis=-1), seen @ axis / axis.size], axis=-1)
 
 
-def log_likelihood_of_unit(station: AuditedStation, rows: NDArray[np.int64], unit: str) -> float:
-    """Ln L that recorded values are in a unit, by how cable names differ: a longer cable takes from the power, in dB.
+def log_likelihood_of_unit(
+    station: AuditedStation, rows: NDArray[np.int64], unit: str, instrument: Instrument
+) -> float:
+    """Ln L that recorded values are in a unit, by how cable names differ and by how the power runs along frequency.
 
-    0 where the antennas have one cable name.
+    A longer cable takes from the power, in dB; and the power runs as the sky does, through antenna and receiver.
     """
     power = np.log(as_power(station.power[rows], unit))
+    return _of_cables(station, rows, power) + _of_spectrum(station, rows, power, instrument)
+
+
+def _of_spectrum(station: AuditedStation, rows: NDArray[np.int64], power: Floats, instrument: Instrument) -> float:
+    """Ln L of the median spectrum of the antennas, shape (antenna, dipole, time, freq), but for its level."""
+    expected = np.log(instrument.antenna_gain * instrument.receiver_gain)
+    expected = expected + SKY_INDEX * np.log(station.frequency_mhz)
+    rest = np.nanmedian(power - np.log(station.loss[rows])[:, None, None, :], axis=(0, 1, 2)) - expected
+    rest -= rest.mean()
+    bands = [float(np.mean(band**2)) for band in np.array_split(rest, BANDS) if band.size]
+    return -float(np.sum(np.minimum(np.array(bands) / (2 * CORRECTION**2), BAND_SAYS)))
+
+
+def _of_cables(station: AuditedStation, rows: NDArray[np.int64], power: Floats) -> float:
+    """Ln L of the levels of cable names; 0 where the antennas have one."""
     level = np.nanmedian(np.nanmean(power, axis=1), axis=(1, 2))
     expected = np.log(station.loss[rows]).mean(axis=-1)
     names, name_at = np.unique(station.cables[rows], return_inverse=True)

@@ -61,8 +61,7 @@ class SkyMatch:
         if rows.size == 0:
             return []
         if not self.is_long_enough():
-            units = [one for one in _try_units(station, rows, 0.0) if one.log_likelihood > LEAST_GAIN]
-            return conclude(station.name, 0.0, units) if units else self._say_too_short()
+            return self._say_too_short()
         likelihood = SeriesLikelihood(make_series(station, rows))
         latitude, longitude = self.instrument.latitude_deg, self.instrument.longitude_deg
         seen = self.models.seen(likelihood.series.lst_hours, latitude)
@@ -71,11 +70,17 @@ class SkyMatch:
             _scan_clock(likelihood, self.models, latitude),
             _scan_arms(likelihood, self.models, latitude),
             *_try_places(likelihood, self.models, latitude, longitude),
-            *_try_units(station, rows, base, likelihood.share(seen)),
+            *_try_units(station, rows, self.instrument, base, likelihood.share(seen)),
         ]
         if len(station.dipoles) == PAIR:
             possibilities.append(Possibility("exchange", likelihood.log_likelihood(_exchanged(seen))))
         return conclude(station.name, base, possibilities)
+
+
+def tell_unit(station: AuditedStation, rows: NDArray[np.int64], instrument: Instrument) -> list[Line]:
+    """The unit, where it is wrong by what cables and spectrum say."""
+    units = _try_units(station, rows, instrument, 0.0) if rows.size else []
+    return conclude(station.name, 0.0, units) if any(one.log_likelihood > LEAST_GAIN for one in units) else []
 
 
 def _exchanged(seen: Seen) -> Seen:
@@ -142,9 +147,13 @@ def _try_places(
 
 
 def _try_units(
-    station: AuditedStation, rows: NDArray[np.int64], base: float, share: tuple[float, float] | None = None
+    station: AuditedStation,
+    rows: NDArray[np.int64],
+    instrument: Instrument,
+    base: float,
+    share: tuple[float, float] | None = None,
 ) -> list[Possibility]:
-    """Other units than power, by how cable names differ and by how much of the sky's change is seen.
+    """Other units than power, by how cable names differ, by the spectrum, and by how much of the sky's change is seen.
 
     Parameters
     ----------
@@ -153,12 +162,12 @@ def _try_units(
     """
     # what a share k of the sky in the power becomes in the recorded values
     shrinks = {"volt": 0.5, "dB": 10 / np.log(10) / float(np.nanmean(station.power))}
-    by_cables = log_likelihood_of_unit(station, rows, "power")
+    by_cables = log_likelihood_of_unit(station, rows, "power", instrument)
     found = []
     for unit, factor in shrinks.items():
         if unit == "dB" and np.nanmax(np.abs(station.power)) > LARGEST_DECIBEL:
             continue
-        odds = log_likelihood_of_unit(station, rows, unit) - by_cables
+        odds = log_likelihood_of_unit(station, rows, unit, instrument) - by_cables
         if share is not None:
             said = _log_normal(share[0], factor, share[1]) - _log_normal(share[0], 1.0, share[1])
             odds += float(np.clip(said, -SHARE_SAYS, SHARE_SAYS))

@@ -77,7 +77,7 @@ def split_stations(spectra: Spectra, instrument: Instrument) -> Iterator[Audited
     for station in np.unique(spectra.station):
         rows = np.flatnonzero(spectra.station == station)
         antennas, at = np.unique(spectra.antenna[rows], return_inverse=True)
-        times, when = np.unique(spectra.time_unix[rows], return_inverse=True)
+        times, when = _find_instants(spectra, rows)
         dipole = np.searchsorted(instrument.dipoles, spectra.dipole[rows])
         power = np.full((antennas.size, len(instrument.dipoles), times.size, spectra.frequency_mhz.size), np.nan)
         power[at, dipole, when] = spectra.power[rows]
@@ -97,6 +97,16 @@ def split_stations(spectra: Spectra, instrument: Instrument) -> Iterator[Audited
             times,
             local_sidereal_time(times, instrument.longitude_deg),
         )
+
+
+def _find_instants(spectra: Spectra, rows: NDArray[np.int64]) -> tuple[Floats, NDArray[np.int64]]:
+    """Mean time of each event, rising, and which of them each row is: clocks of antennas may differ within an event."""
+    events, at = np.unique(spectra.event_id[rows], return_inverse=True)
+    times = np.bincount(at, spectra.time_unix[rows]) / np.bincount(at)
+    order = np.argsort(times, kind="stable")
+    rank = np.empty(events.size, dtype=np.int64)
+    rank[order] = np.arange(events.size)
+    return times[order], rank[at]
 
 
 LONG_HOURS = 2.0

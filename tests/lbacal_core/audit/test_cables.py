@@ -26,13 +26,16 @@ def test_true_records_are_left_alone(station: AuditedStation, low_band: Instrume
     assert find_wrong_cables(station, compare_paths(station), low_band) == ([], {})
 
 
-def test_an_instrument_of_one_cable_has_no_other(station: AuditedStation, low_band: Instrument) -> None:
+def test_of_one_cable_only_the_spectrum_tells_the_unit(station: AuditedStation, low_band: Instrument) -> None:
     one = station.with_cables(dict.fromkeys(range(6), "80"), low_band)
-    assert log_likelihood_of_unit(one, np.arange(6), "volt") == 0.0
+    seen = replace(one, power=one.power.mean() * np.exp(0.02 * np.log(one.power / one.power.mean())))
+    power, volt = (log_likelihood_of_unit(one, np.arange(6), unit, low_band) for unit in ("power", "volt"))
+    assert power > volt
+    assert log_likelihood_of_unit(seen, np.arange(6), "power", low_band) < power
 
 
 @pytest.mark.parametrize("unit", ["power", "dB", "volt"])
-def test_cables_tell_power_from_decibels_and_volts(station: AuditedStation, unit: str) -> None:
+def test_cables_tell_power_from_decibels_and_volts(station: AuditedStation, low_band: Instrument, unit: str) -> None:
     recorded = {
         "power": station.power,
         "dB": 10 * np.log10(station.power) + 200,
@@ -40,5 +43,5 @@ def test_cables_tell_power_from_decibels_and_volts(station: AuditedStation, unit
     }[unit]
     seen = replace(station, power=recorded)
     could_be = ("power", "volt", "dB") if unit == "dB" else ("power", "volt")
-    likelihood = {name: log_likelihood_of_unit(seen, np.arange(6), name) for name in could_be}
+    likelihood = {name: log_likelihood_of_unit(seen, np.arange(6), name, low_band) for name in could_be}
     assert max(likelihood, key=lambda name: likelihood[name]) == unit

@@ -46,3 +46,12 @@ def test_spread_is_that_of_a_normal_distribution_and_ignores_outliers() -> None:
 def test_other_channels_than_the_instruments_are_refused(spectra: Spectra, low_band: Instrument) -> None:
     with pytest.raises(BadInputError, match="frequency_mhz"):
         list(split_stations(replace(spectra, frequency_mhz=spectra.frequency_mhz + 0.5), low_band))
+
+
+def test_clocks_of_antennas_that_differ_within_an_event_do_not_tear_it_apart(
+    spectra: Spectra, low_band: Instrument
+) -> None:
+    late = replace(spectra, time_unix=spectra.time_unix + 0.01 * spectra.antenna)
+    station = next(split_stations(late, low_band))
+    assert station.time_unix.size == 24
+    assert np.isfinite(station.power).all()

@@ -1,0 +1,58 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lbacal_core.audit.quick import EVENTS, audit_quickly
+from lbacal_core.errors import BadInputError
+from lbacal_core.instrument import Instrument
+from lbacal_core.spectra import Spectra
+from lbacal_core.spectra_join import join_spectra
+
+
+def test_a_healthy_station_is_said_to_be_healthy_and_its_power_is_accepted(
+    spectra: Spectra, low_band: Instrument
+) -> None:
+    found = audit_quickly(spectra, low_band)
+    assert found.sentence == "nothing wrong in 6 antennas (paths, cables, exchanged letters, unit)"
+    found.require_power("s.h5")
+
+
+def test_a_dead_path_is_named_and_does_not_stop_the_work(spectra: Spectra, low_band: Instrument) -> None:
+    power = spectra.power.copy()
+    power[(spectra.antenna == 4) & (spectra.dipole == "X")] *= 1e-3
+    found = audit_quickly(replace(spectra, power=power), low_band)
+    assert found.sentence.startswith("1 wrong in 6 antennas (lbacal audit tells more): CS002: antenna 4 X is dead")
+    found.require_power("s.h5")
+
+
+def test_decibels_are_refused(spectra: Spectra, low_band: Instrument) -> None:
+    lossy = replace(low_band, cables={name: loss**4 for name, loss in low_band.cables.items()})
+    loss = np.array([low_band.cables[low_band.cable_of("CS002", int(a), 1.4e9)] for a in spectra.antenna])
+    found = audit_quickly(replace(spectra, power=200.0 + 10 * np.log10(spectra.power * loss**3)), lossy)
+    with pytest.raises(BadInputError, match=r"s.h5: power: expected power per MHz .*the power is in decibels"):
+        found.require_power("s.h5")
+
+
+def test_no_spectra_are_left_to_what_comes_after(spectra: Spectra, low_band: Instrument) -> None:
+    assert audit_quickly(spectra.select(np.zeros(0, dtype=np.int64)), low_band).report is None
+
+
+def test_three_antennas_are_not_compared(spectra: Spectra, low_band: Instrument) -> None:
+    found = audit_quickly(spectra.select(spectra.antenna < 3), low_band)
+    assert found.sentence == "none: no station has 4 antennas to compare"
+    found.require_power("s.h5")
+
+
+def test_a_long_campaign_costs_no_more_than_a_hundred_events(spectra: Spectra, low_band: Instrument) -> None:
+    copies = 3 * EVENTS // 24
+    copied = [
+        replace(spectra, event_id=np.char.add(spectra.event_id, f"-{k}"), time_unix=spectra.time_unix + 86_400.0 * k)
+        for k in range(copies)
+    ]
+    many = join_spectra(copied)
+    report = audit_quickly(many, low_band).report
+    assert report is not None
+    assert report.stations[0].time_unix.size == EVENTS
