@@ -59,8 +59,13 @@ def test_an_antenna_that_dies_in_the_last_days_leaves_the_mean_and_one_with_gaps
 def test_a_noisy_path_gets_its_own_scale(station, noise):
     louder = noise.copy()
     louder[3] *= 2.0
-    scale = split_residuals(station, louder, FLAT).levels.path_scale
+    residuals = split_residuals(station, louder, FLAT)
+    scale = residuals.levels.path_scale
     assert abs(scale[3] - 2.0) < 0.2  # its own share of the mean is taken out of it
+    # the mean of eight paths, one of them with four times the variance
+    own = residuals.polarisations == station.dipole[3]
+    assert np.mean(residuals.spread[own]) == pytest.approx((7 + 4) / 8**2, rel=0.1)
+    assert np.mean(residuals.spread[~own]) == pytest.approx(1 / 8, rel=0.1)
     np.testing.assert_allclose(np.delete(scale, 3), 1.0, atol=0.06)
 
 
