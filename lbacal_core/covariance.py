@@ -53,9 +53,10 @@ class Budget:
     frequency_mhz: Floats
     terms: Sequence[BudgetTerm]
 
-    def variance(self, polarisation: str) -> Floats:
-        """Variance of ln C by all terms, shape (freq,)."""
-        return np.asarray(np.sum([term.variance(polarisation) for term in self.terms], axis=0))
+    def variance(self, polarisation: str, name: str | None = None) -> Floats:
+        """Variance of ln C by all terms, or by those of a name, shape (freq,)."""
+        found = [term.variance(polarisation) for term in self.terms if name in (None, term.name)]
+        return np.asarray(np.sum(found, axis=0)) + np.zeros(self.frequency_mhz.size)
 
     def vectors(self, polarisation: str) -> Floats:
         """The vectors of all terms, shape (vector, freq)."""

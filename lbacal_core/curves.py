@@ -159,6 +159,11 @@ class CalibrationCurve:
         return " ".join(parts)
 
     @property
+    def owner(self) -> tuple[str | None, int | None]:
+        """Station and antenna that it belongs to, with all their dipoles."""
+        return self.station, self.antenna
+
+    @property
     def antenna_gain_sha256(self) -> str | None:
         """Hash of G_ant: curves with the same one were fitted with the same antenna gain."""
         return None if self.antenna_gain is None else hash_arrays(self.frequency_mhz, self.antenna_gain)

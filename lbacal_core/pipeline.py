@@ -55,4 +55,5 @@ def calibrate(
     sky_power = sky_power or compute_sky_power(instrument)
     fitted = fit_causes(spectra, instrument, sky_power, model, is_own_sky=freedom is not None)
     report = fitted.fit(scope, freedom)
-    return add_budget(report, compute_budget(fitted.spectra, instrument, sky_power, sky_budget))
+    budget = compute_budget(fitted.spectra, instrument, sky_power, sky_budget, freedom=freedom)
+    return add_budget(report, budget)

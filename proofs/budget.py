@@ -91,7 +91,7 @@ def tell_campaign(sky_budget: str, settings: TwinSettings, seed: int) -> Row:
     silent = settings.stations[seed % len(settings.stations)]
     spectra = campaign.spectra.select(campaign.spectra.station != silent)
     inputs = believed.instrument, believed.sky_power
-    budget = compute_budget(spectra, *inputs, sky_budget, believed.changes)
+    budget = compute_budget(spectra, *inputs, sky_budget, believed.changes, believed.freedom)
     fitted = {name: fit_calibration(spectra, *inputs, name, believed.freedom) for name in FITTED}
     reports = {name: add_budget(report, budget) for name, report in fitted.items()}
     curves = [curve for report in reports.values() for curve in report.curves]

@@ -8,29 +8,35 @@ mistaken in a way that users have mistaken it; such curves converged without a w
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
 
+from lbacal_core.antenna.ideal import ShortDipole
+from lbacal_core.antenna.model import AntennaModel
 from lbacal_core.calibration.chain_test import SkyFreedom
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.calibration.freedom import free_own_sky
-from lbacal_core.curves import CONVERGED, MISFIT
+from lbacal_core.curves import CONVERGED, MISFIT, OK, CalibrationCurve, FitReport
 from lbacal_core.errors import BadInputError
+from lbacal_core.grids import Floats
 from lbacal_core.instrument import Instrument, load_instrument
 from lbacal_core.skypower.differences import DifferenceModels
 from lbacal_core.skypower.model import compute_sky_power
+from lbacal_core.skypower.sky_terms import SkyTerm
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra import Spectra
-from lbacal_core.twin.campaign import simulate_campaign
+from lbacal_core.twin.campaign import Campaign, simulate_campaign
 from lbacal_core.twin.gains import NOISES
 from lbacal_core.twin.settings import TwinSettings
+from lbacal_core.uncertainty.changes import list_changes
+from lbacal_core.uncertainty.refit import add_budget, compute_budget
 from proofs.hidden.data_sets import OWN
 from proofs.hidden.drawn import EVERYTHING
 from proofs.hidden.worlds import alternatives
 from proofs.hidden.worlds import draw as draw_world
-from proofs.machinery.claims import Claim, at_most, claim_rate
+from proofs.machinery.claims import Claim, at_most, claim_mean, claim_rate
 from proofs.machinery.parts import Part, Row
 
 CLEAN = TwinSettings(stations=("CS002", "CS003", "CS004"), antennas=4, events_per_year=600)
@@ -39,7 +45,13 @@ SCOPES = {"antenna": "paths", "station": "stations"}
 RATE = 0.002
 """None of 2000."""
 MISSED = 0.01
-OTHER_ANTENNA = "short-dipole"
+ANTENNAS = (OWN.antenna, "short-dipole", "quarter-wave")
+"""Whose data are taken for the first one's: the short dipole at a height that is drawn."""
+HEIGHTS_M = (1.1, 1.6)
+FAR = 2.0
+"""Standard deviations of the total error."""
+BEYOND_2 = 0.05
+"""Part of channels beyond twice their error where nothing is wrong."""
 AS_NO_MODEL = "lst"
 """Worlds whose sky departs along LST by 3 % r.m.s., which no model does: what a misfit is for."""
 FIRST_SEED = 600_000_000
@@ -124,49 +136,98 @@ OF_INSTRUMENT: Mapping[str, Callable[[Instrument], Instrument]] = {
         i, dipole_azimuth_deg={k: float(np.radians(v)) for k, v in i.dipole_azimuth_deg.items()}
     ),
 }
-PATTERN = "a short dipole taken for the antenna"
-KINDS = (*OF_SPECTRA, *OF_INSTRUMENT, PATTERN)
+KINDS = (*OF_SPECTRA, *OF_INSTRUMENT)
 CURVES = 20
 """Curves of each kind: four antennas and their station, two dipoles, own sky and a file; what is an error has none."""
 
 
+@dataclass(frozen=True)
+class Believed:
+    """Instrument, sky power and its freedom as somebody believes them, and what they may be wrong by."""
+
+    instrument: Instrument
+    sky_power: SkyPower
+    freedom: SkyFreedom
+    changes: Sequence[SkyTerm]
+
+    def fit(self, spectra: Spectra, scope: str) -> FitReport:
+        """Curves with their total error."""
+        inputs = spectra, self.instrument, self.sky_power
+        budget = compute_budget(*inputs, changes=self.changes, freedom=self.freedom)
+        return add_budget(fit_calibration(*inputs, scope, self.freedom), budget)
+
+
 @lru_cache(maxsize=16)
-def _believed(kind: str) -> tuple[Instrument, SkyPower, SkyFreedom] | None:
-    """Instrument, sky power and its freedom as somebody believes them who made a mistake; None where it is an error."""
+def _believe(kind: str) -> Believed | None:
+    """What somebody believes who made a mistake; None where it is an error."""
     try:
         instrument = OF_INSTRUMENT.get(kind, _as_it_is)(load_instrument("lofar-superterp"))
     except BadInputError:
         return None
-    return instrument, compute_sky_power(instrument), free_own_sky(instrument)
+    return _own(instrument)
+
+
+def _own(instrument: Instrument) -> Believed:
+    return Believed(instrument, compute_sky_power(instrument), free_own_sky(instrument), list_changes(instrument))
+
+
+@lru_cache(maxsize=1)
+def _right() -> Believed:
+    return _own(load_instrument("lofar-superterp"))
+
+
+def _simulate(antenna: str | AntennaModel, seed: int) -> Campaign:
+    instrument, names = load_instrument("lofar-superterp"), list(NOISES)
+    power = compute_sky_power(instrument, OWN.sky, antenna)
+    rng, gains = np.random.default_rng([13_03, seed]), NOISES[names[seed % len(names)]]
+    return simulate_campaign(WRONG, instrument, power, rng, nuisances=EVERYTHING, gains=gains)
 
 
 def fit_wrong(seed: int) -> Row:
     """Each mistake in turn on a campaign of the own world: how many curves converged all the same."""
-    instrument = load_instrument("lofar-superterp")
-    names = list(NOISES)
-
-    def simulate(antenna: str) -> Spectra:
-        power = compute_sky_power(instrument, OWN.sky, antenna)
-        rng, gains = np.random.default_rng([13_03, seed]), NOISES[names[seed % len(names)]]
-        return simulate_campaign(WRONG, instrument, power, rng, nuisances=EVERYTHING, gains=gains).spectra
-
-    spectra, of_other = simulate(OWN.antenna), simulate(OTHER_ANTENNA)
-    row: Row = {}
+    spectra, row = _simulate(OWN.antenna, seed).spectra, Row()
     for kind in KINDS:
-        wrong = of_other if kind == PATTERN else OF_SPECTRA.get(kind, _as_they_are)(spectra)
-        found = _believed(kind if kind in OF_INSTRUMENT else "")
-        if found is None:
+        believed = _believe(kind if kind in OF_INSTRUMENT else "")
+        if believed is None:
             row[kind] = {"curves": CURVES, "converged": 0}
             continue
-        believed, power, freedom = found
-        curves = [
-            curve
-            for scope in SCOPES
-            for free in (freedom, None)
-            for curve in fit_calibration(wrong, believed, power, scope, free).curves
-        ]
+        wrong = OF_SPECTRA.get(kind, _as_they_are)(spectra)
+        inputs = wrong, believed.instrument, believed.sky_power
+        fits = [fit_calibration(*inputs, scope, free) for scope in SCOPES for free in (believed.freedom, None)]
+        curves = [curve for report in fits for curve in report.curves]
         row[kind] = {"curves": len(curves), "converged": sum(curve.status == CONVERGED for curve in curves)}
     return row
+
+
+def fit_pattern(seed: int) -> Row:
+    """Data of another antenna: what its paths are told, and how far C is off in the channels that are told `ok`."""
+    height = np.random.default_rng([13_06, seed]).uniform(*HEIGHTS_M)
+    antennas: dict[str, str | AntennaModel] = {name: name for name in ANTENNAS}
+    antennas["short-dipole"] = ShortDipole(height_m=float(height))
+    row: Row = {"height_m": round(float(height), 3)}
+    for name, antenna in antennas.items():
+        campaign = _simulate(antenna, seed)
+        told: Row = dict.fromkeys(("curves", "misfits", "unflagged", "unsaid", "channels", "beyond_1", "beyond_2"), 0)
+        for curve in _right().fit(campaign.spectra, "antenna").curves:
+            told["curves"] += 1
+            told["misfits"] += int(curve.status == MISFIT)
+            if curve.status != CONVERGED or curve.c is None:
+                continue
+            is_ok = curve.flags == OK
+            truth = campaign.truth.curve(str(curve.dipole), str(curve.station), curve.antenna)
+            beyond = (np.abs(curve.c - truth) / _total_error(curve))[is_ok]
+            told["unflagged"] += int(np.all(is_ok))
+            told["unsaid"] += int(np.all(is_ok) and np.any(beyond > FAR))
+            told["channels"] += int(is_ok.sum())
+            for k in (1, 2):
+                told[f"beyond_{k}"] += int(np.count_nonzero(beyond > k))
+        row[name] = told
+    return row
+
+
+def _total_error(curve: CalibrationCurve) -> Floats:
+    errors = [one for one in (curve.c_sigma_stat, curve.c_sigma_sys) if one is not None]
+    return np.asarray(np.sqrt(np.sum(np.square(errors), axis=0)))
 
 
 def judge_wrong(rows: Sequence[Row]) -> list[Claim]:
@@ -179,7 +240,41 @@ def judge_wrong(rows: Sequence[Row]) -> list[Claim]:
     return claims
 
 
+def judge_pattern(rows: Sequence[Row]) -> list[Claim]:
+    """Whether another antenna than is believed shows: as a misfit, by flags, or in the error of C."""
+    claims = []
+    for antenna in ANTENNAS[1:]:
+        unsaid, curves = (sum(row[antenna][name] for row in rows) for name in ("unsaid", "curves"))
+        text = f"Data of the antenna {antenna} taken for LOFAR's: converged, no flag, and C off by twice its error"
+        claims.append(claim_rate(f"{antenna}_unsaid", text, at_most(MISSED), unsaid, curves))
+        text = f"Data of the antenna {antenna} taken for LOFAR's: channels told ok whose C is off by twice its error"
+        found = [row[antenna]["beyond_2"] / max(row[antenna]["channels"], 1) for row in rows]
+        claims.append(claim_mean(f"{antenna}_beyond", text, at_most(BEYOND_2), np.array(found), "%"))
+    return claims
+
+
+def tell_pattern(rows: Sequence[Row]) -> list[str]:
+    """By antenna, the right one first."""
+    lines = ["| antenna | curves | misfits | no flag | and far off | channels told ok | beyond 1 sigma | beyond 2 |"]
+    lines.append("|---|---|---|---|---|---|---|---|")
+    for antenna in ANTENNAS:
+        total = {name: sum(row[antenna][name] for row in rows) for name in rows[0][antenna]}
+        share = [f"{total[f'beyond_{k}'] / max(total['channels'], 1):.1%}" for k in (1, 2)]
+        cells = [
+            antenna,
+            total["curves"],
+            total["misfits"],
+            total["unflagged"],
+            total["unsaid"],
+            total["channels"],
+            *share,
+        ]
+        lines.append(f"| {' | '.join(map(str, cells))} |")
+    return lines
+
+
 PARTS = (
     Part("clean", fit_clean, judge_clean, 100, tell_clean),
     Part("wrong", fit_wrong, judge_wrong, 6),
+    Part("pattern", fit_pattern, judge_pattern, 20, tell_pattern),
 )

@@ -47,6 +47,7 @@ def budget(
 
     Example: lbacal budget spectra.h5 --instrument lofar-superterp --sky measured --plot budget.png
     """
+    from lbacal_core.calibration.freedom import free_own_sky
     from lbacal_core.instrument import load_instrument
     from lbacal_core.skypower.model import compute_sky_power
     from lbacal_core.skypower.table import read_sky_power
@@ -60,7 +61,8 @@ def budget(
     chain = load_instrument(instrument)
     measured = read_selected(files, selection, time.time())
     power = compute_sky_power(chain) if sky_power is None else read_sky_power(sky_power)
-    shared = compute_budget(measured, chain, power, sky)
+    freedom = free_own_sky(chain) if sky_power is None else None
+    shared = compute_budget(measured, chain, power, sky, freedom=freedom)
     of_antennas = measure_electronics(measured, chain, power)
     terms = [*shared.terms, *([] if of_antennas is None else [of_antennas])]
     if left_open is not None:

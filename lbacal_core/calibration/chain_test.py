@@ -18,7 +18,7 @@ off by one standard deviation in each mode costs one for each, a wrong clock hun
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2 as chi2_distribution
 
 from lbacal_core.calibration.lines import Lines, weigh_shared_noise
+from lbacal_core.calibration.mistakes import Mistake
 from lbacal_core.calibration.normal_equations import scale_to_unit_diagonal, solve_normal_equations
 from lbacal_core.grids import Floats
 from lbacal_core.intercepts import Intercepts
@@ -54,24 +55,44 @@ class SkyFreedom:
         changes of ln P_sky, one standard deviation each.
     digest
         Hash of what they were made from.
+    mistakes
+        Named changes of P_sky that would put a mistaken input right, on the same grid.
     """
 
     modes: Mapping[str, Floats]
     digest: str
+    mistakes: Sequence[Mistake] = ()
 
     def series(self, dipole: str) -> Floats:
-        """Coefficients of `_harmonics`, shape (mode, harmonic, freq)."""
-        modes = self.modes[dipole]
-        terms = np.fft.rfft(modes, axis=1)[:, : SKY_HARMONICS + 1] / modes.shape[1]
-        return np.concatenate([terms[:, :1].real, 2.0 * terms[:, 1:].real, -2.0 * terms[:, 1:].imag], axis=1)
+        """Coefficients of `_harmonics` of the modes, shape (mode, harmonic, freq)."""
+        return _series_of(self.modes[dipole])
+
+    def mistake_series(self, dipole: str) -> Floats:
+        """Coefficients of `_harmonics` of what data show of each mistake, shape (mistake, harmonic, freq)."""
+        shown = [one.shown(dipole) for one in self.mistakes]
+        return _series_of(np.reshape(shown, (-1, *self.modes[dipole].shape[1:])))
+
+
+def _series_of(changes: Floats) -> Floats:
+    terms = np.fft.rfft(changes, axis=1)[:, : SKY_HARMONICS + 1] / changes.shape[1]
+    return np.concatenate([terms[:, :1].real, 2.0 * terms[:, 1:].real, -2.0 * terms[:, 1:].imag], axis=1)
 
 
 @dataclass(frozen=True)
 class ChainTest:
-    """Chi^2 of paths, and its degrees of freedom, both shape (path,)."""
+    """What the test finds in paths.
+
+    Attributes
+    ----------
+    chi2, dof
+        Chi^2 and its degrees of freedom, both shape (path,).
+    gain
+        Ln of the probability of the data without each mistake over that with it, shape (path, mistake).
+    """
 
     chi2: Floats
     dof: Floats
+    gain: Floats
 
     @property
     def per_dof(self) -> Floats:
@@ -99,7 +120,8 @@ def run_chain_test(
     slope: Floats,
     terms: Intercepts,
     is_free: NDArray[np.bool_],
-    series: Floats | None,
+    freedom: SkyFreedom | None,
+    dipole: str,
 ) -> ChainTest:
     """Test fitted paths, each by itself.
 
@@ -118,19 +140,24 @@ def run_chain_test(
         What each noise constant adds to an intercept.
     is_free
         Channels whose intercept is not tested, shape (path, freq).
-    series
-        `SkyFreedom.series` of the paths' dipole; None where the sky is taken at its word.
+    freedom, dipole
+        The freedom of the sky, None where it is taken at its word; and the paths' dipole.
     """
     basis = _harmonics(lst_hours, SKY_HARMONICS)
+    mistakes = 0 if freedom is None else len(freedom.mistakes)
+    series = None
+    if freedom is not None:
+        series = np.concatenate([freedom.mistake_series(dipole), freedom.series(dipole)])
     found = []
     for p in range(power.shape[0]):
         is_present = np.isfinite(relative_variance[p])
         path = _Path.of(
             power[p, is_present], sky_power[is_present], relative_variance[p, is_present], lines.select(np.array([p]))
         )
-        found.append(_test_path(path, basis[is_present], terms.before(n[p]), slope[p], terms, is_free[p], series))
-    chi2, dof = np.array(found, dtype=float).reshape(-1, 2).T
-    return ChainTest(chi2, dof)
+        before = terms.before(n[p])
+        found.append(_test_path(path, basis[is_present], before, slope[p], terms, is_free[p], series, mistakes))
+    table = np.array(found, dtype=float).reshape(-1, 2 + mistakes)
+    return ChainTest(table[:, 0], table[:, 1], table[:, 2:])
 
 
 @dataclass(frozen=True)
@@ -169,7 +196,9 @@ def _test_path(
     terms: Intercepts,
     is_free: NDArray[np.bool_],
     series: Floats | None,
-) -> tuple[float, float]:
+    mistakes: int,
+) -> tuple[float, ...]:
+    """Chi^2, its degrees of freedom, and the gain of each mistake; the first of the series are those."""
     channels = path.slope.size
     model = path.slope * path.sky + path.intercept
     of_sky, of_constant = path.sky / model, 1.0 / model
@@ -187,18 +216,21 @@ def _test_path(
     scale = np.sqrt(np.diag(noise))
     value = np.concatenate([(path.intercept - before * path.slope)[tested] / scale, look.value])
     response = np.concatenate([moved @ to_residual.T / scale, beside], axis=1)
-    total = np.eye(value.size) + response.T @ response
+    free = response[mistakes:]
+    total = np.eye(value.size) + free.T @ free
     total[: tested.size, : tested.size] += noise / np.outer(scale, scale) - np.eye(tested.size)
     columns = np.zeros((value.size, len(terms.names)))
     forms = np.concatenate([terms.front * slope, terms.behind])
     columns[: tested.size] = forms.T[tested] / scale[:, None]
     whitener = np.linalg.cholesky(total)
-    white, white_columns, of_sky_modes = (np.linalg.solve(whitener, x) for x in (value, columns, response.T))
-    normal, target = white_columns.T @ white_columns, white_columns.T @ np.column_stack([white, of_sky_modes])
-    fitted = white_columns @ solve_normal_equations(normal[None], target[None])[0]
-    chi2 = float(np.sum((white - fitted[:, 0]) ** 2))
-    determined = float(np.sum((of_sky_modes - fitted[:, 1:]) ** 2))
-    return chi2, value.size - len(terms.names) - determined
+    white = np.linalg.solve(whitener, np.column_stack([value, response.T]))
+    white_columns = np.linalg.solve(whitener, columns)
+    normal, target = white_columns.T @ white_columns, white_columns.T @ white
+    left = white - white_columns @ solve_normal_equations(normal[None], target[None])[0]
+    residual, without, of_sky_modes = left[:, 0], left[:, 1 : 1 + mistakes], left[:, 1 + mistakes :]
+    gain = residual @ without - 0.5 * np.sum(without**2, axis=0)
+    dof = value.size - len(terms.names) - float(np.sum(of_sky_modes**2))
+    return float(residual @ residual), dof, *gain.tolist()
 
 
 @dataclass(frozen=True)

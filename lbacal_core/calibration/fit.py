@@ -19,6 +19,7 @@ from lbacal_core.calibration.chain_test import SkyFreedom, is_improbable, run_ch
 from lbacal_core.calibration.channels import SMALLEST_BAND, flag_channels, solve_without_interference
 from lbacal_core.calibration.lines import Lines, fit_lines
 from lbacal_core.calibration.merged import describe_merged
+from lbacal_core.calibration.mistakes import describe_mistakes, name_mistakes
 from lbacal_core.calibration.paths import (
     MIN_EVENTS,
     Cables,
@@ -105,9 +106,9 @@ def fit_calibration(
 
     def fit_paths(paths: Paths) -> _Fitted:
         sky = sky_power.at(paths.owners[0][2], paths.lst_hours)
-        series = None if freedom is None else freedom.series(paths.owners[0][2])
-        curves = _fit_paths(paths, sky, instrument, series)
-        return [(curve, _chain_of(curve, paths, instrument, table, cable_of)) for curve in curves], paths.anomalies
+        curves = _fit_paths(paths, sky, instrument, freedom)
+        chains = [_chain_of(curve, paths, instrument, table, cable_of) for curve, _ in curves]
+        return [(*curve, chain) for curve, chain in zip(curves, chains, strict=True)], paths.anomalies
 
     # NumPy leaves the interpreter's lock in its loops, so blocks of paths share the cores as threads; the threads that
     # BLAS would start within each cost twice the time.
@@ -116,6 +117,8 @@ def fit_calibration(
         batches = list(pool.map(fit_paths, paths_of_scope(spectra, instrument, sky_power, scope, cable_of)))
     fitted = [one for curves, _ in batches for one in curves]
     fitted.sort(key=lambda c: (c[0].station or "", -1 if c[0].antenna is None else c[0].antenna, c[0].dipole or ""))
+    mistaken = {} if freedom is None else name_mistakes([(curve, gain) for curve, gain, _ in fitted], freedom.mistakes)
+    curves = [curve.as_misfit() if curve.owner in mistaken and curve.c is not None else curve for curve, *_ in fitted]
     provenance = Provenance(
         inputs={
             "spectra": digest.result(),
@@ -129,17 +132,18 @@ def fit_calibration(
             "sky_freedom": None if freedom is None else freedom.digest,
         },
         notes={"antenna_gain": instrument.antenna_gain_note, "sky_power": sky_power.note_for(instrument)}
-        | ({"noise_constants": noise_constants(instrument).describe()} if instrument.stages else {}),
+        | ({"noise_constants": noise_constants(instrument).describe()} if instrument.stages else {})
+        | ({"likely mistake": describe_mistakes(mistaken)} if mistaken else {}),
     )
     return FitReport(
-        tuple(_share_misfits([curve for curve, _ in fitted])),
+        tuple(_share_misfits(curves)),
         provenance,
-        tuple(chain for _, chain in fitted),
+        tuple(chain for *_, chain in fitted),
         tuple(anomaly for _, anomalies in batches for anomaly in anomalies),
     )
 
 
-_Fitted = tuple[list[tuple[CalibrationCurve, ReferenceChain | None]], Sequence[Anomaly]]
+_Fitted = tuple[list[tuple[CalibrationCurve, Floats, ReferenceChain | None]], Sequence[Anomaly]]
 
 
 def _chain_of(
@@ -158,8 +162,10 @@ def _chain_of(
     return ReferenceChain(tuple(sorted(paths.members)), mean_loss, table, spreads)
 
 
-def _fit_paths(paths: Paths, sky: Floats, instrument: Instrument, series: Floats | None) -> list[CalibrationCurve]:
-    """The chain fitted to the lines of a batch of paths, with the status of each."""
+def _fit_paths(
+    paths: Paths, sky: Floats, instrument: Instrument, freedom: SkyFreedom | None
+) -> list[tuple[CalibrationCurve, Floats]]:
+    """The chain fitted to the lines of a batch of paths, with the status of each and the gain of each mistake."""
     lines = fit_lines(paths.power, sky, paths.relative_variance, chain_forms(instrument))
     terms = noise_constants(instrument)
     is_present = np.isfinite(paths.relative_variance)
@@ -191,7 +197,7 @@ def _fit_paths(paths: Paths, sky: Floats, instrument: Instrument, series: Floats
     of_good = np.searchsorted(at, good)
     tested = run_chain_test(
         paths.power[good], sky, paths.relative_variance[good], paths.lst_hours, lines.select(good), solution.n[of_good],
-        solution.x[of_good], terms, is_free[of_good], series,
+        solution.x[of_good], terms, is_free[of_good], freedom, paths.owners[0][2],
     )  # fmt: skip
     scatter = np.median(lines.levels.radiometer, axis=1) if paths.scatter is None else paths.scatter
     is_odd = scatter[good] < SMALLEST_OF_LIMIT * paths.smallest_scatter
@@ -201,6 +207,8 @@ def _fit_paths(paths: Paths, sky: Floats, instrument: Instrument, series: Floats
     is_unlikely = is_improbable(solution.chi2[of_good], dof[of_good])
     is_misfit = set(good[tested.is_misfit | (is_odd & is_unlikely)].tolist())
     profiled = dict(zip(good.tolist(), tested.per_dof.tolist(), strict=True))
+    gains = dict(zip(good.tolist(), tested.gain, strict=True))
+    none = np.zeros(tested.gain.shape[1])
     curves = []
     for k, (station, antenna, dipole) in enumerate(paths.owners):
         is_good, j = k in profiled, int(np.searchsorted(at, k))
@@ -229,7 +237,7 @@ def _fit_paths(paths: Paths, sky: Floats, instrument: Instrument, series: Floats
             sky_over_model=_sky_over_model(c[j], solution, j, instrument.kelvin_error) if is_good else None,
             merged=describe_merged(solution, j, terms) if is_good else None,
         )
-        curves.append(curve.as_misfit() if k in is_misfit else curve)
+        curves.append((curve.as_misfit() if k in is_misfit else curve, gains.get(k, none)))
     return curves
 
 

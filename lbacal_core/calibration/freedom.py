@@ -8,6 +8,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from lbacal_core.calibration.chain_test import SkyFreedom
+from lbacal_core.calibration.mistakes import list_mistakes
 from lbacal_core.grids import Floats
 from lbacal_core.instrument import Instrument
 from lbacal_core.provenance import hash_content
@@ -20,9 +21,10 @@ LEVEL = (0.2, 0.03, 0.02, 0.01)
 models differ by."""
 ZENITH_GAIN = 0.1
 """Change of the pattern's gain at zenith with its total fixed (section 4.2 of the paper)."""
-SHAPE = (0.003, 0.003)
+SHAPE = (0.01, 0.003)
 """Changes along LST that no model at hand makes, of each of the first harmonics: the same at all frequencies, and along
-ln nu. Were they as large as 0.017, a clock that is two hours late would be as good as right."""
+ln nu. A sky that is off by 3 % r.m.s. along LST is 1.7 standard deviations of each away; mistakes that this could hide
+are asked for by name."""
 SHAPE_HARMONICS = 3
 
 
@@ -43,7 +45,10 @@ def _free_own_sky(instrument: Instrument, models: DifferenceModels) -> SkyFreedo
         pattern = np.log(wider.power[dipole] / values)[None]
         modes[dipole] = np.concatenate([levels, differences.shape[dipole], pattern, smooth])
     made_of = {"own": own.digest(), "level": LEVEL, "zenith_gain": ZENITH_GAIN, "shape": [SHAPE, SHAPE_HARMONICS]}
-    return SkyFreedom(modes, hash_content({**made_of, "skies": models.skies, "antennas": models.antennas}))
+    mistakes = list_mistakes(instrument, own.power, LST_HOURS)
+    names = [one.name for one in mistakes]
+    digest = hash_content({**made_of, "skies": models.skies, "antennas": models.antennas, "mistakes": names})
+    return SkyFreedom(modes, digest, tuple(mistakes))
 
 
 def _smooth_modes(frequency_mhz: Floats, lst_hours: Floats) -> Floats:

@@ -15,13 +15,16 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from lbacal_core.calibration.channels import solve_without_interference
+from lbacal_core.calibration.chain_test import SkyFreedom, run_chain_test
+from lbacal_core.calibration.channels import LARGEST_GOOD_ERROR, solve_without_interference
 from lbacal_core.calibration.fit import fit_calibration
-from lbacal_core.calibration.lines import ChainForms, fit_lines
+from lbacal_core.calibration.lines import ChainForms, Lines, fit_lines
+from lbacal_core.calibration.mistakes import LARGEST_GAIN
 from lbacal_core.calibration.paths import Paths, chain_forms, paths_of_scope, require_one_cable_each
+from lbacal_core.calibration.separable import SeparableSolution
 from lbacal_core.chain.noise import noise_constants
 from lbacal_core.covariance import Budget, BudgetTerm
-from lbacal_core.curves import CalibrationCurve, FitReport
+from lbacal_core.curves import OK, UNCERTAIN, CalibrationCurve, FitReport
 from lbacal_core.grids import Floats
 from lbacal_core.instrument import Instrument
 from lbacal_core.intercepts import Intercepts
@@ -33,6 +36,11 @@ from lbacal_core.uncertainty.changes import DEFAULT_SKY_BUDGET, PAPER_BUDGET, li
 
 INTERFERENCE = 0.002
 """Interference left after narrow lines are removed, fraction of the mean power."""
+RARE_MISTAKE = 3.0
+"""Ln of the odds that an instrument names its antenna rightly, before the data are asked: 20 to 1."""
+OTHER_ANTENNA = "another antenna"
+SMALLEST_DOUBT = 0.001
+"""Another antenna that moves ln C by less than this is no term."""
 SMALLEST_SHARE = 1e-4
 """Vectors of a term whose squares add less than this to its variance are left out."""
 
@@ -53,11 +61,13 @@ class _Refit:
         plain = cls(paths, sky, terms, forms, np.zeros(sky.shape[1]))
         return replace(plain, log_c=plain.fit(paths.power, sky))
 
+    def _solve(self, power: Floats, sky: Floats) -> tuple[Lines, SeparableSolution, NDArray[np.bool_]]:
+        lines = fit_lines(power, sky, self.paths.relative_variance, self.forms)
+        return lines, *solve_without_interference(lines.slope, lines.intercept, lines.information, self.terms)
+
     def fit(self, power: Floats, sky: Floats) -> Floats:
         """Ln C up to a constant along time, shape (freq,); NaN where it is not determined."""
-        lines = fit_lines(power, sky, self.paths.relative_variance, self.forms)
-        solution, _ = solve_without_interference(lines.slope, lines.intercept, lines.information, self.terms)
-        slope = solution.x[0]
+        slope = self._solve(power, sky)[1].x[0]
         return np.where(slope > 0, -0.5 * np.log(np.where(slope > 0, slope, 1.0)), np.nan)
 
     def change_sky(self, change: SkyTerm) -> Floats:
@@ -66,6 +76,21 @@ class _Refit:
         size = read_at(change.d_ln_p[self.paths.owners[0][2]], hours)
         up, down = (self.fit(self.paths.power, self.sky * np.exp(sign * size)) for sign in (1.0, -1.0))
         return (up - down) / 2.0
+
+    def exchange_sky(self, change: Floats) -> Floats:
+        """Change of ln C where P_sky is another, by any change of ln P_sky, shape (lst, freq), from 0 h on."""
+        size = read_at(change, self.paths.lst_hours)
+        return self.fit(self.paths.power, self.sky * np.exp(size)) - self.log_c
+
+    def gain_without(self, freedom: SkyFreedom) -> Floats:
+        """Ln of the probability of the data without each mistake over that with it, shape (mistake,)."""
+        paths = self.paths
+        lines, solution, is_free = self._solve(paths.power, self.sky)
+        tested = run_chain_test(
+            paths.power, self.sky, paths.relative_variance, paths.lst_hours, lines, solution.n, solution.x, self.terms,
+            is_free, freedom, paths.owners[0][2],
+        )  # fmt: skip
+        return np.asarray(np.nan_to_num(tested.gain[0]))
 
     def add_power(self, fraction: float) -> Floats:
         """Change of ln C by power that is recorded at all times, a fraction of the mean."""
@@ -80,6 +105,7 @@ def compute_budget(
     sky_power: SkyPower,
     sky_budget: str = DEFAULT_SKY_BUDGET,
     changes: Sequence[SkyTerm] | None = None,
+    freedom: SkyFreedom | None = None,
 ) -> Budget:
     """The systematic terms of C that all curves of these data share.
 
@@ -89,6 +115,9 @@ def compute_budget(
         Where the error of the sky is taken from: a name of `SKY_BUDGETS`.
     changes
         What `list_changes` gives for the instrument and this name, if it is at hand: it takes longer than the refits.
+    freedom
+        That of the package's own sky: whether the antenna may be another is then asked of the data. None where sky and
+        antenna are taken at their word.
     """
     cables = require_one_cable_each(spectra, instrument)
     noise, forms = noise_constants(instrument), chain_forms(instrument)
@@ -109,14 +138,40 @@ def compute_budget(
         left = {p: _finite(refit.add_power(INTERFERENCE))[None] for p, refit in refits.items()}
         terms.append(BudgetTerm("interference left", "0.2 % of the mean power", left))
         terms += _gain_terms(instrument, list(refits))
+    if freedom is not None and refits:
+        terms += _antenna_terms(refits, freedom)
     return Budget(instrument.frequency_mhz, tuple(_gather(terms)))
+
+
+def _antenna_terms(refits: Mapping[str, _Refit], freedom: SkyFreedom) -> list[BudgetTerm]:
+    """What C would be with another antenna, by the root of the probability that it is that one.
+
+    The level of an antenna's P_sky is absorbed in A(nu), and C with it: only its form along LST says whether it is the
+    one that the instrument names.
+    """
+    gain = np.sum([refit.gain_without(freedom) for refit in refits.values()], axis=0)
+    terms = []
+    for mistake, ratio in zip(freedom.mistakes, np.minimum(gain, LARGEST_GAIN).tolist(), strict=True):
+        if mistake.antenna is None:
+            continue
+        probability = 1.0 / (1.0 + np.exp(RARE_MISTAKE - ratio))
+        vectors = {
+            p: np.sqrt(probability) * _finite(refit.exchange_sky(mistake.change[p])) for p, refit in refits.items()
+        }
+        if max(float(np.max(np.abs(vector))) for vector in vectors.values()) > SMALLEST_DOUBT:
+            source = f"{mistake.antenna}: probability {probability:.1g} by its form along LST"
+            terms.append(
+                BudgetTerm(f"{OTHER_ANTENNA} ({mistake.antenna})", source, {p: v[None] for p, v in vectors.items()})
+            )
+    return terms
 
 
 def add_budget(report: FitReport, budget: Budget) -> FitReport:
     """The report with the systematic errors of a budget.
 
     A curve whose `chi2_per_dof` is above what noise makes of it, without being a misfit, has one more term of its own:
-    its statistical error times (chi^2 per degree of freedom - 1)^1/2, fully correlated along frequency.
+    its statistical error times (chi^2 per degree of freedom - 1)^1/2, fully correlated along frequency. A channel is
+    `uncertain` where another antenna that the data do not exclude moves C by more than the paper's total error.
     """
     curves = [_with_errors(curve, budget) if curve.c is not None else curve for curve in report.curves]
     return replace(report, curves=tuple(curves), budgets={budget.digest: budget})
@@ -137,8 +192,13 @@ def _with_errors(curve: CalibrationCurve, budget: Budget) -> CalibrationCurve:
         own = np.sqrt(excess) * curve.c_sigma_stat / curve.c
         covariance = covariance.with_own(own)
         variance = variance + own**2
+    doubt = np.sqrt(budget.variance(str(curve.dipole), OTHER_ANTENNA))
+    flag = np.where((curve.flags == OK) & (doubt > LARGEST_GOOD_ERROR), UNCERTAIN, curve.flags)
     return replace(
-        curve, c_sigma_sys=np.where(curve.has_value, curve.c * np.sqrt(variance), np.nan), covariance=covariance
+        curve,
+        flag=tuple(flag.tolist()),
+        c_sigma_sys=np.where(curve.has_value, curve.c * np.sqrt(variance), np.nan),
+        covariance=covariance,
     )
 
 

@@ -101,8 +101,9 @@ class Fits:
         pieces, versions, budgets = [], list[Version](), dict[str, Budget]()
         for rows in cut_window(fitted.recorded, self.instrument, wanted.scope, *ends):
             of_piece = fitted if np.all(rows.rows) else fitted.select(rows.rows)
-            report = of_piece.fit(wanted.scope, self.freedom())
-            report = add_budget(report, compute_budget(of_piece.spectra, self.instrument, self.sky_power()))
+            freedom = self.freedom()
+            budget = compute_budget(of_piece.spectra, self.instrument, self.sky_power(), freedom=freedom)
+            report = add_budget(of_piece.fit(wanted.scope, freedom), budget)
             during = replace(wanted, since=round(rows.since_unix * SECOND_US), until=round(rows.until_unix * SECOND_US))
             recorded = spectra if np.all(rows.rows) else of_piece.recorded
             versions += _versions(recorded, report, during, made, beside)

@@ -15,6 +15,7 @@ from lbacal_core.calibration.chain_test import (
     run_chain_test,
 )
 from lbacal_core.calibration.lines import fit_lines
+from lbacal_core.calibration.mistakes import Mistake
 from lbacal_core.calibration.paths import chain_forms
 from lbacal_core.calibration.separable import solve_separable
 from lbacal_core.intercepts import three_constants
@@ -32,9 +33,8 @@ def run_test(scene, paths, events, seed, freedom=None, change=None):
     lines = fit_lines(power, sky, variance)
     terms = three_constants(scene.instrument.receiver_gain)
     solution = solve_separable(lines.slope, lines.intercept, lines.information, terms)
-    series = None if freedom is None else freedom.series("X")
     is_free = np.zeros(lines.slope.shape, dtype=bool)
-    return run_chain_test(power, sky, variance, lst, lines, solution.n, solution.x, terms, is_free, series)
+    return run_chain_test(power, sky, variance, lst, lines, solution.n, solution.x, terms, is_free, freedom, "X")
 
 
 def tilt(scene, size):
@@ -81,6 +81,24 @@ def test_what_follows_the_sidereal_day_beside_the_lines_is_a_misfit(scene):
         return np.outer(0.05 * np.sin(2 * np.pi * (lst - 3.0) / 24.0), np.ones(scene.instrument.frequency_mhz.size))
 
     assert run_test(scene, 10, 900, 4, None, late).is_misfit.mean() > 0.5
+
+
+def test_a_mistake_gains_where_it_was_made_and_loses_where_it_was_not(scene):
+    """Where nothing is wrong, a gain of g has a probability of at most exp(-g)."""
+
+    def late(lst):
+        return np.outer(0.05 * np.sin(2 * np.pi * (lst - 3.0) / 24.0), np.ones(scene.instrument.frequency_mhz.size))
+
+    change = late(np.arange(48) / 2.0)
+    waves = np.stack(
+        [0.01 * np.tile(f(2 * np.pi * np.arange(48) / 48.0)[:, None], change.shape[1]) for f in (np.cos, np.sin)]
+    )
+    freedom = SkyFreedom({"X": waves}, "", (Mistake("late", {"X": change}),))
+    clean, wrong = (run_test(scene, 10, 900, 4, freedom, one) for one in (None, late))
+    assert clean.gain.shape == (10, 1)
+    assert clean.gain.max() < 0.0
+    assert wrong.gain.min() > 3.0
+    assert wrong.gain == pytest.approx(-clean.gain, rel=0.8)
 
 
 def test_the_freedom_of_the_sky_moves_the_lines_as_a_fit_with_shared_noise_does(scene):
