@@ -223,7 +223,7 @@ def _test_path(
     forms = np.concatenate([terms.front * slope, terms.behind])
     columns[: tested.size] = forms.T[tested] / scale[:, None]
     whitener = np.linalg.cholesky(total)
-    white = np.linalg.solve(whitener, np.column_stack([value, response.T]))
+    white: Floats = np.asarray(np.linalg.solve(whitener, np.column_stack([value, response.T])))
     white_columns = np.linalg.solve(whitener, columns)
     normal, target = white_columns.T @ white_columns, white_columns.T @ white
     left = white - white_columns @ solve_normal_equations(normal[None], target[None])[0]
