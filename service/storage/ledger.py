@@ -151,6 +151,16 @@ class LedgerStore:
         found = self._decisive([(scope.key, instant) for scope, instant in asked], None)
         return {(promotion.scope, instant): promotion for (_, instant), promotion in found.items()}
 
+    def latest(self, scopes: Iterable[Scope]) -> dict[Scope, Promotion]:
+        """What answers where the last interval of each scope with a version begins, as the ledger stands now."""
+        of_key = {scope.key: scope for scope in scopes}
+        keys = self._keys(of_key)
+        statement = select(standing.c.scope, func.max(standing.c.valid_from_us)).group_by(standing.c.scope)
+        statement = statement.join(keys, keys.c.value == standing.c.scope)
+        statement = statement.join(promotion, promotion.c.id == standing.c.promotion)
+        rows = self._connection.execute(statement.where(promotion.c.calibration.is_not(None))).all()
+        return {scope: made for (scope, _), made in self.decisive_at((of_key[key], at) for key, at in rows).items()}
+
     def neighbours(self, paths: Sequence[Scope], instant: Instant, as_of: Instant | None) -> dict[Scope, Neighbours]:
         """The nearest promotions before and after an instant at which nothing answers for some paths, in two queries.
 

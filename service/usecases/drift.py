@@ -25,6 +25,7 @@ from service.storage.jobs import Part
 from service.storage.spectra import Window
 from service.storage.versions import MeanC, Version
 from service.usecases.calibrations import select_paths
+from service.usecases.fits import Fits
 from service.usecases.last_made import LastMade
 from service.usecases.months import DIGITS, MonthPoint, keep_months, read_matrix, read_months
 from service.usecases.story import explain_version
@@ -96,6 +97,7 @@ class Drift:
     instrument: Instrument
     sky_power: Callable[[], SkyPower]
     resistance_ohm: float
+    fits: Fits
     shown: LastMade[Any]
     """What the page of the drift shows."""
     clock: Callable[[], Instant]
@@ -107,7 +109,12 @@ class Drift:
             references = find_references(stores, self.instrument, station)
             versions = stores.versions.get_many(references.values())
             window = Window(since, until, Scope(station))
-            spectra = stores.spectra.load(window, self.instrument.frequency_mhz, self.resistance_ohm)
+            model = stores.models.during(station, since, until)
+            spectra = stores.spectra.load(
+                window, self.instrument.frequency_mhz, self.resistance_ohm, with_covariates=not model.is_plain
+            )
+        if spectra is not None:  # what an adopted cause does is no drift
+            spectra = self.fits.fit_causes(spectra, model).spectra
         by_path = {scope: versions[name] for scope, name in references.items()}
         blocks = [] if spectra is None else split_into_blocks(spectra)
         measured = [self._measure(block, by_path, since) for block in blocks]
@@ -145,12 +152,11 @@ class Drift:
             return read_matrix(stores, station)
 
     def means_of_paths(self, station: str) -> list[MeanC]:
-        """Band means of C of the versions that answer for a station's paths at the last event, path by path."""
+        """Band means of C of the newest versions in effect of a station's paths, path by path."""
         paths = select_paths(self.instrument, station, None, None)
         with self.database.read() as stores:
-            span = stores.spectra.span()
-            decisive = {} if span is None else stores.ledger.decisive(paths, span[1], None)
-            means = stores.versions.means(p.calibration for p in decisive.values() if p.calibration is not None)
+            latest = stores.ledger.latest(paths).values()
+            means = stores.versions.means(p.calibration for p in latest if p.calibration is not None)
         return sorted(means, key=lambda mean: (mean.scope.antenna or 0, mean.dipole, mean.since))
 
     def version_at(self, path: Scope, instant: Instant) -> str:
