@@ -139,7 +139,7 @@ class Factory:
     def drift(self) -> Drift:
         """C over time."""
         sky, resistance = self._get_sky_power, self.settings.resistance_ohm
-        return Drift(self.database, self.instrument, sky, resistance, LastMade(), self.clock)
+        return Drift(self.database, self.instrument, sky, resistance, self.fits, LastMade(), self.clock)
 
     @cached_property
     def watch(self) -> Watch:

@@ -136,8 +136,9 @@ class DueWork:
                 if content[0] == 0:
                     continue
                 part = {"station": station, "since": since, "until": until}
-                reason = "new spectra in the window, or another reference"
-                yield self._order(DRIFT, part, [content, sorted(references.values())], reason)
+                reason = "new spectra in the window, or another reference or model"
+                change = _name_change(stores, station, since, until)
+                yield self._order(DRIFT, part, [content, sorted(references.values()), *change], reason)
 
     def _investigations(self, stores: Stores) -> Iterator[Order]:
         if self.investigations is not None:

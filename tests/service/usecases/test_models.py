@@ -74,10 +74,17 @@ def adopt(http: TestClient, name: str, *, promote: bool = True, dry_run: bool = 
     return answer.json()
 
 
+def drift_of_path(http: TestClient) -> Floats:
+    """C of the path by month over that of 2014; the step is between the entries 14 and 16."""
+    return np.array([month["c_ratio"] for month in http.get("/v1/drift", params=PATH).json()["months"]])
+
+
 def test_an_adopted_finding_changes_c_as_announced_and_withdrawal_restores_it_bit_by_bit(
     station: Factory, http: TestClient, found: str
 ) -> None:
     before = {at: told(http, at) for at in ("2014-06-01", "2015-06-01")}
+    drifted = drift_of_path(http)
+    assert np.median(drifted[16:]) / np.median(drifted[:14]) == pytest.approx(1.15**-0.5, abs=0.01)
     plan = adopt(http, found, dry_run=True)
     assert http.get("/v1/models").json()["models"] == []
     (change,) = [one for one in plan["changes"] if (one["antenna"], one["dipole"]) == (2, "Y")]
@@ -101,6 +108,10 @@ def test_an_adopted_finding_changes_c_as_announced_and_withdrawal_restores_it_bi
     version = http.get(f"/v1/calibrations/{after['calibration']}").json()
     assert version["model"] == made["model"]
     assert look_for_due_work(station) == []
+    explained = drift_of_path(http)
+    assert np.median(explained[16:]) / np.median(explained[:14]) == pytest.approx(1.0, abs=0.01), "no drift any more"
+    assert http.get("/v1/drift", params=PATH).json()["steps"] == []
+    assert np.array_equal(explained[:12], drifted[:12])
 
     (line,) = http.get("/v1/models").json()["models"]
     assert (line["id"], line["act"], line["in_effect"], line["investigation"]) == (
@@ -120,6 +131,7 @@ def test_an_adopted_finding_changes_c_as_announced_and_withdrawal_restores_it_bi
         }
     assert [http.get(f"/v1/jobs/{number}").json()["gated"] for number in gone.json()["jobs"]] == [{}] * 3
     assert look_for_due_work(station) == []
+    assert np.array_equal(drift_of_path(http), drifted)
     lines = http.get("/v1/models").json()["models"]
     assert [(one["act"], one["in_effect"], len(one["causes"])) for one in lines] == [
         ("withdrawn", True, 0), ("adopted", False, 1),
