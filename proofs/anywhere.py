@@ -1,0 +1,155 @@
+"""Instruments drawn anywhere: the truth is inside the errors whatever the arms, the channels, the site and the chain.
+
+One to three arms, 8-200 uneven channels between 10 and 400 MHz, any latitude at which a sky sets; a flat or a shaped
+receiver, or a list of stages with a ground, an amplifier at the antenna whose noise is known or free, a filter and an
+amplifier behind the cable. The same P_sky is simulated and fitted with: what is tested is the chain.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from lbacal_core.antenna_gain import GainProvenance
+from lbacal_core.antenna_records import AntennaRecord
+from lbacal_core.calibration.fit import fit_calibration
+from lbacal_core.curves import CONVERGED, CalibrationCurve
+from lbacal_core.instrument import Instrument
+from lbacal_core.skypower.model import compute_sky_power
+from lbacal_core.stages import Stage, gain_behind
+from lbacal_core.twin.campaign import simulate_campaign
+from lbacal_core.twin.settings import TwinSettings
+from lbacal_core.twin.truth import Truth
+from proofs.machinery.claims import Claim, at_least, at_most, claim_exact, claim_mean, claim_rate
+from proofs.machinery.parts import Part, Row
+
+SETTINGS = TwinSettings(events_per_year=250)
+ANSWERED, WITHIN_2 = 0.8, 0.9
+"""Asked: curves that have an answer, and truths within two standard deviations (95 % of normal ones)."""
+MATCHED_M2 = 4800.0
+"""G_ant of an antenna that receives T behind a sky of T, m^2 MHz^2: 0.053 lambda^2 into 50 ohm."""
+
+
+def draw_instrument(rng: np.random.Generator) -> Instrument:
+    """An instrument with one to three antennas of one station."""
+    low = float(rng.uniform(10.0, 200.0))
+    high = min(float(rng.uniform(1.5, 4.0)) * low, 400.0)
+    nu = np.sort(rng.uniform(low, high, int(rng.integers(8, 201))))
+    flat = np.ones(nu.size)
+    shaped = np.exp(-((nu / high) ** 6) * rng.uniform(0.3, 2.0))
+    plain = Instrument(
+        name="somewhere",
+        # within 18 degrees of a pole no sky sets
+        latitude_deg=float(np.degrees(np.arcsin(rng.uniform(-0.95, 0.95)))),
+        longitude_deg=float(rng.uniform(-180.0, 180.0)),
+        height_m=1000.0,
+        frequency_mhz=nu,
+        dipole_azimuth_deg={letter: float(rng.uniform(10.0, 180.0)) for letter in "ABC"[: rng.integers(1, 4)]},
+        antenna_gain=flat,
+        receiver_gain=shaped if rng.random() < 0.5 else flat,
+        cables={"long": 0.5 * flat},
+        antennas=tuple(AntennaRecord("S1", number, "long") for number in range(int(rng.integers(1, 4)))),
+        antenna="quarter-wave",
+    )
+    return plain if rng.random() < 0.5 else _with_stages(plain, shaped, rng)
+
+
+def _with_stages(plain: Instrument, shaped: np.ndarray, rng: np.random.Generator) -> Instrument:
+    """The instrument with a chain of four to seven stages, and a G_ant in m^2."""
+    flat = np.ones(plain.frequency_mhz.size)
+    temperature = 10.0 ** float(rng.uniform(1.3, 2.3))
+    is_known = rng.random() < 0.5
+    known: dict[str, Any] = {"noise_k": temperature * flat, "error_k": 0.1 * temperature}
+    stages = [Stage("lna", "lna", 300.0 * flat, **(known if is_known else {"is_free": True})), Stage("coax", "cable")]
+    if rng.random() < 0.5:
+        stages.insert(0, Stage("ground", "ground", noise_k=290.0 * flat, solid_angle_sr=float(rng.uniform(0.02, 0.3))))
+    if rng.random() < 0.5:
+        stages.append(Stage("filter", "filter", shaped, is_free=rng.random() < 0.5))
+    if rng.random() < 0.5:
+        stages.append(Stage("amp", "amplifier", 1000.0 * flat, is_free=rng.random() < 0.5))
+    stages.append(Stage("adc", "adc", is_free=True))
+    return replace(
+        plain,
+        stages=tuple(stages),
+        receiver_gain=gain_behind(stages, flat.size),
+        antenna_gain=MATCHED_M2 / plain.frequency_mhz**2,
+        gain_provenance=GainProvenance("absolute", "drawn"),
+    )
+
+
+def calibrate_drawn(seed: int) -> Row:
+    """A drawn instrument, a year of it, and how far its curves and noise constants are from the truth."""
+    rng = np.random.default_rng([17, seed])
+    instrument = draw_instrument(rng)
+    sky = compute_sky_power(instrument)
+    campaign = simulate_campaign(SETTINGS, instrument, sky, rng)
+    curves = fit_calibration(campaign.spectra, instrument, sky).curves
+    found = [curve for curve in curves if curve.status == CONVERGED]
+    return {
+        "arms": len(instrument.dipoles),
+        "channels": instrument.frequency_mhz.size,
+        "chain": "stages" if instrument.stages else "flat" if np.ptp(instrument.receiver_gain) == 0 else "shaped",
+        "curves": len(curves),
+        "statuses": [curve.status for curve in curves],
+        "pulls": [round(_pull_of(curve, campaign.truth), 3) for curve in found],
+        "constants": [round(pull, 3) for curve in found for pull in _pulls_of_constants(curve, campaign.truth)],
+        "merged": sum(curve.merged is not None for curve in found),
+    }
+
+
+def _pull_of(curve: CalibrationCurve, truth: Truth) -> float:
+    """The median channel of C less the truth, in standard deviations; channels of a curve move together."""
+    planted = truth.curve(str(curve.dipole), curve.station, curve.antenna)
+    if curve.c is None or curve.c_sigma_stat is None:
+        return np.nan
+    return float(np.nanmedian((curve.c - planted) / curve.c_sigma_stat))
+
+
+def _pulls_of_constants(curve: CalibrationCurve, truth: Truth) -> list[float]:
+    """Noise constants that the data tell apart, less what was planted, in standard deviations."""
+    (station,) = truth.stations
+    names = ("n_lna", "n_rcu", "n_adc")
+    planted = station.constants or {name: getattr(station, name) for name in names}
+    merged = () if curve.merged is None else curve.merged.constants
+    return [
+        float((one.value - planted[name]) / one.sigma) for name, one in curve.parameters.items() if name not in merged
+    ]
+
+
+def judge(rows: Sequence[Row]) -> list[Claim]:
+    """Curves with an answer, and truths inside the errors, for each kind of chain."""
+    statuses = [status for row in rows for status in row["statuses"]]
+    claims = [
+        claim_rate(
+            "answered", f"Curves of {len(rows)} drawn instruments that have an answer",
+            at_least(ANSWERED), statuses.count(CONVERGED), len(statuses),
+        )
+    ]  # fmt: skip
+    for chain in ("flat", "shaped", "stages"):
+        for key, what in (("pulls", "C (median channel)"), ("constants", "noise constants that are told apart")):
+            share = [np.mean(np.abs(row[key]) < 2.0) for row in rows if row["chain"] == chain and row[key]]
+            if len(share) > 1:
+                text = f"{chain}: {what} of a drawn instrument within two standard deviations of the truth"
+                claims.append(claim_mean(f"{chain}_{key}", text, at_least(WITHIN_2), np.array(share), "%"))
+    apart = [row for row in rows if row["chain"] == "flat" and row["merged"] < len(row["pulls"])]
+    flat = sum(row["chain"] == "flat" for row in rows)
+    text = "Flat receivers whose noise constants the fit believes to tell apart"
+    return [*claims, claim_exact("flat_merged", text, at_most(0.0), float(len(apart)), n=flat)]
+
+
+def tell(rows: Sequence[Row]) -> list[str]:
+    """By kind of chain and number of arms."""
+    lines = ["| chain | arms | instruments | curves | answered | largest pull of C |", "|---|---|---|---|---|---|"]
+    for chain in ("flat", "shaped", "stages"):
+        for arms in (1, 2, 3):
+            here = [row for row in rows if (row["chain"], row["arms"]) == (chain, arms)]
+            pulls = [abs(pull) for row in here for pull in row["pulls"]]
+            counts = f"{len(here)} | {sum(row['curves'] for row in here)} | {len(pulls)}"
+            lines.append(f"| {chain} | {arms} | {counts} | {max(pulls, default=0.0):.1f} |")
+    return lines
+
+
+PARTS = (Part("chains", calibrate_drawn, judge, 60, tell),)

@@ -1,0 +1,38 @@
+"""A small instance of `./dev prove anywhere`: drawn instruments are calibrated with the truth inside the errors."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from proofs.anywhere import calibrate_drawn, judge, tell
+from proofs.machinery.parts import Row
+
+
+@pytest.fixture(scope="module")
+def rows() -> list[Row]:
+    return [calibrate_drawn(seed) for seed in range(12)]
+
+
+def test_curves_of_drawn_instruments_have_an_answer_with_the_truth_inside_its_errors(rows: list[Row]) -> None:
+    assert {row["chain"] for row in rows} == {"flat", "shaped", "stages"}
+    assert {row["arms"] for row in rows} == {1, 2, 3}
+    statuses = [status for row in rows for status in row["statuses"]]
+    # a curve that has no answer says so
+    assert np.mean(np.array(statuses) == "converged") > 0.8
+    pulls = np.concatenate([row["pulls"] for row in rows])
+    assert np.abs(pulls).max() < 4.0
+    # curves of a station share the gains of its events
+    assert np.sqrt(np.mean(np.square(pulls))) < 1.5
+
+
+def test_constants_of_a_flat_receiver_are_merged(rows: list[Row]) -> None:
+    flat = [row for row in rows if row["chain"] == "flat"]
+    assert all(row["merged"] == len(row["pulls"]) for row in flat)
+    assert len(tell(rows)) == 11
+
+
+def test_the_judgement_refutes_errors_that_are_too_small(rows: list[Row]) -> None:
+    boasting = [{**row, "pulls": [5.0 for _ in row["pulls"]], "merged": 0} for row in rows]
+    verdicts = {claim.key: claim.verdict for claim in judge(boasting)}
+    assert {key for key, verdict in verdicts.items() if verdict == "refuted"} >= {"stages_pulls", "flat_merged"}
