@@ -18,7 +18,12 @@ from lbacal_core.paper.figures import PaperFigure
 from lbacal_core.paper.noise_results import find_about_noise
 from lbacal_core.paper.shower_figures import make_shower_figures
 from lbacal_core.paper.shower_results import find_about_showers
-from lbacal_core.paper.shower_study import describe_displacements, describe_terms, study_showers
+from lbacal_core.paper.shower_study import (
+    describe_displacements,
+    describe_measured_sky,
+    describe_terms,
+    study_showers,
+)
 from lbacal_core.paper.sky_results import find_about_sky, find_skies
 from lbacal_core.paper.statements import load_statements, make_claims
 from lbacal_core.paper.study import make_study
@@ -118,6 +123,7 @@ def _redo(
     notes = [WITHOUT_DATA] if data is None else [f"Run with measured data and models of {data.name}/."]
     if not showers:
         notes.append(WITHOUT_SHOWERS)
+    notes.append(describe_measured_sky(budget, signals))
     tables = [
         tabulate_budget(budget),
         Table(DISPLACEMENTS, DISPLACED, describe_displacements(signals)),

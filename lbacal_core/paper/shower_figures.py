@@ -91,7 +91,7 @@ def _draw_ratio(study: Study, budget: Budget, showers: ShowerStudy) -> PaperFigu
             series.append(Series("one standard deviation", frequency, found.ratio, low, high, BAND, group=source.name))
         series.append(Series(f"Galactic fit / {source.name}", frequency, found.ratio, group=source.name))
         if source is showers.sources[-1]:
-            name = f"the same, {MEASURED}"
+            name = f"sky measured / {source.name}"
             series.append(Series(name, frequency, tied / source.c, origin=OTHER, group=MEASURED))
         words.append(
             f"{source.name}: trend {1e3 * found.trend:+.1f} +- {1e3 * found.trend_sigma:.1f} per mille a MHz, chi2 "
@@ -105,7 +105,8 @@ def _draw_ratio(study: Study, budget: Budget, showers: ShowerStudy) -> PaperFigu
         8,
         "Calibrations in ratio",
         "Galactic over reference source calibration of the simulated Superterp, with a stand-in for the source. "
-        f"{stated}. {'; '.join(words)}. The paper's ratio and that of Tunka-Rex are not public as numbers.",
+        f"Dotted: the fit with the {MEASURED}. {stated}. {'; '.join(words)}. "
+        "The paper's ratio and that of Tunka-Rex are not public as numbers.",
         [Panel(FREQUENCY, "ratio of C", series)],
     )
 
