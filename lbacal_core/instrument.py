@@ -267,6 +267,33 @@ class Instrument:
         words = ("antenna", "sky", "antenna_gain_provenance")
         return hash_content({name: value for name, value in self.as_dict().items() if name not in words})
 
+    def digest_of(
+        self, since_unix: float, until_unix: float, station: str | None = None, antenna: int | None = None
+    ) -> str:
+        """Hash of what a fit of some antennas uses in an interval: of one antenna, of a station's, or of all.
+
+        Records of other antennas and of other times are not in it, nor cables that nobody had.
+        """
+        used = [
+            record
+            for record in self.antennas
+            if station in (None, record.station)
+            and antenna in (None, record.antenna)
+            and (record.since is None or record.since < until_unix)
+            and (record.until is None or record.until > since_unix)
+        ]
+        inside = [
+            replace(
+                record,
+                since=None if record.since is None or record.since <= since_unix else record.since,
+                until=None if record.until is None or record.until >= until_unix else record.until,
+            )
+            for record in used
+        ]
+        known = {record.cable: self.cables[record.cable] for record in used}
+        own = replace(self, name="", height_m=0.0, cables=known, antennas=inside)
+        return own.digest()
+
     def view_digest(self) -> str:
         """Hash of what P_sky takes from an instrument: its place, the arms of its dipoles and its channels."""
         tilts = {dipole: tilt for dipole, tilt in self.dipole_tilt_deg.items() if tilt}

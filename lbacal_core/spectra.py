@@ -29,7 +29,7 @@ from lbacal_core.hdf5 import (
     read_text,
     read_values,
 )
-from lbacal_core.provenance import hash_arrays
+from lbacal_core.quarters import PathQuarter, hash_quarters, hash_window
 
 FORMAT = "lbacal-spectra-1"
 EARLIEST_UNIX = datetime(2009, 1, 1, tzinfo=UTC).timestamp()
@@ -37,7 +37,6 @@ DAY_S = 86_400.0
 MAX_COVARIATES = 16
 """Covariates of one event."""
 _COVARIATE = re.compile(r"[a-z][a-z0-9_]{0,39}", re.ASCII)
-_ROWS_AT_ONCE = 4096
 
 _COLUMNS = ("event_id", "time_unix", "station", "antenna", "dipole", "blocks")
 _KEY = ("station", "antenna", "dipole", "event_id")
@@ -228,17 +227,29 @@ class Spectra:
         limit = f"an instant not after {datetime.fromtimestamp(now_unix, UTC):%Y-%m-%d} (s UTC)"
         self._require("time_unix", self.time_unix <= now_unix + DAY_S, limit)
 
-    def digest(self) -> str:
-        """Hash of every value that a fit sees; rows count in key order, so their order in the file does not."""
-        order = np.argsort(self._keys)
-        # gathered in parts that stay in the cache
-        parts = [order[k : k + _ROWS_AT_ONCE] for k in range(0, order.size, _ROWS_AT_ONCE)]
-        power = [hash_arrays(self.power[part]) for part in parts]
-        names = [names for names, _ in self.key_codes.values()]
-        numbers = [self._keys[order], self.time_unix[order], self.blocks[order]]
-        numbers += [] if self.width_mhz is None else [self.width_mhz]
-        numbers += [] if self.duration_s is None else [self.duration_s[order]]
-        return hash_arrays(self.frequency_mhz, [self.resistance_ohm], power, *names, *numbers)
+    def digest(self, station: str | None = None, antenna: int | None = None, dipole: str | None = None) -> str:
+        """Hash of every value that a fit sees, of all spectra or of a station's or path's; their order does not count.
+
+        It is the hash of the sorted hashes of its quarters.
+        """
+        asked = (station, antenna, dipole)
+        hashes = [
+            value
+            for key, value in self.quarter_hashes.items()
+            if all(wanted in (None, found) for wanted, found in zip(asked, key, strict=False))
+        ]
+        return hash_window(self.frequency_mhz, self.resistance_ohm, self.width_mhz, hashes)
+
+    @cached_property
+    def quarter_hashes(self) -> Mapping[PathQuarter, str]:
+        """The hash of what each path recorded in each quarter."""
+        numbers, path_of = np.unique(self._keys // self.key_codes["event_id"][0].size, return_inverse=True)
+        first = np.empty(numbers.size, dtype=np.int64)
+        first[path_of] = np.arange(len(self))
+        paths = [(str(self.station[k]), int(self.antenna[k]), str(self.dipole[k])) for k in first]
+        columns = [self.event_id, self.time_unix, self.blocks, self.power]
+        columns += [] if self.duration_s is None else [self.duration_s]
+        return hash_quarters(paths, path_of, np.argsort(self._keys), self.time_unix, columns)
 
     @cached_property
     def key_codes(self) -> Mapping[str, tuple[NDArray[Any], NDArray[np.int64]]]:

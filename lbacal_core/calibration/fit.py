@@ -122,7 +122,7 @@ def fit_calibration(
     provenance = Provenance(
         inputs={
             "spectra": digest.result(),
-            "instrument": instrument.digest(),
+            "instrument": _digest_of(instrument, spectra, scope),
             "sky_power": sky_power.digest(),
         },
         settings={
@@ -141,6 +141,14 @@ def fit_calibration(
         tuple(chain for *_, chain in fitted),
         tuple(anomaly for _, anomalies in batches for anomaly in anomalies),
     )
+
+
+def _digest_of(instrument: Instrument, spectra: Spectra, scope: str) -> str:
+    """The hash of what the curves of these spectra take from the instrument."""
+    first, last = float(spectra.time_unix.min()), float(spectra.time_unix.max())
+    stations = spectra.key_codes["station"][0].tolist()
+    station = stations[0] if scope != "array" and len(stations) == 1 else None
+    return instrument.digest_of(first, float(np.nextafter(last, np.inf)), station)
 
 
 _Fitted = tuple[list[tuple[CalibrationCurve, Floats, ReferenceChain | None]], Sequence[Anomaly]]

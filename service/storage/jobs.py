@@ -25,6 +25,8 @@ PAUSE_US = 600_000_000
 """After a failure due work is tried again in ten minutes, after each further one in twice the time."""
 LONGEST_PAUSE_US = 86_400_000_000
 """At the latest it is tried again after a day, and work that somebody cancelled not before."""
+GIVEN_UP = "given up: the scheduler has another instrument, sky power or model version by now"
+"""The error of due parts that were never tried: with the inputs of now they are due at once."""
 
 
 class LeaseLostError(ConflictError):
@@ -142,15 +144,16 @@ class JobStore:
 
     def _tries(self, due_name: str) -> Tries:
         """What became of due work so far."""
-        columns = [job.c.id, job.c.is_cancelled, job_part.c.state, job_part.c.ended_us]
+        columns = [job.c.id, job.c.is_cancelled, job_part.c.state, job_part.c.ended_us, job_part.c.error]
         statement = select(*columns).join(job_part, job_part.c.job == job.c.id).where(job.c.due_name == due_name)
         rows = self._connection.execute(statement).all()
         if any(row.state in (QUEUED, RUNNING, DONE) for row in rows):
             return Tries(is_settled=True, failed=0, again=None)
-        failed = len({row.id for row in rows})
+        tried = [row for row in rows if row.error != GIVEN_UP]
+        failed = len({row.id for row in tried})
         pause = min(PAUSE_US * 2 ** min(failed - 1, 30), LONGEST_PAUSE_US) if failed else 0
-        ends = [row.ended_us + (LONGEST_PAUSE_US if row.is_cancelled else pause) for row in rows]
-        return Tries(is_settled=False, failed=failed, again=max(ends, default=None))
+        ends = [row.ended_us + (LONGEST_PAUSE_US if row.is_cancelled else pause) for row in tried]
+        return Tries(is_settled=False, failed=len({row.id for row in rows}), again=max(ends, default=None))
 
     def claim(self, worker: str, *, lease_us: int, inputs: str | None = None) -> Part | None:
         """Take a part that is queued, or whose worker has been silent for longer than its lease.
@@ -215,11 +218,11 @@ class JobStore:
         self._connection.execute(update(job_part).where(open_parts).values(values))
         self._connection.execute(update(job).where(job.c.id == number).values(is_cancelled=True))
 
-    def drop_outdated(self, inputs: str, now: Instant, reason: str) -> int:
+    def drop_outdated(self, inputs: str, now: Instant) -> int:
         """Give up due parts that nobody has begun and that were made for other inputs; return their count."""
         due = select(job.c.id).where(job.c.due_name.is_not(None))
         is_outdated = and_(IS_OPEN, job_part.c.state == QUEUED, job_part.c.inputs != inputs, job_part.c.job.in_(due))
-        values = {"state": FAILED, "ended_us": now, "error": reason}
+        values = {"state": FAILED, "ended_us": now, "error": GIVEN_UP}
         return self._connection.execute(update(job_part).where(is_outdated).values(values)).rowcount
 
     def get(self, number: int) -> Job:

@@ -17,6 +17,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
+import numpy as np
+
 from lbacal_core.instrument import Instrument
 from lbacal_core.provenance import hash_content
 from lbacal_core.skypower.table import SkyPower
@@ -34,10 +36,12 @@ from service.usecases.refits import KIND as REFIT
 from service.usecases.refits import describe_part
 from service.usecases.watch import KIND as WATCH
 from service.usecases.watch import Watch
+from service.usecases.windows import SECOND_US
 from service.usecases.years import find_years
 from service.wire.instants import DAY_US
 
 BY = "scheduler"
+ALWAYS = {"since": -np.inf, "until": np.inf}
 
 
 @dataclass(frozen=True)
@@ -58,8 +62,7 @@ class DueWork:
         Work that nobody has begun and that was enqueued for another instrument, sky power or model version is given up.
         """
         with self.database.write() as stores:
-            reason = "given up: the scheduler has another instrument, sky power or model version by now"
-            stores.jobs.drop_outdated(self._inputs.text, self.clock(), reason)
+            stores.jobs.drop_outdated(self._inputs.text, self.clock())
         with self.database.read() as stores:
             orders = [*self._refits(stores), *self._drift(stores, stores.spectra.stations())]
             orders += self._investigations(stores)
@@ -149,7 +152,10 @@ class DueWork:
 
     def _order(self, kind: str, part: dict[str, Any], called_for_by: list[Any], reason: str) -> Order:
         own = self._inputs
-        due_name = hash_content([kind, part, *called_for_by, [own.instrument, own.sky_power, own.model_version]])
+        # a cable of another antenna, or of another year, calls for nothing
+        since, until = (part[name] / SECOND_US if name in part else at for name, at in ALWAYS.items())
+        of_instrument = self.instrument.digest_of(since, until, part.get("station"))
+        due_name = hash_content([kind, part, *called_for_by, [of_instrument, own.sky_power, own.model_version]])
         return Order(kind, part, [part], reason, BY, due_name, own.text)
 
     @cached_property

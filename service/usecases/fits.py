@@ -106,14 +106,19 @@ class Fits:
             report = add_budget(of_piece.fit(wanted.scope, freedom), budget)
             during = replace(wanted, since=round(rows.since_unix * SECOND_US), until=round(rows.until_unix * SECOND_US))
             recorded = spectra if np.all(rows.rows) else of_piece.recorded
-            versions += _versions(recorded, report, during, made, beside)
+            versions += _versions(recorded, report, during, made, beside, self.instrument)
             budgets |= report.budgets
             pieces.append((during.since, of_piece.spectra))
         return Made(lend_to_small(versions, pieces, self.instrument, self.sky_power()), budgets)
 
 
 def _versions(
-    spectra: Spectra, report: FitReport, wanted: Wanted, made: Instant, beside: Mapping[str, str]
+    spectra: Spectra,
+    report: FitReport,
+    wanted: Wanted,
+    made: Instant,
+    beside: Mapping[str, str],
+    instrument: Instrument,
 ) -> list[Version]:
     """The versions of a report, each named by its own inputs; `beside` are those that all of them share."""
     groups: dict[Scope, list[CalibrationCurve]] = {}
@@ -123,6 +128,7 @@ def _versions(
         groups.setdefault(scope, []).append(curve)
         if chain is not None:
             chains.setdefault(scope, {})[str(curve.dipole)] = chain
+    ends = wanted.since / SECOND_US, wanted.until / SECOND_US
     return [
         Version(
             scope=scope,
@@ -131,7 +137,8 @@ def _versions(
             inputs={
                 **report.provenance.inputs,
                 **beside,
-                "spectra": spectra.select(_rows_of(spectra, scope)).digest(),
+                "instrument": instrument.digest_of(*ends, scope.station, scope.antenna),
+                "spectra": spectra.digest(scope.station, scope.antenna, scope.dipole),
                 "scope": scope.key,
                 "settings": dict(report.provenance.settings),
                 "model_version": report.provenance.model_version,

@@ -6,7 +6,7 @@ same inputs are investigated once; whoever asks again is told the id of the repo
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -28,6 +28,7 @@ from service.usecases.calibrations import select_paths
 from service.usecases.inputs import hash_covariates, name_inputs
 from service.usecases.night import StationNews, tell_news
 from service.usecases.orders import Limits, place_order, read_window
+from service.usecases.windows import SECOND_US
 from service.usecases.years import find_years, split_years
 from service.wire.bodies import InvestigationBody
 from service.wire.instants import format_instant
@@ -93,7 +94,7 @@ class Investigations:
         if whole is None:
             raise ConflictError(f"every antenna of {station} changed in this window: ask for shorter ones")
         spectra = whole
-        inputs = self._inputs(spectra, model)
+        inputs = self._inputs(spectra, model, part.request)
         name = hash_content(inputs)
         with self.database.read() as stores:
             made = stores.investigations.find(name)
@@ -104,11 +105,13 @@ class Investigations:
             stores.investigations.add(made)
             stores.jobs.complete(part, worker, {"calibrations": [], "results": [name]}, self.clock())
 
-    def _inputs(self, spectra: Spectra, model: Model) -> dict[str, Any]:
+    def _inputs(self, spectra: Spectra, model: Model, request: Mapping[str, Any]) -> dict[str, Any]:
         return {
             "spectra": spectra.digest(),
             "environment": hash_covariates(spectra),
-            "instrument": self.instrument.digest(),
+            "instrument": self.instrument.digest_of(
+                request["since"] / SECOND_US, request["until"] / SECOND_US, request["station"]
+            ),
             "sky_power": self.sky_power().digest(),
             "own_sky": self.is_own_sky,
             "policy": Policy().as_dict(),

@@ -204,6 +204,26 @@ def test_fields_of_others_are_left_alone_and_not_part_of_the_digest() -> None:
     assert parse_instrument(content, "i.json").digest() == parse_instrument(make_content(), "i.json").digest()
 
 
+def test_a_cable_of_another_antenna_or_another_year_renamed_every_calibration() -> None:
+    """The digest of a fit holds what the fit uses: its antennas' records while they last, and their cables."""
+    content = make_content()
+    old, begin, change = parse_instrument(content, "i.json"), unix("2013-01-01"), unix("2013-05-01")
+    content["antennas"][2]["cable"] = "50 m"
+    other_antenna = parse_instrument(content, "i.json")
+    assert other_antenna.digest_of(begin, 2e9, "CS002", 0) == old.digest_of(begin, 2e9, "CS002", 0)
+    assert other_antenna.digest_of(begin, 2e9, "CS002", 1) != old.digest_of(begin, 2e9, "CS002", 1)
+    assert other_antenna.digest_of(begin, 2e9, "CS002") != old.digest_of(begin, 2e9, "CS002")
+    content = make_content()
+    content["antennas"][1]["until"] = "2020-01-01"
+    ended = parse_instrument(content, "i.json")
+    assert ended.digest_of(begin, unix("2020-01-01")) == old.digest_of(begin, unix("2020-01-01"))
+    assert ended.digest_of(begin, unix("2020-01-02")) != old.digest_of(begin, unix("2020-01-02"))
+    assert old.digest_of(begin, change, "CS002", 0) != old.digest_of(change, unix("2014-01-01"), "CS002", 0)
+    content = make_content()
+    content["receiver_gain"][0] *= 2.0
+    assert parse_instrument(content, "i.json").digest_of(begin, 2e9) != old.digest_of(begin, 2e9)
+
+
 def test_the_cable_changes_at_the_instant_of_the_record() -> None:
     instrument = parse_instrument(make_content(), "i.json")
     change = unix("2013-05-01")

@@ -1,0 +1,68 @@
+"""Spectra are named path by path and quarter by quarter, and a window by the sorted hashes of its quarters.
+
+A spectrum that arrives late changes the hash of one quarter of one path; all others are what they were.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lbacal_core.grids import Floats
+from lbacal_core.provenance import hash_arrays, hash_content
+
+Path = tuple[str, int, str]
+"""Station, antenna and dipole."""
+PathQuarter = tuple[str, int, str, int]
+"""A path, and the number of a quarter."""
+MONTHS = 3
+
+
+def number_quarters(time_unix: Floats) -> NDArray[np.int64]:
+    """Quarters of the calendar (UTC) since 1970 that instants, s UTC, lie in."""
+    months = np.floor(time_unix).astype("datetime64[s]").astype("datetime64[M]")
+    return np.asarray(months.astype(np.int64) // MONTHS)
+
+
+def start_of_quarter(number: int) -> int:
+    """The first instant of a quarter, s UTC."""
+    return int(np.datetime64(number * MONTHS, "M").astype("datetime64[s]").astype(np.int64))
+
+
+def hash_quarters(
+    paths: Sequence[Path],
+    path_of: NDArray[np.int64],
+    order: NDArray[np.int64],
+    time_unix: Floats,
+    columns: Sequence[Any],
+) -> dict[PathQuarter, str]:
+    """The hash of what each path recorded in each quarter.
+
+    Parameters
+    ----------
+    path_of
+        Number of the path of each row, shape (row,).
+    order
+        Rows in order of path and event: the order in which they are stored does not count.
+    columns
+        What is recorded, one entry a row each.
+    """
+    quarter = number_quarters(time_unix)
+    order = order[np.lexsort((quarter[order], path_of[order]))]
+    ends = np.flatnonzero(np.diff(path_of[order]) | np.diff(quarter[order])) + 1
+    found = {}
+    for rows in np.split(order, ends) if order.size else []:
+        station, antenna, dipole = paths[path_of[rows[0]]]
+        number = int(quarter[rows[0]])
+        of_rows = hash_arrays(*(column[rows] for column in columns))
+        found[station, antenna, dipole, number] = hash_content([station, antenna, dipole, number, of_rows])
+    return found
+
+
+def hash_window(frequency_mhz: Floats, resistance_ohm: float, width_mhz: Floats | None, hashes: Iterable[str]) -> str:
+    """The hash of all spectra of a window, from those of its quarters in any order."""
+    grid = hash_arrays(frequency_mhz, [resistance_ohm], [] if width_mhz is None else width_mhz)
+    return hash_content([grid, sorted(hashes)])

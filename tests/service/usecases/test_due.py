@@ -1,0 +1,66 @@
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lbacal_core.spectra import Spectra
+from service.config import Settings
+from service.factory import Factory
+
+TIME_UNIX = 1_400_000_000.0
+
+
+@pytest.fixture
+def filled(factory: Factory) -> Factory:
+    """A service with an event of one antenna of each of its two stations."""
+    stations = ["CS001", "CS002"]
+    spectra = Spectra(
+        frequency_mhz=factory.instrument.frequency_mhz,
+        power=np.ones((2, factory.instrument.frequency_mhz.size)),
+        event_id=np.array(["a", "a"]),
+        time_unix=np.full(2, TIME_UNIX),
+        station=np.array(stations),
+        antenna=np.zeros(2, dtype=np.int64),
+        dipole=np.array(["X", "X"]),
+        blocks=np.full(2, 100),
+    )
+    with factory.database.write() as stores:
+        stores.spectra.add(spectra)
+    return factory
+
+
+@pytest.fixture
+def rewired(filled: Factory, instrument_file: Path, tmp_path: Path) -> Iterator[Factory]:
+    """The same service after an antenna of CS001 got another cable on record."""
+    content = json.loads(instrument_file.read_text())
+    content["cables"]["50m"] = [0.7] * len(content["frequency_mhz"])
+    content["antennas"][0]["cable"] = "50m"
+    (tmp_path / "rewired.json").write_text(json.dumps(content))
+    settings = Settings(database_url=filled.settings.database_url, instrument=str(tmp_path / "rewired.json"))
+    made = Factory(settings, filled.clock)
+    yield made
+    made.database.close()
+
+
+def stations_of(factory: Factory, numbers: list[int]) -> list[str | None]:
+    """Whose refits some jobs are, None for the array."""
+    return sorted((factory.jobs.get(number).request["station"] for number in numbers), key=str)
+
+
+def test_a_cable_of_one_station_called_for_the_refits_of_all(filled: Factory, rewired: Factory) -> None:
+    assert stations_of(filled, filled.due.enqueue()) == ["CS001", "CS001", "CS002", "CS002", None]
+    with filled.database.engine.begin() as connection:
+        connection.exec_driver_sql("UPDATE job_part SET state = 'done', ended_us = 0")
+    assert stations_of(rewired, rewired.due.enqueue()) == ["CS001", "CS001", None]
+    assert rewired.due.enqueue() == []
+
+
+def test_work_given_up_for_another_instrument_is_due_again_at_once(filled: Factory, rewired: Factory) -> None:
+    """The name of what CS002 needs is what it was: giving it up must not count as a failure with its pause."""
+    filled.due.enqueue()
+    assert stations_of(rewired, rewired.due.enqueue()) == ["CS001", "CS001", "CS002", "CS002", None]
+    assert rewired.due.enqueue() == []
