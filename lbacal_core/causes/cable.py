@@ -21,6 +21,9 @@ FEWEST_CHANNELS = 8
 FEWEST_PERIODS = 1.5
 """Periods of a ripple within the band, below which it cannot be told from a slope."""
 EVEN_MHZ = 1e-6
+SMALLEST_RIPPLE = 1e-3
+"""Amplitude in the channels of a ripple of amplitude 1, below which it is none: its size would be a rounding error over
+another, and was once named with 3e11."""
 
 
 @dataclass(frozen=True)
@@ -88,13 +91,14 @@ class CableReflection(AntennaCause):
             return []
         phases = (0.0, 45.0, 90.0, 135.0)
         ripples = [_ripple(delay, phase, frequency_mhz) for delay in _delays_us(frequency_mhz) for phase in phases]
-        return [one for one in ripples if np.any(one.departure)]
+        return [one for one in ripples if _is_seen(one)]
 
     def finer_templates(self, template: AntennaTemplate, frequency_mhz: Floats) -> list[AntennaTemplate]:
         """Delays between those that were tried, and phases all around."""
         delays = template.parameters["delay_us"] + _step_us(frequency_mhz) * np.arange(-0.8, 1.0, 0.2)
         phases = np.arange(0.0, 360.0, 15.0)
-        return [_ripple(delay, phase, frequency_mhz) for delay in delays.tolist() for phase in phases.tolist()]
+        ripples = [_ripple(delay, phase, frequency_mhz) for delay in delays.tolist() for phase in phases.tolist()]
+        return [one for one in ripples if _is_seen(one)]
 
     def note(self, parameters: Mapping[str, float], size: float) -> str:
         """What else would look the same in even channels."""
@@ -119,6 +123,11 @@ def _ripple(delay_us: float, phase_deg: float, frequency_mhz: Floats) -> Antenna
     if np.ptp(spacing) < EVEN_MHZ:
         parameters["or_delay_us"] = 1.0 / float(spacing.mean()) - delay_us
     return AntennaTemplate(parameters, np.sinc(delay_us * guess_widths(frequency_mhz)) * wave)
+
+
+def _is_seen(ripple: AntennaTemplate) -> bool:
+    """Whether channels show a ripple: at half a period a channel, one phase is zero in each, but for rounding."""
+    return bool(np.abs(ripple.departure).max() > SMALLEST_RIPPLE)
 
 
 def _step_us(frequency_mhz: Floats) -> float:

@@ -54,3 +54,13 @@ def test_finer_channels_reach_longer_delays():
     fine = np.arange(50.0, 70.0, 0.39)
     delays = {template.parameters["delay_us"] for template in CableReflection().templates(fine, None)}
     assert min(abs(delay - 0.85) for delay in delays) < 0.5 / np.ptp(fine)
+
+
+def test_a_ripple_that_is_zero_in_every_channel_was_named_with_an_amplitude_of_3e11():
+    """A sine of half a period a channel is a rounding error in each, and every antenna has some multiple of it."""
+    cause = CableReflection()
+    tried = cause.templates(FREQUENCY, None)
+    longest = [one for one in tried if one.parameters["delay_us"] == pytest.approx(0.5)]
+    assert {one.parameters["phase_deg"] for one in longest} == {0.0, 45.0, 135.0}
+    about = cause.finer_templates(longest[0], FREQUENCY)
+    assert min(np.abs(one.departure).max() for one in [*tried, *about]) > 0.1
