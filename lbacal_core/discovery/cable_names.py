@@ -177,7 +177,7 @@ def _influence(station: Station, baseline: Baseline, model: LinearModel, path: i
     scale = float(model.residuals.levels.path_scale[path])
     channels = slope.size
     radiometer = (levels.path_channel * scale) ** 2
-    variance, turned = np.linalg.eigh(levels.of_all(levels.path_shared) * scale**2)
+    variance, turned = np.linalg.eigh(levels.of_all(levels.path_shared[:, c]) * scale**2)
     vectors = turned.T @ levels.vectors
     # What an event shares along each vector takes this part of its weight, shape (vector, event).
     over = np.maximum(variance, 0.0)[:, None] * precision / radiometer

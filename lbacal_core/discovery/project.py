@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from lbacal_core.chain.terms import ChainTerms
 from lbacal_core.discovery.hypothesis import Target
-from lbacal_core.discovery.noise import NoiseLevels, Residuals, estimate_again, split_residuals
+from lbacal_core.discovery.levels import NoiseLevels
+from lbacal_core.discovery.noise import Residuals, estimate_again, split_residuals
 from lbacal_core.discovery.station import SkyModes, Station
 from lbacal_core.discovery.view import Seen, View
 from lbacal_core.grids import Floats
@@ -78,21 +79,21 @@ class LinearModel:
         if np.all(is_known):
             return self
         station = self.station.on_events(is_known)
-        whole = self.residuals.deviation + self.residuals.mean[self.polarisation_of[station.class_of]]
-        residuals = split_residuals(station, whole * station.is_present[:, :, None], self.residuals.seeds)
+        residuals = self.residuals
+        whole = residuals.deviation + residuals.taken + residuals.mean[self.polarisation_of[station.class_of]]
+        residuals = split_residuals(station, whole * station.is_present[:, :, None], residuals.seeds)
         return replace(self, station=station, residuals=residuals).beside_modes()
 
     def beside_modes(self) -> LinearModel:
         """The same with noise levels estimated beside what is no noise: differences between models, known structure."""
         if self.modes is None and self.empirical is None:
             return self
-        mean, residuals = self.common.clean(self.residuals.mean[None])[0], self.residuals
-        if self.modes is not None:
-            residuals = replace(residuals, deviation=residuals.deviation - self._seen_in_deviations())
-        return replace(self, residuals=estimate_again(self.station, residuals, mean))
+        mean = self.common.clean(self.residuals.mean[None])[0]
+        sky = None if self.modes is None else self._seen_in_deviations()
+        return replace(self, residuals=estimate_again(self.station, self.residuals, mean, sky))
 
     def _seen_in_deviations(self) -> Floats:
-        """What the changes of the sky that the means show do to the deviations, shape (path, event, freq).
+        """What the changes of the sky that the means show do to the deviations, shape (class, event, freq).
 
         Paths differ in the share of the sky in their power, and a change of the sky does not cancel in them.
         """
@@ -100,8 +101,7 @@ class LinearModel:
         rows, _, channels = self.common.slope.shape
         amounts[: rows * (channels + len(self._mean_free_vectors[1]))] = 0.0
         change = self.common.described(amounts) / self._seen_in_mean(np.ones((1, 1, 1, 1)))[0]
-        of_class = self._contrast * change[self.polarisation_of]
-        return np.asarray(of_class[self.station.class_of] * (self.residuals.deviation != 0.0))
+        return np.asarray(self._contrast * change[self.polarisation_of])
 
     @cached_property
     def _contrast(self) -> Floats:
@@ -148,7 +148,7 @@ class LinearModel:
         everyone = np.all(is_known, axis=0).reshape(-1, 1, 1)
         size = np.eye(len(levels.vectors))
         variance = np.mean(levels.common_channel**2) + levels.path_channel**2 * residuals.spread.mean(axis=0)
-        of_paths = residuals.spread.mean(axis=0)[:, None, None] * levels.path_shared[levels.kind_of]
+        of_paths = residuals.spread.mean(axis=0)[:, None, None] * levels.mean_path_shared[levels.kind_of]
         joint = of_paths + variance[:, None, None] * size
         of_sum, of_difference = (
             everyone * np.linalg.inv(np.where(everyone, shared[levels.kind_of] + joint, size))
@@ -206,7 +206,14 @@ class LinearModel:
         slope, constants = self._free_vectors
         level = np.empty((0, *slope.shape)) if self.modes is None else self.modes.common * self._contrast
         return [
-            self._path_view(slope[c], constants[:, c], self.weight[members], members, level[:, c])
+            self._path_view(
+                slope[c],
+                constants[:, c],
+                self.weight[members],
+                members,
+                level[:, c],
+                self.residuals.levels.path_shared[:, c],
+            )
             for c, members in enumerate(self.members)
         ]
 
@@ -217,15 +224,24 @@ class LinearModel:
         polarisation, in_mean = self.polarisation_of[self.station.class_of], self.residuals.in_mean
         weights = [self.weight[in_mean & (polarisation == d)].mean(axis=0) for d in range(len(slope))]
         nobody, level = np.empty(0, dtype=np.int64), np.empty((0, *slope.shape[1:]))
-        return [self._path_view(slope[d], constants[:, d], w[None], nobody, level) for d, w in enumerate(weights)]
+        shared = self.residuals.levels.mean_path_shared
+        return [
+            self._path_view(slope[d], constants[:, d], w[None], nobody, level, shared) for d, w in enumerate(weights)
+        ]
 
     def _path_view(
-        self, slope: Floats, constants: Floats, weight: Floats, members: NDArray[np.int64], level: Floats
+        self,
+        slope: Floats,
+        constants: Floats,
+        weight: Floats,
+        members: NDArray[np.int64],
+        level: Floats,
+        shared: Floats,
     ) -> View:
         levels = self.residuals.levels
         variance = levels.path_channel**2
         channel = np.array([[1.0 / variance]])
-        inside = np.asarray(np.linalg.inv(levels.path_shared + variance * np.eye(len(levels.vectors))))
+        inside = np.asarray(np.linalg.inv(shared + variance * np.eye(len(levels.vectors))))
         inside = (inside[levels.kind_of] if len(inside) > 1 else inside)[None, None]
         free, residual = np.concatenate([constants, level])[:, None], self.residuals.deviation[members][:, None]
         prior = np.repeat([0.0, 1.0 if self.modes is None else self.modes.prior], [len(constants), len(level)])

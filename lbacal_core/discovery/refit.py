@@ -17,7 +17,8 @@ from lbacal_core.causes.cause import Template, signature, spectral_signature
 from lbacal_core.chain.terms import ChainTerms
 from lbacal_core.discovery.baseline import Baseline, fit_baseline
 from lbacal_core.discovery.hypothesis import Hypothesis
-from lbacal_core.discovery.noise import NoiseLevels, split_residuals
+from lbacal_core.discovery.levels import NoiseLevels
+from lbacal_core.discovery.noise import split_residuals
 from lbacal_core.discovery.project import LinearModel
 from lbacal_core.discovery.scan import group_templates
 from lbacal_core.discovery.station import SkyModes, Station
@@ -74,14 +75,14 @@ def linearise(
 
 
 def _shared_vectors(station: Station, terms: ChainTerms) -> Floats:
-    """Vectors along frequency that the noise of an event may share, shape (vector, freq).
+    """Vectors along frequency that the noise of an event may share, as each class shows them, (class, vector, freq).
 
     A gain behind everything, one in front of N_RCU, and a resonance that moves.
     """
     conditions = station.conditions
-    front = np.mean((terms.sky + terms.n_lna) * terms.front / terms.power(), axis=(0, 1))
+    front = np.mean((terms.sky + terms.n_lna) * terms.front / terms.power(), axis=1)
     moved = front * slope_of_gain(conditions.frequency_mhz, conditions.antenna_gain)
-    return np.stack([np.ones_like(front), front, moved])
+    return np.stack([np.ones_like(front), front, moved], axis=1)
 
 
 def power_ratio(station: Station, terms: ChainTerms, hypotheses: Sequence[Hypothesis]) -> Floats:

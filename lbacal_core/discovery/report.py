@@ -71,7 +71,7 @@ def _verdict(report: StationReport) -> str:
 def _noise(report: StationReport) -> dict[str, Any]:
     station, levels = report.station, report.last.linear.residuals.levels
     channels, polarisations = levels.vectors.shape[1], len(report.last.linear.residuals.polarisations)
-    of_path, of_station = levels.of_all(levels.path_shared), levels.of_all(levels.common_sum) / polarisations
+    of_path, of_station = levels.of_all(levels.mean_path_shared), levels.of_all(levels.common_sum) / polarisations
     return {
         "radiometer_per_mhz": levels.path_channel,
         "path_event_gain": float(np.sqrt(np.trace(of_path) / channels)),

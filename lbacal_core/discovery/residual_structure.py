@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.stats import binom, chi2
 
 from lbacal_core.causes.axes import Axis, list_axes
-from lbacal_core.discovery.noise import is_heavy
+from lbacal_core.discovery.levels import is_heavy
 from lbacal_core.discovery.project import LinearModel
 from lbacal_core.discovery.refit import FOLDS, held_out_fold
 from lbacal_core.discovery.trials import p_of_best

@@ -50,11 +50,11 @@ def slow_product(covariance, absorbed, left, right):
     return whole - of_left @ np.linalg.pinv(gram, rcond=1e-10, hermitian=True) @ of_right
 
 
-def covariance_of(levels):
-    """Noise of one path, shape (freq, freq)."""
+def covariance_of(levels, c):
+    """Noise of one path of a class, shape (freq, freq)."""
     return (
         levels.path_channel**2 * np.eye(levels.vectors.shape[1])
-        + levels.vectors.T @ levels.path_shared[0] @ levels.vectors
+        + levels.vectors.T @ levels.path_shared[0, c] @ levels.vectors
     )
 
 
@@ -100,7 +100,7 @@ def test_scores_of_paths_equal_those_of_a_dense_covariance(model):
     k = int(np.flatnonzero(score.target.is_member)[0])
     c = int(data.class_of[k])
     d = int(model.polarisation_of[c])
-    own = covariance_of(levels) * levels.path_scale[k] ** 2
+    own = covariance_of(levels, c) * levels.path_scale[k] ** 2
     full = np.full((data.power.shape[1], channels, channels), np.inf)
     full[data.is_present[k]] = own
     absorbed = free_vectors_of(model.paths[c])[:, 0]
@@ -111,7 +111,7 @@ def test_scores_of_paths_equal_those_of_a_dense_covariance(model):
     typical = []
     for other in members:
         full = np.full((data.power.shape[1], channels, channels), np.inf)
-        full[data.is_present[other]] = covariance_of(levels)
+        full[data.is_present[other]] = covariance_of(levels, c)
         full *= levels.path_scale[other] ** 2
         typical.append(slow_product(full, absorbed, values[c], values[c]))
     f -= model.paths_in_mean[d] * model.share_of_mean(score.target.is_member)[c] ** 2 * np.mean(typical)
@@ -127,7 +127,7 @@ def slow_mean(model, mean):
     for e in range(events):
         vectors = levels.vectors
         common = np.mean(levels.common_channel**2) + levels.path_channel**2 * spread[:, e].mean()
-        joint = spread[:, e].mean() * levels.path_shared[0] + common * np.eye(len(vectors))
+        joint = spread[:, e].mean() * levels.mean_path_shared[0] + common * np.eye(len(vectors))
         plus, minus = levels.common_sum[0] + joint, levels.common_difference[0] + joint
         blocks = [[(plus + minus) / 2 if i == j else (plus - minus) / 2 for j in range(2)] for i in range(2)]
         matrix = np.block([[vectors.T @ b @ vectors for b in row] for row in blocks])

@@ -1,0 +1,347 @@
+"""Noise levels of a station: what an event shares along frequency, and the noise of each channel.
+
+The relative noise of a spectrum is radiometer noise in each channel, and what an event shares along frequency: a gain
+behind everything, one in front of N_RCU, a resonance that moves, each in part common to the station. It lies in the
+span of at most three vectors, orthonormal along frequency; its covariance there is estimated from the data, for the
+means and for the paths of each class. Antennas that see the same sky share a little of the radiometer noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import helmert
+from scipy.stats import chi2
+
+from lbacal_core.calibration.noise import CHANNELS_PER_VECTOR, MOST_VECTORS, orthonormal
+from lbacal_core.calibration.normal_equations import solve_normal_equations
+from lbacal_core.causes.axes import list_axes
+from lbacal_core.causes.conditions import RAIN
+from lbacal_core.discovery.station import Station
+from lbacal_core.grids import Floats
+
+SMALLEST_LEVEL = 1e-9
+"""Floor of a relative noise level: exact data keep a finite weight."""
+STANDS_OUT = 1.03
+"""Factor above the largest eigenvalue of noise beyond which the means have a vector of their own."""
+ONE_SIGMA, IN_MOST = 0.683, 0.5
+"""Quantile of a normal amount at one standard deviation, and the part of an excess variance that most events show."""
+STRUCTURE_SHARE, SMALLEST_PROFILE = 1 / 3, 1e-6
+"""Most profiles in time that are no noise, as a share of the events; and the size of one that others contain."""
+FEWEST_OF_KIND = 40
+"""Events of a kind from which its covariance is estimated, to 22 %."""
+TYPICAL_EVENTS = 100
+"""Spectra for which the typical covariance of a path counts in that of a cable name: 14 % of a variance."""
+HEAVY, TYLER_ROUNDS = 1e-3, 10
+"""Share of normal events beyond which an event counts as no noise; rounds of a fixed point that needs six."""
+GAINS_RIDGE = 1e-4
+"""Where nothing is added behind, gains in front and behind are one."""
+
+
+@dataclass(frozen=True)
+class Membership:
+    """What the means are made of.
+
+    Attributes
+    ----------
+    polarisation_of
+        Index of the polarisation of each path, shape (path,).
+    in_mean
+        Whether a path takes part in the mean, shape (path,).
+    scale
+        Noise of each path over the typical one, shape (path,).
+    spread
+        Variance of the mean over that of one path, as far as paths are independent, shape (polarisation, event).
+    seeds
+        Vectors along frequency that an event may share, as each class shows them, shape (class, seed, freq).
+    """
+
+    polarisation_of: NDArray[np.int64]
+    in_mean: NDArray[np.bool_]
+    scale: Floats
+    spread: Floats
+    seeds: Floats
+
+    @property
+    def share_of_path(self) -> Floats:
+        """Variance of a path's deviation from the mean over that of the path, shape (path,)."""
+        together = np.bincount(self.polarisation_of, weights=self.in_mean)[self.polarisation_of]
+        return np.maximum(np.where(self.in_mean, 1.0 - 1.0 / together, 1.0 + 1.0 / together), 1e-3)
+
+    def share_of_class(self, station: Station, polarisation: int | None = None) -> Floats:
+        """Share of each class in the paths of the means, of all or of one polarisation, shape (class,)."""
+        is_there = self.in_mean if polarisation is None else self.in_mean & (self.polarisation_of == polarisation)
+        counts = np.bincount(station.class_of, weights=is_there, minlength=len(self.seeds))
+        return np.asarray(counts / counts.sum())
+
+
+@dataclass(frozen=True)
+class NoiseLevels:
+    """Standard deviations of the relative noise.
+
+    Attributes
+    ----------
+    vectors
+        What an event shares along frequency, orthonormal, shape (k, freq).
+    kind_of
+        Kind of each event, whose noise has its own covariance along the vectors: 1 in rain, else 0, shape (event,).
+    path_channel, path_shared
+        Deviation of a path from the mean: standard deviation in a channel, and covariance along the vectors beyond
+        that for the paths of each class, shape (kind, class, k, k): a gain in front of N_RCU shows more of itself
+        behind a short cable.
+    class_share
+        Share of each class in the paths of the means, shape (class,).
+    path_scale
+        Noise of each path over the typical one, shape (path,).
+    common_channel
+        Noise in a channel that all paths of a polarisation share, shape (polarisation,).
+    common_sum, common_difference
+        Covariance along the vectors that they share beyond that: of the sum of all n polarisations over root n, and of
+        each of the n - 1 normalised differences, which is (X - Y) over root 2 where there are two; shape (kind, k, k).
+    """
+
+    vectors: Floats
+    kind_of: NDArray[np.int64]
+    path_channel: float
+    path_shared: Floats
+    class_share: Floats
+    path_scale: Floats
+    common_channel: Floats
+    common_sum: Floats
+    common_difference: Floats
+
+    @property
+    def mean_path_shared(self) -> Floats:
+        """Covariance along the vectors of the mean path, shape (kind, k, k)."""
+        return np.asarray(np.einsum("c,sckj->skj", self.class_share, self.path_shared))
+
+    def of_all(self, covariance: Floats) -> Floats:
+        """Mean of the covariances of the kinds over all events, (kind, k, k) -> (k, k)."""
+        return np.asarray(np.tensordot(np.bincount(self.kind_of) / self.kind_of.size, covariance, axes=1))
+
+
+def estimate_levels(
+    station: Station, mean: Floats, deviation: Floats, members: Membership, *, takes_slow: bool
+) -> tuple[NoiseLevels, Floats]:
+    """Estimate the levels, and what the gains that all paths share leave in the deviations.
+
+    Paths differ in the share of the sky in their power, and a gain in front of N_RCU that all have does not cancel in
+    their deviations. What the mean of an event tells of it is taken out, or paths on a cable name would move together.
+
+    Parameters
+    ----------
+    mean
+        Shape (polarisation, event, freq).
+    deviation
+        Each path less the mean of its polarisation, shape (path, event, freq); 0 where absent.
+    takes_slow
+        Whether what is taken out may follow an axis of the data. It may where an effect on the whole station is scored
+        in the means alone; elsewhere it would take a part of the effect.
+
+    Returns
+    -------
+    The levels, and what is left in the deviations of each class, shape (class, event, freq).
+    """
+    polarisations, events, channels = mean.shape
+    class_share = members.share_of_class(station)
+    seeds = members.seeds[:, : max(1, channels // CHANNELS_PER_VECTOR)]
+    seen = np.tensordot(class_share, seeds, axes=1)
+    structure, known = _structure(station), orthonormal(seen)
+    is_ordinary = ~is_heavy(mean.sum(axis=0) @ known[np.any(known != 0, axis=1)].T)
+    free_events = max(events - 2 - structure.shape[1], 1)
+    whole, mean = mean, _clean(mean, structure, is_ordinary)
+    kind_of = _kinds(station)
+    kinds = [np.flatnonzero(kind_of == kind) for kind in range(kind_of.max() + 1)]
+    vectors = _choose_vectors(mean, seen, kinds, free_events / events)
+    outside = max(channels - int(np.sum(np.any(vectors != 0, axis=1))), 1)
+    used = events / free_events
+    along = mean @ vectors.T
+    of_mean = np.mean((mean - along @ vectors) ** 2, axis=(1, 2)) * channels / outside * used
+    if len(deviation) == polarisations:
+        # A single path has no other to be compared with: all noise counts as its own.
+        own_channel = max(float(np.sqrt(of_mean.mean())), SMALLEST_LEVEL)
+        of_path = np.stack([np.mean([_scatter(one[own]) for one in along], axis=0) * used for own in kinds])
+        shared = np.stack([_beyond(one, own_channel**2) for one in of_path])[:, None].repeat(len(seeds), axis=1)
+    else:
+        amount = deviation @ vectors.T
+        share = members.share_of_path * members.scale**2
+        dof = np.maximum(station.is_present.sum(axis=1) - 2, 1) * share
+        rest = np.einsum("pef,pef->p", deviation, deviation) - np.einsum("pek,pek->p", amount, amount)
+        own_channel = max(float(np.sqrt(np.median((rest / (dof * outside))[members.in_mean]))), SMALLEST_LEVEL)
+        amount = _clean(amount, structure, is_ordinary)
+        shared = _path_levels(station, amount, kinds, members, used, own_channel)
+    common_channel = np.sqrt(np.maximum(of_mean - own_channel**2 * members.spread.mean(axis=1), 0.0))
+    # The variance of the mean beyond the variance of a mean of independent paths.
+    own = np.einsum("c,sckj->skj", class_share, shared) * members.spread.mean()
+    channel = float(np.mean(common_channel**2) + own_channel**2 * members.spread.mean())
+    total, differences = along.sum(axis=0) / polarisations**0.5, np.zeros_like(along[:1])
+    if polarisations > 1:
+        differences = np.tensordot(helmert(polarisations), along, axes=1)
+    of_sum, of_difference = (
+        np.stack(
+            [
+                _beyond(np.mean([_scatter(one[at]) for one in parts], axis=0) * used - less, channel)
+                for at, less in zip(kinds, own, strict=True)
+            ]
+        )
+        for parts in (total[None], differences)
+    )
+    left = np.zeros((len(seeds), events, channels))
+    if len(deviation) > polarisations:
+        noise = own + channel * np.eye(len(vectors))
+        told = (whole if takes_slow else mean).mean(axis=0) @ vectors.T
+        gains = np.matmul(told[:, None], (np.linalg.pinv(of_sum + noise) @ of_sum)[kind_of])[:, 0] @ vectors
+        left = _left_in_classes(station, gains, seeds, members)
+        rest = (left @ vectors.T)[station.class_of] * np.any(deviation != 0.0, axis=-1)[..., None]
+        amount = _clean(deviation @ vectors.T - rest, structure, is_ordinary)
+        shared = _path_levels(station, amount, kinds, members, used, own_channel)
+    levels = NoiseLevels(
+        vectors, kind_of, own_channel, shared, class_share, members.scale, common_channel, of_sum, of_difference
+    )
+    return levels, left
+
+
+def _path_levels(
+    station: Station,
+    amount: Floats,
+    kinds: Sequence[NDArray[np.int64]],
+    members: Membership,
+    used: float,
+    own_channel: float,
+) -> Floats:
+    """Covariance along the vectors of the paths of each class beyond independent noise, shape (kind, class, k, k).
+
+    Paths of a cable name have it alike; where they have few spectra, that of the median of all paths counts as well.
+
+    Parameters
+    ----------
+    amount
+        Amounts of the vectors in the deviations, shape (path, event, k).
+    used
+        Events over those that are left when profiles in time are taken out.
+    """
+    share = members.share_of_path * members.scale**2
+    present = np.stack([station.is_present[:, own].sum(axis=1) for own in kinds])
+    square = np.stack([np.einsum("pek,pej->pkj", amount[:, own], amount[:, own]) for own in kinds])
+    square *= (used / np.maximum(present * share, SMALLEST_LEVEL))[..., None, None]
+    typical = np.median(square[:, members.in_mean], axis=1)
+    cable_of_class = np.array(station.conditions.cables)
+    cable_of = cable_of_class[station.class_of]
+    shared = np.empty((len(kinds), len(cable_of_class), *typical.shape[1:]))
+    for cable in np.unique(cable_of_class):
+        own = members.in_mean & (cable_of == cable)
+        for s in range(len(kinds)):
+            spectra = float(present[s, own].sum())
+            of_own = np.median(square[s, own], axis=0) if np.any(own) else typical[s]
+            of_cable = (spectra * of_own + TYPICAL_EVENTS * typical[s]) / (spectra + TYPICAL_EVENTS)
+            shared[s, cable_of_class == cable] = _beyond(of_cable, own_channel**2)
+    return shared
+
+
+def _left_in_classes(station: Station, gains: Floats, seeds: Floats, members: Membership) -> Floats:
+    """What common gains leave in the deviations of each class, shape (class, event, freq).
+
+    Parameters
+    ----------
+    gains
+        Change of the power of the mean path of each event, shape (event, freq).
+    """
+    left = np.empty((len(seeds), *gains.shape))
+    polarisation_of_class = np.unique(station.conditions.dipoles, return_inverse=True)[1]
+    for d in np.unique(polarisation_of_class):
+        seen = np.tensordot(members.share_of_class(station, int(d)), seeds, axes=1)
+        amount = solve_normal_equations((seen @ seen.T)[None], (seen @ gains.T)[None], GAINS_RIDGE)[0]
+        of_polarisation = polarisation_of_class == d
+        left[of_polarisation] = np.einsum("ke,ckf->cef", amount, seeds[of_polarisation] - seen)
+    return left
+
+
+def _kinds(station: Station) -> NDArray[np.int64]:
+    """Kind of each event, shape (event,): 1 in rain, where the resonance of a wet antenna may move more, else 0."""
+    rain = station.conditions.covariate(RAIN)
+    is_wet = np.zeros(station.power.shape[1], dtype=bool) if rain is None else np.nan_to_num(rain) > 0
+    is_apart = min(np.sum(is_wet & station.is_used), np.sum(~is_wet & station.is_used)) >= FEWEST_OF_KIND
+    return is_wet.astype(np.int64) if is_apart else np.zeros(is_wet.size, dtype=np.int64)
+
+
+def _scatter(amount: Floats) -> Floats:
+    """Covariance of amounts of zero mean, (event, k) -> (k, k), without the few events that are far outside it."""
+    amount = amount[np.any(amount != 0, axis=1)]
+    size = amount.shape[1]
+    inside, cut = amount, 1.0
+    if len(amount) > FEWEST_OF_KIND:
+        # A normal distribution that is cut at the quantile has a smaller variance.
+        inside, cut = amount[~is_heavy(amount)], chi2.cdf(chi2.isf(HEAVY, size), size + 2) / (1.0 - HEAVY)
+    return np.asarray(inside.T @ inside / (max(len(inside), 1) * cut))
+
+
+def is_heavy(amount: Floats) -> NDArray[np.bool_]:
+    """Which events are beyond the quantile `HEAVY` of the normal distribution that most show, (event, k) -> (event,).
+
+    Its form is that of the directions of the amounts (Tyler 1987, Ann. Stat. 15, 234), its size that of their median.
+    """
+    size = amount.shape[1]
+    distance, form = np.ones(len(amount)), np.eye(size)
+    for _ in range(TYLER_ROUNDS):
+        form = amount.T @ (amount / distance[:, None])
+        form *= size / max(float(np.trace(form)), SMALLEST_LEVEL)
+        inverse = np.linalg.pinv(form, hermitian=True)
+        distance = np.maximum(np.einsum("ek,kj,ej->e", amount, inverse, amount), SMALLEST_LEVEL**2)
+    return np.asarray(distance > np.median(distance) * chi2.isf(HEAVY, size) / chi2.median(size))
+
+
+def _structure(station: Station) -> Floats:
+    """Orthonormal profiles in time of what varies smoothly along any axis of the data, shape (event, profile).
+
+    What follows an axis is structure, which causes may explain, and no noise: noise would swallow it. Axes are taken in
+    their order while the profiles are few beside the events.
+    """
+    conditions = station.conditions
+    events = station.power.shape[1]
+    profiles: list[Floats] = [np.ones((1, events))]
+    for axis in list_axes(conditions):
+        basis = axis.basis(conditions)
+        if basis is not None and sum(map(len, profiles)) + len(basis) <= STRUCTURE_SHARE * events:
+            profiles.append(basis)
+    found, sizes, _ = np.linalg.svd(np.concatenate(profiles).T, full_matrices=False)
+    return np.asarray(found[:, sizes > SMALLEST_PROFILE * sizes[0]])
+
+
+def _clean(values: Floats, structure: Floats, is_ordinary: NDArray[np.bool_]) -> Floats:
+    """Values, shape (..., event, any), less what follows profiles in time in the ordinary events.
+
+    A burst in one event would otherwise leave a part of itself in all that its profiles join with it.
+    """
+    return np.asarray(values - structure @ (np.linalg.pinv(structure[is_ordinary]) @ values[..., is_ordinary, :]))
+
+
+def _choose_vectors(mean: Floats, seeds: Floats, kinds: Sequence[NDArray[np.int64]], share_free: float) -> Floats:
+    """The vectors that events share: the seeds, or where a kind of events has one more, the strongest of all.
+
+    Such a vector must be in most events of the kind: what stands out in a few is no noise. Kinds count alike.
+    """
+    known = orthonormal(seeds)[:MOST_VECTORS]
+    rest = mean - mean @ known.T @ known
+    level = np.sqrt(np.maximum(np.mean(rest**2, axis=(1, 2)), SMALLEST_LEVEL**2))[:, None, None]
+    pooled, whole = (np.sum(one / level, axis=0) / len(mean) ** 0.5 for one in (rest, mean))
+    channels, best, chosen = mean.shape[2], 1.0, known
+    for own in kinds:
+        values, turned = np.linalg.eigh(pooled[own].T @ pooled[own] / own.size)
+        free_events = max(own.size * share_free, 1.0)
+        largest_of_noise = (1.0 + (channels / free_events) ** 0.5) ** 2 * channels / max(channels - len(known), 1)
+        of_most = float(np.quantile(np.abs(pooled[own] @ turned[:, -1]), ONE_SIGMA)) ** 2
+        excess = values[-1] / (STANDS_OUT * largest_of_noise)
+        if excess > best and of_most - 1.0 > IN_MOST * (values[-1] - 1.0):
+            best, basis = excess, np.concatenate([known, turned[:, -1:].T])
+            along = np.concatenate([whole[one] @ basis.T / one.size**0.5 for one in kinds])
+            chosen = np.linalg.eigh(along.T @ along)[1][:, -len(known) :].T @ basis
+    return np.asarray(chosen)
+
+
+def _beyond(covariance: Floats, noise: float) -> Floats:
+    """The covariance along the vectors beyond independent noise, without negative variances, shape (k, k)."""
+    values, turned = np.linalg.eigh((covariance + covariance.T) / 2 - noise * np.eye(len(covariance)))
+    return np.asarray((turned * np.maximum(values, 0.0)) @ turned.T)
