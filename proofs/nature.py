@@ -3,11 +3,11 @@
 Every data set draws a sky and an antenna that are not the finder's, nor among the models from which it makes its modes;
 a third of the skies lies outside every model. Event gains act where they are drawn to. Parts: nothing hidden (nothing);
 pulls of C, the sky told (pulls); one effect of a drawn cause (one); effects on a cable name or a group (targets);
-effects in no catalogue (unknown).
+effects in no catalogue (unknown); effects that look like a vector of the noise, at three sizes (like-noise).
 """
 
 from __future__ import annotations
 
-from proofs.hidden import named_in_worlds, nothing, pulls, unknown_in_worlds
+from proofs.hidden import like_noise, named_in_worlds, nothing, pulls, unknown_in_worlds
 
-PARTS = (*nothing.PARTS, *pulls.PARTS, *named_in_worlds.PARTS, *unknown_in_worlds.PARTS)
+PARTS = (*nothing.PARTS, *pulls.PARTS, *named_in_worlds.PARTS, *unknown_in_worlds.PARTS, *like_noise.PARTS)

@@ -11,6 +11,9 @@ from lbacal_core.twin.gains import NOISES
 from lbacal_core.twin.world import MADE_OF, World
 from proofs.hidden.data_sets import OWN
 from proofs.hidden.drawn import SPANNED_SIGMA, describe_world, drawn_data, unspanned_sigma
+from proofs.hidden.like_noise import ALIKE, SNRS
+from proofs.hidden.like_noise import judge as judge_like_noise
+from proofs.hidden.like_noise import tell as tell_like_noise
 from proofs.hidden.named_in_worlds import judge_one, judge_targets
 from proofs.hidden.named_in_worlds import tell as tell_names
 from proofs.hidden.no_catalogue import Outcome as Unknown
@@ -118,7 +121,7 @@ def test_pulls_of_every_form_of_the_gains_are_measured_in_paths_and_stations() -
 def row_of(seed: int, verdict: str, *, named: list[str] | None = None, axis: str = "", unspanned: float = 1.0) -> dict:
     return {
         "seed": seed, "verdict": verdict, "named": named or [], "axis": axis, "unspanned": unspanned,
-        **describe_world(drawn_data(seed)),
+        **describe_world(drawn_data(seed)), "noise": "front", "follows": [""] * len(named or []),
     }  # fmt: skip
 
 
@@ -135,5 +138,33 @@ def row_of(seed: int, verdict: str, *, named: list[str] | None = None, axis: str
 )
 def test_what_counts_as_an_alarm_depends_on_what_the_models_span(row: dict, alarms: tuple[int, int, int]) -> None:
     claims = judge_nothing([row])
-    assert tuple(round(claim.found * claim.n) for claim in claims) == alarms
+    assert tuple(round(claim.found * claim.n) for claim in claims[:3]) == alarms
     assert any(row["sky"] in line for line in tell_nothing([row]))
+
+
+@pytest.mark.parametrize(
+    ("noise", "named", "follows", "wrong"),
+    [
+        ("wetness", "resonance_width", "wetness", 0),
+        ("wetness", "resonance_shift", "temperature", 1),
+        ("wetness", "gain_step", "", 1),
+        ("front", "resonance_shift", "wetness", 1),
+    ],
+)
+def test_a_resonance_that_moves_in_rain_and_is_named_so_counts_as_a_name_and_is_told_apart(
+    noise: str, named: str, follows: str, wrong: int
+) -> None:
+    row = row_of(6, "explained", named=[named]) | {"noise": noise, "follows": [follows]}
+    claims = {claim.key: claim.found for claim in judge_nothing([row])}
+    assert claims["named"] == 1
+    assert claims["named_wet" if noise == "wetness" else "named_dry"] == wrong
+
+
+def test_efficiencies_are_judged_at_every_size_of_an_effect_that_looks_like_noise() -> None:
+    def row(cause: str, snr: float, share: float) -> dict:
+        return asdict(Outcome(snr, cause, "station", "station", verdict="explained", sets=[[cause]], score=share * snr))
+
+    rows = [row(cause, snr, 0.9 if snr < 100 else 0.5) for cause, _ in ALIKE for snr in SNRS]
+    claims = {claim.key: (claim.found, claim.n) for claim in judge_like_noise(rows)}
+    assert claims == {"kept_10": (pytest.approx(0.9), 3), "kept_30": (pytest.approx(0.9), 3), "kept_100": (0.5, 3)}
+    assert len(tell_like_noise(rows)) == 2 + len(ALIKE) * len(SNRS)
