@@ -145,7 +145,8 @@ def test_gains_that_all_paths_share_leave_nothing_in_the_deviations_of_those_tha
     long = np.array(station.conditions.cables)[station.class_of] == "115"
     taken = residuals.taken[long].mean(axis=0)
     truth = (residuals.deviation + residuals.taken - still.deviation - still.taken)[long].mean(axis=0)
-    assert np.std(truth - taken) < 0.4 * np.std(truth)
+    # the mean of a polarisation has gains of eight paths, 1.4 % beside 3 %, and what follows an axis stays
+    assert np.std(truth - taken) < 0.6 * np.std(truth)
     # those on the long cable show less of their own gains, too
     one, other = (
         levels.vectors.T @ levels.path_shared[0, c] @ levels.vectors
