@@ -37,6 +37,7 @@ from lbacal_core.discovery.deaf import leave_out_deaf
 from lbacal_core.discovery.hypothesis import Hypothesis
 from lbacal_core.discovery.refit import power_ratio
 from lbacal_core.discovery.station import Station, model_modes
+from lbacal_core.drift.windows import set_apart
 from lbacal_core.grids import Floats
 from lbacal_core.instrument import Instrument
 from lbacal_core.model import Model
@@ -228,7 +229,8 @@ def fit_causes(
     Parameters
     ----------
     spectra
-        All spectra of the stations in a window: `FittedCauses.select` takes some of them afterwards.
+        All spectra of the stations in a window: `FittedCauses.select` takes some of them afterwards. An antenna whose
+        hardware changed in it is fitted as several (`drift.windows.set_apart`).
     is_own_sky
         Whether `sky_power` is the package's own, so that the differences between sky and antenna models are profiled
         out. A sky power from a file is taken as exact.
@@ -236,13 +238,14 @@ def fit_causes(
     found = []
     # The products are small: threads of the linear algebra would wait for each other.
     with threadpool_limits(1):
-        stations = gather_adopted(spectra, instrument, sky_power, model)
+        apart, parts = set_apart(spectra, instrument)
+        stations = gather_adopted(apart, parts, sky_power, model)
         known = compute_model_differences(instrument) if is_own_sky and stations else None
         for station in stations:
             modes = None if known is None else model_modes(station, known)
             fitted = fit_adopted(leave_out_deaf(station)[0], model, modes)
             if fitted.sizes:
-                found.append(_OfStation(at_reference(station), fitted, *_places(spectra, station)))
+                found.append(_OfStation(at_reference(station), fitted, *_places(apart, station)))
     return FittedCauses(spectra, instrument, sky_power, model, found)
 
 

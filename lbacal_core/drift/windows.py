@@ -7,7 +7,7 @@ inside its window, unless they are most of them: then it is cut at their dates t
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -75,6 +75,44 @@ def leave_out_changed(spectra: Spectra, instrument: Instrument) -> Spectra | Non
     changes = find_hardware_changes(instrument)
     is_whole = np.array([not any(first < d <= last for d in changes.get(o, ())) for o in _owners(spectra)])
     return spectra if np.all(is_whole) else spectra.select(is_whole) if np.any(is_whole) else None
+
+
+def set_apart(spectra: Spectra, instrument: Instrument) -> tuple[Spectra, Instrument]:
+    """Take an antenna that changed while these were recorded for several, one a stretch, each with one cable.
+
+    The stretch with the most spectra keeps the number of the antenna, the others get numbers that no antenna has: what
+    is said of this antenna alone is said of that stretch.
+    """
+    first, last = float(spectra.time_unix.min()), float(spectra.time_unix.max())
+    changed = {
+        owner: inside
+        for owner, dates in find_hardware_changes(instrument).items()
+        if (inside := [date for date in dates if first < date <= last])
+    }
+    antenna, records = spectra.antenna.copy(), list(instrument.antennas)
+    free = 1 + max(record.antenna for record in records)
+    for owner, dates in sorted(changed.items()):
+        rows = np.flatnonzero((spectra.station == owner[0]) & (spectra.antenna == owner[1]))
+        stretch = np.searchsorted(dates, spectra.time_unix[rows], side="right")
+        if rows.size == 0:
+            continue
+        found, counts = np.unique(stretch, return_counts=True)
+        own = [record for record in records if (record.station, record.antenna) == owner]
+        records = [record for record in records if (record.station, record.antenna) != owner]
+        most_first = found[np.argsort(-counts, kind="stable")].tolist()
+        for number, k in zip((owner[1], *range(free, free + len(most_first) - 1)), most_first, strict=True):
+            of_stretch = rows[stretch == k]
+            record = next(one for one in own if _holds(one.since, one.until, float(spectra.time_unix[of_stretch[0]])))
+            records.append(replace(record, antenna=number, since=None, until=None))
+            antenna[of_stretch] = number
+        free += len(most_first)
+    if not changed:
+        return spectra, instrument
+    return replace(spectra, antenna=antenna), replace(instrument, antennas=tuple(records))
+
+
+def _holds(since: float | None, until: float | None, time_unix: float) -> bool:
+    return (since is None or since <= time_unix) and (until is None or time_unix < until)
 
 
 def _owners(spectra: Spectra) -> list[Owner]:

@@ -138,7 +138,9 @@ def show_models(request: Request, use: UseCases) -> Response:
 @router.get("/investigations/{name}")
 def show_investigation(request: Request, use: UseCases, name: InPath) -> Response:
     found = use.investigations.get(name)
-    return _page(request, use, "investigation.html", "/", found=found, report=found.report)
+    # reports of before there were models have neither
+    adopted = found.report.get("adopted", [])
+    return _page(request, use, "investigation.html", "/", found=found, report=found.report, adopted=adopted)
 
 
 def _rows_of_chains(version: Version) -> list[dict[str, Any]]:

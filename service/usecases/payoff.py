@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from lbacal_core.adopted import FittedCauses
 from lbacal_core.discovery.payoff import measure_gains
+from lbacal_core.drift.windows import leave_out_changed
 from lbacal_core.instrument import Instrument
 from lbacal_core.model import Model
 from lbacal_core.skypower.table import SkyPower
@@ -34,7 +35,9 @@ class Payoff:
 
     def measure(self, whole: FittedCauses, wanted: Wanted, known_until: Mapping[str, Instant]) -> list[Gain]:
         """The gain of every adopted cause on the events of a window that are new to it."""
-        spectra, found = whole.recorded, []
+        spectra, found = leave_out_changed(whole.recorded, self.instrument), list[Gain]()
+        if spectra is None:
+            return found
         names = [Model((cause,)).id for cause in whole.model.causes]
         for last in sorted({known_until[name] for name in names if name in known_until}):
             is_new = spectra.time_unix > last / MICROSECONDS

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lbacal_core.antenna_records import AntennaRecord
-from lbacal_core.drift.windows import cut_window, find_hardware_changes, leave_out_changed
+from lbacal_core.drift.windows import cut_window, find_hardware_changes, leave_out_changed, set_apart
 from lbacal_core.instrument import Instrument
 from lbacal_core.spectra import Spectra
 
@@ -76,6 +76,20 @@ def test_what_changed_while_it_was_recorded_is_left_out(spectra: Spectra) -> Non
     assert 1 not in kept.antenna
     assert leave_out_changed(spectra, make_instrument({1: 200.0})) is spectra
     assert leave_out_changed(spectra, make_instrument(dict.fromkeys(range(4), 50.0))) is None
+
+
+def test_an_antenna_that_changed_is_set_apart_as_one_a_stretch(spectra: Spectra) -> None:
+    instrument = make_instrument({2: 30.0, 3: 60.0})
+    apart, parts = set_apart(spectra, instrument)
+    day = spectra.time_unix - ZERO
+    assert np.all(apart.antenna[(spectra.antenna == 2) & (day >= 30)] == 2), "the longer stretch keeps its number"
+    assert np.all(apart.antenna[(spectra.antenna == 3) & (day < 60)] == 3)
+    (early,) = set(apart.antenna[(spectra.antenna == 2) & (day < 30)].tolist())
+    (late,) = set(apart.antenna[(spectra.antenna == 3) & (day >= 60)].tolist())
+    assert len({early, late, 0, 1, 2, 3}) == 6
+    cables = {a: parts.cables_between("CS001", a, ZERO, ZERO + 100.0) for a in (0, 1, 2, 3, early, late)}
+    assert cables == {0: ["80m"], 1: ["80m"], 2: ["50m"], 3: ["80m"], early: ["80m"], late: ["50m"]}
+    assert set_apart(spectra, make_instrument({}))[0] is spectra
 
 
 def test_changes_are_those_of_the_records() -> None:

@@ -11,11 +11,15 @@ import pytest
 from fastapi.testclient import TestClient
 
 from lbacal_core.instrument import Instrument
+from lbacal_core.model import AdoptedCause, Model
 from lbacal_core.skypower.table import read_sky_power, write_sky_power
 from lbacal_core.spectra import Spectra
+from lbacal_core.validity import Scope
 from service.app import make_app
 from service.config import Settings
 from service.factory import Factory
+from service.usecases.fits import Wanted
+from service.usecases.years import start_of_year
 from service.wire.bodies import InvestigationBody, RefitBody
 from service.worker import Worker
 from tests.service.conftest import Clock
@@ -121,3 +125,29 @@ def test_an_investigation_leaves_out_the_antenna_whose_cable_changed(with_change
     report = factory.investigations.get(job.results[0]["results"][0]).report
     # the step was planted in the antenna that is left out
     assert "gain_step" not in [finding["cause"] for finding in report["findings"]]
+
+
+def test_a_year_with_an_adopted_cause_is_cut_where_hardware_changed(
+    with_change: Callable[[str], Factory], campaign: Spectra
+) -> None:
+    """Both windows of the path have the cause, of one size, fitted to the whole year of the station."""
+    factory = with_change("2015-04-11")
+    since, until = start_of_year(2015), start_of_year(2016)
+    year = campaign.select((campaign.time_unix >= since / 1e6) & (campaign.time_unix < until / 1e6))
+    cause = AdoptedCause("lst_offset", "CS002", "station", 0.0, 0.1)
+    chain, extended = (
+        Wanted("antenna", Scope("CS002"), since, until, model, "test", "test") for model in (Model(), Model((cause,)))
+    )
+    plain, made = (
+        {(v.scope, v.since): v for v in factory.fits.make(factory.fits.fit_causes(year, one.model), one).versions}
+        for one in (chain, extended)
+    )
+    assert made.keys() == plain.keys()
+    assert {path.antenna for path, _ in made} == {0, 1, 2, 3}
+    assert len([path for path, _ in made if path.antenna == 2]) == 4
+    for key, version in made.items():
+        assert version.model == extended.model.id
+        assert version.window == plain[key].window
+        (now,), (was,) = version.curves, plain[key].curves
+        assert np.abs(np.array(now.c) / np.array(was.c) - 1).max() < 0.05, "nothing is off along LST"
+        assert np.all(np.array(now.c_sigma_stat) > 0.99 * np.array(was.c_sigma_stat))

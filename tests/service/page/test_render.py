@@ -1,0 +1,38 @@
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from service.page.render import render_page, render_part
+from service.storage.investigations import Investigation
+
+REPORT: dict[str, Any] = {"verdict": "consistent", "findings": [], "unexplained": None, "unidentifiable": []}
+ADOPTED = {
+    "cause": "lst_offset", "target": "station", "adopted": {"value": 0.5, "sigma": 0.01},
+    "size": {"value": 0.51, "sigma": 0.02, "unit": "h"},
+}  # fmt: skip
+TREND = {"slope": 0.004, "sigma": 0.009, "limit_95": 0.022, "years": 7, "scatter": 0.05}
+
+
+def test_the_page_of_an_investigation_was_silent_about_adopted_causes() -> None:
+    found = Investigation("a" * 64, "CS002", 0, 10**15, {}, REPORT, 1, "test", "test")
+    content = {"here": "/", "instrument": "x", "leave": None, "found": found, "report": REPORT}
+    with_causes = render_page("investigation.html", adopted=[ADOPTED], **content).decode()
+    assert "<h2>Adopted causes</h2>" in with_causes
+    assert "0.51 ± 0.02" in with_causes
+    assert "0.5 ± 0.01" in with_causes
+    assert "the simulation with the adopted causes says" in with_causes
+    assert "adopted" not in render_page("investigation.html", adopted=[], **content).decode()
+
+
+@pytest.mark.parametrize(
+    ("slope", "said"), [(0.004, "no ageing is seen"), (-0.03, "it ages, or what C is held against does")]
+)
+def test_the_page_of_the_drift_states_the_ageing_of_the_array_with_its_error(slope: float, said: str) -> None:
+    trends = [("CS002", TREND), ("array", {**TREND, "slope": slope})]
+    page = render_part("drift_main.html", plot={"series": []}, steps=[], rows=[], trends=trends, threshold=5.0)
+    assert f"C of the whole array changes by {100 * slope:+.2f} % &plusmn; 0.90 % a year over 7 years" in page
+    assert f"({100 * slope:+.2f} % &plusmn; 2.20 % with 95 % confidence)" in page
+    assert said in page
+    assert "arXiv 2410.13591" in page
