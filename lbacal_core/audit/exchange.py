@@ -25,6 +25,8 @@ ABOVE_NOISE = 1.5
 """Singular value of a common change over the largest that noise alone has, sigma (sqrt(antennas) + sqrt(times))."""
 SMALLEST_SCATTER = 0.03
 """Scatter of ln P_X - ln P_Y from antenna to antenna at least."""
+TAIL = 4.0
+"""Degrees of freedom of Student's t."""
 SMALLEST_SLOPE_ERROR = 0.1
 """Antennas do not follow the median closer than this: coupling between neighbours, sky noise."""
 
@@ -116,12 +118,19 @@ def _odds_of_changes(ratio: Floats) -> tuple[Floats, NDArray[np.bool_]]:
 
 
 def _odds_of_values(ratio: Floats, is_with: NDArray[np.bool_]) -> Floats:
-    """Log odds that the mean in time has the other sign, of gains that scatter as those of the station do."""
+    """Log odds that the mean in time has the other sign, of gains that scatter as those of the station do.
+
+    The scatter is that of Student's t: one odd gain in a hundred antennas is no exchanged one.
+    """
     mean = np.nanmean(ratio, axis=1)
     sign = np.where(is_with, 1.0, -1.0)
     typical = float(np.nanmedian(sign * mean))
     error = max(float(spread(sign * mean)), SMALLEST_SCATTER)
-    return np.asarray(-2.0 * mean * typical / error**2)
+
+    def penalty(expected: float) -> Floats:
+        return np.asarray((TAIL + 1) / 2 * np.log1p(((mean - expected) / error) ** 2 / TAIL))
+
+    return penalty(typical) - penalty(-typical)
 
 
 def _describe(station: AuditedStation, exchange: ExchangeOdds) -> str:

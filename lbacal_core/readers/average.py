@@ -142,7 +142,7 @@ class _Sums:
             interval = self.integrations + np.arange(count)
         else:
             interval = np.floor(since / self.interval_s).astype(np.int64)
-        power = np.asarray(block.power[:, :, self.members], dtype=float)
+        power = block.power[:, :, self.members].astype(float)
         is_good = np.isfinite(power) & (power > 0)
         width = self.source.width_mhz[self.members]
         power *= width

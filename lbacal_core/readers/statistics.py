@@ -117,13 +117,24 @@ def _list_inputs(
 def _read(
     path: Path, names: list[str], inputs: NDArray[np.int64], channels: NDArray[np.int64]
 ) -> Iterator[Integrations]:
+    wanted = np.ix_(inputs, channels)
     with h5py.File(path, "r") as file:
         for start in range(0, len(names), AT_ONCE):
-            datasets = [file[name] for name in names[start : start + AT_ONCE]]
-            length = np.array([float(dataset.attrs["integration_time"]) for dataset in datasets])
-            begin = np.array([_parse_instant(_text(dataset.attrs["timestamp"])) for dataset in datasets])
-            sums = np.stack([dataset[()] for dataset in datasets])[:, inputs][:, :, channels]
-            yield Integrations(begin + length / 2, length, sums / length[:, None, None])
+            some = names[start : start + AT_ONCE]
+            power = np.empty((len(some), inputs.size, channels.size), dtype=np.float32)
+            begin, length = np.empty(len(some)), np.empty(len(some))
+            for k, name in enumerate(some):
+                try:
+                    dataset = file[name]
+                    begin[k] = _parse_instant(_text(dataset.attrs["timestamp"]))
+                    length[k] = float(dataset.attrs["integration_time"])
+                    power[k] = dataset[()][wanted] / np.float32(length[k])
+                except (*HDF5_FAILURES, IndexError) as error:
+                    reason = str(error)[:120]
+                    raise UnreadableFileError(
+                        f"{path}: {name}: expected statistics with timestamp and integration_time: {reason}"
+                    ) from error
+            yield Integrations(begin + length / 2, length, power)
 
 
 def _text(value: Any) -> str:

@@ -49,3 +49,13 @@ def test_one_instant_says_what_it_cannot(station: AuditedStation) -> None:
 
 def test_antennas_that_do_not_work_are_not_compared(station: AuditedStation) -> None:
     assert compare_polarisations(station, np.zeros(6, dtype=bool)).rows.size == 0
+
+
+def test_an_odd_gain_in_one_instant_is_no_exchange(station: AuditedStation) -> None:
+    """A drawn station of which one antenna's gains were off by 14 % was said to be exchanged there."""
+    power = np.repeat(station.power[:, :1, :1], 2, axis=1)
+    power[:, 0] *= np.exp(0.1 + np.array([0.01, -0.01, 0.02, -0.135, 0.0, -0.02]))[:, None, None]
+    one = replace(station, power=power, time_unix=station.time_unix[:1], lst_hours=station.lst_hours[:1])
+    odds = compare_polarisations(one, EVERYBODY)
+    assert odds.exchanged().size == 0
+    assert odds.odds[3] > odds.odds[[0, 1, 2, 4, 5]].max()

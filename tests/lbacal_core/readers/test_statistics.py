@@ -6,7 +6,7 @@ import h5py
 import numpy as np
 import pytest
 
-from lbacal_core.errors import BadInputError
+from lbacal_core.errors import BadInputError, UnreadableFileError
 from lbacal_core.readers.average import average
 from lbacal_core.readers.open import open_source
 
@@ -72,6 +72,19 @@ def test_statistics_of_beamlets_are_refused(tmp_path: Path) -> None:
     write_statistics(tmp_path / "bst.h5", data_type="BST")
     with pytest.raises(BadInputError, match="SST"):
         open_source(tmp_path / "bst.h5")
+
+
+def test_a_second_without_its_timestamp_is_refused_by_name(tmp_path: Path) -> None:
+    write_statistics(tmp_path / "sst.h5")
+    with h5py.File(tmp_path / "sst.h5", "a") as file:
+        del file["SST_2025-03-01T12:00:02.000"].attrs["timestamp"]
+    with pytest.raises(UnreadableFileError, match=r"12:00:02.000: expected statistics with timestamp"):
+        average(open_source(tmp_path / "sst.h5"), 60.0)
+
+
+def test_the_boards_that_recorded_are_told(tmp_path: Path) -> None:
+    write_statistics(tmp_path / "sst.h5")
+    assert "recorded with the RCU boards 1000, 1001, 1002" in open_source(tmp_path / "sst.h5").notes
 
 
 def test_receiver_files_of_the_first_lofar_are_one_source(tmp_path: Path) -> None:
