@@ -18,7 +18,7 @@ from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
 from lbacal_core.instrument import Instrument
 from lbacal_core.sky.measured import BASE_SKY, MEASURED_SKY, PIVOT_MHZ, read_sky_level
-from lbacal_core.sky.names import list_skies, load_sky
+from lbacal_core.sky.names import WIDE_SKIES, WIDE_SKY, default_sky, list_skies, load_sky
 from lbacal_core.skypower.anchors import Anchor, mean_temperature, read_anchors
 from lbacal_core.skypower.antenna_of import antenna_of
 from lbacal_core.skypower.model import compute_sky_power
@@ -75,13 +75,13 @@ def sky_terms(instrument: Instrument, budget: str = "measured", sky: str = MEASU
 
 
 def _paper_terms(instrument: Instrument) -> list[SkyTerm]:
-    own = compute_sky_power(instrument, BASE_SKY)
+    own = compute_sky_power(instrument, default_sky(instrument.frequency_mhz))
     source = "Mulrey et al. 2019, appendix on the sky"
     return [_common(name, source, own, np.full_like(own.frequency_mhz, size)) for name, size in PAPER.items()]
 
 
 def _model_terms(instrument: Instrument) -> list[SkyTerm]:
-    own = compute_sky_power(instrument, BASE_SKY)
+    own = compute_sky_power(instrument, default_sky(instrument.frequency_mhz))
     source = "spread of seven sky models, 30-408 MHz (Buesken et al. 2023, arXiv 2211.03086)"
     level = _common("level of the sky", source, own, np.full_like(own.frequency_mhz, SEVEN_MODELS))
 
@@ -127,14 +127,15 @@ def _alternatives(
     what: str,
     change_of: Callable[[Mapping[str, Floats], str], dict[str, Floats]],
 ) -> list[SkyTerm]:
-    """One term for each other sky that ships; their sum of squares is the mean square difference."""
-    names = [name for name in list_skies() if name != BASE_SKY]
+    """One term for each other sky that ships for these channels; their sum of squares is the mean square difference."""
+    base = default_sky(instrument.frequency_mhz)
+    names = [name for name in (WIDE_SKIES if base == WIDE_SKY else list_skies()) if name != base]
     terms = []
     for name in names:
         other = compute_sky_power(instrument, name)
         change = {dipole: np.log(other.power[dipole] / values) for dipole, values in own.power.items()}
         sizes = {dipole: values / np.sqrt(len(names)) for dipole, values in change_of(change, name).items()}
-        source = f"sky {name} in place of {BASE_SKY}, one of {len(names)}"
+        source = f"sky {name} in place of {base}, one of {len(names)}"
         terms.append(SkyTerm(f"{what} ({name})", source, own.lst_hours, sizes))
     return terms
 

@@ -39,6 +39,18 @@ def test_where_no_model_reaches_the_channels_the_level_of_the_sky_is_left():
     assert float(change.d_ln_p["X"][0, 0]) == pytest.approx(0.229, abs=0.001)
 
 
+def test_beyond_the_default_sky_the_wide_skies_differ():
+    """At 50-350 MHz the budget of the models was the level of the paper alone, as if no model reached."""
+    channels = INSTRUMENT.frequency_mhz * 6.0 - 130.0
+    wide = replace(INSTRUMENT, frequency_mhz=channels, antenna="quarter-wave", sky=None)
+    changes = {change.name: change for change in list_changes(wide, "models")}
+    shapes = [f"spectrum and LST shape ({name})" for name in ("haslam-wide", "lfsm-wide")]
+    assert set(changes) == {"level of the sky", *shapes, "antenna pattern", "ground and losses"}
+    rms = [float(np.sqrt(np.mean(np.square(changes[name].d_ln_p["X"])))) for name in shapes]
+    assert 0.01 < min(rms) < max(rms) < 0.15
+    assert len(list_changes(wide, "paper")) == 4
+
+
 def test_an_unknown_budget_is_refused_with_the_known_ones():
     with pytest.raises(BadInputError, match="paper, models, measured"):
         list_changes(INSTRUMENT, "guess")
