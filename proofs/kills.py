@@ -47,7 +47,10 @@ from service.worker import Worker
 
 KILLS = 40
 DONE = "SELECT job FROM job_part WHERE state = 'done' OR substr(error, 1, 9) = 'no usable'"
-UNDONE = "SELECT job FROM job_part WHERE state <> 'done' AND substr(coalesce(error, ''), 1, 9) <> 'no usable'"
+UNDONE = (
+    "SELECT kind, job_part.request, state, attempts, error FROM job_part JOIN job ON job.id = job_part.job "
+    "WHERE state <> 'done' AND substr(coalesce(error, ''), 1, 9) <> 'no usable'"
+)
 DUE_TWICE = "SELECT due_key FROM job WHERE due_key IS NOT NULL GROUP BY due_key HAVING count(*) > 1"
 DATES = ("2014-07-01", "2015-07-01")
 LARGEST_SHARE = 0.01
@@ -87,7 +90,7 @@ def kill_and_compare(kind: str, kills: int, seed: int) -> Row:
         "every acknowledged tag is there, at its instant": wild.tags_kept == len(wild.record.tags),
         "every tag answers as it did when it was made": wild.tags_changed == 0,
         "every acknowledged refit is done": wild.record.jobs <= wild.done,
-        "every part of what was due is done, or found its window still empty": wild.undone == 0,
+        "every part of what was due is done, or found its window still empty": not wild.undone,
         "every due refit is enqueued once": wild.due_twice == 0,
         "no version was promoted twice in a row": wild.promoted_twice == 0,
         "the calibrations in effect are those of the calm run, or as near as a night leaves them": _are_alike(
@@ -106,6 +109,7 @@ def kill_and_compare(kind: str, kills: int, seed: int) -> Row:
         "parts_done": sum(wild.parts.values()),
         "attempts": int(wild.attempts),
         "curves_in_effect": len(wild.in_effect),
+        **({"undone": wild.undone} if wild.undone else {}),
     }
 
 
@@ -132,6 +136,7 @@ def tell(rows: Sequence[Row]) -> list[str]:
             f"{row['curves_in_effect']} curves in effect"
         )
         lines += [f"  NOT SO: {check}" for check in row["broken"]]
+        lines += [f"  UNDONE: {part}" for part in row.get("undone", ())]
     return lines
 
 
@@ -206,7 +211,7 @@ class Outcome:
     parts: Counter[str]
     attempts: int
     done: set[int]
-    undone: int
+    undone: list[str]
     due_twice: int
     promoted_twice: int
     in_effect: InEffect
@@ -320,7 +325,7 @@ def _read_outcome(
                 parts=Counter(row[0] for row in rows("SELECT state FROM job_part")),
                 attempts=rows("SELECT sum(attempts) FROM job_part")[0][0],
                 done={row[0] for row in rows(DONE)},
-                undone=len(rows(UNDONE)),
+                undone=[" ".join(map(str, row)) for row in rows(UNDONE)],
                 due_twice=len(rows(DUE_TWICE)),
                 promoted_twice=twice,
                 in_effect=in_effect,

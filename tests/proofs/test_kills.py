@@ -11,7 +11,7 @@ def test_four_kills_lose_nothing_and_change_nothing(request: pytest.FixtureReque
     if kind == "postgresql":
         request.getfixturevalue("needs_postgres")
     row = kill_and_compare(kind, kills=4, seed=0)
-    assert row["broken"] == []
+    assert row["broken"] == [], row
     assert row["tags"] > 0
 
 
