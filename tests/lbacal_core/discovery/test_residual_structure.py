@@ -160,7 +160,7 @@ def test_structure_counts_where_its_probability_is_below_the_one_asked_for(look)
 def test_bursts_on_one_side_of_zero_are_seen_although_none_stands_out(station, model):
     """Jupiter adds one or two standard deviations to a fifth of the events, along a vector that their noise has."""
     rng = np.random.default_rng(12)
-    events, vectors = station.power.shape[1], model.residuals.seeds
+    events, vectors = station.power.shape[1], model.residuals.seeds.mean(axis=0)
     noise = 0.02 * rng.standard_normal((events, 1)) * vectors[1]
     burst = 0.08 * (rng.random((events, 1)) < 0.2) * vectors[1]
     own = 0.044 * rng.standard_normal(station.power.shape)
