@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import expit
 from threadpoolctl import threadpool_limits
 
 from lbacal_core.calibration.chain_test import SkyFreedom, run_chain_test
@@ -154,7 +155,7 @@ def _antenna_terms(refits: Mapping[str, _Refit], freedom: SkyFreedom) -> list[Bu
     for mistake, ratio in zip(freedom.mistakes, np.minimum(gain, LARGEST_GAIN).tolist(), strict=True):
         if mistake.antenna is None:
             continue
-        probability = 1.0 / (1.0 + np.exp(RARE_MISTAKE - ratio))
+        probability = float(expit(ratio - RARE_MISTAKE))
         vectors = {
             p: np.sqrt(probability) * _finite(refit.exchange_sky(mistake.change[p])) for p, refit in refits.items()
         }
