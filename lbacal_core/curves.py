@@ -340,8 +340,8 @@ def write_calibration_table(report: FitReport, path: Path, made_with: Mapping[st
     descriptions = {
         "station": "station name; empty for the whole array",
         "antenna": "antenna number; -1: reference chain of the station or array, nobody's cable (fit.json says which)",
-        "dipole": "X or Y; empty where one curve serves both",
-        "frequency_mhz": "centre of the 1 MHz channel",
+        "dipole": "letter of the dipole; empty where one curve serves all",
+        "frequency_mhz": "centre of the channel",
         "c": "calibration factor C(nu), V per ADC unit; relative unless P_sky is W m^-2 MHz^-1 and G_ant m^2",
         "c_sigma_stat": "statistical standard deviation of c",
         "c_sigma_sys": "systematic standard deviation of c, by the budget in fit.json",
