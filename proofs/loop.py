@@ -74,7 +74,7 @@ FAULTS: dict[str, Fault] = {
 WARM = "2016-04-16", "2016-10-15"
 """The part of year 3 that is calibrated where the gain follows temperature: over a whole year C hardly moves."""
 AIMED, TRIES, MOST_STEP = 4.0, 6, 3.0
-MOVED, RIGHT, SPREAD, PULLS = 3.0, 0.5, (0.85, 1.15), 1.3
+MOVED, RIGHT, SPREAD, PULLS = 3.0, 0.5, (0.85, 1.15), (0.7, 1.3)
 REASON = "proof"
 
 
@@ -297,7 +297,7 @@ def judge(rows: Sequence[Row]) -> list[Claim]:
         return claim_exact(key, claim, at_most(0), sum(bool(test(row)) for row in of), n=len(of))
 
     return [
-        claim_rate("named", "The fault is named in the investigation of year 2", at_least(0.8),
+        claim_rate("named", "The fault is named in the investigation of year 2", at_least(0.95),
                    sum(row["is_named"] for row in rows), len(rows)),
         count_of("moved", "Faults that move C of year 3 by less than three statistical errors", rows,
                  lambda r: r["moved"] < MOVED),
@@ -309,7 +309,7 @@ def judge(rows: Sequence[Row]) -> list[Claim]:
                  lambda r: not r["is_in_effect"]),
         _claim_spread("gain", "R.m.s. of the pulls of the gain on year 3 against what its events should gain", of_gain),
         _claim_spread("promise", "R.m.s. of the pulls of the gain on year 3 against the promise of year 2", of_promise),
-        claim_rate("left", "Nothing is left in year 3 beside the adopted cause", at_least(0.8),
+        claim_rate("left", "Nothing is left in year 3 beside the adopted cause", at_least(0.95),
                    sum(row["left"] == "consistent" for row in closed), count),
         count_of("before", "Adoptions that change what year 1 is told", closed,
                  lambda r: not r["is_first_year_untouched"]),
@@ -321,7 +321,7 @@ def judge(rows: Sequence[Row]) -> list[Claim]:
 def _claim_spread(key: str, claim: str, pulls: Floats) -> Claim:
     low, high = mean_interval(pulls**2)
     root = float(np.sqrt(np.mean(pulls**2)))
-    return Claim(key, claim, at_most(PULLS), root, (max(low, 0.0) ** 0.5, high**0.5), pulls.size)
+    return Claim(key, claim, between(*PULLS), root, (max(low, 0.0) ** 0.5, high**0.5), pulls.size)
 
 
 def tell(rows: Sequence[Row]) -> list[str]:
