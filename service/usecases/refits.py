@@ -10,7 +10,7 @@ from lbacal_core.errors import BadInputError
 from lbacal_core.instrument import Instrument
 from lbacal_core.model import Model
 from lbacal_core.skypower.table import SkyPower
-from lbacal_core.validity import Instant, Promotion, Scope
+from lbacal_core.validity import Instant, Promotion, Scope, timeline
 from service.errors import ConflictError
 from service.storage.database import Database, Stores
 from service.storage.examined import Examined
@@ -128,7 +128,10 @@ class Refits:
             news = [v for v in made if v.id not in confirmed]
             stores.examined.put(examined)
         stores.versions.add([v.with_gate(gated[v.id]) for v in news])
-        passed = [v for v in news if gated[v.id] is None and standing.get(v.scope) != v.id]
+        answering = set(standing.values())
+        if part.is_due:
+            answering |= _list_answering(stores, scopes, since, until)
+        passed = [v for v in news if gated[v.id] is None and v.id not in answering]
         promoted = [Promotion(0, v.scope, since, until, v.id, 0, part.by, part.reason) for v in passed]
         objections = {name: objection for name, objection in gated.items() if objection is not None}
         ids = [v.id for v in news]
@@ -152,6 +155,21 @@ class _Kept:
         result["gated"] = {name: why for each in kept for name, why in each.result["gated"].items()}
         result["examined"] = sum(each.result["examined"] for each in kept)
         return cls(result, [promotion for each in kept for promotion in each.promotions])
+
+
+def _list_answering(stores: Stores, scopes: Sequence[Scope], since: Instant, until: Instant) -> set[str]:
+    """Versions in effect somewhere within a window.
+
+    What is in effect in the rest of the window of one of them, somebody put there since: due work leaves it.
+    """
+    promotions = stores.ledger.standing(set(scopes), since, until)
+    return {
+        one.calibration
+        for scope in scopes
+        for one in timeline([p for p in promotions if p.scope == scope], scope)
+        if one.start is not None and one.start < until and (one.end is None or one.end > since)
+        and one.calibration is not None
+    }  # fmt: skip
 
 
 def _explain_other_model(stores: Stores, part: Part) -> str | None:

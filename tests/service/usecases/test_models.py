@@ -141,6 +141,22 @@ def test_an_adopted_finding_changes_c_as_announced_and_withdrawal_restores_it_bi
     assert told(http, "2015-06-01", as_of=line["at"])["calibration"] == before["2015-06-01"]["calibration"]
 
 
+def test_a_withdrawal_did_not_restore_what_somebody_had_put_into_effect_for_a_part_of_the_year(
+    station: Factory, http: TestClient, found: str
+) -> None:
+    """The refit of the year, which made what was there already, was promoted over it."""
+    year_before = told(http, "2014-06-01")["calibration"]
+    part = {"calibration": year_before, "valid_from": "2015-05-01", "valid_to": "2015-10-01", "reason": "by hand"}
+    assert http.post("/v1/promotions", json=part).status_code == 201
+    before = [told(http, at)["calibration"] for at in ("2015-03-01", "2015-07-01", "2015-11-01")]
+    assert before[1] == year_before != before[0] == before[2]
+    made = adopt(http, found)
+    work(station)
+    assert http.post(f"/v1/models/{made['model']}/withdrawal", json={"reason": "no amplifier"}).status_code == 202
+    work(station)
+    assert [told(http, at)["calibration"] for at in ("2015-03-01", "2015-07-01", "2015-11-01")] == before
+
+
 def test_a_repeated_adoption_was_refused_although_its_first_try_was_done(http: TestClient, found: str) -> None:
     """Its plan was made before the idempotency key was looked up, and found the cause adopted already."""
     body = {"finding": 0, "reason": "test", "promote": True}
