@@ -86,8 +86,8 @@ def test_every_channel_of_an_event_gets_the_c_of_its_own_path(calibrations: dict
     calibrations["curves"][3]["flag_reason"] = "held: the nearest in time answers"
     pulse = np.random.default_rng(1).normal(size=1024)
     channels = [Channel(2000000 + receiver, pulse) for receiver in (8, 9, 34, 35, 90)]
-    client = Answers(calibrations)
-    module = EffectiveCalibrator(client, tag="paper")  # type: ignore[arg-type]
+    client: Any = Answers(calibrations)
+    module = EffectiveCalibrator(client, tag="paper")
     module.begin()
     said = module.run(Event([Station(channels)]), Detector())
     module.end()

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from lbacal_core.errors import BadInputError
-from lbacal_core.grids import require_channels, require_same_grid
+from lbacal_core.grids import guess_widths, require_channels, require_same_grid
+from lbacal_core.spectra import Spectra
 
 GRID = np.arange(30.0, 81.0)
 
@@ -48,3 +49,9 @@ def test_channels_are_finite_positive_and_rising(frequency: list[float], sentenc
     with pytest.raises(BadInputError, match=sentence):
         require_channels("a file", np.array(frequency))
     require_channels("a file", GRID)
+
+
+def test_channels_without_widths_are_as_wide_as_the_nearer_neighbour_is_away(two_stations: Spectra) -> None:
+    assert two_stations.channel_widths().tolist() == [1.0] * two_stations.frequency_mhz.size
+    np.testing.assert_allclose(guess_widths(np.array([10.0, 10.4, 11.4])), [0.4, 0.4, 1.0])
+    assert guess_widths(np.array([78.0])).tolist() == [1.0]
