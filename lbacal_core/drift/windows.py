@@ -83,6 +83,8 @@ def set_apart(spectra: Spectra, instrument: Instrument) -> tuple[Spectra, Instru
     The stretch with the most spectra keeps the number of the antenna, the others get numbers that no antenna has: what
     is said of this antenna alone is said of that stretch.
     """
+    if not len(spectra):
+        return spectra, instrument
     first, last = float(spectra.time_unix.min()), float(spectra.time_unix.max())
     changed = {
         owner: inside
