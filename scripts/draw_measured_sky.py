@@ -22,6 +22,7 @@ from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.sky_terms import EDGES_DEG, EDGES_HEIGHT_M, SKY_BUDGETS, sky_terms
 from lbacal_core.twin.campaign import simulate_campaign
 from lbacal_core.twin.settings import TwinSettings
+from scripts.page_tables import replace_tables
 
 DOCS = Path(__file__).parents[1] / "docs"
 PAGE = DOCS / "explanation" / "measured-sky.md"
@@ -151,15 +152,6 @@ def draw(curves: Rows, instrument: Instrument, path: Path) -> None:
         right.set(xlabel="frequency (MHz)", ylabel="C over the published C", ylim=(0.88, 1.24))
         right.legend(loc="upper left")
         figure.savefig(path, dpi=130)
-
-
-def replace_tables(page: str, tables: dict[str, str]) -> str:
-    """The page with each table put between its two markers."""
-    for name, table in tables.items():
-        start, end = f"<!-- {name} -->\n", f"<!-- end of {name} -->"
-        before, rest = page.split(start)
-        page = f"{before}{start}{table}\n{end}{rest.split(end)[1]}"
-    return page
 
 
 def main(table: str) -> None:

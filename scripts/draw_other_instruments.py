@@ -28,6 +28,7 @@ from lbacal_core.readers.open import choose_channels, open_source
 from lbacal_core.sky.names import load_sky
 from lbacal_core.skypower.anchors import dipole_temperature
 from lbacal_core.spectra import Spectra
+from scripts.page_tables import replace_tables
 
 DOCS = Path(__file__).parent.parent / "docs"
 PAGE = DOCS / "explanation" / "other-instruments.md"
@@ -215,15 +216,6 @@ def draw_edges(data: Path, axes: Any) -> None:
         axis.set(xlabel="local sidereal time (h)", ylabel="antenna temperature (K)", title=f"{mhz:.0f} MHz")
         axis.set(xlim=(0, 24), ylim=(0, 1.35 * values.max()))
         axis.legend()
-
-
-def replace_tables(page: str, tables: dict[str, str]) -> str:
-    """The page with each table put between its two markers."""
-    for name, table in tables.items():
-        start, end = f"<!-- {name} -->\n", f"<!-- end of {name} -->"
-        before, rest = page.split(start)
-        page = f"{before}{start}{table}\n{end}{rest.split(end)[1]}"
-    return page
 
 
 def make_tables(data: Path) -> dict[str, str]:

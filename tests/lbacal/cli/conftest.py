@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import json
+import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from lbacal.cli.main import main
 from lbacal_core.instrument import Instrument, parse_instrument
 from lbacal_core.sidereal import local_sidereal_time
 from lbacal_core.skypower.table import SkyPower, write_sky_power
@@ -71,3 +74,24 @@ def folder(tmp_path: Path) -> Path:
     (tmp_path / "instrument.json").write_text(json.dumps(instrument.as_dict()))
     write_sky_power(sky_power, tmp_path / "sky_power.json")
     return tmp_path
+
+
+@pytest.fixture
+def run_in(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Callable[[Path], Callable[..., tuple[int, str, str]]]:
+    """Make `lbacal` as it runs in a folder: exit code, standard output and standard error."""
+
+    def enter(folder: Path) -> Callable[..., tuple[int, str, str]]:
+        monkeypatch.chdir(folder)
+
+        def run(*arguments: str) -> tuple[int, str, str]:
+            monkeypatch.setattr(sys, "argv", ["lbacal", *arguments])
+            with pytest.raises(SystemExit) as caught:
+                main()
+            captured = capsys.readouterr()
+            return int(caught.value.code or 0), captured.out, captured.err
+
+        return run
+
+    return enter

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -9,25 +8,14 @@ from typing import Any
 import pytest
 
 from lbacal.calibration_files import read_calibrations
-from lbacal.cli.main import main
 from lbacal.tables import write_format
 
 Run = Callable[..., tuple[int, str, str]]
 
 
 @pytest.fixture
-def lbacal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
-    """Run `lbacal` in an empty folder: exit code, standard output and standard error."""
-    monkeypatch.chdir(tmp_path)
-
-    def run(*arguments: str) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["lbacal", *arguments])
-        with pytest.raises(SystemExit) as caught:
-            main()
-        captured = capsys.readouterr()
-        return int(caught.value.code or 0), captured.out, captured.err
-
-    return run
+def lbacal(tmp_path: Path, run_in: Callable[[Path], Run]) -> Run:
+    return run_in(tmp_path)
 
 
 @pytest.fixture

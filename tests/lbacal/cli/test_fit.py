@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import json
 import re
-import sys
 from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
@@ -12,31 +11,16 @@ import numpy as np
 import pytest
 from astropy.table import Table
 
-from lbacal.cli.main import main
 from lbacal_core.spectra import read_spectra, write_spectra
 
 OUTPUTS = ["--output", "C.ecsv", "--report", "fit.json"]
 FIT = ["fit", "spectra.h5", "--instrument", "instrument.json", "--sky-power", "sky_power.json", *OUTPUTS]
+Lbacal = Callable[..., tuple[int, str, str]]
 
 
 @pytest.fixture
-def lbacal(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> Callable[..., tuple[int, str, str]]:
-    """Run `lbacal` in the folder of files: exit code, standard output and standard error."""
-    monkeypatch.chdir(folder)
-
-    def run(*arguments: str) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["lbacal", *arguments])
-        with pytest.raises(SystemExit) as caught:
-            main()
-        captured = capsys.readouterr()
-        return int(caught.value.code or 0), captured.out, captured.err
-
-    return run
-
-
-Lbacal = Callable[..., tuple[int, str, str]]
+def lbacal(folder: Path, run_in: Callable[[Path], Lbacal]) -> Lbacal:
+    return run_in(folder)
 
 
 @pytest.mark.parametrize(("scope", "curves"), [("antenna", 4), ("station", 2), ("array", 2)])
