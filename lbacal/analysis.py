@@ -31,6 +31,7 @@ from lbacal_core.curves import CalibrationCurve, FitReport
 from lbacal_core.errors import UnknownNameError
 from lbacal_core.instrument import Instrument as CoreInstrument
 from lbacal_core.instrument import load_instrument
+from lbacal_core.site import Site as CoreSite
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra import Spectra
 from lbacal_core.spectra import read_spectra as read_core_spectra
@@ -44,11 +45,16 @@ STATION, CABLE = "S1", "all"
 
 @dataclass(frozen=True)
 class Site:
-    """Where an instrument stands: geographic latitude and longitude (east positive, deg), height (m)."""
+    """Where an instrument or a station stands: geographic latitude and longitude (east positive, deg), height (m)."""
 
     latitude: Any
     longitude: Any
     height: Any = 0.0
+
+    def core(self) -> CoreSite:
+        """The same in plain numbers."""
+        north, east = (convert_number(angle, u.deg) for angle in (self.latitude, self.longitude))
+        return CoreSite(north, east, convert_number(self.height, u.m))
 
 
 @dataclass(frozen=True)
@@ -77,6 +83,13 @@ class Instrument:
     """An instrument from its parts, or one that ships, or a file: `Instrument.load("lofar-superterp")`.
 
     `core` is the value that the commands, the service and `lbacal_core` work with; `save` writes its file.
+
+    Parameters
+    ----------
+    antennas
+        How many, or their numbers; of several stations a mapping of that by station.
+    sites
+        Where stations stand that do not stand at `site`.
     """
 
     def __init__(
@@ -86,30 +99,36 @@ class Instrument:
         antenna: Antenna,
         chain: Chain,
         frequency: Any,
-        antennas: int | Sequence[int] = 1,
+        antennas: int | Sequence[int] | Mapping[str, int | Sequence[int]] = 1,
         sky: str | None = None,
+        sites: Mapping[str, Site] | None = None,
     ) -> None:
         frequency_mhz = convert_numbers(frequency, u.MHz)
         arms = {letter: arm if isinstance(arm, tuple) else (arm, 0.0) for letter, arm in antenna.arms.items()}
         tilts = {letter: convert_number(tilt, u.deg) for letter, (_, tilt) in arms.items()}
-        numbers = range(antennas) if isinstance(antennas, int) else antennas
+        by_station = antennas if isinstance(antennas, Mapping) else {STATION: antennas}
         self.core = CoreInstrument(
             name=name,
-            latitude_deg=convert_number(site.latitude, u.deg),
-            longitude_deg=convert_number(site.longitude, u.deg),
-            height_m=convert_number(site.height, u.m),
+            latitude_deg=site.core().latitude_deg,
+            longitude_deg=site.core().longitude_deg,
+            height_m=site.core().height_m,
             frequency_mhz=frequency_mhz,
             dipole_azimuth_deg={letter: convert_number(azimuth, u.deg) for letter, (azimuth, _) in arms.items()},
             antenna_gain=np.broadcast_to(convert_numbers(antenna.gain, u.m**2), frequency_mhz.shape).copy(),
             receiver_gain=chain.receiver_gain(frequency_mhz).copy(),
             cables={CABLE: chain.cable_loss(frequency_mhz).copy()},
-            antennas=tuple(AntennaRecord(STATION, int(number), CABLE) for number in numbers),
+            antennas=tuple(
+                AntennaRecord(station, int(number), CABLE)
+                for station, numbers in by_station.items()
+                for number in (range(numbers) if isinstance(numbers, int) else numbers)
+            ),
             antenna=antenna.model,
             sky=sky,
             dipole_tilt_deg={letter: tilt for letter, tilt in tilts.items() if tilt},
             gain_provenance=None if antenna.gain_source is None else GainProvenance(ABSOLUTE, antenna.gain_source),
             stages=chain.core_stages(frequency_mhz),
             kelvin_error=chain.kelvin_error,
+            sites={station: one.core() for station, one in (sites or {}).items()},
         )
 
     @classmethod
@@ -153,16 +172,28 @@ def read_spectra(path: str | Path) -> Spectra:
 
 
 def simulate(
-    instrument: Instrument | CoreInstrument | str, events: int = 300, antennas: int | None = None, seed: int = 1
+    instrument: Instrument | CoreInstrument | str,
+    events: int = 300,
+    antennas: int | None = None,
+    seed: int = 1,
+    stations: Sequence[str] | None = None,
 ) -> Spectra:
-    """A simulated year of an instrument's spectra, to try things on: noise as LOFAR's, events at random times."""
+    """A simulated year of an instrument's spectra, to try things on: noise as LOFAR's, events at random times.
+
+    Parameters
+    ----------
+    antennas
+        How many of each station; all unless given.
+    stations
+        The first one unless given.
+    """
     from lbacal_core.skypower.model import compute_sky_power
     from lbacal_core.twin.campaign import simulate_campaign
     from lbacal_core.twin.settings import TwinSettings
 
     core = _core(instrument)
-    first = sorted({record.station for record in core.antennas})[:1]
-    settings = TwinSettings(events_per_year=events, antennas=antennas, stations=tuple(first))
+    chosen = stations or sorted({record.station for record in core.antennas})[:1]
+    settings = TwinSettings(events_per_year=events, antennas=antennas, stations=tuple(chosen))
     return simulate_campaign(settings, core, compute_sky_power(core), np.random.default_rng(seed)).spectra
 
 

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from difflib import get_close_matches
+from itertools import pairwise
 from typing import Any
 
 from lbacal_core.errors import BadInputError
@@ -31,6 +34,28 @@ class AntennaRecord:
     def covers(self, time_unix: float) -> bool:
         """Whether the record holds at an instant."""
         return (self.since is None or self.since <= time_unix) and (self.until is None or time_unix < self.until)
+
+
+def require_one_at_a_time(records: Sequence[AntennaRecord], place: str) -> None:
+    """Hardware changes: the records of one antenna may follow each other, never overlap."""
+    order = sorted(
+        range(len(records)),
+        key=lambda row: (
+            records[row].station,
+            records[row].antenna,
+            -math.inf if (since := records[row].since) is None else since,
+        ),
+    )
+    for row, later_row in pairwise(order):
+        record, later = records[row], records[later_row]
+        if (record.station, record.antenna) != (later.station, later.antenna):
+            continue
+        if record.until is None or later.since is None or later.since < record.until:
+            raise BadInputError(
+                f"{place}: antennas, rows {row} and {later_row}",
+                f"one record at a time for station {record.station}, antenna {record.antenna}",
+                "two whose since and until overlap",
+            )
 
 
 def parse_record(record: Any, place: str) -> AntennaRecord:

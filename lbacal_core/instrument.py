@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from importlib.resources import files
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -17,12 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lbacal_core.antenna_gain import ABSOLUTE, GainProvenance, parse_gain_provenance
-from lbacal_core.antenna_records import AntennaRecord, parse_record, record_as_dict
+from lbacal_core.antenna_records import AntennaRecord, parse_record, record_as_dict, require_one_at_a_time
 from lbacal_core.dipoles import EXPECTED, is_dipole_name, look_like_radians
 from lbacal_core.errors import BadInputError, UnknownNameError
 from lbacal_core.grids import Floats, require_channels
 from lbacal_core.json_values import parse_name, parse_number, parse_numbers, parse_optional_name, read_json
 from lbacal_core.provenance import hash_content
+from lbacal_core.site import Site, parse_sites
 from lbacal_core.stage_files import parse_stages
 from lbacal_core.stages import IN_LINE, Stage, fill_fields, gain_behind
 
@@ -58,6 +57,8 @@ class Instrument:
     kelvin_error
         Error of a receiver that is calibrated in kelvin, a fraction of the power: spectra are then temperatures behind
         the antenna. None for spectra in ADC units.
+    sites
+        Where stations stand that do not stand where the instrument does, by name.
     """
 
     name: str
@@ -76,18 +77,12 @@ class Instrument:
     dipole_tilt_deg: Mapping[str, float] = dataclasses.field(default_factory=dict)
     stages: Sequence[Stage] = ()
     kelvin_error: float | None = None
+    sites: Mapping[str, Site] = dataclasses.field(default_factory=dict)
 
     def __post_init__(self) -> None:
         place = f"instrument {self.name}"
         require_channels(place, self.frequency_mhz)
-        for field, low, high in (
-            ("latitude_deg", -90.0, 90.0),
-            ("longitude_deg", -180.0, 360.0),
-            ("height_m", -500.0, 9000.0),
-        ):
-            value = getattr(self, field)
-            if not low <= value <= high:
-                raise BadInputError(f"{place}: {field}", f"{low:g} to {high:g}", f"{value}")
+        self._require_sites()
         self._require_dipoles()
         self._require_gain("antenna_gain", self.antenna_gain, np.inf)
         self._require_gain("receiver_gain", self.receiver_gain, np.inf)
@@ -103,7 +98,16 @@ class Instrument:
                 )
             if record.since is not None and record.until is not None and record.since >= record.until:
                 raise BadInputError(f"{place}: antennas, row {row}: until", "a date after since", "one that is not")
-        self._require_one_record_at_a_time()
+        require_one_at_a_time(self.antennas, place)
+
+    def _require_sites(self) -> None:
+        place = f"instrument {self.name}"
+        Site(self.latitude_deg, self.longitude_deg, self.height_m).require_on_earth(place)
+        known = {record.station for record in self.antennas}
+        for station, site in self.sites.items():
+            if station not in known:
+                raise BadInputError(f"{place}: sites", f"a station ({', '.join(sorted(known))})", repr(station))
+            site.require_on_earth(f"{place}: sites.{station}")
 
     def _require_dipoles(self) -> None:
         place = f"instrument {self.name}: dipoles"
@@ -131,6 +135,14 @@ class Instrument:
         """Tilt of an arm, 0 where none is given."""
         return self.dipole_tilt_deg.get(dipole, 0.0)
 
+    def at_station(self, station: str | None) -> Instrument:
+        """The instrument standing where a station of it stands; itself where the station has no site of its own."""
+        site = None if station is None else self.sites.get(station)
+        if site is None:
+            return self
+        north, east, height = site.latitude_deg, site.longitude_deg, site.height_m
+        return replace(self, sites={}, latitude_deg=north, longitude_deg=east, height_m=height)
+
     def require_dipoles(self, letters: NDArray[np.str_], origin: str) -> None:
         """Refuse letters of spectra that are none of this instrument's."""
         unknown = [str(letter) for letter in np.unique(letters) if str(letter) not in self.dipole_azimuth_deg]
@@ -138,27 +150,6 @@ class Instrument:
             row = int(np.flatnonzero(letters == unknown[0])[0])
             expected = f"a dipole of instrument {self.name} ({', '.join(self.dipoles)})"
             raise BadInputError(f"{origin}: dipole, row {row}", expected, repr(unknown[0]))
-
-    def _require_one_record_at_a_time(self) -> None:
-        """Hardware changes: the records of one antenna may follow each other, never overlap."""
-        order = sorted(
-            range(len(self.antennas)),
-            key=lambda row: (
-                self.antennas[row].station,
-                self.antennas[row].antenna,
-                -math.inf if self.antennas[row].since is None else self.antennas[row].since,
-            ),
-        )
-        for row, later_row in pairwise(order):
-            record, later = self.antennas[row], self.antennas[later_row]
-            if (record.station, record.antenna) != (later.station, later.antenna):
-                continue
-            if record.until is None or later.since is None or later.since < record.until:
-                raise BadInputError(
-                    f"instrument {self.name}: antennas, rows {row} and {later_row}",
-                    f"one record at a time for station {record.station}, antenna {record.antenna}",
-                    "two whose since and until overlap",
-                )
 
     def _require_stages(self) -> None:
         if not self.stages:
@@ -256,6 +247,7 @@ class Instrument:
             **({} if self.gain_provenance is None else {"antenna_gain_provenance": self.gain_provenance.as_dict()}),
             **({"stages": [stage.as_dict() for stage in self.stages]} if self.stages else {}),
             **({} if self.kelvin_error is None else {"calibrated_in_kelvin": {"error": self.kelvin_error}}),
+            **({"sites": {name: site.as_dict() for name, site in sorted(self.sites.items())}} if self.sites else {}),
         }
 
     def digest(self) -> str:
@@ -291,14 +283,17 @@ class Instrument:
             for record in used
         ]
         known = {record.cable: self.cables[record.cable] for record in used}
-        own = replace(self, name="", height_m=0.0, cables=known, antennas=inside)
+        stations = {record.station for record in used}
+        sites = {name: replace(site, height_m=0.0) for name, site in self.sites.items() if name in stations}
+        own = replace(self, name="", height_m=0.0, cables=known, antennas=inside, sites=sites)
         return own.digest()
 
     def view_digest(self) -> str:
-        """Hash of what P_sky takes from an instrument: its place, the arms of its dipoles and its channels."""
+        """Hash of what P_sky takes from an instrument: its places, the arms of its dipoles and its channels."""
         tilts = {dipole: tilt for dipole, tilt in self.dipole_tilt_deg.items() if tilt}
         view = [self.latitude_deg, dict(self.dipole_azimuth_deg), self.frequency_mhz.tolist()]
-        return hash_content([*view, tilts] if tilts else view)
+        elsewhere = {name: site.latitude_deg for name, site in self.sites.items()}
+        return hash_content([*view, *(more for more in (tilts, elsewhere) if more)])
 
     @property
     def antenna_gain_note(self) -> str:
@@ -360,11 +355,12 @@ def parse_instrument(content: Any, place: str, folder: Path | None = None) -> In
     dipoles, cables, antennas = content["dipoles"], content["cables"], content["antennas"]
     if not isinstance(dipoles, dict) or not isinstance(cables, dict) or not isinstance(antennas, list):
         raise BadInputError(place, "dipoles and cables as objects, antennas as a list", "another shape")
+    height_m = parse_number(content["height_m"], f"{place}: height_m")
     return Instrument(
         name=parse_name(content["name"], f"{place}: name"),
         latitude_deg=parse_number(content["latitude_deg"], f"{place}: latitude_deg"),
         longitude_deg=parse_number(content["longitude_deg"], f"{place}: longitude_deg"),
-        height_m=parse_number(content["height_m"], f"{place}: height_m"),
+        height_m=height_m,
         frequency_mhz=parse_numbers(content["frequency_mhz"], f"{place}: frequency_mhz"),
         dipole_azimuth_deg={
             name: parse_number(arm.get("azimuth_deg") if isinstance(arm, dict) else None, f"{place}: dipoles.{name}")
@@ -386,6 +382,7 @@ def parse_instrument(content: Any, place: str, folder: Path | None = None) -> In
         ),
         stages=stages,
         kelvin_error=_parse_kelvin_error(content.get("calibrated_in_kelvin"), f"{place}: calibrated_in_kelvin"),
+        sites=parse_sites(content.get("sites"), f"{place}: sites", height_m),
     )
 
 

@@ -96,7 +96,7 @@ def _audit(
             "ignore", "All-NaN|Mean of empty|Degrees of freedom", RuntimeWarning
         )  # nothing recorded
         for station in stations:
-            lines += _audit_station(station, instrument, models)
+            lines += _audit_station(station, instrument.at_station(station.name), models)
     return AuditReport(lines, stations)
 
 

@@ -16,6 +16,7 @@ from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 from lbacal_core.audit.station import AuditedStation, spread
 from lbacal_core.grids import Floats
+from lbacal_core.sidereal import SIDEREAL_DAY_S
 
 BANDS = 4
 LONGEST = 96
@@ -89,7 +90,7 @@ def make_series(station: AuditedStation, rows: NDArray[np.int64]) -> Series:
     bands = np.array_split(np.arange(station.frequency_mhz.size), BANDS)
     level = np.nanmedian(power, axis=2, keepdims=True)
     of_band = np.stack([np.nanmedian(power[..., band] / level[..., band], axis=-1) for band in bands], axis=2)
-    bins = _bin_times(station.time_unix)
+    bins = _bin_times(station.time_unix, station.lst_hours)
     binned = np.stack([np.nanmean(of_band[..., bins == k], axis=-1) for k in range(bins.max() + 1)], axis=-1)
     lst = np.array([_mean_hour(station.lst_hours[bins == k]) for k in range(bins.max() + 1)])
     seen = np.nanmedian(binned, axis=0)
@@ -124,11 +125,13 @@ def as_power(recorded: Floats, unit: str) -> Floats:
     return recorded**2 if unit == "volt" else recorded
 
 
-def _bin_times(time_unix: Floats) -> NDArray[np.int64]:
+def _bin_times(time_unix: Floats, lst_hours: Floats) -> NDArray[np.int64]:
+    """Instants that are averaged: neighbours in time, or in sidereal time where the data are of more than a day."""
     if time_unix.size <= LONGEST:
         return np.arange(time_unix.size)
-    width = (time_unix[-1] - time_unix[0]) / LONGEST
-    raw = np.minimum((time_unix - time_unix[0]) // width, LONGEST - 1)
+    span = time_unix[-1] - time_unix[0]
+    phase = (time_unix - time_unix[0]) / span if span < SIDEREAL_DAY_S * (1 + 1 / LONGEST) else lst_hours / 24.0
+    raw = np.minimum(phase * LONGEST // 1, LONGEST - 1)
     return np.asarray(np.unique(raw, return_inverse=True)[1])
 
 

@@ -95,7 +95,7 @@ def split_stations(spectra: Spectra, instrument: Instrument) -> Iterator[Audited
             cables,
             np.array([instrument.cables[cable] for cable in cables]),
             times,
-            local_sidereal_time(times, instrument.longitude_deg),
+            local_sidereal_time(times, instrument.at_station(str(station)).longitude_deg),
         )
 
 

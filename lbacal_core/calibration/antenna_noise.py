@@ -26,7 +26,8 @@ def recorded_background(
     dipole = curve.dipole
     if dipole is None:
         raise BadInputError(curve.name, "a curve of one polarisation", "one for both")
-    return predict_power(curve, instrument, sky_power.at(dipole, np.asarray(lst_hours, dtype=float)))
+    sky = sky_power.of_station(curve.station)
+    return predict_power(curve, instrument, sky.at(dipole, np.asarray(lst_hours, dtype=float)))
 
 
 def recorded_electronics(curve: CalibrationCurve, instrument: Instrument) -> Floats:

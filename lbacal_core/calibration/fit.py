@@ -105,7 +105,8 @@ def fit_calibration(
     table = CableTable.of(instrument)
 
     def fit_paths(paths: Paths) -> _Fitted:
-        sky = sky_power.at(paths.owners[0][2], paths.lst_hours)
+        station, _, letter = paths.owners[0]
+        sky = sky_power.of_station(station).at(letter, paths.lst_hours)
         curves = _fit_paths(paths, sky, instrument, freedom)
         chains = [_chain_of(curve, paths, instrument, table, cable_of) for curve, _ in curves]
         return [(*curve, chain) for curve, chain in zip(curves, chains, strict=True)], paths.anomalies

@@ -113,7 +113,8 @@ def _paths_of_block(
 
     Where most paths have too many, they are what the station records, and are averaged.
     """
-    screened = screen_block(block, instrument.longitude_deg)
+    longitude_deg = instrument.at_station(block.station).longitude_deg
+    screened = screen_block(block, longitude_deg)
     with np.errstate(divide="ignore"):
         relative_variance = typical_blocks / screened.block.blocks
     if is_for_mean and np.mean(screened.is_steady) > SHARE_OF_STEADY_PATHS:
@@ -122,7 +123,7 @@ def _paths_of_block(
         owners=[(block.station, int(antenna), block.dipole) for antenna in block.antennas],
         power=screened.block.power,
         relative_variance=relative_variance,
-        lst_hours=local_sidereal_time(block.time_unix, instrument.longitude_deg),
+        lst_hours=local_sidereal_time(block.time_unix, longitude_deg),
         anomalies=screened.anomalies,
     )
 
@@ -141,7 +142,8 @@ def _mean_path(
     lines: an antenna missing from an event then does not pull the mean towards the others. An antenna counts with its
     power, as in the mean of the lines. If all counted alike, the scatter would be that of a mean which weak antennas
     (long cables) enter as much as strong ones, and the variance of C would be too small by 1 + var(P_p) / mean(P_p)^2,
-    1.15 for the cables of the Superterp.
+    1.15 for the cables of the Superterp. The chain of the array stands where the instrument does, wherever its stations
+    stand: each deviates from its lines against the sky that it sees itself.
     """
     events = np.unique(np.concatenate([block.event_id for block in blocks]))
     dipole = blocks[0].dipole
@@ -153,16 +155,16 @@ def _mean_path(
     members: list[tuple[str, int]] = []
     singles: list[SinglePaths] = []
     scatters: list[Floats] = []
-    forms = chain_forms(instrument)
+    forms, place = chain_forms(instrument), instrument.at_station(station)
     for part, block in zip(parts, blocks, strict=True):
         at = np.searchsorted(events, block.event_id)
-        lst_hours[at] = part.lst_hours
+        lst_hours[at] = local_sidereal_time(block.time_unix, place.longitude_deg)
         has_enough = np.isfinite(part.relative_variance).sum(axis=1) >= MIN_EVENTS
         if not np.any(has_enough):
             continue
         power, variance = part.power[has_enough], part.relative_variance[has_enough]
         is_present = np.isfinite(variance)
-        sky = sky_power.at(dipole, part.lst_hours)
+        sky = sky_power.of_station(block.station).at(dipole, part.lst_hours)
         lines = fit_lines(power, sky, variance, forms)
         expected = lines.power(sky)
         deviation[at] += np.einsum("pe,pef->ef", is_present, power - expected)
@@ -177,7 +179,7 @@ def _mean_path(
         scatters.append(np.median(lines.levels.radiometer, axis=1))
         singles.append(_single_paths(averaged, lines, instrument, cable_of))
     has_data = share > 0
-    sky = sky_power.at(dipole, lst_hours)
+    sky = sky_power.of_station(station).at(dipole, lst_hours)
     mean = (slope * sky + intercept) / max(len(members), 1)
     power = np.where(has_data[:, None], mean * (1.0 + deviation / np.where(has_data[:, None], total, 1.0)), 1.0)
     relative_variance = np.where(has_data, scatter / np.where(has_data, share, 1.0) ** 2, np.inf)

@@ -88,10 +88,14 @@ def gather_stations(spectra: Spectra, instrument: Instrument, sky_power: SkyPowe
     blocks = split_into_blocks(spectra)
     ratios = sky_ratios(instrument)
     typical = float(np.median(spectra.blocks))
-    return [
-        _gather([b for b in blocks if b.station == name], instrument, cable_of, sky_power, typical, ratios)
-        for name in np.unique(spectra.station)
-    ]
+
+    def gather(name: str) -> Station:
+        own = instrument.at_station(name)
+        of_place = ratios if own.latitude_deg == instrument.latitude_deg else sky_ratios(own)
+        of_station = [block for block in blocks if block.station == name]
+        return _gather(of_station, own, cable_of, sky_power.of_station(name), typical, of_place)
+
+    return [gather(str(name)) for name in np.unique(spectra.station)]
 
 
 def _gather(

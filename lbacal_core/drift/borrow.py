@@ -63,7 +63,7 @@ def borrow_curve(
         raise ValueError(f"{neighbour.name} has no values to borrow")
     before, now = (instrument.cables[name] for name in cables)
     through = neighbour.c * np.sqrt(before / now)
-    block = screen_block(block, instrument.longitude_deg).block
+    block = screen_block(block, instrument.at_station(block.station).longitude_deg).block
     modes = measure_event_modes(block, {neighbour.antenna: replace(neighbour, c=through)}, instrument, sky_power)
     known = modes.ln_c[0, :, 0][np.isfinite(modes.ln_c[0, :, 0])]
     if known.size < FEWEST_EVENTS:

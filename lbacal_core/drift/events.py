@@ -77,7 +77,8 @@ def measure_event_modes(
     noise = noise_constants(instrument)
     level = np.array([[curve.parameters[name].value for name in noise.names] for curve in curves])
     front, behind = len(noise.front), (level[:, len(noise.front) :] @ noise.behind)[:, None, :]
-    sky = sky_power.at(block.dipole, local_sidereal_time(block.time_unix, instrument.longitude_deg))
+    lst_hours = local_sidereal_time(block.time_unix, instrument.at_station(block.station).longitude_deg)
+    sky = sky_power.of_station(block.station).at(block.dipole, lst_hours)
     signal = (sky + noise.before(level[:, :front])[:, None, :]) * (instrument.antenna_gain / c**2)[:, None, :]
     weight = (signal / (signal + behind)) ** 2 * has_value[:, None, :]
     ratio = (block.power[rows] - behind) / signal

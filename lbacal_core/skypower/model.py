@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from lbacal_core.antenna.model import AntennaModel
@@ -28,7 +30,7 @@ def compute_sky_power(
     antenna: str | AntennaModel | None = None,
     lst_hours: Floats | None = None,
 ) -> SkyPower:
-    """P_sky(LST, nu) of each dipole for the instrument's place, arms and channels.
+    """P_sky(LST, nu) of each dipole for the instrument's place, arms and channels, and for its stations elsewhere.
 
     Parameters
     ----------
@@ -50,22 +52,28 @@ def compute_sky_power(
     temperature = precess_multipoles(sky_model.temperature(frequency_mhz), DATA_EPOCH)
     tilts = {dipole: instrument.tilt_deg(dipole) for dipole in instrument.dipoles}
     beams = {tilt: beam_multipoles(antenna_model, frequency_mhz, sky_model.lmax, tilt) for tilt in set(tilts.values())}
-    power = {
-        dipole: sky_power_at(
-            combine(temperature, beams[tilts[dipole]], arm, instrument.latitude_deg, frequency_mhz), lst
-        )
-        for dipole, arm in instrument.dipole_azimuth_deg.items()
-    }
     origin = f"sky {sky_model.name}, antenna {antenna_model.name}"
-    inputs = {
-        "sky": sky_model.digest(),
-        "antenna": antenna_model.digest(),
-        "latitude_deg": instrument.latitude_deg,
-        "dipole_azimuth_deg": dict(instrument.dipole_azimuth_deg),
-        "frequency_mhz": frequency_mhz.tolist(),
-        "lst_hours": lst.tolist(),
-        "epoch": DATA_EPOCH,
-        **({"dipole_tilt_deg": tilts} if any(tilts.values()) else {}),
-    }
-    made_for = describe_view(instrument, sky_model.name, sky_model.digest(), antenna_model.name, antenna_model.digest())
-    return SkyPower(frequency_mhz, lst, power, origin, made_for=made_for).of_inputs(hash_content(inputs))
+
+    def table_of(one: Instrument, stations: Mapping[str, SkyPower]) -> SkyPower:
+        """P_sky where an instrument stands."""
+        power = {
+            dipole: sky_power_at(combine(temperature, beams[tilts[dipole]], arm, one.latitude_deg, frequency_mhz), lst)
+            for dipole, arm in one.dipole_azimuth_deg.items()
+        }
+        inputs = {
+            "sky": sky_model.digest(),
+            "antenna": antenna_model.digest(),
+            "latitude_deg": one.latitude_deg,
+            "dipole_azimuth_deg": dict(one.dipole_azimuth_deg),
+            "frequency_mhz": frequency_mhz.tolist(),
+            "lst_hours": lst.tolist(),
+            "epoch": DATA_EPOCH,
+            **({"dipole_tilt_deg": tilts} if any(tilts.values()) else {}),
+        }
+        made_for = describe_view(one, sky_model.name, sky_model.digest(), antenna_model.name, antenna_model.digest())
+        table = SkyPower(frequency_mhz, lst, power, origin, made_for=made_for, stations=stations)
+        return table.of_inputs(hash_content(inputs))
+
+    north = instrument.latitude_deg
+    elsewhere = [station for station, site in instrument.sites.items() if site.latitude_deg != north]
+    return table_of(instrument, {station: table_of(instrument.at_station(station), {}) for station in elsewhere})

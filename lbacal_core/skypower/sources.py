@@ -95,5 +95,9 @@ def add_sources(
     names = "".join(f" + {source.name} {year:g}" for source in sources)
     inputs = [sky_power.digest(), names, year, instrument.digest(), model.digest()]
     made_for = None if sky_power.made_for is None else sky_power.made_for.with_sky(names)
-    added = replace(sky_power, power=power, origin=sky_power.origin + names, made_for=made_for)
+    stations = {
+        name: add_sources(one, instrument.at_station(name), sources, year, model)
+        for name, one in sky_power.stations.items()
+    }
+    added = replace(sky_power, power=power, origin=sky_power.origin + names, made_for=made_for, stations=stations)
     return added.of_inputs(hash_content(inputs))

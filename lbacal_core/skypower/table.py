@@ -16,7 +16,7 @@ from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats, require_channels
 from lbacal_core.instrument import Instrument
 from lbacal_core.json_values import parse_numbers, read_json
-from lbacal_core.provenance import hash_arrays
+from lbacal_core.provenance import hash_arrays, hash_content
 from lbacal_core.skypower.made_for import MadeFor, parse_made_for
 from lbacal_core.skypower.series import HarmonicFit, make_even
 
@@ -46,6 +46,9 @@ class SkyPower:
         How the series fits a file whose instants are uneven; None where the table is as it was given.
     made_for
         The instrument that it was computed for, with which sky and antenna; None where nobody says.
+    stations
+        P_sky of stations at another latitude than the instrument's, by name, on the same channels. A station that only
+        stands at another longitude sees the same at another time.
     """
 
     frequency_mhz: Floats
@@ -55,6 +58,7 @@ class SkyPower:
     inputs_digest: str | None = field(default=None, init=False)
     fit: HarmonicFit | None = None
     made_for: MadeFor | None = None
+    stations: Mapping[str, SkyPower] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         require_channels(self.origin, self.frequency_mhz)
@@ -82,6 +86,14 @@ class SkyPower:
                     f"{values[row, channel]}",
                 )
 
+        for station, one in self.stations.items():
+            if set(one.power) != set(self.power) or not np.array_equal(one.frequency_mhz, self.frequency_mhz):
+                raise BadInputError(f"{self.origin}: stations.{station}", "the same dipoles and channels", "others")
+
+    def of_station(self, station: str | None) -> SkyPower:
+        """P_sky where a station stands; where the instrument stands unless it has one of its own."""
+        return self if station is None else self.stations.get(station, self)
+
     def at(self, dipole: str, lst_hours: Floats) -> Floats:
         """P_sky of one dipole at any LST, by its Fourier series: exact for what the grid resolves.
 
@@ -103,6 +115,7 @@ class SkyPower:
             "lst_hours": self.lst_hours.tolist(),
             **{dipole: values.tolist() for dipole, values in sorted(self.power.items())},
             **({} if self.made_for is None else self.made_for.as_dict()),
+            **({"stations": {name: one.as_dict() for name, one in self.stations.items()}} if self.stations else {}),
         }
 
     def require_made_for(self, instrument: Instrument) -> None:
@@ -113,6 +126,8 @@ class SkyPower:
             raise BadInputError(self.origin, expected, f"no {', '.join(missing)}")
         if self.made_for is not None:
             self.made_for.require(instrument, self.origin)
+        for station, one in self.stations.items():
+            one.require_made_for(instrument.at_station(station))
 
     def note_for(self, instrument: Instrument) -> str:
         """What is known of this sky power beside an instrument, in words."""
@@ -121,6 +136,10 @@ class SkyPower:
             if self.made_for is None
             else self.made_for.note(instrument)
         )
+        north = instrument.latitude_deg
+        elsewhere = [name for name, site in instrument.sites.items() if site.latitude_deg != north]
+        without = ", ".join(name for name in elsewhere if name not in self.stations)
+        made += f"; P_sky of the instrument's place stands for that of {without}" if without else ""
         return made if self.fit is None else f"{self.fit}; {made}"
 
     def of_inputs(self, digest: str) -> SkyPower:
@@ -135,9 +154,10 @@ class SkyPower:
 
     def digest(self) -> str:
         """Hash that names this sky power in provenance and version ids: of its inputs, else of its numbers."""
-        return self.inputs_digest or hash_arrays(
+        own = self.inputs_digest or hash_arrays(
             self.frequency_mhz, self.lst_hours, *(self.power[dipole] for dipole in sorted(self.power))
         )
+        return hash_content([own, {k: one.digest() for k, one in self.stations.items()}]) if self.stations else own
 
 
 def read_at(values: Floats, lst_hours: Floats) -> Floats:
@@ -165,15 +185,19 @@ def read_at(values: Floats, lst_hours: Floats) -> Floats:
 
 def read_sky_power(path: Path) -> SkyPower:
     """Read a sky power file."""
-    content = read_json(path)
+    return _parse_sky_power(read_json(path), str(path))
+
+
+def _parse_sky_power(content: Any, path: str) -> SkyPower:
+    """The sky power of a file's content, or of one of its stations."""
     fields = ["frequency_mhz", "lst_hours"]
     wanted = f"the fields {', '.join(fields)} and P_sky of each dipole under its letter"
     if not isinstance(content, dict):
-        raise BadInputError(str(path), f"a JSON object with {wanted}", type(content).__name__)
+        raise BadInputError(path, f"a JSON object with {wanted}", type(content).__name__)
     dipoles = sorted(name for name in _named_dipoles(content) if is_dipole_name(name))
     missing = [name for name in fields if name not in content] + ([] if dipoles else ["dipole"])
     if missing:
-        raise BadInputError(str(path), wanted, f"no {', '.join(missing)}")
+        raise BadInputError(path, wanted, f"no {', '.join(missing)}")
     frequency_mhz = parse_numbers(content["frequency_mhz"], f"{path}: frequency_mhz")
     power = {}
     for dipole in dipoles:
@@ -188,10 +212,20 @@ def read_sky_power(path: Path) -> SkyPower:
             )
         power[dipole] = np.array(parsed)
     lst_hours = parse_numbers(content["lst_hours"], f"{path}: lst_hours")
-    made_for = parse_made_for(content, str(path))
+    stations = _parse_stations(content, path)
+    made_for = parse_made_for(content, path)
     if lst_hours.size < FEWEST_INSTANTS or np.all(_is_even(lst_hours)):
-        return SkyPower(frequency_mhz, lst_hours, power, str(path), made_for=made_for)
-    return _fit_uneven(str(path), frequency_mhz, lst_hours, power, made_for)
+        return SkyPower(frequency_mhz, lst_hours, power, path, made_for=made_for, stations=stations)
+    return replace(_fit_uneven(path, frequency_mhz, lst_hours, power, made_for), stations=stations)
+
+
+def _parse_stations(content: Mapping[str, Any], place: str) -> dict[str, SkyPower]:
+    """P_sky of stations that stand elsewhere; channels and LST are those of the file unless a station has its own."""
+    stations = content.get("stations", {})
+    if not isinstance(stations, dict) or not all(isinstance(one, dict) for one in stations.values()):
+        raise BadInputError(f"{place}: stations", "an object of sky powers by station", "another shape")
+    axes = {name: content[name] for name in ("frequency_mhz", "lst_hours")}
+    return {str(name): _parse_sky_power(axes | one, f"{place}: stations.{name}") for name, one in stations.items()}
 
 
 def _named_dipoles(content: Mapping[str, Any]) -> list[str]:

@@ -28,7 +28,7 @@ def vary_sky_power(
     zenith_exponent: float = 0.0,
     zenith_gain_fraction: float = 0.0,
 ) -> SkyPower:
-    """P_sky as `compute_sky_power`, with the beam varied and the instrument's G_ant left as it is.
+    """P_sky where the instrument stands as `compute_sky_power`, with the beam varied and its G_ant left as it is.
 
     A variation that changes the gain at zenith (`zenith_gain_fraction`, a tilt) appears in P_sky, so that
     P_sky G_ant is the power received; parameters as in `VariedAntenna`.
@@ -36,7 +36,7 @@ def vary_sky_power(
     antenna = antenna or antenna_for_ratios(instrument)
     base = load_antenna(antenna) if isinstance(antenna, str) else antenna
     varied = VariedAntenna(base, azimuth_deg, tilt_deg, tilt_towards_deg, zenith_exponent, zenith_gain_fraction)
-    result = compute_sky_power(instrument, sky, varied, lst_hours)
+    result = compute_sky_power(replace(instrument, sites={}), sky, varied, lst_hours)
     gain = zenith_gain(varied, instrument.frequency_mhz) / zenith_gain(base, instrument.frequency_mhz)
     received = replace(result, power={dipole: values * gain for dipole, values in result.power.items()})
     return received.of_inputs(hash_content([result.digest(), "gain of the base", base.digest()]))

@@ -116,20 +116,21 @@ def draw_stations(
     own_view = view or View.of(instrument)
     drawn = []
     for station, of_station in zip(stations, of_stations, strict=True):
+        place = instrument.at_station(station)
         antennas = np.array(sorted({r.antenna for r in instrument.antennas if r.station == station}), dtype=np.int64)
         antennas = antennas[: settings.antennas]
         scene = Scene(
             station=station,
-            latitude_deg=instrument.latitude_deg,
-            longitude_deg=instrument.longitude_deg,
+            latitude_deg=place.latitude_deg,
+            longitude_deg=place.longitude_deg,
             frequency_mhz=instrument.frequency_mhz,
             antennas=antennas,
             cables=np.array([instrument.cable_of(station, int(a), float(time_unix[0])) for a in antennas]),
             time_unix=time_unix,
-            lst_hours=local_sidereal_time(time_unix, instrument.longitude_deg),
+            lst_hours=local_sidereal_time(time_unix, place.longitude_deg),
             temperature_c=weather.temperature_at(time_unix),
             rain_mm_h=weather.rain_at(time_unix),
-            sky_power=sky_power,
+            sky_power=sky_power.of_station(station),
             weather=weather,
             view=own_view,
         )

@@ -90,7 +90,12 @@ class World:
             return power
         rng = np.random.default_rng([20261122, self.number])
         factor = 1.0 + _waves(power.lst_hours, rng)[:, None]
-        return replace(power, power={name: values * factor for name, values in power.power.items()})
+
+        def waved(one: SkyPower) -> SkyPower:
+            stations = {name: waved(other) for name, other in one.stations.items()}
+            return replace(one, power={name: values * factor for name, values in one.power.items()}, stations=stations)
+
+        return waved(power)
 
     def view(self, instrument: Instrument) -> View:
         """The sky by direction; what is random in the sky changes its ratios by less than their sizes are known."""

@@ -27,8 +27,8 @@ def compare_paths(
     The row of the path in the block, its curve, and the ratio, shape (event that the path has, freq).
     """
     known = {(curve.station, curve.antenna, curve.dipole): curve for curve in curves if curve.c is not None}
-    lst_hours = local_sidereal_time(block.time_unix, instrument.longitude_deg)
-    sky = sky_power.at(block.dipole, lst_hours)
+    lst_hours = local_sidereal_time(block.time_unix, instrument.at_station(block.station).longitude_deg)
+    sky = sky_power.of_station(block.station).at(block.dipole, lst_hours)
     for row, antenna in enumerate(block.antennas.tolist()):
         owners = ((block.station, antenna), (block.station, None), (None, None))
         curve = next((known[(*owner, block.dipole)] for owner in owners if (*owner, block.dipole) in known), None)
@@ -48,7 +48,7 @@ def map_departures(
     -------
     Shape (LST_BINS, freq); NaN in a bin without events.
     """
-    lst_hours = local_sidereal_time(block.time_unix, instrument.longitude_deg)
+    lst_hours = local_sidereal_time(block.time_unix, instrument.at_station(block.station).longitude_deg)
     bins = np.minimum((lst_hours / 24.0 * LST_BINS).astype(int), LST_BINS - 1)
     total = np.zeros((LST_BINS, block.frequency_mhz.size))
     count = np.zeros((LST_BINS, 1))

@@ -20,5 +20,5 @@ def electronics_sigma(curve: CalibrationCurve, instrument: Instrument, sky_power
     """
     if curve.c is None or curve.c_sigma_stat is None or curve.dipole is None:
         raise BadInputError(curve.name, "a curve of one polarisation with its statistical error", curve.status)
-    slope = instrument.antenna_gain / curve.c**2
-    return np.asarray(2.0 * curve.c_sigma_stat / curve.c * slope * sky_power.power[curve.dipole].mean(axis=0))
+    slope, sky = instrument.antenna_gain / curve.c**2, sky_power.of_station(curve.station)
+    return np.asarray(2.0 * curve.c_sigma_stat / curve.c * slope * sky.power[curve.dipole].mean(axis=0))

@@ -130,7 +130,7 @@ class Drift:
         """Months and events of the paths of a block that have a reference."""
         of_block = {s: v for s, v in references.items() if s.dipole == block.dipole}
         curves = {int(str(scope.antenna)): version.curves[0] for scope, version in of_block.items()}
-        block = screen_block(block, self.instrument.longitude_deg).block
+        block = screen_block(block, self.instrument.at_station(block.station).longitude_deg).block
         modes = measure_event_modes(block, curves, self.instrument, self.sky_power())
         found = average_months(modes)
         months = found.months.astype("datetime64[us]").astype(np.int64)
