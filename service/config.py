@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-from difflib import get_close_matches
 from functools import cached_property
 from pathlib import Path
 from urllib.parse import urlsplit
@@ -12,6 +10,7 @@ from pydantic import Field, ValidationError, field_validator
 from pydantic_core import PydanticCustomError
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
+from lbacal.settings import PREFIX, require_known_settings
 from lbacal_core.errors import BadInputError
 from service.refusals import describe_refusal
 
@@ -22,7 +21,7 @@ _LEVEL = "^(debug|info|warning|error)$"
 class Settings(BaseSettings):
     """Everything that differs from one installation to the next."""
 
-    model_config = SettingsConfigDict(env_prefix="LBACAL_", frozen=True, extra="ignore")
+    model_config = SettingsConfigDict(env_prefix=PREFIX, frozen=True, extra="ignore")
 
     database_url: str = Field(default="./var/lbacal.sqlite", description="SQLite file, or postgresql://user@host/name")
     instrument: str = Field(default="lofar-superterp", description="name of a shipped instrument, or a file")
@@ -85,28 +84,14 @@ class Settings(BaseSettings):
         return self.sqlalchemy_url.startswith("sqlite")
 
 
-OTHER_SETTINGS = {
-    "LBACAL_DASK": ("address of a dask scheduler for work that outgrows a machine (traces by the terabyte)", "none"),
-    "LBACAL_URL": ("address of the server, for the client", "http://127.0.0.1:8000"),
-    "LBACAL_API_KEY": ("key of the client; reads need none unless the server says so", "none"),
-    "LBACAL_CACHE": ("folder of the client for synced tags, which answer while no server does", "none"),
-    "LBACAL_TEST_PG": ("PostgreSQL server for the tests, as postgresql://user@host/name", "server binaries found here"),
-}
-"""What the client, extras and the tests read: meaning and default."""
-
-
 def read_settings() -> Settings:
     """The settings of the environment, or one sentence about the first that is wrong."""
-    known = [*(f"LBACAL_{name.upper()}" for name in Settings.model_fields), *OTHER_SETTINGS]
-    for name in sorted(os.environ):
-        if name.startswith("LBACAL_") and name not in known:
-            near = get_close_matches(name, known, 1)
-            raise BadInputError(name, f"a name such as {near[0]}" if near else "a name in docs/settings.md", "this one")
+    require_known_settings()
     try:
         return Settings()
     except ValidationError as error:
         errors = error.errors(include_url=False)
-        name = "LBACAL_" + "_".join(str(part) for part in errors[0]["loc"]).upper()
+        name = PREFIX + "_".join(str(part) for part in errors[0]["loc"]).upper()
         expected, found = describe_refusal(errors)
         if errors[0]["type"] == "database":  # which may hold a password
             found = f"{found.partition('://')[0]}://...'" if "://" in found else found

@@ -31,6 +31,7 @@ from lbacal.cli.paper import paper
 from lbacal.cli.sky_power import sky_power
 from lbacal.cli.spectra import spectra
 from lbacal.cli.status import status
+from lbacal.settings import require_known_settings
 from lbacal_core.errors import BadInputError, LbacalError, MissingExtraError, UnknownNameError, UnreadableFileError
 
 FIT = ("healpy", "jinja2", "matplotlib", "scipy", "threadpoolctl")
@@ -85,11 +86,12 @@ def _print_version(is_asked: bool) -> None:
 
 @app.callback()
 def options(
-    show_version: Annotated[
+    _show_version: Annotated[
         bool, typer.Option("--version", help="Print the version.", callback=_print_version, is_eager=True)
     ] = False,
 ) -> None:
     """Absolute calibration of radio antennas with the Galaxy."""
+    require_known_settings()
 
 
 EXIT_FAILED = 1

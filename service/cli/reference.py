@@ -11,11 +11,12 @@ from typing import Any
 import typer
 from pydantic_core import PydanticUndefined
 
+from lbacal.settings import CLIENT_SETTINGS
 from lbacal_core.causes.cable import AntennaCause
 from lbacal_core.causes.catalogue import ANTENNA_CAUSES, CAUSES
 from lbacal_core.causes.cause import Cause
 from service.cli.main import app
-from service.config import OTHER_SETTINGS, Settings
+from service.config import Settings
 
 DOCS = Path(__file__).parents[2] / "docs"
 
@@ -26,7 +27,8 @@ expected and what was found. `fit`, `investigate`, `lst-curve`, `paper`, `sky-po
 `serve`, `scheduler`, `worker`, `db` and `keys` the extra `server` ([how to install](how-to/install.md)).
 """
 _SETTINGS = """# Settings
-Written by `./dev docs` from `service/config.py`: do not edit. Each setting is an environment variable.
+Written by `./dev docs` from `service/config.py` and `lbacal/settings.py`: do not edit. Each setting is an environment
+variable; one that begins with `LBACAL_` and is not in this list is refused by every command.
 
 | setting | meaning | default |
 |---|---|---|
@@ -52,7 +54,7 @@ def describe_settings() -> str:
     for name, field in Settings.model_fields.items():
         default = "required" if field.default is PydanticUndefined else field.default
         rows[f"LBACAL_{name.upper()}"] = (field.description or "", "none" if default is None else str(default))
-    rows |= {name: row for name, row in OTHER_SETTINGS.items() if name not in rows}
+    rows |= {name: row for name, row in CLIENT_SETTINGS.items() if name not in rows}
     return _SETTINGS + "".join(f"| `{name}` | {text} | {default} |\n" for name, (text, default) in rows.items())
 
 

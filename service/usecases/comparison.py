@@ -73,7 +73,8 @@ def find_shift(before: Version, after: Version) -> float | None:
     """By how much C moved from one fit of a scope to the next, in standard deviations: the largest of any channel.
 
     The fits share most of their events, so their errors do not add: the unit is the smaller `c_sigma_stat` of the two.
-    None if anything but the spectra differs (model, instrument, sky power, members of a mean), or a curve is missing.
+    None if anything but the spectra differs (model, instrument, sky power, members of a mean), a curve is missing, or a
+    channel has a value in one of the two only: that is news however little the others move.
     """
     if _without_spectra(before) != _without_spectra(after) or before.window != after.window:
         return None
@@ -84,8 +85,11 @@ def find_shift(before: Version, after: Version) -> float | None:
         old, new = (through_common_cable(version, dipole) for version in (before, after))
         if _members(chains[0]) != _members(chains[1]) or old.c is None or new.c is None:
             return None
+        is_known = np.isfinite(new.c)
+        if not np.array_equal(is_known, np.isfinite(old.c)) or not is_known.any():
+            return None
         unit = np.minimum(np.asarray(old.c_sigma_stat), np.asarray(new.c_sigma_stat))
-        shifts.append(float(np.max(np.abs(new.c - old.c) / unit)))
+        shifts.append(float(np.max(np.abs(new.c - old.c)[is_known] / unit[is_known])))
     return max(shifts)
 
 

@@ -1,11 +1,13 @@
 from __future__ import annotations
 
+import json
 import threading
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
+from sqlalchemy import update
 
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.provenance import MODEL_VERSION
@@ -13,6 +15,7 @@ from lbacal_core.spectra import Spectra
 from lbacal_core.validity import Scope
 from service.factory import Factory
 from service.scheduler import look_for_due_work
+from service.schema.tables import calibration
 from service.storage.examined import Examined
 from service.wire.bodies import RefitBody
 from service.worker import Worker
@@ -126,6 +129,31 @@ def test_a_night_that_hardly_moves_c_leaves_no_version_and_is_not_due_again(
     assert count(station, "promotion") == before["promotion"] + news
     assert look_for_due_work(station) == []
     assert count(station, "examined") == examined
+
+
+def test_a_channel_without_a_value_made_the_night_fail_on_sqlite_and_was_kept_for_ever_on_postgresql(
+    station: Factory, campaign: Spectra
+) -> None:
+    """C of 62 to 66 events has no value at 80 MHz: the shift to the next night was NaN, which is NULL in SQLite."""
+    night(station)
+    path = Scope("CS002", 0, "X")
+    with station.database.write() as stores:
+        in_effect = stores.ledger.answers([path], 1_400_000_000_000_000, None)[path][0].calibration
+        (version,) = stores.versions.get_many([str(in_effect)]).values()
+        (curve,) = version.payload
+        for name in ("c", "c_sigma_stat", "c_sigma_sys", "c_over_h"):
+            curve[name][-1] = None
+        curve["flag"][-1], curve["covariance"] = "outside", None
+        stored = update(calibration).where(calibration.c.id == in_effect)
+        stores.versions._connection.execute(stored.values(curves=json.dumps([curve])))
+    first = str(campaign.event_id[np.argmin(campaign.time_unix)])
+    station.intake.set_flag(first, "bad", reason="test", by="test")
+    jobs = night(station)
+    assert [(job.state, job.errors) for job in jobs] == [("done", ())] * 3
+    (of_paths,) = (job.results[0] for job in jobs if job.request["scope"] == "antenna")
+    assert in_effect not in of_paths["promoted"]
+    made = [station.calibrations.get(name) for name in of_paths["promoted"]]
+    assert path in [version.scope for version in made], "a channel that got its value is news"
 
 
 def test_what_was_examined_confirms_the_version_in_effect(station: Factory, campaign: Spectra) -> None:
