@@ -2,8 +2,10 @@
 
 A campaign is a year of an array with cables of 50, 80 and 115 m, two antennas of each in a station. Its sky, pattern,
 ground, antenna gain and interference depart from what the fit takes them to be, each by a draw of its term of the
-budget; the twin draws the electronics. The fit knows nothing of the draws. One station gives no spectra; each path is
-told C as in `own_cable`, with its total error. What is drawn is common to a campaign, so a campaign is one draw.
+budget; one campaign in 20 is received by another antenna, as the budget takes it to be; the twin draws the electronics.
+The fit knows nothing of the draws. One station gives no spectra; each path is told C as in `own_cable`, with its total
+error. What is drawn is common to a campaign, so a campaign is one draw. In the part ``measured`` the instrument names
+the sky `measured`.
 """
 
 from __future__ import annotations
@@ -13,21 +15,23 @@ from dataclasses import dataclass, replace
 from functools import cache, partial
 
 import numpy as np
+from scipy.special import expit
 
 from lbacal_core.antenna_records import AntennaRecord
 from lbacal_core.calibration.chain_test import SkyFreedom
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.calibration.freedom import free_own_sky
+from lbacal_core.calibration.other_antennas import OtherAntenna
 from lbacal_core.curves import MISFIT
 from lbacal_core.instrument import Instrument, load_instrument
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.sky_terms import SkyTerm
-from lbacal_core.skypower.table import SkyPower
+from lbacal_core.skypower.table import SkyPower, read_at
 from lbacal_core.spectra import Spectra
 from lbacal_core.twin.campaign import Campaign, simulate_campaign
 from lbacal_core.twin.settings import TwinSettings
 from lbacal_core.uncertainty.changes import list_changes
-from lbacal_core.uncertainty.refit import INTERFERENCE, add_budget, compute_budget
+from lbacal_core.uncertainty.refit import INTERFERENCE, RARE_MISTAKE, add_budget, compute_budget
 from proofs.machinery.claims import Claim, between, claim_mean
 from proofs.machinery.parts import Part, Row
 from proofs.own_cable import FITTED, NUISANCES, SCOPES, WITHIN_1, WITHIN_2, compare_scopes
@@ -35,6 +39,8 @@ from proofs.own_cable import FITTED, NUISANCES, SCOPES, WITHIN_1, WITHIN_2, comp
 SETTINGS = TwinSettings(stations=("CS002", "CS003", "CS004", "CS005"), events_per_year=300)
 OF_EACH_CABLE = 2
 """Antennas of a station with each cable."""
+SKY_OF = {"measured": "measured"}
+"""The sky that an instrument names beside a budget; the default one where none is here."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +61,7 @@ def believe(sky_budget: str) -> Believed:
     for record in superterp.antennas:
         classes.setdefault((record.station, record.cable), []).append(record)
     few = [record for members in classes.values() for record in members[:OF_EACH_CABLE]]
-    instrument = replace(superterp, antennas=tuple(few))
+    instrument = replace(superterp, antennas=tuple(few), sky=SKY_OF.get(sky_budget, superterp.sky))
     changes = tuple(list_changes(instrument, sky_budget))
     return Believed(instrument, compute_sky_power(instrument), changes, free_own_sky(instrument))
 
@@ -64,8 +70,12 @@ def draw_campaign(believed: Believed, settings: TwinSettings, rng: np.random.Gen
     """A campaign that departs from what is believed by a draw of each term."""
     of_sky, of_gain, of_lines = (rng.standard_normal(len(believed.changes)), *rng.standard_normal(2))
     sky_power, instrument = believed.sky_power, believed.instrument
+    change = dict.fromkeys(sky_power.power, np.zeros(1))
+    if (other := draw_antenna(believed.freedom, rng)) is not None:
+        change = {dipole: read_at(one, sky_power.lst_hours) for dipole, one in other.change.items()}
     moved = {
-        dipole: values * np.exp(sum(a * one.d_ln_p[dipole] for a, one in zip(of_sky, believed.changes, strict=True)))
+        dipole: values
+        * np.exp(change[dipole] + sum(a * one.d_ln_p[dipole] for a, one in zip(of_sky, believed.changes, strict=True)))
         for dipole, values in sky_power.power.items()
     }
     gain = instrument.gain_provenance
@@ -73,6 +83,13 @@ def draw_campaign(believed: Believed, settings: TwinSettings, rng: np.random.Gen
     true = replace(instrument, antenna_gain=instrument.antenna_gain * np.exp(of_gain * shape))
     campaign = simulate_campaign(settings, true, replace(sky_power, power=moved), rng, nuisances=NUISANCES)
     return replace(campaign, spectra=_with_power(campaign.spectra, of_lines * INTERFERENCE))
+
+
+def draw_antenna(freedom: SkyFreedom, rng: np.random.Generator) -> OtherAntenna | None:
+    """Another antenna than the believed one, as often as the budget expects before it asks the data; else None."""
+    is_other, which = rng.random() < expit(-RARE_MISTAKE), rng.random()
+    at = int(np.searchsorted(np.cumsum([one.share for one in freedom.antennas]), which))
+    return freedom.antennas[min(at, len(freedom.antennas) - 1)] if is_other else None
 
 
 def _with_power(spectra: Spectra, fraction: float) -> Spectra:
@@ -130,5 +147,5 @@ def tell(rows: Sequence[Row]) -> list[str]:
 SHOWN = ("own_1", "own_2", "station_1", "array_1", "silent_1")
 PARTS = tuple(
     Part(name, partial(tell_campaign, name, SETTINGS), judge, count, tell, SHOWN)
-    for name, count in (("models", 150), ("measured", 150))
+    for name, count in (("models", 400), ("measured", 400))
 )

@@ -25,23 +25,24 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2 as chi2_distribution
 
-from lbacal_core.calibration.lines import Lines, weigh_shared_noise
+from lbacal_core.calibration.lines import Lines
 from lbacal_core.calibration.mistakes import Mistake
 from lbacal_core.calibration.normal_equations import scale_to_unit_diagonal, solve_normal_equations
+from lbacal_core.calibration.other_antennas import OtherAntenna
+from lbacal_core.calibration.path_lines import (
+    SKY_HARMONICS,
+    Look,
+    PathLines,
+    harmonics_at,
+    look_beside,
+    move_lines,
+    move_lines_by,
+)
 from lbacal_core.grids import Floats
 from lbacal_core.intercepts import Intercepts
 
 MISFIT_PROBABILITY = 1e-6
 """A curve whose chi^2 is less probable than this is a misfit: of 2000 good ones 0.002 are."""
-SKY_HARMONICS = 8
-"""P_sky and its changes have no more, to 0.005 %."""
-HARMONICS = 3
-"""Harmonics of the sidereal day that are looked for beside the lines."""
-DEGREES = 3
-"""Legendre polynomials in frequency on which the residual of an event is projected."""
-SMALLEST_LEFT = 0.1
-"""A harmonic of which the lines absorb all but this share cannot be tested."""
-SMALLEST_OF_LINES = 1e-3
 
 
 @dataclass(frozen=True)
@@ -57,18 +58,21 @@ class SkyFreedom:
         Hash of what they were made from.
     mistakes
         Named changes of P_sky that would put a mistaken input right, on the same grid.
+    antennas
+        What P_sky would be with other antennas.
     """
 
     modes: Mapping[str, Floats]
     digest: str
     mistakes: Sequence[Mistake] = ()
+    antennas: Sequence[OtherAntenna] = ()
 
     def series(self, dipole: str) -> Floats:
-        """Coefficients of `_harmonics` of the modes, shape (mode, harmonic, freq)."""
+        """Coefficients of `harmonics_at` of the modes, shape (mode, harmonic, freq)."""
         return _series_of(self.modes[dipole])
 
     def mistake_series(self, dipole: str) -> Floats:
-        """Coefficients of `_harmonics` of what data show of each mistake, shape (mistake, harmonic, freq)."""
+        """Coefficients of `harmonics_at` of what data show of each mistake, shape (mistake, harmonic, freq)."""
         shown = [one.shown(dipole) for one in self.mistakes]
         return _series_of(np.reshape(shown, (-1, *self.modes[dipole].shape[1:])))
 
@@ -143,7 +147,7 @@ def run_chain_test(
     freedom, dipole
         The freedom of the sky, None where it is taken at its word; and the paths' dipole.
     """
-    basis = _harmonics(lst_hours, SKY_HARMONICS)
+    basis = harmonics_at(lst_hours, SKY_HARMONICS)
     mistakes = 0 if freedom is None else len(freedom.mistakes)
     series = None
     if freedom is not None:
@@ -151,7 +155,7 @@ def run_chain_test(
     found = []
     for p in range(power.shape[0]):
         is_present = np.isfinite(relative_variance[p])
-        path = _Path.of(
+        path = PathLines.of(
             power[p, is_present], sky_power[is_present], relative_variance[p, is_present], lines.select(np.array([p]))
         )
         before = terms.before(n[p])
@@ -160,36 +164,43 @@ def run_chain_test(
     return ChainTest(table[:, 0], table[:, 1], table[:, 2:])
 
 
-@dataclass(frozen=True)
-class _Path:
-    """One path: spectra (event, freq), precision (event,), weight and lines (freq,), information.
+def compare_predictions(
+    power: Floats,
+    sky_power: Floats,
+    relative_variance: Floats,
+    lst_hours: Floats,
+    lines: Lines,
+    n: Floats,
+    slope: Floats,
+    terms: Intercepts,
+    is_free: NDArray[np.bool_],
+    freedom: SkyFreedom | None,
+    dipole: str,
+    predictions: Floats,
+) -> Floats:
+    """Ln of the probability of the data of one path under other predictions over that under its own fit.
 
-    `shared` is what an event shares along frequency, shape (event, vector, freq): C_i^-1 is diag(weight) times the
-    precision, less the sum of the outer products of these vectors.
+    Parameters
+    ----------
+    power, ..., dipole
+        As in `run_chain_test`, of one path.
+    predictions
+        Power of each event by other models that were fitted to the same data, shape (prediction, event, freq).
+
+    Returns
+    -------
+    Shape (prediction,). A prediction may be far from the fit: what the lines do with it is computed and not linearised.
     """
-
-    power: Floats
-    sky: Floats
-    precision: Floats
-    shared: Floats
-    weight: Floats
-    slope: Floats
-    intercept: Floats
-    information: Floats
-
-    @classmethod
-    def of(cls, power: Floats, sky: Floats, relative_variance: Floats, lines: Lines) -> _Path:
-        """A path from its spectra that are present and its lines."""
-        precision = 1.0 / relative_variance
-        vectors = weigh_shared_noise(1.0 / lines.power(sky), precision[None], lines.levels, lines.shared)[0]
-        return cls(
-            power, sky, precision, vectors * np.sqrt(precision)[:, None, None],
-            lines.levels.radiometer[0] ** -2, lines.slope[0], lines.intercept[0], lines.information[0],
-        )  # fmt: skip
+    is_present = np.isfinite(relative_variance[0])
+    path = PathLines.of(power[0, is_present], sky_power[is_present], relative_variance[0, is_present], lines)
+    basis = harmonics_at(lst_hours, SKY_HARMONICS)[is_present]
+    series = None if freedom is None else freedom.series(dipole)
+    seen = _Seen.of(path, basis, terms.before(n[0]), slope[0], terms, is_free[0], series)
+    return seen.gain_of(seen.respond_to(predictions[:, is_present] / path.model - 1.0))
 
 
 def _test_path(
-    path: _Path,
+    path: PathLines,
     basis: Floats,
     before: Floats,
     slope: Floats,
@@ -199,117 +210,93 @@ def _test_path(
     mistakes: int,
 ) -> tuple[float, ...]:
     """Chi^2, its degrees of freedom, and the gain of each mistake; the first of the series are those."""
-    channels = path.slope.size
-    model = path.slope * path.sky + path.intercept
-    of_sky, of_constant = path.sky / model, 1.0 / model
-    look = _look_beside(path.power / model - 1.0, of_sky, of_constant, basis)
-    moved = np.zeros((0, 2 * channels)) if series is None else _move_lines(path, of_sky, of_constant, basis, series)
-    beside = np.zeros((0, look.value.size))
-    if series is not None:
-        beside = look.respond(path.slope * of_sky, of_sky, of_constant, basis, series, moved)
-
-    scaled, unit = scale_to_unit_diagonal(path.information[None])
-    covariance = np.linalg.inv(scaled[0] + 1e-12 * np.eye(2 * channels)) * np.outer(unit[0], unit[0])
-    tested = np.flatnonzero(~is_free)
-    to_residual = np.concatenate([-np.diag(before), np.eye(channels)], axis=1)[tested]
-    noise = to_residual @ covariance @ to_residual.T
-    scale = np.sqrt(np.diag(noise))
-    value = np.concatenate([(path.intercept - before * path.slope)[tested] / scale, look.value])
-    response = np.concatenate([moved @ to_residual.T / scale, beside], axis=1)
-    free = response[mistakes:]
-    total = np.eye(value.size) + free.T @ free
-    total[: tested.size, : tested.size] += noise / np.outer(scale, scale) - np.eye(tested.size)
-    columns = np.zeros((value.size, len(terms.names)))
-    forms = np.concatenate([terms.front * slope, terms.behind])
-    columns[: tested.size] = forms.T[tested] / scale[:, None]
-    whitener = np.linalg.cholesky(total)
-    white: Floats = np.asarray(np.linalg.solve(whitener, np.column_stack([value, response.T])))
-    white_columns = np.linalg.solve(whitener, columns)
-    normal, target = white_columns.T @ white_columns, white_columns.T @ white
-    left = white - white_columns @ solve_normal_equations(normal[None], target[None])[0]
-    residual, without, of_sky_modes = left[:, 0], left[:, 1 : 1 + mistakes], left[:, 1 + mistakes :]
-    gain = residual @ without - 0.5 * np.sum(without**2, axis=0)
-    dof = value.size - len(terms.names) - float(np.sum(of_sky_modes**2))
-    return float(residual @ residual), dof, *gain.tolist()
+    seen = _Seen.of(path, basis, before, slope, terms, is_free, series, mistakes)
+    residual, of_sky_modes = seen.whiten(seen.value), seen.whiten(seen.of_modes.T)
+    dof = seen.value.size - len(terms.names) - float(np.sum(of_sky_modes**2))
+    return float(np.sum(residual**2)), dof, *seen.gain_of(seen.of_mistakes).tolist()
 
 
 @dataclass(frozen=True)
-class _Look:
-    """What is left beside the lines of a path, along the harmonics of the sidereal day.
+class _Seen:
+    """What the test sees of a path, one vector r: the intercepts beside the chain's, then what is left along LST.
 
     Attributes
     ----------
     value
-        Amplitudes in standard deviations, shape (direction x degree,).
-    directions
-        Orthonormal functions of LST that the lines do not absorb, shape (event, direction).
-    features
-        Functions of frequency, each in units of its standard deviation, shape (freq, degree).
+        r, in standard deviations, shape (number,).
+    of_modes, of_mistakes
+        How r answers to each mode of the freedom and to the mistakes, shape (..., number).
+    columns
+        How it answers to the noise constants, shape (number, constant).
+    whitener
+        Root of the covariance of r, noise and freedom.
     """
 
+    path: PathLines
+    look: Look
+    to_residual: Floats
+    scale: Floats
     value: Floats
-    directions: Floats
-    features: Floats
+    of_modes: Floats
+    of_mistakes: Floats
+    columns: Floats
+    whitener: Floats
 
-    def respond(
-        self, signal: Floats, of_sky: Floats, of_constant: Floats, basis: Floats, series: Floats, moved: Floats
-    ) -> Floats:
-        """The amplitudes that each change of the sky makes, shape (mode, direction x degree)."""
-        channels = signal.shape[1]
-        seen = np.einsum("ej,eh,ef->jhf", self.directions, basis, signal, optimize=True)
-        change = np.einsum("jhf,mhf,fk->mjk", seen, series, self.features, optimize=True)
-        absorbed = np.einsum("jf,mf,fk->mjk", self.directions.T @ of_sky, moved[:, :channels], self.features)
-        absorbed += np.einsum("jf,mf,fk->mjk", self.directions.T @ of_constant, moved[:, channels:], self.features)
-        return np.asarray((change - absorbed).reshape(len(series), -1))
+    @classmethod
+    def of(
+        cls,
+        path: PathLines,
+        basis: Floats,
+        before: Floats,
+        slope: Floats,
+        terms: Intercepts,
+        is_free: NDArray[np.bool_],
+        series: Floats | None,
+        mistakes: int = 0,
+    ) -> _Seen:
+        """The vector with its covariance; the first of the series are the mistakes, the others the modes."""
+        channels = path.slope.size
+        look = look_beside(path.power / path.model - 1.0, path.of_sky, path.of_constant, basis)
+        moved = np.zeros((0, 2 * channels)) if series is None else move_lines(path, basis, series)
+        beside = np.zeros((0, look.value.size))
+        if series is not None:
+            signal = path.slope * path.of_sky
+            beside = look.respond(signal, path.of_sky, path.of_constant, basis, series, moved)
+        scaled, unit = scale_to_unit_diagonal(path.information[None])
+        covariance = np.linalg.inv(scaled[0] + 1e-12 * np.eye(2 * channels)) * np.outer(unit[0], unit[0])
+        tested = np.flatnonzero(~is_free)
+        to_residual = np.concatenate([-np.diag(before), np.eye(channels)], axis=1)[tested]
+        noise = to_residual @ covariance @ to_residual.T
+        scale = np.sqrt(np.diag(noise))
+        value = np.concatenate([(path.intercept - before * path.slope)[tested] / scale, look.value])
+        response = np.concatenate([moved @ to_residual.T / scale, beside], axis=1)
+        free = response[mistakes:]
+        total = np.eye(value.size) + free.T @ free
+        total[: tested.size, : tested.size] += noise / np.outer(scale, scale) - np.eye(tested.size)
+        columns = np.zeros((value.size, len(terms.names)))
+        forms = np.concatenate([terms.front * slope, terms.behind])
+        columns[: tested.size] = forms.T[tested] / scale[:, None]
+        whitener = np.linalg.cholesky(total)
+        return cls(path, look, to_residual, scale, value, free, response[:mistakes], columns, whitener)
 
+    def whiten(self, vectors: Floats) -> Floats:
+        """Vectors, shape (number, ...), in units of their scatter, the noise constants profiled out."""
+        flat = vectors.reshape(self.value.size, -1)
+        columns = np.linalg.solve(self.whitener, self.columns)
+        white: Floats = np.asarray(np.linalg.solve(self.whitener, flat))
+        normal, target = columns.T @ columns, columns.T @ white
+        return np.asarray(white - columns @ solve_normal_equations(normal[None], target[None])[0])
 
-def _look_beside(residual: Floats, of_sky: Floats, of_constant: Floats, basis: Floats) -> _Look:
-    """Project the residuals of a path's events; shape (event, freq) each.
+    def gain_of(self, responses: Floats) -> Floats:
+        """Ln of the probability of r about each response over that about 0; shape (response, number) to (response,)."""
+        residual, without = self.whiten(self.value)[:, 0], self.whiten(responses.T)
+        return np.asarray(residual @ without - 0.5 * np.sum(without**2, axis=0))
 
-    The scatter of the projections from event to event is measured, and with it gains of any shape along frequency.
-    """
-    events, channels = residual.shape
-    polynomials = np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, channels), DEGREES - 1) / channels
-    projected = residual @ polynomials
-    of_lines = np.concatenate([of_sky[:, :: channels // 4], of_constant[:, :: channels // 4]], axis=1)
-    axes, size, _ = np.linalg.svd(of_lines / np.linalg.norm(of_lines, axis=0), full_matrices=False)
-    axes = axes[:, size > SMALLEST_OF_LINES * size[0]]
-    waves = basis[:, 1 : HARMONICS + 1], basis[:, SKY_HARMONICS + 1 : SKY_HARMONICS + HARMONICS + 1]
-    left = np.concatenate(waves, axis=1)
-    left = left - axes @ (axes.T @ left)
-    directions, size, _ = np.linalg.svd(left, full_matrices=False)
-    directions = directions[:, size > SMALLEST_LEFT * np.sqrt(events / 2.0)]
-    amplitude = directions.T @ projected
-    scatter = projected - directions @ amplitude
-    scatter -= axes @ (axes.T @ scatter)
-    dof = events - directions.shape[1] - axes.shape[1]
-    factor = np.linalg.cholesky(scatter.T @ scatter / dof)
-    # the mean of a quadratic form with a measured covariance exceeds that with the true one
-    features = polynomials @ np.linalg.inv(factor).T * np.sqrt(max(dof - DEGREES - 1, 1) / dof)
-    return _Look((directions.T @ (residual @ features)).ravel(), directions, features)
-
-
-def _move_lines(path: _Path, of_sky: Floats, of_constant: Floats, basis: Floats, series: Floats) -> Floats:
-    """How slopes and intercepts answer to each change of the sky, as the fit weighs events; shape (mode, 2 freq)."""
-    modes, harmonics, channels = series.shape
-    signal = path.slope * of_sky
-    flat = series.transpose(2, 0, 1).reshape(channels, modes * harmonics)
-    vectors = np.moveaxis(path.shared, 1, 0)
-    common = [
-        np.einsum("emh,eh->em", (signal * vector @ flat).reshape(-1, modes, harmonics), basis) for vector in vectors
-    ]
-    gradient = []
-    for regressor in (of_sky, of_constant):
-        own = (basis * path.precision[:, None]).T @ (signal * regressor)
-        of_mode = path.weight * np.einsum("mhf,hf->mf", series, own)
-        for amount, vector in zip(common, vectors, strict=True):
-            of_mode -= amount.T @ (vector * regressor)
-        gradient.append(of_mode)
-    target = np.concatenate(gradient, axis=1).T
-    return np.asarray(solve_normal_equations(path.information[None], target[None], 1e-12)[0].T)
-
-
-def _harmonics(lst_hours: Floats, most: int) -> Floats:
-    """1, then cosines, then sines, of the sidereal day, shape (event, 1 + 2 most)."""
-    angle = 2.0 * np.pi / 24.0 * np.outer(lst_hours, np.arange(1, most + 1))
-    return np.concatenate([np.ones((angle.shape[0], 1)), np.cos(angle), np.sin(angle)], axis=1)
+    def respond_to(self, change: Floats) -> Floats:
+        """R of data that depart from the lines by relative changes, shape (change, event, freq), and have no noise."""
+        path, channels = self.path, self.path.slope.size
+        moved = move_lines_by(path, change)
+        of_lines = path.of_sky * moved[:, None, :channels] + path.of_constant * moved[:, None, channels:]
+        beside = np.einsum("ej,kef,fd->kjd", self.look.directions, change - of_lines, self.look.features, optimize=True)
+        of_intercepts = self.value[: self.scale.size] + moved @ self.to_residual.T / self.scale
+        return np.concatenate([of_intercepts, beside.reshape(len(change), -1)], axis=1)

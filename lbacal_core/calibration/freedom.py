@@ -9,6 +9,7 @@ from threadpoolctl import threadpool_limits
 
 from lbacal_core.calibration.chain_test import SkyFreedom
 from lbacal_core.calibration.mistakes import list_mistakes
+from lbacal_core.calibration.other_antennas import list_other_antennas
 from lbacal_core.grids import Floats
 from lbacal_core.instrument import Instrument
 from lbacal_core.provenance import hash_content
@@ -46,9 +47,10 @@ def _free_own_sky(instrument: Instrument, models: DifferenceModels) -> SkyFreedo
         modes[dipole] = np.concatenate([levels, differences.shape[dipole], pattern, smooth])
     made_of = {"own": own.digest(), "level": LEVEL, "zenith_gain": ZENITH_GAIN, "shape": [SHAPE, SHAPE_HARMONICS]}
     mistakes = list_mistakes(instrument, own.power, LST_HOURS)
-    names = [one.name for one in mistakes]
-    digest = hash_content({**made_of, "skies": models.skies, "antennas": models.antennas, "mistakes": names})
-    return SkyFreedom(modes, digest, tuple(mistakes))
+    others = list_other_antennas(instrument, own.power, LST_HOURS)
+    names = {"mistakes": [one.name for one in mistakes], "other_antennas": [one.name for one in others]}
+    digest = hash_content({**made_of, "skies": models.skies, "antennas": models.antennas, **names})
+    return SkyFreedom(modes, digest, tuple(mistakes), tuple(others))
 
 
 def _smooth_modes(frequency_mhz: Floats, lst_hours: Floats) -> Floats:

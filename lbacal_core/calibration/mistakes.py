@@ -14,13 +14,10 @@ from itertools import combinations
 
 import numpy as np
 
-from lbacal_core.antenna.names import load_antenna
+from lbacal_core.calibration.other_antennas import exchange_antennas
 from lbacal_core.curves import CalibrationCurve
-from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
 from lbacal_core.instrument import Instrument
-from lbacal_core.skypower.antenna_of import antenna_of
-from lbacal_core.skypower.model import compute_sky_power
 
 LARGEST_GAIN = 10.0
 """Both polarisations together; 24 antennas of clean drawn worlds reach -0.4, exchanged letters 15 and more."""
@@ -29,8 +26,6 @@ OTHER_ANTENNAS = ("hamaker", "short-dipole", "quarter-wave")
 """A dipole over lossy ground, a short one over a conducting plane, and one whose height grows with the wavelength."""
 Owner = tuple[str | None, int | None]
 """Station and antenna of a curve."""
-SAME = 0.01
-"""An antenna that changes P_sky by less, r.m.s., is the same."""
 
 
 @dataclass(frozen=True)
@@ -75,21 +70,8 @@ def list_mistakes(instrument: Instrument, power: Mapping[str, Floats], lst_hours
     for hours in CLOCK_HOURS:
         late = {dipole: np.log(np.roll(one, round(-hours * steps), axis=0) / one) for dipole, one in power.items()}
         mistakes.append(Mistake(f"times {abs(hours)} h too {'late' if hours < 0 else 'early'}", late))
-    return [*mistakes, *_other_antennas(instrument, power, lst_hours)]
-
-
-def _other_antennas(instrument: Instrument, power: Mapping[str, Floats], lst_hours: Floats) -> Sequence[Mistake]:
-    own, mistakes = load_antenna(antenna_of(instrument)).name, []
-    for name in OTHER_ANTENNAS:
-        try:
-            other = compute_sky_power(instrument, antenna=name, lst_hours=lst_hours).power
-        except BadInputError:
-            # a pattern that is not known at these channels or for a tilted arm
-            continue
-        change = {dipole: np.log(other[dipole] / one) for dipole, one in power.items()}
-        if name != own and max(float(np.sqrt(np.mean(one**2))) for one in change.values()) > SAME:
-            mistakes.append(Mistake(f"the antenna is like {name}", change, name))
-    return mistakes
+    others = exchange_antennas(instrument, power, lst_hours, {name: name for name in OTHER_ANTENNAS})
+    return [*mistakes, *(Mistake(f"the antenna is like {one.name}", one.change, one.name) for one in others)]
 
 
 def name_mistakes(found: Sequence[tuple[CalibrationCurve, Floats]], mistakes: Sequence[Mistake]) -> dict[Owner, str]:

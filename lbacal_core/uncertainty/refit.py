@@ -13,14 +13,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import expit
+from scipy.special import logsumexp
 from threadpoolctl import threadpool_limits
 
-from lbacal_core.calibration.chain_test import SkyFreedom, run_chain_test
+from lbacal_core.calibration.chain_test import SkyFreedom, compare_predictions
 from lbacal_core.calibration.channels import LARGEST_GOOD_ERROR, solve_without_interference
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.calibration.lines import ChainForms, Lines, fit_lines
-from lbacal_core.calibration.mistakes import LARGEST_GAIN
 from lbacal_core.calibration.paths import Paths, chain_forms, paths_of_scope, require_one_cable_each
 from lbacal_core.calibration.separable import SeparableSolution
 from lbacal_core.chain.noise import noise_constants
@@ -68,8 +67,7 @@ class _Refit:
 
     def fit(self, power: Floats, sky: Floats) -> Floats:
         """Ln C up to a constant along time, shape (freq,); NaN where it is not determined."""
-        slope = self._solve(power, sky)[1].x[0]
-        return np.where(slope > 0, -0.5 * np.log(np.where(slope > 0, slope, 1.0)), np.nan)
+        return _log_c(self._solve(power, sky)[1].x[0])
 
     def change_sky(self, change: SkyTerm) -> Floats:
         """Change of ln C by a change of ln P_sky: half the difference between both signs, shape (freq,)."""
@@ -78,20 +76,29 @@ class _Refit:
         up, down = (self.fit(self.paths.power, self.sky * np.exp(sign * size)) for sign in (1.0, -1.0))
         return (up - down) / 2.0
 
-    def exchange_sky(self, change: Floats) -> Floats:
-        """Change of ln C where P_sky is another, by any change of ln P_sky, shape (lst, freq), from 0 h on."""
-        size = read_at(change, self.paths.lst_hours)
-        return self.fit(self.paths.power, self.sky * np.exp(size)) - self.log_c
+    def try_antennas(self, freedom: SkyFreedom) -> tuple[Floats, Floats]:
+        """Other antennas fitted to the same data.
 
-    def gain_without(self, freedom: SkyFreedom) -> Floats:
-        """Ln of the probability of the data without each mistake over that with it, shape (mistake,)."""
-        paths = self.paths
+        Returns
+        -------
+        Ln of the probability of the data with each over that with the instrument's own, shape (antenna,), and the
+        change of ln C, shape (antenna, freq).
+        """
+        paths, dipole = self.paths, self.paths.owners[0][2]
+        predictions, changes = [], []
+        for other in freedom.antennas:
+            sky = self.sky * np.exp(read_at(other.change[dipole], paths.lst_hours))
+            lines, solution, is_free = self._solve(paths.power, sky)
+            slope, behind = solution.x[0], solution.q[0] @ self.terms.behind
+            intercept = np.where(is_free[0], lines.intercept[0], self.terms.before(solution.n[0]) * slope + behind)
+            predictions.append(slope * sky + intercept)
+            changes.append(_log_c(slope) - self.log_c)
         lines, solution, is_free = self._solve(paths.power, self.sky)
-        tested = run_chain_test(
+        gain = compare_predictions(
             paths.power, self.sky, paths.relative_variance, paths.lst_hours, lines, solution.n, solution.x, self.terms,
-            is_free, freedom, paths.owners[0][2],
+            is_free, freedom, dipole, np.array(predictions),
         )  # fmt: skip
-        return np.asarray(np.nan_to_num(tested.gain[0]))
+        return np.nan_to_num(gain, nan=-np.inf), np.array(changes)
 
     def add_power(self, fraction: float) -> Floats:
         """Change of ln C by power that is recorded at all times, a fraction of the mean."""
@@ -139,32 +146,26 @@ def compute_budget(
         left = {p: _finite(refit.add_power(INTERFERENCE))[None] for p, refit in refits.items()}
         terms.append(BudgetTerm("interference left", "0.2 % of the mean power", left))
         terms += _gain_terms(instrument, list(refits))
-    if freedom is not None and refits:
+    if freedom is not None and freedom.antennas and refits:
         terms += _antenna_terms(refits, freedom)
     return Budget(instrument.frequency_mhz, tuple(_gather(terms)))
 
 
 def _antenna_terms(refits: Mapping[str, _Refit], freedom: SkyFreedom) -> list[BudgetTerm]:
-    """What C would be with another antenna, by the root of the probability that it is that one.
-
-    The level of an antenna's P_sky is absorbed in A(nu), and C with it: only its form along LST says whether it is the
-    one that the instrument names.
-    """
-    gain = np.sum([refit.gain_without(freedom) for refit in refits.values()], axis=0)
-    terms = []
-    for mistake, ratio in zip(freedom.mistakes, np.minimum(gain, LARGEST_GAIN).tolist(), strict=True):
-        if mistake.antenna is None:
-            continue
-        probability = float(expit(ratio - RARE_MISTAKE))
-        vectors = {
-            p: np.sqrt(probability) * _finite(refit.exchange_sky(mistake.change[p])) for p, refit in refits.items()
-        }
-        if max(float(np.max(np.abs(vector))) for vector in vectors.values()) > SMALLEST_DOUBT:
-            source = f"{mistake.antenna}: probability {probability:.1g} by its form along LST"
-            terms.append(
-                BudgetTerm(f"{OTHER_ANTENNA} ({mistake.antenna})", source, {p: v[None] for p, v in vectors.items()})
-            )
-    return terms
+    """What C would be with other antennas, each by the root of the probability that it is that one."""
+    tried = {p: refit.try_antennas(freedom) for p, refit in refits.items()}
+    log_share = np.log([one.share for one in freedom.antennas])
+    log_odds = np.sum([gain for gain, _ in tried.values()], axis=0) + log_share - RARE_MISTAKE
+    probability = np.exp(log_odds - np.logaddexp(0.0, logsumexp(log_odds)))
+    vectors = {
+        p: np.sqrt(probability)[:, None] * np.array([_finite(one) for one in changes])
+        for p, (_, changes) in tried.items()
+    }
+    if max(float(np.max(np.sum(one**2, axis=0))) for one in vectors.values()) < SMALLEST_DOUBT**2:
+        return []
+    likely = freedom.antennas[int(np.argmax(probability))].name
+    source = f"probability {probability.sum():.1g} by these data, most likely {likely}"
+    return [BudgetTerm(OTHER_ANTENNA, source, vectors)]
 
 
 def add_budget(report: FitReport, budget: Budget) -> FitReport:
@@ -247,6 +248,11 @@ def _strongest(vectors: Mapping[str, Floats]) -> dict[str, Floats]:
     # the sign of an axis is free; this one is the same on every machine
     scaled = (size * np.where(axes.sum(axis=1) < 0, -1.0, 1.0))[keep, None] * axes[keep]
     return dict(zip(vectors, np.split(scaled, len(vectors), axis=1), strict=True))
+
+
+def _log_c(slope: Floats) -> Floats:
+    """Ln C up to a constant; NaN where the slope is not positive."""
+    return np.where(slope > 0, -0.5 * np.log(np.where(slope > 0, slope, 1.0)), np.nan)
 
 
 def _finite(vector: Floats) -> Floats:

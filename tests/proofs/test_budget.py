@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from lbacal_core.skypower.model import compute_sky_power
-from proofs.budget import SETTINGS, SHOWN, believe, draw_campaign, judge, tell, tell_campaign
+from lbacal_core.uncertainty.refit import OTHER_ANTENNA, compute_budget
+from proofs.budget import SETTINGS, SHOWN, believe, draw_antenna, draw_campaign, judge, tell, tell_campaign
 from proofs.machinery.parts import Row
 from proofs.own_cable import SCOPES
 
@@ -52,3 +53,22 @@ def test_the_judgement_refutes_errors_that_are_too_small(rows: list[Row]) -> Non
     verdicts = {claim.key: claim.verdict for claim in judge(boasting)}
     assert {verdicts["own_1"], verdicts["own_2"]} == {"refuted"}
     assert set(SHOWN) <= set(verdicts)
+
+
+def test_every_term_of_the_budget_is_drawn() -> None:
+    """Another antenna was a term of the budget and of no campaign."""
+    for sky_budget in ("models", "measured"):
+        believed = believe(sky_budget)
+        campaign = draw_campaign(believed, SMALL, np.random.default_rng(1))
+        inputs = campaign.spectra, believed.instrument, believed.sky_power
+        terms = {term.name for term in compute_budget(*inputs, sky_budget, believed.changes, believed.freedom).terms}
+        drawn = {change.name.partition(" (")[0] for change in believed.changes}
+        assert terms <= drawn | {"interference left", "shape of the antenna gain", OTHER_ANTENNA}
+        assert {"antenna pattern", "ground and losses"} < drawn
+    rng = np.random.default_rng(2)
+    others = [one for one in (draw_antenna(believed.freedom, rng) for _ in range(4000)) if one is not None]
+    # 4.7 % of campaigns, half of them the quarter-wave dipole
+    assert len(others) == pytest.approx(190, abs=45)
+    assert sum(one.name == "quarter-wave" for one in others) == pytest.approx(len(others) / 2, abs=25)
+    assert len({one.name for one in others}) == 12
+    assert believe("measured").instrument.sky == "measured"

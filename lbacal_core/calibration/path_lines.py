@@ -1,0 +1,169 @@
+"""What the lines of one path leave of its events along LST, and how lines and rest answer to changes of the sky.
+
+Both answers are those of the fit with its weights held: a change of the power of every event moves slopes and
+intercepts by one step, and what the lines do not take is left beside them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from lbacal_core.calibration.lines import Lines, weigh_shared_noise
+from lbacal_core.calibration.normal_equations import solve_normal_equations
+from lbacal_core.grids import Floats
+
+SKY_HARMONICS = 8
+"""P_sky and its changes have no more, to 0.005 %."""
+HARMONICS = 3
+"""Harmonics of the sidereal day that are looked for beside the lines."""
+DEGREES = 3
+"""Legendre polynomials in frequency on which the residual of an event is projected."""
+SMALLEST_LEFT = 0.1
+"""A harmonic of which the lines absorb all but this share cannot be tested."""
+SMALLEST_OF_LINES = 1e-3
+
+
+@dataclass(frozen=True)
+class PathLines:
+    """One path: spectra (event, freq), precision (event,), weight and lines (freq,), information.
+
+    `shared` is what an event shares along frequency, shape (event, vector, freq): C_i^-1 is diag(weight) times the
+    precision, less the sum of the outer products of these vectors.
+    """
+
+    power: Floats
+    sky: Floats
+    precision: Floats
+    shared: Floats
+    weight: Floats
+    slope: Floats
+    intercept: Floats
+    information: Floats
+
+    @cached_property
+    def model(self) -> Floats:
+        """The power on the lines, shape (event, freq)."""
+        return self.slope * self.sky + self.intercept
+
+    @cached_property
+    def of_sky(self) -> Floats:
+        """The relative change of the power by a slope, shape (event, freq)."""
+        return self.sky / self.model
+
+    @cached_property
+    def of_constant(self) -> Floats:
+        """The relative change of the power by an intercept, shape (event, freq)."""
+        return 1.0 / self.model
+
+    @classmethod
+    def of(cls, power: Floats, sky: Floats, relative_variance: Floats, lines: Lines) -> PathLines:
+        """A path from its spectra that are present and its lines."""
+        precision = 1.0 / relative_variance
+        vectors = weigh_shared_noise(1.0 / lines.power(sky), precision[None], lines.levels, lines.shared)[0]
+        return cls(
+            power, sky, precision, vectors * np.sqrt(precision)[:, None, None],
+            lines.levels.radiometer[0] ** -2, lines.slope[0], lines.intercept[0], lines.information[0],
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Look:
+    """What is left beside the lines of a path, along the harmonics of the sidereal day.
+
+    Attributes
+    ----------
+    value
+        Amplitudes in standard deviations, shape (direction x degree,).
+    directions
+        Orthonormal functions of LST that the lines do not absorb, shape (event, direction).
+    features
+        Functions of frequency, each in units of its standard deviation, shape (freq, degree).
+    """
+
+    value: Floats
+    directions: Floats
+    features: Floats
+
+    def respond(
+        self, signal: Floats, of_sky: Floats, of_constant: Floats, basis: Floats, series: Floats, moved: Floats
+    ) -> Floats:
+        """The amplitudes that each change of the sky makes, shape (mode, direction x degree)."""
+        channels = signal.shape[1]
+        seen = np.einsum("ej,eh,ef->jhf", self.directions, basis, signal, optimize=True)
+        change = np.einsum("jhf,mhf,fk->mjk", seen, series, self.features, optimize=True)
+        absorbed = np.einsum("jf,mf,fk->mjk", self.directions.T @ of_sky, moved[:, :channels], self.features)
+        absorbed += np.einsum("jf,mf,fk->mjk", self.directions.T @ of_constant, moved[:, channels:], self.features)
+        return np.asarray((change - absorbed).reshape(len(series), -1))
+
+
+def look_beside(residual: Floats, of_sky: Floats, of_constant: Floats, basis: Floats) -> Look:
+    """Project the residuals of a path's events; shape (event, freq) each.
+
+    The scatter of the projections from event to event is measured, and with it gains of any shape along frequency.
+    """
+    events, channels = residual.shape
+    polynomials = np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, channels), DEGREES - 1) / channels
+    projected = residual @ polynomials
+    of_lines = np.concatenate([of_sky[:, :: channels // 4], of_constant[:, :: channels // 4]], axis=1)
+    axes, size, _ = np.linalg.svd(of_lines / np.linalg.norm(of_lines, axis=0), full_matrices=False)
+    axes = axes[:, size > SMALLEST_OF_LINES * size[0]]
+    waves = basis[:, 1 : HARMONICS + 1], basis[:, SKY_HARMONICS + 1 : SKY_HARMONICS + HARMONICS + 1]
+    left = np.concatenate(waves, axis=1)
+    left = left - axes @ (axes.T @ left)
+    directions, size, _ = np.linalg.svd(left, full_matrices=False)
+    directions = directions[:, size > SMALLEST_LEFT * np.sqrt(events / 2.0)]
+    amplitude = directions.T @ projected
+    scatter = projected - directions @ amplitude
+    scatter -= axes @ (axes.T @ scatter)
+    dof = events - directions.shape[1] - axes.shape[1]
+    factor = np.linalg.cholesky(scatter.T @ scatter / dof)
+    # the mean of a quadratic form with a measured covariance exceeds that with the true one
+    features = polynomials @ np.linalg.inv(factor).T * np.sqrt(max(dof - DEGREES - 1, 1) / dof)
+    return Look((directions.T @ (residual @ features)).ravel(), directions, features)
+
+
+def move_lines(path: PathLines, basis: Floats, series: Floats) -> Floats:
+    """How slopes and intercepts answer to each change of the sky, as the fit weighs events; shape (mode, 2 freq)."""
+    of_sky, of_constant = path.of_sky, path.of_constant
+    modes, harmonics, channels = series.shape
+    signal = path.slope * of_sky
+    flat = series.transpose(2, 0, 1).reshape(channels, modes * harmonics)
+    vectors = np.moveaxis(path.shared, 1, 0)
+    common = [
+        np.einsum("emh,eh->em", (signal * vector @ flat).reshape(-1, modes, harmonics), basis) for vector in vectors
+    ]
+    gradient = []
+    for regressor in (of_sky, of_constant):
+        own = (basis * path.precision[:, None]).T @ (signal * regressor)
+        of_mode = path.weight * np.einsum("mhf,hf->mf", series, own)
+        for amount, vector in zip(common, vectors, strict=True):
+            of_mode -= amount.T @ (vector * regressor)
+        gradient.append(of_mode)
+    return _solve_lines(path, gradient)
+
+
+def move_lines_by(path: PathLines, change: Floats) -> Floats:
+    """The same for relative changes of the power of each event, shape (change, event, freq)."""
+    common = np.einsum("kef,evf->kev", change, path.shared, optimize=True)
+    gradient = []
+    for regressor in (path.of_sky, path.of_constant):
+        own = path.weight * np.einsum("kef,ef->kf", change, regressor * path.precision[:, None])
+        shared = np.einsum("kev,evf->kf", common, path.shared * regressor[:, None], optimize=True)
+        gradient.append(own - shared)
+    return _solve_lines(path, gradient)
+
+
+def _solve_lines(path: PathLines, gradient: Sequence[Floats]) -> Floats:
+    """The step of the lines by the gradient along slopes and intercepts, shape (change, freq) each."""
+    target = np.concatenate(gradient, axis=1).T
+    return np.asarray(solve_normal_equations(path.information[None], target[None], 1e-12)[0].T)
+
+
+def harmonics_at(lst_hours: Floats, most: int) -> Floats:
+    """1, then cosines, then sines, of the sidereal day, shape (event, 1 + 2 most)."""
+    angle = 2.0 * np.pi / 24.0 * np.outer(lst_hours, np.arange(1, most + 1))
+    return np.concatenate([np.ones((angle.shape[0], 1)), np.cos(angle), np.sin(angle)], axis=1)
