@@ -12,6 +12,13 @@ Newton's step is analytic. What is known of n beforehand, a mean and an error, i
 Where the data determine x but not each of n and q, because two columns of (x, H) are nearly one (a flat chain), those
 are told apart by a weak prior alone: each term n_i F_i x, H_j q_j is about as large as y at most. What they add
 together is determined by the data, x does not depend on how it is shared, and `is_merged` says which they are.
+
+The errors of x and y are correlated along y = -P x, where P is the abscissa at which a line is known best. At n F = -P
+what is measured has nearly no error, and chi^2 has a narrow valley there, beside the broad one in which n is an amount
+of something: Newton's step from a poor start leads into either. A single n of which nothing is known beforehand is
+looked at along its whole range: where chi^2 is no parabola about the solution, is lower elsewhere, or the solution lies
+nearer to -P than to 0, n is its mean over n >= 0, by its likelihood and the weak prior, with the standard deviation of
+that.
 """
 
 from __future__ import annotations
@@ -33,6 +40,16 @@ SMALLEST_EIGENVALUE = 1e-11
 """Below this eigenvalue of the unit-diagonal information matrix of (n, q) the data do not determine them."""
 WIDEST = 1.0
 """Standard deviation of the prior of a term n_i F_i x or H_j q_j about 0, in units of the mean of |y|."""
+FARTHEST = 2.0
+"""Standard deviations from the solution at which chi^2 is compared with the parabola."""
+PARABOLA = (2.0, 8.0)
+"""Growth of chi^2 there that still counts as that of a parabola, which grows by 4."""
+RANGE = np.concatenate([[0.0], np.geomspace(2e-3, 3.0, 24)])
+"""The n over which it is averaged, in units of the mean of |y|: one that is known to 0.2 % is known by a parabola."""
+PROBES = np.array([0.1, 0.3, 1.0])
+"""Amounts at which chi^2 is compared with the solution's."""
+CERTAIN = 1e9
+"""Information about an n that is held fixed, over that of the data."""
 MERGED_FROM = 0.5
 """Data that leave a term less certain than this, in the same unit, do not tell it apart from others."""
 
@@ -175,7 +192,7 @@ class _Scaled:
             n = np.where(is_converged[:, None], n, n + step)
         is_converged &= np.isfinite(optimum.chi2)
         covariance, is_identifiable = _invert(_full_information(optimum, size), size)
-        return SeparableSolution(
+        found = SeparableSolution(
             x=optimum.linear[:, :size],
             n=n,
             q=optimum.linear[:, size:],
@@ -184,6 +201,58 @@ class _Scaled:
             is_converged=is_converged,
             is_identifiable=is_identifiable,
             is_merged=np.zeros((problems, n.shape[1] + self.design.shape[2]), dtype=bool),
+        )
+        if n.shape[1] != 1 or np.any(self.precision):
+            return found
+        at = np.flatnonzero(self._is_doubtful(n, optimum, is_converged, prior))
+        return found.exchange(at, self.take(at).average(prior)) if at.size else found
+
+    def _is_doubtful(
+        self, n: Floats, optimum: _Optimum, is_converged: NDArray[np.bool_], prior: float
+    ) -> NDArray[np.bool_]:
+        """Whether n may be elsewhere, shape (problem,): no parabola, a lower chi^2, or nearer to -P than to 0."""
+        size = self.design.shape[1]
+        at = np.arange(size)
+        w_yx, w_yy = self.weight[:, size + at, at], self.weight[:, size + at, size + at]
+        abscissa = w_yx.sum(axis=1) / np.maximum(w_yy.sum(axis=1), 1e-300)
+        is_at_pole = self.before(n).mean(axis=1) < -abscissa / 2.0
+        far = FARTHEST * optimum.curvature[:, 0] ** -0.5
+        least = optimum.objective(n, prior)
+        grown = [_solve_linear(self, n + side * far, prior).objective(n + side * far, prior) for side in (-1.0, 1.0)]
+        low, high = PARABOLA
+        elsewhere = [_solve_linear(self, at_n, prior).objective(at_n, prior) for at_n in _same(PROBES, len(n))]
+        is_least = np.all(np.array(elsewhere) >= least, axis=0)
+        is_parabola = np.all([(low < one - least) & (one - least < high) for one in grown], axis=0)
+        return np.asarray(~is_converged | is_at_pole | ~is_parabola | ~is_least)
+
+    def average(self, prior: float) -> SeparableSolution:
+        """The solution averaged over n >= 0, by its likelihood and the weak prior.
+
+        Intercepts say the more of x the larger n: the error of x at one n is that at the smallest that the data allow.
+        """
+        problems, size = len(self.measured), self.design.shape[1]
+        at = _same(RANGE, problems)
+        optima = [_solve_linear(self, n, prior) for n in at]
+        pairs = list(zip(at, optima, strict=True))
+        grown = np.array([one.objective(n, max(prior, WIDEST**-2)) for n, one in pairs])
+        grown -= grown.min(axis=0)
+        weight = np.exp(-grown / 2.0) * np.gradient(RANGE)[:, None]
+        weight /= weight.sum(axis=0)
+        values = np.array([np.insert(one.linear, size, n[:, 0], axis=1) for n, one in pairs])
+        mean = np.einsum("gp,gpi->pi", weight, values)
+        between = (values - mean) * np.sqrt(weight)[:, :, None]
+        smallest = RANGE[np.argmax(grown < FARTHEST**2, axis=0)]
+        at_smallest = _solve_linear(self, smallest[:, None], prior)
+        within, is_identifiable = _invert(_full_information(at_smallest.at_fixed_n(), size), size)
+        return SeparableSolution(
+            x=mean[:, :size],
+            n=mean[:, size : size + 1],
+            q=mean[:, size + 1 :],
+            covariance=within + np.einsum("gpi,gpj->pij", between, between),
+            chi2=np.min([one.chi2 for one in optima], axis=0),
+            is_converged=np.isfinite(grown).all(axis=0),
+            is_identifiable=is_identifiable,
+            is_merged=np.zeros((problems, 1 + self.design.shape[2]), dtype=bool),
         )
 
     def _start(self) -> Floats:
@@ -215,6 +284,11 @@ class _Scaled:
         )
 
 
+def _same(values: Floats, problems: int) -> list[Floats]:
+    """Each of some n for all problems, shape (problem, 1)."""
+    return [np.full((problems, 1), value) for value in values]
+
+
 def _typical(values: Floats) -> Floats:
     """Mean absolute value of each problem's vector, 1 where that is 0; shape (problem, 1)."""
     typical = np.abs(values).mean(axis=1, keepdims=True)
@@ -223,7 +297,7 @@ def _typical(values: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class _Optimum:
-    """The linear optimum at one n: (x, q), chi^2, and the gradient and curvature of -chi^2 / 2 along n."""
+    """The linear optimum at one n: (x, q), m of them x; chi^2, and gradient and curvature of -chi^2 / 2 along n."""
 
     linear: Floats
     chi2: Floats
@@ -232,6 +306,16 @@ class _Optimum:
     normal: Floats
     border: Floats
     own: Floats
+    size: int
+
+    def objective(self, n: Floats, prior: float) -> Floats:
+        """Chi^2 with the prior of (n, q), shape (problem,)."""
+        q = self.linear[:, self.size :]
+        return np.asarray(self.chi2 + prior * (np.sum(n**2, axis=1) + np.sum(q**2, axis=1)))
+
+    def at_fixed_n(self) -> _Optimum:
+        """The optimum with n known far better than the data know it."""
+        return replace(self, own=self.own * CERTAIN)
 
 
 def _solve_linear(problem: _Scaled, n: Floats, prior: float) -> _Optimum:
@@ -274,6 +358,7 @@ def _solve_linear(problem: _Scaled, n: Floats, prior: float) -> _Optimum:
         normal=normal,
         border=border,
         own=own,
+        size=size,
     )
 
 

@@ -26,6 +26,12 @@ def test_curves_of_drawn_instruments_have_an_answer_with_the_truth_inside_its_er
     assert np.sqrt(np.mean(np.square(pulls))) < 1.5
 
 
+def test_noise_constants_that_are_told_apart_have_the_truth_inside_their_errors(rows: list[Row]) -> None:
+    pulls = np.concatenate([row["constants"] for row in rows])
+    assert np.mean(np.abs(pulls) < 2.0) > 0.9
+    assert np.abs(pulls).max() < 4.0
+
+
 def test_constants_of_a_flat_receiver_are_merged(rows: list[Row]) -> None:
     flat = [row for row in rows if row["chain"] == "flat"]
     assert all(row["merged"] == len(row["pulls"]) for row in flat)

@@ -78,3 +78,26 @@ def test_columns_that_differ_are_not_merged():
     solution = solve_separable(x[None], y[None], information[None], terms)
     assert solution.is_identifiable[0]
     assert not solution.is_merged.any()
+
+
+def test_an_amount_far_below_zero_with_a_small_error_is_left_for_those_that_the_data_allow():
+    """The errors of x and y are correlated along y = -P x, so that chi^2 has a narrow valley at n = -P."""
+    rng = np.random.default_rng(17)
+    problems, size, abscissa, n, q = 60, 40, 0.15, 0.1, 0.9
+    terms = with_one_constant(size)
+    x = 1.0 + 0.05 * np.sin(np.arange(size))
+    of_x, along = 0.05 * rng.standard_normal((problems, size)), 0.002 * rng.standard_normal((problems, size))
+    derivative = np.block([[np.eye(size), np.zeros((size, size))], [-abscissa * np.eye(size), np.eye(size)]])
+    covariance = derivative @ np.diag(np.r_[np.full(size, 0.05**2), np.full(size, 0.002**2)]) @ derivative.T
+    information = np.tile(np.linalg.inv(covariance), (problems, 1, 1))
+    found = solve_separable(x + of_x, n * x + q - abscissa * of_x + along, information, terms)
+    sigma = np.sqrt(np.einsum("pii->pi", found.covariance))
+    pulls = {
+        "n": (found.n[:, 0] - n) / sigma[:, size],
+        "q": (found.q[:, 0] - q) / sigma[:, size + 1],
+        "x": np.mean(found.x - x, axis=1) / sigma[:, :size].mean(axis=1),
+    }
+    assert found.is_converged.all()
+    assert np.all(found.n >= 0.0)
+    assert {name: np.mean(np.abs(pull) < 2.0) >= 0.9 for name, pull in pulls.items()} == dict.fromkeys(pulls, True)
+    assert max(np.abs(pull).max() for pull in pulls.values()) < 4.0
