@@ -7,11 +7,12 @@ deviation each; vectors are independent of each other, and each is the same for 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lbacal_core.grids import Floats
 from lbacal_core.provenance import hash_content
@@ -48,10 +49,18 @@ class BudgetTerm:
 
 @dataclass(frozen=True)
 class Budget:
-    """All systematic terms that the curves of a fit share."""
+    """All systematic terms that the curves of a fit share.
+
+    Attributes
+    ----------
+    unsure
+        By polarisation, channels of which no term says how far C may be off, shape (freq,); empty where there are none.
+        They are told by the flags of curves, and are no part of what is stored.
+    """
 
     frequency_mhz: Floats
     terms: Sequence[BudgetTerm]
+    unsure: Mapping[str, NDArray[np.bool_]] = field(default_factory=dict)
 
     def variance(self, polarisation: str, name: str | None = None) -> Floats:
         """Variance of ln C by all terms, or by those of a name, shape (freq,)."""

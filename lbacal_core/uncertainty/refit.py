@@ -38,6 +38,8 @@ INTERFERENCE = 0.002
 """Interference left after narrow lines are removed, fraction of the mean power."""
 RARE_MISTAKE = 3.0
 """Ln of the odds that an instrument names its antenna rightly, before the data are asked: 20 to 1."""
+EXCLUDED = 2.0
+"""Data that are less probable with an antenna than with the instrument's own by exp of this exclude it."""
 OTHER_ANTENNA = "another antenna"
 SMALLEST_DOUBT = 0.001
 """Another antenna that moves ln C by less than this is no term."""
@@ -146,26 +148,32 @@ def compute_budget(
         left = {p: _finite(refit.add_power(INTERFERENCE))[None] for p, refit in refits.items()}
         terms.append(BudgetTerm("interference left", "0.2 % of the mean power", left))
         terms += _gain_terms(instrument, list(refits))
+    unsure: Mapping[str, NDArray[np.bool_]] = {}
     if freedom is not None and freedom.antennas and refits:
-        terms += _antenna_terms(refits, freedom)
-    return Budget(instrument.frequency_mhz, tuple(_gather(terms)))
+        of_antennas, unsure = _doubt_antenna(refits, freedom)
+        terms += of_antennas
+    return Budget(instrument.frequency_mhz, tuple(_gather(terms)), unsure)
 
 
-def _antenna_terms(refits: Mapping[str, _Refit], freedom: SkyFreedom) -> list[BudgetTerm]:
-    """What C would be with other antennas, each by the root of the probability that it is that one."""
+def _doubt_antenna(
+    refits: Mapping[str, _Refit], freedom: SkyFreedom
+) -> tuple[list[BudgetTerm], dict[str, NDArray[np.bool_]]]:
+    """What C would be with other antennas, each by the root of the probability that it is that one.
+
+    And the channels that one which the data do not exclude moves by more than C of a good channel may be off.
+    """
     tried = {p: refit.try_antennas(freedom) for p, refit in refits.items()}
-    log_share = np.log([one.share for one in freedom.antennas])
-    log_odds = np.sum([gain for gain, _ in tried.values()], axis=0) + log_share - RARE_MISTAKE
+    gain = np.sum([one for one, _ in tried.values()], axis=0)
+    log_odds = gain + np.log([one.share for one in freedom.antennas]) - RARE_MISTAKE
     probability = np.exp(log_odds - np.logaddexp(0.0, logsumexp(log_odds)))
-    vectors = {
-        p: np.sqrt(probability)[:, None] * np.array([_finite(one) for one in changes])
-        for p, (_, changes) in tried.items()
-    }
+    changes = {p: np.array([_finite(one) for one in found]) for p, (_, found) in tried.items()}
+    unsure = {p: np.any(np.abs(one[gain > -EXCLUDED]) > LARGEST_GOOD_ERROR, axis=0) for p, one in changes.items()}
+    vectors = {p: np.sqrt(probability)[:, None] * one for p, one in changes.items()}
     if max(float(np.max(np.sum(one**2, axis=0))) for one in vectors.values()) < SMALLEST_DOUBT**2:
-        return []
+        return [], unsure
     likely = freedom.antennas[int(np.argmax(probability))].name
     source = f"probability {probability.sum():.1g} by these data, most likely {likely}"
-    return [BudgetTerm(OTHER_ANTENNA, source, vectors)]
+    return [BudgetTerm(OTHER_ANTENNA, source, vectors)], unsure
 
 
 def add_budget(report: FitReport, budget: Budget) -> FitReport:
@@ -194,8 +202,8 @@ def _with_errors(curve: CalibrationCurve, budget: Budget) -> CalibrationCurve:
         own = np.sqrt(excess) * curve.c_sigma_stat / curve.c
         covariance = covariance.with_own(own)
         variance = variance + own**2
-    doubt = np.sqrt(budget.variance(str(curve.dipole), OTHER_ANTENNA))
-    flag = np.where((curve.flags == OK) & (doubt > LARGEST_GOOD_ERROR), UNCERTAIN, curve.flags)
+    is_unsure = budget.unsure.get(str(curve.dipole), np.zeros(curve.frequency_mhz.size, dtype=bool))
+    flag = np.where((curve.flags == OK) & is_unsure, UNCERTAIN, curve.flags)
     return replace(
         curve,
         flag=tuple(flag.tolist()),
