@@ -16,7 +16,7 @@ without a unit is taken in the unit that the argument names.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -306,11 +306,20 @@ def fit(
         An `Instrument`, or the name or file of one.
     sky_power
         P_sky(LST, nu); the instrument's own sky and antenna models unless given.
+
+    Returns
+    -------
+    What the quick part of the audit says of the spectra is `report.provenance.notes["audit"]`; it refuses decibels and
+    volts.
     """
+    from lbacal_core.audit.quick import audit_quickly
     from lbacal_core.pipeline import calibrate
     from lbacal_core.skypower.model import compute_sky_power
 
     core = _core(instrument)
     measured = spectra if isinstance(spectra, Spectra) else read_spectra(spectra)
+    audited = audit_quickly(measured, core)
+    audited.require_power(measured.origin)
     report = calibrate(measured, core, sky_power, scope)
+    report = replace(report, provenance=report.provenance.with_note("audit", audited.sentence))
     return Calibration(report, core, measured, sky_power or compute_sky_power(core))

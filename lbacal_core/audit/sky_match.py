@@ -153,7 +153,7 @@ def _try_units(
     base: float,
     share: tuple[float, float] | None = None,
 ) -> list[Possibility]:
-    """Other units than power, by how cable names differ, by the spectrum, and by how much of the sky's change is seen.
+    """Other units than power, by cable names, spectrum and scatter, and by how much of the sky's change is seen.
 
     Parameters
     ----------
@@ -171,6 +171,8 @@ def _try_units(
         if share is not None:
             said = _log_normal(share[0], factor, share[1]) - _log_normal(share[0], 1.0, share[1])
             odds += float(np.clip(said, -SHARE_SAYS, SHARE_SAYS))
+        if unit == "volt" and HALF[0] < station.scatter < HALF[1]:
+            odds += SCATTER_SAYS
         found.append(Possibility(unit, base + odds))
     return found
 
@@ -182,5 +184,8 @@ def _log_normal(share: float, factor: float, error: float) -> float:
 
 
 LARGEST_DECIBEL = 300.0
+HALF, SCATTER_SAYS = (0.4, 0.65), 5.0
+"""Scatter over the least that power can have: that of amplitudes is half; and what it says, because durations on record
+may be wrong."""
 SHARE_SAYS = 8.0
 """Most that the share of the sky says for a unit: receivers with unusual noise exist."""

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from lbacal_core.calibration.paths import radiometer_limit
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats, require_same_grid
 from lbacal_core.instrument import Instrument
@@ -34,6 +35,9 @@ class AuditedStation:
         L_coax of each antenna's cable, shape (antenna, freq).
     time_unix, lst_hours
         Shape (time,).
+    scatter
+        Scatter of the channels of a spectrum about their neighbours, from one to the next, over the least that power
+        can have by its blocks or duration; NaN for fewer than three channels or instants.
     """
 
     name: str
@@ -45,6 +49,7 @@ class AuditedStation:
     loss: Floats
     time_unix: Floats
     lst_hours: Floats
+    scatter: float
 
     @property
     def hours(self) -> float:
@@ -74,6 +79,7 @@ def split_stations(spectra: Spectra, instrument: Instrument) -> Iterator[Audited
     """The stations of some spectra, by name."""
     require_same_grid(spectra.origin, spectra.frequency_mhz, instrument.frequency_mhz, instrument.name)
     instrument.require_dipoles(spectra.dipole, spectra.origin)
+    least = radiometer_limit(spectra)
     for station in np.unique(spectra.station):
         rows = np.flatnonzero(spectra.station == station)
         antennas, at = np.unique(spectra.antenna[rows], return_inverse=True)
@@ -81,7 +87,11 @@ def split_stations(spectra: Spectra, instrument: Instrument) -> Iterator[Audited
         dipole = np.searchsorted(instrument.dipoles, spectra.dipole[rows])
         power = np.full((antennas.size, len(instrument.dipoles), times.size, spectra.frequency_mhz.size), np.nan)
         power[at, dipole, when] = spectra.power[rows]
-        cables = np.array([instrument.cable_of(str(station), int(a), float(times[0])) for a in antennas])
+        first = np.full(antennas.size, np.inf)
+        np.minimum.at(first, at, spectra.time_unix[rows])
+        cables = np.array(
+            [instrument.cable_of(str(station), int(a), float(t)) for a, t in zip(antennas, first, strict=True)]
+        )
         if antennas.size < FEWEST:
             raise BadInputError(
                 f"{spectra.origin}: station {station}", f"at least {FEWEST} antennas to compare", f"{antennas.size}"
@@ -96,7 +106,18 @@ def split_stations(spectra: Spectra, instrument: Instrument) -> Iterator[Audited
             np.array([instrument.cables[cable] for cable in cables]),
             times,
             local_sidereal_time(times, instrument.at_station(str(station)).longitude_deg),
+            _scatter(power) / least,
         )
+
+
+def _scatter(power: Floats) -> float:
+    """Robust relative scatter of a channel beside its neighbours, of power of shape (antenna, dipole, time, freq)."""
+    if min(power.shape[2:]) < FEWEST_TO_SCATTER:
+        return float("nan")
+    own = np.log(power)
+    bend = own[..., 1:-1] - (own[..., :-2] + own[..., 2:]) / 2
+    bend = bend - np.nanmedian(bend, axis=2, keepdims=True)
+    return float(ROBUST * np.nanmedian(np.abs(bend)) / BEND)
 
 
 def _find_instants(spectra: Spectra, rows: NDArray[np.int64]) -> tuple[Floats, NDArray[np.int64]]:
@@ -109,6 +130,9 @@ def _find_instants(spectra: Spectra, rows: NDArray[np.int64]) -> tuple[Floats, N
     return times[order], rank[at]
 
 
+FEWEST_TO_SCATTER = 3
+BEND = 1.5**0.5
+"""Scatter of a channel less the mean of its two neighbours over that of a channel."""
 LONG_HOURS = 2.0
 FEWEST = 4
 """Antennas below which a median says nothing about the others."""

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from lbacal_core.adopted import FittedCauses, fit_causes
 from lbacal_core.anomalies import Anomalies
+from lbacal_core.audit.quick import audit_quickly
 from lbacal_core.calibration.chain_test import SkyFreedom
 from lbacal_core.calibration.paths import MIN_EVENTS
 from lbacal_core.covariance import Budget
@@ -101,6 +102,7 @@ class Fits:
         pieces, versions, budgets = [], list[Version](), dict[str, Budget]()
         for rows in cut_window(fitted.recorded, self.instrument, wanted.scope, *ends):
             of_piece = fitted if np.all(rows.rows) else fitted.select(rows.rows)
+            audit_quickly(of_piece.recorded, self.instrument).require_power(f"spectra of {wanted.of.key}")
             freedom = self.freedom()
             budget = compute_budget(of_piece.spectra, self.instrument, self.sky_power(), freedom=freedom)
             report = add_budget(of_piece.fit(wanted.scope, freedom), budget)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -130,3 +131,10 @@ def test_stations_with_sites_of_their_own_are_simulated_and_fitted_where_they_st
     assert {(curve.station, curve.antenna) for curve in found.report.curves} == {("S1", 0), ("S2", 7)}
     assert instrument.core.at_station("S2").longitude_deg == 51.4
     assert np.all(np.isfinite(found["S2", 7, found.report.curves[0].dipole]["c"]))
+
+
+def test_the_quick_audit_runs_before_a_fit_and_refuses_volts() -> None:
+    spectra = lbacal.simulate("lofar-superterp", events=60, antennas=6)
+    assert "nothing wrong in 6 antennas" in lbacal.fit(spectra, "lofar-superterp").report.provenance.notes["audit"]
+    with pytest.raises(BadInputError, match="volts"):
+        lbacal.fit(replace(spectra, power=spectra.power**0.5), "lofar-superterp")

@@ -7,9 +7,12 @@ import pytest
 
 from lbacal_core.audit.quick import EVENTS, audit_quickly
 from lbacal_core.errors import BadInputError
-from lbacal_core.instrument import Instrument
+from lbacal_core.instrument import Instrument, load_instrument
+from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.spectra import Spectra
 from lbacal_core.spectra_join import join_spectra
+from lbacal_core.twin.campaign import simulate_campaign
+from lbacal_core.twin.settings import TwinSettings
 
 
 def test_a_healthy_station_is_said_to_be_healthy_and_its_power_is_accepted(
@@ -34,6 +37,15 @@ def test_decibels_are_refused(spectra: Spectra, low_band: Instrument) -> None:
     found = audit_quickly(replace(spectra, power=200.0 + 10 * np.log10(spectra.power * loss**3)), lossy)
     with pytest.raises(BadInputError, match=r"s.h5: power: expected power per MHz .*the power is in decibels"):
         found.require_power("s.h5")
+
+
+def test_volts_of_five_antennas_passed_where_cables_alone_do_not_tell() -> None:
+    superterp = load_instrument("lofar-superterp")
+    settings = TwinSettings(stations=("CS002",), antennas=5, events_per_year=60)
+    recorded = simulate_campaign(settings, superterp, compute_sky_power(superterp), np.random.default_rng(2)).spectra
+    audit_quickly(recorded, superterp).require_power("s.h5")
+    with pytest.raises(BadInputError, match=r"an amplitude \(volts\), not its square"):
+        audit_quickly(replace(recorded, power=recorded.power**0.5), superterp).require_power("s.h5")
 
 
 def test_no_spectra_are_left_to_what_comes_after(spectra: Spectra, low_band: Instrument) -> None:

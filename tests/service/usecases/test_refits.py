@@ -214,3 +214,11 @@ def test_another_model_is_news_even_where_c_stays(station: Factory, monkeypatch:
     later.database.close()
     assert [result["examined"] for result in results] == [0] * 6
     assert count(station, "calibration") == 2 * before
+
+
+def test_spectra_in_volts_fail_the_refit_with_the_reason(bare: Factory, campaign: Spectra) -> None:
+    with bare.database.write() as stores:
+        stores.spectra.add(replace(campaign, power=campaign.power**0.5))
+    job = refit(bare, "station")
+    assert job.state == "failed"
+    assert "the power is an amplitude (volts), not its square" in job.errors[0]
