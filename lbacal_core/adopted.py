@@ -160,7 +160,7 @@ class FittedCauses:
             settings={**report.provenance.settings, "model": self.model.to_text()},
             notes={**report.provenance.notes, "model": self._note},
         )
-        return replace(report, curves=tuple(curves), provenance=provenance, causes=self.as_dicts())
+        return replace(report, curves=tuple(curves), provenance=provenance, causes=self.as_dicts(), lines=())
 
     def _add_errors(
         self,

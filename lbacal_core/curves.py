@@ -15,6 +15,7 @@ from lbacal_core.anomalies import Anomalies, Anomaly
 from lbacal_core.covariance import Budget, CurveCovariance, parse_covariance
 from lbacal_core.galcal import KEY, make_head
 from lbacal_core.grids import Floats
+from lbacal_core.kept_lines import KeptLines
 from lbacal_core.provenance import Provenance, canonical_json, hash_arrays
 from lbacal_core.reference_chain import ReferenceChain
 from lbacal_core.sky_over_model import SkyOverModel, parse_sky_over_model
@@ -273,6 +274,8 @@ class FitReport:
         The systematic terms that the curves share, by hash.
     causes
         The adopted causes of the model with their sizes, as JSON values; empty for a model without any.
+    lines
+        With which later events can continue the fit; empty where the model has causes.
     """
 
     curves: Sequence[CalibrationCurve]
@@ -281,6 +284,7 @@ class FitReport:
     anomalies: Sequence[Anomaly] = ()
     budgets: Mapping[str, Budget] = field(default_factory=dict)
     causes: Sequence[Mapping[str, Any]] = ()
+    lines: Sequence[KeptLines] = ()
 
     @property
     def status(self) -> str:

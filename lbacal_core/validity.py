@@ -62,6 +62,12 @@ class Scope:
         return (self,) if self.station is None else (self, Scope())
 
 
+def parse_scope(key: str) -> Scope:
+    """The scope of a `Scope.key`."""
+    station, antenna, dipole = [*key.split("/"), None, None][:3]
+    return Scope(None if station == Scope().key else station, None if antenna is None else int(antenna), dipole)
+
+
 @dataclass(frozen=True)
 class Promotion:
     """One line of the ledger; `calibration` None withdraws. `number` orders promotions of the same instant `at`."""

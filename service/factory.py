@@ -17,6 +17,7 @@ from service.usecases.calibrations import Calibrations
 from service.usecases.deeds import Deeds
 from service.usecases.drift import Drift
 from service.usecases.due import DueWork
+from service.usecases.examination import Examination
 from service.usecases.fits import Fits
 from service.usecases.gate import Gate
 from service.usecases.inputs import Inputs, name_inputs
@@ -108,7 +109,11 @@ class Factory:
         limits_of_gate = ("gate_change", "gate_error", "gate_coverage", "gate_band")
         gate = Gate(*(getattr(self.settings, name) for name in limits_of_gate))
         sky = self._get_sky_power
-        return Refits(self.database, self.instrument, sky, self.fits, self.payoff, gate, self._limits, self.clock)
+        is_own_sky, resistance = self.settings.sky_power is None, self.settings.resistance_ohm
+        examination = Examination(self.instrument, sky, is_own_sky, resistance, self.clock)
+        return Refits(
+            self.database, self.instrument, sky, self.fits, examination, self.payoff, gate, self._limits, self.clock
+        )
 
     @cached_property
     def fits(self) -> Fits:

@@ -17,6 +17,7 @@ from threadpoolctl import threadpool_limits
 from lbacal_core.anomalies import Anomaly
 from lbacal_core.calibration.chain_test import SkyFreedom, is_improbable, run_chain_test
 from lbacal_core.calibration.channels import SMALLEST_BAND, flag_channels, solve_without_interference
+from lbacal_core.calibration.continued import keep_lines
 from lbacal_core.calibration.lines import Lines, fit_lines
 from lbacal_core.calibration.merged import describe_merged
 from lbacal_core.calibration.mistakes import describe_mistakes, name_mistakes
@@ -48,6 +49,7 @@ from lbacal_core.curves import (
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats, require_same_grid
 from lbacal_core.instrument import Instrument
+from lbacal_core.kept_lines import KeptLines
 from lbacal_core.provenance import Provenance
 from lbacal_core.reference_chain import CableTable, ReferenceChain
 from lbacal_core.sky_over_model import SkyOverModel
@@ -107,16 +109,17 @@ def fit_calibration(
     def fit_paths(paths: Paths) -> _Fitted:
         station, _, letter = paths.owners[0]
         sky = sky_power.of_station(station).at(letter, paths.lst_hours)
-        curves = _fit_paths(paths, sky, instrument, freedom)
+        curves, lines = _fit_paths(paths, sky, instrument, freedom)
         chains = [_chain_of(curve, paths, instrument, table, cable_of) for curve, _ in curves]
-        return [(*curve, chain) for curve, chain in zip(curves, chains, strict=True)], paths.anomalies
+        of_paths = [(*curve, chain) for curve, chain in zip(curves, chains, strict=True)]
+        return of_paths, paths.anomalies, keep_lines(paths, lines, [curve for curve, _ in curves])
 
     # NumPy leaves the interpreter's lock in its loops, so blocks of paths share the cores as threads; the threads that
     # BLAS would start within each cost twice the time.
     with threadpool_limits(1), ThreadPoolExecutor(os.cpu_count()) as pool:
         digest = pool.submit(spectra.digest)
         batches = list(pool.map(fit_paths, paths_of_scope(spectra, instrument, sky_power, scope, cable_of)))
-    fitted = [one for curves, _ in batches for one in curves]
+    fitted = [one for curves, *_ in batches for one in curves]
     fitted.sort(key=lambda c: (c[0].station or "", -1 if c[0].antenna is None else c[0].antenna, c[0].dipole or ""))
     mistaken = {} if freedom is None else name_mistakes([(curve, gain) for curve, gain, _ in fitted], freedom.mistakes)
     curves = [curve.as_misfit() if curve.owner in mistaken and curve.c is not None else curve for curve, *_ in fitted]
@@ -140,7 +143,8 @@ def fit_calibration(
         tuple(_share_misfits(curves)),
         provenance,
         tuple(chain for *_, chain in fitted),
-        tuple(anomaly for _, anomalies in batches for anomaly in anomalies),
+        tuple(anomaly for _, anomalies, _ in batches for anomaly in anomalies),
+        lines=tuple(lines for *_, lines in batches),
     )
 
 
@@ -152,7 +156,7 @@ def _digest_of(instrument: Instrument, spectra: Spectra, scope: str) -> str:
     return instrument.digest_of(first, float(np.nextafter(last, np.inf)), station)
 
 
-_Fitted = tuple[list[tuple[CalibrationCurve, Floats, ReferenceChain | None]], Sequence[Anomaly]]
+_Fitted = tuple[list[tuple[CalibrationCurve, Floats, ReferenceChain | None]], Sequence[Anomaly], KeptLines]
 
 
 def _chain_of(
@@ -173,7 +177,7 @@ def _chain_of(
 
 def _fit_paths(
     paths: Paths, sky: Floats, instrument: Instrument, freedom: SkyFreedom | None
-) -> list[tuple[CalibrationCurve, Floats]]:
+) -> tuple[list[tuple[CalibrationCurve, Floats]], Lines]:
     """The chain fitted to the lines of a batch of paths, with the status of each and the gain of each mistake."""
     lines = fit_lines(paths.power, sky, paths.relative_variance, chain_forms(instrument))
     terms = noise_constants(instrument)
@@ -247,7 +251,7 @@ def _fit_paths(
             merged=describe_merged(solution, j, terms) if is_good else None,
         )
         curves.append((curve.as_misfit() if k in is_misfit else curve, gains.get(k, none)))
-    return curves
+    return curves, lines
 
 
 def _covariance_of(slope: Floats, covariance: Floats, has_value: NDArray[np.bool_]) -> CurveCovariance:

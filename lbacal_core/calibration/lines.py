@@ -7,7 +7,7 @@ equals fitting it to the spectra (`tests/lbacal_core/calibration/test_lines.py` 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -150,8 +150,21 @@ def _fit_part(power: Floats, sky_power: Floats, relative_variance: Floats, chain
     residual -= 1.0
     levels = estimate_noise_levels(residual, relative_variance, 2, seeds)
     shared = SharedNoise.of(levels, seeds, behind, chain)
-    step, information = _correlated_step(residual, sky_power, inverse_model, relative_variance, levels, shared)
+    gradient, information = _weigh_events(residual, sky_power, inverse_model, relative_variance, levels, shared)
+    step = _solve(information, gradient)
     return Lines(slope + step[:, 0], intercept + step[:, 1], information, levels, shared)
+
+
+def continue_lines(lines: Lines, power: Floats, sky_power: Floats, relative_variance: Floats) -> Lines:
+    """The lines with some events more, at the noise levels that they have; parameters as in `fit_lines`."""
+    inverse_model = 1.0 / lines.power(sky_power)
+    residual = np.where(np.isfinite(relative_variance)[:, :, None], power * inverse_model - 1.0, 0.0)
+    gradient, more = _weigh_events(residual, sky_power, inverse_model, relative_variance, lines.levels, lines.shared)
+    information = lines.information + more
+    step = _solve(information, gradient)
+    return replace(
+        lines, slope=lines.slope + step[:, 0], intercept=lines.intercept + step[:, 1], information=information
+    )
 
 
 def _unweighted_lines(power: Floats, sky_power: Floats, is_present: Floats) -> tuple[Floats, Floats]:
@@ -183,7 +196,7 @@ def _behind(slope: Floats, intercept: Floats, mean_sky: Floats, chain: ChainForm
     return np.asarray(np.clip(np.matmul(levels[:, 1:].transpose(0, 2, 1), added)[:, 0], 0.0, power))
 
 
-def _correlated_step(
+def _weigh_events(
     residual: Floats,
     sky_power: Floats,
     inverse_model: Floats,
@@ -191,7 +204,7 @@ def _correlated_step(
     levels: NoiseLevels,
     noise: SharedNoise,
 ) -> tuple[Floats, Floats]:
-    """One step to the generalised least-squares lines, shape (path, 2, freq), and their information matrix.
+    """The gradient of -chi^2 / 2 of some events by (s, b), shape (path, 2, freq), and their information matrix.
 
     The derivative of the relative model of an event by (s, b) is d = (P_sky, 1) / model in each channel. With the
     vectors B_i of an event, V_i = diag(sigma^-2) / k_i and C_i^-1 = V_i - V_i B_i^T (1 + B_i V_i B_i^T)^-1 B_i V_i
@@ -231,8 +244,13 @@ def _correlated_step(
     square *= sky_power
     information[:, s, s] += weight * _sum_events(precision, square)
 
-    step = solve_normal_equations(information, gradient.reshape(paths, -1, 1), RIDGE)
-    return step.reshape(paths, 2, channels), information
+    return gradient, information
+
+
+def _solve(information: Floats, gradient: Floats) -> Floats:
+    """The step to the generalised least-squares lines, shape (path, 2, freq)."""
+    step = solve_normal_equations(information, gradient.reshape(len(gradient), -1, 1), RIDGE)
+    return step.reshape(gradient.shape)
 
 
 def weigh_shared_noise(inverse_model: Floats, precision: Floats, levels: NoiseLevels, noise: SharedNoise) -> Floats:

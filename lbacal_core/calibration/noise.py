@@ -56,6 +56,12 @@ class NoiseLevels:
         """Standard deviation of what all channels of an event share, rms over frequency, shape (path,)."""
         return np.asarray(np.sqrt(np.sum(self.vectors**2, axis=1).mean(axis=-1)))
 
+    @property
+    def of_band(self) -> Floats:
+        """Standard deviation of the mean over all channels of an event, shape (path,)."""
+        own = np.mean(self.radiometer**2, axis=-1) / self.radiometer.shape[-1]
+        return np.asarray(np.sqrt(np.sum(self.vectors.mean(axis=-1) ** 2, axis=1) + own))
+
 
 def slope_of_gain(frequency_mhz: Floats, antenna_gain: Floats) -> Floats:
     """Derivative of ln G_ant by frequency, shape (freq,), 1/MHz: the form of a resonance that moves."""

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lbacal_core.anomalies import Anomaly
 from lbacal_core.calibration.lines import ChainForms, Lines, fit_lines
@@ -15,6 +16,7 @@ from lbacal_core.chain.noise import noise_constants
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
 from lbacal_core.instrument import Instrument
+from lbacal_core.kept_lines import MemberLines, join_members
 from lbacal_core.screening import screen_block
 from lbacal_core.sidereal import local_sidereal_time
 from lbacal_core.skypower.table import SkyPower
@@ -34,7 +36,8 @@ class Paths:
     A mean of paths is one, with the (station, antenna) it is the mean of and what each of these gave by itself.
     `relative_variance` is infinite for spectra that are absent or, as `anomalies` says, left out. `smallest_scatter` is
     the least radiometer noise that a single typical spectrum can have, `scatter` what those of a mean have, shape
-    (path,); None where the path is a single one.
+    (path,); None where the path is a single one. The relative variance of a mean is in units of `variance_unit`, and
+    `member_lines` are those that it was taken with.
     """
 
     owners: list[tuple[str | None, int | None, str]]
@@ -46,6 +49,9 @@ class Paths:
     scatter: Floats | None = None
     members: Sequence[tuple[str, int]] = ()
     singles: SinglePaths | None = None
+    typical_blocks: float = 1.0
+    variance_unit: float = 1.0
+    member_lines: MemberLines | None = None
 
 
 Cables = Mapping[tuple[str, int], str]
@@ -125,6 +131,7 @@ def _paths_of_block(
         relative_variance=relative_variance,
         lst_hours=local_sidereal_time(block.time_unix, longitude_deg),
         anomalies=screened.anomalies,
+        typical_blocks=typical_blocks,
     )
 
 
@@ -148,11 +155,10 @@ def _mean_path(
     events = np.unique(np.concatenate([block.event_id for block in blocks]))
     dipole = blocks[0].dipole
     channels = blocks[0].frequency_mhz.size
-    deviation, total = np.zeros((events.size, channels)), np.zeros((events.size, channels))
-    share, scatter = np.zeros(events.size), np.zeros(events.size)
+    mean = MeanOfEvents(events.size, channels)
     lst_hours = np.zeros(events.size)
-    slope, intercept = np.zeros(channels), np.zeros(channels)
     members: list[tuple[str, int]] = []
+    found: list[MemberLines] = []
     singles: list[SinglePaths] = []
     scatters: list[Floats] = []
     forms, place = chain_forms(instrument), instrument.at_station(station)
@@ -163,28 +169,23 @@ def _mean_path(
         if not np.any(has_enough):
             continue
         power, variance = part.power[has_enough], part.relative_variance[has_enough]
-        is_present = np.isfinite(variance)
         sky = sky_power.of_station(block.station).at(dipole, part.lst_hours)
         lines = fit_lines(power, sky, variance, forms)
         expected = lines.power(sky)
-        deviation[at] += np.einsum("pe,pef->ef", is_present, power - expected)
-        total[at] += np.einsum("pe,pef->ef", is_present, expected)
-        of_path = expected.mean(axis=(1, 2))[:, None] * is_present
-        share[at] += of_path.sum(axis=0)
-        scatter[at] += np.sum(of_path**2 * np.where(is_present, variance, 0.0), axis=0)
-        slope += lines.slope.sum(axis=0)
-        intercept += lines.intercept.sum(axis=0)
+        level = expected.mean(axis=(1, 2))
+        mean.add(at, power, expected, level, variance)
+        stations = np.full(len(power), block.station)
+        antennas = block.antennas[has_enough]
+        found.append(MemberLines(stations, antennas, lines.slope, lines.intercept, level, lines.levels.of_band))
         averaged = [(block.station, int(antenna)) for antenna in block.antennas[has_enough]]
         members += averaged
         scatters.append(np.median(lines.levels.radiometer, axis=1))
         singles.append(_single_paths(averaged, lines, instrument, cable_of))
-    has_data = share > 0
-    sky = sky_power.of_station(station).at(dipole, lst_hours)
-    mean = (slope * sky + intercept) / max(len(members), 1)
-    power = np.where(has_data[:, None], mean * (1.0 + deviation / np.where(has_data[:, None], total, 1.0)), 1.0)
-    relative_variance = np.where(has_data, scatter / np.where(has_data, share, 1.0) ** 2, np.inf)
-    if np.any(has_data):
-        relative_variance /= np.median(relative_variance[has_data])
+    member_lines = join_members(found) if found else None
+    power, relative_variance = mean.take(sky_power.of_station(station).at(dipole, lst_hours), member_lines)
+    has_data = np.isfinite(relative_variance)
+    unit = float(np.median(relative_variance[has_data])) if np.any(has_data) else 1.0
+    relative_variance /= unit
     return Paths(
         owners=[(station, None, dipole)],
         power=power[None],
@@ -194,7 +195,39 @@ def _mean_path(
         scatter=np.array([np.median(np.concatenate(scatters))]) if scatters else None,
         members=members,
         singles=join_paths(singles) if singles else None,
+        typical_blocks=parts[0].typical_blocks,
+        variance_unit=unit,
+        member_lines=member_lines,
     )
+
+
+class MeanOfEvents:
+    """Sums over the members of a mean, event by event; shape (event, freq) and (event,)."""
+
+    def __init__(self, events: int, channels: int) -> None:
+        self._deviation, self._total = np.zeros((2, events, channels))
+        self._share, self._scatter = np.zeros((2, events))
+
+    def add(
+        self, at: NDArray[np.intp], power: Floats, expected: Floats, level: Floats, relative_variance: Floats
+    ) -> None:
+        """Add members: what they recorded and what their lines say of these events, shape (path, event, freq)."""
+        is_present = np.isfinite(relative_variance)
+        self._deviation[at] += np.einsum("pe,pef->ef", is_present, power - expected)
+        self._total[at] += np.einsum("pe,pef->ef", is_present, expected)
+        of_path = level[:, None] * is_present
+        self._share[at] += of_path.sum(axis=0)
+        self._scatter[at] += np.sum(of_path**2 * np.where(is_present, relative_variance, 0.0), axis=0)
+
+    def take(self, sky: Floats, members: MemberLines | None) -> tuple[Floats, Floats]:
+        """The power of the mean, shape (event, freq), and its relative variance, infinite where nobody recorded."""
+        has_data = self._share > 0
+        if members is None:
+            return np.ones_like(sky), np.full(has_data.size, np.inf)
+        mean = members.slope.mean(axis=0) * sky + members.intercept.mean(axis=0)
+        total = np.where(has_data[:, None], self._total, 1.0)
+        power = np.where(has_data[:, None], mean * (1.0 + self._deviation / total), 1.0)
+        return power, np.where(has_data, self._scatter / np.where(has_data, self._share, 1.0) ** 2, np.inf)
 
 
 def _single_paths(owners: list[tuple[str, int]], lines: Lines, instrument: Instrument, cable_of: Cables) -> SinglePaths:

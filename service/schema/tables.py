@@ -124,6 +124,21 @@ examined = Table(
     Column("made_us", BigInteger, nullable=False),
 )
 
+kept_fit = Table(
+    "kept_fit",
+    metadata,
+    Column("kind", Text, primary_key=True, comment="scope of its versions: array, station or antenna"),
+    Column("scope", Text, primary_key=True, comment="whose spectra it was made from"),
+    Column("since_us", BigInteger, primary_key=True),
+    Column("until_us", BigInteger, primary_key=True),
+    Column("inputs", Text, nullable=False, comment="hash of all inputs but the spectra"),
+    Column("spectra", Integer, nullable=False, comment="how many usable ones it was made from"),
+    Column("flag", BigNumber, nullable=False, comment="the last flag set in the window"),
+    Column("event", BigNumber, nullable=False, comment="the newest event"),
+    Column("told", Text, nullable=False, comment="JSON: the pieces of the window, their versions and C"),
+    Column("lines", LargeBinary, nullable=False, comment="NumPy archives one after the other, one a piece"),
+)
+
 chain_part = Table(
     "chain_part",
     metadata,

@@ -22,6 +22,7 @@ from service.storage.examined import ExaminedStore
 from service.storage.failures import FULL, READ_ONLY, explain_failure
 from service.storage.investigations import InvestigationStore
 from service.storage.jobs import JobStore
+from service.storage.kept_fits import KeptFitStore
 from service.storage.keys import KeyStore
 from service.storage.ledger import LedgerStore
 from service.storage.models import ModelStore
@@ -72,6 +73,11 @@ class Stores:
     def examined(self) -> ExaminedStore:
         """Inputs that were fitted and gave no news."""
         return ExaminedStore(self._connection)
+
+    @cached_property
+    def kept_fits(self) -> KeptFitStore:
+        """Fits that later events can continue."""
+        return KeptFitStore(self._connection)
 
     @cached_property
     def ledger(self) -> LedgerStore:

@@ -10,7 +10,7 @@ from sqlalchemy import Connection, select
 from sqlalchemy.dialects.postgresql import insert as postgresql_insert
 from sqlalchemy.dialects.sqlite import insert as sqlite_insert
 
-from lbacal_core.validity import Instant, Scope
+from lbacal_core.validity import Instant, Scope, parse_scope
 from service.schema.tables import examined
 
 
@@ -18,7 +18,8 @@ from service.schema.tables import examined
 class Examined:
     """The fit of a scope's window whose C is that of the version in effect, but for `shift` standard deviations.
 
-    `inputs` is the id that its version would have.
+    `inputs` is the id that its version would have; where an earlier fit was continued, the hash of its version and of
+    the spectra that came since.
     """
 
     scope: Scope
@@ -58,6 +59,5 @@ class ExaminedStore:
         row = self._connection.execute(statement.order_by(examined.c.made_us.desc()).limit(1)).one_or_none()
         if row is None:
             return None
-        station, antenna, dipole = [*row.scope.split("/"), None, None][:3]
-        scope = Scope(None if station == "array" else station, None if antenna is None else int(antenna), dipole)
-        return Examined(scope, row.since_us, row.until_us, row.inputs, row.calibration, row.shift, row.made_us)
+        window = row.since_us, row.until_us
+        return Examined(parse_scope(row.scope), *window, row.inputs, row.calibration, row.shift, row.made_us)

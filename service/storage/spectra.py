@@ -58,6 +58,20 @@ class SpectraStore:
         """Store what is new and return its count; a different spectrum under a stored key is a conflict."""
         return self.arrivals.add(spectra)
 
+    def load_after(self, window: Window, number: int, frequency_mhz: Floats, resistance_ohm: float) -> Spectra | None:
+        """Everything a fit of a window uses of the events that came after one; None where there is nothing."""
+        columns = [spectrum.c.path, spectrum.c.event, spectrum.c.time_us, spectrum.c.blocks, spectrum.c.power]
+        statement = _usable(select(*columns), window).where(event.c.id > number)
+        rows = self._connection.execute(statement.order_by(spectrum.c.path, spectrum.c.event)).all()
+        if not rows:
+            return None
+        paths = self._paths(window.scope)
+        place = {one.id: k for k, one in enumerate(paths)}
+        path_at = np.array([place[row.path] for row in rows])
+        event_at, time_us, blocks = np.array([row[1:4] for row in rows], dtype=np.int64).T
+        power = np.frombuffer(b"".join(row.power for row in rows), POWER).reshape(len(rows), -1)
+        return self._spectra(paths, path_at, event_at, time_us, blocks, power, frequency_mhz, resistance_ohm, {})
+
     def load(
         self, window: Window, frequency_mhz: Floats, resistance_ohm: float, *, with_covariates: bool = False
     ) -> Spectra | None:
@@ -81,6 +95,23 @@ class SpectraStore:
             event_at[start:end], time_us[start:end], blocks[start:end] = np.array([row[:3] for row in rows]).T
             power[start:end] = np.frombuffer(b"".join(row.power for row in rows), POWER).reshape(len(rows), -1)
             path_at[start:end] = k
+        covariates = self._covariates(event_at) if with_covariates else {}
+        return self._spectra(
+            paths, path_at, event_at, time_us, blocks, power, frequency_mhz, resistance_ohm, covariates
+        )
+
+    def _spectra(
+        self,
+        paths: Sequence[Row[Any]],
+        path_at: NDArray[np.int64],
+        event_at: NDArray[np.int64],
+        time_us: NDArray[np.int64],
+        blocks: NDArray[np.int64],
+        power: Floats,
+        frequency_mhz: Floats,
+        resistance_ohm: float,
+        covariates: Mapping[str, Floats],
+    ) -> Spectra:
         return Spectra(
             frequency_mhz=frequency_mhz,
             power=power,
@@ -91,7 +122,7 @@ class SpectraStore:
             dipole=np.array([one.dipole for one in paths], dtype=np.str_)[path_at],
             blocks=blocks,
             resistance_ohm=resistance_ohm,
-            environment=self._covariates(event_at) if with_covariates else {},
+            environment=covariates,
             origin="stored spectra",
         )
 
@@ -165,6 +196,13 @@ class SpectraStore:
         flags = select(func.coalesce(func.max(event_flag.c.id), 0)).join(event, event.c.id == event_flag.c.event)
         flags = flags.where(event.c.time_us >= window.since, event.c.time_us < window.until)
         return int(count), int(self._connection.execute(flags).scalar_one())
+
+    def newest_event(self, window: Window) -> int:
+        """The number of the event that came last into a window, of whatever scope; 0 where there is none."""
+        newest = select(func.coalesce(func.max(event.c.id), 0))
+        newest = newest.where(event.c.time_us >= window.since - EVENT_SPAN_US)
+        newest = newest.where(event.c.time_us < window.until + EVENT_SPAN_US)
+        return int(self._connection.execute(newest).scalar_one())
 
     def most_of_a_path(self, window: Window) -> int:
         """The largest number of usable spectra that any path of a window has."""

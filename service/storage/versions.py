@@ -24,6 +24,8 @@ from service.schema.tables import IS_GATED, calibration, calibration_mean, promo
 from service.storage.chains import read_cable_changes, read_chains, write_chains
 from service.storage.short_ids import complete_id
 
+BUDGET = "budget"
+"""The input that names a budget which was not computed from the version's own spectra and those around them."""
 CURVES_REMEMBERED = 1200
 """Versions whose curves stay in memory: those of all paths of the Superterp in two years, about 40 MB."""
 MICROSECONDS = 1e6

@@ -11,7 +11,7 @@ from lbacal_core.curves import CalibrationCurve
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats, require_same_grid
 from lbacal_core.reference_chain import ReferenceChain
-from service.storage.versions import Version
+from service.storage.versions import BUDGET, Version
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,7 @@ def find_shift(before: Version, after: Version) -> float | None:
 
 
 def _without_spectra(version: Version) -> dict[str, Any]:
-    return {name: value for name, value in version.inputs.items() if name != "spectra"}
+    return {name: value for name, value in version.inputs.items() if name not in ("spectra", BUDGET)}
 
 
 def _members(chain: ReferenceChain | None) -> frozenset[tuple[str, int]] | None:

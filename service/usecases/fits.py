@@ -5,7 +5,7 @@ Nothing is written here: a refit keeps what these functions make, and the dry ru
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -21,6 +21,7 @@ from lbacal_core.covariance import Budget
 from lbacal_core.curves import CalibrationCurve, FitReport
 from lbacal_core.drift.windows import cut_window
 from lbacal_core.instrument import Instrument
+from lbacal_core.kept_lines import KeptLines
 from lbacal_core.model import Model
 from lbacal_core.reference_chain import ReferenceChain
 from lbacal_core.skypower.table import SkyPower
@@ -30,7 +31,7 @@ from lbacal_core.validity import Instant, Scope
 from service.errors import ConflictError
 from service.storage.database import Stores
 from service.storage.spectra import Window
-from service.storage.versions import Version
+from service.storage.versions import BUDGET, Version
 from service.usecases.inputs import hash_covariates
 from service.usecases.windows import SECOND_US, lend_to_small
 from service.wire.instants import format_instant
@@ -57,10 +58,15 @@ class Wanted:
 
 @dataclass(frozen=True)
 class Made:
-    """The versions of a fit, one for every scope, and the budgets that their curves name, by hash."""
+    """The versions of a fit, one for every scope, and the budgets that their curves name, by hash.
+
+    `lines` are those of each piece of the window, [since, until), with which later events can continue the fit; none
+    where the model has causes.
+    """
 
     versions: list[Version]
     budgets: Mapping[str, Budget]
+    lines: Sequence[tuple[Instant, Instant, Sequence[KeptLines]]] = ()
 
 
 @dataclass(frozen=True)
@@ -90,28 +96,35 @@ class Fits:
         enough = model.of_stations([name for name in np.unique(spectra.station).tolist() if _has_enough(spectra, name)])
         return fit_causes(spectra, self.instrument, self.sky_power(), enough, is_own_sky=self.is_own_sky)
 
-    def make(self, whole: FittedCauses, wanted: Wanted) -> Made:
-        """Fit the chain to the spectra that a fit wants, the sizes of the causes fitted to the whole station's."""
+    def make(self, whole: FittedCauses, wanted: Wanted, budget: Budget | None = None) -> Made:
+        """Fit the chain to the spectra that a fit wants, the sizes of the causes fitted to the whole station's.
+
+        With a budget given, that of other fits of the station, the versions name it among their inputs.
+        """
         made, spectra = self.clock(), whole.recorded
         is_part = wanted.window.scope != wanted.of
         fitted = whole.select(_rows_of(spectra, wanted.of)) if is_part else whole
-        beside = {} if whole.model.is_plain else {"environment": hash_covariates(spectra)}
+        beside: dict[str, str] = {} if whole.model.is_plain else {"environment": hash_covariates(spectra)}
         if beside and wanted.scope == "antenna":
             beside["model_spectra"] = spectra.digest()
+        if budget is not None:
+            beside[BUDGET] = budget.digest
         ends = wanted.since / SECOND_US, wanted.until / SECOND_US
-        pieces, versions, budgets = [], list[Version](), dict[str, Budget]()
+        pieces, versions, budgets, lines = [], list[Version](), dict[str, Budget](), []
         for rows in cut_window(fitted.recorded, self.instrument, wanted.scope, *ends):
             of_piece = fitted if np.all(rows.rows) else fitted.select(rows.rows)
             audit_quickly(of_piece.recorded, self.instrument).require_power(f"spectra of {wanted.of.key}")
             freedom = self.freedom()
-            budget = compute_budget(of_piece.spectra, self.instrument, self.sky_power(), freedom=freedom)
-            report = add_budget(of_piece.fit(wanted.scope, freedom), budget)
+            of_data = budget or compute_budget(of_piece.spectra, self.instrument, self.sky_power(), freedom=freedom)
+            report = add_budget(of_piece.fit(wanted.scope, freedom), of_data)
             during = replace(wanted, since=round(rows.since_unix * SECOND_US), until=round(rows.until_unix * SECOND_US))
             recorded = spectra if np.all(rows.rows) else of_piece.recorded
             versions += _versions(recorded, report, during, made, beside, self.instrument)
             budgets |= report.budgets
+            if report.lines:
+                lines.append((during.since, during.until, report.lines))
             pieces.append((during.since, of_piece.spectra))
-        return Made(lend_to_small(versions, pieces, self.instrument, self.sky_power()), budgets)
+        return Made(lend_to_small(versions, pieces, self.instrument, self.sky_power()), budgets, lines)
 
 
 def _versions(

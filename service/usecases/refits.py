@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any
 
+from lbacal_core.covariance import parse_budget
 from lbacal_core.errors import BadInputError
 from lbacal_core.instrument import Instrument
 from lbacal_core.model import Model
@@ -15,10 +16,12 @@ from service.errors import ConflictError
 from service.storage.database import Database, Stores
 from service.storage.examined import Examined
 from service.storage.jobs import Job, Order, Part
+from service.storage.kept_fits import Told
 from service.storage.versions import Version
 from service.usecases.calibrations import select_paths
 from service.usecases.comparison import find_shift
-from service.usecases.fits import Fits, read_part
+from service.usecases.examination import SMALLEST_SHIFT, Examination, Later, TellKey, find_standing, tell
+from service.usecases.fits import Fits, Wanted, read_part
 from service.usecases.gate import Gate, find_predecessors
 from service.usecases.inputs import name_inputs
 from service.usecases.orders import Limits, place_order, read_window
@@ -27,8 +30,6 @@ from service.wire.bodies import RefitBody
 from service.wire.instants import DAY_US
 
 KIND = "refit"
-SMALLEST_SHIFT = 0.25
-"""Due work that moves C by less than this, in standard deviations and in every channel, is no news."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +40,7 @@ class Refits:
     instrument: Instrument
     sky_power: Callable[[], SkyPower]
     fits: Fits
+    examination: Examination
     payoff: Payoff
     gate: Gate
     limits: Limits
@@ -70,24 +72,69 @@ class Refits:
             return place_order(stores, order, self.limits, self.clock)
 
     def run(self, part: Part, worker: str) -> None:
-        """Do a part: read, fit, then write versions, promotions and the end of the part in one transaction."""
+        """Do a part: read, fit, then write versions, promotions and the end of the part in one transaction.
+
+        Due work reads the events that came since, and everything only where these could be news.
+        """
+        if part.is_due and self._examine(part, worker):
+            return
         with self.database.read() as stores:
-            name = part.request.get("model")
-            model = Model() if name is None else stores.models.get(name)
-            wanted = read_part(part.request, model, part.by, part.reason)
+            wanted = self._read(stores, part)
+            content = self.examination.read_content(stores, wanted)
             spectra = self.fits.load(stores, wanted)
             known = self.payoff.known_until(stores, wanted)
-        whole = self.fits.fit_causes(spectra, model)
+        whole = self.fits.fit_causes(spectra, wanted.model)
         made = self.fits.make(whole, wanted)
         gains = self.payoff.measure(whole, wanted, known)
         with self.database.write() as stores:
             kept = self._keep(stores, made.versions, part)
+            if part.request["promote"]:
+                self.examination.keep(stores, wanted, content, made, kept.told)
             if kept.result["calibrations"]:
                 stores.budgets.add(made.budgets)
             self.payoff.keep(stores, gains)
             # the end of the part before the promotions, whose instant must be the last thing before the commit
             stores.jobs.complete(part, worker, kept.result, self.clock())
             stores.ledger.append(kept.promotions, self.clock)
+
+    def _read(self, stores: Stores, part: Part) -> Wanted:
+        name = part.request.get("model")
+        model = Model() if name is None else stores.models.get(name)
+        return read_part(part.request, model, part.by, part.reason)
+
+    def _examine(self, part: Part, worker: str) -> bool:
+        """Do a part by the events that came since, where these are no news of most paths; whether that was so."""
+        with self.database.read() as stores:
+            wanted = self._read(stores, part)
+            later = self.examination.read_later(stores, wanted, self.examination.read_content(stores, wanted))
+        found = None if later is None else self.examination.examine(later)
+        if later is None or found is None:
+            return False
+        versions = [one for path in found.rest for one in self._fit_path(wanted, path, later)]
+        with self.database.write() as stores:
+            stores.ledger.lock()
+            if _explain_other_model(stores, part) or not self.examination.is_still_told(stores, later.fit):
+                return False
+            kept = self._keep(stores, versions, part)
+            stores.examined.put(found.examined)
+            if versions:
+                self.examination.keep_told(stores, later.fit, kept.told)
+            result = {**kept.result, "examined": kept.result["examined"] + len(found.examined)}
+            stores.jobs.complete(part, worker, result, self.clock())
+            stores.ledger.append(kept.promotions, self.clock)
+        return True
+
+    def _fit_path(self, wanted: Wanted, path: Scope, later: Later) -> list[Version]:
+        """Fit one path from all its spectra, with the budget of the last fit of the whole station."""
+        told = next(one for piece in later.fit.pieces for one in piece.told if one.scope == path)
+        of_path = replace(wanted, of=path)
+        with self.database.read() as stores:
+            spectra = self.fits.load(stores, of_path)
+            before = stores.versions.get_many([told.calibration])[told.calibration]
+            covariance = before.curves[0].covariance
+            name = None if covariance is None else covariance.budget
+            budget = None if name is None else parse_budget(stores.budgets.get(name))
+        return self.fits.make(self.fits.fit_causes(spectra, wanted.model), of_path, budget).versions
 
     def _keep(self, stores: Stores, made: list[Version], part: Part) -> _Kept:
         """Store new versions, each with the objection of the gate if promotion was asked for.
@@ -110,19 +157,15 @@ class Refits:
         scopes = [version.scope for version in made]
         before = find_predecessors(stores.ledger, scopes, middle)
         predecessors = stores.versions.get_many(before.values())
-        standing = {
-            scope: promotion.calibration
-            for scope, promotion in stores.ledger.decisive(scopes, middle, None).items()
-            if promotion.calibration is not None and promotion.covers(since) and promotion.covers(until - 1)
-        }
+        standing = find_standing(stores, scopes, since, until)
         change = stores.models.last_change(part.request["station"], since, until)
         superseded = _explain_other_model(stores, part)
         gated = {
             v.id: superseded or self.gate.objection(v, predecessors.get(before.get(v.scope, "")), change) for v in made
         }
         news, examined = list(made), []
+        in_effect = {scope: predecessors[name] for scope, name in standing.items()}
         if part.is_due:
-            in_effect = {scope: predecessors[name] for scope, name in standing.items()}
             examined = [one for v in made if gated[v.id] is None and (one := _examine(v, in_effect.get(v.scope)))]
             confirmed = {one.inputs for one in examined}
             news = [v for v in made if v.id not in confirmed]
@@ -136,7 +179,10 @@ class Refits:
         objections = {name: objection for name, objection in gated.items() if objection is not None}
         ids = [v.id for v in news]
         result = {"calibrations": ids, "promoted": [v.id for v in passed], "gated": objections}
-        return _Kept({**result, "examined": len(examined)}, promoted)
+        new = {v.scope: tell(v, is_in_effect=v in passed or standing.get(v.scope) == v.id) for v in news}
+        told = new | {one.scope: tell(in_effect[one.scope], is_in_effect=True) for one in examined}
+        of_window = {(scope, since, until): one for scope, one in told.items()}
+        return _Kept({**result, "examined": len(examined)}, promoted, of_window)
 
 
 @dataclass(frozen=True)
@@ -145,6 +191,7 @@ class _Kept:
 
     result: Mapping[str, Any]
     promotions: list[Promotion]
+    told: Mapping[TellKey, Told] = field(default_factory=dict)
 
     @classmethod
     def of(cls, kept: Sequence[_Kept]) -> _Kept:
@@ -154,7 +201,8 @@ class _Kept:
         }
         result["gated"] = {name: why for each in kept for name, why in each.result["gated"].items()}
         result["examined"] = sum(each.result["examined"] for each in kept)
-        return cls(result, [promotion for each in kept for promotion in each.promotions])
+        told = {key: one for each in kept for key, one in each.told.items()}
+        return cls(result, [promotion for each in kept for promotion in each.promotions], told)
 
 
 def _list_answering(stores: Stores, scopes: Sequence[Scope], since: Instant, until: Instant) -> set[str]:

@@ -1,0 +1,215 @@
+"""A fit continued by events that came later, from its lines and their information, without the spectra behind it.
+
+At fixed noise levels the lines of a path and their information matrix are sufficient for the chain (`lines`). An event
+adds its gradient and its information, and the chain is solved again. What the noise levels, the screening and the test
+of the chain would make of the event is left to the next fit from spectra: a fit is not continued where the event would
+be screened, where more than a twentieth of the events are new, or where a path gets as many events as a fit needs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lbacal_core.calibration.channels import solve_without_interference
+from lbacal_core.calibration.lines import Lines, SharedNoise, continue_lines
+from lbacal_core.calibration.noise import NoiseLevels
+from lbacal_core.calibration.paths import MIN_EVENTS, MeanOfEvents, Paths
+from lbacal_core.chain.model import calibration_factor
+from lbacal_core.chain.noise import noise_constants
+from lbacal_core.curves import CalibrationCurve
+from lbacal_core.grids import Floats
+from lbacal_core.instrument import Instrument
+from lbacal_core.kept_lines import KeptLines, MemberLines
+from lbacal_core.screening import CUT_SIGMA, SMALLEST_DEPARTURE, SMALLEST_OF_CHANNEL
+from lbacal_core.sidereal import local_sidereal_time
+from lbacal_core.skypower.table import SkyPower
+from lbacal_core.spectra import Spectra
+from lbacal_core.spectra_blocks import SpectraBlock, split_into_blocks
+
+LARGEST_SHARE = 0.05
+"""Events that a fit may be continued by, over those that it was made from: noise levels of 900 events move by 1 %."""
+LARGEST_ERROR = 0.1
+"""Standard deviations by which C may then differ from that of a fit from all spectra; with fewer events, by less
+(`tests/lbacal_core/calibration/test_continued.py`)."""
+NEARER = 0.8
+"""Share of the limits of the screening from which on a fit from spectra decides whether it leaves an event out."""
+
+Owner = tuple[str | None, int | None, str]
+"""Station, antenna and dipole; station and antenna are None where it is a mean."""
+
+
+@dataclass(frozen=True)
+class Continued:
+    """C with some events more.
+
+    Attributes
+    ----------
+    curves
+        C and its statistical error, shape (freq,) each, and by how many of these C may differ from a fit from all
+        spectra; of the paths and means that have a curve.
+    undecided
+        Those of which only a fit from all spectra can tell.
+    """
+
+    curves: Mapping[Owner, tuple[Floats, Floats, float]]
+    undecided: frozenset[Owner]
+
+
+def keep_lines(paths: Paths, lines: Lines, curves: Sequence[CalibrationCurve]) -> KeptLines:
+    """Take from a fit what it can be continued with."""
+    return KeptLines(
+        owners=tuple(paths.owners),
+        events=np.isfinite(paths.relative_variance).sum(axis=1),
+        has_c=np.array([curve.c is not None for curve in curves]),
+        slope=lines.slope,
+        intercept=lines.intercept,
+        information=lines.information,
+        radiometer=lines.levels.radiometer,
+        constant=lines.shared.constant,
+        behind=lines.shared.behind,
+        scatter=lines.levels.of_band,
+        typical_blocks=paths.typical_blocks,
+        variance_unit=paths.variance_unit,
+        members=paths.member_lines,
+    )
+
+
+def continue_fit(kept: Sequence[KeptLines], new: Spectra, instrument: Instrument, sky_power: SkyPower) -> Continued:
+    """C of the paths of a fit with some events more.
+
+    Parameters
+    ----------
+    kept
+        The `lines` of the report of a fit (`fit_calibration`).
+    new
+        The spectra of all its paths in events that it has not seen.
+    """
+    blocks, curves, undecided = split_into_blocks(new), dict[Owner, tuple[Floats, Floats, float]](), set[Owner]()
+    for one in kept:
+        if one.members is None:
+            found = _continue_paths(one, _read_paths(one, blocks, instrument, sky_power), instrument, sky_power)
+        else:
+            found = _continue_paths(
+                one, _read_mean(one, one.members, blocks, instrument, sky_power), instrument, sky_power
+            )
+        curves |= found.curves
+        undecided |= found.undecided
+    return Continued(curves, frozenset(undecided))
+
+
+@dataclass(frozen=True)
+class _Events:
+    """New events of some paths: LST, h, shape (event,), power, (path, event, freq), and its variance, (path, event).
+
+    `is_odd` says of each path whether a spectrum of it, or of a member of the mean, may be screened.
+    """
+
+    lst_hours: Floats
+    power: Floats
+    relative_variance: Floats
+    is_odd: NDArray[np.bool_]
+
+
+def _read_paths(
+    kept: KeptLines, blocks: Sequence[SpectraBlock], instrument: Instrument, sky_power: SkyPower
+) -> _Events:
+    """The new events of single paths, on one grid."""
+    station, _, dipole = kept.owners[0]
+    block = next((b for b in blocks if (b.station, b.dipole) == (station, dipole)), None)
+    paths, channels = kept.slope.shape
+    if block is None:
+        return _Events(np.zeros(0), np.ones((paths, 0, channels)), np.ones((paths, 0)), np.zeros(paths, dtype=bool))
+    row = {antenna: k for k, (_, antenna, _) in enumerate(kept.owners)}
+    is_known = np.array([antenna in row for antenna in block.antennas.tolist()])
+    at = [row[antenna] for antenna in block.antennas[is_known].tolist()]
+    power = np.ones((paths, block.time_unix.size, channels))
+    variance = np.full(power.shape[:2], np.inf)
+    power[at], variance[at] = block.power[is_known], _relative_variance(block, kept.typical_blocks)[is_known]
+    lst_hours = local_sidereal_time(block.time_unix, instrument.at_station(station).longitude_deg)
+    sky = sky_power.of_station(station).at(dipole, lst_hours)
+    expected = kept.slope[:, None] * sky + kept.intercept[:, None]
+    return _Events(lst_hours, power, variance, _is_odd(power, expected, variance, kept.scatter))
+
+
+def _read_mean(
+    kept: KeptLines,
+    members: MemberLines,
+    blocks: Sequence[SpectraBlock],
+    instrument: Instrument,
+    sky_power: SkyPower,
+) -> _Events:
+    """The new events of a mean over its members."""
+    station, _, dipole = kept.owners[0]
+    own = [block for block in blocks if block.dipole == dipole and station in (None, block.station)]
+    events = np.unique(np.concatenate([block.event_id for block in own])) if own else np.zeros(0)
+    mean, lst_hours, is_odd = MeanOfEvents(events.size, kept.slope.shape[1]), np.zeros(events.size), False
+    for block in own:
+        at = np.searchsorted(events, block.event_id)
+        lst_hours[at] = local_sidereal_time(block.time_unix, instrument.at_station(station).longitude_deg)
+        of_block = local_sidereal_time(block.time_unix, instrument.at_station(block.station).longitude_deg)
+        sky = sky_power.of_station(block.station).at(dipole, of_block)
+        of_station = np.flatnonzero(members.stations == block.station)
+        is_member = np.isin(block.antennas, members.antennas[of_station])
+        place = of_station[np.searchsorted(members.antennas[of_station], block.antennas[is_member])]
+        expected = members.slope[place, None] * sky + members.intercept[place, None]
+        power, variance = block.power[is_member], _relative_variance(block, kept.typical_blocks)[is_member]
+        is_odd = is_odd or bool(np.any(_is_odd(power, expected, variance, members.scatter[place])))
+        mean.add(at, power, expected, members.level[place], variance)
+    power, variance = mean.take(sky_power.of_station(station).at(dipole, lst_hours), members)
+    return _Events(lst_hours, power[None], variance[None] / kept.variance_unit, np.array([is_odd]))
+
+
+def _relative_variance(block: SpectraBlock, typical_blocks: float) -> Floats:
+    with np.errstate(divide="ignore"):
+        return np.asarray(typical_blocks / block.blocks)
+
+
+def _is_odd(power: Floats, expected: Floats, variance: Floats, scatter: Floats) -> NDArray[np.bool_]:
+    """Whether a spectrum of a path may be left out by a fit from spectra, shape (path,).
+
+    `scatter` is that of the band power, shape (path,).
+    """
+    is_positive = np.all(expected > 0, axis=2) & np.isfinite(variance)
+    departure = np.log(np.where(is_positive[:, :, None], power / expected, 1.0))
+    cut = NEARER * np.maximum(CUT_SIGMA * scatter, SMALLEST_DEPARTURE)[:, None]
+    is_off = np.abs(departure.mean(axis=2)) > cut
+    is_off |= np.any(np.abs(departure) > NEARER * SMALLEST_OF_CHANNEL, axis=2)
+    return np.asarray(np.any(is_off | (~is_positive & np.isfinite(variance)), axis=1))
+
+
+def _continue_paths(kept: KeptLines, new: _Events, instrument: Instrument, sky_power: SkyPower) -> Continued:
+    """C of paths, or of a mean, with some events more."""
+    more = np.isfinite(new.relative_variance).sum(axis=1)
+    share = more / np.maximum(kept.events, 1)
+    is_undecided = np.where(kept.has_c, share > LARGEST_SHARE, kept.events + more >= MIN_EVENTS)
+    is_undecided = (is_undecided & (more > 0)) | (new.is_odd & kept.has_c)
+    at = np.flatnonzero(kept.has_c & ~is_undecided)
+    curves = {}
+    if at.size:
+        sky = sky_power.of_station(kept.owners[0][0]).at(kept.owners[0][2], new.lst_hours)
+        lines = _lines_of(kept, at)
+        if new.lst_hours.size:
+            lines = continue_lines(lines, new.power[at], sky, new.relative_variance[at])
+        terms, channels = noise_constants(instrument), instrument.frequency_mhz.size
+        solution, _ = solve_without_interference(lines.slope, lines.intercept, lines.information, terms)
+        is_undecided[at] = ~(solution.is_converged & solution.is_identifiable)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            c = calibration_factor(solution.x, instrument.antenna_gain)
+            sigma = c * np.sqrt(np.einsum("pii->pi", solution.covariance)[:, :channels]) / (2.0 * solution.x)
+        curves = {
+            kept.owners[k]: (c[j], sigma[j], float(LARGEST_ERROR * (share[k] / LARGEST_SHARE) ** 0.5))
+            for j, k in enumerate(at.tolist())
+            if not is_undecided[k]
+        }
+    return Continued(curves, frozenset(kept.owners[k] for k in np.flatnonzero(is_undecided).tolist()))
+
+
+def _lines_of(kept: KeptLines, at: NDArray[np.intp]) -> Lines:
+    """The lines of some paths. Where an event shares nothing along frequency both of its vectors are 0."""
+    shared = SharedNoise(kept.constant[at], kept.behind[at])
+    levels = NoiseLevels(kept.radiometer[at], np.hypot(shared.constant, shared.behind))
+    return Lines(kept.slope[at], kept.intercept[at], kept.information[at], levels, shared)

@@ -1,0 +1,134 @@
+"""What is kept of a fit so that later events can continue it, without the spectra behind it."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lbacal_core.grids import Floats
+
+HEAD = "head"
+
+
+@dataclass(frozen=True)
+class MemberLines:
+    """The lines of the paths that a mean was taken of.
+
+    Attributes
+    ----------
+    stations, antennas
+        Who they are, shape (member,).
+    slope, intercept
+        s and b, shape (member, freq).
+    level
+        Mean power over events and channels, with which a member counts in the mean, shape (member,).
+    scatter
+        Standard deviation of the band power of an event, relative, shape (member,).
+    """
+
+    stations: NDArray[np.str_]
+    antennas: NDArray[np.int64]
+    slope: Floats
+    intercept: Floats
+    level: Floats
+    scatter: Floats
+
+
+def join_members(parts: Sequence[MemberLines]) -> MemberLines:
+    """The members of several parts, in their order."""
+    return MemberLines(**{f.name: np.concatenate([getattr(one, f.name) for one in parts]) for f in fields(MemberLines)})
+
+
+@dataclass(frozen=True)
+class KeptLines:
+    """The lines of some paths of one polarisation, or of a mean as one path, with all that more events need.
+
+    Attributes
+    ----------
+    owners
+        Station, antenna and dipole of each path; station and antenna are None where it is a mean.
+    events
+        How many events each was fitted to, shape (path,).
+    has_c
+        Whether the fit gave a curve, shape (path,).
+    slope, intercept
+        s and b, shape (path, freq).
+    information
+        Inverse covariance of (s, b), shape (path, 2 freq, 2 freq).
+    radiometer, constant, behind
+        The noise of an event, as in `calibration.lines`: shape (path, freq), (path, vector, freq) twice.
+    scatter
+        Standard deviation of the band power of an event, relative, shape (path,).
+    typical_blocks, variance_unit
+        The number of blocks, and the relative variance, of the spectrum that the radiometer noise is that of.
+    members
+        The paths of a mean; None where the paths are single ones.
+    """
+
+    owners: Sequence[tuple[str | None, int | None, str]]
+    events: NDArray[np.int64]
+    has_c: NDArray[np.bool_]
+    slope: Floats
+    intercept: Floats
+    information: Floats
+    radiometer: Floats
+    constant: Floats
+    behind: Floats
+    scatter: Floats
+    typical_blocks: float
+    variance_unit: float = 1.0
+    members: MemberLines | None = None
+
+
+def write_lines(kept: Sequence[KeptLines]) -> bytes:
+    """Write lines as bytes; of the information matrices one half, in single precision."""
+    head, arrays = [], dict[str, Any]()
+    for k, one in enumerate(kept):
+        upper = np.triu_indices(one.information.shape[1])
+        half = one.information[:, upper[0], upper[1]].astype(np.float32)
+        head.append([list(map(list, one.owners)), one.typical_blocks, one.variance_unit, one.members is not None])
+        of_paths = {name: getattr(one, name) for name in _ARRAYS} | {"information": half}
+        arrays |= {f"{k}.{name}": values for name, values in of_paths.items()}
+        if one.members is not None:
+            arrays |= {f"{k}.member_{name}": values for name, values in vars(one.members).items()}
+    file = io.BytesIO()
+    np.savez(file, allow_pickle=False, **{HEAD: np.array(json.dumps(head)), **arrays})
+    return file.getvalue()
+
+
+def read_lines(content: bytes) -> list[KeptLines]:
+    """Read what `write_lines` wrote."""
+    with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
+        return [
+            KeptLines(
+                owners=[(station, antenna, dipole) for station, antenna, dipole in owners],
+                typical_blocks=blocks,
+                variance_unit=unit,
+                members=MemberLines(**{f.name: arrays[f"{k}.member_{f.name}"] for f in fields(MemberLines)})
+                if is_mean
+                else None,
+                **{name: arrays[f"{k}.{name}"] for name in _ARRAYS if name != "information"},
+                information=_whole(arrays[f"{k}.information"], 2 * arrays[f"{k}.slope"].shape[1]),
+            )
+            for k, (owners, blocks, unit, is_mean) in enumerate(json.loads(str(arrays[HEAD])))
+        ]
+
+
+_ARRAYS = (
+    "events", "has_c", "slope", "intercept", "information", "radiometer", "constant", "behind", "scatter",
+)  # fmt: skip
+
+
+def _whole(half: Any, size: int) -> Floats:
+    """Symmetric matrices from their upper halves."""
+    upper = np.triu_indices(size)
+    found = np.empty((len(half), size, size))
+    found[:, upper[0], upper[1]] = half
+    found[:, upper[1], upper[0]] = half
+    return found
