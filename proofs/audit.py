@@ -152,10 +152,17 @@ def _break(kind: str, spectra: Spectra, rows: np.ndarray, rng: np.random.Generat
     return power
 
 
+LETTERS = tuple(kind for kind in KINDS if kind.startswith("letters"))
+
+
 def tell_audit(length: str, seed: int) -> Row:
     """Draw a station, hide one fault in every second one, and audit it."""
+    return tell_fault(length, seed, KINDS[seed // 2 % len(KINDS)] if seed % 2 else "nothing")
+
+
+def tell_fault(length: str, seed: int, kind: str) -> Row:
+    """Draw a station, hide a fault or nothing, and audit it."""
     rng = np.random.default_rng([20261122, seed])
-    kind = KINDS[seed // 2 % len(KINDS)] if seed % 2 else "nothing"
     station = draw_station(rng, length)
     spectra, instrument = station.spectra, station.instrument
     faulty = Faulty(spectra, instrument) if kind == "nothing" else hide(kind, spectra, instrument, rng)
@@ -180,6 +187,16 @@ def tell_audit(length: str, seed: int) -> Row:
 def tell_day(seed: int) -> Row:
     """A sidereal day."""
     return tell_audit("day", seed)
+
+
+def tell_letters(seed: int) -> Row:
+    """A sidereal day with exchanged letters: of an antenna, a field or all."""
+    return tell_fault("day", seed, LETTERS[seed % len(LETTERS)])
+
+
+def tell_arms(seed: int) -> Row:
+    """A sidereal day with turned arms."""
+    return tell_fault("day", seed, "arms")
 
 
 def tell_hour(seed: int) -> Row:
@@ -218,21 +235,31 @@ def judge_common(rows: Sequence[Row], length: str) -> list[Claim]:
 def judge_day(rows: Sequence[Row]) -> list[Claim]:
     """A day decides letters, clock, arms, place and unit."""
     claims = judge_common(rows, "day")
-    letters = [row for row in rows if row["kind"].startswith("letters")]
+    letters = [row for row in rows if row["kind"] in LETTERS]
     others = [row for row in rows if row["kind"] in ("latitude", "longitude", "decibels", "volts", "cable")]
     clocks = [row for row in rows if row["kind"] == "clock"]
     arms = [row for row in rows if row["kind"] == "arms"]
-    near = [row for row in arms if abs(row.get("off", np.inf)) <= ARMS_WITHIN_DEG]
     close = [row for row in clocks if abs(row.get("off", np.inf)) <= CLOCK_WITHIN_MIN]
     honest = [row for row in clocks if abs(row.get("off", np.inf)) <= CLOCK_SIGMAS * row.get("sigma", 0.0)]
     return [
         *claims,
-        claim_rate("letters", "Exchanged letters, a day: named", at_least(0.99), *_count(letters, "right")),
+        *judge_letters(letters),
         claim_rate("record", "A cable, the place, the unit, a day: named", at_least(0.99), *_count(others, "right")),
-        claim_rate("arms", "Turned arms, a day: found to 5 deg", at_least(0.99), len(near), len(arms)),
+        *judge_arms(arms),
         claim_rate("clock", "A clock that is off, a day: found to 2 min", at_least(0.99), len(close), len(clocks)),
         claim_rate("error", "The same: within three standard deviations", at_least(0.99), len(honest), len(clocks)),
     ]
+
+
+def judge_letters(rows: Sequence[Row]) -> list[Claim]:
+    """A day decides letters."""
+    return [claim_rate("letters", "Exchanged letters, a day: named", at_least(0.99), *_count(rows, "right"))]
+
+
+def judge_arms(rows: Sequence[Row]) -> list[Claim]:
+    """A day decides arms."""
+    near = [row for row in rows if abs(row.get("off", np.inf)) <= ARMS_WITHIN_DEG]
+    return [claim_rate("arms", "Turned arms, a day: found to 5 deg", at_least(0.99), len(near), len(rows))]
 
 
 def judge_hour(rows: Sequence[Row]) -> list[Claim]:
@@ -258,6 +285,8 @@ def tell_kinds(rows: Sequence[Row]) -> list[str]:
 
 PARTS = (
     Part("day", tell_day, judge_day, 3000, tell_kinds, ("false", "wrong", "letters", "arms", "clock")),
+    Part("letters", tell_letters, judge_letters, 500, tell_kinds, ("letters",)),
+    Part("arms", tell_arms, judge_arms, 500, tell_kinds, ("arms",)),
     Part("hour", tell_hour, judge_hour, 3000, tell_kinds, ("false", "wrong")),
     Part("minute", tell_minute, judge_minute, 3000, tell_kinds, ("false", "wrong")),
 )

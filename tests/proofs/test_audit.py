@@ -4,7 +4,17 @@ from __future__ import annotations
 
 import pytest
 
-from proofs.audit import KINDS, judge_day, judge_minute, tell_audit, tell_kinds
+from proofs.audit import (
+    KINDS,
+    judge_arms,
+    judge_day,
+    judge_letters,
+    judge_minute,
+    tell_arms,
+    tell_audit,
+    tell_kinds,
+    tell_letters,
+)
 from proofs.machinery.parts import Row
 
 OF_A_DAY = ("letters of one", "letters of all", "clock", "arms", "latitude", "volts")
@@ -30,6 +40,17 @@ def test_clock_and_arms_are_found_within_their_errors(rows: list[Row]) -> None:
     for row in rows:
         if "off" in row:
             assert abs(row["off"]) < 4 * row["sigma"]
+
+
+def test_parts_of_one_kind_draw_this_kind_alone() -> None:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("proofs.audit.SIZE_CHANCES", (1.0, 0.0, 0.0, 0.0, 0.0))
+        turned, exchanged = tell_arms(5), tell_letters(5)
+    assert (turned["kind"], exchanged["kind"]) == ("arms", "letters of all")
+    assert {claim.key: claim.verdict for claim in judge_arms([turned]) + judge_letters([exchanged])} == dict.fromkeys(
+        ("arms", "letters"), "undecided"
+    )
+    assert {turned["outcome"], exchanged["outcome"]} == {"right"}
 
 
 def test_a_minute_names_no_clock_and_still_finds_a_dead_path() -> None:
