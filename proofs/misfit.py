@@ -9,7 +9,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from datetime import datetime, timedelta
 from functools import lru_cache
+from zoneinfo import ZoneInfo
 
 import numpy as np
 
@@ -119,6 +121,14 @@ def _as_it_is(instrument: Instrument) -> Instrument:
     return instrument
 
 
+def _in_local_time(spectra: Spectra) -> Spectra:
+    """Times as a clock on the wall shows them in the Netherlands: one hour late in winter, two in summer."""
+    time_unix, event = np.unique(spectra.time_unix, return_inverse=True)
+    zone = ZoneInfo("Europe/Amsterdam")
+    offsets = [datetime.fromtimestamp(one, zone).utcoffset() or timedelta() for one in time_unix.tolist()]
+    return replace(spectra, time_unix=(time_unix + [offset.total_seconds() for offset in offsets])[event])
+
+
 OF_SPECTRA: Mapping[str, Callable[[Spectra], Spectra]] = {
     "decibels above -200": lambda s: replace(s, power=200.0 + 10.0 * np.log10(s.power)),
     "decibels above -400": lambda s: replace(s, power=400.0 + 10.0 * np.log10(s.power)),
@@ -126,6 +136,7 @@ OF_SPECTRA: Mapping[str, Callable[[Spectra], Spectra]] = {
     "X and Y exchanged": _letters_exchanged,
     "channels reversed": lambda s: replace(s, power=s.power[:, ::-1].copy()),
     "local time": lambda s: replace(s, time_unix=s.time_unix + 7200.0),
+    "local time, summer and winter": _in_local_time,
 }
 OF_INSTRUMENT: Mapping[str, Callable[[Instrument], Instrument]] = {
     "latitude and longitude exchanged": lambda i: replace(
@@ -137,6 +148,11 @@ OF_INSTRUMENT: Mapping[str, Callable[[Instrument], Instrument]] = {
     ),
 }
 KINDS = (*OF_SPECTRA, *OF_INSTRUMENT)
+TOLD: Mapping[str, Callable[[Spectra], Spectra]] = {
+    "an hour late": lambda s: replace(s, time_unix=s.time_unix + 3600.0),
+    "an hour early": lambda s: replace(s, time_unix=s.time_unix - 3600.0),
+}
+"""What nobody has mistaken yet, and moves C by less than its error: how many converge is told and not claimed."""
 CURVES = 20
 """Curves of each kind: four antennas and their station, two dipoles, own sky and a file; what is an error has none."""
 
@@ -186,12 +202,12 @@ def _simulate(antenna: str | AntennaModel, seed: int) -> Campaign:
 def fit_wrong(seed: int) -> Row:
     """Each mistake in turn on a campaign of the own world: how many curves converged all the same."""
     spectra, row = _simulate(OWN.antenna, seed).spectra, Row()
-    for kind in KINDS:
+    for kind in (*KINDS, *TOLD):
         believed = _believe(kind if kind in OF_INSTRUMENT else "")
         if believed is None:
             row[kind] = {"curves": CURVES, "converged": 0}
             continue
-        wrong = OF_SPECTRA.get(kind, _as_they_are)(spectra)
+        wrong = {**OF_SPECTRA, **TOLD}.get(kind, _as_they_are)(spectra)
         inputs = wrong, believed.instrument, believed.sky_power
         fits = [fit_calibration(*inputs, scope, free) for scope in SCOPES for free in (believed.freedom, None)]
         curves = [curve for report in fits for curve in report.curves]
@@ -240,6 +256,15 @@ def judge_wrong(rows: Sequence[Row]) -> list[Claim]:
     return claims
 
 
+def tell_wrong(rows: Sequence[Row]) -> list[str]:
+    """By kind, those without a claim too."""
+    lines = ["| input | curves | converged |", "|---|---|---|"]
+    for kind in (*KINDS, *TOLD):
+        curves, converged = (sum(row[kind][name] for row in rows) for name in ("curves", "converged"))
+        lines.append(f"| {kind} | {curves} | {converged} |")
+    return lines
+
+
 def judge_pattern(rows: Sequence[Row]) -> list[Claim]:
     """Whether another antenna than is believed shows: as a misfit, by flags, or in the error of C."""
     claims = []
@@ -275,6 +300,6 @@ def tell_pattern(rows: Sequence[Row]) -> list[str]:
 
 PARTS = (
     Part("clean", fit_clean, judge_clean, 100, tell_clean),
-    Part("wrong", fit_wrong, judge_wrong, 6),
+    Part("wrong", fit_wrong, judge_wrong, 6, tell_wrong),
     Part("pattern", fit_pattern, judge_pattern, 20, tell_pattern),
 )

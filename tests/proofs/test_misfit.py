@@ -9,6 +9,7 @@ from proofs.misfit import (
     ANTENNAS,
     KINDS,
     SCOPES,
+    TOLD,
     fit_clean,
     fit_pattern,
     fit_wrong,
@@ -17,6 +18,7 @@ from proofs.misfit import (
     judge_wrong,
     tell_clean,
     tell_pattern,
+    tell_wrong,
 )
 
 
@@ -36,6 +38,8 @@ def test_clean_curves_of_drawn_worlds_are_no_misfits(clean: list[Row]) -> None:
 def test_wrong_inputs_do_not_converge() -> None:
     row = fit_wrong(0)
     assert {kind: row[kind]["converged"] for kind in KINDS} == dict.fromkeys(KINDS, 0)
+    assert set(row) == {*KINDS, *TOLD}
+    assert len(tell_wrong([row])) == 2 + len(KINDS) + len(TOLD)
     verdicts = {claim.key: claim.verdict for claim in judge_wrong([row] * 30)}
     assert verdicts["X_and_Y_exchanged"] == "shown"
 

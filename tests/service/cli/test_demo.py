@@ -52,6 +52,9 @@ def test_the_table_has_fitted_planted_and_published_values(shown: Demonstration)
     assert {len(row) for row in rows} == {1 + len(SHOWN_MHZ)}
     assert rows[0][0] == "CS002 antenna 0 X"
     assert "±" in rows[0][1]
+    (systematic,) = {row[0] for row in rows if row[1].endswith(" %")}
+    assert systematic == "  systematic error"
+    assert all(4.0 < float(row[2].removesuffix(" %")) < 30.0 for row in rows if row[0] == systematic)
     assert rows[-1][:2] == ["published", "13.73"]  # the first value of the published table, 1.373e-5 V at 30 MHz
 
 
