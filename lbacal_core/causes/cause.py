@@ -177,6 +177,14 @@ class Cause(Description):
         """Key of the spectral template; templates with the same key differ in their time profile alone."""
         return tuple(template.parameters.get(name) for name in self.spectral_parameters)
 
+    def factor(self, conditions: Conditions, template: Template) -> Floats | None:  # noqa: ARG002
+        """The spectral template over that of `flat`, shape (freq,); None where it is not a factor along frequency."""
+        return None
+
+    def flat(self, template: Template) -> Template:
+        """The template with the factor 1 in every channel."""
+        return template
+
     def known_events(self, conditions: Conditions, template: Template) -> NDArray[np.bool_]:
         """Events on which every covariate of the template is known, shape (event,)."""
         return conditions.known_events(*self.covariates(template))

@@ -70,12 +70,20 @@ class RfiLine(InterferenceCause):
         distance = abs(template.parameters["frequency_mhz"] - earlier.parameters["frequency_mhz"])
         return bool(distance > CLEAR_MHZ)
 
-    def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:
-        """Power added about a frequency, a Gaussian of the template's full width at half maximum."""
+    def factor(self, conditions: Conditions, template: Template) -> Floats:
+        """A Gaussian of the template's full width at half maximum, 1 in the strongest channel."""
         distance = conditions.frequency_mhz - template.parameters["frequency_mhz"]
         line = np.exp(-4 * np.log(2.0) * (distance / template.parameters["width_mhz"]) ** 2)
+        return np.asarray(line / line.max())
+
+    def flat(self, template: Template) -> Template:
+        """A line without end."""
+        return Template({**template.parameters, "width_mhz": np.inf})
+
+    def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:
+        """Power added about a frequency."""
         mean = terms.power().mean(axis=1, keepdims=True)
-        return replace(terms, adc_noise=terms.adc_noise + amount * line / line.max() * mean)
+        return replace(terms, adc_noise=terms.adc_noise + amount * self.factor(conditions, template) * mean)
 
     def what_about(self, template: Template) -> list[dict[str, float]]:
         """Between the channels, and other widths."""

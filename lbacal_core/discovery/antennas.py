@@ -273,6 +273,7 @@ def _compare(number: int, log_slope: Floats, covariance: Floats, cable: NDArray[
         flat,
         np.empty((0, 1, channels, 1)),
         np.empty(0),
+        None,
         np.ones((2, channels)),
         white,
     )

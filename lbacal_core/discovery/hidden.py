@@ -13,9 +13,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lbacal_core.causes.cause import Cause
+from lbacal_core.discovery.correlations import see_best
+from lbacal_core.discovery.families import list_families
 from lbacal_core.discovery.hypothesis import Target
 from lbacal_core.discovery.project import LinearModel
-from lbacal_core.discovery.scan import list_families, see_best
 
 NEARLY_FREE = 1e-4
 """Inverse variance of differences a hundred times as large as those of real models."""
@@ -65,10 +66,10 @@ def list_hidden(
         if cause.scopes != ("station",) or "lst" not in cause.axes:
             continue
         families = list_families(model.station.conditions, [cause])
-        whole = np.array([see_best(plain, family, target).max() for family in families])
+        seen = [see_best((plain, free, known), family, target) for family in families]
+        whole, bare, left = (np.array([one[m].max() for one in seen]) for m in range(3))
         if not whole.size or whole.min() <= 0:
             continue
-        bare, left = (np.array([see_best(one, family, target).max() for family in families]) for one in (free, known))
         # A wider prior leaves less; where it leaves more, that is rounding.
         if np.all(np.minimum(bare, left) < smallest_share * whole):
             best = int(np.argmax(left / whole))
@@ -87,7 +88,7 @@ def shares_taken(model: LinearModel, causes: Sequence[Cause], target: Target) ->
         families = list_families(model.station.conditions, [cause]) if "station" in cause.scopes else []
         if families:
             typical = families[len(families) // 2]
-            left, whole = (see_best(one, typical, target) for one in (model, plain))
+            left, whole = see_best((model, plain), typical, target)
             best = int(np.argmax(whole))
             if whole[best] > 0:
                 taken[cause.identifier] = float(1.0 - left[best] / whole[best])

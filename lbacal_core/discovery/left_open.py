@@ -11,13 +11,13 @@ from threadpoolctl import threadpool_limits
 
 from lbacal_core.causes.catalogue import CAUSES
 from lbacal_core.causes.cause import Template
+from lbacal_core.discovery.correlations import overlap
+from lbacal_core.discovery.families import list_families
 from lbacal_core.discovery.hypothesis import Hypothesis, Target
 from lbacal_core.discovery.proposals import chi_squared_of
 from lbacal_core.discovery.refit import FittedModel, fit_chain, refit
 from lbacal_core.discovery.report import plain_parameters
-from lbacal_core.discovery.scan import SpectralFamily, correlate, list_families
 from lbacal_core.discovery.search import Finding, StationReport
-from lbacal_core.discovery.view import make_profiles
 from lbacal_core.grids import Floats
 
 KNOWN_CHANGE = (0.5, 2.0)
@@ -105,17 +105,14 @@ def _nearest_templates(model: FittedModel, found: Hypothesis, names: Sequence[st
     """For each cause the template with the largest correlation with the one found."""
     if not names:
         return {}
-    conditions, cause = model.station.conditions, found.cause
-    profile = make_profiles(cause.time_profile(conditions, found.template).T)
-    own = SpectralFamily(cause, [found.template], profile)
-    known = model.linear.on_events(cause.known_events(conditions, found.template))
+    conditions = model.station.conditions
+    known = model.linear.on_events(found.cause.known_events(conditions, found.template))
     families = list_families(conditions, [one for one in CAUSES if one.identifier in names])
-    correlation = np.abs(correlate(known, [own], found.target, families))[0]
-    templates = [(family.cause.identifier, template) for family in families for template in family.templates]
     best: dict[str, tuple[float, Template]] = {}
-    for size, (name, template) in zip(correlation.tolist(), templates, strict=True):
-        if name not in best or size > best[name][0]:
-            best[name] = (size, template)
+    for family, r in zip(families, overlap(known, found.cause, found.template, found.target, families), strict=True):
+        name, k = family.cause.identifier, int(np.argmax(np.abs(r)))
+        if name not in best or abs(r[k]) > best[name][0]:
+            best[name] = (float(abs(r[k])), family.templates[k])
     return {name: template for name, (_, template) in best.items()}
 
 

@@ -170,7 +170,7 @@ class LinearModel:
         if self.empirical is not None:
             free, prior = np.concatenate([free, self.empirical]), np.concatenate([prior, np.zeros(len(self.empirical))])
         weight = np.ones((1, channel.shape[1]))
-        return View(channel, inside, levels.vectors, slope, free, prior, weight, residuals.mean[None], waves)
+        return View(channel, inside, levels.vectors, slope, free, prior, waves, weight, residuals.mean[None])
 
     def _modes_in_mean(self, modes: SkyModes) -> Floats:
         """What the differences between models do to the means, one prior sigma each."""
@@ -245,7 +245,7 @@ class LinearModel:
         inside = (inside[levels.kind_of] if len(inside) > 1 else inside)[None, None]
         free, residual = np.concatenate([constants, level])[:, None], self.residuals.deviation[members][:, None]
         prior = np.repeat([0.0, 1.0 if self.modes is None else self.modes.prior], [len(constants), len(level)])
-        return View(channel, inside, levels.vectors, slope[None], free, prior, weight, residual)
+        return View(channel, inside, levels.vectors, slope[None], free, prior, None, weight, residual)
 
     @cached_property
     def _free_vectors(self) -> tuple[Floats, Floats]:

@@ -9,13 +9,14 @@ import numpy as np
 
 from lbacal_core.causes.catalogue import CAUSES
 from lbacal_core.causes.cause import Cause, Template
+from lbacal_core.discovery.families import group_templates
 from lbacal_core.discovery.hidden import HiddenCause, list_hidden
 from lbacal_core.discovery.hypothesis import Hypothesis, Target
 from lbacal_core.discovery.policy import Policy
 from lbacal_core.discovery.project import LinearModel
 from lbacal_core.discovery.refit import FittedModel, held_out_gain, refit
 from lbacal_core.discovery.residual_structure import STATION, chance_along
-from lbacal_core.discovery.scan import Score, group_templates, scan, score_families
+from lbacal_core.discovery.scan import Score, scan, score_families
 from lbacal_core.discovery.station import Station
 
 
@@ -170,7 +171,7 @@ def refine(model: LinearModel, score: Score, policy: Policy) -> Hypothesis:
     known = model.on_events(cause.known_events(conditions, score.template))
     found, scores, sizes, strengths = [], [], [], []
     for batch, z, size in score_families(known, group_templates(conditions, cause, templates), [score.target]):
-        profile = batch[0].profiles.values
+        profile = batch[0].profiles
         strength = np.abs(profile).sum(axis=1) / np.maximum((profile != 0).sum(axis=1), 1)
         found += [template for family in batch for template in family.templates]
         scores.append(z[:, 0].ravel())

@@ -16,11 +16,11 @@ from lbacal_core.calibration.noise import slope_of_gain
 from lbacal_core.causes.cause import Template, signature, spectral_signature
 from lbacal_core.chain.terms import ChainTerms
 from lbacal_core.discovery.baseline import Baseline, fit_baseline
+from lbacal_core.discovery.families import group_templates
 from lbacal_core.discovery.hypothesis import Hypothesis
 from lbacal_core.discovery.levels import NoiseLevels
 from lbacal_core.discovery.noise import split_residuals
 from lbacal_core.discovery.project import LinearModel
-from lbacal_core.discovery.scan import group_templates
 from lbacal_core.discovery.station import SkyModes, Station
 from lbacal_core.discovery.view import SMALLEST_SHARE
 from lbacal_core.grids import Floats
@@ -210,7 +210,7 @@ def held_out_gain(before: FittedModel, hypothesis: Hypothesis, templates: Sequen
     parts = [
         linear.by_fold(
             spectral_signature(cause, before.baseline.terms, conditions, family.templates[0]),
-            family.profiles.values,
+            family.profiles,
             hypothesis.target,
             fold,
         )

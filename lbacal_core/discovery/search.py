@@ -18,7 +18,9 @@ from lbacal_core.causes.conditions import Conditions
 from lbacal_core.discovery.adopted import FittedSize, fit_adopted
 from lbacal_core.discovery.antennas import AntennaScore, compare_antennas, why_no_comparison
 from lbacal_core.discovery.cable_names import compare_cable_names
+from lbacal_core.discovery.correlations import overlap
 from lbacal_core.discovery.deaf import leave_out_deaf
+from lbacal_core.discovery.families import list_families
 from lbacal_core.discovery.growth import grow
 from lbacal_core.discovery.hidden import shares_taken
 from lbacal_core.discovery.hypothesis import Hypothesis, Target, list_targets
@@ -33,15 +35,9 @@ from lbacal_core.discovery.residual_structure import (
     find_structure,
     share_of_channels,
 )
-from lbacal_core.discovery.scan import (
-    Score,
-    SpectralFamily,
-    correlate,
-    list_families,
-)
+from lbacal_core.discovery.scan import Score
 from lbacal_core.discovery.station import SkyModes, Station
 from lbacal_core.discovery.trials import p_of
-from lbacal_core.discovery.view import make_profiles
 from lbacal_core.grids import Floats
 from lbacal_core.model import PLAIN, Model
 
@@ -272,16 +268,13 @@ def find_indistinguishable(model: LinearModel, hypothesis: Hypothesis, policy: P
     """Causes with a template that the data cannot distinguish from this one at its size, with the correlation."""
     conditions, own = model.station.conditions, hypothesis.cause
     others = [cause for cause in CAUSES if cause is not own and hypothesis.target.scope in cause.scopes]
-    profile = make_profiles(own.time_profile(conditions, hypothesis.template).T)
-    family = SpectralFamily(own, [hypothesis.template], profile)
     known = model.on_events(own.known_events(conditions, hypothesis.template))
     families = list_families(conditions, others)
-    correlation = np.abs(correlate(known, [family], hypothesis.target, families))[0]
-    ends = np.cumsum([len(one.templates) for one in families])
+    correlations = overlap(known, own, hypothesis.template, hypothesis.target, families)
     snr = abs(hypothesis.size / hypothesis.sigma)
     found: dict[str, float] = {}
-    for one, end in zip(families, ends, strict=True):
-        largest = float(correlation[end - len(one.templates) : end].max())
+    for one, correlation in zip(families, correlations, strict=True):
+        largest = float(np.abs(correlation).max())
         if snr**2 * (1 - min(largest, 1.0) ** 2) < policy.indistinguishable:
             name = one.cause.identifier
             found[name] = max(found.get(name, 0.0), largest)

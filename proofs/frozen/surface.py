@@ -13,12 +13,13 @@ from threadpoolctl import threadpool_limits
 
 from lbacal_core.causes.catalogue import CAUSES
 from lbacal_core.discovery.curve_report import describe_curve
+from lbacal_core.discovery.families import list_families
 from lbacal_core.discovery.hypothesis import list_targets
 from lbacal_core.discovery.investigate import investigate
 from lbacal_core.discovery.lst_curve import investigate_curve
 from lbacal_core.discovery.project import LinearModel
 from lbacal_core.discovery.residual_structure import find_structure
-from lbacal_core.discovery.scan import by_known_events, list_families, score_families
+from lbacal_core.discovery.scan import by_known_events, score_families
 from lbacal_core.discovery.search import StationReport
 from lbacal_core.lstcurve.compare import BAND_MHZ
 from lbacal_core.provenance import Provenance

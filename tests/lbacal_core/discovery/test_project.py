@@ -8,13 +8,13 @@ import pytest
 from lbacal_core.causes.catalogue import CAUSES
 from lbacal_core.causes.cause import Template, signature, spectral_signature
 from lbacal_core.discovery.baseline import fit_baseline
+from lbacal_core.discovery.families import group_templates
 from lbacal_core.discovery.hypothesis import list_targets
 from lbacal_core.discovery.noise import split_residuals
 from lbacal_core.discovery.project import LinearModel
 from lbacal_core.discovery.refit import fit_chain, held_out_fold
-from lbacal_core.discovery.scan import group_templates, scan, score_families
+from lbacal_core.discovery.scan import scan, score_families
 from lbacal_core.discovery.station import gather_stations, model_modes
-from lbacal_core.discovery.view import make_profiles
 from lbacal_core.skypower.differences import DifferenceModels, compute_model_differences
 from lbacal_core.twin.campaign import simulate_campaign
 from lbacal_core.twin.nuisances import Nuisances
@@ -217,7 +217,7 @@ def test_inner_products_of_profiles_equal_those_of_the_vectors_they_make(model):
     seen = view.see(templates)
     direct = view.gram(view.see(vectors))
     np.testing.assert_allclose(view.cross(seen, seen, profiles, profiles), direct, rtol=1e-6, atol=1e-6 * direct.max())
-    left, whole = view.inner(view.see(templates[:, None]), make_profiles(profiles))
+    left, whole = view.inner(view.see(templates[:, None]), profiles)
     np.testing.assert_allclose(left[:, 0, 0, 0].ravel(), np.diag(direct[0]), rtol=1e-6)
     assert np.all(left < whole)
 

@@ -10,8 +10,7 @@ from lbacal_core.causes.catalogue import CAUSES
 from lbacal_core.causes.cause import signature
 from lbacal_core.discovery.hypothesis import list_targets
 from lbacal_core.discovery.refit import fit_chain
-from lbacal_core.discovery.scan import correlate, group_templates, list_families, scan
-from lbacal_core.discovery.view import make_profiles
+from lbacal_core.discovery.scan import scan
 from tests.lbacal_core.discovery.worlds import MOVING, p_of_score, p_value_of
 
 
@@ -20,46 +19,10 @@ def model(station):
     return fit_chain(station).linear
 
 
-def test_spectral_templates_times_time_profiles_are_the_signatures_of_all_templates(model):
-    conditions = model.station.conditions
-    for family in list_families(conditions, CAUSES)[::7]:
-        for k in (0, -1):
-            template = family.templates[k]
-            base = signature(family.cause, model.terms, conditions, family.templates[0])
-            profile = family.cause.time_profile(conditions, template)
-            first = family.cause.time_profile(conditions, family.templates[0])
-            both = (profile[:, 0] != 0) & (first[:, 0] != 0)
-            direct = signature(family.cause, model.terms, conditions, template)
-            expected = base[:, both] / first[both] * profile[both]
-            np.testing.assert_allclose(direct[:, both], expected, rtol=2e-3, atol=2e-5 * np.abs(direct).max())
-
-
-def test_sums_over_sets_of_events_equal_plain_sums():
-    rng = np.random.default_rng(2)
-    hours = rng.uniform(0, 24, 70)
-    values = np.stack([(hours >= begin) & (hours < begin + 6) for begin in range(20)]).astype(float)
-    vectors = rng.standard_normal((3, 70, 5))
-    np.testing.assert_allclose(make_profiles(values).sum(vectors), values @ vectors, atol=1e-12)
-
-
 def test_scores_of_a_clean_station_are_not_significant(model):
     found = scan(model, CAUSES, list_targets(model.station))
     assert {score.cause.identifier for score in found} == set(MOVING)
     assert min(score.p_value for score in found) > 0.003
-
-
-def test_a_cause_correlates_fully_with_itself_and_less_with_others(model):
-    conditions = model.station.conditions
-    targets = {target.label: target for target in list_targets(model.station)}
-    named = {cause.identifier: cause for cause in CAUSES}
-    drift, offset = (
-        group_templates(conditions, named[name], named[name].templates(conditions))
-        for name in ("gain_drift", "lst_offset")
-    )
-    ((itself, other),) = np.abs(correlate(model, drift, targets["station"], [*drift, *offset]))
-    assert itself > 1 - 1e-6
-    assert other < 0.5
-    np.testing.assert_allclose(correlate(model, drift, targets["antenna 2"]), [[1.0]], rtol=1e-9)
 
 
 @pytest.mark.parametrize("label", ["station", "antenna 2", "antenna 2 X"])

@@ -21,6 +21,7 @@ from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.discovery import search
 from lbacal_core.discovery.antennas import AntennaScore, compare_antennas
 from lbacal_core.discovery.cable_names import compare_cable_names
+from lbacal_core.discovery.families import group_templates
 from lbacal_core.discovery.hypothesis import Hypothesis, Target, list_targets
 from lbacal_core.discovery.noise import split_residuals
 from lbacal_core.discovery.policy import Policy
@@ -29,9 +30,10 @@ from lbacal_core.discovery.proposals import refine
 from lbacal_core.discovery.refit import FOLDS, FittedModel, fit_chain, held_out_fold, held_out_gain, power_ratio, refit
 from lbacal_core.discovery.report import describe
 from lbacal_core.discovery.residual_structure import ResidualStructure, find_structure
-from lbacal_core.discovery.scan import SMALLEST_INFORMATION, Score, group_templates, scan, score_families
+from lbacal_core.discovery.scan import Score, scan, score_families
 from lbacal_core.discovery.station import SkyModes, Station, gather_stations, model_modes
 from lbacal_core.discovery.trials import p_of
+from lbacal_core.discovery.view import SMALLEST_INFORMATION
 from lbacal_core.grids import Floats
 from lbacal_core.instrument import Instrument
 from lbacal_core.provenance import Provenance
@@ -204,7 +206,7 @@ class Look:
         for family in group_templates(conditions, _NAMED[cause], self.templates(cause)):
             change = spectral_signature(family.cause, terms, conditions, family.templates[0])
             change = np.moveaxis(change, 0, 1).reshape(flat.shape)
-            profiles = family.profiles.values
+            profiles = family.profiles
             product = profiles @ np.sum(change * flat, axis=1)
             mean = profiles @ change / len(flat)
             square = profiles**2 @ np.sum(change**2, axis=1) - len(flat) * np.sum(mean**2, axis=1)

@@ -1,0 +1,33 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lbacal_core.causes.catalogue import CAUSES
+from lbacal_core.causes.cause import Template
+from lbacal_core.discovery.correlations import correlate, overlap
+from lbacal_core.discovery.families import group_templates
+from lbacal_core.discovery.hypothesis import list_targets
+from lbacal_core.discovery.refit import fit_chain
+
+
+@pytest.fixture(scope="module")
+def model(station):
+    return fit_chain(station).linear
+
+
+def test_a_cause_correlates_fully_with_itself_and_less_with_others(model):
+    conditions = model.station.conditions
+    targets = {target.label: target for target in list_targets(model.station)}
+    named = {cause.identifier: cause for cause in CAUSES}
+    drift, *others = (
+        group_templates(conditions, named[name], named[name].templates(conditions))
+        for name in ("gain_drift", "lst_offset", "rfi_line")
+    )
+    families = [*drift, *others[0], *others[1]]
+    itself, other, *lines = overlap(model, named["gain_drift"], Template(), targets["station"], families)
+    assert itself > 1 - 1e-6
+    assert abs(other) < 0.5
+    direct = correlate(model, [*drift, *others[0], others[1][7]], targets["station"])[0]
+    np.testing.assert_allclose(np.concatenate([itself, other, lines[7]]), direct, rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(correlate(model, drift, targets["antenna 2"]), [[1.0]], rtol=1e-9)
