@@ -71,7 +71,7 @@ class RfiLine(InterferenceCause):
         return bool(distance > CLEAR_MHZ)
 
     def factor(self, conditions: Conditions, template: Template) -> Floats:
-        """A Gaussian of the template's full width at half maximum, 1 in the strongest channel."""
+        """The form of the line, 1 in its strongest channel."""
         distance = conditions.frequency_mhz - template.parameters["frequency_mhz"]
         line = np.exp(-4 * np.log(2.0) * (distance / template.parameters["width_mhz"]) ** 2)
         return np.asarray(line / line.max())
@@ -81,7 +81,7 @@ class RfiLine(InterferenceCause):
         return Template({**template.parameters, "width_mhz": np.inf})
 
     def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:
-        """Power added about a frequency."""
+        """Power added about a frequency, a Gaussian of the template's full width at half maximum."""
         mean = terms.power().mean(axis=1, keepdims=True)
         return replace(terms, adc_noise=terms.adc_noise + amount * self.factor(conditions, template) * mean)
 
