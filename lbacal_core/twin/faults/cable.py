@@ -9,8 +9,6 @@ import numpy as np
 from lbacal_core.twin.faults.fault import Fault
 from lbacal_core.twin.stages import Scene, Stages
 
-CHANNEL_MHZ = 1.0
-
 
 @dataclass(frozen=True, kw_only=True)
 class CableLength(Fault):
@@ -37,8 +35,10 @@ class CableReflection(Fault):
 
     def alter(self, stages: Stages, scene: Scene) -> Stages:
         """A rippled cable."""
-        fine = (np.arange(64) + 0.5) / 64 * CHANNEL_MHZ - CHANNEL_MHZ / 2
-        wave = np.cos(2 * np.pi * self.delay_us * (scene.frequency_mhz[:, None] + fine) + self.phase_rad).mean(axis=1)
+        frequency = scene.frequency_mhz[:, None]
+        width = np.gradient(scene.frequency_mhz)[:, None]
+        fine = (np.arange(64) + 0.5) / 64 * width - width / 2
+        wave = np.cos(2 * np.pi * self.delay_us * (frequency + fine) + self.phase_rad).mean(axis=1)
         return replace(stages, cable=stages.cable * (1.0 + self.where.mask(scene) * self.size * wave))
 
 

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from lbacal.cli.main import run
@@ -31,9 +32,31 @@ def test_a_folder_of_tables_becomes_a_spectra_file(
     assert "6 spectra, 3 intervals of 900 s" in capsys.readouterr().out
 
 
+def test_events_of_a_trigger_stay_single_and_keep_their_names_and_flags(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source, output = tmp_path / "events.csv", tmp_path / "S.h5"
+    rows = [
+        f"2014-05-01T03:0{k // 2}:{30 * (k % 2):02d}Z,{antenna},X,2,shower {k},{'storm' if k == 1 else ''},{20 + k},1,2"
+        for k in range(3)
+        for antenna in (4, 5)
+    ]
+    source.write_text("\n".join(["time,antenna,dipole,duration_s,event_id,flag,env/temperature_c,40,41", *rows]))
+    assert call(monkeypatch, str(source), "--output", str(output), "--events", "--station", "CS002") == 0
+    said = capsys.readouterr().out
+    assert "6 spectra, 3 events from 3 integrations" in said
+    assert "2 spectra are flagged 'storm'" in said
+    spectra = read_spectra(output)
+    assert spectra.event_id.tolist() == ["shower 0"] * 2 + ["shower 2"] * 2
+    assert spectra.left_out == {"storm": 2}
+    assert spectra.environment["temperature_c"].tolist() == [20.0, 20.0, 22.0, 22.0]
+    assert np.diff(spectra.time_unix).tolist() == [0.0, 60.0, 0.0]
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
+        (["--events", "--average", "60"], "--average or --events"),
         (["--average", "0"], "--average: expected a number > 0"),
         (["--channel-mhz", "1", "--instrument", "lofar-superterp"], "--instrument or --channel-mhz"),
         (["--band", "60", "80"], "some between 40 and 41 MHz"),
