@@ -152,4 +152,4 @@ def tell(rows: Sequence[Row]) -> list[str]:
     return lines
 
 
-PARTS = (Part("chains", calibrate_drawn, judge, 60, tell),)
+PARTS = (Part("chains", calibrate_drawn, judge, 60, tell, ("stages_pulls",)),)

@@ -282,8 +282,8 @@ def find_trend(seed: int) -> Row:
 
 PARTS = (
     Part("nothing", look_at_nothing, judge_looks, 12),
-    Part("steps", find_steps, judge_steps, 12, tell_steps, ("found", "date_95", "found_0.006")),
-    Part("slopes", find_slopes, judge_slopes, 8, headlines=("found",)),
+    Part("steps", find_steps, judge_steps, 12, tell_steps, ("found",)),
+    Part("slopes", find_slopes, judge_slopes, 8),
     Part("stations", find_in_stations, judge_stations, 24),
-    Part("whole", find_trend, judge_whole, 200, tell_whole, ("steps_sigma", "steps_limit", "sigma")),
+    Part("whole", find_trend, judge_whole, 200, tell_whole),
 )

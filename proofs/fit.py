@@ -231,7 +231,7 @@ def fit_published_noise(seed: int) -> Row:
 
 
 PARTS = (
-    Part("published-noise", fit_published_noise, judge, 2000, tell, ("efficiency", "errors")),
+    Part("published-noise", fit_published_noise, judge, 2000, tell, ("efficiency",)),
     Part("example", fit_example, judge, 1000, tell, (), needs_shared=True),
 )
 IMAGES = {"fit.png": "Error of the fit over the Fisher bound, and spread of its pulls, with 95 % intervals"}

@@ -375,7 +375,7 @@ _ROUTES = "A request made up from the OpenAPI document is answered with 500, too
 _READERS = "A changed document makes its reader fail in another way than with a sentence"
 _FILES = "A changed spectra file is answered with a failure, too late, or with what another file holds"
 PARTS = (
-    Part("routes", ask_routes, partial(judge, _ROUTES, 2e-4), 24, tell, code=_CODE),
+    Part("routes", ask_routes, partial(judge, _ROUTES, 2e-4), 24, tell, ("failed",), code=_CODE),
     Part("readers", read_documents, partial(judge, _READERS, 1e-4), 20, tell, code=_CODE),
     Part("files", read_files, partial(judge, _FILES, 1e-3), 12, tell, code=_CODE),
     Part("bombs", send_bomb, judge_bombs, len(BOMBS), tell, has_chance=False, is_parallel=False, code=_CODE),

@@ -346,7 +346,7 @@ def tell(rows: Sequence[Row]) -> list[str]:
 CODE = ("service", "lbacal_core", "proofs")
 PARTS = tuple(
     Part(
-        kind, partial(compare, kind), partial(judge, kind), 1, tell,
+        kind, partial(compare, kind), partial(judge, kind), 1, tell, ("ratio",),
         has_chance=False, is_parallel=False, code=CODE,
     )
     for kind in ("sqlite", "postgresql")

@@ -200,5 +200,5 @@ def judge_field(rows: Sequence[Row]) -> list[Claim]:
 
 PARTS = (
     Part("source", calibrate_by_source, judge_source, 2000),
-    Part("field", unfold_one, judge_field, 2000),
+    Part("field", unfold_one, judge_field, 2000, headlines=("field_2",)),
 )

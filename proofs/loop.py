@@ -345,7 +345,7 @@ def tell(rows: Sequence[Row]) -> list[str]:
 
 PARTS = (
     Part(
-        "postgresql", partial(close_loop, "postgresql", SETTINGS), judge, 20, tell,
+        "postgresql", partial(close_loop, "postgresql", SETTINGS), judge, 20, tell, ("pulls",),
         code=("lbacal_core", "proofs", "service", "migrations"),
     ),
 )  # fmt: skip

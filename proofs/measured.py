@@ -319,9 +319,9 @@ def tell(rows: Sequence[Row]) -> list[str]:
 
 FIXED: dict[str, Any] = {"has_chance": False, "needs_shared": True, "code": ("lbacal_core", "proofs", "service")}
 PARTS = (
-    Part("own", partial(ask_one, own_questions), judge_variants, 16, tell, ("exchange", "noise"), **FIXED),
+    Part("own", partial(ask_one, own_questions), judge_variants, 16, tell, ("exchange",), **FIXED),
     Part("tables", partial(ask_one, tables_questions), judge_variants, 13, tell, (), **FIXED),
-    Part("others", partial(ask_one, other_questions), judge_others, 5, tell, ("zenith_weighting",), **FIXED),
+    Part("others", partial(ask_one, other_questions), judge_others, 5, tell, **FIXED),
 )
 IMAGES = {
     "measured-own.png": "Measured LOFAR curve, X, Y and their difference, with the simulation before and after",

@@ -299,7 +299,7 @@ def tell_pattern(rows: Sequence[Row]) -> list[str]:
 
 
 PARTS = (
-    Part("clean", fit_clean, judge_clean, 100, tell_clean),
-    Part("wrong", fit_wrong, judge_wrong, 6, tell_wrong),
+    Part("clean", fit_clean, judge_clean, 100, tell_clean, ("antenna",)),
+    Part("wrong", fit_wrong, judge_wrong, 6, tell_wrong, ("X_and_Y_exchanged",)),
     Part("pattern", fit_pattern, judge_pattern, 20, tell_pattern),
 )

@@ -159,4 +159,4 @@ def tell_superterp(seed: int) -> Row:
     return tell_campaign(SETTINGS, seed)
 
 
-PARTS = (Part("superterp", tell_superterp, judge, 96, tell, ("station_1", "silent_1")),)
+PARTS = (Part("superterp", tell_superterp, judge, 96, tell, ("own_2",)),)

@@ -252,6 +252,6 @@ def judge_noise(rows: Sequence[Row]) -> list[Claim]:
 
 PARTS = (
     Part("slopes", calibrate_pulses, judge_pulses, 600),
-    Part("traces", calibrate_traces, judge_traces, 600),
+    Part("traces", calibrate_traces, judge_traces, 600, headlines=("total_2",)),
     Part("noise", predict_noise, judge_noise, 400),
 )

@@ -225,8 +225,6 @@ def share_seen(rows: Sequence[Row]) -> float:
 
 _CODE = ("lbacal", "lbacal_core", "service", "migrations", "proofs", "tests")
 PARTS = (
-    Part(
-        "healthy", pass_without, judge_healthy, len(rooms_of(read_faults())), headlines=(), has_chance=False, code=_CODE
-    ),
+    Part("healthy", pass_without, judge_healthy, len(rooms_of(read_faults())), has_chance=False, code=_CODE),
     Part("faults", plant, judge, len(read_faults()), tell, ("seen",), has_chance=False, code=_CODE),
 )

@@ -300,7 +300,7 @@ PARTS = (
     *(
         Part(
             claim.short, partial(try_claim, claim), partial(judge_lines, claim), claim.trials,
-            partial(tell_lines, claim), ("found", "bias") if claim is CLAIMS[0] else (),
+            partial(tell_lines, claim), ("found",) if claim is CLAIMS[0] else (),
         )
         for claim in CLAIMS
     ),

@@ -90,9 +90,9 @@ KINDS: dict[str, tuple[Callable[[int], Answer], str, int]] = {
     "own-sky": (ask_own_sky, "nuisances, differences between sky models projected out", 200),
     "lst-curves": (ask_curve, f"LST curves of {POINTS} points", 200),
 }
-ROWS = ("nuisances", "own-sky")
+ROWS = ("nuisances",)
 """The kinds that are rows of the page: those most like real campaigns."""
 PARTS = tuple(
-    Part(name, partial(listen, ask), partial(judge, what), count, tell, None if name in ROWS else ())
+    Part(name, partial(listen, ask), partial(judge, what), count, tell, ("alarms",) if name in ROWS else ())
     for name, (ask, what, count) in KINDS.items()
 )

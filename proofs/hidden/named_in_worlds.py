@@ -119,6 +119,6 @@ def _is_misnamed(outcome: Outcome) -> bool:
 
 
 PARTS = (
-    Part("one", try_one, judge_one, 2000, tell, ("named", "misnamed", "snr_50")),
+    Part("one", try_one, judge_one, 2000, tell, ("named",)),
     Part("targets", try_target, judge_targets, 200, tell),
 )

@@ -105,4 +105,4 @@ def tell(rows: Sequence[Row]) -> list[str]:
     return [*table_by_world(rows, columns), "", *lines]
 
 
-PARTS = (Part("nothing", listen, judge, 3000, tell),)
+PARTS = (Part("nothing", listen, judge, 3000, tell, ("named",)),)

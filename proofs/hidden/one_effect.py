@@ -269,7 +269,7 @@ def tell_efficiency(rows: Sequence[Row]) -> list[str]:
 
 
 PARTS = (
-    Part("one", try_one, judge_one, 135, tell_names, ("snr_50", "named")),
+    Part("one", try_one, judge_one, 135, tell_names, ("named",)),
     Part("efficiency", try_efficiency, judge_efficiency, 276, tell_efficiency, ("worst_inside",)),
     Part("static", try_static, judge_static, 60, tell_names, ()),
 )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from matplotlib.figure import Figure
@@ -26,7 +26,12 @@ A claim is decided by the 95 % interval of the figure against what is asked. **S
 what is asked. **Refuted**: none of it is. **Undecided**: it reaches over the limit, because there were too few trials,
 or the data sets had been seen while the code was written. Seeds below 1,000,000 are for debugging, a block of seeds
 that was recorded once is spent, and nothing is recorded from a changed tree. n counts independent trials. The rows are
-the main claims; all others are in the records, and whatever is refuted or undecided, a row or not, is said at the end.
+the main claims, which each proof names itself (`headlines`); all others are in the records, and whatever is refuted or
+undecided, a row or not, is said at the end.
+"""
+TABLE = ("| claim | asked | found (95 % interval) | n | verdict | command | commit |", "|" + "---|" * 7)
+TOLD_BELOW = """\
+By part of a proof, refuted claims in full and undecided ones by their names in the record:
 """
 LIMITS = """\
 - The twin that makes the data is ours. It shares no code with what is tested, but its author has read both: a fault of
@@ -39,33 +44,35 @@ LIMITS = """\
 def write_page(records: Iterable[Record]) -> str:
     """The page of the newest record of every part."""
     latest = newest(records)
-    lines = [INTRODUCTION]
+    by_proof: dict[str, list[Record]] = {}
     for proof in proof_names():
-        chosen = [record for (name, _), record in latest.items() if name == proof]
-        if chosen:
-            lines += _section(proof, chosen)
-    lines += ["## What is not shown", "", LIMITS.rstrip(), *_open_claims(latest.values()), ""]
+        order = list(parts_of(proof))
+        own = [record for (name, _), record in latest.items() if name == proof]
+        if own:
+            by_proof[proof] = sorted(own, key=lambda r: order.index(r.part) if r.part in order else len(order))
+    rows = [
+        _row(claim, one) for own in by_proof.values() for one in own for claim in one.claims if _is_headline(claim, one)
+    ]
+    proofs = [_introduce(proof, own) for proof, own in by_proof.items()]
+    lines = [INTRODUCTION, *TABLE, *rows, "", "## The proofs", "", *proofs, ""]
+    for proof in by_proof:
+        images: dict[str, str] = getattr(importlib.import_module(f"proofs.{proof}"), "IMAGES", {})
+        lines += [
+            line for name in images if (IMAGES / name).is_file() for line in (f"![{images[name]}](images/{name})", "")
+        ]
+    lines += ["## What is not shown", "", LIMITS.rstrip(), "", TOLD_BELOW, *_open_claims(by_proof), ""]
     return "\n".join(lines)
 
 
-def _section(proof: str, records: Sequence[Record]) -> list[str]:
-    module = importlib.import_module(f"proofs.{proof}")
-    order = [part.name for part in module.PARTS]
-    title = (module.__doc__ or proof).strip().partition("\n\n")[0]
-    lines = [f"## {proof}", "", " ".join(title.split()), ""]
-    lines += ["| claim | asked | found (95 % interval) | n | verdict | command | commit |", "|" + "---|" * 7]
-    for record in sorted(records, key=lambda r: order.index(r.part) if r.part in order else len(order)):
-        lines += [_row(claim, record) for claim in record.claims if _is_headline(claim, record)]
-    images = [name for name in getattr(module, "IMAGES", {}) if (IMAGES / name).is_file()]
-    lines += [line for name in images for line in ("", f"![{module.IMAGES[name]}](images/{name})")]
+def _introduce(proof: str, records: Sequence[Record]) -> str:
+    title = (importlib.import_module(f"proofs.{proof}").__doc__ or proof).strip().partition("\n\n")[0]
     hours = sum(record.hours for record in records)
-    lines += ["", f"{hours:.2g} hours of one core.", ""]
-    return lines
+    return f"- `{proof}`: {' '.join(title.split())} ({hours:.2g} hours of one core)"
 
 
 def _is_headline(claim: Claim, record: Record) -> bool:
-    headlines = parts_of(record.proof)[record.part].headlines
-    return headlines is None or claim.key in headlines
+    part = parts_of(record.proof).get(record.part)
+    return part is not None and claim.key in part.headlines
 
 
 def _row(claim: Claim, record: Record) -> str:
@@ -76,25 +83,28 @@ def _row(claim: Claim, record: Record) -> str:
     return f"| {' | '.join(cells)} | `{record.command}` | {record.commit} |"
 
 
-def _open_claims(records: Iterable[Record]) -> list[str]:
-    """What is not shown: one line a refuted claim or an undecided row, one a record for its other undecided claims.
+def _open_claims(by_proof: Mapping[str, Sequence[Record]]) -> list[str]:
+    """What is not shown: a line a proof and part, its refuted claims in full, its undecided ones by their keys.
 
     All records on data sets that had been seen share a line.
     """
     lines, seen = [], []
-    for record in sorted(records, key=lambda r: r.name):
+    for record in (one for records in by_proof.values() for one in records):
         if record.seeds not in (FRESH, NO_CHANCE):
             seen.append(record.name)
             continue
-        details = []
+        told = [
+            f"**refuted** {claim.claim} (asked {claim.words_asked}, found {claim.words_found})"
+            for claim in record.claims
+            if claim.verdict == REFUTED
+        ]
+        open_keys: dict[str, list[str]] = {}
         for claim in record.claims:
-            if claim.verdict == REFUTED or (claim.verdict == UNDECIDED and _is_headline(claim, record)):
-                found = f"Asked {claim.words_asked}, found {claim.words_found}"
-                lines.append(f"- {claim.verdict.capitalize()}: {claim.claim}. {found} ({record.name}).")
-            elif claim.verdict == UNDECIDED:
-                details.append(f"{claim.claim} (asked {claim.words_asked}, found {claim.words_found})")
-        if details:
-            lines.append(f"- Undecided in {record.name}: {'; '.join(details)}.")
+            if claim.verdict == UNDECIDED:
+                open_keys.setdefault(claim.words_asked, []).append(f"`{claim.key}` {claim.words_found}")
+        told += [f"undecided, asked {asked}: {', '.join(keys)}" for asked, keys in open_keys.items()]
+        if told:
+            lines.append(f"- {record.name}: {'; '.join(told)}.")
     if seen:
         lines.append(f"- Undecided whatever the figure, because the data sets had been seen before: {', '.join(seen)}.")
     return lines

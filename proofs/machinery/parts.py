@@ -37,8 +37,8 @@ class Part:
     tell
         Tables of the single outcomes, in Markdown, for who runs the proof.
     headlines
-        Keys of the claims that are rows of the page; all where it is None. The others stay in the record, and what is
-        not shown of them is told below the rows.
+        Keys of the claims that are rows of the page: one, or none where another part says the same. The others stay in
+        the record, and what is not shown of them is told below the rows.
     has_chance
         Whether trials are drawn by chance; else the numbers 0 to count - 1 name fixed cases and no seeds are spent.
     is_parallel
@@ -54,7 +54,7 @@ class Part:
     judge: Callable[[Sequence[Row]], list[Claim]]
     count: int
     tell: Callable[[Sequence[Row]], list[str]] = tell_nothing
-    headlines: tuple[str, ...] | None = None
+    headlines: tuple[str, ...] = ()
     has_chance: bool = True
     is_parallel: bool = True
     needs_shared: bool = False
