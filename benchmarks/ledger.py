@@ -17,7 +17,8 @@ from contextlib import contextmanager
 import numpy as np
 import psycopg
 
-from lbacal_core.curves import CONVERGED, CalibrationCurve
+from lbacal_core.covariance import Budget, BudgetTerm, CurveCovariance
+from lbacal_core.curves import CONVERGED, CalibrationCurve, Parameter
 from lbacal_core.errors import LbacalError
 from lbacal_core.instrument import load_instrument
 from lbacal_core.validity import Promotion, Scope
@@ -38,14 +39,38 @@ INSTRUMENT = load_instrument("lofar-superterp")
 PATHS = select_paths(INSTRUMENT, None, None, None)
 
 
-def make_version(scope: Scope, number: int) -> Version:
-    """A version of a scope whose inputs are its number."""
+def make_budget() -> Budget:
+    """A budget of as many vectors as those of fits have."""
+    rng = np.random.default_rng(1)
     size = INSTRUMENT.frequency_mhz.size
+    vectors = (5, 3, 2, 1, 1)
+    return Budget(
+        INSTRUMENT.frequency_mhz,
+        tuple(
+            BudgetTerm(f"term {k}", "benchmark", {dipole: rng.normal(0.0, 0.05, (count, size)) for dipole in "XY"})
+            for k, count in enumerate(vectors)
+        ),
+    )
+
+
+BUDGET = make_budget()
+
+
+def make_version(scope: Scope, number: int) -> Version:
+    """A version of a scope whose inputs are its number, with all that curves of fits carry and numbers of 17 digits."""
+    size = INSTRUMENT.frequency_mhz.size
+    rng = np.random.default_rng(number)
+    c = np.linspace(1.0e-5, 2.0e-5, size) * (1.0 + number / 1000.0) * rng.normal(1.0, 0.001, size)
+    covariance = CurveCovariance(
+        rng.normal(0.0, 0.01, (4, size)), np.full(size, 1e-5), BUDGET.digest, rng.normal(0.0, 0.01, (1, size))
+    )
+    parameters = {name: Parameter(*rng.lognormal(size=2)) for name in ("n_lna", "n_rcu", "n_adc")}
     curves = tuple(
         CalibrationCurve(
             station=scope.station, antenna=scope.antenna, dipole=dipole, status=CONVERGED, events=1000,
-            frequency_mhz=INSTRUMENT.frequency_mhz, c=np.linspace(1.0, 2.0, size) * (1.0 + number / 1000.0),
-            c_sigma_stat=np.full(size, 0.01), c_sigma_sys=None, chi2_per_dof=1.0, lst_coverage=1.0, parameters={},
+            frequency_mhz=INSTRUMENT.frequency_mhz, c=c, c_sigma_stat=0.01 * c, c_sigma_sys=0.13 * c, chi2_per_dof=1.0,
+            lst_coverage=1.0, parameters=parameters, flag=("ok",) * size, antenna_gain=INSTRUMENT.antenna_gain,
+            chi2_per_dof_profiled=1.0, covariance=covariance,
         )
         for dipole in ([scope.dipole] if scope.dipole else "XY")
     )  # fmt: skip
@@ -57,6 +82,7 @@ def fill(factory: Factory, nights: int) -> dict[Scope, list[str]]:
     versions = {scope: [make_version(scope, k) for k in range(2)] for scope in (*PATHS, Scope("CS002"), Scope())}
     ids = {scope: [version.id for version in of_scope] for scope, of_scope in versions.items()}
     with factory.database.write() as stores:
+        stores.budgets.add({BUDGET.digest: BUDGET})
         stores.versions.add([version for of_scope in versions.values() for version in of_scope])
     nightly = (
         Promotion(0, path, SINCE, UNTIL, ids[path][night % 2], SINCE + 1 + night, "benchmark", "night")

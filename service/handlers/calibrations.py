@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Depends, Query, Request, Response
@@ -9,6 +10,7 @@ from fastapi import APIRouter, Depends, Query, Request, Response
 from lbacal.tables import write_format
 from lbacal_core.curves import STATUSES, list_numbers
 from lbacal_core.validity import Promotion, Scope
+from service.factory import Factory
 from service.handlers.problems import document
 from service.handlers.request import (
     IMMUTABLE,
@@ -27,16 +29,18 @@ from service.handlers.request import (
 )
 from service.storage.short_ids import ID_DIGITS
 from service.storage.versions import Version
-from service.usecases.calibrations import select_scope
+from service.usecases.calibrations import CurveInEffect, InEffect, WrittenCurve, select_scope
 from service.usecases.comparison import compare_versions
 from service.usecases.keys import Caller
 from service.usecases.promotions import Change
+from service.usecases.tags import Knowledge
 from service.wire.answers import (
     describe_curve_in_effect,
     describe_in_effect,
     describe_promotion,
     describe_scope,
     to_json,
+    write_in_effect,
 )
 from service.wire.bodies import PromotionBody, parse_body
 from service.wire.calibration_models import (
@@ -90,12 +94,10 @@ def get_in_effect(
     instant = parse_at(at, mjd)
     known = use.tags.read_knowledge(as_of, tag)
     found = use.calibrations.in_effect(instant, paths, known.as_of, hold=gap == "hold")
-    wanted = [c for c in found.curves if dipole in (None, c.told.curve.dipole)]
-    curves = [describe_curve_in_effect(c.told, c.chain, c.promotion, c.trace, is_held=c.is_held) for c in wanted]
-    content = describe_in_effect(found.at, known.text, curves, list(found.missing), found.budgets)
+    wanted = [curve for curve in found.curves if dipole in (None, curve.dipole)]
     return answer(
         request,
-        content if kind == "json" else write_format(kind, content),
+        write_json(use, found, wanted, known) if kind == "json" else write_format(kind, describe(found, wanted, known)),
         media_type=FORMATS[kind],
         cache=IMMUTABLE if known.is_final else REVALIDATE,
     )
@@ -229,6 +231,27 @@ def promote(
         lambda: use.promotions.promote(plan, lambda made, changes: to_json(describe_changes(made[0], changes))),
     )
     return answer(request, content, status=201)
+
+
+def describe(found: InEffect, curves: Sequence[CurveInEffect], known: Knowledge) -> dict[str, Any]:
+    """What is in effect as JSON values."""
+    described = [describe_curve_in_effect(c.told, c.chain, c.promotion, c.trace, is_held=c.is_held) for c in curves]
+    return describe_in_effect(found.at, known.text, described, found.missing, found.budgets)
+
+
+def write_json(use: Factory, found: InEffect, curves: Sequence[CurveInEffect], known: Knowledge) -> bytes:
+    """What is in effect as JSON, of whose curves most were written before."""
+    written = use.calibrations.write(curves, _write_curve)
+    named = {one.budget for one in written if one.budget is not None}
+    budgets = {name: found.budgets[name] for name in named if name in found.budgets}
+    return write_in_effect(found.at, known.text, [one.text for one in written], found.missing, budgets)
+
+
+def _write_curve(curve: CurveInEffect) -> WrittenCurve:
+    told = curve.told
+    content = describe_curve_in_effect(told, curve.chain, curve.promotion, curve.trace, is_held=curve.is_held)
+    covariance = told.curve.covariance
+    return WrittenCurve(to_json(content), None if covariance is None else covariance.budget)
 
 
 def _keeping(*ids: str) -> str:

@@ -40,10 +40,14 @@ class BudgetStore:
 
     def get_many(self, digests: Iterable[str]) -> dict[str, dict[str, Any]]:
         """Budgets by their hash as JSON values; unknown ones are left out."""
+        return {name: json.loads(text) for name, text in self.get_texts(digests).items()}
+
+    def get_texts(self, digests: Iterable[str]) -> dict[str, str]:
+        """The same as they are stored, as canonical JSON."""
         wanted = sorted(set(digests))
-        found: dict[str, dict[str, Any]] = {}
+        found: dict[str, str] = {}
         for start in range(0, len(wanted), MANY_KEYS):
             is_wanted = budget.c.sha256.in_(wanted[start : start + MANY_KEYS])
             rows = self._connection.execute(select(budget).where(is_wanted).order_by(budget.c.sha256))
-            found |= {row.sha256: json.loads(row.content) for row in rows}
+            found |= {row.sha256: row.content for row in rows}
         return found

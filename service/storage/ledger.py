@@ -5,20 +5,15 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from functools import cache
 from typing import Any
 
 from sqlalchemy import (
-    BigInteger,
     ColumnElement,
     Connection,
     FromClause,
     Row,
     ScalarSelect,
-    Select,
     Text,
-    and_,
-    bindparam,
     cast,
     func,
     or_,
@@ -32,6 +27,7 @@ from sqlalchemy.dialects.sqlite import insert as sqlite_insert
 from lbacal_core.validity import Instant, Promotion, Scope
 from service.errors import UnavailableError
 from service.schema.tables import edge, promotion, standing, tag
+from service.storage.decisive import newest_of, state_decisive
 
 LOCK = 5_240_121
 """Names the one lock that orders promotions on PostgreSQL."""
@@ -280,7 +276,7 @@ class LedgerStore:
         starts, ends, has_version = edge.c.valid_from_us, edge.c.valid_to_us, edge.c.calibration.is_not(None)
 
         def nearest(at: ColumnElement[int], is_kind: ColumnElement[bool], *, is_before: bool) -> ScalarSelect[int]:
-            answers = _newest(edge.c.scope, at - 1 if is_before else at, as_of, edge, "calibration")
+            answers = newest_of(edge.c.scope, at - 1 if is_before else at, as_of, edge, "calibration")
             statement = select(at).where(edge.c.scope == of.c.value, is_kind, answers.is_not(None))
             statement = statement.where(at <= instant if is_before else at > instant)
             if as_of is not None:
@@ -305,11 +301,7 @@ class LedgerStore:
     def _decisive(
         self, asked: Iterable[tuple[str, Instant]], as_of: Instant | None
     ) -> dict[tuple[str, Instant], Promotion]:
-        """The newest promotion of a scope at an instant, for each pair of them that has one.
-
-        Whether anything begins before the instant and ends after it is asked first: where nothing does, as in the gap
-        after the last window, the promotions of the scope need not be gone through.
-        """
+        """The newest promotion of a scope at an instant, for each pair of them that has one."""
         pairs = sorted(set(asked))
         is_postgresql = self._connection.dialect.name == "postgresql"
         if is_postgresql:
@@ -318,7 +310,7 @@ class LedgerStore:
             bound = {"pairs": json.dumps(pairs)}
         if as_of is not None:
             bound["as_of"] = as_of
-        rows = self._connection.execute(_state_decisive(is_postgresql, is_pinned=as_of is not None), bound)
+        rows = self._connection.execute(state_decisive(is_postgresql, is_pinned=as_of is not None), bound)
         return {(row.scope, row.instant): _value(row) for row in rows}
 
     def _keys(self, keys: Iterable[str]) -> FromClause:
@@ -326,50 +318,6 @@ class LedgerStore:
         if self._connection.dialect.name == "postgresql":
             return func.unnest(cast(sorted(keys), ARRAY(Text))).table_valued("value").render_derived()
         return func.json_each(json.dumps(sorted(keys))).table_valued("value")
-
-
-@cache
-def _state_decisive(is_postgresql: bool, *, is_pinned: bool) -> Select[Any]:
-    """The statement for the newest promotion of each pair of a scope and an instant; to make it takes long."""
-    if is_postgresql:
-        sent = cast(bindparam("scopes"), ARRAY(Text)), cast(bindparam("instants"), ARRAY(BigInteger))
-        pairs: FromClause = func.unnest(*sent).table_valued("scope", "instant").render_derived()
-    else:
-        each = func.json_each(bindparam("pairs")).table_valued("value")
-        names = enumerate(("scope", "instant"))
-        pairs = select(*(func.json_extract(each.c.value, f"$[{k}]").label(name) for k, name in names)).subquery()
-    some = promotion.alias()
-    of_scope = select(some.c.id).where(some.c.scope == pairs.c.scope).correlate(pairs)
-    may_be_covered = and_(
-        of_scope.where(some.c.valid_from_us <= pairs.c.instant).exists(),
-        or_(
-            of_scope.where(some.c.valid_to_us > pairs.c.instant).exists(),
-            of_scope.where(some.c.valid_to_us.is_(None)).exists(),
-        ),
-    )
-    as_of = bindparam("as_of", type_=BigInteger) if is_pinned else None
-    newest = _newest(pairs.c.scope, pairs.c.instant, as_of, pairs, "id")
-    statement = select(promotion, pairs.c.instant).select_from(pairs).join(promotion, promotion.c.id == newest)
-    return statement.where(may_be_covered)
-
-
-def _newest(
-    scope: ColumnElement[str],
-    instant: ColumnElement[int],
-    as_of: Instant | ColumnElement[int] | None,
-    outer: FromClause,
-    column: str,
-) -> ScalarSelect[Any]:
-    """A column of the newest promotion of a scope that covers an instant, both columns of an outer query."""
-    inner = promotion.alias()
-    statement = select(inner.c[column]).where(
-        inner.c.scope == scope,
-        inner.c.valid_from_us <= instant,
-        or_(inner.c.valid_to_us.is_(None), inner.c.valid_to_us > instant),
-    )
-    if as_of is not None:
-        statement = statement.where(inner.c.at_us <= as_of)
-    return statement.order_by(inner.c.at_us.desc(), inner.c.id.desc()).limit(1).correlate(outer).scalar_subquery()
 
 
 def _value(row: Row[Any]) -> Promotion:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from sqlalchemy import Connection, Row, Select, func, select, update
+from sqlalchemy import BigInteger, Connection, Row, Select, bindparam, func, select, update
 
 from lbacal_core.grids import Floats
 from lbacal_core.spectra import Spectra
@@ -61,7 +61,7 @@ class SpectraStore:
     def load_after(self, window: Window, number: int, frequency_mhz: Floats, resistance_ohm: float) -> Spectra | None:
         """Everything a fit of a window uses of the events that came after one; None where there is nothing."""
         columns = [spectrum.c.path, spectrum.c.event, spectrum.c.time_us, spectrum.c.blocks, spectrum.c.power]
-        statement = _usable(select(*columns), window).where(event.c.id > number)
+        statement = _usable(select(*columns, event.c.event_id), window).where(event.c.id > number)
         rows = self._connection.execute(statement.order_by(spectrum.c.path, spectrum.c.event)).all()
         if not rows:
             return None
@@ -70,7 +70,8 @@ class SpectraStore:
         path_at = np.array([place[row.path] for row in rows])
         event_at, time_us, blocks = np.array([row[1:4] for row in rows], dtype=np.int64).T
         power = np.frombuffer(b"".join(row.power for row in rows), POWER).reshape(len(rows), -1)
-        return self._spectra(paths, path_at, event_at, time_us, blocks, power, frequency_mhz, resistance_ohm, {})
+        names = {row.event: row.event_id for row in rows}
+        return self._spectra(paths, path_at, event_at, time_us, blocks, power, names, frequency_mhz, resistance_ohm, {})
 
     def load(
         self, window: Window, frequency_mhz: Floats, resistance_ohm: float, *, with_covariates: bool = False
@@ -79,25 +80,27 @@ class SpectraStore:
 
         Rows go into arrays as they are read, one path at a time: what a fit needs is the arrays and little more.
         """
-        count, _ = self.content(window)
-        if count == 0:
-            return None
-        power = np.empty((count, frequency_mhz.size))
-        event_at, time_us, blocks, path_at = np.empty((4, count), dtype=np.int64)
-        paths, end = self._paths(window.scope), 0
+        paths = self._paths(window.scope)
+        most = len(paths) * int(self._connection.execute(_COUNT_OF_EVENTS, _bounds(window)).scalar_one())
+        power = np.empty((most, frequency_mhz.size))
+        event_at, time_us, blocks, path_at = np.empty((4, most), dtype=np.int64)
+        names: dict[int, str] = {}
+        end = 0
         for k, one in enumerate(paths):
-            columns = [spectrum.c.event, spectrum.c.time_us, spectrum.c.blocks, spectrum.c.power]
-            statement = _usable(select(*columns), window).where(spectrum.c.path == one.id)
-            rows = self._connection.execute(statement.order_by(spectrum.c.event)).all()
-            start, end = end, end + len(rows)
+            rows = self._connection.execute(_OF_A_PATH, {"path": one.id, **_bounds(window)}).all()
             if not rows:
                 continue
-            event_at[start:end], time_us[start:end], blocks[start:end] = np.array([row[:3] for row in rows]).T
-            power[start:end] = np.frombuffer(b"".join(row.power for row in rows), POWER).reshape(len(rows), -1)
+            start, end = end, end + len(rows)
+            event_at[start:end], time_us[start:end], blocks[start:end], powers, ids = zip(*rows, strict=True)
+            power[start:end] = np.frombuffer(b"".join(powers), POWER).reshape(len(rows), -1)
             path_at[start:end] = k
+            names.update(zip(event_at[start:end].tolist(), ids, strict=True))
+        if end == 0:
+            return None
+        path_at, event_at, time_us, blocks = (values[:end] for values in (path_at, event_at, time_us, blocks))
         covariates = self._covariates(event_at) if with_covariates else {}
         return self._spectra(
-            paths, path_at, event_at, time_us, blocks, power, frequency_mhz, resistance_ohm, covariates
+            paths, path_at, event_at, time_us, blocks, power[:end], names, frequency_mhz, resistance_ohm, covariates
         )
 
     def _spectra(
@@ -108,14 +111,17 @@ class SpectraStore:
         time_us: NDArray[np.int64],
         blocks: NDArray[np.int64],
         power: Floats,
+        names: Mapping[int, str],
         frequency_mhz: Floats,
         resistance_ohm: float,
         covariates: Mapping[str, Floats],
     ) -> Spectra:
+        """Rows, each with its place among paths and the number of its event, as spectra; `names` are of events."""
+        numbers, event_of = np.unique(event_at, return_inverse=True)
         return Spectra(
             frequency_mhz=frequency_mhz,
             power=power,
-            event_id=self._names(event_at),
+            event_id=np.array([names[number] for number in numbers.tolist()], dtype=np.str_)[event_of],
             time_unix=time_us / 1e6,
             station=np.array([one.station for one in paths], dtype=np.str_)[path_at],
             antenna=np.array([one.antenna for one in paths], dtype=np.int64)[path_at],
@@ -147,16 +153,6 @@ class SpectraStore:
         if scope.antenna is not None:
             statement = statement.where(path.c.antenna == scope.antenna, path.c.dipole == scope.dipole)
         return self._connection.execute(statement).all()
-
-    def _names(self, numbers: NDArray[np.int64]) -> NDArray[np.str_]:
-        """The names of events by their row numbers, shape (row,)."""
-        found, at = np.unique(numbers, return_inverse=True)
-        names: dict[int, str] = {}
-        for start in range(0, found.size, EVENTS_AT_ONCE):
-            some = found[start : start + EVENTS_AT_ONCE].tolist()
-            rows = self._connection.execute(select(event.c.id, event.c.event_id).where(event.c.id.in_(some)))
-            names |= {row.id: row.event_id for row in rows}
-        return np.array([names[number] for number in found.tolist()], dtype=np.str_)[at]
 
     def stations(self) -> list[str]:
         """Stations with spectra, in alphabetical order."""
@@ -275,6 +271,29 @@ def _usable(statement: Select[Any], window: Window) -> Select[Any]:
     if scope.antenna is not None:
         statement = statement.where(path.c.antenna == scope.antenna, path.c.dipole == scope.dipole)
     return statement
+
+
+def _bounds(window: Window) -> dict[str, Instant]:
+    """The window, and the one in which its events lie."""
+    near = {"near_since": window.since - EVENT_SPAN_US, "near_until": window.until + EVENT_SPAN_US}
+    return {"since": window.since, "until": window.until, **near}
+
+
+_OF_USABLE_EVENTS = (
+    event.c.flag.is_(None),
+    event.c.time_us >= bindparam("near_since", type_=BigInteger),
+    event.c.time_us < bindparam("near_until", type_=BigInteger),
+)
+_COUNT_OF_EVENTS = select(func.count()).select_from(event).where(*_OF_USABLE_EVENTS)
+"""How many spectra a path of a window may have."""
+_OF_A_PATH = (
+    select(spectrum.c.event, spectrum.c.time_us, spectrum.c.blocks, spectrum.c.power, event.c.event_id)
+    .join(event, event.c.id == spectrum.c.event)
+    .where(spectrum.c.path == bindparam("path", type_=BigInteger), *_OF_USABLE_EVENTS)
+    .where(spectrum.c.time_us >= bindparam("since", type_=BigInteger))
+    .where(spectrum.c.time_us < bindparam("until", type_=BigInteger))
+    .order_by(spectrum.c.event)
+)
 
 
 def _joined(statement: Select[Any]) -> Select[Any]:

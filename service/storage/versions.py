@@ -52,6 +52,8 @@ class Version:
     gate: str | None = None
     chains: Mapping[str, ReferenceChain] = field(default_factory=dict)
     anomalies: Anomalies = NONE
+    stored_sha256: str | None = field(default=None, compare=False)
+    """Hash of the curves when they were stored; None where they are not stored yet."""
 
     @property
     def id(self) -> str:
@@ -79,8 +81,8 @@ class Version:
 
     @property
     def payload_sha256(self) -> str:
-        """What clients verify."""
-        return hash_content(self.payload)
+        """What clients verify: of stored curves the hash of then, which tells whether they are what they were."""
+        return self.stored_sha256 or hash_content(self.payload)
 
     @property
     def status(self) -> str:
@@ -101,6 +103,12 @@ class Version:
     def curve_of(self, dipole: str) -> CalibrationCurve:
         """The curve that serves a dipole."""
         return next(curve for curve in self.curves if curve.dipole in (dipole, None))
+
+    def cable_of(self, path: Scope, instant: Instant) -> str | None:
+        """Name of the cable of a path at an instant, as the version's own chain knows it."""
+        chain = self.chains.get(str(path.dipole))
+        seconds = instant / MICROSECONDS
+        return None if chain is None else chain.cables.cable_of(str(path.station), int(str(path.antenna)), seconds)
 
     def tell(self, path: Scope, instant: Instant) -> ToldCurve:
         """The curve as a path is told it, through the cable that the path has at an instant."""
@@ -265,6 +273,7 @@ def _value(row: Row[Any], chains: Mapping[str, ReferenceChain]) -> Version:
         gate=row.gate,
         chains=chains,
         anomalies=NONE if row.anomalies is None else parse_anomalies(json.loads(row.anomalies)),
+        stored_sha256=row.payload_sha256,
     )
 
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 from lbacal_core.calibration.own_cable import ToldCurve, tell_reference
@@ -17,37 +17,75 @@ from service.storage.database import Database
 from service.storage.examined import Examined
 from service.storage.ledger import Neighbours
 from service.storage.versions import MICROSECONDS, Version
+from service.usecases.remembered import Remembered
 from service.wire.instants import format_instant
 
 PROMOTIONS_SHOWN = 100
+VERSIONS_REMEMBERED = 1200
+"""Versions, and curves as texts, that stay in memory: those of all paths of the Superterp in two years, 40 MB."""
+BUDGETS_REMEMBERED = 100
 
 
 @dataclass(frozen=True)
 class CurveInEffect:
     """The curve that answers for a path, by which promotion, and the promotions of the scopes on the way.
 
-    `told` is the curve through the path's own cable; `chain` the reference chain where it is not the path's own curve.
-    `is_held`: nothing is in effect, and the nearest version in time answers instead.
+    Two are equal where they tell the same: the version never changes, and of the instant asked for only the path's
+    cable matters.
+
+    Attributes
+    ----------
+    path, dipole
+        Who was asked for; with the reference chain of the array, whose path has no dipole, that of the curve.
+    is_held
+        Nothing is in effect, and the nearest version in time answers instead.
+    cable
+        The path's cable at the instant; None where that is not known, and then the instant is told as `without_cable`.
     """
 
-    told: ToldCurve
-    chain: ReferenceChain | None
+    path: Scope
+    dipole: str | None
     promotion: Promotion
     is_held: bool
-    trace: Sequence[Promotion]
+    trace: tuple[Promotion, ...]
+    cable: str | None
+    without_cable: Instant | None
+    version: Version = field(compare=False, repr=False)
+    at: Instant = field(compare=False)
+
+    @property
+    def told(self) -> ToldCurve:
+        """The curve through the path's own cable; that of a reference chain as it is."""
+        if self.path.antenna is None:
+            return tell_reference(self.version.curve_of(str(self.dipole)))
+        return self.version.tell(self.path, self.at)
+
+    @property
+    def chain(self) -> ReferenceChain | None:
+        """The reference chain where it is not the path's own curve."""
+        is_own = self.version.scope.antenna is not None
+        return None if is_own else self.version.chains.get(str(self.dipole))
+
+
+@dataclass(frozen=True)
+class WrittenCurve:
+    """A curve in effect as the text of an answer, and the budget that it names."""
+
+    text: bytes
+    budget: str | None
 
 
 @dataclass(frozen=True)
 class InEffect:
     """The answer for some paths at an instant; `missing` are those for which nothing is in effect.
 
-    `budgets` are those that the curves name, by their hash, as JSON values.
+    `budgets` are those of their versions by their hash, as JSON texts.
     """
 
     at: Instant
     curves: Sequence[CurveInEffect]
     missing: Sequence[Scope]
-    budgets: Mapping[str, Any]
+    budgets: Mapping[str, str]
 
 
 def select_paths(instrument: Instrument, station: str | None, antenna: int | None, dipole: str | None) -> list[Scope]:
@@ -56,11 +94,11 @@ def select_paths(instrument: Instrument, station: str | None, antenna: int | Non
         raise BadInputError("antenna", "a station beside it", f"antenna {antenna} alone")
     if dipole not in (None, *instrument.dipoles):
         raise BadInputError("dipole", f"one of {', '.join(instrument.dipoles)}", repr(dipole))
-    known = sorted({(record.station, record.antenna) for record in instrument.antennas})
-    stations = sorted({name for name, _ in known})
-    if station not in (None, *stations):
+    of_station = [record for record in instrument.antennas if station in (None, record.station)]
+    if not of_station:
+        stations = sorted({record.station for record in instrument.antennas})
         raise BadInputError("station", f"one of {', '.join(stations)}", repr(station))
-    chosen = [(s, a) for s, a in known if station in (None, s) and antenna in (None, a)]
+    chosen = sorted({(r.station, r.antenna) for r in of_station if antenna in (None, r.antenna)})
     if not chosen:
         raise BadInputError("antenna", f"an antenna of {station}", str(antenna))
     return [Scope(s, a, d) for s, a in chosen for d in instrument.dipoles if dipole in (None, d)]
@@ -85,6 +123,9 @@ class Calibrations:
     database: Database
     instrument: Instrument
     clock: Callable[[], Instant]
+    versions: Remembered[str, Version] = field(default_factory=lambda: Remembered(VERSIONS_REMEMBERED))
+    budgets: Remembered[str, str] = field(default_factory=lambda: Remembered(BUDGETS_REMEMBERED))
+    written: Remembered[CurveInEffect, WrittenCurve] = field(default_factory=lambda: Remembered(VERSIONS_REMEMBERED))
 
     def in_effect(
         self, at: Instant, paths: Sequence[Scope], as_of: Instant | None = None, *, hold: bool = False
@@ -103,15 +144,27 @@ class Calibrations:
                 if not decisive and not held:
                     raise NotInEffectError(_explain_gap(missing, found[missing[0]], at))
             answers = decisive | held
-            versions = stores.versions.get_many(str(promotion.calibration) for promotion in answers.values())
-            budgets = stores.budgets.get_many(name for version in versions.values() for name in version.budgets)
+            names = (str(promotion.calibration) for promotion in answers.values())
+            versions = self.versions.get_many(names, stores.versions.get_many)
+            named = (name for version in versions.values() for name in version.budgets)
+            budgets = self.budgets.get_many(named, stores.budgets.get_texts)
         curves = [
-            CurveInEffect(told, chain, answers[path], path in held, asked[path])
+            curve
             for path in paths
-            if path in answers
-            for told, chain in _tell(versions[str(answers[path].calibration)], path, at)
+            if (promotion := answers.get(path)) is not None
+            for curve in _list_curves(
+                versions[str(promotion.calibration)], path, at, promotion, tuple(asked[path]), is_held=path in held
+            )
         ]
         return InEffect(at, curves, [path for path in paths if path not in answers], budgets)
+
+    def write(
+        self, curves: Iterable[CurveInEffect], write: Callable[[CurveInEffect], WrittenCurve]
+    ) -> list[WrittenCurve]:
+        """Curves as texts; what was written once is not written again."""
+        wanted = list(curves)
+        texts = self.written.get_many(wanted, lambda missing: {curve: write(curve) for curve in missing})
+        return [texts[curve] for curve in wanted]
 
     def edges(self, as_of: Instant) -> dict[str | None, list[Instant]]:
         """The instants between which every answer about a station (None: the array) is the same, in order."""
@@ -154,12 +207,17 @@ class Calibrations:
             return stores.versions.search(scope, status, cursor, limit)
 
 
-def _tell(version: Version, asked: Scope, at: Instant) -> list[tuple[ToldCurve, ReferenceChain | None]]:
-    """What a path is told; and of an array that was asked for by itself, its reference chains as they are."""
+def _list_curves(
+    version: Version, asked: Scope, at: Instant, promotion: Promotion, trace: tuple[Promotion, ...], *, is_held: bool
+) -> Iterator[CurveInEffect]:
+    """The curve that a path is told; of an array that was asked for by itself, those of its reference chains."""
     if asked.antenna is None:
-        return [(tell_reference(curve), version.chains.get(str(curve.dipole))) for curve in version.curves]
-    is_own = version.scope.antenna is not None
-    return [(version.tell(asked, at), None if is_own else version.chains.get(str(asked.dipole)))]
+        for curve in version.curves:
+            yield CurveInEffect(asked, curve.dipole, promotion, is_held, trace, None, None, version, at)
+        return
+    cable = version.cable_of(asked, at)
+    unknown = at if cable is None and str(asked.dipole) in version.chains else None
+    yield CurveInEffect(asked, asked.dipole, promotion, is_held, trace, cable, unknown, version, at)
 
 
 def _nearest(neighbours: Neighbours, at: Instant) -> Promotion | None:

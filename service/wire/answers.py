@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from lbacal_core.calibration.own_cable import ToldCurve
@@ -83,14 +83,33 @@ def describe_in_effect(
     at: Instant,
     as_of: str | None,
     curves: list[dict[str, Any]],
-    missing: list[Scope],
-    budgets: Mapping[str, Any],
+    missing: Sequence[Scope],
+    budgets: Mapping[str, str],
 ) -> dict[str, Any]:
-    """The answer to "in effect at"; `missing` names paths for which nothing is in effect."""
+    """The answer to "in effect at"; `missing` names paths for which nothing is in effect.
+
+    `budgets` holds the JSON texts of those that curves may name.
+    """
     return {
-        "at": format_instant(at),
-        "as_of": as_of,
+        **_describe_question(at, as_of),
         "curves": curves,
-        "budgets": {name: budgets[name] for name in name_budgets(curves) if name in budgets},
+        "budgets": {name: json.loads(budgets[name]) for name in name_budgets(curves) if name in budgets},
         "missing": [describe_scope(path) for path in missing],
     }
+
+
+def write_in_effect(
+    at: Instant, as_of: str | None, curves: Iterable[bytes], missing: Sequence[Scope], budgets: Mapping[str, str]
+) -> bytes:
+    """The same as JSON, from curves as texts; `budgets` are those that they name."""
+    described = ",".join(f"{json.dumps(name)}:{budgets[name]}" for name in sorted(budgets)).encode()
+    return b'%b,"curves":[%b],"budgets":{%b},"missing":%b}' % (
+        to_json(_describe_question(at, as_of))[:-1],
+        b",".join(curves),
+        described,
+        to_json([describe_scope(path) for path in missing]),
+    )
+
+
+def _describe_question(at: Instant, as_of: str | None) -> dict[str, Any]:
+    return {"at": format_instant(at), "as_of": as_of}

@@ -29,6 +29,7 @@ from lbacal_core.validity import Scope
 from service.app import make_app
 from service.config import Settings
 from service.factory import Factory
+from service.wire.answers import to_json
 from service.wire.instants import format_instant
 from service.worker import Worker
 
@@ -299,3 +300,24 @@ def test_what_a_mean_is_of_is_stored_with_it_and_shared_parts_once(service: Fact
     assert len({chain.cables.digest for chain in chains}) == 1
     assert all(chain.spreads is not None and set(chain.spreads.by_cable) == {"80", "115"} for chain in chains)
     assert Scope("CS002") in {version.scope for version in versions}
+
+
+def test_what_is_answered_from_memory_is_what_was_told_first_in_all_cables_and_as_of_any_instant(
+    http: TestClient, service: Factory
+) -> None:
+    """The text of a curve is kept, and told again where path, cable, promotion and question are the same."""
+    questions: list[dict[str, str]] = [
+        {"at": AT}, {"at": "2014-09-01"}, {"at": AT, "station": "CS002", "antenna": "3", "dipole": "Y"},
+        {"at": AT, "scope": "array"}, {"at": AT, "scope": "array", "dipole": "X"}, {"at": "2030-01-01", "gap": "hold"},
+    ]  # fmt: skip
+    for _ in range(2):
+        for question in questions:
+            fresh = Factory(service.settings, service.clock)
+            first = TestClient(make_app(fresh)).get("/v1/calibrations/effective", params=question)
+            fresh.database.close()
+            found = http.get("/v1/calibrations/effective", params=question)
+            assert (found.status_code, found.content) == (200, first.content)
+            body = found.json()
+            assert found.content == to_json(body), "the same bytes as those of the object"
+            named = {curve["covariance"]["systematic"]["budget"] for curve in body["curves"] if "covariance" in curve}
+            assert set(body["budgets"]) == named - {None}
