@@ -19,6 +19,8 @@ from lbacal_core.grids import Floats
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+PAPER_TOTAL = 0.13
+"""Table 1 of Mulrey et al. 2019, below 77 MHz."""
 SHOWN = 6
 """Frequencies of the table, from the lowest channel to the highest."""
 
@@ -87,9 +89,23 @@ def tabulate(frequency_mhz: Floats, terms: list[BudgetTerm]) -> list[str]:
     for name, variance in [*rows, ("total", total)]:
         cells = ["/".join(f"{100 * np.sqrt(v[k]):.1f}" for v in variance.values()) for k in at]
         lines.append(" ".join([f"{name:{width}}", *(f"{cell:>11}" for cell in cells)]))
+    lines.append(describe_best(frequency_mhz, terms))
     if any(term.is_of_gain for term in terms):
         lines.append("C/|H| has no error of the antenna gain.")
     return lines
+
+
+def describe_best(frequency_mhz: Floats, terms: list[BudgetTerm]) -> str:
+    """Where C is known best, beside the paper's total, and the term that keeps it from being known better."""
+    variance = np.array([[term.variance(p) for p in term.vectors] for term in terms])
+    at = int(np.argmin(variance.sum(axis=(0, 1))))
+    here = variance[:, :, at]
+    largest = int(np.argmax(here.sum(axis=1)))
+    total, rest = ("/".join(f"{100 * np.sqrt(v):.1f}" for v in here.sum(axis=0) - w) for w in (0.0, here[largest]))
+    return (
+        f"C is known best at {frequency_mhz[at]:g} MHz, to {total} % (the paper: {PAPER_TOTAL:.0%}); the largest term "
+        f"there is {terms[largest].name}, without which {rest} % would be left."
+    )
 
 
 def draw_budget(shared: Budget, terms: list[BudgetTerm]) -> Figure:

@@ -26,7 +26,11 @@ def test_the_table_has_a_line_a_term_and_their_sum_in_quadrature():
     assert "30 MHz" in lines[0]
     assert lines[1].split() == ["sky", "11.0/11.0", "11.0/11.0", "11.0/11.0"]
     assert lines[3].split() == ["total", "11.4/11.4", "11.0/11.0", "11.7/11.7"]
-    assert lines[4] == "C/|H| has no error of the antenna gain."
+    assert lines[4] == (
+        "C is known best at 55 MHz, to 11.0/11.0 % (the paper: 13%); the largest term there is sky, "
+        "without which 0.0/0.0 % would be left."
+    )
+    assert lines[5] == "C/|H| has no error of the antenna gain."
 
 
 def test_the_figure_stacks_every_term_below_the_total():
