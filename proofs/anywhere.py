@@ -2,12 +2,14 @@
 
 One to three arms, 8-200 uneven channels between 10 and 400 MHz, any latitude at which a sky sets; a flat or a shaped
 receiver, or a list of stages with a ground, an amplifier at the antenna whose noise is known or free, a filter and an
-amplifier behind the cable. The same P_sky is simulated and fitted with: what is tested is the chain.
+amplifier behind the cable. The same P_sky is simulated and fitted with: what is tested is the chain, in the part
+`chains`, and what an investigation says of it, in the part `investigations`, with a step of one antenna's gain, a clock
+that is off, or nothing planted.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -17,18 +19,22 @@ from lbacal_core.antenna_gain import GainProvenance
 from lbacal_core.antenna_records import AntennaRecord
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.curves import CONVERGED, CalibrationCurve
+from lbacal_core.discovery.investigate import investigate
 from lbacal_core.instrument import Instrument
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.stages import Stage, gain_behind
 from lbacal_core.twin.campaign import simulate_campaign
+from lbacal_core.twin.faults.antenna import GainStep
+from lbacal_core.twin.faults.fault import Fault, Where
+from lbacal_core.twin.faults.sky import LstOffset
 from lbacal_core.twin.settings import TwinSettings
 from lbacal_core.twin.truth import Truth
 from proofs.machinery.claims import Claim, at_least, at_most, claim_exact, claim_mean, claim_rate
 from proofs.machinery.parts import Part, Row
 
 SETTINGS = TwinSettings(events_per_year=250)
-ANSWERED, WITHIN_2 = 0.8, 0.9
-"""Asked: curves that have an answer, and truths within two standard deviations (95 % of normal ones)."""
+ANSWERED, WITHIN_2, FALSE = 0.8, 0.9, 0.01
+"""Asked: curves that have an answer, truths within two standard deviations (95 % of normal ones), and false names."""
 MATCHED_M2 = 4800.0
 """G_ant of an antenna that receives T behind a sky of T, m^2 MHz^2: 0.053 lambda^2 into 50 ohm."""
 
@@ -80,6 +86,56 @@ def _with_stages(plain: Instrument, shaped: np.ndarray, rng: np.random.Generator
     )
 
 
+ANTENNAS, MOST_CHANNELS, STEP, DATE, LATE_H = 4, 40, 0.1, "2014-07-01", 0.5
+"""Antennas, of which one has a step; channels at most; size and date of the step, and by how much a clock is off."""
+PLANTED = ("nothing", "gain_step", "nothing", "lst_offset")
+
+
+def draw_faulty(rng: np.random.Generator, kind: str) -> tuple[Instrument, list[Fault]]:
+    """A drawn instrument of four antennas and at most 40 channels, and what is wrong with one of them or with all."""
+    drawn = draw_instrument(rng)
+    while drawn.frequency_mhz.size > MOST_CHANNELS:
+        drawn = draw_instrument(rng)
+    instrument = replace(drawn, antennas=tuple(AntennaRecord("S1", number, "long") for number in range(ANTENNAS)))
+    faults: dict[str, Fault] = {
+        "gain_step": GainStep(size=STEP, where=Where(antennas=(int(rng.integers(ANTENNAS)),)), date=DATE),
+        "lst_offset": LstOffset(size=LATE_H),
+    }
+    return instrument, [faults[kind]] if kind in faults else []
+
+
+def investigate_drawn(seed: int) -> Row:
+    """A drawn instrument with something planted, or nothing, and what an investigation says of it."""
+    rng = np.random.default_rng([18, seed])
+    kind = PLANTED[seed % len(PLANTED)]
+    instrument, faults = draw_faulty(rng, kind)
+    sky = compute_sky_power(instrument)
+    spectra = simulate_campaign(SETTINGS, instrument, sky, rng, faults).spectra
+    report, _ = investigate(spectra, instrument, sky)
+    findings = report["findings"]
+    hits = [one for one in findings if kind in (one["cause"], *one["indistinguishable"]) and _is_there(one, faults)]
+    sizes = [one["size"] for one in hits if one["cause"] == kind]
+    curves = fit_calibration(spectra, instrument, sky, "station").curves
+    return {
+        "kind": kind,
+        "arms": len(instrument.dipoles),
+        "channels": instrument.frequency_mhz.size,
+        "chain": _chain_of(instrument),
+        "merged": any(curve.merged is not None for curve in curves),
+        "verdict": report["verdict"],
+        "said": [f"{one['cause']} {one['size']['value']:.3g}" for one in findings],
+        "named": bool(hits),
+        "others": len(findings) - len(hits) + (report["unexplained"] is not None),
+        "pulls": [round((abs(size["value"]) - faults[0].size) / size["sigma"], 3) for size in sizes[:1]],
+    }
+
+
+def _is_there(finding: Mapping[str, Any], faults: Sequence[Fault]) -> bool:
+    """Whether a finding names the antennas of a fault, where it is one of single antennas."""
+    antennas = [number for fault in faults for number in fault.where.antennas]
+    return not antennas or finding["where"]["antennas"] == antennas
+
+
 def calibrate_drawn(seed: int) -> Row:
     """A drawn instrument, a year of it, and how far its curves and noise constants are from the truth."""
     rng = np.random.default_rng([17, seed])
@@ -91,13 +147,17 @@ def calibrate_drawn(seed: int) -> Row:
     return {
         "arms": len(instrument.dipoles),
         "channels": instrument.frequency_mhz.size,
-        "chain": "stages" if instrument.stages else "flat" if np.ptp(instrument.receiver_gain) == 0 else "shaped",
+        "chain": _chain_of(instrument),
         "curves": len(curves),
         "statuses": [curve.status for curve in curves],
         "pulls": [round(_pull_of(curve, campaign.truth), 3) for curve in found],
         "constants": [round(pull, 3) for curve in found for pull in _pulls_of_constants(curve, campaign.truth)],
         "merged": sum(curve.merged is not None for curve in found),
     }
+
+
+def _chain_of(instrument: Instrument) -> str:
+    return "stages" if instrument.stages else "flat" if np.ptp(instrument.receiver_gain) == 0 else "shaped"
 
 
 def _pull_of(curve: CalibrationCurve, truth: Truth) -> float:
@@ -152,4 +212,43 @@ def tell(rows: Sequence[Row]) -> list[str]:
     return lines
 
 
-PARTS = (Part("chains", calibrate_drawn, judge, 60, tell, ("stages_pulls",)),)
+def judge_investigations(rows: Sequence[Row]) -> list[Claim]:
+    """What is planted is named with its size, and nothing else is."""
+    clean = [row for row in rows if row["kind"] == "nothing"]
+    claims = [
+        claim_rate(
+            "false", "Drawn instruments with nothing hidden of which something is said",
+            at_most(FALSE), sum(row["others"] > 0 for row in clean), len(clean),
+        ),
+    ]  # fmt: skip
+    for kind, what in (
+        ("gain_step", f"A gain step of {STEP:.0%} in one antenna"),
+        ("lst_offset", f"A clock {LATE_H:g} h off"),
+    ):
+        of_kind = [row for row in rows if row["kind"] == kind]
+        named = sum(row["named"] for row in of_kind)
+        claims.append(claim_rate(f"{kind}_named", f"{what}: named", at_least(WITHIN_2), named, len(of_kind)))
+        for is_merged, words in ((False, "noise told apart"), (True, "noise in front merged with that behind")):
+            pulls = [pull for row in of_kind for pull in row["pulls"] if row["merged"] is is_merged]
+            text = f"{what}, {words}: size within two standard deviations"
+            key = f"{kind}_{'merged' if is_merged else 'size'}"
+            if pulls:
+                claims.append(claim_rate(key, text, at_least(WITHIN_2), int(np.sum(np.abs(pulls) < 2.0)), len(pulls)))
+    return claims
+
+
+def tell_investigations(rows: Sequence[Row]) -> list[str]:
+    """By what is planted and kind of chain."""
+    lines = ["| planted | chain | instruments | named | something else said |", "|---|---|---|---|---|"]
+    for kind in dict.fromkeys(PLANTED):
+        for chain in ("flat", "shaped", "stages"):
+            here = [row for row in rows if (row["kind"], row["chain"]) == (kind, chain)]
+            counts = f"{len(here)} | {sum(row['named'] for row in here)} | {sum(row['others'] > 0 for row in here)}"
+            lines.append(f"| {kind} | {chain} | {counts} |")
+    return lines
+
+
+PARTS = (
+    Part("chains", calibrate_drawn, judge, 60, tell, ("stages_pulls",)),
+    Part("investigations", investigate_drawn, judge_investigations, 200, tell_investigations, ("gain_step_size",)),
+)

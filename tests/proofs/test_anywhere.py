@@ -5,7 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from proofs.anywhere import calibrate_drawn, judge, tell
+from proofs.anywhere import (
+    calibrate_drawn,
+    investigate_drawn,
+    judge,
+    judge_investigations,
+    tell,
+    tell_investigations,
+)
 from proofs.machinery.parts import Row
 
 
@@ -42,3 +49,15 @@ def test_the_judgement_refutes_errors_that_are_too_small(rows: list[Row]) -> Non
     boasting = [{**row, "pulls": [5.0 for _ in row["pulls"]], "merged": 0} for row in rows]
     verdicts = {claim.key: claim.verdict for claim in judge(boasting)}
     assert {key for key, verdict in verdicts.items() if verdict == "refuted"} >= {"stages_pulls", "flat_merged"}
+
+
+def test_an_investigation_names_what_is_planted_with_its_size_and_nothing_where_nothing_is() -> None:
+    rows = [investigate_drawn(seed) for seed in (600002, 600003, 600004, 600005)]
+    assert [row["kind"] for row in rows] == ["nothing", "lst_offset", "nothing", "gain_step"]
+    assert [row["named"] for row in rows] == [False, True, False, True]
+    assert [row["others"] for row in rows] == [0, 0, 0, 0]
+    assert all(abs(pull) < 3.0 for row in rows for pull in row["pulls"])
+    assert len(tell_investigations(rows)) == 2 + 9
+    boasting = [{**row, "named": False, "others": 1, "pulls": []} for row in rows * 10]
+    verdicts = {claim.key: claim.verdict for claim in judge_investigations(boasting)}
+    assert verdicts == dict.fromkeys(("false", "gain_step_named", "lst_offset_named"), "refuted")
