@@ -50,9 +50,8 @@ def write_uvcal(content: Mapping[str, Any], instrument: Instrument, path: Path, 
         c, sigma = _values(curve["c"]), _sigma(curve)
         at = (antennas.index(curve["antenna"]), np.flatnonzero(np.isfinite(c)), 0, letters.index(curve["dipole"]))
         gain[at], quality[at], is_flagged[at] = c[at[1]], (sigma / c)[at[1]], False
-    place = EarthLocation(
-        lat=instrument.latitude_deg * u.deg, lon=instrument.longitude_deg * u.deg, height=instrument.height_m * u.m
-    )
+    there = instrument.at_station(name)
+    place = EarthLocation(lat=there.latitude_deg * u.deg, lon=there.longitude_deg * u.deg, height=there.height_m * u.m)
     arms = np.radians([instrument.dipole_azimuth_deg[letter] for letter in letters])
     telescope = Telescope.new(
         name=instrument.name,

@@ -40,7 +40,7 @@ def describe_made_with(instrument: Instrument, models: Mapping[str, Any] | None)
         `MadeFor.as_dict` of the sky power; None where it says nothing.
     """
     whole = instrument.as_dict()
-    kept = ("name", "latitude_deg", "longitude_deg", "height_m", "dipoles")
-    described = {name: whole[name] for name in kept} | {"sha256": instrument.digest()}
+    kept = ("name", "latitude_deg", "longitude_deg", "height_m", "dipoles", "sites")
+    described = {name: whole[name] for name in kept if name in whole} | {"sha256": instrument.digest()}
     named = {name: value for name, value in (models or {}).items() if name in ("sky", "antenna", "hashes")}
     return {"instrument": described, **({"models": named} if named else {})}

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import pytest
 from lbacal.exports import read_station_table, write_station_table, write_uvcal
 from lbacal_core.errors import BadInputError
 from lbacal_core.instrument import load_instrument
+from lbacal_core.site import Site
 
 
 @pytest.mark.parametrize("ending", [".calfits", ".calh5"])
@@ -19,8 +21,10 @@ def test_pyuvdata_reads_back_c_errors_flags_arms_and_validity(
 ) -> None:
     pyuvdata = pytest.importorskip("pyuvdata")
     path = tmp_path / f"c{ending}"
-    write_uvcal(calibrations, load_instrument("lofar-superterp"), path)
+    instrument = replace(load_instrument("lofar-superterp"), sites={"CS002": Site(53.0, 7.0, 10.0)})
+    write_uvcal(calibrations, instrument, path)
     found = pyuvdata.UVCal.from_file(path)
+    np.testing.assert_allclose(found.telescope.location.lon.deg, 7.0)
     assert (found.gain_convention, found.gain_scale, found.cal_type) == ("multiply", "V^2", "gain")
     np.testing.assert_allclose(found.freq_array, 1e6 * np.arange(30.0, 81.0))
     # the two arms that the file says: pyuvdata calls the azimuth of the arm its angle

@@ -29,4 +29,5 @@ def test_a_head_says_where_the_antennas_stand_how_their_arms_point_and_which_mod
     assert made["instrument"]["dipoles"] == {"X": {"azimuth_deg": 45.0}, "Y": {"azimuth_deg": 135.0}}
     assert made["instrument"]["sha256"] == instrument.digest()
     assert made["models"] == {"sky": "gsm", "antenna": "hamaker"}
+    assert "sites" not in made["instrument"]
     assert "models" not in describe_made_with(instrument, None)
