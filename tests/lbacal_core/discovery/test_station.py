@@ -83,3 +83,17 @@ def test_one_unknown_temperature_costs_one_event(world):
     assert finding.score.events == same.score.events - 8
     assert abs(finding.hypothesis.size - same.hypothesis.size) < same.hypothesis.sigma
     assert report.structure is None
+
+
+def test_a_dipole_hears_the_sun_best_across_its_arms(station, chain):
+    """By azimuths of Sun and arms alone: with the wrong sign of one, morning and afternoon are exchanged."""
+    conditions = station.conditions
+    arms = np.radians([chain.dipole_azimuth_deg[letter] for letter in ("X", "Y")])
+    across = np.abs(np.sin(conditions.sun_azimuth - arms[:, None]))
+    is_up = (conditions.sun_altitude > 0.2) & (conditions.sun_altitude < 0.8)
+    x, y = (conditions.sun_response[conditions.dipoles.index(letter)] for letter in ("X", "Y"))
+    better, worse = (is_up & (sign * (across[0] - across[1]) > 0.3) for sign in (1, -1))
+    assert min(better.sum(), worse.sum()) > 10
+    assert np.all(x[better] > y[better])
+    assert np.all(x[worse] < y[worse])
+    assert np.all(conditions.sun_response[:, conditions.sun_altitude < 0] == 0.0)
