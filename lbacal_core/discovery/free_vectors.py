@@ -1,8 +1,8 @@
 """The vectors N that a fit leaves free and the inverse covariance W of the noise, event by event.
 
 An event has independent noise in each channel, and a covariance along a few vectors that its channels share: W of an
-event is a number plus a matrix of low rank. The slopes ln A(nu) in N act in one channel each, the waves along LST are few
-spectra with many profiles in time, and the rest is given event by event.
+event is a number plus a matrix of low rank. The slopes ln A(nu) in N act in one channel each, the waves along LST are
+few spectra with many profiles in time, and the rest is given event by event.
 """
 
 from __future__ import annotations
