@@ -62,7 +62,10 @@ from service.worker import Worker
 
 STATION = Scope("CS002")
 SETTINGS = TwinSettings(stations=("CS002",), antennas=4, events_per_year=300, years=3.0)
-SERVICE: dict[str, Any] = {"nightly_investigations": False, "gate_error": 0.5, "log_level": "error"}
+SERVICE: dict[str, Any] = {
+    "nightly_investigations": False, "cut_windows": False, "gate_error": 0.5, "log_level": "error",
+}  # fmt: skip
+"""The causes alone are to explain what changed: `tests/service/usecases/test_watch.py` cuts windows."""
 FAULTS: dict[str, Fault] = {
     "ionospheric_absorption": IonosphericAbsorption(size=0.7),
     "lst_offset": LstOffset(size=0.7),

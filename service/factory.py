@@ -149,7 +149,7 @@ class Factory:
     @cached_property
     def watch(self) -> Watch:
         """What changed."""
-        return Watch(self.database, self.instrument, self.clock)
+        return Watch(self.database, self.instrument, self.settings.cut_windows, self.clock)
 
     @cached_property
     def alarms(self) -> Alarms:

@@ -1,4 +1,4 @@
-"""Windows follow the hardware: where the instrument says that antennas changed inside one, it is cut.
+"""Windows follow the hardware: where antennas changed inside one, as the instrument says or the drift found, it is cut.
 
 A path whose antenna changed is fitted before and after by itself. A mean over antennas leaves out those that changed
 inside its window, unless they are most of them: then it is cut at their dates too.
@@ -6,7 +6,7 @@ inside its window, unless they are most of them: then it is cut at their dates t
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -20,6 +20,9 @@ LARGEST_SHARE_LEFT_OUT = 0.5
 
 Owner = tuple[str, int]
 """Station and antenna."""
+Cuts = Mapping[Owner, Sequence[float]]
+"""When antennas changed, s UTC, that the instrument does not know of."""
+NO_CUTS: Cuts = {}
 
 
 @dataclass(frozen=True)
@@ -42,7 +45,7 @@ def find_hardware_changes(instrument: Instrument) -> dict[Owner, tuple[float, ..
 
 
 def cut_window(
-    spectra: Spectra, instrument: Instrument, scope: str, since_unix: float, until_unix: float
+    spectra: Spectra, instrument: Instrument, scope: str, since_unix: float, until_unix: float, cuts: Cuts = NO_CUTS
 ) -> list[Piece]:
     """Cut the window of a fit; pieces without spectra are left out.
 
@@ -50,11 +53,14 @@ def cut_window(
     ----------
     scope
         ``antenna``, ``station`` or ``array``.
+    cuts
+        Beside what the instrument says; an antenna of which it names a change in the window keeps to these.
     """
-    inside = {
-        owner: tuple(date for date in dates if since_unix < date < until_unix)
-        for owner, dates in find_hardware_changes(instrument).items()
-    }
+    inside = {owner: tuple(d for d in sorted(dates) if since_unix < d < until_unix) for owner, dates in cuts.items()}
+    for owner, dates in find_hardware_changes(instrument).items():
+        known = tuple(date for date in dates if since_unix < date < until_unix)
+        if known:
+            inside[owner] = known
     owners = _owners(spectra)
     changed = {owner: inside[owner] for owner in sorted(set(owners)) if inside.get(owner)}
     if not changed:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from sqlalchemy import BigInteger, Column, Float, ForeignKey, Integer, LargeBinary, Table, Text
 
-from service.schema.tables import metadata
+from service.schema.tables import BigNumber, metadata
 
 monthly_ratio = Table(
     "monthly_ratio",
@@ -41,6 +41,18 @@ event_modes = Table(
     Column("time_us", LargeBinary, nullable=False, comment="little-endian i8, one an event"),
     Column("ln_c", LargeBinary, nullable=False, comment="little-endian f4 (antenna, event, mode)"),
     Column("sha256", Text, nullable=False),
+)
+
+window_cut = Table(
+    "window_cut",
+    metadata,
+    Column("id", BigNumber, primary_key=True),
+    Column("station", Text, nullable=False),
+    Column("antenna", Integer, nullable=False),
+    Column("date_us", BigInteger, nullable=False, comment="when the antenna changed, as the watch found it first"),
+    Column("sigma_us", BigInteger, nullable=False, comment="standard deviation of the date"),
+    Column("made_us", BigInteger, nullable=False),
+    Column("lifted_us", BigInteger, comment="when the watch no longer found the change; null while it stands"),
 )
 
 drift_report = Table(

@@ -16,6 +16,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from service.errors import UnavailableError
 from service.storage.alarms import AlarmStore
 from service.storage.budgets import BudgetStore
+from service.storage.cuts import CutStore
 from service.storage.deeds import DeedStore
 from service.storage.drift import DriftStore
 from service.storage.examined import ExaminedStore
@@ -118,6 +119,11 @@ class Stores:
     def drift(self) -> DriftStore:
         """Monthly ratios of C."""
         return DriftStore(self._connection)
+
+    @cached_property
+    def cuts(self) -> CutStore:
+        """Dates at which windows are cut."""
+        return CutStore(self._connection)
 
     @cached_property
     def alarms(self) -> AlarmStore:

@@ -73,11 +73,13 @@ class DriftSeries:
 def find_references(stores: Stores, instrument: Instrument, station: str) -> dict[Scope, str]:
     """Find for every path of a station its own version that is in effect for its first whole calendar year (UTC).
 
-    A version that was made and not promoted changes nothing here.
+    Where windows are cut in every year, it is the one in effect at the middle of the first. A version that was made and
+    not promoted changes nothing here.
     """
     antennas = sorted({record.antenna for record in instrument.antennas if record.station == station})
     paths = [Scope(station, antenna, dipole) for antenna in antennas for dipole in instrument.dipoles]
     found: dict[Scope, str] = {}
+    of_cut: dict[Scope, str] = {}
     for since, until in find_years(stores):
         missing = [path for path in paths if path not in found]
         for path, said in stores.ledger.answers(missing, (since + until) // 2, None).items():
@@ -86,7 +88,8 @@ def find_references(stores: Stores, instrument: Instrument, station: str) -> dic
                 continue
             if newest.covers(since) and newest.covers(until - 1):
                 found[path] = newest.calibration
-    return found
+            of_cut.setdefault(path, newest.calibration)
+    return of_cut | found
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,8 @@
 
 The rule. For every calendar year (UTC) that holds usable spectra there is one refit for the array, and for every
 station with spectra in it one of scope station and one of scope antenna, and after all refits an investigation. It is
-due when its window got new spectra or a flag was set or cleared in it, or when what was made is too old: made with
+due when its window got new spectra or a flag was set or cleared in it, when the watch found that an antenna changed in
+it, or when what was made is too old: made with
 another instrument, sky power or model version, by another policy of the search, or before the adoption or withdrawal of
 a cause that acts in the window.
 Work is named by exactly these. It is due until a part of that name is *done*: two schedulers, a restart or a night
@@ -29,6 +30,7 @@ from service.storage.models import ModelChange
 from service.storage.spectra import Window
 from service.usecases.drift import KIND as DRIFT
 from service.usecases.drift import find_references
+from service.usecases.fits import find_cuts
 from service.usecases.inputs import Inputs, name_inputs
 from service.usecases.investigations import KIND as INVESTIGATION
 from service.usecases.investigations import Investigations
@@ -126,8 +128,10 @@ class DueWork:
     def _refit(self, stores: Stores, scope: str, of: Scope, since: Instant, until: Instant, content: Any) -> Order:
         model = stores.models.during(of.station, since, until)
         part = describe_part(scope, of, since, until, model, promote=True)
-        reason = "new spectra in the window, or other inputs than before"
-        return self._order(REFIT, part, [content, *_name_change(stores, of.station, since, until)], reason)
+        reason = "new spectra in the window, a change of an antenna found in it, or other inputs than before"
+        cuts = [[[one.station, one.antenna, one.date] for one in find_cuts(stores, of.station, since, until, model)]]
+        found = [content, *_name_change(stores, of.station, since, until), *(cuts if cuts[0] else [])]
+        return self._order(REFIT, part, found, reason)
 
     def _drift(self, stores: Stores, stations: list[str]) -> Iterator[Order]:
         for station in stations:

@@ -150,7 +150,8 @@ class Examination:
         """The hash of all inputs of a fit but its spectra."""
         ends = wanted.since / SECOND_US, wanted.until / SECOND_US
         instrument = self.instrument.digest_of(*ends, wanted.of.station, wanted.of.antenna)
-        return hash_content([instrument, self.sky_power().digest(), self.is_own_sky, MODEL_VERSION])
+        cuts = [[one.station, one.antenna, one.date] for one in wanted.cuts]
+        return hash_content([instrument, self.sky_power().digest(), self.is_own_sky, MODEL_VERSION, cuts])
 
 
 def find_standing(stores: Stores, scopes: Sequence[Scope], since: Instant, until: Instant) -> dict[Scope, str]:

@@ -29,6 +29,7 @@ from lbacal_core.spectra import Spectra
 from lbacal_core.uncertainty.refit import add_budget, compute_budget
 from lbacal_core.validity import Instant, Scope
 from service.errors import ConflictError
+from service.storage.cuts import Cut
 from service.storage.database import Stores
 from service.storage.spectra import Window
 from service.storage.versions import BUDGET, Version
@@ -36,10 +37,15 @@ from service.usecases.inputs import hash_covariates
 from service.usecases.windows import SECOND_US, lend_to_small
 from service.wire.instants import format_instant
 
+GAIN_STEP = "gain_step"
+
 
 @dataclass(frozen=True)
 class Wanted:
-    """A fit: the scope of its versions, whose spectra they are made from, the window and the model; who wants it."""
+    """A fit: the scope of its versions, whose spectra they are made from, the window and the model; who wants it.
+
+    `cuts` are the dates at which the watch found that antennas changed in the window.
+    """
 
     scope: str
     of: Scope
@@ -48,6 +54,7 @@ class Wanted:
     model: Model
     by: str
     reason: str
+    cuts: tuple[Cut, ...] = ()
 
     @property
     def window(self) -> Window:
@@ -111,7 +118,7 @@ class Fits:
             beside[BUDGET] = budget.digest
         ends = wanted.since / SECOND_US, wanted.until / SECOND_US
         pieces, versions, budgets, lines = [], list[Version](), dict[str, Budget](), []
-        for rows in cut_window(fitted.recorded, self.instrument, wanted.scope, *ends):
+        for rows in cut_window(fitted.recorded, self.instrument, wanted.scope, *ends, _list_cuts(wanted)):
             of_piece = fitted if np.all(rows.rows) else fitted.select(rows.rows)
             audit_quickly(of_piece.recorded, self.instrument).require_power(f"spectra of {wanted.of.key}")
             freedom = self.freedom()
@@ -171,6 +178,14 @@ def _versions(
     ]
 
 
+def _list_cuts(wanted: Wanted) -> dict[tuple[str, int], list[float]]:
+    """Dates of cuts, s UTC, by station and antenna."""
+    found: dict[tuple[str, int], list[float]] = {}
+    for one in wanted.cuts:
+        found.setdefault((one.station, one.antenna), []).append(one.date / SECOND_US)
+    return found
+
+
 def _has_enough(spectra: Spectra, station: str) -> bool:
     """Whether any path of a station has the events that a fit needs."""
     of_station = spectra.station == station
@@ -187,7 +202,15 @@ def _rows_of(spectra: Spectra, scope: Scope) -> NDArray[np.bool_]:
     return rows
 
 
-def read_part(request: Mapping[str, Any], model: Model, by: str, reason: str) -> Wanted:
+def read_part(stores: Stores, request: Mapping[str, Any], model: Model, by: str, reason: str) -> Wanted:
     """The fit that a part of a job asks for."""
     of = Scope(request["station"], request["antenna"], request["dipole"])
-    return Wanted(request["scope"], of, request["since"], request["until"], model, by, reason)
+    window = request["since"], request["until"]
+    cuts = find_cuts(stores, of.station, *window, model)
+    return Wanted(request["scope"], of, *window, model, by, reason, cuts)
+
+
+def find_cuts(stores: Stores, station: str | None, since: Instant, until: Instant, model: Model) -> tuple[Cut, ...]:
+    """The dates at which a window is cut; none at stations whose model has a step, which says what changed then."""
+    stepping = {one.station for one in model.causes if one.cause == GAIN_STEP}
+    return tuple(cut for cut in stores.cuts.standing(station, since, until) if cut.station not in stepping)

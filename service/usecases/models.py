@@ -22,7 +22,7 @@ from service.storage.investigations import Investigation
 from service.storage.models import ADOPTED, WITHDRAWN, Announced, Gain, ModelChange
 from service.storage.versions import Version, mean_over_band
 from service.usecases.due import DueWork
-from service.usecases.fits import Fits, Wanted
+from service.usecases.fits import Fits, Wanted, find_cuts
 from service.usecases.gate import find_change_of_mean
 from service.usecases.promotions import LAST, Change, Promotions, undo
 from service.usecases.years import start_of_year
@@ -82,22 +82,26 @@ class Models:
             model, cause = _adopt(before, made, body.finding)
             year = datetime.fromtimestamp(made.since / 1e6, UTC).year
             window = start_of_year(year), start_of_year(year + 1)
+            cuts = find_cuts(stores, made.station, *window, model)
+            of_window = [one.during(*(edge / 1e6 for edge in window)) for one in (before, model)]
             wanted = [
-                Wanted(
-                    scope, Scope(made.station), *window, one.during(*(edge / 1e6 for edge in window)), by, body.reason
-                )
+                Wanted(scope, Scope(made.station), *window, one, by, body.reason, cuts)
                 for scope in SCOPES
-                for one in (before, model)
+                for one in of_window
             ]
             # with its covariates, which fits without causes do not look at
             spectra = self.fits.load(stores, wanted[1])
         with threadpool_limits(1):
             whole = {one.model.id: self.fits.fit_causes(spectra, one.model) for one in wanted[:2]}
-            fitted = [self.fits.make(whole[one.model.id], one).versions for one in wanted]
+            after = [self.fits.make(whole[one.model.id], one) for one in wanted[1::2]]
+            # what the year is compared with needs no budget of its own
+            shared = next(iter(after[0].budgets.values()))
+            earlier = [self.fits.make(whole[one.model.id], one, shared).versions for one in wanted[::2]]
+        fitted = [earlier[0], after[0].versions, earlier[1], after[1].versions]
         announced = {key: one for k in (0, 2) for key, one in _announce(fitted[k], fitted[k + 1])}
         with self.database.read() as stores:
             told = [
-                Promotion(0, version.scope, *window, version.id, LAST, by, body.reason)
+                Promotion(0, version.scope, *version.window, version.id, LAST, by, body.reason)
                 for version in fitted[1]
                 if all(curve.c is not None for curve in version.curves)
             ]

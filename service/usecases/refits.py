@@ -100,7 +100,7 @@ class Refits:
     def _read(self, stores: Stores, part: Part) -> Wanted:
         name = part.request.get("model")
         model = Model() if name is None else stores.models.get(name)
-        return read_part(part.request, model, part.by, part.reason)
+        return read_part(stores, part.request, model, part.by, part.reason)
 
     def _examine(self, part: Part, worker: str) -> bool:
         """Do a part by the events that came since, where these are no news of most paths; whether that was so."""

@@ -2,7 +2,8 @@
 
 It reads what the drift has measured of every event (`service.usecases.drift`), asks the core what changed
 (`lbacal_core.drift.follow`), keeps the answer as the report that pages and the API tell from, and settles the alarms of
-steps and slopes. It is due whenever the measured events are others than those of the last report.
+steps and slopes. It is due whenever the measured events are others than those of the last report. An antenna that was
+found to have changed has its windows cut there from then on, until the change is found no more.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from lbacal_core.instrument import Instrument
 from lbacal_core.provenance import hash_content
 from lbacal_core.validity import Instant, Scope
 from service.storage.alarms import SLOPE, STEP, News
+from service.storage.cuts import Cut
 from service.storage.database import Database, Stores
 from service.storage.drift import MODES, StoredModes
 from service.storage.jobs import Part
@@ -26,6 +28,10 @@ from service.wire.instants import DAY_US, format_instant
 
 KIND = "watch"
 SECOND_US = 1_000_000
+LARGEST_DATE_ERROR_DAYS = 30.0
+"""A change whose date is known worse is told, and no window is cut."""
+SAME_DATE = 3.0
+"""Standard deviations of the difference of two dates within which they are one."""
 TREND_P = 0.001
 """Probability of a trend of the whole without one, below which it is an alarm."""
 
@@ -36,6 +42,7 @@ class Watch:
 
     database: Database
     instrument: Instrument
+    cuts_windows: bool
     clock: Callable[[], Instant]
 
     def name_inputs(self, stores: Stores) -> str | None:
@@ -52,7 +59,8 @@ class Watch:
             now = self.clock()
             stores.drift.keep_report(str(inputs), report, now)
             keep_missing(stores)
-            stores.alarms.settle((STEP, SLOPE), list(_tell(report)), now)
+            stores.alarms.settle((STEP, SLOPE), list(_tell(report, cuts_windows=self.cuts_windows)), now)
+            settle_cuts(stores, report if self.cuts_windows else {"changes": []}, now)
             stores.jobs.complete(part, worker, {"calibrations": []}, now)
 
     def _hardware_changes(self) -> dict[str, list[float]]:
@@ -97,7 +105,36 @@ def assemble_history(modes: Sequence[StoredModes], changes: Mapping[str, Sequenc
     return History(station, antenna.astype(np.int64), dipole, time_us / SECOND_US, ln_c, known)
 
 
-def _tell(report: Mapping[str, Any]) -> Iterator[News]:
+def settle_cuts(stores: Stores, report: Mapping[str, Any], now: Instant) -> None:
+    """Cut the windows of antennas that changed, and lift the cuts of changes that are no longer found.
+
+    A cut keeps the date at which it was made first: later data move the date within its error, and every other date
+    would call for refits.
+    """
+    found, standing = list(_list_cuts(report)), stores.cuts.standing()
+    for cut in standing:
+        if not any(_is_same(cut, one) for one in found):
+            stores.cuts.lift(cut, now)
+    stores.cuts.add([one for one in found if not any(_is_same(one, cut) for cut in standing)], now)
+
+
+def _list_cuts(report: Mapping[str, Any]) -> Iterator[Cut]:
+    """The changes of single antennas that nobody knew of and whose date is known well enough, an antenna once each."""
+    for change in report["changes"]:
+        if change["is_known"] or change["date_sigma_days"] > LARGEST_DATE_ERROR_DAYS:
+            continue
+        date, sigma = round(change["date_unix"] * SECOND_US), round(change["date_sigma_days"] * DAY_US)
+        for antenna in sorted({one["antenna"] for one in change["members"] if one["antenna"] is not None}):
+            yield Cut(change["station"], antenna, date, sigma)
+
+
+def _is_same(one: Cut, other: Cut) -> bool:
+    """Whether two dates of an antenna are one within their errors."""
+    reach = SAME_DATE * (one.sigma**2 + other.sigma**2) ** 0.5 + DAY_US
+    return (one.station, one.antenna) == (other.station, other.antenna) and abs(one.date - other.date) <= reach
+
+
+def _tell(report: Mapping[str, Any], *, cuts_windows: bool) -> Iterator[News]:
     """The news of a report: changes that nobody knew of, slopes, and a trend of the whole."""
     for change in report["changes"]:
         if change["is_known"]:
@@ -111,6 +148,8 @@ def _tell(report: Mapping[str, Any]) -> Iterator[News]:
             f"{who}: C changed by {change['size']:+.2%} +- {change['sigma']:.2%} "
             f"on {format_instant(since)[:10]} +- {change['date_sigma_days']:.1f} days"
         )
+        is_cut = cuts_windows and any(_list_cuts({"changes": [change]}))
+        sentence += "; its windows are cut there" if is_cut else ""
         content = {**change, "proposal": _propose(change, format_instant(since))}
         yield News(STEP, Scope(change["station"]), "", sentence, content, since, error)
     for slope in report["slopes"]:

@@ -221,7 +221,7 @@ def three_cables(superterp: Instrument, sky_power_file: Path) -> Campaign:
 def station(database_url: str, sky_power_file: Path, campaign: Spectra, clock: Clock) -> Iterator[Factory]:
     """A service that holds the campaign."""
     # an investigation of a year takes seconds: tests/service/usecases/test_due.py looks at the nightly ones
-    quick = {"poll_s": 0.01, "lease_s": 5.0, "nightly_investigations": False}
+    quick = {"poll_s": 0.01, "lease_s": 5.0, "nightly_investigations": False, "cut_windows": False}
     settings = Settings(database_url=database_url, sky_power=sky_power_file, **quick)
     made = Factory(settings, clock)
     with made.database.write() as stores:

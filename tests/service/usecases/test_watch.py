@@ -1,0 +1,124 @@
+"""What drift finds in one antenna cuts its windows: a gain step and a swapped cable, which nobody entered anywhere."""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lbacal_core.instrument import Instrument, load_instrument
+from lbacal_core.skypower.table import read_sky_power
+from lbacal_core.spectra import Spectra
+from lbacal_core.twin.campaign import simulate_campaign
+from lbacal_core.twin.faults.antenna import GainStep
+from lbacal_core.twin.faults.fault import Where
+from lbacal_core.twin.settings import TwinSettings
+from lbacal_core.validity import Scope, timeline
+from service.config import Settings
+from service.factory import Factory
+from service.scheduler import look_for_due_work
+from service.storage.versions import Version
+from service.usecases.watch import settle_cuts
+from service.wire.instants import DAY_US, parse_instant
+from service.worker import Worker
+from tests.service.conftest import Clock
+
+BEGIN = parse_instant("", "2015-01-01")
+OPEN_ALARMS: dict[str, Any] = {"states": ("open",), "kind": None, "station": None, "before": None, "limit": 100}
+STEPPED, SWAPPED = parse_instant("", "2015-04-11"), parse_instant("", "2015-08-20")
+
+
+def other_cable(instrument: Instrument, name: str) -> str:
+    """The cable whose loss differs most from that of one."""
+    return max(instrument.cables, key=lambda one: float(np.ptp(instrument.cables[one] / instrument.cables[name])))
+
+
+@pytest.fixture(scope="module")
+def changed(superterp: Instrument, sky_power_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Spectra:
+    """Two years: a path steps by 15 %, and another antenna gets a cable of another length."""
+    content = superterp.as_dict()
+    (record,) = [one for one in content["antennas"] if (one["station"], one["antenna"]) == ("CS002", 1)]
+    other = other_cable(superterp, record["cable"])
+    content["antennas"].remove(record)
+    content["antennas"] += [{**record, "until": "2015-08-20"}, {**record, "cable": other, "since": "2015-08-20"}]
+    file = tmp_path_factory.mktemp("true") / "instrument.json"
+    file.write_text(json.dumps(content))
+    settings = TwinSettings(stations=("CS002",), antennas=7, years=1.99, events_per_year=150)
+    step = GainStep(size=0.15, date="2015-04-11", where=Where(antennas=(2,), dipoles=("Y",)))
+    sky = read_sky_power(sky_power_file)
+    return simulate_campaign(settings, load_instrument(str(file)), sky, np.random.default_rng(15), [step]).spectra
+
+
+@pytest.fixture
+def watched(database_url: str, sky_power_file: Path, changed: Spectra, clock: Clock) -> Iterator[Factory]:
+    quick = {"poll_s": 0.01, "lease_s": 60.0, "nightly_investigations": False, "gate_change": 0.9}
+    made = Factory(Settings(database_url=database_url, sky_power=sky_power_file, **quick), clock)
+    with made.database.write() as stores:
+        stores.spectra.add(changed)
+    yield made
+    made.database.close()
+
+
+def night(factory: Factory) -> list[Any]:
+    numbers = look_for_due_work(factory)
+    Worker(factory, "worker").run(threading.Event(), until_idle=True)
+    jobs = [factory.jobs.get(number) for number in numbers]
+    assert not [job.errors for job in jobs if any(job.errors)]
+    return [(job.kind, job.request.get("scope"), job.request.get("since")) for job in jobs]
+
+
+def in_effect(factory: Factory, path: Scope) -> list[Version]:
+    """The versions in effect of a path in 2015, in order of time."""
+    with factory.database.read() as stores:
+        promotions = stores.ledger.standing([path], BEGIN, parse_instant("", "2016-01-01"))
+        stretches = [one for one in timeline(promotions, path) if one.start is not None and one.start >= BEGIN]
+        return [stores.versions.get(str(one.calibration)) for one in stretches if one.calibration is not None]
+
+
+def test_a_step_and_a_swapped_cable_end_as_a_change_point_and_a_new_window(watched: Factory) -> None:
+    first, second = night(watched), night(watched)
+    assert ("watch", None, None) not in first
+    assert {one for one in second if one[0] == "refit"} == {
+        ("refit", scope, BEGIN) for scope in ("antenna", "station", "array")
+    }, "the year in which antennas changed, and no other"
+    with watched.database.read() as stores:
+        cuts = stores.cuts.standing()
+        told = [one.news.sentence for one in stores.alarms.newest(**OPEN_ALARMS, now=watched.clock())]
+    assert [(one.station, one.antenna) for one in cuts] == [("CS002", 1), ("CS002", 2)]
+    for cut, date in zip(cuts, (SWAPPED, STEPPED), strict=True):
+        assert abs(cut.date - date) < 3 * cut.sigma + DAY_US
+        assert cut.sigma < 3 * DAY_US
+    names = [record.cable for record in watched.instrument.antennas if (record.station, record.antenna) == ("CS002", 1)]
+    old, new = (watched.instrument.cables[name] for name in (names[0], other_cable(watched.instrument, names[0])))
+    for antenna, cut, expected in ((1, cuts[0], np.sqrt(old / new)), (2, cuts[1], 1.15**-0.5)):
+        before, after = in_effect(watched, Scope("CS002", antenna, "Y"))
+        assert (before.since, before.until, after.since) == (BEGIN, cut.date, cut.date)
+        off = np.log(after.curves[0].c / before.curves[0].c / expected)
+        error = np.hypot(*(one.curves[0].c_sigma_stat / one.curves[0].c for one in (before, after)))
+        assert np.all(np.abs(off) < 3 * error)
+        assert abs(np.mean(off)) < 0.05
+    assert len(in_effect(watched, Scope("CS002", 3, "Y"))) == 1
+    assert sum("its windows are cut there" in one for one in told) == 2
+    assert any("CS002/2/Y" in one and "2015-04-1" in one for one in told)
+    assert [one for one in night(watched) if one[0] == "refit"] == [], "the cut calls for refits once"
+    assert watched.models.history() == [], "no cause, and so no gain that is promised for later years"
+
+
+def test_later_data_move_a_date_within_its_error_and_no_window(watched: Factory) -> None:
+    """A date that moved by an hour with every event would have called for refits of three scopes every night."""
+    change = {
+        "station": "CS002", "is_known": False, "date_unix": STEPPED / 1e6, "date_sigma_days": 1.0,
+        "members": [{"antenna": 2, "dipole": "Y"}, {"antenna": 2, "dipole": "X"}, {"antenna": None, "dipole": "X"}],
+    }  # fmt: skip
+    moved, far = ({**change, "date_unix": STEPPED / 1e6 + 86_400 * days} for days in (2.0, 40.0))
+    vague, known = {**change, "date_sigma_days": 50.0}, {**change, "is_known": True}
+    expected = {"first": [STEPPED], "moved": [STEPPED], "far": [STEPPED + 40 * DAY_US], "none": []}
+    for name, changes in (("first", [change]), ("moved", [moved, vague, known]), ("far", [far]), ("none", [vague])):
+        with watched.database.write() as stores:
+            settle_cuts(stores, {"changes": changes}, 1)
+            assert [one.date for one in stores.cuts.standing("CS002")] == expected[name]
