@@ -9,7 +9,7 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from sqlalchemy import Connection, Row, and_, func, select
+from sqlalchemy import ColumnElement, Connection, Row, and_, func, select
 from sqlalchemy.dialects.postgresql import insert as postgresql_insert
 from sqlalchemy.dialects.sqlite import insert as sqlite_insert
 
@@ -209,13 +209,9 @@ class VersionStore:
 
     def misfits(self) -> dict[tuple[str | None, str, Instant, Instant], list[str]]:
         """Versions that misfit and that no newer one of their window replaced, by station, level and window."""
-        later = calibration.alias()
-        is_later = and_(
-            later.c.scope == calibration.c.scope, later.c.since_us == calibration.c.since_us,
-            later.c.until_us == calibration.c.until_us, later.c.made_us > calibration.c.made_us,
-        )  # fmt: skip
-        statement = select(calibration).where(calibration.c.status == MISFIT)
-        statement = statement.where(~select(later.c.id).where(is_later).exists()).order_by(calibration.c.scope)
+        statement = (
+            select(calibration).where(calibration.c.status == MISFIT, ~_has_newer()).order_by(calibration.c.scope)
+        )
         found: dict[tuple[str | None, str, Instant, Instant], list[str]] = {}
         for row in self._connection.execute(statement):
             level = Scope(row.station, row.antenna, row.dipole).level
@@ -223,9 +219,9 @@ class VersionStore:
         return found
 
     def count_gated(self) -> int:
-        """How many versions wait for a human: the gate kept them back and nobody promoted them."""
+        """How many versions wait for a human: kept back by the gate, promoted by nobody, newest of their window."""
         promoted = select(promotion.c.id).where(promotion.c.calibration == calibration.c.id).exists()
-        waiting = select(func.count()).select_from(calibration).where(IS_GATED, ~promoted)
+        waiting = select(func.count()).select_from(calibration).where(IS_GATED, ~promoted, ~_has_newer())
         return int(self._connection.execute(waiting).scalar_one())
 
     def newest(self, limit: int) -> list[Version]:
@@ -258,6 +254,16 @@ class VersionStore:
     def _values(self, rows: Sequence[Row[Any]]) -> list[Version]:
         chains = read_chains(self._connection, {row.id: row.reference for row in rows})
         return [_value(row, chains[row.id]) for row in rows]
+
+
+def _has_newer() -> ColumnElement[bool]:
+    """Whether a later version of the same scope and window was made."""
+    later = calibration.alias()
+    is_later = and_(
+        later.c.scope == calibration.c.scope, later.c.since_us == calibration.c.since_us,
+        later.c.until_us == calibration.c.until_us, later.c.made_us > calibration.c.made_us,
+    )  # fmt: skip
+    return select(later.c.id).where(is_later).exists()
 
 
 def _value(row: Row[Any], chains: Mapping[str, ReferenceChain]) -> Version:

@@ -222,3 +222,15 @@ def test_spectra_in_volts_fail_the_refit_with_the_reason(bare: Factory, campaign
     job = refit(bare, "station")
     assert job.state == "failed"
     assert "the power is an amplitude (volts), not its square" in job.errors[0]
+
+
+def test_a_version_that_a_later_night_replaced_waited_for_a_human_for_ever(station: Factory) -> None:
+    """A year's first versions have too few events: the status went on to count them when the year was calibrated."""
+    night(station)
+    with station.database.write() as stores:
+        version = next(iter(stores.versions.newest(1)))
+        assert stores.versions.count_gated() == 0
+        for made, waiting in ((version.made - 1, 0), (version.made + 1, 1)):
+            kept_back = replace(version, inputs={**version.inputs, "number": made}, made=made, gate="too_few_events")
+            stores.versions.add([kept_back])
+            assert stores.versions.count_gated() == waiting
