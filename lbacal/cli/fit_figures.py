@@ -143,6 +143,7 @@ def _draw_noise(axes: Any, curves: Sequence[CalibrationCurve], instrument: Instr
 def _draw_chi2(axes: Any, curves: Sequence[CalibrationCurve]) -> None:
     """Both numbers of the chain test for every curve, and what noise alone makes of the first."""
     axes.set(xlabel="curve, in the order of the table")
+    axes.xaxis.get_major_locator().set_params(integer=True)
     if not curves:
         return
     channels = curves[0].frequency_mhz.size

@@ -140,19 +140,19 @@ def compute_budget(
             if paths.members
         }
         found = {polarisation: list(pool.map(refit.change_sky, changes)) for polarisation, refit in refits.items()}
-    terms = [
-        BudgetTerm(change.name, change.source, {p: _finite(vectors[k])[None] for p, vectors in found.items()})
-        for k, change in enumerate(changes)
-    ]
-    if sky_budget != PAPER_BUDGET:
-        left = {p: _finite(refit.add_power(INTERFERENCE))[None] for p, refit in refits.items()}
-        terms.append(BudgetTerm("interference left", "0.2 % of the mean power", left))
-        terms += _gain_terms(instrument, list(refits))
-    unsure: Mapping[str, NDArray[np.bool_]] = {}
-    if freedom is not None and freedom.antennas and refits:
-        of_antennas, unsure = _doubt_antenna(refits, freedom)
-        terms += of_antennas
-    return Budget(instrument.frequency_mhz, tuple(_gather(terms)), unsure)
+        terms = [
+            BudgetTerm(change.name, change.source, {p: _finite(vectors[k])[None] for p, vectors in found.items()})
+            for k, change in enumerate(changes)
+        ]
+        if sky_budget != PAPER_BUDGET:
+            left = {p: _finite(refit.add_power(INTERFERENCE))[None] for p, refit in refits.items()}
+            terms.append(BudgetTerm("interference left", "0.2 % of the mean power", left))
+            terms += _gain_terms(instrument, list(refits))
+        unsure: Mapping[str, NDArray[np.bool_]] = {}
+        if freedom is not None and freedom.antennas and refits:
+            of_antennas, unsure = _doubt_antenna(refits, freedom)
+            terms += of_antennas
+        return Budget(instrument.frequency_mhz, tuple(_gather(terms)), unsure)
 
 
 def _doubt_antenna(

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from lbacal_core.antenna.ideal import ShortDipole
 from lbacal_core.calibration.fit import fit_calibration
@@ -138,3 +139,22 @@ def test_a_dipole_between_two_antennas_of_the_list_is_found_by_its_neighbours(st
     for polarisation in "XY":
         assert budget.unsure[polarisation][-3:].all()
         assert np.sqrt(term.variance(polarisation))[-1] > 0.1
+
+
+class Watched(dict):
+    """A change of P_sky that notes with how many threads of BLAS it is asked for."""
+
+    def __getitem__(self, dipole):
+        self.threads = {library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"}
+        return super().__getitem__(dipole)
+
+
+def test_other_antennas_are_fitted_with_one_thread_of_blas_each(study):
+    """They were outside the limit: on a busy machine the budget of a station-year took 40 s of waiting threads."""
+    spectra, instrument, sky = study
+    own = free_own_sky(instrument)
+    change = Watched(own.antennas[0].change)
+    watched = replace(own, antennas=(replace(own.antennas[0], change=change, share=1.0),))
+    with threadpool_limits(2):
+        compute_budget(spectra, instrument, sky, "models", changes=(), freedom=watched)
+    assert change.threads == {1}
