@@ -81,7 +81,8 @@ class StationReport:
     unidentifiable
         Causes that these data can never show, with the reason.
     taken
-        Share of the information on each cause of the station that the vectors of the noise take.
+        Share of the information on each cause of the station that the vectors of the noise take. Hidden causes have
+        none: rounding errors are left of them.
     stations
         Number of stations that were searched together.
     adopted
@@ -155,6 +156,7 @@ def search_station(
             progress(f"{station.name}: looking for causes beside that structure")
             last = _grow_beside(first, structure.axis, structure.vectors, search)
             withdrawn = _withdrawn(first.linear, last.findings, structure, None, policy)
+    hidden = [one.cause for one in search.hidden or []]
     findings = [f for f in last.findings if structure is None or not any(f is one for one in withdrawn)]
     if structure is not None:
         kept = {(f.hypothesis.cause.identifier, f.hypothesis.target.label) for f in findings}
@@ -172,7 +174,7 @@ def search_station(
         first=first,
         last=last.last,
         unidentifiable=_unidentifiable(station, search),
-        taken=shares_taken(grown.last.linear, CAUSES, targets[-1]),
+        taken=shares_taken(grown.last.linear, [one for one in CAUSES if one not in hidden], targets[-1]),
         policy=policy,
         stations=stations,
         adopted=adopted.sizes,

@@ -42,6 +42,10 @@ def test_what_sky_models_hide_is_listed_with_the_share_that_is_left(world):
     assert not {"lna_noise_slope", "isotropic_level"} & {
         score["cause"] for scores in report["scores"].values() for score in scores
     }
+    # What the noise takes of them was a share of rounding errors, once -0.16.
+    for noise in report["noise"].values():
+        assert not {"lna_noise_slope", "isotropic_level"} & noise["taken"].keys()
+        assert all(-1e-6 < share < 1 for share in noise["taken"].values())
 
 
 def test_a_sky_power_at_its_word_hides_nothing(world):
