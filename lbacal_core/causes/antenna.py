@@ -174,16 +174,23 @@ class ResonanceWidth(ResonanceCause):
         return np.asarray(amount * change / np.log(np.ptp(_half_power_mhz(more)) / np.ptp(_half_power_mhz(less))))
 
 
+def log_gain(terms: ChainTerms, conditions: Conditions) -> Floats:
+    """Ln (G_ant A) of the station as fitted, the median of the classes, shape (freq,)."""
+    behind = conditions.receiver_gain * np.exp(conditions.cable_log_loss[:, None, :])
+    # Other causes may have made the gain depend on the event: the mean counts.
+    own = np.log(np.maximum(np.mean(terms.front / behind, axis=1), 1e-300))
+    return np.asarray(np.median(own, axis=0))
+
+
 def fitted_log_gain(terms: ChainTerms, conditions: Conditions) -> Floats:
-    """Ln (G_ant A) of the station as fitted, mean over classes and smoothed in frequency, shape (freq,).
+    """Ln (G_ant A) of the station as fitted, ln A smoothed in frequency, shape (freq,).
 
     Smoothing removes the noise of the fit from channel to channel.
     """
-    behind = conditions.receiver_gain * np.exp(conditions.cable_log_loss[:, None, :])
-    # Other causes may have made the gain depend on the event: the mean counts.
-    own = np.log(np.maximum(np.mean(terms.front / behind, axis=1), 1e-300) / conditions.antenna_gain)
-    smooth = make_smoothing_spline(conditions.frequency_mhz, np.median(own, axis=0), lam=STIFFNESS)
-    return np.asarray(smooth(conditions.frequency_mhz) + np.log(conditions.antenna_gain))
+    of_table = np.log(conditions.antenna_gain)
+    own = log_gain(terms, conditions) - of_table
+    smooth = make_smoothing_spline(conditions.frequency_mhz, own, lam=STIFFNESS)
+    return np.asarray(smooth(conditions.frequency_mhz) + of_table)
 
 
 def _half_power_mhz(circuit: ResonanceCircuit) -> tuple[float, float]:

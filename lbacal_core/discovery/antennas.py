@@ -118,7 +118,7 @@ def compare_antennas(
                 z=float(np.copysign(z[k, n], size)),
                 size=size,
                 sigma=float(scatter[k, n]) / length,
-                trials=int(is_compared.sum()) * trials_factor(correlation, seed),
+                trials=int(is_compared.sum()) * trials_factor(correlation, seed, abs(float(z[k, n]))),
                 chi2_before=chi2_before,
                 chi2_after=chi2_after,
                 dof=template.departure.size - 2,

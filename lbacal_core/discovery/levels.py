@@ -25,9 +25,9 @@ from lbacal_core.grids import Floats
 
 SMALLEST_LEVEL = 1e-9
 """Floor of a relative noise level: exact data keep a finite weight."""
-STANDS_OUT = 1.03
-"""Factor above the largest eigenvalue of noise beyond which the means have a vector of their own."""
-ONE_SIGMA, IN_MOST = 0.683, 0.5
+STANDS_OUT = 3.3
+"""Units of the law of Tracy and Widom beyond which the means have a vector of their own: 1 in 1000 of noise."""
+ONE_SIGMA, IN_MOST = 0.683, 0.15
 """Quantile of a normal amount at one standard deviation, and the part of an excess variance that most events show."""
 STRUCTURE_SHARE, SMALLEST_PROFILE = 1 / 3, 1e-6
 """Most profiles in time that are no noise, as a share of the events; and the size of one that others contain."""
@@ -149,8 +149,7 @@ def estimate_levels(
     class_share = members.share_of_class(station)
     seeds = members.seeds[:, : max(1, channels // CHANNELS_PER_VECTOR)]
     seen = np.tensordot(class_share, seeds, axes=1)
-    structure, known = _structure(station), orthonormal(seen)
-    is_ordinary = ~is_heavy(mean.sum(axis=0) @ known[np.any(known != 0, axis=1)].T)
+    structure, is_ordinary = _structure(station), _is_ordinary(mean, seen)
     free_events = max(events - 2 - structure.shape[1], 1)
     whole, mean = mean, _clean(mean, structure, is_ordinary)
     kind_of = _kinds(station)
@@ -310,6 +309,17 @@ def _structure(station: Station) -> Floats:
     return np.asarray(found[:, sizes > SMALLEST_PROFILE * sizes[0]])
 
 
+def clean_mean(station: Station, mean: Floats, seeds: Floats) -> Floats:
+    """The means, shape (polarisation, event, freq), less what follows any axis of the data."""
+    return _clean(mean, _structure(station), _is_ordinary(mean, seeds))
+
+
+def _is_ordinary(mean: Floats, seeds: Floats) -> NDArray[np.bool_]:
+    """Which events are not far outside the noise along the seeds, shape (event,)."""
+    known = orthonormal(seeds)
+    return ~is_heavy(mean.sum(axis=0) @ known[np.any(known != 0, axis=1)].T)
+
+
 def _clean(values: Floats, structure: Floats, is_ordinary: NDArray[np.bool_]) -> Floats:
     """Values, shape (..., event, any), less what follows profiles in time in the ordinary events.
 
@@ -319,29 +329,37 @@ def _clean(values: Floats, structure: Floats, is_ordinary: NDArray[np.bool_]) ->
 
 
 def _choose_vectors(mean: Floats, seeds: Floats, kinds: Sequence[NDArray[np.int64]], share_free: float) -> Floats:
-    """The vectors that events share: the seeds, or where a kind of events has one more, the strongest of all.
+    """The vectors along which events may share noise: the seeds, and one more where a kind of events has it.
 
-    Such a vector must be in most events of the kind: what stands out in a few is no noise. Kinds count alike.
+    Such a vector must be in most events of the kind: what stands out in a few is no noise. The noise of a kind lies
+    along the three strongest combinations of them.
     """
     known = orthonormal(seeds)[:MOST_VECTORS]
     rest = mean - mean @ known.T @ known
-    level = np.sqrt(np.maximum(np.mean(rest**2, axis=(1, 2)), SMALLEST_LEVEL**2))[:, None, None]
-    pooled, whole = (np.sum(one / level, axis=0) / len(mean) ** 0.5 for one in (rest, mean))
-    channels, best, chosen = mean.shape[2], 1.0, known
+    outside = max(mean.shape[2] - len(known), 1)
+    level = np.sqrt(np.maximum(np.mean(rest**2, axis=(1, 2)), SMALLEST_LEVEL**2) * mean.shape[2] / outside)
+    pooled = np.sum(rest / level[:, None, None], axis=0) / len(mean) ** 0.5
+    best, chosen = STANDS_OUT, known
     for own in kinds:
-        values, turned = np.linalg.eigh(pooled[own].T @ pooled[own] / own.size)
-        free_events = max(own.size * share_free, 1.0)
-        largest_of_noise = (1.0 + (channels / free_events) ** 0.5) ** 2 * channels / max(channels - len(known), 1)
+        values, turned = np.linalg.eigh(pooled[own].T @ pooled[own])
         of_most = float(np.quantile(np.abs(pooled[own] @ turned[:, -1]), ONE_SIGMA)) ** 2
-        excess = values[-1] / (STANDS_OUT * largest_of_noise)
-        if excess > best and of_most - 1.0 > IN_MOST * (values[-1] - 1.0):
-            best, basis = excess, np.concatenate([known, turned[:, -1:].T])
-            along = np.concatenate([whole[one] @ basis.T / one.size**0.5 for one in kinds])
-            chosen = np.linalg.eigh(along.T @ along)[1][:, -len(known) :].T @ basis
+        excess = beyond_noise(share_free * float(values[-1]), share_free * own.size, outside)
+        if excess > best and of_most - 1.0 > IN_MOST * (values[-1] / own.size - 1.0):
+            best, chosen = excess, np.concatenate([known, turned[:, -1:].T])
     return np.asarray(chosen)
 
 
+def beyond_noise(largest: float, events: float, channels: int) -> float:
+    """The largest eigenvalue of x'x of noise x, shape (event, channel), in units of the law of Tracy and Widom.
+
+    Centre and scale are those of Johnstone (2001, Ann. Stat. 29, 295); of noise 1 in 1000 exceeds 3.3.
+    """
+    one, other = max(events - 1.0, 1.0) ** 0.5, channels**0.5
+    return float((largest - (one + other) ** 2) / ((one + other) * (1.0 / one + 1.0 / other) ** (1 / 3)))
+
+
 def _beyond(covariance: Floats, noise: float) -> Floats:
-    """The covariance along the vectors beyond independent noise, without negative variances, shape (k, k)."""
+    """The covariance along the strongest vectors beyond independent noise, without negative variances, shape (k, k)."""
     values, turned = np.linalg.eigh((covariance + covariance.T) / 2 - noise * np.eye(len(covariance)))
-    return np.asarray((turned * np.maximum(values, 0.0)) @ turned.T)
+    strongest = np.where(np.arange(values.size) >= values.size - MOST_VECTORS, np.maximum(values, 0.0), 0.0)
+    return np.asarray((turned * strongest) @ turned.T)

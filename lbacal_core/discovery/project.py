@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lbacal_core.chain.terms import ChainTerms
+from lbacal_core.discovery.gains import EventGains
 from lbacal_core.discovery.hypothesis import Target
 from lbacal_core.discovery.levels import NoiseLevels
 from lbacal_core.discovery.noise import Residuals, estimate_again, split_residuals
@@ -84,13 +85,25 @@ class LinearModel:
         residuals = split_residuals(station, whole * station.is_present[:, :, None], residuals.seeds)
         return replace(self, station=station, residuals=residuals).beside_modes()
 
-    def beside_modes(self) -> LinearModel:
-        """The same with noise levels estimated beside what is no noise: differences between models, known structure."""
-        if self.modes is None and self.empirical is None:
-            return self
-        mean = self.common.clean(self.residuals.mean[None])[0]
-        sky = None if self.modes is None else self._seen_in_deviations()
-        return replace(self, residuals=estimate_again(self.station, self.residuals, mean, sky))
+    def beside_modes(self, gains: EventGains | None = None) -> LinearModel:
+        """The same with noise levels estimated beside what is no noise: differences between models, known structure.
+
+        Parameters
+        ----------
+        gains
+            Given once for new residuals: what gains of single events do beyond first order is then taken out.
+        """
+        is_alone = self.modes is None and self.empirical is None
+        residuals, mean, sky = self.residuals, self.residuals.mean, None
+        if not is_alone:
+            mean = self.common.clean(mean[None])[0]
+            sky = None if self.modes is None else self._seen_in_deviations()
+            residuals = estimate_again(self.station, residuals, mean, sky)
+        if gains is not None:
+            beyond = gains.beyond_first_order(self.station, residuals, mean)
+            linear = replace(residuals, mean=residuals.mean - beyond)
+            residuals = estimate_again(self.station, linear, mean - beyond, sky)
+        return self if residuals is self.residuals else replace(self, residuals=residuals)
 
     def _seen_in_deviations(self) -> Floats:
         """What the changes of the sky that the means show do to the deviations, shape (class, event, freq).

@@ -12,11 +12,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lbacal_core.calibration.noise import slope_of_gain
 from lbacal_core.causes.cause import Template, signature, spectral_signature
 from lbacal_core.chain.terms import ChainTerms
 from lbacal_core.discovery.baseline import Baseline, fit_baseline
 from lbacal_core.discovery.families import group_templates
+from lbacal_core.discovery.gains import EventGains
 from lbacal_core.discovery.hypothesis import Hypothesis
 from lbacal_core.discovery.levels import NoiseLevels
 from lbacal_core.discovery.noise import split_residuals
@@ -70,19 +70,9 @@ def linearise(
     station: Station, baseline: Baseline, modes: SkyModes | None, empirical: Floats | None = None
 ) -> LinearModel:
     """The linear model of a baseline's residuals, with noise levels estimated from them."""
-    residuals = split_residuals(station, baseline.residual, _shared_vectors(station, baseline.terms))
-    return LinearModel(station, residuals, baseline.terms, modes, empirical).beside_modes()
-
-
-def _shared_vectors(station: Station, terms: ChainTerms) -> Floats:
-    """Vectors along frequency that the noise of an event may share, as each class shows them, (class, vector, freq).
-
-    A gain behind everything, one in front of N_RCU, and a resonance that moves.
-    """
-    conditions = station.conditions
-    front = np.mean((terms.sky + terms.n_lna) * terms.front / terms.power(), axis=1)
-    moved = front * slope_of_gain(conditions.frequency_mhz, conditions.antenna_gain)
-    return np.stack([np.ones_like(front), front, moved], axis=1)
+    gains = EventGains.of(station, baseline.terms)
+    residuals = split_residuals(station, baseline.residual, gains.vectors)
+    return LinearModel(station, residuals, baseline.terms, modes, empirical).beside_modes(gains)
 
 
 def power_ratio(station: Station, terms: ChainTerms, hypotheses: Sequence[Hypothesis]) -> Floats:

@@ -51,7 +51,7 @@ class Score:
     events
         Number of events on which the cause's covariate is known.
     trials
-        Trials factor of this cause in this scan.
+        Trials factor of this cause in this scan, at its score.
     causes
         Number of causes in the scan, each with the same false-alarm rate.
     """
@@ -86,7 +86,8 @@ def scan(model: LinearModel, causes: Sequence[Cause], targets: Sequence[Target],
     families = list_families(model.station.conditions, causes)
     best: dict[str, Score] = {}
     trials: dict[str, float] = {}
-    for known, alike in by_known_events(model, families):
+    groups = by_known_events(model, families)
+    for known, alike in groups:
         events = int(known.station.is_used.sum())
         for batch, z, size in score_families(known, alike, targets):
             # Hours and all others score alike with the other sign: the first of them counts, whatever the rounding.
@@ -95,9 +96,10 @@ def scan(model: LinearModel, causes: Sequence[Cause], targets: Sequence[Target],
             if z[at] and (cause.identifier not in best or abs(z[at]) > abs(best[cause.identifier].z)):
                 found = Score(cause, template, targets[int(t)], float(z[at]), float(size[at]), events)
                 best[cause.identifier] = found
+    for known, alike in groups:
         for name in {family.cause.identifier for family in alike} & best.keys():
             own = [family for family in alike if family.cause.identifier == name]
-            trials[name] = trials.get(name, 0.0) + _count_trials(known, own, targets, seed)
+            trials[name] = trials.get(name, 0.0) + _count_trials(known, own, targets, seed, abs(best[name].z))
     scores = [replace(score, trials=trials[name], causes=len(best)) for name, score in best.items()]
     return sorted(scores, key=lambda score: (score.p_value, -abs(score.z)))
 
@@ -220,9 +222,9 @@ class _Scorer:
 
 
 def _count_trials(
-    model: LinearModel, families: Sequence[SpectralFamily], targets: Sequence[Target], seed: int
+    model: LinearModel, families: Sequence[SpectralFamily], targets: Sequence[Target], seed: int, level: float
 ) -> float:
-    """Trials factor of one cause: of its templates, for all its targets."""
+    """Trials factor of one cause at a score: of its templates, for all its targets."""
     cause = families[0].cause
     copies = float(len(families)) if len(families) > MANY_SPECTRA else 1.0
     chosen = families[len(families) // 2 :][:1] if copies > 1 else families
@@ -230,10 +232,10 @@ def _count_trials(
     total = 0.0
     if number.get("station"):
         everyone = Target("station", "station", np.ones(len(model.station.antenna), dtype=bool))
-        total += trials_factor(correlate(model, chosen, everyone), seed)
+        total += trials_factor(correlate(model, chosen, everyone), seed, level)
     local = sum(count for scope, count in number.items() if scope != "station")
     if local:
         largest = int(np.argmax([len(members) for members in model.members]))
         typical = Target("path", "path", model.station.class_of == largest)
-        total += local * trials_factor(correlate(model, chosen, typical), seed)
+        total += local * trials_factor(correlate(model, chosen, typical), seed, level)
     return copies * max(total, 1.0)

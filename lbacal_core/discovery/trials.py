@@ -12,6 +12,9 @@ DRAWS = 2000
 QUANTILE = 0.9
 """Quantile of the largest score that gives the trials factor: its tail has begun there, and 200 draws lie beyond."""
 
+LARGEST_LEVEL = 8.0
+"""Level beyond which the trials factor hardly changes a significance, standard deviations."""
+
 SMALLEST_EIGENVALUE = 1e-9
 """Smallest eigenvalue over the largest: below, it is a rounding error, whose root would be seen."""
 
@@ -37,13 +40,34 @@ def sigma_of(p_value: float) -> float:
     return float(np.sqrt(2.0) * erfcinv(np.clip(p_value, 1e-300, 1.0)))
 
 
-def trials_factor(correlation: Floats, seed: int) -> float:
-    """Number of independent scores whose largest exceeds as much as that of correlated ones, shape (score, score)."""
+def trials_factor(correlation: Floats, seed: int, level: float = 0.0) -> float:
+    """Number of independent scores whose largest exceeds as much as that of correlated ones, shape (score, score).
+
+    It grows with the level: neighbouring dates that are one trial at 3 sigma are two or three at 5. Beyond what drawn
+    scores reach, one score is drawn beyond the level and the others beside it; the probability that any exceeds is the
+    mean of 1 over the number that do, times that of each alone (Adler, Blanchet & Liu 2012, Ann. Appl. Prob. 22, 1167).
+
+    Parameters
+    ----------
+    level
+        Score in standard deviations at which the number is asked; that of the quantile `QUANTILE` at least.
+    """
     if len(correlation) == 1:
         return 1.0
     values, vectors = np.linalg.eigh(correlation)
     # The symmetric root without rounding errors: any other depends on the last digits of the matrix.
     root = (vectors * np.sqrt(np.where(values > SMALLEST_EIGENVALUE * values[-1], values, 0.0))) @ vectors.T
-    draws = np.random.default_rng(seed).standard_normal((DRAWS, len(root))) @ root
+    rng = np.random.default_rng(seed)
+    draws = rng.standard_normal((DRAWS, len(root))) @ root
     quantile = float(np.quantile(np.abs(draws).max(axis=1), QUANTILE))
-    return float(max(-np.log(QUANTILE) / max(float(erfc(quantile / np.sqrt(2.0))), 1e-300), 1.0))
+    if level <= quantile:
+        return float(max(-np.log(QUANTILE) / max(float(erfc(quantile / np.sqrt(2.0))), 1e-300), 1.0))
+    seen = np.flatnonzero(np.diag(correlation) > SMALLEST_EIGENVALUE)
+    tail, at = float(erfc(min(level, LARGEST_LEVEL) / np.sqrt(2.0))), np.arange(DRAWS)
+    first = rng.choice(seen, DRAWS)
+    beyond = np.sqrt(2.0) * erfcinv(tail * (1.0 - rng.random(DRAWS)))
+    draws += (beyond - draws[at, first])[:, None] * correlation[first]
+    draws[at, first] = beyond
+    many = np.sum(np.abs(draws) >= np.minimum(beyond, min(level, LARGEST_LEVEL))[:, None], axis=1)
+    chance = min(seen.size * tail * float(np.mean(1.0 / many)), QUANTILE)
+    return float(max(-np.log1p(-chance) / tail, 1.0))

@@ -1,0 +1,90 @@
+"""Gains of single events: how they show along frequency, and what they do to the mean path beyond first order.
+
+A gain behind everything changes ln P by a, one in front of N_RCU by h b, with h the share of the power that comes
+through it, and a resonance that is lower by c by h c d ln G/d nu. Along the three vectors 1, h and h d ln G/d nu, with
+the mean h, the noise is linear in these amounts. Beyond that, h changes with LST, the gains multiply each other, and a
+resonance that moves is wider on average, by c^2 G''/2G: where it moved by 0.3 MHz in rain, it was named as widening.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from lbacal_core.calibration.normal_equations import solve_normal_equations
+from lbacal_core.causes.antenna import log_gain
+from lbacal_core.chain.terms import ChainTerms
+from lbacal_core.discovery.levels import GAINS_RIDGE, clean_mean
+from lbacal_core.discovery.noise import Residuals
+from lbacal_core.discovery.station import Station
+from lbacal_core.grids import Floats
+
+LARGEST = 5.0
+"""Standard deviations to which the amounts of an event are cut: beyond are bursts, which are no gains."""
+
+
+@dataclass(frozen=True)
+class EventGains:
+    """How gains of an event show.
+
+    Attributes
+    ----------
+    front
+        Share of the power that comes through a gain in front of N_RCU, shape (class, event, freq).
+    slope, curvature
+        d ln G/d nu of the antenna as it was fitted, 1/MHz, and G''/G, 1/MHz^2, shape (freq,). The curve of an
+        instrument's table has slopes that are off by a third where A(nu) has structure.
+    """
+
+    front: Floats
+    slope: Floats
+    curvature: Floats
+
+    @classmethod
+    def of(cls, station: Station, terms: ChainTerms) -> EventGains:
+        """Those of a fitted chain."""
+        conditions = station.conditions
+        front = np.broadcast_to((terms.sky + terms.n_lna) * terms.front / terms.power(), terms.sky.shape)
+        curve = CubicSpline(conditions.frequency_mhz, log_gain(terms, conditions))
+        slope = curve(conditions.frequency_mhz, 1)
+        return cls(front, slope, slope**2 + curve(conditions.frequency_mhz, 2))
+
+    @property
+    def vectors(self) -> Floats:
+        """Vectors along frequency that the noise of an event may share, as each class shows them, (class, 3, freq)."""
+        front = self.front.mean(axis=1)
+        return np.stack([np.ones_like(front), front, front * self.slope], axis=1)
+
+    def beyond_first_order(self, station: Station, residuals: Residuals, mean: Floats) -> Floats:
+        """What the gains of each event do to the means beyond first order, shape (event, freq).
+
+        The amounts of an event are known from the means with an error, and those of single paths by their levels: their
+        second moments are those of the posterior.
+
+        Parameters
+        ----------
+        mean
+            The means without what the fit leaves free, shape (polarisation, event, freq).
+        """
+        levels, vectors = residuals.levels, residuals.levels.vectors
+        share = np.bincount(station.class_of, weights=residuals.in_mean, minlength=len(self.front))
+        front = np.tensordot(share / share.sum(), self.front, axes=1)
+        seeds = np.tensordot(share / share.sum(), self.vectors, axes=1)
+        # amounts of the seeds by those of the vectors
+        onto = solve_normal_equations((seeds @ seeds.T)[None], (seeds @ vectors.T)[None], GAINS_RIDGE)[0]
+        spread = residuals.spread.mean()
+        channel = np.mean(levels.common_channel**2) + levels.path_channel**2 * spread
+        shared = levels.common_sum + spread * levels.mean_path_shared
+        inverse = np.linalg.inv(shared + channel * np.eye(len(vectors)))
+        shrunk = inverse @ shared
+        told = clean_mean(station, mean, seeds).mean(axis=0) @ vectors.T
+        distance = np.sqrt(len(mean) * np.einsum("ek,ekj,ej->e", told, inverse[levels.kind_of], told))
+        told *= np.minimum(LARGEST / np.maximum(distance, LARGEST), 1.0)[:, None]
+        amounts = np.matmul(told[:, None], shrunk[levels.kind_of])[:, 0] @ onto.T
+        unknown = (shared - shared @ shrunk) / len(mean) + (1.0 - spread) * levels.mean_path_shared
+        moments = amounts[:, :, None] * amounts[:, None, :] + (onto @ unknown @ onto.T)[levels.kind_of]
+        first = (front - seeds[1]) * amounts[:, 1:2] + (front * self.slope - seeds[2]) * amounts[:, 2:3]
+        together = moments[:, 0, 1, None] + self.slope * (moments[:, 0, 2] + moments[:, 1, 2])[:, None]
+        return np.asarray(first + front * (together + 0.5 * self.curvature * moments[:, 2, 2, None]))
