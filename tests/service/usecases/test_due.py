@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -64,3 +65,29 @@ def test_work_given_up_for_another_instrument_is_due_again_at_once(filled: Facto
     filled.due.enqueue()
     assert stations_of(rewired, rewired.due.enqueue()) == ["CS001", "CS001", "CS002", "CS002", None]
     assert rewired.due.enqueue() == []
+
+
+def shift(factory: Factory, years: int) -> list[int]:
+    """Store an event so many years after that of the service; the years whose refits are due then."""
+    spectra = Spectra(
+        frequency_mhz=factory.instrument.frequency_mhz,
+        power=np.ones((1, factory.instrument.frequency_mhz.size)),
+        event_id=np.array([f"{years} years"]),
+        time_unix=np.array([TIME_UNIX + years * 365.25 * 86_400]),
+        station=np.array(["CS001"]),
+        antenna=np.zeros(1, dtype=np.int64),
+        dipole=np.array(["X"]),
+        blocks=np.array([100]),
+    )
+    with factory.database.write() as stores:
+        stores.spectra.add(spectra)
+    due = [factory.jobs.get(number).request["since"] for number in factory.due.enqueue()]
+    with factory.database.engine.begin() as connection:
+        connection.exec_driver_sql("UPDATE job_part SET state = 'done', ended_us = 0")
+    return sorted({datetime.fromtimestamp(since / 1e6, UTC).year for since in due})
+
+
+def test_a_year_without_data_calls_for_nothing_and_late_data_for_their_own_year(filled: Factory) -> None:
+    assert shift(filled, 3) == [2014, 2017]
+    assert shift(filled, -2) == [2012], "two years late: the refits of later years stand"
+    assert filled.due.enqueue() == []
