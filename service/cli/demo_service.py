@@ -36,7 +36,7 @@ SETTINGS = TwinSettings(stations=(STATION,), antennas=8, years=1.99, events_per_
 STEP = GainStep(size=0.12, date="2015-04-11", where=Where(antennas=(7,), dipoles=("Y",)))
 ASKED = {"station": STATION, "antenna": 7, "dipole": "Y", "at": "2015-06-15"}
 SEED = 2015
-PATIENCE_S = 60.0
+PATIENCE_S = 180.0
 
 
 @dataclass(frozen=True)
