@@ -118,16 +118,17 @@ def test_a_gap_a_version_and_a_promotion_read_no_more_after_20_000_promotions(
 ) -> None:
     """A question in a gap, without a key, read every promotion of all paths: 13 s and 0.5 GB after four years."""
     new = versions[PATHS[0]][0]
-    ask_everything(client, new)  # opens the connections and fills what is read once
-    small = ask_everything(client, new)
+    first, again = ask_everything(client, new), ask_everything(client, new)
     grow(factory, versions)
-    large = ask_everything(client, new)
-    assert small["gap"].rows > 0
-    for name, found in large.items():
-        before = small[name]
-        shown = 100 if name == "page of a version" else 0
-        assert found.rows <= before.rows + shown + 5, name
-        assert found.statements <= before.statements + 2, name
+    first_of_many, again_of_many = ask_everything(client, new), ask_everything(client, new)
+    assert again["gap"].rows > 0
+    # a question is answered from memory the second time: what is compared was asked as often since the last change
+    for small, large in ((first, first_of_many), (again, again_of_many)):
+        for name, found in large.items():
+            before = small[name]
+            shown = 100 if name == "page of a version" else 0
+            assert found.rows <= before.rows + shown + 5, name
+            assert found.statements <= before.statements + 2, name
 
 
 def test_the_changes_of_a_promotion_over_a_year_of_nights_read_each_interval_once(
