@@ -376,11 +376,6 @@ def report_of(*reports: search.StationReport) -> dict[str, Any]:
     return describe(reports, Provenance({}))
 
 
-def unit_of(cause: str) -> str:
-    """Unit of the cause's size."""
-    return str(_NAMED[cause].unit)
-
-
 def thresholds() -> dict[str, float]:
     """Probabilities by chance below which each question has an answer, and their sum as stated."""
     policy = Policy()

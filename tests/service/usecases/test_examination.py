@@ -10,11 +10,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from sqlalchemy import update
 
 from lbacal_core.spectra import Spectra
 from service.config import Settings
 from service.factory import Factory
 from service.scheduler import look_for_due_work
+from service.schema.tables import spectrum
 from service.wire.bodies import PromotionBody, RefitBody
 from service.worker import Worker
 from tests.service.conftest import Clock
@@ -68,20 +70,13 @@ def test_a_night_after_one_more_event_reads_that_event_alone(year: Factory, camp
     assert sorted(before) == list(SCOPES)
     with year.database.write() as stores:
         # a fit from these would not converge
-        size = campaign.frequency_mhz.size * 8
-        stores.versions._connection.exec_driver_sql(f"UPDATE spectrum SET power = {zeros(year, size)}")  # noqa: S608
+        stores.versions._connection.execute(update(spectrum).values(power=bytes(8 * campaign.frequency_mhz.size)))
     store(year, campaign, slice(-5, -4))
     results = night(year)
     assert {scope: (one["examined"], one["calibrations"]) for scope, one in results.items()} == {
         "antenna": (8, []), "station": (1, []), "array": (1, []),
     }  # fmt: skip
     assert kept(year) == before, "what is kept is not added to"
-
-
-def zeros(factory: Factory, size: int) -> str:
-    """So many bytes 0 in SQL."""
-    is_sqlite = factory.database.engine.dialect.name == "sqlite"
-    return f"zeroblob({size})" if is_sqlite else f"decode(repeat('00', {size}), 'hex')"
 
 
 def test_what_was_examined_is_what_a_fit_from_spectra_says(year: Factory, campaign: Spectra) -> None:
