@@ -370,7 +370,7 @@ def tell(rows: Sequence[Row]) -> list[str]:
     return lines + [f"  NOT SO: {failure}" for row in rows for failure in row["failures"]]
 
 
-_CODE = ("lbacal", "lbacal_core", "proofs", "service", "migrations")
+_CODE = ("lbacal", "lbacal_core", "service", "migrations")
 _ROUTES = "A request made up from the OpenAPI document is answered with 500, too late, or as it does not say"
 _READERS = "A changed document makes its reader fail in another way than with a sentence"
 _FILES = "A changed spectra file is answered with a failure, too late, or with what another file holds"

@@ -343,7 +343,7 @@ def tell(rows: Sequence[Row]) -> list[str]:
     return lines
 
 
-CODE = ("service", "lbacal_core", "proofs")
+CODE = ("service", "lbacal_core")
 PARTS = tuple(
     Part(
         kind, partial(compare, kind), partial(judge, kind), 1, tell, ("ratio",),

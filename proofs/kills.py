@@ -363,7 +363,7 @@ def _kill(kind: str, seed: int) -> Row:
 PARTS = tuple(
     Part(
         kind, partial(_kill, kind), partial(judge, kind), 13, tell, ("broken",), is_parallel=False,
-        code=("lbacal", "lbacal_core", "proofs", "service", "migrations"),
+        code=("lbacal", "lbacal_core", "service", "migrations"),
     )
     for kind in ("sqlite", "postgresql")
 )  # fmt: skip

@@ -349,6 +349,6 @@ def tell(rows: Sequence[Row]) -> list[str]:
 PARTS = (
     Part(
         "postgresql", partial(close_loop, "postgresql", SETTINGS), judge, 20, tell, ("pulls",),
-        code=("lbacal_core", "proofs", "service", "migrations"),
+        code=("lbacal_core", "service", "migrations"),
     ),
 )  # fmt: skip

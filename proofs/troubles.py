@@ -303,7 +303,7 @@ def tell(rows: Sequence[Row]) -> list[str]:
 PARTS = tuple(
     Part(
         name, partial(endure, name, EVENTS), partial(judge, name), 10, tell, is_parallel=False,
-        code=("lbacal", "lbacal_core", "proofs", "service", "migrations"),
+        code=("lbacal", "lbacal_core", "service", "migrations"),
     )
     for name in TROUBLES
 )  # fmt: skip

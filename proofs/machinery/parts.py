@@ -46,7 +46,8 @@ class Part:
     needs_shared
         Whether it reads the folder ../shared beside the project.
     code
-        Folders of the code that can change a figure.
+        Folders that can change a figure beside the code that the trial imports: what it reads, and what other processes
+        run.
     """
 
     name: str
@@ -58,7 +59,7 @@ class Part:
     has_chance: bool = True
     is_parallel: bool = True
     needs_shared: bool = False
-    code: tuple[str, ...] = ("lbacal_core", "proofs")
+    code: tuple[str, ...] = ("lbacal_core/data",)
 
 
 def proof_names() -> list[str]:

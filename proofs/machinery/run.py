@@ -92,7 +92,7 @@ def run_and_record(proof: str, part: Part, order: Order) -> tuple[Record, bool]:
     changed = code.changed_files()
     if changed and not order.is_scratch:
         raise RefusedError(f"the tree is changed ({', '.join(changed[:3])}): commit first, or run with --scratch")
-    digest, commit = code.digest(part.code), code.commit()
+    digest, commit = code.digest(part.trial, part.code), code.commit()
     earlier, seen = of_part(read_records(), proof, part.name), looked_at(LOOKED_AT, proof, part.name)
     used = [block for record in earlier for block in record.blocks] + seen
     block = choose_block(part, order, used)
@@ -110,7 +110,7 @@ def run_and_record(proof: str, part: Part, order: Order) -> tuple[Record, bool]:
     )  # fmt: skip
     if order.is_scratch:
         return record, False
-    if code.changed_files() or code.digest(part.code) != digest:
+    if code.changed_files() or code.digest(part.trial, part.code) != digest:
         raise RefusedError("the code was changed while the proof ran: nothing is recorded")
     return take_in(record, part), True
 

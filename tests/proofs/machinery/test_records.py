@@ -107,7 +107,7 @@ class TestStored:
 
     def test_its_claims_are_what_its_trials_show(self, record: Record):
         part = parts_of(record.proof)[record.part]
-        if record.code != digest(part.code):
+        if record.code != digest(part.trial, part.code):
             pytest.skip("judged by other code than today's")
         assert make_claims(part, record.rows, record.seeds) == record.claims
 

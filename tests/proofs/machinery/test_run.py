@@ -23,7 +23,7 @@ def _judge(rows):
     return [claim_rate("even", "Even", at_least(0.4), sum(row["is_even"] for row in rows), len(rows))]
 
 
-PART = Part("parity", _try, _judge, 6)
+PART = Part("parity", _try, _judge, 6, code=("lbacal_core",))
 
 
 @pytest.fixture
@@ -121,7 +121,7 @@ def test_code_that_changes_while_the_proof_runs_is_not_recorded(checkout: Path):
         return _try(seed)
 
     with pytest.raises(RefusedError, match="changed while the proof ran"):
-        run_and_record("some", Part("parity", change, _judge, 2), Order())
+        run_and_record("some", Part("parity", change, _judge, 2, code=("lbacal_core",)), Order())
     assert read_records(checkout / "proofs" / "records") == []
 
 
@@ -139,18 +139,18 @@ def test_records_of_two_machines_become_one(checkout: Path):
 def test_a_scratch_run_of_a_new_file_does_not_take_up_what_its_earlier_text_gave(checkout: Path):
     """Rows were kept under the digest of files that git knew, so that a proof not yet added resumed from old code."""
     (checkout / "proofs" / "new.py").write_text("A = 1\n")
-    before = code.digest(("proofs",))
+    before = code.digest(_try, ("proofs",))
     (checkout / "proofs" / "new.py").write_text("A = 2\n")
-    changed = code.digest(("proofs",))
+    changed = code.digest(_try, ("proofs",))
     assert changed != before
     commit(checkout)
-    assert code.digest(("proofs",)) == changed
+    assert code.digest(_try, ("proofs",)) == changed
 
 
 def test_what_only_tells_of_results_leaves_records_poolable(checkout: Path):
-    before = code.digest(("proofs", "lbacal_core"))
+    before = code.digest(_try, ("proofs", "lbacal_core"))
     (checkout / "proofs" / "quotes.toml").write_text("")
-    assert code.digest(("proofs", "lbacal_core")) == before
+    assert code.digest(_try, ("proofs", "lbacal_core")) == before
 
 
 def test_what_a_record_itself_writes_does_not_stand_in_the_way_of_the_next(checkout: Path):
