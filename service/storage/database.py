@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import shutil
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from sqlalchemy import URL, Connection, Engine, create_engine, event, make_url, text
-from sqlalchemy.exc import SQLAlchemyError
+from sqlalchemy.exc import DBAPIError, SQLAlchemyError
 
 from service.errors import UnavailableError
 from service.storage.alarms import AlarmStore
@@ -42,6 +42,10 @@ PATIENCE = {
     "idle_in_transaction_session_timeout": "60s",
 }
 """What PostgreSQL ends by itself, on every connection. A promotion is given less (see `LedgerStore.lock`)."""
+ASKERS = 8
+"""Connections for questions of one statement; such a question has its connection for about a millisecond."""
+
+Answer = TypeVar("Answer")
 
 
 class Stores:
@@ -148,6 +152,7 @@ class Database:
         self._file = _SqliteFile(parsed.database) if parsed.get_backend_name() == "sqlite" else None
         self.engine = _make_writing_engine(parsed)
         self._readers = _make_reading_engine(parsed)
+        self._askers = _make_asking_engine(parsed)
         self._open = threading.local()
         self.write_failure: UnavailableError | None = None
         """Why the last transaction that wrote could not, where that will not pass by itself; None once one could."""
@@ -157,6 +162,20 @@ class Database:
         """A transaction that only reads; everything in it sees the database at one instant."""
         with self._transaction(self._readers) as connection:
             yield Stores(connection)
+
+    def ask(self, question: Callable[[Stores], Answer]) -> Answer:
+        """The answer to a question of one statement, which needs no transaction and costs one round trip.
+
+        Whether the connection is alive is not asked before: where it has died, the question is asked once more.
+        """
+        try:
+            with self._transaction(self._askers) as connection:
+                return question(Stores(connection))
+        except UnavailableError as error:
+            if not (isinstance(error.__cause__, DBAPIError) and error.__cause__.connection_invalidated):
+                raise
+        with self.read() as stores:
+            return question(stores)
 
     @contextmanager
     def write(self) -> Iterator[Stores]:
@@ -209,6 +228,7 @@ class Database:
         """Give all connections back."""
         self.engine.dispose()
         self._readers.dispose()
+        self._askers.dispose()
 
 
 @contextmanager
@@ -266,10 +286,19 @@ def _make_reading_engine(url: URL) -> Engine:
     return engine.execution_options(isolation_level="REPEATABLE READ", postgresql_readonly=True)
 
 
-def _make_postgresql_engine(url: URL, **pool: int) -> Engine:
-    options = " ".join(f"-c {name}={value}" for name, value in PATIENCE.items())
+def _make_asking_engine(url: URL) -> Engine:
+    """Connections on which each statement is its own transaction."""
+    if url.get_backend_name() == "sqlite":
+        return _prepare_sqlite(_make_sqlite_engine(url, pool_size=ASKERS, max_overflow=0), None)
+    given: dict[str, Any] = {"isolation_level": "AUTOCOMMIT", "pool_pre_ping": False}
+    settings = PATIENCE | {"default_transaction_read_only": "on"}
+    return _make_postgresql_engine(url, settings, pool_size=ASKERS, max_overflow=0, **given)
+
+
+def _make_postgresql_engine(url: URL, settings: Mapping[str, str] = PATIENCE, **given: Any) -> Engine:
+    options = " ".join(f"-c {name}={value}" for name, value in settings.items())
     arguments = {"connect_timeout": POOL_S, "options": options}
-    return create_engine(url, connect_args=arguments, pool_timeout=POOL_S, pool_pre_ping=True, **pool)
+    return create_engine(url, connect_args=arguments, pool_timeout=POOL_S, **{"pool_pre_ping": True, **given})
 
 
 def _make_sqlite_engine(url: URL, **pool: int) -> Engine:
@@ -277,7 +306,7 @@ def _make_sqlite_engine(url: URL, **pool: int) -> Engine:
     return create_engine(url, connect_args=arguments, pool_timeout=POOL_S, **pool)
 
 
-def _prepare_sqlite(engine: Engine, begin: str) -> Engine:
+def _prepare_sqlite(engine: Engine, begin: str | None) -> Engine:
     @event.listens_for(engine, "connect")
     def _prepare(connection: Any, _record: Any) -> None:
         cursor = connection.cursor()
@@ -286,9 +315,11 @@ def _prepare_sqlite(engine: Engine, begin: str) -> Engine:
             cursor.execute(f"PRAGMA {pragma}")
         cursor.close()
 
-    @event.listens_for(engine, "begin")
-    def _begin(connection: Connection) -> None:
-        # a deferred transaction that turns into a writing one fails at once when another writes; an immediate one waits
-        connection.exec_driver_sql(begin)
+    if begin is not None:
+
+        @event.listens_for(engine, "begin")
+        def _begin(connection: Connection) -> None:
+            # a deferred transaction that turns into a writing one fails at once when another writes; an immediate waits
+            connection.exec_driver_sql(begin)
 
     return engine

@@ -131,23 +131,15 @@ class Calibrations:
         self, at: Instant, paths: Sequence[Scope], as_of: Instant | None = None, *, hold: bool = False
     ) -> InEffect:
         """What answers for paths at an instant; an error naming the neighbours if nothing does for any of them."""
-        with self.database.read() as stores:
-            asked = stores.ledger.answers(paths, at, as_of)
-            decisive = {path: said[-1] for path, said in asked.items() if said and said[-1].calibration is not None}
-            held: dict[Scope, Promotion] = {}
-            missing = [path for path in paths if path not in decisive]
-            if missing and (hold or not decisive):
-                # without `hold` the sentence names the neighbours of one path only
-                found = stores.ledger.neighbours(missing if hold else missing[:1], at, as_of)
-                if hold:
-                    held = {path: p for path in missing if (p := _nearest(found[path], at)) is not None}
-                if not decisive and not held:
-                    raise NotInEffectError(_explain_gap(missing, found[missing[0]], at))
-            answers = decisive | held
-            names = (str(promotion.calibration) for promotion in answers.values())
-            versions = self.versions.get_many(names, stores.versions.get_many)
-            named = (name for version in versions.values() for name in version.budgets)
-            budgets = self.budgets.get_many(named, stores.budgets.get_texts)
+        asked = self.database.ask(lambda stores: stores.ledger.answers(paths, at, as_of))
+        answers = _pick_decisive(asked)
+        held: Mapping[Scope, Promotion] = {}
+        if len(answers) < len(paths) and (hold or not answers):
+            asked, answers, held = self._look_around(at, paths, as_of, hold=hold)
+        names = (str(promotion.calibration) for promotion in answers.values())
+        versions = self.versions.get_many(names, self._load_versions)
+        named = (name for version in versions.values() for name in version.budgets)
+        budgets = self.budgets.get_many(named, self._load_budgets)
         curves = [
             curve
             for path in paths
@@ -157,6 +149,30 @@ class Calibrations:
             )
         ]
         return InEffect(at, curves, [path for path in paths if path not in answers], budgets)
+
+    def _look_around(
+        self, at: Instant, paths: Sequence[Scope], as_of: Instant | None, *, hold: bool
+    ) -> tuple[dict[Scope, list[Promotion]], dict[Scope, Promotion], dict[Scope, Promotion]]:
+        """What was asked of the ledger, what answers, and what of it is held, where there is a gap; at one instant."""
+        with self.database.read() as stores:
+            asked = stores.ledger.answers(paths, at, as_of)
+            decisive = _pick_decisive(asked)
+            missing = [path for path in paths if path not in decisive]
+            # without `hold` the sentence names the neighbours of one path only
+            found = stores.ledger.neighbours(missing if hold else missing[:1], at, as_of)
+        near = {path: _nearest(found[path], at) for path in missing} if hold else {}
+        held = {path: promotion for path, promotion in near.items() if promotion is not None}
+        if missing and not decisive and not held:
+            raise NotInEffectError(_explain_gap(missing, found[missing[0]], at))
+        return asked, decisive | held, held
+
+    def _load_versions(self, names: Sequence[str]) -> Mapping[str, Version]:
+        with self.database.read() as stores:
+            return stores.versions.get_many(names)
+
+    def _load_budgets(self, names: Sequence[str]) -> Mapping[str, str]:
+        with self.database.read() as stores:
+            return stores.budgets.get_texts(names)
 
     def write(
         self, curves: Iterable[CurveInEffect], write: Callable[[CurveInEffect], WrittenCurve]
@@ -218,6 +234,11 @@ def _list_curves(
     cable = version.cable_of(asked, at)
     unknown = at if cable is None and str(asked.dipole) in version.chains else None
     yield CurveInEffect(asked, asked.dipole, promotion, is_held, trace, cable, unknown, version, at)
+
+
+def _pick_decisive(asked: Mapping[Scope, Sequence[Promotion]]) -> dict[Scope, Promotion]:
+    """The promotion that answers for each path that has one."""
+    return {path: said[-1] for path, said in asked.items() if said and said[-1].calibration is not None}
 
 
 def _nearest(neighbours: Neighbours, at: Instant) -> Promotion | None:

@@ -85,8 +85,7 @@ class Intake:
 
     def find_receipts(self, digests: Sequence[str]) -> dict[str, int]:
         """How many spectra bodies hold that were stored whole before, by SHA-256."""
-        with self.database.read() as stores:
-            return stores.spectra.arrivals.find_receipts(digests)
+        return self.database.ask(lambda stores: stores.spectra.arrivals.find_receipts(digests))
 
     def _store_json(self, body: SpectraBody, digest: str) -> Receipt:
         require_same_grid(

@@ -76,8 +76,7 @@ class Keys:
         scheme, _, text = authorization.partition(" ")
         if scheme.lower() != "bearer":
             raise UnauthenticatedError("the header Authorization is not of the form: Bearer KEY")
-        with self.database.read() as stores:
-            key = stores.keys.find(_sha256(text.strip()))
+        key = self.database.ask(lambda stores: stores.keys.find(_sha256(text.strip())))
         if key is None or not key.is_valid(self.clock()):
             raise UnauthenticatedError("the key is unknown, expired or revoked")
         return Caller(f"key {key.number}", frozenset(key.scopes) | {"read"})

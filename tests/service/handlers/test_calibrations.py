@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from astropy.table import Table
 from fastapi.testclient import TestClient
+from sqlalchemy import Engine, event
 
 from lbacal.calibration_files import read_calibrations
 from lbacal.tables import rows_of
@@ -38,6 +39,27 @@ def ask(client: TestClient, at: str = "2014-06-01", **params: Any) -> Any:
 
 
 PATH = {"station": "CS001", "antenna": 0, "dipole": "X"}
+
+
+def test_a_path_asked_for_again_costs_one_statement_and_no_transaction(
+    client: TestClient, stored: Stored, factory: Factory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    promote(client, stored["station"], "2014-01-01")
+    client.headers.pop("Authorization")
+    first = ask(client, **PATH)
+    statements: list[str] = []
+
+    def note(_connection: Any, _cursor: Any, statement: str, *_: Any) -> None:
+        statements.append(statement)
+
+    monkeypatch.setattr(type(factory.database), "read", None)
+    event.listen(Engine, "before_cursor_execute", note)
+    try:
+        again = ask(client, **PATH)
+    finally:
+        event.remove(Engine, "before_cursor_execute", note)
+    assert (again.status_code, again.content) == (200, first.content)
+    assert len(statements) == 1
 
 
 def test_the_narrowest_scope_in_effect_answers_and_says_so(client: TestClient, stored: Stored) -> None:

@@ -118,6 +118,29 @@ def test_a_reader_cannot_write(factory: Factory, database_url: str) -> None:
         stores.keys.add("x", ("read",), created=0, expires=None)
 
 
+def test_a_question_asked_on_a_connection_that_died_is_asked_once_more(factory: Factory, database_url: str) -> None:
+    if not database_url.startswith("postgresql"):
+        pytest.skip("a connection to SQLite is in this process")
+    assert factory.database.ask(lambda stores: stores.keys.all()) == []
+    with psycopg.connect(database_url, autocommit=True) as connection:
+        others = "FROM pg_stat_activity WHERE datname = current_database() AND pid <> pg_backend_pid()"
+        connection.execute(f"SELECT pg_terminate_backend(pid) {others}")
+    assert factory.database.ask(lambda stores: stores.keys.all()) == []
+
+
+def test_a_question_of_one_statement_begins_no_transaction_and_cannot_write(
+    factory: Factory, database_url: str
+) -> None:
+    if database_url.startswith("postgresql"):
+        now = text("SELECT now() = statement_timestamp()")
+        asked = [factory.database.ask(lambda s: s._connection.execute(now).scalar_one()) for _ in range(2)]
+        assert asked == [True, True]
+        with pytest.raises(UnavailableError, match="takes no writes"):
+            factory.database.ask(lambda stores: stores.keys.add("x", ("read",), created=0, expires=None))
+    else:
+        assert not factory.database.ask(lambda s: s._connection.connection.driver_connection.in_transaction)
+
+
 def test_an_error_of_the_program_is_not_an_absent_database(factory: Factory) -> None:
     with pytest.raises(SQLAlchemyError, match=r"SELECT 1 \+"):
         execute(factory.database, "SELECT 1 +")
