@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -19,6 +20,14 @@ TELLING = {"clock": 1.0, "arms": 20.0}
 ZONE_SIGMA_H = 0.1
 """A clock must be known this well before its error is called that of a time zone."""
 RECORD = "record"
+SHIFTS = {"clock", "longitude sign"}
+"""What does nothing but shift sidereal time."""
+HOURS, HOUR_DEG = 24, 15.0
+"""Time zones, of which a wrong one is one; and the turn of the sky in an hour."""
+WHAT_DECIDES = (
+    "The sky does not tell a clock from a longitude: the Sun in data of the day, the local hours of broadcasts, or a "
+    "second station on the same clock would"
+)
 _CHECKS = {
     "latitude sign": "place",
     "longitude sign": "place",
@@ -75,6 +84,9 @@ def conclude(station: str, base: float, possibilities: Sequence[Possibility]) ->
     near = [one for one in possibilities if best.log_likelihood - one.log_likelihood < ALIKE]
     alike = [one for one in near if not any(one.is_chance_of(other) for other in near)]
     alike.sort(key=lambda one: -one.log_likelihood)
+    clock = next((one for one in possibilities if one.kind == "clock"), None)
+    if clock is not None and {one.kind for one in alike} <= SHIFTS:
+        return [_tell_shift(station, clock, [one for one in alike if one is not clock], gain)]
     if len({one.check for one in alike}) > 1:
         words = "; or ".join(describe(one) for one in alike)
         sentence = f"the record is wrong, and these data do not say where: {words}; a sidereal day would"
@@ -87,15 +99,40 @@ def conclude(station: str, base: float, possibilities: Sequence[Possibility]) ->
     return [Line(best.check, WRONG, station, sentence, log_odds=gain, value=value, sigma=best.sigma, unit=unit)]
 
 
+def _tell_shift(station: str, clock: Possibility, signs: Sequence[Possibility], gain: float) -> Line:
+    """Sidereal time that is off: a clock and a longitude do the same to it, and what would just make this shift."""
+    value, sigma = clock.value or 0.0, clock.sigma or 0.0
+    known = [(_far(value - (one.value or 0.0), sigma), one.check, describe(one), one.value or 0.0) for one in signs]
+    zone = _zone_of(value, sigma)
+    if zone:
+        rare = _far(value + zone, sigma) - math.log(HOURS)
+        known.append((rare, "clock", f"the times are of UTC{zone:+d} instead of UTC", -float(zone)))
+    known.sort(key=lambda one: -one[0])
+    named = [f"{words} ({60 * shift:+.0f} min)" for _, _, words, shift in known]
+    size, of_clock, of_longitude = abs(value), *(("ahead", "east") if value < 0 else ("behind", "west"))
+    any_other = f"a clock that is {60 * size:.0f} min {of_clock}, or a longitude that is "
+    any_other += f"{HOUR_DEG * size:.1f} deg too far {of_longitude}"
+    sentence = f"{describe(clock)}: {'; or '.join([*named, any_other])}. {WHAT_DECIDES}"
+    check = known[0][1] if known else clock.check
+    return Line(check, WRONG, station, sentence, log_odds=gain, value=value, sigma=clock.sigma, unit="h")
+
+
+def _far(hours: float, sigma: float) -> float:
+    """Ln L of a shift that is so far from the one seen."""
+    return -0.5 * (hours / sigma) ** 2
+
+
+def _zone_of(value: float, sigma: float) -> int:
+    """Time zone that makes this shift, 0 for none."""
+    zone = round(-value)
+    return zone if sigma < ZONE_SIGMA_H and abs(value + zone) < max(SAME_H, SAME_SIGMAS * sigma) else 0
+
+
 def describe(one: Possibility) -> str:
     """A possibility in words."""
     value, sigma = one.value or 0.0, one.sigma or 0.0
     if one.kind == "clock":
-        words = f"sidereal time is {60 * value:+.0f} +- {60 * sigma:.0f} min from that of clock and longitude on record"
-        zone = round(-value)
-        if zone and sigma < ZONE_SIGMA_H and abs(value + zone) < max(SAME_H, SAME_SIGMAS * sigma):
-            words += f" (times as of UTC{zone:+d} would be)"
-        return words
+        return f"sidereal time is {60 * value:+.0f} +- {60 * sigma:.0f} min from that of clock and longitude on record"
     if one.kind == "arms":
         return f"both arms are turned by {value:+.0f} +- {sigma:.0f} deg (north through east) from the record"
     return {

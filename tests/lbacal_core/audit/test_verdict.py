@@ -19,14 +19,33 @@ def test_arms_turned_by_about_a_right_angle_are_an_exchange_of_letters() -> None
     assert line.check == "exchange"
 
 
-def test_a_clock_that_is_off_by_just_what_a_wrong_sign_of_the_longitude_makes_is_this_sign() -> None:
+def test_a_shift_of_just_what_a_wrong_sign_of_the_longitude_makes_is_this_sign_or_a_clock_in_one_statement() -> None:
     (line,) = conclude(
-        "CS002", 0.0, [Possibility("clock", 41.0, -0.92, 0.03), Possibility("longitude sign", 40.0, -0.916)]
+        "CS002", 0.0, [Possibility("clock", 41.0, -0.92, 0.02), Possibility("longitude sign", 44.0, -0.916)]
     )
-    assert (line.check, line.sentence) == ("place", "the longitude has the wrong sign")
+    assert (line.check, line.value) == ("place", -0.92)
+    assert "the longitude has the wrong sign (-55 min); or a clock that is 55 min ahead" in line.sentence
+
+
+def test_an_hour_late_is_no_longitude_of_the_wrong_sign_where_that_is_five_minutes_less() -> None:
+    """At 6.9 deg a wrong sign shifts sidereal time by 55 min: a year of local winter time was told as this sign."""
+    (line,) = conclude(
+        "CS002", 0.0, [Possibility("clock", 90.0, -1.0, 0.03), Possibility("longitude sign", 92.0, -0.916)]
+    )
+    assert line.check == "clock"
+    assert "UTC+1 instead of UTC (-60 min); or the longitude has the wrong sign (-55 min)" in line.sentence
+
+
+def test_a_shift_that_is_no_whole_hour_is_a_clock_or_a_longitude_and_what_decides_is_said() -> None:
+    (line,) = conclude(
+        "CS002", 0.0, [Possibility("clock", 90.0, 1.4, 0.03), Possibility("longitude sign", 9.0, -0.916)]
+    )
+    assert (line.check, line.value) == ("clock", 1.4)
+    assert ": a clock that is 84 min behind, or a longitude that is 21.0 deg too far west. The sky" in line.sentence
+    assert "UTC" not in line.sentence
 
 
 def test_a_clock_that_is_off_by_a_whole_hour_is_that_of_a_time_zone() -> None:
     (line,) = conclude("CS002", 0.0, [Possibility("clock", 90.0, -2.01, 0.02)])
-    assert line.sentence.endswith("(times as of UTC+2 would be)")
+    assert "the times are of UTC+2 instead of UTC (-120 min); or a clock" in line.sentence
     assert line.unit == "h"
