@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lbacal_core.calibration.lines import ChainForms, fit_lines
 from lbacal_core.calibration.separable import SeparableSolution, solve_separable
@@ -34,6 +35,14 @@ class Baseline:
     residual: Floats
     terms: ChainTerms
     solution: SeparableSolution
+
+    def noise_of(self, is_member: NDArray[np.bool_]) -> tuple[Floats, Floats]:
+        """Noise constants of the station, and the covariance of those of one of some paths: (k,) and (k, k)."""
+        covariance = self.solution.covariance[:, self.solution.x.shape[1] :, self.solution.x.shape[1] :]
+        is_good = np.isfinite(covariance[:, 0, 0])
+        own = is_member & is_good if np.any(is_member & is_good) else is_good
+        typical = covariance[own].mean(axis=0) if np.any(own) else np.zeros(covariance.shape[1:])
+        return _typical_constants(self.solution, is_good | ~np.any(is_good)), typical
 
 
 def fit_baseline(station: Station, ratio: Floats | None = None) -> Baseline:
@@ -71,12 +80,7 @@ def _mean_terms(station: Station, solution: SeparableSolution) -> ChainTerms:
     of_class = [station.class_of == index for index in range(len(station.conditions.dipoles))]
     members = [np.flatnonzero(own & is_good if np.any(own & is_good) else own) for own in of_class]
     is_good |= not np.any(is_good)
-    channels = solution.x.shape[1]
-    # A fitted level of zero or below is uncertain by its error: causes act on at least half of that error.
-    variance = np.diagonal(solution.covariance[is_good], axis1=1, axis2=2)[:, channels:]
-    floor = 0.5 * np.sqrt(np.nan_to_num(np.median(variance, axis=0)))
-    levels = np.column_stack([solution.n[is_good], solution.q[is_good]])
-    constants, terms = np.maximum(np.median(levels, axis=0), floor), station.conditions.intercepts
+    constants, terms = _typical_constants(solution, is_good), station.conditions.intercepts
     before, behind = terms.before(constants[: len(terms.front)]), terms.split_behind(constants[len(terms.front) :])
     slope = np.stack([np.median(solution.x[rows], axis=0) for rows in members])
     return ChainTerms(
@@ -86,3 +90,12 @@ def _mean_terms(station: Station, solution: SeparableSolution) -> ChainTerms:
         receiver_noise=behind[0],
         adc_noise=behind[1],
     )
+
+
+def _typical_constants(solution: SeparableSolution, is_good: NDArray[np.bool_]) -> Floats:
+    """Median noise constants of some paths, shape (constant,)."""
+    # A fitted level of zero or below is uncertain by its error: causes act on at least half of that error.
+    variance = np.diagonal(solution.covariance[is_good], axis1=1, axis2=2)[:, solution.x.shape[1] :]
+    floor = 0.5 * np.sqrt(np.nan_to_num(np.median(variance, axis=0)))
+    levels = np.column_stack([solution.n[is_good], solution.q[is_good]])
+    return np.asarray(np.maximum(np.median(levels, axis=0), floor))

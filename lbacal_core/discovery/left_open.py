@@ -153,7 +153,7 @@ def _find(report: StationReport, finding: Mapping[str, Any]) -> Finding | None:
     """The finding behind its JSON values; None for one of the comparison of antennas, which moves no C."""
     named = finding["cause"], finding["evidence"]["target"], finding["size"]["value"]
     for one in report.findings:
-        if named == (one.hypothesis.cause.identifier, one.hypothesis.target.label, one.hypothesis.size):
+        if named == (one.hypothesis.cause.identifier, one.hypothesis.target.label, one.size[0]):
             return one
     return None
 

@@ -159,7 +159,7 @@ def fit_sizes(
         templates = [signature(one.cause, baseline.terms, conditions, one.template, one.size) for one in hypotheses]
         score, information = weighed.products(templates, [one.target for one in hypotheses])
         own = information[np.ix_(at, at)]
-        if not _can_be_told_apart(own):
+        if not can_be_told_apart(own):
             return None
         step, sigma = np.zeros(len(hypotheses)), np.array([one.sigma for one in hypotheses])
         step[at] = np.clip(np.linalg.solve(own, score[at]), -limit[at], limit[at])
@@ -172,7 +172,7 @@ def fit_sizes(
     return FittedModel(fitted, baseline, linear, is_converged), information
 
 
-def _can_be_told_apart(information: Floats) -> bool:
+def can_be_told_apart(information: Floats) -> bool:
     """Whether the data hold information on every hypothesis, and none is a combination of the others."""
     seen = np.diag(information)
     if not np.all(np.isfinite(information)) or np.any(seen <= 0):

@@ -21,6 +21,7 @@ from lbacal_core.provenance import Provenance
 
 VERDICTS = CONSISTENT, EXPLAINED, UNEXPLAINED = "consistent", "explained", "unexplained"
 BY_RATIO = "acts by ratio: P_sky times own(with)/own(without), from the package's own sky and antenna model"
+OPEN_NOISE = "the data hardly tell the noise in front of the receiver from that behind it, on which the size depends"
 NOISY = 1.1
 """Noise of a path over the typical one beyond which the report names the path."""
 
@@ -115,13 +116,14 @@ def _finding(finding: Finding, report: StationReport) -> dict[str, Any]:
     return tell_finding(
         cause,
         indistinguishable=finding.indistinguishable,
-        size=(one.size, one.uncertainty),
+        size=finding.size,
         parameters=one.template.parameters,
         chance=(score.significance, score.p_value),
         where=_where(report, one.target, one.template.parameters),
         gain=tell_gain(finding.chi2_before, finding.chi2_after, finding.dof, finding.held_out_gain, score.events),
         change=finding.calibration_change,
-        sentence=_sentence(report, one.target, cause, (one.size, one.uncertainty), one.template.parameters),
+        sentence=_sentence(report, one.target, cause, finding.size, one.template.parameters)
+        + (f" {OPEN_NOISE[0].upper()}{OPEN_NOISE[1:]}." if finding.over_noise else ""),
         evidence={
             "score_sigma": float(score.z),
             "trials": float(score.trials),
@@ -131,8 +133,17 @@ def _finding(finding: Finding, report: StationReport) -> dict[str, Any]:
             "is_converged": report.last.is_converged,
             "correlations": dict(finding.indistinguishable),
             "note": BY_RATIO if cause.acts_by_ratio else "",
+            **_of_noise(finding),
         },
     )
+
+
+def _of_noise(finding: Finding) -> dict[str, Any]:
+    """What the size depends on where the noise constants are hardly told apart."""
+    if finding.over_noise is None:
+        return {}
+    one = finding.hypothesis
+    return {"noise": OPEN_NOISE, "with_fitted_noise": {"value": one.size, "sigma": one.uncertainty}}
 
 
 def _antenna_finding(score: AntennaScore, report: StationReport) -> dict[str, Any]:

@@ -24,6 +24,7 @@ from lbacal_core.discovery.families import list_families
 from lbacal_core.discovery.growth import grow
 from lbacal_core.discovery.hidden import shares_taken
 from lbacal_core.discovery.hypothesis import Hypothesis, Target, list_targets
+from lbacal_core.discovery.open_noise import average_size
 from lbacal_core.discovery.policy import Policy
 from lbacal_core.discovery.project import LinearModel
 from lbacal_core.discovery.proposals import SameAgain, StationSearch, chi_squared_of, gain_of
@@ -52,6 +53,9 @@ class Finding:
         Causes that fit as well at the size found, with the correlation of their templates.
     calibration_change
         Relative change of C of the target's paths, shape (path, freq).
+    over_noise
+        Its size and the standard deviation of it over the noise constants that the fit leaves open; None where the
+        data tell them apart.
     """
 
     hypothesis: Hypothesis
@@ -62,6 +66,12 @@ class Finding:
     dof: int
     held_out_gain: float
     calibration_change: Floats
+    over_noise: tuple[float, float] | None = None
+
+    @property
+    def size(self) -> tuple[float, float]:
+        """The size with its standard deviation."""
+        return self.over_noise or (self.hypothesis.size, self.hypothesis.uncertainty)
 
 
 @dataclass(frozen=True)
@@ -255,6 +265,7 @@ def _finding(without: FittedModel, last: FittedModel, number: int, score: Score,
         dof=dof,
         held_out_gain=gain_of(without, hypothesis, score),
         calibration_change=_calibration_change(without, last, hypothesis.target),
+        over_noise=average_size(last, number),
     )
 
 
