@@ -40,7 +40,7 @@ class OpenNoise:
     front, behind
         Typical constants, shape (r,) and (k,).
     covariance
-        Of (front, behind), shape (r + k, r + k).
+        That of (front, behind), shape (r + k, r + k).
     """
 
     front: Floats
