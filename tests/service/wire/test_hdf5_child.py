@@ -1,14 +1,13 @@
 from __future__ import annotations
 
-import io
 import json
 import signal
 import subprocess
 import sys
 
-import numpy as np
 import pytest
 
+from service.wire.hdf5_body import _parse_answer
 from service.wire.hdf5_child import GOOD, REFUSED, read_file, write_example
 
 
@@ -18,12 +17,16 @@ def confined(code: str, deadline_s: int = 20) -> subprocess.CompletedProcess[str
 
 
 def test_the_columns_of_a_file_come_back_as_arrays_without_objects() -> None:
-    answer = io.BytesIO(read_file(write_example("e")))
-    names = json.loads(answer.readline().removeprefix(GOOD))
-    columns = {name: np.load(answer, allow_pickle=False) for name in names}
+    columns = _parse_answer(read_file(write_example("e")))
     assert columns["power"].tolist() == [[1.0]]
     assert columns["event_id"].tolist() == ["e"]
-    assert columns["env/temperature_c"].tolist() == [1.0]
+    assert columns["environment"]["temperature_c"].tolist() == [1.0]
+
+
+@pytest.mark.parametrize("letters", ["|O", "<f4,<f4", "V8", "(", "<M8[s]"])
+def test_an_answer_of_another_type_than_numbers_and_texts_is_refused(letters: str) -> None:
+    with pytest.raises(ValueError, match="neither numbers nor texts"):
+        _parse_answer(GOOD + json.dumps([("power", letters, [1])]).encode() + b"\n" + bytes(64))
 
 
 def test_what_is_no_file_is_a_sentence() -> None:
