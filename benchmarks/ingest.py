@@ -3,9 +3,10 @@
 One event (576 spectra of 51 channels) a request and one client, as JSON and as a spectra file, against the idempotent
 bulk load of the database by its own driver: into an empty table of the same schema, many events in one transaction,
 from values that are ready (SQLite: executemany with ON CONFLICT DO NOTHING; PostgreSQL: COPY into a staging table, then
-INSERT ... ON CONFLICT DO NOTHING). The same with one event a transaction, which is as many commits as the server makes
-when one event comes in each request, sending again, and `lbacal ingest` are measured beside. The kinds take turns, so
-that other work on the machine meets all; rates are medians.
+INSERT ... ON CONFLICT DO NOTHING). Measured beside: the same with one event a transaction, which is as many commits as
+the server makes when one event comes in each request; that again from bodies, which a loader in this process reads as
+fast as we know how, sends nowhere and does not check; four clients at once; sending again; and `lbacal ingest`. The
+kinds take turns, so that other work on the machine meets all; rates are medians.
 """
 
 from __future__ import annotations
@@ -19,23 +20,32 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from functools import partial
+from itertools import chain, count
 
 import httpx2
+import jiter
 import numpy as np
 import psycopg
 
 from lbacal.bodies import bodies_of_events, files_of_events
 from lbacal.client import Client
+from lbacal_core.grids import Floats
 from lbacal_core.instrument import load_instrument
-from lbacal_core.spectra import Spectra
+from lbacal_core.spectra import Spectra, read_columns
 from proofs.running.postgres import run_postgres
 from proofs.running.processes import wait_until
 from service.config import Settings
+from service.handlers.request import HDF5
 from service.storage.database import Database
 from service.storage.migration import upgrade
 
 TURNS = 6
+LOADS = 4
+"""Kinds of bulk load."""
+CLIENTS = 4
 APART = "bulk load, one event a transaction"
 Row = tuple[int, int, int, int, bytes]
 
@@ -161,48 +171,72 @@ def rate(rows: int, work: Callable[[], object]) -> float:
     return rows / (time.perf_counter() - started)
 
 
+def read_text(body: bytes) -> Floats:
+    """The powers of a JSON body, shape (row, freq)."""
+    return np.array([spectrum["power"] for spectrum in jiter.from_json(body)["spectra"]])
+
+
+def read_file(body: bytes) -> Floats:
+    """The powers of a spectra file, shape (row, freq)."""
+    return np.asarray(read_columns(body, "body", 1 << 26)["power"])
+
+
+def make_rows(powers: Floats, event: int) -> list[Row]:
+    """An event as rows that are ready for the driver."""
+    return [(k, event, 0, 100, power.tobytes()) for k, power in enumerate(powers)]
+
+
 def compare(name: str, database_url: str, bulk: BulkSqlite | BulkPostgres, events: int) -> None:
     rng = np.random.default_rng(0)
-    spectra = [make_spectra(events, (3 * turn + kind) * events, rng) for turn in range(TURNS) for kind in range(3)]
-    rows = len(spectra[0])
-    paths = rows // events
-    bulk.add_keys(paths, 2 * TURNS * events)
     rates: dict[str, list[float]] = {}
+    batches, free = count(), count()
     with (
         serve(database_url) as (url, key),
         httpx2.Client(base_url=url, timeout=60.0) as http,
         Client(url, key) as client,
+        ThreadPoolExecutor(CLIENTS) as pool,
     ):
         http.headers["Authorization"] = f"Bearer {key}"
 
-        def send(bodies: list[bytes], media: str) -> None:
+        def send(bodies: Sequence[bytes], media: str) -> None:
             for body in bodies:
                 http.post("/v1/spectra", content=body, headers={"Content-Type": media}).raise_for_status()
 
-        for turn in range(TURNS):
-            as_json, as_file, by_client = spectra[3 * turn : 3 * turn + 3]
-            together, apart = (
-                [
-                    (k % paths, (2 * turn + kind) * events + k // paths, 0, 100, p.tobytes())
-                    for k, p in enumerate(as_json.power)
-                ]
-                for kind in range(2)
-            )
-            texts = [json.dumps(body).encode() for body in bodies_of_events(as_json)]
-            files = [file for _, file in files_of_events(as_file)]
-            for what, work in {
-                "bulk load": lambda rows=together: bulk.load(rows),
-                APART: lambda rows=apart: [bulk.load(rows[k : k + paths]) for k in range(0, len(rows), paths)],
-                "JSON": lambda bodies=texts: send(bodies, "application/json"),
-                "JSON again": lambda bodies=texts: send(bodies, "application/json"),
-                "HDF5": lambda bodies=files: send(bodies, "application/x-hdf5"),
-                "HDF5 again": lambda bodies=files: send(bodies, "application/x-hdf5"),
-                "lbacal ingest": lambda some=by_client: client.ingest(some),
-                "lbacal ingest again": lambda some=by_client: client.ingest(some),
-            }.items():
+        def send_at_once(bodies: Sequence[bytes], media: str) -> None:
+            list(pool.map(lambda k: send(bodies[k::CLIENTS], media), range(CLIENTS)))
+
+        def load(bodies: Sequence[bytes], read: Callable[[bytes], Floats]) -> None:
+            for body in bodies:
+                bulk.load(make_rows(read(body), next(free)))
+
+        def make() -> Spectra:
+            return make_spectra(events, next(batches) * events, rng)
+
+        rows = len(make())
+        bulk.add_keys(rows // events, LOADS * TURNS * events)
+        for _ in range(TURNS):
+            ready = [make_rows(power, next(free)) for power in np.split(make().power, events)]
+            apart = [make_rows(power, next(free)) for power in np.split(make().power, events)]
+            texts, more_texts = ([json.dumps(body).encode() for body in bodies_of_events(make())] for _ in range(2))
+            files, more_files = ([file for _, file in files_of_events(make())] for _ in range(2))
+            works: dict[str, Callable[[], object]] = {
+                "bulk load": partial(bulk.load, list(chain.from_iterable(ready))),
+                APART: partial(lambda each: [bulk.load(some) for some in each], apart),
+                f"{APART}, from JSON": partial(load, texts, read_text),
+                f"{APART}, from files": partial(load, files, read_file),
+                "JSON": partial(send, texts, "application/json"),
+                "JSON again": partial(send, texts, "application/json"),
+                f"JSON, {CLIENTS} clients": partial(send_at_once, more_texts, "application/json"),
+                "HDF5": partial(send, files, HDF5),
+                "HDF5 again": partial(send, files, HDF5),
+                f"HDF5, {CLIENTS} clients": partial(send_at_once, more_files, HDF5),
+                "lbacal ingest": partial(client.ingest, by_client := make()),
+                "lbacal ingest again": partial(client.ingest, by_client),
+            }
+            for what, work in works.items():
                 rates.setdefault(what, []).append(rate(rows, work))
     median = {what: float(np.median(found[1:])) for what, found in rates.items()}  # the first turn warms up
-    print(f"{name}: {TURNS - 1} turns of {events} events x {paths} spectra x {spectra[0].frequency_mhz.size}")
+    print(f"{name}: {TURNS - 1} turns of {events} events x {rows // events} spectra")
     for what, found in median.items():
         of_bulk = f"{found / median['bulk load']:.2f} of the bulk load, {found / median[APART]:.2f} of that by event"
         again = f", {median[what.removesuffix(' again')] / found:.2f} of the time of sending" if "again" in what else ""
