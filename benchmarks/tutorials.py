@@ -6,6 +6,7 @@ Run: .venv/bin/python -m benchmarks.tutorials  (half a minute; by the clock it m
 from __future__ import annotations
 
 import multiprocessing
+import os
 import re
 import resource
 import runpy
@@ -24,7 +25,8 @@ def processor_s() -> float:
 
 
 def run(path: str) -> None:
-    """Run a script as a user does."""
+    """Run a script as a user does, where it lies."""
+    os.chdir(Path(path).parent)
     runpy.run_path(path)
 
 

@@ -153,6 +153,7 @@ def _break(kind: str, spectra: Spectra, rows: np.ndarray, rng: np.random.Generat
 
 
 LETTERS = tuple(kind for kind in KINDS if kind.startswith("letters"))
+PATHS = ("dead", "deaf", "oscillating", "clipped")
 
 
 def tell_audit(length: str, seed: int) -> Row:
@@ -199,6 +200,12 @@ def tell_arms(seed: int) -> Row:
     return tell_fault("day", seed, "arms")
 
 
+def tell_paths(seed: int) -> Row:
+    """A path that does not work, for a sidereal day, an hour and a minute in turn."""
+    length = tuple(LENGTHS)[seed % len(LENGTHS)]
+    return tell_fault(length, seed, PATHS[seed // len(LENGTHS) % len(PATHS)]) | {"length": length}
+
+
 def tell_hour(seed: int) -> Row:
     """An hour."""
     return tell_audit("hour", seed)
@@ -217,19 +224,24 @@ def judge_common(rows: Sequence[Row], length: str) -> list[Claim]:
     """Nothing is named where nothing is wrong; no wrong name where something is."""
     clean = [row for row in rows if row["kind"] == "nothing"]
     faulty = [row for row in rows if row["kind"] != "nothing"]
-    path = [row for row in faulty if row["kind"] in ("dead", "deaf", "oscillating", "clipped")]
+    path = [row for row in faulty if row["kind"] in PATHS]
     return [
         claim_rate(
             "false", f"Something named in a healthy station seen for a {length}", at_most(0.01), *_count(clean, "false")
         ),
         claim_rate("wrong", f"A fault named wrongly, seen for a {length}", at_most(0.01), *_count(faulty, "wrong")),
-        claim_rate(
-            "path",
-            f"Dead, deaf, oscillating and clipped paths named, seen for a {length}",
-            at_least(0.99),
-            *_count(path, "right"),
-        ),
+        _claim_paths("path", path, length),
     ]
+
+
+def _claim_paths(key: str, rows: Sequence[Row], length: str) -> Claim:
+    text = f"Dead, deaf, oscillating and clipped paths named, seen for a {length}"
+    return claim_rate(key, text, at_least(0.99), *_count(rows, "right"))
+
+
+def judge_paths(rows: Sequence[Row]) -> list[Claim]:
+    """Each length decides paths that do not work."""
+    return [_claim_paths(length, [row for row in rows if row["length"] == length], length) for length in LENGTHS]
 
 
 def judge_day(rows: Sequence[Row]) -> list[Claim]:
@@ -287,6 +299,7 @@ PARTS = (
     Part("day", tell_day, judge_day, 3000, tell_kinds, ("false",)),
     Part("letters", tell_letters, judge_letters, 500, tell_kinds),
     Part("arms", tell_arms, judge_arms, 500, tell_kinds),
+    Part("paths", tell_paths, judge_paths, 1350, tell_kinds),
     Part("hour", tell_hour, judge_hour, 3000, tell_kinds),
     Part("minute", tell_minute, judge_minute, 3000, tell_kinds),
 )

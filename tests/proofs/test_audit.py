@@ -10,10 +10,12 @@ from proofs.audit import (
     judge_day,
     judge_letters,
     judge_minute,
+    judge_paths,
     tell_arms,
     tell_audit,
     tell_kinds,
     tell_letters,
+    tell_paths,
 )
 from proofs.machinery.parts import Row
 
@@ -51,6 +53,19 @@ def test_parts_of_one_kind_draw_this_kind_alone() -> None:
         ("arms", "letters"), "undecided"
     )
     assert {turned["outcome"], exchanged["outcome"]} == {"right"}
+
+
+def test_the_part_of_paths_takes_lengths_and_kinds_in_turn() -> None:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("proofs.audit.SIZE_CHANCES", (1.0, 0.0, 0.0, 0.0, 0.0))
+        rows = [tell_paths(seed) for seed in (2, 5)]
+    assert [(row["length"], row["kind"], row["outcome"]) for row in rows] == [
+        ("minute", "dead", "right"),
+        ("minute", "deaf", "right"),
+    ]
+    assert [(claim.key, claim.verdict) for claim in judge_paths([*rows, tell_paths(0), tell_paths(1)])] == [
+        (length, "undecided") for length in ("day", "hour", "minute")
+    ]
 
 
 def test_a_minute_names_no_clock_and_still_finds_a_dead_path() -> None:
