@@ -2,9 +2,10 @@
 
 A campaign is 576 paths over seven years, of which all share 5 % from year to year and a season of 3 %. `nothing` looks
 at growing data, from the second month to the end, as nights do: whatever any look finds is a false alarm. `steps`
-plants steps of 3 % and a ladder of smaller ones, at any date but the first and last ten events of the path. `slopes`
-gives paths 1 % a year against their stations, and looks after three years. `stations` plants one step that a station's
-paths share, and one of four paths. `whole` gives everything a trend and compares it with the one told.
+plants steps of 3 % and 1 %, and a ladder of smaller ones that measures the size found in 90 %, at any date but the
+first and last ten events of the path. `slopes` gives paths 1 % a year against their stations, and looks after three
+years. `stations` plants one step that a station's paths share, and one of four paths. `whole` gives everything a trend
+and compares it with the one told.
 """
 
 from __future__ import annotations
@@ -17,12 +18,16 @@ import numpy as np
 from lbacal_core.drift.changes import list_changes
 from lbacal_core.drift.follow import Followed, History, follow
 from proofs.drift_world import DAY, START, YEAR, World, cut_short, draw_history
-from proofs.machinery.claims import Claim, at_least, at_most, between, claim_mean, claim_rate
+from proofs.hidden.detection import fit_detection
+from proofs.machinery.claims import MEASUREMENT, Claim, at_least, at_most, between, claim_mean, claim_rate
 from proofs.machinery.parts import Part, Row
 
 WORLD = World()
 LOOKS_YEARS = (2 / 12, 0.25, 0.5, 0.75, 1, 1.5, 2, 3, 4, 5, 6, 7)
-LADDER = (0.03, 0.01, 0.006, 0.004, 0.003, 0.002)
+LADDER = (0.03, 0.01, 0.008, 0.006, 0.004, 0.003, 0.002)
+NEAR_90 = (0.01, 0.008, 0.006, 0.004)
+"""Sizes about the one that is found in 90 %, to which the curve of detection is fitted."""
+UNIT = 0.001
 PATHS_A_SIZE = 12
 SAME_STEP = 45 * DAY
 """A step found farther from a planted one than this is another one."""
@@ -119,11 +124,25 @@ def judge_steps(rows: Sequence[Row]) -> list[Claim]:
         claim_mean("others", "Paths without a step that got one", at_most(0.01),
                    np.array([row["others"] for row in rows]), "%"),
     ]  # fmt: skip
-    for size in LADDER[1:]:
-        of_size = _steps_of(rows, size)
-        found = sum(s["found"] for s in of_size)
-        text = f"Steps of {100 * size:g} % found, at any date of seven years"
-        claims.append(claim_rate(f"found_{size:g}", text, at_least(0.9), found, len(of_size)))
+    small = _steps_of(rows, LADDER[1])
+    text = "Steps of 1 % found, at any date of seven years"
+    claims.append(claim_rate("found_0.01", text, at_least(0.9), sum(s["found"] for s in small), len(small)))
+    return [*claims, *measure_detection(rows)]
+
+
+def measure_detection(rows: Sequence[Row]) -> list[Claim]:
+    """Measure the sizes found in 50 % and 90 %: P(found) is a normal integral over the logarithm of the size."""
+    near = [s for size in NEAR_90 for s in _steps_of(rows, size)]
+    found = np.array([s["found"] for s in near], dtype=float)
+    if not 0.0 < found.mean() < 1.0:
+        return []
+    curve = fit_detection(np.log(np.abs([s["size"] for s in near]) / UNIT), found)
+    claims = []
+    for part in (0.5, 0.9):
+        size, low, high = UNIT * np.exp(curve.snr_at(part))
+        text = f"Size of the step of a path that is found in {100 * part:g} %, at any date of seven years"
+        key = f"size_{100 * part:g}"
+        claims.append(Claim(key, text, MEASUREMENT, float(size), (float(low), float(high)), len(near), "%"))
     return claims
 
 
@@ -282,8 +301,8 @@ def find_trend(seed: int) -> Row:
 
 PARTS = (
     Part("nothing", look_at_nothing, judge_looks, 12),
-    Part("steps", find_steps, judge_steps, 12, tell_steps, ("found",)),
+    Part("steps", find_steps, judge_steps, 24, tell_steps, ("found", "size_90")),
     Part("slopes", find_slopes, judge_slopes, 8),
-    Part("stations", find_in_stations, judge_stations, 24),
-    Part("whole", find_trend, judge_whole, 200, tell_whole),
+    Part("stations", find_in_stations, judge_stations, 120),
+    Part("whole", find_trend, judge_whole, 400, tell_whole),
 )

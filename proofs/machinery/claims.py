@@ -1,7 +1,8 @@
-"""What a proof claims, and how the figures decide it: shown, refuted or undecided.
+"""What a proof claims, and how the figures decide it: shown, refuted or undecided; or what it measures.
 
 A claim is decided by its 95 % interval against what is asked. Shown: the whole interval is within what is asked.
 Refuted: none of it is. Undecided: the interval reaches over the limit, or the data sets had been seen before.
+Measured: nothing is asked of the figure, it is stated with its interval.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from scipy.stats import binomtest, chi2, t
 
 from lbacal_core.grids import Floats
 
-SHOWN, REFUTED, UNDECIDED = "shown", "refuted", "undecided"
+SHOWN, REFUTED, UNDECIDED, MEASURED = "shown", "refuted", "undecided", "measured"
 CONFIDENCE = 0.95
 
 Interval = tuple[float, float]
@@ -23,18 +24,24 @@ Interval = tuple[float, float]
 
 @dataclass(frozen=True)
 class Asked:
-    """What is asked of a number: to be at least `low` and at most `high`."""
+    """What is asked of a number: to be at least `low` and at most `high`; nothing where both are None."""
 
     low: float | None = None
     high: float | None = None
 
     def verdict(self, interval: Interval) -> str:
         """What an interval says of it."""
+        if self.low is None and self.high is None:
+            return MEASURED
         low = -np.inf if self.low is None else self.low
         high = np.inf if self.high is None else self.high
         if low <= interval[0] and interval[1] <= high:
             return SHOWN
         return REFUTED if interval[1] < low or interval[0] > high else UNDECIDED
+
+
+MEASUREMENT = Asked()
+"""A number that a proof states, and that nobody gave a limit."""
 
 
 def at_least(low: float) -> Asked:
@@ -89,7 +96,7 @@ class Claim:
 
     @property
     def verdict(self) -> str:
-        """Shown, refuted or undecided."""
+        """Shown, refuted or undecided; measured where nothing is asked."""
         return self.asked.verdict(self.interval) if self.is_fresh and self.n > 0 else UNDECIDED
 
     def as_dict(self) -> dict[str, Any]:
@@ -115,6 +122,8 @@ class Claim:
     def words_asked(self) -> str:
         """What is asked, in words."""
         low, high = self.asked.low, self.asked.high
+        if low is None and high is None:
+            return "nothing"
         if low is None or high is None:
             return f">= {self._number(low)}" if low is not None else f"<= {self._number(high or 0.0)}"
         return f"{self._number(low, has_unit=False)} to {self._number(high)}"

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from proofs.machinery.claims import REFUTED, SHOWN, UNDECIDED, Claim
+from proofs.machinery.claims import MEASURED, REFUTED, SHOWN, UNDECIDED, Claim
 from proofs.machinery.code import ROOT
 from proofs.machinery.parts import parts_of, proof_names
 from proofs.machinery.records import FRESH, NO_CHANCE, Record, newest
@@ -24,10 +24,10 @@ on what has been published. `./dev prove NAME` runs a proof, keeps every trial i
 
 A claim is decided by the 95 % interval of the figure against what is asked. **Shown**: the whole interval is within
 what is asked. **Refuted**: none of it is. **Undecided**: it reaches over the limit, because there were too few trials,
-or the data sets had been seen while the code was written. Seeds below 1,000,000 are for debugging, a block of seeds
-that was recorded once is spent, and nothing is recorded from a changed tree. n counts independent trials. The rows are
-the main claims, which each proof names itself (`headlines`); all others are in the records, and whatever is refuted or
-undecided, a row or not, is said at the end.
+or the data sets had been seen while the code was written. **Measured**: nothing is asked, the figure is stated. Seeds
+below 1,000,000 are for debugging, a block of seeds that was recorded once is spent, and nothing is recorded from a
+changed tree. n counts independent trials. The rows are the main claims, which each proof names itself (`headlines`);
+all others are in the records, and whatever is refuted or undecided, a row or not, is said at the end.
 """
 TABLE = ("| claim | asked | found (95 % interval) | n | verdict | command | commit |", "|" + "---|" * 7)
 TOLD_BELOW = """\
@@ -76,7 +76,7 @@ def _is_headline(claim: Claim, record: Record) -> bool:
 
 
 def _row(claim: Claim, record: Record) -> str:
-    verdict = f"**{claim.verdict}**" if claim.verdict != SHOWN else claim.verdict
+    verdict = f"**{claim.verdict}**" if claim.verdict not in (SHOWN, MEASURED) else claim.verdict
     if not claim.is_fresh:
         verdict += f" ({record.seeds})"
     cells = (claim.claim, claim.words_asked, claim.words_found, str(claim.n), verdict)

@@ -9,6 +9,7 @@ import pytest
 
 from proofs.drift import (
     LADDER,
+    NEAR_90,
     SMALL_WORLD,
     age,
     judge_looks,
@@ -17,6 +18,7 @@ from proofs.drift import (
     judge_steps,
     judge_whole,
     look,
+    measure_detection,
     plant_in_stations,
     plant_slopes,
     plant_steps,
@@ -51,6 +53,17 @@ def test_the_judgement_refutes_a_finder_that_is_blind(steps: list[Row]) -> None:
     blind = [{**row, "steps": [{"size": s["size"], "found": False} for s in row["steps"]]} for row in steps]
     claims = {claim.key: claim for claim in judge_steps([*steps, *blind])}
     assert claims["found"].verdict == "refuted"
+    assert "size_90" not in {claim.key for claim in judge_steps(blind)}
+
+
+def test_the_size_that_is_found_in_90_per_cent_is_measured_between_its_neighbours() -> None:
+    rng = np.random.default_rng(3)
+    steps = [{"size": size, "found": bool(rng.random() < 1.0 - np.exp(-size / 0.003))} for size in 200 * NEAR_90]
+    half, most = measure_detection([{"steps": steps}])
+    assert half.found < 0.0035
+    assert most.found == pytest.approx(0.003 * np.log(10), rel=0.1), "a normal integral is not the law that was drawn"
+    assert most.interval[0] < most.found < most.interval[1]
+    assert most.verdict == "measured"
 
 
 def test_a_slope_is_found_within_three_years() -> None:

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from proofs.machinery.claims import (
+    MEASURED,
+    MEASUREMENT,
     REFUTED,
     SHOWN,
     UNDECIDED,
@@ -36,6 +38,7 @@ from proofs.machinery.claims import (
         (between(-1, 1), (-0.5, 0.5), SHOWN),
         (between(-1, 1), (0.5, 1.5), UNDECIDED),
         (between(-1, 1), (-3.0, -1.5), REFUTED),
+        (MEASUREMENT, (-3.0, 100.0), MEASURED),
     ],
 )
 def test_the_interval_decides(asked, interval, verdict):
@@ -51,6 +54,13 @@ def test_a_rate_that_was_called_holding_below_what_was_asked_is_undecided_or_ref
 def test_fewer_trials_decide_less():
     verdicts = [claim_rate("r", "", at_most(0.01), 0, n).verdict for n in (40, 300, 400, 4000)]
     assert verdicts == [UNDECIDED, UNDECIDED, SHOWN, SHOWN]
+
+
+def test_a_measurement_states_its_figure_and_asks_nothing():
+    claim = Claim("size", "", MEASUREMENT, 0.007, (0.006, 0.008), 100, "%")
+    assert (claim.words_asked, claim.words_found, claim.verdict) == ("nothing", "0.7 % (0.6 to 0.8)", MEASURED)
+    assert Claim.from_dict(claim.as_dict()) == claim
+    assert claim.seen_before().verdict == UNDECIDED
 
 
 def test_data_sets_that_had_been_seen_decide_nothing():
