@@ -17,7 +17,7 @@ import numpy as np
 
 from lbacal.cache import Cache, Question, Snapshot, find_cache
 from lbacal.instants import parse_instant
-from lbacal.transport import TRIES, Transport, UnreachableError
+from lbacal.transport import STUCK_S, TRIES, Transport, UnreachableError
 from lbacal_core.errors import BadInputError
 from lbacal_core.galcal import name_path
 
@@ -108,9 +108,9 @@ class Client:
         if self._cache and tag is not None and as_of is None and gap is None and self._cache.has(tag):
             return self._ask_cache(self._cache, params)
         try:
-            # with a cache nobody need wait for a server that may come back
-            tries = None if self._cache is None else 1
-            return self._transport.request("GET", _EFFECTIVE, params=params, is_quick=True, tries=tries).content
+            # with a cache nobody need wait for a server that may come back, or for one that is stuck
+            patience: dict[str, Any] = {} if self._cache is None else {"tries": 1, "answer_s": STUCK_S}
+            return self._transport.request("GET", _EFFECTIVE, params=params, is_quick=True, **patience).content
         except UnreachableError:
             if self._cache is None or gap is not None:
                 raise

@@ -21,6 +21,8 @@ TIMEOUT_S = 60.0
 QUICK_S = 2.0
 """A question that a cache may answer instead, or a human waits for, finds within this time that nobody is there."""
 QUICK_CONNECT_S = 1.5
+STUCK_S = 10.0
+"""A server that took a question and is silent for this long is stuck, if something else can answer."""
 TRIES = 6
 FIRST_PAUSE_S = 0.5
 LONGEST_PAUSE_S = 30.0
@@ -63,16 +65,18 @@ class Transport:
     def request(
         self, method: str, path: str, *, params: Mapping[str, Any] | None = None, body: Any = None,
         file: bytes | None = None, is_quick: bool = False, tries: int | None = None,
+        answer_s: float = TIMEOUT_S,
     ) -> httpx2.Response:  # fmt: skip
         """Ask, with a JSON body or a spectra file, and ask again while nobody answers or the server is busy.
 
-        With `is_quick` it is known after `QUICK_S` that nobody is there.
+        With `is_quick` it is known after `QUICK_S` that nobody is there, and after `answer_s` that a server which took
+        the question is stuck.
         """
         given = {name: value for name, value in (params or {}).items() if value is not None}
         headers = {} if method == "GET" else {"Idempotency-Key": uuid.uuid4().hex}
         if file is not None:
             headers["Content-Type"] = "application/x-hdf5"
-        more: dict[str, Any] = {"timeout": httpx2.Timeout(TIMEOUT_S, connect=QUICK_CONNECT_S)} if is_quick else {}
+        more: dict[str, Any] = {"timeout": httpx2.Timeout(answer_s, connect=QUICK_CONNECT_S)} if is_quick else {}
         end = time.monotonic() + QUICK_S if is_quick else math.inf
         pause, problem = FIRST_PAUSE_S, UnreachableError("no answer")
         for attempt in range(tries or self.tries):

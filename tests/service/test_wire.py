@@ -112,6 +112,22 @@ def test_who_is_answered_from_the_cache_is_told_at_once(factory: Factory, tagged
     assert table.meta["source"].startswith(f"cache: tag paper, as known at {snapshot.as_of}, synced at 20")
 
 
+@pytest.mark.usefixtures("cache")
+def test_a_server_that_took_the_question_and_said_nothing_held_the_cache_back_for_a_minute(
+    factory: Factory, tagged: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("lbacal.client.STUCK_S", 0.2)
+    with listening(factory) as url, lbacal.Client(url) as client:
+        client.sync(tagged)
+    began = time.monotonic()
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        address = f"http://127.0.0.1:{silent.getsockname()[1]}"
+        with lbacal.Client(address) as client, pytest.warns(lbacal.CachedAnswerWarning, match="does not answer: tag"):
+            table = client.effective(**PATH, at="2014-03-01")
+    assert time.monotonic() - began < 30
+    assert table.meta["source"].startswith("cache: tag paper")
+
+
 @pytest.mark.usefixtures("cache", "stored")
 def test_a_second_sync_fetches_only_what_is_damaged(factory: Factory, tagged: str, cache: Path) -> None:
     with listening(factory) as url, lbacal.Client(url) as client:
