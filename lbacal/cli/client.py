@@ -160,10 +160,11 @@ def print_curve(curve: dict[str, Any]) -> None:
 
 
 def print_job(job: dict[str, Any]) -> None:
-    """Print one line about a job, and why it failed or what the gate kept back."""
-    name = " ".join(str(job["request"][k]) for k in ("scope", "station") if job["request"].get(k))
-    made = f"{len(job['calibrations'])} versions, {len(job['promoted'])} promoted"
-    print(f"job {job['job']}: {job['kind']} {name}, {job['state']} ({job['progress']:.0%}), {made}; {job['reason']}")
+    """Print one line about a job, with what a refit made, and why it failed or what the gate kept back."""
+    name = " ".join([job["kind"], *(str(job["request"][k]) for k in ("scope", "station") if job["request"].get(k))])
+    counts = {"versions": len(job["calibrations"]), "promoted": len(job["promoted"]), "no news": job["examined"]}
+    made = "".join(f", {what}: {count}" for what, count in counts.items()) if job["kind"] == "refit" else ""
+    print(f"job {job['job']}: {name}, {job['state']} ({job['progress']:.0%}){made}; {job['reason']}")
     if job["error"]:
         print(f"  {job['error']}")
     for version, why in job["gated"].items():

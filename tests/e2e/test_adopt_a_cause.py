@@ -35,7 +35,7 @@ def test_the_commands_of_the_page_close_the_loop(faulty: Any, repository: Path) 
     assert re.search(r"^  #0 .* sigma: In station CS002, .*sidereal", found, re.MULTILINE)
     tried = run(faulty, dry_run, INVESTIGATION=name)
     assert "would be adopted: In station CS002" in tried
-    assert "changes of what paths are told (dry run: nothing was written)" in tried
+    assert re.search(r"changes of what paths are told: \d+ \(dry run: nothing was written\)", tried)
     before = in_effect(faulty)
     made = run(faulty, adopt, INVESTIGATION=name)
     (model,) = re.findall(r"`lbacal abandon ([0-9a-f]{12})`", made)

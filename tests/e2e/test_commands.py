@@ -76,7 +76,7 @@ def test_an_admin_refits_and_sees_the_job(service: Any) -> None:
         "refit", "--scope", "station", "--since", "2014-03-01", "--until", "2015-03-01", "--reason", "half a year later"
     )
     assert asked.returncode == 0, asked.stderr
-    assert "refit station, done (100%), 1 versions, 0 promoted; half a year later" in asked.stdout
+    assert "refit station, done (100%), versions: 1, promoted: 0, no news: 0; half a year later" in asked.stdout
     assert "half a year later" in service.run("jobs").stdout
 
 

@@ -27,7 +27,7 @@ def in_effect(service: Any, **params: Any) -> str:
 def test_a_version_is_promoted_frozen_withdrawn_and_put_back(service: Any) -> None:
     name = in_effect(service, at="2014-06-01")
     tried = run(service, "promote", name, *YEAR, "--dry-run")
-    assert "1 changes of what paths are told (dry run: nothing was written)" in tried
+    assert "changes of what paths are told: 1 (dry run: nothing was written)" in tried
     assert "CS002 antenna 0 Y, 2003-01-01T00:00:00Z to 2004-01-01T00:00:00Z: nothing -> " in tried
     made = run(service, "promote", name, *YEAR)
     assert f"CS002 0 Y has version {name[:12]} from 2003-01-01T00:00:00Z to 2004-01-01T00:00:00Z" in made
