@@ -207,19 +207,36 @@ class IdealDetector:
     def _onto_modes(self, weighed: Floats) -> Floats:
         """Products of vectors (k, path, event, freq) with the modes, shape (k, mode)."""
         shown = (weighed * self.chains.sky_share).reshape(len(weighed), -1, len(DIPOLES), *weighed.shape[2:])
-        return np.asarray(np.einsum("kdef,mdef->km", shown.sum(axis=1), self.modes, optimize=True))
+        return np.tensordot(shown.sum(axis=1), self.modes, axes=((1, 2, 3), (1, 2, 3)))
 
     @cached_property
     def _mode_products(self) -> tuple[Floats, Floats]:
-        """Products of the modes with the columns, and with each other less what the columns absorb, prior included."""
-        antennas = len(self.chains.front) // len(DIPOLES)
-        onto_columns, onto_modes = [], []
-        for mode in self.modes:
-            weighed = self.noise.weigh((np.tile(mode, (antennas, 1, 1)) * self.chains.sky_share)[None])
-            onto_columns.append(self._onto_columns(weighed)[0])
-            onto_modes.append(self._onto_modes(weighed)[0])
-        onto = np.array(onto_columns)
-        return onto, np.array(onto_modes) - onto @ cho_solve(self._normal_factor, onto.T) + np.eye(len(onto))
+        """Products of the modes with the columns, and with each other less what the columns absorb, prior included.
+
+        Event by event a mode is a few numbers, which the paths of a polarisation show by their shares of the sky.
+        """
+        (slopes, constants), modes, share = self.chains.columns, self.modes, self.chains.sky_share
+        dipole = np.arange(len(share)) % len(DIPOLES)
+        rest = self.noise.rest
+        weighed = np.stack(
+            [
+                (rest[:, :, dipole == d] @ share[dipole == d].swapaxes(0, 1)).swapaxes(0, 1)
+                for d in range(len(DIPOLES))
+            ]
+        )
+        of_slopes = (slopes * weighed).transpose(0, 3, 1, 2) @ modes.transpose(1, 3, 2, 0)
+        of_constants = np.tensordot(constants[:, None] * weighed, modes, axes=((1, 3, 4), (1, 2, 3)))
+        onto = np.concatenate([of_slopes.sum(axis=0).swapaxes(0, 1), of_constants.swapaxes(0, 1)], axis=1)
+        onto = onto.reshape(-1, len(modes))
+        between = (share * weighed).reshape(len(DIPOLES), -1, len(DIPOLES), *share.shape[1:]).sum(axis=1)
+        shown = np.einsum("cdef,mdef->mcef", between, modes)
+        among = np.tensordot(modes, shown, axes=((1, 2, 3), (1, 2, 3)))
+        taken = self.noise.projections(slopes, constants), self.noise.projections_of_modes(share, modes)
+        for of_columns, of_modes in zip(*taken, strict=True):
+            onto -= of_columns.T @ of_modes
+            among -= of_modes.T @ of_modes
+        onto = onto.T * self._scale
+        return onto, among - onto @ cho_solve(self._normal_factor, onto.T) + np.eye(len(onto))
 
     @cached_property
     def _normal(self) -> Floats:

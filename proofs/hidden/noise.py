@@ -70,19 +70,37 @@ class Noise:
         -------
         W for some events, shape (event x gain, path x column).
         """
-        paths, events, channels = slopes.shape
-        root = np.linalg.cholesky(self._inverse)
-        for begin in range(0, events, EVENTS_TOGETHER):
-            at = slice(begin, min(begin + EVENTS_TOGETHER, events))
-            rest, count = self.rest[at], at.stop - at.start
-            together = np.einsum("epq,kqef->ekpf", rest, self.common[:, :, at], optimize=True)
-            alone = np.einsum("eqp,jpef->ejpqf", rest, self.own[:, :, at], optimize=True)
-            seen = np.concatenate([together, alone.reshape(count, -1, paths, channels)], axis=1)
+        paths, _, channels = slopes.shape
+        for at, root, seen in self._gains_by_event():
             onto = np.empty((*seen.shape[:3], channels + len(constants)))
             onto[..., :channels] = seen * slopes[:, at].transpose(1, 0, 2)[:, None]
             onto[..., channels:] = np.einsum("ekpf,cpef->ekpc", seen, constants[:, :, at], optimize=True)
-            columns = onto.reshape(count, seen.shape[1], paths * onto.shape[3])
-            yield np.asarray((root[at].transpose(0, 2, 1) @ columns).reshape(-1, columns.shape[2]), dtype=np.float64)
+            columns = onto.reshape(*seen.shape[:2], paths * onto.shape[3])
+            yield np.asarray((root @ columns).reshape(-1, columns.shape[2]), dtype=np.float64)
+
+    def projections_of_modes(self, share: Floats, modes: Floats) -> Iterator[Floats]:
+        """The same of changes of the sky, shape (mode, dipole, event, freq), of which paths show a share each.
+
+        Returns
+        -------
+        W for some events, shape (event x gain, mode).
+        """
+        for at, root, seen in self._gains_by_event():
+            shown = seen * share[:, at].transpose(1, 0, 2)[:, None]
+            shown = shown.reshape(*seen.shape[:2], -1, len(DIPOLES), seen.shape[3]).sum(axis=2)
+            by_event = modes[:, :, at].transpose(2, 1, 3, 0).reshape(len(seen), -1, len(modes))
+            yield np.asarray((root @ (shown.reshape(*seen.shape[:2], -1) @ by_event)).reshape(-1, len(modes)))
+
+    def _gains_by_event(self) -> Iterator[tuple[slice, Floats, Floats]]:
+        """Some events at a time, the root of `_inverse` and U' R^-1, shape (event, gain, path, freq)."""
+        paths, events, channels = self.common.shape[1:]
+        root = np.linalg.cholesky(self._inverse).transpose(0, 2, 1)
+        for begin in range(0, events, EVENTS_TOGETHER):
+            at = slice(begin, min(begin + EVENTS_TOGETHER, events))
+            rest = self.rest[at]
+            together = np.einsum("epq,kqef->ekpf", rest, self.common[:, :, at], optimize=True)
+            alone = np.einsum("eqp,jpef->ejpqf", rest, self.own[:, :, at], optimize=True)
+            yield at, root[at], np.concatenate([together, alone.reshape(len(rest), -1, paths, channels)], axis=1)
 
     @cached_property
     def _inverse(self) -> Floats:
