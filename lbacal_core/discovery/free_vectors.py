@@ -89,13 +89,20 @@ class FreeVectors:
 
     def along(self, weighed: Floats) -> Along:
         """Products of weighed templates, shape (..., row, event, freq), with the free vectors event by event."""
-        rows, events, channels = self.slope.shape
+        rows, _, channels = self.slope.shape
         size = rows * channels
-        free = np.empty((*weighed.shape[:-3], events, size + len(self.constants)))
+        others = self._along_others(weighed)
+        free = np.empty((*others.free.shape[:-1], size + len(self.constants)))
         for r, slope in enumerate(self.slope):
             np.multiply(slope, weighed[..., r, :, :], out=free[..., r * channels : (r + 1) * channels])
-        by_event = np.moveaxis(weighed, -2, 0).reshape(events, -1, size) @ self._constants_by_event
-        free[..., size:] = np.swapaxes(by_event, 0, 1).reshape(*free.shape[:-1], len(self.constants))
+        free[..., size:] = others.free
+        return Along(free, others.waves)
+
+    def _along_others(self, weighed: Floats) -> Along:
+        """The same without the slopes, as if there were none."""
+        rows, events, channels = self.slope.shape
+        by_event = np.moveaxis(weighed, -2, 0).reshape(events, -1, rows * channels) @ self._constants_by_event
+        free = np.swapaxes(by_event, 0, 1).reshape(*weighed.shape[:-3], events, len(self.constants))
         spectra = self._wave_spectra
         return Along(free, np.asarray(sum(weighed[..., r, :, :] @ spectra[:, r].T for r in range(rows))))
 
@@ -134,11 +141,11 @@ class FreeVectors:
         for r, slope in enumerate(self.slope):
             gram[:, r * channels : (r + 1) * channels] = self.onto_channels(weight, slope, r, others)
         gram[:, size:, :size] = np.swapaxes(gram[:, :size, size:], 1, 2)
-        gram[:, size:end, size:] = np.swapaxes(self.sum(self.along(constants), weight)[..., size:], 0, 1)
-        along = self.along(spectra)
+        gram[:, size:end, size:] = np.swapaxes(self.sum(self._along_others(constants), weight), 0, 1)
+        along = self._along_others(spectra)
         for own, free, waves in zip(self._waves_of, along.free, along.waves, strict=True):
             profiles = (weight[:, None] * self._wave_profiles[own]).reshape(-1, events)
-            onto = self.sum(Along(free, waves), profiles)[:, size:]
+            onto = self.sum(Along(free, waves), profiles)
             gram[:, end + own, size:] = onto.reshape(len(weight), own.size, -1)
         return gram
 

@@ -12,6 +12,8 @@ sky has, and the horizon is exact because beta_lm' comes from a Gauss-Legendre r
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from scipy.special import sph_harm_y
 
@@ -40,10 +42,16 @@ def beam_multipoles(antenna: AntennaModel, frequency_mhz: Floats, lmax: int, til
     response = directional_response(raised, frequency_mhz, zenith[:, None], azimuth[None, :], antenna)
     in_azimuth = np.fft.fft(response, axis=-1)[..., : AZIMUTHS // 2] * (2 * np.pi / AZIMUTHS)
     multipoles = np.zeros((frequency_mhz.size, lmax + 1, lmax + 1), dtype=complex)
-    for m in range(min(lmax + 1, AZIMUTHS // 2)):
-        legendre = sph_harm_y(np.arange(m, lmax + 1)[:, None], m, zenith, 0.0).real
+    for m, legendre in enumerate(_legendre(lmax, tuple(zenith.tolist()))):
         multipoles[:, m:, m] = (in_azimuth[..., m] * weights) @ legendre.T
     return multipoles
+
+
+@lru_cache(maxsize=8)
+def _legendre(lmax: int, zenith: tuple[float, ...]) -> list[Floats]:
+    """Spherical harmonics at azimuth 0, of each order that the azimuths resolve: shape (l, zenith), l >= order."""
+    orders = range(min(lmax + 1, AZIMUTHS // 2))
+    return [sph_harm_y(np.arange(m, lmax + 1)[:, None], m, np.array(zenith), 0.0).real for m in orders]
 
 
 def beam_on_equator(beam: Complexes, arm_azimuth_deg: float, latitude_deg: float) -> Complexes:

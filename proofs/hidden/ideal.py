@@ -219,10 +219,7 @@ class IdealDetector:
         dipole = np.arange(len(share)) % len(DIPOLES)
         rest = self.noise.rest
         weighed = np.stack(
-            [
-                (rest[:, :, dipole == d] @ share[dipole == d].swapaxes(0, 1)).swapaxes(0, 1)
-                for d in range(len(DIPOLES))
-            ]
+            [(rest[:, :, dipole == d] @ share[dipole == d].swapaxes(0, 1)).swapaxes(0, 1) for d in range(len(DIPOLES))]
         )
         of_slopes = (slopes * weighed).transpose(0, 3, 1, 2) @ modes.transpose(1, 3, 2, 0)
         of_constants = np.tensordot(constants[:, None] * weighed, modes, axes=((1, 3, 4), (1, 2, 3)))

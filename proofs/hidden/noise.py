@@ -94,7 +94,7 @@ class Noise:
     def _gains_by_event(self) -> Iterator[tuple[slice, Floats, Floats]]:
         """Some events at a time, the root of `_inverse` and U' R^-1, shape (event, gain, path, freq)."""
         paths, events, channels = self.common.shape[1:]
-        root = np.linalg.cholesky(self._inverse).transpose(0, 2, 1)
+        root = np.asarray(np.linalg.cholesky(self._inverse).transpose(0, 2, 1), dtype=np.float64)
         for begin in range(0, events, EVENTS_TOGETHER):
             at = slice(begin, min(begin + EVENTS_TOGETHER, events))
             rest = self.rest[at]
