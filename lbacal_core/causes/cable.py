@@ -36,10 +36,18 @@ class AntennaTemplate:
 
 @dataclass(frozen=True)
 class AntennaCause(Description):
-    """A cause that is constant in time: a comparison with other antennas of the same cable name shows it."""
+    """A cause that is constant in time: a comparison with other antennas of the same cable name shows it.
+
+    Attributes
+    ----------
+    is_beside_smooth
+        Whether it is looked for beside departures that are smooth along frequency, as all antennas have them. A cause
+        that is smooth itself is not: it must be larger than those of the others.
+    """
 
     scopes: Sequence[str] = ("antenna",)
     axes: Sequence[str] = ("antenna", "frequency")
+    is_beside_smooth: bool = False
 
     def templates(self, frequency_mhz: Floats, log_loss_per_metre: Floats | None) -> list[AntennaTemplate]:
         """The departures to be tried; empty where these cables can show none."""
@@ -84,6 +92,7 @@ class CableReflection(AntennaCause):
     unit: str = "amplitude of the ripple in power"
     meaning: str = "a reflection in the cable makes a ripple in frequency"
     confirm: str = "look for the echo in the autocorrelation of a trace, or reconnect the plug"
+    is_beside_smooth: bool = True
 
     def templates(self, frequency_mhz: Floats, log_loss_per_metre: Floats | None) -> list[AntennaTemplate]:  # noqa: ARG002
         """Ripples of each delay and four phases, whose negatives are the other four."""

@@ -4,12 +4,17 @@ A(nu) is common to a station's antennas, and every antenna departs from it a lit
 along each template is measured from all antennas against others of their cable name. An antenna is a finding only if it
 lies outside the prediction interval of the others (Student's t, leave one out). Antennas of different cable names are
 not compared: the noise of the common event gain moves the slopes of short and long cables apart, all together.
+
+Antennas differ smoothly along frequency, each in its own way and by many times the error of the fit. A band of few
+periods does not keep such a departure apart from a ripple: what leaked into ripples of 0.1 us was named as a reflection
+in 3 of 220 worlds. A ripple is what remains beside departures as smooth as those that most antennas show.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,9 +32,15 @@ from lbacal_core.grids import Floats
 
 FEWEST_COMPARISONS = 3
 """Smallest number of independent comparisons: antennas less cable names."""
-REACH_US, SMOOTH_US = 0.08, 0.1
-"""Delays that differ by less than the first pool their scatter between antennas. A delay below the second does not:
-departures of antennas are larger the smoother they are, so that neighbouring short delays scatter differently."""
+REACH_US = 0.08
+"""Delays that differ by less pool their scatter between antennas, as many shorter as longer ones: departures are larger
+the smoother they are, and longer delays alone would tell a scatter that is too small."""
+MOST_SMOOTH, CHANNELS_PER_SMOOTH = 8, 6
+"""Most half periods within the band of a departure that counts as smooth, and fewest channels for each."""
+TYPICAL = 1.3
+"""Median departure along a cosine, in errors of the fit, beyond which antennas differ along it; of noise it is 0.67."""
+SMALLEST_SHARE = 0.02
+"""Share of its information below which a ripple is not told from smooth departures."""
 
 
 @dataclass(frozen=True)
@@ -49,8 +60,9 @@ class AntennaScore:
     departure
         The spectral template, change of ln (A L_coax) per unit of size, shape (freq,).
     observed, error
-        ln (A L_coax) of the antenna less that of the others, without its mean, and the error of each channel by the fit
-        given all others (errors of neighbours move together), shape (freq,).
+        ln (A L_coax) of the antenna less that of the others, without its mean and the smooth departure beside which the
+        cause is looked for, and the error of each channel by the fit given all others (errors of neighbours move
+        together), shape (freq,).
     similar
         Other causes of the antenna comparison that fit as well, with their correlation.
     """
@@ -89,25 +101,29 @@ def compare_antennas(
     if not compared:
         return []
     is_compared = np.isin(np.arange(len(antennas)), list(compared))
+    frequency = station.conditions.frequency_mhz
+    smooth = _smooth_departures(list(compared.values()), slopes[2][is_compared], frequency)
     templates = {
-        cause: found
-        for cause in ANTENNA_CAUSES
-        if (found := cause.templates(station.conditions.frequency_mhz, log_loss_per_metre(_cable_losses(station))))
+        cause: found for cause in ANTENNA_CAUSES if (found := cause.templates(frequency, _loss_per_metre(station)))
     }
     scores = []
-    for cause, tried in templates.items():
+    for cause, every in templates.items():
+        beside = {k: one.beside(smooth) for k, one in compared.items()} if cause.is_beside_smooth else compared
+        tried = next(iter(beside.values())).told_apart(every)
+        if not tried:
+            continue
         amplitude, opposed = np.zeros((2, len(antennas), len(tried)))
-        for place, comparison in compared.items():
+        for place, comparison in beside.items():
             amplitude[place], opposed[place] = comparison.amplitudes(tried)
-        correlation = next(iter(compared.values())).correlate(tried, tried)
+        correlation = next(iter(beside.values())).correlate(tried, tried)
         z, scatter = _against_others(amplitude, opposed, is_compared, correlation, _neighbours(tried))
         k, n = np.unravel_index(int(np.argmax(np.abs(z))), z.shape)
-        own = compared[int(k)]
-        template, size, length = own.refine(cause.finer_templates(tried[int(n)], station.conditions.frequency_mhz))
+        own = beside[int(k)]
+        template, size, length = own.refine(cause.finer_templates(tried[int(n)], frequency))
         chi2_before, chi2_after = own.chi_squared(template, size)
         similar = []
         for other, others in templates.items():
-            r = float(np.abs(own.correlate([tried[int(n)]], others)).max())
+            r = float(np.abs(compared[int(k)].correlate([tried[int(n)]], others)).max())
             if other is not cause and z[k, n] ** 2 * (1 - min(r, 1.0) ** 2) < policy.indistinguishable:
                 similar.append((other.identifier, r))
         scores.append(
@@ -121,9 +137,9 @@ def compare_antennas(
                 trials=int(is_compared.sum()) * trials_factor(correlation, seed, abs(float(z[k, n]))),
                 chi2_before=chi2_before,
                 chi2_after=chi2_after,
-                dof=template.departure.size - 2,
+                dof=template.departure.size - 2 - len(own.smooth),
                 departure=template.departure,
-                observed=own.observed,
+                observed=own.less_smooth(size * template.departure),
                 error=np.diag(np.linalg.inv(own.root @ own.root.T)) ** -0.5,
                 similar=similar,
             )
@@ -135,25 +151,71 @@ def compare_antennas(
 class _Comparison:
     """One antenna against the others of its cable name, whitened by the errors of the fit.
 
-    The channels of a whitened comparison are independent: the view takes them for events of one channel, and its one
-    free vector is the gain that is flat in frequency. Its members are the mean and half the difference of the dipoles.
+    The channels of a whitened comparison are independent: the view takes them for events of one channel, and its free
+    vectors are the gain that is flat in frequency and smooth departures. Its members are the mean and half the
+    difference of the dipoles.
 
     Attributes
     ----------
     root
         Cholesky root of the covariance, shape (freq, freq).
-    observed
-        ln (A L_coax) of the antenna less that of the others, without its mean, shape (freq,).
+    departure
+        ln (A L_coax) of the antenna less that of the others, shape (mean or half difference, freq).
+    smooth
+        Departures that are left free, shape (k, freq).
     """
 
-    view: View
     root: Floats
-    observed: Floats
+    departure: Floats
+    smooth: Floats
+
+    def beside(self, smooth: Floats) -> _Comparison:
+        """The same with smooth departures left free."""
+        return replace(self, smooth=smooth)
+
+    @cached_property
+    def view(self) -> View:
+        """The whitened comparison."""
+        channels = len(self.root)
+        one = np.ones((1, channels))
+        return View(
+            one,
+            one[None, :, :, None, None],
+            np.ones((1, 1)),
+            self._whiten(one)[:, :, None],
+            self._whiten(self.smooth)[:, None, :, None],
+            np.zeros(len(self.smooth)),
+            None,
+            np.ones((2, channels)),
+            self._whiten(self.departure)[:, None, :, None],
+        )
+
+    def _whiten(self, values: Floats) -> Floats:
+        """Departures, shape (k, freq), in units of independent errors."""
+        return np.asarray(np.linalg.solve(self.root, values.T).T, dtype=np.float64)
 
     def see(self, templates: Sequence[AntennaTemplate]) -> Seen:
         """Departures in units of the errors."""
-        values = np.linalg.solve(self.root, np.stack([template.departure for template in templates], axis=1))
-        return self.view.see(np.asarray(values.T, dtype=np.float64)[:, None, :, None])
+        values = self._whiten(np.stack([template.departure for template in templates]))
+        return self.view.see(values[:, None, :, None])
+
+    def along(self, departures: Floats) -> Floats:
+        """Departure along each of some departures beside those before, in errors of the fit, shape (2, departure)."""
+        flat = np.ones((1, departures.shape[1]))
+        free = np.linalg.qr(self._whiten(np.concatenate([flat, departures])).T)[0]
+        return np.asarray(self._whiten(self.departure) @ free[:, 1:])
+
+    def told_apart(self, templates: Sequence[AntennaTemplate]) -> list[AntennaTemplate]:
+        """Templates that are no smooth departures."""
+        bare = np.sum(self._whiten(np.stack([template.departure for template in templates])) ** 2, axis=1)
+        is_told = self._lengths(self.see(templates)) ** 2 > SMALLEST_SHARE * bare
+        return [template for template, is_kept in zip(templates, is_told, strict=True) if is_kept]
+
+    def less_smooth(self, found: Floats) -> Floats:
+        """The departure of the mean of the dipoles less what is smooth beside a found one, without its mean."""
+        rest = self._whiten((self.departure[0] - found)[None])[:, :, None]
+        left = self.departure[0] - self.root @ (rest - self.view.clean(rest))[0, :, 0]
+        return np.asarray(left - left.mean())
 
     def amplitudes(self, templates: Sequence[AntennaTemplate]) -> Floats:
         """Departure along each template over its error by the fit, mean and half difference, shape (2, template)."""
@@ -168,13 +230,14 @@ class _Comparison:
         return np.asarray(product / np.outer(self._lengths(left), self._lengths(right)))
 
     def _lengths(self, seen: Seen) -> Floats:
-        return np.asarray(np.sqrt(np.diagonal(self.view.gram(seen)[0])))
+        return np.asarray(np.sqrt(np.maximum(np.diagonal(self.view.gram(seen)[0]), 0.0)))
 
     def refine(self, about: Sequence[AntennaTemplate]) -> tuple[AntennaTemplate, float, float]:
         """The best template about one that was found, its size, and its length in units of the error of the fit.
 
         A ripple has a positive size: its negative is another phase.
         """
+        about = self.told_apart(about) or about
         length, amplitude = self._lengths(self.see(about)), self.amplitudes(about)[0]
         best = int(np.argmax(amplitude))
         return about[best], float(amplitude[best] / length[best]), float(length[best])
@@ -196,7 +259,7 @@ def count_comparisons(station: Station) -> int:
 
 def why_no_comparison(station: Station) -> dict[str, str]:
     """Causes of the antenna comparison that these data can never show, with the reason."""
-    per_metre = log_loss_per_metre(_cable_losses(station))
+    per_metre = _loss_per_metre(station)
     reasons = {}
     for cause in ANTENNA_CAUSES:
         if not cause.templates(station.conditions.frequency_mhz, per_metre):
@@ -206,22 +269,38 @@ def why_no_comparison(station: Station) -> dict[str, str]:
     return reasons
 
 
-def _cable_losses(station: Station) -> dict[str, Floats]:
+def _loss_per_metre(station: Station) -> Floats | None:
     conditions = station.conditions
-    return dict(zip(conditions.cables, np.exp(conditions.cable_log_loss), strict=True))
+    return log_loss_per_metre(dict(zip(conditions.cables, np.exp(conditions.cable_log_loss), strict=True)))
+
+
+def _smooth_departures(compared: Sequence[_Comparison], cable: NDArray[np.str_], frequency_mhz: Floats) -> Floats:
+    """Cosines as smooth as the departures that most antennas show, shape (k, freq); none where antennas are alike.
+
+    What all antennas of a cable name show alike is their distance from one that is far from them.
+    """
+    place = (frequency_mhz - frequency_mhz[0]) / max(float(np.ptp(frequency_mhz)), 1e-300)
+    most = min(MOST_SMOOTH, frequency_mhz.size // CHANNELS_PER_SMOOTH)
+    cosines = np.cos(np.pi * np.outer(np.arange(1, most + 1), place))
+    if not most:
+        return cosines
+    shown = np.stack([one.along(cosines) for one in compared])
+    for name in np.unique(cable):
+        shown[cable == name] -= np.median(shown[cable == name], axis=0)
+    rows = shown[:, np.any(shown != 0, axis=(0, 2))].reshape(-1, most)
+    typical = np.median(np.abs(rows), axis=0)
+    return np.asarray(cosines[: int(np.max(np.flatnonzero(typical > TYPICAL), initial=-1)) + 1])
 
 
 def _neighbours(templates: Sequence[AntennaTemplate]) -> NDArray[np.bool_]:
-    """Which templates pool their scatter, shape (template, template): those with neighbouring delays."""
+    """Which templates (second) pool their scatter for each, shape (template, template): those with alike delays."""
     if "delay_us" not in templates[0].parameters:
         return np.eye(len(templates), dtype=bool)
     delay = np.array([template.parameters["delay_us"] for template in templates])
     # In even channels a delay and its complement make the same ripple.
     seen = np.minimum(delay, [template.parameters.get("or_delay_us", np.inf) for template in templates])
-    delays = np.unique(delay)
-    step = float(np.diff(delays).min(initial=REACH_US)) if delays.size > 1 else REACH_US
-    reach = np.where(seen < SMOOTH_US, step, REACH_US)
-    return np.asarray(np.abs(seen[:, None] - seen) <= np.minimum(reach[:, None], reach) + 1e-9)
+    reach = np.minimum(seen - seen.min(), REACH_US)
+    return np.asarray(np.abs(seen[:, None] - seen) <= reach[:, None] + 1e-9)
 
 
 def _against_others(
@@ -260,24 +339,9 @@ def _compare(number: int, log_slope: Floats, covariance: Floats, cable: NDArray[
         return None
     weight = 1.0 / np.einsum("aff->a", covariance[others])
     weight /= weight.sum()
-    channels = log_slope.shape[2]
     root = np.linalg.cholesky(covariance[number] + np.tensordot(weight**2, covariance[others], axes=1))
     departure = log_slope[:, number] - np.einsum("a,maf->mf", weight, log_slope[:, others])
-    white = np.linalg.solve(root, departure.T).T[:, None, :, None]
-    flat = np.asarray(np.linalg.solve(root, np.ones(channels)), dtype=np.float64)[None, :, None]
-    one = np.ones((1, channels))
-    view = View(
-        one,
-        one[None, :, :, None, None],
-        np.ones((1, 1)),
-        flat,
-        np.empty((0, 1, channels, 1)),
-        np.empty(0),
-        None,
-        np.ones((2, channels)),
-        white,
-    )
-    return _Comparison(view, root, departure[0] - departure[0].mean())
+    return _Comparison(root, departure, np.empty((0, len(root))))
 
 
 def _log_slopes(

@@ -5,8 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from lbacal_core.twin.campaign import simulate_campaign
 from lbacal_core.twin.faults.cable import CableLength, CableReflection
 from lbacal_core.twin.faults.fault import Where
+from lbacal_core.twin.nuisances import Nuisances
 from tests.lbacal_core.discovery.worlds import look_at, p_of_score
 
 
@@ -93,3 +95,36 @@ def test_two_dipoles_know_the_departure_of_their_antenna_better_than_one_by_root
     both = best(look_at(spectra, alike.instrument, alike.sky))
     # X and Y have other noise in the weakest channels.
     assert np.median(one.error / both.error) == pytest.approx(2**0.5, rel=0.1)
+
+
+def reflection_score(look):
+    return next(score for score in look.static_scores() if score.cause.identifier == "cable_reflection")
+
+
+def test_smooth_departures_of_antennas_leak_into_no_ripple(alike):
+    """Departures of up to two periods in the band made ripples of 0.1 us in all antennas, and hid true ones."""
+
+    def look(*faults):
+        rng, unequal = np.random.default_rng(alike.seed), Nuisances(departures=0.01)
+        campaign = simulate_campaign(alike.settings, alike.instrument, alike.sky, rng, faults, unequal, alike.view)
+        return look_at(campaign.spectra, alike.instrument, alike.sky)
+
+    score = reflection_score(look())
+    assert score.p_value > 0.01
+    assert score.chi2_before < 2 * score.dof
+    antenna = int(alike.station.scene.antennas[5])
+    fault = CableReflection(size=0.02, delay_us=0.1, phase_rad=1.0, where=Where(antennas=(antenna,)))
+    score = reflection_score(look(fault))
+    assert (score.target.label, score.p_value < 1e-4) == (f"antenna {antenna}", True)
+    assert score.parameters["delay_us"] == pytest.approx(0.1, abs=0.01)
+    assert score.size == pytest.approx(0.02, abs=3 * score.sigma)
+    assert np.abs(score.observed - score.size * score.departure).max() < 6 * score.error.max()
+
+
+def test_a_slow_ripple_is_named_where_antennas_are_alike(alike):
+    """What is smooth in no other antenna is left free in none."""
+    antenna = int(alike.station.scene.antennas[5])
+    fault = CableReflection(size=0.015, delay_us=0.04, phase_rad=1.0, where=Where(antennas=(antenna,)))
+    score = best(alike.look(fault))
+    assert (score.cause.identifier, score.target.label) == ("cable_reflection", f"antenna {antenna}")
+    assert (score.dof, score.p_value < 1e-4) == (49, True)
