@@ -39,10 +39,9 @@ def write_uvcal(content: Mapping[str, Any], instrument: Instrument, path: Path, 
     except ImportError as error:
         raise MissingExtraError("writing UVCal", "import") from error
     curves, name = _of_one_station(content, station)
-    if not {curve["dipole"] for curve in curves} <= JONES.keys():
-        raise BadInputError("dipole", "X and Y for UVCal", ", ".join(sorted({str(c["dipole"]) for c in curves})))
+    feeds = _feeds_of(instrument)
     antennas = sorted({curve["antenna"] for curve in curves})
-    letters = [letter for letter in JONES if any(curve["dipole"] == letter for curve in curves)]
+    letters = [letter for letter in feeds if any(curve["dipole"] == letter for curve in curves)]
     frequency_mhz = np.array(curves[0]["frequency_mhz"])
     shape = (len(antennas), frequency_mhz.size, 1, len(letters))
     gain, quality, is_flagged = np.ones(shape, dtype=complex), np.zeros(shape), np.ones(shape, dtype=bool)
@@ -59,7 +58,7 @@ def write_uvcal(content: Mapping[str, Any], instrument: Instrument, path: Path, 
         antenna_positions={antenna: np.zeros(3) for antenna in antennas},
         antenna_names=[f"{name}{antenna:03d}" for antenna in antennas],
         instrument=name,
-        feed_array=np.array([letter.lower() for letter in letters]),
+        feed_array=np.array([feeds[letter].lower() for letter in letters]),
         # pyuvdata counts feed angles as the azimuth of the arm, north through east
         feed_angle=arms,
         mount_type="fixed",
@@ -69,7 +68,7 @@ def write_uvcal(content: Mapping[str, Any], instrument: Instrument, path: Path, 
         cal_style="sky",
         cal_type="gain",
         gain_convention="multiply",
-        jones_array=np.array([JONES[letter] for letter in letters]),
+        jones_array=np.array([JONES[feeds[letter]] for letter in letters]),
         telescope=telescope,
         time_range=np.array([interval]),
         integration_time=np.array([DAY_S * (interval[1] - interval[0])]),
@@ -81,10 +80,23 @@ def write_uvcal(content: Mapping[str, Any], instrument: Instrument, path: Path, 
         gain_scale="V^2",
         update_telescope_from_known=False,
         data={"gain_array": gain, "quality_array": quality, "flag_array": is_flagged},
-        history=json.dumps({name: value for name, value in make_head(content).items() if name != "covariances"}),
+        history=json.dumps(
+            {
+                **{name: value for name, value in make_head(content).items() if name != "covariances"},
+                "feeds": {feeds[letter].lower(): letter for letter in letters},
+            }
+        ),
     )
     write = made.write_calfits if path.suffix.lower() == ".calfits" else made.write_calh5
     write(path, clobber=True)
+
+
+def _feeds_of(instrument: Instrument) -> dict[str, str]:
+    """The feed X or Y that each arm is in UVCal: by its letter, else in the order of the instrument."""
+    arms = instrument.dipoles
+    if len(arms) > len(JONES):
+        raise BadInputError("dipole", "at most two arms, which are the feeds x and y of UVCal", ", ".join(arms))
+    return {arm: arm for arm in arms} if set(arms) <= JONES.keys() else dict(zip(arms, JONES, strict=False))
 
 
 def write_station_table(content: Mapping[str, Any], path: Path, station: str | None = None) -> None:

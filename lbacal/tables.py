@@ -42,7 +42,7 @@ class _Column:
 COLUMNS = {
     "station": _Column(str, "station; empty for the reference chain of the array"),
     "antenna": _Column(int, "antenna; -1 for a reference chain"),
-    "dipole": _Column(str, "X or Y"),
+    "dipole": _Column(str, "letter of the dipole"),
     "frequency_mhz": _Column(float, "centre of the channel", "MHz"),
     "c": _Column(float, "calibration factor C(nu), V per ADC unit", "V"),
     "c_sigma_stat": _Column(float, "statistical standard deviation of c", "V"),

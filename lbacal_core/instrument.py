@@ -200,7 +200,10 @@ class Instrument:
         place = f"station {station}, antenna {antenna}"
         records = [r for r in self.antennas if r.station == station and r.antenna == antenna]
         if not records:
-            raise BadInputError(place, f"an antenna of instrument {self.name}", "no such antenna")
+            stations = sorted({r.station for r in self.antennas})
+            own = sorted({r.antenna for r in self.antennas if r.station == station})
+            there = f"antennas {own[0]} to {own[-1]} there" if own else f"stations {', '.join(stations[:5])} alone"
+            raise BadInputError(place, f"an antenna of instrument {self.name}", there)
         for instant in (first_unix, last_unix):
             if not any(record.covers(instant) for record in records):
                 raise BadInputError(

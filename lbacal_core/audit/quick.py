@@ -20,6 +20,8 @@ from lbacal_core.spectra import Spectra
 
 EVENTS = 100
 """Events of a station that are compared, evenly spread over all."""
+FEWEST_CHANNELS = 5
+"""Channels below which a chain along frequency cannot be fitted."""
 SHOWN = 4
 """Lines that are told; more are counted."""
 
@@ -60,6 +62,9 @@ class QuickAudit:
 
 def audit_quickly(spectra: Spectra, instrument: Instrument) -> QuickAudit:
     """Compare the antennas of every station that has enough of them, in some of their events."""
+    if spectra.frequency_mhz.size < FEWEST_CHANNELS:
+        expected = f"at least {FEWEST_CHANNELS} to fit a chain (lbacal audit compares antennas in one)"
+        raise BadInputError(f"{spectra.origin}: channels", expected, str(spectra.frequency_mhz.size))
     of_stations = [_choose_rows(spectra, station) for station in np.unique(spectra.station)]
     chosen = np.concatenate([np.zeros(0, dtype=np.int64), *of_stations])
     if chosen.size == 0:

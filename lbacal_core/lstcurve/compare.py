@@ -155,7 +155,8 @@ def band_weights(instrument: Instrument, name: str, band_mhz: tuple[float, float
     frequency = instrument.frequency_mhz
     is_inside = (frequency >= low) & (frequency <= high)
     if not low < high or not np.any(is_inside):
-        raise BadInputError("band", f"LO below HI and channels of {instrument.name} between", f"{low:g} to {high:g}")
+        channels = f"channels of {instrument.name} ({frequency[0]:g} to {frequency[-1]:g} MHz) between"
+        raise BadInputError("band", f"LO below HI and {channels}", f"{low:g} to {high:g}")
     if name == FLAT:
         response = np.ones(frequency.size)
     elif instrument.name == SUPERTERP:

@@ -97,7 +97,9 @@ def _read_table(path: Path) -> _Content:
     rows = list(csv.reader(line for line in lines if line and not line.startswith("#")))
     if len(rows) < 2 or rows[0][0].strip() != "frequency_mhz":
         raise BadInputError(
-            f"{path}: line 1", "frequency_mhz and one column a path", ",".join(rows[0][:3]) if rows else "nothing"
+            f"{path}: line 1",
+            "frequency_mhz and one column a path, or time,antenna,dipole and one column a frequency",
+            ",".join(rows[0][:3]) if rows else "nothing",
         )
     paths = [_parse_path(name.strip(), path) for name in rows[0][1:]]
     try:

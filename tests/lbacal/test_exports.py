@@ -75,3 +75,22 @@ def test_what_those_programs_cannot_hold_is_refused(tmp_path: Path, calibrations
         curve["antenna"] = None
     with pytest.raises(BadInputError, match="nobody's antenna"):
         write_uvcal(calibrations, instrument, tmp_path / "c.calfits")
+
+
+def test_two_arms_of_other_letters_become_the_feeds_of_uvcal_in_their_order(
+    tmp_path: Path, calibrations: dict[str, Any]
+) -> None:
+    pyuvdata = pytest.importorskip("pyuvdata")
+    instrument = replace(load_instrument("lofar-superterp"), dipole_azimuth_deg={"E": 90.0, "N": 0.0})
+    for curve in calibrations["curves"]:
+        curve["dipole"] = {"X": "E", "Y": "N"}[curve["dipole"]]
+    write_uvcal(calibrations, instrument, tmp_path / "c.calh5")
+    found = pyuvdata.UVCal.from_file(tmp_path / "c.calh5")
+    np.testing.assert_allclose(np.degrees(found.telescope.feed_angle[0]), [90.0, 0.0])
+    assert json.JSONDecoder().raw_decode(found.history)[0]["feeds"] == {"x": "E", "y": "N"}
+    for curve in calibrations["curves"]:
+        gain = found.get_gains(curve["antenna"], {"E": "Jxx", "N": "Jyy"}[curve["dipole"]])[:, 0]
+        np.testing.assert_array_equal(gain[:50], np.array(curve["c"][:50]))
+    three = replace(instrument, dipole_azimuth_deg={"A": 0.0, "B": 60.0, "C": 120.0})
+    with pytest.raises(BadInputError, match="at most two arms"):
+        write_uvcal(calibrations, three, tmp_path / "c.calh5")

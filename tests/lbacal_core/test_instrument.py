@@ -287,3 +287,12 @@ def test_the_superterp_says_that_its_antenna_gain_is_made_from_the_published_c()
     assert gain.kind == "relative"
     assert "published C" in gain.source
     assert gain.scale_error == pytest.approx(0.39)
+
+
+def test_an_antenna_that_is_not_on_record_is_told_what_is() -> None:
+    """Data of station HERA and an instrument whose antennas stand at S1: "no such antenna" did not help."""
+    instrument = parse_instrument(make_content(), "i.json")
+    with pytest.raises(BadInputError, match=r"found antennas 0 to \d+ there"):
+        instrument.cable_of("CS002", 999, 1.4e9)
+    with pytest.raises(BadInputError, match=r"found stations CS002 alone"):
+        instrument.cable_of("HERA", 36, 1.4e9)

@@ -398,3 +398,10 @@ def test_flagged_spectra_stay_in_the_file_and_are_left_out_when_read(two_station
     write_spectra(replace(two_stations, flag=np.full(ROWS, "storm")), tmp_path / "s.h5")
     with pytest.raises(BadInputError, match=f"flag: expected a spectrum that is not flagged, found all {ROWS} are"):
         read_spectra(tmp_path / "s.h5")
+
+
+def test_a_notebook_shows_one_line_and_not_every_number(two_stations: Spectra) -> None:
+    shown = repr(two_stations)
+    assert len(shown) < 160
+    assert f": {len(two_stations)}, " in shown
+    assert repr(two_stations.select(np.arange(1))).count(" to ") == 0, "one spectrum is of one day"

@@ -68,3 +68,9 @@ def test_a_long_campaign_costs_no_more_than_a_hundred_events(spectra: Spectra, l
     report = audit_quickly(many, low_band).report
     assert report is not None
     assert report.stations[0].time_unix.size == EVENTS
+
+
+def test_one_channel_is_refused_before_a_fit_of_it_ends_in_a_traceback(spectra: Spectra, low_band: Instrument) -> None:
+    one = replace(spectra, frequency_mhz=spectra.frequency_mhz[:1], power=spectra.power[:, :1])
+    with pytest.raises(BadInputError, match=r"channels: expected at least 5 to fit a chain .*found 1"):
+        audit_quickly(one, low_band)

@@ -44,7 +44,7 @@ def test_archives_hold_the_same_as_tables(tmp_path: Path) -> None:
         ("2014-05-01T03:00:00Z", "yesterday", "an ISO 8601 instant"),
         ("41,1.0", "41,many", "numbers in every column"),
         ("41,1.0,", "41,", "4 columns in every row|numbers in every column"),
-        ("frequency_mhz", "MHz", "frequency_mhz and one column a path"),
+        ("frequency_mhz", "MHz", "frequency_mhz and one column a path, or time,antenna"),
     ],
 )
 def test_table_that_does_not_follow_the_format_is_refused(
