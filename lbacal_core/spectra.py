@@ -182,9 +182,8 @@ class Spectra:
 
     def __repr__(self) -> str:
         """One line: how much of what, and from when to when."""
-        nu, ends = self.frequency_mhz, np.sort(self.time_unix)[:: max(len(self) - 1, 1)]
-        days = " to ".join(str(np.datetime64(int(t), "s"))[:10] for t in ends)
-        return f"<Spectra {self.origin}: {len(self)}, {nu.size} channels {nu[0]:g}-{nu[-1]:g} MHz, {days}>"
+        nu, ends = self.frequency_mhz, np.sort(self.time_unix)[:: max(len(self) - 1, 1)].astype("datetime64[s]")
+        return f"<Spectra: {len(self)}, {nu.size} channels {nu[0]:g}-{nu[-1]:g} MHz, {' to '.join(ends.astype(str))}>"
 
     def __len__(self) -> int:
         return len(self.event_id)
