@@ -64,12 +64,13 @@ def backup(output: Annotated[Path, typer.Argument(help="File to write.")]) -> No
 def create(
     scope: Annotated[list[str], typer.Option(help="read, spectra:write, refits:run, calibrations:promote or admin.")],
     expires: Annotated[float | None, typer.Option(help="Days until the key ends; without it, never.")] = None,
+    name: Annotated[str | None, typer.Option(help="Who or what uses it; stands beside what is done with it.")] = None,
 ) -> None:
     """Make a key and print it, alone on the last line; it cannot be shown again.
 
-    Example: lbacal keys create --scope spectra:write --expires 365
+    Example: lbacal keys create --scope spectra:write --expires 365 --name "pipeline of CS002"
     """
-    number, text = _factory().keys.create(tuple(scope), expires)
+    number, text = _factory().keys.create(tuple(scope), expires, name)
     print(f"key {number} with scope {', '.join(scope)}; keep it now, it is not shown again:")
     print(text)
 
@@ -85,7 +86,8 @@ def list_keys() -> None:
     for key in _factory().keys.list():
         ends = f"expires {format_optional(key.expires) or 'never'}"
         revoked = f", revoked {format_optional(key.revoked)}" if key.revoked is not None else ""
-        print(f"{key.number}: {', '.join(key.scopes)}; made {format_optional(key.created)}, {ends}{revoked}")
+        named = f" {key.name}:" if key.name else ""
+        print(f"{key.number}:{named} {', '.join(key.scopes)}; made {format_optional(key.created)}, {ends}{revoked}")
 
 
 @keys.command()

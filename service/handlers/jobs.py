@@ -12,6 +12,7 @@ from service.handlers.request import (
     JobNumber,
     JsonBody,
     Limit,
+    OptionalJsonBody,
     UseCases,
     Whole,
     answer,
@@ -24,7 +25,7 @@ from service.storage.jobs import Job
 from service.usecases.keys import Caller
 from service.wire.answer_models import JobAnswer, JobsAnswer, RefitAnswer
 from service.wire.answers import to_json
-from service.wire.bodies import RefitBody, parse_body
+from service.wire.bodies import ReasonBody, RefitBody, parse_body
 from service.wire.instants import format_instant
 
 router = APIRouter(tags=["jobs"])
@@ -87,12 +88,14 @@ def get_job(request: Request, use: UseCases, number: JobNumber) -> Response:
     "/v1/jobs/{number}/cancel",
     response_model=JobAnswer,
     summary="Stop a job",
-    description="What it has stored stays. A job that has ended cannot be stopped (409). Due work that was stopped is "
-    "tried again after a day.",
-    responses=document(401, 403, 404, 409, 422, 503),
+    description="What it has stored stays; who stopped it and why (`reason`, which may be left out) is kept. A job "
+    "that has ended cannot be stopped (409). Due work that was stopped is tried again after a day.",
+    responses=document(400, 401, 403, 404, 409, 415, 422, 503),
+    openapi_extra=describes(ReasonBody, required=False),
 )
-def cancel_job(request: Request, use: UseCases, caller: Runner, number: JobNumber) -> Response:
-    return answer(request, describe_job(use.jobs.cancel(number, caller.name)))
+def cancel_job(request: Request, use: UseCases, caller: Runner, number: JobNumber, body: OptionalJsonBody) -> Response:
+    reason = parse_body(ReasonBody, body).reason if body else None
+    return answer(request, describe_job(use.jobs.cancel(number, caller.name, reason)))
 
 
 def describe_job(job: Job) -> dict[str, Any]:

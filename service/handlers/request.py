@@ -162,6 +162,12 @@ async def read_json_body(request: Request) -> bytes:
     return await _read_body(request, ("application/json",), SMALL_BODY, "")
 
 
+async def read_optional_json_body(request: Request) -> bytes:
+    """The same where a request may have no body; nothing then."""
+    is_absent = "content-type" not in request.headers and request.headers.get("content-length", "0") == "0"
+    return b"" if is_absent and "transfer-encoding" not in request.headers else await read_json_body(request)
+
+
 async def read_form_body(request: Request) -> bytes:
     """The body of a form on one of our pages."""
     return await _read_body(request, ("application/x-www-form-urlencoded",), SMALL_BODY, "")
@@ -198,6 +204,7 @@ async def _read_body(request: Request, media_types: Sequence[str], limit: int, s
 
 
 JsonBody = Annotated[bytes, Depends(read_json_body)]
+OptionalJsonBody = Annotated[bytes, Depends(read_optional_json_body)]
 SpectraUpload = Annotated[bytes, Depends(read_spectra_body)]
 
 
@@ -223,11 +230,11 @@ def answer(
     return Response(body, status, headers, media_type)
 
 
-def describes(body: type[BaseModel], *others: str) -> dict[str, Any]:
+def describes(body: type[BaseModel], *others: str, required: bool = True) -> dict[str, Any]:
     """The part of the OpenAPI document that tells what a body looks like; other media types are files."""
     content: dict[str, Any] = {"application/json": {"schema": _inline(body)}}
     content |= {media: {"schema": {"type": "string", "format": "binary"}} for media in others}
-    return {"requestBody": {"required": True, "content": content}}
+    return {"requestBody": {"required": required, "content": content}}
 
 
 def _inline(body: type[BaseModel]) -> dict[str, Any]:

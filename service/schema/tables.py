@@ -334,6 +334,7 @@ api_key = Table(
     metadata,
     Column("id", Integer, primary_key=True),
     Column("sha256", Text, nullable=False, unique=True),
+    Column("name", Text, comment="who or what uses it"),
     Column("scopes", Text, nullable=False, comment="JSON"),
     Column("created_us", BigInteger, nullable=False),
     Column("expires_us", BigInteger),

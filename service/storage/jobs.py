@@ -209,11 +209,12 @@ class JobStore:
         if self._connection.execute(update(job_part).where(is_held).values(values)).rowcount == 0:
             raise LeaseLostError(f"part {part.number} of job {part.job} is no longer held by {holder}")
 
-    def cancel(self, number: int, now: Instant, by: str) -> None:
+    def cancel(self, number: int, now: Instant, by: str, reason: str | None) -> None:
         """Stop a job: parts not yet done are dropped, running ones lose their lease. One that has ended stays so."""
         if (state := self.get(number).state) in (DONE, FAILED):
             raise ConflictError(f"job {number} is {state}: what it made is stored, and nothing is left to stop")
-        values = {"state": CANCELLED, "ended_us": now, "error": f"cancelled by {by}"}
+        why = f"cancelled by {by}" + (f": {reason}" if reason else "")
+        values = {"state": CANCELLED, "ended_us": now, "error": why}
         open_parts = and_(job_part.c.job == number, job_part.c.state.in_(OPEN))
         self._connection.execute(update(job_part).where(open_parts).values(values))
         self._connection.execute(update(job).where(job.c.id == number).values(is_cancelled=True))

@@ -17,10 +17,16 @@ class Key:
     """Who may do what, until when."""
 
     number: int
+    name: str | None
     scopes: tuple[str, ...]
     created: Instant
     expires: Instant | None
     revoked: Instant | None
+
+    @property
+    def label(self) -> str:
+        """How it is called wherever something says who did it."""
+        return f"key {self.number}" + (f" ({self.name})" if self.name else "")
 
     def is_valid(self, now: Instant) -> bool:
         """Whether the key opens anything."""
@@ -33,9 +39,18 @@ class KeyStore:
     def __init__(self, connection: Connection) -> None:
         self._connection = connection
 
-    def add(self, sha256: str, scopes: tuple[str, ...], *, created: Instant, expires: Instant | None) -> int:
+    def add(
+        self,
+        sha256: str,
+        scopes: tuple[str, ...],
+        *,
+        created: Instant,
+        expires: Instant | None,
+        name: str | None = None,
+    ) -> int:
         """Keep a key and return its number."""
-        row = {"sha256": sha256, "scopes": json.dumps(scopes), "created_us": created, "expires_us": expires}
+        texts = {"sha256": sha256, "name": name, "scopes": json.dumps(scopes)}
+        row = {**texts, "created_us": created, "expires_us": expires}
         return int(self._connection.execute(api_key.insert().values(row).returning(api_key.c.id)).scalar_one())
 
     def find(self, sha256: str) -> Key | None:
@@ -58,6 +73,6 @@ class KeyStore:
         if sha256 is not None:
             statement = statement.where(api_key.c.sha256 == sha256)
         return [
-            Key(row.id, tuple(json.loads(row.scopes)), row.created_us, row.expires_us, row.revoked_us)
+            Key(row.id, row.name, tuple(json.loads(row.scopes)), row.created_us, row.expires_us, row.revoked_us)
             for row in self._connection.execute(statement)
         ]

@@ -15,6 +15,7 @@ from service.storage.keys import Key
 from service.wire.instants import DAY_US
 
 SCOPES = ("read", "spectra:write", "refits:run", "calibrations:promote", "admin")
+LONGEST_NAME = 60
 
 
 @dataclass(frozen=True)
@@ -37,18 +38,20 @@ class Keys:
     clock: Callable[[], Instant]
     open_reads: bool = True
 
-    def create(self, scopes: tuple[str, ...], days: float | None = None) -> tuple[int, str]:
+    def create(self, scopes: tuple[str, ...], days: float | None = None, name: str | None = None) -> tuple[int, str]:
         """Make a key; its text exists only in this answer."""
         unknown = [scope for scope in scopes if scope not in SCOPES]
         if unknown or not scopes:
             raise BadInputError("scope", f"one or more of {', '.join(SCOPES)}", unknown[0] if unknown else "none")
         if days is not None and not 0 < days < 36_525:
             raise BadInputError("expires", "days > 0", f"{days:g}")
+        if name is not None and not (0 < len(name) <= LONGEST_NAME and name.isprintable() and name.strip()):
+            raise BadInputError("name", f"1 to {LONGEST_NAME} printable characters", repr(name[: LONGEST_NAME + 1]))
         text = "lbacal_" + secrets.token_urlsafe(32)
         now = self.clock()
         expires = None if days is None else now + round(days * DAY_US)
         with self.database.write() as stores:
-            return stores.keys.add(_sha256(text), scopes, created=now, expires=expires), text
+            return stores.keys.add(_sha256(text), scopes, created=now, expires=expires, name=name), text
 
     def list(self) -> list[Key]:
         """All keys, without their texts."""
@@ -79,7 +82,7 @@ class Keys:
         key = self.database.ask(lambda stores: stores.keys.find(_sha256(text.strip())))
         if key is None or not key.is_valid(self.clock()):
             raise UnauthenticatedError("the key is unknown, expired or revoked")
-        return Caller(f"key {key.number}", frozenset(key.scopes) | {"read"})
+        return Caller(key.label, frozenset(key.scopes) | {"read"})
 
 
 def _sha256(text: str) -> str:

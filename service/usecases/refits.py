@@ -270,8 +270,8 @@ class Jobs:
         with self.database.read() as stores:
             return stores.jobs.newest(before=before, limit=limit)
 
-    def cancel(self, number: int, by: str) -> Job:
+    def cancel(self, number: int, by: str, reason: str | None = None) -> Job:
         """Stop a job; what it has already stored stays."""
         with self.database.write() as stores:
-            stores.jobs.cancel(number, self.clock(), by)
+            stores.jobs.cancel(number, self.clock(), by, reason)
             return stores.jobs.get(number)

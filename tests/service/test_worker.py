@@ -171,6 +171,14 @@ def test_a_job_that_is_done_stays_done_when_somebody_cancels_it(station: Factory
     assert http.get(f"/v1/jobs/{number}").json()["state"] == "done"
 
 
+@pytest.mark.parametrize(("body", "why"), [(None, ""), ({"reason": "wrong window"}, ": wrong window")])
+def test_a_cancelled_job_kept_neither_who_nor_why(http: TestClient, body: dict[str, str] | None, why: str) -> None:
+    number = refit(http)
+    stopped = http.post(f"/v1/jobs/{number}/cancel", json=body)
+    assert (stopped.status_code, stopped.json()["error"]) == (200, f"cancelled by key 1{why}")
+    assert http.post(f"/v1/jobs/{number}/cancel", json={"reason": ""}).status_code == 422
+
+
 def claim(station: Factory, worker: str, lease_us: int) -> Part | None:
     with station.database.write() as stores:
         return stores.jobs.claim(worker, lease_us=lease_us, inputs=station.inputs.text)

@@ -48,6 +48,18 @@ def test_a_wrong_header_is_refused_also_for_reads(factory: Factory, header: str)
         factory.keys.require(header, "read")
 
 
+def test_a_key_was_a_number_without_a_name(factory: Factory) -> None:
+    _, key = factory.keys.create(("read",), name="pipeline of CS002")
+    assert factory.keys.require(f"Bearer {key}", "read").name == "key 1 (pipeline of CS002)"
+    assert [kept.name for kept in factory.keys.list()] == ["pipeline of CS002"]
+
+
+@pytest.mark.parametrize("name", ["", " ", "a\nb", "x" * 61])
+def test_a_name_of_a_key_is_a_short_line(factory: Factory, name: str) -> None:
+    with pytest.raises(BadInputError, match="name"):
+        factory.keys.create(("read",), name=name)
+
+
 def test_a_key_is_revoked_once(factory: Factory) -> None:
     number, _ = factory.keys.create(("read",))
     factory.keys.revoke(number)
