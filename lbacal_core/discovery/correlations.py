@@ -21,14 +21,9 @@ def correlate(model: LinearModel, families: Sequence[SpectralFamily], target: Ta
     The means show the station; the deviation of a typical path shows anything narrower.
     """
     view, spectra = _best_view(model, target, [FamilySpectra.of(model, [one]) for one in families])
-    seen = [view.see(one.whole) for one in spectra]
-    profiles, every = [family.profiles for family in families], range(len(families))
-    product = {
-        (i, j): view.cross(seen[i], seen[j], profiles[i], profiles[j])[0] for i in every for j in every if i <= j
-    }
-    product |= {(j, i): block.T for (i, j), block in product.items()}
-    size = [np.sqrt(np.maximum(np.diag(product[i, i]), SMALLEST_INFORMATION)) for i in every]
-    return np.block([[product[i, j] / np.outer(size[i], size[j]) for j in every] for i in every])
+    product = view.products([view.see(one.whole) for one in spectra], [family.profiles for family in families])[0]
+    size = np.sqrt(np.maximum(np.diag(product), SMALLEST_INFORMATION))
+    return np.asarray(product / np.outer(size, size))
 
 
 def overlap(
@@ -48,9 +43,9 @@ def overlap(
     found = []
     for batch, one in zip(batches, spectra, strict=True):
         rows = np.arange(one.values.shape[1])
-        templates = one.in_view(view, one.values, np.eye(rows.size), rows)
-        score = view.score(templates, batch[0].profiles, dual).sum(axis=1)[:, 0]
-        information = view.inner(templates, batch[0].profiles)[0].sum(axis=(1, 2))[:, 0]
+        templates = one.in_view(view, one.values, np.ones((1, rows.size)), rows)
+        score = view.score(templates, batch[0].profiles, dual)[:, 0, 0]
+        information = view.inner(templates, batch[0].profiles)[0][:, 0, 0, 0]
         found += list(score / (length * np.sqrt(np.maximum(information, SMALLEST_INFORMATION))))
     return found
 

@@ -114,12 +114,12 @@ class FamilySpectra:
         values
             Spectra in rows of the view, shape (family, k, event, freq).
         shares
-            Parts in which they act together, shape (part, k); where there are factors, each is a part.
+            Parts in which they act together, shape (part, k).
         row_of
             Row of each, shape (k,).
         """
         if self.factors is not None:
-            return ChannelTemplates(values[0], row_of, self.factors)
+            return ChannelTemplates(values[0], row_of, shares, self.factors)
         alone = np.zeros((len(values), len(shares), *view.slope.shape))
         for k, share in enumerate(shares.T):
             alone[:, :, row_of[k]] += share[:, None, None] * values[:, None, k]

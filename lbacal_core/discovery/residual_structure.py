@@ -7,7 +7,7 @@ residuals are noise. One more test uses no axis: single events.
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -103,11 +103,12 @@ def find_structure(
     """
     conditions = model.station.conditions
     axes = {axis: basis for axis in list_axes(conditions) if (basis := axis.basis(conditions)) is not None}
-    polynomials = _polynomials(model.station.power.shape[2])
-    found = [_in_means(model, axis, basis, polynomials) for axis, basis in axes.items()]
+    means = _see_in_means(model)
+    found = [_in_means(means, axis, basis) for axis, basis in axes.items()]
     found.append(_in_single_events(model, rng))
     if len(model.station.antenna) > len(model.paths_in_mean):
-        found += [_in_paths(model, axis, basis, polynomials[: PATH_DEGREE + 1]) for axis, basis in axes.items()]
+        paths = _see_in_paths(model)
+        found += [_in_paths(model, paths, axis, basis) for axis, basis in axes.items()]
     best = min(found, key=lambda one: (one.p_value, -one.deviations))
     corrected = p_of_best(best.p_value, len(found))
     if corrected >= alpha and again is None:
@@ -133,16 +134,38 @@ def find_structure(
 def chance_along(model: LinearModel, names: Collection[str], target: str) -> float:
     """Probability by chance of the strongest structure along axes, as causes call them, in the means or in paths."""
     conditions = model.station.conditions
-    polynomials = _polynomials(model.station.power.shape[2])
-    found = [
-        _in_means(model, axis, basis, polynomials)
-        if target == STATION
-        else _in_paths(model, axis, basis, polynomials[: PATH_DEGREE + 1])
-        for axis in list_axes(conditions)
-        if axis.along in names and (basis := axis.basis(conditions)) is not None
-    ]
-    best = min((one.p_value for one in found), default=1.0)
-    return p_of_best(best, max(len(found), 1))
+    axes = [axis for axis in list_axes(conditions) if axis.along in names]
+    known = [(axis, basis) for axis in axes if (basis := axis.basis(conditions)) is not None]
+    if not known:
+        return 1.0
+    if target == STATION:
+        means = _see_in_means(model)
+        found = [_in_means(means, axis, basis) for axis, basis in known]
+    else:
+        paths = _see_in_paths(model)
+        found = [_in_paths(model, paths, axis, basis) for axis, basis in known]
+    return p_of_best(min(one.p_value for one in found), len(found))
+
+
+@dataclass(frozen=True)
+class _Shown:
+    """Functions of frequency as a view shows them.
+
+    Attributes
+    ----------
+    by_event
+        What each event adds to their scores, shape (k, member, event).
+    """
+
+    view: View
+    seen: Seen
+    by_event: Floats
+
+    @classmethod
+    def of(cls, view: View, values: Floats) -> _Shown:
+        """Those of functions that are the same in every event, shape (k, row, 1, freq)."""
+        seen = view.see(np.broadcast_to(values, (len(values), *view.slope.shape)))
+        return cls(view, seen, view.score_by_event(seen))
 
 
 @dataclass(frozen=True)
@@ -185,33 +208,40 @@ def _signs(polarisations: int) -> Floats:
     return np.asarray(signs)
 
 
-def _in_means(model: LinearModel, axis: Axis, basis: Floats, polynomials: Floats) -> _Candidate:
-    """Structure of the sum and the differences of the polarisations."""
-    view = model.common
-    rows, events, channels = view.slope.shape
-    signs = _signs(rows)
-    values = np.einsum("sr,lf->slrf", signs, polynomials).reshape(-1, rows, 1, channels)
-    seen = view.see(np.broadcast_to(values, (len(values), rows, events, channels)))
-    score = np.einsum("kme,ne->mkn", view.score_by_event(seen), basis).reshape(-1)
-    gain, dof = _gain(score, view.cross(seen, seen, basis, basis)[0])
-    return _Candidate(axis, STATION, float(chi2.sf(gain, dof)), gain, dof, _Place(view, 0, seen))
+def _see_in_means(model: LinearModel) -> _Shown:
+    """Functions of frequency in the sum and the differences of the polarisations."""
+    rows, _, channels = model.common.slope.shape
+    values = np.einsum("sr,lf->slrf", _signs(rows), _polynomials(channels))
+    return _Shown.of(model.common, values.reshape(-1, rows, 1, channels))
 
 
-def _in_paths(model: LinearModel, axis: Axis, basis: Floats, polynomials: Floats) -> _Candidate:
+def _see_in_paths(model: LinearModel) -> list[_Shown]:
+    """Functions of frequency in the deviations of the paths of each class."""
+    polynomials = _polynomials(model.station.power.shape[2])[: PATH_DEGREE + 1]
+    return [_Shown.of(view, polynomials[:, None, None]) for view in model.paths]
+
+
+def _in_means(shown: _Shown, axis: Axis, basis: Floats) -> _Candidate:
+    """Structure of the means along an axis."""
+    score = np.einsum("kme,ne->mkn", shown.by_event, basis).reshape(-1)
+    gain, dof = _gain(score, shown.view.products([shown.seen], [basis])[0])
+    place = _Place(shown.view, 0, shown.seen)
+    return _Candidate(axis, STATION, float(chi2.sf(gain, dof)), gain, dof, place)
+
+
+def _in_paths(model: LinearModel, paths: Sequence[_Shown], axis: Axis, basis: Floats) -> _Candidate:
     """The path that shows most structure along an axis, its probability corrected for the number of paths."""
     station, in_mean = model.station, model.residuals.in_mean
     found = []
-    for c, (view, members) in enumerate(zip(model.paths, model.members, strict=True)):
-        _, events, channels = view.slope.shape
-        values = np.broadcast_to(polynomials[:, None, None], (len(polynomials), 1, events, channels))
-        seen = view.see(values)
-        score = np.einsum("kme,ne->mkn", view.score_by_event(seen), basis).reshape(len(members), -1)
-        information = view.cross(seen, seen, basis, basis)
+    for c, (shown, members) in enumerate(zip(paths, model.members, strict=True)):
+        score = np.einsum("kme,ne->mkn", shown.by_event, basis).reshape(len(members), -1)
+        information = shown.view.products([shown.seen], [basis])
         for m, k in enumerate(members.tolist()):
             others = 1.0 - in_mean[k] / model.paths_in_mean[model.polarisation_of[c]]
             gain, dof = _gain(score[m], others * information[m])
             label = f"antenna {station.antenna[k]} {station.dipole[k]}"
-            found.append(_Candidate(axis, label, float(chi2.sf(gain, dof)), gain, dof, _Place(view, m, seen)))
+            place = _Place(shown.view, m, shown.seen)
+            found.append(_Candidate(axis, label, float(chi2.sf(gain, dof)), gain, dof, place))
     best = min(found, key=lambda one: (one.p_value, -one.deviations))
     return replace(best, p_value=p_of_best(best.p_value, len(station.antenna)))
 

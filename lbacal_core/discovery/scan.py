@@ -158,10 +158,12 @@ class _Scorer:
         wide = [t for t in concerned if self.targets[t].scope == "station"]
         local = [t for t in concerned if t not in wide]
         differ = self._differ(spectra) * (bool(wide) and model.modes is None)
-        shares = self.share[concerned]
-        together = np.eye(shares.shape[1])
-        if not local and len(wide) == 1 and spectra.factors is None:  # the classes act together, and count as one
-            shares, together = np.ones((1, 1)), shares
+        shares, classes = self.share[concerned], self.share.shape[1]
+        together, part_of = np.unique(shares, axis=0, return_inverse=True)
+        if len(together) < classes:  # targets of which the means show the same: their classes count as one
+            shares = np.eye(len(together))[part_of]
+        else:
+            together = np.eye(classes)
         templates = spectra.in_view(model.common, spectra.values, together, model.polarisation_of)
         of_mean = model.common.score(templates, profiles)[:, :, 0]
         information_of_mean = model.common.inner(templates, profiles)[0][:, :, :, 0]

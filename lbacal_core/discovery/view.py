@@ -16,6 +16,7 @@ are few and time profiles many (dates, hours), so that sums over events are all 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -54,6 +55,13 @@ class Seen:
 
     def by_event(self, other: Seen) -> Floats:
         """Products t'W u of all pairs event by event, nothing profiled out, shape (..., k, j, event)."""
+        return self._own_by_event if other is self else self._by_event(other)
+
+    @cached_property
+    def _own_by_event(self) -> Floats:
+        return self._by_event(self)
+
+    def _by_event(self, other: Seen) -> Floats:
         return np.asarray(np.einsum("...kref,...jref->...kje", self.values, other.weighed))
 
 
@@ -64,15 +72,18 @@ class ChannelTemplates:
     Attributes
     ----------
     spectra
-        Shape (k, event, freq).
+        Shape (spectrum, event, freq).
     row_of
-        Row of the view in which each spectrum acts, shape (k,).
+        Row of the view in which each spectrum acts, shape (spectrum,).
+    shares
+        How much of each spectrum acts in a template, shape (k, spectrum).
     factors
         Shape (factor, freq).
     """
 
     spectra: Floats
     row_of: NDArray[np.int64]
+    shares: Floats
     factors: Floats
 
 
@@ -107,10 +118,9 @@ class View(FreeVectors):
         Shape (..., k, k, member, profile), of templates in channels (factor, k, k, member, profile).
         """
         if isinstance(templates, ChannelTemplates):
-            whole, lost = self._sums_of_channels(templates, profiles)
-        else:
-            whole = (templates.by_event(templates)[..., None, :] * self.weight) @ profiles.T**2
-            lost = self._sum_profiles(templates, profiles)
+            return self._inner_of_channels(templates, profiles)
+        whole = (templates.by_event(templates)[..., None, :] * self.weight) @ profiles.T**2
+        lost = self._sum_profiles(templates, profiles)
         return whole - np.einsum("...kmnv,...jmnv->...kjmn", lost @ self._inverse, lost), whole
 
     def score(self, templates: Seen | ChannelTemplates, profiles: Floats, other: Floats | None = None) -> Floats:
@@ -124,7 +134,8 @@ class View(FreeVectors):
         dual = self.weighted_residual if other is None else other
         if isinstance(templates, ChannelTemplates):
             score = np.matmul(profiles, templates.spectra * dual[:, templates.row_of])
-            return np.asarray(np.einsum("mknf,sf->skmn", score, templates.factors, optimize=True))
+            of_each = np.einsum("mcnf,sf->scmn", score, templates.factors, optimize=True)
+            return np.asarray(np.tensordot(of_each, templates.shares, axes=(1, 1)).transpose(0, 3, 1, 2))
         return np.asarray(np.einsum("...kref,mref->...kme", templates.values, dual, optimize=True) @ profiles.T)
 
     def _sum_profiles(self, templates: Seen, profiles: Floats) -> Floats:
@@ -133,24 +144,29 @@ class View(FreeVectors):
         total = self.sum(templates.along, weight)
         return total.reshape(*total.shape[:-2], len(self.weight), len(profiles), total.shape[-1])
 
-    def _sums_of_channels(self, templates: ChannelTemplates, profiles: Floats) -> tuple[Floats, Floats]:
-        """Products u'Wv and N'Wu with each profile: sums over sets of events in which every profile is constant."""
-        factors, spectra, rows = templates.factors, templates.spectra, templates.row_of
+    def _inner_of_channels(self, templates: ChannelTemplates, profiles: Floats) -> tuple[Floats, Floats]:
+        """`inner` from sums over sets of events in which every profile is constant."""
+        factors, spectra, rows, shares = templates.factors, templates.spectra, templates.row_of, templates.shares
         by_set, set_of = np.unique(profiles, axis=1, return_inverse=True)
-        members, count, sets = len(self.weight), len(spectra), by_set.shape[1]
+        members, count, sets = len(self.weight), len(shares), by_set.shape[1]
         whole = np.empty((len(factors), count, count, members, sets))
         lost = np.empty((len(factors), count, members, sets, len(self.prior_information)))
         for g in range(sets):
             events = np.flatnonzero(set_of.ravel() == g)
             part, here, weight = self.on_events(events), spectra[:, events], self.weight[:, events]
             others = part.weigh_others()
-            for k, own in enumerate(here):
-                lost[:, k, :, g] = np.tensordot(factors, part.onto_channels(weight, own, rows[k], others), (1, 1))
+            onto = np.stack([part.onto_channels(weight, one, r, others) for one, r in zip(here, rows, strict=True)])
+            lost[..., g, :] = np.tensordot(factors, np.tensordot(shares, onto, axes=1), axes=(1, 2))
+            pairs = np.empty((len(here), len(here), *onto.shape[1:3], factors.shape[1]))
+            for k, one in enumerate(here):
                 for j, other in enumerate(here[: k + 1]):
-                    pairs = part.between_channels(weight, own, other, rows[k], rows[j])
-                    whole[:, k, j, :, g] = np.einsum("sf,msf->sm", factors, factors @ pairs)
-                    whole[:, j, k, :, g] = whole[:, k, j, :, g]
-        return whole @ by_set.T**2, by_set @ lost
+                    pairs[k, j] = part.between_channels(weight, one, other, rows[k], rows[j])
+                    pairs[j, k] = np.swapaxes(pairs[k, j], 1, 2)
+            together = np.tensordot(shares, np.tensordot(shares, pairs, axes=1), axes=(1, 1))
+            whole[..., g] = np.einsum("sf,...sf->s...", factors, factors @ together)
+        lost = by_set @ (lost @ self._root)
+        whole = whole @ by_set.T**2
+        return whole - np.einsum("skmnv,sjmnv->skjmn", lost, lost), whole
 
     def cross(self, one: Seen, other: Seen, one_profiles: Floats, other_profiles: Floats) -> Floats:
         """Inner products (1) of all templates with all time profiles, shape (member, k n, j m).
@@ -162,20 +178,44 @@ class View(FreeVectors):
         one_profiles, other_profiles
             Shape (n, event) and (m, event).
         """
-        size = len(self.weight), len(one.values) * len(one_profiles)
-        left = self.weight[:, None] * one_profiles
-        right = one.by_event(other)[:, :, None] * other_profiles
-        whole = np.einsum("mne,kjpe->mknjp", left, right, optimize=True).reshape(*size, -1)
-        lost = [
-            np.moveaxis(self._sum_profiles(seen, profiles), -3, 0).reshape(size[0], -1, len(self._inverse[0]))
-            for seen, profiles in ((one, one_profiles), (other, other_profiles))
-        ]
+        lost = self._lost(one, one_profiles), self._lost(other, other_profiles)
+        whole = self._whole(one, other, one_profiles, other_profiles)
         return np.asarray(whole - lost[0] @ self._inverse @ np.swapaxes(lost[1], 1, 2))
+
+    def products(self, seen: Sequence[Seen], profiles: Sequence[Floats]) -> Floats:
+        """Inner products (1) of the templates of several families, each with all its time profiles.
+
+        Returns
+        -------
+        Shape (member, sum of k n, sum of k n), family after family.
+        """
+        lost = [self._lost(*family) for family in zip(seen, profiles, strict=True)]
+        ends = np.cumsum([0, *(one.shape[1] for one in lost)])
+        joined = np.concatenate(lost, axis=1)
+        found = -(joined @ self._inverse @ np.swapaxes(joined, 1, 2))
+        for i, (one, left) in enumerate(zip(seen, profiles, strict=True)):
+            for j, (other, right) in enumerate(zip(seen[: i + 1], profiles, strict=False)):
+                rows, columns = slice(ends[i], ends[i + 1]), slice(ends[j], ends[j + 1])
+                whole = self._whole(one, other, left, right)
+                found[:, rows, columns] += whole
+                if i != j:
+                    found[:, columns, rows] += np.swapaxes(whole, 1, 2)
+        return np.asarray(found)
+
+    def _whole(self, one: Seen, other: Seen, one_profiles: Floats, other_profiles: Floats) -> Floats:
+        """Products u'Wv with nothing profiled out, shape (member, k n, j m)."""
+        right = one.by_event(other)[:, :, None] * other_profiles
+        whole = np.einsum("mne,kjpe->mknjp", self.weight[:, None] * one_profiles, right, optimize=True)
+        return np.asarray(whole.reshape(len(self.weight), len(one.values) * len(one_profiles), -1))
+
+    def _lost(self, seen: Seen, profiles: Floats) -> Floats:
+        """Products u'WN with the free vectors, shape (member, k n, vector)."""
+        sums = np.moveaxis(self._sum_profiles(seen, profiles), -3, 0)
+        return np.asarray(sums.reshape(len(sums), -1, sums.shape[-1]))
 
     def gram(self, templates: Seen) -> Floats:
         """Inner products (1) of templates, shape (member, k, k)."""
-        everyone = np.ones((1, self.weight.shape[1]))
-        return self.cross(templates, templates, everyone, everyone)
+        return self.products([templates], [np.ones((1, self.weight.shape[1]))])
 
     def score_by_event(self, templates: Seen) -> Floats:
         """Contribution of every event to the scores <t, e>, shape (..., k, member, event)."""
@@ -252,14 +292,18 @@ class View(FreeVectors):
 
     @cached_property
     def _inverse(self) -> Floats:
-        """(N'WN + L)^-1 of each member on the space that the vectors span; vectors of any size count alike."""
+        """(N'WN + L)^-1 of each member on the space that the vectors span, shape (member, vector, vector)."""
+        return np.asarray(self._root @ np.swapaxes(self._root, 1, 2))
+
+    @cached_property
+    def _root(self) -> Floats:
+        """R of each member with R R' = (N'WN + L)^-1; vectors of any size count alike."""
         gram = self.information_of_free(self.weight) + self.prior_information
         size = np.sqrt(np.maximum(np.diagonal(gram, axis1=1, axis2=2), 1e-300))
         values, vectors = np.linalg.eigh(gram / (size[:, :, None] * size[:, None, :]))
         kept = values > SMALLEST_EIGENVALUE * values[:, -1:]
         inverse = np.where(kept, 1.0 / np.where(kept, values, 1.0), 0.0)
-        turned = vectors / size[:, :, None]
-        return np.asarray((turned * inverse[:, None, :]) @ np.swapaxes(turned, 1, 2))
+        return np.asarray(vectors / size[:, :, None] * np.sqrt(inverse)[:, None, :])
 
 
 def _indicators(fold: NDArray[np.int64]) -> Floats:

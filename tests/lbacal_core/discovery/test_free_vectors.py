@@ -37,8 +37,9 @@ def test_templates_in_channels_are_the_same_templates_written_out(views, k):
     rows, events, channels = view.slope.shape
     spectra, factors = rng.uniform(0.5, 1.0, (rows, events, channels)), rng.standard_normal((3, channels))
     profiles = (np.arange(events) % 5 < np.array([[2], [4]])).astype(float)
-    lines = ChannelTemplates(spectra, np.arange(rows), factors)
-    alone = spectra[:, None] * np.eye(rows)[:, :, None, None] * factors[:, None, None, None]
+    shares = np.vstack([np.eye(rows), np.full((1, rows), 0.5)])
+    lines = ChannelTemplates(spectra, np.arange(rows), shares, factors)
+    alone = spectra * shares[:, :, None, None] * factors[:, None, None, None]
     seen = view.see(alone)
     for quick, direct in zip(view.inner(lines, profiles), view.inner(seen, profiles), strict=True):
         np.testing.assert_allclose(quick, direct, rtol=1e-6, atol=1e-9 * np.abs(direct).max())

@@ -217,6 +217,8 @@ def test_inner_products_of_profiles_equal_those_of_the_vectors_they_make(model):
     seen = view.see(templates)
     direct = view.gram(view.see(vectors))
     np.testing.assert_allclose(view.cross(seen, seen, profiles, profiles), direct, rtol=1e-6, atol=1e-6 * direct.max())
+    families = [view.see(templates[:1]), view.see(templates[1:])], [profiles, profiles]
+    np.testing.assert_allclose(view.products(*families), direct, rtol=1e-6, atol=1e-6 * direct.max())
     left, whole = view.inner(view.see(templates[:, None]), profiles)
     np.testing.assert_allclose(left[:, 0, 0, 0].ravel(), np.diag(direct[0]), rtol=1e-6)
     assert np.all(left < whole)
