@@ -1,4 +1,4 @@
-"""`./dev demo`: the main job end to end, by the fit alone and through the service; writes var/report.html."""
+"""`./dev demo`: the main job end to end, by the fit and through the service; writes var/report.html and its data."""
 
 from __future__ import annotations
 
@@ -37,6 +37,7 @@ from lbacal_core.lstcurve.compare import (
 )
 from lbacal_core.lstcurve.curve import measured_curve, read_lst_curve
 from lbacal_core.skypower.table import SkyPower
+from lbacal_core.spectra import write_spectra
 from lbacal_core.spectra_blocks import split_into_blocks
 from lbacal_core.twin.campaign import Campaign, simulate_campaign
 from lbacal_core.twin.settings import TwinSettings
@@ -175,6 +176,13 @@ def render_report(shown: Demonstration, served: ServedRun | None = None) -> str:
     )
 
 
+def write_year(shown: Demonstration, output: Path) -> Path:
+    """Write the spectra of the simulated year beside the report."""
+    path = output.with_name("spectra.h5")
+    write_spectra(shown.campaign.spectra, path)
+    return path
+
+
 def main(arguments: Sequence[str] = (), output: Path = Path("var/report.html")) -> int:
     """Run the demonstration on the shipped instrument and sky; exit 0 when every curve converged and the step is found.
 
@@ -200,7 +208,7 @@ def main(arguments: Sequence[str] = (), output: Path = Path("var/report.html")) 
         _print_curve(served)
         with _step("draw the report"):
             output.write_text(render_report(shown, served), encoding="utf-8")
-        print(f"wrote {output}")
+        print(f"wrote {output}; the simulated year, for the commands that read files: {write_year(shown, output)}")
         if "--serve" in arguments:
             print(f"the page is {served.url}/drift, the interface {served.url}/docs; Ctrl-C ends", flush=True)
             _wait_for_interrupt()

@@ -11,6 +11,8 @@ from pathlib import Path
 
 import pytest
 
+from lbacal_core.spectra import read_spectra
+
 
 def test_the_demo_finds_what_it_planted_and_ends_by_itself(tmp_path: Path) -> None:
     done = subprocess.run(
@@ -26,6 +28,9 @@ def test_the_demo_finds_what_it_planted_and_ends_by_itself(tmp_path: Path) -> No
     assert "C(nu) in effect, in µV per ADC unit:" in done.stdout
     page = (tmp_path / "var/report.html").read_text()
     assert "Two years through the service" in page
+    assert len(read_spectra(tmp_path / "var/spectra.h5")) == 96 * 900, (
+        "a reader of the README has no spectra to begin with"
+    )
 
 
 def test_the_demo_names_what_it_does_not_know() -> None:
