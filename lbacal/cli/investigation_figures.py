@@ -36,8 +36,11 @@ def draw_scores(report: StationReport) -> Figure:
     figure = Figure(figsize=(9.5, 0.27 * len(scores) + 1.2), layout="constrained")
     axes: Any = figure.subplots()
     colours = [RED if score.p_value < report.alpha_of(score) else "#8a94a6" for score in scores]
-    axes.barh([score.cause.identifier for score in scores], [abs(score.z) for score in scores], color=colours)
-    for k, score in enumerate(scores):
+    rows = range(len(scores))  # a cause that is scored for each cable name has several
+    axes.barh(rows, [abs(score.z) for score in scores], color=colours)
+    axes.set_yticks(rows, [score.cause.identifier for score in scores])
+    axes.set_ylim(-0.7, len(scores) - 0.3)
+    for k, score in zip(rows, scores, strict=True):
         axes.text(abs(score.z), k, f"  {score.target.label}, p = {score.p_value:.2g}", va="center", fontsize=7)
     axes.set_xlabel("best score over all its templates and targets (standard deviations)")
     axes.set_xlim(0, 1.35 * max(*(abs(score.z) for score in scores), 4.0))

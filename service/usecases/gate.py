@@ -80,9 +80,9 @@ class Gate:
         """What a curve by itself lacks; None if nothing."""
         if curve.status == MISFIT:
             return (
-                f"misfit: chi2 per degree of freedom {curve.chi2_per_dof:.1f} with noise alone and "
-                f"{curve.chi2_per_dof_profiled:.1f} with sky and pattern free within what is known of them; "
-                "lbacal investigate says what is wrong"
+                f"misfit of this curve or of its station: chi2 per degree of freedom {curve.chi2_per_dof:.1f} with "
+                f"noise alone and {curve.chi2_per_dof_profiled:.1f} with sky and pattern free within what is known; "
+                "clock, place, letters, antenna or unit may be wrong, and lbacal investigate says what is"
             )
         if curve.status != CONVERGED or curve.c is None or curve.c_sigma_stat is None:
             seen = f"{24 * curve.lst_coverage:.1f} h of the sidereal day"

@@ -3,6 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from lbacal.cli.investigation_figures import draw_scores
 from lbacal.cli.investigation_page import write_investigation_page
 from lbacal_core.discovery.investigate import investigate
 from lbacal_core.instrument import load_instrument
@@ -31,30 +32,30 @@ def written(tmp_path_factory):
     content, reports = investigate(spectra, chain, sky)
     path = tmp_path_factory.mktemp("page") / "r.html"
     write_investigation_page(content, reports, path)
-    return content, path.read_text()
+    return content, path.read_text(), reports
 
 
 def test_a_finding_has_its_signature_its_maps_and_its_change_of_c(written):
-    content, page = written
+    content, page, _ = written
     assert [finding["cause"] for finding in content["findings"]] == ["gain_step"]
     for words in ("signature of gain_step", "residual maps before and after", "change of C"):
         assert words in page
 
 
 def test_structure_that_no_cause_explains_is_drawn_along_its_axis(written):
-    content, page = written
+    content, page, _ = written
     assert content["verdict"] == "unexplained"
     assert "Residual structure that no cause explains" in page
 
 
 def test_every_picture_is_inside_the_page(written):
-    _, page = written
+    _, page, _ = written
     assert page.count("<img") == page.count("data:image/png;base64,") == 9
     assert "http" not in page
 
 
 def test_the_sentence_the_gain_and_what_it_changes_in_c_are_said(written):
-    content, page = written
+    content, page, _ = written
     for words in (
         content["findings"][0]["sentence"],
         "gain on held-out events",
@@ -62,6 +63,17 @@ def test_the_sentence_the_gain_and_what_it_changes_in_c_are_said(written):
         "in the median",
     ):
         assert words in page
+
+
+def test_labels_of_scores_stood_at_bars_of_other_causes(written):
+    (report,) = written[2]
+    causes = [score.cause.identifier for score in (*report.scores, *report.antenna_scores)]
+    assert len(set(causes)) < len(causes), "a cause has a score for each cable name"
+    (axes,) = draw_scores(report).axes
+    bars = [(bar.get_y() + bar.get_height() / 2, bar.get_width()) for bar in axes.patches]
+    labels = [(label.get_position()[1], label.get_position()[0]) for label in axes.texts]
+    np.testing.assert_allclose(bars, labels)
+    assert [tick.get_text() for tick in axes.get_yticklabels()] == causes[::-1]
 
 
 def test_a_static_cause_is_drawn_as_an_antenna_against_the_others(tmp_path):
