@@ -22,16 +22,17 @@ from threadpoolctl import threadpool_limits
 
 from lbacal_core.calibration.chain_test import SkyFreedom
 from lbacal_core.calibration.fit import fit_calibration
+from lbacal_core.chain.terms import ChainTerms
 from lbacal_core.covariance import compress_covariance
 from lbacal_core.curves import CalibrationCurve, FitReport
 from lbacal_core.discovery.adopted import (
     FittedSize,
-    FittedSizes,
     at_reference,
     describe_size,
     fit_adopted,
     gather_adopted,
     list_hypotheses,
+    take_adopted,
 )
 from lbacal_core.discovery.deaf import leave_out_deaf
 from lbacal_core.discovery.hypothesis import Hypothesis
@@ -54,27 +55,33 @@ class _OfStation:
     ----------
     station
         With all its paths, those that a search leaves out too.
+    terms
+        Its chains with the causes.
+    sizes, covariance
+        The causes with their sizes, and the covariance of these, shape (size, size).
     rows, path, event
         Rows of the spectra on the station's grid, and their places there, shape (row,).
     """
 
     station: Station
-    fitted: FittedSizes
+    terms: ChainTerms
+    sizes: Sequence[FittedSize]
+    covariance: Floats
     rows: NDArray[np.int64]
     path: NDArray[np.int64]
     event: NDArray[np.int64]
 
     def ratio(self, moved: Floats) -> Floats:
         """Power with the causes over power without, the sizes moved by some amounts, shape (row, freq)."""
-        sizes = [size.value + float(by) for size, by in zip(self.fitted.sizes, moved, strict=True)]
+        sizes = [size.value + float(by) for size, by in zip(self.sizes, moved, strict=True)]
         hypotheses = [replace(one, size=size) for one, size in zip(self._hypotheses, sizes, strict=True)]
-        grid = power_ratio(self.station, self.fitted.model.baseline.terms, hypotheses)
+        grid = power_ratio(self.station, self.terms, hypotheses)
         return np.asarray(grid[self.path, self.event])
 
     @cached_property
     def _hypotheses(self) -> list[Hypothesis]:
         """The causes of the sizes, in their order, on the station's grid."""
-        acting = Model(tuple(size.adopted for size in self.fitted.sizes))
+        acting = Model(tuple(size.adopted for size in self.sizes))
         return [one for _, one in list_hypotheses(acting, self.station)]
 
     @cached_property
@@ -106,7 +113,7 @@ class FittedCauses:
     @property
     def sizes(self) -> list[FittedSize]:
         """The sizes of all stations; only causes that act in these spectra."""
-        return [size for one in self.stations for size in one.fitted.sizes]
+        return [size for one in self.stations for size in one.sizes]
 
     @cached_property
     def spectra(self) -> Spectra:
@@ -119,9 +126,9 @@ class FittedCauses:
             return self.recorded
         power, is_kept = self.recorded.power.copy(), np.ones(len(self.recorded), dtype=bool)
         for number, one in enumerate(self.stations):
-            by = np.zeros(len(one.fitted.sizes))
+            by = np.zeros(len(one.sizes))
             if moved is not None and moved[0] == number:
-                by[moved[1]] = one.fitted.sizes[moved[1]].sigma
+                by[moved[1]] = one.sizes[moved[1]].sigma
             power[one.rows] /= one.ratio(by)
             is_kept[one.rows] = one.is_known
         divided = replace(self.recorded, power=power)
@@ -138,22 +145,31 @@ class FittedCauses:
                 stations.append(replace(one, rows=at, path=one.path[kept], event=one.event[kept]))
         return replace(self, recorded=self.recorded.select(rows), stations=stations)
 
-    def fit(self, scope: str, freedom: SkyFreedom | None = None) -> FitReport:
+    def fit(self, scope: str, freedom: SkyFreedom | None = None, without: Sequence[CalibrationCurve] = ()) -> FitReport:
         """Calibrate with the model; parameters as in `fit_calibration`, which it is where no cause acts.
 
         The error of the sizes is in the statistical error of C, and common to all curves of a station.
+
+        Parameters
+        ----------
+        without
+            Where the model has one size, curves of these spectra without its cause, if they are at hand: what the error
+            of the size does to C is then taken in proportion to what the size does, which saves a fit.
         """
         report = fit_calibration(self.spectra, self.instrument, self.sky_power, scope, freedom)
         if self.model.is_plain:
             return report
         curves = list(report.curves)
         for number, one in enumerate(self.stations):
-            changes = [
-                fit_calibration(self._divide_out((number, k)), self.instrument, self.sky_power, scope).curves
-                for k in range(len(one.fitted.sizes))
-            ]
+            if without:
+                changes: list[Sequence[CalibrationCurve]] = [_move_in_proportion(report.curves, without, one.sizes[0])]
+            else:
+                changes = [
+                    fit_calibration(self._divide_out((number, k)), self.instrument, self.sky_power, scope).curves
+                    for k in range(len(one.sizes))
+                ]
             if changes:
-                curves = self._add_errors(curves, list(report.curves), changes, one.fitted)
+                curves = self._add_errors(curves, list(report.curves), changes, one)
         provenance = replace(
             report.provenance,
             inputs={**report.provenance.inputs, "spectra": self.recorded.digest(), "model": self.model.id},
@@ -167,12 +183,12 @@ class FittedCauses:
         curves: Sequence[CalibrationCurve],
         central: Sequence[CalibrationCurve],
         changes: Sequence[Sequence[CalibrationCurve]],
-        fitted: FittedSizes,
+        station: _OfStation,
     ) -> list[CalibrationCurve]:
         """Curves with the error of a station's sizes, from the fits with each size moved by its standard deviation."""
-        sigma = np.array([size.sigma for size in fitted.sizes])
+        sigma = np.array([size.sigma for size in station.sizes])
         # Rows of the root are independent, each one standard deviation.
-        root = np.linalg.cholesky(fitted.covariance / np.outer(sigma, sigma)).T
+        root = np.linalg.cholesky(station.covariance / np.outer(sigma, sigma)).T
         found = []
         for k, (curve, before) in enumerate(zip(curves, central, strict=True)):
             moved = [change[k] for change in changes]
@@ -206,6 +222,21 @@ class FittedCauses:
         return tuple(describe_size(size) for size in self.sizes)
 
 
+def _move_in_proportion(
+    curves: Sequence[CalibrationCurve], without: Sequence[CalibrationCurve], size: FittedSize
+) -> list[CalibrationCurve]:
+    """Curves as they would be with a size moved by its standard deviation, from those at the size and those without."""
+    plain, share = {curve.owner: curve for curve in without}, size.sigma / size.value
+    moved = []
+    for curve in curves:
+        before = plain.get(curve.owner)
+        if curve.c is None or before is None or before.c is None:
+            moved.append(curve)
+        else:
+            moved.append(replace(curve, c=curve.c * (curve.filled(curve.c) / before.filled(before.c)) ** share))
+    return moved
+
+
 def _with_common(curve: CalibrationCurve, common: Floats) -> CalibrationCurve:
     """A curve with vectors of ln C, shape (vector, freq), one standard deviation each, in its statistical error."""
     if curve.c is None or curve.covariance is None:
@@ -222,7 +253,13 @@ def _with_common(curve: CalibrationCurve, common: Floats) -> CalibrationCurve:
 
 
 def fit_causes(
-    spectra: Spectra, instrument: Instrument, sky_power: SkyPower, model: Model, *, is_own_sky: bool
+    spectra: Spectra,
+    instrument: Instrument,
+    sky_power: SkyPower,
+    model: Model,
+    *,
+    is_own_sky: bool,
+    are_sizes_known: bool = False,
 ) -> FittedCauses:
     """Fit the sizes of the adopted causes of a model, each to all paths of its target in the spectra.
 
@@ -234,18 +271,26 @@ def fit_causes(
     is_own_sky
         Whether `sky_power` is the package's own, so that the differences between sky and antenna models are profiled
         out. A sky power from a file is taken as exact.
+    are_sizes_known
+        Whether all sizes are those of the model, found in these same spectra, so that none is fitted again.
     """
     found = []
+    sizes: Sequence[FittedSize]
     # The products are small: threads of the linear algebra would wait for each other.
     with threadpool_limits(1):
         apart, parts = set_apart(spectra, instrument)
         stations = gather_adopted(apart, parts, sky_power, model)
-        known = compute_model_differences(instrument) if is_own_sky and stations else None
+        is_free = is_own_sky and bool(stations) and not are_sizes_known
+        known = compute_model_differences(instrument) if is_free else None
         for station in stations:
-            modes = None if known is None else model_modes(station, known)
-            fitted = fit_adopted(leave_out_deaf(station)[0], model, modes)
-            if fitted.sizes:
-                found.append(_OfStation(at_reference(station), fitted, *_places(apart, station)))
+            if are_sizes_known:
+                terms, sizes, covariance = take_adopted(station, model)
+            else:
+                modes = None if known is None else model_modes(station, known)
+                fitted = fit_adopted(leave_out_deaf(station)[0], model, modes)
+                terms, sizes, covariance = fitted.model.baseline.terms, fitted.sizes, fitted.covariance
+            if sizes:
+                found.append(_OfStation(at_reference(station), terms, sizes, covariance, *_places(apart, station)))
     return FittedCauses(spectra, instrument, sky_power, model, found)
 
 

@@ -130,7 +130,7 @@ class Factory:
     @cached_property
     def models(self) -> Models:
         """What is adopted into the models of stations."""
-        return Models(self.database, self.fits, self.promotions, self.due, self.clock)
+        return Models(self.database, self.fits, self.promotions, self.due, LastMade(), self.clock)
 
     @cached_property
     def investigations(self) -> Investigations:

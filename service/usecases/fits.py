@@ -5,7 +5,7 @@ Nothing is written here: a refit keeps what these functions make, and the dry ru
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -98,40 +98,66 @@ class Fits:
             raise ConflictError(f"no usable spectra of {wanted.of.key} between {since} and {until}")
         return spectra
 
-    def fit_causes(self, spectra: Spectra, model: Model) -> FittedCauses:
+    def fit_causes(self, spectra: Spectra, model: Model, *, are_sizes_known: bool = False) -> FittedCauses:
         """Fit the sizes of the adopted causes to all spectra of their stations, where these are enough for any fit."""
         enough = model.of_stations([name for name in np.unique(spectra.station).tolist() if _has_enough(spectra, name)])
-        return fit_causes(spectra, self.instrument, self.sky_power(), enough, is_own_sky=self.is_own_sky)
+        return fit_causes(
+            spectra, self.instrument, self.sky_power(), enough, is_own_sky=self.is_own_sky,
+            are_sizes_known=are_sizes_known,
+        )  # fmt: skip
+
+    def foresee(self, whole: FittedCauses, wanted: Wanted, before: Sequence[Version], budget: Budget) -> list[Version]:
+        """The versions that `make` will make with a cause more, from those before, whose budget their errors have.
+
+        Chain and statistical error are those of a fit. The budget is not computed again, and what the error of the
+        size does to C is taken in proportion to what the size does.
+        """
+        made, versions = self.clock(), list[Version]()
+        for of_piece, recorded, during in self._cut(whole, wanted):
+            plain = [curve for one in before if one.window == (during.since, during.until) for curve in one.curves]
+            report = add_budget(of_piece.fit(wanted.scope, self.freedom(), plain), budget)
+            versions += _versions(recorded, report, during, made, _name_beside(whole, wanted), self.instrument)
+        return versions
 
     def make(self, whole: FittedCauses, wanted: Wanted, budget: Budget | None = None) -> Made:
         """Fit the chain to the spectra that a fit wants, the sizes of the causes fitted to the whole station's.
 
         With a budget given, that of other fits of the station, the versions name it among their inputs.
         """
-        made, spectra = self.clock(), whole.recorded
-        is_part = wanted.window.scope != wanted.of
-        fitted = whole.select(_rows_of(spectra, wanted.of)) if is_part else whole
-        beside: dict[str, str] = {} if whole.model.is_plain else {"environment": hash_covariates(spectra)}
-        if beside and wanted.scope == "antenna":
-            beside["model_spectra"] = spectra.digest()
+        made, beside = self.clock(), _name_beside(whole, wanted)
         if budget is not None:
             beside[BUDGET] = budget.digest
-        ends = wanted.since / SECOND_US, wanted.until / SECOND_US
         pieces, versions, budgets, lines = [], list[Version](), dict[str, Budget](), []
-        for rows in cut_window(fitted.recorded, self.instrument, wanted.scope, *ends, _list_cuts(wanted)):
-            of_piece = fitted if np.all(rows.rows) else fitted.select(rows.rows)
+        for of_piece, recorded, during in self._cut(whole, wanted):
             audit_quickly(of_piece.recorded, self.instrument).require_power(f"spectra of {wanted.of.key}")
             freedom = self.freedom()
             of_data = budget or compute_budget(of_piece.spectra, self.instrument, self.sky_power(), freedom=freedom)
             report = add_budget(of_piece.fit(wanted.scope, freedom), of_data)
-            during = replace(wanted, since=round(rows.since_unix * SECOND_US), until=round(rows.until_unix * SECOND_US))
-            recorded = spectra if np.all(rows.rows) else of_piece.recorded
             versions += _versions(recorded, report, during, made, beside, self.instrument)
             budgets |= report.budgets
             if report.lines:
                 lines.append((during.since, during.until, report.lines))
             pieces.append((during.since, of_piece.spectra))
         return Made(lend_to_small(versions, pieces, self.instrument, self.sky_power()), budgets, lines)
+
+    def _cut(self, whole: FittedCauses, wanted: Wanted) -> Iterator[tuple[FittedCauses, Spectra, Wanted]]:
+        """The pieces of the window of a fit: what is fitted, the spectra by which it is named, and when it lies."""
+        spectra = whole.recorded
+        is_part = wanted.window.scope != wanted.of
+        fitted = whole.select(_rows_of(spectra, wanted.of)) if is_part else whole
+        ends = wanted.since / SECOND_US, wanted.until / SECOND_US
+        for rows in cut_window(fitted.recorded, self.instrument, wanted.scope, *ends, _list_cuts(wanted)):
+            of_piece = fitted if np.all(rows.rows) else fitted.select(rows.rows)
+            during = replace(wanted, since=round(rows.since_unix * SECOND_US), until=round(rows.until_unix * SECOND_US))
+            yield of_piece, spectra if np.all(rows.rows) else of_piece.recorded, during
+
+
+def _name_beside(whole: FittedCauses, wanted: Wanted) -> dict[str, str]:
+    """What names the versions of a fit with causes besides their own spectra: what the sizes were fitted to."""
+    if whole.model.is_plain:
+        return {}
+    of_sizes = {"model_spectra": whole.recorded.digest()} if wanted.scope == "antenna" else {}
+    return {"environment": hash_covariates(whole.recorded), **of_sizes}
 
 
 def _versions(

@@ -11,19 +11,24 @@ from datetime import UTC, datetime
 
 from threadpoolctl import threadpool_limits
 
+from lbacal_core.covariance import Budget, parse_budget
 from lbacal_core.discovery.payoff import promise_of
 from lbacal_core.errors import BadInputError
 from lbacal_core.model import AdoptedCause, Model
+from lbacal_core.provenance import canonical_json, hash_content
+from lbacal_core.spectra import Spectra
 from lbacal_core.validity import Instant, Promotion, Scope, timeline
 from service.errors import ConflictError
 from service.storage.alarms import CAUSE_STOPPED_PAYING, News
 from service.storage.database import Database, Stores
 from service.storage.investigations import Investigation
 from service.storage.models import ADOPTED, WITHDRAWN, Announced, Gain, ModelChange
+from service.storage.spectra import Window
 from service.storage.versions import Version, mean_over_band
 from service.usecases.due import DueWork
 from service.usecases.fits import Fits, Wanted, find_cuts
 from service.usecases.gate import find_change_of_mean
+from service.usecases.last_made import LastMade
 from service.usecases.promotions import LAST, Change, Promotions, undo
 from service.usecases.years import start_of_year
 from service.wire.bodies import AdoptionBody, ReasonBody
@@ -46,6 +51,14 @@ class Adoption:
     before: Model
     cause: AdoptedCause
     changes: Sequence[Change]
+
+
+@dataclass(frozen=True)
+class _Kept:
+    """Versions of a scope that were made before, and the budget of their errors."""
+
+    versions: list[Version]
+    budget: Budget
 
 
 @dataclass(frozen=True)
@@ -72,16 +85,30 @@ class Models:
     fits: Fits
     promotions: Promotions
     due: DueWork
+    planned: LastMade[Adoption]
     clock: Callable[[], Instant]
 
     def plan_adoption(self, name: str, body: AdoptionBody, by: str) -> Adoption:
-        """Work out what the adoption of a finding changes in C, by fits of the year with the cause and without."""
+        """Work out what the adoption of a finding changes in C, by fits of the year with the cause and without.
+
+        Whoever adopts what was planned last in this process gets the same plan.
+        """
         with self.database.read() as stores:
             made = stores.investigations.get(name)
             before = stores.models.current().of_stations([made.station])
-            model, cause = _adopt(before, made, body.finding)
             year = datetime.fromtimestamp(made.since / 1e6, UTC).year
             window = start_of_year(year), start_of_year(year + 1)
+            content = stores.spectra.content(Window(*window, Scope(made.station)))
+            cuts = [[cut.antenna, cut.date] for cut in stores.cuts.standing(made.station, *window)]
+            state = [made.id, body.finding, before.id, content, stores.ledger.newest_number(), cuts]
+        plan = self.planned.get(hash_content(state), lambda: self._plan(made, before, window, body, by))
+        return replace(plan, change=replace(plan.change, by=by, reason=body.reason))
+
+    def _plan(
+        self, made: Investigation, before: Model, window: tuple[Instant, Instant], body: AdoptionBody, by: str
+    ) -> Adoption:
+        model, cause = _adopt(before, made, body.finding)
+        with self.database.read() as stores:
             cuts = find_cuts(stores, made.station, *window, model)
             of_window = [one.during(*(edge / 1e6 for edge in window)) for one in (before, model)]
             wanted = [
@@ -91,13 +118,10 @@ class Models:
             ]
             # with its covariates, which fits without causes do not look at
             spectra = self.fits.load(stores, wanted[1])
+            kept = self._read_kept(stores, wanted[::2]) if len(made.report["findings"]) == 1 else None
         with threadpool_limits(1):
-            whole = {one.model.id: self.fits.fit_causes(spectra, one.model) for one in wanted[:2]}
-            after = [self.fits.make(whole[one.model.id], one) for one in wanted[1::2]]
-            # what the year is compared with needs no budget of its own
-            shared = next(iter(after[0].budgets.values()))
-            earlier = [self.fits.make(whole[one.model.id], one, shared).versions for one in wanted[::2]]
-        fitted = [earlier[0], after[0].versions, earlier[1], after[1].versions]
+            foreseen = None if kept is None else self._foresee(spectra, kept, wanted[1::2])
+            fitted = foreseen or self._fit_both(spectra, wanted)
         announced = {key: one for k in (0, 2) for key, one in _announce(fitted[k], fitted[k + 1])}
         with self.database.read() as stores:
             told = [
@@ -116,6 +140,46 @@ class Models:
             body.finding, announced, (promise.gain, promise.sigma), LAST, by, body.reason,
         )  # fmt: skip
         return Adoption(change, model, before, cause, changes)
+
+    def _read_kept(self, stores: Stores, wanted: Sequence[Wanted]) -> list[_Kept] | None:
+        """The versions of the last whole fits of a window by the chain alone, in effect or not, with their budget.
+
+        None where one of them is not kept: the model had causes, or another instrument.
+        """
+        found = []
+        for one in wanted:
+            fit = stores.kept_fits.get(one.scope, one.of, one.since, one.until) if one.model.is_plain else None
+            if fit is None:
+                return None
+            names = [told.calibration for piece in fit.pieces for told in piece.told]
+            versions = list(stores.versions.get_many(names).values())
+            budgets = {name for version in versions for name in version.budgets}
+            if not budgets:
+                return None
+            found.append(_Kept(versions, parse_budget(stores.budgets.get(min(budgets)))))
+        return found
+
+    def _foresee(self, spectra: Spectra, kept: Sequence[_Kept], wanted: Sequence[Wanted]) -> list[list[Version]] | None:
+        """Versions before and after by scope, from what is kept and one fit with the cause at the size of the finding.
+
+        None where what is kept was made with other inputs than a fit now.
+        """
+        whole, found = self.fits.fit_causes(spectra, wanted[0].model, are_sizes_known=True), []
+        for before, one in zip(kept, wanted, strict=True):
+            after = self.fits.foresee(whole, one, before.versions, before.budget)
+            if {_name_setting(version) for version in before.versions} != {_name_setting(version) for version in after}:
+                return None
+            found += [before.versions, after]
+        return found
+
+    def _fit_both(self, spectra: Spectra, wanted: Sequence[Wanted]) -> list[list[Version]]:
+        """Versions before and after by scope, all fitted as refits do."""
+        whole = {one.model.id: self.fits.fit_causes(spectra, one.model) for one in wanted[:2]}
+        after = [self.fits.make(whole[one.model.id], one) for one in wanted[1::2]]
+        # what the year is compared with needs no budget of its own
+        shared = next(iter(after[0].budgets.values()))
+        earlier = [self.fits.make(whole[one.model.id], one, shared).versions for one in wanted[::2]]
+        return [earlier[0], after[0].versions, earlier[1], after[1].versions]
 
     def adopt(self, plan: Adoption, *, promote: bool) -> list[int]:
         """Give a station the model that was planned, and enqueue the refits; returns their jobs."""
@@ -257,6 +321,13 @@ def _name_within(current: Model, version: Version) -> str | None:
     model = current.during(*(edge / 1e6 for edge in version.window))
     model = model if version.scope.station is None else model.of_stations([version.scope.station])
     return None if model.is_plain else model.id
+
+
+def _name_setting(version: Version) -> str:
+    """What a version was made with besides spectra and causes."""
+    names = "scope", "instrument", "sky_power", "model_version"
+    settings = {name: one for name, one in version.inputs["settings"].items() if name != "model"}
+    return canonical_json([version.window, settings, *(version.inputs[name] for name in names)])
 
 
 def _announce(before: Sequence[Version], after: Sequence[Version]) -> Iterator[tuple[str, Announced]]:

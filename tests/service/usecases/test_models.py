@@ -96,6 +96,8 @@ def test_an_adopted_finding_changes_c_as_announced_and_withdrawal_restores_it_bi
     assert 0.02 < new / old - 1 < 0.09
     assert "antenna 2 Y" in plan["cause"]
 
+    assert adopt(http, found, dry_run=True) == plan
+
     made = adopt(http, found[:12])
     assert made["model"] == plan["model"]
     work(station)
@@ -104,6 +106,8 @@ def test_an_adopted_finding_changes_c_as_announced_and_withdrawal_restores_it_bi
     assert {job["request"]["model"] for job in jobs} == {made["model"]}
     after = told(http, "2015-06-01")
     assert after["calibration"] == change["after"], "the dry run names the version that the refit makes"
+    foreseen = new / np.mean([value for value in after["c"] if value is not None])
+    assert foreseen == pytest.approx(1.0, abs=0.1 * np.mean(np.divide(after["c_sigma_stat"], after["c"])))
     assert told(http, "2014-06-01") == before["2014-06-01"], "the year before the finding keeps what it had"
     version = http.get(f"/v1/calibrations/{after['calibration']}").json()
     assert version["model"] == made["model"]
