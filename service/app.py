@@ -14,6 +14,7 @@ from service.factory import Factory
 from service.handlers import (
     alarms,
     calibrations,
+    cuts,
     drift,
     health,
     investigations,
@@ -57,6 +58,7 @@ def make_app(factory: Factory) -> FastAPI:
         investigations.router,
         models.router,
         drift.router,
+        cuts.router,
         alarms.router,
         health.router,
         pages.router,

@@ -14,6 +14,7 @@ from service.config import Settings
 from service.storage.database import Database
 from service.usecases.alarms import Alarms
 from service.usecases.calibrations import Calibrations
+from service.usecases.cuts import Cuts
 from service.usecases.deeds import Deeds
 from service.usecases.drift import Drift
 from service.usecases.due import DueWork
@@ -145,6 +146,11 @@ class Factory:
         """C over time."""
         sky, resistance = self._get_sky_power, self.settings.resistance_ohm
         return Drift(self.database, self.instrument, sky, resistance, self.fits, LastMade(), self.clock)
+
+    @cached_property
+    def cuts(self) -> Cuts:
+        """Dates at which windows are cut."""
+        return Cuts(self.database, self.clock)
 
     @cached_property
     def watch(self) -> Watch:

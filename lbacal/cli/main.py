@@ -21,6 +21,7 @@ from lbacal.cli.audit import audit
 from lbacal.cli.budget import budget
 from lbacal.cli.calibration_tables import check_table, export
 from lbacal.cli.client import effective, ingest, jobs, refit, sync
+from lbacal.cli.cuts import cuts
 from lbacal.cli.fit import fit
 from lbacal.cli.import_ import import_
 from lbacal.cli.investigate import investigate
@@ -71,8 +72,8 @@ _COMPUTING: tuple[Callable[..., None], ...] = (
     audit, fit, budget, investigate, lst_curve, paper, sky_power, antenna_gain, spectra
 )  # fmt: skip
 _ASKING: tuple[Callable[..., None], ...] = (
-    ingest, refit, promote, withdraw, rollback, tag, effective, jobs, status, alarms, sync, adopt, models, abandon,
-    check_table, export,
+    ingest, refit, promote, withdraw, rollback, tag, effective, jobs, status, alarms, cuts, sync, adopt, models,
+    abandon, check_table, export,
 )  # fmt: skip
 for command in (*map(_needing_fit, _COMPUTING), import_, *_ASKING):
     app.command(_name(command))(command)

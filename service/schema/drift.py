@@ -55,6 +55,17 @@ window_cut = Table(
     Column("lifted_us", BigInteger, comment="when the watch no longer found the change; null while it stands"),
 )
 
+cut_decision = Table(
+    "cut_decision",
+    metadata,
+    Column("id", BigNumber, primary_key=True),
+    Column("cut", BigNumber, ForeignKey("window_cut.id"), nullable=False, index=True),
+    Column("act", Text, nullable=False, comment="lifted or restored"),
+    Column("at_us", BigInteger, nullable=False),
+    Column("by", Text, nullable=False),
+    Column("reason", Text, nullable=False),
+)
+
 drift_report = Table(
     "drift_report",
     metadata,

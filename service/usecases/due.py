@@ -3,7 +3,7 @@
 The rule. For every calendar year (UTC) that holds usable spectra there is one refit for the array, and for every
 station with spectra in it one of scope station and one of scope antenna, and after all refits an investigation. It is
 due when its window got new spectra or a flag was set or cleared in it, when the watch found that an antenna changed in
-it, or when what was made is too old: made with
+it, or a person lifted that cut, or when what was made is too old: made with
 another instrument, sky power or model version, by another policy of the search, or before the adoption or withdrawal of
 a cause that acts in the window.
 Work is named by exactly these. It is due until a part of that name is *done*: two schedulers, a restart or a night
@@ -130,7 +130,9 @@ class DueWork:
         part = describe_part(scope, of, since, until, model, promote=True)
         reason = "new spectra in the window, a change of an antenna found in it, or other inputs than before"
         cuts = [[[one.station, one.antenna, one.date] for one in find_cuts(stores, of.station, since, until, model)]]
+        changed = stores.cuts.last_change(of.station, since, until)
         found = [content, *_name_change(stores, of.station, since, until), *(cuts if cuts[0] else [])]
+        found += [{"cuts": changed}] if changed else []
         return self._order(REFIT, part, found, reason)
 
     def _drift(self, stores: Stores, stations: list[str]) -> Iterator[Order]:

@@ -106,16 +106,16 @@ def assemble_history(modes: Sequence[StoredModes], changes: Mapping[str, Sequenc
 
 
 def settle_cuts(stores: Stores, report: Mapping[str, Any], now: Instant) -> None:
-    """Cut the windows of antennas that changed, and lift the cuts of changes that are no longer found.
+    """Cut the windows of antennas that changed, and end the cuts of changes that are no longer found.
 
-    A cut keeps the date at which it was made first: later data move the date within its error, and every other date
-    would call for refits.
+    What a person lifted is not cut again. A cut keeps the date at which it was made first: later data move the date
+    within its error, and every other date would call for refits.
     """
-    found, standing = list(_list_cuts(report)), stores.cuts.standing()
-    for cut in standing:
+    found, known = list(_list_cuts(report)), stores.cuts.found()
+    for cut in known:
         if not any(_is_same(cut, one) for one in found):
-            stores.cuts.lift(cut, now)
-    stores.cuts.add([one for one in found if not any(_is_same(one, cut) for cut in standing)], now)
+            stores.cuts.end(cut, now)
+    stores.cuts.add([one for one in found if not any(_is_same(one, cut) for cut in known)], now)
 
 
 def _list_cuts(report: Mapping[str, Any]) -> Iterator[Cut]:

@@ -137,3 +137,32 @@ class AlarmsAnswer(Answer):
 
     alarms: list[AlarmAnswer]
     next: int | None = Field(description="cursor of the next page")
+
+
+class CutDecision(Answer):
+    """What a person decided about a cut."""
+
+    act: Literal["lifted", "restored"]
+    at: str
+    by: str
+    reason: str
+
+
+class CutAnswer(Answer):
+    """A date at which the windows of an antenna are cut, both dipoles alike."""
+
+    cut: int
+    station: str
+    antenna: int
+    date: str = Field(description="when the antenna changed, as the watch found it first")
+    date_sigma_days: float
+    stands: bool
+    made_at: str
+    ended_at: str | None = Field(description="when the watch no longer found the change")
+    decision: CutDecision | None = Field(description="the last one")
+
+
+class CutsAnswer(Answer):
+    """All cuts on record."""
+
+    cuts: list[CutAnswer]

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from fastapi.testclient import TestClient
 
 from lbacal_core.instrument import Instrument, load_instrument
 from lbacal_core.skypower.table import read_sky_power
@@ -19,6 +20,7 @@ from lbacal_core.twin.faults.antenna import GainStep
 from lbacal_core.twin.faults.fault import Where
 from lbacal_core.twin.settings import TwinSettings
 from lbacal_core.validity import Scope, timeline
+from service.app import make_app
 from service.config import Settings
 from service.factory import Factory
 from service.scheduler import look_for_due_work
@@ -107,6 +109,43 @@ def test_a_step_and_a_swapped_cable_end_as_a_change_point_and_a_new_window(watch
     assert any("CS002/2/Y" in one and "2015-04-1" in one for one in told)
     assert [one for one in night(watched) if one[0] == "refit"] == [], "the cut calls for refits once"
     assert watched.models.history() == [], "no cause, and so no gain that is promised for later years"
+    lift_and_restore(watched, Scope("CS002", 2, "Y"))
+
+
+def lift_and_restore(watched: Factory, path: Scope) -> None:
+    """A person lifts the cut of an antenna, and the watch, which still finds the change, does not cut it again."""
+    cut_year = [version.id for version in in_effect(watched, path)]
+    of_year = {("refit", scope, BEGIN) for scope in ("antenna", "station", "array")}
+    (kept,) = [one for one in watched.cuts.list_all("CS002") if one.cut.antenna == path.antenna]
+    _, key = watched.keys.create(("admin",))
+    with TestClient(make_app(watched), headers={"Authorization": f"Bearer {key}"}) as http:
+        wrong = [
+            http.post(f"/v1/cuts/{n}/{act}", json={"reason": "x"}).status_code for n, act in impossible(kept.number)
+        ]
+        assert wrong == [409, 404, 404]
+        lifted = http.post(f"/v1/cuts/{kept.number}/lift", json={"reason": "snow"})
+        assert (lifted.status_code, lifted.json()["stands"], lifted.json()["decision"]["reason"]) == (
+            201,
+            False,
+            "snow",
+        )
+        assert {one for one in night(watched) if one[0] == "refit"} == of_year
+        (whole,) = in_effect(watched, path)
+        assert (whole.since, whole.until) == (BEGIN, parse_instant("", "2016-01-01"))
+        night(watched)
+        assert [one["stands"] for one in http.get("/v1/cuts?station=CS002").json()["cuts"]] == [True, False]
+        assert [version.id for version in in_effect(watched, path)] == [whole.id], (
+            "the watch finds the change again, and leaves the window whole"
+        )
+        restored = http.post(f"/v1/cuts/{kept.number}/restoration", json={"reason": "no snow"})
+        assert (restored.status_code, restored.json()["stands"]) == (201, True)
+        assert {one for one in night(watched) if one[0] == "refit"} == of_year
+        assert [version.id for version in in_effect(watched, path)] == cut_year, "the versions of before answer again"
+
+
+def impossible(number: int) -> list[tuple[int, str]]:
+    """Decisions that cannot be taken: to restore what stands, and about what is not there."""
+    return [(number, "restoration"), (number + 1000, "lift"), (number + 1000, "restoration")]
 
 
 def test_later_data_move_a_date_within_its_error_and_no_window(watched: Factory) -> None:
