@@ -235,7 +235,7 @@ def fit_adopted(
         return FittedSizes(fit_chain(station, modes), [], np.zeros((0, 0)))
     is_free = np.array([adopted.is_free and not are_sizes_kept for adopted, _ in named])
     baseline = fit_baseline(station, power_ratio(station, baseline.terms, hypotheses))
-    levels = linearise(station, baseline, modes).residuals.levels
+    levels = linearise(station, baseline, modes, hypotheses=hypotheses).residuals.levels
     found = fit_sizes(station, baseline, hypotheses, levels, modes, is_free=is_free)
     if found is None:
         names = ", ".join(one.cause.identifier for one in hypotheses)

@@ -7,7 +7,7 @@ moves the sizes by Newton's step. The rounds end at the joint maximum of the lik
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,12 +67,38 @@ def fit_chain(station: Station, modes: SkyModes | None = None) -> FittedModel:
 
 
 def linearise(
-    station: Station, baseline: Baseline, modes: SkyModes | None, empirical: Floats | None = None
+    station: Station,
+    baseline: Baseline,
+    modes: SkyModes | None,
+    empirical: Floats | None = None,
+    hypotheses: Sequence[Hypothesis] = (),
 ) -> LinearModel:
-    """The linear model of a baseline's residuals, with noise levels estimated from them."""
-    gains = EventGains.of(station, baseline.terms)
+    """The linear model of a baseline's residuals, with noise levels estimated from them.
+
+    Parameters
+    ----------
+    hypotheses
+        What was divided out of the power before the baseline was fitted. The free vectors are derivatives of the whole
+        power, with what these do: beside a large effect, those of the chain alone leave part of the freedom of A and of
+        the noise constants in the residuals. It looks like more of the same effect, and errors of sizes are too small.
+    """
+    terms = act_together(station, baseline.terms, hypotheses)
+    gains = EventGains.of(station, terms)
     residuals = split_residuals(station, baseline.residual, gains.vectors)
-    return LinearModel(station, residuals, baseline.terms, modes, empirical).beside_modes(gains)
+    return LinearModel(station, residuals, terms, modes, empirical).beside_modes(gains)
+
+
+def act_together(station: Station, terms: ChainTerms, hypotheses: Sequence[Hypothesis]) -> ChainTerms:
+    """The chain of the mean path of each class with the hypotheses that act on all of its paths."""
+    classes = range(len(station.conditions.dipoles))
+    for one in hypotheses:
+        concerned = np.array([bool(np.all(one.target.is_member[station.class_of == c])) for c in classes])
+        if np.any(concerned):
+            changed = one.cause.apply(terms, station.conditions, one.template, one.size)
+            at = concerned[:, None, None]
+            pairs = {field.name: (getattr(changed, field.name), getattr(terms, field.name)) for field in fields(terms)}
+            terms = ChainTerms(**{name: np.where(at, new, old) for name, (new, old) in pairs.items()})
+    return terms
 
 
 def power_ratio(station: Station, terms: ChainTerms, hypotheses: Sequence[Hypothesis]) -> Floats:
@@ -152,11 +178,15 @@ def fit_sizes(
         if not np.all((ratio > LARGEST_CHANGE**-1) & (ratio < LARGEST_CHANGE)):
             return None
         baseline = fit_baseline(station, ratio)
-        linear = linearise(station, baseline, modes, empirical)
+        linear = linearise(station, baseline, modes, empirical, hypotheses)
         # The noise levels stay those of the model before, so that every round minimises the same chi^2.
         weighed = linear.with_levels(levels)
         conditions = station.conditions
-        templates = [signature(one.cause, baseline.terms, conditions, one.template, one.size) for one in hypotheses]
+        beside = [act_together(station, baseline.terms, [o for o in hypotheses if o is not one]) for one in hypotheses]
+        templates = [
+            signature(one.cause, terms, conditions, one.template, one.size)
+            for one, terms in zip(hypotheses, beside, strict=True)
+        ]
         score, information = weighed.products(templates, [one.target for one in hypotheses])
         own = information[np.ix_(at, at)]
         if not can_be_told_apart(own):

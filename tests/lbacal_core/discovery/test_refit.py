@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from lbacal_core.causes.cause import Template
 from lbacal_core.twin.faults.antenna import GainDrift, GainStep, LnaNoiseSlope
 from lbacal_core.twin.faults.fault import Where
 from lbacal_core.twin.faults.interference import RfiBroadband
@@ -60,6 +61,17 @@ def test_the_error_of_a_size_whose_template_is_known_covers(world):
         assert fitted.template_sigma == 0.0
         pulls.append((fitted.size - 0.05) / fitted.uncertainty)
     assert 0.4 < np.sqrt(np.mean(np.square(pulls))) < 1.7  # 1.0 +- 0.22
+
+
+def test_the_error_of_a_size_covers_where_the_effect_is_large(world):
+    """It was 2.5 times too small: what A and the noise constants may be changes what the size of a large effect is."""
+    pulls = []
+    for seed in range(8):
+        look = replace(world, seed=seed).look(RfiBroadband(size=0.15, index=-2.0, hours=(6.0, 18.0)))
+        fitted = look.fit("rfi_broadband", Template({"spectral_index": -2.0, "utc_h": [6, 18]}))
+        assert fitted.size > 30.0 * fitted.sigma
+        pulls.append((fitted.size - 0.15) / fitted.sigma)
+    assert np.sqrt(np.mean(np.square(pulls))) < 1.8  # 1.0 +- 0.25
 
 
 def test_blocks_of_date_and_of_two_hours_are_held_out_together(world):
