@@ -120,8 +120,9 @@ def _gains_of(
         one = fitted.model.hypotheses[at]
         acts = np.any(linear.station.is_present[one.target.is_member], axis=0) & is_new
         rest = fit_adopted(linear.station, model.without(number), modes, are_sizes_kept=True).model.linear
-        without = linear.with_residuals(rest.residuals.mean, rest.residuals.deviation)
-        moved = linear.with_residuals(
+        # weighed alike, each beside what its own fit leaves free
+        without = rest.with_levels(linear.residuals.levels)
+        moved = without.with_residuals(
             rest.residuals.mean - linear.residuals.mean, rest.residuals.deviation - linear.residuals.deviation
         )
         gain = 0.5 * (without.chi_squared_by_event() - linear.chi_squared_by_event())[is_new].sum()

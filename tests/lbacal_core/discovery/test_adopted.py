@@ -52,7 +52,7 @@ def test_sizes_that_are_kept_stay_as_they_were_adopted(late):
 def test_the_error_of_a_fixed_size_moves_a_free_one(late):
     """Beside a clock that is uncertain by its sigma the absorption is less certain than beside a known one."""
     sure = replace(LATE, size=0.3, sigma=1e-6, is_free=False)
-    unsure = replace(sure, sigma=0.5)
+    unsure = replace(sure, sigma=1.0)
     sigmas = []
     for clock in (sure, unsure):
         fitted = fit_adopted(late, Model((clock, ABSORBS)))

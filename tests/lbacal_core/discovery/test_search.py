@@ -9,6 +9,7 @@ from lbacal_core.model import AdoptedCause, Model
 from lbacal_core.twin.campaign import simulate_campaign
 from lbacal_core.twin.faults.antenna import GainStep, GainTemperature
 from lbacal_core.twin.faults.fault import Where
+from lbacal_core.twin.faults.interference import RfiBroadband
 from lbacal_core.twin.faults.sky import LstOffset
 from tests.lbacal_core.discovery.conftest import SEED, SETTINGS
 
@@ -58,8 +59,10 @@ def test_beside_an_adopted_cause_only_what_is_left_is_found(world):
 
 
 def test_an_adopted_cause_of_the_wrong_form_leaves_structure(world):
-    """What follows temperature late is not described by what follows it at once, and gets no second name."""
-    adopted = AdoptedCause("gain_temperature", "CS002", "station", 0.04, 0.02, {"delay_h": 0})
-    report = world.look(GainTemperature(size=0.08, delay_h=3.0)).investigate(model=Model((adopted,)))
+    """Interference from 8 to 20 h is not described by that from 6 to 18 h, and gets no second name."""
+    hours = {"spectral_index": -2.0, "utc_h": [6, 18]}
+    adopted = AdoptedCause("rfi_broadband", "CS002", "station", 0.05, 0.02, hours)
+    fault = RfiBroadband(size=0.05, index=-2.0, hours=(8.0, 20.0))
+    report = world.look(fault).investigate(model=Model((adopted,)))
     assert report.structure is not None
-    assert "gain_temperature" not in [one.hypothesis.cause.identifier for one in report.findings]
+    assert "rfi_broadband" not in [one.hypothesis.cause.identifier for one in report.findings]
