@@ -16,12 +16,12 @@ import numpy as np
 
 from lbacal_core.audit.cables import find_wrong_cables
 from lbacal_core.audit.exchange import compare_polarisations, tell_exchanged
-from lbacal_core.audit.finding import WRONG, Line
+from lbacal_core.audit.finding import UNDECIDED, WRONG, Line
 from lbacal_core.audit.health import compare_paths, find_ill_paths
 from lbacal_core.audit.series import mean_frequencies
 from lbacal_core.audit.sky_match import SkyMatch, tell_unit
 from lbacal_core.audit.sky_models import SkyModels, load_models
-from lbacal_core.audit.station import AuditedStation, split_stations
+from lbacal_core.audit.station import FEWEST, AuditedStation, split_stations
 from lbacal_core.instrument import Instrument
 from lbacal_core.skypower.differences import DifferenceModels
 from lbacal_core.spectra import Spectra
@@ -103,6 +103,11 @@ def _audit(
 def _audit_station(
     station: AuditedStation, instrument: Instrument, models: Callable[[], SkyModels] | None
 ) -> list[Line]:
+    if station.antennas.size < FEWEST:
+        everyone = np.arange(station.antennas.size)
+        sentence = f"paths, cables and letters are compared in {FEWEST} antennas or more, here are {everyone.size}"
+        alone = [Line("antennas", UNDECIDED, station.name, sentence)]
+        return alone if models is None else [*alone, *SkyMatch(station, instrument, models).tell(everyone)]
     as_recorded = compare_paths(station)
     is_off = find_ill_paths(station, as_recorded)[1].any(axis=1)
     of_unit = tell_unit(station, np.flatnonzero(~is_off), instrument)

@@ -25,6 +25,7 @@ SHORTEST_HOURS = 0.5
 CLOCK_RANGE, CLOCK_STEP, CLOCK_FINE = 24.0, 0.5, 0.05
 ARMS_RANGE, ARMS_STEP, ARMS_FINE = 180.0, 10.0, 1.0
 PAIR = 2
+NORTH_POLE_DEG = 90.0
 
 
 class SkyMatch:
@@ -135,13 +136,11 @@ def _try_places(
     likelihood: SeriesLikelihood, models: SkyModels, latitude: float, longitude: float
 ) -> list[Possibility]:
     lst = likelihood.series.lst_hours
-    shifts = {
-        "latitude sign": (0.0, -latitude),
-        "longitude sign": (-2 * longitude / 15, latitude),
-        "latitude for longitude": ((latitude - longitude) / 15, float(np.clip(longitude, -90, 90))),
-    }
+    shifts = {"latitude sign": (0.0, -latitude), "longitude sign": (-2 * longitude / 15, latitude)}
+    if abs(longitude) <= NORTH_POLE_DEG:
+        shifts["latitude for longitude"] = ((latitude - longitude) / 15, longitude)
     return [
-        Possibility(kind, likelihood.log_likelihood(models.seen(lst + shift, place)), shift)
+        Possibility(kind, likelihood.log_likelihood(models.seen(lst + shift, place)), (shift + 12.0) % 24.0 - 12.0)
         for kind, (shift, place) in shifts.items()
     ]
 

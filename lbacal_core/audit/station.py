@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lbacal_core.calibration.paths import radiometer_limit
-from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats, require_same_grid
 from lbacal_core.instrument import Instrument
 from lbacal_core.sidereal import local_sidereal_time
@@ -92,10 +91,6 @@ def split_stations(spectra: Spectra, instrument: Instrument) -> Iterator[Audited
         cables = np.array(
             [instrument.cable_of(str(station), int(a), float(t)) for a, t in zip(antennas, first, strict=True)]
         )
-        if antennas.size < FEWEST:
-            raise BadInputError(
-                f"{spectra.origin}: station {station}", f"at least {FEWEST} antennas to compare", f"{antennas.size}"
-            )
         yield AuditedStation(
             str(station),
             instrument.dipoles,

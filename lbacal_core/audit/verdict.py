@@ -80,7 +80,11 @@ def conclude(station: str, base: float, possibilities: Sequence[Possibility]) ->
     best = max(possibilities, key=lambda one: one.log_likelihood)
     gain = best.log_likelihood - base
     if gain < LEAST_GAIN:
-        return [_confirm(station, one, base) for one in possibilities if one.kind in TELLING]
+        lines = [_confirm(station, one, base) for one in possibilities if one.kind in TELLING]
+        if best.check == "unit" and gain > ALIKE:
+            sentence = f"perhaps {describe(best)}: antennas on two kinds of cable would tell"
+            lines.append(Line("unit", UNDECIDED, station, sentence, log_odds=gain))
+        return lines
     near = [one for one in possibilities if best.log_likelihood - one.log_likelihood < ALIKE]
     alike = [one for one in near if not any(one.is_chance_of(other) for other in near)]
     alike.sort(key=lambda one: -one.log_likelihood)

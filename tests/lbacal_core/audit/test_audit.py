@@ -34,6 +34,15 @@ def test_two_faults_are_both_named(spectra: Spectra, low_band: Instrument) -> No
     }
 
 
+def test_one_antenna_is_asked_what_it_saw_of_the_sky(spectra: Spectra, low_band: Instrument) -> None:
+    """A single dipole, as EDGES or MIST, was refused whole: nothing is there to compare it with, but a sky is."""
+    one = spectra.select(spectra.antenna == 2)
+    healthy = {line.check: line.verdict for line in audit(one, low_band).lines}
+    assert healthy == {"antennas": "undecided", "clock": "right", "arms": "right"}
+    late = audit(replace(one, time_unix=one.time_unix + 3 * 3600.0), low_band)
+    assert [line.check for line in late.lines if line.verdict == "wrong"] == ["clock"]
+
+
 def test_half_a_station_exchanged_is_the_half_that_the_sky_contradicts(spectra: Spectra, low_band: Instrument) -> None:
     rows = spectra.antenna % 2 == 0
     dipole = np.where(rows, np.where(spectra.dipole == "X", "Y", "X"), spectra.dipole)

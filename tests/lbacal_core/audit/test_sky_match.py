@@ -61,3 +61,15 @@ def test_minutes_determine_no_clock(station: AuditedStation, low_band: Instrumen
 def test_exchanged_letters_fit_better_exchanged(station: AuditedStation, low_band: Instrument) -> None:
     match = match_of(replace(station, power=station.power[:, ::-1]), low_band)
     assert match.gain_of_exchange(ALL) > 20
+
+
+def test_a_longitude_beyond_90_deg_was_never_a_latitude_and_its_sign_is_a_shift_of_less_than_half_a_day(
+    station: AuditedStation, low_band: Instrument
+) -> None:
+    """Decibels in Western Australia were told as an exchange of the two: at the pole that this gave no sky changes."""
+    there = replace(low_band, longitude_deg=-116.6)
+    shifted = replace(station, lst_hours=(station.lst_hours + 2 * -116.6 / 15) % 24)
+    (line,) = match_of(shifted, there).tell(ALL)
+    assert (line.check, line.verdict) == ("place", "wrong")
+    assert "the longitude has the wrong sign (-507 min)" in line.sentence
+    assert "exchanged" not in line.sentence

@@ -32,11 +32,6 @@ def test_other_cables_change_what_is_before_them(station: AuditedStation, low_ba
     assert not difference[[0, 2, 3, 4, 5]].any()
 
 
-def test_too_few_antennas_are_refused(spectra: Spectra, low_band: Instrument) -> None:
-    with pytest.raises(BadInputError, match="at least 4 antennas"):
-        list(split_stations(spectra.select(spectra.antenna < 3), low_band))
-
-
 def test_spread_is_that_of_a_normal_distribution_and_ignores_outliers() -> None:
     values = np.random.default_rng(1).normal(0.0, 2.0, 4001)
     values[:100] = 1e6

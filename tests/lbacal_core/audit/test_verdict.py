@@ -49,3 +49,9 @@ def test_a_clock_that_is_off_by_a_whole_hour_is_that_of_a_time_zone() -> None:
     (line,) = conclude("CS002", 0.0, [Possibility("clock", 90.0, -2.01, 0.02)])
     assert "the times are of UTC+2 instead of UTC (-120 min); or a clock" in line.sentence
     assert line.unit == "h"
+
+
+def test_a_unit_that_is_likelier_but_not_certain_is_said_beside_what_is_confirmed() -> None:
+    lines = conclude("S1", 0.0, [Possibility("clock", -3.0, 0.01, 0.02), Possibility("dB", 7.0)])
+    assert [(line.check, line.verdict) for line in lines] == [("clock", "right"), ("unit", "undecided")]
+    assert "perhaps the power is in decibels" in lines[1].sentence
