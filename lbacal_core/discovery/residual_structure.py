@@ -287,21 +287,26 @@ def _solve(information: Floats, score: Floats) -> Floats:
 def _in_single_events(model: LinearModel, rng: np.random.Generator) -> _Candidate:
     """Structure in single events: in many, in a few that noise would not bring, or on one side of zero in some.
 
-    The largest singular value of the whitened events x channels matrix of the means stands for the first. Where the
-    structure lies along the vectors of the noise, the number of events far outside the noise stands for the second, and
-    the skewness of the others (Mardia 1970, Biometrika 57, 519) for the third: noise has no preferred sign.
+    The largest singular value of the whitened events x channels matrix of the means stands for the first, outside the
+    vectors of the noise: a vector that is off by a few per cent makes what lies beside it go with its amounts, which
+    was told as structure in 2 of 216 worlds. Where structure lies along the vectors, the number of events far outside
+    the noise stands for the second, and the skewness of the others (Mardia 1970, Biometrika 57, 519) for the third:
+    noise has no preferred sign.
     """
     white = _whiten(model, model.residuals.mean)
+    vectors, kind_of = model.common.vectors, model.residuals.levels.kind_of
+    vectors = vectors[np.any(vectors != 0, axis=1)]
     cut = np.clip(white, -LINE, LINE)
-    _, values, right = np.linalg.svd(cut, full_matrices=False)
-    noise = np.array([_largest_of_noise(rng, *white.shape) for _ in range(NOISE_DRAWS)])
+    rest, channels = cut - cut @ vectors.T @ vectors, max(white.shape[1] - len(vectors), 1)
+    right = np.linalg.svd(cut, full_matrices=False)[2]
+    noise = np.array([_largest_of_noise(rng, len(white), channels) for _ in range(NOISE_DRAWS)])
     # Scaled to the total of the noise, so that a wrong noise level does not look like structure.
-    observed = values[0] ** 2 / np.sum(cut**2) * cut.size
+    of_noise = max(float(np.sum(rest**2)), SMALLEST_SIZE) / (len(rest) * channels)
+    observed = np.linalg.svd(rest, compute_uv=False)[0] ** 2 / of_noise
     mean, spread = float(noise.mean()), float(noise.std())
     excess = max((observed - mean) / spread, 0.0)
     in_many = float(min(np.exp(-2.0 / 3.0 * (TAIL * excess) ** 1.5), 1.0))
-    vectors, kind_of = model.common.vectors, model.residuals.levels.kind_of
-    amount = white @ vectors[np.any(vectors != 0, axis=1)].T
+    amount = white @ vectors.T
     is_far = np.zeros(len(white), dtype=bool)
     for kind in range(kind_of.max() + 1):
         is_far[kind_of == kind] = is_heavy(amount[kind_of == kind])
@@ -309,10 +314,10 @@ def _in_single_events(model: LinearModel, rng: np.random.Generator) -> _Candidat
     on_one_side = _chance_of_skewness(amount[~is_far])
     spectrum = right[0]
     if in_many > min(in_few, on_one_side):
-        spectrum = np.sum(amount**2, axis=1) @ amount @ vectors[np.any(vectors != 0, axis=1)]
+        spectrum = np.sum(amount**2, axis=1) @ amount @ vectors
     p_value = p_of_best(min(in_many, in_few, on_one_side), 3)
     spectrum = spectrum / np.linalg.norm(spectrum)
-    return _Candidate(None, STATION, p_value, float(observed - mean), sum(white.shape), spectrum=spectrum)
+    return _Candidate(None, STATION, p_value, float(observed - mean), len(white) + channels, spectrum=spectrum)
 
 
 def _chance_of_skewness(amount: Floats) -> float:
