@@ -184,11 +184,11 @@ def test_lines_of_interference_in_a_few_events_are_no_structure(station):
 
 
 def test_a_vector_of_the_noise_that_is_off_by_a_few_per_cent_is_no_structure(station, model):
-    """The fitted slope of a resonance is off by some per cent: what lies beside it went with its amounts in single events."""
+    """The fitted slope of a resonance is off by some per cent: what lies beside it goes with its amounts."""
     rng = np.random.default_rng(15)
     vector = model.residuals.seeds.mean(axis=0)[2]
     beside = 0.07 * np.linalg.norm(vector) * np.cos(9 * np.linspace(-1, 1, vector.size)) / (vector.size / 2) ** 0.5
-    amounts = 0.1 * rng.standard_normal((station.power.shape[1], 1))
+    amounts = 0.11 * rng.standard_normal((station.power.shape[1], 1))
     own = 0.044 * rng.standard_normal(station.power.shape)
     look = Look(station, fit_chain(station), None)
     linear = look_with_residual(look, own + amounts * (vector + beside)).model.linear
