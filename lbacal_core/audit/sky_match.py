@@ -75,7 +75,7 @@ class SkyMatch:
         ]
         if len(station.dipoles) == PAIR:
             possibilities.append(Possibility("exchange", likelihood.log_likelihood(_exchanged(seen))))
-        return conclude(station.name, base, possibilities)
+        return conclude(station.name, base, possibilities, station.hours)
 
 
 def tell_unit(station: AuditedStation, rows: NDArray[np.int64], instrument: Instrument) -> list[Line]:

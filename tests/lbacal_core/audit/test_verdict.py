@@ -55,3 +55,14 @@ def test_a_unit_that_is_likelier_but_not_certain_is_said_beside_what_is_confirme
     lines = conclude("S1", 0.0, [Possibility("clock", -3.0, 0.01, 0.02), Possibility("dB", 7.0)])
     assert [(line.check, line.verdict) for line in lines] == [("clock", "right"), ("unit", "undecided")]
     assert "perhaps the power is in decibels" in lines[1].sentence
+
+
+def test_an_hour_lists_what_a_day_would_leave_out() -> None:
+    """In drawn hours the truth was up to 6 below the best: an hour named a latitude where arms were turned."""
+    told = [Possibility("latitude sign", 40.0, 0.0), Possibility("arms", 34.0, -57.0, 9.0)]
+    assert [conclude("S1", 0.0, told, hours)[0].check for hours in (1.0, 23.9)] == ["record", "place"]
+
+
+def test_a_clock_that_fits_better_than_a_place_of_the_same_shift_is_not_left_out() -> None:
+    told = [Possibility("clock", 40.0, 3.47, 0.185), Possibility("latitude for longitude", 36.0, 3.07)]
+    assert conclude("S1", 0.0, told)[0].candidates == ("clock", "place")
