@@ -107,7 +107,7 @@ async def require_known_query(request: Request) -> None:
     seen: set[str] = set()
     for name, _ in request.query_params.multi_items():
         if name not in known:
-            raise BadInputError("query", f"only {', '.join(sorted(known)) or 'no parameter'}", name[:60])
+            raise BadInputError("query", f"only {', '.join(sorted(known))}" if known else "no parameter", name[:60])
         if name in seen:
             raise BadInputError("query", f"{name} once", "it twice")
         seen.add(name)

@@ -62,3 +62,21 @@ def test_without_script_the_tables_say_it_all(browser: Browser, service: Any) ->
     expect(page.get_by_text("Fewer than three years tell no slope.")).to_be_visible()
     expect(page.locator("noscript p")).to_be_visible()
     context.close()
+
+
+@pytest.mark.parametrize(
+    ("width", "address"), [(1240, "/jobs"), (1240, "/"), (800, "/"), (800, "/drift"), (800, "/stations/CS002")]
+)
+def test_columns_were_cut_off_at_the_edge_of_a_window(browser: Browser, service: Any, width: int, address: str) -> None:
+    page = browser.new_page(viewport={"width": width, "height": 900})
+    page.goto(service.url + address, wait_until="networkidle")
+    outside = "sections => sections.filter(s => s.scrollWidth > s.clientWidth + 1).map(s => s.innerText.slice(0, 80))"
+    assert page.locator("main section").evaluate_all(outside) == []
+    page.close()
+
+
+def test_pages_told_c_in_volts_and_reports_in_microvolts(page: Page, service: Any) -> None:
+    page.goto(service.url + "/stations/CS002")
+    expect(page.locator("th", has_text="mean C, µV per ADC unit")).to_be_visible()
+    told = page.locator("section", has_text="mean C").locator("tbody tr").first.locator("td.number").nth(1)
+    assert 5.0 < float(told.inner_text()) < 100.0

@@ -61,17 +61,19 @@ function matrix(data) {
   return [[trace], layout];
 }
 
+const MICRO = 1e6;
+
 function curve(data) {
   const traces = [];
   data.curves.forEach((one, k) => {
     const colour = COLOURS[k % COLOURS.length], x = one.frequency_mhz;
     const known = x.map((_, j) => j).filter((j) => one.c[j] !== null);
-    const beside = (sign) => known.map((j) => one.c[j] + sign * one.c_sigma_stat[j]);
+    const beside = (sign) => known.map((j) => MICRO * (one.c[j] + sign * one.c_sigma_stat[j]));
     traces.push(band(known.map((j) => x[j]), beside(-1), beside(1), colour, one.name));
-    traces.push({ x, y: one.c, mode: "lines", name: one.name, legendgroup: one.name, line: { color: colour, width: 2 },
-      hovertemplate: "%{x} MHz: %{y:.4g} V<extra>" + one.name + "</extra>" });
+    traces.push({ x, y: one.c.map((c) => c === null ? null : MICRO * c), mode: "lines", name: one.name, legendgroup: one.name, line: { color: colour, width: 2 },
+      hovertemplate: "%{x} MHz: %{y:.2f} µV<extra>" + one.name + "</extra>" });
   });
-  const layout = { ...LAYOUT, margin: { l: 95, r: 20, t: 20, b: 50 }, xaxis: axis("frequency, MHz"), yaxis: axis("C(ν), V per ADC unit", { exponentformat: "power", rangemode: "tozero" }) };
+  const layout = { ...LAYOUT, margin: { l: 95, r: 20, t: 20, b: 50 }, xaxis: axis("frequency, MHz"), yaxis: axis("C(ν), µV per ADC unit", { rangemode: "tozero" }) };
   return [traces, layout];
 }
 

@@ -97,3 +97,12 @@ def test_five_questions_about_all_paths_at_once_kept_the_server_busy_for_everybo
         turns.release()
         for _ in range(2):  # a turn is given back, by failures too
             assert [client.get(address).status_code for address in large] == [404, 200, 200, 200]
+
+
+@pytest.mark.parametrize(
+    ("address", "told"), [("/?at=2014", "no parameter, found at"), ("/v1/tags?x=1", "only cursor")]
+)
+def test_a_route_without_parameters_expected_only_no_parameter(client: TestClient, address: str, told: str) -> None:
+    answer = client.get(address)
+    assert answer.status_code == 422
+    assert f"query: expected {told}" in answer.json()["detail"]
