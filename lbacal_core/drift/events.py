@@ -13,7 +13,7 @@ taken less their weighted mean so that they leave the gain alone.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -73,13 +73,7 @@ def measure_event_modes(
         empty = np.empty((0, block.time_unix.size, len(MODES)))
         return EventModes(block.antennas[rows], block.time_unix, empty, np.empty((0, 2)))
     has_value = np.array([curve.has_value for curve in curves])
-    c = np.array([curve.filled(np.asarray(curve.c)) for curve in curves])
-    noise = noise_constants(instrument)
-    level = np.array([[curve.parameters[name].value for name in noise.names] for curve in curves])
-    front, behind = len(noise.front), (level[:, len(noise.front) :] @ noise.behind)[:, None, :]
-    lst_hours = local_sidereal_time(block.time_unix, instrument.at_station(block.station).longitude_deg)
-    sky = sky_power.of_station(block.station).at(block.dipole, lst_hours)
-    signal = (sky + noise.before(level[:, :front])[:, None, :]) * (instrument.antenna_gain / c**2)[:, None, :]
+    signal, behind = _predict(block, curves, instrument, sky_power)
     weight = (signal / (signal + behind)) ** 2 * has_value[:, None, :]
     ratio = (block.power[rows] - behind) / signal
     total = weight.sum(axis=2)
@@ -92,6 +86,36 @@ def measure_event_modes(
     ln_c[is_known, 0] = -0.5 * np.log(gain[is_known])
     ln_c[is_known, 1:] = -0.5 * _fit_modes(ratio / np.where(is_known, gain, 1.0)[:, :, None], weight, modes)[is_known]
     return EventModes(block.antennas[rows], block.time_unix, ln_c, centre)
+
+
+def predict_power(
+    block: SpectraBlock,
+    references: Mapping[int, CalibrationCurve],
+    instrument: Instrument,
+    sky_power: SkyPower,
+    antennas: NDArray[np.int64],
+    ln_gain: Floats,
+) -> Floats:
+    """The power of some antennas in the events of a block, ln g of each held fixed, shape (antenna, event, freq)."""
+    curves = [references[int(antenna)] for antenna in antennas]
+    if not curves:
+        return np.empty((0, block.time_unix.size, block.frequency_mhz.size))
+    signal, behind = _predict(block, curves, instrument, sky_power)
+    return np.asarray(np.exp(ln_gain)[:, None, None] * signal + behind)
+
+
+def _predict(
+    block: SpectraBlock, curves: Sequence[CalibrationCurve], instrument: Instrument, sky_power: SkyPower
+) -> tuple[Floats, Floats]:
+    """S of the curves in the events of a block, shape (curve, event, freq), and B, shape (curve, 1, freq)."""
+    c = np.array([curve.filled(np.asarray(curve.c)) for curve in curves])
+    noise = noise_constants(instrument)
+    level = np.array([[curve.parameters[name].value for name in noise.names] for curve in curves])
+    front, behind = len(noise.front), (level[:, len(noise.front) :] @ noise.behind)[:, None, :]
+    lst_hours = local_sidereal_time(block.time_unix, instrument.at_station(block.station).longitude_deg)
+    sky = sky_power.of_station(block.station).at(block.dipole, lst_hours)
+    signal = (sky + noise.before(level[:, :front])[:, None, :]) * (instrument.antenna_gain / c**2)[:, None, :]
+    return signal, behind
 
 
 def _fit_modes(ratio: Floats, weight: Floats, modes: Floats) -> Floats:

@@ -31,6 +31,18 @@ drift_year = Table(
     Column("matrix", Text, comment="JSON: every path beside the station's median; null for the array"),
 )
 
+drift_source = Table(
+    "drift_source",
+    metadata,
+    Column("station", Text, primary_key=True),
+    Column("since_us", BigInteger, primary_key=True, comment="the first instant of the year"),
+    Column("inputs", Text, nullable=False, comment="hash of all that its events were measured with but the spectra"),
+    Column("spectra", Integer, nullable=False, comment="count of usable spectra"),
+    Column("flag", BigInteger, nullable=False, comment="the last flag that was set in the year"),
+    Column("event", BigInteger, nullable=False, comment="the newest event"),
+    Column("screened", Integer, nullable=False, comment="count of usable spectra when the whole year was read last"),
+)
+
 event_modes = Table(
     "event_modes",
     metadata,

@@ -18,7 +18,7 @@ from sqlalchemy import Connection, delete, select
 
 from lbacal_core.provenance import canonical_json
 from lbacal_core.validity import Instant, Scope
-from service.schema.drift import drift_report, drift_year, event_modes, monthly_ratio
+from service.schema.drift import drift_report, drift_source, drift_year, event_modes, monthly_ratio
 from service.schema.tables import path
 
 SINGLE = "<f4"
@@ -49,6 +49,27 @@ class StoredModes:
     antennas: tuple[int, ...]
     time_us: NDArray[np.int64]
     ln_c: NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class DriftSource:
+    """What the events of a station's year were measured from.
+
+    Attributes
+    ----------
+    inputs
+        Hash of all inputs but the spectra.
+    spectra, flag, event
+        The count of usable spectra, the last flag that was set in the year and the newest event.
+    screened
+        The count of usable spectra when the whole year was read last.
+    """
+
+    inputs: str
+    spectra: int
+    flag: int
+    event: int
+    screened: int
 
 
 @dataclass(frozen=True)
@@ -176,11 +197,26 @@ class DriftStore:
         columns = event_modes.c.station, event_modes.c.dipole, event_modes.c.since_us
         return list(self._connection.execute(select(event_modes.c.sha256).order_by(*columns)).scalars())
 
-    def modes(self) -> list[StoredModes]:
-        """Everything that steps and slopes are found in."""
+    def source(self, station: str, since: Instant) -> DriftSource | None:
+        """What a station's year was measured from; None where it was not."""
+        columns = [drift_source.c[name] for name in DriftSource.__dataclass_fields__]
+        is_it = (drift_source.c.station == station) & (drift_source.c.since_us == since)
+        row = self._connection.execute(select(*columns).where(is_it)).one_or_none()
+        return None if row is None else DriftSource(*row)
+
+    def keep_source(self, station: str, since: Instant, source: DriftSource) -> None:
+        """Keep what a station's year was measured from in place of what was kept."""
+        is_it = (drift_source.c.station == station) & (drift_source.c.since_us == since)
+        self._connection.execute(delete(drift_source).where(is_it))
+        self._connection.execute(drift_source.insert(), {"station": station, "since_us": since, **vars(source)})
+
+    def modes(self, station: str | None = None, since: Instant | None = None) -> list[StoredModes]:
+        """Everything that steps and slopes are found in, of all or of one station's year."""
         columns = event_modes.c.station, event_modes.c.dipole, event_modes.c.since_us
-        found = []
-        for row in self._connection.execute(select(event_modes).order_by(*columns)):
+        statement, found = select(event_modes).order_by(*columns), []
+        if station is not None:
+            statement = statement.where(event_modes.c.station == station, event_modes.c.since_us == since)
+        for row in self._connection.execute(statement):
             antennas = tuple(json.loads(row.antennas))
             times = np.frombuffer(row.time_us, "<i8").astype(np.int64)
             ln_c = np.frombuffer(row.ln_c, SINGLE).astype(np.float32).reshape(len(antennas), times.size, MODES)

@@ -1,0 +1,64 @@
+"""Drift of a station's year after one more event: what came since is read, and the answer is that of the whole year."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from lbacal_core.spectra import Spectra
+from lbacal_core.validity import Scope
+from service.factory import Factory
+from service.scheduler import look_for_due_work
+from service.storage.drift import DriftSource
+from service.storage.jobs import Order
+from service.usecases.drift import KIND
+from service.wire.instants import parse_instant
+from tests.service.test_worker import work
+
+YEAR = {"station": "CS002", "since": parse_instant("", "2015-01-01"), "until": parse_instant("", "2016-01-01")}
+
+
+def measured(factory: Factory) -> tuple[Any, list[str], DriftSource]:
+    """Months and events of the year, and what they were measured from."""
+    with factory.database.read() as stores:
+        source = stores.drift.source("CS002", YEAR["since"])
+        assert source is not None
+        return stores.drift.ratios(Scope("CS002"), YEAR["since"]), stores.drift.digests(), source
+
+
+def measure_again(factory: Factory, source: DriftSource) -> None:
+    """Measure the year as if it had been measured from something else."""
+    with factory.database.write() as stores:
+        stores.drift.keep_source("CS002", YEAR["since"], source)
+        stores.jobs.add(Order(KIND, YEAR, [YEAR], "test", "test", inputs=factory.inputs.text), factory.clock())
+    work(factory)
+
+
+def test_after_one_more_event_drift_reads_it_alone_and_is_that_of_the_whole_year(
+    station: Factory, campaign: Spectra
+) -> None:
+    look_for_due_work(station)
+    work(station)
+    _, before, first = measured(station)
+    assert first.screened == first.spectra
+    typical = campaign.event_id[campaign.time_unix > YEAR["since"] / 1e6][5]
+    one = campaign.select(campaign.event_id == typical)
+    later = replace(one, event_id=np.full(len(one), "999999999"), time_unix=one.time_unix + 3600.0)
+    with station.database.write() as stores:
+        stores.spectra.add(later)
+    look_for_due_work(station)
+    work(station)
+    added, digests, source = measured(station)
+    assert (source.spectra, source.screened) == (first.spectra + len(later), first.screened)
+    assert len(set(digests) & set(before)) == 2, "the events of the year of the new one are others"
+
+    measure_again(station, replace(source, inputs="another reference"))
+    whole, of_whole, read = measured(station)
+    assert read == replace(source, screened=source.spectra)
+    assert of_whole == digests
+    assert whole == added
+
+    measure_again(station, replace(read, flag=read.flag + 1))
+    assert measured(station) == (whole, of_whole, read)
