@@ -34,7 +34,7 @@ from service.storage.database import Stores
 from service.storage.spectra import Window
 from service.storage.versions import BUDGET, Version
 from service.usecases.inputs import hash_covariates
-from service.usecases.windows import SECOND_US, lend_to_small
+from service.usecases.windows import SECOND_US, lend_to_small, share_misfits
 from service.wire.instants import format_instant
 
 GAIN_STEP = "gain_step"
@@ -138,6 +138,8 @@ class Fits:
             if report.lines:
                 lines.append((during.since, during.until, report.lines))
             pieces.append((during.since, of_piece.spectra))
+        if len(pieces) > 1:
+            versions = share_misfits(versions)
         return Made(lend_to_small(versions, pieces, self.instrument, self.sky_power()), budgets, lines)
 
     def _cut(self, whole: FittedCauses, wanted: Wanted) -> Iterator[tuple[FittedCauses, Spectra, Wanted]]:

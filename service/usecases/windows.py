@@ -5,7 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from lbacal_core.curves import TOO_FEW_EVENTS, TOO_FEW_LST_BINS
+import numpy as np
+
+from lbacal_core.calibration.fit import SHARE_OF_MISFITS
+from lbacal_core.curves import CONVERGED, MISFIT, TOO_FEW_EVENTS, TOO_FEW_LST_BINS
 from lbacal_core.drift.borrow import Borrowed, borrow_curve
 from lbacal_core.instrument import Instrument
 from lbacal_core.reference_chain import CableTable, ReferenceChain
@@ -31,6 +34,26 @@ def lend_to_small(
         Where each piece begins, and its spectra without what adopted causes do.
     """
     return [_lend(version, versions, pieces, instrument, sky_power) for version in versions]
+
+
+def share_misfits(versions: Sequence[Version]) -> list[Version]:
+    """Versions of the pieces of a window with the misfit of their station.
+
+    A fit of a piece judges the paths of the piece alone: an antenna whose window is cut would escape what is wrong with
+    clock, sky or pattern of all.
+    """
+    groups: dict[tuple[str | None, str | None], list[bool]] = {}
+    for version in versions:
+        for curve in version.curves:
+            if curve.c is not None:
+                groups.setdefault((curve.station, curve.dipole), []).append(curve.status == MISFIT)
+    wrong = {station for (station, _), misfits in groups.items() if np.mean(misfits) >= SHARE_OF_MISFITS}
+    return [
+        replace(one, curves=tuple(curve.as_misfit() if curve.status == CONVERGED else curve for curve in one.curves))
+        if one.scope.station in wrong
+        else one
+        for one in versions
+    ]
 
 
 def _lend(

@@ -3,6 +3,7 @@ from __future__ import annotations
 import json
 import threading
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,9 @@ from lbacal_core.validity import Scope
 from service.app import make_app
 from service.config import Settings
 from service.factory import Factory
+from service.storage.versions import Version
 from service.usecases.fits import Wanted
+from service.usecases.windows import share_misfits
 from service.usecases.years import start_of_year
 from service.wire.bodies import InvestigationBody, RefitBody
 from service.worker import Worker
@@ -151,3 +154,27 @@ def test_a_year_with_an_adopted_cause_is_cut_where_hardware_changed(
         (now,), (was,) = version.curves, plain[key].curves
         assert np.abs(np.array(now.c) / np.array(was.c) - 1).max() < 0.05, "nothing is off along LST"
         assert np.all(np.array(now.c_sigma_stat) > 0.99 * np.array(was.c_sigma_stat))
+
+
+def test_antennas_whose_windows_are_cut_escaped_what_is_wrong_with_their_station(
+    with_change: Callable[[str], Factory], campaign: Spectra
+) -> None:
+    """Their pieces are fitted by themselves, and passed the gate while all others were held back as misfits."""
+    factory = with_change("2015-04-11")
+    since, until = start_of_year(2015), start_of_year(2016)
+    year = campaign.select((campaign.time_unix >= since / 1e6) & (campaign.time_unix < until / 1e6))
+    wanted = Wanted("antenna", Scope("CS002"), since, until, Model(), "test", "test")
+    made = factory.fits.make(factory.fits.fit_causes(year, wanted.model), wanted).versions
+
+    def spoil(*antennas: int) -> list[Version]:
+        return [
+            replace(one, curves=tuple(curve.as_misfit() for curve in one.curves))
+            if one.scope.antenna in antennas
+            else one
+            for one in made
+        ]
+
+    assert len({one.window for one in made}) == 3
+    assert {one.status for one in made} == {"converged"}
+    assert {one.status for one in share_misfits(spoil(0, 1, 3))} == {"misfit"}
+    assert [one.status for one in share_misfits(spoil(0))] == [one.status for one in spoil(0)]
