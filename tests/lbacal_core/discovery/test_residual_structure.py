@@ -9,12 +9,15 @@ from scipy.stats import kstest
 from lbacal_core.causes.axes import axis_named
 from lbacal_core.discovery.refit import fit_chain
 from lbacal_core.discovery.residual_structure import (
+    STATION,
     _in_single_events,
     _largest_of_noise,
+    chance_along,
     find_structure,
     share_of_channels,
 )
 from lbacal_core.discovery.station import gather_stations
+from lbacal_core.discovery.trials import p_of_best
 from lbacal_core.twin.faults.uncatalogued import MainsHum
 from tests.lbacal_core.discovery.worlds import Look, look_with_residual
 
@@ -30,6 +33,13 @@ def model(station):
 
 def test_nothing_is_left_of_a_clean_station(model):
     assert find_structure(model, np.random.default_rng(1), SIGNIFICANT) is None
+
+
+@pytest.mark.parametrize("target", [STATION, "antenna 2 X"])
+def test_the_strongest_of_two_axes_is_as_rare_as_the_strongest_of_two(model, target):
+    alone = [chance_along(model, {name}, target) for name in ("utc", "lst")]
+    assert chance_along(model, {"utc", "lst"}, target) == pytest.approx(p_of_best(min(alone), 2))
+    assert chance_along(model, {"an axis that nobody has"}, target) == 1.0
 
 
 def test_the_largest_structure_of_noise_predicts_nothing_of_events_not_used(model):

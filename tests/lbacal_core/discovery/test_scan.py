@@ -8,9 +8,10 @@ from scipy.stats import kstest
 
 from lbacal_core.causes.catalogue import CAUSES
 from lbacal_core.causes.cause import signature
+from lbacal_core.discovery.families import list_families
 from lbacal_core.discovery.hypothesis import list_targets
 from lbacal_core.discovery.refit import fit_chain
-from lbacal_core.discovery.scan import scan
+from lbacal_core.discovery.scan import scan, score_families
 from tests.lbacal_core.discovery.worlds import MOVING, p_of_score, p_value_of
 
 
@@ -35,6 +36,19 @@ def test_scores_of_many_equal_the_products_of_one(model, label):
         # The scan leaves out what classes of a polarisation say against each other where it is little.
         assert score.z == pytest.approx(product / information**0.5, rel=1e-2, abs=0.01)
         assert score.events == model.station.event_id.size
+
+
+def test_targets_score_together_as_each_does_alone(model):
+    """Targets of which the means show the same are scored as one, and every target gets its own score."""
+    causes = [cause for cause in CAUSES if cause.identifier in {"rfi_line", "dipole_swap"}]
+    families, targets = list_families(model.station.conditions, causes), list_targets(model.station)
+    together = score_families(model, families, targets)
+    for t in (k for k, target in enumerate(targets) if target.label in {"antenna 0", "antenna 3", "station"}):
+        for (_, z, size), (_, own_z, own_size) in zip(
+            together, score_families(model, families, targets[t : t + 1]), strict=True
+        ):
+            np.testing.assert_allclose(z[:, t], own_z[:, 0], rtol=1e-6, atol=1e-6)
+            np.testing.assert_allclose(size[:, t], own_size[:, 0], rtol=1e-6, atol=1e-9)
 
 
 DRAWS = 500
