@@ -147,7 +147,12 @@ class _Scorer:
         self.model, self.targets = model, targets
         self.share_of_path = np.stack([model.share_of_deviation(target.is_member) for target in targets])
         self.share = np.stack([model.share_of_mean(target.is_member) for target in targets])
-        self.counts = model.paths_in_mean[model.polarisation_of].astype(float)
+        counts = model.paths_in_mean[model.polarisation_of]
+        members = np.stack([target.is_member for target in targets])[:, None] & (
+            model.station.class_of == np.arange(len(counts))[:, None]
+        )
+        lost = members * (counts * self.share**2 / np.maximum(members.sum(axis=2), 1))[..., None]
+        self.lost_of_path = np.asarray(lost.sum(axis=1))
 
     def score(self, batch: Sequence[SpectralFamily]) -> tuple[Floats, Floats]:
         """Score and information, shape (family, target, profile); 0 where the cause cannot affect the target."""
@@ -174,13 +179,13 @@ class _Scorer:
             information[:, t] = np.einsum("c,g,scgn->sn", share, share, information_of_mean[:, at[:, None], at])
         if local or np.any(differ):
             of_path, path_information = self._in_paths(profiles, spectra)
-            typical = np.stack([path_information[:, members].mean(axis=1) for members in model.members], axis=1)
             share = self.share_of_path * np.isin(np.arange(len(self.targets)), concerned)[:, None]
             shown = np.ones((len(batch), len(self.targets), 1))
             shown[:, wide] = differ[:, None, None]
             score += shown * (share @ of_path)
             information += shown * (share**2 @ path_information)
-            information[:, local] -= (self.counts * self.share[local] ** 2) @ typical
+            # What the mean of the paths takes from the deviations is counted where the target itself has spectra.
+            information[:, local] -= self.lost_of_path[local] @ path_information
             # A path without events where the template acts does not change the mean either.
             is_shown = self.share_of_path[local] ** 2 @ path_information > 0
             score[:, local] *= is_shown
