@@ -95,6 +95,8 @@ class Worker:
                 self._factory.due.enqueue_drift(part.request["station"])
             if part.kind == DRIFT:
                 self._factory.due.enqueue_watch()
+            if part.kind == WATCH:  # the last of a night's refits and drift: what they found is told today
+                self._factory.alarms.look()
 
     def _fail(self, part: Part, reason: str) -> None:
         log.warning("part failed", job=part.job, part=part.number, error=reason)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,8 @@ from lbacal_core.grids import Floats
 
 DAY_S = 86_400.0
 DIGITS = 7
+SILENT_EVENTS = 20
+"""So many measured events of the station, eight days of a LOFAR year, without one of a path: it sees no sky."""
 
 
 def describe_followed(history: History, followed: Followed, frequency_mhz: Floats) -> dict[str, Any]:
@@ -37,7 +40,21 @@ def describe_followed(history: History, followed: Followed, frequency_mhz: Float
         "changes": [_change(one) for one in list_changes(history, followed)],
         "slopes": slopes,
         "trends": trends,
+        "silent": list(_silent(history)),
     }
+
+
+def _silent(history: History) -> Iterator[dict[str, Any]]:
+    """Paths that were measured and are no longer, while others of their station are: dead, with or without spectra."""
+    is_known = np.isfinite(history.ln_c[..., 0])
+    for k in np.flatnonzero(is_known.any(axis=1)):
+        of_station = np.flatnonzero(is_known[history.station == history.station[k]].any(axis=0))
+        last = int(np.flatnonzero(is_known[k])[-1])
+        if np.sum(of_station > last) >= SILENT_EVENTS:
+            yield {
+                "station": str(history.station[k]), "antenna": int(history.antenna[k]),
+                "dipole": str(history.dipole[k]), "last_unix": float(history.time_unix[last]),
+            }  # fmt: skip
 
 
 def _change(change: Change) -> dict[str, Any]:

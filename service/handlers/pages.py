@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from itertools import groupby
 from typing import Any
 
@@ -24,7 +25,7 @@ from service.handlers.request import (
 from service.page.assets import find_asset
 from service.page.render import format_day, name_scope, render_page, render_part
 from service.storage.alarms import ACKNOWLEDGED, ENDED, OPEN
-from service.storage.versions import Version
+from service.storage.versions import MeanC, Version
 from service.usecases.calibrations import select_paths
 from service.usecases.drift import DriftSeries
 from service.usecases.models import list_stopped
@@ -178,11 +179,19 @@ def _version_rows(series: DriftSeries) -> list[dict[str, Any]]:
                 "c": version.c,
                 "c_sigma": version.c_sigma,
                 "change": version.c / versions[0].c - 1.0,
+                "change_sigma": _sigma_of_ratio(version, versions[0]),
                 "url": f"/calibrations/{version.calibration}",
             }
             for version in versions
         ]
     return rows
+
+
+def _sigma_of_ratio(version: MeanC, first: MeanC) -> float:
+    """Error of a version over the first; 0 of the first itself."""
+    if version.calibration == first.calibration:
+        return 0.0
+    return version.c / first.c * math.hypot(version.c_sigma / version.c, first.c_sigma / first.c)
 
 
 def _plot_of_series(series: DriftSeries) -> dict[str, Any]:

@@ -1,9 +1,9 @@
 """Alarms: what is wrong and lasts, told once; acknowledged by those who know of it.
 
 Steps and slopes come from the watch (`service.usecases.watch`), which follows all paths when their months changed. What
-a look at the database can tell is looked for every night: paths that went silent while others have events, data that
-stopped coming, versions that misfit, adopted causes that gain too little on new events, work that failed and that
-nothing made up for.
+a look at the database can tell is looked for every night, before its work and after it: paths that went silent or dead
+while others have events, data that stopped coming, versions that misfit, adopted causes that gain too little on new
+events, work that failed and that nothing made up for.
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ from service.storage.jobs import Job
 from service.wire.bodies import AcknowledgementBody
 from service.wire.instants import DAY_US, format_instant, parse_instant
 
+SECOND_US = 1_000_000
 LOOKED_FOR = (LOST_PATH, STALE_DATA, MISFIT, FAILED_JOB, CAUSE_STOPPED_PAYING)
 LOST_EVENTS = 20
 """So many events of others, eight days of a LOFAR year, without one of a path: it is lost."""
@@ -104,8 +105,10 @@ class Alarms:
             return stores.alarms.acknowledge(number, Acknowledgement(by, now, body.reason, until))
 
     def _lost(self, stores: Stores) -> Iterator[News]:
-        """Paths without an event while the path that has the newest one had many; those lost together are one alarm."""
+        """Paths without a usable event while the path with the newest had many; those lost together are one alarm."""
         newest = stores.spectra.newest_by_path()
+        dead = {path: at for path, at in _silent(stores).items() if at < newest.get(path, at)}
+        newest |= dead
         if not newest:
             return
         last = max(newest.values())
@@ -122,7 +125,8 @@ class Alarms:
             named = [path.key for path in paths]
             who = named[0] if len(named) == 1 else f"{len(named)} paths of {station}"
             day = format_instant(instant)[:10]
-            sentence = f"{who}: no spectrum since {day}, while {witness.key} has {missed} more events"
+            what = "no spectrum that sees the sky" if paths[0] in dead else "no spectrum"
+            sentence = f"{who}: {what} since {day}, while {witness.key} has {missed} more events"
             yield News(LOST_PATH, scope, "", sentence, {"paths": named, "events_missed": missed}, instant)
 
     def _stale(self, stores: Stores, now: Instant) -> Iterator[News]:
@@ -131,6 +135,12 @@ class Alarms:
             return
         sentence = f"the newest event is of {format_instant(span[1])[:10]}, more than {self.stale_days:g} days ago"
         yield News(STALE_DATA, Scope(), "", sentence, {"newest_event": format_instant(span[1])}, span[1])
+
+
+def _silent(stores: Stores) -> dict[Scope, Instant]:
+    """When the paths that the watch found silent were measured last."""
+    silent = (stores.drift.report() or {}).get("silent", [])  # reports of before had none
+    return {Scope(one["station"], one["antenna"], one["dipole"]): round(one["last_unix"] * SECOND_US) for one in silent}
 
 
 def count_alarms(stores: Stores, now: Instant) -> AlarmCounts:

@@ -32,6 +32,10 @@ LARGEST_DATE_ERROR_DAYS = 30.0
 """A change whose date is known worse is told, and no window is cut."""
 SAME_DATE = 3.0
 """Standard deviations of the difference of two dates within which they are one."""
+PLACES = {"tilt": "at its top", "curvature": "at both its ends"}
+"""Where a mode along frequency is largest: there its Legendre polynomial is 1."""
+PLAIN_SHAPE = 3.0
+"""Standard deviations from which on a change along frequency is told."""
 TREND_P = 0.001
 """Probability of a trend of the whole without one, below which it is an alarm."""
 
@@ -145,8 +149,8 @@ def _tell(report: Mapping[str, Any], *, cuts_windows: bool) -> Iterator[News]:
         since = round(change["date_unix"] * SECOND_US)
         error = round(change["date_sigma_days"] * DAY_US)
         sentence = (
-            f"{who}: C changed by {change['size']:+.2%} +- {change['sigma']:.2%} "
-            f"on {format_instant(since)[:10]} +- {change['date_sigma_days']:.1f} days"
+            f"{who}: C changed by {change['size']:+.2%} ± {change['sigma']:.2%}{_tell_shape(change)} "
+            f"on {format_instant(since)[:10]} ± {change['date_sigma_days']:.1f} days"
         )
         is_cut = cuts_windows and any(_list_cuts({"changes": [change]}))
         sentence += "; its windows are cut there" if is_cut else ""
@@ -159,14 +163,24 @@ def _tell(report: Mapping[str, Any], *, cuts_windows: bool) -> Iterator[News]:
         scope = Scope(slope["station"], slope["antenna"], slope["dipole"]) if is_path else Scope(slope["station"])
         beside = "its station" if is_path else "the other stations"
         sentence = (
-            f"{_name(slope['station'], slope)}: C changes by {slope['slope']:+.2%} +- {slope['sigma']:.2%} a year "
+            f"{_name(slope['station'], slope)}: C changes by {slope['slope']:+.2%} ± {slope['sigma']:.2%} a year "
             f"beside {beside}"
         )
         yield News(SLOPE, scope, "" if is_path else slope["dipole"], sentence, slope)
     whole = report["trends"].get("array")
     if whole is not None and whole["p_value"] < TREND_P:
-        sentence = f"C of all paths changes by {whole['slope']:+.2%} +- {whole['sigma']:.2%} a year"
+        sentence = f"C of all paths changes by {whole['slope']:+.2%} ± {whole['sigma']:.2%} a year"
         yield News(SLOPE, Scope(), "", sentence, {name: whole[name] for name in ("slope", "sigma", "limit_95")})
+
+
+def _tell_shape(change: Mapping[str, Any]) -> str:
+    """What changed along frequency beside the mean over the band, where it is plain."""
+    told = [
+        f"{at} by {shape['value']:+.2%} ± {shape['sigma']:.2%} more"
+        for at, shape in ((at, change["shape"][mode]) for mode, at in PLACES.items())
+        if abs(shape["value"]) > PLAIN_SHAPE * shape["sigma"]
+    ]
+    return f" in the mean over the band, {' and '.join(told)}," if told else ""
 
 
 def _propose(change: Mapping[str, Any], date: str) -> list[dict[str, Any]]:

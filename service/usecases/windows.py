@@ -107,5 +107,5 @@ def _explain(borrowed: Borrowed, neighbour: Version) -> str:
     since, until = (format_instant(end)[:10] for end in neighbour.window)
     return (
         f"too few events for a fit: C is that of {since} to {until} (version {neighbour.id[:10]}) through its own "
-        f"cable, times a gain of {borrowed.gain:.4f} +- {borrowed.sigma:.4f} from {borrowed.events} events"
+        f"cable, times a gain of {borrowed.gain:.4f} ± {borrowed.sigma:.4f} from {borrowed.events} events"
     )

@@ -38,7 +38,10 @@ function drift(data) {
       name: `${one.name} ${v.dipole} version`, legendgroup: one.name, showlegend: false, customdata: [v.url],
       hovertemplate: `version ${v.window}, ${v.dipole}: %{y:.4f}<extra>${one.name}</extra>` }));
   });
-  const layout = { ...LAYOUT, xaxis: axis("month (UTC)", { type: "date" }), yaxis: axis("C / C of the first year") };
+  // what is shown are medians and versions: a path that is deaf may widen a band by a factor
+  const shown = data.series.flatMap((one) => [...one.months.map((row) => row[1]), ...one.versions.flatMap((v) => [v.ratio - v.sigma, v.ratio + v.sigma])]);
+  const low = Math.min(0.98, ...shown), high = Math.max(1.02, ...shown), edge = 0.08 * (high - low);
+  const layout = { ...LAYOUT, xaxis: axis("month (UTC)", { type: "date" }), yaxis: axis("C / C of the first year", { range: [low - edge, high + edge] }) };
   return [traces, layout];
 }
 
