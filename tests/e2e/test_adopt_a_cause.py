@@ -29,7 +29,9 @@ def in_effect(service: Any) -> list[Any]:
 def test_the_commands_of_the_page_close_the_loop(faulty: Any, repository: Path) -> None:
     page = (repository / "docs/how-to/adopt-a-cause.md").read_text().replace("2015-", "2014-").replace("2016-", "2015-")
     status, investigate, dry_run, adopt, models, abandon = COMMAND.findall(page)
-    assert "CS002, 2014-01-01 to 2015-01-01: explained (lst_offset" in run(faulty, status)
+    told = run(faulty, status)
+    assert "CS002, 2014-01-01 to 2015-01-01: explained (lst_offset" in told
+    assert re.search(r"^alarms: .* misfits?\b", told, re.MULTILINE), "told in the night in which it was found"
     found = run(faulty, investigate)
     (name,) = re.findall(r"investigation ([0-9a-f]{12})", found)
     assert re.search(r"^  #0 .* sigma: In station CS002, .*sidereal", found, re.MULTILINE)

@@ -1,13 +1,91 @@
+"""Nights: those that fail, and those whose data are not as one wishes: dead antennas, late years, clocks that jump."""
+
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
+from lbacal_core.instrument import Instrument
+from lbacal_core.skypower.table import read_sky_power
+from lbacal_core.spectra import Spectra
+from lbacal_core.twin.campaign import simulate_campaign
+from lbacal_core.twin.settings import TwinSettings
+from lbacal_core.validity import Scope
 from service import scheduler
+from service.config import Settings
 from service.factory import Factory
-from service.scheduler import persist, run_scheduler
+from service.scheduler import look_for_due_work, persist, run_scheduler
 from service.storage.processes import SCHEDULER
+from service.usecases.drift import find_references
+from service.wire.instants import parse_instant
+from service.worker import Worker
+from tests.service.conftest import Clock
+
+DAY_S = 86_400.0
+YEAR_S = 365.25 * DAY_S
+EVERYTHING: dict[str, Any] = {"states": ("open", "ended"), "kind": None, "station": None, "before": None, "limit": 99}
+Make = Callable[..., Factory]
+
+
+def at(date: str) -> float:
+    return parse_instant("", date) / 1e6
+
+
+@pytest.fixture(scope="module")
+def years(superterp: Instrument, sky_power_file: Path) -> Spectra:
+    """Five antennas from 2014 to the first quarter of 2016."""
+    settings = TwinSettings(stations=("CS002",), antennas=5, years=2.25, events_per_year=150)
+    return simulate_campaign(settings, superterp, read_sky_power(sky_power_file), np.random.default_rng(3)).spectra
+
+
+@pytest.fixture
+def make(database_url: str, sky_power_file: Path, clock: Clock) -> Iterator[Make]:
+    """Makes a service that looks at one database; data of a past year are not stale."""
+    made: list[Factory] = []
+
+    def open_service(**more: Any) -> Factory:
+        quick = {"poll_s": 0.01, "lease_s": 60.0, "nightly_investigations": False, "gate_change": 0.9, **more}
+        made.append(
+            Factory(Settings(database_url=database_url, sky_power=sky_power_file, stale_days=0, **quick), clock)
+        )
+        return made[-1]
+
+    yield open_service
+    for factory in made:
+        factory.database.close()
+
+
+def pass_nights(factory: Factory, spectra: Spectra, count: int = 2) -> None:
+    """Take spectra in, and let nights pass; no job of them fails."""
+    with factory.database.write() as stores:
+        stores.spectra.add(spectra)
+    for _ in range(count):
+        numbers = look_for_due_work(factory)
+        Worker(factory, "worker").run(threading.Event(), until_idle=True)
+        assert not [errors for number in numbers for errors in factory.jobs.get(number).errors if errors]
+    assert look_for_due_work(factory) == [], "the work of the nights is done"
+
+
+def tell_alarms(factory: Factory) -> list[tuple[str, str, str]]:
+    with factory.database.read() as stores:
+        found = stores.alarms.newest(**EVERYTHING, now=factory.clock())
+    return [(one.state_at(factory.clock()), one.news.kind, one.news.sentence) for one in found]
+
+
+def c_in_effect(factory: Factory, path: Scope, date: str) -> tuple[float, float, int] | None:
+    """Band mean of C of a path's own version, its error, and its events."""
+    with factory.database.read() as stores:
+        said = stores.ledger.decisive([path], parse_instant("", date), None).get(path)
+        if said is None or said.calibration is None:
+            return None
+        (mean,) = stores.versions.means([said.calibration])
+    return mean.c, mean.c_sigma, mean.events
 
 
 def test_an_unforeseen_error_in_one_look_does_not_end_all_nights(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -39,3 +117,69 @@ def test_the_scheduler_looks_again_while_the_sky_is_away_and_tells_that_it_lives
     monkeypatch.setattr(scheduler, "look_for_due_work", look)
     run_scheduler(factory, stop)
     assert seen[-1] == {SCHEDULER}
+
+
+def test_an_antenna_that_dies_and_returns_spoils_no_other_and_one_that_is_dead_is_told(
+    make: Make, years: Spectra
+) -> None:
+    """An antenna that goes on sending spectra without sky was no lost path: nobody heard of it."""
+    time_unix, antenna = years.time_unix, years.antenna
+    away = (time_unix > at("2015-03-01")) & (time_unix < at("2015-08-01"))
+    stays = (antenna == 4) & (time_unix > at("2015-10-01")) & (time_unix < at("2016-01-20"))
+    is_dead = (away & (antenna == 1)) | stays
+    is_late = (time_unix > at("2015-09-01")) & (time_unix < at("2016-01-01"))
+    ages = np.where((antenna == 0) & (years.dipole == "X"), np.exp(-0.2 * (time_unix - at("2014-01-01")) / YEAR_S), 1.0)
+    spectra = replace(
+        years,
+        power=np.where(is_dead, 1e-4, ages)[:, None] * years.power,
+        time_unix=np.where(is_late, time_unix + DAY_S, time_unix),  # a clock that is a day ahead for months
+    ).select(~(away & (antenna == 2)))
+    factory, is_later = make(), time_unix[~(away & (antenna == 2))] > at("2016-01-20")
+    pass_nights(factory, spectra.select(~is_later))
+    for dipole in "XY":
+        for number, fewest in ((2, 70), (3, 140)):
+            before, after = (c_in_effect(factory, Scope("CS002", number, dipole), f"{y}-06-01") for y in (2014, 2015))
+            assert before is not None
+            assert after is not None
+            assert after[2] >= fewest, "events of the year"
+            assert abs(after[0] - before[0]) < 4 * np.hypot(before[1], after[1])
+        assert c_in_effect(factory, Scope("CS002", 1, dipole), "2015-06-01") is None, "the gate holds what is spoilt"
+    told = {kind: (state, sentence) for state, kind, sentence in tell_alarms(factory)}
+    assert set(told) == {"lost_path", "slope"}
+    assert told["slope"][1].startswith("CS002/0/X: C changes by +1")
+    state, sentence = told["lost_path"]
+    assert state == "open"
+    assert sentence.startswith("2 paths of CS002: no spectrum that sees the sky since 2015-09-30")
+    pass_nights(factory, spectra.select(is_later))
+    assert {kind: state for state, kind, _ in tell_alarms(factory)} == {"lost_path": "ended", "slope": "open"}
+
+
+def test_data_two_years_late_get_versions_of_their_own_and_become_what_drift_is_held_against(
+    make: Make, years: Spectra
+) -> None:
+    factory, path = make(gate_coverage=0.0), Scope("CS002", 3, "Y")
+    shifted = replace(years, time_unix=years.time_unix + 365 * DAY_S)  # 2016, and a quarter of 2017 left out
+    is_new = (shifted.time_unix >= at("2016-01-01")) & (shifted.time_unix < at("2017-01-01"))
+    pass_nights(factory, shifted.select(is_new))
+    newer = c_in_effect(factory, path, "2016-06-01")
+    pass_nights(factory, years.select(years.time_unix < at("2015-01-01")))
+    assert c_in_effect(factory, path, "2016-06-01") == newer, "what is in effect for later years stands"
+    assert c_in_effect(factory, path, "2014-06-01") is not None
+    assert c_in_effect(factory, path, "2015-06-01") is None, "a year without data has no version of its own"
+    with factory.database.read() as stores:
+        reference = stores.versions.get(find_references(stores, factory.instrument, "CS002")[path])
+        months = list(factory.drift.series(path).months)
+    assert reference.since == parse_instant("", "2014-01-01")
+    assert {parse_instant("", "2014-03-01"), parse_instant("", "2016-03-01")} <= {one.month for one in months}
+    assert not [one for one in months if at("2015-01-01") <= one.month / 1e6 < at("2016-01-01")]
+    assert tell_alarms(factory) == [], "no step over the gap"
+
+
+def test_a_clock_that_is_an_hour_ahead_for_months_is_named_by_the_night(make: Make, years: Spectra) -> None:
+    is_ahead = (years.time_unix > at("2015-03-01")) & (years.time_unix < at("2015-08-01"))
+    jumped = replace(years, time_unix=np.where(is_ahead, years.time_unix + 3600.0, years.time_unix))
+    of_year = (jumped.time_unix >= at("2015-01-01")) & (jumped.time_unix < at("2016-01-01")) & (jumped.antenna < 3)
+    factory = make(nightly_investigations=True)
+    pass_nights(factory, jumped.select(of_year))
+    (told,) = factory.investigations.news()
+    assert told.newest.report["findings"][0]["cause"] == "lst_offset"

@@ -98,10 +98,15 @@ def test_a_cause_that_stops_paying_is_told_until_later_events_say_otherwise(
     assert "In station CS001" in sentence
     assert "it gained 19.0 in log-likelihood, expected 50.0 ± 10.0" in sentence
     assert "No longer pays: In station CS001" in client.get("/").text
+    factory.alarms.look()
+    (alarm,) = client.get("/v1/alarms", params={"kind": "cause_stopped_paying"}).json()["alarms"]
+    assert "it gained 19.0" in alarm["sentence"]
     later = replace(gain, since=gain.until, until=gain.until + YEAR_S * SECOND, gain=48.0)
     with factory.database.write() as stores:
         stores.models.put_gains([later])
     assert told() == []
+    factory.alarms.look()
+    assert client.get("/v1/alarms", params={"kind": "cause_stopped_paying"}).json()["alarms"] == []
     lines = client.get("/v1/models", params={"limit": 2}).json()
     assert [one["station"] for one in lines["models"]] == ["CS003", "CS003"]
     rest = client.get("/v1/models", params={"cursor": lines["next"]}).json()
