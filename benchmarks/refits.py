@@ -1,10 +1,11 @@
 """What the refits of a night cost: .venv/bin/python -m benchmarks.refits [STATIONS [ANTENNAS [EVENTS]]].
 
-A service on SQLite holds a year of some stations. Its first night makes all calibrations; then one event arrives, and
-the second night looks at them again. Both nights are done by one worker, and on a copy by two; then a station's year is
-investigated. Processor time is that of all workers, wall time that of the night; reading, the time in which spectra and
-kept fits are read from the database, stands beside. The reference is the bare fit of the same spectra, in the same run.
-A campaign of more years has as many windows more, which share nothing: it costs a year's time as often.
+A service on SQLite holds a year of some stations. Its first night makes all calibrations, the second measures drift
+against them; then one event arrives, and the third looks at everything again. The nights are done by one worker, and on
+a copy by two; then a station's year is investigated. Processor time is that of all workers, wall time that of the
+night; reading, in which spectra and kept fits come from the database, stands by itself. The reference is the bare fit
+of the same spectra, in the same run. A campaign of more years has as many windows more, which share nothing: it costs
+the time of a year as often.
 """
 
 from __future__ import annotations
@@ -123,6 +124,7 @@ def run(folder: Path, stations: int, antennas: int, events: int) -> None:
         own = folder / f"by {workers}"
         shutil.copytree(folder, own, ignore=shutil.ignore_patterns("by *"))
         tell(f"first night, {workers} at work", *night(own, workers), curves)
+        tell(f"second night, {workers} at work", *night(own, workers), curves)
         store(open_service(own), spectra.select(last))
         tell(f"after one more event, {workers} at work", *night(own, workers), curves)
     factory.database.close()
