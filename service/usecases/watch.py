@@ -8,6 +8,7 @@ found to have changed has its windows cut there from then on, until the change i
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -63,7 +64,7 @@ class Watch:
             now = self.clock()
             stores.drift.keep_report(str(inputs), report, now)
             keep_missing(stores)
-            stores.alarms.settle((STEP, SLOPE), list(_tell(report, cuts_windows=self.cuts_windows)), now)
+            stores.alarms.settle((STEP, SLOPE), list(tell_news(report, cuts_windows=self.cuts_windows)), now)
             settle_cuts(stores, report if self.cuts_windows else {"changes": []}, now)
             stores.jobs.complete(part, worker, {"calibrations": []}, now)
 
@@ -138,7 +139,7 @@ def _is_same(one: Cut, other: Cut) -> bool:
     return (one.station, one.antenna) == (other.station, other.antenna) and abs(one.date - other.date) <= reach
 
 
-def _tell(report: Mapping[str, Any], *, cuts_windows: bool) -> Iterator[News]:
+def tell_news(report: Mapping[str, Any], *, cuts_windows: bool) -> Iterator[News]:
     """The news of a report: changes that nobody knew of, slopes, and a trend of the whole."""
     for change in report["changes"]:
         if change["is_known"]:
@@ -176,7 +177,7 @@ def _tell(report: Mapping[str, Any], *, cuts_windows: bool) -> Iterator[News]:
 def _tell_shape(change: Mapping[str, Any]) -> str:
     """What changed along frequency beside the mean over the band, where it is plain."""
     told = [
-        f"{at} by {shape['value']:+.2%} ± {shape['sigma']:.2%} more"
+        f"{at} by {math.expm1(shape['value']):+.2%} ± {math.exp(shape['value']) * shape['sigma']:.2%} more"
         for at, shape in ((at, change["shape"][mode]) for mode, at in PLACES.items())
         if abs(shape["value"]) > PLAIN_SHAPE * shape["sigma"]
     ]

@@ -25,7 +25,7 @@ from service.config import Settings
 from service.factory import Factory
 from service.scheduler import look_for_due_work
 from service.storage.versions import Version
-from service.usecases.watch import settle_cuts
+from service.usecases.watch import settle_cuts, tell_news
 from service.wire.instants import DAY_US, parse_instant
 from service.worker import Worker
 from tests.service.conftest import Clock
@@ -161,3 +161,16 @@ def test_later_data_move_a_date_within_its_error_and_no_window(watched: Factory)
         with watched.database.write() as stores:
             settle_cuts(stores, {"changes": changes}, 1)
             assert [one.date for one in stores.cuts.standing("CS002")] == expected[name]
+
+
+def test_an_alarm_of_a_step_along_frequency_says_where() -> None:
+    """A step of 5 sigma in a shape was told as a change of C by less than its error."""
+    flat, tilted = {"value": 0.001, "sigma": 0.002}, {"value": np.log(1.05), "sigma": 0.01}
+    change = {
+        "station": "CS002", "is_known": False, "date_unix": STEPPED / 1e6, "date_sigma_days": 40.0, "size": -0.0036,
+        "sigma": 0.0043, "members": [{"antenna": 2, "dipole": "Y"}], "shape": {"tilt": tilted, "curvature": flat},
+    }  # fmt: skip
+    (news,) = tell_news({"changes": [change], "slopes": [], "trends": {}}, cuts_windows=True)
+    assert (
+        "C changed by -0.36% ± 0.43% in the mean over the band, at its top by +5.00% ± 1.05% more, on" in news.sentence
+    )
