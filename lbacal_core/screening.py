@@ -3,9 +3,10 @@
 Each path is compared with itself alone. The logarithm of its band power is fitted robustly with a Fourier series in
 LST, which describes the daily variation of the sky whatever the sky model says; an event that is off by more than
 `CUT_SIGMA` robust standard deviations and by at least a fifth is anomalous, and so is one whose single channel is off
-by a factor of three. An anomalous spectrum is left out of fits unless it belongs to a state of the path and not to an
-event: what lasts is what drift and `investigate` are to find. It stays in the database, and the rule is applied anew in
-each fit. The paper leaves out events with anomalous power too (section 3.1 of Mulrey et al. 2019).
+by a factor of three. What has less than a tenth of the usual power is dead, and left out however long it lasts. Any
+other anomalous spectrum is left out of fits unless it belongs to a state of the path and not to an event: what lasts is
+what drift and `investigate` are to find. It stays in the database, and the rule is applied anew in each fit. The paper
+leaves out events with anomalous power too (section 3.1 of Mulrey et al. 2019).
 """
 
 from __future__ import annotations
@@ -28,6 +29,8 @@ SMALLEST_OF_CHANNEL = float(np.log(3.0))
 CUT_SIGMA_OF_CHANNEL = 8.0
 GROSS = float(np.log(2.0))
 """No cause of the catalogue changes the power of a path by a factor of two: beyond it, what lasts is left out too."""
+DEAD = float(np.log(0.1))
+"""With less than a tenth of its usual power a path is dead: no sky and no cause of the catalogue is so weak."""
 LASTING_EVENTS = 10
 """So many events of a path in a row, four days of a LOFAR year, are a state of the path."""
 LARGEST_SHARE = 0.05
@@ -64,25 +67,40 @@ def screen_block(block: SpectraBlock, longitude_deg: float) -> Screened:
 
     A path is judged by its own spectra alone, so that its fit depends on nothing else.
     """
-    is_judged = block.is_present.sum(axis=1) >= FEWEST_EVENTS
+    dead = _find_dead(block)
+    living = replace(block, is_present=block.is_present & ~dead)
+    is_judged = living.is_present.sum(axis=1) >= FEWEST_EVENTS
     found: list[Anomaly] = []
     is_left_out, is_steady = np.zeros_like(block.is_present), np.ones_like(is_judged)
     if not np.any(is_judged):
         return Screened(block, (), is_steady)
-    departure, is_off = _compare_with_usual(block, longitude_deg)
-    is_off &= block.is_present & is_judged[:, None]
-    for k in np.flatnonzero(is_off.any(axis=1)):
-        events = np.flatnonzero(is_off[k])
+    departure, is_off = _compare_with_usual(living, longitude_deg)
+    is_off &= living.is_present & is_judged[:, None]
+    dead &= is_judged[:, None]
+    for k in np.flatnonzero((is_off | dead).any(axis=1)):
+        events = np.flatnonzero(is_off[k] | dead[k])
         sizes, channels = _describe(departure[k, events])
-        kept = _reasons_to_keep(is_off[k, block.is_present[k]], np.abs(sizes) > GROSS)
+        alive = ~dead[k, events]
+        kept = np.full(events.size, None)
+        kept[alive] = _reasons_to_keep(is_off[k, living.is_present[k]], np.abs(sizes[alive]) > GROSS)
         factors = np.exp(np.clip(sizes, -_LARGEST_LOGARITHM, _LARGEST_LOGARITHM)).tolist()
         for event, factor, channel, why in zip(events, factors, channels, kept, strict=True):
             frequency = None if channel is None else float(block.frequency_mhz[channel])
             owner = (block.station, int(block.antennas[k]), block.dipole)
             found.append(Anomaly(str(block.event_id[event]), *owner, factor, frequency, why))
-        is_steady[k] = events.size <= LARGEST_SHARE * block.is_present[k].sum()
+        is_steady[k] = is_off[k].sum() <= LARGEST_SHARE * living.is_present[k].sum()
         is_left_out[k, events] = [why is None for why in kept]
     return Screened(_without(block, is_left_out), tuple(found), is_steady)
+
+
+def _find_dead(block: SpectraBlock) -> NDArray[np.bool_]:
+    """Find the spectra without sky, shape (path, event): half of a path's spectra at the most.
+
+    They are set apart first, because the robust fit of the daily variation does not stand many that are so far off.
+    """
+    level = np.where(block.is_present, np.median(np.log(block.power), axis=2), np.nan)
+    is_judged = block.is_present.sum(axis=1) >= FEWEST_EVENTS
+    return np.asarray((np.nan_to_num(level - _median(level)[:, None]) < DEAD) & is_judged[:, None])
 
 
 def _compare_with_usual(block: SpectraBlock, longitude_deg: float) -> tuple[Floats, NDArray[np.bool_]]:

@@ -143,6 +143,16 @@ def test_a_path_with_too_many_keeps_them_all_and_is_no_member_of_a_mean() -> Non
     assert {anomaly.kept for anomaly in found.anomalies} == {"34 of the 400 spectra of this path are like this"}
 
 
+def test_a_receiver_that_is_dead_for_five_months_and_returns_is_fitted_by_what_it_saw() -> None:
+    """43 % of a path's spectra were dead and therefore fitted: C had an error of 8 %, and nothing took effect."""
+    factor = ones()
+    factor[1, 60:232] = 1e-4
+    found = screened(factor)
+    assert np.flatnonzero(~found.block.is_present[1]).tolist() == list(range(60, 232))
+    assert np.all(found.block.is_present[[0, 2, 3]])
+    assert np.all(found.is_steady)
+
+
 def test_spectra_of_few_blocks_may_scatter_more() -> None:
     rng = np.random.default_rng(4)
     block = year()
