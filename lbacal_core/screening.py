@@ -46,6 +46,7 @@ _REACH = 4.685
 _FIRST_REACH = 9.0
 _CLIP = 3.0
 _LARGEST_LOGARITHM = 700.0
+_CHANNELS_OF_LEVEL = 10
 _MAD_TO_SIGMA = 1.482602218505602
 _RIDGE = 1e-9
 
@@ -98,7 +99,8 @@ def _find_dead(block: SpectraBlock) -> NDArray[np.bool_]:
 
     They are set apart first, because the robust fit of the daily variation does not stand many that are so far off.
     """
-    level = np.where(block.is_present, np.median(np.log(block.power), axis=2), np.nan)
+    some = block.power[:, :, :: max(1, block.frequency_mhz.size // _CHANNELS_OF_LEVEL)]
+    level = np.where(block.is_present, np.log(np.median(some, axis=2)), np.nan)
     is_judged = block.is_present.sum(axis=1) >= FEWEST_EVENTS
     return np.asarray((np.nan_to_num(level - _median(level)[:, None]) < DEAD) & is_judged[:, None])
 
