@@ -41,9 +41,9 @@ def take_antenna_gain(
     model = load_antenna(antenna)
     if antenna in ANTENNAS or not getattr(model, "has_level", False):
         raise BadInputError(
-            "antenna",
+            f"antenna {antenna}",
             "a file of voltage per field (.npz or text)",
-            f"{antenna}, a pattern that does not give the level of G_ant over frequency",
+            "a pattern that does not give the level of G_ant over frequency",
         )
     frequency_mhz = parse_numbers(content.get("frequency_mhz"), f"{place}: frequency_mhz")
     gain = zenith_gain(model, frequency_mhz)

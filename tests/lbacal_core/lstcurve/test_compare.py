@@ -141,5 +141,7 @@ def test_the_band_of_another_instrument_was_weighed_with_lofars_calibration_and_
     weights = band_weights(other, AS_RECORDED, (100.0, 150.0))
     inside = (nu >= 100.0) & (nu <= 150.0)
     np.testing.assert_allclose(weights, np.where(inside, nu, 0.0) / nu[inside].sum())
-    with pytest.raises(BadInputError, match="expected LO below HI and channels of elsewhere between"):
+    with pytest.raises(
+        BadInputError, match=r"expected LO below HI and channels of elsewhere \(60 to 180 MHz\) between"
+    ):
         band_weights(other, AS_RECORDED, (30.0, 50.0))
