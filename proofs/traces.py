@@ -253,7 +253,7 @@ PARTS = (
     Part("noise-400", partial(try_noise, 400), partial(judge_noise, 400), 800, headlines=("bias",)),
     Part("noise-100", partial(try_noise, 100), partial(judge_noise, 100), 800),
     Part("gain", try_gains, judge_gains, 200, tell_gains, ()),
-    Part("pulse", try_pulses, judge_pulses, 40, tell_pulses, ("leak",)),
+    Part("pulse", try_pulses, judge_pulses, 40, tell_pulses),
 )
 IMAGES = {"traces-gain-pulse.png": "Band power by the gain of the converter, and its change by a pulse"}
 
