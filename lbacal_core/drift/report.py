@@ -17,7 +17,7 @@ from lbacal_core.grids import Floats
 DAY_S = 86_400.0
 DIGITS = 7
 SILENT_EVENTS = 20
-"""So many measured events of the station, eight days of a LOFAR year, without one of a path: it sees no sky."""
+"""So many events of others, eight days of a LOFAR year, without one of a path: it is lost, or sees no sky."""
 
 
 def describe_followed(history: History, followed: Followed, frequency_mhz: Floats) -> dict[str, Any]:

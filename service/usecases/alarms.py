@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
+from lbacal_core.drift.report import SILENT_EVENTS
 from lbacal_core.errors import BadInputError
 from lbacal_core.validity import Instant, Scope
 from service.storage.alarms import (
@@ -32,8 +33,6 @@ from service.wire.instants import DAY_US, format_instant, parse_instant
 
 SECOND_US = 1_000_000
 LOOKED_FOR = (LOST_PATH, STALE_DATA, MISFIT, FAILED_JOB, CAUSE_STOPPED_PAYING)
-LOST_EVENTS = 20
-"""So many events of others, eight days of a LOFAR year, without one of a path: it is lost."""
 FAILURES_SINCE_US = 30 * DAY_US
 FAILURES_READ = 200
 NAMES = {
@@ -119,7 +118,7 @@ class Alarms:
                 lost.setdefault((str(path.station), instant), []).append(path)
         for (station, instant), paths in lost.items():
             missed = stores.spectra.count_after(witness, instant)
-            if missed < LOST_EVENTS:
+            if missed < SILENT_EVENTS:
                 continue
             scope = paths[0] if len(paths) == 1 else Scope(station)
             named = [path.key for path in paths]

@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from lbacal_core.errors import BadInputError, LbacalError, UnreadableFileError
-from lbacal_core.spectra import Spectra, read_columns, read_spectra, write_spectra
+from lbacal_core.spectra import Spectra, read_spectra, write_spectra
 
 NOW = 1_500_000_000.0
 
@@ -359,14 +359,6 @@ def test_the_example_data_set_is_readable(shared: Path) -> None:
     assert spectra.frequency_mhz.size == 51
 
 
-def test_powers_of_four_bytes_are_read_as_the_numbers_that_they_are(two_stations: Spectra, tmp_path: Path) -> None:
-    write_spectra(two_stations, tmp_path / "s.h5")
-    with h5py.File(tmp_path / "s.h5", "a") as file:
-        del file["power"]
-        file["power"] = two_stations.power.astype("f4")
-    assert np.array_equal(read_spectra(tmp_path / "s.h5").power, two_stations.power.astype("f4").astype("f8"))
-
-
 def test_widths_and_durations_survive_the_file_and_a_selection(two_stations: Spectra, tmp_path: Path) -> None:
     rows, channels = len(two_stations), two_stations.frequency_mhz.size
     given = replace(two_stations, width_mhz=np.full(channels, 0.2), duration_s=np.arange(1.0, rows + 1))
@@ -382,22 +374,6 @@ def test_widths_and_durations_survive_the_file_and_a_selection(two_stations: Spe
 def test_widths_and_durations_that_are_none_are_refused(two_stations: Spectra, name: str, values: list[float]) -> None:
     with pytest.raises(BadInputError, match=name):
         replace(two_stations, **{name: np.array(values)})
-
-
-def test_flagged_spectra_stay_in_the_file_and_are_left_out_when_read(two_stations: Spectra, tmp_path: Path) -> None:
-    flag = np.full(ROWS, "", dtype="U5")
-    flag[[2, 5]] = "storm"
-    write_spectra(replace(two_stations, flag=flag), tmp_path / "s.h5")
-    with h5py.File(tmp_path / "s.h5") as file:
-        assert len(file["power"]) == ROWS
-    read = read_spectra(tmp_path / "s.h5")
-    assert (read.left_out, read.flag) == ({"storm": 2}, None)
-    assert read.digest() == two_stations.select(flag == "").digest()
-    with pytest.raises(BadInputError, match=r"flag, row 2: expected no flagged spectra"):
-        read_columns((tmp_path / "s.h5").read_bytes(), "body", 1 << 30)
-    write_spectra(replace(two_stations, flag=np.full(ROWS, "storm")), tmp_path / "s.h5")
-    with pytest.raises(BadInputError, match=f"flag: expected a spectrum that is not flagged, found all {ROWS} are"):
-        read_spectra(tmp_path / "s.h5")
 
 
 def test_a_notebook_shows_one_line_and_not_every_number(two_stations: Spectra) -> None:

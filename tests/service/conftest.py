@@ -228,3 +228,12 @@ def station(database_url: str, sky_power_file: Path, campaign: Spectra, clock: C
         stores.spectra.add(campaign)
     yield made
     made.database.close()
+
+
+@pytest.fixture
+def http(station: Factory) -> Iterator[TestClient]:
+    """An administrator's client of the station's service."""
+    _, key = station.keys.create(("admin",))
+    with TestClient(make_app(station)) as made:
+        made.headers["Authorization"] = f"Bearer {key}"
+        yield made

@@ -21,14 +21,6 @@ from service.worker import Worker
 YEAR = {"since": "2014-01-01", "until": "2015-01-01"}
 
 
-@pytest.fixture
-def http(station: Factory) -> Any:
-    _, key = station.keys.create(("admin",))
-    with TestClient(make_app(station)) as made:
-        made.headers["Authorization"] = f"Bearer {key}"
-        yield made
-
-
 def work(factory: Factory) -> None:
     Worker(factory, "worker").run(threading.Event(), until_idle=True)
 
@@ -378,27 +370,3 @@ def test_late_spectra_a_flag_and_another_sky_make_a_window_due_again(
     )
     assert len(look_for_due_work(other)) == 8, "two years: array, station, antenna, drift"
     other.database.close()
-
-
-def test_the_planted_step_is_first_with_its_antenna_and_date(station: Factory, http: TestClient) -> None:
-    look_for_due_work(station)
-    work(station)
-    drift = http.get("/v1/drift", params={"station": "CS002"}).json()
-    (first,) = drift["steps"]
-    assert (first["antenna"], first["dipole"]) == (2, "Y")
-    # months were the grid of dates once, and this one was 14 days off
-    assert abs(np.datetime64(first["date"]) - np.datetime64("2015-04-11")) <= np.timedelta64(3, "D")
-    assert first["date_sigma_days"] < 3.0
-    assert first["earliest"] <= "2015-04-11" <= first["latest"]
-    # the power gain rises by 15 %: C falls by 1 - 1.15^-1/2 = 6.7 %
-    assert abs(first["size"] + (1 - 1.15**-0.5)) < 4 * first["sigma"]
-    assert first["significance"] > 3 * drift["threshold_sigma"]
-    assert http.get(f"/v1/calibrations/{first['calibration']}").json()["since"].startswith("2015")
-    assert len(drift["months"]) == 24
-    assert {m["paths"] for m in drift["months"]} == {8}
-    path = http.get("/v1/drift", params={"station": "CS002", "antenna": 2, "dipole": "Y"}).json()
-    assert len(path["versions"]) == 2
-    change = path["versions"][1]["c"] / path["versions"][0]["c"] - 1
-    assert -0.08 < change < -0.03
-    whole = http.get("/v1/drift").json()
-    assert (whole["scope"], len(whole["months"]), len(whole["steps"])) == ("array", 24, 1)

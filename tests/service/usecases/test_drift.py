@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from fastapi.testclient import TestClient
 
 from lbacal_core.spectra import Spectra
 from lbacal_core.validity import Scope
@@ -62,3 +63,27 @@ def test_after_one_more_event_drift_reads_it_alone_and_is_that_of_the_whole_year
 
     measure_again(station, replace(read, flag=read.flag + 1))
     assert measured(station) == (whole, of_whole, read)
+
+
+def test_the_planted_step_is_first_with_its_antenna_and_date(station: Factory, http: TestClient) -> None:
+    look_for_due_work(station)
+    work(station)
+    drift = http.get("/v1/drift", params={"station": "CS002"}).json()
+    (first,) = drift["steps"]
+    assert (first["antenna"], first["dipole"]) == (2, "Y")
+    # months were the grid of dates once, and this one was 14 days off
+    assert abs(np.datetime64(first["date"]) - np.datetime64("2015-04-11")) <= np.timedelta64(3, "D")
+    assert first["date_sigma_days"] < 3.0
+    assert first["earliest"] <= "2015-04-11" <= first["latest"]
+    # the power gain rises by 15 %: C falls by 1 - 1.15^-1/2 = 6.7 %
+    assert abs(first["size"] + (1 - 1.15**-0.5)) < 4 * first["sigma"]
+    assert first["significance"] > 3 * drift["threshold_sigma"]
+    assert http.get(f"/v1/calibrations/{first['calibration']}").json()["since"].startswith("2015")
+    assert len(drift["months"]) == 24
+    assert {m["paths"] for m in drift["months"]} == {8}
+    path = http.get("/v1/drift", params={"station": "CS002", "antenna": 2, "dipole": "Y"}).json()
+    assert len(path["versions"]) == 2
+    change = path["versions"][1]["c"] / path["versions"][0]["c"] - 1
+    assert -0.08 < change < -0.03
+    whole = http.get("/v1/drift").json()
+    assert (whole["scope"], len(whole["months"]), len(whole["steps"])) == ("array", 24, 1)
