@@ -34,9 +34,8 @@ from lbacal_core.twin.gains import NOISES
 from lbacal_core.twin.settings import TwinSettings
 from lbacal_core.uncertainty.changes import list_changes
 from lbacal_core.uncertainty.refit import add_budget, compute_budget
-from proofs.hidden.data_sets import OWN
-from proofs.hidden.drawn import EVERYTHING
-from proofs.hidden.worlds import alternatives
+from proofs.hidden.station_year import EVERYTHING
+from proofs.hidden.worlds import OWN, alternatives
 from proofs.hidden.worlds import draw as draw_world
 from proofs.machinery.claims import Claim, at_most, claim_mean, claim_rate
 from proofs.machinery.parts import Part, Row

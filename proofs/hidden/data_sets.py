@@ -26,11 +26,9 @@ from lbacal_core.twin.view import View
 from lbacal_core.twin.world import World
 from proofs.hidden.finder import Answer, FittedModel, ask_finder
 from proofs.hidden.ideal import IdealDetector, ideal_detector
-from proofs.hidden.worlds import Finder, alternatives, free_modes, view_of
+from proofs.hidden.station_year import STATION
+from proofs.hidden.worlds import OWN, Finder, alternatives, free_modes, view_of
 
-STATION = "CS002"
-OWN = Finder()
-"""The finder with the sky and the antenna that the package takes unless told otherwise."""
 SMALL = (0, 1, 3, 4, 10, 11)
 """Antennas of three cable lengths, two of each."""
 ALIKE = (0, 1, 2, 6, 7, 8, 9, 12, 3, 4)

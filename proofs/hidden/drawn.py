@@ -1,4 +1,4 @@
-"""Data sets of drawn worlds, large enough to see a wrong sky, with everything that a year at a station brings."""
+"""Data sets of drawn worlds: nothing hidden until a part hides something, and what the models leave of the sky."""
 
 from __future__ import annotations
 
@@ -9,17 +9,13 @@ import numpy as np
 
 from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.grids import Floats
-from lbacal_core.twin.nuisances import REALISTIC
-from proofs.hidden.data_sets import OWN, STATION, DataSet
+from proofs.hidden.data_sets import DataSet
 from proofs.hidden.ideal import IdealDetector, PathChains
 from proofs.hidden.noise import count_blocks, noise_of
-from proofs.hidden.worlds import Finder, draw
+from proofs.hidden.station_year import EVENTS, EVERYTHING, STATION, draw_antennas
+from proofs.hidden.worlds import OWN, Finder, draw
 from proofs.machinery.parts import Row
 
-ANTENNAS = tuple(range(12))
-EVENTS = 900
-EVERYTHING = replace(REALISTIC, dead_antennas=1, deaf_antennas=1, clustered=0.6, interference=0.2)
-"""5 % of the spectra missing, one dead and one deaf antenna, events in runs, lines that were left, unequal antennas."""
 SPANNED_SIGMA = 5.0
 """What the models leave of a world's difference, in standard deviations, below which they span it: about what a
 detector needs that knows the template."""
@@ -29,7 +25,7 @@ def drawn_data(seed: int, finder: Finder = OWN) -> DataSet:
     """A data set of a drawn world, with nothing hidden; in every third the station has more noise."""
     noisy = STATION if seed % 3 == 0 else "CS003"
     nuisances = replace(EVERYTHING, noisy_stations=(noisy,))
-    return DataSet(seed, ANTENNAS, nuisances, EVENTS, world=draw(seed, finder), finder=finder)
+    return DataSet(seed, draw_antennas(seed), nuisances, EVENTS, world=draw(seed, finder), finder=finder)
 
 
 def describe_world(data: DataSet) -> Row:
@@ -38,7 +34,13 @@ def describe_world(data: DataSet) -> Row:
     if world is None:
         raise ValueError(f"data set {data.seed} has no world of its own")
     antenna = world.antenna.rpartition("/")[2].removesuffix(".npz")
-    return {"sky": world.sky, "antenna": antenna, "noise": world.noise, "outside": world.outside}
+    return {
+        "sky": world.sky,
+        "antenna": antenna,
+        "noise": world.noise,
+        "outside": world.outside,
+        "antennas": len(data.antennas),
+    }
 
 
 def unspanned_sigma(data: DataSet) -> float:
@@ -88,7 +90,7 @@ def unspanned_sigma(data: DataSet) -> float:
 def table_by_world(rows: Sequence[Row], columns: dict[str, Callable[[Row], bool]]) -> list[str]:
     """Counts of what was said, by sky, by way to lie outside, by antenna and by form of the event gains."""
     lines = [f"| world | data sets | {' | '.join(columns)} |", "|" + "---|" * (2 + len(columns))]
-    for key in ("sky", "outside", "antenna", "noise"):
+    for key in ("sky", "outside", "antenna", "noise", "antennas"):
         for value in sorted({row[key] for row in rows}):
             here = [row for row in rows if row[key] == value]
             counts = " | ".join(str(sum(map(is_so, here))) for is_so in columns.values())

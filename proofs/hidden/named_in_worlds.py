@@ -8,10 +8,10 @@ from dataclasses import asdict
 
 import numpy as np
 
-from proofs.hidden.data_sets import OWN, STATIC, moving_causes
+from proofs.hidden.data_sets import STATIC, moving_causes
 from proofs.hidden.drawn import describe_world, drawn_data
 from proofs.hidden.one_effect import LARGEST_SET, NAMING_SNR, Outcome, ask_about, detection_curve, outcomes_of
-from proofs.hidden.worlds import Finder
+from proofs.hidden.worlds import OWN, Finder
 from proofs.machinery.claims import Claim, at_least, at_most, claim_rate
 from proofs.machinery.parts import Part, Row
 

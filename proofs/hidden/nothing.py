@@ -8,9 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from proofs.hidden.data_sets import OWN
 from proofs.hidden.drawn import SPANNED_SIGMA, describe_world, drawn_data, table_by_world, unspanned_sigma
-from proofs.hidden.worlds import Finder
+from proofs.hidden.worlds import OWN, Finder
 from proofs.machinery.claims import Claim, at_most, claim_rate
 from proofs.machinery.parts import Part, Row
 

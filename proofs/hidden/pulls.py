@@ -16,8 +16,8 @@ from lbacal_core.twin.campaign import simulate_campaign
 from lbacal_core.twin.gains import NOISES
 from lbacal_core.twin.settings import TwinSettings
 from lbacal_core.twin.truth import StationTruth
-from proofs.hidden.data_sets import OWN, STATION
-from proofs.hidden.drawn import ANTENNAS, EVENTS, EVERYTHING
+from proofs.hidden.station_year import ANTENNAS, EVENTS, EVERYTHING, STATION
+from proofs.hidden.worlds import OWN
 from proofs.machinery.claims import Claim, between, claim_worst, confidence_of_each, mean_interval
 from proofs.machinery.parts import Part, Row
 

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from dataclasses import asdict
 
 from lbacal_core.twin.faults.uncatalogued import uncatalogued_faults
-from proofs.hidden.data_sets import OWN, Planted
+from proofs.hidden.data_sets import Planted
 from proofs.hidden.drawn import describe_world, drawn_data
 from proofs.hidden.no_catalogue import FIRST_SIZE, SNR, Outcome, tell
-from proofs.hidden.worlds import Finder
+from proofs.hidden.worlds import OWN, Finder
 from proofs.machinery.claims import Claim, at_least, at_most, claim_rate
 from proofs.machinery.parts import Part, Row
 

@@ -39,6 +39,10 @@ class Finder:
         return power_of(self.sky, self.antenna)
 
 
+OWN = Finder()
+"""The finder with the sky and the antenna that the package takes unless told otherwise."""
+
+
 def draw(seed: int, finder: Finder) -> World:
     """The world of a data set: a sky and an antenna that are not the finder's."""
     rng = np.random.default_rng([20261122, seed])

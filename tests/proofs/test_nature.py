@@ -9,7 +9,6 @@ import pytest
 
 from lbacal_core.twin.gains import NOISES
 from lbacal_core.twin.world import MADE_OF, World
-from proofs.hidden.data_sets import OWN
 from proofs.hidden.drawn import SPANNED_SIGMA, describe_world, drawn_data, unspanned_sigma
 from proofs.hidden.like_noise import ALIKE, SNRS
 from proofs.hidden.like_noise import judge as judge_like_noise
@@ -23,8 +22,9 @@ from proofs.hidden.one_effect import Outcome
 from proofs.hidden.pulls import SCOPES, measure_pulls
 from proofs.hidden.pulls import judge as judge_pulls
 from proofs.hidden.pulls import tell as tell_pulls
+from proofs.hidden.station_year import draw_antennas
 from proofs.hidden.unknown_in_worlds import judge as judge_unknown
-from proofs.hidden.worlds import Finder, alternatives, draw
+from proofs.hidden.worlds import OWN, Finder, alternatives, draw
 
 
 def test_a_drawn_sky_or_antenna_is_neither_the_finders_nor_among_the_models_it_knows() -> None:
@@ -40,6 +40,13 @@ def test_a_drawn_sky_or_antenna_is_neither_the_finders_nor_among_the_models_it_k
             assert MADE_OF.get(world.sky, ("",))[0] not in known.skies
             assert len(known.skies) >= 2
             assert len(known.antennas) >= 1
+
+
+def test_a_tenth_of_the_data_sets_has_the_whole_station() -> None:
+    sizes = np.array([len(draw_antennas(seed)) for seed in range(2000)])
+    assert set(sizes) == {12, 48}
+    assert np.mean(sizes == 48) == pytest.approx(0.1, abs=0.02)
+    assert describe_world(drawn_data(3))["antennas"] == len(draw_antennas(3))
 
 
 def test_the_ideal_detector_sees_a_wrong_sky_unless_the_models_span_it() -> None:
