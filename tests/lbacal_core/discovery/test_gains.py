@@ -49,8 +49,8 @@ def test_what_a_resonance_that_moves_does_on_average_is_known_from_how_far_it_mo
     residuals = split_residuals(station, residual, gains.vectors)
     beyond = gains.beyond_first_order(station, residuals, residuals.mean)
     front = gains.front.mean(axis=0)
-    truth = 0.5 * front * gains.curvature * shift[:, None] ** 2
-    template = (front * gains.curvature).mean(axis=0)
+    truth = front * (gains.lower_by(-shift) + gains.slope * shift[:, None])
+    template = front.mean(axis=0) * (gains.lower_by(np.array(0.4)) + gains.lower_by(np.array(-0.4)))
     of_beyond, of_truth = (values @ template for values in (beyond, truth))
     assert np.mean(of_beyond) == pytest.approx(np.mean(of_truth), rel=0.25)
     assert np.corrcoef(of_beyond, of_truth)[0, 1] > 0.7  # each event's shift is known to half of it
@@ -65,3 +65,25 @@ def test_a_burst_is_no_gain_however_strong_it_is(station, moved):
         for split in (split_residuals(station, one, gains.vectors) for one in (residual, burst))
     )
     assert np.abs(beyond - still).max() < 0.01 * LARGEST
+
+
+def test_a_shift_of_more_than_a_channel_is_known_where_the_curve_has_structure(station, terms):
+    """One event of heavy rain moved by 1.3 MHz, and the resonance was named as following rain."""
+    rng = np.random.default_rng(13)
+    nu, events = station.conditions.frequency_mhz, station.power.shape[1]
+    rough = replace(terms, front=terms.front * np.exp(0.01 * rng.standard_normal(nu.size)))
+    gains = EventGains.of(station, rough)
+    shift = 0.3 * rng.standard_normal(events)
+    shift[7] = 1.3
+    change = gains.front * gains.lower_by(-shift)
+    residual = change[station.class_of] + 0.044 * rng.standard_normal(station.power.shape)
+    residuals = split_residuals(station, residual, gains.vectors)
+    beyond = gains.beyond_first_order(station, residuals, residuals.mean)[7]
+    truth = (gains.front.mean(axis=0) * (gains.lower_by(-shift) + gains.slope * shift[:, None]))[7]
+    assert np.std(beyond - truth) < 0.4 * np.std(truth)  # 0.8 after one round
+
+
+def test_beyond_the_band_the_slopes_of_its_ends_continue(station, terms):
+    gains = EventGains.of(station, terms)
+    far = np.log1p(gains.lower_by(np.array([3.0, 6.0])))[:, -1]
+    np.testing.assert_allclose(far, gains.slope[-1] * np.array([3.0, 6.0]))
