@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from lbacal_core.errors import BadInputError
 from lbacal_core.galcal import KEY, make_head
+from lbacal_core.in_words import name_path
 from lbacal_core.provenance import canonical_json
 
 if TYPE_CHECKING:
@@ -236,6 +237,6 @@ def _name_owner(curve: dict[str, Any]) -> str:
         )
     cable = (curve.get("reference") or {}).get("cable")
     through = f", carried through its own cable {cable}" if cable else ""
-    path = f"{curve['station']} antenna {curve['antenna']} dipole {curve['dipole']}"
+    path = name_path(curve["station"], curve["antenna"], curve["dipole"])
     answered = f", answered by {curve['answered_by']}" if curve["answered_by"] else ""
     return f"{path}{answered}{through}"

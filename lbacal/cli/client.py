@@ -16,6 +16,7 @@ from lbacal.cli.outputs import require_outputs
 from lbacal.client import Client, describe_snapshot
 from lbacal.files import written_beside
 from lbacal_core.errors import BadInputError
+from lbacal_core.in_words import name_path
 
 Station = Annotated[str | None, typer.Option(help="Station such as CS002.")]
 Antenna = Annotated[int | None, typer.Option(help="Antenna number.", min=0)]
@@ -137,7 +138,7 @@ def jobs(number: Annotated[int | None, typer.Argument(help="One job; without it 
 
 def print_curve(curve: dict[str, Any]) -> None:
     """Print a curve in effect: who answers, for how long, and C(nu)."""
-    path = f"{curve['station']} antenna {curve['antenna']} {curve['dipole']}"
+    path = name_path(curve["station"], curve["antenna"], curve["dipole"])
     is_path = curve["antenna"] is not None
     owner = path if is_path else f"array {curve['dipole']}, reference chain: nobody's cable"
     print(f"{owner}: version {curve['calibration'][:12]}")

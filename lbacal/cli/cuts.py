@@ -9,6 +9,7 @@ import typer
 from lbacal.cli.client import Station
 from lbacal.client import Client
 from lbacal_core.errors import BadInputError
+from lbacal_core.in_words import name_path
 
 
 def cuts(
@@ -39,7 +40,7 @@ def cuts(
 def _print_cut(one: dict[str, Any]) -> None:
     """Print a cut in one line, and the last decision about it in a second one."""
     state = "stands" if one["stands"] else ("lifted" if one["ended_at"] is None else "ended")
-    where = f"{one['station']}/{one['antenna']} at {one['date'][:10]} ± {one['date_sigma_days']:.1f} d"
+    where = f"{name_path(one['station'], one['antenna'])} at {one['date'][:10]} ± {one['date_sigma_days']:.1f} d"
     print(f"{one['cut']} {where} ({state}, made {one['made_at'][:10]})")
     said = one["decision"]
     if said is not None:

@@ -13,6 +13,7 @@ import typer
 from lbacal.cli.fit_inputs import Selection, find_spectra_files, parse_selection, read_selected
 from lbacal.cli.with_model import HELP, read_model, report_path
 from lbacal.files import written_beside
+from lbacal_core.in_words import write_chance
 
 if TYPE_CHECKING:
     from lbacal_core.spectra import Spectra
@@ -114,7 +115,7 @@ def _tell(content: dict[str, Any]) -> None:
         if finding["indistinguishable"]:
             print(f"    these data cannot tell it from {', '.join(finding['indistinguishable'])}")
     if content["unexplained"]:
-        print(f"  {content['unexplained']['description']} (p = {content['unexplained']['p_value']:.1e})")
+        print(f"  {content['unexplained']['description']} ({write_chance(content['unexplained']['p_value'])})")
         for finding in content["unexplained"]["similar_to"]:
             print(f"    similar to: {finding['sentence']}")
 

@@ -9,6 +9,7 @@ import typer
 from lbacal.cli.client import Antenna, Dipole, Station
 from lbacal.client import Client
 from lbacal_core.errors import BadInputError
+from lbacal_core.in_words import name_path
 
 Reason = Annotated[str, typer.Option(help="Why; it is kept.")]
 DryRun = Annotated[bool, typer.Option("--dry-run", help="Show what would change, and change nothing.")]
@@ -126,7 +127,7 @@ def print_act(done: dict[str, Any], *, dry_run: bool) -> None:
     for one in changes[:SHOWN]:
         names = [(one[k] or "nothing")[:12] for k in ("before", "after")]
         size = "" if one["max_fraction"] is None else f", C by up to {one['max_fraction']:.2%}"
-        path = f"{one['station']} antenna {one['antenna']} {one['dipole']}"
+        path = name_path(one["station"], one["antenna"], one["dipole"])
         print(f"  {path}, {one['from']} to {one['to'] or OPEN}: {names[0]} -> {names[1]}{size}")
     if len(changes) > SHOWN:
         print(f"  and {len(changes) - SHOWN} more")

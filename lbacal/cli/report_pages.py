@@ -9,10 +9,13 @@ from typing import Any
 from jinja2 import Environment, PackageLoader
 from matplotlib.figure import Figure
 
+from lbacal_core.in_words import write_chance
+
 
 def fill_report(template: str, **content: Any) -> str:
     """A report as HTML; every template fills the blocks of `base.html`."""
     environment = Environment(loader=PackageLoader("lbacal.cli", "templates"), autoescape=True)
+    environment.filters["chance"] = write_chance
     return environment.get_template(template).render(**content)
 
 

@@ -26,6 +26,7 @@ from lbacal_core.calibration.freedom import free_own_sky
 from lbacal_core.curves import OK, CalibrationCurve, FitReport
 from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.data.tables import read_table
+from lbacal_core.in_words import name_path
 from lbacal_core.instrument import Instrument, load_instrument
 from lbacal_core.lstcurve.compare import (
     AS_RECORDED,
@@ -223,7 +224,7 @@ def _print_curve(served: ServedRun) -> None:
     curve = served.curve
     at = [curve["frequency_mhz"].index(mhz) for mhz in SHOWN_MHZ]
     cells = [f"{1e6 * curve['c'][k]:.2f} ± {1e6 * curve['c_sigma_stat'][k]:.2f}" for k in at]
-    name = f"{curve['station']} antenna {curve['antenna']} {curve['dipole']}"
+    name = name_path(curve["station"], curve["antenna"], curve["dipole"])
     print("C(nu) in effect, in µV per ADC unit:")
     _print_rows([["path", *[f"{mhz} MHz" for mhz in SHOWN_MHZ]], [name, *cells]])
     print()

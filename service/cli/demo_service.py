@@ -24,6 +24,7 @@ import numpy as np
 
 from lbacal.client import Client
 from lbacal.transport import UnreachableError
+from lbacal_core.in_words import name_path
 from lbacal_core.instrument import Instrument
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.twin.campaign import simulate_campaign
@@ -34,7 +35,8 @@ from lbacal_core.twin.settings import TwinSettings
 STATION = "CS002"
 SETTINGS = TwinSettings(stations=(STATION,), antennas=8, years=1.99, events_per_year=300)
 STEP = GainStep(size=0.12, date="2015-04-11", where=Where(antennas=(7,), dipoles=("Y",)))
-ASKED = {"station": STATION, "antenna": 7, "dipole": "Y", "at": "2015-06-15"}
+ANTENNA, DIPOLE = 7, "Y"
+ASKED = {"station": STATION, "antenna": ANTENNA, "dipole": DIPOLE, "at": "2015-06-15"}
 SEED = 2015
 PATIENCE_S = 180.0
 
@@ -57,7 +59,7 @@ class ServedRun:
     @property
     def is_found(self) -> bool:
         """Whether that is the step that was planted, within a month."""
-        is_path = (self.step["antenna"], self.step["dipole"]) == (ASKED["antenna"], ASKED["dipole"])
+        is_path = (self.step["antenna"], self.step["dipole"]) == (ANTENNA, DIPOLE)
         days = abs(np.datetime64(self.step["date"]) - np.datetime64(STEP.date)) / np.timedelta64(1, "D")
         return bool(is_path and days <= 31)
 
@@ -109,13 +111,13 @@ def describe_served(run: ServedRun) -> str:
     """What the service found, in two sentences."""
     valid, step = run.curve["valid"], run.step
     planted = (1.0 + STEP.size) ** -0.5 - 1.0
-    path = f"{step['station']} antenna {step['antenna']} {step['dipole']}"
+    path = name_path(step["station"], step["antenna"], step["dipole"])
     return (
-        f"In effect for {STATION} antenna {ASKED['antenna']} {ASKED['dipole']} on {ASKED['at']}: version "
+        f"In effect for {name_path(STATION, ANTENNA, DIPOLE)} on {ASKED['at']}: version "
         f"{run.curve['calibration'][:12]}, of scope {run.curve['answered_by']}, valid from {valid['from'][:10]} to "
         f"{valid['to'][:10]}. The largest step of C is that of {path} on {step['date']}: {100 * step['size']:+.2f} ± "
-        f"{100 * step['sigma']:.2f} %; planted was {100 * planted:+.2f} % in antenna {ASKED['antenna']} "
-        f"{ASKED['dipole']} on {STEP.date}."
+        f"{100 * step['sigma']:.2f} %; planted was {100 * planted:+.2f} % in antenna {ANTENNA} {DIPOLE} "
+        f"on {STEP.date}."
     )
 
 

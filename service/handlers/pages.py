@@ -44,7 +44,8 @@ ALARMS_SHOWN, ENDED_SHOWN = 500, 50
 
 def _page(request: Request, use: UseCases, name: str, here: str, **content: Any) -> Response:
     word = request.cookies.get(FORM_COOKIE) if KEY_COOKIE in request.cookies else None
-    body = render_page(name, here=here, instrument=use.instrument.name, leave=word, **content)
+    told = {"instrument": use.instrument.name, "frequency_mhz": use.instrument.frequency_mhz}
+    body = render_page(name, here=here, leave=word, **told, **content)
     return answer(request, body, media_type=HTML)
 
 
@@ -86,7 +87,7 @@ def _tell_drift(use: UseCases) -> str:
     return render_part(
         "drift_main.html", plot={"series": [_plot_of_series(one) for one in series]}, steps=whole.steps[:STEPS_SHOWN],
         rows=rows, trends=[(name_scope(one.scope), one.slope) for one in series if one.slope is not None],
-        threshold=whole.threshold_sigma,
+        threshold=whole.threshold_sigma, frequency_mhz=use.instrument.frequency_mhz,
     )  # fmt: skip
 
 

@@ -8,8 +8,10 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from lbacal_core.in_words import name_path, write_chance, write_percent
 from lbacal_core.validity import Instant, Scope
 from service.page.assets import load_assets
+from service.usecases.changes import name_members, tell_shapes
 from service.wire.instants import format_instant
 
 SHORT_DAYS = 10.0
@@ -26,7 +28,8 @@ def _environment() -> Environment:
     )
     environment.filters |= {"day": format_day, "moment": format_moment, "percent": format_percent, "scope": name_scope}
     environment.filters["days"] = format_days
-    environment.filters |= {"short": lambda text: text[:10]}
+    environment.filters |= {"short": lambda text: text[:10], "chance": write_chance}
+    environment.filters |= {"members": name_members, "shapes": tell_shapes}
     environment.globals["assets"] = {name: asset.url for name, asset in load_assets().items()}
     return environment
 
@@ -53,7 +56,7 @@ def format_moment(instant: Instant) -> str:
 
 def format_percent(fraction: float | None, digits: int = 1) -> str:
     """A signed change in percent."""
-    return "" if fraction is None else f"{100 * fraction:+.{digits}f} %"
+    return "" if fraction is None else write_percent(fraction, digits)
 
 
 def format_days(days: float) -> str:
@@ -63,6 +66,4 @@ def format_days(days: float) -> str:
 
 def name_scope(scope: Scope) -> str:
     """A scope in words."""
-    if scope.antenna is not None:
-        return f"{scope.station} antenna {scope.antenna} {scope.dipole}"
-    return scope.station or "array"
+    return name_path(*scope.parts)

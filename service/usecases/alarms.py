@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 from lbacal_core.drift.report import SILENT_EVENTS
 from lbacal_core.errors import BadInputError
+from lbacal_core.in_words import name_path
 from lbacal_core.validity import Instant, Scope
 from service.storage.alarms import (
     ACKNOWLEDGED,
@@ -121,12 +122,12 @@ class Alarms:
             if missed < SILENT_EVENTS:
                 continue
             scope = paths[0] if len(paths) == 1 else Scope(station)
-            named = [path.key for path in paths]
-            who = named[0] if len(named) == 1 else f"{len(named)} paths of {station}"
+            who = f"{len(paths)} paths of {station}" if len(paths) > 1 else name_path(*scope.parts)
             day = format_instant(instant)[:10]
             what = "no spectrum that sees the sky" if paths[0] in dead else "no spectrum"
-            sentence = f"{who}: {what} since {day}, while {witness.key} has {missed} more events"
-            yield News(LOST_PATH, scope, "", sentence, {"paths": named, "events_missed": missed}, instant)
+            sentence = f"{who}: {what} since {day}, while {name_path(*witness.parts)} has {missed} more events"
+            content = {"paths": [path.key for path in paths], "events_missed": missed}
+            yield News(LOST_PATH, scope, "", sentence, content, instant)
 
     def _stale(self, stores: Stores, now: Instant) -> Iterator[News]:
         span = stores.spectra.span()

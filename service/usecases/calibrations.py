@@ -9,6 +9,7 @@ from typing import Any
 
 from lbacal_core.calibration.own_cable import ToldCurve, tell_reference
 from lbacal_core.errors import BadInputError
+from lbacal_core.in_words import name_path
 from lbacal_core.instrument import Instrument
 from lbacal_core.reference_chain import ReferenceChain
 from lbacal_core.validity import Instant, Promotion, Scope
@@ -250,7 +251,8 @@ def _nearest(neighbours: Neighbours, at: Instant) -> Promotion | None:
 
 def _explain_gap(missing: Sequence[Scope], neighbours: Neighbours, at: Instant) -> str:
     before, after = neighbours
-    path = missing[0].key if len(missing) == 1 else f"{missing[0].key} or any of the {len(missing)} paths asked for"
+    path = name_path(*missing[0].parts)
+    path += "" if len(missing) == 1 else f" or any of the {len(missing)} paths asked for"
     sentence = f"no calibration is in effect for {path} at {format_instant(at)}"
     if before is None and after is None:
         return f"{sentence}, and none was or will be at another time"

@@ -15,6 +15,7 @@ from lbacal_core.drift.later import LARGEST_SHARE, add_events
 from lbacal_core.drift.monthly import average_months
 from lbacal_core.drift.terms import SLOPE, smooth_columns
 from lbacal_core.grids import Floats
+from lbacal_core.in_words import name_path
 from lbacal_core.instrument import Instrument
 from lbacal_core.model import Model
 from lbacal_core.provenance import MODEL_VERSION, hash_content
@@ -219,7 +220,9 @@ class Drift:
         with self.database.read() as stores:
             decisive = stores.ledger.decisive([path], instant, None).get(path)
         if decisive is None or decisive.calibration is None:
-            raise NotFoundError(f"no version of {path.key} is in effect at {format_instant(instant)[:10]}")
+            raise NotFoundError(
+                f"no version of {name_path(*path.parts)} is in effect at {format_instant(instant)[:10]}"
+            )
         return decisive.calibration
 
     def series(self, scope: Scope) -> DriftSeries:

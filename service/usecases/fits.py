@@ -20,6 +20,7 @@ from lbacal_core.calibration.paths import MIN_EVENTS
 from lbacal_core.covariance import Budget
 from lbacal_core.curves import CalibrationCurve, FitReport
 from lbacal_core.drift.windows import cut_window
+from lbacal_core.in_words import name_path
 from lbacal_core.instrument import Instrument
 from lbacal_core.kept_lines import KeptLines
 from lbacal_core.model import Model
@@ -95,7 +96,7 @@ class Fits:
         )  # fmt: skip
         if spectra is None:
             since, until = format_instant(wanted.since), format_instant(wanted.until)
-            raise ConflictError(f"no usable spectra of {wanted.of.key} between {since} and {until}")
+            raise ConflictError(f"no usable spectra of {name_path(*wanted.of.parts)} between {since} and {until}")
         return spectra
 
     def fit_causes(self, spectra: Spectra, model: Model, *, are_sizes_known: bool = False) -> FittedCauses:
@@ -129,7 +130,7 @@ class Fits:
             beside[BUDGET] = budget.digest
         pieces, versions, budgets, lines = [], list[Version](), dict[str, Budget](), []
         for of_piece, recorded, during in self._cut(whole, wanted):
-            audit_quickly(of_piece.recorded, self.instrument).require_power(f"spectra of {wanted.of.key}")
+            audit_quickly(of_piece.recorded, self.instrument).require_power(f"spectra of {name_path(*wanted.of.parts)}")
             freedom = self.freedom()
             of_data = budget or compute_budget(of_piece.spectra, self.instrument, self.sky_power(), freedom=freedom)
             report = add_budget(of_piece.fit(wanted.scope, freedom), of_data)

@@ -12,6 +12,7 @@ import numpy as np
 from lbacal_core.antenna_records import AntennaRecord
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import require_same_grid
+from lbacal_core.in_words import name_path
 from lbacal_core.instrument import Instrument
 from lbacal_core.spectra import Spectra
 from lbacal_core.validity import Instant
@@ -199,8 +200,8 @@ def _without_repeats(spectra: Sequence[SpectrumBody], times: Sequence[Instant]) 
             row.power,
         ):
             raise ConflictError(
-                f"body.spectra[{k}]: the batch holds another spectrum of {row.event_id}, {row.station} "
-                f"antenna {row.antenna} {row.dipole}"
+                f"body.spectra[{k}]: the batch holds another spectrum of {row.event_id}, "
+                f"{name_path(row.station, row.antenna, row.dipole)}"
             )
     return list(kept.values())
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from lbacal_core.in_words import write_chance
 from service.storage.investigations import Investigation
 
 STRONGER_SIGMA = 2.0
@@ -63,7 +64,7 @@ def _findings(report: Mapping[str, Any]) -> dict[Key, dict[str, Any]]:
     rest = report["unexplained"]
     if rest is not None:
         where = rest["where"]
-        sentence = f"{rest['description']} (p = {rest['p_value']:.1e})"
+        sentence = f"{rest['description']} ({write_chance(rest['p_value'])})"
         # its significance stays out of the comparison: the p-value of a simulated distribution has a floor
         found["unexplained", where["axis"], where["target"], 0] = {"sentence": sentence, "significance_sigma": 0.0}
     return found

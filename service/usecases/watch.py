@@ -8,7 +8,6 @@ found to have changed has its windows cut there from then on, until the change i
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -16,6 +15,8 @@ from typing import Any
 import numpy as np
 
 from lbacal_core.drift.follow import History
+from lbacal_core.grids import Floats
+from lbacal_core.in_words import name_path, write_change
 from lbacal_core.instrument import Instrument
 from lbacal_core.provenance import hash_content
 from lbacal_core.validity import Instant, Scope
@@ -24,6 +25,7 @@ from service.storage.cuts import Cut
 from service.storage.database import Database, Stores
 from service.storage.drift import MODES, StoredModes
 from service.storage.jobs import Part
+from service.usecases.changes import name_members, tell_change
 from service.usecases.months import keep_missing
 from service.wire.instants import DAY_US, format_instant
 
@@ -33,10 +35,8 @@ LARGEST_DATE_ERROR_DAYS = 30.0
 """A change whose date is known worse is told, and no window is cut."""
 SAME_DATE = 3.0
 """Standard deviations of the difference of two dates within which they are one."""
-PLACES = {"tilt": "at its top", "curvature": "at both its ends"}
-"""Where a mode along frequency is largest: there its Legendre polynomial is 1."""
-PLAIN_SHAPE = 3.0
-"""Standard deviations from which on a change along frequency is told."""
+MEMBERS_NAMED = 4
+"""A sentence names this many of those that changed together, and counts the others."""
 TREND_P = 0.001
 """Probability of a trend of the whole without one, below which it is an alarm."""
 
@@ -64,7 +64,8 @@ class Watch:
             now = self.clock()
             stores.drift.keep_report(str(inputs), report, now)
             keep_missing(stores)
-            stores.alarms.settle((STEP, SLOPE), list(tell_news(report, cuts_windows=self.cuts_windows)), now)
+            news = tell_news(report, self.instrument.frequency_mhz, cuts_windows=self.cuts_windows)
+            stores.alarms.settle((STEP, SLOPE), list(news), now)
             settle_cuts(stores, report if self.cuts_windows else {"changes": []}, now)
             stores.jobs.complete(part, worker, {"calibrations": []}, now)
 
@@ -139,18 +140,20 @@ def _is_same(one: Cut, other: Cut) -> bool:
     return (one.station, one.antenna) == (other.station, other.antenna) and abs(one.date - other.date) <= reach
 
 
-def tell_news(report: Mapping[str, Any], *, cuts_windows: bool) -> Iterator[News]:
+def tell_news(report: Mapping[str, Any], frequency_mhz: Floats, *, cuts_windows: bool) -> Iterator[News]:
     """The news of a report: changes that nobody knew of, slopes, and a trend of the whole."""
     for change in report["changes"]:
         if change["is_known"]:
             continue
-        named = [_name(change["station"], one) for one in change["members"]]
-        who = named[0] if len(named) == 1 else f"{change['station']}, {len(named)} together ({', '.join(named[:4])}"
-        who += "" if len(named) == 1 else (", ...)" if len(named) > 4 else ")")
+        first, *others = change["members"]
+        who = name_path(change["station"], first["antenna"], first["dipole"])
+        if others:
+            named = name_members(change["members"], MEMBERS_NAMED)
+            who = f"{change['station']}, {len(change['members'])} together ({named})"
         since = round(change["date_unix"] * SECOND_US)
         error = round(change["date_sigma_days"] * DAY_US)
         sentence = (
-            f"{who}: C changed by {change['size']:+.2%} ± {change['sigma']:.2%}{_tell_shape(change)} "
+            f"{who}: C changed by {tell_change(change['size'], change['sigma'], change['shape'], frequency_mhz)} "
             f"on {format_instant(since)[:10]} ± {change['date_sigma_days']:.1f} days"
         )
         is_cut = cuts_windows and any(_list_cuts({"changes": [change]}))
@@ -163,33 +166,19 @@ def tell_news(report: Mapping[str, Any], *, cuts_windows: bool) -> Iterator[News
         is_path = slope["antenna"] is not None
         scope = Scope(slope["station"], slope["antenna"], slope["dipole"]) if is_path else Scope(slope["station"])
         beside = "its station" if is_path else "the other stations"
+        amount = tell_change(slope["slope"], slope["sigma"], slope["shape"], frequency_mhz)
         sentence = (
-            f"{_name(slope['station'], slope)}: C changes by {slope['slope']:+.2%} ± {slope['sigma']:.2%} a year "
+            f"{name_path(slope['station'], slope['antenna'], slope['dipole'])}: C changes by {amount} a year "
             f"beside {beside}"
         )
         yield News(SLOPE, scope, "" if is_path else slope["dipole"], sentence, slope)
     whole = report["trends"].get("array")
     if whole is not None and whole["p_value"] < TREND_P:
-        sentence = f"C of all paths changes by {whole['slope']:+.2%} ± {whole['sigma']:.2%} a year"
+        sentence = f"C of all paths changes by {write_change(whole['slope'], whole['sigma'])} a year"
         yield News(SLOPE, Scope(), "", sentence, {name: whole[name] for name in ("slope", "sigma", "limit_95")})
-
-
-def _tell_shape(change: Mapping[str, Any]) -> str:
-    """What changed along frequency beside the mean over the band, where it is plain."""
-    told = [
-        f"{at} by {math.expm1(shape['value']):+.2%} ± {math.exp(shape['value']) * shape['sigma']:.2%} more"
-        for at, shape in ((at, change["shape"][mode]) for mode, at in PLACES.items())
-        if abs(shape["value"]) > PLAIN_SHAPE * shape["sigma"]
-    ]
-    return f" in the mean over the band, {' and '.join(told)}," if told else ""
 
 
 def _propose(change: Mapping[str, Any], date: str) -> list[dict[str, Any]]:
     """What the instrument file would say if hardware changed then: refits cut their windows there."""
     antennas = sorted({one["antenna"] for one in change["members"] if one["antenna"] is not None})
     return [{"station": change["station"], "antenna": antenna, "since": date} for antenna in antennas]
-
-
-def _name(station: str, one: Mapping[str, Any]) -> str:
-    """A path, or a polarisation of a station, in words."""
-    return f"{station} {one['dipole']}" if one["antenna"] is None else f"{station}/{one['antenna']}/{one['dipole']}"

@@ -146,14 +146,14 @@ def test_a_step_is_raised_once_and_a_season_not_at_all(station: Factory) -> None
     _, key = station.keys.create(("admin",))
     with TestClient(make_app(station), headers={"Authorization": f"Bearer {key}"}) as client:
         (step,) = alarms(client, kind="step")
-        assert step["sentence"].startswith("CS002/2/Y: C changed by -6.")
+        assert step["sentence"].startswith("CS002 antenna 2 Y: C changed by -6.")
         assert abs(np.datetime64(step["since"][:10]) - np.datetime64("2015-04-11")) <= np.timedelta64(3, "D")
         (proposed,) = step["content"]["proposal"]
         assert (proposed["station"], proposed["antenna"], proposed["since"]) == ("CS002", 2, step["since"])
         assert alarms(client, kind="slope") == []
         assert look_for_due_work(station) == []
         assert len(alarms(client, kind="step", state="all")) == 1
-        assert "CS002/2/Y" in client.get("/alarms").text
+        assert "CS002 antenna 2 Y" in client.get("/alarms").text
 
 
 def test_a_cause_that_stopped_paying_is_an_alarm_until_it_pays_or_is_withdrawn(
