@@ -22,6 +22,7 @@ from threadpoolctl import threadpool_limits
 
 from lbacal_core.calibration.chain_test import SkyFreedom
 from lbacal_core.calibration.fit import fit_calibration
+from lbacal_core.calibration.singles import FitSingles, fit_singles
 from lbacal_core.chain.terms import ChainTerms
 from lbacal_core.covariance import compress_covariance
 from lbacal_core.curves import CalibrationCurve, FitReport
@@ -145,7 +146,13 @@ class FittedCauses:
                 stations.append(replace(one, rows=at, path=one.path[kept], event=one.event[kept]))
         return replace(self, recorded=self.recorded.select(rows), stations=stations)
 
-    def fit(self, scope: str, freedom: SkyFreedom | None = None, without: Sequence[CalibrationCurve] = ()) -> FitReport:
+    def fit(
+        self,
+        scope: str,
+        freedom: SkyFreedom | None = None,
+        without: Sequence[CalibrationCurve] = (),
+        singles: FitSingles = fit_singles,
+    ) -> FitReport:
         """Calibrate with the model; parameters as in `fit_calibration`, which it is where no cause acts.
 
         The error of the sizes is in the statistical error of C, and common to all curves of a station.
@@ -156,7 +163,7 @@ class FittedCauses:
             Where the model has one size, curves of these spectra without its cause, if they are at hand: what the error
             of the size does to C is then taken in proportion to what the size does, which saves a fit.
         """
-        report = fit_calibration(self.spectra, self.instrument, self.sky_power, scope, freedom)
+        report = fit_calibration(self.spectra, self.instrument, self.sky_power, scope, freedom, singles)
         if self.model.is_plain:
             return report
         curves = list(report.curves)
@@ -165,7 +172,9 @@ class FittedCauses:
                 changes: list[Sequence[CalibrationCurve]] = [_move_in_proportion(report.curves, without, one.sizes[0])]
             else:
                 changes = [
-                    fit_calibration(self._divide_out((number, k)), self.instrument, self.sky_power, scope).curves
+                    fit_calibration(
+                        self._divide_out((number, k)), self.instrument, self.sky_power, scope, singles=singles
+                    ).curves
                     for k in range(len(one.sizes))
                 ]
             if changes:

@@ -12,9 +12,11 @@ from __future__ import annotations
 
 from lbacal_core.adopted import fit_causes
 from lbacal_core.calibration.freedom import free_own_sky
+from lbacal_core.calibration.singles import RememberedSingles
 from lbacal_core.curves import FitReport
 from lbacal_core.instrument import Instrument
 from lbacal_core.model import PLAIN, Model
+from lbacal_core.remembered import Remembered
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra import Spectra
@@ -54,6 +56,7 @@ def calibrate(
     freedom = None if sky_power is not None else free_own_sky(instrument)
     sky_power = sky_power or compute_sky_power(instrument)
     fitted = fit_causes(spectra, instrument, sky_power, model, is_own_sky=freedom is not None)
-    report = fitted.fit(scope, freedom)
-    budget = compute_budget(fitted.spectra, instrument, sky_power, sky_budget, freedom=freedom)
+    singles = RememberedSingles(Remembered(len(spectra)))
+    report = fitted.fit(scope, freedom, singles=singles)
+    budget = compute_budget(fitted.spectra, instrument, sky_power, sky_budget, freedom=freedom, singles=singles)
     return add_budget(report, budget)

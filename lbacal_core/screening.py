@@ -91,7 +91,7 @@ def screen_block(block: SpectraBlock, longitude_deg: float) -> Screened:
             found.append(Anomaly(str(block.event_id[event]), *owner, factor, frequency, why))
         is_steady[k] = is_off[k].sum() <= LARGEST_SHARE * living.is_present[k].sum()
         is_left_out[k, events] = [why is None for why in kept]
-    return Screened(_without(block, is_left_out), tuple(found), is_steady)
+    return Screened(leave_out(block, is_left_out), tuple(found), is_steady)
 
 
 def _find_dead(block: SpectraBlock) -> NDArray[np.bool_]:
@@ -123,7 +123,7 @@ def _compare_with_usual(block: SpectraBlock, longitude_deg: float) -> tuple[Floa
     return departure, is_off | np.any(np.abs(departure) > cut[:, None, :] * noisier[:, :, None], axis=2)
 
 
-def _without(block: SpectraBlock, is_left_out: NDArray[np.bool_]) -> SpectraBlock:
+def leave_out(block: SpectraBlock, is_left_out: NDArray[np.bool_]) -> SpectraBlock:
     """The block with some spectra absent."""
     if not np.any(is_left_out):
         return block

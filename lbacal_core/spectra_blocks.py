@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lbacal_core.grids import Floats
+from lbacal_core.provenance import hash_arrays
 from lbacal_core.spectra import Spectra
 
 
@@ -40,6 +41,13 @@ class SpectraBlock:
     is_present: NDArray[np.bool_]
     blocks: NDArray[np.int64]
     environment: Mapping[str, Floats] = field(default_factory=dict)
+
+    def digest(self) -> str:
+        """Hash of every value that a fit sees."""
+        return hash_arrays(
+            [self.station, self.dipole], self.frequency_mhz, self.antennas, self.event_id, self.time_unix, self.power,
+            self.is_present, self.blocks,
+        )  # fmt: skip
 
 
 def split_into_blocks(spectra: Spectra) -> list[SpectraBlock]:

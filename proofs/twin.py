@@ -12,7 +12,7 @@ from functools import cache, partial
 import numpy as np
 
 from lbacal_core.calibration.fit import fit_calibration
-from lbacal_core.calibration.paths import MIN_EVENTS
+from lbacal_core.calibration.singles import MIN_EVENTS
 from lbacal_core.curves import CalibrationCurve
 from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.instrument import load_instrument

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cached_property
 
 from lbacal_core.calibration.chain_test import SkyFreedom
+from lbacal_core.calibration.singles import RememberedSingles
 from lbacal_core.instrument import Instrument, load_instrument
+from lbacal_core.remembered import Remembered
+from lbacal_core.skypower.sky_terms import SkyTerm
 from lbacal_core.skypower.table import SkyPower, read_sky_power
 from lbacal_core.validity import Instant
 from service.config import Settings
@@ -35,6 +38,9 @@ from service.usecases.status import Status
 from service.usecases.tags import Tags
 from service.usecases.watch import Watch
 from service.wire.hdf5_body import FileReader
+
+BLOCKS_REMEMBERED = 16
+"""Single fits of stations' years and polarisations that stay in a worker's memory: those of an array's year, 150 MB."""
 
 
 def read_clock() -> Instant:
@@ -100,6 +106,13 @@ class Factory:
         return free_own_sky(self.instrument)
 
     @cached_property
+    def changes(self) -> Sequence[SkyTerm]:
+        """What sky, pattern and ground may be wrong by, for the budget of C."""
+        from lbacal_core.uncertainty.changes import list_changes
+
+        return list_changes(self.instrument)
+
+    @cached_property
     def inputs(self) -> Inputs:
         """What fits are made with here, besides spectra."""
         return name_inputs(self.instrument, self.sky_power)
@@ -121,7 +134,8 @@ class Factory:
         """Versions from stored spectra."""
         is_own_sky, resistance = self.settings.sky_power is None, self.settings.resistance_ohm
         sky, freedom = self._get_sky_power, self._get_freedom
-        return Fits(self.instrument, sky, freedom, is_own_sky, resistance, self.clock)
+        singles = RememberedSingles(Remembered(BLOCKS_REMEMBERED))
+        return Fits(self.instrument, sky, freedom, is_own_sky, resistance, self.clock, self._get_changes, singles)
 
     @cached_property
     def payoff(self) -> Payoff:
@@ -189,6 +203,9 @@ class Factory:
 
     def _get_sky_power(self) -> SkyPower:
         return self.sky_power
+
+    def _get_changes(self) -> Sequence[SkyTerm]:
+        return self.changes
 
     def _get_freedom(self) -> SkyFreedom | None:
         return self.freedom

@@ -38,15 +38,24 @@ SMALLEST_SHARE = 1e-9
 
 
 def solve_without_interference(
-    slope: Floats, intercept: Floats, information: Floats, terms: Intercepts
+    slope: Floats,
+    intercept: Floats,
+    information: Floats,
+    terms: Intercepts,
+    solution: SeparableSolution | None = None,
 ) -> tuple[SeparableSolution, Booleans]:
     """Fit the chain to lines, with the intercept of a channel left free where it stands out above all others.
+
+    Parameters
+    ----------
+    solution
+        That with no intercept free, if it is at hand.
 
     Returns
     -------
     The solution, and which channels have a free intercept, shape (path, freq).
     """
-    solution = solve_separable(slope, intercept, information, terms)
+    solution = solution or solve_separable(slope, intercept, information, terms)
     is_free = np.zeros(slope.shape, dtype=bool)
     left = information
     at = np.flatnonzero(solution.is_converged & solution.is_identifiable)

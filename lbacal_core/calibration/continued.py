@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from lbacal_core.calibration.channels import solve_without_interference
 from lbacal_core.calibration.lines import Lines, SharedNoise, continue_lines
 from lbacal_core.calibration.noise import NoiseLevels
-from lbacal_core.calibration.paths import MIN_EVENTS, MeanOfEvents, Paths
+from lbacal_core.calibration.paths import MeanOfEvents, Paths
+from lbacal_core.calibration.singles import MIN_EVENTS, relative_variance_of
 from lbacal_core.chain.model import calibration_factor
 from lbacal_core.chain.noise import noise_constants
 from lbacal_core.curves import CalibrationCurve
@@ -128,7 +129,7 @@ def _read_paths(
     at = [row[antenna] for antenna in block.antennas[is_known].tolist()]
     power = np.ones((paths, block.time_unix.size, channels))
     variance = np.full(power.shape[:2], np.inf)
-    power[at], variance[at] = block.power[is_known], _relative_variance(block, kept.typical_blocks)[is_known]
+    power[at], variance[at] = block.power[is_known], relative_variance_of(block, kept.typical_blocks)[is_known]
     lst_hours = local_sidereal_time(block.time_unix, instrument.at_station(station).longitude_deg)
     sky = sky_power.of_station(station).at(dipole, lst_hours)
     expected = kept.slope[:, None] * sky + kept.intercept[:, None]
@@ -156,16 +157,11 @@ def _read_mean(
         is_member = np.isin(block.antennas, members.antennas[of_station])
         place = of_station[np.searchsorted(members.antennas[of_station], block.antennas[is_member])]
         expected = members.slope[place, None] * sky + members.intercept[place, None]
-        power, variance = block.power[is_member], _relative_variance(block, kept.typical_blocks)[is_member]
+        power, variance = block.power[is_member], relative_variance_of(block, kept.typical_blocks)[is_member]
         is_odd = is_odd or bool(np.any(_is_odd(power, expected, variance, members.scatter[place])))
-        mean.add(at, power, expected, members.level[place], variance)
+        mean.add(at, power, sky, members.slope[place], members.intercept[place], members.level[place], variance)
     power, variance = mean.take(sky_power.of_station(station).at(dipole, lst_hours), members)
     return _Events(lst_hours, power[None], variance[None] / kept.variance_unit, np.array([is_odd]))
-
-
-def _relative_variance(block: SpectraBlock, typical_blocks: float) -> Floats:
-    with np.errstate(divide="ignore"):
-        return np.asarray(typical_blocks / block.blocks)
 
 
 def _is_odd(power: Floats, expected: Floats, variance: Floats, scatter: Floats) -> NDArray[np.bool_]:

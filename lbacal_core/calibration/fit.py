@@ -7,7 +7,7 @@ or the mean over the antennas of a station or of the array, which has the same c
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -21,15 +21,9 @@ from lbacal_core.calibration.continued import keep_lines
 from lbacal_core.calibration.lines import Lines, fit_lines
 from lbacal_core.calibration.merged import describe_merged
 from lbacal_core.calibration.mistakes import describe_mistakes, name_mistakes
-from lbacal_core.calibration.paths import (
-    MIN_EVENTS,
-    Cables,
-    Paths,
-    chain_forms,
-    paths_of_scope,
-    require_one_cable_each,
-)
+from lbacal_core.calibration.paths import Cables, Paths, paths_of_scope, require_one_cable_each
 from lbacal_core.calibration.separable import SeparableSolution
+from lbacal_core.calibration.singles import MIN_EVENTS, FitSingles, chain_forms, fit_singles
 from lbacal_core.calibration.spreads import measure_spreads
 from lbacal_core.chain.model import calibration_factor
 from lbacal_core.chain.noise import noise_constants
@@ -74,6 +68,7 @@ def fit_calibration(
     sky_power: SkyPower,
     scope: str = "antenna",
     freedom: SkyFreedom | None = None,
+    singles: FitSingles = fit_singles,
 ) -> FitReport:
     """Calibrate every antenna, every station or the whole array.
 
@@ -87,6 +82,8 @@ def fit_calibration(
         ``antenna`` (one curve a path), ``station`` or ``array`` (one curve a polarisation).
     freedom
         By how much P_sky may differ from the one given before a curve is a misfit; None takes it at its word.
+    singles
+        What fits the paths of a block by themselves.
 
     Returns
     -------
@@ -106,7 +103,8 @@ def fit_calibration(
     cable_of = require_one_cable_each(spectra, instrument)
     table = CableTable.of(instrument)
 
-    def fit_paths(paths: Paths) -> _Fitted:
+    def fit_paths(read: Callable[[], Paths]) -> _Fitted:
+        paths = read()
         station, _, letter = paths.owners[0]
         sky = sky_power.of_station(station).at(letter, paths.lst_hours)
         curves, lines = _fit_paths(paths, sky, instrument, freedom)
@@ -118,7 +116,7 @@ def fit_calibration(
     # BLAS would start within each cost twice the time.
     with threadpool_limits(1), ThreadPoolExecutor(os.cpu_count()) as pool:
         digest = pool.submit(spectra.digest)
-        batches = list(pool.map(fit_paths, paths_of_scope(spectra, instrument, sky_power, scope, cable_of)))
+        batches = list(pool.map(fit_paths, paths_of_scope(spectra, instrument, sky_power, scope, cable_of, singles)))
     fitted = [one for curves, *_ in batches for one in curves]
     fitted.sort(key=lambda c: (c[0].station or "", -1 if c[0].antenna is None else c[0].antenna, c[0].dipole or ""))
     mistaken = {} if freedom is None else name_mistakes([(curve, gain) for curve, gain, _ in fitted], freedom.mistakes)
@@ -179,8 +177,10 @@ def _fit_paths(
     paths: Paths, sky: Floats, instrument: Instrument, freedom: SkyFreedom | None
 ) -> tuple[list[tuple[CalibrationCurve, Floats]], Lines]:
     """The chain fitted to the lines of a batch of paths, with the status of each and the gain of each mistake."""
-    lines = fit_lines(paths.power, sky, paths.relative_variance, chain_forms(instrument))
-    terms = noise_constants(instrument)
+    known, terms = paths.fits, noise_constants(instrument)
+    lines = (
+        fit_lines(paths.power, sky, paths.relative_variance, chain_forms(instrument)) if known is None else known.lines
+    )
     is_present = np.isfinite(paths.relative_variance)
     events = is_present.sum(axis=1)
     bins = np.floor(paths.lst_hours / 24.0 * LST_BINS).astype(int) % LST_BINS
@@ -194,7 +194,10 @@ def _fit_paths(
     status[covered < MIN_LST_BINS] = TOO_FEW_LST_BINS
     status[events < MIN_EVENTS] = TOO_FEW_EVENTS
     at = np.flatnonzero(status == CONVERGED)
-    solution, is_free = solve_without_interference(lines.slope[at], lines.intercept[at], lines.information[at], terms)
+    plain = None if known is None else known.solution.take(np.searchsorted(known.solved, at))
+    solution, is_free = solve_without_interference(
+        lines.slope[at], lines.intercept[at], lines.information[at], terms, plain
+    )
     channels = instrument.frequency_mhz.size
     variance = np.einsum("pii->pi", solution.covariance)
     with np.errstate(invalid="ignore", divide="ignore"):

@@ -2,29 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lbacal_core.anomalies import Anomaly
-from lbacal_core.calibration.lines import ChainForms, Lines, fit_lines
-from lbacal_core.calibration.separable import solve_separable
+from lbacal_core.calibration.singles import MIN_EVENTS, FitSingles, SingleFits, fit_singles, relative_variance_of
 from lbacal_core.calibration.spreads import SinglePaths, join_paths
-from lbacal_core.chain.noise import noise_constants
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
 from lbacal_core.instrument import Instrument
 from lbacal_core.kept_lines import MemberLines, join_members
-from lbacal_core.screening import screen_block
+from lbacal_core.screening import leave_out
 from lbacal_core.sidereal import local_sidereal_time
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra import Spectra
 from lbacal_core.spectra_blocks import SpectraBlock, iterate_blocks, split_into_blocks
 
-MIN_EVENTS = 60
-"""Fewer events leave C worse than 2 % and the noise levels worse than 10 %."""
 BLOCK_SAMPLES = 1024
 SHARE_OF_STEADY_PATHS = 0.5
 
@@ -37,7 +34,7 @@ class Paths:
     `relative_variance` is infinite for spectra that are absent or, as `anomalies` says, left out. `smallest_scatter` is
     the least radiometer noise that a single typical spectrum can have, `scatter` what those of a mean have, shape
     (path,); None where the path is a single one. The relative variance of a mean is in units of `variance_unit`, and
-    `member_lines` are those that it was taken with.
+    `member_lines` are those that it was taken with. `fits` are those of single paths.
     """
 
     owners: list[tuple[str | None, int | None, str]]
@@ -52,6 +49,7 @@ class Paths:
     typical_blocks: float = 1.0
     variance_unit: float = 1.0
     member_lines: MemberLines | None = None
+    fits: SingleFits | None = None
 
 
 Cables = Mapping[tuple[str, int], str]
@@ -83,20 +81,28 @@ def require_one_cable_each(spectra: Spectra, instrument: Instrument) -> Cables:
 
 
 def paths_of_scope(
-    spectra: Spectra, instrument: Instrument, sky_power: SkyPower, scope: str, cable_of: Cables
-) -> Iterable[Paths]:
-    """The paths of a scope, a batch at a time."""
+    spectra: Spectra,
+    instrument: Instrument,
+    sky_power: SkyPower,
+    scope: str,
+    cable_of: Cables,
+    singles: FitSingles = fit_singles,
+) -> Iterator[Callable[[], Paths]]:
+    """The paths of a scope, a batch at a time, each batch to be read by whoever has a core for it."""
     typical, smallest = float(np.median(spectra.blocks)), radiometer_limit(spectra)
+
+    def fit(block: SpectraBlock) -> SingleFits:
+        return singles(block, instrument, sky_power, typical)
+
     if scope == "antenna":
         for block in iterate_blocks(spectra):
-            yield replace(_paths_of_block(block, instrument, typical), smallest_scatter=smallest)
+            yield partial(_paths_of_block, block, instrument, typical, smallest, fit)
         return
     blocks = split_into_blocks(spectra)
     groups = {(block.station if scope == "station" else None, block.dipole) for block in blocks}
     for station, dipole in sorted(groups, key=lambda key: (key[0] or "", key[1])):
         members = [b for b in blocks if b.dipole == dipole and station in (None, b.station)]
-        parts = [_paths_of_block(b, instrument, typical, is_for_mean=True) for b in members]
-        yield replace(_mean_path(parts, members, instrument, sky_power, station, cable_of), smallest_scatter=smallest)
+        yield partial(_mean_path, members, instrument, sky_power, station, cable_of, typical, smallest, fit)
 
 
 def radiometer_limit(spectra: Spectra) -> float:
@@ -113,35 +119,36 @@ def radiometer_limit(spectra: Spectra) -> float:
 
 
 def _paths_of_block(
-    block: SpectraBlock, instrument: Instrument, typical_blocks: float, *, is_for_mean: bool = False
+    block: SpectraBlock,
+    instrument: Instrument,
+    typical_blocks: float,
+    smallest_scatter: float,
+    fit: Callable[[SpectraBlock], SingleFits],
 ) -> Paths:
-    """The paths of a block without anomalous spectra; for a mean without those paths that have too many of them.
-
-    Where most paths have too many, they are what the station records, and are averaged.
-    """
-    longitude_deg = instrument.at_station(block.station).longitude_deg
-    screened = screen_block(block, longitude_deg)
-    with np.errstate(divide="ignore"):
-        relative_variance = typical_blocks / screened.block.blocks
-    if is_for_mean and np.mean(screened.is_steady) > SHARE_OF_STEADY_PATHS:
-        relative_variance[~screened.is_steady] = np.inf
+    """The paths of a block without anomalous spectra."""
+    fitted = fit(block)
+    screened = leave_out(block, fitted.is_left_out)
     return Paths(
         owners=[(block.station, int(antenna), block.dipole) for antenna in block.antennas],
-        power=screened.block.power,
-        relative_variance=relative_variance,
-        lst_hours=local_sidereal_time(block.time_unix, longitude_deg),
-        anomalies=screened.anomalies,
+        power=screened.power,
+        relative_variance=relative_variance_of(screened, typical_blocks),
+        lst_hours=local_sidereal_time(block.time_unix, instrument.at_station(block.station).longitude_deg),
+        anomalies=fitted.anomalies,
+        smallest_scatter=smallest_scatter,
         typical_blocks=typical_blocks,
+        fits=fitted,
     )
 
 
 def _mean_path(
-    parts: list[Paths],
     blocks: list[SpectraBlock],
     instrument: Instrument,
     sky_power: SkyPower,
     station: str | None,
     cable_of: Cables,
+    typical_blocks: float,
+    smallest_scatter: float,
+    fit: Callable[[SpectraBlock], SingleFits],
 ) -> Paths:
     """The mean over antennas as a path of its own, the reference chain.
 
@@ -151,36 +158,45 @@ def _mean_path(
     (long cables) enter as much as strong ones, and the variance of C would be too small by 1 + var(P_p) / mean(P_p)^2,
     1.15 for the cables of the Superterp. The chain of the array stands where the instrument does, wherever its stations
     stand: each deviates from its lines against the sky that it sees itself.
+
+    A path with too many anomalous spectra is no member. Where most have too many, they are what the station records,
+    and are averaged.
     """
     events = np.unique(np.concatenate([block.event_id for block in blocks]))
     dipole = blocks[0].dipole
     channels = blocks[0].frequency_mhz.size
     mean = MeanOfEvents(events.size, channels)
     lst_hours = np.zeros(events.size)
+    anomalies: list[Anomaly] = []
     members: list[tuple[str, int]] = []
     found: list[MemberLines] = []
     singles: list[SinglePaths] = []
     scatters: list[Floats] = []
-    forms, place = chain_forms(instrument), instrument.at_station(station)
-    for part, block in zip(parts, blocks, strict=True):
+    place = instrument.at_station(station)
+    for block in blocks:
+        fitted = fit(block)
+        anomalies += fitted.anomalies
         at = np.searchsorted(events, block.event_id)
         lst_hours[at] = local_sidereal_time(block.time_unix, place.longitude_deg)
-        has_enough = np.isfinite(part.relative_variance).sum(axis=1) >= MIN_EVENTS
-        if not np.any(has_enough):
+        screened = leave_out(block, fitted.is_left_out)
+        is_member = screened.is_present.sum(axis=1) >= MIN_EVENTS
+        if np.mean(fitted.is_steady) > SHARE_OF_STEADY_PATHS:
+            is_member &= fitted.is_steady
+        if not np.any(is_member):
             continue
-        power, variance = part.power[has_enough], part.relative_variance[has_enough]
-        sky = sky_power.of_station(block.station).at(dipole, part.lst_hours)
-        lines = fit_lines(power, sky, variance, forms)
-        expected = lines.power(sky)
-        level = expected.mean(axis=(1, 2))
-        mean.add(at, power, expected, level, variance)
-        stations = np.full(len(power), block.station)
-        antennas = block.antennas[has_enough]
+        power, variance = screened.power[is_member], relative_variance_of(screened, typical_blocks)[is_member]
+        seen = instrument.at_station(block.station).longitude_deg
+        sky = sky_power.of_station(block.station).at(dipole, local_sidereal_time(block.time_unix, seen))
+        lines = fitted.lines.select(np.flatnonzero(is_member))
+        level = (lines.slope * sky.mean(axis=0) + lines.intercept).mean(axis=1)
+        mean.add(at, power, sky, lines.slope, lines.intercept, level, variance)
+        antennas = block.antennas[is_member]
+        stations = np.full(antennas.size, block.station)
         found.append(MemberLines(stations, antennas, lines.slope, lines.intercept, level, lines.levels.of_band))
-        averaged = [(block.station, int(antenna)) for antenna in block.antennas[has_enough]]
+        averaged = [(block.station, int(antenna)) for antenna in antennas]
         members += averaged
         scatters.append(np.median(lines.levels.radiometer, axis=1))
-        singles.append(_single_paths(averaged, lines, instrument, cable_of))
+        singles.append(_single_paths(averaged, fitted, is_member, instrument, cable_of))
     member_lines = join_members(found) if found else None
     power, relative_variance = mean.take(sky_power.of_station(station).at(dipole, lst_hours), member_lines)
     has_data = np.isfinite(relative_variance)
@@ -191,11 +207,12 @@ def _mean_path(
         power=power[None],
         relative_variance=relative_variance[None],
         lst_hours=lst_hours,
-        anomalies=[anomaly for part in parts for anomaly in part.anomalies],
+        anomalies=anomalies,
+        smallest_scatter=smallest_scatter,
         scatter=np.array([np.median(np.concatenate(scatters))]) if scatters else None,
         members=members,
         singles=join_paths(singles) if singles else None,
-        typical_blocks=parts[0].typical_blocks,
+        typical_blocks=typical_blocks,
         variance_unit=unit,
         member_lines=member_lines,
     )
@@ -209,15 +226,23 @@ class MeanOfEvents:
         self._share, self._scatter = np.zeros((2, events))
 
     def add(
-        self, at: NDArray[np.intp], power: Floats, expected: Floats, level: Floats, relative_variance: Floats
+        self,
+        at: NDArray[np.intp],
+        power: Floats,
+        sky: Floats,
+        slope: Floats,
+        intercept: Floats,
+        level: Floats,
+        relative_variance: Floats,
     ) -> None:
-        """Add members: what they recorded and what their lines say of these events, shape (path, event, freq)."""
-        is_present = np.isfinite(relative_variance)
-        self._deviation[at] += np.einsum("pe,pef->ef", is_present, power - expected)
-        self._total[at] += np.einsum("pe,pef->ef", is_present, expected)
+        """Add members: what they recorded, shape (path, event, freq), and what their lines say of these events."""
+        is_present = np.isfinite(relative_variance).astype(float)
+        expected = (is_present.T @ slope) * sky + is_present.T @ intercept
+        self._deviation[at] += np.einsum("pe,pef->ef", is_present, power) - expected
+        self._total[at] += expected
         of_path = level[:, None] * is_present
         self._share[at] += of_path.sum(axis=0)
-        self._scatter[at] += np.sum(of_path**2 * np.where(is_present, relative_variance, 0.0), axis=0)
+        self._scatter[at] += np.sum(of_path**2 * np.where(is_present > 0, relative_variance, 0.0), axis=0)
 
     def take(self, sky: Floats, members: MemberLines | None) -> tuple[Floats, Floats]:
         """The power of the mean, shape (event, freq), and its relative variance, infinite where nobody recorded."""
@@ -230,22 +255,20 @@ class MeanOfEvents:
         return power, np.where(has_data, self._scatter / np.where(has_data, self._share, 1.0) ** 2, np.inf)
 
 
-def _single_paths(owners: list[tuple[str, int]], lines: Lines, instrument: Instrument, cable_of: Cables) -> SinglePaths:
+def _single_paths(
+    owners: list[tuple[str, int]],
+    fitted: SingleFits,
+    is_member: NDArray[np.bool_],
+    instrument: Instrument,
+    cable_of: Cables,
+) -> SinglePaths:
     """The slopes of paths fitted by themselves; NaN where the fit determined none."""
-    solution = solve_separable(lines.slope, lines.intercept, lines.information, noise_constants(instrument))
-    channels = instrument.frequency_mhz.size
-    variance = np.einsum("pii->pi", solution.covariance)[:, :channels]
-    is_good = (solution.is_converged & solution.is_identifiable)[:, None] & np.isfinite(solution.x) & (variance > 0)
     cables = [cable_of[owner] for owner in owners]
+    slope, sigma = fitted.slopes_of(np.flatnonzero(is_member))
     return SinglePaths(
         stations=np.array([station for station, _ in owners]),
         cables=np.array(cables),
-        slope=np.where(is_good, solution.x, np.nan),
-        sigma=np.sqrt(np.where(is_good, variance, np.nan)),
+        slope=slope,
+        sigma=sigma,
         loss=np.array([instrument.cables[cable] for cable in cables]),
     )
-
-
-def chain_forms(instrument: Instrument) -> ChainForms:
-    """The forms along frequency by which the gain of an event may fluctuate."""
-    return ChainForms.of(instrument.frequency_mhz, instrument.antenna_gain, instrument.receiver_gain)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lbacal_core.calibration.paths import MIN_EVENTS
+from lbacal_core.calibration.singles import MIN_EVENTS
 from lbacal_core.causes.cause import Cause, SizeRange, Template, signature
 from lbacal_core.causes.conditions import Conditions
 from lbacal_core.chain.terms import ChainTerms

@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lbacal_core.calibration.paths import MIN_EVENTS, Cables, require_one_cable_each
+from lbacal_core.calibration.paths import Cables, require_one_cable_each
+from lbacal_core.calibration.singles import MIN_EVENTS
 from lbacal_core.causes.conditions import Conditions
 from lbacal_core.causes.directions import SkyRatio, sky_ratios
 from lbacal_core.chain.noise import noise_constants

@@ -61,15 +61,15 @@ def cut_window(
         known = tuple(date for date in dates if since_unix < date < until_unix)
         if known:
             inside[owner] = known
-    owners = _owners(spectra)
-    changed = {owner: inside[owner] for owner in sorted(set(owners)) if inside.get(owner)}
+    owners, owner_at = _find_owners(spectra)
+    changed = {owner: inside[owner] for owner in owners if inside.get(owner)}
     if not changed:
         return [Piece(since_unix, until_unix, np.ones(len(spectra), dtype=bool))]
-    has_changed = np.array([owner in changed for owner in owners])
+    has_changed = np.array([owner in changed for owner in owners])[owner_at]
     rest = [] if np.all(has_changed) else [Piece(since_unix, until_unix, ~has_changed)]
     if scope == "antenna":
-        return rest + list(_cut_each(spectra, owners, changed, since_unix, until_unix))
-    if len(changed) <= LARGEST_SHARE_LEFT_OUT * len(set(owners)):
+        return rest + list(_cut_each(spectra, owners, owner_at, changed, (since_unix, until_unix)))
+    if len(changed) <= LARGEST_SHARE_LEFT_OUT * len(owners):
         return rest
     edges = [since_unix, *sorted({date for dates in changed.values() for date in dates}), until_unix]
     return list(_pieces(spectra, np.ones(len(spectra), dtype=bool), edges))
@@ -79,7 +79,8 @@ def leave_out_changed(spectra: Spectra, instrument: Instrument) -> Spectra | Non
     """The spectra of antennas that did not change while these were recorded; None where there are none."""
     first, last = float(spectra.time_unix.min()), float(spectra.time_unix.max())
     changes = find_hardware_changes(instrument)
-    is_whole = np.array([not any(first < d <= last for d in changes.get(o, ())) for o in _owners(spectra)])
+    owners, owner_at = _find_owners(spectra)
+    is_whole = np.array([not any(first < d <= last for d in changes.get(o, ())) for o in owners])[owner_at]
     return spectra if np.all(is_whole) else spectra.select(is_whole) if np.any(is_whole) else None
 
 
@@ -123,17 +124,24 @@ def _holds(since: float | None, until: float | None, time_unix: float) -> bool:
     return (since is None or since <= time_unix) and (until is None or time_unix < until)
 
 
-def _owners(spectra: Spectra) -> list[Owner]:
-    return list(zip(spectra.station.tolist(), spectra.antenna.tolist(), strict=True))
+def _find_owners(spectra: Spectra) -> tuple[list[Owner], NDArray[np.int64]]:
+    """The antennas that spectra are of, rising, and which of them each row is of, shape (row,)."""
+    (stations, station_at), (antennas, antenna_at) = spectra.key_codes["station"], spectra.key_codes["antenna"]
+    codes, owner_at = np.unique(station_at * antennas.size + antenna_at, return_inverse=True)
+    return [(str(stations[one // antennas.size]), int(antennas[one % antennas.size])) for one in codes], owner_at
 
 
 def _cut_each(
-    spectra: Spectra, owners: list[Owner], changed: dict[Owner, tuple[float, ...]], since_unix: float, until_unix: float
+    spectra: Spectra,
+    owners: list[Owner],
+    owner_at: NDArray[np.int64],
+    changed: dict[Owner, tuple[float, ...]],
+    ends: tuple[float, float],
 ) -> Iterator[Piece]:
     """The pieces of antennas that changed; those that changed at the same dates share theirs."""
     for dates in sorted(set(changed.values())):
-        is_one = np.array([changed.get(owner) == dates for owner in owners])
-        yield from _pieces(spectra, is_one, [since_unix, *dates, until_unix])
+        is_one = np.array([changed.get(owner) == dates for owner in owners])[owner_at]
+        yield from _pieces(spectra, is_one, [ends[0], *dates, ends[1]])
 
 
 def _pieces(spectra: Spectra, is_one: NDArray[np.bool_], edges: list[float]) -> Iterator[Piece]:

@@ -20,8 +20,9 @@ from lbacal_core.calibration.chain_test import SkyFreedom, compare_predictions
 from lbacal_core.calibration.channels import LARGEST_GOOD_ERROR, solve_without_interference
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.calibration.lines import ChainForms, Lines, fit_lines
-from lbacal_core.calibration.paths import Paths, chain_forms, paths_of_scope, require_one_cable_each
+from lbacal_core.calibration.paths import Paths, paths_of_scope, require_one_cable_each
 from lbacal_core.calibration.separable import SeparableSolution
+from lbacal_core.calibration.singles import FitSingles, chain_forms, fit_singles
 from lbacal_core.chain.noise import noise_constants
 from lbacal_core.covariance import Budget, BudgetTerm
 from lbacal_core.curves import OK, UNCERTAIN, CalibrationCurve, FitReport
@@ -116,6 +117,7 @@ def compute_budget(
     sky_budget: str = DEFAULT_SKY_BUDGET,
     changes: Sequence[SkyTerm] | None = None,
     freedom: SkyFreedom | None = None,
+    singles: FitSingles = fit_singles,
 ) -> Budget:
     """The systematic terms of C that all curves of these data share.
 
@@ -134,9 +136,10 @@ def compute_budget(
     # threads of BLAS cost more than they give for matrices as small as these
     with threadpool_limits(1), ThreadPoolExecutor(os.cpu_count()) as pool:
         changes = list_changes(instrument, sky_budget) if changes is None else changes
+        means = pool.map(lambda read: read(), paths_of_scope(spectra, instrument, sky_power, "array", cables, singles))
         refits = {
             paths.owners[0][2]: _Refit.of(paths, sky_power.at(paths.owners[0][2], paths.lst_hours), noise, forms)
-            for paths in paths_of_scope(spectra, instrument, sky_power, "array", cables)
+            for paths in means
             if paths.members
         }
         found = {polarisation: list(pool.map(refit.change_sky, changes)) for polarisation, refit in refits.items()}

@@ -12,13 +12,13 @@ from lbacal_core.errors import BadInputError
 from lbacal_core.in_words import name_path
 from lbacal_core.instrument import Instrument
 from lbacal_core.reference_chain import ReferenceChain
+from lbacal_core.remembered import Remembered
 from lbacal_core.validity import Instant, Promotion, Scope
 from service.errors import NotInEffectError
 from service.storage.database import Database
 from service.storage.examined import Examined
 from service.storage.ledger import Neighbours
 from service.storage.versions import MICROSECONDS, Version
-from service.usecases.remembered import Remembered
 from service.wire.instants import format_instant
 
 PROMOTIONS_SHOWN = 100

@@ -6,7 +6,7 @@ Nothing is written here: a refit keeps what these functions make, and the dry ru
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,7 @@ from lbacal_core.adopted import FittedCauses, fit_causes
 from lbacal_core.anomalies import Anomalies
 from lbacal_core.audit.quick import audit_quickly
 from lbacal_core.calibration.chain_test import SkyFreedom
-from lbacal_core.calibration.paths import MIN_EVENTS
+from lbacal_core.calibration.singles import MIN_EVENTS, FitSingles
 from lbacal_core.covariance import Budget
 from lbacal_core.curves import CalibrationCurve, FitReport
 from lbacal_core.drift.windows import cut_window
@@ -25,6 +25,8 @@ from lbacal_core.instrument import Instrument
 from lbacal_core.kept_lines import KeptLines
 from lbacal_core.model import Model
 from lbacal_core.reference_chain import ReferenceChain
+from lbacal_core.remembered import Remembered
+from lbacal_core.skypower.sky_terms import SkyTerm
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra import Spectra
 from lbacal_core.uncertainty.refit import add_budget, compute_budget
@@ -39,6 +41,7 @@ from service.usecases.windows import SECOND_US, lend_to_small, share_misfits
 from service.wire.instants import format_instant
 
 GAIN_STEP = "gain_step"
+BUDGETS_REMEMBERED = 8
 
 
 @dataclass(frozen=True)
@@ -87,6 +90,9 @@ class Fits:
     is_own_sky: bool
     resistance_ohm: float
     clock: Callable[[], Instant]
+    changes: Callable[[], Sequence[SkyTerm]]
+    singles: FitSingles
+    budgets: Remembered[str, Budget] = field(default_factory=lambda: Remembered(BUDGETS_REMEMBERED))
 
     def load(self, stores: Stores, wanted: Wanted) -> Spectra:
         """The spectra of a fit, or an error where there is none."""
@@ -101,7 +107,8 @@ class Fits:
 
     def fit_causes(self, spectra: Spectra, model: Model, *, are_sizes_known: bool = False) -> FittedCauses:
         """Fit the sizes of the adopted causes to all spectra of their stations, where these are enough for any fit."""
-        enough = model.of_stations([name for name in np.unique(spectra.station).tolist() if _has_enough(spectra, name)])
+        stations = [] if model.is_plain else np.unique(spectra.station).tolist()
+        enough = model.of_stations([name for name in stations if _has_enough(spectra, name)])
         return fit_causes(
             spectra, self.instrument, self.sky_power(), enough, is_own_sky=self.is_own_sky,
             are_sizes_known=are_sizes_known,
@@ -116,7 +123,7 @@ class Fits:
         made, versions = self.clock(), list[Version]()
         for of_piece, recorded, during in self._cut(whole, wanted):
             plain = [curve for one in before if one.window == (during.since, during.until) for curve in one.curves]
-            report = add_budget(of_piece.fit(wanted.scope, self.freedom(), plain), budget)
+            report = add_budget(of_piece.fit(wanted.scope, self.freedom(), plain, self.singles), budget)
             versions += _versions(recorded, report, during, made, _name_beside(whole, wanted), self.instrument)
         return versions
 
@@ -130,10 +137,8 @@ class Fits:
             beside[BUDGET] = budget.digest
         pieces, versions, budgets, lines = [], list[Version](), dict[str, Budget](), []
         for of_piece, recorded, during in self._cut(whole, wanted):
-            audit_quickly(of_piece.recorded, self.instrument).require_power(f"spectra of {name_path(*wanted.of.parts)}")
-            freedom = self.freedom()
-            of_data = budget or compute_budget(of_piece.spectra, self.instrument, self.sky_power(), freedom=freedom)
-            report = add_budget(of_piece.fit(wanted.scope, freedom), of_data)
+            of_data = budget or self._audit_and_budget(of_piece, wanted)
+            report = add_budget(of_piece.fit(wanted.scope, self.freedom(), singles=self.singles), of_data)
             versions += _versions(recorded, report, during, made, beside, self.instrument)
             budgets |= report.budgets
             if report.lines:
@@ -142,6 +147,18 @@ class Fits:
         if len(pieces) > 1:
             versions = share_misfits(versions)
         return Made(lend_to_small(versions, pieces, self.instrument, self.sky_power()), budgets, lines)
+
+    def _audit_and_budget(self, fitted: FittedCauses, wanted: Wanted) -> Budget:
+        """The budget of spectra whose unit is that of power: one for all scopes that are fitted to them."""
+        key = fitted.spectra.digest()
+
+        def compute(_: list[str]) -> dict[str, Budget]:
+            audit_quickly(fitted.recorded, self.instrument).require_power(f"spectra of {name_path(*wanted.of.parts)}")
+            inputs = fitted.spectra, self.instrument, self.sky_power()
+            budget = compute_budget(*inputs, changes=self.changes(), freedom=self.freedom(), singles=self.singles)
+            return {key: budget}
+
+        return self.budgets.get_many([key], compute)[key]
 
     def _cut(self, whole: FittedCauses, wanted: Wanted) -> Iterator[tuple[FittedCauses, Spectra, Wanted]]:
         """The pieces of the window of a fit: what is fitted, the spectra by which it is named, and when it lies."""

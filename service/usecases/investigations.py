@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from lbacal_core.calibration.paths import MIN_EVENTS
+from lbacal_core.calibration.singles import MIN_EVENTS
 from lbacal_core.discovery.policy import Policy
 from lbacal_core.drift.windows import leave_out_changed
 from lbacal_core.instrument import Instrument

@@ -35,7 +35,8 @@ class Payoff:
 
     def measure(self, whole: FittedCauses, wanted: Wanted, known_until: Mapping[str, Instant]) -> list[Gain]:
         """The gain of every adopted cause on the events of a window that are new to it."""
-        spectra, found = leave_out_changed(whole.recorded, self.instrument), list[Gain]()
+        found = list[Gain]()
+        spectra = leave_out_changed(whole.recorded, self.instrument) if known_until else None
         if spectra is None:
             return found
         names = [Model((cause,)).id for cause in whole.model.causes]

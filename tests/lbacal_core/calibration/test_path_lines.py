@@ -6,7 +6,7 @@ import pytest
 from lbacal_core.calibration.chain_test import SkyFreedom
 from lbacal_core.calibration.lines import fit_lines
 from lbacal_core.calibration.path_lines import SKY_HARMONICS, PathLines, harmonics_at, move_lines, move_lines_by
-from lbacal_core.calibration.paths import chain_forms
+from lbacal_core.calibration.singles import chain_forms
 
 
 def test_the_freedom_of_the_sky_moves_the_lines_as_a_fit_with_shared_noise_does(scene):

@@ -18,7 +18,8 @@ def test_an_event_that_one_antenna_of_four_recorded_has_the_noise_of_its_power_a
     is_lonely = np.isin(one_station.event_id, np.unique(one_station.event_id)[::4])
     some = one_station.select(~is_lonely | (one_station.antenna == 0))
     cables = require_one_cable_each(some, scene.instrument)
-    (mean,) = paths_of_scope(some, scene.instrument, scene.sky_power, "station", cables)
+    (read,) = paths_of_scope(some, scene.instrument, scene.sky_power, "station", cables)
+    mean = read()
     level = np.array([np.mean(one_station.power[one_station.antenna == antenna]) for antenna in range(4)])
     # of equal cables it would be 4; 1 % because the level is that of noisy spectra
     assert mean.relative_variance[0, 0::4] == pytest.approx(level.sum() ** 2 / np.sum(level**2), rel=0.01)
@@ -34,6 +35,7 @@ def test_radiometer_noise_is_that_of_the_samples_of_a_channel(spectra):
 
 def test_a_mean_knows_the_scatter_of_the_single_spectra(scene, spectra):
     cables = require_one_cable_each(spectra, scene.instrument)
-    for paths in paths_of_scope(spectra, scene.instrument, scene.sky_power, "station", cables):
+    for read in paths_of_scope(spectra, scene.instrument, scene.sky_power, "station", cables):
+        paths = read()
         assert paths.scatter == pytest.approx(0.045, rel=0.03)
         assert paths.smallest_scatter == pytest.approx(1280**-0.5)

@@ -1,0 +1,119 @@
+"""The paths of a block by themselves: what is left out of their spectra, and the lines through the rest.
+
+Every scope begins with them. A path's curve follows from its lines; a mean over antennas has the lines of its members,
+and so has the budget. Whoever fits several scopes of the same spectra need not look at each spectrum for each of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lbacal_core.anomalies import Anomaly
+from lbacal_core.calibration.lines import ChainForms, Lines, fit_lines
+from lbacal_core.calibration.separable import SeparableSolution, solve_separable
+from lbacal_core.chain.noise import noise_constants
+from lbacal_core.grids import Floats
+from lbacal_core.instrument import Instrument
+from lbacal_core.remembered import Remembered
+from lbacal_core.screening import screen_block
+from lbacal_core.sidereal import local_sidereal_time
+from lbacal_core.skypower.table import SkyPower
+from lbacal_core.spectra_blocks import SpectraBlock
+
+MIN_EVENTS = 60
+"""Fewer events leave C worse than 2 % and the noise levels worse than 10 %."""
+
+
+@dataclass(frozen=True)
+class SingleFits:
+    """The paths of a block, each by itself.
+
+    Attributes
+    ----------
+    is_left_out
+        Anomalous spectra that are not fitted, shape (path, event).
+    anomalies
+        All anomalous spectra, those that are fitted too.
+    is_steady
+        Whether the anomalous spectra of a path are few enough to be exceptions, shape (path,).
+    lines
+        Those of all paths, however few events they have.
+    solved, solution
+        The paths with events enough for a fit, shape (solved,), and the chain of each.
+    """
+
+    is_left_out: NDArray[np.bool_]
+    anomalies: Sequence[Anomaly]
+    is_steady: NDArray[np.bool_]
+    lines: Lines
+    solved: NDArray[np.intp]
+    solution: SeparableSolution
+
+    def slopes_of(self, paths: NDArray[np.intp]) -> tuple[Floats, Floats]:
+        """S of some of the solved paths and its standard deviation, shape (path, freq); NaN where there is none."""
+        found = self.solution.take(np.searchsorted(self.solved, paths))
+        variance = np.einsum("pii->pi", found.covariance)[:, : found.x.shape[1]]
+        is_good = (found.is_converged & found.is_identifiable)[:, None] & np.isfinite(found.x) & (variance > 0)
+        return np.where(is_good, found.x, np.nan), np.sqrt(np.where(is_good, variance, np.nan))
+
+
+FitSingles = Callable[[SpectraBlock, Instrument, SkyPower, float], SingleFits]
+"""`fit_singles`, or what remembers its results."""
+
+
+def fit_singles(block: SpectraBlock, instrument: Instrument, sky_power: SkyPower, typical_blocks: float) -> SingleFits:
+    """Screen the spectra of a block, and fit the lines and the chain of each of its paths.
+
+    Parameters
+    ----------
+    typical_blocks
+        The number of blocks whose radiometer noise the noise levels are.
+    """
+    longitude_deg = instrument.at_station(block.station).longitude_deg
+    screened = screen_block(block, longitude_deg)
+    kept = screened.block
+    sky = sky_power.of_station(block.station).at(block.dipole, local_sidereal_time(block.time_unix, longitude_deg))
+    lines = fit_lines(kept.power, sky, relative_variance_of(kept, typical_blocks), chain_forms(instrument))
+    at = np.flatnonzero(kept.is_present.sum(axis=1) >= MIN_EVENTS)
+    terms = noise_constants(instrument)
+    return SingleFits(
+        is_left_out=block.is_present & ~kept.is_present,
+        anomalies=screened.anomalies,
+        is_steady=screened.is_steady,
+        lines=lines,
+        solved=at,
+        solution=solve_separable(lines.slope[at], lines.intercept[at], lines.information[at], terms),
+    )
+
+
+@dataclass(frozen=True)
+class RememberedSingles:
+    """`fit_singles` for one instrument and sky power, remembered by what was recorded in a block.
+
+    The paths of 48 antennas take 9 MB.
+    """
+
+    kept: Remembered[tuple[str, float], SingleFits]
+
+    def __call__(
+        self, block: SpectraBlock, instrument: Instrument, sky_power: SkyPower, typical_blocks: float
+    ) -> SingleFits:
+        """Fit the paths of a block, unless they are at hand."""
+        key = block.digest(), typical_blocks
+        found = self.kept.get_many([key], lambda _: {key: fit_singles(block, instrument, sky_power, typical_blocks)})
+        return found[key]
+
+
+def relative_variance_of(block: SpectraBlock, typical_blocks: float) -> Floats:
+    """Variance of the radiometer noise over that of a typical spectrum, shape (path, event); infinite where absent."""
+    with np.errstate(divide="ignore"):
+        return np.asarray(typical_blocks / block.blocks)
+
+
+def chain_forms(instrument: Instrument) -> ChainForms:
+    """The forms along frequency by which the gain of an event may fluctuate."""
+    return ChainForms.of(instrument.frequency_mhz, instrument.antenna_gain, instrument.receiver_gain)

@@ -1,0 +1,56 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lbacal_core.calibration import singles
+from lbacal_core.calibration.fit import fit_calibration
+from lbacal_core.calibration.singles import MIN_EVENTS, RememberedSingles, fit_singles
+from lbacal_core.remembered import Remembered
+from lbacal_core.spectra_blocks import split_into_blocks
+from lbacal_core.uncertainty.refit import compute_budget
+
+
+@pytest.fixture(scope="module")
+def spectra(scene):
+    return scene.spectra(np.random.default_rng(12), events=120, stations=2)
+
+
+def test_scopes_and_budget_of_the_same_spectra_look_at_each_block_once(scene, spectra, monkeypatch):
+    inputs, scopes = (spectra, scene.instrument, scene.sky_power), ("antenna", "station", "array")
+    alone = [fit_calibration(*inputs, scope) for scope in scopes]
+    budget = compute_budget(*inputs, changes=())
+    fitted = []
+
+    def watch(block, *others):
+        fitted.append((block.station, block.dipole))
+        return fit_singles(block, *others)
+
+    monkeypatch.setattr(singles, "fit_singles", watch)
+    kept = RememberedSingles(Remembered(4))
+    together = [fit_calibration(*inputs, scope, singles=kept) for scope in scopes]
+    assert compute_budget(*inputs, changes=(), singles=kept).digest == budget.digest
+    assert sorted(fitted) == [("CS002", "X"), ("CS002", "Y"), ("CS003", "X"), ("CS003", "Y")]
+    for one, other in zip(alone, together, strict=True):
+        assert [curve.c.tolist() for curve in one.curves] == [curve.c.tolist() for curve in other.curves]
+
+
+def test_another_power_of_a_single_event_is_another_block(scene, spectra):
+    kept = RememberedSingles(Remembered(4))
+    power = spectra.power.copy()
+    power[7] *= 1.01
+    blocks = [split_into_blocks(one)[0] for one in (spectra, replace(spectra, power=power))]
+    found = [kept(block, scene.instrument, scene.sky_power, 100.0) for block in blocks]
+    assert not np.array_equal(found[0].lines.slope, found[1].lines.slope)
+
+
+def test_paths_with_too_few_events_have_lines_and_no_chain(scene, spectra):
+    block = split_into_blocks(spectra)[0]
+    is_present = block.is_present.copy()
+    is_present[1, MIN_EVENTS - 1 :] = False
+    block = replace(block, is_present=is_present, blocks=np.where(is_present, block.blocks, 0))
+    found = fit_singles(block, scene.instrument, scene.sky_power, 100.0)
+    assert len(found.lines.slope) == len(block.antennas)
+    assert found.solved.tolist() == [0, 2, 3]
