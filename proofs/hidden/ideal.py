@@ -123,21 +123,25 @@ class IdealDetector:
         """Relative change of the expected power, shape (path, event, freq)."""
         return np.asarray(self.power(faults) / self.power(()) - 1.0)
 
-    def information(self, templates: Floats, *, is_told: bool = False) -> Floats:
+    def information(self, templates: Floats) -> Floats:
         """Inner products of templates less what the fit absorbs, shape (k, path, event, freq) -> (k, k).
 
-        The root of the diagonal is the SNR; the correlation of two signatures is that of a covariance. With `is_told`
-        the sky power is taken at its word.
+        The root of the diagonal is the SNR; the correlation of two signatures is that of a covariance.
         """
+        told, hidden = self._information(templates)
+        return told - hidden
+
+    def _information(self, templates: Floats) -> tuple[Floats, Floats]:
+        """Inner products of templates where the sky power is taken at its word, and what free modes take of them."""
         weighed = self.noise.weigh(templates)
         absorbed = self._onto_columns(weighed)
         solved = cho_solve(self._normal_factor, absorbed.T)
         total = np.einsum("kpef,lpef->kl", templates, weighed, optimize=True) - absorbed @ solved
-        if is_told or not len(self.modes):
-            return np.asarray(total)
+        if not len(self.modes):
+            return np.asarray(total), np.zeros_like(total)
         onto_modes, of_modes = self._mode_products
         mixed = self._onto_modes(weighed) - (onto_modes @ solved).T
-        return np.asarray(total - mixed @ np.linalg.solve(of_modes, mixed.T))
+        return np.asarray(total), np.asarray(mixed @ np.linalg.solve(of_modes, mixed.T))
 
     def fitted_to(self, power: Floats) -> IdealDetector:
         """The detector about the chains that fit a power best, shape (path, event, freq); Newton's first step."""
@@ -160,9 +164,8 @@ class IdealDetector:
 
     def share_left(self, faults: Sequence[Fault]) -> float:
         """Part of the information on faults that the freedom of the sky and antenna models leaves, 0 to 1."""
-        template = self.template(faults)[None]
-        whole = float(self.information(template, is_told=True)[0, 0])
-        return float(self.information(template)[0, 0]) / whole if whole > 0 else 0.0
+        told, hidden = (float(part[0, 0]) for part in self._information(self.template(faults)[None]))
+        return 1.0 - hidden / told if told > 0 else 0.0
 
     def information_together(self, faults: Sequence[Fault]) -> Floats:
         """Inner products of what each of some faults adds to the others, shape (fault, fault)."""
@@ -224,37 +227,39 @@ class IdealDetector:
         of_slopes = (slopes * weighed).transpose(0, 3, 1, 2) @ modes.transpose(1, 3, 2, 0)
         of_constants = np.tensordot(constants[:, None] * weighed, modes, axes=((1, 3, 4), (1, 2, 3)))
         onto = np.concatenate([of_slopes.sum(axis=0).swapaxes(0, 1), of_constants.swapaxes(0, 1)], axis=1)
-        onto = onto.reshape(-1, len(modes))
         between = (share * weighed).reshape(len(DIPOLES), -1, len(DIPOLES), *share.shape[1:]).sum(axis=1)
         shown = np.einsum("cdef,mdef->mcef", between, modes)
         among = np.tensordot(modes, shown, axes=((1, 2, 3), (1, 2, 3)))
-        taken = self.noise.projections(slopes, constants), self.noise.projections_of_modes(share, modes)
-        for of_columns, of_modes in zip(*taken, strict=True):
-            onto -= of_columns.T @ of_modes
+        onto = onto.reshape(len(slopes), -1, len(modes))
+        for paths, of_columns, of_modes in self.noise.projections(slopes, constants, share, modes):
+            onto[paths] -= (of_columns.T @ of_modes).reshape(onto[paths].shape)
             among -= of_modes.T @ of_modes
-        onto = onto.T * self._scale
+        onto = onto.reshape(-1, len(modes)).T * self._scale
         return onto, among - onto @ cho_solve(self._normal_factor, onto.T) + np.eye(len(onto))
 
     @cached_property
     def _normal(self) -> Floats:
-        """N' V^-1 N, shape (path x column, path x column), path pair by path pair."""
+        """N' V^-1 N, shape (path x column, path x column)."""
         slopes, constants = self.chains.columns
         paths, _, channels = slopes.shape
-        size = channels + len(constants)
+        size, kinds = channels + len(constants), 1 + len(constants)
         normal = np.zeros((paths, size, paths, size))
-        for p in range(paths):
-            for q in range(p, paths):
-                rest = self.noise.rest[:, p, q, None]
-                block = np.zeros((size, size))
-                block[np.arange(channels), np.arange(channels)] = np.sum(slopes[p] * rest * slopes[q], axis=0)
-                block[:channels, channels:] = np.einsum("ef,cef->fc", slopes[p] * rest, constants[:, q])
-                block[channels:, :channels] = np.einsum("ef,cef->cf", slopes[q] * rest, constants[:, p])
-                block[channels:, channels:] = np.einsum("cef,def->cd", constants[:, p] * rest, constants[:, q])
-                normal[p, :, q], normal[q, :, p] = block, block.T
-        whole = normal.reshape(paths * size, paths * size)
-        for taken in self.noise.projections(slopes, constants):
-            whole -= taken.T @ taken
-        return whole
+        columns = np.concatenate([slopes[None], constants]).transpose(3, 2, 1, 0)
+        at, more = np.arange(channels), slice(channels, None)
+        for p in range(paths):  # the noise between paths of different dipoles is 0
+            others = np.arange(p, paths, len(DIPOLES))
+            weighed = columns[:, :, others] * self.noise.rest[:, p, others, None]
+            block = columns[:, :, p].swapaxes(1, 2) @ weighed.reshape(channels, len(weighed[0]), -1)
+            block = block.reshape(channels, kinds, others.size, kinds)
+            normal[p, at, others[:, None], at] = block[:, 0, :, 0].T
+            normal[p, :channels, others, more] = block[:, 0, :, 1:].swapaxes(0, 1)
+            normal[p, more, others, :channels] = block[:, 1:, :, 0].transpose(2, 1, 0)
+            normal[p, more, others, more] = block[:, 1:, :, 1:].sum(axis=0).swapaxes(0, 1)
+            normal[others, :, p] = normal[p][:, others].transpose(1, 2, 0)
+        for shown, taken, _ in self.noise.projections(slopes, constants, self.chains.sky_share, self.modes[:0]):
+            own = normal[shown, :, shown]
+            own -= (taken.T @ taken).reshape(own.shape)
+        return normal.reshape(paths * size, paths * size)
 
     @cached_property
     def _scale(self) -> Floats:

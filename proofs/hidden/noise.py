@@ -23,7 +23,7 @@ from lbacal_core.twin.nuisances import Nuisances
 from lbacal_core.twin.settings import TwinSettings
 from lbacal_core.twin.stages import Scene, Stages
 
-EVENTS_TOGETHER = 64
+EVENTS_TOGETHER = 128
 """Events whose projections are in memory at the same time."""
 
 
@@ -49,74 +49,87 @@ class Noise:
         """V^-1 times vectors of shape (..., path, event, freq)."""
         weighed = np.einsum("epq,...qef->...pef", self.rest, values, optimize=True)
         together = np.einsum("kpef,...pef->...ek", self.common, weighed, optimize=True)
-        alone = np.einsum("jpef,...pef->...ejp", self.own, weighed, optimize=True)
-        onto = np.concatenate([together, alone.reshape(*alone.shape[:-2], -1)], axis=-1)
-        taken = np.einsum("ekl,...el->...ek", self._inverse, onto, optimize=True)
-        count = len(self.common)
-        back = np.einsum("kpef,...ek->...pef", self.common, taken[..., :count], optimize=True)
-        shares = taken[..., count:].reshape(alone.shape)
-        back = back + np.einsum("jpef,...ejp->...pef", self.own, shares, optimize=True)
+        alone = np.einsum("jpef,...pef->...epj", self.own, weighed, optimize=True)
+        onto = np.concatenate([alone.reshape(*alone.shape[:-2], -1), together], axis=-1)
+        taken = np.einsum("elk,elm,...em->...ek", self._root, self._root, onto, optimize=True)
+        count = taken.shape[-1] - len(self.common)
+        back = np.einsum("kpef,...ek->...pef", self.common, taken[..., count:], optimize=True)
+        back = back + np.einsum("jpef,...epj->...pef", self.own, taken[..., :count].reshape(alone.shape), optimize=True)
         return np.asarray(weighed - np.einsum("epq,...qef->...pef", self.rest, back, optimize=True))
 
-    def projections(self, slopes: Floats, constants: Floats) -> Iterator[Floats]:
-        """What the gains take of the columns of a fit, some events at a time: V^-1 = R^-1 - W'W in these columns.
+    def projections(
+        self, slopes: Floats, constants: Floats, share: Floats, modes: Floats
+    ) -> Iterator[tuple[slice, Floats, Floats]]:
+        """What the gains take of the columns of a fit, and of changes of the sky: V^-1 = R^-1 - W'W in these.
+
+        Some events at a time, and gains together that show in the same paths: those of the paths of a dipole, then what
+        is common to all.
 
         Parameters
         ----------
         slopes, constants
             As `PathChains.columns`.
+        share, modes
+            Changes of the sky, shape (mode, dipole, event, freq), of which paths show a share each.
 
         Returns
         -------
-        W for some events, shape (event x gain, path x column).
+        Which paths, and W in their columns, shape (event x gain, path x column), and in the modes, (..., mode).
         """
-        paths, _, channels = slopes.shape
-        for at, root, seen in self._gains_by_event():
-            onto = np.empty((*seen.shape[:3], channels + len(constants)))
-            onto[..., :channels] = seen * slopes[:, at].transpose(1, 0, 2)[:, None]
-            onto[..., channels:] = np.einsum("ekpf,cpef->ekpc", seen, constants[:, :, at], optimize=True)
-            columns = onto.reshape(*seen.shape[:2], paths * onto.shape[3])
-            yield np.asarray((root @ columns).reshape(-1, columns.shape[2]), dtype=np.float64)
+        channels = slopes.shape[2]
+        for at, paths, shown in self._shown_by_gains():
+            columns = np.empty((*shown.shape[:3], channels + len(constants)))
+            columns[..., :channels] = shown * slopes[paths, at].transpose(1, 0, 2)[:, None]
+            of_constants = shown.transpose(0, 2, 1, 3) @ constants[:, paths, at].transpose(2, 1, 3, 0)
+            columns[..., channels:] = of_constants.transpose(0, 2, 1, 3)
+            of_modes = np.zeros((*shown.shape[:2], len(modes)))
+            if len(modes):
+                seen = shown * share[paths, at].transpose(1, 0, 2)[:, None]
+                dipoles = np.arange(len(share))[paths] % len(DIPOLES)
+                for d in np.unique(dipoles):
+                    of_modes += seen[:, :, dipoles == d].sum(axis=2) @ modes[:, d, at].transpose(1, 2, 0)
+            rows = shown.shape[0] * shown.shape[1]
+            yield paths, columns.reshape(rows, -1), of_modes.reshape(rows, len(modes))
 
-    def projections_of_modes(self, share: Floats, modes: Floats) -> Iterator[Floats]:
-        """The same of changes of the sky, shape (mode, dipole, event, freq), of which paths show a share each.
-
-        Returns
-        -------
-        W for some events, shape (event x gain, mode).
-        """
-        for at, root, seen in self._gains_by_event():
-            shown = seen * share[:, at].transpose(1, 0, 2)[:, None]
-            shown = shown.reshape(*seen.shape[:2], -1, len(DIPOLES), seen.shape[3]).sum(axis=2)
-            by_event = modes[:, :, at].transpose(2, 1, 3, 0).reshape(len(seen), -1, len(modes))
-            yield np.asarray((root @ (shown.reshape(*seen.shape[:2], -1) @ by_event)).reshape(-1, len(modes)))
-
-    def _gains_by_event(self) -> Iterator[tuple[slice, Floats, Floats]]:
-        """Some events at a time, the root of `_inverse` and U' R^-1, shape (event, gain, path, freq)."""
-        paths, events, channels = self.common.shape[1:]
-        root = np.asarray(np.linalg.cholesky(self._inverse).transpose(0, 2, 1), dtype=np.float64)
+    def _shown_by_gains(self) -> Iterator[tuple[slice, slice, Floats]]:
+        """W event by event without columns, as `projections` has it: events, paths, shape (event, gain, path, freq)."""
+        each, paths, events, channels = self.own.shape
+        gain_of_path = np.arange(paths * each).reshape(paths, each)
+        count = paths * each
         for begin in range(0, events, EVENTS_TOGETHER):
             at = slice(begin, min(begin + EVENTS_TOGETHER, events))
-            rest = self.rest[at]
+            rest, root = self.rest[at], self._root[at]
             together = np.einsum("epq,kqef->ekpf", rest, self.common[:, :, at], optimize=True)
-            alone = np.einsum("eqp,jpef->ejpqf", rest, self.own[:, :, at], optimize=True)
-            yield at, root[at], np.concatenate([together, alone.reshape(len(rest), -1, paths, channels)], axis=1)
+            of_all = root[:, count:, count:] @ together.reshape(*together.shape[:2], paths * channels)
+            of_all = of_all.reshape(together.shape)
+            for d in range(len(DIPOLES)):
+                own, of_own = slice(d, None, len(DIPOLES)), gain_of_path[d :: len(DIPOLES)].ravel()
+                alone = np.einsum("eqp,jpef->epjqf", rest[:, own, own], self.own[:, own, at], optimize=True)
+                shape = (len(rest), of_own.size, *alone.shape[3:])
+                alone = alone.reshape(*shape[:2], shape[2] * channels)
+                of_all[:, :, own] += (root[:, count:, of_own] @ alone).reshape(len(rest), len(self.common), *shape[2:])
+                if of_own.size:
+                    yield at, own, (root[:, of_own[:, None], of_own] @ alone).reshape(shape)
+            if len(self.common):
+                yield at, slice(None), of_all
 
     @cached_property
-    def _inverse(self) -> Floats:
-        """(1 + U' R^-1 U)^-1, shape (event, gain, gain)."""
+    def _root(self) -> Floats:
+        """Inverse of the lower Cholesky factor of 1 + U' R^-1 U, shape (event, gain, gain).
+
+        The gains of each path come first, path by path: those of one dipole's paths do not show in the other's.
+        """
         count, each, paths = len(self.common), len(self.own), self.rest.shape[1]
-        events = len(self.rest)
+        events, alone = len(self.rest), each * paths
         weighed = np.einsum("epq,kqef->kpef", self.rest, self.common, optimize=True)
-        whole = np.empty((events, count + each * paths, count + each * paths))
-        whole[:, :count, :count] = np.einsum("kpef,lpef->ekl", self.common, weighed, optimize=True)
-        mixed = np.einsum("jpef,kpef->ejpk", self.own, weighed, optimize=True)
-        mixed = mixed.reshape(events, each * paths, count)
-        whole[:, count:, :count], whole[:, :count, count:] = mixed, mixed.transpose(0, 2, 1)
-        products = np.einsum("jpef,iqef->ejpiq", self.own, self.own, optimize=True)
-        products *= self.rest[:, None, :, None, :]
-        whole[:, count:, count:] = products.reshape(events, each * paths, -1)
-        return np.asarray(np.linalg.inv(whole + np.eye(whole.shape[1])))
+        whole = np.empty((events, alone + count, alone + count))
+        whole[:, alone:, alone:] = np.einsum("kpef,lpef->ekl", self.common, weighed, optimize=True)
+        mixed = np.einsum("jpef,kpef->epjk", self.own, weighed, optimize=True).reshape(events, alone, count)
+        whole[:, :alone, alone:], whole[:, alone:, :alone] = mixed, mixed.transpose(0, 2, 1)
+        products = np.einsum("jpef,iqef->epjqi", self.own, self.own, optimize=True)
+        products *= self.rest[:, :, None, :, None]
+        whole[:, :alone, :alone] = products.reshape(events, alone, alone)
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(whole + np.eye(alone + count))))
 
 
 def noise_of(
