@@ -16,6 +16,7 @@ from service.handlers import (
     calibrations,
     cuts,
     drift,
+    forms,
     health,
     investigations,
     jobs,
@@ -64,6 +65,7 @@ def make_app(factory: Factory) -> FastAPI:
         pages.router,
         pages.assets,
         session.router,
+        forms.router,
     ):
         app.include_router(router)
     problems.install(app)

@@ -12,7 +12,7 @@ from service.storage.cuts import KeptCut
 from service.usecases.keys import Caller
 from service.wire.bodies import ReasonBody, parse_body
 from service.wire.drift_models import CutAnswer, CutsAnswer
-from service.wire.instants import DAY_US, format_instant, format_optional
+from service.wire.instants import format_instant, format_optional
 
 router = APIRouter(tags=["cuts"])
 Promoter = Annotated[Caller, caller_with("calibrations:promote")]
@@ -69,7 +69,7 @@ def describe_cut(kept: KeptCut) -> dict[str, Any]:
         "station": cut.station,
         "antenna": cut.antenna,
         "date": format_instant(cut.date),
-        "date_sigma_days": cut.sigma / DAY_US,
+        "date_sigma_days": cut.sigma_days,
         "stands": kept.stands,
         "made_at": format_instant(kept.made),
         "ended_at": format_optional(kept.ended),

@@ -1,8 +1,8 @@
 """Pages behind a log-in: the key travels in a cookie that no script can read, and opens nothing but reads.
 
 A cookie is sent along with whatever another site makes a browser ask for. What changes anything therefore needs the
-header `Authorization`, which no other site can make a browser send, and the two forms here carry a random word that
-must equal the one in a cookie of their own.
+header `Authorization`, which no other site can make a browser send, or a key typed into a form
+(`service.handlers.forms`), and the two forms here carry a random word that must equal the one in a cookie of their own.
 """
 
 from __future__ import annotations
@@ -10,23 +10,20 @@ from __future__ import annotations
 import hmac
 import re
 import secrets
-from typing import Annotated
-from urllib.parse import parse_qs
 
-from fastapi import APIRouter, Depends, FastAPI, Request, Response
+from fastapi import APIRouter, FastAPI, Request, Response
 from fastapi.responses import HTMLResponse, RedirectResponse
 
-from lbacal_core.errors import BadInputError
 from service.errors import ForbiddenError, UnauthenticatedError
+from service.handlers.forms import Form, read_fields
 from service.handlers.problems import problem_of, wants_page
-from service.handlers.request import FORM_COOKIE, KEY_COOKIE, UseCases, read_form_body, require_caller
+from service.handlers.request import FORM_COOKIE, KEY_COOKIE, UseCases, require_caller
 from service.page.render import render_page
 
 HALF_A_DAY_S = 43_200
 _PATH = re.compile(r"/(?![/\\])[A-Za-z0-9._~/%-]{0,300}")
 
 router = APIRouter(include_in_schema=False, default_response_class=HTMLResponse)
-Form = Annotated[bytes, Depends(read_form_body)]
 
 
 def install(app: FastAPI) -> None:
@@ -73,10 +70,7 @@ def log_out(request: Request, body: Form) -> Response:
 
 def _read_form(request: Request, body: bytes) -> dict[str, str]:
     """The fields of one of our own forms, sent from one of our own pages."""
-    try:
-        fields = {name: values[0] for name, values in parse_qs(body.decode(), max_num_fields=10).items()}
-    except ValueError as error:
-        raise BadInputError("body", "a form", "something else") from error
+    fields = read_fields(body)
     sent, kept = fields.get("word", ""), request.cookies.get(FORM_COOKIE, "")
     if not kept or not hmac.compare_digest(sent.encode(), kept.encode()):
         raise ForbiddenError("this form was not sent from a page of this server: load the page again")

@@ -15,6 +15,7 @@ from sqlalchemy import Connection, Row, Select, func, select, update
 from lbacal_core.validity import Instant
 from service.errors import NotFoundError
 from service.schema.drift import cut_decision, window_cut
+from service.wire.instants import DAY_US
 
 LIFTED, RESTORED = "lifted", "restored"
 
@@ -27,6 +28,11 @@ class Cut:
     antenna: int
     date: Instant
     sigma: int
+
+    @property
+    def sigma_days(self) -> float:
+        """The standard deviation of the date, days."""
+        return self.sigma / DAY_US
 
 
 @dataclass(frozen=True)
