@@ -7,7 +7,7 @@ residuals are noise. One more test uses no axis: single events.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 from scipy.stats import binom, chi2
 
 from lbacal_core.causes.axes import Axis, list_axes
+from lbacal_core.causes.cause import signature
+from lbacal_core.discovery.hypothesis import Hypothesis
 from lbacal_core.discovery.levels import is_heavy
 from lbacal_core.discovery.project import LinearModel
 from lbacal_core.discovery.refit import FOLDS, held_out_fold
@@ -90,7 +92,7 @@ def find_structure(
     """Find the most significant residual structure, or None.
 
     Structure is reported if its p-value is below `alpha` and if its description raises the likelihood of held-out
-    events.
+    events; else it lives elsewhere: events in runs share their LST, so that structure along LST shows along dates.
 
     Parameters
     ----------
@@ -98,9 +100,28 @@ def find_structure(
         Probability of a false alarm.
     again
         p-value of a cause that is significant a second time for the same target, because its template does not have
-        the form of the effect. Structure is then known to remain, and both conditions above are dropped: the function
-        reports the axis along which it is strongest.
+        the form of the effect. Structure is then known to remain, and an axis need not be significant by itself: the
+        function reports the strongest that raises the likelihood of held-out events, or the strongest of all.
     """
+    found, axes = _try_all(model, rng)
+    chances = [p_of_best(one.p_value, len(found)) for one in found]
+    for one, chance in zip(found, chances, strict=True):
+        if chance >= alpha and (again is None or one.axis is None):
+            continue  # nothing tells structure in single events from noise where it is not significant
+        told = _tell(model, one, axes, chance if again is None else min(again, chances[0]))
+        if told.held_out_gain is None or told.held_out_gain > 0:
+            return told
+    return None if again is None else _tell(model, found[0], axes, min(again, chances[0]))
+
+
+def strongest_structure(model: LinearModel, rng: np.random.Generator) -> ResidualStructure:
+    """The structure that chance explains least, however well it does."""
+    found, axes = _try_all(model, rng)
+    return _tell(model, found[0], axes, p_of_best(found[0].p_value, len(found)))
+
+
+def _try_all(model: LinearModel, rng: np.random.Generator) -> tuple[list[_Candidate], Mapping[Axis, Floats]]:
+    """Structure along each axis and in single events, the least probable by chance first; functions of each axis."""
     conditions = model.station.conditions
     axes = {axis: basis for axis in list_axes(conditions) if (basis := axis.basis(conditions)) is not None}
     means = _see_in_means(model)
@@ -109,25 +130,23 @@ def find_structure(
     if len(model.station.antenna) > len(model.paths_in_mean):
         paths = _see_in_paths(model)
         found += [_in_paths(model, paths, axis, basis) for axis, basis in axes.items()]
-    best = min(found, key=lambda one: (one.p_value, -one.deviations))
-    corrected = p_of_best(best.p_value, len(found))
-    if corrected >= alpha and again is None:
-        return None
+    return sorted(found, key=lambda one: (one.p_value, -one.deviations)), axes
+
+
+def _tell(model: LinearModel, one: _Candidate, axes: Mapping[Axis, Floats], chance: float) -> ResidualStructure:
+    """What is reported of a candidate that has this probability by chance."""
     held_out, vectors, term, coefficients = None, None, None, None
-    if best.axis is None or best.place is None:
-        vectors, share = _pattern_of(model, best.spectrum), best.spectrum**2
+    if one.axis is None or one.place is None:
+        vectors, share = _pattern_of(model, one.spectrum), one.spectrum**2
     else:
-        held_out, share, size = _describe(best.place, axes[best.axis], held_out_fold(model.station))
-        if held_out <= 0 and again is None:
-            return None
-        if best.target == STATION:
-            vectors = _vectors(best.place, axes[best.axis])
+        held_out, share, size = _describe(one.place, axes[one.axis], held_out_fold(model.station))
+        if one.target == STATION:
+            vectors = _vectors(one.place, axes[one.axis])
             term = np.tensordot(size, vectors, axes=1)
             signs = _signs(len(term))
             coefficients = np.einsum("sr,slk->rlk", signs, size.reshape(len(term), DEGREE + 1, -1))
-    p_value = min(corrected, 1.0 if again is None else again)
     return ResidualStructure(
-        best.axis, best.target, p_value, best.gain, best.dof, held_out, share, vectors, term, coefficients
+        one.axis, one.target, chance, one.gain, one.dof, held_out, share, vectors, term, coefficients
     )
 
 
@@ -145,6 +164,19 @@ def chance_along(model: LinearModel, names: Collection[str], target: str) -> flo
         paths = _see_in_paths(model)
         found = [_in_paths(model, paths, axis, basis) for axis, basis in known]
     return p_of_best(min(one.p_value for one in found), len(found))
+
+
+def chance_of_following(model: LinearModel, found: Hypothesis, axis: Axis) -> float:
+    """Probability by chance that the size of a cause, which is part of the model, follows an axis as much as it does.
+
+    An absorption in some nights of a month leaves more power by day beside its mean over the month: interference by day
+    describes that, but not that it is there in those nights alone, and is a part of the structure along the month.
+    """
+    conditions = model.station.conditions
+    shown, basis = signature(found.cause, model.terms, conditions, found.template), axis.basis(conditions)
+    templates = [shown, *(shown * profile[:, None] for profile in ([] if basis is None else basis))]
+    gain, dof = _gain(*model.products(templates, [found.target] * len(templates)))
+    return float(chi2.sf(gain, dof))
 
 
 @dataclass(frozen=True)

@@ -33,6 +33,7 @@ from lbacal_core.discovery.residual_structure import (
     STATION,
     ResidualStructure,
     chance_along,
+    chance_of_following,
     find_structure,
     share_of_channels,
 )
@@ -166,6 +167,10 @@ def search_station(
             progress(f"{station.name}: looking for causes beside that structure")
             last = _grow_beside(first, structure.axis, structure.vectors, search)
             withdrawn = _withdrawn(first.linear, last.findings, structure, None, policy)
+            left, axis = last.last.linear, structure.axis
+            withdrawn += [
+                f for f in last.findings if chance_of_following(left, f.hypothesis, axis) < policy.stands_alpha
+            ]
     hidden = [one.cause for one in search.hidden or []]
     findings = [f for f in last.findings if structure is None or not any(f is one for one in withdrawn)]
     if structure is not None:
@@ -315,7 +320,7 @@ def _withdrawn(
         finding
         for number, finding in enumerate(findings)
         if (again is not None and number == again.number)
-        or _lives_there(finding, structure, first.station.conditions)
+        or _lives_there(finding.hypothesis, structure, first.station.conditions)
         or _has_its_spectrum(first, finding, structure, policy)
         or not is_seen[number]
     ]
@@ -348,20 +353,19 @@ def _has_its_spectrum(model: LinearModel, finding: Finding, structure: ResidualS
     return float(np.sum(np.sqrt(own * structure.channel_share))) > policy.same_spectrum
 
 
-def _lives_there(finding: Finding, structure: ResidualStructure, conditions: Conditions) -> bool:
-    """Whether the residual structure varies along an axis of the finding's cause, for the same kind of target.
+def _lives_there(one: Hypothesis, structure: ResidualStructure, conditions: Conditions) -> bool:
+    """Whether the residual structure varies along an axis of a cause that was found, where it is seen.
 
-    What acts at all times alike shows along LST alone, along which the sky beside it changes.
+    What acts at all times alike shows along LST alone, along which the sky beside it changes. An effect on the station
+    is seen in the means, one on an antenna in its paths, one on a cable name or a group in both: structure that differs
+    from path to path is no effect on a group alone.
     """
-    one = finding.hypothesis
     axes = set(one.cause.axes)
     if np.ptp(one.cause.time_profile(conditions, one.template)) == 0:
         axes.add("lst")
-    return (
-        structure.axis is not None
-        and structure.axis.along in axes
-        and one.target.is_wide == (structure.target == STATION)
-    )
+    in_means, in_paths = one.target.is_wide, one.target.scope != STATION
+    is_seen_there = in_means if structure.target == STATION else in_paths
+    return structure.axis is not None and structure.axis.along in axes and is_seen_there
 
 
 def _unidentifiable(station: Station, search: StationSearch) -> dict[str, str]:

@@ -18,7 +18,7 @@ from lbacal_core.discovery.hypothesis import list_targets
 from lbacal_core.discovery.investigate import investigate
 from lbacal_core.discovery.lst_curve import investigate_curve
 from lbacal_core.discovery.project import LinearModel
-from lbacal_core.discovery.residual_structure import find_structure
+from lbacal_core.discovery.residual_structure import strongest_structure
 from lbacal_core.discovery.scan import by_known_events, score_families
 from lbacal_core.discovery.search import StationReport
 from lbacal_core.lstcurve.compare import BAND_MHZ
@@ -84,12 +84,9 @@ def _of_scan(station: StationReport) -> dict[str, Any]:
         }
 
 
-def _of_structure(model: LinearModel) -> dict[str, Any] | None:
+def _of_structure(model: LinearModel) -> dict[str, Any]:
     """The strongest residual structure, however weak it is."""
-    # Structure that is known to be left, by a chance of 1, is described whatever its significance.
-    structure = find_structure(model, np.random.default_rng(0), alpha=2.0, again=1.0)
-    if structure is None:
-        return None
+    structure = strongest_structure(model, np.random.default_rng(0))
     return {
         "axis": structure.axis_name,
         "target": structure.target,

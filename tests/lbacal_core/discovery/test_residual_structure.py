@@ -13,17 +13,18 @@ from lbacal_core.discovery.residual_structure import (
     _in_single_events,
     _largest_of_noise,
     chance_along,
+    chance_of_following,
     find_structure,
     share_of_channels,
+    strongest_structure,
 )
 from lbacal_core.discovery.station import gather_stations
 from lbacal_core.discovery.trials import p_of_best
-from lbacal_core.twin.faults.uncatalogued import MainsHum
+from lbacal_core.twin.faults.interference import RfiBroadband
+from lbacal_core.twin.faults.uncatalogued import AuroralAbsorption, MainsHum
 from tests.lbacal_core.discovery.worlds import Look, look_with_residual
 
 SIGNIFICANT = 0.002
-WHATEVER = 1.1
-"""More than any probability: only the test on events not used is left."""
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +44,8 @@ def test_the_strongest_of_two_axes_is_as_rare_as_the_strongest_of_two(model, tar
 
 
 def test_the_largest_structure_of_noise_predicts_nothing_of_events_not_used(model):
-    assert find_structure(model, np.random.default_rng(1), WHATEVER) is None
+    strongest = strongest_structure(model, np.random.default_rng(1))
+    assert find_structure(model, np.random.default_rng(1), 1.001 * strongest.p_value) is None
 
 
 def test_a_wave_over_the_day_is_left_along_utc_and_predicts_events_not_used(spoil, chain, sky):
@@ -135,6 +137,34 @@ def test_structure_is_found_along_the_axis_on_which_it_lives(axis, target, look)
     assert found.held_out_gain > 10
     # The slope rises from 0 at 30 MHz to 2 at 80 MHz.
     assert found.channel_share[40:].sum() > 2 * found.channel_share[:11].sum()
+
+
+@pytest.mark.parametrize("again", [None, 1e-20])
+def test_structure_is_told_where_events_not_used_show_it_and_not_where_chance_is_smallest(look, again):
+    """A band that saturates was told along dates, which events not used refuted: events in runs share their LST."""
+    known = waves(look.data.conditions)
+    slope = 1.0 + np.linspace(-1, 1, look.data.power.shape[2])
+    along = {name: np.outer(known[name] / np.std(known[name]), slope) for name in ("date", "rain")}
+    shown = 0.003 * along["date"] + 0.002 * along["rain"]
+    linear = look_with_residual(look, look.model.baseline.residual + shown).model.linear
+    dates, rain = (chance_along(linear, {name}, STATION) for name in ("date", "rain"))
+    assert dates < rain < 1e-4
+    found = find_structure(linear, np.random.default_rng(1), SIGNIFICANT, again)
+    assert (found.axis_name, found.target) == ("rain", STATION)
+    assert found.held_out_gain > 0
+
+
+def test_what_comes_in_some_nights_of_a_month_is_not_as_often_as_days(world):
+    """Absorption at night, in each solar rotation, was named interference by day beside structure along 27.3 d."""
+    template = {"spectral_index": -3.0, "utc_h": [6, 18]}
+    rotation = axis_named("date, period 27.3 d")
+    chances = []
+    for fault in (AuroralAbsorption(size=3.0), RfiBroadband(size=0.05, index=-3.0, hours=(6.0, 18.0))):
+        look = world.look(fault)
+        fitted = look.fit_as_is("rfi_broadband", look.template("rfi_broadband", **template))
+        chances.append(chance_of_following(fitted.model.linear, fitted.effect, rotation))
+    assert chances[0] < 1e-6
+    assert chances[1] > 0.01
 
 
 def test_of_paths_beyond_all_chance_the_one_with_more_structure_is_named(look):

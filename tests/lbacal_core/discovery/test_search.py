@@ -3,7 +3,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lbacal_core.discovery.search import search_station
+from lbacal_core.causes.axes import axis_named
+from lbacal_core.causes.catalogue import CAUSES
+from lbacal_core.causes.cause import Template
+from lbacal_core.discovery.hypothesis import Hypothesis, Target
+from lbacal_core.discovery.residual_structure import ResidualStructure
+from lbacal_core.discovery.search import _lives_there, search_station
 from lbacal_core.discovery.station import gather_stations
 from lbacal_core.model import AdoptedCause, Model
 from lbacal_core.twin.campaign import simulate_campaign
@@ -66,3 +71,17 @@ def test_an_adopted_cause_of_the_wrong_form_leaves_structure(world):
     report = world.look(fault).investigate(model=Model((adopted,)))
     assert report.structure is not None
     assert "rfi_broadband" not in [one.hypothesis.cause.identifier for one in report.findings]
+
+
+@pytest.mark.parametrize(
+    ("scope", "in_means", "in_paths"), [("station", True, False), ("antenna", False, True), ("group", True, True)]
+)
+def test_a_finding_on_a_group_is_seen_in_the_means_and_in_paths(world, scope, in_means, in_paths):
+    """A gradient over the field was seen along LST in single paths, and compression of one board named beside it."""
+    conditions = world.look().data.conditions
+    cause = next(cause for cause in CAUSES if cause.identifier == "compression")
+    found = Hypothesis(cause, Template(), Target(scope, "some", np.ones(1, dtype=bool)), 0.2)
+    for target, is_seen in (("station", in_means), ("antenna 3 X", in_paths)):
+        for axis, lives in (("lst", is_seen), ("rain", False)):
+            left = ResidualStructure(axis_named(axis), target, 1e-6, 117.0, 40, 13.0, np.ones(1), None)
+            assert _lives_there(found, left, conditions) == lives

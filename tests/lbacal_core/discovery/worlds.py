@@ -29,7 +29,7 @@ from lbacal_core.discovery.project import LinearModel
 from lbacal_core.discovery.proposals import refine
 from lbacal_core.discovery.refit import FOLDS, FittedModel, fit_chain, held_out_fold, held_out_gain, power_ratio, refit
 from lbacal_core.discovery.report import describe
-from lbacal_core.discovery.residual_structure import ResidualStructure, find_structure
+from lbacal_core.discovery.residual_structure import ResidualStructure, find_structure, strongest_structure
 from lbacal_core.discovery.scan import Score, scan, score_families
 from lbacal_core.discovery.station import SkyModes, Station, gather_stations, model_modes
 from lbacal_core.discovery.trials import p_of
@@ -318,7 +318,7 @@ class Look:
         """The most significant structure that no cause is asked for; of any probability unless `alpha` is given."""
         rng = np.random.default_rng(seed)
         if alpha is None:
-            return find_structure(self.model.linear, rng, 1.1, again=1.0)
+            return strongest_structure(self.model.linear, rng)
         return find_structure(self.model.linear, rng, alpha)
 
     def investigate(self, **options: Any) -> search.StationReport:
