@@ -5,7 +5,7 @@ A spectrum that arrives late changes the hash of one quarter of one path; all ot
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -60,6 +60,25 @@ def hash_quarters(
         of_rows = hash_arrays(*(column[rows] for column in columns))
         found[station, antenna, dipole, number] = hash_content([station, antenna, dipole, number, of_rows])
     return found
+
+
+def group_by_path(hashes: Mapping[PathQuarter, str]) -> dict[Path, list[str]]:
+    """The hashes of the quarters of each path."""
+    found: dict[Path, list[str]] = {}
+    for (station, antenna, dipole, _), value in hashes.items():
+        found.setdefault((station, antenna, dipole), []).append(value)
+    return found
+
+
+def pick_hashes(
+    of_paths: Mapping[Path, Sequence[str]], station: str | None, antenna: int | None, dipole: str | None
+) -> list[str]:
+    """The hashes of one path, or of all paths with what of the name is given."""
+    if station is not None and antenna is not None and dipole is not None:
+        return list(of_paths.get((station, antenna, dipole), ()))
+    asked = (station, antenna, dipole)
+    named = [path for path in of_paths if all(want in (None, have) for want, have in zip(asked, path, strict=True))]
+    return [value for path in named for value in of_paths[path]]
 
 
 def hash_window(frequency_mhz: Floats, resistance_ohm: float, width_mhz: Floats | None, hashes: Iterable[str]) -> str:

@@ -29,7 +29,8 @@ from lbacal_core.hdf5 import (
     read_text,
     read_values,
 )
-from lbacal_core.quarters import PathQuarter, hash_quarters, hash_window
+from lbacal_core.quarters import Path as PathName
+from lbacal_core.quarters import PathQuarter, group_by_path, hash_quarters, hash_window, pick_hashes
 
 FORMAT = "lbacal-spectra-1"
 EARLIEST_UNIX = datetime(2009, 1, 1, tzinfo=UTC).timestamp()
@@ -237,13 +238,12 @@ class Spectra:
 
         It is the hash of the sorted hashes of its quarters.
         """
-        asked = (station, antenna, dipole)
-        hashes = [
-            value
-            for key, value in self.quarter_hashes.items()
-            if all(wanted in (None, found) for wanted, found in zip(asked, key, strict=False))
-        ]
+        hashes = pick_hashes(self._hashes_of_paths, station, antenna, dipole)
         return hash_window(self.frequency_mhz, self.resistance_ohm, self.width_mhz, hashes)
+
+    @cached_property
+    def _hashes_of_paths(self) -> Mapping[PathName, list[str]]:
+        return group_by_path(self.quarter_hashes)
 
     @cached_property
     def quarter_hashes(self) -> Mapping[PathQuarter, str]:

@@ -25,6 +25,8 @@ DEGREES = 3
 SMALLEST_LEFT = 0.1
 """A harmonic of which the lines absorb all but this share cannot be tested."""
 SMALLEST_OF_LINES = 1e-3
+ROUNDING = 1e-13
+"""A harmonic of a change of the sky that is weaker than this share of the strongest is rounding."""
 
 
 @dataclass(frozen=True)
@@ -92,12 +94,15 @@ class Look:
         self, signal: Floats, of_sky: Floats, of_constant: Floats, basis: Floats, series: Floats, moved: Floats
     ) -> Floats:
         """The amplitudes that each change of the sky makes, shape (mode, direction x degree)."""
-        channels = signal.shape[1]
-        seen = np.einsum("ej,eh,ef->jhf", self.directions, basis, signal, optimize=True)
-        change = np.einsum("jhf,mhf,fk->mjk", seen, series, self.features, optimize=True)
-        absorbed = np.einsum("jf,mf,fk->mjk", self.directions.T @ of_sky, moved[:, :channels], self.features)
-        absorbed += np.einsum("jf,mf,fk->mjk", self.directions.T @ of_constant, moved[:, channels:], self.features)
-        return np.asarray((change - absorbed).reshape(len(series), -1))
+        channels, numbers = signal.shape[1], self.value.size
+        both = self.directions[:, :, None] * basis[:, None, :]
+        seen = (both.reshape(len(signal), -1).T @ signal).reshape(*both.shape[1:], channels)
+        weights = seen.transpose(1, 2, 0)[..., None] * self.features[:, None, :]
+        change = series.reshape(len(series), -1) @ weights.reshape(-1, numbers)
+        for at, regressor in ((slice(channels), of_sky), (slice(channels, None), of_constant)):
+            taken = (self.directions.T @ regressor).T[:, :, None] * self.features[:, None, :]
+            change -= moved[:, at] @ taken.reshape(channels, numbers)
+        return np.asarray(change)
 
 
 def look_beside(residual: Floats, of_sky: Floats, of_constant: Floats, basis: Floats) -> Look:
@@ -129,20 +134,20 @@ def look_beside(residual: Floats, of_sky: Floats, of_constant: Floats, basis: Fl
 def move_lines(path: PathLines, basis: Floats, series: Floats) -> Floats:
     """How slopes and intercepts answer to each change of the sky, as the fit weighs events; shape (mode, 2 freq)."""
     of_sky, of_constant = path.of_sky, path.of_constant
-    modes, harmonics, channels = series.shape
     signal = path.slope * of_sky
-    flat = series.transpose(2, 0, 1).reshape(channels, modes * harmonics)
+    # most modes are one harmonic or a few: the others are rounding
+    mode_of, harmonic_of = np.nonzero(np.abs(series).max(axis=2) > ROUNDING * np.abs(series).max(initial=0.0))
+    flat, waves = series[mode_of, harmonic_of].T, basis[:, harmonic_of]
+    moving, first = np.unique(mode_of, return_index=True)
     vectors = np.moveaxis(path.shared, 1, 0)
-    common = [
-        np.einsum("emh,eh->em", (signal * vector @ flat).reshape(-1, modes, harmonics), basis) for vector in vectors
-    ]
+    common = [np.add.reduceat((signal * vector @ flat) * waves, first, axis=1) for vector in vectors]
     gradient = []
     for regressor in (of_sky, of_constant):
         own = (basis * path.precision[:, None]).T @ (signal * regressor)
-        of_mode = path.weight * np.einsum("mhf,hf->mf", series, own)
+        change = path.weight * np.einsum("mhf,hf->mf", series, own)
         for amount, vector in zip(common, vectors, strict=True):
-            of_mode -= amount.T @ (vector * regressor)
-        gradient.append(of_mode)
+            change[moving] -= amount.T @ (vector * regressor)
+        gradient.append(change)
     return _solve_lines(path, gradient)
 
 

@@ -64,20 +64,32 @@ class _Refit:
         plain = cls(paths, sky, terms, forms, np.zeros(sky.shape[1]))
         return replace(plain, log_c=plain.fit(paths.power, sky))
 
-    def _solve(self, power: Floats, sky: Floats) -> tuple[Lines, SeparableSolution, NDArray[np.bool_]]:
-        lines = fit_lines(power, sky, self.paths.relative_variance, self.forms)
-        return lines, *solve_without_interference(lines.slope, lines.intercept, lines.information, self.terms)
+    def _fit_lines(self, power: Floats, sky: Floats) -> Lines:
+        return fit_lines(power, sky, self.paths.relative_variance, self.forms)
+
+    def _solve(self, lines: Sequence[Lines]) -> tuple[SeparableSolution, NDArray[np.bool_]]:
+        """The chain fitted to several lines at once."""
+        slope, intercept, information = (
+            np.concatenate(values)
+            for values in zip(*((one.slope, one.intercept, one.information) for one in lines), strict=True)
+        )
+        return solve_without_interference(slope, intercept, information, self.terms)
 
     def fit(self, power: Floats, sky: Floats) -> Floats:
         """Ln C up to a constant along time, shape (freq,); NaN where it is not determined."""
-        return _log_c(self._solve(power, sky)[1].x[0])
+        return _log_c(self._solve([self._fit_lines(power, sky)])[0].x[0])
 
-    def change_sky(self, change: SkyTerm) -> Floats:
-        """Change of ln C by a change of ln P_sky: half the difference between both signs, shape (freq,)."""
+    def change_sky(self, change: SkyTerm) -> list[Lines]:
+        """The lines with a change of ln P_sky, for both of its signs."""
         hours = self.paths.lst_hours - change.lst_hours[0]
-        size = read_at(change.d_ln_p[self.paths.owners[0][2]], hours)
-        up, down = (self.fit(self.paths.power, self.sky * np.exp(sign * size)) for sign in (1.0, -1.0))
-        return (up - down) / 2.0
+        factor = np.exp(read_at(change.d_ln_p[self.paths.owners[0][2]], hours))
+        return [self._fit_lines(self.paths.power, sky) for sky in (self.sky * factor, self.sky / factor)]
+
+    def compare_signs(self, changed: Sequence[Sequence[Lines]]) -> Floats:
+        """Change of ln C by each change of ln P_sky: half the difference of both signs, shape (change, freq)."""
+        solution, _ = self._solve([one for both in changed for one in both])
+        log_c = _log_c(solution.x).reshape(len(changed), 2, -1)
+        return np.asarray((log_c[:, 0] - log_c[:, 1]) / 2.0)
 
     def try_antennas(self, freedom: SkyFreedom) -> tuple[Floats, Floats]:
         """Other antennas fitted to the same data.
@@ -88,20 +100,19 @@ class _Refit:
         change of ln C, shape (antenna, freq).
         """
         paths, dipole = self.paths, self.paths.owners[0][2]
-        predictions, changes = [], []
-        for other in freedom.antennas:
-            sky = self.sky * np.exp(read_at(other.change[dipole], paths.lst_hours))
-            lines, solution, is_free = self._solve(paths.power, sky)
-            slope, behind = solution.x[0], solution.q[0] @ self.terms.behind
-            intercept = np.where(is_free[0], lines.intercept[0], self.terms.before(solution.n[0]) * slope + behind)
+        others = [self.sky * np.exp(read_at(one.change[dipole], paths.lst_hours)) for one in freedom.antennas]
+        lines = [self._fit_lines(paths.power, sky) for sky in (*others, self.sky)]
+        solution, is_free = self._solve(lines)
+        predictions, own = [], slice(-1, None)
+        for k, sky in enumerate(others):
+            slope, behind = solution.x[k], solution.q[k] @ self.terms.behind
+            intercept = np.where(is_free[k], lines[k].intercept[0], self.terms.before(solution.n[k]) * slope + behind)
             predictions.append(slope * sky + intercept)
-            changes.append(_log_c(slope) - self.log_c)
-        lines, solution, is_free = self._solve(paths.power, self.sky)
         gain = compare_predictions(
-            paths.power, self.sky, paths.relative_variance, paths.lst_hours, lines, solution.n, solution.x, self.terms,
-            is_free, freedom, dipole, np.array(predictions),
+            paths.power, self.sky, paths.relative_variance, paths.lst_hours, lines[-1], solution.n[own],
+            solution.x[own], self.terms, is_free[own], freedom, dipole, np.array(predictions),
         )  # fmt: skip
-        return np.nan_to_num(gain, nan=-np.inf), np.array(changes)
+        return np.nan_to_num(gain, nan=-np.inf), _log_c(solution.x[:-1]) - self.log_c
 
     def add_power(self, fraction: float) -> Floats:
         """Change of ln C by power that is recorded at all times, a fraction of the mean."""
@@ -142,7 +153,11 @@ def compute_budget(
             for paths in means
             if paths.members
         }
-        found = {polarisation: list(pool.map(refit.change_sky, changes)) for polarisation, refit in refits.items()}
+        found = {
+            polarisation: refit.compare_signs(list(pool.map(refit.change_sky, changes)))
+            for polarisation, refit in refits.items()
+            if changes
+        }
         terms = [
             BudgetTerm(change.name, change.source, {p: _finite(vectors[k])[None] for p, vectors in found.items()})
             for k, change in enumerate(changes)
