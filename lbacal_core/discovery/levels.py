@@ -14,12 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import helmert
-from scipy.stats import binom, chi2
+from scipy.stats import chi2
 
 from lbacal_core.calibration.noise import CHANNELS_PER_VECTOR, MOST_VECTORS, orthonormal
 from lbacal_core.calibration.normal_equations import solve_normal_equations
 from lbacal_core.causes.axes import list_axes
-from lbacal_core.causes.conditions import RAIN
+from lbacal_core.discovery.kinds import FEWEST_OF_KIND, HEAVY, Kinds, is_heavy, list_kinds
 from lbacal_core.discovery.station import Station
 from lbacal_core.grids import Floats
 
@@ -31,15 +31,8 @@ ONE_SIGMA, IN_MOST = 0.683, 0.15
 """Quantile of a normal amount at one standard deviation, and the part of an excess variance that most events show."""
 STRUCTURE_SHARE, SMALLEST_PROFILE = 1 / 3, 1e-6
 """Most profiles in time that are no noise, as a share of the events; and the size of one that others contain."""
-FEWEST_OF_KIND = 40
-"""Events of a kind from which its covariance is estimated, to 22 %."""
-RARE, BEYOND_CHANCE = 0.1, 1e-3
-"""Quantile of the other events that fewer events of a kind must exceed to have a covariance of their own, and the
-probability below which so many do not by chance."""
 TYPICAL_EVENTS = 100
 """Spectra for which the typical covariance of a path counts in that of a cable name: 14 % of a variance."""
-HEAVY, TYLER_ROUNDS = 1e-3, 10
-"""Share of normal events beyond which an event counts as no noise; rounds of a fixed point that needs six."""
 GAINS_RIDGE = 1e-4
 """Where nothing is added behind, gains in front and behind are one."""
 
@@ -154,10 +147,10 @@ def estimate_levels(
     seen = np.tensordot(class_share, seeds, axes=1)
     structure, is_ordinary = _structure(station), _is_ordinary(mean, seen)
     free_events = max(events - 2 - structure.shape[1], 1)
-    whole, mean = mean, _clean(mean, structure, is_ordinary)
-    kind_of = _kinds(station, mean.sum(axis=0) @ orthonormal(seen)[:MOST_VECTORS].T)
-    kinds = [np.flatnonzero(kind_of == kind) for kind in range(kind_of.max() + 1)]
-    vectors = _choose_vectors(mean, seen, kinds, free_events / events)
+    whole, clean = mean, _clean(mean, structure, is_ordinary)
+    kinds = list_kinds(station, clean.sum(axis=0) @ orthonormal(seen)[:MOST_VECTORS].T)
+    mean = kinds.beside_rain(clean)
+    vectors = _choose_vectors(mean, seen, kinds.members, free_events / events)
     outside = max(channels - int(np.sum(np.any(vectors != 0, axis=1))), 1)
     used = events / free_events
     along = mean @ vectors.T
@@ -165,7 +158,7 @@ def estimate_levels(
     if len(deviation) == polarisations:
         # A single path has no other to be compared with: all noise counts as its own.
         own_channel = max(float(np.sqrt(of_mean.mean())), SMALLEST_LEVEL)
-        of_path = np.stack([np.mean([_scatter(one[own]) for one in along], axis=0) * used for own in kinds])
+        of_path = np.stack([np.mean([_scatter(one[own]) for one in along], axis=0) * used for own in kinds.members])
         shared = np.stack([_beyond(one, own_channel**2) for one in of_path])[:, None].repeat(len(seeds), axis=1)
     else:
         amount = deviation @ vectors.T
@@ -173,7 +166,7 @@ def estimate_levels(
         dof = np.maximum(station.is_present.sum(axis=1) - 2, 1) * share
         rest = np.einsum("pef,pef->p", deviation, deviation) - np.einsum("pek,pek->p", amount, amount)
         own_channel = max(float(np.sqrt(np.median((rest / (dof * outside))[members.in_mean]))), SMALLEST_LEVEL)
-        amount = _clean(amount, structure, is_ordinary)
+        amount = kinds.beside_rain(_clean(amount, structure, is_ordinary))
         shared = _path_levels(station, amount, kinds, members, used, own_channel)
     common_channel = np.sqrt(np.maximum(of_mean - own_channel**2 * members.spread.mean(axis=1), 0.0))
     # The variance of the mean beyond the variance of a mean of independent paths.
@@ -186,7 +179,7 @@ def estimate_levels(
         np.stack(
             [
                 _beyond(np.mean([_scatter(one[at]) for one in parts], axis=0) * used - less, channel)
-                for at, less in zip(kinds, own, strict=True)
+                for at, less in zip(kinds.members, own, strict=True)
             ]
         )
         for parts in (total[None], differences)
@@ -194,14 +187,14 @@ def estimate_levels(
     left = np.zeros((len(seeds), events, channels))
     if len(deviation) > polarisations:
         noise = own + channel * np.eye(len(vectors))
-        told = (whole if takes_slow else mean).mean(axis=0) @ vectors.T
-        gains = np.matmul(told[:, None], (np.linalg.pinv(of_sum + noise) @ of_sum)[kind_of])[:, 0] @ vectors
+        told = (whole if takes_slow else clean).mean(axis=0) @ vectors.T
+        gains = np.matmul(told[:, None], (np.linalg.pinv(of_sum + noise) @ of_sum)[kinds.of_event])[:, 0] @ vectors
         left = _left_in_classes(station, gains, seeds, members)
         rest = (left @ vectors.T)[station.class_of] * np.any(deviation != 0.0, axis=-1)[..., None]
-        amount = _clean(deviation @ vectors.T - rest, structure, is_ordinary)
+        amount = kinds.beside_rain(_clean(deviation @ vectors.T - rest, structure, is_ordinary))
         shared = _path_levels(station, amount, kinds, members, used, own_channel)
     levels = NoiseLevels(
-        vectors, kind_of, own_channel, shared, class_share, members.scale, common_channel, of_sum, of_difference
+        vectors, kinds.of_event, own_channel, shared, class_share, members.scale, common_channel, of_sum, of_difference
     )
     return levels, left
 
@@ -209,7 +202,7 @@ def estimate_levels(
 def _path_levels(
     station: Station,
     amount: Floats,
-    kinds: Sequence[NDArray[np.int64]],
+    kinds: Kinds,
     members: Membership,
     used: float,
     own_channel: float,
@@ -226,16 +219,16 @@ def _path_levels(
         Events over those that are left when profiles in time are taken out.
     """
     share = members.share_of_path * members.scale**2
-    present = np.stack([station.is_present[:, own].sum(axis=1) for own in kinds])
-    square = np.stack([np.einsum("pek,pej->pkj", amount[:, own], amount[:, own]) for own in kinds])
+    present = np.stack([station.is_present[:, own].sum(axis=1) for own in kinds.members])
+    square = np.stack([np.einsum("pek,pej->pkj", amount[:, own], amount[:, own]) for own in kinds.members])
     square *= (used / np.maximum(present * share, SMALLEST_LEVEL))[..., None, None]
     typical = np.median(square[:, members.in_mean], axis=1)
     cable_of_class = np.array(station.conditions.cables)
     cable_of = cable_of_class[station.class_of]
-    shared = np.empty((len(kinds), len(cable_of_class), *typical.shape[1:]))
+    shared = np.empty((len(square), len(cable_of_class), *typical.shape[1:]))
     for cable in np.unique(cable_of_class):
         own = members.in_mean & (cable_of == cable)
-        for s in range(len(kinds)):
+        for s in range(len(square)):
             spectra = float(present[s, own].sum())
             of_own = np.median(square[s, own], axis=0) if np.any(own) else typical[s]
             of_cable = (spectra * of_own + TYPICAL_EVENTS * typical[s]) / (spectra + TYPICAL_EVENTS)
@@ -261,29 +254,6 @@ def _left_in_classes(station: Station, gains: Floats, seeds: Floats, members: Me
     return left
 
 
-def _kinds(station: Station, amount: Floats) -> NDArray[np.int64]:
-    """Kind of each event, shape (event,): 1 in rain, where the resonance of a wet antenna may move more, else 0.
-
-    Fewer events in rain are a kind where they scatter more than the dry ones: with the weights of these, 38 events in
-    which the resonance moved were called interference and a resonance that widens.
-
-    Parameters
-    ----------
-    amount
-        Amounts of the seeds in the means, shape (event, k).
-    """
-    rain = station.conditions.covariate(RAIN)
-    is_wet = np.zeros(len(amount), dtype=bool) if rain is None else np.nan_to_num(rain) > 0
-    wet, dry = is_wet & station.is_used, ~is_wet & station.is_used
-    is_apart = min(wet.sum(), dry.sum()) >= FEWEST_OF_KIND
-    if not is_apart and wet.sum() and dry.sum() >= FEWEST_OF_KIND:
-        inverse = np.linalg.pinv(amount[dry].T @ amount[dry], hermitian=True)
-        distance = np.einsum("ek,kj,ej->e", amount, inverse, amount)
-        many = int(np.sum(distance[wet] > np.quantile(distance[dry], 1.0 - RARE)))
-        is_apart = bool(binom.sf(many - 1, wet.sum(), RARE) < BEYOND_CHANCE)
-    return is_wet.astype(np.int64) if is_apart else np.zeros(is_wet.size, dtype=np.int64)
-
-
 def _scatter(amount: Floats) -> Floats:
     """Covariance of amounts of zero mean, (event, k) -> (k, k), without the few events that are far outside it."""
     amount = amount[np.any(amount != 0, axis=1)]
@@ -293,21 +263,6 @@ def _scatter(amount: Floats) -> Floats:
         # A normal distribution that is cut at the quantile has a smaller variance.
         inside, cut = amount[~is_heavy(amount)], chi2.cdf(chi2.isf(HEAVY, size), size + 2) / (1.0 - HEAVY)
     return np.asarray(inside.T @ inside / (max(len(inside), 1) * cut))
-
-
-def is_heavy(amount: Floats) -> NDArray[np.bool_]:
-    """Which events are beyond the quantile `HEAVY` of the normal distribution that most show, (event, k) -> (event,).
-
-    Its form is that of the directions of the amounts (Tyler 1987, Ann. Stat. 15, 234), its size that of their median.
-    """
-    size = amount.shape[1]
-    distance, form = np.ones(len(amount)), np.eye(size)
-    for _ in range(TYLER_ROUNDS):
-        form = amount.T @ (amount / distance[:, None])
-        form *= size / max(float(np.trace(form)), SMALLEST_LEVEL)
-        inverse = np.linalg.pinv(form, hermitian=True)
-        distance = np.maximum(np.einsum("ek,kj,ej->e", amount, inverse, amount), SMALLEST_LEVEL**2)
-    return np.asarray(distance > np.median(distance) * chi2.isf(HEAVY, size) / chi2.median(size))
 
 
 def _structure(station: Station) -> Floats:

@@ -17,7 +17,7 @@ from scipy.stats import binom, chi2
 from lbacal_core.causes.axes import Axis, list_axes
 from lbacal_core.causes.cause import signature
 from lbacal_core.discovery.hypothesis import Hypothesis
-from lbacal_core.discovery.levels import is_heavy
+from lbacal_core.discovery.kinds import is_heavy
 from lbacal_core.discovery.project import LinearModel
 from lbacal_core.discovery.refit import FOLDS, held_out_fold
 from lbacal_core.discovery.trials import p_of_best

@@ -3,7 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lbacal_core.discovery.levels import HEAVY, STANDS_OUT, _beyond, _scatter, beyond_noise, is_heavy
+from lbacal_core.discovery.kinds import HEAVY, is_heavy
+from lbacal_core.discovery.levels import STANDS_OUT, _beyond, _scatter, beyond_noise
 
 
 def test_normal_amounts_keep_their_covariance_and_hardly_any_is_heavy():

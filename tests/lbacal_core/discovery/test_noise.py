@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lbacal_core.causes.conditions import RAIN
 from lbacal_core.discovery.noise import split_residuals
 
 NU = np.linspace(-1.0, 1.0, 51)
@@ -118,32 +117,6 @@ def test_bursts_in_a_few_events_do_not_count_as_noise(station, noise):
     is_hit = (np.arange(noise.shape[1]) % 16 == 0)[None, :, None]
     still, burst = (split_residuals(station, one, THREE).levels for one in (noise, noise + 0.2 * is_hit * THREE[1]))
     assert np.trace(burst.common_sum[0]) == pytest.approx(np.trace(still.common_sum[0]), rel=0.15)
-
-
-@pytest.mark.parametrize("spell", [5, 25])
-def test_events_in_rain_have_levels_of_their_own(station, noise, spell):
-    """A resonance that moves in rain alone was structure in single events, and once a cause that follows rain.
-
-    Where fewer than 40 events were wet they were weighed as dry ones: interference and the Sun were named.
-    """
-    wet = np.arange(noise.shape[1]) % spell == 0
-    moved = 0.6 * np.random.default_rng(9).standard_normal((1, noise.shape[1], 1)) * wet[:, None] * THREE[2]
-    levels = split_residuals(_in_rain(station, wet), noise + moved, THREE).levels
-    np.testing.assert_array_equal(levels.kind_of, wet)
-    dry, rainy = (np.diag(levels.vectors.T @ one @ levels.vectors).max() for one in levels.common_sum)
-    assert rainy > 4 * dry
-
-
-def test_a_few_events_in_rain_are_weighed_as_the_others_where_they_are_alike_but_for_a_burst(station, noise):
-    wet = np.arange(noise.shape[1]) % 25 == 0
-    burst = noise + 2.0 * (np.arange(noise.shape[1]) == 50)[:, None] * THREE[2]
-    for one in (noise, burst):
-        assert not np.any(split_residuals(_in_rain(station, wet), one, THREE).levels.kind_of)
-
-
-def _in_rain(station, wet):
-    conditions = replace(station.conditions, covariates={**station.conditions.covariates, RAIN: 1.0 * wet})
-    return replace(station, conditions=conditions)
 
 
 def test_gains_that_all_paths_share_leave_nothing_in_the_deviations_of_those_that_show_more(station, noise):
