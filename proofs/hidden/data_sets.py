@@ -39,6 +39,8 @@ EVENTS, FEW_EVENTS = 250, 150
 STATIC = ("cable_length", "cable_reflection")
 LARGEST_CHANGE = 0.5
 """A fault that has to change the power by more than this fraction somewhere to be seen counts as not identifiable."""
+HEARING = 0.3
+"""Gain of an antenna over that of the median one, below which it is deaf."""
 SMALLEST_SHARE = 0.1
 """Share of its information that a fault must keep beside the freedom of the models: below, they hide it."""
 
@@ -187,7 +189,7 @@ class DataSet:
         """A fault of a cause: its law, and whom it concerns, of these scopes or of all that it can have."""
         scopes = scopes or self.scopes_of(cause)
         scope = scopes[rng.integers(len(scopes))]
-        where, label = self._choose(scope, rng, self._comparable if cause in STATIC else self.antennas)
+        where, label = self._choose(scope, rng, self._comparable if cause in STATIC else self.hearing)
         return Planted(cause, draw_fault(cause, rng, self.settings, where=where), scope, label)
 
     def scopes_of(self, cause: str) -> tuple[str, ...]:
@@ -196,11 +198,19 @@ class DataSet:
         return (*SCOPES.get(cause, ("station",)), *boards)
 
     @property
+    def hearing(self) -> tuple[int, ...]:
+        """Antennas that receive the sky; one that is deaf is reported as that, and nothing else is asked of it."""
+        gain = self.detector.station.stages.gain
+        of_antenna = gain.mean(axis=tuple(range(1, gain.ndim)))
+        return tuple(int(a) for a in self.scene.antennas[of_antenna > HEARING * np.median(of_antenna)])
+
+    @property
     def _comparable(self) -> tuple[int, ...]:
         """Antennas of the most common cable, which have others to be compared with."""
         scene = self.scene
         names, counts = np.unique(scene.cables, return_counts=True)
-        return tuple(int(a) for a in scene.antennas[scene.cables == names[np.argmax(counts)]])
+        alike = scene.antennas[scene.cables == names[np.argmax(counts)]]
+        return tuple(int(a) for a in alike if a in self.hearing)
 
     def _choose(self, scope: str, rng: np.random.Generator, antennas: Sequence[int]) -> tuple[Where, str]:
         antenna = int(rng.choice(antennas))

@@ -71,6 +71,15 @@ def test_boards_and_cable_names_are_hit_at_the_signal_to_noise_that_is_wanted() 
     assert groups == {"board 0", "board 1", "board 2"}
 
 
+def test_nothing_is_hidden_in_a_deaf_antenna() -> None:
+    data = drawn_data(3)
+    spectra = data.spectra()
+    loud = np.array([np.median(spectra.power[spectra.antenna == a]) for a in data.antennas])
+    (deaf,) = set(data.antennas) - set(data.hearing)
+    same_cable = data.scene.cables == data.scene.cables[deaf]
+    assert loud[deaf] < 0.7 * np.median(loud[same_cable])
+
+
 def test_what_other_models_of_the_sky_make_as_well_cannot_be_shown() -> None:
     data = drawn_data(7)
     rng = np.random.default_rng(1)
