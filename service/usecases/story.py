@@ -4,10 +4,16 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
+from lbacal_core.in_words import write_percent
+from lbacal_core.reference_chain import ReferenceChain
 from service.storage.versions import Version
 
 NOTICEABLE = 2.0
 """Standard deviations from which on a noise constant is told to be another."""
+LEAST_CABLES = 0.001
+"""A smaller change of C by the cables of other antennas is not told: errors of a version are ten times it."""
 
 
 def explain_version(version: Version, first: Version, dipole: str) -> str:
@@ -18,7 +24,7 @@ def explain_version(version: Version, first: Version, dipole: str) -> str:
     told = []
     if now is not None and before is not None and now.member_set != before.member_set:
         gone, new = len(before.member_set - now.member_set), len(now.member_set - before.member_set)
-        told.append(f"other antennas ({gone} left out, {new} more)")
+        told.append(f"other antennas ({gone} left out, {new} more)" + _tell_cables(before, now))
     was, is_now = (one.curve_of(dipole).parameters for one in (first, version))
     for name in is_now:
         if name not in was:
@@ -28,3 +34,9 @@ def explain_version(version: Version, first: Version, dipole: str) -> str:
         if abs(change) > NOTICEABLE * sigma:
             told.append(f"N_{name.removeprefix('n_').upper()} {change:+.0%} ± {sigma:.0%}")
     return ", ".join(told) or "the same antennas, noise constants within their errors"
+
+
+def _tell_cables(before: ReferenceChain, now: ReferenceChain) -> str:
+    """What the mean loss of other cables does to C, which is as L_ref^-1/2."""
+    change = float(np.median((before.mean_loss / now.mean_loss) ** 0.5)) - 1.0
+    return "" if abs(change) < LEAST_CABLES else f", whose cables change C by {write_percent(change, 1)}"

@@ -34,6 +34,15 @@ def test_other_antennas_and_noise_constants_are_told(new_version: Callable[..., 
     assert explain_version(other, first, "X") == "other antennas (1 left out, 2 more), N_LNA +30% ± 4%"
 
 
+def test_the_cables_of_other_antennas_are_told_with_what_they_do(new_version: Callable[..., Version]) -> None:
+    """A version that had one antenna more stood 8 % beside its line, and only the number of antennas was told."""
+    first = _made(new_version, "first", range(4), 1.0)
+    other = _made(new_version, "other", range(5), 1.0)
+    longer = {d: replace(chain, mean_loss=np.full(4, 0.81)) for d, chain in other.chains.items()}
+    told = explain_version(replace(other, chains=longer), first, "X")
+    assert told == "other antennas (0 left out, 1 more), whose cables change C by +11.1 %"
+
+
 def test_the_page_of_the_drift_says_why_a_version_differs(station: Factory) -> None:
     look_for_due_work(station)
     work(station)
