@@ -18,11 +18,13 @@ from lbacal_core.grids import Floats
 def correlate(model: LinearModel, families: Sequence[SpectralFamily], target: Target) -> Floats:
     """Correlations of all templates of families in the view that shows a target best, shape (template, template).
 
-    The means show the station; the deviation of a typical path shows anything narrower.
+    The means show the station; the deviation of a typical path shows anything narrower. Rows of templates that are free
+    are 0: what is left of them is rounding, which is no trial.
     """
     view, spectra = _best_view(model, target, [FamilySpectra.of(model, [one]) for one in families])
     product = view.products([view.see(one.whole) for one in spectra], [family.profiles for family in families])[0]
-    size = np.sqrt(np.maximum(np.diag(product), SMALLEST_INFORMATION))
+    information = np.diag(product)
+    size = np.sqrt(np.where(information > SMALLEST_INFORMATION, information, np.inf))
     return np.asarray(product / np.outer(size, size))
 
 
