@@ -14,7 +14,8 @@ from lbacal_core.causes.cause import Template
 from lbacal_core.discovery.correlations import overlap
 from lbacal_core.discovery.families import list_families
 from lbacal_core.discovery.hypothesis import Hypothesis, Target
-from lbacal_core.discovery.proposals import chi_squared_of
+from lbacal_core.discovery.open_noise import refit_over_noise
+from lbacal_core.discovery.proposals import gain_in_chi_squared
 from lbacal_core.discovery.refit import FittedModel, fit_chain, refit
 from lbacal_core.discovery.report import plain_parameters
 from lbacal_core.discovery.search import Finding, StationReport
@@ -61,11 +62,11 @@ def weigh_alternatives(
     hypotheses = [OpenHypothesis(found, 0.0, _change(without, last, found.target))]
     for name, template in _nearest_templates(without, found, names).items():
         cause = next(one for one in CAUSES if one.identifier == name)
-        other = refit(without, Hypothesis(cause, template, found.target, 0.0))
-        if other is not None:
-            chi2_found, chi2_other, _ = chi_squared_of(last, other)
+        fitted = refit_over_noise(without, Hypothesis(cause, template, found.target, 0.0))
+        if fitted is not None:
+            other, _ = fitted
             change = _change(without, other, found.target)
-            hypotheses.append(OpenHypothesis(other.hypotheses[-1], chi2_other - chi2_found, change))
+            hypotheses.append(OpenHypothesis(other.hypotheses[-1], -gain_in_chi_squared(last, other), change))
     return hypotheses
 
 
@@ -74,7 +75,7 @@ def _without(last: FittedModel, found: Hypothesis) -> FittedModel:
     model = fit_chain(last.station, last.linear.modes)
     for one in last.hypotheses:
         if one is not found:
-            model = refit(model, one) or model
+            model = refit(model, one, last.noise) or model
     return model
 
 

@@ -73,15 +73,7 @@ def split_residuals(station: Station, residual: Floats, seeds: Floats) -> Residu
     is_present = station.is_present
     polarisations, polarisation_of = np.unique(station.dipole, return_inverse=True)
     in_mean = _is_complete(is_present, polarisation_of)
-    mean = np.empty((polarisations.size, *residual.shape[1:]))
-    deviation = np.empty_like(residual)
-    for d in range(polarisations.size):
-        everyone = np.flatnonzero(polarisation_of == d)
-        members = np.flatnonzero(in_mean & (polarisation_of == d))
-        present = is_present[members].sum(axis=0)
-        mean[d] = residual[members].sum(axis=0) / np.maximum(present, 1)[:, None]
-        # The mean is unknown where none of its paths is present.
-        deviation[everyone] = (residual[everyone] - mean[d]) * (is_present[everyone] & (present > 0))[:, :, None]
+    mean, deviation = split_values(station, residual, in_mean)
     seeds = np.broadcast_to(seeds, (len(station.conditions.dipoles), *seeds.shape[-2:]))
     alike = Membership(polarisation_of, in_mean, np.ones(len(is_present)), np.ones(mean.shape[:2]), seeds)
     scale = _path_scale(station, deviation, alike) if np.any(np.bincount(polarisation_of) > 1) else alike.scale
@@ -95,6 +87,30 @@ def split_residuals(station: Station, residual: Floats, seeds: Floats) -> Residu
     )
     taken = left[station.class_of] * (deviation != 0.0)
     return Residuals(polarisations, in_mean, mean, deviation - taken, taken, spread, seeds, levels)
+
+
+def split_values(station: Station, values: Floats, in_mean: NDArray[np.bool_]) -> tuple[Floats, Floats]:
+    """The mean of each polarisation, shape (polarisation, event, freq), and each path less it, shape (path, ...).
+
+    Parameters
+    ----------
+    values
+        Shape (path, event, freq); 0 where absent.
+    in_mean
+        Whether a path takes part in the mean, shape (path,).
+    """
+    is_present = station.is_present
+    polarisations, polarisation_of = np.unique(station.dipole, return_inverse=True)
+    mean = np.empty((polarisations.size, *values.shape[1:]))
+    deviation = np.empty_like(values)
+    for d in range(polarisations.size):
+        everyone = np.flatnonzero(polarisation_of == d)
+        members = np.flatnonzero(in_mean & (polarisation_of == d))
+        present = is_present[members].sum(axis=0)
+        mean[d] = values[members].sum(axis=0) / np.maximum(present, 1)[:, None]
+        # The mean is unknown where none of its paths is present.
+        deviation[everyone] = (values[everyone] - mean[d]) * (is_present[everyone] & (present > 0))[:, :, None]
+    return mean, deviation
 
 
 def estimate_again(station: Station, residuals: Residuals, mean: Floats, sky: Floats | None = None) -> Residuals:

@@ -16,9 +16,8 @@ from scipy.stats import norm, qmc
 from lbacal_core.causes.cause import signature
 from lbacal_core.chain.terms import ChainTerms
 from lbacal_core.discovery.hypothesis import Hypothesis
-from lbacal_core.discovery.refit import FittedModel, can_be_told_apart
+from lbacal_core.discovery.refit import FittedModel, Noise, can_be_told_apart, refit, with_noise
 from lbacal_core.grids import Floats
-from lbacal_core.intercepts import Intercepts
 
 OPEN_FROM = 0.05
 """Share of the power by which a noise constant must be uncertain: below, it moves a size by less than this share."""
@@ -47,7 +46,7 @@ class OpenNoise:
     behind: Floats
     covariance: Floats
 
-    def draw(self, u: Floats) -> list[tuple[Floats, Floats]]:
+    def draw(self, u: Floats) -> list[Noise]:
         """Constants in front and behind, for standard normal numbers of shape (draw, r + k)."""
         count = len(self.front)
         sigma = np.sqrt(np.diag(self.covariance))[:count]
@@ -64,8 +63,29 @@ class OpenNoise:
         return list(zip(n, np.maximum(self.behind + (n - self.front) @ onto + scatter, 0.0), strict=True))
 
 
-def average_size(model: FittedModel, number: int) -> tuple[float, float] | None:
-    """Mean and standard deviation of a size over the noise constants that the fit leaves open; None where it does not.
+@dataclass(frozen=True)
+class AveragedSize:
+    """A size averaged over the noise constants that the fit leaves open.
+
+    Attributes
+    ----------
+    size, sigma
+        Mean and standard deviation.
+    noise
+        Mean constants, by which the cause acts with the mean size.
+    gain
+        2 ln of the likelihood averaged over these constants in units of that with the fitted ones: the gain in chi^2 of
+        a cause whose template has the form of the effect with another share of the noise.
+    """
+
+    size: float
+    sigma: float
+    noise: Noise
+    gain: float
+
+
+def average_size(model: FittedModel, number: int) -> AveragedSize | None:
+    """Average a size over the noise constants that the fit leaves open; None where it leaves none open.
 
     Parameters
     ----------
@@ -80,18 +100,40 @@ def average_size(model: FittedModel, number: int) -> tuple[float, float] | None:
     centre, scale = np.zeros(normal.shape[1]), 1.0
     for _ in range(MOST_ROUNDS):
         u = centre + scale * normal
-        size, gain = _fit_sizes(model, one, noise.draw(u))
+        drawn = noise.draw(u)
+        size, gain = _fit_sizes(model, one, drawn)
         if not np.any(np.isfinite(gain)):
             return None
         # by likelihood and prior over the density of the draws
-        gain += 0.5 * (np.sum(normal**2, axis=1) - np.sum(u**2, axis=1))
+        gain += 0.5 * (np.sum(normal**2, axis=1) - np.sum(u**2, axis=1)) + normal.shape[1] * np.log(scale)
         weight = np.exp(gain - gain.max())
+        evidence = float(gain.max() + np.log(weight.mean()))
         weight /= weight.sum()
         if 1.0 / np.sum(weight**2) >= ENOUGH:
             break
         centre, scale = weight @ u, scale * NARROWER
     mean, relative = float(weight @ size), one.uncertainty / one.size
-    return mean, float(np.sqrt(weight @ ((relative * size) ** 2 + (size - mean) ** 2)))
+    sigma = float(np.sqrt(weight @ ((relative * size) ** 2 + (size - mean) ** 2)))
+    front, behind = (weight @ np.stack(part) for part in zip(*drawn, strict=True))
+    return AveragedSize(mean, sigma, (front, behind), 2.0 * evidence)
+
+
+def refit_over_noise(before: FittedModel, new: Hypothesis) -> tuple[FittedModel, float] | None:
+    """Fit everything with a hypothesis more, by the noise constants that it prefers where the fit leaves them open.
+
+    Returns
+    -------
+    The fitted model, and what its chi^2 gains on average over such constants; None as in `refit`.
+    """
+    model = refit(before, new)
+    if model is None:
+        return None
+    averaged = average_size(model, len(model.hypotheses) - 1)
+    if averaged is None:
+        return model, 0.0
+    again = refit(before, replace(new, size=averaged.size), averaged.noise)
+    averaged = None if again is None else average_size(again, len(again.hypotheses) - 1)
+    return (model, 0.0) if again is None or averaged is None else (again, averaged.gain)
 
 
 def open_noise(model: FittedModel, one: Hypothesis) -> OpenNoise | None:
@@ -105,7 +147,7 @@ def open_noise(model: FittedModel, one: Hypothesis) -> OpenNoise | None:
     return OpenNoise(constants[:count], constants[count:], covariance)
 
 
-def _fit_sizes(model: FittedModel, one: Hypothesis, drawn: Sequence[tuple[Floats, Floats]]) -> tuple[Floats, Floats]:
+def _fit_sizes(model: FittedModel, one: Hypothesis, drawn: Sequence[Noise]) -> tuple[Floats, Floats]:
     """The size with each noise, and by how much ln L is larger than with the fitted noise, shape (draw,).
 
     Hypotheses on the same paths move with it.
@@ -116,7 +158,7 @@ def _fit_sizes(model: FittedModel, one: Hypothesis, drawn: Sequence[tuple[Floats
     fitted = _log_ratio(there, fitted_terms, model)
     size, gain = np.zeros(len(drawn)), np.full(len(drawn), -np.inf)  # no more noise of a stage that has none
     for k, (n, q) in enumerate(drawn):
-        terms = _with_noise(fitted_terms, conditions.intercepts, n, q)
+        terms = with_noise(model.station, fitted_terms, (n, q))
         templates = [signature(h.cause, terms, conditions, h.template, h.size) for h in there]
         missed = fitted - _log_ratio(there, terms, model)
         score, information = model.linear.products([*templates, missed], [*targets, one.target])
@@ -126,11 +168,6 @@ def _fit_sizes(model: FittedModel, one: Hypothesis, drawn: Sequence[tuple[Floats
             size[k] = one.size + inverse[0] @ onto
             gain[k] = 0.5 * (onto @ inverse @ onto - information[-1, -1]) - score[-1]
     return size, gain
-
-
-def _with_noise(terms: ChainTerms, intercepts: Intercepts, n: Floats, q: Floats) -> ChainTerms:
-    receiver, adc = intercepts.split_behind(q)
-    return replace(terms, n_lna=intercepts.before(n), receiver_noise=receiver, adc_noise=adc)
 
 
 def _log_ratio(hypotheses: Sequence[Hypothesis], terms: ChainTerms, model: FittedModel) -> Floats:

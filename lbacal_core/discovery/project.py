@@ -18,7 +18,7 @@ from lbacal_core.chain.terms import ChainTerms
 from lbacal_core.discovery.gains import EventGains
 from lbacal_core.discovery.hypothesis import Target
 from lbacal_core.discovery.levels import NoiseLevels
-from lbacal_core.discovery.noise import Residuals, estimate_again, split_residuals
+from lbacal_core.discovery.noise import Residuals, estimate_again, split_residuals, split_values
 from lbacal_core.discovery.station import SkyModes, Station
 from lbacal_core.discovery.view import Seen, View
 from lbacal_core.grids import Floats
@@ -74,6 +74,11 @@ class LinearModel:
     def with_residuals(self, mean: Floats, deviation: Floats) -> LinearModel:
         """Other residuals of the same events, weighed alike."""
         return replace(self, residuals=replace(self.residuals, mean=mean, deviation=deviation))
+
+    def with_change(self, change: Floats) -> LinearModel:
+        """The same noise, with a change of every path added to the residuals, shape (path, event, freq)."""
+        mean, deviation = split_values(self.station, change, self.residuals.in_mean)
+        return self.with_residuals(self.residuals.mean + mean, self.residuals.deviation + deviation)
 
     def on_events(self, is_known: NDArray[np.bool_]) -> LinearModel:
         """The model of some events alone, such as those whose temperature is known; shape (event,)."""

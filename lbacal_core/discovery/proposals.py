@@ -12,9 +12,10 @@ from lbacal_core.causes.cause import Cause, Template
 from lbacal_core.discovery.families import group_templates
 from lbacal_core.discovery.hidden import HiddenCause, list_hidden
 from lbacal_core.discovery.hypothesis import Hypothesis, Target
+from lbacal_core.discovery.open_noise import refit_over_noise
 from lbacal_core.discovery.policy import Policy
 from lbacal_core.discovery.project import LinearModel
-from lbacal_core.discovery.refit import FittedModel, held_out_gain, refit
+from lbacal_core.discovery.refit import FittedModel, held_out_gain
 from lbacal_core.discovery.residual_structure import STATION, chance_along
 from lbacal_core.discovery.scan import Score, scan, score_families
 from lbacal_core.discovery.station import Station
@@ -27,7 +28,8 @@ class Candidate:
     Attributes
     ----------
     gain
-        Gain in chi^2 less the gain that the best of so many scores has by chance.
+        Gain in chi^2, averaged over the noise that the fit leaves open, less the gain that the best of so many scores
+        has by chance.
     """
 
     score: Score
@@ -143,11 +145,12 @@ def _rivals(significant: Sequence[Score], policy: Policy) -> list[Score]:
 
 
 def _fit(before: FittedModel, score: Score, policy: Policy) -> Candidate | None:
-    model = refit(before, refine(before.linear, score, policy))
-    if model is None:
+    fitted = refit_over_noise(before, refine(before.linear, score, policy))
+    if fitted is None:
         return None
-    chi2_before, chi2_after, _ = chi_squared_of(before, model)
-    return Candidate(score, model, chi2_before - chi2_after - 2 * float(np.log(score.trials)))
+    model, over_noise = fitted
+    gain = gain_in_chi_squared(before, model)
+    return Candidate(score, model, gain + over_noise - 2 * float(np.log(score.trials)))
 
 
 def chi_squared_of(before: FittedModel, after: FittedModel) -> tuple[float, float, int]:
@@ -155,6 +158,20 @@ def chi_squared_of(before: FittedModel, after: FittedModel) -> tuple[float, floa
     chi2_after, dof = after.linear.chi_squared()
     same_events = before.linear.on_events(after.station.is_used)
     return same_events.with_levels(after.linear.residuals.levels).chi_squared()[0], chi2_after, dof
+
+
+def gain_in_chi_squared(before: FittedModel, after: FittedModel) -> float:
+    """By how much chi^2 is less in the second model, on its events; models that gain over the same one are rivals.
+
+    Both leave residuals relative to the power of the first, with its noise levels and free vectors. Relative to their
+    own powers, residuals of two models differ by noise times effect: by chance that is more than rivals differ by.
+    """
+    linear = before.linear.on_events(after.station.is_used)
+    # P = m (1 + r) in each model: relative to the first, the second leaves r_before + 1 - m_after / m_before.
+    of_before, of_after = 1.0 + before.baseline.residual, 1.0 + after.baseline.residual
+    is_there = linear.station.is_present[:, :, None] & (of_after > 0)
+    change = np.where(is_there, 1.0 - of_before / np.where(is_there, of_after, 1.0), 0.0)
+    return linear.chi_squared()[0] - linear.with_change(change).chi_squared()[0]
 
 
 def refine(model: LinearModel, score: Score, policy: Policy) -> Hypothesis:

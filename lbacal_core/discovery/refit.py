@@ -39,14 +39,26 @@ DATE_BLOCKS, LST_BLOCKS, FOLDS = 8, 12, 4
 """Folds of the held-out test are made of eighths of the time and of 2 h of LST."""
 
 
+Noise = tuple[Floats, Floats]
+"""Noise constants in front of A(nu), shape (r,), and behind it, shape (k,)."""
+
+
 @dataclass(frozen=True)
 class FittedModel:
-    """The chain and the hypotheses fitted together, and the linear model of their residuals."""
+    """The chain and the hypotheses fitted together, and the linear model of their residuals.
+
+    Attributes
+    ----------
+    noise
+        Noise constants by which the hypotheses act, where the fit leaves them open and the effects say more; None where
+        they are those of the fit.
+    """
 
     hypotheses: list[Hypothesis]
     baseline: Baseline
     linear: LinearModel
     is_converged: bool
+    noise: Noise | None = None
 
     @property
     def station(self) -> Station:
@@ -123,7 +135,14 @@ def _groups(station: Station, hypotheses: Sequence[Hypothesis]) -> list[tuple[ND
     ]
 
 
-def refit(before: FittedModel, new: Hypothesis) -> FittedModel | None:
+def with_noise(station: Station, terms: ChainTerms, noise: Noise) -> ChainTerms:
+    """The chain with other noise constants."""
+    intercepts = station.conditions.intercepts
+    receiver, adc = intercepts.split_behind(noise[1])
+    return replace(terms, n_lna=intercepts.before(noise[0]), receiver_noise=receiver, adc_noise=adc)
+
+
+def refit(before: FittedModel, new: Hypothesis, noise: Noise | None = None) -> FittedModel | None:
     """Fit the chain of every path and the sizes of all hypotheses together: those of the model before, and a new one.
 
     Returns None where the hypotheses cannot be told apart or the fit runs away. Events on which the covariate of the
@@ -135,13 +154,16 @@ def refit(before: FittedModel, new: Hypothesis) -> FittedModel | None:
         The model that is extended.
     new
         The hypothesis added, at the size from which to start.
+    noise
+        Noise constants by which the hypotheses act; None for those of the model before.
     """
+    noise = before.noise if noise is None else noise
     station = before.station.on_events(new.cause.known_events(before.station.conditions, new.template))
     most = new.cause.largest_step
     hypotheses = [*before.hypotheses, replace(new, size=float(np.clip(new.size, -most, most)))]
     levels = before.linear.on_events(station.is_used).residuals.levels
     modes, empirical = before.linear.modes, before.linear.empirical
-    found = fit_sizes(station, before.baseline, hypotheses, levels, modes, empirical)
+    found = fit_sizes(station, before.baseline, hypotheses, levels, modes, empirical, noise=noise)
     return None if found is None else found[0]
 
 
@@ -154,6 +176,7 @@ def fit_sizes(
     empirical: Floats | None = None,
     *,
     is_free: NDArray[np.bool_] | None = None,
+    noise: Noise | None = None,
 ) -> tuple[FittedModel, Floats] | None:
     """Fit the chain of every path and the sizes of hypotheses together, with noise levels that stay as they are.
 
@@ -165,6 +188,8 @@ def fit_sizes(
         At the sizes from which to start.
     is_free
         Sizes that are fitted, shape (hypothesis,); None for all.
+    noise
+        Noise constants by which the hypotheses act; None for those of the fit.
 
     Returns
     -------
@@ -173,11 +198,15 @@ def fit_sizes(
     """
     limit = np.array([one.cause.largest_step for one in hypotheses])
     at = np.arange(len(hypotheses)) if is_free is None else np.flatnonzero(is_free)
+    if noise is not None:
+        baseline = replace(baseline, terms=with_noise(station, baseline.terms, noise))
     for _ in range(MAX_ROUNDS):
         ratio = power_ratio(station, baseline.terms, hypotheses)
         if not np.all((ratio > LARGEST_CHANGE**-1) & (ratio < LARGEST_CHANGE)):
             return None
         baseline = fit_baseline(station, ratio)
+        if noise is not None:
+            baseline = replace(baseline, terms=with_noise(station, baseline.terms, noise))
         linear = linearise(station, baseline, modes, empirical, hypotheses)
         # The noise levels stay those of the model before, so that every round minimises the same chi^2.
         weighed = linear.with_levels(levels)
@@ -199,7 +228,7 @@ def fit_sizes(
         if is_converged:
             break
         hypotheses = [replace(one, size=one.size + float(d)) for one, d in zip(fitted, step, strict=True)]
-    return FittedModel(fitted, baseline, linear, is_converged), information
+    return FittedModel(fitted, baseline, linear, is_converged, noise), information
 
 
 def can_be_told_apart(information: Floats) -> bool:

@@ -18,13 +18,12 @@ from lbacal_core.causes.conditions import Conditions
 from lbacal_core.discovery.adopted import FittedSize, fit_adopted
 from lbacal_core.discovery.antennas import AntennaScore, compare_antennas, why_no_comparison
 from lbacal_core.discovery.cable_names import compare_cable_names
-from lbacal_core.discovery.correlations import overlap
 from lbacal_core.discovery.deaf import leave_out_deaf
-from lbacal_core.discovery.families import list_families
 from lbacal_core.discovery.growth import grow
 from lbacal_core.discovery.hidden import shares_taken
 from lbacal_core.discovery.hypothesis import Hypothesis, Target, list_targets
-from lbacal_core.discovery.open_noise import average_size
+from lbacal_core.discovery.indistinguishable import find_indistinguishable
+from lbacal_core.discovery.open_noise import AveragedSize, average_size
 from lbacal_core.discovery.policy import Policy
 from lbacal_core.discovery.project import LinearModel
 from lbacal_core.discovery.proposals import SameAgain, StationSearch, chi_squared_of, gain_of
@@ -55,8 +54,7 @@ class Finding:
     calibration_change
         Relative change of C of the target's paths, shape (path, freq).
     over_noise
-        Its size and the standard deviation of it over the noise constants that the fit leaves open; None where the
-        data tell them apart.
+        Its size averaged over the noise constants that the fit leaves open; None where the data tell them apart.
     """
 
     hypothesis: Hypothesis
@@ -67,12 +65,14 @@ class Finding:
     dof: int
     held_out_gain: float
     calibration_change: Floats
-    over_noise: tuple[float, float] | None = None
+    over_noise: AveragedSize | None = None
 
     @property
     def size(self) -> tuple[float, float]:
         """The size with its standard deviation."""
-        return self.over_noise or (self.hypothesis.size, self.hypothesis.uncertainty)
+        if self.over_noise is None:
+            return self.hypothesis.size, self.hypothesis.uncertainty
+        return self.over_noise.size, self.over_noise.sigma
 
 
 @dataclass(frozen=True)
@@ -278,25 +278,8 @@ def _without(models: Sequence[FittedModel], number: int, adopted: int) -> Fitted
     """The fitted model with all hypotheses but one, so that the residuals contain the whole effect of that one."""
     model = models[number]
     for hypothesis in models[-1].hypotheses[adopted + number + 1 :]:
-        model = refit(model, hypothesis) or model
+        model = refit(model, hypothesis, models[-1].noise) or model
     return model
-
-
-def find_indistinguishable(model: LinearModel, hypothesis: Hypothesis, policy: Policy) -> list[tuple[str, float]]:
-    """Causes with a template that the data cannot distinguish from this one at its size, with the correlation."""
-    conditions, own = model.station.conditions, hypothesis.cause
-    others = [cause for cause in CAUSES if cause is not own and hypothesis.target.scope in cause.scopes]
-    known = model.on_events(own.known_events(conditions, hypothesis.template))
-    families = list_families(conditions, others)
-    correlations = overlap(known, own, hypothesis.template, hypothesis.target, families)
-    snr = abs(hypothesis.size / hypothesis.sigma)
-    found: dict[str, float] = {}
-    for one, correlation in zip(families, correlations, strict=True):
-        largest = float(np.abs(correlation).max())
-        if snr**2 * (1 - min(largest, 1.0) ** 2) < policy.indistinguishable:
-            name = one.cause.identifier
-            found[name] = max(found.get(name, 0.0), largest)
-    return sorted(found.items(), key=lambda item: -item[1])
 
 
 def _calibration_change(before: FittedModel, after: FittedModel, target: Target) -> Floats:

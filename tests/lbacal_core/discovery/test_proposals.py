@@ -9,14 +9,17 @@ from lbacal_core.causes.catalogue import CAUSES
 from lbacal_core.causes.cause import Template, signature
 from lbacal_core.discovery.hypothesis import list_targets
 from lbacal_core.discovery.policy import Policy
-from lbacal_core.discovery.proposals import refine
-from lbacal_core.discovery.refit import fit_chain
+from lbacal_core.discovery.proposals import gain_in_chi_squared, refine
+from lbacal_core.discovery.refit import fit_chain, refit
 from lbacal_core.discovery.scan import Score, scan
 from lbacal_core.discovery.station import gather_stations
+from lbacal_core.skypower.model import compute_sky_power
+from lbacal_core.twin.campaign import simulate_campaign
 from lbacal_core.twin.faults.antenna import GainStep
 from lbacal_core.twin.faults.fault import Where
 from lbacal_core.twin.faults.interference import RfiBroadband
 from lbacal_core.twin.faults.sky import DipoleSwap
+from proofs.anywhere import SETTINGS, draw_faulty
 
 NAMED = {cause.identifier: cause for cause in CAUSES}
 
@@ -90,3 +93,15 @@ def test_an_exchange_of_the_only_two_letters_has_a_gain_on_held_out_events(world
     look = world.look(DipoleSwap(size=0.3))
     (found,) = [one for one in look.investigate().findings if one.hypothesis.cause.identifier == "dipole_swap"]
     assert found.held_out_gain > 0
+
+
+def test_noise_times_effect_is_no_gain_in_chi_squared():
+    """A drift seen at 5.6 sigma gained 15 of chi^2: residuals relative to two powers differ by noise times effect."""
+    rng = np.random.default_rng([18, 209])
+    instrument, faults = draw_faulty(rng, "gain_step")
+    sky = compute_sky_power(instrument)
+    spectra = simulate_campaign(SETTINGS, instrument, sky, rng, faults).spectra
+    model, score = best_of(spectra, instrument, sky, "gain_drift")
+    before = fit_chain(model.station)
+    fitted = refit(before, refine(model, score, Policy()))
+    assert gain_in_chi_squared(before, fitted) == pytest.approx(score.z**2, rel=0.02)

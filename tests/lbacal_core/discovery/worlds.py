@@ -23,6 +23,7 @@ from lbacal_core.discovery.antennas import AntennaScore, compare_antennas
 from lbacal_core.discovery.cable_names import compare_cable_names
 from lbacal_core.discovery.families import group_templates
 from lbacal_core.discovery.hypothesis import Hypothesis, Target, list_targets
+from lbacal_core.discovery.indistinguishable import find_indistinguishable
 from lbacal_core.discovery.noise import split_residuals
 from lbacal_core.discovery.policy import Policy
 from lbacal_core.discovery.project import LinearModel
@@ -296,8 +297,12 @@ class Look:
         self, cause: str, template: Template, significance: float, target: str = "station"
     ) -> dict[str, float]:
         """Causes that the data cannot tell from one found at a significance, with their correlation."""
-        effect = Hypothesis(_NAMED[cause], template, self.target(target), significance, sigma=1.0)
-        return dict(search.find_indistinguishable(self.model.linear, effect, Policy()))
+        z, size = self.score(cause, template, target)
+        sigma = size / z
+        missing = (significance * sigma - size) * self.signature(cause, template)
+        is_there = self.target(target).is_member[:, None, None] & self.data.is_present[:, :, None]
+        effect = Hypothesis(_NAMED[cause], template, self.target(target), significance * sigma, sigma)
+        return dict(find_indistinguishable(self.model.linear.with_change(missing * is_there), effect, Policy()))
 
     @property
     def fold(self) -> Any:
