@@ -5,7 +5,7 @@ Nothing is written here: a refit keeps what these functions make, and the dry ru
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -37,11 +37,13 @@ from service.storage.database import Stores
 from service.storage.spectra import Window
 from service.storage.versions import BUDGET, Version
 from service.usecases.inputs import hash_covariates
-from service.usecases.windows import SECOND_US, lend_to_small, share_misfits
+from service.usecases.windows import SECOND_US, FindLenders, lend_to_small, share_misfits
 from service.wire.instants import format_instant
 
 GAIN_STEP = "gain_step"
 BUDGETS_REMEMBERED = 8
+Read = tuple[Window, tuple[int, int]]
+"""A window, and what it held when it was read: `SpectraStore.content`."""
 
 
 @dataclass(frozen=True)
@@ -80,6 +82,10 @@ class Made:
     lines: Sequence[tuple[Instant, Instant, Sequence[KeptLines]]] = ()
 
 
+def _find_none(_: Collection[Scope]) -> Sequence[Version]:
+    return ()
+
+
 @dataclass(frozen=True)
 class Fits:
     """Makes versions from stored spectra."""
@@ -93,13 +99,27 @@ class Fits:
     changes: Callable[[], Sequence[SkyTerm]]
     singles: FitSingles
     budgets: Remembered[str, Budget] = field(default_factory=lambda: Remembered(BUDGETS_REMEMBERED))
+    read: Remembered[Read, Spectra] = field(default_factory=lambda: Remembered(1))
 
     def load(self, stores: Stores, wanted: Wanted) -> Spectra:
-        """The spectra of a fit, or an error where there is none."""
-        spectra = stores.spectra.load(
-            wanted.window, self.instrument.frequency_mhz, self.resistance_ohm,
-            with_covariates=not wanted.model.is_plain,
-        )  # fmt: skip
+        """The spectra of a fit, or an error where there is none.
+
+        Those of a station that were read last stay in memory: the next part is another scope of the same.
+        """
+        window = wanted.window
+        key = window, stores.spectra.content(window)
+
+        def read(_: list[Read]) -> dict[Read, Spectra]:
+            found = stores.spectra.load(
+                window, self.instrument.frequency_mhz, self.resistance_ohm, with_covariates=not wanted.model.is_plain
+            )
+            return {} if found is None else {key: found}
+
+        is_station = window.scope == Scope(window.scope.station) != Scope()
+        if is_station and wanted.model.is_plain:
+            spectra = self.read.get_many([key], read).get(key)
+        else:
+            spectra = read([key]).get(key)
         if spectra is None:
             since, until = format_instant(wanted.since), format_instant(wanted.until)
             raise ConflictError(f"no usable spectra of {name_path(*wanted.of.parts)} between {since} and {until}")
@@ -127,10 +147,13 @@ class Fits:
             versions += _versions(recorded, report, during, made, _name_beside(whole, wanted), self.instrument)
         return versions
 
-    def make(self, whole: FittedCauses, wanted: Wanted, budget: Budget | None = None) -> Made:
+    def make(
+        self, whole: FittedCauses, wanted: Wanted, budget: Budget | None = None, find_lenders: FindLenders = _find_none
+    ) -> Made:
         """Fit the chain to the spectra that a fit wants, the sizes of the causes fitted to the whole station's.
 
-        With a budget given, that of other fits of the station, the versions name it among their inputs.
+        With a budget given, that of other fits of the station, the versions name it among their inputs. A piece of the
+        window that is too small for a fit borrows from the nearest, those that `find_lenders` knows counted too.
         """
         made, beside = self.clock(), _name_beside(whole, wanted)
         if budget is not None:
@@ -146,7 +169,9 @@ class Fits:
             pieces.append((during.since, of_piece.spectra))
         if len(pieces) > 1:
             versions = share_misfits(versions)
-        return Made(lend_to_small(versions, pieces, self.instrument, self.sky_power()), budgets, lines)
+        window = wanted.since, wanted.until
+        lent = lend_to_small(versions, window, pieces, self.instrument, self.sky_power(), find_lenders)
+        return Made(lent, budgets, lines)
 
     def _audit_and_budget(self, fitted: FittedCauses, wanted: Wanted) -> Budget:
         """The budget of spectra whose unit is that of power: one for all scopes that are fitted to them."""

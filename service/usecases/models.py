@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from functools import partial
 
 from threadpoolctl import threadpool_limits
 
@@ -30,6 +31,7 @@ from service.usecases.fits import Fits, Wanted, find_cuts
 from service.usecases.gate import find_change_of_mean
 from service.usecases.last_made import LastMade
 from service.usecases.promotions import LAST, Change, Promotions, undo
+from service.usecases.windows import find_in_effect
 from service.usecases.years import start_of_year
 from service.wire.bodies import AdoptionBody, ReasonBody
 from service.wire.instants import format_instant, parse_instant
@@ -175,10 +177,11 @@ class Models:
     def _fit_both(self, spectra: Spectra, wanted: Sequence[Wanted]) -> list[list[Version]]:
         """Versions before and after by scope, all fitted as refits do."""
         whole = {one.model.id: self.fits.fit_causes(spectra, one.model) for one in wanted[:2]}
-        after = [self.fits.make(whole[one.model.id], one) for one in wanted[1::2]]
+        lenders = partial(find_in_effect, self.database)
+        after = [self.fits.make(whole[one.model.id], one, find_lenders=lenders) for one in wanted[1::2]]
         # what the year is compared with needs no budget of its own
         shared = next(iter(after[0].budgets.values()))
-        earlier = [self.fits.make(whole[one.model.id], one, shared).versions for one in wanted[::2]]
+        earlier = [self.fits.make(whole[one.model.id], one, shared, lenders).versions for one in wanted[::2]]
         return [earlier[0], after[0].versions, earlier[1], after[1].versions]
 
     def adopt(self, plan: Adoption, *, promote: bool) -> list[int]:

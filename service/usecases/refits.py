@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 from lbacal_core.covariance import parse_budget
@@ -26,6 +27,7 @@ from service.usecases.gate import Gate, find_predecessors
 from service.usecases.inputs import name_inputs
 from service.usecases.orders import Limits, place_order, read_window
 from service.usecases.payoff import Payoff
+from service.usecases.windows import find_in_effect
 from service.wire.bodies import RefitBody
 from service.wire.instants import DAY_US
 
@@ -84,7 +86,7 @@ class Refits:
             spectra = self.fits.load(stores, wanted)
             known = self.payoff.known_until(stores, wanted)
         whole = self.fits.fit_causes(spectra, wanted.model)
-        made = self.fits.make(whole, wanted)
+        made = self.fits.make(whole, wanted, find_lenders=partial(find_in_effect, self.database))
         gains = self.payoff.measure(whole, wanted, known)
         with self.database.write() as stores:
             kept = self._keep(stores, made.versions, part)

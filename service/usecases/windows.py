@@ -1,8 +1,8 @@
-"""Versions of windows that hardware changes cut: one too small for a fit borrows from its neighbour, and says so."""
+"""Versions of windows that changes cut: one too small for a fit borrows from the nearest that has one, and says so."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -15,7 +15,8 @@ from lbacal_core.reference_chain import CableTable, ReferenceChain
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra import Spectra
 from lbacal_core.spectra_blocks import split_into_blocks
-from lbacal_core.validity import Instant, Scope
+from lbacal_core.validity import Instant, Scope, timeline
+from service.storage.database import Database
 from service.storage.versions import Version
 from service.wire.instants import format_instant
 
@@ -23,17 +24,47 @@ SECOND_US = 1_000_000
 TOO_SMALL = (TOO_FEW_EVENTS, TOO_FEW_LST_BINS)
 
 
+BORROWED_FROM = "borrowed_from"
+FindLenders = Callable[[Collection[Scope]], Sequence[Version]]
+"""The versions of other windows from which paths may borrow."""
+
+
 def lend_to_small(
-    versions: Sequence[Version], pieces: Sequence[tuple[Instant, Spectra]], instrument: Instrument, sky_power: SkyPower
+    versions: Sequence[Version],
+    window: tuple[Instant, Instant],
+    pieces: Sequence[tuple[Instant, Spectra]],
+    instrument: Instrument,
+    sky_power: SkyPower,
+    find_lenders: FindLenders,
 ) -> list[Version]:
-    """Give versions of paths whose window is too small for a fit the curve of a neighbour window, with a free gain.
+    """Give versions of paths whose piece is too small for a fit the curve of the nearest window, with a free gain.
 
     Parameters
     ----------
+    window
+        What was cut: a path whose window it is lacks events, and no change is why.
     pieces
         Where each piece begins, and its spectra without what adopted causes do.
+    find_lenders
+        Asked where a window is too small, for what stands beside these versions.
     """
-    return [_lend(version, versions, pieces, instrument, sky_power) for version in versions]
+    small = [
+        one for one in versions if one.scope.antenna is not None and one.status in TOO_SMALL and one.window != window
+    ]
+    if not small:
+        return list(versions)
+    lenders = [*versions, *find_lenders({one.scope for one in small})]
+    lent = {one.id: _lend(one, lenders, pieces, instrument, sky_power) for one in small}
+    return [lent.get(one.id, one) for one in versions]
+
+
+def find_in_effect(database: Database, scopes: Collection[Scope]) -> list[Version]:
+    """The versions that answer for scopes at any time."""
+    with database.read() as stores:
+        standing = stores.ledger.standing(scopes)
+        stretches = [one for scope in scopes for one in timeline((p for p in standing if p.scope == scope), scope)]
+        names = {one.calibration for one in stretches if one.calibration is not None}
+        return list(stores.versions.get_many(names).values())
 
 
 def share_misfits(versions: Sequence[Version]) -> list[Version]:
@@ -58,19 +89,21 @@ def share_misfits(versions: Sequence[Version]) -> list[Version]:
 
 def _lend(
     version: Version,
-    versions: Sequence[Version],
+    lenders: Sequence[Version],
     pieces: Sequence[tuple[Instant, Spectra]],
     instrument: Instrument,
     sky_power: SkyPower,
 ) -> Version:
-    neighbours = [
+    fitted = [
         other
-        for other in versions
-        if other.scope == version.scope and other.curves[0].c is not None and _touch(version, other)
+        for other in lenders
+        if other.scope == version.scope and other.status == CONVERGED and BORROWED_FROM not in other.inputs
     ]
-    if version.scope.antenna is None or version.status not in TOO_SMALL or not neighbours:
+    # one that overlaps was made before the window was cut, of what is now two
+    apart = {other.id: other for other in fitted if other.until <= version.since or other.since >= version.until}
+    if not apart:
         return version
-    neighbour = max(neighbours, key=lambda other: other.events)
+    neighbour = min(apart.values(), key=lambda other: (_find_gap(version, other), -other.events))
     station, antenna, dipole = version.scope.parts
     spectra = next(of_piece for since, of_piece in pieces if since == version.since and _holds(of_piece, version.scope))
     own = (spectra.station == station) & (spectra.antenna == antenna) & (spectra.dipole == dipole)
@@ -89,7 +122,7 @@ def _lend(
         version,
         curves=(borrowed.curve,),
         chains={str(dipole): chain},
-        inputs={**version.inputs, "borrowed_from": neighbour.id},
+        inputs={**version.inputs, BORROWED_FROM: neighbour.id},
         reason=f"{version.reason}; {_explain(borrowed, neighbour)}",
     )
 
@@ -99,13 +132,15 @@ def _holds(spectra: Spectra, path: Scope) -> bool:
     return bool(((spectra.station == path.station) & (spectra.antenna == path.antenna)).any())
 
 
-def _touch(one: Version, other: Version) -> bool:
-    return one.until == other.since or other.until == one.since
+def _find_gap(one: Version, other: Version) -> Instant:
+    """The time between two windows, 0 where they touch."""
+    return max(other.since - one.until, one.since - other.until)
 
 
 def _explain(borrowed: Borrowed, neighbour: Version) -> str:
     since, until = (format_instant(end)[:10] for end in neighbour.window)
     return (
-        f"too few events for a fit: C is that of {since} to {until} (version {neighbour.id[:10]}) through its own "
-        f"cable, times a gain of {borrowed.gain:.4f} ± {borrowed.sigma:.4f} from {borrowed.events} events"
+        f"too few events for a fit: C is that of {since} to {until} (version {neighbour.id[:10]}), the nearest window "
+        f"with a fit, through its own cable, times a gain of {borrowed.gain:.4f} ± {borrowed.sigma:.4f} from "
+        f"{borrowed.events} events"
     )

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import json
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -37,7 +37,7 @@ def with_change(
     """Makes a service that holds the campaign, with an instrument whose antenna 2 has another cable since a date."""
     made: list[Factory] = []
 
-    def make(date: str) -> Factory:
+    def make(date: str, spectra: Spectra = campaign) -> Factory:
         content = superterp.as_dict()
         (record,) = [one for one in content["antennas"] if (one["station"], one["antenna"]) == ("CS002", 2)]
         content["cables"]["spare"] = content["cables"][record["cable"]]
@@ -51,7 +51,7 @@ def with_change(
         )
         factory = Factory(settings, clock)
         with factory.database.write() as stores:
-            stores.spectra.add(campaign)
+            stores.spectra.add(spectra)
         made.append(factory)
         return factory
 
@@ -60,8 +60,8 @@ def with_change(
         factory.database.close()
 
 
-def refit(factory: Factory, scope: str) -> Any:
-    body = RefitBody.model_validate({"scope": scope, **YEAR, "reason": "test", "promote": True})
+def refit(factory: Factory, scope: str, window: Mapping[str, str] = YEAR) -> Any:
+    body = RefitBody.model_validate({"scope": scope, **window, "reason": "test", "promote": True})
     number = factory.refits.request(body, "test")
     Worker(factory, "worker").run(threading.Event(), until_idle=True)
     job = factory.jobs.get(number)
@@ -107,6 +107,26 @@ def test_a_window_too_small_for_a_fit_borrows_from_its_neighbour_and_says_so(
         assert np.ptp(ratio) < 1e-9, "one gain: nothing else is its own"
         assert ratio[0] == pytest.approx(1.0, abs=0.03)
         assert curve["c_sigma_stat"][20] > longer["c_sigma_stat"][20]
+
+
+def test_a_small_window_beside_a_deaf_antenna_borrowed_nothing(
+    with_change: Callable[..., Factory], campaign: Spectra
+) -> None:
+    """It borrows from the nearest window in effect, here that of the year before, and says so."""
+    is_deaf = (campaign.antenna == 2) & (np.abs(campaign.time_unix - 1433894400.0) < 175 * 86400)
+    factory = with_change("2015-12-01", campaign.select(~is_deaf))
+    assert "of 2014-01-01 to 2015-01-01" not in reason_of_december(factory), "nothing stands there to borrow from"
+    refit(factory, "antenna", {"since": "2014-01-01", "until": "2015-01-01"})
+    assert "too few events for a fit: C is that of 2014-01-01 to 2015-01-01" in reason_of_december(factory)
+
+
+def reason_of_december(factory: Factory) -> str:
+    """Why antenna 2 has the version that it gets for December 2015, after its antenna changed."""
+    job = refit(factory, "antenna")
+    with factory.database.read() as stores:
+        found = stores.versions.get_many(job.results[0]["calibrations"]).values()
+    (version,) = [one for one in found if one.scope == Scope("CS002", 2, "X") and one.since > start_of_year(2015)]
+    return version.reason
 
 
 def test_a_station_is_fitted_without_the_antenna_whose_cable_changed(with_change: Callable[[str], Factory]) -> None:
