@@ -4,13 +4,15 @@ One to three arms, 8-200 uneven channels between 10 and 400 MHz, any latitude at
 receiver, or a list of stages with a ground, an amplifier at the antenna whose noise is known or free, a filter and an
 amplifier behind the cable. The same P_sky is simulated and fitted with: what is tested is the chain, in the part
 `chains`, and what an investigation says of it, in the part `investigations`, with a step of one antenna's gain, a clock
-that is off, or nothing planted.
+that is off, or nothing planted. How well such an effect could be seen at best differs from instrument to instrument by
+a factor of thirty: names are asked for by its ideal SNR (`anywhere_ideal`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -23,13 +25,15 @@ from lbacal_core.discovery.investigate import investigate
 from lbacal_core.instrument import Instrument
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.stages import Stage, gain_behind
-from lbacal_core.twin.campaign import simulate_campaign
+from lbacal_core.twin.campaign import draw_stations, simulate_campaign
 from lbacal_core.twin.faults.antenna import GainStep
 from lbacal_core.twin.faults.fault import Fault, Where
 from lbacal_core.twin.faults.sky import LstOffset
 from lbacal_core.twin.settings import TwinSettings
 from lbacal_core.twin.truth import Truth
-from proofs.machinery.claims import Claim, at_least, at_most, claim_exact, claim_mean, claim_rate
+from proofs.anywhere_ideal import ideal_snr
+from proofs.hidden.detection import fit_detection
+from proofs.machinery.claims import MEASUREMENT, Claim, at_least, at_most, claim_exact, claim_mean, claim_rate
 from proofs.machinery.parts import Part, Row
 
 SETTINGS = TwinSettings(events_per_year=250)
@@ -89,6 +93,10 @@ def _with_stages(plain: Instrument, shaped: np.ndarray, rng: np.random.Generator
 ANTENNAS, MOST_CHANNELS, STEP, DATE, LATE_H = 4, 40, 0.1, "2014-07-01", 0.5
 """Antennas, of which one has a step; channels at most; size and date of the step, and by how much a clock is off."""
 PLANTED = ("nothing", "gain_step", "nothing", "lst_offset")
+WHAT = {"gain_step": f"A gain step of {STEP:.0%} in one antenna", "lst_offset": f"A clock {LATE_H:g} h off"}
+NAMING_SNR = 10.0
+"""Ideal SNR from which an effect must be named: that at which the other proofs of discovery ask for it."""
+SNR_BINS = (0.0, 4.0, 5.0, 6.0, 8.0, 10.0, np.inf)
 
 
 def draw_faulty(rng: np.random.Generator, kind: str) -> tuple[Instrument, list[Fault]]:
@@ -110,6 +118,9 @@ def investigate_drawn(seed: int) -> Row:
     kind = PLANTED[seed % len(PLANTED)]
     instrument, faults = draw_faulty(rng, kind)
     sky = compute_sky_power(instrument)
+    again = np.random.default_rng([18, seed])
+    draw_faulty(again, kind)
+    ((station,), _) = draw_stations(SETTINGS, instrument, sky, again)
     spectra = simulate_campaign(SETTINGS, instrument, sky, rng, faults).spectra
     report, _ = investigate(spectra, instrument, sky)
     findings = report["findings"]
@@ -122,6 +133,7 @@ def investigate_drawn(seed: int) -> Row:
         "channels": instrument.frequency_mhz.size,
         "chain": _chain_of(instrument),
         "merged": any(curve.merged is not None for curve in curves),
+        "snr": round(ideal_snr(station, faults, SETTINGS), 2) if faults else 0.0,
         "verdict": report["verdict"],
         "said": [f"{one['cause']} {one['size']['value']:.3g}" for one in findings],
         "named": bool(hits),
@@ -221,30 +233,53 @@ def judge_investigations(rows: Sequence[Row]) -> list[Claim]:
             at_most(FALSE), sum(row["others"] > 0 for row in clean), len(clean),
         ),
     ]  # fmt: skip
-    for kind, what in (
-        ("gain_step", f"A gain step of {STEP:.0%} in one antenna"),
-        ("lst_offset", f"A clock {LATE_H:g} h off"),
-    ):
+    for kind, what in WHAT.items():
         of_kind = [row for row in rows if row["kind"] == kind]
-        named = sum(row["named"] for row in of_kind)
-        claims.append(claim_rate(f"{kind}_named", f"{what}: named", at_least(WITHIN_2), named, len(of_kind)))
+        strong = [row for row in of_kind if row["snr"] >= NAMING_SNR]
+        at = f"of ideal SNR {NAMING_SNR:g} or more"
+        named = sum(row["named"] for row in strong)
+        text = f"{what}, {at}: named, or in the set"
+        claims.append(claim_rate(f"{kind}_named", text, at_least(WITHIN_2), named, len(strong)))
         for is_merged, words in ((False, "noise told apart"), (True, "noise in front merged with that behind")):
             pulls = [pull for row in of_kind for pull in row["pulls"] if row["merged"] is is_merged]
             text = f"{what}, {words}: size within two standard deviations"
             key = f"{kind}_{'merged' if is_merged else 'size'}"
             if pulls:
                 claims.append(claim_rate(key, text, at_least(WITHIN_2), int(np.sum(np.abs(pulls) < 2.0)), len(pulls)))
+        claims += _measure(kind, of_kind)
+    return claims
+
+
+def _measure(kind: str, of_kind: Sequence[Row]) -> list[Claim]:
+    """What nobody gave a limit: names at any SNR, other names, and the SNR of detection."""
+    what, n = WHAT[kind], len(of_kind)
+    named, others = sum(row["named"] for row in of_kind), sum(row["others"] > 0 for row in of_kind)
+    claims = [
+        claim_rate(f"{kind}_at_any_snr", f"{what}, of any ideal SNR: named, or in the set", MEASUREMENT, named, n),
+        claim_rate(f"{kind}_others", f"{what}: something else is said beside or instead", MEASUREMENT, others, n),
+    ]
+    found = np.array([row["named"] for row in of_kind], dtype=float)
+    if n and 0.0 < found.mean() < 1.0:
+        snr, low, high = fit_detection(np.array([row["snr"] for row in of_kind]), found).snr_at(0.5)
+        text = f"{what}: ideal SNR at which it is named in 50 % of the cases"
+        claims.append(Claim(f"{kind}_snr_50", text, MEASUREMENT, snr, (low, high), n))
     return claims
 
 
 def tell_investigations(rows: Sequence[Row]) -> list[str]:
-    """By what is planted and kind of chain."""
+    """By what is planted and kind of chain, and by ideal SNR."""
     lines = ["| planted | chain | instruments | named | something else said |", "|---|---|---|---|---|"]
     for kind in dict.fromkeys(PLANTED):
         for chain in ("flat", "shaped", "stages"):
             here = [row for row in rows if (row["kind"], row["chain"]) == (kind, chain)]
             counts = f"{len(here)} | {sum(row['named'] for row in here)} | {sum(row['others'] > 0 for row in here)}"
             lines.append(f"| {kind} | {chain} | {counts} |")
+    lines += ["", "| planted | ideal SNR | instruments | named | something else said |", "|---|---|---|---|---|"]
+    for kind in WHAT:
+        for low, high in pairwise(SNR_BINS):
+            here = [row for row in rows if row["kind"] == kind and low <= row["snr"] < high]
+            counts = f"{len(here)} | {sum(row['named'] for row in here)} | {sum(row['others'] > 0 for row in here)}"
+            lines.append(f"| {kind} | {low:g} to {high:g} | {counts} |")
     return lines
 
 

@@ -57,7 +57,17 @@ def test_an_investigation_names_what_is_planted_with_its_size_and_nothing_where_
     assert [row["named"] for row in rows] == [False, True, False, True]
     assert [row["others"] for row in rows] == [0, 0, 0, 0]
     assert all(abs(pull) < 3.0 for row in rows for pull in row["pulls"])
-    assert len(tell_investigations(rows)) == 2 + 9
-    boasting = [{**row, "named": False, "others": 1, "pulls": []} for row in rows * 10]
-    verdicts = {claim.key: claim.verdict for claim in judge_investigations(boasting)}
-    assert verdicts == dict.fromkeys(("false", "gain_step_named", "lst_offset_named"), "refuted")
+    assert len(tell_investigations(rows)) == 2 + 9 + 3 + 12
+    boasting = [{**row, "named": False, "others": 1, "pulls": [], "snr": 12.0} for row in rows * 10]
+    asked = {one.key: one.verdict for one in judge_investigations(boasting) if one.verdict != "measured"}
+    assert asked == dict.fromkeys(("false", "gain_step_named", "lst_offset_named"), "refuted")
+
+
+def test_an_effect_below_the_noise_is_asked_by_its_ideal_snr_and_still_counted() -> None:
+    """A step of 10 % was to be named in 90 % of drawn instruments, of which half see it at less than six sigma."""
+    seen = {"kind": "gain_step", "chain": "flat", "merged": False, "pulls": [], "others": 0}
+    rows = [{**seen, "snr": snr, "named": snr > 6.0} for snr in np.linspace(2.0, 18.0, 80)]
+    claims = {claim.key: claim for claim in judge_investigations([*rows, {**rows[0], "kind": "lst_offset"}])}
+    assert (claims["gain_step_named"].found, claims["gain_step_named"].verdict) == (1.0, "shown")
+    assert claims["gain_step_at_any_snr"].found == 0.75
+    assert claims["gain_step_snr_50"].found == pytest.approx(6.0, abs=0.3)
