@@ -18,6 +18,7 @@ from lbacal_core.causes.axes import Axis, list_axes
 from lbacal_core.causes.cause import signature
 from lbacal_core.discovery.hypothesis import Hypothesis
 from lbacal_core.discovery.kinds import is_heavy
+from lbacal_core.discovery.memory import find_memory
 from lbacal_core.discovery.project import LinearModel
 from lbacal_core.discovery.refit import FOLDS, held_out_fold
 from lbacal_core.discovery.trials import p_of_best
@@ -91,8 +92,8 @@ def find_structure(
 ) -> ResidualStructure | None:
     """Find the most significant residual structure, or None.
 
-    Structure is reported if its p-value is below `alpha` and if its description raises the likelihood of held-out
-    events; else it lives elsewhere: events in runs share their LST, so that structure along LST shows along dates.
+    It is reported if its p-value is below `alpha` and its description raises the likelihood of held-out events, else it
+    lives elsewhere: events in runs share their LST, so that structure along LST shows along dates.
 
     Parameters
     ----------
@@ -107,7 +108,7 @@ def find_structure(
     chances = [p_of_best(one.p_value, len(found)) for one in found]
     for one, chance in zip(found, chances, strict=True):
         if chance >= alpha and (again is None or one.axis is None):
-            continue  # nothing tells structure in single events from noise where it is not significant
+            continue
         told = _tell(model, one, axes, chance if again is None else min(again, chances[0]))
         if told.held_out_gain is None or told.held_out_gain > 0:
             return told
@@ -125,8 +126,7 @@ def _try_all(model: LinearModel, rng: np.random.Generator) -> tuple[list[_Candid
     conditions = model.station.conditions
     axes = {axis: basis for axis in list_axes(conditions) if (basis := axis.basis(conditions)) is not None}
     means = _see_in_means(model)
-    found = [_in_means(means, axis, basis) for axis, basis in axes.items()]
-    found.append(_in_single_events(model, rng))
+    found = [_in_single_events(model, rng), *(_in_means(means, axis, basis) for axis, basis in axes.items())]
     if len(model.station.antenna) > len(model.paths_in_mean):
         paths = _see_in_paths(model)
         found += [_in_paths(model, paths, axis, basis) for axis, basis in axes.items()]
@@ -169,8 +169,8 @@ def chance_along(model: LinearModel, names: Collection[str], target: str) -> flo
 def chance_of_following(model: LinearModel, found: Hypothesis, axis: Axis) -> float:
     """Probability by chance that the size of a cause, which is part of the model, follows an axis as much as it does.
 
-    An absorption in some nights of a month leaves more power by day beside its mean over the month: interference by day
-    describes that, but not that it is there in those nights alone, and is a part of the structure along the month.
+    Absorption in some nights of a month leaves more power by day beside its mean over the month. Interference by day
+    describes that, but not that it is there in those nights alone.
     """
     conditions = model.station.conditions
     shown, basis = signature(found.cause, model.terms, conditions, found.template), axis.basis(conditions)
@@ -317,7 +317,7 @@ def _solve(information: Floats, score: Floats) -> Floats:
 
 
 def _in_single_events(model: LinearModel, rng: np.random.Generator) -> _Candidate:
-    """Structure in single events: in many, in a few that noise would not bring, or on one side of zero in some.
+    """Structure in single events: in many, in a few, on one side of zero in some, or alike in neighbours (`memory`).
 
     The largest singular value of the whitened events x channels matrix of the means stands for the first, outside the
     vectors of the noise: a vector that is off by a few per cent makes what lies beside it go with its amounts, which
@@ -344,11 +344,12 @@ def _in_single_events(model: LinearModel, rng: np.random.Generator) -> _Candidat
         is_far[kind_of == kind] = is_heavy(amount[kind_of == kind])
     in_few = float(binom.sf(is_far.sum() - 1, is_far.size, ORDINARY))
     on_one_side = _chance_of_skewness(amount[~is_far])
-    spectrum = right[0]
-    if in_many > min(in_few, on_one_side):
-        spectrum = np.sum(amount**2, axis=1) @ amount @ vectors
-    p_value = p_of_best(min(in_many, in_few, on_one_side), 3)
-    spectrum = spectrum / np.linalg.norm(spectrum)
+    spectrum = right[0] if in_many <= min(in_few, on_one_side) else np.sum(amount**2, axis=1) @ amount @ vectors
+    chances = [in_many, in_few, on_one_side]
+    if (memory := find_memory(model.station, cut, vectors, _polynomials(white.shape[1]))) is not None:
+        spectrum = memory.spectrum if memory.p_value < min(chances) else spectrum
+        chances.append(memory.p_value)
+    p_value, spectrum = p_of_best(min(chances), len(chances)), spectrum / np.linalg.norm(spectrum)
     return _Candidate(None, STATION, p_value, float(observed - mean), len(white) + channels, spectrum=spectrum)
 
 
