@@ -113,10 +113,19 @@ class StationSearch:
         if not significant or self.again is not None or self._is_crowded(before):
             return []
         self.progress(f"{self.name}: fitting everything again with {significant[0].cause.identifier}")
-        fitted = [_fit(before, score, self.policy) for score in _rivals(significant, self.policy)]
-        possible = [one for one in fitted if one is not None and _is_possible(one.model)]
+        rivals = _rivals(significant, self.policy)
+        possible = self._fit_possible(before, rivals)
         self.impossible = None if possible else significant[0]
+        if any(one.model.noise is not None for one in possible):
+            # Scores are of one share of the noise: at the share that it prefers, a cause may gain more than these.
+            others = [one for one in _rivals(scores, self.policy) if all(one is not tried for tried in rivals)]
+            possible += self._fit_possible(before, others)
         return sorted(possible, key=lambda one: -one.gain)
+
+    def _fit_possible(self, before: FittedModel, scores: Sequence[Score]) -> list[Candidate]:
+        """The models with each of some causes, where all sizes are physical."""
+        fitted = [_fit(before, score, self.policy) for score in scores]
+        return [one for one in fitted if one is not None and _is_possible(one.model)]
 
     def _is_crowded(self, before: FittedModel) -> bool:
         """Whether causes along one axis were accepted again and again, and structure along it remains."""
@@ -138,9 +147,9 @@ def _is_possible(model: FittedModel) -> bool:
     return all(one.cause.sizes_of(one.template).allows(one.size, one.uncertainty) for one in model.hypotheses)
 
 
-def _rivals(significant: Sequence[Score], policy: Policy) -> list[Score]:
+def _rivals(scores: Sequence[Score], policy: Policy) -> list[Score]:
     """The candidates to be fitted: the best few, without those whose scores are far below the best."""
-    ranking = sorted(significant, key=lambda s: -(s.z**2 - 2 * np.log(s.trials)))
+    ranking = sorted(scores, key=lambda s: -(s.z**2 - 2 * np.log(s.trials)))
     return [s for s in ranking[: policy.rivals] if abs(s.z) > policy.rival_share * abs(ranking[0].z)]
 
 
