@@ -21,6 +21,8 @@ from lbacal_core.in_words import name_path
 Station = Annotated[str | None, typer.Option(help="Station such as CS002.")]
 Antenna = Annotated[int | None, typer.Option(help="Antenna number.", min=0)]
 Dipole = Annotated[str | None, typer.Option(help="Letter of the dipole, such as X.")]
+SHOWN = 20
+"""Of more versions, promotions or changes the first are shown, and the others counted."""
 
 
 class Format(StrEnum):
@@ -120,7 +122,7 @@ def refit(
             promote=promote,
             wait=wait,
         )
-    print_job(job)
+    print_job(job, most=SHOWN)
     if job["state"] == "failed":
         raise typer.Exit(1)
 
@@ -133,7 +135,7 @@ def jobs(number: Annotated[int | None, typer.Argument(help="One job; without it 
     with Client() as client:
         found = [client.job(number)] if number is not None else client.get("/v1/jobs", limit=20)["jobs"]
     for job in found:
-        print_job(job)
+        print_job(job, most=0 if number is None else SHOWN)
 
 
 def print_curve(curve: dict[str, Any]) -> None:
@@ -160,9 +162,14 @@ def print_curve(curve: dict[str, Any]) -> None:
         print(f"  {frequency:13g} {c:13.6g} {sigma:13.3g} {of_rest:>12} {'':20} {flag}")
 
 
-def print_job(job: dict[str, Any]) -> None:
-    """Print one line about a job, with what a refit made, and why it failed or what the gate kept back."""
-    name = " ".join([job["kind"], *(str(job["request"][k]) for k in ("scope", "station") if job["request"].get(k))])
+def print_job(job: dict[str, Any], *, most: int = 0) -> None:
+    """Print one line about a job, with what a refit made, and why it failed or what the gate kept back.
+
+    So many of its versions and investigations are named beside, each by the first digits of its id.
+    """
+    request = job["request"]
+    name = " ".join([job["kind"], *(str(request[k]) for k in ("scope", "station") if request.get(k))])
+    name += f" {request['since'][:10]} to {request['until'][:10]}" if "since" in request else ""
     counts = {"versions": len(job["calibrations"]), "promoted": len(job["promoted"]), "no news": job["examined"]}
     made = "".join(f", {what}: {count}" for what, count in counts.items()) if job["kind"] == "refit" else ""
     print(f"job {job['job']}: {name}, {job['state']} ({job['progress']:.0%}){made}; {job['reason']}")
@@ -170,6 +177,13 @@ def print_job(job: dict[str, Any]) -> None:
         print(f"  {job['error']}")
     for version, why in job["gated"].items():
         print(f"  {version[:12]} waits: {why}")
+    named = [(one, "promoted") for one in job["promoted"]]
+    named += [(one, "made") for one in job["calibrations"] if one not in job["promoted"] and one not in job["gated"]]
+    named += [(one, "investigation") for one in job["results"]]
+    for one, what in named[:most]:
+        print(f"  {one[:12]} {what}")
+    if len(named) > most > 0:
+        print(f"  and {len(named) - most} more")
 
 
 @contextmanager

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Any
 
 import typer
 
-from lbacal.cli.client import Antenna, Dipole, Station
+from lbacal.cli.client import SHOWN, Antenna, Dipole, Station
 from lbacal.client import Client
 from lbacal_core.errors import BadInputError
 from lbacal_core.in_words import name_path
@@ -16,12 +17,13 @@ DryRun = Annotated[bool, typer.Option("--dry-run", help="Show what would change,
 From = Annotated[str | None, typer.Option("--from", help="First instant; without it that of the version's window.")]
 To = Annotated[str | None, typer.Option("--to", help="End, not included; `open` for none; without it the window's.")]
 OPEN = "open"
-SHOWN = 20
 
 
 def promote(
     reason: Reason,
-    calibration: Annotated[str | None, typer.Argument(help="Version to put into effect.")] = None,
+    calibration: Annotated[
+        str | None, typer.Argument(help="Version to put into effect, or six or more first digits of its id.")
+    ] = None,
     job: Annotated[int | None, typer.Option(help="All converged versions of a job, each for its window.")] = None,
     start: From = None,
     end: To = None,
@@ -111,12 +113,17 @@ def _closed(interval: dict[str, Any]) -> dict[str, Any]:
     return {name: None if value == OPEN else value for name, value in interval.items()}
 
 
+def _size(change: dict[str, Any]) -> float:
+    """How much a change is to be looked at: those that have nothing to be compared with come first."""
+    return math.inf if change["max_fraction"] is None else float(change["max_fraction"])
+
+
 def print_act(done: dict[str, Any], *, dry_run: bool) -> None:
     """Print what promotions changed, or would."""
     made = done.get("promotions", [done] if "promotion" in done else [])
     for one in made[:SHOWN]:
         what = f"version {one['calibration'][:12]}" if one["calibration"] else "nothing"
-        owner = " ".join(str(one[k]) for k in ("station", "antenna", "dipole") if one[k] is not None) or "array"
+        owner = name_path(one["station"], one["antenna"], one["dipole"])
         print(f"promotion {one['promotion']}: {owner} has {what} from {one['valid_from']} to {one['valid_to'] or OPEN}")
     if len(made) > SHOWN:
         print(f"and {len(made) - SHOWN} more promotions")
@@ -124,9 +131,9 @@ def print_act(done: dict[str, Any], *, dry_run: bool) -> None:
         print(f"{version[:12]} is left out: {status}")
     changes = done["changes"]
     print(f"changes of what paths are told: {len(changes)}{' (dry run: nothing was written)' if dry_run else ''}")
-    for one in changes[:SHOWN]:
+    for one in sorted(changes, key=_size, reverse=True)[:SHOWN]:
         names = [(one[k] or "nothing")[:12] for k in ("before", "after")]
-        size = "" if one["max_fraction"] is None else f", C by up to {one['max_fraction']:.2%}"
+        size = "" if one["max_fraction"] is None else f", C by up to {100 * one['max_fraction']:.2f} %"
         path = name_path(one["station"], one["antenna"], one["dipole"])
         print(f"  {path}, {one['from']} to {one['to'] or OPEN}: {names[0]} -> {names[1]}{size}")
     if len(changes) > SHOWN:

@@ -14,7 +14,7 @@ Wait = Annotated[bool, typer.Option(help="Wait until the refits have ended.")]
 
 
 def adopt(
-    investigation: Annotated[str, typer.Argument(help="Investigation, or the first digits of its id.")],
+    investigation: Annotated[str, typer.Argument(help="Investigation, or six or more first digits of its id.")],
     reason: Reason,
     finding: Annotated[int, typer.Option(help="Number of the finding in its report.", min=0)] = 0,
     promote: Annotated[bool, typer.Option("--promote", help="Put into effect what passes the gate.")] = False,
@@ -31,6 +31,7 @@ def adopt(
         done = client.send("POST", path, body, dry_run=dry_run or None)
         if dry_run:
             print(f"model {done['model'][:12]} would be adopted: {done['cause']}")
+            _print_promise(*done["promise"])
             print_act(done, dry_run=True)
             return
         print(f"model {done['model'][:12]} is adopted; withdraw it with `lbacal abandon {done['model'][:12]}`")
@@ -38,7 +39,7 @@ def adopt(
 
 
 def abandon(
-    model: Annotated[str, typer.Argument(help="Model, or the first digits of its id.")],
+    model: Annotated[str, typer.Argument(help="Model, or six or more first digits of its id.")],
     reason: Reason,
     wait: Wait = True,
 ) -> None:
@@ -69,6 +70,15 @@ def follow(client: Client, jobs: list[int], *, wait: bool) -> None:
         print_job(job)
     if any(job["state"] == "failed" for job in found):
         raise typer.Exit(1)
+
+
+def _print_promise(gain: float, sigma: float) -> None:
+    """Print what a cause is to gain on as many events again, once the selection of the largest score is taken off."""
+    if sigma == 0.0:
+        print("promised for later years: nothing, their own fits have what stepped at a date")
+        return
+    doubt = "" if gain > 0.0 else "; so small a finding is not expected to pay"
+    print(f"promised on as many events again: log-likelihood {gain:+.1f} ± {sigma:.1f}{doubt}")
 
 
 def print_model(one: dict[str, Any]) -> None:

@@ -119,7 +119,8 @@ def withdraw_model(
 
 def describe_plan(plan: Adoption) -> dict[str, Any]:
     """What an adoption would change, as JSON values."""
-    return {"model": plan.model.id, "cause": plan.cause.sentence, **describe_changes(None, list(plan.changes))}
+    told = {"model": plan.model.id, "cause": plan.cause.sentence, "promise": list(plan.change.promise or ())}
+    return {**told, **describe_changes(None, list(plan.changes))}
 
 
 def describe_model(one: AdoptedModel) -> dict[str, Any]:

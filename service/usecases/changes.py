@@ -1,9 +1,8 @@
 """A change of C in words: in the mean over the band, as a tilt, as a curvature, and where along frequency each is felt.
 
-A change is found by all three together, and any of them may carry it: what is told is the mean and every shape that is
-plain, or the plainest where nothing is; the most significant first. Tilt and curvature are the Legendre polynomials 1
-and 2 over the band (`lbacal_core.drift.events`): 1 at its top, where the bottom has -1 and 1, and the middle of the
-curvature -1/2.
+A change is found by all three together, and any of them may carry it. The most significant is told first, then the mean
+and what else is plain. Tilt and curvature are the Legendre polynomials 1 and 2 over the band
+(`lbacal_core.drift.events`): 1 at its top, where the bottom has -1 and 1, and the middle of the curvature -1/2.
 """
 
 from __future__ import annotations
@@ -16,8 +15,8 @@ from typing import Any
 from lbacal_core.grids import Floats
 from lbacal_core.in_words import write_change, write_percent
 
-PLAIN = 3.0
-"""Standard deviations from which on a part of a change is plain."""
+PLAIN, BESIDE = 3.0, 1.0 / 3.0
+"""A part beside the most significant one is told from so many standard deviations on, and from this share of it."""
 TILT = "tilt"
 Shape = Mapping[str, Mapping[str, float]]
 """Tilt and curvature of ln C by their names, each a `value` with its `sigma`."""
@@ -41,28 +40,27 @@ def name_members(members: Sequence[Mapping[str, Any]], most: int) -> str:
 def tell_change(mean: float, sigma: float, shape: Shape, frequency_mhz: Floats) -> str:
     """By how much C changed, `mean` over the band with its error and along frequency: ``-3.10 ± 0.20 %``."""
     of_mean = abs(mean) / sigma
-    shapes = _plain_shapes(shape, PLAIN if of_mean >= PLAIN else 0.0, frequency_mhz)
+    shapes = _rank_shapes(of_mean, shape, frequency_mhz)
     whole = _Part(of_mean, write_change(mean, sigma) + (" in the mean over the band" if shapes else ""))
     return " and by ".join(part.words for part in sorted([whole, *shapes], key=lambda part: -part.significance))
 
 
 def tell_shapes(change: Mapping[str, Any], frequency_mhz: Floats) -> str:
     """What changed along frequency beside the mean over the band; nothing where the mean says it all."""
-    is_in_mean = abs(change["size"]) / change["sigma"] >= PLAIN
-    shapes = _plain_shapes(change["shape"], PLAIN if is_in_mean else 0.0, frequency_mhz)
-    return " and ".join(part.words for part in shapes)
+    of_mean = abs(change["size"]) / change["sigma"]
+    return " and ".join(part.words for part in _rank_shapes(of_mean, change["shape"], frequency_mhz))
 
 
-def _plain_shapes(shape: Shape, otherwise: float, frequency_mhz: Floats) -> list[_Part]:
-    """The shapes that are plain; where none is, the plainest that exceeds `otherwise`."""
+def _rank_shapes(of_mean: float, shape: Shape, frequency_mhz: Floats) -> list[_Part]:
+    """The shapes that are told beside a mean of some significance, the most significant first."""
     found = [
         _Part(abs(one["value"]) / one["sigma"], _tell_shape(name, one["value"], one["sigma"], frequency_mhz))
         for name, one in shape.items()
     ]
-    ranked = sorted(found, key=lambda part: -part.significance)
-    return [part for part in ranked if part.significance >= PLAIN] or [
-        part for part in ranked[:1] if part.significance > otherwise
-    ]
+    most = max(of_mean, *(part.significance for part in found))
+    least = min(most, max(PLAIN, BESIDE * most))
+    told = [part for part in found if part.significance >= least]
+    return sorted(told, key=lambda part: -part.significance)
 
 
 def _tell_shape(name: str, value: float, sigma: float, frequency_mhz: Floats) -> str:

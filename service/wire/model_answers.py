@@ -74,3 +74,4 @@ class AdoptionPlanAnswer(ChangesAnswer):
 
     model: str
     cause: str = Field(description="what would be adopted, in one sentence")
+    promise: list[float] = Field(description="gain in log-likelihood on as many events again, and its error")

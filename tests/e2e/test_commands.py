@@ -76,8 +76,15 @@ def test_an_admin_refits_and_sees_the_job(service: Any) -> None:
         "refit", "--scope", "station", "--since", "2014-03-01", "--until", "2015-03-01", "--reason", "half a year later"
     )
     assert asked.returncode == 0, asked.stderr
-    assert "refit station, done (100%), versions: 1, promoted: 0, no news: 0; half a year later" in asked.stdout
-    assert "half a year later" in service.run("jobs").stdout
+    line, version = asked.stdout.splitlines()
+    assert "refit station 2014-03-01 to 2015-03-01, done (100%), versions: 1, promoted: 0, no news: 0; " in line
+    assert line.endswith("half a year later")
+    assert line in service.run("jobs").stdout
+    made = re.fullmatch(r"  ([0-9a-f]{12}) made", version)
+    assert made is not None, "what is put into effect next is named"
+    tried = service.run("promote", made[1], "--reason", "looked at", "--dry-run")
+    assert tried.returncode == 0, tried.stderr
+    assert "dry run: nothing was written" in tried.stdout
 
 
 def test_the_schema_is_checked(service: Any, tmp_path: Any) -> None:

@@ -30,15 +30,15 @@ def test_a_version_is_promoted_frozen_withdrawn_and_put_back(service: Any) -> No
     assert "changes of what paths are told: 1 (dry run: nothing was written)" in tried
     assert "CS002 antenna 0 Y, 2003-01-01T00:00:00Z to 2004-01-01T00:00:00Z: nothing -> " in tried
     made = run(service, "promote", name, *YEAR)
-    assert f"CS002 0 Y has version {name[:12]} from 2003-01-01T00:00:00Z to 2004-01-01T00:00:00Z" in made
+    assert f"CS002 antenna 0 Y has version {name[:12]} from 2003-01-01T00:00:00Z to 2004-01-01T00:00:00Z" in made
     assert in_effect(service) == name
     assert run(service, "tag", "old-years", "--reason", "test").startswith("old-years: as of 20")
-    number = re.findall(r"promotion (\d+): CS002 0 Y has nothing", run(service, "withdraw", *PATH, *YEAR))
+    number = re.findall(r"promotion (\d+): CS002 antenna 0 Y has nothing", run(service, "withdraw", *PATH, *YEAR))
     with pytest.raises(KeyError):
         in_effect(service)
     assert in_effect(service, tag="old-years") == name
     undone = run(service, "rollback", *number, "--reason", "it was right")
-    assert f"CS002 0 Y has version {name[:12]}" in undone
+    assert f"CS002 antenna 0 Y has version {name[:12]}" in undone
     assert in_effect(service) == name
     assert "old-years: as of " in run(service, "tag")
 

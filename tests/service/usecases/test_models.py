@@ -95,6 +95,7 @@ def test_an_adopted_finding_changes_c_as_announced_and_withdrawal_restores_it_bi
     # the gain of most of the year was 15 % higher: C of the year as it was before the step is higher
     assert 0.02 < new / old - 1 < 0.09
     assert "antenna 2 Y" in plan["cause"]
+    assert plan["promise"] == [0.0, 0.0], "the fits of later years have what stepped at a date"
 
     assert adopt(http, found, dry_run=True) == plan
 
