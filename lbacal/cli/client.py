@@ -22,7 +22,7 @@ Station = Annotated[str | None, typer.Option(help="Station such as CS002.")]
 Antenna = Annotated[int | None, typer.Option(help="Antenna number.", min=0)]
 Dipole = Annotated[str | None, typer.Option(help="Letter of the dipole, such as X.")]
 SHOWN = 20
-"""Of more versions, promotions or changes the first are shown, and the others counted."""
+"""A list of versions, promotions or changes shows this many, and counts the others."""
 
 
 class Format(StrEnum):
