@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.polynomial.hermite_e import hermeval
+from scipy.special import gammaln
 
 from lbacal_core.discovery.levels import clean_mean
 from lbacal_core.discovery.station import Station
@@ -18,8 +20,8 @@ LARGEST = 4.0
 """Standard deviations at which amounts are cut, so that no event decides alone."""
 OWN_SHARE = 0.3
 """Size, relative to the largest, below which a smooth function is a combination of the vectors and of the others."""
-SMALLEST = 1e-2
-"""Units of the law of Tracy and Widom below which the probability counts as 1: its tail begins there."""
+FURTHEST, STEPS = 6.0, 601
+"""Range beyond an eigenvalue, and its steps, over which the density is added up: what lies further is nothing."""
 
 
 @dataclass(frozen=True)
@@ -42,9 +44,8 @@ def find_memory(station: Station, white: Floats, vectors: Floats, smooth: Floats
     """Compare events with their neighbours, along the vectors of the noise and along smooth functions of frequency.
 
     The products of the amounts of two events have mean 0 and variance 1 where the events are independent. Their sums
-    over all pairs of neighbours make a symmetric matrix, whose largest eigenvalue has the law of Tracy and Widom of
-    order 1 (Tracy & Widom 1996, Commun. Math. Phys. 177, 727), with the tail of Dumaz & Virag (2013, Ann. Inst. H.
-    Poincare 49, 915). What follows an axis of the data is taken out before: along an axis all structure lasts.
+    over all pairs of neighbours make a symmetric matrix of normal numbers, whose largest eigenvalue is tested. What
+    follows an axis of the data is taken out before: along an axis all structure lasts.
 
     Parameters
     ----------
@@ -80,6 +81,15 @@ def find_memory(station: Station, white: Floats, vectors: Floats, smooth: Floats
 
 
 def chance_of(largest: float, size: int) -> float:
-    """Probability of the largest eigenvalue of a symmetric matrix of normal numbers, of variance 1 on the diagonal."""
-    beyond = max((largest - (2.0 * size) ** 0.5) * 2.0**0.5 * size ** (1 / 6), SMALLEST)
-    return float(min(np.exp(-2.0 / 3.0 * beyond**1.5) / (4.0 * np.pi**0.5 * beyond**0.75), 1.0))
+    """Probability of the largest eigenvalue of a symmetric matrix of normal numbers, of variance 1 on the diagonal.
+
+    It is the expected number of eigenvalues beyond, whose density is the normal one times the expected determinant of
+    the matrix of the others, a Hermite polynomial (Mehta 2004, Random Matrices, chapter 7); 1 within the edge.
+    """
+    if largest < (2.0 * size) ** 0.5:
+        return 1.0
+    log_factor = gammaln(1.5) - gammaln(1.0 + 0.5 * size) - 0.5 * (size - 1) * np.log(2.0)
+    factor = size * np.exp(log_factor) / (2.0 * np.pi) ** 0.5
+    beyond = largest + np.linspace(0.0, FURTHEST, STEPS)
+    density = np.exp(-0.5 * beyond**2) * hermeval(2.0**0.5 * beyond, np.eye(size)[-1])
+    return float(min(factor * np.trapezoid(density, beyond), 1.0))

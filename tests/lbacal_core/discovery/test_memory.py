@@ -58,10 +58,11 @@ def test_events_that_are_far_apart_are_not_asked(station):
 
 
 @pytest.mark.parametrize("size", [4, 8])
-def test_the_probability_of_the_largest_eigenvalue_is_careful(size):
-    """Never smaller than that of drawn matrices, and larger by less than a factor of eight."""
+def test_the_probability_of_the_largest_eigenvalue_is_that_of_drawn_matrices(size):
+    """The law of Tracy and Widom, for large matrices, made it up to eight times as large."""
     drawn = np.random.default_rng(5).standard_normal((40_000, size, size))
     largest = np.linalg.eigvalsh((drawn + drawn.transpose(0, 2, 1)) / 2)[:, -1]
     for share in (0.01, 0.001):
         chance = chance_of(float(np.quantile(largest, 1 - share)), size)
-        assert share < chance < 8 * share
+        # 40 of 40,000 beyond the smallest share: 16 %.
+        assert chance == pytest.approx(share, rel=0.4)
