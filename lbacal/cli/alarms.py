@@ -18,7 +18,7 @@ def alarms(
     station: Station = None,
     state: Annotated[str, typer.Option(help="open, acknowledged, ended, lasting (not ended) or all.")] = "lasting",
 ) -> None:
-    """List what is wrong: steps and slopes of C, lost paths, stale data, misfits, failed jobs; or acknowledge one.
+    """List steps and slopes of C, lost paths, stale data, misfits, named causes, failed jobs; or acknowledge one.
 
     Example: lbacal alarms --acknowledge 12 --until 2027-03-01 --reason "the cable is ordered"
     """

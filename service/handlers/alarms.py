@@ -23,13 +23,12 @@ from service.storage.alarms import ACKNOWLEDGED, OPEN, STATES, Acknowledgement, 
 from service.usecases.keys import Caller
 from service.wire.answers import describe_scope
 from service.wire.bodies import AcknowledgementBody, parse_body
-from service.wire.drift_models import AlarmAnswer, AlarmsAnswer
+from service.wire.drift_models import AlarmAnswer, AlarmKind, AlarmsAnswer
 from service.wire.instants import DAY_US, format_instant, format_optional
 
 router = APIRouter(tags=["alarms"])
 Operator = Annotated[Caller, caller_with("refits:run")]
 State = Literal["open", "acknowledged", "ended", "lasting", "all"]
-Kind = Literal["step", "slope", "lost_path", "stale_data", "misfit", "cause_stopped_paying", "failed_job"]
 CHOICES = {"lasting": (OPEN, ACKNOWLEDGED), "all": STATES}
 
 
@@ -47,7 +46,7 @@ def list_alarms(
     request: Request,
     use: UseCases,
     state: State = "lasting",
-    kind: Kind | None = None,
+    kind: AlarmKind | None = None,
     station: str | None = None,
     cursor: Annotated[Whole | None, Query(ge=0, le=2**63 - 1)] = None,
     limit: Limit = 100,

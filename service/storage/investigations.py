@@ -74,6 +74,16 @@ class InvestigationStore:
             statement = statement.where(or_(is_earlier, same))
         return [_value(row) for row in self._connection.execute(statement.limit(limit))]
 
+    def newest_with_findings(self) -> list[Investigation]:
+        """The newest investigation of every station's window, of those that found a cause; by station and window."""
+        window = (investigation.c.station, investigation.c.since_us, investigation.c.until_us)
+        order = (investigation.c.made_us.desc(), investigation.c.id)
+        rank = func.row_number().over(partition_by=window, order_by=order).label("rank")
+        ranked = select(investigation.c.id, rank).subquery()
+        statement = select(investigation).join(ranked, ranked.c.id == investigation.c.id).where(ranked.c.rank == 1)
+        statement = statement.where(investigation.c.verdict != "consistent").order_by(*window)
+        return [_value(row) for row in self._connection.execute(statement)]
+
     def newest_pairs(self) -> list[tuple[Investigation, Investigation | None]]:
         """The newest investigation of every station's last window, and the one before it, of that window or an earlier.
 

@@ -2,8 +2,8 @@
 
 Steps and slopes come from the watch (`service.usecases.watch`), which follows all paths when their months changed. What
 a look at the database can tell is looked for every night, before its work and after it: paths that went silent or dead
-while others have events, data that stopped coming, versions that misfit, adopted causes that gain too little on new
-events, work that failed and that nothing made up for.
+while others have events, data that stopped coming, versions that misfit, named causes that move C in effect, adopted
+causes that gain too little on new events, work that failed and that nothing made up for.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from service.storage.alarms import (
     FAILED_JOB,
     LOST_PATH,
     MISFIT,
+    NAMED_CAUSE,
     OPEN,
     STALE_DATA,
     Acknowledgement,
@@ -29,16 +30,18 @@ from service.storage.alarms import (
 )
 from service.storage.database import Database, Stores
 from service.storage.jobs import Job
+from service.usecases.named import find_named
 from service.wire.bodies import AcknowledgementBody
 from service.wire.instants import DAY_US, format_instant, parse_instant
 
 SECOND_US = 1_000_000
-LOOKED_FOR = (LOST_PATH, STALE_DATA, MISFIT, FAILED_JOB, CAUSE_STOPPED_PAYING)
+LOOKED_FOR = (LOST_PATH, STALE_DATA, MISFIT, NAMED_CAUSE, FAILED_JOB, CAUSE_STOPPED_PAYING)
 FAILURES_SINCE_US = 30 * DAY_US
 FAILURES_READ = 200
 NAMES = {
     "step": ("step", "steps"), "slope": ("slope", "slopes"), "lost_path": ("lost path", "lost paths"),
     "stale_data": ("stale data", "stale data"), "misfit": ("misfit", "misfits"),
+    "named_cause": ("cause named and not adopted", "causes named and not adopted"),
     "cause_stopped_paying": ("cause that stopped paying", "causes that stopped paying"),
     "failed_job": ("failed job", "failed jobs"),
 }  # fmt: skip
@@ -81,6 +84,7 @@ class Alarms:
                 *self._lost(stores),
                 *self._stale(stores, now),
                 *_misfits(stores),
+                *find_named(stores),
                 *_failures(stores, now),
             ]
         with self.database.write() as stores:

@@ -106,6 +106,11 @@ class DriftAnswer(PathAnswer):
     threshold_sigma: float | None = Field(description="significance from which on a step or a slope is found")
 
 
+AlarmKind = Literal[
+    "step", "slope", "lost_path", "stale_data", "misfit", "named_cause", "cause_stopped_paying", "failed_job"
+]
+
+
 class AcknowledgementAnswer(Answer):
     """Who knows of a problem."""
 
@@ -119,7 +124,7 @@ class AlarmAnswer(PathAnswer):
     """A problem."""
 
     alarm: int
-    kind: Literal["step", "slope", "lost_path", "stale_data", "misfit", "cause_stopped_paying", "failed_job"]
+    kind: AlarmKind
     state: Literal["open", "acknowledged", "ended"]
     scope: Level
     sentence: str
