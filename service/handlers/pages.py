@@ -104,11 +104,9 @@ def show_alarms(request: Request, use: UseCases) -> Response:
 def show_station(request: Request, use: UseCases, station: InPath) -> Response:
     select_paths(use.instrument, station, None, None)
     series = use.drift.series(Scope(station))
-    means = use.drift.means_of_paths(station)
-    steps = series.steps[:STEPS_SHOWN]
-    return _page(
-        request, use, "station.html", "/", station=station, years=use.drift.matrix(station), steps=steps, means=means
-    )
+    told = {"means": use.drift.means_of_paths(station), "slopes": use.drift.slopes_of_paths(station)}
+    steps, years = series.steps[:STEPS_SHOWN], use.drift.matrix(station)
+    return _page(request, use, "station.html", "/", station=station, years=years, steps=steps, **told)
 
 
 @router.get("/stations/{station}/{antenna}/{dipole}/{month}")

@@ -8,7 +8,7 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from lbacal_core.in_words import name_path, write_chance, write_percent
+from lbacal_core.in_words import name_path, write_chance, write_change, write_percent
 from lbacal_core.validity import Instant, Scope
 from service.page.assets import load_assets
 from service.usecases.changes import name_members, tell_shapes
@@ -28,7 +28,7 @@ def _environment() -> Environment:
     )
     environment.filters |= {"day": format_day, "moment": format_moment, "percent": format_percent, "scope": name_scope}
     environment.filters["days"] = format_days
-    environment.filters |= {"short": lambda text: text[:10], "chance": write_chance}
+    environment.filters |= {"short": lambda text: text[:10], "chance": write_chance, "change": write_change}
     environment.filters |= {"members": name_members, "shapes": tell_shapes}
     environment.globals["assets"] = {name: asset.url for name, asset in load_assets().items()}
     return environment

@@ -215,6 +215,13 @@ class Drift:
             means = stores.versions.means(p.calibration for p in latest if p.calibration is not None)
         return sorted(means, key=lambda mean: (mean.scope.antenna or 0, mean.dipole, mean.since))
 
+    def slopes_of_paths(self, station: str) -> dict[Scope, Mapping[str, Any]]:
+        """The slope of each of a station's paths beside their median, as the watch found it last."""
+        with self.database.read() as stores:
+            slopes = (stores.drift.report() or {"slopes": []})["slopes"]
+        of_station = [one for one in slopes if one["station"] == station and one["antenna"] is not None]
+        return {Scope(station, one["antenna"], one["dipole"]): one for one in of_station}
+
     def version_at(self, path: Scope, instant: Instant) -> str:
         """The version of a path itself that answers at an instant; not found where there is none."""
         with self.database.read() as stores:

@@ -157,7 +157,7 @@ def tell_news(report: Mapping[str, Any], frequency_mhz: Floats, *, cuts_windows:
             f"on {format_instant(since)[:10]} ± {change['date_sigma_days']:.1f} days"
         )
         is_cut = cuts_windows and any(_list_cuts({"changes": [change]}))
-        sentence += "; its windows are cut there" if is_cut else ""
+        sentence += "; its windows are cut there unless a person lifted the cut" if is_cut else ""
         content = {**change, "proposal": _propose(change, format_instant(since))}
         yield News(STEP, Scope(change["station"]), "", sentence, content, since, error)
     for slope in report["slopes"]:

@@ -12,7 +12,8 @@ ADOPTED = {
     "cause": "lst_offset", "target": "station", "adopted": {"value": 0.5, "sigma": 0.01},
     "size": {"value": 0.51, "sigma": 0.02, "unit": "h"},
 }  # fmt: skip
-TREND = {"slope": 0.004, "sigma": 0.009, "limit_95": 0.022, "years": 7, "scatter": 0.05}
+FREQUENCY = {"mhz": [30.0, 55.0, 80.0], "slope": [0.001, 0.004, 0.01], "sigma": [0.02, 0.009, 0.015]}
+TREND = {"slope": 0.004, "sigma": 0.009, "limit_95": 0.022, "years": 7, "scatter": 0.05, "frequency": FREQUENCY}
 
 
 def test_the_page_of_an_investigation_was_silent_about_adopted_causes() -> None:
@@ -35,4 +36,5 @@ def test_the_page_of_the_drift_states_the_ageing_of_the_array_with_its_error(slo
     assert f"C of the whole array changes by {100 * slope:+.2f} % &plusmn; 0.90 % a year over 7 years" in page
     assert f"({100 * slope:+.2f} % &plusmn; 2.20 % with 95 % confidence)" in page
     assert said in page
+    assert "+0.10 ± 2.00 % at 30 MHz, +0.40 ± 0.90 % at 55 MHz, +1.00 ± 1.50 % at 80 MHz a year" in page
     assert "arXiv 2410.13591" in page

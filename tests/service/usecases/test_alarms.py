@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
@@ -154,6 +155,9 @@ def test_a_step_is_raised_once_and_a_season_not_at_all(station: Factory) -> None
         assert look_for_due_work(station) == []
         assert len(alarms(client, kind="step", state="all")) == 1
         assert "CS002 antenna 2 Y" in client.get("/alarms").text
+        page = client.get("/stations/CS002").text
+        told = re.findall(r'<td class="number">[+-]\d+\.\d\d ± \d+\.\d\d %</td>', page)
+        assert len(told) == page.count("<td>antenna "), "every path has its slope and the error of it"
 
 
 def test_a_cause_that_stopped_paying_is_an_alarm_until_it_pays_or_is_withdrawn(
