@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from lbacal_core.errors import BadInputError, UnreadableFileError
+from lbacal_core.readers import statistics
 from lbacal_core.readers.average import average
 from lbacal_core.readers.open import open_source
 
@@ -97,3 +98,15 @@ def test_receiver_files_of_the_first_lofar_are_one_source(tmp_path: Path) -> Non
     row = np.flatnonzero((spectra.antenna == 1) & (spectra.dipole == "Y") & (spectra.event_id == "20140501T030505"))[0]
     np.testing.assert_allclose(spectra.power[row], power[3, 60:, 1:].mean(axis=0), rtol=1e-12)
     assert spectra.frequency_mhz[0] == pytest.approx(100 / 512)
+
+
+def test_memory_does_not_grow_with_the_seconds_of_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """HDF5 kept 5 KiB of every second until the file was closed: it is closed between blocks, and can be written to."""
+    monkeypatch.setattr(statistics, "AT_ONCE", 2)
+    sums = write_statistics(tmp_path / "sst.h5")
+    blocks = open_source(tmp_path / "sst.h5").read()
+    first = next(blocks)
+    with h5py.File(tmp_path / "sst.h5", "r+") as file:
+        file.attrs["writer_version"] = "1.0.9"
+    assert [len(one.power) for one in (first, *blocks)] == [2, 2, 1]
+    np.testing.assert_allclose(first.power[1, 0], sums[1, 0, 1:])
