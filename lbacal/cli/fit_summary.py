@@ -87,7 +87,7 @@ def explain_chi2(curves: Sequence[CalibrationCurve]) -> str:
     )
     limit, sigma = largest_chi2_per_dof(dof + 3), np.sqrt(2.0 / dof)
     return (
-        f"chi2/dof tests the chain along frequency: 1.0 +- {sigma:.1f} ({dof} degrees of freedom) if nothing but noise "
+        f"chi2/dof tests the chain along frequency: 1.0 ± {sigma:.1f} ({dof} degrees of freedom) if nothing but noise "
         f"parts data and model; above {limit:.1f} the systematic error of a curve is widened ({widened} here). "
         "'sky free' looks along LST as well, and lets sky and pattern differ by what is known of them: 1 or less if "
         "they explain the rest. A misfit is where even that is less probable than 1e-6, where a likely mistake is "

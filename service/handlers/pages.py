@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from itertools import groupby
 from typing import Any
 
@@ -30,6 +31,7 @@ from service.usecases.calibrations import select_paths
 from service.usecases.drift import DriftSeries
 from service.usecases.models import list_stopped
 from service.usecases.overview import look_over
+from service.usecases.story import Story
 from service.wire.formats import FORMATS
 from service.wire.instants import format_instant, parse_instant
 
@@ -84,10 +86,11 @@ def _tell_drift(use: UseCases) -> str:
     whole, stations = use.drift.overall()
     series = [*stations, *([whole] if len(stations) > 1 else [])]
     stories = use.drift.stories(series)
-    rows = [{**row, "why": stories[row["calibration"], row["dipole"]]} for one in series for row in _version_rows(one)]
+    rows = [_version_rows(one, stories) for one in series]
+    plot = {"series": [_plot_of_series(one, of_one) for one, of_one in zip(series, rows, strict=True)]}
     return render_part(
-        "drift_main.html", plot={"series": [_plot_of_series(one) for one in series]}, steps=whole.steps[:STEPS_SHOWN],
-        rows=rows, trends=[(name_scope(one.scope), one.slope) for one in series if one.slope is not None],
+        "drift_main.html", plot=plot, steps=whole.steps[:STEPS_SHOWN], rows=[row for of_one in rows for row in of_one],
+        trends=[(name_scope(one.scope), one.slope) for one in series if one.slope is not None],
         threshold=whole.threshold_sigma, frequency_mhz=use.instrument.frequency_mhz,
     )  # fmt: skip
 
@@ -163,7 +166,7 @@ def _rows_of_chains(version: Version) -> list[dict[str, Any]]:
     return rows
 
 
-def _version_rows(series: DriftSeries) -> list[dict[str, Any]]:
+def _version_rows(series: DriftSeries, stories: Mapping[tuple[str, str], Story]) -> list[dict[str, Any]]:
     """Versions of a scope in order of dipole and time, each against the first of its dipole."""
     rows = []
     ordered = sorted(series.versions, key=lambda version: (version.dipole, version.since, version.calibration))
@@ -178,8 +181,9 @@ def _version_rows(series: DriftSeries) -> list[dict[str, Any]]:
                 "middle": format_instant((version.since + version.until) // 2)[:10],
                 "c": version.c,
                 "c_sigma": version.c_sigma,
-                "change": version.c / versions[0].c - 1.0,
-                "change_sigma": _sigma_of_ratio(version, versions[0]),
+                "change": stories[version.calibration, dipole].change,
+                "change_sigma": _sigma_of_change(version, versions[0], stories[version.calibration, dipole].change),
+                "why": stories[version.calibration, dipole].words,
                 "url": f"/calibrations/{version.calibration}",
             }
             for version in versions
@@ -187,16 +191,15 @@ def _version_rows(series: DriftSeries) -> list[dict[str, Any]]:
     return rows
 
 
-def _sigma_of_ratio(version: MeanC, first: MeanC) -> float:
-    """Error of a version over the first; 0 of the first itself."""
+def _sigma_of_change(version: MeanC, first: MeanC, change: float) -> float:
+    """Error of the change from the first; 0 of the first itself."""
     if version.calibration == first.calibration:
         return 0.0
-    return version.c / first.c * math.hypot(version.c_sigma / version.c, first.c_sigma / first.c)
+    return (1.0 + change) * math.hypot(version.c_sigma / version.c, first.c_sigma / first.c)
 
 
-def _plot_of_series(series: DriftSeries) -> dict[str, Any]:
+def _plot_of_series(series: DriftSeries, rows: list[dict[str, Any]]) -> dict[str, Any]:
     """Months as rows of numbers: with ten years the names of their fields were most of the page."""
-    rows = _version_rows(series)
     number = {row["calibration"]: k for k, row in enumerate(rows)}
     return {
         "name": name_scope(series.scope),

@@ -33,7 +33,7 @@ from service.usecases.calibrations import select_paths
 from service.usecases.fits import Fits
 from service.usecases.last_made import LastMade
 from service.usecases.months import DIGITS, MonthPoint, keep_months, read_matrix, read_months
-from service.usecases.story import explain_version
+from service.usecases.story import Story, tell_story
 from service.usecases.years import find_years
 from service.wire.instants import format_instant
 
@@ -244,18 +244,17 @@ class Drift:
             array, *stations = _gather(stores, scopes, stores.drift.report())
         return array, stations
 
-    def stories(self, series: Sequence[DriftSeries]) -> dict[tuple[str, str], str]:
-        """Why each version of some scopes differs from the first of its polarisation, by version and polarisation."""
+    def stories(self, series: Sequence[DriftSeries]) -> dict[tuple[str, str], Story]:
+        """How and why each version of some scopes differs from the first, by version and polarisation."""
         with self.database.read() as stores:
             versions = stores.versions.get_many({mean.calibration for one in series for mean in one.versions})
-        told: dict[tuple[str, str], str] = {}
+        told: dict[tuple[str, str], Story] = {}
         for one in series:
             first: dict[str, Version] = {}
             for mean in sorted(one.versions, key=lambda mean: (mean.since, mean.calibration)):
                 version = versions[mean.calibration]
-                told[mean.calibration, mean.dipole] = explain_version(
-                    version, first.setdefault(mean.dipole, version), mean.dipole
-                )
+                before = first.setdefault(mean.dipole, version)
+                told[mean.calibration, mean.dipole] = tell_story(version, before, mean.dipole)
         return told
 
     def state(self) -> str:

@@ -3,17 +3,41 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
 from lbacal_core.in_words import write_percent
 from lbacal_core.reference_chain import ReferenceChain
 from service.storage.versions import Version
+from service.usecases.gate import find_change_of_mean
 
 NOTICEABLE = 2.0
 """Standard deviations from which on a noise constant is told to be another."""
 LEAST_CABLES = 0.001
 """A smaller change of C by the cables of other antennas is not told: errors of a version are ten times it."""
+
+
+@dataclass(frozen=True)
+class Story:
+    """How a version stands beside the first of its polarisation.
+
+    Attributes
+    ----------
+    change
+        Change of the mean of C over the band through one and the same cable, a fraction.
+    words
+        What else is another.
+    """
+
+    change: float
+    words: str
+
+
+def tell_story(version: Version, first: Version, dipole: str) -> Story:
+    """Compare a version with the first of its polarisation."""
+    change = find_change_of_mean(version, first, dipole)
+    return Story(change or 0.0, explain_version(version, first, dipole))
 
 
 def explain_version(version: Version, first: Version, dipole: str) -> str:

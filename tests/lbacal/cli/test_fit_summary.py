@@ -60,7 +60,7 @@ def test_a_flagged_channel_is_counted_and_one_without_a_value_is_outside() -> No
 
 def test_what_chi2_means_is_said_with_the_numbers_of_these_channels() -> None:
     sentence = explain_chi2([curve(), curve(chi2_per_dof=2.0)])
-    assert "1.0 +- 0.2 (48 degrees of freedom)" in sentence
+    assert "1.0 ± 0.2 (48 degrees of freedom)" in sentence
     assert "above 1.6 the systematic error of a curve is widened (1 here)" in sentence
     assert "(0 here)" in sentence
 

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from fastapi.testclient import TestClient
 
 from lbacal_core.curves import Parameter
@@ -13,7 +14,7 @@ from service.app import make_app
 from service.factory import Factory
 from service.scheduler import look_for_due_work
 from service.storage.versions import Version
-from service.usecases.story import explain_version
+from service.usecases.story import explain_version, tell_story
 from tests.service.test_worker import work
 
 
@@ -39,8 +40,10 @@ def test_the_cables_of_other_antennas_are_told_with_what_they_do(new_version: Ca
     first = _made(new_version, "first", range(4), 1.0)
     other = _made(new_version, "other", range(5), 1.0)
     longer = {d: replace(chain, mean_loss=np.full(4, 0.81)) for d, chain in other.chains.items()}
-    told = explain_version(replace(other, chains=longer), first, "X")
-    assert told == "other antennas (0 left out, 1 more), whose cables change C by +11.1 %"
+    curves = tuple(replace(one, c=one.c / 0.9) for one in other.curves if one.c is not None)
+    told = tell_story(replace(other, chains=longer, curves=curves), first, "X")
+    assert told.words == "other antennas (0 left out, 1 more), whose cables change C by +11.1 %"
+    assert told.change == pytest.approx(0.0, abs=1e-12), "which is taken out of what is told and plotted"
 
 
 def test_the_page_of_the_drift_says_why_a_version_differs(station: Factory) -> None:
