@@ -37,6 +37,7 @@ from lbacal_core.discovery.adopted import (
 )
 from lbacal_core.discovery.deaf import leave_out_deaf
 from lbacal_core.discovery.hypothesis import Hypothesis
+from lbacal_core.discovery.payoff import Promise
 from lbacal_core.discovery.refit import power_ratio
 from lbacal_core.discovery.station import Station, model_modes
 from lbacal_core.drift.windows import set_apart
@@ -259,6 +260,18 @@ def _with_common(curve: CalibrationCurve, common: Floats) -> CalibrationCurve:
         c_sigma_stat=curve.c * np.sqrt(np.diag(total)),
         covariance=replace(curve.covariance, factor=factor, diagonal=diagonal, common=known),
     )
+
+
+def promise_of_structure(gain: Mapping[str, Any]) -> Promise:
+    """The gain that structure without a name promises for as many events again, adopted at its shrunk size.
+
+    Its gain in chi^2 is G, of which d, the number of its terms, is noise: the term is adopted at s = 1 - d/G. Its true
+    signal is (G - d)^1/2 standard deviations, along a term that is G^1/2 long, so that as many events gain
+    s (G - d) - s^2 G / 2 = (G - d)^2 / 2G, with the error s G^1/2.
+    """
+    found = float(gain["chi2"])
+    share = 1.0 - gain["terms"] / found
+    return Promise(0.5 * share**2 * found, share * found**0.5)
 
 
 def fit_causes(

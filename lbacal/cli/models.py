@@ -16,7 +16,7 @@ Wait = Annotated[bool, typer.Option(help="Wait until the refits have ended.")]
 def adopt(
     investigation: Annotated[str, typer.Argument(help="Investigation, or six or more first digits of its id.")],
     reason: Reason,
-    finding: Annotated[int, typer.Option(help="Number of the finding in its report.", min=0)] = 0,
+    finding: Annotated[str, typer.Option(help="Number of the finding in its report, or unexplained.")] = "0",
     promote: Annotated[bool, typer.Option("--promote", help="Put into effect what passes the gate.")] = False,
     dry_run: DryRun = False,
     wait: Wait = True,
@@ -25,7 +25,7 @@ def adopt(
 
     Example: lbacal adopt 4798c009 --finding 0 --reason "the cables were exchanged" --dry-run
     """
-    body = {"finding": finding, "reason": reason, "promote": promote}
+    body = {"finding": int(finding) if finding.isdecimal() else finding, "reason": reason, "promote": promote}
     with Client() as client:
         path = f"/v1/investigations/{investigation}/adoption"
         done = client.send("POST", path, body, dry_run=dry_run or None)

@@ -12,10 +12,11 @@ from functools import partial
 
 from threadpoolctl import threadpool_limits
 
+from lbacal_core.adopted import promise_of_structure
 from lbacal_core.covariance import Budget, parse_budget
 from lbacal_core.discovery.payoff import promise_of
 from lbacal_core.errors import BadInputError
-from lbacal_core.model import AdoptedCause, Model
+from lbacal_core.model import UNEXPLAINED, AdoptedCause, Model
 from lbacal_core.provenance import canonical_json, hash_content
 from lbacal_core.spectra import Spectra
 from lbacal_core.validity import Instant, Promotion, Scope, timeline
@@ -120,7 +121,8 @@ class Models:
             ]
             # with its covariates, which fits without causes do not look at
             spectra = self.fits.load(stores, wanted[1])
-            kept = self._read_kept(stores, wanted[::2]) if len(made.report["findings"]) == 1 else None
+            is_alone = body.finding == 0 and len(made.report["findings"]) == 1
+            kept = self._read_kept(stores, wanted[::2]) if is_alone else None
         with threadpool_limits(1):
             foreseen = None if kept is None else self._foresee(spectra, kept, wanted[1::2])
             fitted = foreseen or self._fit_both(spectra, wanted)
@@ -132,14 +134,15 @@ class Models:
                 if all(curve.c is not None for curve in version.curves)
             ]
             changes = self.promotions.changes(stores, told, fitted[1]) if told else []
-        finding = made.report["findings"][body.finding]
+        is_named = body.finding != UNEXPLAINED
+        finding = made.report["findings"][body.finding] if is_named else made.report["unexplained"]
         # a report gives its newest event to the second
         known_until = parse_instant("where.dates", finding["where"]["dates"][1]) + 1_000_000
-        promise = promise_of(finding)
+        promise = promise_of(finding) if is_named else promise_of_structure(finding["gain"])
         change = ModelChange(
             0, made.station, ADOPTED, model.id, before.id, Model((cause,)).id, _instant(cause.since_unix),
             _instant(cause.until_unix), known_until, made.id,
-            body.finding, announced, (promise.gain, promise.sigma), LAST, by, body.reason,
+            int(body.finding) if is_named else None, announced, (promise.gain, promise.sigma), LAST, by, body.reason,
         )  # fmt: skip
         return Adoption(change, model, before, cause, changes)
 
@@ -293,8 +296,11 @@ def find_stopped(history: Sequence[AdoptedModel]) -> list[News]:
     ]  # fmt: skip
 
 
-def _adopt(before: Model, made: Investigation, number: int) -> tuple[Model, AdoptedCause]:
-    """A station's model extended by a finding of a report, and the cause that it gets."""
+def _adopt(before: Model, made: Investigation, number: int | str) -> tuple[Model, AdoptedCause]:
+    """A station's model extended by a finding of a report, or its structure without a name; and the cause that it gets.
+
+    `number` is as in `Model.adopt`.
+    """
     report = made.report
     of_report = Model() if report.get("model") is None else Model.from_text(report["model"])
     if not set(_ids(of_report)) <= set(_ids(before)):

@@ -111,9 +111,9 @@ class TagBody(Body):
 
 
 class AdoptionBody(Body):
-    """Adopt a finding of an investigation, by its number in the report, into its station's model."""
+    """Adopt a finding of an investigation, by its number in the report, or structure without a name."""
 
-    finding: Number
+    finding: Number | Literal["unexplained"]
     reason: Reason
     promote: bool = False
 

@@ -47,7 +47,7 @@ class ModelLine(Answer):
     in_effect: bool = Field(description="whether the station has it now")
     changed: str = Field(description="the cause that was adopted or withdrawn, in one sentence")
     investigation: str | None
-    finding: int | None
+    finding: int | None = Field(description="its number in the report; null where it is structure without a name")
     promise: list[float] | None = Field(description="gain in log-likelihood that the finding promised, and its error")
     at: str
     by: str

@@ -16,6 +16,7 @@ from lbacal_core.instrument import Instrument
 from lbacal_core.skypower.table import read_sky_power
 from lbacal_core.twin.campaign import Campaign, simulate_campaign
 from lbacal_core.twin.faults.sky import LstOffset
+from lbacal_core.twin.faults.uncatalogued import MainsHum
 from lbacal_core.twin.settings import TwinSettings
 from proofs.twin import planted_curve
 from service.app import make_app
@@ -310,4 +311,39 @@ def test_the_loop_closes_on_a_fault_that_begins_in_the_second_year(
 
         http.post(f"/v1/models/{made['model']}/withdrawal", json={"reason": "test"}).raise_for_status()
         assert [[c["c"] for c in year] for year in in_effect()] == [[c["c"] for c in year] for year in before]
+    factory.database.close()
+
+
+@pytest.mark.parametrize("database_url", ["sqlite"], indirect=True)
+def test_structure_without_a_name_could_be_adopted_on_files_alone(
+    database_url: str, sky_power_file: Path, superterp: Instrument, clock: Any
+) -> None:
+    settings = Settings(database_url=database_url, sky_power=sky_power_file, nightly_investigations=False)
+    factory, two_years = Factory(settings, clock), replace(LOOP, years=1.99)
+    campaign = simulate_campaign(
+        two_years, superterp, read_sky_power(sky_power_file), np.random.default_rng(3), [MainsHum(size=0.03)]
+    )
+    with factory.database.write() as stores:
+        stores.spectra.add(campaign.spectra)
+    _, key = factory.keys.create(("admin",))
+    with TestClient(make_app(factory), headers={"Authorization": f"Bearer {key}"}) as http:
+        night(factory)
+        job = http.post("/v1/investigations", json={**BETWEEN, "since": "2014-01-01", "until": "2015-01-01"}).json()
+        work(factory)
+        (name,) = http.get(f"/v1/jobs/{job['job']}").json()["results"]
+        body = {"finding": "unexplained", "reason": "the supply swings with the hour", "promote": True}
+        made = http.post(f"/v1/investigations/{name}/adoption", json=body)
+        assert made.status_code == 202, made.text
+        work(factory)
+        jobs = [http.get(f"/v1/jobs/{number}").json() for number in made.json()["jobs"]]
+        assert [(job["state"], job["gated"]) for job in jobs] == [("done", {})] * 6, "two years of three scopes"
+        (line,) = http.get("/v1/models").json()["models"]
+        assert (line["finding"], line["causes"][0]["cause"]) == (None, "residual_structure")
+        (gain,) = line["causes"][0]["gains"]
+        assert gain["since"].startswith("2015")
+        promise, error = line["promise"]
+        assert abs(gain["log_likelihood_gain"] - promise) < 4 * np.hypot(error, gain["expected_sigma"])
+        asked = {"station": "CS002", "at": YEARS[1]}
+        (curve, *_) = http.get("/v1/calibrations/effective", params=asked).json()["curves"]
+        assert http.get(f"/v1/calibrations/{curve['calibration']}").json()["model"] == made.json()["model"]
     factory.database.close()
