@@ -17,6 +17,7 @@ from lbacal_core.provenance import hash_content
 
 SHOWN = 80
 """Characters of an error that a sentence shows."""
+PER_CHANNEL = ("flag", "c", "c_sigma_stat", "c_sigma_sys", "antenna_gain", "c_over_h")
 ROUNDING = 1e-3
 """Relative: numbers of the covariance have six digits, those of budgets six decimals of ln C."""
 
@@ -71,6 +72,10 @@ def _check_curve(curve: Mapping[str, Any], budgets: Mapping[str, Any]) -> Iterat
     if not np.all(np.isfinite(frequency)) or np.any(frequency <= 0) or any(b <= a for a, b in pairwise(frequency)):
         yield "frequency_mhz: expected rising numbers > 0"
         return
+    for name in PER_CHANNEL:
+        if curve.get(name) and len(curve[name]) != frequency.size:
+            yield f"{name}: expected {frequency.size} channels, found {len(curve[name])}"
+            return
     unknown = sorted({*curve["flag"]} - {*FLAGS})
     if unknown:
         yield f"flag: expected {', '.join(FLAGS)}, found {', '.join(unknown)}"

@@ -39,6 +39,8 @@ def spoil(path: str, value: Any) -> Callable[[dict[str, Any]], None]:
         (spoil("curves.0.flag.3", "good"), "flag: expected ok, uncertain, interference, outside, found good"),
         (spoil("curves.0.c.3", None), "c at 33 MHz: expected a number > 0 unless the flag is outside"),
         (spoil("curves.0.c.50", 1e-5), "c at 80 MHz: expected"),
+        (spoil("curves.0.c", [1e-5] * 50), "c: expected 51 channels, found 50"),
+        (spoil("curves.0.flag", ["ok"] * 52), "flag: expected 51 channels, found 52"),
         (spoil("curves.0.c_sigma_stat.3", -1e-9), "c_sigma_stat at 33 MHz"),
         (spoil("curves.0.c_sigma_sys.3", None), "c_sigma_sys: expected a number > 0 in every channel"),
         (spoil("curves.0.c_sigma_sys.3", 1e-6), "covariance: expected c_sigma_sys^2"),
