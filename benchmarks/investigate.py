@@ -2,14 +2,17 @@
 
 Nothing hidden: every cause is scanned for every path, antenna, cable and the station, calibrated for look-elsewhere;
 then structure is looked for without a catalogue. With a gain that follows temperature: refits, the held-out test and a
-second scan come on top. With the package's own sky the differences between sky models are free as well. The reference
-of the same run is one refit for each template and target, from the time of one.
+second scan come on top. With the package's own sky the differences between sky models are free as well. Each question
+is asked in a process of its own, so that its largest memory is that of one investigation. The reference of the same run
+is one refit for each template and target, from the time of one.
 """
 
 from __future__ import annotations
 
+import multiprocessing
 import resource
 import time
+from concurrent.futures import ProcessPoolExecutor
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -29,6 +32,8 @@ from lbacal_core.twin.faults.antenna import GainTemperature
 from lbacal_core.twin.settings import TwinSettings
 
 SIZES = ((900, 48), (450, 48), (900, 24), (450, 24), (900, 12))
+SIZE = 0.01
+"""Fraction of a gain that follows temperature, per 10 K."""
 
 
 def simulate(events: int, antennas: int, chain: Instrument, sky: SkyPower, size: float = 0.0) -> Spectra:
@@ -38,26 +43,37 @@ def simulate(events: int, antennas: int, chain: Instrument, sky: SkyPower, size:
     return simulate_campaign(settings, chain, sky, np.random.default_rng(1), faults).spectra
 
 
-def question(spectra: Spectra, chain: Instrument, sky: SkyPower, *, is_own_sky: bool = False) -> str:
-    """Investigate, and say how long it took."""
+def question(events: int, antennas: int, size: float, *, is_own_sky: bool) -> str:
+    """Simulate and investigate, and say how long the investigation took and the largest memory of the process."""
+    chain = load_instrument("lofar-superterp")
+    sky = compute_sky_power(chain)
+    spectra = simulate(events, antennas, chain, sky, size)
     started, processor = time.perf_counter(), time.process_time()
     report, _ = investigate(spectra, chain, sky, is_own_sky=is_own_sky)
     wall, processor = time.perf_counter() - started, time.process_time() - processor
-    return f"{wall:.1f} s ({processor:.1f} s of processor time), {report['verdict']}"
+    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+    return f"{wall:.1f} s ({processor:.1f} s of processor time), {memory:.2f} GiB, {report['verdict']}"
+
+
+def ask(events: int, antennas: int, size: float = 0.0, *, is_own_sky: bool = False) -> None:
+    """Print what one question costs, in a process of its own."""
+    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
+        told = pool.submit(question, events, antennas, size, is_own_sky=is_own_sky).result()
+    hidden = ", a gain that follows temperature" if size else ""
+    own = ", the package's own sky" if is_own_sky else ""
+    print(f"{events} events, {antennas} antennas{own}{hidden}: {told}", flush=True)
 
 
 def main() -> None:
+    for events, antennas in SIZES:
+        ask(events, antennas)
+    for antennas in (12, 48):
+        ask(900, antennas, SIZE)
+    for size in (0.0, SIZE):
+        ask(900, 12, size, is_own_sky=True)
     chain = load_instrument("lofar-superterp")
     sky = compute_sky_power(chain)
-    for events, antennas in SIZES:
-        print(f"{events} events, {antennas} antennas: {question(simulate(events, antennas, chain, sky), chain, sky)}")
-    for antennas in (12, 48):
-        spectra = simulate(900, antennas, chain, sky, 0.01)
-        print(f"900 events, {antennas} antennas, a gain that follows temperature: {question(spectra, chain, sky)}")
-    print(f"largest memory: {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20:.2f} GiB")
-    for size, hidden in ((0.0, "nothing hidden"), (0.01, "a gain that follows temperature")):
-        told = question(simulate(900, 12, chain, sky, size), chain, sky, is_own_sky=True)
-        print(f"900 events, 12 antennas, the package's own sky, {hidden}: {told}")
+    spectra = simulate(900, 48, chain, sky, SIZE)
     with threadpool_limits(1):
         (station,) = gather_stations(spectra, chain, sky)
         plain, targets = fit_chain(station), list_targets(station)
