@@ -28,6 +28,20 @@ class _Part:
     words: str
 
 
+def drop_noise(report: dict[str, Any]) -> dict[str, Any]:
+    """The report of a watch without members of changes that are below its threshold.
+
+    Among few antennas the median of a station follows the step of one, and the search finds another one stepping the
+    other way. Once the medians are settled, what is left of that is noise.
+    """
+    threshold = report["threshold_sigma"]
+    for change in report["changes"]:
+        if not change["is_known"]:
+            first, *others = change["members"]
+            change["members"] = [first, *(one for one in others if one["significance"] >= threshold)]
+    return report
+
+
 def name_members(members: Sequence[Mapping[str, Any]], most: int) -> str:
     """Who of a station changed: paths, and polarisations as a whole."""
     named = [

@@ -25,7 +25,7 @@ from service.storage.cuts import Cut
 from service.storage.database import Database, Stores
 from service.storage.drift import MODES, StoredModes
 from service.storage.jobs import Part
-from service.usecases.changes import name_members, tell_change
+from service.usecases.changes import drop_noise, name_members, tell_change
 from service.usecases.months import keep_missing
 from service.wire.instants import DAY_US, format_instant
 
@@ -82,7 +82,7 @@ class Watch:
         from lbacal_core.drift.report import describe_followed
 
         history = assemble_history(modes, self._hardware_changes())
-        return describe_followed(history, follow(history), self.instrument.frequency_mhz)
+        return drop_noise(describe_followed(history, follow(history), self.instrument.frequency_mhz))
 
 
 def assemble_history(modes: Sequence[StoredModes], changes: Mapping[str, Sequence[float]]) -> History:

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from service.usecases.changes import name_members, tell_change, tell_shapes
+from service.usecases.changes import drop_noise, name_members, tell_change, tell_shapes
 
 BAND = np.array([10.0, 50.0, 90.0])
 TILT = "a tilt (+5.00 ± 1.05 % at 90 MHz, -4.76 % at 10 MHz)"
@@ -44,3 +44,11 @@ def test_who_changed_is_named_up_to_a_number() -> None:
     members = [{"antenna": 3, "dipole": "X"}, {"antenna": None, "dipole": "Y"}, {"antenna": 4, "dipole": "X"}]
     assert name_members(members, 3) == "antenna 3 X, all Y, antenna 4 X"
     assert name_members(members, 1) == "antenna 3 X and 2 more"
+
+
+def test_noise_beside_a_step_was_told_as_a_step_and_cut_the_windows_of_a_sound_antenna() -> None:
+    """Among three antennas a step of 51 sigma made another one step by 0.17 ± 0.14 %."""
+    members = [{"antenna": a, "dipole": "Y", "significance": sigma} for a, sigma in ((1, 51.4), (2, 2.5), (0, 4.1))]
+    for is_known, kept in ((False, [1, 0]), (True, [1, 2, 0])):
+        report = {"threshold_sigma": 3.9, "changes": [{"is_known": is_known, "members": list(members)}]}
+        assert [one["antenna"] for one in drop_noise(report)["changes"][0]["members"]] == kept
