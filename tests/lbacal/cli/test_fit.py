@@ -41,7 +41,7 @@ def test_the_table_says_chi2_and_one_line_the_error_for_one_event(lbacal: Lbacal
     (line,) = [line for line in out.splitlines() if line.startswith("CS002 X ")]
     assert re.search(r"converged +120 +\d\.\d\d +\d+\.\d\d +\d+\.\d\d +\d+ of 51 ", line)
     assert out.count("error of C for one event on one antenna:") == 1
-    assert "chi2/dof tests the chain along frequency: 1.0 +- 0.2" in out
+    assert "chi2/dof tests the chain along frequency: 1.0 ± 0.2" in out
 
 
 def test_page_and_figure_are_written(folder: Path, lbacal: Lbacal) -> None:
