@@ -26,7 +26,7 @@ def written(tmp_path_factory):
     sky = compute_sky_power(chain)
     faults = [
         GainStep(size=0.08, where=Where(antennas=(2,), dipoles=("Y",)), date="2014-08-07"),
-        FrostAndHeat(size=0.08),
+        FrostAndHeat(size=0.09),
     ]
     spectra = simulate_campaign(SETTINGS, chain, sky, np.random.default_rng(8), faults).spectra
     content, reports = investigate(spectra, chain, sky)
