@@ -8,18 +8,7 @@ import pytest
 from lbacal_core.causes.conditions import RAIN
 from lbacal_core.discovery.kinds import list_kinds
 from lbacal_core.discovery.noise import split_residuals
-
-NU = np.linspace(-1.0, 1.0, 51)
-THREE = np.stack([np.ones(51), 1.0 - 0.5 * NU**2, np.exp(-0.5 * (NU / 0.2) ** 2) * NU])
-
-
-@pytest.fixture(scope="module")
-def noise(station):
-    """Residuals of known noise: 4.4 % a channel, 4 % a path and 3 % common, flat in frequency."""
-    rng = np.random.default_rng(3)
-    paths, events, channels = station.power.shape
-    own = 0.044 * rng.standard_normal((paths, events, channels)) + 0.04 * rng.standard_normal((paths, events, 1))
-    return own + 0.03 * rng.standard_normal((1, events, 1))
+from tests.lbacal_core.discovery.vectors import THREE
 
 
 def _levels(station, residual, rain):

@@ -6,19 +6,9 @@ import numpy as np
 import pytest
 
 from lbacal_core.discovery.noise import split_residuals
+from tests.lbacal_core.discovery.vectors import NU, THREE
 
-NU = np.linspace(-1.0, 1.0, 51)
 FLAT = np.ones((1, 51))
-THREE = np.stack([np.ones(51), 1.0 - 0.5 * NU**2, np.exp(-0.5 * (NU / 0.2) ** 2) * NU])
-
-
-@pytest.fixture(scope="module")
-def noise(station):
-    """Residuals of known noise: 4.4 % a channel, 4 % a path and 3 % common, flat in frequency."""
-    rng = np.random.default_rng(3)
-    paths, events, channels = station.power.shape
-    own = 0.044 * rng.standard_normal((paths, events, channels)) + 0.04 * rng.standard_normal((paths, events, 1))
-    return own + 0.03 * rng.standard_normal((1, events, 1))
 
 
 def test_the_levels_of_known_noise_are_found(station, noise):

@@ -7,13 +7,25 @@ import numpy as np
 import pytest
 
 from lbacal_core.discovery.investigate import investigate
+from lbacal_core.discovery.policy import Policy
 from lbacal_core.errors import LbacalError
 from lbacal_core.skypower.differences import model_difference_modes
 from lbacal_core.twin.faults.antenna import GainStep, GainTemperature
 from lbacal_core.twin.faults.fault import Where
 from lbacal_core.twin.faults.interference import RfiBroadband
 from lbacal_core.twin.faults.uncatalogued import MainsHum
-from tests.lbacal_core.discovery.worlds import MOVING, STATIC, thresholds
+from tests.lbacal_core.discovery.worlds import MOVING, STATIC
+
+
+def thresholds():
+    """Probabilities by chance below which each question has an answer, and their sum as stated."""
+    policy = Policy()
+    return {
+        "catalogue": policy.catalogue_alpha,
+        "static": policy.antenna_alpha,
+        "structure": policy.structure_alpha,
+        "stated": policy.false_alarm_rate,
+    }
 
 
 def ask(world, *faults, **options):

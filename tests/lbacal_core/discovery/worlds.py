@@ -381,17 +381,6 @@ def report_of(*reports: search.StationReport) -> dict[str, Any]:
     return describe(reports, Provenance({}))
 
 
-def thresholds() -> dict[str, float]:
-    """Probabilities by chance below which each question has an answer, and their sum as stated."""
-    policy = Policy()
-    return {
-        "catalogue": policy.catalogue_alpha,
-        "static": policy.antenna_alpha,
-        "structure": policy.structure_alpha,
-        "stated": policy.false_alarm_rate,
-    }
-
-
 def p_value_of(score: Score, z: float) -> float:
     """Probability by chance that a cause's best score reaches z, corrected as the scan corrected `score`."""
     return replace(score, z=z).p_value
