@@ -13,7 +13,7 @@ import numpy as np
 
 from lbacal_core.causes.axes import Axis
 from lbacal_core.causes.catalogue import CAUSES
-from lbacal_core.causes.cause import signature
+from lbacal_core.causes.cause import Cause, Template, signature
 from lbacal_core.causes.conditions import Conditions
 from lbacal_core.discovery.adopted import FittedSize, fit_adopted
 from lbacal_core.discovery.antennas import AntennaScore, compare_antennas, why_no_comparison
@@ -34,9 +34,9 @@ from lbacal_core.discovery.residual_structure import (
     chance_along,
     chance_of_following,
     find_structure,
-    share_of_channels,
 )
 from lbacal_core.discovery.scan import Score
+from lbacal_core.discovery.single_events import share_of_channels
 from lbacal_core.discovery.station import SkyModes, Station
 from lbacal_core.discovery.trials import p_of
 from lbacal_core.grids import Floats
@@ -248,13 +248,17 @@ def _structure_beside(grown: _Grown, search: StationSearch, rng: np.random.Gener
     alpha = policy.structure_alpha / search.stations
     if again is not None:
         before = grown.others[again.number] if again.number >= 0 else grown.last
-        return find_structure(before.linear, rng, alpha, again.score.p_value)
-    if search.impossible is not None:
-        return find_structure(grown.last.linear, rng, alpha, search.impossible.p_value)
+        along = _axes_of(again.score.cause, again.score.template, before.station.conditions)
+        return find_structure(before.linear, rng, alpha, again.score.p_value, along)
+    if (score := search.impossible) is not None:
+        along = _axes_of(score.cause, score.template, grown.last.station.conditions)
+        return find_structure(grown.last.linear, rng, alpha, score.p_value, along)
     found = grown.last.hypotheses[search.adopted :]
     along = {axis for one in found if one.target.is_wide for axis in one.cause.axes}
     chance = chance_along(grown.last.linear, along, STATION)
-    return find_structure(grown.last.linear, rng, alpha, chance if chance < policy.stands_alpha else None)
+    if chance >= policy.stands_alpha:
+        return find_structure(grown.last.linear, rng, alpha)
+    return find_structure(grown.last.linear, rng, alpha, chance, along)
 
 
 def _finding(without: FittedModel, last: FittedModel, number: int, score: Score, policy: Policy) -> Finding:
@@ -339,16 +343,19 @@ def _has_its_spectrum(model: LinearModel, finding: Finding, structure: ResidualS
 def _lives_there(one: Hypothesis, structure: ResidualStructure, conditions: Conditions) -> bool:
     """Whether the residual structure varies along an axis of a cause that was found, where it is seen.
 
-    What acts at all times alike shows along LST alone, along which the sky beside it changes. An effect on the station
-    is seen in the means, one on an antenna in its paths, one on a cable name or a group in both: structure that differs
-    from path to path is no effect on a group alone.
+    An effect on the station is seen in the means, one on an antenna in its paths, one on a cable name or a group in
+    both: structure that differs from path to path is no effect on a group alone.
     """
-    axes = set(one.cause.axes)
-    if np.ptp(one.cause.time_profile(conditions, one.template)) == 0:
-        axes.add("lst")
+    axes = _axes_of(one.cause, one.template, conditions)
     in_means, in_paths = one.target.is_wide, one.target.scope != STATION
     is_seen_there = in_means if structure.target == STATION else in_paths
     return structure.axis is not None and structure.axis.along in axes and is_seen_there
+
+
+def _axes_of(cause: Cause, template: Template, conditions: Conditions) -> set[str]:
+    """Axes along which a cause acts: LST alone, where it acts at all times alike and the sky beside it changes."""
+    is_constant = np.ptp(cause.time_profile(conditions, template)) == 0
+    return {*cause.axes, "lst"} if is_constant else set(cause.axes)
 
 
 def _unidentifiable(station: Station, search: StationSearch) -> dict[str, str]:
