@@ -84,7 +84,7 @@ class StationReport:
     deaf
         Paths that were left out, because they hardly hear the sky.
     scores, antenna_scores
-        Scores of every cause on the baseline; scores of the antenna comparison on the last fitted model.
+        Scores of every cause on the baseline; scores of the antenna comparison beside the findings.
     similar
         Findings that were withdrawn, because residual structure explains the data as well.
     first, last
@@ -155,9 +155,6 @@ def search_station(
     adopted = fit_adopted(station, model, modes)
     first, search.adopted = adopted.model, len(adopted.sizes)
     grown = _grow(first, search)
-    antenna_scores = compare_antennas(station, grown.last.baseline, targets, policy, seed)
-    antenna_scores += compare_cable_names(grown.last.baseline, grown.last.linear, targets)
-    antenna_scores.sort(key=lambda score: score.p_value)
     progress(f"{station.name}: looking for structure that no cause explains")
     structure = _structure_beside(grown, search, np.random.default_rng(seed))
     last, similar = grown, list[Finding]()
@@ -177,6 +174,10 @@ def search_station(
         kept = {(f.hypothesis.cause.identifier, f.hypothesis.target.label) for f in findings}
         named = [(f, (f.hypothesis.cause.identifier, f.hypothesis.target.label)) for f in grown.findings]
         similar = [f for f, name in named if name not in kept]
+    standing = _standing(first, last, findings)
+    antenna_scores = compare_antennas(station, standing.baseline, targets, policy, seed)
+    antenna_scores += compare_cable_names(standing.baseline, standing.linear, targets)
+    antenna_scores.sort(key=lambda score: score.p_value)
     return StationReport(
         station=station,
         deaf=deaf,
@@ -236,6 +237,19 @@ def _grow_beside(first: FittedModel, axis: Axis, vectors: Floats, search: Statio
     beside.hidden, beside.adopted = search.hidden, search.adopted
     beside.alpha = search.alpha * search.policy.beside_share
     return _grow(replace(first, linear=replace(first.linear, empirical=vectors).beside_modes()), beside)
+
+
+def _standing(first: FittedModel, grown: _Grown, findings: Sequence[Finding]) -> FittedModel:
+    """The model with the findings that stand, beside which antennas are compared.
+
+    What a withdrawn one does along frequency is divided out of its paths, and is a departure of their slopes.
+    """
+    if len(findings) == len(grown.findings):
+        return grown.last
+    model = first
+    for finding in findings:
+        model = refit(model, finding.hypothesis) or model
+    return model
 
 
 def _structure_beside(grown: _Grown, search: StationSearch, rng: np.random.Generator) -> ResidualStructure | None:

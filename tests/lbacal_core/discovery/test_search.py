@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -7,8 +9,9 @@ from lbacal_core.causes.axes import axis_named
 from lbacal_core.causes.catalogue import CAUSES
 from lbacal_core.causes.cause import Template
 from lbacal_core.discovery.hypothesis import Hypothesis, Target
+from lbacal_core.discovery.refit import refit
 from lbacal_core.discovery.residual_structure import ResidualStructure
-from lbacal_core.discovery.search import _lives_there, search_station
+from lbacal_core.discovery.search import _Grown, _lives_there, _standing, search_station
 from lbacal_core.discovery.station import gather_stations
 from lbacal_core.model import AdoptedCause, Model
 from lbacal_core.twin.campaign import simulate_campaign
@@ -85,3 +88,20 @@ def test_a_finding_on_a_group_is_seen_in_the_means_and_in_paths(world, scope, in
         for axis, lives in (("lst", is_seen), ("rain", False)):
             left = ResidualStructure(axis_named(axis), target, 1e-6, 117.0, 40, 13.0, np.ones(1), None)
             assert _lives_there(found, left, conditions) == lives
+
+
+def test_antennas_are_compared_beside_the_findings_that_stand(world):
+    """A reflection was named in an antenna whose slope a withdrawn exchange of dipoles had bent, beside a gradient."""
+    look = world.look()
+    swap = look.fit_as_is("dipole_swap", look.template("dipole_swap"), "antenna 1")
+    step = look.fit_as_is("gain_temperature", look.template("gain_temperature"))
+    both = refit(swap.model, step.effect)
+    of_swap, of_step = (SimpleNamespace(hypothesis=one.effect) for one in (swap, step))
+    grown = _Grown(both, [step.model, swap.model], [of_swap, of_step])
+    assert _standing(look.model, grown, grown.findings) is both
+    assert _standing(look.model, grown, []) is look.model
+    left = _standing(look.model, grown, [of_step])
+    assert [one.cause.identifier for one in left.hypotheses] == ["gain_temperature"]
+    paths = look.data.antenna == 1
+    bent = np.log(both.baseline.solution.x / left.baseline.solution.x)[paths]
+    assert np.ptp(bent) > 1e-3
