@@ -98,11 +98,11 @@ def find_structure(
         the form of the effect. Structure is then known to remain, and an axis need not be significant by itself: the
         function reports the strongest that raises the likelihood of held-out events, or the strongest of all.
     along
-        Axes, as causes call them, along which that cause acts. One of them comes before single events, which every
-        structure of the means shows as well: a band that saturates was told in single events.
+        Axes, as causes call them, along which that cause acts on the station. One of them comes before single events
+        and before what chance explains: a band that saturates was told in single events, and in one path.
     """
     found, axes = _try_all(model, rng)
-    strongest, found = found[0], _before_events(found, along)
+    strongest, found = found[0], _expected_first(found, along, alpha)
     chances = [p_of_best(one.p_value, len(found)) for one in found]
     least = p_of_best(strongest.p_value, len(found))
     for one, chance in zip(found, chances, strict=True):
@@ -114,14 +114,21 @@ def find_structure(
     return None if again is None else _tell(model, strongest, axes, min(again, least))
 
 
-def _before_events(found: Sequence[_Candidate], along: Collection[str]) -> list[_Candidate]:
-    """The candidates in their order, but that those of the means along some axes come before single events."""
+def _expected_first(found: Sequence[_Candidate], along: Collection[str], alpha: float) -> list[_Candidate]:
+    """The candidates in their order, but that those of the means along some axes come before all that chance explains.
+
+    They come before single events too, and behind what is less probable by chance than these and than `alpha`.
+    """
     events = next(k for k, one in enumerate(found) if one.axis is None)
-    before, behind = list(found[:events]), list[_Candidate]()
-    for one in found[events:]:
-        is_first = one.axis is not None and one.axis.along in along and one.target == STATION
-        (before if is_first else behind).append(one)
-    return before + behind
+    before, expected, behind = list[_Candidate](), list[_Candidate](), list[_Candidate]()
+    for k, one in enumerate(found):
+        if k < events and p_of_best(one.p_value, len(found)) < alpha:
+            before.append(one)
+        elif one.axis is not None and one.axis.along in along and one.target == STATION:
+            expected.append(one)
+        else:
+            behind.append(one)
+    return [*before, *expected, *behind]
 
 
 def strongest_structure(model: LinearModel, rng: np.random.Generator) -> ResidualStructure:

@@ -262,10 +262,10 @@ def _structure_beside(grown: _Grown, search: StationSearch, rng: np.random.Gener
     alpha = policy.structure_alpha / search.stations
     if again is not None:
         before = grown.others[again.number] if again.number >= 0 else grown.last
-        along = _axes_of(again.score.cause, again.score.template, before.station.conditions)
+        along = _axes_on_station(again.score, before.station.conditions)
         return find_structure(before.linear, rng, alpha, again.score.p_value, along)
     if (score := search.impossible) is not None:
-        along = _axes_of(score.cause, score.template, grown.last.station.conditions)
+        along = _axes_on_station(score, grown.last.station.conditions)
         return find_structure(grown.last.linear, rng, alpha, score.p_value, along)
     found = grown.last.hypotheses[search.adopted :]
     along = {axis for one in found if one.target.is_wide for axis in one.cause.axes}
@@ -370,6 +370,11 @@ def _axes_of(cause: Cause, template: Template, conditions: Conditions) -> set[st
     """Axes along which a cause acts: LST alone, where it acts at all times alike and the sky beside it changes."""
     is_constant = np.ptp(cause.time_profile(conditions, template)) == 0
     return {*cause.axes, "lst"} if is_constant else set(cause.axes)
+
+
+def _axes_on_station(score: Score, conditions: Conditions) -> set[str]:
+    """Axes along which the means show a cause; none where its target is an antenna or a path."""
+    return _axes_of(score.cause, score.template, conditions) if score.target.is_wide else set()
 
 
 def _unidentifiable(station: Station, search: StationSearch) -> dict[str, str]:

@@ -10,6 +10,8 @@ from lbacal_core.causes.axes import axis_named
 from lbacal_core.discovery.refit import fit_chain
 from lbacal_core.discovery.residual_structure import (
     STATION,
+    _Candidate,
+    _expected_first,
     chance_along,
     chance_of_following,
     find_structure,
@@ -178,3 +180,17 @@ def test_single_events_come_behind_the_axis_of_a_cause_that_was_significant_twic
     ]
     # Held-out events refute the axis of a cause along which nothing is.
     assert told == ["event", "lst", "event"]
+
+
+def test_the_axis_of_a_cause_that_was_significant_twice_comes_before_what_chance_explains():
+    """A band that saturates was told along 29.53 days in one path, which events not used confirmed by chance."""
+
+    def tried(name, target, p_value):
+        return _Candidate(axis_named(name) if name else None, target, p_value, 10.0, 10)
+
+    sure, path = tried("rain", "antenna 1 X", 1e-9), tried("date, period 29.53 d", "antenna 11 Y", 1e-3)
+    lst, events = tried("lst", STATION, 1e-2), tried("", STATION, 1e-1)
+    assert _expected_first([sure, path, lst, events], {"lst"}, SIGNIFICANT) == [sure, lst, path, events]
+    assert _expected_first([sure, path, lst, events], (), SIGNIFICANT) == [sure, path, lst, events]
+    clear = replace(events, p_value=1e-8)
+    assert _expected_first([sure, clear, path, lst], {"lst"}, SIGNIFICANT) == [sure, lst, clear, path]
