@@ -17,6 +17,7 @@ from scipy.stats import chi2
 from lbacal_core.causes.axes import Axis, list_axes
 from lbacal_core.causes.cause import signature
 from lbacal_core.discovery.hypothesis import Hypothesis
+from lbacal_core.discovery.levels import NoiseLevels
 from lbacal_core.discovery.project import LinearModel
 from lbacal_core.discovery.refit import FOLDS, held_out_fold
 from lbacal_core.discovery.single_events import find_in_events, pattern_of
@@ -141,8 +142,8 @@ def _try_all(model: LinearModel, rng: np.random.Generator) -> tuple[list[_Candid
     """Structure along each axis and in single events, the least probable by chance first; functions of each axis."""
     conditions = model.station.conditions
     axes = {axis: basis for axis in list_axes(conditions) if (basis := axis.basis(conditions)) is not None}
-    means = _see_in_means(model)
-    found = [_in_single_events(model, rng), *(_in_means(means, axis, basis) for axis, basis in axes.items())]
+    means, levels = _see_in_means(model), model.residuals.levels
+    found = [_in_single_events(model, rng), *(_in_means(levels, means, axis, basis) for axis, basis in axes.items())]
     if len(model.station.antenna) > len(model.paths_in_mean):
         paths = _see_in_paths(model)
         found += [_in_paths(model, paths, axis, basis) for axis, basis in axes.items()]
@@ -174,8 +175,8 @@ def chance_along(model: LinearModel, names: Collection[str], target: str) -> flo
     if not known:
         return 1.0
     if target == STATION:
-        means = _see_in_means(model)
-        found = [_in_means(means, axis, basis) for axis, basis in known]
+        means, levels = _see_in_means(model), model.residuals.levels
+        found = [_in_means(levels, means, axis, basis) for axis, basis in known]
     else:
         paths = _see_in_paths(model)
         found = [_in_paths(model, paths, axis, basis) for axis, basis in known]
@@ -269,12 +270,12 @@ def _see_in_paths(model: LinearModel) -> list[_Shown]:
     return [_Shown.of(view, polynomials[:, None, None]) for view in model.paths]
 
 
-def _in_means(shown: _Shown, axis: Axis, basis: Floats) -> _Candidate:
+def _in_means(levels: NoiseLevels, shown: _Shown, axis: Axis, basis: Floats) -> _Candidate:
     """Structure of the means along an axis."""
     score = np.einsum("kme,ne->mkn", shown.by_event, basis).reshape(-1)
     gain, dof = _gain(score, shown.view.products([shown.seen], [basis])[0])
     place = _Place(shown.view, 0, shown.seen)
-    return _Candidate(axis, STATION, float(chi2.sf(gain, dof)), gain, dof, place)
+    return _Candidate(axis, STATION, levels.chance_of_gain(gain, dof, basis, DEGREE + 1), gain, dof, place)
 
 
 def _in_paths(model: LinearModel, paths: Sequence[_Shown], axis: Axis, basis: Floats) -> _Candidate:

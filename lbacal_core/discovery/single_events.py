@@ -11,6 +11,7 @@ import numpy as np
 from scipy.stats import binom, chi2
 
 from lbacal_core.discovery.kinds import is_heavy
+from lbacal_core.discovery.levels import LINE
 from lbacal_core.discovery.memory import find_memory
 from lbacal_core.discovery.project import LinearModel
 from lbacal_core.discovery.trials import p_of_best
@@ -21,8 +22,6 @@ NOISE_DRAWS = 60
 TAIL = 0.8
 """Units s of the tail exp(-2/3 s^1.5) in one spread of the simulated largest eigenvalue. The Tracy-Widom distribution
 of order 1 (Johnstone 2001, Ann. Stat. 29, 295) has s = 1.27 x - 1.21 at x spreads: 0.8 x is careful beyond x = 2.6."""
-LINE = 5.0
-"""Standard deviations at which a channel of an event is cut: beyond are lines of interference, which noise has not."""
 ORDINARY = 0.01
 """Share of events far outside the noise that is no structure: interference that was left, in drawn worlds 0.7 %."""
 SMALLEST_TOTAL = 1e-6
@@ -81,7 +80,7 @@ def find_in_events(model: LinearModel, smooth: Floats, rng: np.random.Generator)
     for kind in range(kind_of.max() + 1):
         is_far[kind_of == kind] = is_heavy(amount[kind_of == kind])
     in_few = float(binom.sf(is_far.sum() - 1, is_far.size, ORDINARY))
-    on_one_side = _chance_of_skewness(amount[~is_far])
+    on_one_side = _chance_of_skewness(cut[~is_far] @ vectors.T)
     spectrum = right[0] if in_many <= min(in_few, on_one_side) else np.sum(amount**2, axis=1) @ amount @ vectors
     chances = [in_many, in_few, on_one_side]
     if (memory := find_memory(model.station, cut, vectors, smooth)) is not None:
