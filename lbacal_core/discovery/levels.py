@@ -168,7 +168,7 @@ def estimate_levels(
     class_share = members.share_of_class(station)
     seeds = members.seeds[:, : max(1, channels // CHANNELS_PER_VECTOR)]
     seen = np.tensordot(class_share, seeds, axes=1)
-    structure, is_ordinary = _structure(station), _is_ordinary(mean, seen)
+    structure, is_ordinary = profiles_of_axes(station), _is_ordinary(mean, seen)
     free_events = max(events - 2 - structure.shape[1], 1)
     whole, clean = mean, _clean(mean, structure, is_ordinary)
     kinds = list_kinds(station, clean.sum(axis=0) @ orthonormal(seen)[:MOST_VECTORS].T)
@@ -288,7 +288,7 @@ def _scatter(amount: Floats) -> Floats:
     return np.asarray(inside.T @ inside / (max(len(inside), 1) * cut))
 
 
-def _structure(station: Station) -> Floats:
+def profiles_of_axes(station: Station) -> Floats:
     """Orthonormal profiles in time of what varies smoothly along any axis of the data, shape (event, profile).
 
     What follows an axis is structure, which causes may explain, and no noise: noise would swallow it. Axes are taken in
@@ -307,7 +307,7 @@ def _structure(station: Station) -> Floats:
 
 def clean_mean(station: Station, mean: Floats, seeds: Floats) -> Floats:
     """The means, shape (polarisation, event, freq), less what follows any axis of the data."""
-    return _clean(mean, _structure(station), _is_ordinary(mean, seeds))
+    return _clean(mean, profiles_of_axes(station), _is_ordinary(mean, seeds))
 
 
 def _is_ordinary(mean: Floats, seeds: Floats) -> NDArray[np.bool_]:

@@ -6,9 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.polynomial.hermite_e import hermeval
+from numpy.typing import NDArray
 from scipy.special import gammaln
 
-from lbacal_core.discovery.levels import clean_mean
+from lbacal_core.discovery.levels import clean_mean, profiles_of_axes
 from lbacal_core.discovery.station import Station
 from lbacal_core.grids import Floats
 
@@ -40,12 +41,58 @@ class Memory:
     spectrum: Floats
 
 
+@dataclass(frozen=True)
+class _Neighbours:
+    """Neighbours among events in the order of time, as a matrix P that is 1/2 for two of them and 0 elsewhere.
+
+    Attributes
+    ----------
+    first, last
+        The first neighbour of an event and the one behind the last, shape (event,).
+    """
+
+    first: NDArray[np.int64]
+    last: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, time: Floats) -> _Neighbours:
+        """Events less than `WITHIN_S` apart."""
+        return cls(np.searchsorted(time, time - WITHIN_S, side="right"), np.searchsorted(time, time + WITHIN_S))
+
+    @property
+    def pairs(self) -> int:
+        """Number of pairs."""
+        return int(np.sum(self.last - self.first - 1)) // 2
+
+    def next_to(self, values: Floats) -> Floats:
+        """P times values, shape (event, any)."""
+        summed = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
+        return np.asarray((summed[self.last] - summed[self.first] - values) / 2.0)
+
+    def cumulants(self, profiles: Floats) -> tuple[float, float, float]:
+        """Mean, variance and skewness of x'MPMx for normal numbers x, where M takes orthonormal profiles out.
+
+        They are tr Q, 2 tr Q^2 and 8 tr Q^3 / (2 tr Q^2)^1.5 of Q = MPM (Mathai & Provost 1992, Quadratic Forms in
+        Random Variables, 3.2b); the size of x is estimated from as many numbers, which takes tr^2 Q from tr Q^2.
+        """
+        near = self.next_to(profiles)
+        inside, squared = profiles.T @ near, near.T @ near
+        ahead = self.last - np.arange(self.last.size) - 1
+        triples = float(np.sum(ahead * (ahead - 1))) / 2.0
+        mean = -float(np.trace(inside))
+        square = self.pairs / 2.0 - 2.0 * float(np.trace(squared)) + float(np.sum(inside**2))
+        cube = 0.75 * triples - 3.0 * float(np.sum(near * self.next_to(near)))
+        cube += 3.0 * float(np.sum(inside * squared)) - float(np.sum((inside @ inside) * inside))
+        variance = 2.0 * (square - mean**2 / (self.last.size - profiles.shape[1]))
+        return mean, variance, 8.0 * cube / variance**1.5
+
+
 def find_memory(station: Station, white: Floats, vectors: Floats, smooth: Floats) -> Memory | None:
     """Compare events with their neighbours, along the vectors of the noise and along smooth functions of frequency.
 
-    The products of the amounts of two events have mean 0 and variance 1 where the events are independent. Their sums
-    over all pairs of neighbours make a symmetric matrix of normal numbers, whose largest eigenvalue is tested. What
-    follows an axis of the data is taken out before: along an axis all structure lasts.
+    What follows an axis of the data is taken out before: along an axis all structure lasts. What is left of independent
+    events is a little unlike in neighbours, which is accounted for. Sums of the products of two amounts over all pairs
+    make a symmetric matrix of nearly normal numbers, whose largest eigenvalue is tested.
 
     Parameters
     ----------
@@ -61,23 +108,24 @@ def find_memory(station: Station, white: Floats, vectors: Floats, smooth: Floats
     None where too few events have neighbours.
     """
     order = np.argsort(station.conditions.time_unix)
-    time = station.conditions.time_unix[order]
-    last = np.searchsorted(time, time + WITHIN_S)
-    after = np.arange(time.size) + 1
-    pairs = int(np.sum(last - after))
-    if not station.conditions.has_dates or pairs < FEWEST_PAIRS:
+    neighbours = _Neighbours.of(station.conditions.time_unix[order])
+    if not station.conditions.has_dates or neighbours.pairs < FEWEST_PAIRS:
         return None
     _, sizes, beside = np.linalg.svd(smooth - smooth @ vectors.T @ vectors, full_matrices=False)
     basis = np.concatenate([vectors, beside[sizes > OWN_SHARE * sizes[0]]])
     amount = clean_mean(station, white[None], vectors)[0][order] @ basis.T
     values, turned = np.linalg.eigh(np.cov(amount.T))
     amount = np.clip((amount - amount.mean(axis=0)) @ turned / np.sqrt(values), -LARGEST, LARGEST)
-    amount /= amount.std(axis=0)
-    summed = np.concatenate([np.zeros((1, len(basis))), np.cumsum(amount, axis=0)])
-    together = amount.T @ (summed[last] - summed[after]) / pairs**0.5
-    sizes, directions = np.linalg.eigh((together + together.T) / 2)
+    profiles = profiles_of_axes(station)[order]
+    amount -= profiles @ (profiles.T @ amount)
+    amount /= np.sqrt(np.sum(amount**2, axis=0) / (len(amount) - profiles.shape[1]))
+    mean, variance, skewness = neighbours.cumulants(profiles)
+    together = amount.T @ neighbours.next_to(amount) - mean * np.eye(len(basis))
+    sizes, directions = np.linalg.eigh(together / variance**0.5)
+    largest = float(sizes[-1])
     spectrum = turned @ (np.sqrt(values) * directions[:, -1]) @ basis
-    return Memory(chance_of(float(sizes[-1]), len(basis)), spectrum / np.linalg.norm(spectrum))
+    normal = largest - skewness / 6.0 * (largest**2 - 1.0)  # Cornish & Fisher 1938, Rev. Int. Stat. Inst. 5, 307
+    return Memory(chance_of(normal, len(basis)), spectrum / np.linalg.norm(spectrum))
 
 
 def chance_of(largest: float, size: int) -> float:

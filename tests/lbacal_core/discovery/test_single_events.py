@@ -6,7 +6,12 @@ from numpy.polynomial.legendre import legvander
 
 from lbacal_core.discovery.refit import fit_chain
 from lbacal_core.discovery.residual_structure import find_structure
-from lbacal_core.discovery.single_events import _largest_of_noise, find_in_events, share_of_channels
+from lbacal_core.discovery.single_events import (
+    _chance_together,
+    _largest_of_noise,
+    find_in_events,
+    share_of_channels,
+)
 from tests.lbacal_core.discovery.worlds import Look, look_with_residual
 
 SIGNIFICANT = 0.002
@@ -89,3 +94,15 @@ def test_a_vector_of_the_noise_that_is_off_by_a_few_per_cent_is_no_structure(sta
     look = Look(station, fit_chain(station), None)
     linear = look_with_residual(look, own + amounts * (vector + beside)).model.linear
     assert find_structure(linear, np.random.default_rng(1), SIGNIFICANT) is None
+
+
+def test_tests_of_which_each_sees_a_little_see_structure_together():
+    """Storms were on one side with 4 in 10,000 and alike in neighbours with 3 in 100,000, yet `consistent`."""
+    assert _chance_together([0.84, 7e-4, 3.4e-5]) < 1e-5
+    assert _chance_together([0.5, 0.9, 1e-6]) < 1e-5
+    assert _chance_together([0.5, 0.9, 1.0]) > 0.9
+    drawn = np.random.default_rng(3).random((40_000, 3))
+    together = np.array([_chance_together(chances) for chances in drawn])
+    for share in (0.1, 0.01, 0.001):
+        # Both tests agree where one of three is rare: no more than asked, and not much less. 40 of 40,000: 16 %.
+        assert 0.5 * share < np.mean(together < share) < 1.3 * share
