@@ -25,9 +25,6 @@ class Policy:
         Share of the best score below which a candidate cannot win by a better fit.
     indistinguishable
         SNR^2 (1 - r^2) below which another template fits as well: 3 standard deviations.
-    beside_structure_alpha
-        Probability below which a finding stays in the report although residual structure remains: its score is
-        computed with that structure profiled out.
     same_spectrum
         Overlap (Bhattacharyya 1943) of two spectra, each the share of the whitened structure in every channel, beyond
         which they are alike: the templates of different stages of the chain overlap by less.
@@ -35,10 +32,11 @@ class Policy:
         Number of accepted causes along one axis after which the search ends, if structure along it remains with a
         probability below this: no proof hides more, and causes then describe piece by piece what none of them is.
     stands_alpha
-        Probability of structure along the axes of a finding below which the finding does not stand.
+        Probability of structure along the axes of a finding below which the finding does not stand; in the paths where
+        `crowd` parts of a station have findings along one axis.
     beside_share
-        Factor on the probability of a false alarm of causes that are looked for beside a structure that was taken out:
-        what the smooth term leaves of it is no noise.
+        Factor on the probability of a false alarm of causes beside a structure that was taken out: what its description
+        leaves of it is no noise.
     hidden_share
         Share of the information of a cause that free differences between models leave, below which they hide it: it is
         then neither looked for nor named. They leave nothing of a slope of N_LNA and of an isotropic level, and 0.06
@@ -52,7 +50,6 @@ class Policy:
     rivals: int = 4
     rival_share: float = 0.6
     indistinguishable: float = 9.0
-    beside_structure_alpha: float = 0.05
     same_spectrum: float = 0.8
     crowd: int = 2
     crowd_alpha: float = 1e-6

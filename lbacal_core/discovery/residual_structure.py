@@ -31,6 +31,8 @@ SMALLEST_SIZE = 1e-6
 """Size, relative to the largest, below which a function of an axis is a combination of the others."""
 STATION = "station"
 """Target of structure in the means."""
+PATHS = "paths"
+"""Where structure is looked for in the deviations of all paths."""
 EVENTS = "event"
 """Name of the axis of structure in single events, along none of the axes."""
 
@@ -168,7 +170,7 @@ def _tell(model: LinearModel, one: _Candidate, axes: Mapping[Axis, Floats], chan
 
 
 def chance_along(model: LinearModel, names: Collection[str], target: str) -> float:
-    """Probability by chance of the strongest structure along axes, as causes call them, in the means or in paths."""
+    """Probability by chance of the strongest structure along axes, as causes call them, in `STATION` or `PATHS`."""
     conditions = model.station.conditions
     axes = [axis for axis in list_axes(conditions) if axis.along in names]
     known = [(axis, basis) for axis in axes if (basis := axis.basis(conditions)) is not None]

@@ -29,6 +29,7 @@ from lbacal_core.discovery.project import LinearModel
 from lbacal_core.discovery.proposals import SameAgain, StationSearch, chi_squared_of, gain_of
 from lbacal_core.discovery.refit import FittedModel, refit
 from lbacal_core.discovery.residual_structure import (
+    PATHS,
     STATION,
     ResidualStructure,
     chance_along,
@@ -156,7 +157,7 @@ def search_station(
     first, search.adopted = adopted.model, len(adopted.sizes)
     grown = _grow(first, search)
     progress(f"{station.name}: looking for structure that no cause explains")
-    structure = _structure_beside(grown, search, np.random.default_rng(seed))
+    structure = _structure_beside(first, grown, search, np.random.default_rng(seed))
     last, similar = grown, list[Finding]()
     if structure is not None:
         withdrawn = _withdrawn(first.linear, grown.findings, structure, search.again, policy)
@@ -252,11 +253,14 @@ def _standing(first: FittedModel, grown: _Grown, findings: Sequence[Finding]) ->
     return model
 
 
-def _structure_beside(grown: _Grown, search: StationSearch, rng: np.random.Generator) -> ResidualStructure | None:
+def _structure_beside(
+    first: FittedModel, grown: _Grown, search: StationSearch, rng: np.random.Generator
+) -> ResidualStructure | None:
     """Residual structure beside the findings, with what shows that a finding does not describe its effect.
 
-    Structure remains for certain where a cause was significant twice, where none has a size that it can have, and where
-    structure along the axes of a finding remains beside it.
+    Structure remains for certain where a cause was significant twice, where none has a size that it can have, where
+    structure along the axes of a finding remains beside it, and where several parts of the station have findings along
+    one axis, along which paths are left with structure: what differs smoothly from antenna to antenna is one effect.
     """
     policy, again = search.policy, search.again
     alpha = policy.structure_alpha / search.stations
@@ -270,9 +274,16 @@ def _structure_beside(grown: _Grown, search: StationSearch, rng: np.random.Gener
     found = grown.last.hypotheses[search.adopted :]
     along = {axis for one in found if one.target.is_wide for axis in one.cause.axes}
     chance = chance_along(grown.last.linear, along, STATION)
-    if chance >= policy.stands_alpha:
-        return find_structure(grown.last.linear, rng, alpha)
-    return find_structure(grown.last.linear, rng, alpha, chance, along)
+    if chance < policy.stands_alpha:
+        return find_structure(grown.last.linear, rng, alpha, chance, along)
+    parts = {one.target.label: one for one in found if one.target.scope != STATION}.values()
+    axes = [axis for one in parts for axis in _axes_of(one.cause, one.template, first.station.conditions)]
+    crowded = {axis for axis in axes if axes.count(axis) >= policy.crowd}
+    chance = chance_along(grown.last.linear, crowded, PATHS)
+    if chance < policy.stands_alpha:
+        wide = _standing(first, grown, [f for f in grown.findings if f.hypothesis.target.scope == STATION])
+        return find_structure(wide.linear, rng, alpha, chance)
+    return find_structure(grown.last.linear, rng, alpha)
 
 
 def _finding(without: FittedModel, last: FittedModel, number: int, score: Score, policy: Policy) -> Finding:
@@ -330,18 +341,19 @@ def _withdrawn(
 def _seen_beside(
     model: LinearModel, findings: Sequence[Finding], structure: ResidualStructure, policy: Policy
 ) -> list[bool]:
-    """Whether each finding is still significant with the residual structure profiled out."""
-    if structure.vectors is None or not findings:
-        return [True] * len(findings)
+    """Whether each finding is significant beside residual structure: profiled out in the means, as it is in paths."""
+    if not findings:
+        return []
     beside = replace(model, empirical=structure.vectors)
-    conditions = beside.station.conditions
     hypotheses = [finding.hypothesis for finding in findings]
-    templates = [signature(one.cause, beside.terms, conditions, one.template) for one in hypotheses]
+    templates = [signature(one.cause, beside.terms, beside.station.conditions, one.template) for one in hypotheses]
     score, information = beside.products(templates, [one.target for one in hypotheses])
     inverse = np.linalg.pinv(information, rcond=1e-6, hermitian=True)
     z = np.abs(inverse @ score) / np.sqrt(np.maximum(np.diag(inverse), 1e-300))
-    trials = [finding.score.trials * finding.score.causes for finding in findings]
-    return [p_of(own, many) <= policy.beside_structure_alpha for own, many in zip(z.tolist(), trials, strict=True)]
+    chances = [p_of(own, one.score.trials * one.score.causes) for own, one in zip(z.tolist(), findings, strict=True)]
+    alpha, in_means = policy.catalogue_alpha * policy.beside_share, structure.vectors is not None
+    on_parts = [one.target.scope != STATION for one in hypotheses]
+    return [p <= alpha or not (in_means or part) for p, part in zip(chances, on_parts, strict=True)]
 
 
 def _has_its_spectrum(model: LinearModel, finding: Finding, structure: ResidualStructure, policy: Policy) -> bool:

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -8,10 +9,19 @@ import pytest
 from lbacal_core.causes.axes import axis_named
 from lbacal_core.causes.catalogue import CAUSES
 from lbacal_core.causes.cause import Template
-from lbacal_core.discovery.hypothesis import Hypothesis, Target
+from lbacal_core.discovery.hypothesis import Hypothesis, Target, list_targets
+from lbacal_core.discovery.policy import Policy
+from lbacal_core.discovery.proposals import StationSearch
 from lbacal_core.discovery.refit import refit
 from lbacal_core.discovery.residual_structure import ResidualStructure
-from lbacal_core.discovery.search import _Grown, _lives_there, _standing, search_station
+from lbacal_core.discovery.search import (
+    _Grown,
+    _lives_there,
+    _seen_beside,
+    _standing,
+    _structure_beside,
+    search_station,
+)
 from lbacal_core.discovery.station import gather_stations
 from lbacal_core.model import AdoptedCause, Model
 from lbacal_core.twin.campaign import simulate_campaign
@@ -19,6 +29,7 @@ from lbacal_core.twin.faults.antenna import GainStep, GainTemperature
 from lbacal_core.twin.faults.fault import Where
 from lbacal_core.twin.faults.interference import RfiBroadband
 from lbacal_core.twin.faults.sky import LstOffset
+from lbacal_core.twin.faults.uncatalogued import FieldGradient
 from tests.lbacal_core.discovery.conftest import SEED, SETTINGS
 
 
@@ -105,3 +116,44 @@ def test_antennas_are_compared_beside_the_findings_that_stand(world):
     paths = look.data.antenna == 1
     bent = np.log(both.baseline.solution.x / left.baseline.solution.x)[paths]
     assert np.ptp(bent) > 1e-3
+
+
+@pytest.mark.parametrize(("size", "is_one_effect"), [(0.0, False), (0.2, True)])
+def test_findings_on_several_parts_with_structure_left_in_paths_are_one_effect(world, size, is_one_effect):
+    """A gradient over the field was the jitter of one board, the compression of another and an exchange of dipoles."""
+    look = world.look(FieldGradient(size=size))
+    first, second = (look.fit_as_is("dipole_swap", look.template("dipole_swap"), f"antenna {k}") for k in (0, 2))
+    both = refit(first.model, second.effect)
+    grown = _Grown(both, [second.model, first.model], [SimpleNamespace(hypothesis=h) for h in both.hypotheses])
+    search = StationSearch(look.data, list_targets(look.data), Policy(), 1, SEED, lambda _: None)
+    left = _structure_beside(look.model, grown, search, np.random.default_rng(SEED))
+    assert (left is not None) == is_one_effect
+    if left is not None:
+        assert (left.axis_name, left.target.split()[0]) == ("lst", "antenna")
+        assert all(_lives_there(one, left, look.data.conditions) for one in both.hypotheses)
+
+
+@pytest.mark.parametrize(("size", "stands"), [(0.006, False), (0.02, True)])
+def test_a_name_beside_structure_in_single_events_needs_what_a_name_beside_an_axis_needs(world, size, stands):
+    """Storms in summer were `cable_temperature` of 4.7 standard deviations beside structure in single events."""
+    look = world.look(GainTemperature(size=size))
+    found = look.fit_as_is("gain_temperature", look.template("gain_temperature"))
+    score = SimpleNamespace(trials=20.0, causes=26)
+    events = np.zeros_like(look.model.linear.residuals.mean)[None]
+    events[..., ::7, :10] = 1.0
+    left = ResidualStructure(None, "station", 1e-9, 60.0, 351, None, np.ones(1), events)
+    finding = SimpleNamespace(hypothesis=found.effect, score=score)
+    assert abs(found.effect.size / found.effect.sigma) > 4
+    assert _seen_beside(look.model.linear, [finding], left, Policy()) == [stands]
+    in_paths = replace(left, target="antenna 2 X", vectors=None)
+    assert _seen_beside(look.model.linear, [finding], in_paths, Policy()) == [True]
+
+
+@pytest.mark.parametrize(("size", "stands"), [(0.008, False), (0.03, True)])
+def test_a_name_on_an_antenna_beside_structure_in_paths_needs_as_much(world, size, stands):
+    """A gain step of 5.7 standard deviations was named in one path beside a gradient over the field."""
+    look = world.look(GainTemperature(size=size, where=Where(antennas=(1,))))
+    found = look.fit_as_is("gain_temperature", look.template("gain_temperature"), "antenna 1")
+    finding = SimpleNamespace(hypothesis=found.effect, score=SimpleNamespace(trials=20.0, causes=26))
+    left = ResidualStructure(axis_named("lst"), "antenna 2 X", 1e-9, 60.0, 16, 20.0, np.ones(1), None)
+    assert _seen_beside(look.model.linear, [finding], left, Policy()) == [stands]
