@@ -258,9 +258,8 @@ def _structure_beside(
 ) -> ResidualStructure | None:
     """Residual structure beside the findings, with what shows that a finding does not describe its effect.
 
-    Structure remains for certain where a cause was significant twice, where none has a size that it can have, where
-    structure along the axes of a finding remains beside it, and where several parts of the station have findings along
-    one axis, along which paths are left with structure: what differs smoothly from antenna to antenna is one effect.
+    Structure remains for certain where a cause was significant twice, where none has a size that it can have, where it
+    is along the axes of a finding, and where several parts have findings along one axis, along which paths show it.
     """
     policy, again = search.policy, search.again
     alpha = policy.structure_alpha / search.stations
