@@ -336,6 +336,7 @@ def _choose_vectors(mean: Floats, seeds: Floats, kinds: Sequence[NDArray[np.int6
     level = np.sqrt(np.maximum(np.mean(rest**2, axis=(1, 2)), SMALLEST_LEVEL**2) * mean.shape[2] / outside)
     pooled = np.sum(rest / level[:, None, None], axis=0) / len(mean) ** 0.5
     cut = np.clip(pooled, -LINE, LINE)
+    cut -= cut @ known.T @ known
     best, chosen = STANDS_OUT, known
     for own in kinds:
         values, turned = np.linalg.eigh(cut[own].T @ cut[own])
