@@ -73,7 +73,8 @@ class _Neighbours:
         """Mean, variance and skewness of x'MPMx for normal numbers x, where M takes orthonormal profiles out.
 
         They are tr Q, 2 tr Q^2 and 8 tr Q^3 / (2 tr Q^2)^1.5 of Q = MPM (Mathai & Provost 1992, Quadratic Forms in
-        Random Variables, 3.2b); the size of x is estimated from as many numbers, which takes tr^2 Q from tr Q^2.
+        Random Variables, 3.2b). The size of x is estimated from the n numbers that are free, which takes
+        (tr Q)^2 / n from tr Q^2.
         """
         near = self.next_to(profiles)
         inside, squared = profiles.T @ near, near.T @ near

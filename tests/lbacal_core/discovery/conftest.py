@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from lbacal_core.discovery.baseline import fit_baseline
+from lbacal_core.discovery.project import LinearModel
+from lbacal_core.discovery.refit import fit_chain
 from lbacal_core.discovery.station import Station, gather_stations
 from lbacal_core.grids import Floats
 from lbacal_core.instrument import Instrument, load_instrument
@@ -52,6 +54,18 @@ def station(clean, chain, sky) -> Station:
 @pytest.fixture(scope="session")
 def baseline(station):
     return fit_baseline(station)
+
+
+@pytest.fixture(scope="session")
+def model(station) -> LinearModel:
+    """The chain fitted to the clean station."""
+    return fit_chain(station).linear
+
+
+@pytest.fixture(scope="module")
+def look(world):
+    """A small station with nothing hidden, fitted."""
+    return world.look()
 
 
 @pytest.fixture(scope="session")

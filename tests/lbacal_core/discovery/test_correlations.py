@@ -3,19 +3,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 from lbacal_core.causes.catalogue import CAUSES
 from lbacal_core.causes.cause import Template
 from lbacal_core.discovery.correlations import correlate, overlap
 from lbacal_core.discovery.families import group_templates
 from lbacal_core.discovery.hypothesis import list_targets
-from lbacal_core.discovery.refit import fit_chain
-
-
-@pytest.fixture(scope="module")
-def model(station):
-    return fit_chain(station).linear
 
 
 def test_a_cause_correlates_fully_with_itself_and_less_with_others(model):

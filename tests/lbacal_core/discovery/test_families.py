@@ -1,17 +1,10 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from lbacal_core.causes.catalogue import CAUSES
 from lbacal_core.causes.cause import signature, spectral_signature
 from lbacal_core.discovery.families import FamilySpectra, batch_families, list_families
-from lbacal_core.discovery.refit import fit_chain
-
-
-@pytest.fixture(scope="module")
-def model(station):
-    return fit_chain(station).linear
 
 
 def test_spectral_templates_times_time_profiles_are_the_signatures_of_all_templates(model):

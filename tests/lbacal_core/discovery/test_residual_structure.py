@@ -9,6 +9,7 @@ from scipy.stats import kstest
 from lbacal_core.causes.axes import axis_named
 from lbacal_core.discovery.refit import fit_chain
 from lbacal_core.discovery.residual_structure import (
+    PATHS,
     STATION,
     _Candidate,
     _expected_first,
@@ -26,16 +27,11 @@ from tests.lbacal_core.discovery.worlds import look_with_residual
 SIGNIFICANT = 0.002
 
 
-@pytest.fixture(scope="module")
-def model(station):
-    return fit_chain(station).linear
-
-
 def test_nothing_is_left_of_a_clean_station(model):
     assert find_structure(model, np.random.default_rng(1), SIGNIFICANT) is None
 
 
-@pytest.mark.parametrize("target", [STATION, "antenna 2 X"])
+@pytest.mark.parametrize("target", [STATION, PATHS])
 def test_the_strongest_of_two_axes_is_as_rare_as_the_strongest_of_two(model, target):
     alone = [chance_along(model, {name}, target) for name in ("utc", "lst")]
     assert chance_along(model, {"utc", "lst"}, target) == pytest.approx(p_of_best(min(alone), 2))
@@ -59,11 +55,6 @@ def test_a_wave_over_the_day_is_left_along_utc_and_predicts_events_not_used(spoi
     assert rank == len(axis_named("utc").basis(spoilt.station.conditions)) * 6 * 2
     assert found.channel_share.sum() == pytest.approx(1.0)
     assert find_structure(replace(spoilt, empirical=found.vectors), np.random.default_rng(1), SIGNIFICANT) is None
-
-
-@pytest.fixture(scope="module")
-def look(world):
-    return world.look()
 
 
 def test_the_probability_of_structure_in_noise_is_uniform(look):

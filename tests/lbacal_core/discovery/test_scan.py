@@ -16,11 +16,6 @@ from lbacal_core.discovery.station import gather_stations
 from tests.lbacal_core.discovery.worlds import MOVING, p_of_score, p_value_of
 
 
-@pytest.fixture(scope="module")
-def model(station):
-    return fit_chain(station).linear
-
-
 def test_scores_of_a_clean_station_are_not_significant(model):
     found = scan(model, CAUSES, list_targets(model.station))
     assert {score.cause.identifier for score in found} == set(MOVING)

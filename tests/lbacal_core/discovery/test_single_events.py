@@ -17,16 +17,6 @@ from tests.lbacal_core.discovery.worlds import Look, look_with_residual
 SIGNIFICANT = 0.002
 
 
-@pytest.fixture(scope="module")
-def model(station):
-    return fit_chain(station).linear
-
-
-@pytest.fixture(scope="module")
-def look(world):
-    return world.look()
-
-
 def test_the_spectrum_of_a_vector_is_where_it_is_not_flat(model):
     line = np.zeros_like(model.residuals.mean)
     line[:, ::2, 20] = 1.0
