@@ -275,9 +275,10 @@ def _loss_per_metre(station: Station) -> Floats | None:
 
 
 def _smooth_departures(compared: Sequence[_Comparison], cable: NDArray[np.str_], frequency_mhz: Floats) -> Floats:
-    """Cosines as smooth as the departures that most antennas show, shape (k, freq); none where antennas are alike.
+    """Cosines as smooth as the departures that most antennas show and one more, shape (k, freq).
 
-    What all antennas of a cable name show alike is their distance from one that is far from them.
+    None where antennas are alike. The one more is for an antenna that departs a little less smoothly than most. What
+    all antennas of a cable name show alike is their distance from one that is far from them.
     """
     place = (frequency_mhz - frequency_mhz[0]) / max(float(np.ptp(frequency_mhz)), 1e-300)
     most = min(MOST_SMOOTH, frequency_mhz.size // CHANNELS_PER_SMOOTH)
@@ -289,7 +290,8 @@ def _smooth_departures(compared: Sequence[_Comparison], cable: NDArray[np.str_],
         shown[cable == name] -= np.median(shown[cable == name], axis=0)
     rows = shown[:, np.any(shown != 0, axis=(0, 2))].reshape(-1, most)
     typical = np.median(np.abs(rows), axis=0)
-    return np.asarray(cosines[: int(np.max(np.flatnonzero(typical > TYPICAL), initial=-1)) + 1])
+    shown_by_most = int(np.max(np.flatnonzero(typical > TYPICAL), initial=-1)) + 1
+    return np.asarray(cosines[: shown_by_most + 1 if shown_by_most else 0])
 
 
 def _neighbours(templates: Sequence[AntennaTemplate]) -> NDArray[np.bool_]:

@@ -348,7 +348,7 @@ def _choose_vectors(mean: Floats, seeds: Floats, kinds: Sequence[NDArray[np.int6
     return np.asarray(chosen)
 
 
-def beyond_noise(largest: float, events: float, channels: int) -> float:
+def beyond_noise(largest: float, events: float, channels: float) -> float:
     """The largest eigenvalue of x'x of noise x, shape (event, channel), in units of the law of Tracy and Widom.
 
     Centre and scale are those of Johnstone (2001, Ann. Stat. 29, 295); of noise 1 in 1000 exceeds 3.3.

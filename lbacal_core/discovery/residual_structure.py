@@ -18,6 +18,7 @@ from lbacal_core.causes.axes import Axis, list_axes
 from lbacal_core.causes.cause import signature
 from lbacal_core.discovery.hypothesis import Hypothesis
 from lbacal_core.discovery.levels import NoiseLevels
+from lbacal_core.discovery.paths_together import chance_of_pattern, fit_pattern, whiten
 from lbacal_core.discovery.project import LinearModel
 from lbacal_core.discovery.refit import FOLDS, held_out_fold
 from lbacal_core.discovery.single_events import find_in_events, pattern_of
@@ -27,6 +28,8 @@ from lbacal_core.grids import Floats
 
 DEGREE, PATH_DEGREE = 5, 3
 """Degree of the Legendre polynomials of frequency: structure of 10 MHz in 50; less for single, noisier paths."""
+FEWEST_PATHS = 16
+"""Paths from which they are asked for what they show together: of fewer the best one shows almost as much."""
 SMALLEST_SIZE = 1e-6
 """Size, relative to the largest, below which a function of an axis is a combination of the others."""
 STATION = "station"
@@ -155,12 +158,12 @@ def _try_all(model: LinearModel, rng: np.random.Generator) -> tuple[list[_Candid
 def _tell(model: LinearModel, one: _Candidate, axes: Mapping[Axis, Floats], chance: float) -> ResidualStructure:
     """What is reported of a candidate that has this probability by chance."""
     held_out, vectors, term, coefficients = None, None, None, None
-    if one.axis is None or one.place is None:
+    if one.axis is None:
         vectors, share = pattern_of(model, one.spectrum), one.spectrum**2
     else:
-        held_out, share, size = _describe(one.place, axes[one.axis], held_out_fold(model.station))
+        held_out, share, size = _describe(one.places, axes[one.axis], held_out_fold(model.station))
         if one.target == STATION:
-            vectors = _vectors(one.place, axes[one.axis])
+            vectors = _vectors(one.places[0], axes[one.axis])
             term = np.tensordot(size, vectors, axes=1)
             signs = _signs(len(term))
             coefficients = np.einsum("sr,slk->rlk", signs, size.reshape(len(term), DEGREE + 1, -1))
@@ -230,14 +233,20 @@ class _Place:
 
 @dataclass(frozen=True)
 class _Candidate:
-    """Chi^2 that smooth functions of an axis gain: in the means, or in the path that shows most."""
+    """Chi^2 that smooth functions of an axis gain: in the means, or in the path that shows most.
+
+    Attributes
+    ----------
+    places
+        Where it is seen: one, or all paths where they show it together, the one that shows most first.
+    """
 
     axis: Axis | None
     target: str
     p_value: float
     gain: float
     dof: int
-    place: _Place | None = None
+    places: Sequence[_Place] = ()
     spectrum: Floats = field(default_factory=lambda: np.empty(0))
 
     @property
@@ -276,25 +285,36 @@ def _in_means(levels: NoiseLevels, shown: _Shown, axis: Axis, basis: Floats) -> 
     """Structure of the means along an axis."""
     score = np.einsum("kme,ne->mkn", shown.by_event, basis).reshape(-1)
     gain, dof = _gain(score, shown.view.products([shown.seen], [basis])[0])
-    place = _Place(shown.view, 0, shown.seen)
-    return _Candidate(axis, STATION, levels.chance_of_gain(gain, dof, basis, DEGREE + 1), gain, dof, place)
+    chance = levels.chance_of_gain(gain, dof, basis, DEGREE + 1)
+    return _Candidate(axis, STATION, chance, gain, dof, [_Place(shown.view, 0, shown.seen)])
 
 
 def _in_paths(model: LinearModel, paths: Sequence[_Shown], axis: Axis, basis: Floats) -> _Candidate:
-    """The path that shows most structure along an axis, its probability corrected for the number of paths."""
+    """Structure along an axis in the path that shows most, or in all together where that is less probable by chance."""
     station, in_mean = model.station, model.residuals.in_mean
-    found = []
+    found, whitened = list[_Candidate](), list[tuple[Floats, Floats]]()
     for c, (shown, members) in enumerate(zip(paths, model.members, strict=True)):
         score = np.einsum("kme,ne->mkn", shown.by_event, basis).reshape(len(members), -1)
         information = shown.view.products([shown.seen], [basis])
+        whitened.append(whiten(score, information))
         for m, k in enumerate(members.tolist()):
             others = 1.0 - in_mean[k] / model.paths_in_mean[model.polarisation_of[c]]
             gain, dof = _gain(score[m], others * information[m])
             label = f"antenna {station.antenna[k]} {station.dipole[k]}"
             place = _Place(shown.view, m, shown.seen)
-            found.append(_Candidate(axis, label, float(chi2.sf(gain, dof)), gain, dof, place))
+            found.append(_Candidate(axis, label, float(chi2.sf(gain, dof)), gain, dof, [place]))
     best = min(found, key=lambda one: (one.p_value, -one.deviations))
-    return replace(best, p_value=p_of_best(best.p_value, len(station.antenna)))
+    best = replace(best, p_value=p_of_best(best.p_value, len(found)))
+    if len(found) < FEWEST_PATHS:
+        return best
+    white, told_apart = (np.concatenate(values) for values in zip(*whitened, strict=True))
+    functions = float(told_apart.mean())
+    chance, gain, amplitude = chance_of_pattern(white, len(white) - len(model.paths_in_mean), functions)
+    if chance < best.p_value:
+        order = np.argsort(-np.abs(amplitude), kind="stable")
+        places = [found[k].places[0] for k in order]
+        best = _Candidate(axis, found[order[0]].target, chance, gain, sum(white.shape) - 1, places)
+    return replace(best, p_value=p_of_best(best.p_value, 2))
 
 
 def _gain(score: Floats, information: Floats) -> tuple[float, int]:
@@ -316,23 +336,28 @@ def _vectors(place: _Place, basis: Floats) -> Floats:
     return np.asarray(np.einsum("ne,kref->knref", basis, values).reshape(-1, *values.shape[1:]))
 
 
-def _describe(place: _Place, basis: Floats, fold: NDArray[np.int64]) -> tuple[float, Floats, Floats]:
-    """Gain in log-likelihood of the empirical term on held-out events, its share in each channel, and its sizes."""
-    view, member = place.view, place.member
-    information, _, fitted = view.inner_by_fold(place.seen, basis, fold, member)
-    score = view.score_by_fold(place.seen, basis, fold, member, fitted)
+def _describe(places: Sequence[_Place], basis: Floats, fold: NDArray[np.int64]) -> tuple[float, Floats, Floats]:
+    """Gain in log-likelihood of the empirical term on held-out events, its share in each channel, and its sizes.
+
+    The share and the sizes are those of the first place.
+    """
+    by_fold = [_by_fold(place, basis, fold) for place in places]
+    information, score = (np.stack(values) for values in zip(*by_fold, strict=True))
     held_out = 0.0
     for k in range(FOLDS):
-        size = _solve(information.sum(axis=0) - information[k], score.sum(axis=0) - score[k])
-        held_out += float(size @ score[k] - 0.5 * size @ information[k] @ size)
-    size = _solve(information.sum(axis=0), score.sum(axis=0))
-    term = np.tensordot(size, _vectors(place, basis), axes=1)
+        size = fit_pattern(score.sum(axis=1) - score[:, k], information.sum(axis=1) - information[:, k])
+        held_out += float(np.sum(size * score[:, k]) - 0.5 * np.einsum("pi,pij,pj", size, information[:, k], size))
+    size = fit_pattern(score.sum(axis=1), information.sum(axis=1))[0]
+    view, member = places[0].view, places[0].member
+    term = np.tensordot(size, _vectors(places[0], basis), axes=1)
     squares = np.einsum("ref,e->f", view.clean(term, member) ** 2, view.weight[member] > 0)
     return held_out, squares / max(float(squares.sum()), 1e-300), size
 
 
-def _solve(information: Floats, score: Floats) -> Floats:
-    return np.asarray(np.linalg.lstsq(information, score, rcond=SMALLEST_SIZE)[0])
+def _by_fold(place: _Place, basis: Floats, fold: NDArray[np.int64]) -> tuple[Floats, Floats]:
+    """Information and score of functions of an axis that the events of each fold hold."""
+    information, _, fitted = place.view.inner_by_fold(place.seen, basis, fold, place.member)
+    return information, place.view.score_by_fold(place.seen, basis, fold, place.member, fitted)
 
 
 def _in_single_events(model: LinearModel, rng: np.random.Generator) -> _Candidate:
