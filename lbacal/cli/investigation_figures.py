@@ -125,7 +125,10 @@ def draw_antenna(score: AntennaScore, frequency_mhz: Floats) -> Figure:
 
 
 def draw_structure(report: StationReport, structure: ResidualStructure) -> Figure:
-    """Structure that no cause explains: what is left after everything, along its axis and in frequency."""
+    """Structure that no cause explains: what is left after everything, along its axis and in frequency.
+
+    Where all paths show it together, a third panel has the amount in each of them.
+    """
     labels = np.array([f"antenna {a} {d}" for a, d in zip(report.station.antenna, report.station.dipole, strict=True)])
     target = None if structure.target == "station" else Target("path", structure.target, labels == structure.target)
     left = _shown(report.last.baseline.residual, report, target)
@@ -135,8 +138,9 @@ def draw_structure(report: StationReport, structure: ResidualStructure) -> Figur
     smooth = shapes[:, 1:] @ np.linalg.lstsq(shapes, left, rcond=None)[0][1:]
     of_channel = np.linalg.svd(smooth, full_matrices=False)[2][0]
     along = of_channel / np.sqrt(of_channel.size) * (1.0 if of_channel[0] >= 0 else -1.0)
-    figure = Figure(figsize=(9.5, 3.4), layout="constrained")
-    panels: Any = figure.subplots(1, 2)
+    count = 3 if structure.amounts else 2
+    figure = Figure(figsize=(4.75 * count, 3.4), layout="constrained")
+    panels: Any = figure.subplots(1, count)
     mean, error = _bins(values, left @ along)
     panels[0].errorbar(_centres(values), 100 * mean, 100 * error, label="residual structure", **POINTS)
     order = np.argsort(values)
@@ -147,6 +151,14 @@ def draw_structure(report: StationReport, structure: ResidualStructure) -> Figur
     panels[1].plot(report.station.conditions.frequency_mhz, along * along.size, color=RED)
     panels[1].set_xlabel("frequency (MHz)")
     panels[1].set_ylabel("spectrum (rms 1)")
+    if structure.amounts:
+        amounts = np.array([structure.amounts[label] for label in labels])
+        for dipole in np.unique(report.station.dipole):
+            own = report.station.dipole == dipole
+            panels[2].plot(report.station.antenna[own], amounts[own], "o", ms=4, label=str(dipole))
+        panels[2].set_xlabel("antenna")
+        panels[2].set_ylabel(f"amount, of that in {structure.target}")
+        panels[2].legend(fontsize=8, frameon=False)
     for panel in panels:
         panel.axhline(0, color="#bbb", lw=0.8)
     return figure

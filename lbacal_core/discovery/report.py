@@ -291,16 +291,25 @@ def _unexplained(structure: ResidualStructure, report: StationReport) -> dict[st
             "frequency_mhz": [float(strong.min()), float(strong.max())],
             "dates": [_date(float(times.min())), _date(float(times.max()))],
         },
-        "description": f"structure along {structure.axis_name} in {structure.target} of {station.name} that no cause "
+        "description": f"structure along {structure.axis_name} in {_place(structure, station.name)} that no cause "
         f"of the catalogue explains, strongest at {strong.min():.0f}-{strong.max():.0f} MHz",
         "gain": {
             "chi2": structure.gain,
             "terms": structure.dof,
             "held_out_log_likelihood_gain": structure.held_out_gain,
         },
+        "paths": dict(structure.amounts) or None,
         "term": _term(structure, report),
         "similar_to": [_finding(finding, report) for finding in report.similar],
     }
+
+
+def _place(structure: ResidualStructure, station: str) -> str:
+    """Where structure is seen, in words."""
+    if structure.amounts:
+        paths = f"all {len(structure.amounts)} paths of {station} together"
+        return f"{paths}, each by its own amount and most in {structure.target},"
+    return f"{structure.target} of {station}"
 
 
 def _term(structure: ResidualStructure, report: StationReport) -> dict[str, Any] | None:

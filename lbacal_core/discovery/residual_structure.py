@@ -64,6 +64,8 @@ class ResidualStructure:
         What they describe, relative change of the power along an axis, shape (polarisation, event, freq), or None.
     coefficients
         Those of the functions in `term`, shape (polarisation, function of frequency, function of the axis), or None.
+    amounts
+        Amount of the structure in each path, of that in the path which shows most, where all show it together.
     """
 
     axis: Axis | None
@@ -76,6 +78,7 @@ class ResidualStructure:
     vectors: Floats | None
     term: Floats | None = None
     coefficients: Floats | None = None
+    amounts: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def axis_name(self) -> str:
@@ -157,18 +160,20 @@ def _try_all(model: LinearModel, rng: np.random.Generator) -> tuple[list[_Candid
 
 def _tell(model: LinearModel, one: _Candidate, axes: Mapping[Axis, Floats], chance: float) -> ResidualStructure:
     """What is reported of a candidate that has this probability by chance."""
-    held_out, vectors, term, coefficients = None, None, None, None
+    held_out, vectors, term, coefficients, amounts = None, None, None, None, dict[str, float]()
     if one.axis is None:
         vectors, share = pattern_of(model, one.spectrum), one.spectrum**2
     else:
-        held_out, share, size = _describe(one.places, axes[one.axis], held_out_fold(model.station))
+        held_out, share, size, of_places = _describe(one.places, axes[one.axis], held_out_fold(model.station))
+        if len(one.places) > 1:
+            amounts = {place.label: float(own) for place, own in zip(one.places, of_places, strict=True)}
         if one.target == STATION:
             vectors = _vectors(one.places[0], axes[one.axis])
             term = np.tensordot(size, vectors, axes=1)
             signs = _signs(len(term))
             coefficients = np.einsum("sr,slk->rlk", signs, size.reshape(len(term), DEGREE + 1, -1))
     return ResidualStructure(
-        one.axis, one.target, chance, one.gain, one.dof, held_out, share, vectors, term, coefficients
+        one.axis, one.target, chance, one.gain, one.dof, held_out, share, vectors, term, coefficients, amounts
     )
 
 
@@ -226,6 +231,7 @@ class _Shown:
 class _Place:
     """Where structure is seen: the member of a view, and the functions of frequency there."""
 
+    label: str
     view: View
     member: int
     seen: Seen
@@ -286,7 +292,7 @@ def _in_means(levels: NoiseLevels, shown: _Shown, axis: Axis, basis: Floats) -> 
     score = np.einsum("kme,ne->mkn", shown.by_event, basis).reshape(-1)
     gain, dof = _gain(score, shown.view.products([shown.seen], [basis])[0])
     chance = levels.chance_of_gain(gain, dof, basis, DEGREE + 1)
-    return _Candidate(axis, STATION, chance, gain, dof, [_Place(shown.view, 0, shown.seen)])
+    return _Candidate(axis, STATION, chance, gain, dof, [_Place(STATION, shown.view, 0, shown.seen)])
 
 
 def _in_paths(model: LinearModel, paths: Sequence[_Shown], axis: Axis, basis: Floats) -> _Candidate:
@@ -301,7 +307,7 @@ def _in_paths(model: LinearModel, paths: Sequence[_Shown], axis: Axis, basis: Fl
             others = 1.0 - in_mean[k] / model.paths_in_mean[model.polarisation_of[c]]
             gain, dof = _gain(score[m], others * information[m])
             label = f"antenna {station.antenna[k]} {station.dipole[k]}"
-            place = _Place(shown.view, m, shown.seen)
+            place = _Place(label, shown.view, m, shown.seen)
             found.append(_Candidate(axis, label, float(chi2.sf(gain, dof)), gain, dof, [place]))
     best = min(found, key=lambda one: (one.p_value, -one.deviations))
     best = replace(best, p_value=p_of_best(best.p_value, len(found)))
@@ -336,10 +342,13 @@ def _vectors(place: _Place, basis: Floats) -> Floats:
     return np.asarray(np.einsum("ne,kref->knref", basis, values).reshape(-1, *values.shape[1:]))
 
 
-def _describe(places: Sequence[_Place], basis: Floats, fold: NDArray[np.int64]) -> tuple[float, Floats, Floats]:
-    """Gain in log-likelihood of the empirical term on held-out events, its share in each channel, and its sizes.
+def _describe(places: Sequence[_Place], basis: Floats, fold: NDArray[np.int64]) -> tuple[float, Floats, Floats, Floats]:
+    """The empirical term: a pattern of the first place, and its amount in each.
 
-    The share and the sizes are those of the first place.
+    Returns
+    -------
+    The gain in log-likelihood on held-out events; of the first place the share in each channel and the sizes of the
+    functions; and the amount in each place, of that in the first, shape (place,).
     """
     by_fold = [_by_fold(place, basis, fold) for place in places]
     information, score = (np.stack(values) for values in zip(*by_fold, strict=True))
@@ -347,11 +356,12 @@ def _describe(places: Sequence[_Place], basis: Floats, fold: NDArray[np.int64]) 
     for k in range(FOLDS):
         size = fit_pattern(score.sum(axis=1) - score[:, k], information.sum(axis=1) - information[:, k])
         held_out += float(np.sum(size * score[:, k]) - 0.5 * np.einsum("pi,pij,pj", size, information[:, k], size))
-    size = fit_pattern(score.sum(axis=1), information.sum(axis=1))[0]
-    view, member = places[0].view, places[0].member
+    sizes, seen = fit_pattern(score.sum(axis=1), information.sum(axis=1)), information[0].sum(axis=0)
+    view, member, size = places[0].view, places[0].member, sizes[0]
     term = np.tensordot(size, _vectors(places[0], basis), axes=1)
     squares = np.einsum("ref,e->f", view.clean(term, member) ** 2, view.weight[member] > 0)
-    return held_out, squares / max(float(squares.sum()), 1e-300), size
+    share = squares / max(float(squares.sum()), 1e-300)
+    return held_out, share, size, sizes @ seen @ size / max(float(size @ seen @ size), 1e-300)
 
 
 def _by_fold(place: _Place, basis: Floats, fold: NDArray[np.int64]) -> tuple[Floats, Floats]:

@@ -1,9 +1,11 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from lbacal.cli.investigation_figures import draw_scores
+from lbacal.cli.investigation_figures import draw_scores, draw_structure
 from lbacal.cli.investigation_page import write_investigation_page
 from lbacal_core.discovery.investigate import investigate
 from lbacal_core.instrument import load_instrument
@@ -12,7 +14,7 @@ from lbacal_core.twin.campaign import simulate_campaign
 from lbacal_core.twin.faults.antenna import GainStep
 from lbacal_core.twin.faults.cable import CableReflection
 from lbacal_core.twin.faults.fault import Where
-from lbacal_core.twin.faults.uncatalogued import FrostAndHeat
+from lbacal_core.twin.faults.uncatalogued import FieldGradient, FrostAndHeat
 from lbacal_core.twin.settings import TwinSettings
 
 pytestmark = pytest.mark.timeout(300)
@@ -95,3 +97,24 @@ def test_a_static_cause_is_drawn_as_an_antenna_against_the_others(tmp_path):
     page = (tmp_path / "r.html").read_text()
     assert "antenna 7 against the others of its cable" in page
     assert "with an amplitude of" in page
+
+
+def test_what_all_paths_show_together_is_told_path_by_path(tmp_path):
+    """A gradient over the field read as if one path had it: its amounts show that it grows from antenna to antenna."""
+    chain = load_instrument("lofar-superterp")
+    sky = compute_sky_power(chain)
+    settings = replace(SETTINGS, antennas=10)
+    spectra = simulate_campaign(settings, chain, sky, np.random.default_rng(8), [FieldGradient(size=0.06)]).spectra
+    content, reports = investigate(spectra, chain, sky)
+    told = content["unexplained"]
+    assert (told["where"]["axis"], content["findings"]) == ("lst", [])
+    assert "all 20 paths of CS002 together, each by its own amount and most in antenna" in told["description"]
+    antennas = [int(path.split()[1]) for path in told["paths"]]
+    assert len(antennas) == 20
+    assert abs(np.corrcoef(antennas, list(told["paths"].values()))[0, 1]) > 0.8
+    assert told["paths"][told["where"]["target"]] == pytest.approx(1.0)
+    panels = draw_structure(reports[0], reports[0].structure).axes
+    assert [panel.get_xlabel() for panel in panels] == ["local sidereal time (h)", "frequency (MHz)", "antenna"]
+    assert sum(len(line.get_xdata()) for line in panels[2].lines if line.get_marker() == "o") == 20
+    write_investigation_page(content, reports, tmp_path / "r.html")
+    assert told["description"] in (tmp_path / "r.html").read_text()
