@@ -155,7 +155,8 @@ def draw_structure(report: StationReport, structure: ResidualStructure) -> Figur
         amounts = np.array([structure.amounts[label] for label in labels])
         for dipole in np.unique(report.station.dipole):
             own = report.station.dipole == dipole
-            panels[2].plot(report.station.antenna[own], amounts[own], "o", ms=4, label=str(dipole))
+            drawn = {"fmt": "o", "ms": 4, "lw": 1, "label": str(dipole)}
+            panels[2].errorbar(report.station.antenna[own], amounts[own, 0], amounts[own, 1], **drawn)
         panels[2].set_xlabel("antenna")
         panels[2].set_ylabel(f"amount, of that in {structure.target}")
         panels[2].legend(fontsize=8, frameon=False)

@@ -298,7 +298,7 @@ def _unexplained(structure: ResidualStructure, report: StationReport) -> dict[st
             "terms": structure.dof,
             "held_out_log_likelihood_gain": structure.held_out_gain,
         },
-        "paths": dict(structure.amounts) or None,
+        "paths": {path: {"value": value, "sigma": sigma} for path, (value, sigma) in structure.amounts.items()} or None,
         "term": _term(structure, report),
         "similar_to": [_finding(finding, report) for finding in report.similar],
     }

@@ -65,7 +65,8 @@ class ResidualStructure:
     coefficients
         Those of the functions in `term`, shape (polarisation, function of frequency, function of the axis), or None.
     amounts
-        Amount of the structure in each path, of that in the path which shows most, where all show it together.
+        Amount of the structure in each path, of that in the path which shows most, with its error, where all show it
+        together.
     """
 
     axis: Axis | None
@@ -78,7 +79,7 @@ class ResidualStructure:
     vectors: Floats | None
     term: Floats | None = None
     coefficients: Floats | None = None
-    amounts: Mapping[str, float] = field(default_factory=dict)
+    amounts: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     @property
     def axis_name(self) -> str:
@@ -160,13 +161,14 @@ def _try_all(model: LinearModel, rng: np.random.Generator) -> tuple[list[_Candid
 
 def _tell(model: LinearModel, one: _Candidate, axes: Mapping[Axis, Floats], chance: float) -> ResidualStructure:
     """What is reported of a candidate that has this probability by chance."""
-    held_out, vectors, term, coefficients, amounts = None, None, None, None, dict[str, float]()
+    held_out, vectors, term, coefficients, amounts = None, None, None, None, dict[str, tuple[float, float]]()
     if one.axis is None:
         vectors, share = pattern_of(model, one.spectrum), one.spectrum**2
     else:
         held_out, share, size, of_places = _describe(one.places, axes[one.axis], held_out_fold(model.station))
         if len(one.places) > 1:
-            amounts = {place.label: float(own) for place, own in zip(one.places, of_places, strict=True)}
+            pairs = zip(one.places, of_places.tolist(), strict=True)
+            amounts = {place.label: (amount, sigma) for place, (amount, sigma) in pairs}
         if one.target == STATION:
             vectors = _vectors(one.places[0], axes[one.axis])
             term = np.tensordot(size, vectors, axes=1)
@@ -348,7 +350,7 @@ def _describe(places: Sequence[_Place], basis: Floats, fold: NDArray[np.int64]) 
     Returns
     -------
     The gain in log-likelihood on held-out events; of the first place the share in each channel and the sizes of the
-    functions; and the amount in each place, of that in the first, shape (place,).
+    functions; and the amount of that pattern in each place with its error, shape (place, 2).
     """
     by_fold = [_by_fold(place, basis, fold) for place in places]
     information, score = (np.stack(values) for values in zip(*by_fold, strict=True))
@@ -356,12 +358,14 @@ def _describe(places: Sequence[_Place], basis: Floats, fold: NDArray[np.int64]) 
     for k in range(FOLDS):
         size = fit_pattern(score.sum(axis=1) - score[:, k], information.sum(axis=1) - information[:, k])
         held_out += float(np.sum(size * score[:, k]) - 0.5 * np.einsum("pi,pij,pj", size, information[:, k], size))
-    sizes, seen = fit_pattern(score.sum(axis=1), information.sum(axis=1)), information[0].sum(axis=0)
-    view, member, size = places[0].view, places[0].member, sizes[0]
+    whole = information.sum(axis=1)
+    size = fit_pattern(score.sum(axis=1), whole)[0]
+    view, member = places[0].view, places[0].member
     term = np.tensordot(size, _vectors(places[0], basis), axes=1)
     squares = np.einsum("ref,e->f", view.clean(term, member) ** 2, view.weight[member] > 0)
-    share = squares / max(float(squares.sum()), 1e-300)
-    return held_out, share, size, sizes @ seen @ size / max(float(size @ seen @ size), 1e-300)
+    known = np.maximum(np.einsum("i,pij,j->p", size, whole, size), 1e-300)
+    amounts = np.stack([score.sum(axis=1) @ size / known, known**-0.5], axis=1)
+    return held_out, squares / max(float(squares.sum()), 1e-300), size, amounts
 
 
 def _by_fold(place: _Place, basis: Floats, fold: NDArray[np.int64]) -> tuple[Floats, Floats]:
