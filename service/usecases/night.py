@@ -65,6 +65,8 @@ def _findings(report: Mapping[str, Any]) -> dict[Key, dict[str, Any]]:
     if rest is not None:
         where = rest["where"]
         sentence = f"{rest['description']} ({write_chance(rest['p_value'])})"
+        # where all paths show it together, the one that shows most changes from one set of events to the next
+        target = "paths" if rest.get("paths") else where["target"]
         # its significance stays out of the comparison: the p-value of a simulated distribution has a floor
-        found["unexplained", where["axis"], where["target"], 0] = {"sentence": sentence, "significance_sigma": 0.0}
+        found["unexplained", where["axis"], target, 0] = {"sentence": sentence, "significance_sigma": 0.0}
     return found

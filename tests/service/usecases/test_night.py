@@ -40,6 +40,18 @@ def test_what_came_grew_and_went_is_told() -> None:
     assert news.gone == ["gain_step in [2]", "along utc (p = 1.0e-09)"]
 
 
+def test_a_pattern_of_all_paths_is_no_news_where_another_path_shows_most() -> None:
+    before, after = investigation("a", axis="lst"), investigation("b", axis="lst")
+    before.report["unexplained"]["where"]["target"] = "antenna 0 X"
+    after.report["unexplained"]["where"]["target"] = "antenna 47 Y"
+    news = tell_news(after, before)
+    assert (news.new, news.gone) == (["along lst (p = 1.0e-09)"], ["along lst (p = 1.0e-09)"])
+    for one in (before, after):
+        one.report["unexplained"]["paths"] = {"antenna 0 X": {"value": 1.0, "sigma": 0.1}}
+    news = tell_news(after, before)
+    assert (news.new, news.gone) == ([], [])
+
+
 def test_a_second_step_of_the_same_path_is_new() -> None:
     before = investigation("a", finding("gain_step", 9.0, (2,)))
     news = tell_news(investigation("b", finding("gain_step", 9.0, (2,)), finding("gain_step", 6.0, (2,))), before)
