@@ -22,8 +22,9 @@ from scipy.stats import t as student
 
 from lbacal_core.causes.cable import AntennaCause, AntennaTemplate, log_loss_per_metre
 from lbacal_core.causes.catalogue import ANTENNA_CAUSES
+from lbacal_core.causes.cause import signature
 from lbacal_core.discovery.baseline import Baseline
-from lbacal_core.discovery.hypothesis import Target
+from lbacal_core.discovery.hypothesis import Hypothesis, Target
 from lbacal_core.discovery.policy import Policy
 from lbacal_core.discovery.station import Station
 from lbacal_core.discovery.trials import p_of, sigma_of, trials_factor
@@ -89,9 +90,21 @@ class AntennaScore:
 
 
 def compare_antennas(
-    station: Station, baseline: Baseline, targets: Sequence[Target], policy: Policy, seed: int = 0
+    station: Station,
+    baseline: Baseline,
+    targets: Sequence[Target],
+    policy: Policy,
+    seed: int = 0,
+    findings: Sequence[Hypothesis] = (),
 ) -> list[AntennaScore]:
-    """The best score of each static cause, most significant first."""
+    """The best score of each static cause, most significant first.
+
+    Parameters
+    ----------
+    findings
+        Causes that were divided out of the power. What a wrong size of one on a single antenna leaves along frequency
+        is no cause of that antenna: half a line of interference was a reflection.
+    """
     antennas = [target for target in targets if target.scope == "antenna"]
     antennas = antennas or [target for target in targets if target.scope == "path"]
     if not antennas or count_comparisons(station) < FEWEST_COMPARISONS:
@@ -103,6 +116,8 @@ def compare_antennas(
     is_compared = np.isin(np.arange(len(antennas)), list(compared))
     frequency = station.conditions.frequency_mhz
     smooth = _smooth_departures(list(compared.values()), slopes[2][is_compared], frequency)
+    left = [_left_along_frequency(station, baseline, antenna, findings) for antenna in antennas]
+    compared = {k: one.beside(left[k]) for k, one in compared.items()}
     templates = {
         cause: found for cause in ANTENNA_CAUSES if (found := cause.templates(frequency, _loss_per_metre(station)))
     }
@@ -162,16 +177,16 @@ class _Comparison:
     departure
         ln (A L_coax) of the antenna less that of the others, shape (mean or half difference, freq).
     smooth
-        Departures that are left free, shape (k, freq).
+        Departures that are left free: smooth ones, and what findings leave, shape (k, freq).
     """
 
     root: Floats
     departure: Floats
     smooth: Floats
 
-    def beside(self, smooth: Floats) -> _Comparison:
-        """The same with smooth departures left free."""
-        return replace(self, smooth=smooth)
+    def beside(self, departures: Floats) -> _Comparison:
+        """The same with departures left free beside those before."""
+        return replace(self, smooth=np.concatenate([self.smooth, departures]))
 
     @cached_property
     def view(self) -> View:
@@ -272,6 +287,19 @@ def why_no_comparison(station: Station) -> dict[str, str]:
 def _loss_per_metre(station: Station) -> Floats | None:
     conditions = station.conditions
     return log_loss_per_metre(dict(zip(conditions.cables, np.exp(conditions.cable_log_loss), strict=True)))
+
+
+def _left_along_frequency(
+    station: Station, baseline: Baseline, antenna: Target, findings: Sequence[Hypothesis]
+) -> Floats:
+    """What wrong sizes of findings on an antenna leave in the mean over its events, shape (finding, freq)."""
+    left = np.empty((len(findings), station.power.shape[2]))
+    is_own = np.zeros(len(findings), dtype=bool)
+    for k, one in enumerate(findings):
+        is_own[k] = not one.target.is_wide and np.any(one.target.is_member & antenna.is_member)
+        shown = signature(one.cause, baseline.terms, station.conditions, one.template)
+        left[k] = shown[station.class_of[antenna.is_member][0]].mean(axis=0)
+    return left[is_own]
 
 
 def _smooth_departures(compared: Sequence[_Comparison], cable: NDArray[np.str_], frequency_mhz: Floats) -> Floats:

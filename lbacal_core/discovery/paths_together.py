@@ -1,9 +1,9 @@
 """What paths show together: each departs too little to be seen alone, but all depart in one way.
 
 A shadow over a field of 48 antennas tilts each path along LST by one or two standard deviations. The scores of all
-paths for smooth functions of an axis, each in units of its noise, make a matrix of independent normal numbers, shape
-(path, function). A common pattern with an amplitude of each path is a matrix of rank one, which raises the largest
-eigenvalue; that of noise has a known law.
+paths for smooth functions of an axis, each in units of its noise and less the mean of its class, make a matrix of
+normal numbers, shape (path, function). A common pattern with an amplitude of each path is a matrix of rank one, which
+raises the largest eigenvalue; that of noise has a known law.
 """
 
 from __future__ import annotations
@@ -21,8 +21,11 @@ SHAPE, SCALE, SHIFT = 46.446, 0.186054, 9.84801
 69, table 1)."""
 
 
-def whiten(score: Floats, information: Floats) -> tuple[Floats, Floats]:
-    """Scores in units of their noise, by the symmetric root: paths that are alike keep a pattern alike.
+def depart(score: Floats, information: Floats) -> tuple[Floats, float]:
+    """Scores of the paths of one class less their mean, in units of their noise.
+
+    Paths of one class (a cable name and a polarisation) show the sky and the gains of the station alike: a sky that
+    no model has leaves a pattern in the classes, and none in the departures of paths from their class.
 
     Parameters
     ----------
@@ -31,10 +34,14 @@ def whiten(score: Floats, information: Floats) -> tuple[Floats, Floats]:
 
     Returns
     -------
-    The same shape as the scores; and how many functions each path tells apart, shape (path,).
+    The same shape as the scores, whitened by the symmetric root, so that paths which are alike keep a pattern alike;
+    and how many functions a path tells apart, the mean of all.
     """
+    if not len(score):
+        return score, 0.0
     roots, told_apart = _roots(information)
-    return np.asarray(np.einsum("pij,pj->pi", roots, score)), told_apart
+    white = np.einsum("pij,pj->pi", roots, score)
+    return white - white.mean(axis=0), float(told_apart.mean())
 
 
 def chance_of_pattern(white: Floats, independent: float, functions: float) -> tuple[float, float, Floats]:
@@ -43,7 +50,7 @@ def chance_of_pattern(white: Floats, independent: float, functions: float) -> tu
     Parameters
     ----------
     independent
-        Number of independent paths: deviations from a mean lose one.
+        Number of independent rows: departures from a mean lose one.
     functions
         Number of functions that a path tells apart.
 

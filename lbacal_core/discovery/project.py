@@ -371,8 +371,8 @@ class LinearModel:
         count += int(np.sum(shares * np.maximum(is_present.sum(axis=1) * channels - channels - 3, 0)))
         return total, count
 
-    def chi_squared_by_event(self) -> Floats:
-        """What each event adds to chi^2, shape (event,)."""
-        views = (self.common, *self.paths)
+    def chi_squared_by_event(self, *, of_means: bool = False) -> Floats:
+        """What each event adds to chi^2, that of the means alone or with the deviations, shape (event,)."""
+        views = (self.common,) if of_means else (self.common, *self.paths)
         parts = [np.einsum("mref,mref->e", view.residual, view.weighted_residual) for view in views]
         return np.asarray(np.sum(parts, axis=0))

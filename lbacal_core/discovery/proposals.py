@@ -174,13 +174,18 @@ def gain_in_chi_squared(before: FittedModel, after: FittedModel) -> float:
 
     Both leave residuals relative to the power of the first, with its noise levels and free vectors. Relative to their
     own powers, residuals of two models differ by noise times effect: by chance that is more than rivals differ by.
+
+    Where the means alone show the cause, they alone are compared: from the deviations of the first model was taken what
+    its means told of the sky and of common gains, a part of the effect, which the second would take out once more.
     """
     linear = before.linear.on_events(after.station.is_used)
     # P = m (1 + r) in each model: relative to the first, the second leaves r_before + 1 - m_after / m_before.
     of_before, of_after = 1.0 + before.baseline.residual, 1.0 + after.baseline.residual
     is_there = linear.station.is_present[:, :, None] & (of_after > 0)
     change = np.where(is_there, 1.0 - of_before / np.where(is_there, of_after, 1.0), 0.0)
-    return linear.chi_squared()[0] - linear.with_change(change).chi_squared()[0]
+    of_means = linear.shows_in_means_alone(after.hypotheses[-1].target.is_member)
+    by_event = [one.chi_squared_by_event(of_means=of_means) for one in (linear, linear.with_change(change))]
+    return float(by_event[0].sum() - by_event[1].sum())
 
 
 def refine(model: LinearModel, score: Score, policy: Policy) -> Hypothesis:

@@ -18,7 +18,7 @@ from lbacal_core.causes.axes import Axis, list_axes
 from lbacal_core.causes.cause import signature
 from lbacal_core.discovery.hypothesis import Hypothesis
 from lbacal_core.discovery.levels import NoiseLevels
-from lbacal_core.discovery.paths_together import chance_of_pattern, fit_pattern, whiten
+from lbacal_core.discovery.paths_together import chance_of_pattern, depart, fit_pattern
 from lbacal_core.discovery.project import LinearModel
 from lbacal_core.discovery.refit import FOLDS, held_out_fold
 from lbacal_core.discovery.single_events import find_in_events, pattern_of
@@ -28,8 +28,9 @@ from lbacal_core.grids import Floats
 
 DEGREE, PATH_DEGREE = 5, 3
 """Degree of the Legendre polynomials of frequency: structure of 10 MHz in 50; less for single, noisier paths."""
-FEWEST_PATHS = 16
-"""Paths from which they are asked for what they show together: of fewer the best one shows almost as much."""
+FEWEST_PATHS = 12
+"""Independent departures of paths from which they are asked for what they show together: of fewer the best one shows
+almost as much."""
 SMALLEST_SIZE = 1e-6
 """Size, relative to the largest, below which a function of an axis is a combination of the others."""
 STATION = "station"
@@ -300,28 +301,31 @@ def _in_means(levels: NoiseLevels, shown: _Shown, axis: Axis, basis: Floats) -> 
 def _in_paths(model: LinearModel, paths: Sequence[_Shown], axis: Axis, basis: Floats) -> _Candidate:
     """Structure along an axis in the path that shows most, or in all together where that is less probable by chance."""
     station, in_mean = model.station, model.residuals.in_mean
-    found, whitened = list[_Candidate](), list[tuple[Floats, Floats]]()
+    found, departing, white = list[_Candidate](), list[_Place](), list[Floats]()
+    independent, told_apart = 0, 0.0
     for c, (shown, members) in enumerate(zip(paths, model.members, strict=True)):
         score = np.einsum("kme,ne->mkn", shown.by_event, basis).reshape(len(members), -1)
         information = shown.view.products([shown.seen], [basis])
-        whitened.append(whiten(score, information))
+        is_own = in_mean[members]
+        rows, functions = depart(score[is_own], information[is_own])
+        white.append(rows)
+        independent, told_apart = independent + max(len(rows) - 1, 0), told_apart + functions * len(rows)
         for m, k in enumerate(members.tolist()):
             others = 1.0 - in_mean[k] / model.paths_in_mean[model.polarisation_of[c]]
             gain, dof = _gain(score[m], others * information[m])
             label = f"antenna {station.antenna[k]} {station.dipole[k]}"
             place = _Place(label, shown.view, m, shown.seen)
             found.append(_Candidate(axis, label, float(chi2.sf(gain, dof)), gain, dof, [place]))
+            departing += [place] * bool(in_mean[k])
     best = min(found, key=lambda one: (one.p_value, -one.deviations))
     best = replace(best, p_value=p_of_best(best.p_value, len(found)))
-    if len(found) < FEWEST_PATHS:
+    if independent < FEWEST_PATHS:
         return best
-    white, told_apart = (np.concatenate(values) for values in zip(*whitened, strict=True))
-    functions = float(told_apart.mean())
-    chance, gain, amplitude = chance_of_pattern(white, len(white) - len(model.paths_in_mean), functions)
+    chance, gain, amplitude = chance_of_pattern(np.concatenate(white), independent, told_apart / len(departing))
     if chance < best.p_value:
-        order = np.argsort(-np.abs(amplitude), kind="stable")
-        places = [found[k].places[0] for k in order]
-        best = _Candidate(axis, found[order[0]].target, chance, gain, sum(white.shape) - 1, places)
+        places = [departing[k] for k in np.argsort(-np.abs(amplitude), kind="stable")]
+        dof = independent + white[0].shape[1] - 1
+        best = _Candidate(axis, places[0].label, chance, gain, dof, places)
     return replace(best, p_value=p_of_best(best.p_value, 2))
 
 

@@ -176,7 +176,7 @@ def search_station(
         named = [(f, (f.hypothesis.cause.identifier, f.hypothesis.target.label)) for f in grown.findings]
         similar = [f for f, name in named if name not in kept]
     standing = _standing(first, last, findings)
-    antenna_scores = compare_antennas(station, standing.baseline, targets, policy, seed)
+    antenna_scores = compare_antennas(station, standing.baseline, targets, policy, seed, standing.hypotheses)
     antenna_scores += compare_cable_names(standing.baseline, standing.linear, targets)
     antenna_scores.sort(key=lambda score: score.p_value)
     return StationReport(

@@ -41,6 +41,8 @@ LARGEST_CHANGE = 0.5
 """A fault that has to change the power by more than this fraction somewhere to be seen counts as not identifiable."""
 HEARING = 0.3
 """Gain of an antenna over that of the median one, below which it is deaf."""
+FEWEST_SPECTRA = 60
+"""Spectra of a path below which `lbacal fit` says that they are too few."""
 SMALLEST_SHARE = 0.1
 """Share of its information that a fault must keep beside the freedom of the models: below, they hide it."""
 
@@ -197,12 +199,22 @@ class DataSet:
         boards = ("group",) if self.world is not None and cause in ON_BOARDS else ()
         return (*SCOPES.get(cause, ("station",)), *boards)
 
-    @property
+    @cached_property
     def hearing(self) -> tuple[int, ...]:
-        """Antennas that receive the sky; one that is deaf is reported as that, and nothing else is asked of it."""
-        gain = self.detector.station.stages.gain
+        """Antennas that receive the sky, in as many events as a fit needs.
+
+        One that is deaf, or died in the first weeks, is reported as that, and nothing else is asked of it.
+        """
+        gain, spectra = self.detector.station.stages.gain, self.spectra()
         of_antenna = gain.mean(axis=tuple(range(1, gain.ndim)))
-        return tuple(int(a) for a in self.scene.antennas[of_antenna > HEARING * np.median(of_antenna)])
+        receives = of_antenna > HEARING * np.median(of_antenna)
+        events = np.array([self._spectra_of(spectra, int(a)) for a in self.scene.antennas])
+        return tuple(int(a) for a in self.scene.antennas[receives & (events >= FEWEST_SPECTRA)])
+
+    @staticmethod
+    def _spectra_of(spectra: Spectra, antenna: int) -> int:
+        """Spectra of the dipole of an antenna that has fewer."""
+        return min(int(np.sum((spectra.antenna == antenna) & (spectra.dipole == dipole))) for dipole in DIPOLES)
 
     @property
     def _comparable(self) -> tuple[int, ...]:

@@ -8,6 +8,7 @@ import pytest
 from lbacal_core.twin.campaign import simulate_campaign
 from lbacal_core.twin.faults.cable import CableLength, CableReflection
 from lbacal_core.twin.faults.fault import Where
+from lbacal_core.twin.faults.interference import RfiLine
 from lbacal_core.twin.nuisances import Nuisances
 from tests.lbacal_core.discovery.worlds import look_at, p_of_score
 
@@ -132,6 +133,18 @@ def test_an_antenna_less_smooth_than_most_is_no_reflection(alike):
     bent = replace(spectra, power=spectra.power * np.where(is_one[:, None], 1 + 0.015 * wave, 1.0))
     score = reflection_score(look_at(bent, alike.instrument, alike.sky))
     assert score.p_value > 0.01
+
+
+def test_what_a_finding_leaves_along_frequency_is_no_reflection(alike):
+    """Half of a line of interference was left in its channel, and named a reflection of the same antenna."""
+    antenna = int(alike.station.scene.antennas[5])
+    line = RfiLine(size=0.3, line_mhz=45.0, width_mhz=0.5, where=Where(antennas=(antenna,)))
+    look = alike.look(line)
+    before = reflection_score(look)
+    assert (before.target.label, before.p_value < 1e-5) == (f"antenna {antenna}", True)
+    report = look.investigate()
+    assert [finding.hypothesis.cause.identifier for finding in report.findings] == ["rfi_line"]
+    assert report.antennas == []
 
 
 def test_a_slow_ripple_is_named_where_antennas_are_alike(alike):

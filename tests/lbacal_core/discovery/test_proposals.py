@@ -15,11 +15,13 @@ from lbacal_core.discovery.scan import Score, scan
 from lbacal_core.discovery.station import gather_stations
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.twin.campaign import simulate_campaign
-from lbacal_core.twin.faults.antenna import GainStep
+from lbacal_core.twin.faults.antenna import GainStep, GainTemperature
 from lbacal_core.twin.faults.fault import Where
 from lbacal_core.twin.faults.interference import RfiBroadband
 from lbacal_core.twin.faults.sky import DipoleSwap
+from lbacal_core.twin.gains import EventGains
 from proofs.anywhere import SETTINGS, draw_faulty
+from tests.lbacal_core.discovery.worlds import look_at
 
 NAMED = {cause.identifier: cause for cause in CAUSES}
 
@@ -105,3 +107,21 @@ def test_noise_times_effect_is_no_gain_in_chi_squared():
     before = fit_chain(model.station)
     fitted = refit(before, refine(model, score, Policy()))
     assert gain_in_chi_squared(before, fitted) == pytest.approx(score.z**2, rel=0.02)
+
+
+def test_a_cause_that_the_means_alone_show_gains_what_they_show(world):
+    """Common gains in front of N_RCU had been taken out of the deviations with the effect, and came out once more.
+
+    Of two causes with 8.5 sigma one lost 85 of chi^2 in the deviations and a third, of 6.2 sigma, was chosen.
+    """
+    settings, place = replace(world.settings, antennas=12, events_per_year=400), EventGains(common_place="front")
+    rng, faults = np.random.default_rng(20), [GainTemperature(size=0.03)]
+    spectra = simulate_campaign(
+        settings, world.instrument, world.sky, rng, faults, view=world.view, gains=place
+    ).spectra
+    look = look_at(spectra, world.instrument, world.sky, with_modes=True)
+    everyone = list_targets(look.data)[-1:]
+    (score,) = scan(look.model.linear, [NAMED["gain_temperature"]], everyone)
+    assert score.z > 6
+    fitted = refit(look.model, refine(look.model.linear, score, Policy()))
+    assert gain_in_chi_squared(look.model, fitted) == pytest.approx(score.z**2, rel=0.1)
