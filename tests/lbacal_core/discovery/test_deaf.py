@@ -7,6 +7,8 @@ from lbacal_core.discovery.deaf import SMALLEST_SHARE, leave_out_deaf, sky_share
 from lbacal_core.discovery.investigate import investigate
 from lbacal_core.discovery.station import gather_stations
 from lbacal_core.twin.campaign import simulate_campaign
+from lbacal_core.twin.faults.fault import Where
+from lbacal_core.twin.faults.receiver import Compression
 from lbacal_core.twin.nuisances import Nuisances
 from lbacal_core.twin.world import World
 from tests.lbacal_core.discovery.conftest import SEED, SETTINGS
@@ -39,6 +41,17 @@ def test_a_station_that_hears_the_sky_stays_as_it_is(station):
     assert names == []
     share = sky_shares(station)
     assert share.min() > 1.2 * SMALLEST_SHARE * np.median(share)
+
+
+def test_a_path_that_compresses_is_not_deaf(world):
+    """What the gain loses to the power looks like noise behind the sky: two such paths of drawn worlds were called deaf."""
+    antenna = int(world.station.scene.antennas[1])
+    where = Where(antennas=(antenna,), dipoles=("X",))
+    look = world.look(Compression(size=0.85, where=where))
+    share = sky_shares(look.data)
+    seems = share[look.paths.index((antenna, "X"))] / np.median(share)
+    assert SMALLEST_SHARE < seems < 0.4
+    assert leave_out_deaf(look.data)[1] == []
 
 
 def test_the_last_path_of_a_class_stays(broken, chain, sky):
