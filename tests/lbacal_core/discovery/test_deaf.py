@@ -44,7 +44,7 @@ def test_a_station_that_hears_the_sky_stays_as_it_is(station):
 
 
 def test_a_path_that_compresses_is_not_deaf(world):
-    """What the gain loses to the power looks like noise behind the sky: two such paths of drawn worlds were called deaf."""
+    """What the gain loses to the power looks like noise behind the sky: two such paths in drawn worlds were "deaf"."""
     antenna = int(world.station.scene.antennas[1])
     where = Where(antennas=(antenna,), dipoles=("X",))
     look = world.look(Compression(size=0.85, where=where))
