@@ -301,7 +301,7 @@ def find_trend(seed: int) -> Row:
 
 PARTS = (
     Part("nothing", look_at_nothing, judge_looks, 12),
-    Part("steps", find_steps, judge_steps, 24, tell_steps, ("found", "size_90")),
+    Part("steps", find_steps, judge_steps, 24, tell_steps, ("found",)),
     Part("slopes", find_slopes, judge_slopes, 8),
     Part("stations", find_in_stations, judge_stations, 120),
     Part("whole", find_trend, judge_whole, 400, tell_whole),
