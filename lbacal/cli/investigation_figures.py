@@ -152,7 +152,8 @@ def draw_structure(report: StationReport, structure: ResidualStructure) -> Figur
     panels[1].set_xlabel("frequency (MHz)")
     panels[1].set_ylabel("spectrum (rms 1)")
     if structure.amounts:
-        amounts = np.array([structure.amounts[label] for label in labels])
+        # A path that died early is compared with the others and has no amount.
+        amounts = np.array([structure.amounts.get(label, (np.nan, np.nan)) for label in labels])
         for dipole in np.unique(report.station.dipole):
             own = report.station.dipole == dipole
             drawn = {"fmt": "o", "ms": 4, "lw": 1, "label": str(dipole)}

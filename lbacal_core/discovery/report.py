@@ -307,7 +307,7 @@ def _unexplained(structure: ResidualStructure, report: StationReport) -> dict[st
 def _place(structure: ResidualStructure, station: str) -> str:
     """Where structure is seen, in words."""
     if structure.amounts:
-        paths = f"all {len(structure.amounts)} paths of {station} together"
+        paths = f"{len(structure.amounts)} paths of {station} together"
         return f"{paths}, each by its own amount and most in {structure.target},"
     return f"{structure.target} of {station}"
 

@@ -105,17 +105,21 @@ def test_what_all_paths_show_together_is_told_path_by_path(tmp_path):
     sky = compute_sky_power(chain)
     settings = replace(SETTINGS, antennas=10)
     spectra = simulate_campaign(settings, chain, sky, np.random.default_rng(8), [FieldGradient(size=0.06)]).spectra
+    # One antenna died after a third of the year: it is compared with the others and has no amount.
+    died = (spectra.antenna == 4) & (spectra.time_unix > np.quantile(spectra.time_unix, 1 / 3))
+    spectra = spectra.select(~died)
     content, reports = investigate(spectra, chain, sky)
     told = content["unexplained"]
     assert (told["where"]["axis"], content["findings"]) == ("lst", [])
-    assert "all 20 paths of CS002 together, each by its own amount and most in antenna" in told["description"]
+    assert " in 18 paths of CS002 together, each by its own amount and most in antenna" in told["description"]
     antennas = [int(path.split()[1]) for path in told["paths"]]
-    assert len(antennas) == 20
+    assert (len(antennas), 4 in antennas) == (18, False)
     values = [amount["value"] for amount in told["paths"].values()]
     assert abs(np.corrcoef(antennas, values)[0, 1]) > 0.8
     assert told["paths"][told["where"]["target"]]["value"] == pytest.approx(1.0)
     panels = draw_structure(reports[0], reports[0].structure).axes
     assert [panel.get_xlabel() for panel in panels] == ["local sidereal time (h)", "frequency (MHz)", "antenna"]
-    assert sum(len(line.get_xdata()) for line in panels[2].lines if line.get_marker() == "o") == 20
+    drawn = [line.get_ydata() for line in panels[2].lines if line.get_marker() == "o"]
+    assert np.isfinite(np.concatenate(drawn)).sum() == 18
     write_investigation_page(content, reports, tmp_path / "r.html")
     assert told["description"] in (tmp_path / "r.html").read_text()
