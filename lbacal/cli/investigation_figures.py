@@ -13,10 +13,11 @@ from scipy.interpolate import CubicSpline
 from lbacal_core.causes.axes import AXES, Axis
 from lbacal_core.causes.cause import signature
 from lbacal_core.discovery.antennas import AntennaScore
+from lbacal_core.discovery.findings import Finding
 from lbacal_core.discovery.hypothesis import Target
 from lbacal_core.discovery.residual_structure import ResidualStructure
 from lbacal_core.discovery.scan import Score
-from lbacal_core.discovery.search import Finding, StationReport
+from lbacal_core.discovery.search import StationReport
 from lbacal_core.grids import Floats
 
 BINS = 24

@@ -21,8 +21,9 @@ from lbacal.cli.report_pages import embed, fill_report
 from lbacal.files import written_beside
 from lbacal_core.causes.axes import axis_named
 from lbacal_core.discovery.antennas import AntennaScore
+from lbacal_core.discovery.findings import Finding
 from lbacal_core.discovery.report import parameter_words
-from lbacal_core.discovery.search import Finding, StationReport
+from lbacal_core.discovery.search import StationReport
 
 
 def write_investigation_page(content: dict[str, Any], reports: Sequence[StationReport], path: Path) -> None:

@@ -11,10 +11,11 @@ import numpy as np
 from lbacal_core.causes.cause import Description
 from lbacal_core.causes.structure import describe_term
 from lbacal_core.discovery.antennas import AntennaScore
+from lbacal_core.discovery.findings import Finding
 from lbacal_core.discovery.hypothesis import Target
 from lbacal_core.discovery.residual_structure import ResidualStructure
 from lbacal_core.discovery.scan import Score
-from lbacal_core.discovery.search import Finding, StationReport
+from lbacal_core.discovery.search import StationReport
 from lbacal_core.discovery.trials import sigma_of
 from lbacal_core.grids import Floats
 from lbacal_core.provenance import Provenance

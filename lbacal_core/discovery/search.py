@@ -19,14 +19,12 @@ from lbacal_core.discovery.adopted import FittedSize, fit_adopted
 from lbacal_core.discovery.antennas import AntennaScore, compare_antennas, why_no_comparison
 from lbacal_core.discovery.cable_names import compare_cable_names
 from lbacal_core.discovery.deaf import leave_out_deaf
-from lbacal_core.discovery.growth import grow
+from lbacal_core.discovery.findings import Finding, Grown, grow_findings
 from lbacal_core.discovery.hidden import shares_taken
-from lbacal_core.discovery.hypothesis import Hypothesis, Target, list_targets
-from lbacal_core.discovery.indistinguishable import find_indistinguishable
-from lbacal_core.discovery.open_noise import AveragedSize, average_size
+from lbacal_core.discovery.hypothesis import Hypothesis, list_targets
 from lbacal_core.discovery.policy import Policy
 from lbacal_core.discovery.project import LinearModel
-from lbacal_core.discovery.proposals import SameAgain, StationSearch, chi_squared_of, gain_of
+from lbacal_core.discovery.proposals import SameAgain, StationSearch
 from lbacal_core.discovery.refit import FittedModel, refit
 from lbacal_core.discovery.residual_structure import (
     PATHS,
@@ -42,38 +40,6 @@ from lbacal_core.discovery.station import SkyModes, Station
 from lbacal_core.discovery.trials import p_of
 from lbacal_core.grids import Floats
 from lbacal_core.model import PLAIN, Model
-
-
-@dataclass(frozen=True)
-class Finding:
-    """A cause that these data show, with its score, its gain in chi^2 and its gain on held-out events.
-
-    Attributes
-    ----------
-    indistinguishable
-        Causes that fit as well at the size found, with the correlation of their templates.
-    calibration_change
-        Relative change of C of the target's paths, shape (path, freq).
-    over_noise
-        Its size averaged over the noise constants that the fit leaves open; None where the data tell them apart.
-    """
-
-    hypothesis: Hypothesis
-    score: Score
-    indistinguishable: list[tuple[str, float]]
-    chi2_before: float
-    chi2_after: float
-    dof: int
-    held_out_gain: float
-    calibration_change: Floats
-    over_noise: AveragedSize | None = None
-
-    @property
-    def size(self) -> tuple[float, float]:
-        """The size with its standard deviation."""
-        if self.over_noise is None:
-            return self.hypothesis.size, self.hypothesis.uncertainty
-        return self.over_noise.size, self.over_noise.sigma
 
 
 @dataclass(frozen=True)
@@ -155,7 +121,7 @@ def search_station(
     search = StationSearch(station, targets, policy, stations, seed, progress)
     adopted = fit_adopted(station, model, modes)
     first, search.adopted = adopted.model, len(adopted.sizes)
-    grown = _grow(first, search)
+    grown = grow_findings(first, search)
     progress(f"{station.name}: looking for structure that no cause explains")
     structure = _structure_beside(first, grown, search, np.random.default_rng(seed))
     last, similar = grown, list[Finding]()
@@ -198,35 +164,7 @@ def search_station(
     )
 
 
-@dataclass(frozen=True)
-class _Grown:
-    """A model grown as far as held-out events confirm it.
-
-    Attributes
-    ----------
-    others
-        The last model without each of its hypotheses.
-    findings
-        One a hypothesis beside the adopted ones.
-    """
-
-    last: FittedModel
-    others: list[FittedModel]
-    findings: list[Finding]
-
-
-def _grow(first: FittedModel, search: StationSearch) -> _Grown:
-    steps = grow(first, search, search.policy.most_findings)
-    models = [first, *(step.candidate.model for step in steps)]
-    others = [_without(models, number, search.adopted) for number in range(len(steps))]
-    findings = [
-        _finding(others[number], models[-1], search.adopted + number, step.candidate.score, search.policy)
-        for number, step in enumerate(steps)
-    ]
-    return _Grown(models[-1], others, findings)
-
-
-def _grow_beside(first: FittedModel, axis: Axis, vectors: Floats, search: StationSearch) -> _Grown:
+def _grow_beside(first: FittedModel, axis: Axis, vectors: Floats, search: StationSearch) -> Grown:
     """Look again for causes that do not act along the axis of a structure, with the vectors that describe it free.
 
     A structure along one axis explains what varies along it, and nothing else: a gain step beside it is still named.
@@ -237,10 +175,10 @@ def _grow_beside(first: FittedModel, axis: Axis, vectors: Floats, search: Statio
     )
     beside.hidden, beside.adopted = search.hidden, search.adopted
     beside.alpha = search.alpha * search.policy.beside_share
-    return _grow(replace(first, linear=replace(first.linear, empirical=vectors).beside_modes()), beside)
+    return grow_findings(replace(first, linear=replace(first.linear, empirical=vectors).beside_modes()), beside)
 
 
-def _standing(first: FittedModel, grown: _Grown, findings: Sequence[Finding]) -> FittedModel:
+def _standing(first: FittedModel, grown: Grown, findings: Sequence[Finding]) -> FittedModel:
     """The model with the findings that stand, beside which antennas are compared.
 
     What a withdrawn one does along frequency is divided out of its paths, and is a departure of their slopes.
@@ -254,7 +192,7 @@ def _standing(first: FittedModel, grown: _Grown, findings: Sequence[Finding]) ->
 
 
 def _structure_beside(
-    first: FittedModel, grown: _Grown, search: StationSearch, rng: np.random.Generator
+    first: FittedModel, grown: Grown, search: StationSearch, rng: np.random.Generator
 ) -> ResidualStructure | None:
     """Residual structure beside the findings, with what shows that a finding does not describe its effect.
 
@@ -283,39 +221,6 @@ def _structure_beside(
         wide = _standing(first, grown, [f for f in grown.findings if f.hypothesis.target.scope == STATION])
         return find_structure(wide.linear, rng, alpha, chance)
     return find_structure(grown.last.linear, rng, alpha)
-
-
-def _finding(without: FittedModel, last: FittedModel, number: int, score: Score, policy: Policy) -> Finding:
-    """A finding by the last fitted model and the one without it, so that all its numbers are of one model."""
-    hypothesis = last.hypotheses[number]
-    chi2_before, chi2_after, dof = chi_squared_of(without, last)
-    return Finding(
-        hypothesis=hypothesis,
-        score=score,
-        indistinguishable=find_indistinguishable(without.linear, hypothesis, policy),
-        chi2_before=chi2_before,
-        chi2_after=chi2_after,
-        dof=dof,
-        held_out_gain=gain_of(without, hypothesis, score),
-        calibration_change=_calibration_change(without, last, hypothesis.target),
-        over_noise=average_size(last, number),
-    )
-
-
-def _without(models: Sequence[FittedModel], number: int, adopted: int) -> FittedModel:
-    """The fitted model with all hypotheses but one, so that the residuals contain the whole effect of that one."""
-    model = models[number]
-    for hypothesis in models[-1].hypotheses[adopted + number + 1 :]:
-        model = refit(model, hypothesis, models[-1].noise) or model
-    return model
-
-
-def _calibration_change(before: FittedModel, after: FittedModel, target: Target) -> Floats:
-    """Relative change of C of the target's paths, shape (path, freq): C is proportional to slope^(-1/2)."""
-    old, new = before.baseline.solution.x[target.is_member], after.baseline.solution.x[target.is_member]
-    # A slope that the noise makes negative, in the weakest channels, has no C to change.
-    has_c = (old > 0) & (new > 0)
-    return np.asarray(np.sqrt(np.divide(old, new, out=np.ones_like(old), where=has_c)) - 1.0)
 
 
 def _withdrawn(

@@ -26,7 +26,7 @@ TARGETS = tuple(
     (cause, scope) for scope in ("cable", "group") for cause in ("gain_step", "gain_drift", "adc_noise_step")
 )
 FEWEST = 20
-"""Data sets from which on a curve of detection is fitted."""
+"""Weaker data sets from which on a curve of detection is fitted: one SNR, seen almost always, tells no 50 %."""
 
 
 def hide(seed: int, cause: str, snr: float, scopes: tuple[str, ...] = (), finder: Finder = OWN) -> Row:
@@ -56,7 +56,7 @@ def judge_one(rows: Sequence[Row]) -> list[Claim]:
     outcomes = outcomes_of(rows)
     strong = [o for o in outcomes if o.snr == NAMING_SNR]
     claims = _judge_names(strong, f"one effect of ideal SNR {NAMING_SNR:g} in a drawn world")
-    if len(outcomes) >= FEWEST:
+    if len(outcomes) - len(strong) >= FEWEST:
         found, low, high = detection_curve(outcomes).snr_at(0.5)
         text = "Ideal SNR at which one effect in a drawn world is detected in 50 % of the cases"
         claims.append(Claim("snr_50", text, at_most(SNR_50), found, (low, high), len(outcomes)))

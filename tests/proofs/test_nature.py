@@ -114,6 +114,14 @@ def test_a_name_counts_and_another_beside_it_counts_against() -> None:
     assert any(line.startswith("| gain_step | 5 | 1 |") for line in lines)
 
 
+def test_a_curve_of_detection_needs_effects_that_are_not_always_seen() -> None:
+    """Twenty-one strong effects, one of which was missed, told an SNR of half detection."""
+    strong = [outcome_row(k, 10.0, [["gain_step"]] if k else []) for k in range(21)]
+    weak = [outcome_row(100 + k, 5.0 + k % 2, [["gain_step"]] if k % 3 else []) for k in range(20)]
+    assert [claim.key for claim in judge_one(strong)] == ["named", "misnamed"]
+    assert [claim.key for claim in judge_one([*strong, *weak])] == ["named", "misnamed", "snr_50"]
+
+
 @pytest.mark.parametrize(("axis", "named", "right"), [("utc", [], 1), ("lst", [], 0), ("utc", ["gain_step"], 1)])
 def test_the_axis_and_silence_about_names_are_judged_in_drawn_worlds(axis: str, named: list[str], right: int) -> None:
     row = {"kind": "MainsHum", "axes": "utc", "verdict": "unexplained", "axis": axis, "named": named}

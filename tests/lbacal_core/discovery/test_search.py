@@ -9,13 +9,13 @@ import pytest
 from lbacal_core.causes.axes import axis_named
 from lbacal_core.causes.catalogue import CAUSES
 from lbacal_core.causes.cause import Template
+from lbacal_core.discovery.findings import Grown
 from lbacal_core.discovery.hypothesis import Hypothesis, Target, list_targets
 from lbacal_core.discovery.policy import Policy
 from lbacal_core.discovery.proposals import StationSearch
 from lbacal_core.discovery.refit import refit
 from lbacal_core.discovery.residual_structure import ResidualStructure
 from lbacal_core.discovery.search import (
-    _Grown,
     _lives_there,
     _seen_beside,
     _standing,
@@ -108,7 +108,7 @@ def test_antennas_are_compared_beside_the_findings_that_stand(world):
     step = look.fit_as_is("gain_temperature", look.template("gain_temperature"))
     both = refit(swap.model, step.effect)
     of_swap, of_step = (SimpleNamespace(hypothesis=one.effect) for one in (swap, step))
-    grown = _Grown(both, [step.model, swap.model], [of_swap, of_step])
+    grown = Grown(both, [step.model, swap.model], [of_swap, of_step])
     assert _standing(look.model, grown, grown.findings) is both
     assert _standing(look.model, grown, []) is look.model
     left = _standing(look.model, grown, [of_step])
@@ -124,7 +124,7 @@ def test_findings_on_several_parts_with_structure_left_in_paths_are_one_effect(w
     look = world.look(FieldGradient(size=size))
     first, second = (look.fit_as_is("dipole_swap", look.template("dipole_swap"), f"antenna {k}") for k in (0, 2))
     both = refit(first.model, second.effect)
-    grown = _Grown(both, [second.model, first.model], [SimpleNamespace(hypothesis=h) for h in both.hypotheses])
+    grown = Grown(both, [second.model, first.model], [SimpleNamespace(hypothesis=h) for h in both.hypotheses])
     search = StationSearch(look.data, list_targets(look.data), Policy(), 1, SEED, lambda _: None)
     left = _structure_beside(look.model, grown, search, np.random.default_rng(SEED))
     assert (left is not None) == is_one_effect
