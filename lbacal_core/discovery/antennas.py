@@ -13,8 +13,7 @@ in 3 of 220 worlds. A ripple is what remains beside departures as smooth as thos
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,10 +24,10 @@ from lbacal_core.causes.catalogue import ANTENNA_CAUSES
 from lbacal_core.causes.cause import signature
 from lbacal_core.discovery.baseline import Baseline
 from lbacal_core.discovery.hypothesis import Hypothesis, Target
+from lbacal_core.discovery.one_antenna import compare, smooth_departures
 from lbacal_core.discovery.policy import Policy
 from lbacal_core.discovery.station import Station
 from lbacal_core.discovery.trials import p_of, sigma_of, trials_factor
-from lbacal_core.discovery.view import Seen, View
 from lbacal_core.grids import Floats
 
 FEWEST_COMPARISONS = 3
@@ -36,12 +35,6 @@ FEWEST_COMPARISONS = 3
 REACH_US = 0.08
 """Delays that differ by less pool their scatter between antennas, as many shorter as longer ones: departures are larger
 the smoother they are, and longer delays alone would tell a scatter that is too small."""
-MOST_SMOOTH, CHANNELS_PER_SMOOTH = 8, 6
-"""Most half periods within the band of a departure that counts as smooth, and fewest channels for each."""
-TYPICAL = 1.3
-"""Median departure along a cosine, in errors of the fit, beyond which antennas differ along it; of noise it is 0.67."""
-SMALLEST_SHARE = 0.02
-"""Share of its information below which a ripple is not told from smooth departures."""
 
 
 @dataclass(frozen=True)
@@ -110,12 +103,12 @@ def compare_antennas(
     if not antennas or count_comparisons(station) < FEWEST_COMPARISONS:
         return []
     slopes = _log_slopes(station, baseline, antennas)
-    compared = {k: one for k in range(len(antennas)) if (one := _compare(k, *slopes)) is not None}
+    compared = {k: one for k in range(len(antennas)) if (one := compare(k, *slopes)) is not None}
     if not compared:
         return []
     is_compared = np.isin(np.arange(len(antennas)), list(compared))
     frequency = station.conditions.frequency_mhz
-    smooth = _smooth_departures(list(compared.values()), slopes[2][is_compared], frequency)
+    smooth = smooth_departures(list(compared.values()), slopes[2][is_compared], frequency)
     left = [_left_along_frequency(station, baseline, antenna, findings) for antenna in antennas]
     compared = {k: one.beside(left[k]) for k, one in compared.items()}
     templates = {
@@ -162,108 +155,6 @@ def compare_antennas(
     return sorted(scores, key=lambda score: score.p_value)
 
 
-@dataclass(frozen=True)
-class _Comparison:
-    """One antenna against the others of its cable name, whitened by the errors of the fit.
-
-    The channels of a whitened comparison are independent: the view takes them for events of one channel, and its free
-    vectors are the gain that is flat in frequency and smooth departures. Its members are the mean and half the
-    difference of the dipoles.
-
-    Attributes
-    ----------
-    root
-        Cholesky root of the covariance, shape (freq, freq).
-    departure
-        ln (A L_coax) of the antenna less that of the others, shape (mean or half difference, freq).
-    smooth
-        Departures that are left free: smooth ones, and what findings leave, shape (k, freq).
-    """
-
-    root: Floats
-    departure: Floats
-    smooth: Floats
-
-    def beside(self, departures: Floats) -> _Comparison:
-        """The same with departures left free beside those before."""
-        return replace(self, smooth=np.concatenate([self.smooth, departures]))
-
-    @cached_property
-    def view(self) -> View:
-        """The whitened comparison."""
-        channels = len(self.root)
-        one = np.ones((1, channels))
-        return View(
-            one,
-            one[None, :, :, None, None],
-            np.ones((1, 1)),
-            self._whiten(one)[:, :, None],
-            self._whiten(self.smooth)[:, None, :, None],
-            np.zeros(len(self.smooth)),
-            None,
-            np.ones((2, channels)),
-            self._whiten(self.departure)[:, None, :, None],
-        )
-
-    def _whiten(self, values: Floats) -> Floats:
-        """Departures, shape (k, freq), in units of independent errors."""
-        return np.asarray(np.linalg.solve(self.root, values.T).T, dtype=np.float64)
-
-    def see(self, templates: Sequence[AntennaTemplate]) -> Seen:
-        """Departures in units of the errors."""
-        values = self._whiten(np.stack([template.departure for template in templates]))
-        return self.view.see(values[:, None, :, None])
-
-    def along(self, departures: Floats) -> Floats:
-        """Departure along each of some departures beside those before, in errors of the fit, shape (2, departure)."""
-        flat = np.ones((1, departures.shape[1]))
-        free = np.linalg.qr(self._whiten(np.concatenate([flat, departures])).T)[0]
-        return np.asarray(self._whiten(self.departure) @ free[:, 1:])
-
-    def told_apart(self, templates: Sequence[AntennaTemplate]) -> list[AntennaTemplate]:
-        """Templates that are no smooth departures."""
-        bare = np.sum(self._whiten(np.stack([template.departure for template in templates])) ** 2, axis=1)
-        is_told = self._lengths(self.see(templates)) ** 2 > SMALLEST_SHARE * bare
-        return [template for template, is_kept in zip(templates, is_told, strict=True) if is_kept]
-
-    def less_smooth(self, found: Floats) -> Floats:
-        """The departure of the mean of the dipoles less what is smooth beside a found one, without its mean."""
-        rest = self._whiten((self.departure[0] - found)[None])[:, :, None]
-        left = self.departure[0] - self.root @ (rest - self.view.clean(rest))[0, :, 0]
-        return np.asarray(left - left.mean())
-
-    def amplitudes(self, templates: Sequence[AntennaTemplate]) -> Floats:
-        """Departure along each template over its error by the fit, mean and half difference, shape (2, template)."""
-        seen = self.see(templates)
-        return np.asarray(self.view.score_by_event(seen).sum(axis=-1).T / self._lengths(seen))
-
-    def correlate(self, one: Sequence[AntennaTemplate], other: Sequence[AntennaTemplate]) -> Floats:
-        """Correlations of templates, shape (one, other)."""
-        everyone = np.ones((1, self.root.shape[0]))
-        left, right = self.see(one), self.see(other)
-        product = self.view.cross(left, right, everyone, everyone)[0]
-        return np.asarray(product / np.outer(self._lengths(left), self._lengths(right)))
-
-    def _lengths(self, seen: Seen) -> Floats:
-        return np.asarray(np.sqrt(np.maximum(np.diagonal(self.view.gram(seen)[0]), 0.0)))
-
-    def refine(self, about: Sequence[AntennaTemplate]) -> tuple[AntennaTemplate, float, float]:
-        """The best template about one that was found, its size, and its length in units of the error of the fit.
-
-        A ripple has a positive size: its negative is another phase.
-        """
-        about = self.told_apart(about) or about
-        length, amplitude = self._lengths(self.see(about)), self.amplitudes(about)[0]
-        best = int(np.argmax(amplitude))
-        return about[best], float(amplitude[best] / length[best]), float(length[best])
-
-    def chi_squared(self, template: AntennaTemplate, size: float) -> tuple[float, float]:
-        """Chi^2 of the mean of the dipoles against the others, without and with a template at a size."""
-        before = float(np.sum(self.view.residual[0] * self.view.weighted_residual[0]))
-        length, amplitude = float(self._lengths(self.see([template]))[0]), float(self.amplitudes([template])[0, 0])
-        return before, before - 2 * size * amplitude * length + (size * length) ** 2
-
-
 def count_comparisons(station: Station) -> int:
     """Independent comparisons of antennas with others of their cable name."""
     names = np.array(station.conditions.cables)[station.class_of]
@@ -300,26 +191,6 @@ def _left_along_frequency(
         shown = signature(one.cause, baseline.terms, station.conditions, one.template)
         left[k] = shown[station.class_of[antenna.is_member][0]].mean(axis=0)
     return left[is_own]
-
-
-def _smooth_departures(compared: Sequence[_Comparison], cable: NDArray[np.str_], frequency_mhz: Floats) -> Floats:
-    """Cosines as smooth as the departures that most antennas show and one more, shape (k, freq).
-
-    None where antennas are alike. The one more is for an antenna that departs a little less smoothly than most. What
-    all antennas of a cable name show alike is their distance from one that is far from them.
-    """
-    place = (frequency_mhz - frequency_mhz[0]) / max(float(np.ptp(frequency_mhz)), 1e-300)
-    most = min(MOST_SMOOTH, frequency_mhz.size // CHANNELS_PER_SMOOTH)
-    cosines = np.cos(np.pi * np.outer(np.arange(1, most + 1), place))
-    if not most:
-        return cosines
-    shown = np.stack([one.along(cosines) for one in compared])
-    for name in np.unique(cable):
-        shown[cable == name] -= np.median(shown[cable == name], axis=0)
-    rows = shown[:, np.any(shown != 0, axis=(0, 2))].reshape(-1, most)
-    typical = np.median(np.abs(rows), axis=0)
-    shown_by_most = int(np.max(np.flatnonzero(typical > TYPICAL), initial=-1)) + 1
-    return np.asarray(cosines[: shown_by_most + 1 if shown_by_most else 0])
 
 
 def _neighbours(templates: Sequence[AntennaTemplate]) -> NDArray[np.bool_]:
@@ -359,19 +230,6 @@ def _against_others(
     ratio = np.where(is_compared[:, None], amplitude / scatter, 0.0)
     p_value = 2 * student.sf(np.abs(ratio), others * np.maximum(independent, 1.0))
     return np.sign(ratio) * np.vectorize(sigma_of)(p_value), scatter
-
-
-def _compare(number: int, log_slope: Floats, covariance: Floats, cable: NDArray[np.str_]) -> _Comparison | None:
-    """One antenna against the weighted mean of the others of its cable name; None where there are none, or no fit."""
-    is_fitted = np.all(np.isfinite(covariance), axis=(1, 2))
-    others = np.flatnonzero((cable == cable[number]) & is_fitted & (np.arange(len(cable)) != number))
-    if not is_fitted[number] or not others.size:
-        return None
-    weight = 1.0 / np.einsum("aff->a", covariance[others])
-    weight /= weight.sum()
-    root = np.linalg.cholesky(covariance[number] + np.tensordot(weight**2, covariance[others], axes=1))
-    departure = log_slope[:, number] - np.einsum("a,maf->mf", weight, log_slope[:, others])
-    return _Comparison(root, departure, np.empty((0, len(root))))
 
 
 def _log_slopes(

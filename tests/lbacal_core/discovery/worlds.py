@@ -22,6 +22,7 @@ from lbacal_core.discovery import search
 from lbacal_core.discovery.antennas import AntennaScore, compare_antennas
 from lbacal_core.discovery.cable_names import compare_cable_names
 from lbacal_core.discovery.families import group_templates
+from lbacal_core.discovery.findings import _calibration_change
 from lbacal_core.discovery.hypothesis import Hypothesis, Target, list_targets
 from lbacal_core.discovery.indistinguishable import find_indistinguishable
 from lbacal_core.discovery.noise import split_residuals
@@ -291,7 +292,7 @@ class Look:
 
     def change_of_c(self, fitted: Fitted) -> Floats:
         """Relative change of C that a finding of this effect claims, shape (path of its target, freq)."""
-        return search._calibration_change(self.model, fitted.model, fitted.effect.target)
+        return _calibration_change(self.model, fitted.model, fitted.effect.target)
 
     def similar_to(
         self, cause: str, template: Template, significance: float, target: str = "station"
