@@ -7,7 +7,8 @@ not compared: the noise of the common event gain moves the slopes of short and l
 
 Antennas differ smoothly along frequency, each in its own way and by many times the error of the fit. A band of few
 periods does not keep such a departure apart from a ripple: what leaked into ripples of 0.1 us was named as a reflection
-in 3 of 220 worlds. A ripple is what remains beside departures as smooth as those that most antennas show.
+in 3 of 220 worlds. A ripple is what remains beside departures as smooth as those that most antennas show. A wrong
+length is smooth itself: beside it they are as large as in a typical antenna, not free.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from lbacal_core.causes.catalogue import ANTENNA_CAUSES
 from lbacal_core.causes.cause import signature
 from lbacal_core.discovery.baseline import Baseline
 from lbacal_core.discovery.hypothesis import Hypothesis, Target
-from lbacal_core.discovery.one_antenna import compare, smooth_departures
+from lbacal_core.discovery.one_antenna import compare, smooth_departures, typical_amounts
 from lbacal_core.discovery.policy import Policy
 from lbacal_core.discovery.station import Station
 from lbacal_core.discovery.trials import p_of, sigma_of, trials_factor
@@ -109,6 +110,7 @@ def compare_antennas(
     is_compared = np.isin(np.arange(len(antennas)), list(compared))
     frequency = station.conditions.frequency_mhz
     smooth = smooth_departures(list(compared.values()), slopes[2][is_compared], frequency)
+    typical = typical_amounts(list(compared.values()), smooth)
     left = [_left_along_frequency(station, baseline, antenna, findings) for antenna in antennas]
     compared = {k: one.beside(left[k]) for k, one in compared.items()}
     templates = {
@@ -116,8 +118,9 @@ def compare_antennas(
     }
     scores = []
     for cause, every in templates.items():
-        beside = {k: one.beside(smooth) for k, one in compared.items()} if cause.is_beside_smooth else compared
-        tried = next(iter(beside.values())).told_apart(every)
+        amounts = None if cause.is_beside_smooth else typical
+        beside = {k: one.beside(smooth, amounts) for k, one in compared.items()}
+        tried = next(iter(beside.values())).told_apart(every) if cause.is_beside_smooth else every
         if not tried:
             continue
         amplitude, opposed = np.zeros((2, len(antennas), len(tried)))
@@ -145,7 +148,7 @@ def compare_antennas(
                 trials=int(is_compared.sum()) * trials_factor(correlation, seed, abs(float(z[k, n]))),
                 chi2_before=chi2_before,
                 chi2_after=chi2_after,
-                dof=template.departure.size - 2 - len(own.smooth),
+                dof=template.departure.size - 2 - int(np.isinf(own.typical).sum()),
                 departure=template.departure,
                 observed=own.less_smooth(size * template.departure),
                 error=np.diag(np.linalg.inv(own.root @ own.root.T)) ** -0.5,

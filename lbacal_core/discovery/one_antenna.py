@@ -17,6 +17,8 @@ MOST_SMOOTH, CHANNELS_PER_SMOOTH = 8, 6
 """Most half periods within the band of a departure that counts as smooth, and fewest channels for each."""
 TYPICAL = 1.3
 """Median departure along a cosine, in errors of the fit, beyond which antennas differ along it; of noise it is 0.67."""
+NORMAL_MEDIAN = 0.6745
+"""Median of the absolute value of a standard normal number."""
 SMALLEST_SHARE = 0.02
 """Share of its information below which a ripple is not told from smooth departures."""
 
@@ -37,15 +39,23 @@ class Comparison:
         ln (A L_coax) of the antenna less that of the others, shape (mean or half difference, freq).
     smooth
         Departures that are left free: smooth ones, and what findings leave, shape (k, freq).
+    typical
+        Their typical amounts in an antenna, shape (k,); infinite where nothing is known of them.
     """
 
     root: Floats
     departure: Floats
     smooth: Floats
+    typical: Floats
 
-    def beside(self, departures: Floats) -> Comparison:
-        """The same with departures left free beside those before."""
-        return replace(self, smooth=np.concatenate([self.smooth, departures]))
+    def beside(self, departures: Floats, typical: Floats | None = None) -> Comparison:
+        """The same with departures left free beside those before, within typical amounts where these are given."""
+        typical = np.full(len(departures), np.inf) if typical is None else typical
+        return replace(
+            self,
+            smooth=np.concatenate([self.smooth, departures]),
+            typical=np.concatenate([self.typical, typical]),
+        )
 
     @cached_property
     def view(self) -> View:
@@ -58,7 +68,7 @@ class Comparison:
             np.ones((1, 1)),
             self._whiten(one)[:, :, None],
             self._whiten(self.smooth)[:, None, :, None],
-            np.zeros(len(self.smooth)),
+            self.typical**-2.0,
             None,
             np.ones((2, channels)),
             self._whiten(self.departure)[:, None, :, None],
@@ -78,6 +88,11 @@ class Comparison:
         flat = np.ones((1, departures.shape[1]))
         free = np.linalg.qr(self._whiten(np.concatenate([flat, departures])).T)[0]
         return np.asarray(self._whiten(self.departure) @ free[:, 1:])
+
+    def fit(self, departures: Floats) -> Floats:
+        """Amount of each of some departures, all free, in the mean and half the difference, shape (2, departure)."""
+        free = self._whiten(np.concatenate([np.ones((1, departures.shape[1])), departures]))
+        return np.asarray(np.linalg.lstsq(free.T, self._whiten(self.departure).T)[0].T[:, 1:])
 
     def told_apart(self, templates: Sequence[AntennaTemplate]) -> list[AntennaTemplate]:
         """Templates that are no smooth departures."""
@@ -133,7 +148,7 @@ def compare(number: int, log_slope: Floats, covariance: Floats, cable: NDArray[n
     weight /= weight.sum()
     root = np.linalg.cholesky(covariance[number] + np.tensordot(weight**2, covariance[others], axes=1))
     departure = log_slope[:, number] - np.einsum("a,maf->mf", weight, log_slope[:, others])
-    return Comparison(root, departure, np.empty((0, len(root))))
+    return Comparison(root, departure, np.empty((0, len(root))), np.empty(0))
 
 
 def smooth_departures(compared: Sequence[Comparison], cable: NDArray[np.str_], frequency_mhz: Floats) -> Floats:
@@ -154,3 +169,15 @@ def smooth_departures(compared: Sequence[Comparison], cable: NDArray[np.str_], f
     typical = np.median(np.abs(rows), axis=0)
     shown_by_most = int(np.max(np.flatnonzero(typical > TYPICAL), initial=-1)) + 1
     return np.asarray(cosines[: shown_by_most + 1 if shown_by_most else 0])
+
+
+def typical_amounts(compared: Sequence[Comparison], departures: Floats) -> Floats:
+    """Amount of each of some departures in a typical antenna, fitted together with the others, shape (departure,).
+
+    By the median of all antennas and both differences: what one antenna shows alone does not move it.
+    """
+    if not len(departures):
+        return np.empty(0)
+    fitted = np.stack([one.fit(departures) for one in compared])
+    shown = np.any(fitted != 0, axis=(0, 2))
+    return np.asarray(np.median(np.abs(fitted[:, shown]), axis=(0, 1)) / NORMAL_MEDIAN)
