@@ -107,7 +107,10 @@ class Comparison:
         return np.asarray(left - left.mean())
 
     def amplitudes(self, templates: Sequence[AntennaTemplate]) -> Floats:
-        """Departure along each template over its error by the fit, mean and half difference, shape (2, template)."""
+        """Departure along each template over its error, mean and half difference, shape (2, template).
+
+        The error is that of the fit, and of the departures that are typical of antennas where they are beside it.
+        """
         seen = self.see(templates)
         return np.asarray(self.view.score_by_event(seen).sum(axis=-1).T / self._lengths(seen))
 
