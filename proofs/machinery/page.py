@@ -80,7 +80,9 @@ def _row(claim: Claim, record: Record) -> str:
     if not claim.is_fresh:
         verdict += f" ({record.seeds})"
     cells = (claim.claim, claim.words_asked, claim.words_found, str(claim.n), verdict)
-    return f"| {' | '.join(cells)} | `{record.command}` | {record.commit} |"
+    command, *others = record.commands
+    further = f" (further blocks of seeds, in its record: {len(others)})" if others else ""
+    return f"| {' | '.join(cells)} | `{command}`{further} | {record.commit} |"
 
 
 def _open_claims(by_proof: Mapping[str, Sequence[Record]]) -> list[str]:

@@ -59,12 +59,12 @@ class Record:
         return f"{self.name}-{self.commit}{'-repetition' if self.seeds == REPETITION else ''}.json"
 
     @property
-    def command(self) -> str:
-        """What repeats it."""
-        part = "" if self.part == self.proof else f" --part {self.part}"
-        count, is_drawn = sum(block.count for block in self.blocks), self.seeds != NO_CHANCE and self.code
-        seeds = f" --first {self.blocks[0].first} --count {count}" if self.blocks and is_drawn else ""
-        return f"./dev prove {self.proof}{part}{seeds}"
+    def commands(self) -> tuple[str, ...]:
+        """What repeats it, a block of seeds each."""
+        command = f"./dev prove {self.proof}" + ("" if self.part == self.proof else f" --part {self.part}")
+        if not self.blocks or self.seeds == NO_CHANCE or not self.code:
+            return (command,)
+        return tuple(f"{command} --first {block.first} --count {block.count}" for block in self.blocks)
 
     def claim(self, key: str) -> Claim:
         """One of its claims."""

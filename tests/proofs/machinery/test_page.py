@@ -10,6 +10,7 @@ import numpy as np
 from proofs.machinery.claims import at_least, claim_mean, claim_rate
 from proofs.machinery.page import draw_figures, write_page
 from proofs.machinery.records import Record, read_records
+from proofs.machinery.seeds import Block
 
 
 def record(*claims, seeds: str = "fresh") -> Record:
@@ -57,6 +58,14 @@ def test_a_part_may_have_no_row_at_all() -> None:
 def test_a_claim_of_data_sets_that_had_been_seen_says_so() -> None:
     shown = claim_rate("antenna_spread", "It is found", at_least(0.5), 99, 100).seen_before()
     assert "| **undecided** (seen before) |" in write_page([record(shown, seeds="seen before")])
+
+
+def test_a_record_of_blocks_apart_is_not_said_to_be_one_run() -> None:
+    shown = claim_rate("antenna_spread", "It is found", at_least(0.5), 99, 100)
+    blocks = (Block(1_000_000, 60), Block(1_000_100, 40))
+    page = write_page([replace(record(shown), blocks=blocks)])
+    command = "`./dev prove twin --part nuisances --first 1000000 --count 60`"
+    assert f"| {command} (further blocks of seeds, in its record: 1) |" in page
 
 
 def test_proofs_without_trials_on_record_draw_no_figure(tmp_path: Path) -> None:

@@ -61,7 +61,15 @@ def test_records_of_the_same_code_are_pooled_and_hours_summed():
     assert whole.hours == pytest.approx(4.0)
     assert [row["seed"] for row in whole.rows] == list(range(1_000_000, 1_000_400))
     assert whole.claim("good").n == 400
-    assert whole.command == "./dev prove some --part tenth --first 1000000 --count 400"
+    assert whole.commands == ("./dev prove some --part tenth --first 1000000 --count 400",)
+
+
+def test_every_block_of_a_record_has_its_command():
+    whole = pool([make(1_000_000, 100), make(1_000_200, 30)], PART)
+    assert whole.commands == (
+        "./dev prove some --part tenth --first 1000000 --count 100",
+        "./dev prove some --part tenth --first 1000200 --count 30",
+    )
 
 
 @pytest.mark.parametrize(
