@@ -58,6 +58,26 @@ def test_the_error_of_c_is_its_scatter_and_no_more(scene):
     assert np.median(np.sqrt(np.mean(np.square(pulls), axis=0))) == pytest.approx(1.0, abs=0.3)
 
 
+def test_what_hardly_hears_has_the_error_of_its_slope(scene):
+    """1 / C^2 is Gaussian; C has a smaller error where it came out too small: its pulls are wide, and negative."""
+    weak = replace(scene.instrument, antenna_gain=0.005 * scene.instrument.antenna_gain)
+    deaf = replace(scene, instrument=weak)
+    truth = calibration_factor(deaf.slope("50"), scene.instrument.antenna_gain)
+    curves = []
+    for seed in range(60):
+        campaign = deaf.spectra(np.random.default_rng([8, seed]), events=300, antennas=1)
+        curves += fit_calibration(campaign, scene.instrument, scene.sky_power, "antenna").curves
+    c, sigma = (np.stack(values) for values in zip(*((one.c, one.c_sigma_stat) for one in curves), strict=True))
+    # the two channels at the end of the band, where the receiver's filter leaves the least
+    is_uncertain = np.nanmedian(sigma / c, axis=0) > 0.13
+    assert np.flatnonzero(is_uncertain).tolist() == [24, 25]
+    of_c = ((c - truth) / sigma)[:, is_uncertain]
+    of_slope = ((c**-2 - truth**-2) / (2.0 * sigma / c**3))[:, is_uncertain]
+    assert np.sqrt(np.nanmean(of_slope**2)) == pytest.approx(1.0, abs=0.25)
+    assert np.sqrt(np.nanmean(of_c**2)) > 1.3
+    assert np.nanmean(of_c) < -0.3
+
+
 def test_station_curve_is_that_of_the_mean_power_gain(scene, spectra):
     report = fit_calibration(spectra, scene.instrument, scene.sky_power, "station")
     mean_slope = (scene.slope("50") + scene.slope("80")) / 2
