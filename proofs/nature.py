@@ -5,15 +5,12 @@ a third of the skies lies outside every model. Event gains act where they are dr
 whole station, 48 antennas. No effect is hidden in an antenna that is deaf, or that died before it had the 60
 spectra of a fit: a search leaves them out.
 Parts: nothing hidden (nothing); pulls of C, the sky told (pulls); one effect of a drawn cause (one); effects on a cable
-name or a group (targets); causes that seldom are so strong (rare); effects in no catalogue (unknown); effects that
-look like a vector of the noise, at three sizes (like-noise).
+name or a group (targets); effects in no catalogue (unknown); effects that look like a vector of the noise, at three
+sizes (like-noise).
 """
 
 from __future__ import annotations
 
-from proofs.hidden import like_noise, named_in_worlds, nothing, pulls, rare_causes, unknown_in_worlds
+from proofs.hidden import like_noise, named_in_worlds, nothing, pulls, unknown_in_worlds
 
-PARTS = (
-    *nothing.PARTS, *pulls.PARTS, *named_in_worlds.PARTS, *rare_causes.PARTS, *unknown_in_worlds.PARTS,
-    *like_noise.PARTS,
-)  # fmt: skip
+PARTS = (*nothing.PARTS, *pulls.PARTS, *named_in_worlds.PARTS, *unknown_in_worlds.PARTS, *like_noise.PARTS)

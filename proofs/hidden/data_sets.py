@@ -39,6 +39,11 @@ EVENTS, FEW_EVENTS = 250, 150
 STATIC = ("cable_length", "cable_reflection")
 LARGEST_CHANGE = 0.5
 """A fault that has to change the power by more than this fraction somewhere to be seen counts as not identifiable."""
+SMALL_CHANGE = 0.1
+"""Up to here the ideal SNR of a fault is that to first order, within 5 %: the jitter of a converter that changes the
+power by half has 10 to first order, and 4 to 7 about the chain that fits it best."""
+FEWEST_SCALINGS, MOST_SCALINGS = 2, 8
+SNR_ERROR = 0.01
 HEARING = 0.3
 """Gain of an antenna over that of the median one, below which it is deaf."""
 FEWEST_SPECTRA = 60
@@ -244,28 +249,34 @@ class DataSet:
         """The ideal SNR of a fault."""
         if planted.cause in STATIC:
             return self.detector.snr_against_others(planted.fault)
-        if self.world is not None:  # so many events show effects so small that the fit is linear in them
+        if self.world is not None and self._change_by(planted) < SMALL_CHANGE:  # and so many events need no more
             return self.detector.linear_snr([planted.fault])
         return self.detector.snr([planted.fault])
 
     def with_snr(self, planted: Planted, snr: float) -> Planted | None:
         """The fault with the size that has a wanted ideal SNR, or None where no sensible size has it.
 
-        Almost all faults are linear: scaled once, and once more for what is not. A fault that other models of the sky
-        make as well is none that this finder could show.
+        Almost all faults are linear: scaled once, and once more for what is not, and again where that was not enough. A
+        fault that other models of the sky make as well is none that this finder could show.
         """
         is_seen = planted.cause not in STATIC and self.world is not None
         if is_seen and self.detector.share_left([planted.fault]) < SMALLEST_SHARE:
             return None
-        for _ in range(2):
+        for scalings in range(MOST_SCALINGS):
             now = self.snr(planted)
+            if scalings >= FEWEST_SCALINGS and abs(now / snr - 1.0) < SNR_ERROR:
+                return planted
             size = planted.fault.size * snr / now if now > 1e-9 else np.inf
             if not np.isfinite(size) or (planted.cause == "dipole_swap" and abs(size) > 1):
                 return None
             planted = planted.sized(size)
-            if np.abs(self.detector.template([planted.fault])).max() > LARGEST_CHANGE:
+            if self._change_by(planted) > LARGEST_CHANGE:
                 return None
-        return planted
+        return None
+
+    def _change_by(self, planted: Planted) -> float:
+        """Largest relative change of the power by a fault."""
+        return float(np.abs(self.detector.template([planted.fault])).max())
 
 
 def plain(seed: int) -> DataSet:

@@ -82,8 +82,6 @@ def unspanned_sigma(data: DataSet) -> float:
         replace(independent, path_jitter_mhz=independent.path_jitter_mhz / antennas**0.5),
     )
     detector = IdealDetector(truth.station, noise, truth.departure, believed, truth.modes)
-    for _ in range(2):
-        detector = detector.fitted_to(power)
     return float(np.sqrt(max(detector.chi_squared(power), 0.0)))
 
 

@@ -94,8 +94,7 @@ def chi_squared(data: DataSet, spectra: Spectra, ratio: Floats | None = None) ->
     dipole = np.array([DIPOLES.index(str(letter)) for letter in spectra.dipole])
     path, event = len(DIPOLES) * antenna + dipole, np.searchsorted(scene.time_unix, spectra.time_unix)
     power[path, event] = spectra.power if ratio is None else spectra.power / ratio[path, event]
-    # Twice, because the noise moves the chain too far for one of Newton's steps: by some hundreds of chi^2.
-    return data.detector.fitted_to(power).chi_squared(power)
+    return data.detector.chi_squared(power)
 
 
 def try_held_out(seed: int) -> Row:

@@ -22,8 +22,6 @@ from proofs.hidden.one_effect import Outcome
 from proofs.hidden.pulls import SCOPES, measure_pulls
 from proofs.hidden.pulls import judge as judge_pulls
 from proofs.hidden.pulls import tell as tell_pulls
-from proofs.hidden.rare_causes import RARE, try_rare
-from proofs.hidden.rare_causes import judge as judge_rare
 from proofs.hidden.station_year import draw_antennas
 from proofs.hidden.unknown_in_worlds import judge as judge_unknown
 from proofs.hidden.worlds import OWN, Finder, alternatives, draw
@@ -87,6 +85,14 @@ def test_what_other_models_of_the_sky_make_as_well_cannot_be_shown() -> None:
     rng = np.random.default_rng(1)
     assert data.with_snr(data.draw("lna_noise_slope", rng), 10.0) is None
     assert data.detector.share_left([data.draw("gain_step", rng, ("path",)).fault]) > 0.99
+
+
+def test_jitter_that_changes_half_of_the_power_is_weaker_than_to_first_order() -> None:
+    data = drawn_data(7)
+    jitter = data.draw("adc_jitter", np.random.default_rng(1), ("path",))
+    at_half = jitter.sized(0.45 * jitter.fault.size / np.abs(data.detector.template([jitter.fault])).max())
+    assert data.detector.linear_snr([at_half.fault]) > 1.2 * data.snr(at_half)
+    assert data.with_snr(jitter, 10.0) is None
 
 
 def outcome_row(seed: int, snr: float, sets: list[list[str]], said_of: str = "station") -> dict:
@@ -194,25 +200,3 @@ def test_efficiencies_are_judged_at_every_size_of_an_effect_that_looks_like_nois
     claims = {claim.key: (claim.found, claim.n) for claim in judge_like_noise(rows)}
     assert claims == {"kept_10": (pytest.approx(0.9), 3), "kept_30": (pytest.approx(0.9), 3), "kept_100": (0.5, 3)}
     assert len(tell_like_noise(rows)) == 2 + len(ALIKE) * len(SNRS)
-
-
-def test_a_rare_cause_is_tabled_without_a_limit() -> None:
-    def row(cause: str, named: str, score: float) -> dict:
-        return asdict(Outcome(10.0, cause, "path", "CS002 antenna 1 X", True, "explained", [[named]], score))
-
-    rows = [row(RARE[0], RARE[0], 6.0), row(RARE[0], RARE[0], 5.0), row(RARE[0], "gain_step", 4.0)]
-    none, other = asdict(Outcome(10.0, RARE[0])), row("gain_step", "gain_step", 10.0)
-    claims = {claim.key: (claim.found, claim.n, claim.verdict) for claim in judge_rare([*rows, none, other])}
-    assert claims == {
-        f"{RARE[0]}_named": (pytest.approx(2 / 3), 3, "measured"),
-        f"{RARE[0]}_misnamed": (pytest.approx(1 / 3), 3, "measured"),
-        f"{RARE[0]}_kept": (pytest.approx(0.5), 3, "measured"),
-    }
-    assert judge_rare(rows[:2]) == []
-
-
-def test_a_rare_cause_is_hidden_in_a_drawn_world() -> None:
-    row = try_rare(7)
-    assert row["cause"] == RARE[0]
-    assert row["snr"] == 10.0
-    assert row["sky"]

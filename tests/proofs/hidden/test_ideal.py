@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.optimize import least_squares
 
 from lbacal_core.antenna_records import AntennaRecord
 from lbacal_core.instrument import Instrument
@@ -11,7 +12,8 @@ from lbacal_core.skypower.table import SkyPower
 from lbacal_core.twin.campaign import draw_stations, expected_power, simulate_campaign
 from lbacal_core.twin.faults.antenna import GainStep, GainTemperature
 from lbacal_core.twin.faults.cable import CableLength, CableReflection
-from lbacal_core.twin.faults.fault import Where
+from lbacal_core.twin.faults.fault import Fault, Where
+from lbacal_core.twin.faults.receiver import AdcJitter, Compression
 from lbacal_core.twin.gains import BEHIND_EVERYTHING, NOISES, EventGains, shift_resonance
 from lbacal_core.twin.nuisances import NONE, Nuisances
 from lbacal_core.twin.settings import TwinSettings
@@ -207,6 +209,30 @@ def test_what_the_fit_leaves_free_has_no_chi_squared_however_large(low_band: Ins
     linear = detector.information((power / detector.power(()) - 1.0)[None])[0, 0]
     assert linear > 10.0
     assert detector.chi_squared(power) < 0.02 * linear
+
+
+@pytest.mark.parametrize(("fault", "overstated"), [(Compression(size=0.5), 1.2), (AdcJitter(size=0.5), 2.0)])
+def test_a_large_fault_has_the_chi_squared_that_is_left_beside_the_best_of_all_chains(
+    few_channels: Instrument, thin_sky: SkyPower, fault: Fault, overstated: float
+) -> None:
+    """The best chain found by `scipy`; of one of Newton's steps, or about the true chain, more would be left."""
+    detector = _detector(few_channels, thin_sky, NONE)
+    chains, power = detector.chains, detector.power([fault])
+    unit = np.eye(power.size).reshape(-1, *power.shape)
+    root = np.linalg.cholesky(detector.noise.weigh(unit).reshape(power.size, -1)).T
+    channels, paths = power.shape[2], len(power)
+
+    def left(factors: np.ndarray) -> np.ndarray:
+        free = np.exp(factors).reshape(paths, channels + 3)
+        n_lna, n_rcu, n_adc = (free[:, channels + k, None, None] for k in range(3))
+        front = chains.front * free[:, None, :channels]
+        before = (chains.sky + chains.n_lna * n_lna) * front
+        now = before + chains.n_rcu * n_rcu * chains.receiver + chains.n_adc * n_adc
+        return np.asarray(root @ (power / now - 1.0).ravel())
+
+    best = least_squares(left, np.zeros(paths * (channels + 3)), xtol=1e-12, ftol=1e-12)
+    assert detector.chi_squared(power) == pytest.approx(2 * best.cost, rel=0.02)
+    assert detector.left_of(power) > overstated * 2 * best.cost
 
 
 def test_two_faults_share_what_they_have_in_common(low_band: Instrument, two_waves: SkyPower) -> None:
