@@ -18,6 +18,7 @@ from lbacal_core.twin.faults.antenna import ResonanceFault
 from lbacal_core.twin.faults.catalogue import catalogue_faults, draw_fault
 from lbacal_core.twin.faults.fault import EVERYWHERE, Fault, Where
 from lbacal_core.twin.faults.interference import RfiBroadband, RfiLine
+from lbacal_core.twin.faults.sky import PatternWidth
 from lbacal_core.twin.gains import BEHIND_EVERYTHING, EventGains
 from lbacal_core.twin.nuisances import NONE, REALISTIC, Nuisances
 from lbacal_core.twin.settings import TwinSettings
@@ -312,6 +313,8 @@ def moving_causes() -> list[str]:
 def is_in_family(planted: Planted) -> bool:
     """Whether the planted law is one that the contract or the docs list, not one beside it."""
     fault = planted.fault
+    if isinstance(fault, PatternWidth):  # a power of itself; the catalogue's pattern has a term in cos(zenith angle)
+        return False
     if isinstance(fault, ResonanceFault):
         return not fault.is_circuit
     if isinstance(fault, RfiLine) and fault.width_mhz > 1.0:

@@ -13,7 +13,7 @@ from tests.lbacal_core.discovery.worlds import CALM, MOVING, QUIET, SILENT, STAT
 
 DATE = "2014-07-01"
 ALIKE = {
-    # The finder widens D by a power of the zenith angle, the twin by another function: 0.85 is what two people mean.
+    # The finder's D gets a term in the cosine of the zenith angle, the twin's is a power of itself: two readings.
     "pattern_width": 0.83,
     # The finder's circuit and the twin's differ in the impedance of the dipole.
     "resonance_shift, circuit": 0.93,

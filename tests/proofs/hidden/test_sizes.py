@@ -6,6 +6,7 @@ import pytest
 from lbacal_core.twin.faults.antenna import ResonanceShift, ResonanceWidth
 from lbacal_core.twin.faults.fault import Where
 from lbacal_core.twin.faults.interference import RfiLine
+from lbacal_core.twin.faults.sky import LstOffset, PatternWidth
 from proofs.hidden.data_sets import DataSet, Planted, is_in_family
 from proofs.hidden.sizes import planted_size, size_pull
 
@@ -48,3 +49,8 @@ def test_what_follows_rain_is_compared_in_the_mean_rain_whatever_the_law(data):
     assert size_pull(data, planted, wet) == pytest.approx(3.0)
     per_mm = {"parameters": {"wetness": "linear"}, "size": {"value": mean / rain[rain > 0].mean(), "sigma": 0.001}}
     assert size_pull(data, planted, per_mm) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_law_that_the_catalogue_does_not_document_is_beside_the_family() -> None:
+    laws = (PatternWidth(size=0.1), LstOffset(size=0.1), ResonanceShift(size=0.1, is_circuit=True))
+    assert [is_in_family(Planted("cause", law, "station", "station")) for law in laws] == [False, True, False]
