@@ -89,9 +89,13 @@ class FittedModel:
 
         Returns
         -------
-        The ratio, shape (path, event, freq); antenna and dipole of the paths; times of the events, shape (event,).
+        The ratio, shape (path, event, freq); antenna and dipole of the paths; times of the events, shape (event,). Only
+        paths that were searched: those that are deaf are in no model.
         """
-        (other,) = gather_stations(spectra, instrument, sky_power)
+        searched = zip(self._station.station.antenna, self._station.station.dipole, strict=True)
+        names = [f"{antenna} {dipole}" for antenna, dipole in searched]
+        paths_of_rows = [f"{antenna} {dipole}" for antenna, dipole in zip(spectra.antenna, spectra.dipole, strict=True)]
+        (other,) = gather_stations(spectra.select(np.isin(paths_of_rows, names)), instrument, sky_power)
         terms = replace(self._station.last.baseline.terms, sky=other.sky)
         ratio = power_ratio(other, terms, self._station.last.hypotheses)
         paths = [(int(antenna), str(dipole)) for antenna, dipole in zip(other.antenna, other.dipole, strict=True)]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields, replace
+from itertools import product
 
 import numpy as np
 
@@ -79,10 +80,10 @@ def hide_in_halves(number: int) -> Outcome | None:
 def found_ratio(model: FittedModel, data: DataSet, spectra: Spectra) -> Floats:
     """Power with what was found over power without, in other spectra; shape (path, event, freq) of the twin."""
     ratio, paths, times = model.ratio(spectra, data.instrument, sky_power())
-    row = {path: k for k, path in enumerate(paths)}
-    order = [row[int(antenna), dipole] for antenna in data.scene.antennas for dipole in DIPOLES]
-    whole = np.ones((len(order), len(data.scene.time_unix), len(data.scene.frequency_mhz)))
-    whole[:, np.searchsorted(data.scene.time_unix, times)] = ratio[order]
+    row = {(int(antenna), dipole): k for k, (antenna, dipole) in enumerate(product(data.scene.antennas, DIPOLES))}
+    whole = np.ones((len(row), len(data.scene.time_unix), len(data.scene.frequency_mhz)))
+    event = np.searchsorted(data.scene.time_unix, times)
+    whole[np.ix_(np.array([row[path] for path in paths]), event)] = ratio
     return whole
 
 
