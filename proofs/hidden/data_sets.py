@@ -41,10 +41,11 @@ STATIC = ("cable_length", "cable_reflection")
 LARGEST_CHANGE = 0.5
 """A fault that has to change the power by more than this fraction somewhere to be seen counts as not identifiable."""
 SMALL_CHANGE = 0.1
-"""Up to here the ideal SNR of a fault is that to first order, within 5 %: the jitter of a converter that changes the
-power by half has 10 to first order, and 4 to 7 about the chain that fits it best."""
+"""In a drawn world the ideal SNR of a fault that changes the power by less is that to first order, good to 5 %. Jitter
+of the converter that changes it by half has 10 to first order, and 4 to 7 beside the chain that fits it best."""
 FEWEST_SCALINGS, MOST_SCALINGS = 2, 8
 SNR_ERROR = 0.01
+"""Relative error of the ideal SNR that a planted fault has."""
 HEARING = 0.3
 """Gain of an antenna over that of the median one, below which it is deaf."""
 FEWEST_SPECTRA = 60
@@ -250,7 +251,7 @@ class DataSet:
         """The ideal SNR of a fault."""
         if planted.cause in STATIC:
             return self.detector.snr_against_others(planted.fault)
-        if self.world is not None and self._change_by(planted) < SMALL_CHANGE:  # and so many events need no more
+        if self.world is not None and self._change_by(planted) < SMALL_CHANGE:
             return self.detector.linear_snr([planted.fault])
         return self.detector.snr([planted.fault])
 
