@@ -152,6 +152,7 @@ def fit(
 def describe_rest(report: FitReport, spectra: int, command: str, sky_power: Path | None) -> Iterator[str]:
     """What else there is to know: inputs, anomalous power, misfits, curves without values, and reference chains."""
     from lbacal_core.anomalies import Anomalies
+    from lbacal_core.calibration.paths import LEAST_COVERAGE
     from lbacal_core.curves import CONVERGED, MISFIT
 
     for name, note in report.provenance.notes.items():
@@ -167,7 +168,8 @@ def describe_rest(report: FitReport, spectra: int, command: str, sky_power: Path
         yield describe_misfits(misfits, command, sky_power)
     for curve in report.curves:
         if curve.status not in (CONVERGED, MISFIT):
-            yield f"{curve.name}: {curve.status} ({curve.events} events, LST coverage {curve.lst_coverage:.2f})"
+            needed = f", {LEAST_COVERAGE:.2f} needed" if curve.lst_coverage < LEAST_COVERAGE else ""
+            yield f"{curve.name}: {curve.status} ({curve.events} events, LST coverage {curve.lst_coverage:.2f}{needed})"
     reasons = [curve.merged.reason for curve in report.curves if curve.merged is not None]
     for reason in dict.fromkeys(reasons):
         yield f"{reasons.count(reason)} of {len(report.curves)} curves: {reason}"

@@ -21,7 +21,14 @@ from lbacal_core.calibration.continued import keep_lines
 from lbacal_core.calibration.lines import Lines, fit_lines
 from lbacal_core.calibration.merged import describe_merged
 from lbacal_core.calibration.mistakes import describe_mistakes, name_mistakes
-from lbacal_core.calibration.paths import Cables, Paths, paths_of_scope, require_one_cable_each
+from lbacal_core.calibration.paths import (
+    LST_BINS,
+    MIN_LST_BINS,
+    Cables,
+    Paths,
+    paths_of_scope,
+    require_one_cable_each,
+)
 from lbacal_core.calibration.separable import SeparableSolution
 from lbacal_core.calibration.singles import MIN_EVENTS, FitSingles, chain_forms, fit_singles
 from lbacal_core.calibration.spreads import measure_spreads
@@ -51,10 +58,8 @@ from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra import Spectra
 
 SCOPES = ("array", "station", "antenna")
-LST_BINS = 96
-"""The 15-minute bins of section 3.1 of the paper."""
-MIN_LST_BINS = 24
-"""A quarter of the sidereal day: less sees the Galaxy neither rise nor set."""
+ONE_TIME_BINS = 12
+"""Three hours: days on end at one sidereal time show a spectrum, and no change along LST whose slope is C."""
 SMALLEST_OF_LIMIT = 0.7
 """Scatter over the least that radiometer noise allows; that of amplitudes instead of powers is at most 0.56."""
 MOST_NEGATIVE = 6.0
@@ -181,17 +186,13 @@ def _fit_paths(
     lines = (
         fit_lines(paths.power, sky, paths.relative_variance, chain_forms(instrument)) if known is None else known.lines
     )
-    is_present = np.isfinite(paths.relative_variance)
-    events = is_present.sum(axis=1)
-    bins = np.floor(paths.lst_hours / 24.0 * LST_BINS).astype(int) % LST_BINS
-    is_covered = np.zeros((len(paths.owners), LST_BINS), dtype=bool)
-    path_at, event_at = np.nonzero(is_present)
-    is_covered[path_at, bins[event_at]] = True
-    covered = is_covered.sum(axis=1)
+    events = np.isfinite(paths.relative_variance).sum(axis=1)
+    covered = paths.count_lst_bins()
 
     status = np.full(len(paths.owners), CONVERGED, dtype=object)
     status[~_sees_the_sky_vary(lines)] = NOT_IDENTIFIABLE
     status[covered < MIN_LST_BINS] = TOO_FEW_LST_BINS
+    status[covered < ONE_TIME_BINS] = NOT_IDENTIFIABLE
     status[events < MIN_EVENTS] = TOO_FEW_EVENTS
     at = np.flatnonzero(status == CONVERGED)
     plain = None if known is None else known.solution.take(np.searchsorted(known.solved, at))

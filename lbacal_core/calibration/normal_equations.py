@@ -10,6 +10,9 @@ RIDGE = 1e-14
 """What is added to the unit diagonal, 45 times the rounding of a double: parameters that the data cannot tell apart get
 a finite answer instead of an error, and every other answer moves by this times the condition number."""
 
+LOST_TO_ROUNDING = 1e-12
+"""Eigenvalues below this share of the largest are rounding, where a system is singular in spite of the ridge."""
+
 
 def scale_to_unit_diagonal(normal: Floats) -> tuple[Floats, Floats]:
     """Scaled matrices, shape (problem, k, k), and the unit of each parameter, shape (problem, k).
@@ -36,4 +39,9 @@ def solve_normal_equations(normal: Floats, target: Floats, ridge: float = RIDGE)
     """
     scaled, unit = scale_to_unit_diagonal(normal)
     scaled += ridge * np.eye(normal.shape[1])
-    return np.asarray(unit[:, :, None] * np.linalg.solve(scaled, unit[:, :, None] * target))
+    scaled_target = unit[:, :, None] * target
+    try:
+        solution = np.linalg.solve(scaled, scaled_target)
+    except np.linalg.LinAlgError:  # rounding took what the ridge gave: which matrix meets it depends on the processor
+        solution = np.linalg.pinv(scaled, rcond=LOST_TO_ROUNDING, hermitian=True) @ scaled_target
+    return np.asarray(unit[:, :, None] * solution)

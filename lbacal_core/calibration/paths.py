@@ -23,6 +23,11 @@ from lbacal_core.spectra import Spectra
 from lbacal_core.spectra_blocks import SpectraBlock, iterate_blocks, split_into_blocks
 
 BLOCK_SAMPLES = 1024
+LST_BINS = 96
+"""The 15-minute bins of section 3.1 of the paper."""
+MIN_LST_BINS = 24
+"""A quarter of the sidereal day: less sees the Galaxy neither rise nor set."""
+LEAST_COVERAGE = MIN_LST_BINS / LST_BINS
 SHARE_OF_STEADY_PATHS = 0.5
 
 
@@ -50,6 +55,14 @@ class Paths:
     variance_unit: float = 1.0
     member_lines: MemberLines | None = None
     fits: SingleFits | None = None
+
+    def count_lst_bins(self) -> NDArray[np.int64]:
+        """How many of the bins of sidereal time hold a spectrum, shape (path,)."""
+        bins = np.floor(self.lst_hours / 24.0 * LST_BINS).astype(int) % LST_BINS
+        is_covered = np.zeros((len(self.owners), LST_BINS), dtype=bool)
+        path_at, event_at = np.nonzero(np.isfinite(self.relative_variance))
+        is_covered[path_at, bins[event_at]] = True
+        return np.asarray(is_covered.sum(axis=1))
 
 
 Cables = Mapping[tuple[str, int], str]

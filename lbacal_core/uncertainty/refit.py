@@ -20,7 +20,7 @@ from lbacal_core.calibration.chain_test import SkyFreedom, compare_predictions
 from lbacal_core.calibration.channels import LARGEST_GOOD_ERROR, solve_without_interference
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.calibration.lines import ChainForms, Lines, fit_lines
-from lbacal_core.calibration.paths import Paths, paths_of_scope, require_one_cable_each
+from lbacal_core.calibration.paths import MIN_LST_BINS, Paths, paths_of_scope, require_one_cable_each
 from lbacal_core.calibration.separable import SeparableSolution
 from lbacal_core.calibration.singles import FitSingles, chain_forms, fit_singles
 from lbacal_core.chain.noise import noise_constants
@@ -151,7 +151,7 @@ def compute_budget(
         refits = {
             paths.owners[0][2]: _Refit.of(paths, sky_power.at(paths.owners[0][2], paths.lst_hours), noise, forms)
             for paths in means
-            if paths.members
+            if paths.members and paths.count_lst_bins()[0] >= MIN_LST_BINS  # else no curve has values
         }
         found = {
             polarisation: refit.compare_signs(list(pool.map(refit.change_sky, changes)))

@@ -19,6 +19,7 @@ from lbacal_core.twin.faults.antenna import GainStep
 from lbacal_core.twin.faults.fault import Where
 from lbacal_core.twin.settings import TwinSettings
 from proofs.anywhere import draw_instrument
+from tests import short_dipole
 
 pytestmark = pytest.mark.timeout(900)
 SETTINGS = TwinSettings(events_per_year=300)
@@ -122,3 +123,12 @@ def test_an_instrument_drawn_anywhere_is_investigated_and_found_consistent(seed)
     report, _ = investigate(spectra, drawn, sky)
     assert report["verdict"] == "consistent"
     json.dumps(report, allow_nan=False)
+
+
+def test_daily_means_at_one_sidereal_time_are_not_identifiable_and_no_traceback() -> None:
+    """82 days of one dipole ended in `cannot reshape array of size 0`: no table and no report."""
+    instrument = short_dipole.make_instrument(79.4, -90.8)
+    report = calibrate(short_dipole.daily_means(instrument, np.random.default_rng(1)), instrument)
+    (curve,) = report.curves
+    assert (curve.status, curve.events, curve.lst_coverage) == ("not_identifiable", 82, 4 / 96)
+    assert '"status": "not_identifiable"' in json.dumps(report.as_dict(), allow_nan=False)

@@ -12,6 +12,7 @@ import pytest
 from astropy.table import Table
 
 from lbacal_core.spectra import read_spectra, write_spectra
+from tests import short_dipole
 
 OUTPUTS = ["--output", "C.ecsv", "--report", "fit.json"]
 FIT = ["fit", "spectra.h5", "--instrument", "instrument.json", "--sky-power", "sky_power.json", *OUTPUTS]
@@ -297,3 +298,14 @@ def test_c_over_h_is_the_same_with_another_g_ant(folder: Path, lbacal: Lbacal) -
     for one, other in zip(first, json.loads((folder / "fit.json").read_text())["curves"], strict=True):
         np.testing.assert_allclose(np.array(other["c"]) / one["c"], 2**0.5, rtol=1e-9)
         np.testing.assert_allclose(other["c_over_h"], one["c_over_h"], rtol=1e-9)
+
+
+def test_data_at_one_sidereal_time_end_with_their_coverage_and_a_report(folder: Path, lbacal: Lbacal) -> None:
+    instrument = short_dipole.make_instrument(79.4, -90.8)
+    (folder / "one.json").write_text(json.dumps(instrument.as_dict()))
+    write_spectra(short_dipole.daily_means(instrument, np.random.default_rng(1)), folder / "means.h5")
+    code, out, _ = lbacal("fit", "means.h5", "--instrument", "one.json", *OUTPUTS)
+    assert code == 1
+    assert "D1 antenna 0 X: not_identifiable (82 events, LST coverage 0.04, 0.25 needed)" in out
+    (curve,) = json.loads((folder / "fit.json").read_text())["curves"]
+    assert (curve["status"], curve["lst_coverage"]) == ("not_identifiable", 4 / 96)

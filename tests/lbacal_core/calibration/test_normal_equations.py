@@ -38,3 +38,10 @@ def test_a_parameter_of_which_the_data_say_nothing_is_zero() -> None:
     normal = np.array([[[4.0, 0.0], [0.0, 0.0]]])
     answer = solve_normal_equations(normal, np.array([[[8.0], [0.0]]]))
     assert answer.ravel() == pytest.approx([2.0, 0.0], rel=1e-12)
+
+
+def test_what_rounding_makes_singular_in_spite_of_the_ridge_is_solved_and_not_raised() -> None:
+    """A sky that does not vary ended as LinAlgError where the processor rounded the other way."""
+    off = 1.0 + RIDGE
+    answer = solve_normal_equations(np.array([[[1.0, off], [off, 1.0]]]), np.ones((1, 2, 1)))
+    assert answer.ravel() == pytest.approx([0.5, 0.5], rel=1e-12)
