@@ -33,6 +33,11 @@ INSTANT, IN_WORDS = "date_unix", "date"
 """The parameter that is an instant, and its name in a text."""
 
 
+def follows_date(cause: str, parameters: Mapping[str, Any]) -> bool:
+    """Whether a cause acts along the date: it steps, drifts, or follows the season."""
+    return cause == "gain_drift" or INSTANT in parameters or parameters.get("follows") == "season"
+
+
 @dataclass(frozen=True)
 class AdoptedCause:
     """A cause that is part of the model of one station.
@@ -216,6 +221,18 @@ class Model:
             raise BadInputError(f"report: finding {number}", f"a number from 0 to {len(findings) - 1}", str(number))
         taken = range(len(findings)) if number is None else [int(number)]
         return Model((*self.causes, *(_adopt_finding(findings[k], f"finding {k}", since_unix) for k in taken)))
+
+    def require_one_c(self, place: str) -> None:
+        """Refuse causes along the date: C changes with them, and a fit gives one C for the whole window."""
+        for one in self.causes:
+            if follows_date(one.cause, one.parameters):
+                at = f" on {_instant(one.parameters[INSTANT])[:10]}" if INSTANT in one.parameters else ""
+                expected = (
+                    "a cause that does not follow the date: with one that does, one C would stand for a time in which "
+                    "C changes; cut the window there instead, by `lbacal cuts` or by `since` of the antenna in the "
+                    "instrument file"
+                )
+                raise BadInputError(place, expected, f"{one.cause}{at} in {one.target} of {one.station}")
 
     def without(self, number: int) -> Model:
         """The model without one of its causes."""

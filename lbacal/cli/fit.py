@@ -113,6 +113,7 @@ def fit(
     )
     require_image(plot)
     model, left_open = read_model(with_), read_open_terms(with_)
+    model.require_one_c(f"--with {with_}")
     chain = load_instrument(instrument)
     sky = None if sky_power is None else read_sky_power(sky_power)
     with progress(len(files) + STEPS_OF_FIT + (html is not None or plot is not None)) as tell:

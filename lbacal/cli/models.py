@@ -74,9 +74,6 @@ def follow(client: Client, jobs: list[int], *, wait: bool) -> None:
 
 def _print_promise(gain: float, sigma: float) -> None:
     """Print what a cause is to gain on as many events again, once the selection of the largest score is taken off."""
-    if sigma == 0.0:
-        print("promised for later years: nothing, their own fits have what stepped at a date")
-        return
     doubt = "" if gain > 0.0 else "; so small a finding is not expected to pay"
     print(f"promised on as many events again: log-likelihood {gain:+.1f} ± {sigma:.1f}{doubt}")
 

@@ -28,7 +28,7 @@ from lbacal_core.discovery.deaf import leave_out_deaf
 from lbacal_core.discovery.policy import Policy
 from lbacal_core.discovery.station import SkyModes, Station, model_modes
 from lbacal_core.instrument import Instrument
-from lbacal_core.model import INSTANT, Model
+from lbacal_core.model import Model
 from lbacal_core.skypower.differences import compute_model_differences
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra import Spectra
@@ -138,12 +138,9 @@ def promise_of(finding: Mapping[str, Any]) -> Promise:
 
     Among all templates that were tried the most significant one is reported, and only above a threshold: the true size
     is smaller than the one found. It is that at which a score above the threshold has the one found as its mean. From N
-    events the variance of their noise is known to (2/N)^1/2, in this year and in the later one. An effect that steps at
-    a date promises nothing, because the chain of a later year describes it.
+    events the variance of their noise is known to (2/N)^1/2, in this year and in the later one.
     """
     evidence, size = finding["evidence"], finding["size"]
-    if INSTANT in finding["parameters"]:
-        return Promise(0.0, 0.0)
     # By chi^2 of the last model: the sigma of a size was fitted with noise levels that contain the effect.
     found = float(np.sqrt(finding["gain"]["chi2_before"] - finding["gain"]["chi2_after"]))
     uncertain = size["sigma"] * found / abs(size["value"])

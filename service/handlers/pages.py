@@ -12,6 +12,7 @@ from fastapi import APIRouter, Depends, Request, Response, status
 from fastapi.responses import HTMLResponse, RedirectResponse
 
 from lbacal_core.curves import list_numbers
+from lbacal_core.model import follows_date
 from lbacal_core.validity import Scope
 from service.handlers.request import (
     FORM_COOKIE,
@@ -144,7 +145,11 @@ def show_investigation(request: Request, use: UseCases, name: InPath) -> Respons
     found = use.investigations.get(name)
     # reports of before there were models have neither
     adopted = found.report.get("adopted", [])
-    return _page(request, use, "investigation.html", "/", found=found, report=found.report, adopted=adopted)
+    findings = enumerate(found.report["findings"])
+    dated = [number for number, one in findings if follows_date(one["cause"], one["parameters"])]
+    return _page(
+        request, use, "investigation.html", "/", found=found, report=found.report, adopted=adopted, dated=dated
+    )
 
 
 def _rows_of_chains(version: Version) -> list[dict[str, Any]]:

@@ -307,12 +307,14 @@ def _adopt(before: Model, made: Investigation, number: int | str) -> tuple[Model
         raise ConflictError(
             f"investigation {made.id[:12]} was made with a cause that {made.station} no longer has: investigate again"
         )
+    known = set(_ids(before))
     try:
         model = before.adopt(report, number, made.since // 1_000_000)
+        cause = next(one for one in model.causes if Model((one,)).id not in known)
+        Model((cause,)).require_one_c("body.finding")
     except BadInputError as error:
         raise BadInputError("body.finding", error.expected, error.found) from error
-    known = set(_ids(before))
-    return model, next(one for one in model.causes if Model((one,)).id not in known)
+    return model, cause
 
 
 def _ids(model: Model) -> list[str]:

@@ -15,7 +15,7 @@ import numpy as np
 
 from lbacal_core.curves import OK
 from lbacal_core.errors import BadInputError
-from lbacal_core.model import Model
+from lbacal_core.model import Model, follows_date
 from lbacal_core.validity import Scope
 from service.storage.alarms import NAMED_CAUSE, News
 from service.storage.database import Stores
@@ -23,9 +23,6 @@ from service.storage.investigations import Investigation
 from service.storage.versions import Version
 from service.usecases.years import end_of_year
 from service.wire.instants import format_instant
-
-STEP_DATE, DRIFT = "date_unix", "gain_drift"
-"""A parameter, and a cause, of what changes once: alarms of steps and slopes tell it, and windows are cut there."""
 
 
 @dataclass(frozen=True)
@@ -57,8 +54,11 @@ def find_named(stores: Stores) -> Iterator[News]:
 
 
 def _find_error(stores: Stores, made: Investigation, finding: Mapping[str, Any]) -> float | None:
-    """The statistical error of C in effect for what a finding is about, without the cause; None where nothing is."""
-    if STEP_DATE in finding["parameters"] or finding["cause"] == DRIFT:
+    """The statistical error of C in effect for what a finding is about, without the cause; None where nothing is.
+
+    What follows the date has alarms of steps and slopes, and windows are cut there.
+    """
+    if follows_date(finding["cause"], finding["parameters"]):
         return None
     antennas, dipoles = finding["where"]["antennas"], finding["where"]["dipoles"]
     scope = Scope(made.station, antennas[0], dipoles[0]) if len(antennas) == 1 else Scope(made.station)

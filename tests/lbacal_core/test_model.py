@@ -83,6 +83,30 @@ def test_a_step_keeps_its_instant_and_loses_the_words_for_it():
 
 
 @pytest.mark.parametrize(
+    ("cause", "parameters", "found"),
+    [
+        ("gain_step", {"date_unix": 1.5e9}, "gain_step on 2017-07-14 in antenna 4 of CS003"),
+        ("adc_noise_step", {"date_unix": 1.5e9}, "adc_noise_step on 2017-07-14"),
+        ("filter_shift", {"date_unix": 1.5e9}, "filter_shift on 2017-07-14"),
+        ("gain_drift", {}, "gain_drift in antenna 4"),
+        ("resonance_shift", {"follows": "season", "phase_deg": 0.0, "model": "curve"}, "resonance_shift in antenna 4"),
+    ],
+)
+def test_one_c_stood_for_the_time_before_and_after_a_step(cause, parameters, found):
+    """C of a fit with a step of 15 % was that before it, 7.3 % off for the rest of the window."""
+    model = Model.from_report({"findings": [{**FINDING, "cause": cause, "parameters": parameters}]})
+    with pytest.raises(BadInputError, match=f"cut the window there instead, by `lbacal cuts` .*found {found}"):
+        model.require_one_c("finding 0")
+
+
+@pytest.mark.parametrize(
+    ("cause", "parameters"), [("filter_shift", {"follows": "temperature"}), ("rfi_line", FINDING["parameters"])]
+)
+def test_what_recurs_leaves_one_c(cause, parameters):
+    Model.from_report({"findings": [{**FINDING, "cause": cause, "parameters": parameters}]}).require_one_c("finding 0")
+
+
+@pytest.mark.parametrize(
     ("report", "message"),
     [
         ({"verdict": "consistent", "findings": []}, "a finding to adopt"),

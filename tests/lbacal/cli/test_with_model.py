@@ -112,6 +112,18 @@ def test_fit_with_a_finding_writes_the_size_and_the_model(late, report):
     assert "1 adopted cause; lst_offset in station of CS002" in done.output
 
 
+def test_fit_with_a_step_gave_one_c_for_the_whole_window(late, tmp_path):
+    step = finding("gain_step", 0.15) | {"parameters": {"date_unix": 1.4e9}}
+    path = tmp_path / "R.json"
+    path.write_text(json.dumps({"verdict": "explained", "findings": [step]}))
+    (late / "C.ecsv").unlink(missing_ok=True)
+    refused = fit(late, "--with", f"{path}#0").exception
+    assert isinstance(refused, BadInputError)
+    assert "R.json#0: expected a cause that does not follow the date" in str(refused)
+    assert "found gain_step on 2014-05-13 in station of CS002" in str(refused)
+    assert not (late / "C.ecsv").exists()
+
+
 def test_fit_without_a_model_names_none(late):
     assert fit(late).exit_code == 0
     content = json.loads((late / "fit.json").read_text())

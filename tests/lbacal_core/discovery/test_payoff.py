@@ -7,10 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lbacal_core.discovery.payoff import Promise, measure_gains, promise_of, true_share
+from lbacal_core.discovery.payoff import measure_gains, promise_of, true_share
 from lbacal_core.model import PLAIN, AdoptedCause, Model
 from lbacal_core.twin.faults.sky import LstOffset
-from lbacal_core.twin.settings import YEAR_S
 from tests.lbacal_core.discovery.worlds import look_at
 
 LATE = AdoptedCause("lst_offset", "CS002", "station", 0.3, 0.012)
@@ -111,10 +110,6 @@ def test_a_weak_finding_promises_less_because_it_was_selected():
     weak["evidence"] = {**FINDING["evidence"], "score_sigma": 5.0}
     promise = promise_of(weak)
     assert promise.gain < 0.9 * 12.5
-
-
-def test_a_step_promises_nothing():
-    assert promise_of({**FINDING, "parameters": {"date_unix": YEAR_S * 45}}) == Promise(0.0, 0.0)
 
 
 def test_the_true_score_is_unbiased_above_the_threshold():

@@ -54,6 +54,17 @@ def test_a_planted_step_is_found_in_its_year_and_the_report_is_kept(station: Fac
     page = asked.get(f"/investigations/{by_year['2015']['id']}")
     assert page.status_code == 200
     assert "gain_step" in page.text
+    assert "C changes with the date, so it is not adopted: windows are" in page.text
+
+    _, admin = station.keys.create(["admin"], None)
+    asked.headers["Authorization"] = f"Bearer {admin}"
+    body = {"finding": 0, "reason": "a new amplifier", "promote": True}
+    for dry_run in (True, False):  # C of the year would be that before the step, 7 % off behind it
+        refused = asked.post(f"{ROUTE}/{by_year['2015']['id']}/adoption", json=body, params={"dry_run": dry_run})
+        assert (refused.status_code, refused.headers["content-type"]) == (422, "application/problem+json")
+        assert "body.finding: expected a cause that does not follow the date" in refused.json()["detail"]
+        assert "by `lbacal cuts`" in refused.json()["detail"]
+    assert asked.get("/v1/models").json()["models"] == []
 
 
 def test_the_same_inputs_are_investigated_once_and_named_alike(

@@ -14,8 +14,10 @@ from lbacal_core.curves import parse_curve
 from lbacal_core.grids import Floats
 from lbacal_core.instrument import Instrument
 from lbacal_core.skypower.table import read_sky_power
+from lbacal_core.spectra import Spectra
 from lbacal_core.twin.campaign import Campaign, simulate_campaign
-from lbacal_core.twin.faults.sky import LstOffset
+from lbacal_core.twin.faults.fault import Where
+from lbacal_core.twin.faults.sky import DipoleSwap, LstOffset
 from lbacal_core.twin.faults.uncatalogued import MainsHum
 from lbacal_core.twin.settings import TwinSettings
 from proofs.twin import planted_curve
@@ -27,7 +29,7 @@ from service.scheduler import look_for_due_work
 from service.worker import Worker
 
 PATH = {"station": "CS002", "antenna": 2, "dipole": "Y"}
-"""The path with the planted step of 15 % in its power gain on 2015-04-11."""
+"""A path of the antenna whose dipoles record a share of each other's sky."""
 BETWEEN = {"since": "2015-01-01", "until": "2016-01-01", "reason": "test"}
 
 
@@ -42,6 +44,16 @@ def night(factory: Factory) -> list[Any]:
     return [factory.jobs.get(number) for number in numbers]
 
 
+@pytest.fixture(scope="session")
+def campaign(superterp: Instrument, sky_power_file: Path) -> Spectra:
+    """Two years of four antennas, with mixed dipoles in one of them."""
+    settings = TwinSettings(stations=("CS002",), antennas=4, years=1.99, events_per_year=400)
+    mixed = DipoleSwap(size=0.3, where=Where(antennas=(2,)))
+    return simulate_campaign(
+        settings, superterp, read_sky_power(sky_power_file), np.random.default_rng(2014), [mixed]
+    ).spectra
+
+
 @pytest.fixture
 def http(station: Factory) -> Any:
     _, key = station.keys.create(("admin",))
@@ -52,7 +64,7 @@ def http(station: Factory) -> Any:
 
 @pytest.fixture
 def found(station: Factory, http: TestClient) -> str:
-    """The id of the investigation of 2015, whose finding 0 is the step; the years are fitted and in effect."""
+    """The id of the investigation of 2015, whose finding 0 is the mixed dipoles; the years are in effect."""
     night(station)
     job = http.post("/v1/investigations", json=BETWEEN).json()["job"]
     work(station)
@@ -69,14 +81,14 @@ def told(http: TestClient, at: str, **params: Any) -> dict[str, Any]:
 
 
 def adopt(http: TestClient, name: str, *, promote: bool = True, dry_run: bool = False) -> Any:
-    body = {"finding": 0, "reason": "a new amplifier", "promote": promote}
+    body = {"finding": 0, "reason": "the dipoles are mixed", "promote": promote}
     answer = http.post(f"/v1/investigations/{name}/adoption", json=body, params={"dry_run": dry_run})
     assert answer.status_code == (200 if dry_run else 202), answer.text
     return answer.json()
 
 
 def drift_of_path(http: TestClient) -> Floats:
-    """C of the path by month over that of 2014; the step is between the entries 14 and 16."""
+    """C of the path by month over that of 2014."""
     return np.array([month["c_ratio"] for month in http.get("/v1/drift", params=PATH).json()["months"]])
 
 
@@ -85,7 +97,6 @@ def test_an_adopted_finding_changes_c_as_announced_and_withdrawal_restores_it_bi
 ) -> None:
     before = {at: told(http, at) for at in ("2014-06-01", "2015-06-01")}
     drifted = drift_of_path(http)
-    assert np.median(drifted[16:]) / np.median(drifted[:14]) == pytest.approx(1.15**-0.5, abs=0.01)
     plan = adopt(http, found, dry_run=True)
     assert http.get("/v1/models").json()["models"] == []
     (change,) = [one for one in plan["changes"] if (one["antenna"], one["dipole"]) == (2, "Y")]
@@ -93,10 +104,9 @@ def test_an_adopted_finding_changes_c_as_announced_and_withdrawal_restores_it_bi
         before["2015-06-01"]["calibration"], "2015-01-01", "2016-01-01",
     )  # fmt: skip
     old, new = change["mean_c"]
-    # the gain of most of the year was 15 % higher: C of the year as it was before the step is higher
-    assert 0.02 < new / old - 1 < 0.09
-    assert "antenna 2 Y" in plan["cause"]
-    assert plan["promise"] == [0.0, 0.0], "the fits of later years have what stepped at a date"
+    assert -0.06 < new / old - 1 < -0.02
+    assert "antenna 2, the dipoles X and Y are mixed" in plan["cause"]
+    assert plan["promise"][0] > 0
 
     assert adopt(http, found, dry_run=True) == plan
 
@@ -114,10 +124,9 @@ def test_an_adopted_finding_changes_c_as_announced_and_withdrawal_restores_it_bi
     version = http.get(f"/v1/calibrations/{after['calibration']}").json()
     assert version["model"] == made["model"]
     assert look_for_due_work(station) == []
-    explained = drift_of_path(http)
-    assert np.median(explained[16:]) / np.median(explained[:14]) == pytest.approx(1.0, abs=0.01), "no drift any more"
-    assert http.get("/v1/drift", params=PATH).json()["steps"] == []
-    assert np.array_equal(explained[:12], drifted[:12])
+    with_cause = drift_of_path(http)
+    assert np.array_equal(with_cause[:12], drifted[:12])
+    assert not np.array_equal(with_cause[12:], drifted[12:])
 
     (line,) = http.get("/v1/models").json()["models"]
     assert (line["id"], line["act"], line["in_effect"], line["investigation"]) == (
@@ -126,7 +135,7 @@ def test_an_adopted_finding_changes_c_as_announced_and_withdrawal_restores_it_bi
         True,
         found,
     )
-    gone = http.post(f"/v1/models/{made['model'][:10]}/withdrawal", json={"reason": "it was no amplifier"})
+    gone = http.post(f"/v1/models/{made['model'][:10]}/withdrawal", json={"reason": "they were not"})
     assert gone.status_code == 202, gone.text
     assert told(http, "2015-06-01")["c"] == before["2015-06-01"]["c"], "at once, before any refit"
     work(station)
@@ -158,7 +167,7 @@ def test_a_withdrawal_did_not_restore_what_somebody_had_put_into_effect_for_a_pa
     assert before[1] == year_before != before[0] == before[2]
     made = adopt(http, found)
     work(station)
-    assert http.post(f"/v1/models/{made['model']}/withdrawal", json={"reason": "no amplifier"}).status_code == 202
+    assert http.post(f"/v1/models/{made['model']}/withdrawal", json={"reason": "they were not"}).status_code == 202
     work(station)
     assert [told(http, at)["calibration"] for at in ("2015-03-01", "2015-07-01", "2015-11-01")] == before
 
