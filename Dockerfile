@@ -5,6 +5,8 @@ COPY . .
 RUN pip install --no-cache-dir uv==0.13.9 \
     && uv build --wheel --out-dir /wheel \
     && uv build --wheel --out-dir /wheel wheels/server \
+    && uv build --wheel --out-dir /wheel wheels/twin \
+    && uv build --wheel --out-dir /wheel wheels/paper \
     && uv venv /venv \
     && uv pip install --python /venv/bin/python --constraints requirements.lock \
         "$(ls /wheel/lbacal-*.whl)[dask]" /wheel/lbacal_server-*.whl

@@ -28,7 +28,7 @@ from lbacal.chain import Chain, convert_number, convert_numbers
 from lbacal_core.antenna_gain import ABSOLUTE, GainProvenance
 from lbacal_core.antenna_records import AntennaRecord
 from lbacal_core.curves import CalibrationCurve, FitReport
-from lbacal_core.errors import UnknownNameError
+from lbacal_core.errors import MissingExtraError, UnknownNameError
 from lbacal_core.instrument import Instrument as CoreInstrument
 from lbacal_core.instrument import load_instrument
 from lbacal_core.site import Site as CoreSite
@@ -188,9 +188,12 @@ def simulate(
         The first one unless given.
     """
     from lbacal_core.skypower.model import compute_sky_power
-    from lbacal_core.twin.campaign import simulate_campaign
-    from lbacal_core.twin.settings import TwinSettings
 
+    try:
+        from lbacal_twin.campaign import simulate_campaign
+        from lbacal_twin.settings import TwinSettings
+    except ModuleNotFoundError as error:
+        raise MissingExtraError("lbacal.simulate", "twin") from error
     core = _core(instrument)
     chosen = stations or sorted({record.station for record in core.antennas})[:1]
     settings = TwinSettings(events_per_year=events, antennas=antennas, stations=tuple(chosen))

@@ -16,7 +16,7 @@ from lbacal_core.covariance import Budget, BudgetTerm, CurveCovariance
 from lbacal_core.curves import CalibrationCurve
 from lbacal_core.instrument import Instrument
 from lbacal_core.skypower.table import SkyPower
-from proofs.running.postgres import find_binaries
+from validation.running.postgres import find_binaries
 
 FREQUENCY = np.arange(30.0, 81.0)
 

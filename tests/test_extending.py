@@ -19,9 +19,9 @@ from dataclasses import replace
 from lbacal_core.discovery.investigate import investigate
 from lbacal_core.instrument import load_instrument
 from lbacal_core.skypower.model import compute_sky_power
-from lbacal_core.twin.campaign import simulate_campaign
-from lbacal_core.twin.faults.antenna import GainTemperature
-from lbacal_core.twin.settings import TwinSettings
+from lbacal_twin.campaign import simulate_campaign
+from lbacal_twin.faults.antenna import GainTemperature
+from lbacal_twin.settings import TwinSettings
 from service.cli.reference import describe_causes
 
 chain = load_instrument("lofar-superterp")

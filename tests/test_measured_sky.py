@@ -11,9 +11,9 @@ from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.instrument import load_instrument
 from lbacal_core.sky.measured import read_sky_level
 from lbacal_core.skypower.model import compute_sky_power
-from lbacal_core.twin.campaign import simulate_campaign
-from lbacal_core.twin.settings import TwinSettings
-from scripts.draw_measured_sky import PAGE, tabulate_budgets, tabulate_edges, tabulate_families
+from lbacal_twin.campaign import simulate_campaign
+from lbacal_twin.settings import TwinSettings
+from validation.scripts.draw_measured_sky import PAGE, tabulate_budgets, tabulate_edges, tabulate_families
 
 
 def test_the_tables_of_the_page_are_those_that_the_code_makes() -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from lbacal_core.audit.health import compare_paths
 from lbacal_core.audit.station import split_stations, spread
-from scripts.draw_other_instruments import PAGE, make_tables, read_eda2, read_hera
+from validation.scripts.draw_other_instruments import PAGE, make_tables, read_eda2, read_hera
 
 DECIBEL = 10 / np.log(10)
 

@@ -30,7 +30,7 @@ def test_the_search_for_fragments_finds_one() -> None:
     assert [len(FRAGMENT.findall(text)) for text in comments("x = 1\n    # Of a range.\n# A range.\n")] == [1, 0]
 
 
-PLACES = ("lbacal", "lbacal_core", "service", "proofs", "scripts", "benchmarks")
+PLACES = ("lbacal", "lbacal_core", "lbacal_paper", "lbacal_twin", "service", "validation")
 
 
 def test_no_docstring_and_no_comment_has_a_fragment_that_begins_with_of(repository: Path, tracked: list[Path]) -> None:
@@ -125,7 +125,7 @@ def test_the_code_knows_every_entry_of_the_glossary(repository: Path, tracked: l
     texts = (
         (repository / path).read_text()
         for path in tracked
-        if path.suffix in (".py", ".html") and path.parts[0] in ("lbacal", "lbacal_core", "service", "proofs")
+        if path.suffix in (".py", ".html") and path.parts[0] in PLACES
     )
     known = re.sub(r"[\s_-]+", " ", "\n".join(texts).lower())
     page = (repository / "docs/glossary.md").read_text().split("## Words that are not used")[0]

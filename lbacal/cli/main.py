@@ -1,14 +1,14 @@
 """The command `lbacal`: one subcommand a file, gathered here; failures become one sentence and an exit code.
 
-The commands of the server are in the wheel `lbacal-server`, which names their module as an entry point. Where it is not
-installed, or an extra is not, a command says so before it does anything.
+The wheels `lbacal-server` and `lbacal-paper` bring commands of their own and name the module of these as an entry
+point. Where a wheel or an extra is not installed, its commands say so before they do anything.
 """
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Callable
-from functools import wraps
+from functools import cache, wraps
 from importlib.metadata import entry_points, version
 from importlib.util import find_spec
 from typing import Annotated, Any
@@ -28,7 +28,6 @@ from lbacal.cli.investigate import investigate
 from lbacal.cli.ledger import promote, rollback, tag, withdraw
 from lbacal.cli.lst_curve import lst_curve
 from lbacal.cli.models import abandon, adopt, models
-from lbacal.cli.paper import paper
 from lbacal.cli.sky_power import sky_power
 from lbacal.cli.spectra import spectra
 from lbacal.cli.status import status
@@ -37,10 +36,10 @@ from lbacal_core.errors import BadInputError, LbacalError, MissingExtraError, Un
 
 FIT = ("healpy", "jinja2", "matplotlib", "scipy", "threadpoolctl")
 """What the extra `fit` installs, by the names that are imported."""
-SERVER = ("serve", "scheduler", "worker", "db", "keys")
-"""The commands of the wheel `lbacal-server`."""
-SERVER_COMMANDS = "lbacal.commands"
-"""The group of entry points under which it names the module that adds them to `app` when it is imported."""
+ADDED = {"server": ("serve", "scheduler", "worker", "db", "keys"), "paper": ("paper",)}
+"""The commands that other wheels add, by the extra that installs them."""
+ENTRY_POINTS = "lbacal.commands"
+"""The group under which a wheel names, by its extra, the module that adds its commands to `app` when it is imported."""
 
 app = typer.Typer(
     name="lbacal",
@@ -69,7 +68,7 @@ def _name(command: Callable[..., None]) -> str:
 
 
 _COMPUTING: tuple[Callable[..., None], ...] = (
-    audit, fit, budget, investigate, lst_curve, paper, sky_power, antenna_gain, spectra
+    audit, fit, budget, investigate, lst_curve, sky_power, antenna_gain, spectra
 )  # fmt: skip
 _ASKING: tuple[Callable[..., None], ...] = (
     ingest, refit, promote, withdraw, rollback, tag, effective, jobs, status, alarms, cuts, sync, adopt, models,
@@ -119,22 +118,28 @@ def run() -> None:
 
 
 def main() -> None:
-    """Run the command, with those of the server where it is installed."""
-    servers = entry_points(group=SERVER_COMMANDS)
-    for server in servers:
-        server.load()
-    if not servers:
-        for name in SERVER:
-            _promise(name)
+    """Run the command."""
+    add_commands()
     run()
 
 
-def _promise(name: str) -> None:
+@cache
+def add_commands() -> None:
+    """Add the commands of the other wheels; those of a wheel that is not installed say what to install."""
+    wheels = entry_points(group=ENTRY_POINTS)
+    for wheel in wheels:
+        wheel.load()
+    for extra in ADDED.keys() - wheels.names:
+        for name in ADDED[extra]:
+            _promise(name, extra)
+
+
+def _promise(name: str, extra: str) -> None:
     """A command that is not installed: whatever it is asked, it says what to install."""
 
     @app.command(
-        name, help="(needs the extra server)", add_help_option=False,
+        name, help=f"(needs the extra {extra})", add_help_option=False,
         context_settings={"ignore_unknown_options": True, "allow_extra_args": True},
     )  # fmt: skip
     def absent() -> None:
-        raise MissingExtraError(f"lbacal {name}", "server")
+        raise MissingExtraError(f"lbacal {name}", extra)

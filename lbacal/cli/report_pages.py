@@ -6,15 +6,16 @@ import base64
 import io
 from typing import Any
 
-from jinja2 import Environment, PackageLoader
+from jinja2 import ChoiceLoader, Environment, PackageLoader
 from matplotlib.figure import Figure
 
 from lbacal_core.in_words import write_chance
 
 
-def fill_report(template: str, **content: Any) -> str:
-    """A report as HTML; every template fills the blocks of `base.html`."""
-    environment = Environment(loader=PackageLoader("lbacal.cli", "templates"), autoescape=True)
+def fill_report(template: str, package: str = "lbacal.cli", **content: Any) -> str:
+    """A report as HTML; every template, of `package` or of this one, fills the blocks of `base.html`."""
+    loader = ChoiceLoader([PackageLoader(name) for name in dict.fromkeys((package, "lbacal.cli"))])
+    environment = Environment(loader=loader, autoescape=True)
     environment.filters["chance"] = write_chance
     return environment.get_template(template).render(**content)
 

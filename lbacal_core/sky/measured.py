@@ -53,7 +53,7 @@ class SkyLevel:
 
 
 def read_sky_level() -> SkyLevel:
-    """The level that ships with the package, made by scripts/make_sky_anchors.py."""
+    """The level that ships with the package, made by validation/scripts/make_sky_anchors.py."""
     content = json.loads((files("lbacal_core") / "data/sky_level.json").read_text())
     return SkyLevel(content["level"], content["slope"], np.array(content["covariance"]), content["scatter"])
 

@@ -40,10 +40,10 @@ from lbacal_core.lstcurve.curve import measured_curve, read_lst_curve
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra import write_spectra
 from lbacal_core.spectra_blocks import split_into_blocks
-from lbacal_core.twin.campaign import Campaign, simulate_campaign
-from lbacal_core.twin.settings import TwinSettings
 from lbacal_core.uncertainty.departures import map_departures
 from lbacal_core.uncertainty.refit import add_budget, compute_budget
+from lbacal_twin.campaign import Campaign, simulate_campaign
+from lbacal_twin.settings import TwinSettings
 from service.cli.demo_service import ServedRun, describe_served, serve_demonstration
 
 STATION = "CS002"

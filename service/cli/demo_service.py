@@ -27,10 +27,10 @@ from lbacal.transport import UnreachableError
 from lbacal_core.in_words import name_path
 from lbacal_core.instrument import Instrument
 from lbacal_core.skypower.table import SkyPower
-from lbacal_core.twin.campaign import simulate_campaign
-from lbacal_core.twin.faults.antenna import GainStep
-from lbacal_core.twin.faults.fault import Where
-from lbacal_core.twin.settings import TwinSettings
+from lbacal_twin.campaign import simulate_campaign
+from lbacal_twin.faults.antenna import GainStep
+from lbacal_twin.faults.fault import Where
+from lbacal_twin.settings import TwinSettings
 
 STATION = "CS002"
 SETTINGS = TwinSettings(stations=(STATION,), antennas=8, years=1.99, events_per_year=300)
@@ -77,7 +77,7 @@ def serve_demonstration(
     url = f"http://127.0.0.1:{port}"
     environment = os.environ | {"LBACAL_DATABASE_URL": str(folder / "lbacal.sqlite"), "LBACAL_POLL_S": "0.2"}
     environment["LBACAL_STALE_DAYS"] = "0"  # the simulated years are long ago
-    command = [sys.executable, "-m", "service.cli.main"]
+    command = [sys.executable, "-m", "lbacal"]
     serve = [sys.executable, "-m", "service.cli.demo_service", "serve", "--port", str(port)]
     with (folder / "log").open("wb") as log:
         server = subprocess.Popen(serve, env=environment, stdin=subprocess.PIPE, stdout=log, stderr=log)
@@ -160,7 +160,7 @@ def end_with_parent() -> None:
 
 
 if __name__ == "__main__":
-    from service.cli.main import main
+    from lbacal.cli.main import main
 
     threading.Thread(target=end_with_parent, daemon=True).start()
     main()

@@ -11,11 +11,11 @@ from typing import Any
 import typer
 from pydantic_core import PydanticUndefined
 
+from lbacal.cli.main import add_commands, app
 from lbacal.settings import CLIENT_SETTINGS
 from lbacal_core.causes.cable import AntennaCause
 from lbacal_core.causes.catalogue import ANTENNA_CAUSES, CAUSES
 from lbacal_core.causes.cause import Cause
-from service.cli.main import app
 from service.config import Settings
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -23,8 +23,8 @@ DOCS = Path(__file__).parents[2] / "docs"
 _COMMANDS = """# Commands
 Written by `./dev docs` from the commands themselves: do not edit. Every command exits with 0 when it is done, 1 when
 the work failed, and 2 on bad usage or bad input, with one sentence on standard error that names the place, what was
-expected and what was found. `fit`, `investigate`, `lst-curve`, `paper`, `sky-power` and `spectra` need the extra `fit`;
-`serve`, `scheduler`, `worker`, `db` and `keys` the extra `server` ([how to install](how-to/install.md)).
+expected and what was found. `fit`, `investigate`, `lst-curve`, `sky-power` and `spectra` need the extra `fit`, `paper`
+that of its name; `serve`, `scheduler`, `worker`, `db` and `keys` need `server` ([how to install](how-to/install.md)).
 """
 _SETTINGS = """# Settings
 Written by `./dev docs` from `service/config.py` and `lbacal/settings.py`: do not edit. Each setting is an environment
@@ -45,6 +45,7 @@ confirm them. [How it searches](explanation/what-the-simulation-gets-wrong.md), 
 
 def describe_commands() -> str:
     """The content of docs/commands.md."""
+    add_commands()
     return _COMMANDS + "".join(_describe(["lbacal"], typer.main.get_command(app)))
 
 

@@ -19,10 +19,10 @@ from playwright.sync_api import Browser, expect, sync_playwright
 from lbacal_core.instrument import load_instrument
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.spectra import write_spectra
-from lbacal_core.twin.campaign import simulate_campaign
-from lbacal_core.twin.faults.fault import Fault
-from lbacal_core.twin.faults.sky import LstOffset
-from lbacal_core.twin.settings import TwinSettings
+from lbacal_twin.campaign import simulate_campaign
+from lbacal_twin.faults.fault import Fault
+from lbacal_twin.faults.sky import LstOffset
+from lbacal_twin.settings import TwinSettings
 
 QUIET = [
     "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
@@ -43,7 +43,7 @@ class Service:
     def run(self, *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
         """Run a command of `lbacal` as a user would."""
         return subprocess.run(
-            [sys.executable, "-m", "service.cli.main", *arguments], env={**self.environment, **environment},
+            [sys.executable, "-m", "lbacal", *arguments], env={**self.environment, **environment},
             capture_output=True, text=True, check=False, timeout=120,
         )  # fmt: skip
 
@@ -80,7 +80,7 @@ def serve(folder: Path, settings: TwinSettings, last: set[str], faults: Sequence
     sky = compute_sky_power(instrument)
     write_spectra(simulate_campaign(settings, instrument, sky, np.random.default_rng(5), faults).spectra, spectra)
     with (folder / "log").open("wb") as log:
-        command = [sys.executable, "-m", "service.cli.main", "serve", "--port", str(port)]
+        command = [sys.executable, "-m", "lbacal", "serve", "--port", str(port)]
         server = subprocess.Popen(command, env=environment, stdout=log, stderr=log)
         try:
             _wait_until(lambda: _answers(url), "the server to answer")

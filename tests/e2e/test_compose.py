@@ -13,9 +13,9 @@ import yaml
 
 from lbacal.client import Client
 from lbacal_core.spectra import read_spectra
-from proofs.running.postgres import run_postgres
-from proofs.running.processes import Process, find_free_port, is_ready, run_command, running, wait_until
 from service.config import Settings
+from validation.running.postgres import run_postgres
+from validation.running.processes import Process, find_free_port, is_ready, run_command, running, wait_until
 
 
 @pytest.fixture(scope="module")
@@ -67,7 +67,7 @@ def test_the_image_starts_the_command(request: pytest.FixtureRequest) -> None:
 
 def is_done(environment: dict[str, str], *arguments: str) -> bool:
     """Whether a command ends with 0."""
-    command = [sys.executable, "-m", "service.cli.main", *arguments]
+    command = [sys.executable, "-m", "lbacal", *arguments]
     return subprocess.run(command, env=os.environ | environment, capture_output=True, check=False).returncode == 0
 
 

@@ -10,7 +10,7 @@ import httpx2
 import pytest
 from playwright.sync_api import Browser, expect
 
-from proofs.running.processes import Process, find_free_port, running, wait_until
+from validation.running.processes import Process, find_free_port, running, wait_until
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,4 @@
-"""The two wheels as built, installed into an environment of its own, away from the checkout."""
+"""The wheels as built, installed into an environment of its own, away from the checkout."""
 
 from __future__ import annotations
 
@@ -22,11 +22,12 @@ import pytest
 from lbacal_core.instrument import load_instrument
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.spectra import write_spectra
-from lbacal_core.twin.campaign import simulate_campaign
-from lbacal_core.twin.settings import TwinSettings
+from lbacal_twin.campaign import simulate_campaign
+from lbacal_twin.settings import TwinSettings
 
 TREE = (
-    "lbacal", "lbacal_core", "service", "migrations", "wheels", "pyproject.toml", "README.md", "LICENSE",
+    "lbacal", "lbacal_core", "lbacal_twin", "lbacal_paper", "service", "migrations", "wheels", "pyproject.toml",
+    "README.md", "LICENSE",
 )  # fmt: skip
 
 
@@ -83,7 +84,7 @@ def _wait_for(url: str, log: Path) -> None:
 
 @pytest.fixture(scope="module")
 def installed(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Installed:
-    """Builds both wheels from a copy of the tree; libraries come from the environment that runs the tests."""
+    """Builds all wheels from a copy of the tree; libraries come from the environment that runs the tests."""
     tree, folder = tmp_path_factory.mktemp("tree"), tmp_path_factory.mktemp("elsewhere")
     for name in TREE:
         source = request.config.rootpath / name
@@ -92,7 +93,7 @@ def installed(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathF
         else:
             shutil.copy2(source, tree / name)
     uv = str(Path(sys.executable).with_name("uv"))
-    for project in (tree, tree / "wheels/server"):
+    for project in (tree, *(tree / "wheels").iterdir()):
         build = [uv, "build", "--wheel", "--no-build-isolation", "--offline", "--python", sys.executable]
         subprocess.run([*build, "--out-dir", str(tree / "dist"), str(project)], check=True, capture_output=True)
     environment = tmp_path_factory.mktemp("installed") / "venv"
@@ -101,7 +102,7 @@ def installed(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathF
     )
     python = str(environment / "bin" / "python")
     wheels = [str(wheel) for wheel in (tree / "dist").glob("*.whl")]
-    assert len(wheels) == 2
+    assert len(wheels) == 4
     install = [uv, "pip", "install", "--offline", "--no-deps", "--python", python, *wheels]
     subprocess.run(install, check=True, capture_output=True)
     # a folder named in a .pth is searched, its own .pth files (the editable checkout) are not
@@ -115,7 +116,7 @@ def installed(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathF
 
 def test_the_wheels_bring_their_own_code(installed: Installed) -> None:
     python = str(installed.environment / "bin" / "python")
-    for package in ("lbacal", "lbacal_core", "service", "migrations"):
+    for package in ("lbacal", "lbacal_core", "lbacal_twin", "lbacal_paper", "service", "migrations"):
         command = [python, "-c", f"import {package}; print(*{package}.__path__)"]
         said = subprocess.run(
             command, cwd=installed.folder, env=installed.settings, capture_output=True, text=True, check=True

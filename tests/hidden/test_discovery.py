@@ -8,10 +8,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from proofs.hidden.held_out import hide_in_halves
-from proofs.hidden.no_catalogue import hide_unknown
-from proofs.hidden.one_effect import Wanted, hide_one
-from proofs.hidden.several_effects import hide_several
+from validation.hidden.held_out import hide_in_halves
+from validation.hidden.no_catalogue import hide_unknown
+from validation.hidden.one_effect import Wanted, hide_one
+from validation.hidden.several_effects import hide_several
 
 
 @pytest.mark.timeout(600)

@@ -10,8 +10,8 @@ from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.curves import CONVERGED
 from lbacal_core.instrument import Instrument
 from lbacal_core.skypower.table import SkyPower
-from lbacal_core.twin.campaign import simulate_campaign
-from lbacal_core.twin.settings import TwinSettings
+from lbacal_twin.campaign import simulate_campaign
+from lbacal_twin.settings import TwinSettings
 
 
 def test_almost_without_scatter_the_fit_finds_the_planted_curve_and_noise(

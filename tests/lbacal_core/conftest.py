@@ -6,8 +6,8 @@ import pytest
 from lbacal_core.instrument import load_instrument
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.spectra import Spectra
-from lbacal_core.twin.settings import TwinSettings
-from lbacal_core.twin.view import View
+from lbacal_twin.settings import TwinSettings
+from lbacal_twin.view import View
 from tests.lbacal_core.discovery.worlds import World
 
 

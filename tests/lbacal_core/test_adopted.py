@@ -14,11 +14,11 @@ from lbacal_core.curves import CONVERGED, NOT_CONVERGED, TOO_FEW_EVENTS, parse_c
 from lbacal_core.instrument import load_instrument
 from lbacal_core.model import PLAIN, AdoptedCause, Model
 from lbacal_core.skypower.model import compute_sky_power
-from lbacal_core.twin.campaign import simulate_campaign
-from lbacal_core.twin.faults.antenna import GainTemperature
-from lbacal_core.twin.faults.fault import Where
-from lbacal_core.twin.faults.sky import LstOffset
-from lbacal_core.twin.settings import TwinSettings
+from lbacal_twin.campaign import simulate_campaign
+from lbacal_twin.faults.antenna import GainTemperature
+from lbacal_twin.faults.fault import Where
+from lbacal_twin.faults.sky import LstOffset
+from lbacal_twin.settings import TwinSettings
 
 SETTINGS = TwinSettings(stations=("CS002", "CS003"), antennas=4, events_per_year=300)
 LATE = AdoptedCause("lst_offset", "CS002", "station", 0.25, 0.02)

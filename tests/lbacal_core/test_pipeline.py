@@ -14,12 +14,12 @@ from lbacal_core.errors import BadInputError
 from lbacal_core.instrument import Instrument
 from lbacal_core.pipeline import calibrate
 from lbacal_core.skypower.model import compute_sky_power
-from lbacal_core.twin.campaign import simulate_campaign
-from lbacal_core.twin.faults.antenna import GainStep
-from lbacal_core.twin.faults.fault import Where
-from lbacal_core.twin.settings import TwinSettings
-from proofs.anywhere import draw_instrument
+from lbacal_twin.campaign import simulate_campaign
+from lbacal_twin.faults.antenna import GainStep
+from lbacal_twin.faults.fault import Where
+from lbacal_twin.settings import TwinSettings
 from tests import short_dipole
+from validation.anywhere import draw_instrument
 
 pytestmark = pytest.mark.timeout(900)
 SETTINGS = TwinSettings(events_per_year=300)

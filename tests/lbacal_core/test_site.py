@@ -24,8 +24,8 @@ from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.table import SkyPower, read_sky_power, write_sky_power
 from lbacal_core.spectra import Spectra
 from lbacal_core.spectra_blocks import split_into_blocks
-from lbacal_core.twin.campaign import Campaign, simulate_campaign
-from lbacal_core.twin.settings import TwinSettings
+from lbacal_twin.campaign import Campaign, simulate_campaign
+from lbacal_twin.settings import TwinSettings
 
 WEST, FAR = "WEST", "FAR"
 EVENTS, ANTENNAS = 160, 4

@@ -16,8 +16,8 @@ from lbacal_core.instrument import parse_instrument
 from lbacal_core.sky_over_model import SkyOverModel, parse_sky_over_model
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.table import SkyPower
-from lbacal_core.twin.campaign import simulate_campaign
-from lbacal_core.twin.settings import TwinSettings
+from lbacal_twin.campaign import simulate_campaign
+from lbacal_twin.settings import TwinSettings
 
 NU = np.arange(50.0, 90.0, 2.0)
 

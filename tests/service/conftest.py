@@ -19,18 +19,18 @@ from lbacal_core.instrument import Instrument, load_instrument
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.table import read_sky_power, write_sky_power
 from lbacal_core.spectra import Spectra
-from lbacal_core.twin.campaign import Campaign, simulate_campaign
-from lbacal_core.twin.faults.antenna import GainStep
-from lbacal_core.twin.faults.fault import Where
-from lbacal_core.twin.settings import TwinSettings
 from lbacal_core.validity import Scope
-from proofs.running.postgres import run_postgres
+from lbacal_twin.campaign import Campaign, simulate_campaign
+from lbacal_twin.faults.antenna import GainStep
+from lbacal_twin.faults.fault import Where
+from lbacal_twin.settings import TwinSettings
 from service.app import make_app
 from service.config import Settings
 from service.factory import Factory
 from service.storage.database import Database
 from service.storage.migration import upgrade
 from service.storage.versions import Version
+from validation.running.postgres import run_postgres
 
 CHANNELS = 4
 MHZ = [30.0, 45.0, 60.0, 80.0]

@@ -14,9 +14,9 @@ import pytest
 from lbacal_core.instrument import Instrument
 from lbacal_core.skypower.table import read_sky_power
 from lbacal_core.spectra import Spectra
-from lbacal_core.twin.campaign import simulate_campaign
-from lbacal_core.twin.settings import TwinSettings
 from lbacal_core.validity import Scope
+from lbacal_twin.campaign import simulate_campaign
+from lbacal_twin.settings import TwinSettings
 from service import scheduler
 from service.config import Settings
 from service.factory import Factory

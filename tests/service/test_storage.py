@@ -13,10 +13,10 @@ from sqlalchemy import Engine, event
 from sqlalchemy.pool import Pool
 
 from lbacal_core.validity import Promotion, Scope
-from proofs.running.ledger import write_promotions
 from service.factory import Factory
 from service.storage.versions import Version
 from service.wire.instants import DAY_US, parse_instant
+from validation.running.ledger import write_promotions
 
 PATHS = [Scope(station, antenna, dipole) for station in ("CS001", "CS002") for antenna in range(3) for dipole in "XY"]
 PATH = {"station": "CS001", "antenna": 0, "dipole": "X"}

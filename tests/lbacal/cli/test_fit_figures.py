@@ -10,8 +10,8 @@ from lbacal_core.pipeline import calibrate
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra import Spectra
-from lbacal_core.twin.campaign import simulate_campaign
-from lbacal_core.twin.settings import TwinSettings
+from lbacal_twin.campaign import simulate_campaign
+from lbacal_twin.settings import TwinSettings
 
 INSTRUMENT = load_instrument("lofar-superterp")
 

@@ -10,12 +10,12 @@ from lbacal.cli.investigation_page import write_investigation_page
 from lbacal_core.discovery.investigate import investigate
 from lbacal_core.instrument import load_instrument
 from lbacal_core.skypower.model import compute_sky_power
-from lbacal_core.twin.campaign import simulate_campaign
-from lbacal_core.twin.faults.antenna import GainStep
-from lbacal_core.twin.faults.cable import CableReflection
-from lbacal_core.twin.faults.fault import Where
-from lbacal_core.twin.faults.uncatalogued import FieldGradient, FrostAndHeat
-from lbacal_core.twin.settings import TwinSettings
+from lbacal_twin.campaign import simulate_campaign
+from lbacal_twin.faults.antenna import GainStep
+from lbacal_twin.faults.cable import CableReflection
+from lbacal_twin.faults.fault import Where
+from lbacal_twin.faults.uncatalogued import FieldGradient, FrostAndHeat
+from lbacal_twin.settings import TwinSettings
 
 pytestmark = pytest.mark.timeout(300)
 SETTINGS = TwinSettings(stations=("CS002",), antennas=6, events_per_year=250)

@@ -31,7 +31,7 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
 
 def _run(*arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, "-m", "service.cli.main", "lst-curve", *arguments], capture_output=True, text=True, check=False
+        [sys.executable, "-m", "lbacal", "lst-curve", *arguments], capture_output=True, text=True, check=False
     )
 
 

@@ -15,7 +15,7 @@ from lbacal.cli.main import main
 from lbacal.client import Client
 from lbacal_core.spectra import read_spectra
 from lbacal_core.traces.trace import TraceReference
-from lbacal_core.twin.voltages import Transmitter, digitise, draw_noise, write_frames
+from lbacal_twin.voltages import Transmitter, digitise, draw_noise, write_frames
 from service.app import make_app
 from service.config import Settings
 from service.factory import Factory

@@ -14,7 +14,7 @@ from lbacal.cli.trace_batch import TraceBatch, Work
 from lbacal_core.traces.background import CleaningSettings
 from lbacal_core.traces.discovery import find_files, group_traces, list_traces
 from lbacal_core.traces.trace import TraceReference
-from lbacal_core.twin.voltages import digitise, draw_noise, write_frames
+from lbacal_twin.voltages import digitise, draw_noise, write_frames
 
 EVENTS = 12
 

@@ -16,9 +16,9 @@ from lbacal_core.model import PLAIN, AdoptedCause, Model
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.table import write_sky_power
 from lbacal_core.spectra import write_spectra
-from lbacal_core.twin.campaign import simulate_campaign
-from lbacal_core.twin.faults.sky import LstOffset
-from lbacal_core.twin.settings import TwinSettings
+from lbacal_twin.campaign import simulate_campaign
+from lbacal_twin.faults.sky import LstOffset
+from lbacal_twin.settings import TwinSettings
 
 
 def finding(cause, size):

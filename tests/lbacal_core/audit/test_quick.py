@@ -11,8 +11,8 @@ from lbacal_core.instrument import Instrument, load_instrument
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.spectra import Spectra
 from lbacal_core.spectra_join import join_spectra
-from lbacal_core.twin.campaign import simulate_campaign
-from lbacal_core.twin.settings import TwinSettings
+from lbacal_twin.campaign import simulate_campaign
+from lbacal_twin.settings import TwinSettings
 
 
 def test_a_healthy_station_is_said_to_be_healthy_and_its_power_is_accepted(

@@ -9,8 +9,8 @@ from lbacal_core.instrument import Instrument
 from lbacal_core.sidereal import local_sidereal_time
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra_blocks import split_into_blocks
-from lbacal_core.twin.campaign import Campaign, simulate_campaign
-from lbacal_core.twin.settings import TwinSettings
+from lbacal_twin.campaign import Campaign, simulate_campaign
+from lbacal_twin.settings import TwinSettings
 
 
 @pytest.fixture(scope="module")

@@ -7,8 +7,8 @@ from datetime import datetime
 import numpy as np
 import pytest
 
-from lbacal_core.twin.faults.catalogue import catalogue_faults
-from lbacal_core.twin.faults.fault import Where
+from lbacal_twin.faults.catalogue import catalogue_faults
+from lbacal_twin.faults.fault import Where
 from tests.lbacal_core.discovery.worlds import CALM, MOVING, QUIET, SILENT, STATIC, static_templates
 
 DATE = "2014-07-01"

@@ -10,7 +10,7 @@ from lbacal_core.causes.catalogue import CAUSES, DESCRIPTIONS
 from lbacal_core.causes.cause import SCOPES, SizeRange, Template, signature
 from lbacal_core.causes.conditions import Conditions
 from lbacal_core.chain.terms import ChainTerms
-from lbacal_core.twin.faults.catalogue import catalogue_faults
+from lbacal_twin.faults.catalogue import catalogue_faults
 
 
 @pytest.fixture(scope="module")

@@ -20,9 +20,9 @@ from lbacal_core.errors import BadInputError
 from lbacal_core.instrument import load_instrument
 from lbacal_core.model import Model
 from lbacal_core.skypower.model import compute_sky_power
-from lbacal_core.twin.campaign import simulate_campaign
-from lbacal_core.twin.faults.uncatalogued import MainsHum
-from lbacal_core.twin.settings import YEAR_S, TwinSettings
+from lbacal_twin.campaign import simulate_campaign
+from lbacal_twin.faults.uncatalogued import MainsHum
+from lbacal_twin.settings import YEAR_S, TwinSettings
 from tests.lbacal_core.discovery.worlds import report_of
 
 SETTINGS = TwinSettings(stations=("CS002",), antennas=6, events_per_year=300, years=2.0)

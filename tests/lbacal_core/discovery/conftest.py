@@ -16,9 +16,9 @@ from lbacal_core.instrument import Instrument, load_instrument
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra import Spectra
-from lbacal_core.twin.campaign import simulate_campaign
-from lbacal_core.twin.faults.fault import Fault
-from lbacal_core.twin.settings import TwinSettings
+from lbacal_twin.campaign import simulate_campaign
+from lbacal_twin.faults.fault import Fault
+from lbacal_twin.settings import TwinSettings
 
 SETTINGS = TwinSettings(stations=("CS002",), antennas=8, events_per_year=300)
 SEED = 20140101

@@ -13,8 +13,8 @@ from lbacal_core.discovery.refit import power_ratio
 from lbacal_core.discovery.station import gather_stations
 from lbacal_core.errors import BadInputError
 from lbacal_core.model import PLAIN, AdoptedCause, Model
-from lbacal_core.twin.faults.antenna import GainTemperature
-from lbacal_core.twin.faults.sky import IonosphericAbsorption, LstOffset
+from lbacal_twin.faults.antenna import GainTemperature
+from lbacal_twin.faults.sky import IonosphericAbsorption, LstOffset
 
 DAY = 86_400
 LATE = AdoptedCause("lst_offset", "CS002", "station", 0.15, 0.02)

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lbacal_core.twin.campaign import simulate_campaign
-from lbacal_core.twin.faults.cable import CableLength, CableReflection
-from lbacal_core.twin.faults.fault import Where
-from lbacal_core.twin.faults.interference import RfiLine
-from lbacal_core.twin.nuisances import Nuisances
+from lbacal_twin.campaign import simulate_campaign
+from lbacal_twin.faults.cable import CableLength, CableReflection
+from lbacal_twin.faults.fault import Where
+from lbacal_twin.faults.interference import RfiLine
+from lbacal_twin.nuisances import Nuisances
 from tests.lbacal_core.discovery.worlds import look_at, p_of_score
 
 

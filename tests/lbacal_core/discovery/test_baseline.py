@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lbacal_core.discovery.baseline import fit_baseline
-from lbacal_core.twin.campaign import expected_power
+from lbacal_twin.campaign import expected_power
 from tests.lbacal_core.discovery.worlds import SILENT
 
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from lbacal_core.discovery.investigate import investigate
-from lbacal_core.twin.campaign import simulate_campaign
-from lbacal_core.twin.faults.cable import CableLength
-from lbacal_core.twin.faults.fault import Where
-from lbacal_core.twin.gains import NOISES
+from lbacal_twin.campaign import simulate_campaign
+from lbacal_twin.faults.cable import CableLength
+from lbacal_twin.faults.fault import Where
+from lbacal_twin.gains import NOISES
 from tests.lbacal_core.discovery.worlds import look_at
 
 SEEDS = 12

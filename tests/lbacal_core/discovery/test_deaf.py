@@ -6,11 +6,11 @@ import pytest
 from lbacal_core.discovery.deaf import SMALLEST_SHARE, leave_out_deaf, sky_shares
 from lbacal_core.discovery.investigate import investigate
 from lbacal_core.discovery.station import gather_stations
-from lbacal_core.twin.campaign import simulate_campaign
-from lbacal_core.twin.faults.fault import Where
-from lbacal_core.twin.faults.receiver import Compression
-from lbacal_core.twin.nuisances import Nuisances
-from lbacal_core.twin.world import World
+from lbacal_twin.campaign import simulate_campaign
+from lbacal_twin.faults.fault import Where
+from lbacal_twin.faults.receiver import Compression
+from lbacal_twin.nuisances import Nuisances
+from lbacal_twin.world import World
 from tests.lbacal_core.discovery.conftest import SEED, SETTINGS
 
 

@@ -5,9 +5,9 @@ from types import SimpleNamespace
 import pytest
 
 from lbacal_core.discovery.findings import _idle
-from lbacal_core.twin.faults.antenna import GainTemperature
-from lbacal_core.twin.faults.fault import Where
-from lbacal_core.twin.faults.sky import DipoleAzimuth, LstOffset
+from lbacal_twin.faults.antenna import GainTemperature
+from lbacal_twin.faults.fault import Where
+from lbacal_twin.faults.sky import DipoleAzimuth, LstOffset
 
 
 @pytest.mark.parametrize("antenna", [0, 1])

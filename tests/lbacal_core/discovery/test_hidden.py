@@ -9,8 +9,8 @@ import pytest
 
 from lbacal_core.discovery.investigate import investigate
 from lbacal_core.skypower.model import compute_sky_power
-from lbacal_core.twin.faults.antenna import GainStep
-from lbacal_core.twin.faults.fault import Where
+from lbacal_twin.faults.antenna import GainStep
+from lbacal_twin.faults.fault import Where
 
 
 def under(world, sky, *faults):

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from proofs.anywhere import investigate_drawn
+from validation.anywhere import investigate_drawn
 
 
 def test_a_rival_that_describes_these_data_better_is_listed_though_more_templates_were_tried():

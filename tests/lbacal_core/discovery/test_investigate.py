@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from lbacal_core.discovery.investigate import investigate
-from lbacal_core.twin.campaign import simulate_campaign
-from lbacal_core.twin.faults.antenna import GainStep
-from lbacal_core.twin.faults.fault import Where
-from lbacal_core.twin.faults.uncatalogued import WorkingWeek
+from lbacal_twin.campaign import simulate_campaign
+from lbacal_twin.faults.antenna import GainStep
+from lbacal_twin.faults.fault import Where
+from lbacal_twin.faults.uncatalogued import WorkingWeek
 from tests.lbacal_core.discovery.conftest import SEED, SETTINGS
 
 pytestmark = pytest.mark.timeout(900)

@@ -10,9 +10,9 @@ from lbacal_core.discovery.investigate import investigate
 from lbacal_core.discovery.left_open import add_left_open, weigh_alternatives
 from lbacal_core.discovery.refit import fit_chain, refit
 from lbacal_core.discovery.station import gather_stations
-from lbacal_core.twin.faults.antenna import GainStep
-from lbacal_core.twin.faults.fault import Where
-from lbacal_core.twin.faults.sky import ZenithWeighting
+from lbacal_twin.faults.antenna import GainStep
+from lbacal_twin.faults.fault import Where
+from lbacal_twin.faults.sky import ZenithWeighting
 
 pytestmark = pytest.mark.timeout(900)
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from lbacal_core.discovery.open_noise import average_size, open_noise
-from lbacal_core.twin.faults.antenna import GainStep
-from lbacal_core.twin.faults.fault import Where
-from proofs.anywhere import STEP, investigate_drawn
+from lbacal_twin.faults.antenna import GainStep
+from lbacal_twin.faults.fault import Where
 from tests.lbacal_core.discovery.worlds import CALM
+from validation.anywhere import STEP, investigate_drawn
 
 FAULT = GainStep(size=0.02, date="2014-07-01", where=Where(antennas=(1,)))
 

@@ -9,7 +9,7 @@ import pytest
 
 from lbacal_core.discovery.payoff import measure_gains, promise_of, true_share
 from lbacal_core.model import PLAIN, AdoptedCause, Model
-from lbacal_core.twin.faults.sky import LstOffset
+from lbacal_twin.faults.sky import LstOffset
 from tests.lbacal_core.discovery.worlds import look_at
 
 LATE = AdoptedCause("lst_offset", "CS002", "station", 0.3, 0.012)

@@ -16,9 +16,9 @@ from lbacal_core.discovery.refit import fit_chain, held_out_fold
 from lbacal_core.discovery.scan import scan, score_families
 from lbacal_core.discovery.station import gather_stations, model_modes
 from lbacal_core.skypower.differences import DifferenceModels, compute_model_differences
-from lbacal_core.twin.campaign import simulate_campaign
-from lbacal_core.twin.nuisances import Nuisances
-from lbacal_core.twin.settings import TwinSettings
+from lbacal_twin.campaign import simulate_campaign
+from lbacal_twin.nuisances import Nuisances
+from lbacal_twin.settings import TwinSettings
 
 NU = np.arange(30.0, 81.0)
 CHOSEN = ("gain_step", "lst_offset", "rfi_line", "gain_temperature", "cable_temperature")

@@ -14,14 +14,14 @@ from lbacal_core.discovery.refit import fit_chain, refit
 from lbacal_core.discovery.scan import Score, scan
 from lbacal_core.discovery.station import gather_stations
 from lbacal_core.skypower.model import compute_sky_power
-from lbacal_core.twin.campaign import simulate_campaign
-from lbacal_core.twin.faults.antenna import GainStep, GainTemperature
-from lbacal_core.twin.faults.fault import Where
-from lbacal_core.twin.faults.interference import RfiBroadband
-from lbacal_core.twin.faults.sky import DipoleSwap
-from lbacal_core.twin.gains import EventGains
-from proofs.anywhere import SETTINGS, draw_faulty
+from lbacal_twin.campaign import simulate_campaign
+from lbacal_twin.faults.antenna import GainStep, GainTemperature
+from lbacal_twin.faults.fault import Where
+from lbacal_twin.faults.interference import RfiBroadband
+from lbacal_twin.faults.sky import DipoleSwap
+from lbacal_twin.gains import EventGains
 from tests.lbacal_core.discovery.worlds import look_at
+from validation.anywhere import SETTINGS, draw_faulty
 
 NAMED = {cause.identifier: cause for cause in CAUSES}
 

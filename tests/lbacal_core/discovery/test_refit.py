@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from lbacal_core.causes.cause import Template
-from lbacal_core.twin.faults.antenna import GainDrift, GainStep, LnaNoiseSlope
-from lbacal_core.twin.faults.fault import Where
-from lbacal_core.twin.faults.interference import RfiBroadband
-from lbacal_core.twin.faults.sky import LstOffset
+from lbacal_twin.faults.antenna import GainDrift, GainStep, LnaNoiseSlope
+from lbacal_twin.faults.fault import Where
+from lbacal_twin.faults.interference import RfiBroadband
+from lbacal_twin.faults.sky import LstOffset
 from tests.lbacal_core.discovery.worlds import CALM, FOLD_COUNT, CannotBeFittedError, look_at
 
 CHANGES = {

@@ -10,10 +10,10 @@ from lbacal_core.discovery.investigate import investigate
 from lbacal_core.discovery.policy import Policy
 from lbacal_core.errors import LbacalError
 from lbacal_core.skypower.differences import model_difference_modes
-from lbacal_core.twin.faults.antenna import GainStep, GainTemperature
-from lbacal_core.twin.faults.fault import Where
-from lbacal_core.twin.faults.interference import RfiBroadband
-from lbacal_core.twin.faults.uncatalogued import MainsHum
+from lbacal_twin.faults.antenna import GainStep, GainTemperature
+from lbacal_twin.faults.fault import Where
+from lbacal_twin.faults.interference import RfiBroadband
+from lbacal_twin.faults.uncatalogued import MainsHum
 from tests.lbacal_core.discovery.worlds import MOVING, STATIC
 
 

@@ -20,8 +20,8 @@ from lbacal_core.discovery.residual_structure import (
 )
 from lbacal_core.discovery.station import gather_stations
 from lbacal_core.discovery.trials import p_of_best
-from lbacal_core.twin.faults.interference import RfiBroadband
-from lbacal_core.twin.faults.uncatalogued import AuroralAbsorption, MainsHum
+from lbacal_twin.faults.interference import RfiBroadband
+from lbacal_twin.faults.uncatalogued import AuroralAbsorption, MainsHum
 from tests.lbacal_core.discovery.worlds import look_with_residual
 
 SIGNIFICANT = 0.002

@@ -24,12 +24,12 @@ from lbacal_core.discovery.search import (
 )
 from lbacal_core.discovery.station import gather_stations
 from lbacal_core.model import AdoptedCause, Model
-from lbacal_core.twin.campaign import simulate_campaign
-from lbacal_core.twin.faults.antenna import GainStep, GainTemperature
-from lbacal_core.twin.faults.fault import Where
-from lbacal_core.twin.faults.interference import RfiBroadband
-from lbacal_core.twin.faults.sky import LstOffset
-from lbacal_core.twin.faults.uncatalogued import FieldGradient
+from lbacal_twin.campaign import simulate_campaign
+from lbacal_twin.faults.antenna import GainStep, GainTemperature
+from lbacal_twin.faults.fault import Where
+from lbacal_twin.faults.interference import RfiBroadband
+from lbacal_twin.faults.sky import LstOffset
+from lbacal_twin.faults.uncatalogued import FieldGradient
 from tests.lbacal_core.discovery.conftest import SEED, SETTINGS
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.errors import BadInputError
-from lbacal_core.twin.faults.antenna import GainDrift, GainTemperature
+from lbacal_twin.faults.antenna import GainDrift, GainTemperature
 from tests.lbacal_core.discovery.worlds import look_at
 
 

@@ -42,10 +42,10 @@ from lbacal_core.provenance import Provenance
 from lbacal_core.skypower.differences import compute_model_differences
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra import Spectra
-from lbacal_core.twin.campaign import DrawnStation, draw_stations, expected_power, simulate_campaign
-from lbacal_core.twin.faults.fault import Fault
-from lbacal_core.twin.settings import TwinSettings
-from lbacal_core.twin.view import View
+from lbacal_twin.campaign import DrawnStation, draw_stations, expected_power, simulate_campaign
+from lbacal_twin.faults.fault import Fault
+from lbacal_twin.settings import TwinSettings
+from lbacal_twin.view import View
 
 MOVING = tuple(cause.identifier for cause in CAUSES if cause.identifier != "missing_noise")
 """Causes whose effect differs from event to event, on top of a baseline that contains all stages of noise."""

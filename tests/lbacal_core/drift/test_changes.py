@@ -5,7 +5,7 @@ import pytest
 
 from lbacal_core.drift.changes import list_changes
 from lbacal_core.drift.follow import History, follow
-from proofs.drift_world import DAY, START, YEAR, World, draw_history
+from validation.drift_world import DAY, START, YEAR, World, draw_history
 
 WORLD = World(years=2.0, stations=1, antennas=12, events_per_year=500, yearly=0.03)
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from lbacal_core.drift.follow import follow
-from proofs.drift_world import START, YEAR, World, draw_history
+from validation.drift_world import START, YEAR, World, draw_history
 
 WORLD = World(years=3.0, stations=3, antennas=4, events_per_year=400)
 

@@ -8,7 +8,7 @@ import pytest
 
 from lbacal_core.drift.follow import follow
 from lbacal_core.drift.report import describe_followed
-from proofs.drift_world import DAY, START, YEAR, World, draw_history
+from validation.drift_world import DAY, START, YEAR, World, draw_history
 
 MHZ = np.arange(30.0, 81.0)
 

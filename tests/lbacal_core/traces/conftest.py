@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from lbacal_core.traces.trace import BLOCK_SAMPLES, Trace, TraceReference
-from lbacal_core.twin.voltages import Shower, Transmitter, digitise, draw_noise
+from lbacal_twin.voltages import Shower, Transmitter, digitise, draw_noise
 
 FREQUENCY = np.arange(30.0, 81.0)
 START_S = 1_311_073_541

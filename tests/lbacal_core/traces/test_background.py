@@ -12,7 +12,7 @@ from lbacal_core.traces.background import CleaningSettings, bin_spectrum, measur
 from lbacal_core.traces.density import channel_frequencies
 from lbacal_core.traces.discovery import group_traces, list_traces
 from lbacal_core.traces.trace import Trace
-from lbacal_core.twin.voltages import Transmitter
+from lbacal_twin.voltages import Transmitter
 
 MakeTrace = Callable[..., Trace]
 SETTINGS = CleaningSettings()

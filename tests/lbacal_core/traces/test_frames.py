@@ -15,7 +15,7 @@ from lbacal_core.traces.frames import (
     sample_checksums,
 )
 from lbacal_core.traces.trace import Trace, TraceReference
-from lbacal_core.twin.voltages import write_frames
+from lbacal_twin.voltages import write_frames
 
 COUNT = 40
 

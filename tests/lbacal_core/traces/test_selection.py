@@ -9,7 +9,7 @@ import pytest
 from lbacal_core.traces.density import density_per_square, transform_blocks
 from lbacal_core.traces.selection import find_keyed_blocks, select_background
 from lbacal_core.traces.trace import Trace
-from lbacal_core.twin.voltages import Shower, Transmitter
+from lbacal_twin.voltages import Shower, Transmitter
 
 MakeTrace = Callable[..., Trace]
 

@@ -6,9 +6,9 @@ import pytest
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.instrument import load_instrument
 from lbacal_core.skypower.model import compute_sky_power
-from lbacal_core.twin.campaign import simulate_campaign
-from lbacal_core.twin.settings import TwinSettings
 from lbacal_core.uncertainty.one_event import ErrorOfC, measure_error, measure_event_gains
+from lbacal_twin.campaign import simulate_campaign
+from lbacal_twin.settings import TwinSettings
 
 INSTRUMENT = load_instrument("lofar-superterp")
 SKY = compute_sky_power(INSTRUMENT)

@@ -11,10 +11,10 @@ from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.calibration.freedom import free_own_sky
 from lbacal_core.instrument import load_instrument
 from lbacal_core.skypower.model import compute_sky_power
-from lbacal_core.twin.campaign import simulate_campaign
-from lbacal_core.twin.settings import TwinSettings
 from lbacal_core.uncertainty.changes import list_changes
 from lbacal_core.uncertainty.refit import OTHER_ANTENNA, add_budget, compute_budget, measure_electronics
+from lbacal_twin.campaign import simulate_campaign
+from lbacal_twin.settings import TwinSettings
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ import pytest
 
 from lbacal_core.instrument import Instrument
 from lbacal_core.skypower.table import SkyPower
-from lbacal_core.twin.settings import TwinSettings
+from lbacal_twin.settings import TwinSettings
 from service.cli.demo import SHOWN_MHZ, Demonstration, demonstrate, describe_recovery, render_report, tabulate
 
 

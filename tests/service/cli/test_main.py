@@ -5,11 +5,11 @@ from importlib.metadata import entry_points
 
 import typer
 
-from lbacal.cli.main import SERVER, SERVER_COMMANDS
-from service.cli.main import app
+from lbacal.cli.main import ADDED, ENTRY_POINTS, add_commands, app
 
 
 def commands_of(group: typer.Typer) -> dict[str, typer.core.TyperCommand]:
+    add_commands()
     return dict(typer.main.get_command(group).commands)  # type: ignore[attr-defined]
 
 
@@ -22,10 +22,11 @@ def test_every_command_has_help_with_an_example() -> None:
     assert [name for name, one in single.items() if not re.search(rf"Example: .*lbacal {name}", one.help or "")] == []
 
 
-def test_the_client_knows_which_commands_the_server_adds() -> None:
-    """Where the server is not installed, the client promises these, and says what to install."""
-    added = [name for name, one in commands_of(app).items() if _module_of(one).startswith("service.")]
-    assert sorted(added) == sorted(SERVER)
+def test_the_client_knows_which_commands_other_wheels_add() -> None:
+    """Where a wheel is not installed, the client promises its commands, and says what to install."""
+    for extra, package in (("server", "service."), ("paper", "lbacal_paper.")):
+        added = [name for name, one in commands_of(app).items() if _module_of(one).startswith(package)]
+        assert sorted(added) == sorted(ADDED[extra])
 
 
 def _module_of(command: typer.core.TyperCommand) -> str:
@@ -33,6 +34,7 @@ def _module_of(command: typer.core.TyperCommand) -> str:
     return str(inner.callback.__module__)
 
 
-def test_the_entry_point_of_the_server_is_this_module() -> None:
-    (found,) = entry_points(group=SERVER_COMMANDS)
-    assert found.load().app is app
+def test_the_entry_points_add_their_commands_to_this_app() -> None:
+    found = entry_points(group=ENTRY_POINTS)
+    assert found.names == set(ADDED)
+    assert {one.load().app for one in found} == {app}

@@ -17,7 +17,7 @@ import httpx2
 import psycopg
 import pytest
 
-from proofs.running.processes import Process, find_free_port, is_ready, run_command, running, wait_until
+from validation.running.processes import Process, find_free_port, is_ready, run_command, running, wait_until
 
 CHECK, UPGRADE, LIST = ("db", "check"), ("db", "upgrade"), ("keys", "list")
 COMMANDS = (CHECK, UPGRADE, LIST, ("worker", "--until-idle"), ("scheduler", "--once"), ("serve", "--port", "1"))
@@ -110,7 +110,7 @@ NOT_CONCERNED = {
 
 RUN_ALL = """
 import contextlib, io, json, sys
-from service.cli.main import main
+from lbacal.cli.main import main
 
 for arguments in json.loads(sys.argv[1]):
     sys.argv = ["lbacal", *arguments]
@@ -130,7 +130,7 @@ def environment_of(settings: dict[str, str]) -> dict[str, str]:
 
 
 def run(arguments: tuple[str, ...], settings: dict[str, str], cwd: Path) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "service.cli.main", *arguments]
+    command = [sys.executable, "-m", "lbacal", *arguments]
     environment = environment_of(settings)
     return subprocess.run(command, env=environment, cwd=cwd, capture_output=True, text=True, check=False, timeout=100)
 
@@ -198,7 +198,7 @@ def test_upgrades_at_once_all_succeed(postgres: str, tmp_path: Path) -> None:
     with psycopg.connect(postgres, autocommit=True) as connection:
         connection.execute("CREATE DATABASE at_once")
     for url in (postgres.replace("/postgres?", "/at_once?"), str(tmp_path / "at_once.sqlite")):
-        command = [sys.executable, "-m", "service.cli.main", "db", "upgrade"]
+        command = [sys.executable, "-m", "lbacal", "db", "upgrade"]
         started = [
             subprocess.Popen(
                 command, env=os.environ | {"LBACAL_DATABASE_URL": url}, stdout=subprocess.PIPE, stderr=subprocess.PIPE

@@ -56,7 +56,7 @@ def test_the_page_on_backups_is_followed_word_by_word(
     kind = "SQLite" if settings.is_sqlite else "PostgreSQL"
     if kind == "PostgreSQL" and not all(map(shutil.which, ("psql", "pg_dump", "pg_restore"))):
         pytest.skip("needs the programs of PostgreSQL's client")
-    (tmp_path / "lbacal").write_text(f'#!/bin/sh\nexec "{sys.executable}" -m service.cli.main "$@"\n')
+    (tmp_path / "lbacal").write_text(f'#!/bin/sh\nexec "{sys.executable}" -m lbacal "$@"\n')
     (tmp_path / "lbacal").chmod(0o755)
     environment = os.environ | {
         "LBACAL_DATABASE_URL": settings.database_url.replace("+psycopg", ""), "LBACAL_INSTRUMENT": settings.instrument,

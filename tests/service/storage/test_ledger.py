@@ -10,11 +10,11 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from lbacal_core.validity import Promotion, Scope, answer_path
-from proofs.running.ledger import write_promotions
 from service.errors import UnavailableError
 from service.factory import Factory
 from service.storage.ledger import Neighbours
 from service.storage.versions import Version
+from validation.running.ledger import write_promotions
 
 PATHS = tuple(Scope("CS001", a, d) for a in (0, 1) for d in "XY")
 SCOPES = (*PATHS, Scope("CS001"), Scope("CS002"), Scope())

@@ -18,7 +18,7 @@ from lbacal_core.curves import NOT_IDENTIFIABLE, CalibrationCurve, FitReport
 from lbacal_core.instrument import Instrument
 from lbacal_core.provenance import canonical_json, hash_content
 from lbacal_core.skypower.table import read_sky_power
-from lbacal_core.twin.campaign import Campaign
+from lbacal_twin.campaign import Campaign
 from service.config import Settings
 from service.errors import UnavailableError
 from service.factory import Factory

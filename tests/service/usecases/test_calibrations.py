@@ -24,8 +24,8 @@ from lbacal_core.covariance import parse_budget
 from lbacal_core.instrument import Instrument
 from lbacal_core.provenance import hash_content
 from lbacal_core.reference_chain import CableTable, ReferenceChain
-from lbacal_core.twin.campaign import Campaign
 from lbacal_core.validity import Scope
+from lbacal_twin.campaign import Campaign
 from service.app import make_app
 from service.config import Settings
 from service.factory import Factory

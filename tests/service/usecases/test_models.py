@@ -15,18 +15,18 @@ from lbacal_core.grids import Floats
 from lbacal_core.instrument import Instrument
 from lbacal_core.skypower.table import read_sky_power
 from lbacal_core.spectra import Spectra
-from lbacal_core.twin.campaign import Campaign, simulate_campaign
-from lbacal_core.twin.faults.fault import Where
-from lbacal_core.twin.faults.sky import DipoleSwap, LstOffset
-from lbacal_core.twin.faults.uncatalogued import MainsHum
-from lbacal_core.twin.settings import TwinSettings
-from proofs.twin import planted_curve
+from lbacal_twin.campaign import Campaign, simulate_campaign
+from lbacal_twin.faults.fault import Where
+from lbacal_twin.faults.sky import DipoleSwap, LstOffset
+from lbacal_twin.faults.uncatalogued import MainsHum
+from lbacal_twin.settings import TwinSettings
 from service.app import make_app
 from service.config import Settings
 from service.factory import Factory
 from service.page.render import format_day
 from service.scheduler import look_for_due_work
 from service.worker import Worker
+from validation.twin import planted_curve
 
 PATH = {"station": "CS002", "antenna": 2, "dipole": "Y"}
 """A path of the antenna whose dipoles record a share of each other's sky."""
@@ -310,7 +310,7 @@ def test_the_loop_closes_on_a_fault_that_begins_in_the_second_year(
         assert gain["since"].startswith("2016")
         assert gain["events"] > 250
         assert abs(gain["log_likelihood_gain"] - gain["expected"]) < 4 * gain["expected_sigma"]
-        # two hours are far from linear: proofs/loop.py compares promise and gain within their errors
+        # two hours are far from linear: validation/loop.py compares promise and gain within their errors
         assert 0.5 < gain["log_likelihood_gain"] / line["promise"][0] < 2.0
         assert "lst_offset" in http.get("/models").text
 

@@ -10,9 +10,9 @@ from fastapi.testclient import TestClient
 
 from lbacal_core.instrument import Instrument
 from lbacal_core.skypower.table import read_sky_power
-from lbacal_core.twin.campaign import simulate_campaign
-from lbacal_core.twin.faults.sky import LstOffset
-from lbacal_core.twin.settings import TwinSettings
+from lbacal_twin.campaign import simulate_campaign
+from lbacal_twin.faults.sky import LstOffset
+from lbacal_twin.settings import TwinSettings
 from service.app import make_app
 from service.config import Settings
 from service.factory import Factory

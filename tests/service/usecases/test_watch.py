@@ -15,11 +15,11 @@ from fastapi.testclient import TestClient
 from lbacal_core.instrument import Instrument, load_instrument
 from lbacal_core.skypower.table import read_sky_power
 from lbacal_core.spectra import Spectra
-from lbacal_core.twin.campaign import simulate_campaign
-from lbacal_core.twin.faults.antenna import GainStep
-from lbacal_core.twin.faults.fault import Where
-from lbacal_core.twin.settings import TwinSettings
 from lbacal_core.validity import Scope, timeline
+from lbacal_twin.campaign import simulate_campaign
+from lbacal_twin.faults.antenna import GainStep
+from lbacal_twin.faults.fault import Where
+from lbacal_twin.settings import TwinSettings
 from service.app import make_app
 from service.config import Settings
 from service.factory import Factory

@@ -1,0 +1,82 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lbacal_core.errors import UnknownNameError
+from lbacal_core.instrument import Instrument
+from lbacal_core.sky.names import load_sky
+from lbacal_twin.gains import NOISES
+from lbacal_twin.world import ANTENNAS, LST_RMS, OUTSIDE, SKIES, World, draw_world, make_sky, tilt
+
+AT = np.array([30.0, 55.0, 80.0])
+
+
+def mean_k(sky_name: str) -> np.ndarray:
+    return make_sky(sky_name).temperature(AT)[:, 0, 0].real / np.sqrt(4 * np.pi)
+
+
+def test_half_of_two_skies_is_their_mean() -> None:
+    half, lfsm, gsm = (make_sky(name).temperature(AT) for name in ("half", "lfsm", "gsm408"))
+    # Half of the CMB of the one is counted with the other: 1.4 K of thousands.
+    np.testing.assert_allclose(half, (lfsm + gsm) / 2, atol=10.0)
+
+
+def test_the_sky_of_edges_is_warmer_by_what_was_measured() -> None:
+    ratio = make_sky("edges").temperature(AT)[:, 0, 0].real / load_sky("gsm").temperature(AT)[:, 0, 0].real
+    assert 1.09 < ratio[1] < 1.18  # 1.14 of gsm between 50 and 60 MHz; gsm408 is 2 % off gsm
+
+
+def test_every_sky_differs_from_every_other() -> None:
+    means = np.array([mean_k(name) for name in SKIES])
+    for row, name in enumerate(SKIES):
+        others = np.delete(means, row, axis=0)
+        assert np.all(np.abs(others / means[row] - 1).max(axis=1) > 0.003), name
+
+
+def test_a_tilted_sky_is_itself_at_the_pivot_and_another_elsewhere() -> None:
+    sky = load_sky("gsm408")
+    tilted = tilt(sky, np.random.default_rng(1))
+    pivot = np.array([55.0])
+    np.testing.assert_allclose(tilted.temperature(pivot)[0], sky.temperature(pivot)[0], atol=5.0)  # K of 5000
+    change = np.abs(tilted.temperature(AT) - sky.temperature(AT))[[0, 2]].max(axis=(1, 2))
+    assert np.all(change > 0.005 * sky.temperature(AT)[[0, 2], 0, 0].real)
+
+
+@pytest.mark.parametrize("outside", OUTSIDE)
+def test_a_sky_outside_every_model_differs_in_the_way_it_says(low_band: Instrument, outside: str) -> None:
+    plain = World("gsm408", "inverted-v", "behind").sky_power(low_band)
+    drawn = World("gsm408", "inverted-v", "behind", outside, 4).sky_power(low_band)
+    ratio = np.log(drawn.power["X"] / plain.power["X"])
+    level, shape = ratio.mean(axis=0), ratio - ratio.mean(axis=0)
+    if outside == "level":
+        assert np.ptp(ratio) < 0.01  # the CMB is not scaled
+        assert 0.005 < np.abs(level).max() < 0.15
+    elif outside == "lst":
+        assert shape.std() == pytest.approx(LST_RMS, rel=0.1)
+    else:
+        assert 1e-4 < shape.std() < 0.02
+
+
+def test_worlds_are_drawn_from_everything_and_a_third_lies_outside() -> None:
+    rng = np.random.default_rng(1)
+    drawn = [draw_world(rng, SKIES[1:], ANTENNAS[1:]) for _ in range(600)]
+    assert {world.sky for world in drawn} == set(SKIES[1:])
+    assert {world.antenna for world in drawn} == set(ANTENNAS[1:])
+    assert {world.noise for world in drawn} == set(NOISES)
+    assert np.mean([bool(world.outside) for world in drawn]) == pytest.approx(1 / 3, abs=0.06)  # 3 sigma
+
+
+def test_the_view_of_a_world_has_its_sky_and_antenna(low_band: Instrument) -> None:
+    seen = []
+    for world in (World("lfsm", "inverted-v", "behind"), World("gsm", "hamaker", "behind")):
+        power = world.sky_power(low_band).power
+        mean = np.mean([power[name].mean(axis=0) for name in "XY"], axis=0)
+        seen.append(world.view(low_band).mean_kelvin_sr / mean)
+    # K sr over W/MHz is the same nu^-2 for both, if the view is that of the world; pixels at the horizon: 0.5 %.
+    np.testing.assert_allclose(seen[0], seen[1], rtol=0.01)
+
+
+def test_an_unknown_sky_is_refused() -> None:
+    with pytest.raises(UnknownNameError, match="half"):
+        make_sky("flat")

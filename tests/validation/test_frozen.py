@@ -1,0 +1,110 @@
+"""The command, the listing, and the frozen numbers of four fast data sets."""
+
+from __future__ import annotations
+
+import pytest
+
+from lbacal_twin.faults.catalogue import catalogue_faults
+from validation.frozen.__main__ import NUMBERS, compare_with_stored, main
+from validation.frozen.comparison import ABSENT, list_differences, read_numbers, summarise, write_numbers
+from validation.frozen.listing import CAUSES, DATA_SETS, OTHERS
+from validation.frozen.surface import frozen_numbers, in_first_window
+
+
+@pytest.mark.parametrize("name", ["curve-exchanged-late", "cable_reflection", "clean-nuisances", "compression"])
+def test_discovery_gives_the_frozen_report_and_scores(name):
+    assert [str(one) for one in compare_with_stored(name, frozen_numbers(DATA_SETS[name]))] == []
+
+
+def test_every_cause_that_the_twin_plants_is_frozen_once():
+    assert [one.name for one in CAUSES] == sorted(catalogue_faults())
+
+
+def test_every_data_set_has_a_name_and_numbers_of_its_own():
+    assert len(DATA_SETS) == len(CAUSES) + len(OTHERS)
+    assert {path.name.removesuffix(".json.gz") for path in NUMBERS.iterdir()} == set(DATA_SETS)
+    assert sum(path.stat().st_size for path in NUMBERS.iterdir()) < 1_000_000
+
+
+def test_a_gap_in_the_temperature_is_of_one_event():
+    spectra = DATA_SETS["unknown-temperature"].spectra()
+    is_unknown = spectra.environment["temperature_c"] != spectra.environment["temperature_c"]
+    assert len(set(spectra.event_id[is_unknown].tolist())) == 1
+
+
+def test_numbers_differ_beyond_a_millionth():
+    before = {"a": [1.0, {"z": 5.0}]}
+    assert list_differences("d", before, {"a": [1.0 + 9e-7, {"z": 5.0 - 4e-6}]}) == []
+    (found,) = list_differences("d", before, {"a": [1.0, {"z": 5.0 - 6e-6}]})
+    assert (found.data_set, found.path) == ("d", "a/1/z")
+    assert found.relative == pytest.approx(1.2e-6, rel=1e-3)
+
+
+def test_sentences_are_no_numbers():
+    before = {"unidentifiable": [{"cause": "gain_step", "why": "no dates"}], "findings": [{"sentence": "It is 0.1."}]}
+    after = {"unidentifiable": [{"cause": "gain_step", "why": "the dates are unknown"}], "findings": [{"sentence": ""}]}
+    assert list_differences("d", before, after) == []
+
+
+def test_only_what_rounding_moves_has_a_wider_tolerance():
+    def changed(place):
+        before, after = ({"report": {place: [{"size": value}]}} for value in (10.0, 10.01))
+        return list_differences("d", before, after)
+
+    assert changed("hypotheses") == []
+    assert len(changed("findings")) == 1
+
+
+def test_of_two_windows_that_share_out_the_day_one_is_shown():
+    score = {"parameters": {"spectral_index": 0.0, "utc_h": [21, 9]}, "score_sigma": 3.0, "size": 0.1}
+    turned = {"parameters": {"spectral_index": 0.0, "utc_h": [9, 21]}, "score_sigma": -3.0, "size": -0.1}
+    assert in_first_window(score) == in_first_window(turned) == turned
+    steep = {**score, "parameters": {"spectral_index": -2.5, "utc_h": [21, 9]}}
+    assert in_first_window(steep) == steep
+
+
+def test_numbers_that_cancel_to_nothing_do_not_differ():
+    assert list_differences("d", 3e-10, -4e-10) == []
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [("gain_step", "gain_drift"), (None, 0.0), (1, True), ([], [0.0]), ({}, None), (ABSENT, {"key": 1})],
+)
+def test_what_is_no_number_differs_unless_it_is_equal(before, after):
+    assert list_differences("d", {"a": before}, {"a": before}) == []
+    assert len(list_differences("d", {"a": before}, {"a": after})) >= 1
+
+
+def test_a_key_that_is_gone_or_new_is_a_difference():
+    gone, new = list_differences("d", {"old": 1.0, "same": 2.0}, {"new": 1.0, "same": 2.0})
+    assert (gone.path, gone.after) == ("old", ABSENT)
+    assert (new.path, new.before) == ("new", ABSENT)
+
+
+def test_the_summary_counts_places_of_a_kind():
+    differences = [
+        *list_differences("one", {"f": [{"z": 1.0}, {"z": 2.0}]}, {"f": [{"z": 1.1}, {"z": 2.0}]}),
+        *list_differences("two", {"f": [{"z": 1.0}, {"z": 2.0}]}, {"f": [{"z": 1.0}, {"z": 4.0}]}),
+    ]
+    assert summarise(differences) == ["f/*/z: 2, largest 5.0e-01, in one, two"]
+
+
+def test_numbers_are_stored_in_the_same_bytes(tmp_path):
+    numbers = {"b": [1.0 / 3.0, None, "text"], "a": {"n": 3}}
+    one, other = tmp_path / "one.json.gz", tmp_path / "other.json.gz"
+    write_numbers(one, numbers)
+    write_numbers(other, {"a": {"n": 3}, "b": (1.0 / 3.0, None, "text")})
+    assert one.read_bytes() == other.read_bytes()
+    assert list_differences("d", numbers, read_numbers(one)) == []
+
+
+def test_the_command_names_a_changed_number_and_fails(monkeypatch, tmp_path, capsys):
+    numbers = read_numbers(NUMBERS / "curve-clean.json.gz")
+    numbers["report"]["chi2"]["before"]["estimated"] *= 1 + 1e-5
+    write_numbers(tmp_path / "curve-clean.json.gz", numbers)
+    monkeypatch.setattr("validation.frozen.__main__.NUMBERS", tmp_path)
+    assert main(["--compare", "curve-clean"]) == 1
+    assert "curve-clean: report/chi2/before/estimated: " in capsys.readouterr().out
+    assert main(["--write", "curve-clean"]) == 0
+    assert main(["--compare", "curve-clean"]) == 0

@@ -1,0 +1,48 @@
+from __future__ import annotations
+
+import pytest
+
+from validation import fuzz
+from validation.fuzz import BOMBS, ask_routes, judge, judge_bombs, read_documents, read_files, send_bomb
+
+
+@pytest.fixture(autouse=True)
+def small(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The suite's small instance of `./dev prove fuzz`."""
+    monkeypatch.setattr(fuzz, "EXAMPLES", 3)
+    monkeypatch.setattr(fuzz, "DOCUMENTS", 1000)
+    monkeypatch.setattr(fuzz, "FILES", 100)
+
+
+def test_no_route_fails_and_all_answer_as_they_say() -> None:
+    row = ask_routes(0)
+    assert row["failures"] == []
+    assert {"200", "403", "404", "422"} <= set(row["statuses"])
+
+
+def test_every_reader_of_changed_documents_reads_or_says_what_is_wrong() -> None:
+    row = read_documents(0)
+    assert row["failures"] == []
+    assert len(row["read"]) == 11
+
+
+def test_every_changed_file_is_read_or_refused() -> None:
+    row = read_files(0)
+    assert row["failures"] == []
+    assert row["outcomes"]["read"] > 0
+    assert row["outcomes"]["bad_input"] > 0
+
+
+@pytest.mark.parametrize("name", ["300,000 empty spectra", "3.6 MB that become 2.3 GB"])
+def test_a_bomb_is_refused_within_bounds(name: str) -> None:
+    row = send_bomb(sorted(BOMBS).index(name))
+    assert (row["failures"], row["bomb"]) == ([], name)
+    assert row["memory_mb"] < fuzz.MEMORY_MB
+
+
+def test_no_failure_in_ten_thousand_cases_shows_that_fewer_than_one_in_two_thousand_fails() -> None:
+    rows = [{"cases": 5000, "failed": 0}] * 2
+    assert judge("x", 5e-4, rows)[0].verdict == "shown"
+    assert judge("x", 1e-4, rows)[0].verdict == "undecided"
+    bombs = [{"failed": 0, "memory_mb": 300}, {"failed": 0, "memory_mb": 5000}]
+    assert [claim.verdict for claim in judge_bombs(bombs)] == ["shown", "refuted"]

@@ -1,0 +1,109 @@
+"""Run a proof, keep what it found in validation/records and write docs/validation.md anew."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+from validation.machinery.claims import REFUTED
+from validation.machinery.page import PAGE, draw_figures, write_page
+from validation.machinery.parts import SHARED, parts_of, proof_names
+from validation.machinery.quotes import read_quotes, renew_pages
+from validation.machinery.records import Record, read_record, read_records
+from validation.machinery.run import Order, RefusedError, run_and_record, take_in
+
+HELP = """\
+Every proof is made of parts; a part draws a data set from each seed of a block. An interrupted run goes on where it was
+when it is started again. To share the work, give each machine a block (--first, --count) and pool the records.
+"""
+
+
+def main(arguments: list[str]) -> int:
+    """Run what is asked; 1 where a claim is refuted, 2 where the run is refused."""
+    parser = argparse.ArgumentParser(prog="./dev prove", description=HELP)
+    parser.add_argument("name", nargs="?", help="the proof; without it they are listed")
+    parser.add_argument("--part", action="append", help="only this part; may be given several times")
+    parser.add_argument("--first", type=int, help="first seed; the first that nobody has seen unless given")
+    parser.add_argument("--count", type=int, help="seeds of each part")
+    parser.add_argument("--workers", type=int, default=2, help="processes beside each other (2)")
+    parser.add_argument(
+        "--scratch", action="store_true", help="record nothing; seeds for debugging unless --first is given"
+    )
+    parser.add_argument("--repetition", action="store_true", help="seeds of an earlier record; decides nothing")
+    parser.add_argument("--pool", nargs="+", type=Path, metavar="FILE", help="take records of other machines in")
+    parser.add_argument("--page", action="store_true", help="write docs/validation.md and the figures of texts anew")
+    chosen = parser.parse_args(arguments)
+    if chosen.name is None and not chosen.pool and not chosen.page:
+        return _list_proofs()
+    verdicts: list[str] = []
+    steps: list[Callable[[], None]] = [lambda: _prove(chosen, verdicts)] * bool(chosen.name)
+    steps += [lambda: _pool(chosen.pool)] * bool(chosen.pool)
+    steps += [_write_pages] * (not chosen.scratch)  # what was recorded before a part was refused stands in the page
+    code = 0
+    for step in steps:
+        try:
+            step()
+        except (RefusedError, ValueError) as error:
+            print(f"./dev prove: {error}", file=sys.stderr)
+            code = 2
+    return code or int(REFUTED in verdicts)
+
+
+def _list_proofs() -> int:
+    for name in proof_names():
+        title = (importlib.import_module(f"validation.{name}").__doc__ or "").partition("\n\n")[0]
+        print(f"{name:14} {', '.join(parts_of(name))}\n    {' '.join(title.split())}")
+    return 0
+
+
+def _prove(chosen: argparse.Namespace, verdicts: list[str]) -> None:
+    """Run the parts and note every verdict."""
+    if chosen.name not in proof_names():
+        raise RefusedError(f"no proof {chosen.name}; there are {', '.join(proof_names())}")
+    parts = parts_of(chosen.name)
+    unknown = set(chosen.part or []) - set(parts)
+    if unknown:
+        raise RefusedError(f"{chosen.name} has no part {', '.join(sorted(unknown))}; it has {', '.join(parts)}")
+    order = Order(chosen.first, chosen.count, chosen.workers, chosen.scratch, chosen.repetition)
+    for name in chosen.part or parts:
+        if parts[name].needs_shared and not SHARED.is_dir() and not chosen.part:
+            print(
+                f"{chosen.name} {name} is left out: it needs the folder ../shared beside the project", file=sys.stderr
+            )
+            continue
+        record, is_written = run_and_record(chosen.name, parts[name], order)
+        print("\n".join([*_told(record), *parts[name].tell(record.rows), ""]), flush=True)
+        if is_written:
+            print(f"recorded in validation/records/{record.file_name}", flush=True)
+        verdicts += [claim.verdict for claim in record.claims]
+
+
+def _told(record: Record) -> list[str]:
+    seeds = f"{sum(block.count for block in record.blocks)} trials, {record.seeds}"
+    lines = [f"{record.name} at {record.commit}: {seeds}, {record.hours:.3g} h of one core"]
+    return lines + [
+        f"  {claim.verdict:9} {claim.claim}: {claim.words_found}, asked {claim.words_asked}" for claim in record.claims
+    ]
+
+
+def _pool(files: list[Path]) -> None:
+    """Take records in: those of the same part and code become one."""
+    for path in files:
+        record = read_record(path)
+        whole = take_in(record, parts_of(record.proof)[record.part], path.resolve())
+        print(f"pooled into validation/records/{whole.file_name}")
+
+
+def _write_pages() -> None:
+    records = read_records()
+    draw_figures(records)
+    PAGE.write_text(write_page(records), encoding="utf-8")
+    for path, text in renew_pages(read_quotes(), records).items():
+        path.write_text(text, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

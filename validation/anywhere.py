@@ -1,0 +1,289 @@
+"""Instruments drawn anywhere: the truth is inside the errors whatever the arms, the channels, the site and the chain.
+
+One to three arms, 8-200 uneven channels between 10 and 400 MHz, any latitude at which a sky sets; a flat or a shaped
+receiver, or a list of stages with a ground, an amplifier at the antenna whose noise is known or free, a filter and an
+amplifier behind the cable. The same P_sky is simulated and fitted with: what is tested is the chain, in the part
+`chains`, and what an investigation says of it, in the part `investigations`, with a step of one antenna's gain, a clock
+that is off, or nothing planted. How well such an effect could be seen at best differs from instrument to instrument by
+a factor of thirty: names are asked for by its ideal SNR (`anywhere_ideal`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from lbacal_core.antenna_gain import GainProvenance
+from lbacal_core.antenna_records import AntennaRecord
+from lbacal_core.calibration.fit import fit_calibration
+from lbacal_core.curves import CONVERGED, CalibrationCurve
+from lbacal_core.discovery.investigate import investigate
+from lbacal_core.instrument import Instrument
+from lbacal_core.skypower.model import compute_sky_power
+from lbacal_core.stages import Stage, gain_behind
+from lbacal_twin.campaign import draw_stations, simulate_campaign
+from lbacal_twin.faults.antenna import GainStep
+from lbacal_twin.faults.fault import Fault, Where
+from lbacal_twin.faults.sky import LstOffset
+from lbacal_twin.settings import TwinSettings
+from lbacal_twin.truth import Truth
+from validation.anywhere_ideal import ideal_snr
+from validation.hidden.detection import fit_detection
+from validation.machinery.claims import MEASUREMENT, Claim, at_least, at_most, claim_exact, claim_mean, claim_rate
+from validation.machinery.parts import Part, Row
+
+SETTINGS = TwinSettings(events_per_year=250)
+ANSWERED, WITHIN_2, FALSE = 0.8, 0.9, 0.01
+"""Asked: curves that have an answer, truths within two standard deviations (95 % of normal ones), and false names."""
+MATCHED_M2 = 4800.0
+"""G_ant of an antenna that receives T behind a sky of T, m^2 MHz^2: 0.053 lambda^2 into 50 ohm."""
+
+
+def draw_instrument(rng: np.random.Generator) -> Instrument:
+    """An instrument with one to three antennas of one station."""
+    low = float(rng.uniform(10.0, 200.0))
+    high = min(float(rng.uniform(1.5, 4.0)) * low, 400.0)
+    nu = np.sort(rng.uniform(low, high, int(rng.integers(8, 201))))
+    flat = np.ones(nu.size)
+    shaped = np.exp(-((nu / high) ** 6) * rng.uniform(0.3, 2.0))
+    plain = Instrument(
+        name="somewhere",
+        # within 18 degrees of a pole no sky sets
+        latitude_deg=float(np.degrees(np.arcsin(rng.uniform(-0.95, 0.95)))),
+        longitude_deg=float(rng.uniform(-180.0, 180.0)),
+        height_m=1000.0,
+        frequency_mhz=nu,
+        dipole_azimuth_deg={letter: float(rng.uniform(10.0, 180.0)) for letter in "ABC"[: rng.integers(1, 4)]},
+        antenna_gain=flat,
+        receiver_gain=shaped if rng.random() < 0.5 else flat,
+        cables={"long": 0.5 * flat},
+        antennas=tuple(AntennaRecord("S1", number, "long") for number in range(int(rng.integers(1, 4)))),
+        antenna="quarter-wave",
+    )
+    return plain if rng.random() < 0.5 else _with_stages(plain, shaped, rng)
+
+
+def _with_stages(plain: Instrument, shaped: np.ndarray, rng: np.random.Generator) -> Instrument:
+    """The instrument with a chain of four to seven stages, and a G_ant in m^2."""
+    flat = np.ones(plain.frequency_mhz.size)
+    temperature = 10.0 ** float(rng.uniform(1.3, 2.3))
+    is_known = rng.random() < 0.5
+    known: dict[str, Any] = {"noise_k": temperature * flat, "error_k": 0.1 * temperature}
+    stages = [Stage("lna", "lna", 300.0 * flat, **(known if is_known else {"is_free": True})), Stage("coax", "cable")]
+    if rng.random() < 0.5:
+        stages.insert(0, Stage("ground", "ground", noise_k=290.0 * flat, solid_angle_sr=float(rng.uniform(0.02, 0.3))))
+    if rng.random() < 0.5:
+        stages.append(Stage("filter", "filter", shaped, is_free=rng.random() < 0.5))
+    if rng.random() < 0.5:
+        stages.append(Stage("amp", "amplifier", 1000.0 * flat, is_free=rng.random() < 0.5))
+    stages.append(Stage("adc", "adc", is_free=True))
+    return replace(
+        plain,
+        stages=tuple(stages),
+        receiver_gain=gain_behind(stages, flat.size),
+        antenna_gain=MATCHED_M2 / plain.frequency_mhz**2,
+        gain_provenance=GainProvenance("absolute", "drawn"),
+    )
+
+
+ANTENNAS, MOST_CHANNELS, STEP, DATE, LATE_H = 4, 40, 0.1, "2014-07-01", 0.5
+"""Antennas, of which one has a step; channels at most; size and date of the step, and by how much a clock is off."""
+PLANTED = ("nothing", "gain_step", "nothing", "lst_offset")
+WHAT = {"gain_step": f"A gain step of {STEP:.0%} in one antenna", "lst_offset": f"A clock {LATE_H:g} h off"}
+NAMING_SNR = 10.0
+"""Ideal SNR from which an effect must be named: that at which the other proofs of discovery ask for it."""
+SNR_BINS = (0.0, 4.0, 5.0, 6.0, 8.0, 10.0, np.inf)
+
+
+def draw_faulty(rng: np.random.Generator, kind: str) -> tuple[Instrument, list[Fault]]:
+    """A drawn instrument of four antennas and at most 40 channels, and what is wrong with one of them or with all."""
+    drawn = draw_instrument(rng)
+    while drawn.frequency_mhz.size > MOST_CHANNELS:
+        drawn = draw_instrument(rng)
+    instrument = replace(drawn, antennas=tuple(AntennaRecord("S1", number, "long") for number in range(ANTENNAS)))
+    faults: dict[str, Fault] = {
+        "gain_step": GainStep(size=STEP, where=Where(antennas=(int(rng.integers(ANTENNAS)),)), date=DATE),
+        "lst_offset": LstOffset(size=LATE_H),
+    }
+    return instrument, [faults[kind]] if kind in faults else []
+
+
+def investigate_drawn(seed: int) -> Row:
+    """A drawn instrument with something planted, or nothing, and what an investigation says of it."""
+    rng = np.random.default_rng([18, seed])
+    kind = PLANTED[seed % len(PLANTED)]
+    instrument, faults = draw_faulty(rng, kind)
+    sky = compute_sky_power(instrument)
+    again = np.random.default_rng([18, seed])
+    draw_faulty(again, kind)
+    ((station,), _) = draw_stations(SETTINGS, instrument, sky, again)
+    spectra = simulate_campaign(SETTINGS, instrument, sky, rng, faults).spectra
+    report, _ = investigate(spectra, instrument, sky)
+    findings = report["findings"]
+    hits = [one for one in findings if kind in (one["cause"], *one["indistinguishable"]) and _is_there(one, faults)]
+    sizes = [one["size"] for one in hits if one["cause"] == kind]
+    curves = fit_calibration(spectra, instrument, sky, "station").curves
+    return {
+        "kind": kind,
+        "arms": len(instrument.dipoles),
+        "channels": instrument.frequency_mhz.size,
+        "chain": _chain_of(instrument),
+        "merged": any(curve.merged is not None for curve in curves),
+        "snr": round(ideal_snr(station, faults, SETTINGS), 2) if faults else 0.0,
+        "verdict": report["verdict"],
+        "said": [f"{one['cause']} {one['size']['value']:.3g}" for one in findings],
+        "named": bool(hits),
+        "others": len(findings) - len(hits) + (report["unexplained"] is not None),
+        "pulls": [round((abs(size["value"]) - faults[0].size) / size["sigma"], 3) for size in sizes[:1]],
+    }
+
+
+def _is_there(finding: Mapping[str, Any], faults: Sequence[Fault]) -> bool:
+    """Whether a finding names the antennas of a fault, where it is one of single antennas."""
+    antennas = [number for fault in faults for number in fault.where.antennas]
+    return not antennas or finding["where"]["antennas"] == antennas
+
+
+def calibrate_drawn(seed: int) -> Row:
+    """A drawn instrument, a year of it, and how far its curves and noise constants are from the truth."""
+    rng = np.random.default_rng([17, seed])
+    instrument = draw_instrument(rng)
+    sky = compute_sky_power(instrument)
+    campaign = simulate_campaign(SETTINGS, instrument, sky, rng)
+    curves = fit_calibration(campaign.spectra, instrument, sky).curves
+    found = [curve for curve in curves if curve.status == CONVERGED]
+    return {
+        "arms": len(instrument.dipoles),
+        "channels": instrument.frequency_mhz.size,
+        "chain": _chain_of(instrument),
+        "curves": len(curves),
+        "statuses": [curve.status for curve in curves],
+        "pulls": [round(_pull_of(curve, campaign.truth), 3) for curve in found],
+        "constants": [round(pull, 3) for curve in found for pull in _pulls_of_constants(curve, campaign.truth)],
+        "merged": sum(curve.merged is not None for curve in found),
+    }
+
+
+def _chain_of(instrument: Instrument) -> str:
+    return "stages" if instrument.stages else "flat" if np.ptp(instrument.receiver_gain) == 0 else "shaped"
+
+
+def _pull_of(curve: CalibrationCurve, truth: Truth) -> float:
+    """The median channel of C less the truth, in standard deviations; channels of a curve move together."""
+    planted = truth.curve(str(curve.dipole), curve.station, curve.antenna)
+    if curve.c is None or curve.c_sigma_stat is None:
+        return np.nan
+    return float(np.nanmedian((curve.c - planted) / curve.c_sigma_stat))
+
+
+def _pulls_of_constants(curve: CalibrationCurve, truth: Truth) -> list[float]:
+    """Noise constants that the data tell apart, less what was planted, in standard deviations."""
+    (station,) = truth.stations
+    names = ("n_lna", "n_rcu", "n_adc")
+    planted = station.constants or {name: getattr(station, name) for name in names}
+    merged = () if curve.merged is None else curve.merged.constants
+    return [
+        float((one.value - planted[name]) / one.sigma) for name, one in curve.parameters.items() if name not in merged
+    ]
+
+
+def judge(rows: Sequence[Row]) -> list[Claim]:
+    """Curves with an answer, and truths inside the errors, for each kind of chain."""
+    statuses = [status for row in rows for status in row["statuses"]]
+    claims = [
+        claim_rate(
+            "answered", f"Curves of {len(rows)} drawn instruments that have an answer",
+            at_least(ANSWERED), statuses.count(CONVERGED), len(statuses),
+        )
+    ]  # fmt: skip
+    for chain in ("flat", "shaped", "stages"):
+        for key, what in (("pulls", "C (median channel)"), ("constants", "noise constants that are told apart")):
+            share = [np.mean(np.abs(row[key]) < 2.0) for row in rows if row["chain"] == chain and row[key]]
+            if len(share) > 1:
+                text = f"{chain}: {what} of a drawn instrument within two standard deviations of the truth"
+                claims.append(claim_mean(f"{chain}_{key}", text, at_least(WITHIN_2), np.array(share), "%"))
+    apart = [row for row in rows if row["chain"] == "flat" and row["merged"] < len(row["pulls"])]
+    flat = sum(row["chain"] == "flat" for row in rows)
+    text = "Flat receivers whose noise constants the fit believes to tell apart"
+    return [*claims, claim_exact("flat_merged", text, at_most(0.0), float(len(apart)), n=flat)]
+
+
+def tell(rows: Sequence[Row]) -> list[str]:
+    """By kind of chain and number of arms."""
+    lines = ["| chain | arms | instruments | curves | answered | largest pull of C |", "|---|---|---|---|---|---|"]
+    for chain in ("flat", "shaped", "stages"):
+        for arms in (1, 2, 3):
+            here = [row for row in rows if (row["chain"], row["arms"]) == (chain, arms)]
+            pulls = [abs(pull) for row in here for pull in row["pulls"]]
+            counts = f"{len(here)} | {sum(row['curves'] for row in here)} | {len(pulls)}"
+            lines.append(f"| {chain} | {arms} | {counts} | {max(pulls, default=0.0):.1f} |")
+    return lines
+
+
+def judge_investigations(rows: Sequence[Row]) -> list[Claim]:
+    """What is planted is named with its size, and nothing else is."""
+    clean = [row for row in rows if row["kind"] == "nothing"]
+    claims = [
+        claim_rate(
+            "false", "Drawn instruments with nothing hidden of which something is said",
+            at_most(FALSE), sum(row["others"] > 0 for row in clean), len(clean),
+        ),
+    ]  # fmt: skip
+    for kind, what in WHAT.items():
+        of_kind = [row for row in rows if row["kind"] == kind]
+        strong = [row for row in of_kind if row["snr"] >= NAMING_SNR]
+        at = f"of ideal SNR {NAMING_SNR:g} or more"
+        named = sum(row["named"] for row in strong)
+        text = f"{what}, {at}: named, or in the set"
+        claims.append(claim_rate(f"{kind}_named", text, at_least(WITHIN_2), named, len(strong)))
+        for is_merged, words in ((False, "noise told apart"), (True, "noise in front merged with that behind")):
+            pulls = [pull for row in of_kind for pull in row["pulls"] if row["merged"] is is_merged]
+            text = f"{what}, {words}: size within two standard deviations"
+            key = f"{kind}_{'merged' if is_merged else 'size'}"
+            if pulls:
+                claims.append(claim_rate(key, text, at_least(WITHIN_2), int(np.sum(np.abs(pulls) < 2.0)), len(pulls)))
+        claims += _measure(kind, of_kind)
+    return claims
+
+
+def _measure(kind: str, of_kind: Sequence[Row]) -> list[Claim]:
+    """What nobody gave a limit: names at any SNR, other names, and the SNR of detection."""
+    what, n = WHAT[kind], len(of_kind)
+    named, others = sum(row["named"] for row in of_kind), sum(row["others"] > 0 for row in of_kind)
+    claims = [
+        claim_rate(f"{kind}_at_any_snr", f"{what}, of any ideal SNR: named, or in the set", MEASUREMENT, named, n),
+        claim_rate(f"{kind}_others", f"{what}: something else is said beside or instead", MEASUREMENT, others, n),
+    ]
+    found = np.array([row["named"] for row in of_kind], dtype=float)
+    if n and 0.0 < found.mean() < 1.0:
+        snr, low, high = fit_detection(np.array([row["snr"] for row in of_kind]), found).snr_at(0.5)
+        text = f"{what}: ideal SNR at which it is named in 50 % of the cases"
+        claims.append(Claim(f"{kind}_snr_50", text, MEASUREMENT, snr, (low, high), n))
+    return claims
+
+
+def tell_investigations(rows: Sequence[Row]) -> list[str]:
+    """By what is planted and kind of chain, and by ideal SNR."""
+    lines = ["| planted | chain | instruments | named | something else said |", "|---|---|---|---|---|"]
+    for kind in dict.fromkeys(PLANTED):
+        for chain in ("flat", "shaped", "stages"):
+            here = [row for row in rows if (row["kind"], row["chain"]) == (kind, chain)]
+            counts = f"{len(here)} | {sum(row['named'] for row in here)} | {sum(row['others'] > 0 for row in here)}"
+            lines.append(f"| {kind} | {chain} | {counts} |")
+    lines += ["", "| planted | ideal SNR | instruments | named | something else said |", "|---|---|---|---|---|"]
+    for kind in WHAT:
+        for low, high in pairwise(SNR_BINS):
+            here = [row for row in rows if row["kind"] == kind and low <= row["snr"] < high]
+            counts = f"{len(here)} | {sum(row['named'] for row in here)} | {sum(row['others'] > 0 for row in here)}"
+            lines.append(f"| {kind} | {low:g} to {high:g} | {counts} |")
+    return lines
+
+
+PARTS = (
+    Part("chains", calibrate_drawn, judge, 60, tell, ("stages_pulls",)),
+    Part("investigations", investigate_drawn, judge_investigations, 200, tell_investigations, ("gain_step_size",)),
+)

@@ -1,0 +1,305 @@
+"""The audit of drawn stations: every kind of fault named, nothing named where nothing is wrong.
+
+A station has 12 to 256 antennas, is seen for a sidereal day, an hour or a minute, and stands in a drawn world: its sky,
+its antenna and the gains of its integrations are not what the audit believes, nor are sky and antenna among the models
+whose differences it takes for its errors. The fault lies in the record (letters,
+cable, arms, latitude), in the clock, in the unit, or in one path; it is made from the recorded values here, and shares
+no code with the audit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lbacal_core.audit.audit import audit
+from lbacal_core.errors import BadInputError
+from lbacal_core.instrument import Instrument, load_instrument
+from lbacal_core.skypower.differences import DifferenceModels
+from lbacal_core.spectra import Spectra
+from lbacal_twin.campaign import simulate_campaign
+from lbacal_twin.nuisances import Nuisances
+from lbacal_twin.settings import TwinSettings
+from lbacal_twin.world import draw_world
+from validation.machinery.claims import Claim, at_least, at_most, claim_rate
+from validation.machinery.parts import Part, Row
+
+SKIES, ANTENNAS = ("gsm408", "lfsm", "haslam", "maeda"), ("hamaker", "inverted-v")
+STATION = "CS002"
+LENGTHS = {"day": (23.93, 96), "hour": (1.0, 60), "minute": (1 / 60, 1)}
+"""Hours, and spectra a path."""
+SIZES, SIZE_CHANCES = (12, 24, 48, 96, 256), (0.3, 0.3, 0.2, 0.1, 0.1)
+GAINS = (0.0, 0.01, 0.03)
+"""Gain of an integration common to the station: a stable receiver to a trace buffer's event."""
+PATH_KINDS = ("dead", "deaf", "oscillating", "clipped", "outlying")
+SKY_KINDS = ("letters of all", "clock", "arms", "latitude", "longitude", "decibels", "volts")
+KINDS = (*PATH_KINDS, "letters of one", "letters of a field", "cable", *SKY_KINDS)
+CHECKS = {
+    "letters of one": ("exchange",), "letters of a field": ("exchange",), "letters of all": ("exchange",),
+    "latitude": ("place",), "longitude": ("place",), "decibels": ("unit",), "volts": ("unit",),
+    "dead": ("dead", "deaf"), "deaf": ("dead", "deaf"), "clipped": ("clipped", "oscillating"),
+}  # fmt: skip
+"""Names that are right for a fault: a clipped path is loud, and only hours show that it is clipped."""
+ARMS_WITHIN_DEG, CLOCK_WITHIN_MIN, CLOCK_SIGMAS = 5.0, 2.0, 3.0
+
+
+@dataclass(frozen=True)
+class Faulty:
+    """Spectra and record with a fault; the antenna, or what the clock or the arms should be found to be off by."""
+
+    spectra: Spectra
+    instrument: Instrument
+    antenna: int | None = None
+    size: float | None = None
+
+
+@dataclass(frozen=True)
+class Station:
+    """Spectra and true record of a drawn station, and the models that the audit may know: none that was drawn."""
+
+    world: str
+    spectra: Spectra
+    instrument: Instrument
+    others: DifferenceModels
+
+
+def draw_station(rng: np.random.Generator, length: str) -> Station:
+    """Spectra of a station in a drawn world, and its record."""
+    instrument = load_instrument("lofar-superterp")
+    hours, count = LENGTHS[length]
+    world = draw_world(rng, SKIES, ANTENNAS)
+    others = DifferenceModels(
+        tuple(sky for sky in DifferenceModels().skies if sky != world.sky),
+        tuple(antenna for antenna in DifferenceModels().antennas if antenna != world.antenna),
+    )
+    gain, size = float(rng.choice(GAINS)), int(rng.choice(SIZES, p=SIZE_CHANCES))
+    instrument = _enlarge(instrument, size)
+    years = hours / 24 / 365.25
+    settings = TwinSettings(
+        start_unix=1.4e9 + rng.uniform(0, 3e7), years=years, events_per_year=round(count / years), stations=(STATION,),
+        antennas=size, event_gain_common=gain, event_gain_path=gain / 3, radiometer=0.005,
+    )  # fmt: skip
+    sky_power, nuisances = world.sky_power(instrument), Nuisances(departures=0.01, missing=0.01 if count > 1 else 0.0)
+    while True:
+        try:
+            spectra = simulate_campaign(settings, instrument, sky_power, rng, nuisances=nuisances).spectra
+        except BadInputError:  # two of the random instants lie in one second, which names an event
+            continue
+        break
+    return Station(world.label, spectra, instrument, others)
+
+
+def _enlarge(instrument: Instrument, antennas: int) -> Instrument:
+    """The record of a station with at least so many antennas; what it lacks has its cables in turn."""
+    records = [record for record in instrument.antennas if record.station == STATION]
+    records += [replace(records[k % len(records)], antenna=k) for k in range(len(records), antennas)]
+    return replace(instrument, antennas=tuple(records))
+
+
+def hide(kind: str, spectra: Spectra, instrument: Instrument, rng: np.random.Generator) -> Faulty:
+    """Make something wrong: with one path, with letters, or with the record, the clock or the unit."""
+    antenna = int(rng.choice(np.unique(spectra.antenna)))
+    if kind in PATH_KINDS:
+        rows = (spectra.antenna == antenna) & (spectra.dipole == str(rng.choice(["X", "Y"])))
+        return Faulty(replace(spectra, power=_break(kind, spectra, rows, rng)), instrument, antenna)
+    if kind.startswith("letters"):
+        of_kind = {"letters of one": spectra.antenna == antenna, "letters of a field": spectra.antenna % 2 == 1}
+        other = np.where(spectra.dipole == "X", "Y", "X")
+        dipole = np.where(of_kind.get(kind, True), other, spectra.dipole)
+        return Faulty(replace(spectra, dipole=dipole), instrument, antenna if kind == "letters of one" else None)
+    if kind == "cable":
+        return Faulty(spectra, _exchange_cable(instrument, antenna, rng), antenna)
+    sign = float(rng.choice([-1, 1]))
+    hours, turned = sign * float(rng.uniform(0.5, 11.0)), sign * float(rng.uniform(15.0, 70.0))
+    arms = {dipole: azimuth + turned for dipole, azimuth in instrument.dipole_azimuth_deg.items()}
+    return {
+        "clock": Faulty(replace(spectra, time_unix=spectra.time_unix + 3600 * hours), instrument, size=-hours),
+        "arms": Faulty(spectra, replace(instrument, dipole_azimuth_deg=arms), size=-turned),
+        "latitude": Faulty(spectra, replace(instrument, latitude_deg=-instrument.latitude_deg)),
+        "longitude": Faulty(spectra, replace(instrument, longitude_deg=-instrument.longitude_deg)),
+        "decibels": Faulty(replace(spectra, power=10 * np.log10(spectra.power) + 200), instrument),
+        "volts": Faulty(replace(spectra, power=spectra.power**0.5), instrument),
+    }[kind]
+
+
+def _exchange_cable(instrument: Instrument, antenna: int, rng: np.random.Generator) -> Instrument:
+    """A record that gives one antenna another cable."""
+    records = []
+    for record in instrument.antennas:
+        others = [name for name in instrument.cables if name != record.cable]
+        is_it = (record.station, record.antenna) == (STATION, antenna)
+        records.append(replace(record, cable=str(rng.choice(others))) if is_it else record)
+    return replace(instrument, antennas=tuple(records))
+
+
+def _break(kind: str, spectra: Spectra, rows: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Powers in which one path does not work."""
+    power = spectra.power.copy()
+    shape = power[rows].shape
+    if kind == "oscillating":
+        peak = rng.uniform(3.0, 30.0) * np.exp(-0.5 * ((spectra.frequency_mhz - rng.uniform(40, 70)) / 1.5) ** 2)
+        power[rows] *= 1.0 + peak
+    elif kind == "outlying":
+        power[rows] *= np.exp(rng.choice([-1, 1]) * rng.uniform(0.5, 0.9))
+    elif kind == "clipped":
+        mean = power[rows].mean(axis=0)
+        power[rows] = rng.uniform(4.0, 20.0) * mean * (power[rows] / mean) ** rng.uniform(0.1, 0.5)
+    else:
+        level = 1e-3 * power[rows].mean() if kind == "dead" else rng.uniform(0.8, 1.5) * power[rows].min()
+        power[rows] = level * rng.normal(1.0, 0.01, shape)
+    return power
+
+
+LETTERS = tuple(kind for kind in KINDS if kind.startswith("letters"))
+PATHS = ("dead", "deaf", "oscillating", "clipped")
+
+
+def tell_audit(length: str, seed: int) -> Row:
+    """Draw a station, hide one fault in every second one, and audit it."""
+    return tell_fault(length, seed, KINDS[seed // 2 % len(KINDS)] if seed % 2 else "nothing")
+
+
+def tell_fault(length: str, seed: int, kind: str) -> Row:
+    """Draw a station, hide a fault or nothing, and audit it."""
+    rng = np.random.default_rng([20261122, seed])
+    station = draw_station(rng, length)
+    spectra, instrument = station.spectra, station.instrument
+    faulty = Faulty(spectra, instrument) if kind == "nothing" else hide(kind, spectra, instrument, rng)
+    report = audit(faulty.spectra, faulty.instrument, others=station.others)
+    wrong = [line for line in report.lines if line.verdict == "wrong"]
+    row: Row = {"kind": kind, "world": station.world, "antennas": int(np.unique(spectra.antenna).size)}
+    row["outcome"] = "right" if kind == "nothing" and not wrong else "false" if kind == "nothing" else "silent"
+    if kind == "nothing" or not wrong:
+        return row | {"said": [line.sentence for line in wrong]}
+    names = CHECKS.get(kind, (kind,))
+    hits = [line for line in wrong if line.check in names and faulty.antenna in (None, *line.antennas)]
+    if hits and faulty.size is not None:
+        turn, unit = (24.0, 60.0) if kind == "clock" else (180.0, 1.0)
+        row["off"] = unit * float(((hits[0].value or 0.0) - faulty.size + turn / 2) % turn - turn / 2)
+        row["sigma"] = unit * float(hits[0].sigma or 0.0)
+    row["outcome"] = "right" if hits and len(wrong) == len(hits) else "wrong"
+    if len(wrong) == 1 and set(names) & set(wrong[0].candidates):
+        row["outcome"] = "among"
+    return row | {"said": [line.sentence for line in wrong]}
+
+
+def tell_day(seed: int) -> Row:
+    """A sidereal day."""
+    return tell_audit("day", seed)
+
+
+def tell_letters(seed: int) -> Row:
+    """A sidereal day with exchanged letters: of an antenna, a field or all."""
+    return tell_fault("day", seed, LETTERS[seed % len(LETTERS)])
+
+
+def tell_arms(seed: int) -> Row:
+    """A sidereal day with turned arms."""
+    return tell_fault("day", seed, "arms")
+
+
+def tell_paths(seed: int) -> Row:
+    """A path that does not work, for a sidereal day, an hour and a minute in turn."""
+    length = tuple(LENGTHS)[seed % len(LENGTHS)]
+    return tell_fault(length, seed, PATHS[seed // len(LENGTHS) % len(PATHS)]) | {"length": length}
+
+
+def tell_hour(seed: int) -> Row:
+    """An hour."""
+    return tell_audit("hour", seed)
+
+
+def tell_minute(seed: int) -> Row:
+    """A minute."""
+    return tell_audit("minute", seed)
+
+
+def _count(rows: Sequence[Row], outcome: str) -> tuple[int, int]:
+    return sum(row["outcome"] == outcome for row in rows), len(rows)
+
+
+def judge_common(rows: Sequence[Row], length: str) -> list[Claim]:
+    """Nothing is named where nothing is wrong; no wrong name where something is."""
+    clean = [row for row in rows if row["kind"] == "nothing"]
+    faulty = [row for row in rows if row["kind"] != "nothing"]
+    path = [row for row in faulty if row["kind"] in PATHS]
+    return [
+        claim_rate(
+            "false", f"Something named in a healthy station seen for a {length}", at_most(0.01), *_count(clean, "false")
+        ),
+        claim_rate("wrong", f"A fault named wrongly, seen for a {length}", at_most(0.01), *_count(faulty, "wrong")),
+        _claim_paths("path", path, length),
+    ]
+
+
+def _claim_paths(key: str, rows: Sequence[Row], length: str) -> Claim:
+    text = f"Dead, deaf, oscillating and clipped paths named, seen for a {length}"
+    return claim_rate(key, text, at_least(0.99), *_count(rows, "right"))
+
+
+def judge_paths(rows: Sequence[Row]) -> list[Claim]:
+    """Each length decides paths that do not work."""
+    return [_claim_paths(length, [row for row in rows if row["length"] == length], length) for length in LENGTHS]
+
+
+def judge_day(rows: Sequence[Row]) -> list[Claim]:
+    """A day decides letters, clock, arms, place and unit."""
+    claims = judge_common(rows, "day")
+    letters = [row for row in rows if row["kind"] in LETTERS]
+    others = [row for row in rows if row["kind"] in ("latitude", "longitude", "decibels", "volts", "cable")]
+    clocks = [row for row in rows if row["kind"] == "clock"]
+    arms = [row for row in rows if row["kind"] == "arms"]
+    close = [row for row in clocks if abs(row.get("off", np.inf)) <= CLOCK_WITHIN_MIN]
+    honest = [row for row in clocks if abs(row.get("off", np.inf)) <= CLOCK_SIGMAS * row.get("sigma", 0.0)]
+    return [
+        *claims,
+        *judge_letters(letters),
+        claim_rate("record", "A cable, the place, the unit, a day: named", at_least(0.99), *_count(others, "right")),
+        *judge_arms(arms),
+        claim_rate("clock", "A clock that is off, a day: found to 2 min", at_least(0.99), len(close), len(clocks)),
+        claim_rate("error", "The same: within three standard deviations", at_least(0.99), len(honest), len(clocks)),
+    ]
+
+
+def judge_letters(rows: Sequence[Row]) -> list[Claim]:
+    """A day decides letters."""
+    return [claim_rate("letters", "Exchanged letters, a day: named", at_least(0.99), *_count(rows, "right"))]
+
+
+def judge_arms(rows: Sequence[Row]) -> list[Claim]:
+    """A day decides arms."""
+    near = [row for row in rows if abs(row.get("off", np.inf)) <= ARMS_WITHIN_DEG]
+    return [claim_rate("arms", "Turned arms, a day: found to 5 deg", at_least(0.99), len(near), len(rows))]
+
+
+def judge_hour(rows: Sequence[Row]) -> list[Claim]:
+    """An hour decides what differs from path to path."""
+    return judge_common(rows, "hour")
+
+
+def judge_minute(rows: Sequence[Row]) -> list[Claim]:
+    """So does a minute."""
+    return judge_common(rows, "minute")
+
+
+def tell_kinds(rows: Sequence[Row]) -> list[str]:
+    """A table of outcomes by kind."""
+    lines = ["| fault | right | among several | wrong | silent |", "|---|---|---|---|---|"]
+    for kind in ("nothing", *KINDS):
+        of_kind = [row["outcome"] for row in rows if row["kind"] == kind]
+        outcomes = (("right",), ("among",), ("wrong", "false"), ("silent",))
+        counts = [sum(of_kind.count(one) for one in names) for names in outcomes]
+        lines.append(f"| {kind} | " + " | ".join(str(count) for count in counts) + " |")
+    return lines
+
+
+PARTS = (
+    Part("day", tell_day, judge_day, 3000, tell_kinds, ("false",)),
+    Part("letters", tell_letters, judge_letters, 500, tell_kinds),
+    Part("arms", tell_arms, judge_arms, 500, tell_kinds),
+    Part("paths", tell_paths, judge_paths, 1350, tell_kinds),
+    Part("hour", tell_hour, judge_hour, 3000, tell_kinds),
+    Part("minute", tell_minute, judge_minute, 3000, tell_kinds),
+)

@@ -1,0 +1,269 @@
+"""Speed of ingestion over HTTP, as ratios measured in one run: .venv/bin/python -m benchmarks.ingest [EVENTS].
+
+One event (576 spectra of 51 channels) a request and one client, as JSON and as a spectra file, against the idempotent
+bulk load of the database by its own driver: into an empty table of the same schema, many events in one transaction,
+from values that are ready (SQLite: executemany with ON CONFLICT DO NOTHING; PostgreSQL: COPY into a staging table, then
+INSERT ... ON CONFLICT DO NOTHING). Measured beside: the same with one event a transaction, which is as many commits as
+the server makes when one event comes in each request; that again from bodies, which a loader in this process reads as
+fast as we know how, sends nowhere and does not check; four clients at once; sending again; and `lbacal ingest`. The
+kinds take turns, so that other work on the machine meets all; rates are medians.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import sqlite3
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from functools import partial
+from itertools import chain, count
+
+import httpx2
+import jiter
+import numpy as np
+import psycopg
+
+from lbacal.bodies import bodies_of_events, files_of_events
+from lbacal.client import Client
+from lbacal_core.grids import Floats
+from lbacal_core.instrument import load_instrument
+from lbacal_core.spectra import Spectra, read_columns
+from service.config import Settings
+from service.handlers.request import HDF5
+from service.storage.database import Database
+from service.storage.migration import upgrade
+from validation.running.postgres import run_postgres
+from validation.running.processes import wait_until
+
+TURNS = 6
+LOADS = 4
+"""Kinds of bulk load."""
+CLIENTS = 4
+APART = "bulk load, one event a transaction"
+Row = tuple[int, int, int, int, bytes]
+
+
+def make_spectra(events: int, first: int, rng: np.random.Generator) -> Spectra:
+    """Events of the whole Superterp, with powers of 17 digits."""
+    instrument = load_instrument("lofar-superterp")
+    paths = [(r.station, r.antenna, d) for r in instrument.antennas for d in "XY"]
+    rows = events * len(paths)
+    return Spectra(
+        frequency_mhz=instrument.frequency_mhz,
+        power=rng.lognormal(-6.0, 1.0, (rows, instrument.frequency_mhz.size)),
+        event_id=np.repeat([f"{first + k}" for k in range(events)], len(paths)),
+        time_unix=np.repeat(1.4e9 + 3600.0 * np.arange(first, first + events), len(paths)),
+        station=np.tile([path[0] for path in paths], events),
+        antenna=np.tile([path[1] for path in paths], events),
+        dipole=np.tile([path[2] for path in paths], events),
+        blocks=np.full(rows, 100),
+        environment={"temperature_c": np.repeat(rng.normal(10.0, 5.0, events), len(paths))},
+    )
+
+
+class BulkSqlite:
+    """What SQLite's own driver stores in a second."""
+
+    def __init__(self, url: str) -> None:
+        self._connection = sqlite3.connect(url, isolation_level=None)
+        for pragma in ("journal_mode=WAL", "synchronous=FULL", "foreign_keys=ON"):
+            self._connection.execute(f"PRAGMA {pragma}")
+
+    def add_keys(self, paths: int, events: int) -> None:
+        """The paths and events that the rows refer to."""
+        self._connection.executemany("INSERT INTO path VALUES (?, ?, 0, 'X')", [(k, str(k)) for k in range(paths)])
+        events_of = [(k, str(k)) for k in range(events)]
+        self._connection.executemany("INSERT INTO event (id, event_id, time_us) VALUES (?, ?, 0)", events_of)
+
+    def close(self) -> None:
+        """Give the connection back."""
+        self._connection.close()
+
+    def load(self, rows: Sequence[Row]) -> None:
+        """Store what is not there, in one transaction."""
+        self._connection.execute("BEGIN IMMEDIATE")
+        insert = "INSERT INTO spectrum (path, event, time_us, blocks, power) VALUES (?, ?, ?, ?, ?)"
+        self._connection.executemany(f"{insert} ON CONFLICT DO NOTHING", rows)
+        self._connection.execute("COMMIT")
+
+
+class BulkPostgres:
+    """What PostgreSQL's own driver stores in a second."""
+
+    def __init__(self, url: str) -> None:
+        self._connection = psycopg.connect(url)
+
+    def add_keys(self, paths: int, events: int) -> None:
+        """The paths and events that the rows refer to."""
+        self._connection.execute(
+            "INSERT INTO path SELECT k, k::text, 0, 'X' FROM generate_series(0, %s) AS k", [paths - 1]
+        )
+        self._connection.execute(
+            "INSERT INTO event (id, event_id, time_us) SELECT k, k::text, 0 FROM generate_series(0, %s) AS k",
+            [events - 1],
+        )
+        self._connection.commit()
+
+    def close(self) -> None:
+        """Give the connection back."""
+        self._connection.close()
+
+    def load(self, rows: Sequence[Row]) -> None:
+        """Store what is not there, in one transaction."""
+        with self._connection.cursor() as cursor:
+            cursor.execute("CREATE TEMP TABLE staging (LIKE spectrum) ON COMMIT DROP")
+            with cursor.copy("COPY staging FROM STDIN (FORMAT BINARY)") as copy:
+                copy.set_types(["int4", "int8", "int8", "int4", "bytea"])
+                for row in rows:
+                    copy.write_row(row)
+            cursor.execute("INSERT INTO spectrum SELECT * FROM staging ORDER BY event, path ON CONFLICT DO NOTHING")
+        self._connection.commit()
+
+
+@contextmanager
+def serve(database_url: str) -> Iterator[tuple[str, str]]:
+    """A server on a database, its address and a key."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    environment = os.environ | {
+        "LBACAL_DATABASE_URL": database_url,
+        "LBACAL_LOG_LEVEL": "warning",
+        "LBACAL_MAX_RATE": "100000",
+    }
+    command = [sys.executable, "-m", "lbacal"]
+    made = subprocess.run(
+        [*command, "keys", "create", "--scope", "spectra:write"],
+        env=environment,
+        check=True,
+        capture_output=True,
+        text=True,
+    )
+    server = subprocess.Popen(
+        [*command, "serve", "--port", str(port), "--api-only"], env=environment, stdout=subprocess.DEVNULL
+    )
+    url = f"http://127.0.0.1:{port}"
+    try:
+        wait_until(lambda: _answers(url), "the server to answer")
+        yield url, made.stdout.splitlines()[-1]
+    finally:
+        server.terminate()
+        server.wait(30)
+
+
+def _answers(url: str) -> bool:
+    try:
+        return httpx2.get(f"{url}/healthz").is_success
+    except httpx2.TransportError:
+        return False
+
+
+def rate(rows: int, work: Callable[[], object]) -> float:
+    started = time.perf_counter()
+    work()
+    return rows / (time.perf_counter() - started)
+
+
+def read_text(body: bytes) -> Floats:
+    """The powers of a JSON body, shape (row, freq)."""
+    return np.array([spectrum["power"] for spectrum in jiter.from_json(body)["spectra"]])
+
+
+def read_file(body: bytes) -> Floats:
+    """The powers of a spectra file, shape (row, freq)."""
+    return np.asarray(read_columns(body, "body", 1 << 26)["power"])
+
+
+def make_rows(powers: Floats, event: int) -> list[Row]:
+    """An event as rows that are ready for the driver."""
+    return [(k, event, 0, 100, power.tobytes()) for k, power in enumerate(powers)]
+
+
+def compare(name: str, database_url: str, bulk: BulkSqlite | BulkPostgres, events: int) -> None:
+    rng = np.random.default_rng(0)
+    rates: dict[str, list[float]] = {}
+    batches, free = count(), count()
+    with (
+        serve(database_url) as (url, key),
+        httpx2.Client(base_url=url, timeout=60.0) as http,
+        Client(url, key) as client,
+        ThreadPoolExecutor(CLIENTS) as pool,
+    ):
+        http.headers["Authorization"] = f"Bearer {key}"
+
+        def send(bodies: Sequence[bytes], media: str) -> None:
+            for body in bodies:
+                http.post("/v1/spectra", content=body, headers={"Content-Type": media}).raise_for_status()
+
+        def send_at_once(bodies: Sequence[bytes], media: str) -> None:
+            list(pool.map(lambda k: send(bodies[k::CLIENTS], media), range(CLIENTS)))
+
+        def load(bodies: Sequence[bytes], read: Callable[[bytes], Floats]) -> None:
+            for body in bodies:
+                bulk.load(make_rows(read(body), next(free)))
+
+        def make() -> Spectra:
+            return make_spectra(events, next(batches) * events, rng)
+
+        rows = len(make())
+        bulk.add_keys(rows // events, LOADS * TURNS * events)
+        for _ in range(TURNS):
+            ready = [make_rows(power, next(free)) for power in np.split(make().power, events)]
+            apart = [make_rows(power, next(free)) for power in np.split(make().power, events)]
+            texts, more_texts = ([json.dumps(body).encode() for body in bodies_of_events(make())] for _ in range(2))
+            files, more_files = ([file for _, file in files_of_events(make())] for _ in range(2))
+            works: dict[str, Callable[[], object]] = {
+                "bulk load": partial(bulk.load, list(chain.from_iterable(ready))),
+                APART: partial(lambda each: [bulk.load(some) for some in each], apart),
+                f"{APART}, from JSON": partial(load, texts, read_text),
+                f"{APART}, from files": partial(load, files, read_file),
+                "JSON": partial(send, texts, "application/json"),
+                "JSON again": partial(send, texts, "application/json"),
+                f"JSON, {CLIENTS} clients": partial(send_at_once, more_texts, "application/json"),
+                "HDF5": partial(send, files, HDF5),
+                "HDF5 again": partial(send, files, HDF5),
+                f"HDF5, {CLIENTS} clients": partial(send_at_once, more_files, HDF5),
+                "lbacal ingest": partial(client.ingest, by_client := make()),
+                "lbacal ingest again": partial(client.ingest, by_client),
+            }
+            for what, work in works.items():
+                rates.setdefault(what, []).append(rate(rows, work))
+    median = {what: float(np.median(found[1:])) for what, found in rates.items()}  # the first turn warms up
+    print(f"{name}: {TURNS - 1} turns of {events} events x {rows // events} spectra")
+    for what, found in median.items():
+        of_bulk = f"{found / median['bulk load']:.2f} of the bulk load, {found / median[APART]:.2f} of that by event"
+        again = f", {median[what.removesuffix(' again')] / found:.2f} of the time of sending" if "again" in what else ""
+        print(f"  {what}: {found:,.0f} spectra/s, {of_bulk}{again}")
+
+
+def main(events: int = 10) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        ours, bare = f"{folder}/ours.sqlite", f"{folder}/bare.sqlite"
+        prepare(ours, bare)
+        compare("SQLite", ours, BulkSqlite(bare), events)
+    with run_postgres() as server, psycopg.connect(server, autocommit=True) as connection:
+        urls = []
+        for name in ("ours", "bare"):
+            connection.execute(f"CREATE DATABASE {name}")
+            urls.append(server.replace("/postgres?", f"/{name}?", 1))
+        prepare(*urls)
+        compare("PostgreSQL", urls[0], BulkPostgres(urls[1]), events)
+
+
+def prepare(*urls: str) -> None:
+    """Make the schema in empty databases."""
+    for url in urls:
+        database = Database(Settings(database_url=url).sqlalchemy_url)
+        upgrade(database)
+        database.close()
+
+
+if __name__ == "__main__":
+    main(*map(int, sys.argv[1:]))

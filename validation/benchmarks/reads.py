@@ -1,0 +1,189 @@
+"""Speed of reading, as ratios measured in one run: .venv/bin/python -m benchmarks.reads [EVENTS [NIGHTS]].
+
+A large store (6000 events of 576 spectra; 174 nights that made 100,224 promotions besides the first 576) is compared
+with a small one (100 events, the first 576 promotions): the same requests to both in turn, through the whole
+application but no socket. The answer about one path is compared with a route that returns the same object, as JSON and
+through the same middleware, and all 576 paths with 576 requests. A year of a path, read into arrays, is compared with
+the bare driver that fetches the rows of the same statement. Times are medians.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import sys
+import tempfile
+import time
+from collections.abc import Awaitable, Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+import psycopg
+from fastapi import Depends, FastAPI, Request, Response
+from sqlalchemy import event
+
+from lbacal_core.validity import Scope
+from service.app import make_app
+from service.factory import Factory
+from service.handlers.request import answer, require_read
+from service.logs import configure_logs
+from service.storage.spectra import Window
+from service.wire.instants import parse_instant
+from validation.benchmarks.ingest import make_spectra
+from validation.benchmarks.ledger import INSTRUMENT, PATHS, fill, opened
+from validation.running.postgres import run_postgres
+
+TURNS, YEAR_TURNS = 41, 11
+SMALL = 100
+EVENTS_AT_ONCE = 20
+EVENT_SPACING_S = 365.25 * 86_400 / 900
+ONE = "/v1/calibrations/effective?at=2020-06-01&station=CS002&antenna=17&dipole=X"
+ALL = "/v1/calibrations/effective?at=2020-06-01"
+REQUESTS = {
+    "effective, one path": ONE,
+    "effective, one path as of an instant": f"{ONE}&as_of=2020-01-02",
+    "effective, all paths": ALL,
+    "a version": "/v1/calibrations/{version}",
+    "versions": "/v1/calibrations?limit=100",
+    "events": "/v1/events?limit=100",
+}
+PATH_YEAR = Window(parse_instant("", "2014-05-13"), parse_instant("", "2015-05-13"), Scope("CS002", 17, "X"))
+
+
+def fill_spectra(factory: Factory, events: int) -> None:
+    """Store events of the whole array, 900 a year from May 2014 on."""
+    rng = np.random.default_rng(0)
+    for first in range(0, events, EVENTS_AT_ONCE):
+        spectra = make_spectra(min(EVENTS_AT_ONCE, events - first), first, rng)
+        times = 1.4e9 + EVENT_SPACING_S * spectra.event_id.astype(float)
+        with factory.database.write() as stores:
+            stores.spectra.add(replace(spectra, time_unix=times))
+    with factory.database.engine.begin() as connection:
+        connection.exec_driver_sql("ANALYZE")
+
+
+async def get(app: FastAPI, address: str) -> bytes:
+    """The body of the answer to a request, passed to the application without a socket."""
+    path, _, query = address.partition("?")
+    parts: list[bytes] = []
+    status = 0
+
+    async def receive() -> dict[str, Any]:
+        return {"type": "http.request", "body": b"", "more_body": False}
+
+    async def send(message: Mapping[str, Any]) -> None:
+        nonlocal status
+        status = message.get("status", status)
+        parts.append(message.get("body", b""))
+
+    scope = {
+        "type": "http", "http_version": "1.1", "method": "GET", "path": path, "raw_path": path.encode(), "headers": [],
+        "query_string": query.encode(), "scheme": "http", "server": ("benchmark", 80), "client": None, "state": {},
+        "asgi": {"version": "3.0"}, "root_path": "",
+    }  # fmt: skip
+    await app(scope, receive, send)
+    if status != 200:
+        raise RuntimeError(f"{address}: {status}")
+    return b"".join(parts)
+
+
+def add_same(app: FastAPI, content: Any) -> None:
+    """Add a route that returns an object as JSON: what any answer of this size costs."""
+
+    @app.get("/same", dependencies=[Depends(require_read)])
+    def same(request: Request) -> Response:
+        return answer(request, content)
+
+
+async def in_turn(works: Mapping[str, Callable[[], Awaitable[object]]], turns: int) -> dict[str, float]:
+    """Median time of each work, s; they take turns."""
+    times: dict[str, list[float]] = {name: [] for name in works}
+    for _ in range(turns):
+        for name, work in works.items():
+            started = time.perf_counter()
+            await work()
+            times[name].append(time.perf_counter() - started)
+    return {name: float(np.median(found[1:])) for name, found in times.items()}
+
+
+async def compare_requests(small: Factory, large: Factory, version: str) -> None:
+    """Print what requests cost in a large store beside a small one, and what an answer costs beside its object."""
+    apps = {"small": make_app(small), "large": make_app(large)}
+    add_same(apps["large"], json.loads(await get(apps["large"], ONE)))
+    for what, request in REQUESTS.items():
+        address = request.format(version=version)
+        took = await in_turn({size: partial(get, app, address) for size, app in apps.items()}, TURNS)
+        print(
+            f"  {what}: {1e3 * took['small']:.1f} ms, {1e3 * took['large']:.1f} ms: {took['large'] / took['small']:.2f}"
+        )
+    took = await in_turn({address: partial(get, apps["large"], address) for address in (ONE, "/same")}, TURNS)
+    # by itself: what comes after two megabytes pays for their memory
+    took |= await in_turn({ALL: partial(get, apps["large"], ALL)}, TURNS)
+    one, same, every = (1e3 * took[address] for address in (ONE, "/same", ALL))
+    print(f"  one path {one:.2f} ms, the same object {same:.2f} ms: {same / one:.2f} of its speed")
+    print(f"  all {len(PATHS)} paths {every:.0f} ms: 1/{len(PATHS) * one / every:.0f} of so many requests")
+
+
+def compare_a_year(factory: Factory) -> None:
+    """Print what a path's year costs, as a fit reads it, beside the bare driver with the same statement."""
+    statements: list[tuple[str, Any]] = []
+
+    @event.listens_for(factory.database.engine.__class__, "before_cursor_execute")
+    def _note(_connection: Any, _cursor: Any, statement: str, parameters: Any, *_: Any) -> None:
+        statements.append((statement, parameters))
+
+    def load() -> int:
+        with factory.database.read() as stores:
+            spectra = stores.spectra.load(PATH_YEAR, INSTRUMENT.frequency_mhz, 50.0)
+            return 0 if spectra is None else len(spectra)
+
+    rows = load()
+    event.remove(factory.database.engine.__class__, "before_cursor_execute", _note)
+    statement, parameters = max(statements, key=lambda one: "power" in one[0])
+
+    def fetch() -> int:
+        with factory.database.connect() as connection:
+            cursor = connection.connection.cursor()
+            cursor.execute(statement, parameters)
+            return len(cursor.fetchall())
+
+    if fetch() != rows:
+        raise RuntimeError("the driver should fetch the same rows")
+    times = np.array([[_time(load), _time(fetch)] for _ in range(YEAR_TURNS)])[1:]
+    ours, bare = 1e3 * np.median(times, axis=0)
+    print(f"  a path's year, {rows} spectra: {ours:.1f} ms, the bare driver {bare:.1f} ms: {ours / bare:.2f}")
+
+
+def _time(work: Callable[[], object]) -> float:
+    started = time.perf_counter()
+    work()
+    return time.perf_counter() - started
+
+
+def compare(name: str, urls: Sequence[str], events: int, nights: int) -> None:
+    """Fill both stores and compare them."""
+    with opened(urls[0]) as small, opened(urls[1]) as large:
+        ids = fill(small, 0)
+        fill(large, nights)
+        fill_spectra(small, min(SMALL, events))
+        fill_spectra(large, events)
+        print(f"{name}: {576 * min(SMALL, events):,} and {576 * events:,} spectra, medians of {TURNS - 1} turns")
+        asyncio.run(compare_requests(small, large, ids[PATHS[0]][0]))
+        compare_a_year(large)
+
+
+def main(events: int = 6000, nights: int = 174) -> None:
+    configure_logs("warning")
+    with tempfile.TemporaryDirectory() as folder:
+        compare("SQLite", [f"{folder}/{size}.sqlite" for size in ("small", "large")], events, nights)
+    with run_postgres() as server, psycopg.connect(server, autocommit=True) as connection:
+        for size in ("small", "large"):
+            connection.execute(f"CREATE DATABASE reads_{size}")
+        urls = [server.replace("/postgres?", f"/reads_{size}?", 1) for size in ("small", "large")]
+        compare("PostgreSQL", urls, events, nights)
+
+
+if __name__ == "__main__":
+    main(*map(int, sys.argv[1:]))

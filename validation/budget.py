@@ -1,0 +1,150 @@
+"""The total error of C covers the truth when every term of its budget is drawn, whatever scope answers.
+
+A campaign is a year of an array with cables of 50, 80 and 115 m, two antennas of each in a station. Its sky, pattern,
+ground, antenna gain and interference depart from what the fit takes them to be, each by a draw of its term of the
+budget; one campaign in 20 is received by another antenna, as the budget takes it to be; the twin draws the electronics.
+The fit knows nothing of the draws. One station gives no spectra; each path is told C as in `own_cable`, with its total
+error. What is drawn is common to a campaign, so a campaign is one draw. In the part ``measured`` the instrument names
+the sky `measured`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cache, partial
+
+import numpy as np
+from scipy.special import expit
+
+from lbacal_core.antenna_records import AntennaRecord
+from lbacal_core.calibration.chain_test import SkyFreedom
+from lbacal_core.calibration.fit import fit_calibration
+from lbacal_core.calibration.freedom import free_own_sky
+from lbacal_core.calibration.other_antennas import OtherAntenna
+from lbacal_core.curves import MISFIT
+from lbacal_core.instrument import Instrument, load_instrument
+from lbacal_core.skypower.model import compute_sky_power
+from lbacal_core.skypower.sky_terms import SkyTerm
+from lbacal_core.skypower.table import SkyPower, read_at
+from lbacal_core.spectra import Spectra
+from lbacal_core.uncertainty.changes import list_changes
+from lbacal_core.uncertainty.refit import INTERFERENCE, RARE_MISTAKE, add_budget, compute_budget
+from lbacal_twin.campaign import Campaign, simulate_campaign
+from lbacal_twin.settings import TwinSettings
+from validation.machinery.claims import Claim, between, claim_mean
+from validation.machinery.parts import Part, Row
+from validation.own_cable import FITTED, NUISANCES, SCOPES, WITHIN_1, WITHIN_2, compare_scopes
+
+SETTINGS = TwinSettings(stations=("CS002", "CS003", "CS004", "CS005"), events_per_year=300)
+OF_EACH_CABLE = 2
+"""Antennas of a station with each cable."""
+SKY_OF = {"measured": "measured"}
+"""The sky that an instrument names beside a budget; the default one where none is here."""
+
+
+@dataclass(frozen=True)
+class Believed:
+    """What the fit is made with, and how far it may be wrong."""
+
+    instrument: Instrument
+    sky_power: SkyPower
+    changes: tuple[SkyTerm, ...]
+    freedom: SkyFreedom
+
+
+@cache
+def believe(sky_budget: str) -> Believed:
+    """A part of the Superterp under the embedded sky, with the terms of a budget by name."""
+    superterp = load_instrument("lofar-superterp")
+    classes: dict[tuple[str, str], list[AntennaRecord]] = {}
+    for record in superterp.antennas:
+        classes.setdefault((record.station, record.cable), []).append(record)
+    few = [record for members in classes.values() for record in members[:OF_EACH_CABLE]]
+    instrument = replace(superterp, antennas=tuple(few), sky=SKY_OF.get(sky_budget, superterp.sky))
+    changes = tuple(list_changes(instrument, sky_budget))
+    return Believed(instrument, compute_sky_power(instrument), changes, free_own_sky(instrument))
+
+
+def draw_campaign(believed: Believed, settings: TwinSettings, rng: np.random.Generator) -> Campaign:
+    """A campaign that departs from what is believed by a draw of each term."""
+    of_sky, of_gain, of_lines = (rng.standard_normal(len(believed.changes)), *rng.standard_normal(2))
+    sky_power, instrument = believed.sky_power, believed.instrument
+    change = dict.fromkeys(sky_power.power, np.zeros(1))
+    if (other := draw_antenna(believed.freedom, rng)) is not None:
+        change = {dipole: read_at(one, sky_power.lst_hours) for dipole, one in other.change.items()}
+    moved = {
+        dipole: values
+        * np.exp(change[dipole] + sum(a * one.d_ln_p[dipole] for a, one in zip(of_sky, believed.changes, strict=True)))
+        for dipole, values in sky_power.power.items()
+    }
+    gain = instrument.gain_provenance
+    shape = 0.0 if gain is None or gain.shape_error is None else gain.shape_error
+    true = replace(instrument, antenna_gain=instrument.antenna_gain * np.exp(of_gain * shape))
+    campaign = simulate_campaign(settings, true, replace(sky_power, power=moved), rng, nuisances=NUISANCES)
+    return replace(campaign, spectra=_with_power(campaign.spectra, of_lines * INTERFERENCE))
+
+
+def draw_antenna(freedom: SkyFreedom, rng: np.random.Generator) -> OtherAntenna | None:
+    """Another antenna than the believed one, as often as the budget expects before it asks the data; else None."""
+    is_other, which = rng.random() < expit(-RARE_MISTAKE), rng.random()
+    at = int(np.searchsorted(np.cumsum([one.share for one in freedom.antennas]), which))
+    return freedom.antennas[min(at, len(freedom.antennas) - 1)] if is_other else None
+
+
+def _with_power(spectra: Spectra, fraction: float) -> Spectra:
+    """Spectra with a fraction of the mean power of their path at all times."""
+    power = spectra.power.copy()
+    names = np.char.add(np.char.add(spectra.station, spectra.dipole), spectra.antenna.astype(str))
+    for name in np.unique(names):
+        power[names == name] += fraction * power[names == name].mean(axis=0)
+    return replace(spectra, power=power)
+
+
+def tell_campaign(sky_budget: str, settings: TwinSettings, seed: int) -> Row:
+    """Draw every term, fit without one station, and compare what every path is told with the truth."""
+    believed = believe(sky_budget)
+    campaign = draw_campaign(believed, settings, np.random.default_rng([13_05, seed]))
+    silent = settings.stations[seed % len(settings.stations)]
+    spectra = campaign.spectra.select(campaign.spectra.station != silent)
+    inputs = believed.instrument, believed.sky_power
+    budget = compute_budget(spectra, *inputs, sky_budget, believed.changes, believed.freedom)
+    fitted = {name: fit_calibration(spectra, *inputs, name, believed.freedom) for name in FITTED}
+    reports = {name: add_budget(report, budget) for name, report in fitted.items()}
+    curves = [curve for report in reports.values() for curve in report.curves]
+    return {
+        **compare_scopes(reports, campaign, silent),
+        "curves": len(curves),
+        "misfits": sum(curve.status == MISFIT for curve in curves),
+        "total": round(float(np.median(np.concatenate([np.sqrt(budget.variance(p)) for p in "XY"]))), 5),
+    }
+
+
+def judge(rows: Sequence[Row]) -> list[Claim]:
+    """Whether the truth lies within the total error as often as it should, for every kind of answer."""
+    claims = []
+    for scope, words in SCOPES.items():
+        for k, asked in ((1, WITHIN_1), (2, WITHIN_2)):
+            within = np.array([row[scope]["all"][f"within_{k}"] for row in rows])
+            text = f"Part of the paths and channels told {words}, the truth lies within {k} sigma of the total error"
+            claims.append(claim_mean(f"{scope}_{k}", text, between(*asked), within, "%"))
+    return claims
+
+
+def tell(rows: Sequence[Row]) -> list[str]:
+    """By kind of answer; and how often so large a departure is a misfit."""
+    lines = ["| told | within 1 sigma | within 2 sigma | median error | error told |", "|---|---|---|---|---|"]
+    for scope in SCOPES:
+        mean = {name: float(np.mean([row[scope]["all"][name] for row in rows])) for name in rows[0][scope]["all"]}
+        lines.append(
+            f"| {scope} | {mean['within_1']:.3f} | {mean['within_2']:.3f} | {mean['error']:.2%} | {mean['told']:.2%} |"
+        )
+    curves, misfits = (sum(row[name] for row in rows) for name in ("curves", "misfits"))
+    campaigns = sum(row["misfits"] > 0 for row in rows)
+    return [*lines, "", f"- misfits: {misfits} of {curves} curves, in {campaigns} of {len(rows)} campaigns"]
+
+
+PARTS = tuple(
+    Part(name, partial(tell_campaign, name, SETTINGS), judge, count, tell, ("own_2",))
+    for name, count in (("models", 400), ("measured", 400))
+)

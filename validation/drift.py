@@ -1,0 +1,308 @@
+"""What follows an array over years finds what breaks, when it did, and nothing else.
+
+A campaign is 576 paths over seven years, of which all share 5 % from year to year and a season of 3 %. `nothing` looks
+at growing data, from the second month to the end, as nights do: whatever any look finds is a false alarm. `steps`
+plants steps of 3 % and 1 %, and a ladder of smaller ones that measures the size found in 90 %, at any date but the
+first and last ten events of the path. `slopes` gives paths 1 % a year against their stations, and looks after three
+years. `stations` plants one step that a station's paths share, and one of four paths. `whole` gives everything a trend
+and compares it with the one told.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from lbacal_core.drift.changes import list_changes
+from lbacal_core.drift.follow import Followed, History, follow
+from validation.drift_world import DAY, START, YEAR, World, cut_short, draw_history
+from validation.hidden.detection import fit_detection
+from validation.machinery.claims import MEASUREMENT, Claim, at_least, at_most, between, claim_mean, claim_rate
+from validation.machinery.parts import Part, Row
+
+WORLD = World()
+LOOKS_YEARS = (2 / 12, 0.25, 0.5, 0.75, 1, 1.5, 2, 3, 4, 5, 6, 7)
+LADDER = (0.03, 0.01, 0.008, 0.006, 0.004, 0.003, 0.002)
+NEAR_90 = (0.01, 0.008, 0.006, 0.004)
+"""Sizes about the one that is found in 90 %, to which the curve of detection is fitted."""
+UNIT = 0.001
+PATHS_A_SIZE = 12
+SAME_STEP = 45 * DAY
+"""A step found farther from a planted one than this is another one."""
+SMALL_WORLD = replace(WORLD, stations=3, antennas=4, events_per_year=300)
+TREND = 0.02
+EDGE_EVENTS = 12
+
+
+def look(world: World, seed: int, looks: Sequence[float]) -> Row:
+    """Follow a campaign in which nothing breaks, again and again while it grows."""
+    history = draw_history(world, np.random.default_rng([15, 1, seed]))
+    alarmed: set[int] = set()
+    alarms, stations = 0, 0
+    for years in looks:
+        found = follow(cut_short(history, years))
+        has_step = np.any(np.isfinite(found.paths.terms.dates), axis=1)
+        now = set(np.flatnonzero(has_step | (found.paths.slope_significance > found.paths.threshold)).tolist())
+        alarms += len(now - alarmed)
+        alarmed |= now
+        if found.stations is not None:
+            stations += int(np.isfinite(found.stations.terms.dates).sum())
+            stations += int(np.sum(found.stations.slope_significance > found.stations.threshold))
+    months = 12 * looks[-1]
+    return {
+        "series": len(history.antenna),
+        "alarmed": len(alarmed) / len(history.antenna),
+        "alarms_a_month": (alarms + stations) / months,
+        "of_stations": stations,
+    }
+
+
+def judge_looks(rows: Sequence[Row]) -> list[Claim]:
+    """At most a twentieth of the series and one alarm a month."""
+    text = "{} of 576 paths over seven years in which nothing breaks"
+    alarmed = np.array([row["alarmed"] for row in rows])
+    a_month = np.array([row["alarms_a_month"] for row in rows])
+    return [
+        claim_mean("series", "Series with any alarm, " + text.format("all looks"), at_most(0.05), alarmed, "%"),
+        claim_mean("month", "Alarms a month, " + text.format("all looks"), at_most(1.0), a_month, ""),
+    ]
+
+
+def plant_steps(world: World, seed: int, paths_a_size: int = PATHS_A_SIZE) -> Row:
+    """Plant steps of several sizes in paths of their own, follow, and compare."""
+    rng = np.random.default_rng([15, 2, seed])
+    history = draw_history(world, rng)
+    chosen = rng.choice(len(history.antenna), paths_a_size * len(LADDER), replace=False)
+    sizes = np.repeat(LADDER, paths_a_size) * rng.choice([-1.0, 1.0], chosen.size)
+    dates = np.empty(chosen.size)
+    for k, path in enumerate(chosen):
+        own = history.time_unix[np.isfinite(history.ln_c[path, :, 0])]
+        dates[k] = rng.uniform(own[EDGE_EVENTS], own[-EDGE_EVENTS])
+        history.ln_c[path, history.time_unix >= dates[k], 0] += sizes[k]
+    found = follow(history).paths
+    steps = []
+    for path, size, date in zip(chosen, sizes, dates, strict=True):
+        off = np.abs(found.terms.dates[path] - date)
+        j = int(np.argmin(off))
+        if off[j] > SAME_STEP:
+            steps.append({"size": float(size), "found": False})
+            continue
+        steps.append(
+            {
+                "size": float(size),
+                "found": True,
+                "off_days": float(off[j] / DAY),
+                "sigma_days": float(found.step_sigma_s[path, j] / DAY),
+                "within": bool(found.step_earliest[path, j] <= date <= found.step_latest[path, j]),
+                "pull": float((found.step_size[path, j, 0] - size) / found.step_size_sigma[path, j, 0]),
+            }
+        )
+    others = np.setdiff1d(np.arange(len(history.antenna)), chosen)
+    return {"steps": steps, "others": float(np.mean(np.any(np.isfinite(found.terms.dates[others]), axis=1)))}
+
+
+def _steps_of(rows: Sequence[Row], size: float | None = None) -> list[Row]:
+    return [s for row in rows for s in row["steps"] if size is None or abs(abs(s["size"]) - size) < 1e-9]
+
+
+def judge_steps(rows: Sequence[Row]) -> list[Claim]:
+    """Found, dated within the stated errors, sized within theirs, and none in other paths."""
+    large = _steps_of(rows, LADDER[0])
+    seen = [s for s in _steps_of(rows) if s["found"]]
+    dated = [s for s in large if s["found"]]
+    claims = [
+        claim_rate("found", "Steps of 3 % found, at any date of seven years", at_least(0.95),
+                   sum(s["found"] for s in large), len(large)),
+        claim_rate("date_95", "Of these, the date lies in the interval stated to hold 95 %", at_least(0.9),
+                   sum(s["within"] for s in dated), len(dated)),
+        claim_rate("date_1", "Of these, the date is off by less than its stated standard deviation", at_least(0.6),
+                   sum(s["off_days"] < s["sigma_days"] for s in dated), len(dated)),
+        claim_rate("size_2", "Sizes of all steps found that are off by less than two stated errors", between(0.9, 0.99),
+                   sum(abs(s["pull"]) < 2.0 for s in seen), len(seen)),
+        claim_mean("others", "Paths without a step that got one", at_most(0.01),
+                   np.array([row["others"] for row in rows]), "%"),
+    ]  # fmt: skip
+    small = _steps_of(rows, LADDER[1])
+    text = "Steps of 1 % found, at any date of seven years"
+    claims.append(claim_rate("found_0.01", text, at_least(0.9), sum(s["found"] for s in small), len(small)))
+    return [*claims, *measure_detection(rows)]
+
+
+def measure_detection(rows: Sequence[Row]) -> list[Claim]:
+    """Measure the sizes found in 50 % and 90 %: P(found) is a normal integral over the logarithm of the size."""
+    near = [s for size in NEAR_90 for s in _steps_of(rows, size)]
+    found = np.array([s["found"] for s in near], dtype=float)
+    if not 0.0 < found.mean() < 1.0:
+        return []
+    curve = fit_detection(np.log(np.abs([s["size"] for s in near]) / UNIT), found)
+    claims = []
+    for part in (0.5, 0.9):
+        size, low, high = UNIT * np.exp(curve.snr_at(part))
+        text = f"Size of the step of a path that is found in {100 * part:g} %, at any date of seven years"
+        key = f"size_{100 * part:g}"
+        claims.append(Claim(key, text, MEASUREMENT, float(size), (float(low), float(high)), len(near), "%"))
+    return claims
+
+
+def tell_steps(rows: Sequence[Row]) -> list[str]:
+    """By size."""
+    lines = ["| step | planted | found | error of the date, median | stated |", "|---|---|---|---|---|"]
+    for size in LADDER:
+        of_size = _steps_of(rows, size)
+        seen = [s for s in of_size if s["found"]]
+        off, sigma = (np.median([s[name] for s in seen]) if seen else np.nan for name in ("off_days", "sigma_days"))
+        part = len(seen) / max(len(of_size), 1)
+        lines.append(f"| {size:.1%} | {len(of_size)} | {part:.1%} | {off:.1f} d | {sigma:.1f} d |")
+    return lines
+
+
+def plant_slopes(world: World, seed: int, paths: int = 60) -> Row:
+    """Give paths 1 % a year against their stations, and look after the campaign."""
+    rng = np.random.default_rng([15, 3, seed])
+    history = draw_history(world, rng)
+    chosen = rng.choice(len(history.antenna), paths, replace=False)
+    slopes = 0.01 * rng.choice([-1.0, 1.0], paths)
+    years = (history.time_unix - START) / YEAR
+    history.ln_c[chosen, :, 0] += (slopes[:, None] * years).astype(np.float32)
+    found = follow(history).paths
+    has_step = np.any(np.isfinite(found.terms.dates[chosen]), axis=1)
+    is_found = (found.slope_significance[chosen] > found.threshold) | has_step
+    others = np.setdiff1d(np.arange(len(history.antenna)), chosen)
+    pull = (found.slope[chosen, 0] - slopes) / found.slope_sigma[chosen, 0]
+    pull_of_others = found.slope[others, 0] / found.slope_sigma[others, 0]
+    return {
+        "found": float(np.mean(is_found)),
+        "with_step": float(np.mean(has_step)),
+        "within_2": float(np.mean(np.abs(pull) < 2.0)),
+        "others_within_2": float(np.mean(np.abs(pull_of_others) < 2.0)),
+        "sigma": float(np.median(found.slope_sigma[others, 0])),
+    }
+
+
+def judge_slopes(rows: Sequence[Row]) -> list[Claim]:
+    """Found, and the errors of slopes are right."""
+
+    def of(name: str) -> np.ndarray:
+        return np.array([row[name] for row in rows])
+
+    return [
+        claim_mean("found", "Paths with 1 % a year against their station found within three years", at_least(0.95),
+                   of("found"), "%"),
+        claim_mean("within_2", "Of their slopes, off by less than two stated errors", between(0.88, 0.99),
+                   of("within_2"), "%"),
+        claim_mean("others_within_2", "Slopes of paths without one, within two stated errors of 0", between(0.88, 0.99),
+                   of("others_within_2"), "%"),
+    ]  # fmt: skip
+
+
+def plant_in_stations(world: World, seed: int) -> Row:
+    """Let all paths of one station step by 1 %, and four paths of another by 3 %."""
+    rng = np.random.default_rng([15, 4, seed])
+    history = draw_history(world, rng)
+    one, other = rng.choice(world.names, 2, replace=False)
+    dates = rng.uniform(0.1, 0.9, 2) * world.years * YEAR + START
+    members = rng.choice(np.flatnonzero(history.station == other), 4, replace=False)
+    _step(history, np.flatnonzero(history.station == one), dates[0], 0.01)
+    _step(history, members, dates[1], 0.03)
+    found = follow(history)
+    changes = [change for change in list_changes(history, found) if not change.is_known]
+    of_one = [change for change in changes if change.station == one]
+    of_other = [change for change in changes if change.station == other]
+    named = {(int(history.antenna[k]), str(history.dipole[k])) for k in members}
+    return {
+        "station_once": len(of_one) == 1 and {m.dipole for m in of_one[0].members if m.antenna is None} == {"X", "Y"},
+        "board_once": len(of_other) == 1 and {(m.antenna, m.dipole) for m in of_other[0].members} == named,
+        "elsewhere": len(changes) - len(of_one) - len(of_other),
+    }
+
+
+def _step(history: History, paths: np.ndarray, date: float, size: float) -> None:
+    after = history.time_unix >= date
+    history.ln_c[paths[:, None], np.flatnonzero(after), 0] += size
+
+
+def judge_stations(rows: Sequence[Row]) -> list[Claim]:
+    """Each once."""
+    text = "is reported as one change"
+    return [
+        claim_rate("station", f"A step of 1 % that all 96 paths of a station share {text} of both polarisations",
+                   at_least(0.9), sum(row["station_once"] for row in rows), len(rows)),
+        claim_rate("board", f"A step of 3 % of four paths of a station {text} with just these members",
+                   at_least(0.9), sum(row["board_once"] for row in rows), len(rows)),
+    ]  # fmt: skip
+
+
+def age(world: World, seed: int) -> Row:
+    """Give everything a trend, and compare with what is told."""
+    rng = np.random.default_rng([15, 5, seed])
+    trend = float(rng.uniform(-TREND, TREND))
+    row: Row = {"trend": trend}
+    for name, is_smooth in (("steps", False), ("smooth", True)):
+        told: Followed = follow(draw_history(replace(world, trend=trend, is_smooth=is_smooth), rng))
+        if told.whole is None:
+            raise ValueError(f"{world.years} years tell no trend")
+        row[name] = {
+            "slope": float(told.whole.slope[0]), "sigma": float(told.whole.sigma[0]),
+            "limit": float(told.whole.limit[0]), "scatter": float(told.whole.scatter[0]),
+        }  # fmt: skip
+    return row
+
+
+def judge_whole(rows: Sequence[Row]) -> list[Claim]:
+    """The error covers, and the limit is what years that scatter by 5 % allow."""
+    claims = []
+    for name, words in (("steps", "at the turns of the year"), ("smooth", "smoothly")):
+        off = np.array([abs(row[name]["slope"] - row["trend"]) for row in rows])
+        for key, asked, text in (("sigma", 0.60, "its stated standard deviation"), ("limit", 0.90, "its 95 % limit")):
+            within = int(np.sum(off < np.array([row[name][key] for row in rows])))
+            sentence = f"Trend of the whole, levels that change {words}: the truth lies within {text}"
+            claims.append(claim_rate(f"{name}_{key}", sentence, at_least(asked), within, len(rows)))
+    sigma = np.array([row["steps"]["sigma"] for row in rows])
+    text = "Stated standard deviation of the trend of seven years that scatter by 5 %, a year"
+    claims.append(claim_mean("sigma", text, between(0.007, 0.014), sigma, "%"))
+    return claims
+
+
+def tell_whole(rows: Sequence[Row]) -> list[str]:
+    """What seven years can tell."""
+    lines = ["| levels | standard deviation told | 95 % limit told | scatter of a year |", "|---|---|---|---|"]
+    for name in ("steps", "smooth"):
+        sigma, limit, scatter = (np.median([row[name][key] for row in rows]) for key in ("sigma", "limit", "scatter"))
+        lines.append(f"| {name} | {sigma:.2%} a year | {limit:.2%} a year | {scatter:.2%} |")
+    return lines
+
+
+def look_at_nothing(seed: int) -> Row:
+    """Seven years, 576 paths."""
+    return look(WORLD, seed, LOOKS_YEARS)
+
+
+def find_steps(seed: int) -> Row:
+    """Seven years, 576 paths."""
+    return plant_steps(WORLD, seed)
+
+
+def find_slopes(seed: int) -> Row:
+    """Three years, 576 paths."""
+    return plant_slopes(replace(WORLD, years=3.0), seed)
+
+
+def find_in_stations(seed: int) -> Row:
+    """Seven years, 576 paths."""
+    return plant_in_stations(WORLD, seed)
+
+
+def find_trend(seed: int) -> Row:
+    """Seven years of 24 paths, all of which share the same."""
+    return age(SMALL_WORLD, seed)
+
+
+PARTS = (
+    Part("nothing", look_at_nothing, judge_looks, 12),
+    Part("steps", find_steps, judge_steps, 24, tell_steps, ("found",)),
+    Part("slopes", find_slopes, judge_slopes, 8),
+    Part("stations", find_in_stations, judge_stations, 120),
+    Part("whole", find_trend, judge_whole, 400, tell_whole),
+)

@@ -1,0 +1,98 @@
+"""Nothing hidden: how often the finder says that something is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+
+import numpy as np
+
+from lbacal_core.data.lofar import DIPOLES
+from lbacal_core.instrument import load_instrument
+from lbacal_core.lstcurve.compare import AS_RECORDED, band_weights
+from lbacal_core.lstcurve.curve import LstCurve
+from validation.hidden.data_sets import FEW_EVENTS, SMALLEST, comparable, plain, realistic, sky_power
+from validation.hidden.finder import Answer, ask_of_curve
+from validation.machinery.claims import Claim, at_most, claim_rate
+from validation.machinery.parts import Part, Row
+
+FALSE_ALARM_LIMIT = 0.01
+BAND_MHZ = (30.0, 80.0)
+POINTS, POINT_NOISE_DB, SHARED_VARIANCE = 46, 0.05, 0.9
+"""Points of a curve, their noise, and the part of its variance that X and Y share: those of the measured curve."""
+LEAST_NOISE, MOST_NOISE = 0.2, 0.8
+"""Electronic noise over the mean sky power of a band: published as a third to a half of the total, or 0.5 to 1 of a sky
+that is a third too dark (docs/explanation/what-the-simulation-gets-wrong.md)."""
+
+
+def ask_plain(number: int) -> Answer:
+    """A station-year."""
+    return plain(number).ask()
+
+
+def ask_realistic(number: int) -> Answer:
+    """A station-year with every nuisance."""
+    return realistic(number).ask()
+
+
+def ask_comparable(number: int) -> Answer:
+    """A station-year with enough antennas to compare them with each other."""
+    return comparable(number).ask()
+
+
+def ask_own_sky(number: int) -> Answer:
+    """A station-year with every nuisance, the sky power being one of several that could be right."""
+    return realistic(number).ask(is_own_sky=True)
+
+
+def ask_curve(number: int) -> Answer:
+    """A band-averaged LST curve."""
+    chain, rng = load_instrument("lofar-superterp"), np.random.default_rng([20261122, number])
+    lst_hours = 24.0 * (np.arange(POINTS) + 0.5) / POINTS
+    weights = band_weights(chain, AS_RECORDED, BAND_MHZ)
+    electronic = rng.uniform(LEAST_NOISE, MOST_NOISE)
+    shared = SHARED_VARIANCE**0.5 * rng.standard_normal(POINTS)
+    variation = {}
+    for dipole in DIPOLES:
+        band = sky_power().at(dipole, lst_hours) @ weights
+        noise = shared + (1 - SHARED_VARIANCE) ** 0.5 * rng.standard_normal(POINTS)
+        variation[dipole] = 10 * np.log10(band / band.mean() + electronic) + POINT_NOISE_DB * noise
+    curve = LstCurve(lst_hours, variation, np.full(POINTS, 0.11), 0.5, is_centre_stated=True, origin="simulated")
+    return ask_of_curve(curve, sky_power(), chain, BAND_MHZ)
+
+
+def listen(ask: Callable[[int], Answer], seed: int) -> Row:
+    """What is said of data with nothing hidden."""
+    answer = ask(seed)
+    return {"verdict": answer.verdict, "named": answer.named, "axis": answer.axis}
+
+
+def judge(what: str, rows: Sequence[Row]) -> list[Claim]:
+    """The rate of false alarms in data of a kind."""
+    alarms = sum(row["verdict"] != "consistent" for row in rows)
+    claim = f"Something is said of data with nothing hidden: {what}"
+    return [claim_rate("alarms", claim, at_most(FALSE_ALARM_LIMIT), alarms, len(rows))]
+
+
+def tell(rows: Sequence[Row]) -> list[str]:
+    """The false alarms, one by one."""
+    return [
+        f"- seed {row['seed']}: {row['verdict']} {'+'.join(row['named']) or row['axis']}"
+        for row in rows
+        if row["verdict"] != "consistent"
+    ]
+
+
+KINDS: dict[str, tuple[Callable[[int], Answer], str, int]] = {
+    "clean": (ask_plain, f"{len(SMALLEST)} antennas, {FEW_EVENTS} events", 500),
+    "nuisances": (ask_realistic, "the same with missing events, unequal antennas and other nuisances", 500),
+    "ten-antennas": (ask_comparable, "ten antennas, compared for static causes", 200),
+    "own-sky": (ask_own_sky, "nuisances, differences between sky models projected out", 200),
+    "lst-curves": (ask_curve, f"LST curves of {POINTS} points", 200),
+}
+ROWS = ("nuisances",)
+"""The kinds that are rows of the page: those most like real campaigns."""
+PARTS = tuple(
+    Part(name, partial(listen, ask), partial(judge, what), count, tell, ("alarms",) if name in ROWS else ())
+    for name, (ask, what, count) in KINDS.items()
+)

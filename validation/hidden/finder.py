@@ -1,0 +1,136 @@
+"""The finder as the proofs ask it: the one file of `validation.hidden` that imports `lbacal_core.discovery`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from lbacal_core.discovery.curve_report import describe_curve
+from lbacal_core.discovery.investigate import investigate
+from lbacal_core.discovery.lst_curve import investigate_curve
+from lbacal_core.discovery.refit import power_ratio
+from lbacal_core.discovery.search import StationReport
+from lbacal_core.discovery.station import gather_stations
+from lbacal_core.grids import Floats
+from lbacal_core.instrument import Instrument
+from lbacal_core.lstcurve.curve import LstCurve
+from lbacal_core.provenance import Provenance
+from lbacal_core.skypower.differences import DifferenceModels
+from lbacal_core.skypower.table import SkyPower
+from lbacal_core.spectra import Spectra
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What the finder says of one data set.
+
+    Attributes
+    ----------
+    findings
+        As in the report, most significant first.
+    scores
+        Cause, target and score in standard deviations, of the first scan.
+    """
+
+    verdict: str
+    findings: Sequence[dict[str, Any]]
+    unexplained: dict[str, Any] | None
+    scores: Sequence[tuple[str, str, float]]
+
+    @property
+    def named(self) -> list[str]:
+        """Causes named, most significant first."""
+        return [str(finding["cause"]) for finding in self.findings]
+
+    @property
+    def sets(self) -> list[list[str]]:
+        """Each cause named, with those that the data cannot tell from it."""
+        return [[finding["cause"], *finding["indistinguishable"]] for finding in self.findings]
+
+    @property
+    def first_target(self) -> str:
+        """Target of the first finding, empty if there is none."""
+        return str(self.findings[0]["evidence"]["target"]) if self.findings else ""
+
+    @property
+    def axis(self) -> str:
+        """Axis along which structure is left, empty if none is."""
+        return str(self.unexplained["where"]["axis"]) if self.unexplained else ""
+
+    @property
+    def target(self) -> str:
+        """Target in which structure is left, empty if none is."""
+        return str(self.unexplained["where"]["target"]) if self.unexplained else ""
+
+    @property
+    def claimed_gain(self) -> float:
+        """Gain in log-likelihood on held-out events that the report states, of all findings."""
+        return float(sum(finding["gain"]["held_out_log_likelihood_gain"] or 0.0 for finding in self.findings))
+
+    def score(self, cause: str, label: str) -> float:
+        """Largest |score| of a cause for a target, 0 where another target scored better."""
+        own = [abs(z) for named, target, z in self.scores if (named, target) == (cause, label)]
+        return max(own, default=0.0)
+
+
+@dataclass(frozen=True)
+class FittedModel:
+    """The model of a station with everything that was found in it."""
+
+    _station: StationReport
+
+    def ratio(
+        self, spectra: Spectra, instrument: Instrument, sky_power: SkyPower
+    ) -> tuple[Floats, list[tuple[int, str]], Floats]:
+        """Power with what was found over power without, in other spectra of the station.
+
+        Returns
+        -------
+        The ratio, shape (path, event, freq); antenna and dipole of the paths; times of the events, shape (event,). Only
+        paths that were searched: those that are deaf are in no model.
+        """
+        searched = zip(self._station.station.antenna, self._station.station.dipole, strict=True)
+        names = [f"{antenna} {dipole}" for antenna, dipole in searched]
+        paths_of_rows = [f"{antenna} {dipole}" for antenna, dipole in zip(spectra.antenna, spectra.dipole, strict=True)]
+        (other,) = gather_stations(spectra.select(np.isin(paths_of_rows, names)), instrument, sky_power)
+        terms = replace(self._station.last.baseline.terms, sky=other.sky)
+        ratio = power_ratio(other, terms, self._station.last.hypotheses)
+        paths = [(int(antenna), str(dipole)) for antenna, dipole in zip(other.antenna, other.dipole, strict=True)]
+        times = other.conditions.time_unix
+        shape = (len(paths), times.size, instrument.frequency_mhz.size)
+        return np.ones(shape) if ratio is None else ratio, paths, times
+
+
+def ask_finder(
+    spectra: Spectra,
+    instrument: Instrument,
+    sky_power: SkyPower,
+    *,
+    is_own_sky: bool,
+    seed: int,
+    models: DifferenceModels | None = None,
+) -> tuple[Answer, FittedModel | None]:
+    """Ask what is hidden in the spectra of one station.
+
+    With `models` the differences that are profiled out are those of these models.
+
+    A finder that breaks down on the data is recorded, and never counts as right.
+    """
+    try:
+        report, stations = investigate(spectra, instrument, sky_power, is_own_sky=is_own_sky, models=models, seed=seed)
+    except (ArithmeticError, LookupError, ValueError) as error:
+        return Answer(f"failed: {error}", [], None, []), None
+    scores = [
+        (score.cause.identifier, score.target.label, float(score.z)) for station in stations for score in station.scores
+    ]
+    return Answer(report["verdict"], report["findings"], report["unexplained"], scores), FittedModel(stations[0])
+
+
+def ask_of_curve(curve: LstCurve, sky_power: SkyPower, instrument: Instrument, band_mhz: tuple[float, float]) -> Answer:
+    """Ask what is hidden in a band-averaged LST curve; the sky power is given and taken at its word."""
+    found = investigate_curve(curve, sky_power, instrument, band_mhz, is_own_sky=False)
+    report = describe_curve(found, Provenance({}))
+    return Answer(report["verdict"], report["findings"], report["unexplained"], [])

@@ -1,0 +1,147 @@
+"""Removing what was found from events that were not used: chi^2 returns to that of clean data, as the report claims.
+
+A year of twice as many events is cut in two: the finder sees every second one, and what it found is divided out of the
+others. Chi^2 is the ideal detector's: exact covariance, and everything that the fit absorbs projected out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, fields, replace
+from itertools import product
+
+import numpy as np
+
+from lbacal_core.data.lofar import DIPOLES
+from lbacal_core.grids import Floats
+from lbacal_core.spectra import Spectra
+from validation.hidden.data_sets import EVENTS, DataSet, draw_one, moving_causes, sky_power
+from validation.hidden.finder import FittedModel
+from validation.machinery.claims import Claim, at_least, at_most, claim_mean, claim_rate, median_interval
+from validation.machinery.parts import Part, Row
+
+SNR = 10.0
+FIRST_SEED = 500_000
+FEWEST = 5
+"""Data sets behind a median."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What was found in one half of the events, and what it does to the other.
+
+    Attributes
+    ----------
+    claimed
+        Held-out gain in log-likelihood that the report states, of all findings.
+    before, after
+        Chi^2 of the other half less that of the same data without the effect, before and after what was found is
+        divided out.
+    """
+
+    cause: str
+    named: Sequence[str]
+    claimed: float
+    before: float
+    after: float
+
+    @property
+    def confirmed(self) -> float:
+        """Gain in log-likelihood of the other half."""
+        return 0.5 * (self.before - self.after)
+
+    @property
+    def pull(self) -> float:
+        """(Claimed - confirmed) / its error: either scatters by the SNR, the root of twice the gain."""
+        return (self.claimed - self.confirmed) / float(np.sqrt(4 * max(self.claimed, self.confirmed, 1.0)))
+
+
+def hide_in_halves(number: int) -> Outcome | None:
+    """Find an effect in one half of the events, and divide it out of the other; None where nothing is named."""
+    rng = np.random.default_rng([7, number])
+    seen = DataSet(FIRST_SEED + number, events=2 * EVENTS, half=0)
+    unseen = replace(seen, half=1)
+    planted = draw_one(seen, SNR, rng, moving_causes())
+    answer, model = seen.ask_and_fit([planted.fault])
+    if model is None or not answer.findings:
+        return None
+    with_effect, clean = unseen.spectra([planted.fault]), unseen.spectra()
+    ratio = found_ratio(model, unseen, with_effect)
+    nothing = chi_squared(unseen, clean)
+    return Outcome(
+        planted.cause,
+        answer.named,
+        answer.claimed_gain,
+        chi_squared(unseen, with_effect) - nothing,
+        chi_squared(unseen, with_effect, ratio) - nothing,
+    )
+
+
+def found_ratio(model: FittedModel, data: DataSet, spectra: Spectra) -> Floats:
+    """Power with what was found over power without, in other spectra; shape (path, event, freq) of the twin."""
+    ratio, paths, times = model.ratio(spectra, data.instrument, sky_power())
+    row = {(int(antenna), dipole): k for k, (antenna, dipole) in enumerate(product(data.scene.antennas, DIPOLES))}
+    whole = np.ones((len(row), len(data.scene.time_unix), len(data.scene.frequency_mhz)))
+    event = np.searchsorted(data.scene.time_unix, times)
+    whole[np.ix_(np.array([row[path] for path in paths]), event)] = ratio
+    return whole
+
+
+def chi_squared(data: DataSet, spectra: Spectra, ratio: Floats | None = None) -> float:
+    """Chi^2 of spectra, divided by a ratio, about the chains that fit them best."""
+    scene = data.scene
+    power = data.detector.power(()).copy()  # where a spectrum is absent; it has no weight
+    antenna = np.searchsorted(scene.antennas, spectra.antenna)
+    dipole = np.array([DIPOLES.index(str(letter)) for letter in spectra.dipole])
+    path, event = len(DIPOLES) * antenna + dipole, np.searchsorted(scene.time_unix, spectra.time_unix)
+    power[path, event] = spectra.power if ratio is None else spectra.power / ratio[path, event]
+    return data.detector.chi_squared(power)
+
+
+def try_held_out(seed: int) -> Row:
+    """A data set with one effect in both halves of its events."""
+    outcome = hide_in_halves(seed)
+    if outcome is None:
+        return {"cause": ""}
+    row = asdict(outcome)
+    return {name: round(value, 3) if isinstance(value, float) else value for name, value in row.items()}
+
+
+def judge(rows: Sequence[Row]) -> list[Claim]:
+    """What is left in unseen events, and whether the gain that is claimed is the gain that they confirm."""
+    names = [field.name for field in fields(Outcome)]
+    outcomes = [Outcome(**{name: row[name] for name in names}) for row in rows if row["cause"]]
+    found = claim_rate(
+        "found", f"One effect of ideal SNR {SNR:g} has a finding", at_least(0.9), len(outcomes), len(rows)
+    )
+    if len(outcomes) < FEWEST:
+        return [found]
+    before, after, claimed, confirmed = (
+        np.array([getattr(o, name) for o in outcomes]) for name in ("before", "after", "claimed", "confirmed")
+    )
+    n, scale = len(outcomes), float(np.median(before))
+    low, high = median_interval(after)
+    left = "Part of an effect's chi2 that is left in unseen events when what was found is divided out (median)"
+    covered = sum(abs(o.pull) < 1.96 for o in outcomes)
+    return [
+        found,
+        Claim("left", left, at_most(0.1), float(np.median(after)) / scale, (low / scale, high / scale), n, "%"),
+        claim_rate("covered", "The gain claimed is within 1.96 errors of what unseen events confirm (nominal 95 %)",
+                   at_least(0.9), covered, n),
+        claim_rate("kept", "Unseen events confirm a gain", at_least(0.9), sum(o.confirmed > 0 for o in outcomes), n),
+        claim_mean("before", "chi2 of an effect in unseen events", at_least(0.0), before),
+        claim_mean("after", "chi2 that is left in unseen events", at_most(10.0), after),
+        claim_mean("claimed", "Gain in log-likelihood that is claimed", at_least(0.0), claimed),
+        claim_mean("confirmed", "Gain that unseen events confirm", at_least(0.0), confirmed),
+    ]  # fmt: skip
+
+
+def tell(rows: Sequence[Row]) -> list[str]:
+    """Data sets in which least was removed."""
+    worst = sorted((row for row in rows if row["cause"]), key=lambda row: -row["after"])[:5]
+    return [
+        f"- seed {row['seed']}: {row['cause']} as {'+'.join(row['named'])}, {row['after']:.0f} left" for row in worst
+    ]
+
+
+PARTS = (Part("held-out", try_held_out, judge, 40, tell, ()),)

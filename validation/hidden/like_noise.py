@@ -1,0 +1,78 @@
+"""Effects that look like a vector of the noise, in worlds that have this noise: what is left of their scores.
+
+The noise of an event may lie along three vectors: a gain behind everything, one in front of N_RCU, a resonance that
+moves. An effect along one of them is seen only as far as it follows an axis of the data: the efficiency is the score of
+the true cause over the ideal SNR, at three sizes, since a large effect must not become noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, replace
+
+import numpy as np
+
+from validation.hidden.data_sets import DataSet
+from validation.hidden.drawn import describe_world, drawn_data
+from validation.hidden.one_effect import Outcome, ask_about, outcomes_of
+from validation.machinery.claims import Claim, at_least, claim_mean
+from validation.machinery.parts import Part, Row
+
+ALIKE = (
+    ("resonance_shift", "resonance"),
+    ("gain_temperature", "front"),
+    ("ionospheric_absorption", "station in front"),
+)
+"""Causes, and the form of the noise that looks like each along frequency."""
+SNRS = (10.0, 30.0, 100.0)
+KEPT = 0.7
+"""Part of the ideal SNR that a score keeps at least."""
+TRIES, FEWEST = 10, 3
+FIRST_SEED = 900_000_000
+"""Seeds of data sets of this part; those of others begin elsewhere."""
+
+
+def try_like_noise(seed: int) -> Row:
+    """A drawn world with such noise and such an effect on the station; causes and sizes take turns."""
+    cause, noise = ALIKE[seed % len(ALIKE)]
+    snr = SNRS[seed // len(ALIKE) % len(SNRS)]
+    data = _with_noise(drawn_data(FIRST_SEED + seed), noise)
+    rng = np.random.default_rng([1, seed])
+    tried = (data.with_snr(data.draw(cause, rng, ("station",)), snr) for _ in range(TRIES))
+    planted = next((sized for sized in tried if sized is not None), None)
+    outcome = Outcome(snr, cause) if planted is None else ask_about(data, planted, snr)
+    return {**describe_world(data), **asdict(outcome)}
+
+
+def _with_noise(data: DataSet, noise: str) -> DataSet:
+    if data.world is None:
+        raise ValueError(f"data set {data.seed} has no world of its own")
+    return replace(data, world=replace(data.world, noise=noise))
+
+
+def judge(rows: Sequence[Row]) -> list[Claim]:
+    """The mean efficiency at each size."""
+    claims = []
+    for snr in SNRS:
+        kept = np.array([o.score / o.snr for o in outcomes_of(rows) if o.snr == snr])
+        if len(kept) >= FEWEST:
+            text = f"Part of the ideal SNR of {snr:g} that the score of an effect like a vector of the noise keeps"
+            claims.append(claim_mean(f"kept_{snr:g}", text, at_least(KEPT), kept))
+    return claims
+
+
+def tell(rows: Sequence[Row]) -> list[str]:
+    """Cause by cause and size by size."""
+    lines = ["| planted | noise | SNR | data sets | named | score / ideal SNR |", "|" + "---|" * 6]
+    outcomes = outcomes_of(rows)
+    for cause, noise in ALIKE:
+        for snr in SNRS:
+            here = [o for o in outcomes if (o.cause, o.snr) == (cause, snr)]
+            if here:
+                share = np.mean([o.score / o.snr for o in here])
+                named = sum(o.is_named for o in here)
+                lines.append(f"| {cause} | {noise} | {snr:g} | {len(here)} | {named} | {share:.2f} |")
+    return lines
+
+
+PARTS = (Part("like-noise", try_like_noise, judge, 90, tell),)

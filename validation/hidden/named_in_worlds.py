@@ -1,0 +1,124 @@
+"""One effect in a drawn world: whether it is named, whom it concerns, and whether another name is given."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import asdict
+
+import numpy as np
+
+from validation.hidden.data_sets import STATIC, moving_causes
+from validation.hidden.drawn import describe_world, drawn_data
+from validation.hidden.one_effect import LARGEST_SET, NAMING_SNR, Outcome, ask_about, detection_curve, outcomes_of
+from validation.hidden.worlds import OWN, Finder
+from validation.machinery.claims import Claim, at_least, at_most, claim_rate
+from validation.machinery.parts import Part, Row
+
+SNRS = (10.0, 10.0, 10.0, 10.0, 4.0, 5.0, 6.0, 7.5)
+"""Ideal SNR of one data set after the other: half are as strong as names are judged at."""
+NAMED, MISNAMED = 0.9, 0.02
+SNR_50 = 5.5
+TRIES = 10
+ONE_FROM, TARGETS_FROM = 600_000_000, 700_000_000
+"""Seeds of data sets of these parts; those of others begin elsewhere."""
+TARGETS = tuple(
+    (cause, scope) for scope in ("cable", "group") for cause in ("gain_step", "gain_drift", "adc_noise_step")
+)
+FEWEST = 20
+"""Weaker data sets from which on a curve of detection is fitted: one SNR, seen almost always, tells no 50 %."""
+
+
+def hide(seed: int, cause: str, snr: float, scopes: tuple[str, ...] = (), finder: Finder = OWN) -> Row:
+    """A drawn world with an effect of an ideal SNR, and what is said of it."""
+    data = drawn_data(seed, finder)
+    rng = np.random.default_rng([1, seed])
+    tried = (data.with_snr(data.draw(cause, rng, scopes), snr) for _ in range(TRIES))
+    planted = next((sized for sized in tried if sized is not None), None)
+    outcome = Outcome(snr, cause) if planted is None else ask_about(data, planted, snr)
+    return {**describe_world(data), **asdict(outcome)}
+
+
+def try_one(seed: int) -> Row:
+    """A data set with one effect; the causes take turns."""
+    causes = [*moving_causes(), *STATIC]
+    return hide(ONE_FROM + seed, causes[seed % len(causes)], SNRS[seed // len(causes) % len(SNRS)])
+
+
+def try_target(seed: int) -> Row:
+    """A data set in which a cable name or a group is concerned; the causes take turns."""
+    cause, scope = TARGETS[seed % len(TARGETS)]
+    return hide(TARGETS_FROM + seed, cause, NAMING_SNR, (scope,))
+
+
+def judge_one(rows: Sequence[Row]) -> list[Claim]:
+    """Names at SNR 10, wrong names, and the SNR of detection."""
+    outcomes = outcomes_of(rows)
+    strong = [o for o in outcomes if o.snr == NAMING_SNR]
+    claims = _judge_names(strong, f"one effect of ideal SNR {NAMING_SNR:g} in a drawn world")
+    if len(outcomes) - len(strong) >= FEWEST:
+        found, low, high = detection_curve(outcomes).snr_at(0.5)
+        text = "Ideal SNR at which one effect in a drawn world is detected in 50 % of the cases"
+        claims.append(Claim("snr_50", text, at_most(SNR_50), found, (low, high), len(outcomes)))
+    return claims
+
+
+def judge_targets(rows: Sequence[Row]) -> list[Claim]:
+    """Names, and whom they are said to concern."""
+    outcomes = outcomes_of(rows)
+    what = f"an effect of ideal SNR {NAMING_SNR:g} on a cable name or a group"
+    right = sum(o.said_of == o.label for o in outcomes if o.is_named)
+    text = f"{what[0].upper()}{what[1:]}, where it is named, is said of the right target"
+    named = sum(o.is_named for o in outcomes)
+    return [*_judge_names(outcomes, what), claim_rate("target", text, at_least(NAMED), right, named)]
+
+
+def _judge_names(outcomes: Sequence[Outcome], what: str) -> list[Claim]:
+    named, wrong = sum(o.is_named for o in outcomes), sum(o.is_misnamed for o in outcomes)
+    text = f"The true cause is named, or in the set of at most {LARGEST_SET}: {what}"
+    return [
+        claim_rate("named", text, at_least(NAMED), named, len(outcomes)),
+        claim_rate("misnamed", f"Another cause is named: {what}", at_most(MISNAMED), wrong, len(outcomes)),
+    ]
+
+
+def tell(rows: Sequence[Row]) -> list[str]:
+    """Cause by cause, and every effect of SNR 10 that is not named."""
+    lines = ["| planted | SNR | data sets | detected | named | misnamed | score / ideal SNR |", "|" + "---|" * 7]
+    outcomes = outcomes_of(rows)
+    for cause in sorted({o.cause for o in outcomes}):
+        for snr in sorted({o.snr for o in outcomes}):
+            here = [o for o in outcomes if (o.cause, o.snr) == (cause, snr)]
+            counts = [len(here), *(sum(map(f, here)) for f in (_is_detected, _is_named, _is_misnamed))]
+            share = np.mean([o.score / o.snr for o in here]) if here else 0.0
+            lines += [f"| {cause} | {snr:g} | {' | '.join(map(str, counts))} | {share:.2f} |"] * bool(here)
+    lines.append("")
+    for row in rows:
+        for outcome in outcomes_of([row]):
+            if outcome.snr != NAMING_SNR or (outcome.is_named and not outcome.is_misnamed):
+                continue
+            said = "; ".join("/".join(names) for names in outcome.sets)
+            world = f"{row['sky']} {row['outside']} / {row['antenna']} / {row['noise']}"
+            lines.append(
+                f"- seed {row['seed']}: {outcome.cause} ({outcome.label}): {outcome.verdict} {said} in {world}"
+            )
+    absent = Counter(row["cause"] for row in rows if not row["label"])
+    return [*lines, "", f"Not to be shown at this SNR by these data: {dict(absent)}."]
+
+
+def _is_detected(outcome: Outcome) -> bool:
+    return outcome.is_detected
+
+
+def _is_named(outcome: Outcome) -> bool:
+    return outcome.is_named
+
+
+def _is_misnamed(outcome: Outcome) -> bool:
+    return outcome.is_misnamed
+
+
+PARTS = (
+    Part("one", try_one, judge_one, 2000, tell, ("named",)),
+    Part("targets", try_target, judge_targets, 200, tell),
+)

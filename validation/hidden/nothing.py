@@ -1,0 +1,107 @@
+"""Nothing hidden in a drawn world: a name is never right, and silence is where the models span the difference.
+
+Where the resonance moves in rain, a resonance that is named as following rain says what the world does
+(`docs/decisions/rain-that-moves-the-resonance.md`). It counts as a name all the same; rows of their own tell it apart.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from validation.hidden.drawn import SPANNED_SIGMA, describe_world, drawn_data, table_by_world, unspanned_sigma
+from validation.hidden.worlds import OWN, Finder
+from validation.machinery.claims import Claim, at_most, claim_rate
+from validation.machinery.parts import Part, Row
+
+NAMES, ALARMS = 0.005, 0.01
+WET, RESONANCE, RAIN = "wetness", ("resonance_shift", "resonance_width"), "wetness"
+"""Form of the gains in which the resonance moves in rain, the causes that say so, and what they then follow."""
+FIRST_SEED = 500_000_000
+"""Seeds of data sets of this part; those of other parts begin elsewhere."""
+
+
+def listen(seed: int, finder: Finder = OWN) -> Row:
+    """What is said of a drawn world with nothing hidden."""
+    data = drawn_data(FIRST_SEED + seed, finder)
+    answer = data.ask()
+    return {
+        **describe_world(data),
+        "unspanned": round(unspanned_sigma(data), 3),
+        "verdict": answer.verdict,
+        "named": answer.named,
+        "axis": answer.axis,
+        "follows": [str(finding["parameters"].get("follows", "")) for finding in answer.findings],
+    }
+
+
+def is_spanned(row: Row) -> bool:
+    """Whether the models that the finder knows span the difference between its sky and the true one."""
+    return bool(row["unspanned"] < SPANNED_SIGMA)
+
+
+def is_of_rain(row: Row) -> bool:
+    """Whether every name is that of a resonance which follows rain, in a world where it moves in rain."""
+    told = zip(row["named"], row["follows"], strict=True)
+    return row["noise"] == WET and bool(row["named"]) and all(c in RESONANCE and f == RAIN for c, f in told)
+
+
+def is_silent(row: Row) -> bool:
+    """Whether nothing is said."""
+    return bool(row["verdict"] == "consistent")
+
+
+def judge(rows: Sequence[Row]) -> list[Claim]:
+    """Names, and alarms where the models span the difference and where they do not; wet worlds also by themselves."""
+    inside, outside = [r for r in rows if is_spanned(r)], [r for r in rows if not is_spanned(r)]
+    named = sum(bool(row["named"]) for row in rows)
+    alarms = sum(not is_silent(row) for row in inside)
+    honest = sum(is_silent(row) or (not row["named"] and row["axis"] == "lst") for row in outside)
+    where = "A drawn world with nothing hidden"
+    claims = [
+        claim_rate("named", f"{where} is given a name", at_most(NAMES), named, len(rows)),
+        claim_rate(
+            "alarms",
+            f"{where}, whose sky the known models span: something is said",
+            at_most(ALARMS),
+            alarms,
+            len(inside),
+        ),
+    ]
+    text = f"{where}, whose sky they do not span: anything else is said than nothing, or structure along LST"
+    claims.append(claim_rate("apart", text, at_most(ALARMS), len(outside) - honest, len(outside)))
+    dry, wet = [r for r in rows if r["noise"] != WET], [r for r in rows if r["noise"] == WET]
+    parts = (
+        ("named_dry", f"{where}, none whose resonance moves in rain: is given a name", dry, lambda row: row["named"]),
+        (
+            "named_wet",
+            f"{where}, whose resonance moves in rain: another name is given than the resonance following rain",
+            wet,
+            lambda row: row["named"] and not is_of_rain(row),
+        ),
+    )
+    return claims + [
+        claim_rate(key, words, at_most(NAMES), sum(map(bool, map(is_wrong, part))), len(part))
+        for key, words, part, is_wrong in parts
+        if part
+    ]
+
+
+def tell(rows: Sequence[Row]) -> list[str]:
+    """Counts by world, and every false name."""
+    columns: dict[str, Callable[[Row], bool]] = {
+        "spanned": is_spanned,
+        "said of these": lambda row: is_spanned(row) and not is_silent(row),
+        "said of the others": lambda row: not is_spanned(row) and not is_silent(row),
+        "named": lambda row: bool(row["named"]),
+        "named: the resonance, following rain, which moves it": is_of_rain,
+    }
+    said = [row for row in rows if not is_silent(row)]
+    lines = [
+        f"- seed {row['seed']}: {row['verdict']} {'+'.join(row['named']) or row['axis']} in {row['sky']} "
+        f"{row['outside']} / {row['antenna']} / {row['noise']}, not spanned {row['unspanned']:.1f} sigma"
+        for row in said
+    ]
+    return [*table_by_world(rows, columns), "", *lines]
+
+
+PARTS = (Part("nothing", listen, judge, 3000, tell, ("named",)),)

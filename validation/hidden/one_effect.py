@@ -1,0 +1,275 @@
+"""One hidden effect: how strong it must be to be detected, whether it is named, and what each cause loses."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, fields
+
+import numpy as np
+
+from lbacal_core.grids import Floats
+from validation.hidden.data_sets import ALIKE, SMALL, STATIC, DataSet, Planted, draw_one, is_in_family, moving_causes
+from validation.hidden.detection import DetectionCurve, fit_detection
+from validation.hidden.sizes import size_pull
+from validation.machinery.claims import (
+    Claim,
+    at_least,
+    at_most,
+    claim_mean,
+    claim_rate,
+    claim_worst,
+    confidence_of_each,
+    mean_interval,
+)
+from validation.machinery.parts import Part, Row
+
+GRID = (4.0, 5.0, 5.5, 6.0, 6.75, 7.5, 10.0)
+NAMING_SNR, EFFICIENCY_SNR = 10.0, 12.0
+CYCLE = (*GRID, NAMING_SNR, NAMING_SNR)
+"""Ideal SNR of one data set after the other: names and sizes are judged at SNR 10."""
+LARGEST_SET = 3
+FIRST_SEED = 100_000
+"""Seeds of data sets with one effect; those of other parts begin elsewhere."""
+EFFICIENCY_FROM, STATIC_FROM = 100_000_000, 200_000_000
+"""What is added to the seed, so that parts share no data set."""
+INSIDE, BESIDE = 0.9, 0.75
+"""Fraction of the ideal SNR that is asked for where the law is in the documented family, and beside it."""
+FEWEST_OF_CURVE, LARGEST_SNR = 50, 30.0
+"""Data sets from which on the curve of detection has an interval of its own: fewer may separate without an overlap."""
+FEWEST = 3
+"""Data sets behind the mean efficiency of a cause."""
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """One data set to be made: its number, the ideal SNR, and the cause, drawn if None."""
+
+    number: int
+    snr: float
+    cause: str | None = None
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of one data set with one effect; without a label the data set cannot show the cause.
+
+    Attributes
+    ----------
+    scope, label
+        Whom the planted effect concerns, as a kind and in the words of a report.
+    is_in_family
+        Whether the planted law is one that the docs list.
+    sets
+        Each cause named, with those that the data cannot tell from it.
+    score
+        Score of the true cause for the true target.
+    pull
+        (Size reported - size planted) / its error, where the true cause is named first.
+    said_of
+        Target of the first finding.
+    """
+
+    snr: float
+    cause: str
+    scope: str = ""
+    label: str = ""
+    is_in_family: bool = True
+    verdict: str = ""
+    sets: Sequence[Sequence[str]] = ()
+    score: float = 0.0
+    pull: float | None = None
+    said_of: str = ""
+
+    @property
+    def is_made(self) -> bool:
+        """Whether the data set can show the cause."""
+        return bool(self.label)
+
+    @property
+    def is_detected(self) -> bool:
+        """Whether anything is said."""
+        return self.verdict in {"explained", "unexplained"}
+
+    @property
+    def is_named(self) -> bool:
+        """Whether the first finding is the true cause, or one that cannot be told from it and at most one more."""
+        first = self.sets[0] if self.sets else []
+        return self.cause in first[:1] or (self.cause in first and len(first) <= LARGEST_SET)
+
+    @property
+    def is_misnamed(self) -> bool:
+        """Whether a finding is neither the true cause nor one that cannot be told from it."""
+        return any(self.cause not in names for names in self.sets)
+
+
+def hide_one(wanted: Wanted) -> Outcome:
+    """Make one data set with one effect and ask the finder."""
+    rng = np.random.default_rng([1, wanted.number])
+    drawn = str(rng.choice([*moving_causes(), *STATIC])) if wanted.cause is None else wanted.cause
+    data = DataSet(FIRST_SEED + wanted.number, ALIKE if drawn in STATIC else SMALL)
+    if wanted.cause is None and drawn not in STATIC:
+        planted: Planted | None = draw_one(data, wanted.snr, rng, moving_causes())
+    else:
+        planted = next((sized for _ in range(10) if (sized := data.with_snr(data.draw(drawn, rng), wanted.snr))), None)
+    return Outcome(wanted.snr, drawn) if planted is None else ask_about(data, planted, wanted.snr)
+
+
+def ask_about(data: DataSet, planted: Planted, snr: float) -> Outcome:
+    """What the finder says of a data set with an effect."""
+    answer = data.ask([planted.fault])
+    is_first = answer.named[:1] == [planted.cause]
+    return Outcome(
+        snr,
+        planted.cause,
+        planted.scope,
+        planted.label,
+        is_in_family(planted),
+        answer.verdict,
+        answer.sets,
+        answer.score(planted.cause, planted.label),
+        size_pull(data, planted, answer.findings[0]) if is_first else None,
+        answer.first_target,
+    )
+
+
+def try_one(seed: int) -> Row:
+    """A data set with an effect of a drawn cause."""
+    return asdict(hide_one(Wanted(seed, CYCLE[seed % len(CYCLE)])))
+
+
+def try_efficiency(seed: int) -> Row:
+    """A data set with an effect of SNR 12; the causes take turns."""
+    causes = moving_causes()
+    return asdict(hide_one(Wanted(EFFICIENCY_FROM + seed, EFFICIENCY_SNR, causes[seed % len(causes)])))
+
+
+def try_static(seed: int) -> Row:
+    """A data set with a static cause of one antenna; the causes take turns."""
+    return asdict(hide_one(Wanted(STATIC_FROM + seed, NAMING_SNR, STATIC[seed % len(STATIC)])))
+
+
+def outcomes_of(rows: Sequence[Row]) -> list[Outcome]:
+    """Outcomes of the data sets that can show their cause."""
+    names = {field.name for field in fields(Outcome)}
+    outcomes = [Outcome(**{name: value for name, value in row.items() if name in names}) for row in rows]
+    return [outcome for outcome in outcomes if outcome.is_made]
+
+
+def detection_curve(outcomes: Sequence[Outcome]) -> DetectionCurve:
+    """The fitted curve of detection."""
+    snr = np.array([o.snr for o in outcomes])
+    return fit_detection(snr, np.array([float(o.is_detected) for o in outcomes]))
+
+
+def judge_one(rows: Sequence[Row]) -> list[Claim]:
+    """Detection against the ideal SNR, names and sizes."""
+    outcomes = outcomes_of(rows)
+    curve = detection_curve(outcomes)
+    claims = []
+    for key, share, asked in (("snr_50", 0.5, 5.5), ("snr_95", 0.95, 7.5)):
+        found, low, high = curve.snr_at(share)
+        text = f"Ideal SNR at which one hidden effect of a drawn cause is detected in {100 * share:g} % of the cases"
+        if len(outcomes) < FEWEST_OF_CURVE:
+            low, high = 0.0, LARGEST_SNR
+        claims.append(Claim(key, text, at_most(asked), found, (low, high), len(outcomes)))
+    return claims + judge_names([o for o in outcomes if o.snr == NAMING_SNR], "hidden effects")
+
+
+def judge_names(outcomes: Sequence[Outcome], what: str) -> list[Claim]:
+    """Names and sizes."""
+    named = sum(o.is_named for o in outcomes)
+    text = f"The true cause is named, or in the set of at most {LARGEST_SET}: {what} of ideal SNR {NAMING_SNR:g}"
+    claims = [claim_rate("named", text, at_least(0.95), named, len(outcomes))]
+    for key, inside, words in (
+        ("", None, ""),
+        ("_inside", True, ", law in the family"),
+        ("_beside", False, ", law beside it"),
+    ):
+        pulls = [abs(o.pull) for o in outcomes if o.pull is not None and inside in (None, o.is_in_family)]
+        text = f"The size is within two of its standard deviations: {what}{words}"
+        close = sum(pull <= 2.0 for pull in pulls)
+        if not pulls and key:
+            continue
+        claims.append(claim_rate(f"sizes{key}", text, at_least(0.9), close, len(pulls)))
+    return claims
+
+
+def judge_static(rows: Sequence[Row]) -> list[Claim]:
+    """Names and sizes of static causes."""
+    return judge_names(outcomes_of(rows), "static changes of one antenna's cable")
+
+
+def ratios_of(rows: Sequence[Row]) -> dict[tuple[str, bool], Floats]:
+    """Score over ideal SNR by cause and whether the law is in the documented family."""
+    ratios: dict[tuple[str, bool], list[float]] = {}
+    for o in outcomes_of(rows):
+        ratios.setdefault((o.cause, o.is_in_family), []).append(o.score / o.snr)
+    return {key: np.array(values) for key, values in sorted(ratios.items())}
+
+
+def judge_efficiency(rows: Sequence[Row]) -> list[Claim]:
+    """The worst cause, and every cause."""
+    ratios = {key: values for key, values in ratios_of(rows).items() if values.size >= FEWEST}
+    claims, details = [], []
+    for is_inside, asked, words in ((True, INSIDE, "in the family"), (False, BESIDE, "beside the family")):
+        here = {cause: values for (cause, inside), values in ratios.items() if inside == is_inside}
+        if not here:
+            continue
+        confidence = confidence_of_each(len(here))
+        claims.append(
+            claim_worst(
+                f"worst_{'inside' if is_inside else 'beside'}",
+                f"Part of the ideal SNR that a true cause's score keeps, worst of {len(here)} causes, law {words}",
+                at_least(asked),
+                [float(values.mean()) for values in here.values()],
+                [mean_interval(values, confidence) for values in here.values()],
+                sum(values.size for values in here.values()),
+            )
+        )
+        for cause, values in here.items():
+            text = f"The same for `{cause}`, law {words}"
+            key = f"{cause}_{'inside' if is_inside else 'beside'}"
+            details.append(claim_mean(key, text, at_least(asked), values))
+    return [*claims, *details]
+
+
+def tell_names(rows: Sequence[Row]) -> list[str]:
+    """Cause by cause, and what was said where the cause was not named."""
+    lines = ["| planted | data sets | named | size within 2 sigma | what was said where it was not named |"]
+    lines.append("|" + "---|" * 5)
+    outcomes = [o for o in outcomes_of(rows) if o.snr == NAMING_SNR]
+    for cause in sorted({o.cause for o in outcomes}):
+        here = [o for o in outcomes if o.cause == cause]
+        pulls = [abs(o.pull) for o in here if o.pull is not None]
+        said = Counter(_saying(o) for o in here if not o.is_named)
+        others = "; ".join(f"{count} x {what}" if count > 1 else what for what, count in said.most_common())
+        close = f"{sum(pull <= 2 for pull in pulls)} of {len(pulls)}"
+        lines.append(f"| {cause} | {len(here)} | {sum(o.is_named for o in here)} | {close} | {others} |")
+    return lines
+
+
+def _saying(outcome: Outcome) -> str:
+    if outcome.sets:
+        return f"{outcome.verdict}: {' or '.join(outcome.sets[0])}"
+    return outcome.verdict
+
+
+def tell_efficiency(rows: Sequence[Row]) -> list[str]:
+    """Cause by cause and by whom it concerns."""
+    lines = ["| cause | law | scope | mean score / ideal SNR | data sets |", "|---|---|---|---|---|"]
+    ratios: dict[tuple[str, str, str], list[float]] = {}
+    for o in outcomes_of(rows):
+        ratios.setdefault((o.cause, "in the family" if o.is_in_family else "beside", o.scope), []).append(
+            o.score / o.snr
+        )
+    lines += [f"| {' | '.join(key)} | {np.mean(v):.2f} | {len(v)} |" for key, v in sorted(ratios.items())]
+    absent = Counter(row["cause"] for row in rows if not row["label"])
+    return [*lines, "", f"Not to be shown at this SNR by these data: {dict(absent)}."]
+
+
+PARTS = (
+    Part("one", try_one, judge_one, 135, tell_names, ("named",)),
+    Part("efficiency", try_efficiency, judge_efficiency, 276, tell_efficiency, ("worst_inside",)),
+    Part("static", try_static, judge_static, 60, tell_names, ()),
+)

@@ -1,0 +1,105 @@
+"""Pulls of C for paths and stations, whatever the form of the event gains; the sky power is the true one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from lbacal_core.calibration.fit import fit_calibration
+from lbacal_core.curves import CalibrationCurve
+from lbacal_core.data.lofar import DIPOLES
+from lbacal_core.instrument import load_instrument
+from lbacal_core.reference_chain import ReferenceChain
+from lbacal_twin.campaign import simulate_campaign
+from lbacal_twin.gains import NOISES
+from lbacal_twin.settings import TwinSettings
+from lbacal_twin.truth import StationTruth
+from validation.hidden.station_year import ANTENNAS, EVENTS, EVERYTHING, STATION
+from validation.hidden.worlds import OWN
+from validation.machinery.claims import Claim, between, claim_worst, confidence_of_each, mean_interval
+from validation.machinery.parts import Part, Row
+
+AT_MHZ = (35.0, 45.0, 55.0, 65.0, 75.0)
+SCOPES = ("antenna", "station")
+SPREAD = (0.9, 1.1)
+FEWEST = 2
+"""Campaigns of a form of the gains from which on there is an interval."""
+
+
+def measure_pulls(seed: int) -> Row:
+    """Squares of the pulls of C of a station-year, at five channels and in the mean over all; the forms take turns."""
+    names = list(NOISES)
+    noise = names[seed % len(names)]
+    instrument, sky_power = load_instrument("lofar-superterp"), OWN.power()
+    settings = TwinSettings(stations=(STATION,), antennas=len(ANTENNAS), events_per_year=EVENTS)
+    nuisances = replace(EVERYTHING, noisy_stations=(STATION,) if seed % 3 == 0 else ())
+    campaign = simulate_campaign(
+        settings, instrument, sky_power, np.random.default_rng([2026, seed]), nuisances=nuisances, gains=NOISES[noise]
+    )
+    at = np.searchsorted(instrument.frequency_mhz, AT_MHZ)
+    row: Row = {"noise": noise}
+    for scope in SCOPES:
+        report = fit_calibration(campaign.spectra, instrument, sky_power, scope)
+        pulls = [
+            (curve.c - _planted(curve, chain, campaign.truth.stations[0])) / curve.c_sigma_stat
+            for curve, chain in zip(report.curves, report.chains, strict=True)
+            if curve.c is not None and curve.c_sigma_stat is not None and chain is not None
+        ]
+        squares = np.array(pulls) ** 2
+        row[scope] = {
+            "curves": len(pulls),
+            "at": np.round(np.nanmean(squares[:, at], axis=0), 4).tolist(),
+            "all": round(float(np.nanmean(squares)), 4),
+        }
+    return row
+
+
+def _planted(curve: CalibrationCurve, chain: ReferenceChain, truth: StationTruth) -> np.ndarray:
+    """The planted C(nu) of the members of a curve."""
+    members = [antenna for station, antenna in chain.members if station == truth.station]
+    gains = truth.c[np.isin(truth.antennas, members), DIPOLES.index(curve.dipole or "")] ** -2
+    return np.asarray(gains.mean(axis=0) ** -0.5)
+
+
+def judge(rows: Sequence[Row]) -> list[Claim]:
+    """R.m.s. of the pulls in every form of the gains."""
+    claims = []
+    for noise in NOISES:
+        here = [row for row in rows if row["noise"] == noise]
+        if len(here) < FEWEST:
+            continue
+        for scope in SCOPES:
+            values = np.array([[*row[scope]["at"], row[scope]["all"]] for row in here])
+            words = f"R.m.s. of the pulls of C of {'paths' if scope == 'antenna' else 'stations'}, event gains: {noise}"
+            claims.append(
+                claim_worst(
+                    f"{scope}_{noise.replace(' ', '_')}",
+                    f"{words}, at five channels and over all",
+                    between(*SPREAD),
+                    np.sqrt(values.mean(axis=0)).tolist(),
+                    [_root(mean_interval(one, confidence_of_each(values.shape[1]))) for one in values.T],
+                    len(here),
+                )
+            )
+    return claims
+
+
+def _root(interval: tuple[float, float]) -> tuple[float, float]:
+    return max(interval[0], 0.0) ** 0.5, interval[1] ** 0.5
+
+
+def tell(rows: Sequence[Row]) -> list[str]:
+    """Channel by channel."""
+    lines = [f"| event gains | scope | campaigns | {' | '.join(f'{mhz:g} MHz' for mhz in AT_MHZ)} | all |"]
+    lines.append("|" + "---|" * (4 + len(AT_MHZ)))
+    for noise in NOISES:
+        here = [row for row in rows if row["noise"] == noise]
+        for scope in SCOPES if here else ():
+            values = np.sqrt(np.mean([[*row[scope]["at"], row[scope]["all"]] for row in here], axis=0))
+            lines.append(f"| {noise} | {scope} | {len(here)} | {' | '.join(f'{value:.2f}' for value in values)} |")
+    return lines
+
+
+PARTS = (Part("pulls", measure_pulls, judge, 400 * len(NOISES), tell),)

@@ -1,0 +1,104 @@
+"""Two and three hidden effects at once: all of them should be named."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import permutations
+
+import numpy as np
+
+from validation.hidden.data_sets import LARGEST_CHANGE, DataSet, Planted, correlations, moving_causes
+from validation.machinery.claims import Claim, at_least, claim_rate
+from validation.machinery.parts import Part, Row
+
+SNR = 10.0
+LARGEST_CORRELATION = 0.9
+ASKED = 0.85
+FIRST_SEED = 300_000
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What was planted, and what was said."""
+
+    planted: Sequence[Planted]
+    correlation: float
+    verdict: str
+    sets: Sequence[Sequence[str]]
+
+    @property
+    def are_all_named(self) -> bool:
+        """Whether each effect is in the set of a finding of its own."""
+        causes = [one.cause for one in self.planted]
+        return any(
+            all(cause in named for cause, named in zip(causes, chosen, strict=True))
+            for chosen in permutations(self.sets, len(causes))
+        )
+
+
+def draw_several(data: DataSet, count: int, rng: np.random.Generator) -> tuple[list[Planted], float] | None:
+    """Different causes, their signatures correlated by less than 0.9, each of SNR 10 given the others."""
+    causes = rng.choice(moving_causes(), size=count, replace=False)
+    drawn = [data.with_snr(data.draw(str(cause), rng), SNR) for cause in causes]
+    planted = [one for one in drawn if one is not None]
+    if len(planted) < count:
+        return None
+    information = data.detector.information_together([one.fault for one in planted])
+    largest = float(np.abs(np.triu(correlations(information), 1)).max())
+    if largest >= LARGEST_CORRELATION:
+        return None
+    given_others = 1.0 / np.sqrt(np.diag(np.linalg.inv(information)))
+    sized = [one.sized(one.fault.size * SNR / float(snr)) for one, snr in zip(planted, given_others, strict=True)]
+    for one in sized:
+        is_too_large = np.abs(data.detector.template([one.fault])).max() > LARGEST_CHANGE
+        if is_too_large or (one.cause == "dipole_swap" and abs(one.fault.size) > 1):
+            return None
+    return sized, largest
+
+
+def hide_several(task: tuple[int, int]) -> Outcome:
+    """Make data set `number` with `count` effects and ask the finder."""
+    number, count = task
+    rng = np.random.default_rng([count, number])
+    data = DataSet(FIRST_SEED + 10_000 * count + number)
+    planted = next(found for _ in range(500) if (found := draw_several(data, count, rng)))
+    answer = data.ask([one.fault for one in planted[0]])
+    return Outcome(planted[0], planted[1], answer.verdict, answer.sets)
+
+
+def try_several(seed: int) -> Row:
+    """A data set with two effects (even seeds) or three."""
+    outcome = hide_several((seed, 2 + seed % 2))
+    return {
+        "planted": [[one.cause, one.label] for one in outcome.planted],
+        "correlation": round(outcome.correlation, 4),
+        "verdict": outcome.verdict,
+        "sets": outcome.sets,
+        "are_all_named": outcome.are_all_named,
+    }
+
+
+def judge(rows: Sequence[Row]) -> list[Claim]:
+    """Rates of data sets of which all effects are named."""
+    claims = []
+    for key, count, words in (("two", 2, "Two"), ("three", 3, "Three")):
+        here = [row for row in rows if len(row["planted"]) == count]
+        text = f"{words} hidden effects at once, ideal SNR {SNR:g} each given the others: all are named"
+        claims.append(claim_rate(key, text, at_least(ASKED), sum(row["are_all_named"] for row in here), len(here)))
+    return claims
+
+
+def tell(rows: Sequence[Row]) -> list[str]:
+    """Data sets of which not all effects were named."""
+    lines = ["| seed | planted | largest abs(r) | verdict | named |", "|---|---|---|---|---|"]
+    for row in rows:
+        if row["are_all_named"]:
+            continue
+        said = "; ".join(" or ".join(names) for names in row["sets"])
+        what = ", ".join(f"{cause} ({label})" for cause, label in row["planted"])
+        lines.append(f"| {row['seed']} | {what} | {row['correlation']:.2f} | {row['verdict']} | {said} |")
+    return lines
+
+
+PARTS = (Part("several", try_several, judge, 40, tell, ("two",)),)

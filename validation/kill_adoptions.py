@@ -1,0 +1,210 @@
+"""Kill -9 of server, worker, scheduler and PostgreSQL while a cause is adopted and withdrawn, again and again.
+
+A station whose clock is two hours behind was investigated. One client adopts the finding and withdraws it under
+idempotency keys, repeating what nobody answered; others ask for investigations. At the end every adoption is there
+once with all its refits, no version is there twice, and after the last withdrawal the calibrations in effect are those
+from before the first adoption, bit by bit.
+"""
+
+from __future__ import annotations
+
+import tempfile
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import httpx2
+import numpy as np
+
+from lbacal_core.instrument import load_instrument
+from lbacal_core.skypower.model import compute_sky_power
+from lbacal_core.skypower.table import write_sky_power
+from lbacal_twin.campaign import simulate_campaign
+from lbacal_twin.faults.sky import LstOffset
+from lbacal_twin.settings import TwinSettings
+from service.config import Settings
+from service.storage.database import Database
+from validation.kills import Killable, claim_broken, open_database
+from validation.machinery.claims import Claim
+from validation.machinery.parts import Part, Row
+from validation.running.processes import Process, find_free_port, is_ready, run_command, running, wait_until
+
+KILLS = 20
+SETTINGS: dict[str, Any] = {"lease_s": 3, "poll_s": 0.1, "gate_error": 0.5, "gate_change": 0.9, "log_level": "warning"}
+CAMPAIGN = TwinSettings(stations=("CS002",), antennas=2, years=0.99, events_per_year=120)
+FAULT = LstOffset(size=2.0)
+WINDOW = {"since": "2014-01-01", "until": "2015-01-01", "reason": "proof"}
+ASKED = {"station": "CS002", "at": "2014-07-01"}
+ACTS = "SELECT act, count(*) FROM model_change GROUP BY act"
+REFITS = "SELECT reason, count(*) FROM job WHERE kind = 'refit' AND substr(reason, 1, 4) = 'act ' GROUP BY reason"
+UNDONE = "SELECT id FROM job_part WHERE state <> 'done'"
+REFITS_OF_AN_ACT = 3
+"""One year of the scopes antenna, station and array."""
+
+
+@dataclass
+class Adopter:
+    """Adopts and withdraws in turn; every act has an idempotency key and is repeated until it is answered."""
+
+    address: str
+    key: str
+    investigation: str
+    acts: int = 0
+    jobs: set[int] = field(default_factory=set)
+    answers: Counter[int] = field(default_factory=Counter)
+    model: str = ""
+    _is_over: threading.Event = field(default_factory=threading.Event)
+
+    def run(self) -> None:
+        """Work until told to stop, and end with a withdrawal."""
+        headers = {"Authorization": f"Bearer {self.key}"}
+        with httpx2.Client(base_url=self.address, headers=headers, timeout=90) as http:
+            while not self._is_over.is_set():
+                body = {"finding": 0, "promote": True}
+                self.model = self._act(http, f"/v1/investigations/{self.investigation}/adoption", body)["model"]
+                self._act(http, f"/v1/models/{self.model}/withdrawal", {})
+
+    def stop(self) -> None:
+        """End after the withdrawal."""
+        self._is_over.set()
+
+    def _act(self, http: httpx2.Client, path: str, body: dict[str, Any]) -> Any:
+        self.acts += 1
+        name = f"act {self.acts}"
+        while True:
+            try:
+                answer = http.post(path, json={**body, "reason": name}, headers={"Idempotency-Key": name})
+            except httpx2.TransportError:
+                time.sleep(0.1)
+                continue
+            self.answers[answer.status_code] += 1
+            if answer.is_success:
+                self.jobs |= set(answer.json()["jobs"])
+                return answer.json()
+            if answer.status_code != 503:
+                raise RuntimeError(f"{path}: {answer.status_code} {answer.text}")
+            time.sleep(0.1)
+
+
+def kill_and_count(kind: str, kills: int, seed: int) -> Row:
+    """Run on one kind of database, and count what is there afterwards."""
+    with tempfile.TemporaryDirectory(prefix="lbacal-adoptions-") as name, open_database(kind, Path(name)) as database:
+        return _run(Path(name), database, kills, seed)
+
+
+def _run(folder: Path, database: Killable, kills: int, seed: int) -> Row:
+    instrument = load_instrument("lofar-superterp")
+    sky = compute_sky_power(instrument, lst_hours=np.arange(24.0))
+    write_sky_power(sky, folder / "sky_power.json")
+    spectra = simulate_campaign(CAMPAIGN, instrument, sky, np.random.default_rng([23, seed]), [FAULT]).spectra
+    port = find_free_port()
+    address = f"http://127.0.0.1:{port}"
+    environment = {f"LBACAL_{name.upper()}": str(value) for name, value in SETTINGS.items()}
+    environment |= {"LBACAL_DATABASE_URL": database.url, "LBACAL_SKY_POWER": str(folder / "sky_power.json")}
+    run_command(environment, "db", "upgrade")
+    key = run_command(environment, "keys", "create", "--scope", "admin").splitlines()[-1]
+    store = Database(Settings(database_url=database.url).sqlalchemy_url)
+    with store.write() as stores:
+        stores.spectra.add(spectra)
+    processes = [
+        Process(environment, folder / "log", "serve", "--port", str(port), "--api-only"),
+        Process(environment, folder / "log", "worker"),
+        Process(environment, folder / "log", "scheduler"),
+    ]
+    victims: dict[str, Callable[[], None]] = {process.name: process.kill for process in processes}
+    if database.kill is not None:
+        victims["database"] = database.kill
+    rng = np.random.default_rng([24, seed])
+    with running(*processes):
+        wait_until(lambda: is_ready(address), "the server")
+        wait_until(lambda: _is_idle(address, "investigation"), "the night")
+        (found,) = httpx2.get(f"{address}/v1/investigations").json()["investigations"]
+        before = _read_in_effect(address)
+        adopter = Adopter(address, key, found["id"])
+        thread = threading.Thread(target=adopter.run, daemon=True)
+        thread.start()
+        turns = [sorted(victims)[k % len(victims)] for k in range(kills)]
+        for victim in turns:
+            time.sleep(float(rng.uniform(0.3, 2.0)))
+            victims[victim]()
+            _ask_for_investigation(address, key)
+        adopter.stop()
+        wait_until(lambda: not thread.is_alive(), "the last withdrawal")
+        wait_until(lambda: is_ready(address), "the server")
+        run_command(environment, "scheduler", "--once")
+        wait_until(lambda: _is_idle(address, "refit"), "the refits")
+        after = _read_in_effect(address)
+    row = _count(store, adopter, is_restored=before == after)
+    store.close()
+    return {**row, "kills": kills, "victims": dict(Counter(turns))}
+
+
+def _count(store: Database, adopter: Adopter, *, is_restored: bool) -> Row:
+    with store.connect() as connection:
+        acts = {act: int(count) for act, count in connection.exec_driver_sql(ACTS).all()}
+        refits = {reason: int(count) for reason, count in connection.exec_driver_sql(REFITS).all()}
+        undone = len(connection.exec_driver_sql(UNDONE).all())
+    checks = {
+        "every adoption and every withdrawal is there once": acts
+        == {"adopted": adopter.acts // 2, "withdrawn": adopter.acts // 2},
+        "each has its refits, all or none": set(refits.values()) == {REFITS_OF_AN_ACT} and len(refits) == adopter.acts,
+        "every part is done": undone == 0,
+        "after the last withdrawal the old numbers are in effect, bit by bit": is_restored,
+    }
+    return {
+        "acts": adopter.acts,
+        "answers": {str(code): count for code, count in sorted(adopter.answers.items())},
+        "broken": [check for check, holds in checks.items() if not holds],
+    }
+
+
+def _ask_for_investigation(address: str, key: str) -> None:
+    """Ask, and be content with no answer: the process that would give it may be dead."""
+    try:
+        httpx2.post(f"{address}/v1/investigations", json=WINDOW, headers={"Authorization": f"Bearer {key}"}, timeout=5)
+    except httpx2.TransportError:
+        return
+
+
+def _is_idle(address: str, kind: str) -> bool:
+    jobs = httpx2.get(f"{address}/v1/jobs", params={"limit": 1000}, timeout=30).json()["jobs"]
+    return any(job["kind"] == kind for job in jobs) and all(job["state"] in ("done", "failed") for job in jobs)
+
+
+def _read_in_effect(address: str) -> Any:
+    """What every path of the station is told, or that nothing is in effect."""
+    answer = httpx2.get(f"{address}/v1/calibrations/effective", params=ASKED, timeout=60)
+    return [(c["calibration"], c["c"], c["c_sigma_stat"]) for c in answer.json().get("curves", [])]
+
+
+def judge(kind: str, rows: Sequence[Row]) -> list[Claim]:
+    """Whether fewer than the allowed share of the kills leave an adoption half done."""
+    text = f"A kill -9 during adoptions and withdrawals leaves one of them half done, or twice ({kind})"
+    return claim_broken(text, rows)
+
+
+def tell(rows: Sequence[Row]) -> list[str]:
+    """What was going on, and every broken promise."""
+    lines = []
+    for row in rows:
+        lines.append(f"- {row['kills']} kills {row['victims']}; {row['acts']} acts; answers {row['answers']}")
+        lines += [f"  NOT SO: {check}" for check in row["broken"]]
+    return lines
+
+
+def _kill(kind: str, seed: int) -> Row:
+    return kill_and_count(kind, KILLS, seed)
+
+
+PARTS = tuple(
+    Part(
+        kind, partial(_kill, kind), partial(judge, kind), 1, tell, ("broken",), is_parallel=False,
+        code=("lbacal", "lbacal_core", "service", "migrations"),
+    )
+    for kind in ("sqlite", "postgresql")
+)  # fmt: skip

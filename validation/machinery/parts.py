@@ -1,0 +1,78 @@
+"""A part of a proof: what one trial does, and what the trials show together."""
+
+from __future__ import annotations
+
+import importlib
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from validation.machinery.claims import Claim
+
+Row = dict[str, Any]
+"""Inputs and outcome of one trial, as JSON stores them; `seed` is added to it."""
+
+
+def tell_nothing(rows: Sequence[Row]) -> list[str]:  # noqa: ARG001  (stands where a part has no tables)
+    """No tables."""
+    return []
+
+
+@dataclass(frozen=True)
+class Part:
+    """One family of trials and what is claimed of it. A proof is a module with a tuple `PARTS` of these.
+
+    Attributes
+    ----------
+    name
+        One word, joined by hyphens.
+    trial
+        Draws the data set of a seed, asks, and returns the row: a function of a module, which needs nothing else.
+    judge
+        The claims, from rows in the order of their seeds.
+    count
+        Trials, unless said otherwise.
+    tell
+        Tables of the single outcomes, in Markdown, for who runs the proof.
+    headlines
+        Keys of the claims that are rows of the page: one, or none where another part says the same. The others stay in
+        the record, and what is not shown of them is told below the rows.
+    has_chance
+        Whether trials are drawn by chance; else the numbers 0 to count - 1 name fixed cases and no seeds are spent.
+    is_parallel
+        Whether trials may run beside each other.
+    needs_shared
+        Whether it reads the folder ../shared beside the project.
+    code
+        Folders that can change a figure beside the code that the trial imports: what it reads, and what other processes
+        run.
+    """
+
+    name: str
+    trial: Callable[[int], Row]
+    judge: Callable[[Sequence[Row]], list[Claim]]
+    count: int
+    tell: Callable[[Sequence[Row]], list[str]] = tell_nothing
+    headlines: tuple[str, ...] = ()
+    has_chance: bool = True
+    is_parallel: bool = True
+    needs_shared: bool = False
+    code: tuple[str, ...] = ("lbacal_core/data",)
+
+
+def proof_names() -> list[str]:
+    """The proofs, by name: the modules beside the packages that have parts."""
+    files = Path(__file__).parents[1].glob("*.py")
+    return sorted(file.stem for file in files if re.search(r"^PARTS\b", file.read_text(encoding="utf-8"), re.MULTILINE))
+
+
+def parts_of(proof: str) -> dict[str, Part]:
+    """The parts of a proof, by name."""
+    parts: tuple[Part, ...] = importlib.import_module(f"validation.{proof}").PARTS
+    return {part.name: part for part in parts}
+
+
+SHARED = Path(__file__).parents[3] / "shared"
+"""Measured data beside the project, which not everybody has."""

@@ -1,0 +1,328 @@
+"""What LOFAR's measured LST curve says of two simulations of it, how far to trust that, and what else bears on it.
+
+Needs ../shared. Nothing is tuned: the search of `lbacal investigate --lst-curve`, on curves as they were published.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import cache, partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lbacal.cli.curve_figures import name_hypothesis
+from lbacal_core.data.lofar import DIPOLES
+from lbacal_core.discovery.curve_fit import CurveFit
+from lbacal_core.discovery.curve_report import describe_curve
+from lbacal_core.discovery.lst_curve import CurveInvestigation, investigate_curve
+from lbacal_core.grids import Floats
+from lbacal_core.instrument import Instrument, load_instrument
+from lbacal_core.lstcurve.compare import AS_RECORDED, FLAT, band_weights
+from lbacal_core.lstcurve.curve import LstCurve, measured_curve, read_lst_curve
+from lbacal_core.lstcurve.noise import PointNoise, estimate_noise
+from lbacal_core.lstcurve.noise_share import NoisePrior, noise_prior
+from lbacal_core.provenance import Provenance
+from lbacal_core.skypower.model import compute_sky_power
+from lbacal_core.skypower.table import SkyPower
+from validation.machinery.claims import Claim, at_least, at_most, between, claim_exact
+from validation.machinery.parts import Part, Row
+from validation.sky_models import DATA, MAPS, TABLES, WIPL, fourier_series_curve, published_tables
+
+BAND = (30.0, 80.0)
+HARMONICS = 8
+"""Harmonics fitted to the published tables, 24 instants at LSTs rounded to 0.01 h; the beam leaves nothing above."""
+DIGITISED_DB = 0.012
+"""Noise given to curves that are drawn or computed, not measured: what two readings of the figure differ by."""
+
+
+def tables_as_sky_power(path: Path, instrument: Instrument, *, one_gain: bool = False) -> SkyPower:
+    """The published sky power tables as P_sky of an instrument, on a regular LST grid.
+
+    X and Y contain the antenna gain: each channel is divided by the mean over LST of X/bare (of Y/bare for Y; with
+    `one_gain` of both for both). The 24 instants are one UTC day apart in time and wrap at 24 h, so that the grid is
+    not regular: a Fourier series is fitted through them.
+    """
+    _, tables, lst = published_tables(path, instrument)
+    gain = {d: (tables[d] / tables["bare"]).mean(axis=0) for d in DIPOLES}
+    if one_gain:
+        gain = dict.fromkeys(DIPOLES, (gain["X"] + gain["Y"]) / 2)
+    grid: Floats = np.arange(24, dtype=float)
+    power = {d: _harmonics(grid) @ np.linalg.lstsq(_harmonics(lst), tables[d] / gain[d])[0] for d in DIPOLES}
+    return SkyPower(instrument.frequency_mhz, grid, power, path.name)
+
+
+def drawn_simulation(path: Path, words: str) -> LstCurve:
+    """The curves drawn beside the measured points in the same figure: `no_noise` or `noise`."""
+    with path.open() as file:
+        rows = list(csv.DictReader(line for line in file if not line.startswith("#")))
+    lst = np.array([float(row["lst_h"]) for row in rows])
+    values = {d: np.array([float(row[f"sim_{d.lower()}_{words}_db"] or "nan") for row in rows]) for d in DIPOLES}
+    return LstCurve(lst, values, np.full(lst.size, 0.11), 0.5, is_centre_stated=True, origin="drawn simulation")
+
+
+@dataclass(frozen=True)
+class Question:
+    """One curve asked against one simulation."""
+
+    words: str
+    curve: LstCurve
+    sky: SkyPower
+    is_own_sky: bool
+    noise: PointNoise | None = None
+    weights: str = AS_RECORDED
+    prior: NoisePrior | None = None
+
+    def ask(self, instrument: Instrument, without: str | None = None) -> CurveInvestigation:
+        """Investigate as the command does."""
+        return investigate_curve(
+            self.curve,
+            self.sky,
+            instrument,
+            BAND,
+            is_own_sky=self.is_own_sky,
+            weights=self.weights,
+            noise=self.noise,
+            prior=self.prior,
+            without=without,
+        )
+
+
+def variants(main: Question, others: Iterable[Question] = ()) -> list[Question]:
+    """The same question with each choice made otherwise."""
+    curve, noise = main.curve, estimate_noise(main.curve)
+    uncorrelated = replace(noise, correlation=0.0)
+    drawn = PointNoise(dict.fromkeys(DIPOLES, float(np.nanmedian(curve.error_db))), 0.0, noise.free)
+    index = np.arange(curve.lst_hours.size)
+    early = replace(curve, lst_hours=curve.lst_hours - curve.bin_hours / 2, is_centre_stated=True)
+
+    def only(words: str, kept: np.ndarray) -> Question:
+        values = {d: np.where(kept, curve.variation_db[d], np.nan) for d in DIPOLES}
+        return replace(main, words=words, curve=replace(curve, variation_db=values), noise=noise)
+
+    return [
+        main,
+        replace(main, words="channels weigh alike", weights=FLAT),
+        only("every second point", index % 2 == 0),
+        only("the other points", index % 2 == 1),
+        only("LST 0-12 h only", curve.lst_hours < 12),
+        only("LST 12-24 h only", curve.lst_hours >= 12),
+        replace(main, words="noise about 4 harmonics", noise=estimate_noise(curve, 4)),
+        replace(main, words="noise about 8 harmonics", noise=estimate_noise(curve, 8)),
+        replace(main, words="noise of X and Y independent", noise=uncorrelated),
+        replace(main, words="noise = drawn bars", noise=drawn),
+        replace(main, words="lst_h is the centre of the bin", curve=early),
+        *others,
+    ]
+
+
+def describe(fit: CurveFit) -> str:
+    """The causes of a set with sizes and errors."""
+    cells = [
+        f"{name} ± {sigma * np.sqrt(fit.scale):.2f}" if sigma else name
+        for name, sigma in zip(name_hypothesis(fit), fit.sigmas.tolist(), strict=True)
+    ]
+    return ", ".join(cells) or "nothing"
+
+
+def per_point(fit: CurveFit) -> str:
+    """Chi^2 per point with the estimated noise, and with the drawn bars in brackets."""
+    return "{estimated:.2f} ({drawn_bars:.2f})".format(**fit.per_point)
+
+
+def hypotheses_table(found: CurveInvestigation) -> list[str]:
+    """What the report says of every hypothesis: chi^2, whether it is excluded, and what it would do to C."""
+    lines = [
+        "| hypothesis | chi2 per point (drawn bars) | standing | C of X at 30, 55, 80 MHz | C of Y |",
+        "|---|---|---|---|---|",
+    ]
+    decide: dict[str, str] = {}
+    for one in describe_curve(found, Provenance({}))["hypotheses"]:
+        names = [
+            f"{cause['cause']} {cause['parameters'].get('source', '')} "
+            f"{cause['parameters'].get('fraction_of_mean_sky_power', cause['size']['value']):.2f}"
+            for cause in one["causes"]
+        ]
+        change = [
+            ", ".join(f"{100 * one['calibration_change'][d]['at_mhz'][nu]:+.1f} %" for nu in ("30", "55", "80"))
+            for d in DIPOLES
+        ]
+        decide |= {cause["cause"]: cause["would_decide"] for cause in one["causes"]}
+        points = one["chi2_per_point"]
+        cells = [", ".join(names), f"{points['estimated']:.2f} ({points['drawn_bars']:.2f})", one["standing"]]
+        lines.append("| " + " | ".join([*cells, *change]).replace("  ", " ") + " |")
+    return [*lines, "", "What would decide: " + "; ".join(f"{name}: {what}" for name, what in decide.items()) + "."]
+
+
+def witnesses(instrument: Instrument, own: SkyPower, tables: SkyPower) -> list[Question]:
+    """Published curves and simulations against each other, none of them the measured points."""
+    known = PointNoise(dict.fromkeys(DIPOLES, DIGITISED_DB), 0.0, 60)
+    points = DATA / "measured_lst_variation.csv"
+    of_tables = published_tables(TABLES, instrument)[0]
+    series = fourier_series_curve(DATA / "lst_fourier_series.csv")
+    smooth = PointNoise(dict.fromkeys(DIPOLES, 0.05), 0.0, 60)
+    drawn = "simulation drawn in the figure"
+    published = noise_prior(instrument, BAND, band_weights(instrument, AS_RECORDED, BAND))
+    silent, any_noise = replace(published, mean=0.0, sigma=0.001), replace(published, sigma=np.inf)
+
+    def simulated(words: str, curve: LstCurve, sky: SkyPower, is_own_sky: bool, prior: NoisePrior) -> Question:
+        return Question(words, curve, sky, is_own_sky, known, prior=prior)
+
+    quiet, noisy = (drawn_simulation(points, words) for words in ("no_noise", "noise"))
+    return [
+        simulated(f"{drawn}, without noise, against the tables", quiet, tables, False, silent),
+        simulated(f"{drawn}, with noise, against the tables", noisy, tables, False, any_noise),
+        simulated("the tables against our sky, spread of models added", of_tables, own, True, silent),
+        simulated("the tables against our sky at its word", of_tables, own, False, silent),
+        Question("Fourier series of the measured power, X polarization_1, against our sky", series, own, True, smooth),
+    ]
+
+
+def main_questions(instrument: Instrument) -> tuple[Question, Question]:
+    """The measured curve against our sky, and against the published tables."""
+    curve = read_lst_curve(measured_curve())
+    own = Question("(a) our own sky, spread of models added", curve, compute_sky_power(instrument), True)
+    tables = Question("(b) published tables at their word", curve, tables_as_sky_power(TABLES, instrument), False)
+    return own, tables
+
+
+def _harmonics(lst_hours: Floats) -> Floats:
+    angle = 2 * np.pi / 24.0 * np.outer(lst_hours, np.arange(1, HARMONICS + 1))
+    return np.concatenate([np.ones((angle.shape[0], 1)), np.cos(angle), np.sin(angle)], axis=1)
+
+
+def _other_skies(main: Question, instrument: Instrument) -> list[Question]:
+    models = (
+        ("GSM locked to 408 MHz", compute_sky_power(instrument, str(MAPS[0]))),
+        ("LFSM", compute_sky_power(instrument, str(MAPS[1]))),
+        ("antenna WIPL-D", compute_sky_power(instrument, antenna=str(WIPL))),
+        ("LFSM, antenna WIPL-D", compute_sky_power(instrument, str(MAPS[1]), str(WIPL))),
+    )
+    at_word = replace(main, words="our sky at its word", is_own_sky=False)
+    return [at_word, *(replace(main, words=words, sky=sky) for words, sky in models)]
+
+
+@cache
+def _instrument() -> Instrument:
+    return load_instrument("lofar-superterp")
+
+
+@cache
+def own_questions() -> list[Question]:
+    """The measured curve against our sky, and every choice made otherwise."""
+    own, _ = main_questions(_instrument())
+    return variants(own, _other_skies(own, _instrument()))
+
+
+@cache
+def tables_questions() -> list[Question]:
+    """The measured curve against the published tables, and every choice made otherwise."""
+    _, tables = main_questions(_instrument())
+    one_gain = tables_as_sky_power(TABLES, _instrument(), one_gain=True)
+    spread = replace(tables, words="spread of models added", is_own_sky=True)
+    return variants(tables, [spread, replace(tables, words="one gain for X and Y", sky=one_gain)])
+
+
+@cache
+def other_questions() -> list[Question]:
+    """Published curves and simulations against each other."""
+    own, tables = main_questions(_instrument())
+    return witnesses(_instrument(), own.sky, tables.sky)
+
+
+def ask_one(questions: Callable[[], list[Question]], case: int) -> Row:
+    """What is found for one question; of the first also every hypothesis."""
+    question = questions()[case]
+    found = question.ask(_instrument())
+    report, prior = describe_curve(found, Provenance({})), found.fitter.station.prior
+    row: Row = {
+        "words": question.words,
+        "named": describe(found.last),
+        "sizes": {
+            label: [round(float(size), 4), round(float(sigma * np.sqrt(found.last.scale)), 4)]
+            for label, size, sigma in zip(found.last.labels, found.last.sizes, found.last.sigmas, strict=True)
+        },
+        "noise_of_sky": [
+            round(number, 4)
+            for number in (found.last.noise, found.last.noise_sigma, prior.mean, prior.sigma)
+            if np.isfinite(number)
+        ],
+        "chi2_before": per_point(found.first),
+        "chi2_after": per_point(found.last),
+        "verdict": report["verdict"],
+    }
+    if questions is not other_questions:
+        row["best_without_exchange"] = per_point(question.ask(_instrument(), "dipole_swap").last)
+    if case == 0 and questions is not other_questions:
+        noise = found.fitter.noise
+        row["noise_db"] = {dipole: round(noise.sigma_db[dipole], 4) for dipole in DIPOLES}
+        row["correlation"], row["points"] = round(noise.correlation, 3), found.first.points
+        row["hypotheses"] = hypotheses_table(found)
+    return row
+
+
+def judge_variants(rows: Sequence[Row]) -> list[Claim]:
+    """Whether the exchange of the letters depends on a choice."""
+    named = sum("dipole_swap" in row["sizes"] for row in rows) / len(rows)
+    text = "Choices of noise, points, weights, sky and antenna for which X and Y are found exchanged"
+    claims = [claim_exact("exchange", text, at_least(1.0), named, "%", n=len(rows))]
+    for label, (size, sigma) in rows[0]["sizes"].items():
+        if sigma == 0.0:  # a statement, which has no size
+            continue
+        interval = (size - 1.96 * sigma, size + 1.96 * sigma)
+        asked = at_least(0.0) if size > 0 else at_most(0.0)
+        text = f"Size of `{label}` in the measured curve is not 0"
+        claims.append(Claim(label, text, asked, size, interval, rows[0]["points"]))
+    noise, sigma, known, width = rows[0]["noise_of_sky"]
+    text = f"Electronic noise over the mean sky power, as published, in the measured curve against {rows[0]['words']}"
+    asked = between(round(known - 1.96 * width, 2), round(known + 1.96 * width, 2))
+    interval = (noise - 1.96 * sigma, noise + 1.96 * sigma)
+    return [*claims, Claim("noise", text, asked, noise, interval, rows[0]["points"])]
+
+
+def judge_others(rows: Sequence[Row]) -> list[Claim]:
+    """The simulation drawn in the figure, and the tables against our sky."""
+    named = sum("dipole_swap" in row["sizes"] for row in rows[:2]) / 2
+    zenith, sigma = rows[3]["sizes"].get("zenith_weighting", [0.0, 1.0])
+    noise, noise_sigma = rows[1]["noise_of_sky"][:2]
+    return [
+        claim_exact(
+            "drawn_exchange", "Simulations drawn in the figure in which X and Y are exchanged, against the tables",
+            at_least(1.0), named, "%", n=2,
+        ),
+        Claim(
+            "drawn_noise", "Electronic noise over the mean sky power in the simulation drawn with noise",
+            between(0.4, 0.6), noise, (noise - 1.96 * noise_sigma, noise + 1.96 * noise_sigma), 1,
+        ),
+        Claim(
+            "zenith_weighting", "Cosines of the zenith angle too many in the published tables, against our sky",
+            between(0.8, 1.2), zenith, (zenith - 1.96 * sigma, zenith + 1.96 * sigma), 1,
+        ),
+    ]  # fmt: skip
+
+
+def tell(rows: Sequence[Row]) -> list[str]:
+    """One row a question, and the hypotheses of the first."""
+    lines = [
+        "| choice | named | noise over mean sky | chi2 per point before | after | best without an exchange | verdict |",
+        "|" + "---|" * 7,
+    ]
+    names = ("words", "named", "noise", "chi2_before", "chi2_after", "best_without_exchange", "verdict")
+    noise = ("{:.2f} ± {:.2f}".format(*row["noise_of_sky"]) for row in rows)
+    told = ({**row, "noise": words} for row, words in zip(rows, noise, strict=True))
+    lines += [f"| {' | '.join(str(row.get(name, '')) for name in names)} |" for row in told]
+    return [*lines, "", *rows[0].get("hypotheses", [])]
+
+
+FIXED: dict[str, Any] = {"has_chance": False, "needs_shared": True, "code": ("lbacal_core", "validation", "service")}
+PARTS = (
+    Part("own", partial(ask_one, own_questions), judge_variants, 16, tell, ("exchange",), **FIXED),
+    Part("tables", partial(ask_one, tables_questions), judge_variants, 13, tell, (), **FIXED),
+    Part("others", partial(ask_one, other_questions), judge_others, 5, tell, **FIXED),
+)
+IMAGES = {
+    "measured-own.png": "Measured LOFAR curve, X, Y and their difference, with the simulation before and after",
+}

@@ -1,0 +1,304 @@
+"""A misfit is what noise and the freedom of sky and pattern cannot explain: no clean curve may be, a wrong input must.
+
+Clean: part of a year of three stations in a drawn world with everything that such a year brings; the fit knows neither
+the world's sky nor its antenna, and not the models that they were drawn from. Wrong: an input of a clean campaign is
+mistaken in a way that users have mistaken it; such curves converged without a word.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime, timedelta
+from functools import lru_cache
+from zoneinfo import ZoneInfo
+
+import numpy as np
+
+from lbacal_core.antenna.ideal import ShortDipole
+from lbacal_core.antenna.model import AntennaModel
+from lbacal_core.calibration.chain_test import SkyFreedom
+from lbacal_core.calibration.fit import fit_calibration
+from lbacal_core.calibration.freedom import free_own_sky
+from lbacal_core.curves import CONVERGED, MISFIT, OK, CalibrationCurve, FitReport
+from lbacal_core.errors import BadInputError
+from lbacal_core.grids import Floats
+from lbacal_core.instrument import Instrument, load_instrument
+from lbacal_core.skypower.differences import DifferenceModels
+from lbacal_core.skypower.model import compute_sky_power
+from lbacal_core.skypower.sky_terms import SkyTerm
+from lbacal_core.skypower.table import SkyPower
+from lbacal_core.spectra import Spectra
+from lbacal_core.uncertainty.changes import list_changes
+from lbacal_core.uncertainty.refit import add_budget, compute_budget
+from lbacal_twin.campaign import Campaign, simulate_campaign
+from lbacal_twin.gains import NOISES
+from lbacal_twin.settings import TwinSettings
+from validation.hidden.station_year import EVERYTHING
+from validation.hidden.worlds import OWN, alternatives
+from validation.hidden.worlds import draw as draw_world
+from validation.machinery.claims import Claim, at_most, claim_mean, claim_rate
+from validation.machinery.parts import Part, Row
+
+CLEAN = TwinSettings(stations=("CS002", "CS003", "CS004"), antennas=4, events_per_year=600)
+WRONG = TwinSettings(stations=("CS002",), antennas=4, events_per_year=600)
+SCOPES = {"antenna": "paths", "station": "stations"}
+RATE = 0.002
+"""None of 2000."""
+MISSED = 0.01
+ANTENNAS = (OWN.antenna, "short-dipole", "quarter-wave")
+"""Whose data are taken for the first one's: the short dipole at a height that is drawn."""
+HEIGHTS_M = (1.1, 1.6)
+FAR = 2.0
+"""Standard deviations of the total error."""
+BEYOND_2 = 0.05
+"""Part of channels beyond twice their error where nothing is wrong."""
+AS_NO_MODEL = "lst"
+"""Worlds whose sky departs along LST by 3 % r.m.s., which no model does: what a misfit is for."""
+FIRST_SEED = 600_000_000
+
+
+@lru_cache(maxsize=64)
+def _freedom(known: DifferenceModels) -> SkyFreedom:
+    return free_own_sky(load_instrument("lofar-superterp"), known)
+
+
+def fit_clean(seed: int) -> Row:
+    """A campaign of a drawn world: how many of its curves are misfits, by scope."""
+    instrument, world = load_instrument("lofar-superterp"), draw_world(FIRST_SEED + seed, OWN)
+    nuisances = replace(EVERYTHING, noisy_stations=("CS003",) if seed % 3 == 0 else ())
+    rng = np.random.default_rng([13_02, seed])
+    spectra = simulate_campaign(
+        CLEAN, instrument, world.sky_power(instrument), rng, nuisances=nuisances, gains=world.gains
+    ).spectra
+    freedom = _freedom(alternatives(world, OWN))
+    row: Row = {"sky": world.sky, "noise": world.noise, "outside": world.outside}
+    for scope in SCOPES:
+        curves = fit_calibration(spectra, instrument, OWN.power(), scope, freedom).curves
+        tested = [curve for curve in curves if curve.chi2_per_dof_profiled is not None]
+        row[scope] = {
+            "curves": len(tested),
+            "misfits": sum(curve.status == MISFIT for curve in tested),
+            "worst": round(max((curve.chi2_per_dof_profiled or 0.0 for curve in tested), default=0.0), 3),
+        }
+    return row
+
+
+def judge_clean(rows: Sequence[Row]) -> list[Claim]:
+    """Misfits among clean curves, where the sky is one of a model and where it is none's."""
+    claims = []
+    for scope, name in SCOPES.items():
+        for key, where, is_odd in (("", "", False), ("_lst", " whose sky departs along LST as no model does", True)):
+            here = [row[scope] for row in rows if (row["outside"] == AS_NO_MODEL) == is_odd]
+            curves, misfits = (sum(row[k] for row in here) for k in ("curves", "misfits"))
+            text = f"Clean curves of {name} in {len(here)} drawn worlds{where} that are a misfit"
+            claims.append(claim_rate(f"{scope}{key}", text, at_most(RATE), misfits, curves))
+    return claims
+
+
+def tell_clean(rows: Sequence[Row]) -> list[str]:
+    """By what lies outside every model."""
+    lines = ["| outside | worlds | scope | curves | misfits | worst chi2/dof |", "|---|---|---|---|---|---|"]
+    for outside in sorted({row["outside"] for row in rows}):
+        here = [row for row in rows if row["outside"] == outside]
+        for scope in SCOPES:
+            curves, misfits = (sum(row[scope][name] for row in here) for name in ("curves", "misfits"))
+            worst = max(row[scope]["worst"] for row in here)
+            lines.append(f"| {outside or 'nothing'} | {len(here)} | {scope} | {curves} | {misfits} | {worst:.2f} |")
+    return lines
+
+
+def _letters_exchanged(spectra: Spectra) -> Spectra:
+    return replace(spectra, dipole=np.where(spectra.dipole == "X", "Y", "X"))
+
+
+def _as_they_are(spectra: Spectra) -> Spectra:
+    return spectra
+
+
+def _as_it_is(instrument: Instrument) -> Instrument:
+    return instrument
+
+
+def _in_local_time(spectra: Spectra) -> Spectra:
+    """Times as a clock on the wall shows them in the Netherlands: one hour late in winter, two in summer."""
+    time_unix, event = np.unique(spectra.time_unix, return_inverse=True)
+    zone = ZoneInfo("Europe/Amsterdam")
+    offsets = [datetime.fromtimestamp(one, zone).utcoffset() or timedelta() for one in time_unix.tolist()]
+    return replace(spectra, time_unix=(time_unix + [offset.total_seconds() for offset in offsets])[event])
+
+
+OF_SPECTRA: Mapping[str, Callable[[Spectra], Spectra]] = {
+    "decibels above -200": lambda s: replace(s, power=200.0 + 10.0 * np.log10(s.power)),
+    "decibels above -400": lambda s: replace(s, power=400.0 + 10.0 * np.log10(s.power)),
+    "voltage for power": lambda s: replace(s, power=np.sqrt(s.power)),
+    "X and Y exchanged": _letters_exchanged,
+    "channels reversed": lambda s: replace(s, power=s.power[:, ::-1].copy()),
+    "local time": lambda s: replace(s, time_unix=s.time_unix + 7200.0),
+    "local time, summer and winter": _in_local_time,
+}
+OF_INSTRUMENT: Mapping[str, Callable[[Instrument], Instrument]] = {
+    "latitude and longitude exchanged": lambda i: replace(
+        i, latitude_deg=i.longitude_deg, longitude_deg=i.latitude_deg
+    ),
+    "latitude in radians": lambda i: replace(i, latitude_deg=float(np.radians(i.latitude_deg))),
+    "arms in radians": lambda i: replace(
+        i, dipole_azimuth_deg={k: float(np.radians(v)) for k, v in i.dipole_azimuth_deg.items()}
+    ),
+}
+KINDS = (*OF_SPECTRA, *OF_INSTRUMENT)
+TOLD: Mapping[str, Callable[[Spectra], Spectra]] = {
+    "an hour late": lambda s: replace(s, time_unix=s.time_unix + 3600.0),
+    "an hour early": lambda s: replace(s, time_unix=s.time_unix - 3600.0),
+}
+"""What nobody has mistaken yet, and moves C by less than its error: how many converge is told and not claimed."""
+CURVES = 20
+"""Curves of each kind: four antennas and their station, two dipoles, own sky and a file; what is an error has none."""
+
+
+@dataclass(frozen=True)
+class Believed:
+    """Instrument, sky power and its freedom as somebody believes them, and what they may be wrong by."""
+
+    instrument: Instrument
+    sky_power: SkyPower
+    freedom: SkyFreedom
+    changes: Sequence[SkyTerm]
+
+    def fit(self, spectra: Spectra, scope: str) -> FitReport:
+        """Curves with their total error."""
+        inputs = spectra, self.instrument, self.sky_power
+        budget = compute_budget(*inputs, changes=self.changes, freedom=self.freedom)
+        return add_budget(fit_calibration(*inputs, scope, self.freedom), budget)
+
+
+@lru_cache(maxsize=16)
+def _believe(kind: str) -> Believed | None:
+    """What somebody believes who made a mistake; None where it is an error."""
+    try:
+        instrument = OF_INSTRUMENT.get(kind, _as_it_is)(load_instrument("lofar-superterp"))
+    except BadInputError:
+        return None
+    return _own(instrument)
+
+
+def _own(instrument: Instrument) -> Believed:
+    return Believed(instrument, compute_sky_power(instrument), free_own_sky(instrument), list_changes(instrument))
+
+
+@lru_cache(maxsize=1)
+def _right() -> Believed:
+    return _own(load_instrument("lofar-superterp"))
+
+
+def _simulate(antenna: str | AntennaModel, seed: int) -> Campaign:
+    instrument, names = load_instrument("lofar-superterp"), list(NOISES)
+    power = compute_sky_power(instrument, OWN.sky, antenna)
+    rng, gains = np.random.default_rng([13_03, seed]), NOISES[names[seed % len(names)]]
+    return simulate_campaign(WRONG, instrument, power, rng, nuisances=EVERYTHING, gains=gains)
+
+
+def fit_wrong(seed: int) -> Row:
+    """Each mistake in turn on a campaign of the own world: how many curves converged all the same."""
+    spectra, row = _simulate(OWN.antenna, seed).spectra, Row()
+    for kind in (*KINDS, *TOLD):
+        believed = _believe(kind if kind in OF_INSTRUMENT else "")
+        if believed is None:
+            row[kind] = {"curves": CURVES, "converged": 0}
+            continue
+        wrong = {**OF_SPECTRA, **TOLD}.get(kind, _as_they_are)(spectra)
+        inputs = wrong, believed.instrument, believed.sky_power
+        fits = [fit_calibration(*inputs, scope, free) for scope in SCOPES for free in (believed.freedom, None)]
+        curves = [curve for report in fits for curve in report.curves]
+        row[kind] = {"curves": len(curves), "converged": sum(curve.status == CONVERGED for curve in curves)}
+    return row
+
+
+def fit_pattern(seed: int) -> Row:
+    """Data of another antenna: what its paths are told, and how far C is off in the channels that are told `ok`."""
+    height = np.random.default_rng([13_06, seed]).uniform(*HEIGHTS_M)
+    antennas: dict[str, str | AntennaModel] = {name: name for name in ANTENNAS}
+    antennas["short-dipole"] = ShortDipole(height_m=float(height))
+    row: Row = {"height_m": round(float(height), 3)}
+    for name, antenna in antennas.items():
+        campaign = _simulate(antenna, seed)
+        told: Row = dict.fromkeys(("curves", "misfits", "unflagged", "unsaid", "channels", "beyond_1", "beyond_2"), 0)
+        for curve in _right().fit(campaign.spectra, "antenna").curves:
+            told["curves"] += 1
+            told["misfits"] += int(curve.status == MISFIT)
+            if curve.status != CONVERGED or curve.c is None:
+                continue
+            is_ok = curve.flags == OK
+            truth = campaign.truth.curve(str(curve.dipole), str(curve.station), curve.antenna)
+            beyond = (np.abs(curve.c - truth) / _total_error(curve))[is_ok]
+            told["unflagged"] += int(np.all(is_ok))
+            told["unsaid"] += int(np.all(is_ok) and np.any(beyond > FAR))
+            told["channels"] += int(is_ok.sum())
+            for k in (1, 2):
+                told[f"beyond_{k}"] += int(np.count_nonzero(beyond > k))
+        row[name] = told
+    return row
+
+
+def _total_error(curve: CalibrationCurve) -> Floats:
+    errors = [one for one in (curve.c_sigma_stat, curve.c_sigma_sys) if one is not None]
+    return np.asarray(np.sqrt(np.sum(np.square(errors), axis=0)))
+
+
+def judge_wrong(rows: Sequence[Row]) -> list[Claim]:
+    """Curves of wrong inputs that converged, kind by kind."""
+    claims = []
+    for kind in KINDS:
+        curves, converged = (sum(row[kind][name] for row in rows) for name in ("curves", "converged"))
+        text = f"Wrong input, {kind}: curves that converged, paths and stations, own sky and a file"
+        claims.append(claim_rate(kind.replace(" ", "_"), text, at_most(MISSED), converged, curves))
+    return claims
+
+
+def tell_wrong(rows: Sequence[Row]) -> list[str]:
+    """By kind, those without a claim too."""
+    lines = ["| input | curves | converged |", "|---|---|---|"]
+    for kind in (*KINDS, *TOLD):
+        curves, converged = (sum(row[kind][name] for row in rows) for name in ("curves", "converged"))
+        lines.append(f"| {kind} | {curves} | {converged} |")
+    return lines
+
+
+def judge_pattern(rows: Sequence[Row]) -> list[Claim]:
+    """Whether another antenna than is believed shows: as a misfit, by flags, or in the error of C."""
+    claims = []
+    for antenna in ANTENNAS[1:]:
+        unsaid, curves = (sum(row[antenna][name] for row in rows) for name in ("unsaid", "curves"))
+        text = f"Data of the antenna {antenna} taken for LOFAR's: converged, no flag, and C off by twice its error"
+        claims.append(claim_rate(f"{antenna}_unsaid", text, at_most(MISSED), unsaid, curves))
+        text = f"Data of the antenna {antenna} taken for LOFAR's: channels told ok whose C is off by twice its error"
+        found = [row[antenna]["beyond_2"] / max(row[antenna]["channels"], 1) for row in rows]
+        claims.append(claim_mean(f"{antenna}_beyond", text, at_most(BEYOND_2), np.array(found), "%"))
+    return claims
+
+
+def tell_pattern(rows: Sequence[Row]) -> list[str]:
+    """By antenna, the right one first."""
+    lines = ["| antenna | curves | misfits | no flag | and far off | channels told ok | beyond 1 sigma | beyond 2 |"]
+    lines.append("|---|---|---|---|---|---|---|---|")
+    for antenna in ANTENNAS:
+        total = {name: sum(row[antenna][name] for row in rows) for name in rows[0][antenna]}
+        share = [f"{total[f'beyond_{k}'] / max(total['channels'], 1):.1%}" for k in (1, 2)]
+        cells = [
+            antenna,
+            total["curves"],
+            total["misfits"],
+            total["unflagged"],
+            total["unsaid"],
+            total["channels"],
+            *share,
+        ]
+        lines.append(f"| {' | '.join(map(str, cells))} |")
+    return lines
+
+
+PARTS = (
+    Part("clean", fit_clean, judge_clean, 100, tell_clean, ("antenna",)),
+    Part("wrong", fit_wrong, judge_wrong, 6, tell_wrong, ("X_and_Y_exchanged",)),
+    Part("pattern", fit_pattern, judge_pattern, 20, tell_pattern),
+)

@@ -1,0 +1,162 @@
+"""Whatever scope answers for a path, the truth lies within the error that the path is told.
+
+A campaign is a year of an array with cables of 50, 80 and 115 m, simulated by the twin: every path has a gain of its
+own, every station a response of its own. One station is simulated but not given to the fit. Each path is then told C by
+its own curve, by its station's, by the array's, and in that one station by that of an array without a spectrum of it.
+An error counts over all paths and channels. The errors of one campaign have much in common, so a campaign is one draw.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cache
+
+import numpy as np
+
+from lbacal_core.calibration.fit import fit_calibration
+from lbacal_core.calibration.own_cable import ToldCurve, carry_to_path
+from lbacal_core.curves import UNCERTAIN, FitReport
+from lbacal_core.data.lofar import DIPOLES
+from lbacal_core.instrument import Instrument, load_instrument
+from lbacal_core.skypower.model import compute_sky_power
+from lbacal_core.skypower.table import SkyPower
+from lbacal_twin.campaign import Campaign, simulate_campaign
+from lbacal_twin.nuisances import Nuisances
+from lbacal_twin.settings import TwinSettings
+from validation.machinery.claims import Claim, at_least, at_most, between, claim_mean
+from validation.machinery.parts import Part, Row
+
+SETTINGS = TwinSettings(stations=("CS002", "CS003", "CS004", "CS005", "CS006", "CS007"), events_per_year=300)
+NUISANCES = Nuisances(missing=0.05, departures=0.01)
+CABLES = ("50", "80", "115")
+FITTED = ("antenna", "station", "array")
+SCOPES = {
+    "own": "its own curve",
+    "station": "its station's curve",
+    "array": "the array's curve",
+    "silent": "the curve of an array without data of its station",
+}
+WITHIN_1, WITHIN_2 = (0.60, 0.76), (0.91, 0.98)
+LARGEST_OFFSET = 0.03
+"""Another cable's curve is off by 0.25 to 0.57."""
+
+
+@cache
+def _inputs() -> tuple[Instrument, SkyPower]:
+    instrument = load_instrument("lofar-superterp")
+    return instrument, compute_sky_power(instrument)
+
+
+def tell_campaign(settings: TwinSettings, seed: int) -> Row:
+    """Simulate a campaign, fit it without one station, and compare what every path is told with the truth."""
+    instrument, sky_power = _inputs()
+    rng = np.random.default_rng([50_80_115, seed])
+    campaign = simulate_campaign(settings, instrument, sky_power, rng, nuisances=NUISANCES)
+    silent = settings.stations[seed % len(settings.stations)]
+    spectra = campaign.spectra.select(campaign.spectra.station != silent)
+    reports = {name: fit_calibration(spectra, instrument, sky_power, name) for name in FITTED}
+    return compare_scopes(reports, campaign, silent)
+
+
+def compare_scopes(reports: Mapping[str, FitReport], campaign: Campaign, silent: str) -> Row:
+    """What every path is told by each kind of answer, against the truth; one station gave no spectra."""
+    heard = [one.station for one in campaign.truth.stations if one.station != silent]
+    return {
+        "own": _compare(reports["antenna"], campaign, heard),
+        "station": _compare(reports["station"], campaign, heard),
+        "array": _compare(reports["array"], campaign, heard),
+        "silent": _compare(reports["array"], campaign, [silent]),
+    }
+
+
+def _compare(report: FitReport, campaign: Campaign, stations: Sequence[str]) -> Row:
+    """How often the truth lies within the error told, by cable and altogether."""
+    told, truths = zip(*_tell(report, campaign, stations), strict=True)
+    c = np.array([one.curve.c for one in told])
+    sigma = np.array(
+        [np.hypot(one.curve.c_sigma_stat, 0.0 if (s := one.curve.c_sigma_sys) is None else s) for one in told]
+    )
+    fraction, told_error = c / np.array(truths) - 1.0, sigma / c
+    pull = np.abs(c - np.array(truths)) / sigma
+    has_value = np.isfinite(pull)
+    row: Row = {"uncertain": float(np.mean([one.flag == UNCERTAIN for one in told]))}
+    for cable in ("all", *CABLES):
+        rows = np.array([cable in ("all", one.cable) for one in told])
+        at = has_value & rows[:, None]
+        row[cable] = {
+            "paths": int(rows.sum()),
+            "within_1": round(float(np.mean(pull[at] < 1.0)), 4),
+            "within_2": round(float(np.mean(pull[at] < 2.0)), 4),
+            "offset": round(float(np.median(fraction[at])), 5),
+            "error": round(float(np.median(np.abs(fraction[at]))), 5),
+            "error_95": round(float(np.quantile(np.abs(fraction[at]), 0.95)), 5),
+            "told": round(float(np.median(told_error[at])), 5),
+        }
+    return row
+
+
+def _tell(report: FitReport, campaign: Campaign, stations: Sequence[str]) -> Iterator[tuple[ToldCurve, np.ndarray]]:
+    """What every path of some stations is told by the curves of one scope, and the truth."""
+    curves = {
+        (curve.station, curve.antenna, curve.dipole): (curve, chain)
+        for curve, chain in zip(report.curves, report.chains, strict=True)
+        if curve.c is not None
+    }
+    for one in campaign.truth.stations:
+        for antenna in one.antennas.tolist() if one.station in stations else []:
+            for dipole in DIPOLES:
+                keys = [(one.station, antenna, dipole), (one.station, None, dipole), (None, None, dipole)]
+                found = next((curves[key] for key in keys if key in curves), None)
+                if found is not None:
+                    told = carry_to_path(*found, one.station, antenna, dipole, SETTINGS.start_unix)
+                    yield told, campaign.truth.curve(dipole, one.station, antenna)
+
+
+def judge(rows: Sequence[Row]) -> list[Claim]:
+    """Whether the errors told are those made, for every kind of answer, and no cable is told the curve of another."""
+
+    def of(scope: str, cable: str, name: str) -> np.ndarray:
+        return np.array([row[scope][cable][name] for row in rows])
+
+    claims = []
+    for scope, words in SCOPES.items():
+        where = f"of the paths and channels told {words}, the truth lies within"
+        within = ((1, WITHIN_1), (2, WITHIN_2))
+        claims += [
+            claim_mean(f"{scope}_{k}", f"Part {where} {k} sigma", between(*asked), of(scope, "all", f"within_{k}"), "%")
+            for k, asked in within
+        ]
+    for cable in CABLES:
+        offsets = np.abs(of("station", cable, "offset"))
+        text = f"Median error of a path with {cable} m of cable that is told its station's curve, without sign"
+        claims.append(claim_mean(f"offset_{cable}", text, at_most(LARGEST_OFFSET), offsets, "%"))
+    silent = np.array([row["silent"]["uncertain"] for row in rows])
+    heard = np.array([row["array"]["uncertain"] for row in rows])
+    claims.append(claim_mean("flagged", "Paths of a silent station that are flagged", at_least(1.0), silent, "%"))
+    claims.append(claim_mean("not_flagged", "Paths of other stations that are", at_most(0.0), heard, "%"))
+    return claims
+
+
+def tell(rows: Sequence[Row]) -> list[str]:
+    """By kind of answer and cable."""
+    lines = [
+        "| told | cable | paths | within 1 sigma | within 2 sigma | error: median, 95 % | error told |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for scope in SCOPES:
+        for cable in ("all", *CABLES):
+            mean = {name: float(np.mean([row[scope][cable][name] for row in rows])) for name in rows[0][scope][cable]}
+            paths = sum(row[scope][cable]["paths"] for row in rows)
+            lines.append(
+                f"| {scope} | {cable} | {paths} | {mean['within_1']:.3f} | {mean['within_2']:.3f} "
+                f"| {mean['error']:.2%}, {mean['error_95']:.2%} | {mean['told']:.2%} |"
+            )
+    return lines
+
+
+def tell_superterp(seed: int) -> Row:
+    """A year of the Superterp."""
+    return tell_campaign(SETTINGS, seed)
+
+
+PARTS = (Part("superterp", tell_superterp, judge, 96, tell, ("own_2",)),)

@@ -1,0 +1,95 @@
+"""Processes of the service for proofs and tests: started as a user would, ended by a signal or killed."""
+
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+
+import httpx2
+
+PATIENCE_S = 120.0
+
+
+def find_free_port() -> int:
+    """A port that nobody listens on."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        return int(free.getsockname()[1])
+
+
+def wait_until(is_so: Callable[[], bool], what: str) -> None:
+    """Wait for something, not for ever."""
+    end = time.monotonic() + PATIENCE_S
+    while not is_so():
+        if time.monotonic() > end:
+            raise TimeoutError(f"waited {PATIENCE_S:g} s for {what}")
+        time.sleep(0.05)
+
+
+def is_ready(url: str) -> bool:
+    """Whether a server answers and has its database."""
+    try:
+        return bool(httpx2.get(f"{url}/readyz", timeout=5).is_success)
+    except httpx2.TransportError:
+        return False
+
+
+def run_command(environment: Mapping[str, str], *arguments: str) -> str:
+    """Run a command of `lbacal` to its end and return what it printed."""
+    command = [sys.executable, "-m", "lbacal", *arguments]
+    done = subprocess.run(command, env=os.environ | environment, capture_output=True, text=True, check=False)
+    if done.returncode != 0:
+        raise RuntimeError(f"lbacal {' '.join(arguments)} failed: {done.stderr}")
+    return done.stdout
+
+
+class Process:
+    """A command of `lbacal` that runs until it is stopped; killed, it can be started anew."""
+
+    def __init__(self, environment: Mapping[str, str], log: Path, *arguments: str) -> None:
+        self.name = arguments[0]
+        self._arguments = arguments
+        self._environment = os.environ | environment
+        self._log = log
+        self._running = self._start()
+
+    def _start(self) -> subprocess.Popen[bytes]:
+        command = [sys.executable, "-m", "lbacal", *self._arguments]
+        with self._log.open("ab") as log:
+            return subprocess.Popen(command, env=self._environment, stdout=log, stderr=log)
+
+    @property
+    def number(self) -> int:
+        """The number of the process that runs now."""
+        return self._running.pid
+
+    def kill(self) -> None:
+        """Kill it as a power cut would (signal 9), and start it anew."""
+        self._running.kill()
+        self._running.wait()
+        self._running = self._start()
+
+    def stop(self) -> int:
+        """Ask it to end, and return its exit code."""
+        self._running.terminate()
+        return self.wait()
+
+    def wait(self) -> int:
+        """Wait for it to end by itself, and return its exit code."""
+        return self._running.wait(60)
+
+
+@contextmanager
+def running(*processes: Process) -> Iterator[None]:
+    """Stop the processes at the end of the block."""
+    try:
+        yield
+    finally:
+        for process in processes:
+            process.stop()

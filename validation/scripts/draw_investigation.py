@@ -1,0 +1,57 @@
+"""Draw docs/images/investigation-*.png: what `lbacal investigate` shows of two simulated stations.
+
+    .venv/bin/python validation/scripts/draw_investigation.py
+
+One station has a daytime ionosphere and a gain step of one path, the other follows the working week.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from lbacal.cli.investigation_figures import draw_finding, draw_residual_maps, draw_structure
+from lbacal_core.causes.axes import axis_named
+from lbacal_core.discovery.investigate import investigate
+from lbacal_core.discovery.search import StationReport
+from lbacal_core.instrument import load_instrument
+from lbacal_core.skypower.model import compute_sky_power
+from lbacal_twin.campaign import simulate_campaign
+from lbacal_twin.faults.antenna import GainStep
+from lbacal_twin.faults.fault import Fault, Where
+from lbacal_twin.faults.sky import IonosphericAbsorption
+from lbacal_twin.faults.uncatalogued import WorkingWeek
+from lbacal_twin.settings import TwinSettings
+
+IMAGES = Path(__file__).parents[2] / "docs/images"
+SETTINGS = TwinSettings(stations=("CS002",), antennas=12, events_per_year=400)
+STEP = GainStep(size=0.05, where=Where(antennas=(2,), dipoles=("Y",)), date="2014-08-07")
+
+
+def ask(faults: list[Fault]) -> StationReport:
+    instrument = load_instrument("lofar-superterp")
+    sky = compute_sky_power(instrument)
+    spectra = simulate_campaign(SETTINGS, instrument, sky, np.random.default_rng(5), faults).spectra
+    content, (report,) = investigate(spectra, instrument, sky, is_own_sky=True)
+    print(content["verdict"], [finding["sentence"] for finding in content["findings"]])
+    return report
+
+
+def main() -> None:
+    spoiled = ask([IonosphericAbsorption(size=0.02), STEP])
+    for finding in spoiled.findings:
+        draw_finding(spoiled, finding).savefig(
+            IMAGES / f"investigation-{finding.hypothesis.cause.identifier}.png", dpi=100
+        )
+    step = spoiled.findings[0]
+    draw_residual_maps(spoiled, step.hypothesis.target, [axis_named("date")]).savefig(
+        IMAGES / "investigation-maps.png", dpi=100
+    )
+    odd = ask([WorkingWeek(size=0.05)])
+    if odd.structure is not None:
+        draw_structure(odd, odd.structure).savefig(IMAGES / "investigation-unexplained.png", dpi=100)
+
+
+if __name__ == "__main__":
+    main()

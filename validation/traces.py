@@ -1,0 +1,278 @@
+"""Spectra from traces: unbiased, as noisy as theory says, which lines are found, and whether pulses leak.
+
+Voltages are simulated, digitised and measured back. The suite runs small instances of the same functions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache, partial
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from lbacal_core.grids import Floats
+from lbacal_core.traces.background import CleaningSettings, PathBackground, measure_traces
+from lbacal_core.traces.density import bin_weights, effective_channels
+from lbacal_core.traces.selection import select_background
+from lbacal_core.traces.trace import BLOCK_SAMPLES, Trace, TraceReference
+from lbacal_twin.voltages import Shower, Transmitter, digitise, draw_noise
+from validation.machinery.claims import (
+    Claim,
+    at_least,
+    at_most,
+    between,
+    claim_mean,
+    claim_rate,
+    claim_worst,
+    confidence_of_each,
+    mean_interval,
+    spread_interval,
+)
+from validation.machinery.parts import Part, Row
+
+SETTINGS = CleaningSettings()
+BINS = SETTINGS.frequency_mhz
+GRID_MHZ = np.arange(25.0, 86.0)
+ROUNDING = 1.0 / 12.0 / 100.0
+"""Density of the converter's rounding noise: 1/12 ADC^2 over 100 MHz."""
+
+
+@cache
+def band_shape(rms_adc: float = 15.0) -> Floats:
+    """A resonant band of some r.m.s., ADC^2/MHz, on `GRID_MHZ`: steeper than the real one at both edges."""
+    shape = (0.1 + 1 / (1 + ((GRID_MHZ - 58) / 5) ** 2)) / (1 + (GRID_MHZ / 78) ** 12)
+    fine = draw_noise(shape, GRID_MHZ, 1 << 20, np.random.default_rng(0))
+    return shape * (rms_adc / float(np.std(fine))) ** 2
+
+
+def true_bins(density: Floats) -> Floats:
+    """Expected power of every bin, ADC^2/MHz: the mean of what was drawn over each MHz, and the rounding noise."""
+    step = np.arange(BINS[0] - 0.5, BINS[-1] + 0.5, 1e-3) + 5e-4
+    drawn = np.exp(np.interp(step, GRID_MHZ, np.log(density)))
+    return np.asarray(drawn.reshape(BINS.size, -1).mean(axis=1) + ROUNDING)
+
+
+def trace_of(voltage: Floats, rcu: int, disturbances: Sequence[Transmitter | Shower] = ()) -> Trace:
+    """Digitise a voltage into a trace."""
+    blocks = digitise(voltage, disturbances).reshape(-1, BLOCK_SAMPLES)
+    reference = TraceReference(Path("simulated"), str(rcu), "CS011", rcu, 1_311_073_541, 7_283_712, 200e6)
+    return Trace(reference, blocks, 7113 + np.arange(len(blocks)), np.ones(len(blocks), dtype=bool), {})
+
+
+def measure(trace: Trace, settings: CleaningSettings = SETTINGS) -> PathBackground:
+    """Measure one trace by itself."""
+    return measure_traces([trace], settings, is_station=False)[0]
+
+
+def power_of(background: PathBackground) -> Floats:
+    """Power of every bin, ADC^2/MHz."""
+    return background.power * SETTINGS.resistance_ohm
+
+
+@dataclass(frozen=True)
+class NoiseTrial:
+    """What `trials` traces of pure noise gave.
+
+    Attributes
+    ----------
+    ratio
+        Shape (trial, freq), measured over true power.
+    theory
+        Shape (freq,), expected relative noise.
+    false_lines
+        Lines found in the band, of all trials.
+    """
+
+    ratio: Floats
+    theory: Floats
+    false_lines: int
+
+    @property
+    def bias(self) -> tuple[float, float]:
+        """Mean of measured over true minus 1, over the band, and its error."""
+        band = self.ratio.mean(axis=1)
+        return float(band.mean() - 1), float(band.std(ddof=1) / np.sqrt(len(band)))
+
+    @property
+    def worst_bin(self) -> tuple[float, float]:
+        """The bin furthest from 1: its bias, and the error of one bin."""
+        bias = self.ratio.mean(axis=0) - 1
+        error = self.ratio.std(axis=0, ddof=1) / np.sqrt(len(self.ratio))
+        return float(bias[np.argmax(np.abs(bias))]), float(error.mean())
+
+    @property
+    def noise_over_theory(self) -> float:
+        """Measured scatter over the expected one, r.m.s. over the bins."""
+        scatter = self.ratio.std(axis=0, ddof=1) / self.ratio.mean(axis=0)
+        return float(np.sqrt(np.mean((scatter / self.theory) ** 2)))
+
+
+def measure_noise(blocks: int, rng: np.random.Generator, rms_adc: float = 15.0) -> Row:
+    """Measure a trace of noise alone: measured over true power of every bin, its theoretical noise, lines found."""
+    density = band_shape(rms_adc)
+    found = measure(trace_of(draw_noise(density, GRID_MHZ, blocks * BLOCK_SAMPLES, rng), 10))
+    theory = 1 / np.sqrt(found.blocks * effective_channels(bin_weights(found.channel_mhz, BINS, 1.0)))
+    return {
+        "ratio": np.round(power_of(found) / true_bins(density), 4).tolist(),
+        "theory": round(float(np.sqrt(np.mean(theory**2))), 5),
+        "false_lines": int(np.sum(np.abs(found.line_mhz - 55) < 25.5)),
+    }
+
+
+def collect_noise(rows: Sequence[Row]) -> NoiseTrial:
+    """Traces of noise together."""
+    theory = np.full(BINS.size, rows[-1]["theory"])
+    return NoiseTrial(np.array([row["ratio"] for row in rows]), theory, sum(row["false_lines"] for row in rows))
+
+
+def measure_gains(rms_adc: Floats, blocks: int, rng: np.random.Generator) -> Floats:
+    """Band power over true, without and with 1/12 ADC^2 of rounding noise in the truth; shape (2, gain)."""
+    ratios = np.zeros((2, rms_adc.size))
+    for row, rms in enumerate(rms_adc):
+        density = band_shape(float(rms))
+        truth = true_bins(density)
+        power = power_of(measure(trace_of(draw_noise(density, GRID_MHZ, blocks * BLOCK_SAMPLES, rng), 10)))
+        ratios[:, row] = power.sum() / np.array([np.sum(truth - ROUNDING), np.sum(truth)])
+    return ratios
+
+
+def measure_pulses(peaks: Floats, blocks: int, rng: np.random.Generator) -> Floats:
+    """Change of the band power by a pulse, measured as we do and with the exclusion forgotten; shape (2, peak)."""
+    change = np.zeros((2, peaks.size))
+    voltage = draw_noise(band_shape(), GRID_MHZ, blocks * BLOCK_SAMPLES, rng)
+    sample = int(rng.integers(10 * BLOCK_SAMPLES, (blocks - 10) * BLOCK_SAMPLES))
+    clean = power_of(measure(trace_of(voltage, 10))).sum()
+    for row, peak in enumerate(peaks):
+        trace = trace_of(voltage, 10, [Shower(sample, float(peak))])
+        change[0, row] = power_of(measure(trace)).sum() / clean - 1
+        change[1, row] = power_of(_measure_everything(trace)).sum() / clean - 1
+    return change
+
+
+def _measure_everything(trace: Trace) -> PathBackground:
+    """Measure a trace as if nobody had thought of pulses or of anything else that comes and goes."""
+    from unittest.mock import patch
+
+    everything = replace(
+        select_background(trace), is_background=np.ones(len(trace.samples), dtype=bool), dropped={}, pulses=()
+    )
+    no_block = np.zeros(len(trace.samples), dtype=bool)
+    with (
+        patch("lbacal_core.traces.background.select_background", return_value=everything),
+        patch("lbacal_core.traces.background.find_keyed_blocks", return_value=no_block),
+    ):
+        return measure(trace)
+
+
+RMS_ADC = np.array([0.4, 0.5, 0.7, 1.0, 1.5, 3.0, 6.0, 15.0])
+PEAKS = np.array([0.0, 50.0, 100.0, 200.0, 500.0, 1000.0, 2000.0])
+LARGEST_BIAS, SCATTER = 0.002, (0.97, 1.03)
+
+
+def try_noise(blocks: int, seed: int) -> Row:
+    """A trace of noise alone."""
+    return measure_noise(blocks, np.random.default_rng([1, blocks, seed]))
+
+
+def judge_noise(blocks: int, rows: Sequence[Row]) -> list[Claim]:
+    """Bias of the band power and of every bin, noise over theory, lines found where there are none."""
+    trial, confidence = collect_noise(rows), confidence_of_each(BINS.size)
+    what = f"trace of {blocks} blocks"
+    bins = [mean_interval(one, confidence) for one in (trial.ratio - 1).T]
+    ratio = trial.noise_over_theory
+    # Neighbouring bins share channels: half of the 51 are counted as independent.
+    scatter = spread_interval(ratio, len(rows) * BINS.size // 2)
+    false = sum(bool(row["false_lines"]) for row in rows)
+    return [
+        claim_mean("bias", f"Bias of the band power, {what}", between(-LARGEST_BIAS, LARGEST_BIAS),
+                   trial.ratio.mean(axis=1) - 1, "%"),
+        claim_worst("bin", f"Bias of a bin of 1 MHz, worst of 51, {what}", between(-0.01, 0.01),
+                    (trial.ratio.mean(axis=0) - 1).tolist(), bins, len(rows), "%"),
+        Claim("scatter", f"Scatter of a bin over that of theory, {what}", between(*SCATTER), ratio, scatter, len(rows)),
+        claim_rate("false_lines", f"A line is found where there is none, {what}", at_most(0.05), false, len(rows)),
+    ]  # fmt: skip
+
+
+def try_gains(seed: int) -> Row:
+    """A trace of each gain."""
+    return {"ratio": np.round(measure_gains(RMS_ADC, 400, np.random.default_rng([30, seed])), 5).tolist()}
+
+
+def judge_gains(rows: Sequence[Row]) -> list[Claim]:
+    """Rounding adds 1/12 ADC^2 where the gain is not too low."""
+    bias = np.array([row["ratio"][1] for row in rows]) - 1
+    loud = bias[:, RMS_ADC >= 1.0]
+    confidence = confidence_of_each(loud.shape[1])
+    text = "Bias of the band power over analogue + 1/12 ADC^2 of rounding, worst r.m.s. of at least 1 ADC unit"
+    return [
+        claim_worst("rounding", text, between(-LARGEST_BIAS, LARGEST_BIAS), loud.mean(axis=0).tolist(),
+                    [mean_interval(one, confidence) for one in loud.T], len(rows), "%"),
+    ]  # fmt: skip
+
+
+def tell_gains(rows: Sequence[Row]) -> list[str]:
+    """Gain by gain."""
+    bias = 100 * (np.array([row["ratio"] for row in rows]) - 1)
+    error = bias.std(axis=0, ddof=1) / len(rows) ** 0.5
+    lines = ["| r.m.s. (ADC units) | over the analogue power (%) | over analogue + 1/12 ADC^2 (%) |", "|---|---|---|"]
+    for k, rms in enumerate(RMS_ADC):
+        cells = [f"{bias[:, i, k].mean():+.2f} ± {error[i, k]:.2f}" for i in (0, 1)]
+        lines.append(f"| {rms:g} | {cells[0]} | {cells[1]} |")
+    return lines
+
+
+def try_pulses(seed: int) -> Row:
+    """A trace with a pulse of each height."""
+    return {"change": np.round(measure_pulses(PEAKS, 400, np.random.default_rng([40, seed])), 6).tolist()}
+
+
+def judge_pulses(rows: Sequence[Row]) -> list[Claim]:
+    """A pulse does not leak, and would if nobody excluded it."""
+    change = np.array([row["change"] for row in rows])
+    ours, confidence = change[:, 0, 1:], confidence_of_each(PEAKS.size - 1)
+    intervals = [mean_interval(one, confidence) for one in ours.T]
+    return [
+        claim_worst("leak", "Change of the band power by a pulse of up to 133 sigma",
+                    between(-LARGEST_BIAS, LARGEST_BIAS), ours.mean(axis=0).tolist(), intervals, len(rows), "%"),
+        claim_mean("forgotten", "The same for the largest pulse, had nobody excluded it", at_least(0.02),
+                   change[:, 1, -1], "%"),
+    ]  # fmt: skip
+
+
+def tell_pulses(rows: Sequence[Row]) -> list[str]:
+    """Peak by peak."""
+    change = 100 * np.mean([row["change"] for row in rows], axis=0)
+    lines = ["| peak / r.m.s. | change (%) | exclusion forgotten (%) |", "|---|---|---|"]
+    return lines + [f"| {p / 15:.0f} | {change[0, k]:+.3f} | {change[1, k]:+.3f} |" for k, p in enumerate(PEAKS)]
+
+
+PARTS = (
+    Part("noise-400", partial(try_noise, 400), partial(judge_noise, 400), 800, headlines=("bias",)),
+    Part("noise-100", partial(try_noise, 100), partial(judge_noise, 100), 800),
+    Part("gain", try_gains, judge_gains, 200, tell_gains, ()),
+    Part("pulse", try_pulses, judge_pulses, 40, tell_pulses),
+)
+IMAGES = {"traces-gain-pulse.png": "Band power by the gain of the converter, and its change by a pulse"}
+
+
+def draw(rows: Mapping[str, Sequence[Row]]) -> dict[str, Figure]:
+    """Low gain and pulses."""
+    if not {"gain", "pulse"} <= set(rows):
+        return {}
+    ratios = np.array([row["ratio"] for row in rows["gain"]])
+    errors = ratios.std(axis=0, ddof=1) / len(ratios) ** 0.5
+    change = np.mean([row["change"] for row in rows["pulse"]], axis=0)
+    figure = Figure(figsize=(9, 4), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    for k, (style, label) in enumerate((("o-", "over the analogue power"), ("s-", "over analogue + 1/12 ADC²"))):
+        left.errorbar(RMS_ADC, 100 * (ratios[:, k].mean(axis=0) - 1), 100 * errors[k], fmt=style, label=label)
+    left.set(xscale="log", xlabel="r.m.s. of the trace (ADC units)", ylabel="band power (%)", yscale="symlog")
+    left.legend()
+    right.plot(PEAKS / 15, 100 * change[0], "o-", label="±5 blocks excluded")
+    right.plot(PEAKS / 15, 100 * change[1], "s-", label="exclusion forgotten")
+    right.set(xlabel="peak of the pulse / r.m.s. of the noise", ylabel="change of the band power (%)", yscale="symlog")
+    right.legend()
+    return {"traces-gain-pulse.png": figure}

@@ -1,0 +1,111 @@
+"""The fit recovers what the twin planted: pulls of paths and stations, with and without nuisances.
+
+The curve of a station is that of its antennas with enough events: which antennas are averaged matters more than the
+noise, because their cables differ.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache, partial
+
+import numpy as np
+
+from lbacal_core.calibration.fit import fit_calibration
+from lbacal_core.calibration.singles import MIN_EVENTS
+from lbacal_core.curves import CalibrationCurve
+from lbacal_core.data.lofar import DIPOLES
+from lbacal_core.instrument import load_instrument
+from lbacal_core.skypower.model import compute_sky_power
+from lbacal_core.skypower.table import SkyPower
+from lbacal_twin.campaign import Campaign, simulate_campaign
+from lbacal_twin.nuisances import NONE, REALISTIC, Nuisances
+from lbacal_twin.settings import TwinSettings
+from validation.machinery.claims import Claim, between, claim_worst, confidence_of_each, mean_interval
+from validation.machinery.parts import Part, Row
+
+CHANNELS = {"35 MHz": 5, "55 MHz": 25, "75 MHz": 45}
+SCOPES = ("antenna", "station")
+LARGEST_MEAN, SPREAD = 0.2, (0.85, 1.15)
+
+
+def planted_curve(campaign: Campaign, curve: CalibrationCurve) -> np.ndarray:
+    """The planted C(nu) of a path, or of the mean over those antennas of a station that the fit averages."""
+    if curve.antenna is not None:
+        return campaign.truth.curve(curve.dipole or "", curve.station, curve.antenna)
+    spectra, truth = campaign.spectra, campaign.truth.stations[0]
+    counts = [np.sum((spectra.antenna == a) & (spectra.dipole == curve.dipole)) for a in truth.antennas]
+    gains = truth.c[np.array(counts) >= MIN_EVENTS, DIPOLES.index(curve.dipole or "")] ** -2
+    return np.asarray(gains.mean(axis=0) ** -0.5)
+
+
+@cache
+def _sky_power() -> SkyPower:
+    return compute_sky_power(load_instrument("lofar-superterp"))
+
+
+def fit_campaign(nuisances: Nuisances, seed: int) -> Row:
+    """A station-year of 12 antennas: mean, mean square and number of the pulls of its curves, at three channels."""
+    instrument = load_instrument("lofar-superterp")
+    settings = TwinSettings(stations=("CS002",), antennas=12)
+    rng = np.random.default_rng([2019, seed])
+    campaign = simulate_campaign(settings, instrument, _sky_power(), rng, nuisances=nuisances)
+    row: Row = {}
+    for scope in SCOPES:
+        fitted = fit_calibration(campaign.spectra, instrument, _sky_power(), scope).curves
+        pulls = np.array([(c.c - planted_curve(campaign, c)) / c.c_sigma_stat for c in fitted if c.c is not None])
+        at = pulls[:, list(CHANNELS.values())]
+        row[scope] = {
+            "curves": len(at),
+            "mean": np.round(at.mean(axis=0), 4).tolist(),
+            "mean_square": np.round((at**2).mean(axis=0), 4).tolist(),
+        }
+    return row
+
+
+def judge(what: str, rows: Sequence[Row]) -> list[Claim]:
+    """Mean and spread of the pulls of paths and stations; curves of a campaign share events and sky: it is one draw."""
+    claims, confidence = [], confidence_of_each(len(CHANNELS))
+    for scope in SCOPES:
+        mean, square = (np.array([row[scope][name] for row in rows]) for name in ("mean", "mean_square"))
+        words = f"pulls of C of {'paths' if scope == 'antenna' else 'stations'} at 35, 55 and 75 MHz, {what}"
+        claims += [
+            claim_worst(
+                f"{scope}_mean", f"Mean of the {words}", between(-LARGEST_MEAN, LARGEST_MEAN),
+                mean.mean(axis=0).tolist(), [mean_interval(one, confidence) for one in mean.T], len(rows),
+            ),
+            claim_worst(
+                f"{scope}_spread", f"R.m.s. of the {words}", between(*SPREAD), np.sqrt(square.mean(axis=0)).tolist(),
+                [_root(mean_interval(one, confidence)) for one in square.T], len(rows),
+            ),
+        ]  # fmt: skip
+    return claims
+
+
+def _root(interval: tuple[float, float]) -> tuple[float, float]:
+    return max(interval[0], 0.0) ** 0.5, interval[1] ** 0.5
+
+
+def tell(rows: Sequence[Row]) -> list[str]:
+    """Channel by channel."""
+    lines = ["| scope | at | curves | mean pull | r.m.s. |", "|---|---|---|---|---|"]
+    for scope in SCOPES:
+        for k, name in enumerate(CHANNELS):
+            mean = np.mean([row[scope]["mean"][k] for row in rows])
+            rms = np.mean([row[scope]["mean_square"][k] for row in rows]) ** 0.5
+            count = sum(row[scope]["curves"] for row in rows)
+            lines.append(f"| {scope} | {name} | {count} | {mean:+.2f} | {rms:.2f} |")
+    return lines
+
+
+PARTS = (
+    Part("clean", partial(fit_campaign, NONE), partial(judge, "no nuisances"), 300, tell, ()),
+    Part(
+        "nuisances",
+        partial(fit_campaign, REALISTIC),
+        partial(judge, "realistic nuisances"),
+        300,
+        tell,
+        ("antenna_spread",),
+    ),
+)
