@@ -229,6 +229,11 @@ class DriftStore:
         row = {"inputs": inputs, "report": canonical_json(report), "made_us": now}
         self._connection.execute(drift_report.insert().values(row))
 
+    def report_made(self) -> tuple[str, Instant] | None:
+        """What the report that is kept was made from, and when; None where there is none."""
+        row = self._connection.execute(select(drift_report.c.inputs, drift_report.c.made_us)).one_or_none()
+        return None if row is None else (row.inputs, row.made_us)
+
     def report(self) -> dict[str, Any] | None:
         """What was found last."""
         text = self._connection.execute(select(drift_report.c.report)).scalar_one_or_none()

@@ -92,12 +92,15 @@ class DueWork:
         return self._add(orders)
 
     def enqueue_watch(self) -> list[int]:
-        """Enqueue the watch over all stations, once their measured events are others and none waits to be measured."""
+        """Enqueue the watch over all stations, once their measured events are others and none waits to be measured.
+
+        They may be again what they were: the name says which report this look replaces.
+        """
         with self.database.read() as stores:
-            inputs = self.watch.name_inputs(stores)
-            if inputs is None or stores.jobs.is_open(DRIFT):
+            inputs, last = self.watch.name_inputs(stores), stores.drift.report_made()
+            if inputs is None or (last is not None and inputs == last[0]) or stores.jobs.is_open(DRIFT):
                 return []
-        return self._add([self._order(WATCH, {}, [inputs], "another drift was measured than the one before")])
+        return self._add([self._order(WATCH, {}, [inputs, last], "another drift was measured than the one before")])
 
     def _add(self, orders: list[Order]) -> list[int]:
         if not orders:

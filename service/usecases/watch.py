@@ -3,7 +3,7 @@
 It reads what the drift has measured of every event (`service.usecases.drift`), asks the core what changed
 (`lbacal_core.drift.follow`), keeps the answer as the report that pages and the API tell from, and settles the alarms of
 steps and slopes. It is due whenever the measured events are others than those of the last report. An antenna that was
-found to have changed has its windows cut there from then on, until the change is found no more.
+found to have changed has its windows cut there from then on, until the chain alone shows the change no more.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from lbacal_core.drift.follow import History
 from lbacal_core.grids import Floats
 from lbacal_core.in_words import name_path, write_change
 from lbacal_core.instrument import Instrument
-from lbacal_core.provenance import hash_content
+from lbacal_core.provenance import MODEL_VERSION, hash_content
 from lbacal_core.validity import Instant, Scope
 from service.storage.alarms import SLOPE, STEP, News
 from service.storage.cuts import Cut
@@ -53,7 +53,7 @@ class Watch:
     def name_inputs(self, stores: Stores) -> str | None:
         """The hash of what a report is made from; None where nothing was measured yet."""
         digests = stores.drift.digests()
-        return hash_content([digests, self._hardware_changes()]) if digests else None
+        return hash_content([digests, self._hardware_changes(), MODEL_VERSION]) if digests else None
 
     def run(self, part: Part, worker: str) -> None:
         """Do a part: follow, keep the report, settle the alarms."""
@@ -115,11 +115,13 @@ def settle_cuts(stores: Stores, report: Mapping[str, Any], now: Instant) -> None
     """Cut the windows of antennas that changed, and end the cuts of changes that are no longer found.
 
     What a person lifted is not cut again. A cut keeps the date at which it was made first: later data move the date
-    within its error, and every other date would call for refits.
+    within its error, and every other date would call for refits. Nor does a cut end because an adopted cause takes up
+    its change: the cause may be withdrawn.
     """
     found, known = list(_list_cuts(report)), stores.cuts.found()
     for cut in known:
-        if not any(_is_same(cut, one) for one in found):
+        is_sought = stores.models.during(cut.station, cut.date, cut.date + 1).is_plain
+        if is_sought and not any(_is_same(cut, one) for one in found):
             stores.cuts.end(cut, now)
     stores.cuts.add([one for one in found if not any(_is_same(one, cut) for cut in known)], now)
 

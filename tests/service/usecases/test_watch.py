@@ -13,6 +13,7 @@ import pytest
 from fastapi.testclient import TestClient
 
 from lbacal_core.instrument import Instrument, load_instrument
+from lbacal_core.model import AdoptedCause, Model
 from lbacal_core.skypower.table import read_sky_power
 from lbacal_core.spectra import Spectra
 from lbacal_core.validity import Scope, timeline
@@ -24,8 +25,11 @@ from service.app import make_app
 from service.config import Settings
 from service.factory import Factory
 from service.scheduler import look_for_due_work
+from service.storage.models import ADOPTED, ModelChange
 from service.storage.versions import Version
+from service.usecases.models import Adoption
 from service.usecases.watch import settle_cuts, tell_news
+from service.wire.bodies import ReasonBody
 from service.wire.instants import DAY_US, parse_instant
 from service.worker import Worker
 from tests.service.conftest import Clock
@@ -57,13 +61,26 @@ def changed(superterp: Instrument, sky_power_file: Path, tmp_path_factory: pytes
 
 
 @pytest.fixture
-def watched(database_url: str, sky_power_file: Path, changed: Spectra, clock: Clock) -> Iterator[Factory]:
+def empty(database_url: str, sky_power_file: Path, clock: Clock) -> Iterator[Factory]:
     quick = {"poll_s": 0.01, "lease_s": 60.0, "nightly_investigations": False, "gate_change": 0.9}
     made = Factory(Settings(database_url=database_url, sky_power=sky_power_file, **quick), clock)
-    with made.database.write() as stores:
-        stores.spectra.add(changed)
     yield made
     made.database.close()
+
+
+@pytest.fixture
+def watched(empty: Factory, changed: Spectra) -> Factory:
+    with empty.database.write() as stores:
+        stores.spectra.add(changed)
+    return empty
+
+
+@pytest.fixture
+def stepped(empty: Factory, campaign: Spectra) -> Factory:
+    """A service with a step alone."""
+    with empty.database.write() as stores:
+        stores.spectra.add(campaign)
+    return empty
 
 
 def night(factory: Factory) -> list[Any]:
@@ -141,6 +158,46 @@ def lift_and_restore(watched: Factory, path: Scope) -> None:
         assert (restored.status_code, restored.json()["stands"]) == (201, True)
         assert {one for one in night(watched) if one[0] == "refit"} == of_year
         assert [version.id for version in in_effect(watched, path)] == cut_year, "the versions of before answer again"
+
+
+@pytest.mark.parametrize("database_url", ["sqlite"], indirect=True)
+def test_a_cut_ended_for_good_when_a_model_that_took_up_its_change_came_and_went(stepped: Factory) -> None:
+    """The watch did not look again at the drift of before the model: the mean over the step answered for ever."""
+    night(stepped)
+    night(stepped)
+    paths = [Scope("CS002", antenna, dipole) for antenna in (2, 3) for dipole in "XY"]
+
+    def answers() -> list[list[str]]:
+        return [[version.id for version in in_effect(stepped, path)] for path in paths]
+
+    def alarms() -> list[str]:
+        with stepped.database.read() as stores:
+            return [one.news.sentence for one in stores.alarms.newest(**OPEN_ALARMS, now=stepped.clock())]
+
+    before, cuts, alarmed = answers(), stepped.cuts.list_all(None), alarms()
+    assert [len(of_path) for of_path in before] == [2, 2, 1, 1]
+    model = adopt_step(stepped)
+    night(stepped)
+    assert len(alarms()) == len(alarmed) - 1, "the model has the step"
+    assert stepped.cuts.list_all(None) == cuts
+    stepped.models.withdraw(model.id, ReasonBody(reason="test"), "test")
+    assert answers() == before, "at once"
+    for _ in range(2):
+        night(stepped)
+        assert (answers(), stepped.cuts.list_all(None), len(alarms())) == (before, cuts, len(alarmed))
+
+
+def adopt_step(stepped: Factory) -> Model:
+    """Adopt the step as it was done before what follows the date was refused; ledgers have such models."""
+    cause = AdoptedCause(
+        "gain_step", "CS002", "antenna 2 Y", 0.15, 0.003, {"date_unix": STEPPED / 1e6}, since_unix=BEGIN // 10**6
+    )
+    model, plain = Model((cause,)), Model()
+    change = ModelChange(
+        0, "CS002", ADOPTED, model.id, plain.id, model.id, BEGIN, None, None, None, None, {}, None, 0, "test", "x"
+    )  # fmt: skip
+    assert stepped.models.adopt(Adoption(change, model, plain, cause, ()), promote=True)
+    return model
 
 
 def impossible(number: int) -> list[tuple[int, str]]:
