@@ -28,7 +28,7 @@ def upgrade() -> None:
     factory = _factory()
     database = factory.database
     wait_for_database(database, factory.settings.wait_s)
-    migration.upgrade(database, lambda: factory.instrument)
+    migration.upgrade(database)
     print(f"schema {migration.find_revision(database)}")
 
 

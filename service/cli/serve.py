@@ -42,7 +42,7 @@ def serve(
     factory = open_factory()
     settings = factory.settings
     if settings.is_sqlite:
-        upgrade(factory.database, lambda: factory.instrument)
+        upgrade(factory.database)
     require_current(factory.database)
     listening = listen(host, port)
     has_child = settings.is_sqlite if all_in_one is None else all_in_one

@@ -17,7 +17,7 @@ AWAY = "the database does not answer"
 BUSY = "the database is busy"
 FULL = "the disk of the database is full"
 READ_ONLY = "the database takes no writes now"
-OTHER_SCHEMA = "the database schema is not the one this version needs: run `lbacal db check`"
+OTHER_SCHEMA = "the database schema is not the one this version needs: run `lbacal db upgrade`"
 
 _OF_STATE = {
     "53100": FULL,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import cache
 from importlib.resources import files
 from typing import Any
@@ -13,7 +12,6 @@ from alembic.config import Config
 from alembic.runtime.migration import MigrationContext
 from alembic.script import ScriptDirectory
 
-from lbacal_core.instrument import Instrument
 from service.errors import UnavailableError
 from service.schema.drift import SCHEMA
 from service.storage.database import Database, explaining_failures
@@ -27,16 +25,11 @@ def make_config(database: Database) -> Config:
     return config
 
 
-def upgrade(database: Database, instrument: Callable[[], Instrument] | None = None) -> None:
-    """Bring the schema to what this code needs.
-
-    `instrument` gives the one whose versions are stored: those of the first release name its hash only.
-    """
+def upgrade(database: Database) -> None:
+    """Bring the schema to what this code needs."""
     _require_known(find_revision(database))
-    config = make_config(database)
-    config.attributes["instrument"] = instrument
     with explaining_failures():
-        command.upgrade(config, "head")
+        command.upgrade(make_config(database), "head")
 
 
 def require_current(database: Database) -> None:
@@ -67,12 +60,13 @@ def _name_difference(difference: Any) -> str:
 
 
 def _require_known(revision: str | None) -> None:
-    """Refuse a schema that a newer version made."""
+    """Refuse a schema that a newer version made, or one from before the first that was released."""
+    first, newest = _known()[0], _known()[-1]
     if revision is not None and revision not in _known():
-        raise UnavailableError(
-            f"the database schema is {revision}, newer than this version of lbacal knows ({_known()[-1]}): "
-            "install the newer one"
-        )
+        what = f"older than the first that was released ({first}): start a new database"
+        if revision > newest:
+            what = f"newer than this version of lbacal knows ({newest}): install the newer one"
+        raise UnavailableError(f"the database schema is {revision}, {what}")
 
 
 @cache

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from alembic import command
 from fastapi.testclient import TestClient
 
 from lbacal_core.spectra import Spectra
@@ -14,9 +13,8 @@ from lbacal_core.validity import Promotion, Scope
 from service.factory import Factory
 from service.storage.database import Stores
 from service.storage.drift import MonthlyRatio
-from service.storage.migration import make_config, upgrade
 from service.storage.versions import Version
-from service.usecases.months import ARRAY, keep_missing, keep_months, read_matrix, read_months, summarise
+from service.usecases.months import keep_missing, keep_months, read_matrix, read_months, summarise
 from service.usecases.years import end_of_year, start_of_year
 
 MONTH_US = 31 * 86_400_000_000
@@ -90,22 +88,6 @@ def test_the_array_is_never_told_from_months_that_a_station_had_before(measured:
         assert keep_missing(stores) == 1
     kept = _months_of_all(measured)[Scope()]
     assert [m.c_ratio for m in kept] == pytest.approx([m.c_ratio for m in after], abs=1e-6)
-
-
-def test_months_of_before_the_upgrade_are_told_at_once(measured: Factory) -> None:
-    with measured.database.write() as stores:
-        keep_missing(stores)
-    before = _months_of_all(measured)
-    command.downgrade(make_config(measured.database), "0015")
-    upgrade(measured.database)
-    after = _months_of_all(measured)
-    for scope, months in before.items():
-        assert [m.c_ratio for m in after[scope]] == pytest.approx([m.c_ratio for m in months], abs=1e-6)
-    with measured.database.write() as stores:
-        assert len(json.loads(read_matrix(stores, "CS001")[1])["values"]) == 6
-        assert keep_missing(stores) == len(STATIONS) * len(YEARS) + len(YEARS)
-        assert {year.months is None for year in stores.drift.years([ARRAY, *STATIONS])} == {False}
-    assert _months_of_all(measured) == before
 
 
 def test_a_year_of_the_matrix_holds_every_path_beside_the_median(measured: Factory) -> None:
