@@ -164,7 +164,7 @@ class Factory:
     @cached_property
     def cuts(self) -> Cuts:
         """Dates at which windows are cut."""
-        return Cuts(self.database, self.clock)
+        return Cuts(self.database, self.instrument.dipoles, self.clock)
 
     @cached_property
     def watch(self) -> Watch:
@@ -174,7 +174,10 @@ class Factory:
     @cached_property
     def alarms(self) -> Alarms:
         """What is wrong."""
-        return Alarms(self.database, self.clock, self.settings.stale_days, lambda: find_stopped(self.models.history()))
+        return Alarms(
+            self.database, self.clock, self.settings.stale_days, lambda: find_stopped(self.models.history()),
+            self.cuts.waiting,
+        )  # fmt: skip
 
     @cached_property
     def due(self) -> DueWork:

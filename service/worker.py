@@ -95,6 +95,8 @@ class Worker:
                 self._factory.due.enqueue_drift(part.request["station"])
             if part.kind == DRIFT:
                 self._factory.due.enqueue_watch()
+            if part.kind == WATCH:
+                self._factory.due.enqueue_cut()
             if part.kind == WATCH or (part.kind == REFIT and part.request["scope"] == "array"):
                 # the last of the refits, and of the drift: what a night found is told when it is over
                 self._factory.alarms.look()

@@ -39,7 +39,8 @@ def cuts(
 
 def _print_cut(one: dict[str, Any]) -> None:
     """Print a cut in one line, and the last decision about it in a second one."""
-    state = "stands" if one["stands"] else ("lifted" if one["ended_at"] is None else "ended")
+    stands = "stands" if one["refitted"] else "found, not yet refitted"
+    state = stands if one["stands"] else ("lifted" if one["ended_at"] is None else "ended")
     where = f"{name_path(one['station'], one['antenna'])} at {one['date'][:10]} ± {one['date_sigma_days']:.1f} d"
     print(f"{one['cut']} {where} ({state}, made {one['made_at'][:10]})")
     said = one["decision"]

@@ -36,6 +36,8 @@ def print_state(state: dict[str, Any]) -> None:
     print(f"alarms: {state['alarms']['line']}")
     for one in state["investigations"]:
         print_news(one)
+    for sentence in state["not_refitted"]:
+        print(sentence)
     for sentence in state["stopped_paying"]:
         print(f"no longer pays: {sentence}")
     for sentence in state["stuck"]:

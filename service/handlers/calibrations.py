@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 from fastapi import APIRouter, Depends, Query, Request, Response
 
 from lbacal.tables import write_format
+from lbacal_core.calibration.own_cable import ToldCurve
 from lbacal_core.curves import STATUSES, list_numbers
 from lbacal_core.validity import Promotion, Scope
 from service.factory import Factory
@@ -235,7 +236,7 @@ def promote(
 
 def describe(found: InEffect, curves: Sequence[CurveInEffect], known: Knowledge) -> dict[str, Any]:
     """What is in effect as JSON values."""
-    described = [describe_curve_in_effect(c.told, c.chain, c.promotion, c.trace, is_held=c.is_held) for c in curves]
+    described = [_describe_curve(curve, curve.told) for curve in curves]
     return describe_in_effect(found.at, known.text, described, found.missing, found.budgets)
 
 
@@ -249,9 +250,15 @@ def write_json(use: Factory, found: InEffect, curves: Sequence[CurveInEffect], k
 
 def _write_curve(curve: CurveInEffect) -> WrittenCurve:
     told = curve.told
-    content = describe_curve_in_effect(told, curve.chain, curve.promotion, curve.trace, is_held=curve.is_held)
     covariance = told.curve.covariance
-    return WrittenCurve(to_json(content), None if covariance is None else covariance.budget)
+    text = to_json(_describe_curve(curve, told))
+    return WrittenCurve(text, None if covariance is None else covariance.budget)
+
+
+def _describe_curve(curve: CurveInEffect, told: ToldCurve) -> dict[str, Any]:
+    return describe_curve_in_effect(
+        told, curve.chain, curve.promotion, curve.trace, curve.changed, is_held=curve.is_held
+    )
 
 
 def _keeping(*ids: str) -> str:

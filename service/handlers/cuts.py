@@ -71,6 +71,7 @@ def describe_cut(kept: KeptCut) -> dict[str, Any]:
         "date": format_instant(cut.date),
         "date_sigma_days": cut.sigma_days,
         "stands": kept.stands,
+        "refitted": kept.is_refitted,
         "made_at": format_instant(kept.made),
         "ended_at": format_optional(kept.ended),
         "decision": said,

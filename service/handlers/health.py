@@ -13,6 +13,7 @@ from service.handlers.metrics import describe_state
 from service.handlers.problems import document
 from service.handlers.request import UseCases, answer, require_read
 from service.storage.jobs import Failure
+from service.usecases.cuts import tell_not_refitted
 from service.usecases.models import list_stopped
 from service.usecases.night import StationNews
 from service.usecases.status import State
@@ -52,7 +53,8 @@ def get_readiness(request: Request, use: UseCases) -> Response:
 )
 def get_status(request: Request, use: UseCases) -> Response:
     stopped = list_stopped(use.models.history())
-    return answer(request, describe_status(use.status.look(), use.investigations.news(), stopped))
+    content = describe_status(use.status.look(), use.investigations.news(), stopped)
+    return answer(request, content | {"not_refitted": [tell_not_refitted(one.cut) for one in use.cuts.waiting()]})
 
 
 @router.get(

@@ -47,13 +47,17 @@ class Decision:
 
 @dataclass(frozen=True)
 class KeptCut:
-    """A cut on record; `ended` is when the watch no longer found its change, `decision` the last one about it."""
+    """A cut on record; `ended` is when the watch no longer found its change, `decision` the last one about it.
+
+    `is_refitted`: no version in effect answers on both sides of it.
+    """
 
     number: int
     cut: Cut
     made: Instant
     ended: Instant | None
     decision: Decision | None = None
+    is_refitted: bool = True
 
     @property
     def stands(self) -> bool:
@@ -83,6 +87,14 @@ class CutStore:
         """All cuts on record, with the last decision about each, in order of antenna and date."""
         order = window_cut.c.station, window_cut.c.antenna, window_cut.c.date_us, window_cut.c.id
         return self._read(_inside(select(window_cut).order_by(*order), station, since, until))
+
+    def known(self, as_of: Instant | None) -> list[Cut]:
+        """The cuts that stood at an instant; those that stand where it is None."""
+        if as_of is None:
+            return self.standing()
+        stood = window_cut.c.lifted_us.is_(None) | (window_cut.c.lifted_us > as_of)
+        found = self._read(select(window_cut).where(window_cut.c.made_us <= as_of, stood), as_of)
+        return [one.cut for one in found if replace(one, ended=None).stands]
 
     def get(self, number: int) -> KeptCut:
         """One of them."""
@@ -129,9 +141,13 @@ class CutStore:
         self._connection.execute(cut_decision.insert().values(row))
         return self.get(number)
 
-    def _read(self, statement: Select[Any]) -> list[KeptCut]:
+    def _read(self, statement: Select[Any], as_of: Instant | None = None) -> list[KeptCut]:
         rows = self._connection.execute(statement).all()
+        if not rows:
+            return []
         last = select(func.max(cut_decision.c.id)).where(cut_decision.c.cut.in_([row.id for row in rows]))
+        if as_of is not None:
+            last = last.where(cut_decision.c.at_us <= as_of)
         newest = select(cut_decision).where(cut_decision.c.id.in_(last.group_by(cut_decision.c.cut)))
         decisions = {
             row.cut: Decision(row.act, row.at_us, row.by, row.reason) for row in self._connection.execute(newest)

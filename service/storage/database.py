@@ -43,7 +43,7 @@ PATIENCE = {
 }
 """What PostgreSQL ends by itself, on every connection. A promotion is given less (see `LedgerStore.lock`)."""
 ASKERS = 8
-"""Connections for questions of one statement; such a question has its connection for about a millisecond."""
+"""Connections for questions of a statement or two; such a question has its connection for about a millisecond."""
 
 Answer = TypeVar("Answer")
 
@@ -164,7 +164,7 @@ class Database:
             yield Stores(connection)
 
     def ask(self, question: Callable[[Stores], Answer]) -> Answer:
-        """The answer to a question of one statement, which needs no transaction and costs one round trip.
+        """The answer to a question of a statement or two, which needs no transaction: a round trip each.
 
         Whether the connection is alive is not asked before: where it has died, the question is asked once more.
         """

@@ -9,7 +9,7 @@ causes that gain too little on new events, work that failed and that nothing mad
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from lbacal_core.drift.report import SILENT_EVENTS
 from lbacal_core.errors import BadInputError
@@ -24,13 +24,17 @@ from service.storage.alarms import (
     NAMED_CAUSE,
     OPEN,
     STALE_DATA,
+    STEP,
     Acknowledgement,
     Alarm,
     News,
 )
+from service.storage.cuts import Cut, KeptCut
 from service.storage.database import Database, Stores
 from service.storage.jobs import Job
+from service.usecases.cuts import NOT_REFITTED
 from service.usecases.named import find_named
+from service.usecases.watch import is_same_cut, list_cuts
 from service.wire.bodies import AcknowledgementBody
 from service.wire.instants import DAY_US, format_instant, parse_instant
 
@@ -73,6 +77,8 @@ class Alarms:
     stale_days: float
     stopped: Callable[[], Sequence[News]]
     """Adopted causes that no longer pay."""
+    not_refitted: Callable[[], Sequence[KeptCut]]
+    """Cuts while C in effect is the mean over them."""
 
     def look(self) -> list[int]:
         """Take in what the database tells; the alarms that are new."""
@@ -95,9 +101,11 @@ class Alarms:
     ) -> list[Alarm]:
         """Alarms, newest first."""
         with self.database.read() as stores:
-            return stores.alarms.newest(
+            found = stores.alarms.newest(
                 now=self.clock(), states=states, kind=kind, station=station, before=before, limit=limit
             )
+        waiting = [one.cut for one in self.not_refitted()]
+        return [_with_state(one, waiting) for one in found]
 
     def acknowledge(self, number: int, body: AcknowledgementBody, by: str) -> Alarm:
         """Record that somebody knows of it, until an instant or for good."""
@@ -139,6 +147,16 @@ class Alarms:
             return
         sentence = f"the newest event is of {format_instant(span[1])[:10]}, more than {self.stale_days:g} days ago"
         yield News(STALE_DATA, Scope(), "", sentence, {"newest_event": format_instant(span[1])}, span[1])
+
+
+def _with_state(alarm: Alarm, waiting: Sequence[Cut]) -> Alarm:
+    """An alarm of a step that says so where its windows are not yet refitted."""
+    if not waiting or alarm.news.kind != STEP or alarm.ended is not None:
+        return alarm
+    own = list_cuts({"changes": [alarm.news.content]})
+    if not any(is_same_cut(one, cut) for one in own for cut in waiting):
+        return alarm
+    return replace(alarm, news=replace(alarm.news, sentence=f"{alarm.news.sentence} ({NOT_REFITTED})"))
 
 
 def _silent(stores: Stores) -> dict[Scope, Instant]:

@@ -15,10 +15,12 @@ from lbacal_core.reference_chain import ReferenceChain
 from lbacal_core.remembered import Remembered
 from lbacal_core.validity import Instant, Promotion, Scope
 from service.errors import NotInEffectError
+from service.storage.cuts import Cut
 from service.storage.database import Database
 from service.storage.examined import Examined
 from service.storage.ledger import Neighbours
 from service.storage.versions import MICROSECONDS, Version
+from service.usecases.cuts import is_over, tell_not_refitted
 from service.wire.instants import format_instant
 
 PROMOTIONS_SHOWN = 100
@@ -42,6 +44,8 @@ class CurveInEffect:
         Nothing is in effect, and the nearest version in time answers instead.
     cable
         The path's cable at the instant; None where that is not known, and then the instant is told as `without_cable`.
+    changed
+        What to know where the version answers on both sides of a change that was found; None where it does not.
     """
 
     path: Scope
@@ -51,6 +55,7 @@ class CurveInEffect:
     trace: tuple[Promotion, ...]
     cable: str | None
     without_cable: Instant | None
+    changed: str | None
     version: Version = field(compare=False, repr=False)
     at: Instant = field(compare=False)
 
@@ -132,7 +137,8 @@ class Calibrations:
         self, at: Instant, paths: Sequence[Scope], as_of: Instant | None = None, *, hold: bool = False
     ) -> InEffect:
         """What answers for paths at an instant; an error naming the neighbours if nothing does for any of them."""
-        asked = self.database.ask(lambda stores: stores.ledger.answers(paths, at, as_of))
+        asked, cuts = self.database.ask(lambda s: (s.ledger.answers(paths, at, as_of), s.cuts.known(as_of)))
+        of_antenna = _by_antenna(cuts)
         answers = _pick_decisive(asked)
         held: Mapping[Scope, Promotion] = {}
         if len(answers) < len(paths) and (hold or not answers):
@@ -146,7 +152,13 @@ class Calibrations:
             for path in paths
             if (promotion := answers.get(path)) is not None
             for curve in _list_curves(
-                versions[str(promotion.calibration)], path, at, promotion, tuple(asked[path]), is_held=path in held
+                versions[str(promotion.calibration)],
+                path,
+                at,
+                promotion,
+                tuple(asked[path]),
+                _find_change(promotion, of_antenna),
+                is_held=path in held,
             )
         ]
         return InEffect(at, curves, [path for path in paths if path not in answers], budgets)
@@ -225,16 +237,36 @@ class Calibrations:
 
 
 def _list_curves(
-    version: Version, asked: Scope, at: Instant, promotion: Promotion, trace: tuple[Promotion, ...], *, is_held: bool
+    version: Version,
+    asked: Scope,
+    at: Instant,
+    promotion: Promotion,
+    trace: tuple[Promotion, ...],
+    changed: str | None,
+    *,
+    is_held: bool,
 ) -> Iterator[CurveInEffect]:
     """The curve that a path is told; of an array that was asked for by itself, those of its reference chains."""
     if asked.antenna is None:
         for curve in version.curves:
-            yield CurveInEffect(asked, curve.dipole, promotion, is_held, trace, None, None, version, at)
+            yield CurveInEffect(asked, curve.dipole, promotion, is_held, trace, None, None, None, version, at)
         return
     cable = version.cable_of(asked, at)
     unknown = at if cable is None and str(asked.dipole) in version.chains else None
-    yield CurveInEffect(asked, asked.dipole, promotion, is_held, trace, cable, unknown, version, at)
+    yield CurveInEffect(asked, asked.dipole, promotion, is_held, trace, cable, unknown, changed, version, at)
+
+
+def _by_antenna(cuts: Iterable[Cut]) -> dict[tuple[str | None, int | None], list[Cut]]:
+    found: dict[tuple[str | None, int | None], list[Cut]] = {}
+    for one in cuts:
+        found.setdefault((one.station, one.antenna), []).append(one)
+    return found
+
+
+def _find_change(promotion: Promotion, cuts: Mapping[tuple[str | None, int | None], Sequence[Cut]]) -> str | None:
+    """What to know of a path's own version that answers on both sides of a change."""
+    of_antenna = cuts.get((promotion.scope.station, promotion.scope.antenna), ())
+    return next((tell_not_refitted(cut) for cut in of_antenna if is_over(promotion, cut)), None)
 
 
 def _pick_decisive(asked: Mapping[Scope, Sequence[Promotion]]) -> dict[Scope, Promotion]:

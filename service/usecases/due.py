@@ -85,6 +85,12 @@ class DueWork:
             failures = stores.jobs.failures(self.clock() - 2 * DAY_US, 1000)
         return any(one.tries and one.tries.again is not None and one.tries.again <= self.clock() for one in failures)
 
+    def enqueue_cut(self) -> list[int]:
+        """Enqueue the refits of the years that hold a cut: the watch may have found or ended one."""
+        with self.database.read() as stores:
+            orders = list(self._refits(stores, with_cuts=True))
+        return self._add(orders)
+
     def enqueue_drift(self, station: str) -> list[int]:
         """Enqueue the drift of a station, whose versions changed."""
         with self.database.read() as stores:
@@ -113,9 +119,11 @@ class DueWork:
             made = [stores.jobs.add(order, self.clock()) for order in orders]
         return [number for number in made if number is not None]
 
-    def _refits(self, stores: Stores, change: ModelChange | None = None) -> Iterator[Order]:
+    def _refits(self, stores: Stores, change: ModelChange | None = None, *, with_cuts: bool = False) -> Iterator[Order]:
         for since, until in find_years(stores):
             if change is not None and not change.touches(since, until):
+                continue
+            if with_cuts and not stores.cuts.kept(None, since, until):
                 continue
             filled = []
             for station in stores.spectra.stations():

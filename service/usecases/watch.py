@@ -118,15 +118,15 @@ def settle_cuts(stores: Stores, report: Mapping[str, Any], now: Instant) -> None
     within its error, and every other date would call for refits. Nor does a cut end because an adopted cause takes up
     its change: the cause may be withdrawn.
     """
-    found, known = list(_list_cuts(report)), stores.cuts.found()
+    found, known = list(list_cuts(report)), stores.cuts.found()
     for cut in known:
         is_sought = stores.models.during(cut.station, cut.date, cut.date + 1).is_plain
-        if is_sought and not any(_is_same(cut, one) for one in found):
+        if is_sought and not any(is_same_cut(cut, one) for one in found):
             stores.cuts.end(cut, now)
-    stores.cuts.add([one for one in found if not any(_is_same(one, cut) for cut in known)], now)
+    stores.cuts.add([one for one in found if not any(is_same_cut(one, cut) for cut in known)], now)
 
 
-def _list_cuts(report: Mapping[str, Any]) -> Iterator[Cut]:
+def list_cuts(report: Mapping[str, Any]) -> Iterator[Cut]:
     """The changes of single antennas that nobody knew of and whose date is known well enough, an antenna once each."""
     for change in report["changes"]:
         if change["is_known"] or change["date_sigma_days"] > LARGEST_DATE_ERROR_DAYS:
@@ -136,7 +136,7 @@ def _list_cuts(report: Mapping[str, Any]) -> Iterator[Cut]:
             yield Cut(change["station"], antenna, date, sigma)
 
 
-def _is_same(one: Cut, other: Cut) -> bool:
+def is_same_cut(one: Cut, other: Cut) -> bool:
     """Whether two dates of an antenna are one within their errors."""
     reach = SAME_DATE * (one.sigma**2 + other.sigma**2) ** 0.5 + DAY_US
     return (one.station, one.antenna) == (other.station, other.antenna) and abs(one.date - other.date) <= reach
@@ -158,7 +158,7 @@ def tell_news(report: Mapping[str, Any], frequency_mhz: Floats, *, cuts_windows:
             f"{who}: C changed by {tell_change(change['size'], change['sigma'], change['shape'], frequency_mhz)} "
             f"on {format_instant(since)[:10]} ± {change['date_sigma_days']:.1f} days"
         )
-        is_cut = cuts_windows and any(_list_cuts({"changes": [change]}))
+        is_cut = cuts_windows and any(list_cuts({"changes": [change]}))
         sentence += "; its windows are cut there unless a person lifted the cut" if is_cut else ""
         content = {**change, "proposal": _propose(change, format_instant(since))}
         yield News(STEP, Scope(change["station"]), "", sentence, content, since, error)

@@ -44,12 +44,13 @@ def describe_curve_in_effect(
     chain: ReferenceChain | None,
     promotion: Promotion,
     trace: Sequence[Promotion],
+    changed: str | None = None,
     *,
     is_held: bool,
 ) -> dict[str, Any]:
     """A curve as in fit.json, as the path is told it, with the version and the scope that answered."""
     held = "held: nothing is in effect, the nearest in time answers" if is_held else None
-    reasons = [text for text in (held, told.reason) if text]
+    reasons = [text for text in (held, changed, told.reason) if text]
     return {
         **told.curve.as_dict(),
         "calibration": promotion.calibration,

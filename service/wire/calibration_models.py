@@ -90,6 +90,7 @@ class StatusAnswer(Answer):
     gated: int = Field(description="versions that the gate kept back and nobody promoted")
     alarms: AlarmCountsAnswer
     investigations: list[NewsAnswer] = Field(description="the newest of every station")
+    not_refitted: list[str] = Field(description="changes that were found while C in effect is the mean over them")
     stopped_paying: list[str] = Field(description="adopted causes that gain less on new events than they should")
     failures: list[FailureAnswer]
 

@@ -162,6 +162,7 @@ class CutAnswer(Answer):
     date: str = Field(description="when the antenna changed, as the watch found it first")
     date_sigma_days: float
     stands: bool
+    refitted: bool = Field(description="false while one version in effect answers on both sides of a cut that stands")
     made_at: str
     ended_at: str | None = Field(description="when the watch no longer found the change")
     decision: CutDecision | None = Field(description="the last one")

@@ -30,7 +30,7 @@ from service.storage.versions import Version
 from service.usecases.models import Adoption
 from service.usecases.watch import settle_cuts, tell_news
 from service.wire.bodies import ReasonBody
-from service.wire.instants import DAY_US, parse_instant
+from service.wire.instants import DAY_US, format_instant, parse_instant
 from service.worker import Worker
 from tests.service.conftest import Clock
 
@@ -100,11 +100,13 @@ def in_effect(factory: Factory, path: Scope) -> list[Version]:
 
 
 def test_a_step_and_a_swapped_cable_end_as_a_change_point_and_a_new_window(watched: Factory) -> None:
-    first, second = night(watched), night(watched)
-    assert ("watch", None, None) not in first
-    assert {one for one in second if one[0] == "refit"} == {
-        ("refit", scope, BEGIN) for scope in ("antenna", "station", "array")
-    }, "the year in which antennas changed, and no other"
+    night(watched)
+    refits = [job.request for job in watched.jobs.newest() if job.kind == "refit"]
+    assert {(one["scope"], one["since"]) for one in refits[:3]} == {
+        (scope, BEGIN) for scope in ("antenna", "station", "array")
+    }, "the year in which antennas changed"
+    assert len(refits) == 9, "and no other"
+    assert [job.kind for job in watched.jobs.newest()][3:5] == ["watch", "drift"]
     with watched.database.read() as stores:
         cuts = stores.cuts.standing()
         told = [one.news.sentence for one in stores.alarms.newest(**OPEN_ALARMS, now=watched.clock())]
@@ -164,7 +166,6 @@ def lift_and_restore(watched: Factory, path: Scope) -> None:
 def test_a_cut_ended_for_good_when_a_model_that_took_up_its_change_came_and_went(stepped: Factory) -> None:
     """The watch did not look again at the drift of before the model: the mean over the step answered for ever."""
     night(stepped)
-    night(stepped)
     paths = [Scope("CS002", antenna, dipole) for antenna in (2, 3) for dipole in "XY"]
 
     def answers() -> list[list[str]]:
@@ -179,12 +180,49 @@ def test_a_cut_ended_for_good_when_a_model_that_took_up_its_change_came_and_went
     model = adopt_step(stepped)
     night(stepped)
     assert len(alarms()) == len(alarmed) - 1, "the model has the step"
-    assert stepped.cuts.list_all(None) == cuts
+    assert [one.stands for one in stepped.cuts.list_all(None)] == [True]
     stepped.models.withdraw(model.id, ReasonBody(reason="test"), "test")
     assert answers() == before, "at once"
     for _ in range(2):
         night(stepped)
         assert (answers(), stepped.cuts.list_all(None), len(alarms())) == (before, cuts, len(alarmed))
+
+
+@pytest.mark.parametrize("database_url", ["sqlite"], indirect=True)
+def test_c_in_effect_was_the_mean_over_a_step_that_was_found_and_nothing_said_so(
+    stepped: Factory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A night that found a change refitted its windows in the next one, and the alarm spoke of it as done."""
+    path = {"station": "CS002", "antenna": 2, "dipole": "Y"}
+    _, key = stepped.keys.create(("admin",))
+    look_for_due_work(stepped)
+    with monkeypatch.context() as patched:
+        patched.setattr(type(stepped.due), "enqueue_cut", lambda _: [])  # the night ends with what it found
+        Worker(stepped, "worker").run(threading.Event(), until_idle=True)
+    with TestClient(make_app(stepped), headers={"Authorization": f"Bearer {key}"}) as http:
+
+        def told() -> list[Any]:
+            at = {"at": "2015-02-01", **path}
+            (curve,) = http.get("/v1/calibrations/effective", params=at).json()["curves"]
+            (alarm,) = http.get("/v1/alarms", params={"kind": "step"}).json()["alarms"]
+            (cut,) = http.get("/v1/cuts").json()["cuts"]
+            page = "found, not yet refitted" in http.get("/drift").text
+            known = http.get("/v1/status").json()["not_refitted"]
+            return [curve["flag_reason"], curve["flag"][20], alarm["sentence"][-26:], cut["refitted"], page, known]
+
+        sentence = (
+            "CS002 antenna 2 changed on 2015-04-11 (found, not yet refitted): C in effect is the mean over the change"
+        )
+        assert told() == [sentence, "uncertain", " (found, not yet refitted)", False, True, [sentence]]
+        before = http.get("/v1/calibrations/effective", params={"at": "2014-06-01", **path}).json()["curves"][0]
+        assert before["flag_reason"] is None, "another window"
+        as_of = format_instant(stepped.clock())
+        assert stepped.due.enqueue_cut()
+        Worker(stepped, "worker").run(threading.Event(), until_idle=True)
+        assert told()[::3] == [None, True]
+        assert told()[4:] == [False, []]
+        pinned = http.get("/v1/calibrations/effective", params={"at": "2015-02-01", "as_of": as_of, **path}).json()
+        assert pinned["curves"][0]["flag_reason"] == sentence, "what was known then"
 
 
 def adopt_step(stepped: Factory) -> Model:
