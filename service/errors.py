@@ -55,7 +55,7 @@ class ConflictError(LbacalError):
 
 
 class TooLargeError(LbacalError):
-    """A body above the limit."""
+    """A body, or an order, above the limit."""
 
     status = 413
     code = "too_large"

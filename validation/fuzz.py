@@ -15,16 +15,16 @@ import time
 import zlib
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 import h5py
 import httpx2
 import numpy as np
 import schemathesis
-from fastapi.testclient import TestClient
 from hypothesis import HealthCheck, Phase, given, seed, settings, strategies
 from schemathesis.specs.openapi.checks import (
     content_type_conformance,
@@ -38,18 +38,14 @@ from lbacal_core.instrument import load_instrument
 from lbacal_core.lstcurve.curve import read_lst_curve
 from lbacal_core.skypower.table import read_sky_power
 from lbacal_core.spectra import Spectra, write_spectra
-from service.app import make_app
-from service.config import Settings
-from service.factory import Factory
-from service.logs import configure_logs
-from service.storage.migration import upgrade
 from service.wire.bodies import FlagBody, PromotionBody, RefitBody, SpectraBody, parse_body
 from service.wire.formats import choose_format
 from service.wire.hdf5_body import FileReader
 from service.wire.instants import parse_at, parse_instant
-from validation.fuzzing import change_bytes, change_hdf5, write_json
+from validation.fuzzing import NASTY, change_bytes, change_hdf5, write_json
 from validation.machinery.claims import Claim, at_most, claim_exact, claim_rate
 from validation.machinery.parts import Part, Row
+from validation.running.postgres import run_server
 from validation.running.processes import Process, find_free_port, run_command, running, wait_until
 
 EXAMPLES = 16
@@ -61,6 +57,8 @@ PATIENCE_S = 30.0
 """Nobody waits longer: the process that reads a file ends after 20 s."""
 MEMORY_MB = 500
 """What a server takes whatever is sent; a process that reads a spectra file may take a gigabyte besides."""
+DATABASES = "sqlite", "postgresql"
+Key = dict[str, str]
 CHECKS = [status_code_conformance, content_type_conformance, response_schema_conformance]
 ROW = {
     "event_id": "e", "time_utc": "2014-03-01", "station": "CS002", "antenna": 0, "dipole": "X", "blocks": 100,
@@ -72,29 +70,42 @@ REFIT = {"scope": "station", "station": "CS002", "since": "2014-01-01", "until":
 
 
 def ask_routes(number: int) -> Row:
-    """Ask every route."""
+    """Ask every route of a server, over HTTP, on SQLite and PostgreSQL in turn."""
     failures: list[str] = []
     statuses: Counter[int] = Counter()
-    configure_logs("error")
-    with tempfile.TemporaryDirectory(prefix="lbacal-fuzz-") as folder:
-        factory = Factory(Settings(database_url=str(Path(folder) / "fuzz.sqlite"), log_level="error", max_rate=1e9))
-        upgrade(factory.database)
-        keys = [f"Bearer {factory.keys.create((scope,))[1]}" for scope in ("admin", "read")]
-        app = make_app(factory)
-        with TestClient(app, headers={"Authorization": keys[0]}) as client:
-            for path, body in (("spectra", SPECTRA), ("refits", REFIT), ("promotions", PROMOTION)):
-                client.post(f"/v1/{path}", json=body).raise_for_status()
-        operations: Any = schemathesis.openapi.from_asgi("/openapi.json", app).get_all_operations()
+    with _server(DATABASES[number % 2]) as (address, keys, _):
+        for path, body in (("spectra", SPECTRA), ("refits", REFIT), ("promotions", PROMOTION)):
+            httpx2.post(f"{address}/v1/{path}", json=body, headers=keys[0]).raise_for_status()
+        operations: Any = schemathesis.openapi.from_url(f"{address}/openapi.json").get_all_operations()
         for found in operations:
-            for k, key in enumerate((*keys, None)):
-                _ask_route(found.ok(), key, number * 1000 + k, statuses, failures)
-        factory.database.close()
+            operation = found.ok()
+            _ask_nasty(operation, address, keys[0], statuses, failures)
+            for k, one in enumerate((*keys, None)):
+                _ask_route(operation, one, number * 1000 + k, statuses, failures)
     return _row(sum(statuses.values()), failures, statuses=statuses)
 
 
-def _ask_route(operation: Any, key: str | None, number: int, statuses: Counter[int], failures: list[str]) -> None:
+def _ask_nasty(operation: Any, address: str, key: Key, statuses: Counter[int], failures: list[str]) -> None:
+    """Give every parameter of a reading route each text that nobody would send, the others left out."""
+    if operation.method.lower() != "get":
+        return
+    texts = [text for text in NASTY if isinstance(text, str) and (text.isprintable() or text == "\x00")]
+    of_query, of_path = ([one.name for one in places] for places in (operation.query, operation.path_parameters))
+    for name in (*of_query, *of_path):
+        for text in texts:
+            path = operation.path
+            for other in of_path:
+                path = path.replace(f"{{{other}}}", quote(text, safe="") if other == name else "1")
+            asked = {name: text} if name in of_query else {}
+            answer = httpx2.get(f"{address}{path}", params=asked, headers=key, timeout=PATIENCE_S)
+            statuses[answer.status_code] += 1
+            if answer.status_code >= 500 and operation.path != "/readyz":
+                failures.append(f"GET {operation.path}, {name}={text!r}: {answer.status_code}")
+
+
+def _ask_route(operation: Any, key: Key | None, number: int, statuses: Counter[int], failures: list[str]) -> None:
     known = {"number": 1, "event_id": "e"}
-    more = {} if key is None else {"headers": {"Authorization": key}}
+    more = {} if key is None else {"headers": key}
 
     @seed(number)
     @settings(
@@ -292,8 +303,8 @@ def send_bomb(number: int) -> Row:
     name = sorted(BOMBS)[number]
     route, kind, make = BOMBS[name]
     content, failures = make(), []
-    with _server() as (address, key, process):
-        headers = {"Authorization": f"Bearer {key}", "Content-Type": f"application/{kind}"}
+    with _server() as (address, keys, process):
+        headers = {**keys[0], "Content-Type": f"application/{kind}"}
         slowest, statuses = 0.0, Counter[int]()
         for _ in range(2):
             began = time.monotonic()
@@ -310,17 +321,22 @@ def send_bomb(number: int) -> Row:
 
 
 @contextmanager
-def _server() -> Iterator[tuple[str, str, Process]]:
-    with tempfile.TemporaryDirectory(prefix="lbacal-fuzz-") as name:
-        folder, port = Path(name), find_free_port()
-        environment = {"LBACAL_DATABASE_URL": str(folder / "fuzz.sqlite"), "LBACAL_LOG_LEVEL": "error"}
+def _server(database: str = "sqlite") -> Iterator[tuple[str, list[Key], Process]]:
+    """The address of a server, the headers of an admin and of a reader, and its process."""
+    with ExitStack() as stack:
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="lbacal-fuzz-")))
+        url, port = str(folder / "fuzz.sqlite"), find_free_port()
+        if database == "postgresql":
+            url = stack.enter_context(run_server()).url
+        environment = {"LBACAL_DATABASE_URL": url, "LBACAL_LOG_LEVEL": "error", "LBACAL_MAX_RATE": "1e9"}
         run_command(environment, "db", "upgrade")
-        key = run_command(environment, "keys", "create", "--scope", "admin").splitlines()[-1]
+        made = (run_command(environment, "keys", "create", "--scope", scope) for scope in ("admin", "read"))
+        keys = [{"Authorization": f"Bearer {said.splitlines()[-1]}"} for said in made]
         process = Process(environment, folder / "log", "serve", "--port", str(port), "--api-only")
         address = f"http://127.0.0.1:{port}"
         with running(process):
             wait_until(lambda: _lives(address), "the server")
-            yield address, key, process
+            yield address, keys, process
 
 
 def _lives(address: str) -> bool:

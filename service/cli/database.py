@@ -60,6 +60,23 @@ def backup(output: Annotated[Path, typer.Argument(help="File to write.")]) -> No
     print(f"wrote {output}: {size:,} bytes, checked")
 
 
+@db.command()
+def repair_clock() -> None:
+    """Move promotions, tags and models that a server's clock ahead wrote to now, by the database's clock, in order.
+
+    Example: lbacal db repair-clock
+
+    Until the instant of the last of them nothing can be promoted. No line goes; every line that was moved is printed.
+    """
+    from service.wire.instants import format_instant
+
+    with _factory().database.write() as stores:
+        moved = stores.ledger.repair_clock()
+    for was, at in moved.items():
+        print(f"{format_instant(was)} -> {format_instant(at)}")
+    print(f"{len(moved)} instants were ahead of the database's clock")
+
+
 @keys.command()
 def create(
     scope: Annotated[list[str], typer.Option(help="read, spectra:write, refits:run, calibrations:promote or admin.")],

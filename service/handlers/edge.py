@@ -14,6 +14,7 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.requests import ClientDisconnect
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from lbacal_core.errors import BadInputError
 from service.errors import SlowBodyError, TooManyError, UnavailableError
 from service.handlers.limits import Buckets
 from service.handlers.metrics import Traffic
@@ -65,9 +66,10 @@ class Edge:
     async def _serve(self, exchange: _Exchange) -> None:
         try:
             self._require_share(exchange.address)
+            exchange.require_text()
             async with asyncio.timeout(ANSWER_S) as exchange.deadline:
                 await self._app(exchange.scope, exchange.receive, exchange.send)
-        except TooManyError as error:
+        except (TooManyError, BadInputError) as error:
             await exchange.answer(problem_of(error))
         except ClientDisconnect:
             exchange.status = CLIENT_LEFT
@@ -138,6 +140,12 @@ class _Exchange:
         """The number of the key that was accepted, never its text."""
         state: MutableMapping[str, Any] = self.scope.get("state", {})
         return state.get("caller")
+
+    def require_text(self) -> None:
+        """Refuse an address with NUL, which no text of a database holds."""
+        for place, part, nul in (("path", self.path, "\0"), ("query", self.scope["query_string"], b"%00")):
+            if nul in part:
+                raise BadInputError(place, "text without NUL", "NUL (%00)")
 
     async def receive(self) -> Message:
         """The next part of the body; at its end the request takes its place among those that are worked on."""

@@ -48,7 +48,7 @@ Limit = Annotated[Whole, Query(ge=1, le=1000, description="most items in the ans
 AntennaQuery = Annotated[Whole | None, Query(ge=0, le=2**31 - 1)]
 JobNumber = Annotated[Whole, Path(ge=1, le=2**63 - 1)]
 InPath = Annotated[str, Path(pattern=r"^[^\x00-\x1f\x7f]{1,200}$")]
-"""A name in an address; PostgreSQL holds no text with NUL."""
+"""A name in an address."""
 
 
 IdempotencyKey = Annotated[

@@ -237,10 +237,10 @@ def explaining_failures() -> Iterator[None]:
     try:
         yield
     except SQLAlchemyError as error:
-        unavailable = explain_failure(error)
-        if unavailable is None:
+        explained = explain_failure(error)
+        if explained is None:
             raise
-        raise unavailable from error
+        raise explained from error
 
 
 class _SqliteFile:

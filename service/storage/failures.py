@@ -1,16 +1,17 @@
-"""What a failure beside this code means: the one place where errors of the databases become 503.
+"""What a failure beside this code means: the one place where errors of the databases become 503, and values 422.
 
-Only what is away, busy, full, read-only or of another schema is translated. A statement that is wrong stays an error of
-the program.
+What is away, busy, full, read-only or of another schema is translated, and a value that no column holds (SQLSTATE class
+22). A statement that is wrong stays an error of the program.
 """
 
 from __future__ import annotations
 
 import sqlite3
 
-from sqlalchemy.exc import DBAPIError, OperationalError, SQLAlchemyError
+from sqlalchemy.exc import DataError, DBAPIError, OperationalError, SQLAlchemyError
 from sqlalchemy.exc import TimeoutError as PoolTimeoutError
 
+from lbacal_core.errors import BadInputError, LbacalError
 from service.errors import UnavailableError
 
 AWAY = "the database does not answer"
@@ -52,7 +53,7 @@ _PRIMARY = 0xFF
 """The primary result code of SQLite stands in the low byte of the extended one."""
 
 
-def explain_failure(error: SQLAlchemyError) -> UnavailableError | None:
+def explain_failure(error: SQLAlchemyError) -> LbacalError | None:
     """What to tell about a failure; None if it is a fault of this program."""
     if isinstance(error, PoolTimeoutError):
         return UnavailableError(
@@ -60,6 +61,8 @@ def explain_failure(error: SQLAlchemyError) -> UnavailableError | None:
         )
     if not isinstance(error, DBAPIError):
         return None
+    if isinstance(error, DataError):
+        return BadInputError("request", "values that the database can hold", str(error.orig))
     sentence: str | None
     sentence = _explain_sqlite(error.orig) if isinstance(error.orig, sqlite3.Error) else _explain_postgresql(error)
     if sentence is None:

@@ -19,6 +19,7 @@ from sqlalchemy import (
     or_,
     select,
     text,
+    update,
 )
 from sqlalchemy.dialects.postgresql import ARRAY
 from sqlalchemy.dialects.postgresql import insert as postgresql_insert
@@ -26,7 +27,8 @@ from sqlalchemy.dialects.sqlite import insert as sqlite_insert
 
 from lbacal_core.validity import Instant, Promotion, Scope
 from service.errors import UnavailableError
-from service.schema.tables import edge, promotion, standing, tag
+from service.schema.tables import edge, model_change, promotion, standing, tag
+from service.storage.clocks import read_database_clock
 from service.storage.decisive import newest_of, state_decisive
 
 LOCK = 5_240_121
@@ -70,22 +72,15 @@ class LedgerStore:
         """Write promotions as one act: the same `at`, later than any before. The last statement before the commit.
 
         `at` is later than every tag, too: what a tag froze stays what it was. `number` and `at` of what is wanted are
-        replaced. Where the newest promotion is far ahead of the clock, one of the two clocks was wrong: what would be
-        written now could not be read as of now.
+        replaced.
         """
         if not wanted:
             return []
         self.lock()
         if self._connection.dialect.name == "postgresql":
             self._connection.execute(text(f"SET LOCAL idle_in_transaction_session_timeout = {PROMPT_US // 1000}"))
-        newest = self.newest_instant()
         now = clock()
-        if newest is not None and newest > now + AHEAD_US:
-            raise UnavailableError(
-                f"the newest promotion was made {(newest - now) / 1e6:.0f} s ahead of this server's clock: one of the "
-                "two clocks is wrong, and until that instant nothing can be promoted"
-            )
-        at = max(now, (newest or 0) + 1)
+        at = max(now, self.require_clocks(now) + 1)
         self._written = now, clock
         rows = [
             {
@@ -99,6 +94,47 @@ class LedgerStore:
         made = [_value(row) for row in self._connection.execute(statement, rows)]
         self._let_stand(made)
         return made
+
+    def require_clocks(self, now: Instant) -> Instant:
+        """The newest instant of the ledger; refused where this server's clock, or the ledger, is far ahead.
+
+        What a clock ahead writes stops everybody until that instant, and cannot be read as of now.
+        """
+        true, newest = read_database_clock(self._connection), self.newest_instant() or 0
+        if now > true + AHEAD_US:
+            raise UnavailableError(
+                f"this server's clock is {(now - true) / 1e6:.0f} s ahead of the database's: nothing is promoted or "
+                "tagged until it is set right"
+            )
+        if newest > now + AHEAD_US:
+            cure = "run `lbacal db repair-clock`" if newest > true + AHEAD_US else "this server's clock is behind"
+            raise UnavailableError(
+                f"the newest promotion or tag was made {(newest - now) / 1e6:.0f} s ahead of this server's clock, and "
+                f"until that instant nothing can be promoted: {cure}"
+            )
+        return newest
+
+    def repair_clock(self) -> dict[Instant, Instant]:
+        """Move what a clock ahead wrote to now, by the database's clock, in its order; was and is of each instant.
+
+        No line goes, and no answer changes: as of an instant until now nothing of it was seen, and a tag keeps what it
+        has frozen so far.
+        """
+        self.lock()
+        now = read_database_clock(self._connection)
+        columns = promotion.c.at_us, edge.c.known_us, tag.c.as_of_us, tag.c.at_us, model_change.c.at_us
+        ahead = {
+            at for one in columns for at in self._connection.execute(select(one).where(one > now + AHEAD_US)).scalars()
+        }
+        rest = [
+            self._connection.execute(select(func.max(one)).where(one <= now + AHEAD_US)).scalar() for one in columns
+        ]
+        first = max([now, *(at + 1 for at in rest if at is not None)])
+        moved = {at: first + k for k, at in enumerate(sorted(ahead))}
+        for one in columns:
+            for was, at in moved.items():
+                self._connection.execute(update(one.table).where(one == was).values({one.name: at}))
+        return moved
 
     def _let_stand(self, made: Sequence[Promotion]) -> None:
         """Put promotions in place of those of the same scope and interval, and add their edges that are new."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from lbacal_core.errors import BadInputError
 from lbacal_core.validity import Instant
-from service.errors import ConflictError, TooManyError
+from service.errors import ConflictError, TooLargeError, TooManyError
 from service.storage.database import Stores
 from service.storage.jobs import Order
 from service.wire.instants import parse_instant
@@ -33,6 +33,12 @@ def read_window(since: str, until: str) -> tuple[Instant, Instant]:
 
 def place_order(stores: Stores, order: Order, limits: Limits, clock: Callable[[], Instant]) -> int:
     """Enqueue a job that somebody asked for, and return its number."""
+    if len(order.parts) > limits.open_parts:
+        raise TooLargeError(
+            f"the order has {len(order.parts)} parts (one a station, of an investigation one a station and year), and "
+            f"{limits.open_parts} fit (LBACAL_MAX_OPEN_PARTS): ask for single stations or a shorter window, one after "
+            "the other"
+        )
     waiting = stores.jobs.count_open(order.by)
     if waiting + len(order.parts) > limits.open_parts:
         raise TooManyError(

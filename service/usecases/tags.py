@@ -48,7 +48,8 @@ class Tags:
                     raise ConflictError(f"the tag {name} exists with another content: {found}; choose another name")
                 return earlier, False
             now = self.clock()
-            as_of = max(now, stores.ledger.newest_instant() or 0) if wanted is None else wanted
+            newest = stores.ledger.require_clocks(now)
+            as_of = max(now, newest) if wanted is None else wanted
             tag = Tag(name, as_of, by, body.reason, now)
             stores.tags.add(tag)
             return tag, True

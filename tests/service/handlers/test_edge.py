@@ -34,6 +34,27 @@ def test_an_unexpected_failure_is_a_problem_with_the_headers_of_every_answer(fac
     assert "ZeroDivisionError" not in answer.text
 
 
+@pytest.mark.parametrize(
+    "address",
+    [
+        "/v1/calibrations/effective?at=2014-05-01&tag=%00", "/v1/investigations?station=%00", "/v1/cuts?station=a%00b",
+        "/v1/alarms?station=%00", "/v1/jobs?%00=1", "/v1/calibrations?station=%00", "/v1/events/a%00/flag",
+        "/stations/%00", "/calibrations/%00",
+    ],
+)  # fmt: skip
+def test_nul_in_an_address_was_a_failure_on_one_database_and_nothing_on_the_other(
+    client: TestClient, address: str
+) -> None:
+    answer = client.get(address)
+    assert (answer.status_code, answer.headers["content-type"]) == (422, "application/problem+json")
+    assert "expected text without NUL, found NUL (%00)" in answer.json()["detail"]
+    assert answer.headers["content-security-policy"] == STRICT
+
+
+def test_a_percent_sign_before_two_zeros_is_text(client: TestClient) -> None:
+    assert client.get("/v1/cuts?station=%2500").status_code == 200
+
+
 def test_a_number_that_could_write_into_the_log_is_replaced(client: TestClient) -> None:
     given = client.get("/healthz", headers={"X-Request-ID": "two words"}).headers["x-request-id"]
     assert len(given) == 32

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from lbacal_core.validity import Promotion, Scope, answer_path
 from service.errors import UnavailableError
-from service.factory import Factory
+from service.factory import Factory, read_clock
 from service.storage.ledger import Neighbours
 from service.storage.versions import Version
 from validation.running.ledger import write_promotions
@@ -260,6 +260,45 @@ def test_one_promotion_by_a_clock_that_is_years_ahead_is_told_to_the_next_and_no
     append(factory, Scope(), 0, None, version, now + 1000 * second)
     with pytest.raises(UnavailableError, match="1000 s ahead of this server's clock"):
         append(factory, Scope(), 0, None, None, now)
+
+
+def test_a_clock_ahead_wrote_promotions_that_stopped_all_others_until_their_instant(
+    factory: Factory, new_version: Callable[..., Version]
+) -> None:
+    """It is refused on arrival, and a ledger that has such lines is repaired: in order, and no answer changes."""
+    version, other = fill(factory, ("a", "b"), new_version).values()
+    now, year = read_clock(), 31_536_000_000_000
+    append(factory, Scope(), 0, None, version, now - 10)
+    with pytest.raises(UnavailableError, match=r"this server's clock is 15768000.* s ahead of the database's"):
+        append(factory, Scope(), 0, None, other, now + 5 * year)
+    wrong = append(factory, Scope(), 0, 100, other, now)
+    with factory.database.engine.begin() as connection:  # as it was written before it was refused
+        for table, column in (("promotion", "at_us"), ("edge", "known_us")):
+            connection.exec_driver_sql(
+                f"UPDATE {table} SET {column} = {now + 5 * year} WHERE {column} = {wrong.at}"  # noqa: S608 - numbers
+            )
+        connection.exec_driver_sql(
+            f"INSERT INTO tag (name, as_of_us, \"by\", reason, at_us) VALUES ('t', {now + 6 * year}, 'x', 'x', 1)"  # noqa: S608
+        )
+    with pytest.raises(UnavailableError, match=r"ahead of this server's clock, .*: run `lbacal db repair-clock`"):
+        append(factory, Scope(), 0, None, None, now)
+    with factory.database.read() as stores:
+        before = stores.ledger.decisive([Scope()], 50, None)[Scope()].calibration
+    with factory.database.write() as stores:
+        moved = stores.ledger.repair_clock()
+        assert stores.ledger.repair_clock() == {}
+        tag = stores.tags.find("t")
+    assert list(moved) == [now + 5 * year, now + 6 * year]
+    assert list(moved.values()) == sorted(moved.values())
+    assert tag is not None
+    assert tag.as_of == moved[now + 6 * year] <= read_clock() + 2
+    later = append(factory, Scope(), 0, 100, None, read_clock())
+    assert later.at > tag.as_of
+    with factory.database.read() as stores:
+        for as_of in (tag.as_of, moved[now + 5 * year]):
+            assert stores.ledger.decisive([Scope()], 50, as_of)[Scope()].calibration == before == other
+        assert stores.ledger.decisive([Scope()], 50, moved[now + 5 * year] - 1)[Scope()].calibration == version
+        assert stores.ledger.edges(moved[now + 5 * year])[None] >= {0, 100}
 
 
 @given(st.lists(promotions, max_size=15), st.integers(0, 20), st.integers(1, 12))

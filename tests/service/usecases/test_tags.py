@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from lbacal_core.errors import BadInputError
 from lbacal_core.validity import Promotion, Scope
-from service.errors import ConflictError, NotFoundError
-from service.factory import Factory
+from service.errors import ConflictError, NotFoundError, UnavailableError
+from service.factory import Factory, read_clock
 from service.storage.versions import Version
 from service.wire.bodies import TagBody
 from service.wire.instants import format_instant
@@ -66,6 +66,14 @@ def test_a_tag_of_a_ledger_ahead_of_the_clock_sees_its_newest_promotion(
     clock.now -= 30_000_000
     freeze(factory, "paper")
     assert answer(factory, "paper") == stored["path"].id
+
+
+def test_a_tag_by_a_clock_ahead_stopped_all_promotions_until_that_day(factory: Factory, clock: Any) -> None:
+    clock.now = read_clock() + 5 * 31_536_000_000_000
+    with pytest.raises(UnavailableError, match="ahead of the database's: nothing is promoted or tagged"):
+        freeze(factory, "paper")
+    with factory.database.read() as stores:
+        assert stores.tags.find("paper") is None
 
 
 def test_the_same_tag_again_is_the_same_and_another_content_a_conflict(factory: Factory, stored: Stored) -> None:

@@ -1,0 +1,88 @@
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from fastapi.testclient import TestClient
+
+from lbacal_core.spectra import Spectra
+from service.app import make_app
+from service.factory import Factory
+
+REFIT = {"scope": "antenna", "since": "2014-01-01", "until": "2015-01-01", "reason": "test"}
+
+
+@pytest.fixture
+def filled(factory: Factory) -> Factory:
+    """A service with an event of an antenna of each of its two stations, in each of two years."""
+    stations = np.array(["CS001", "CS002"] * 2)
+    spectra = Spectra(
+        frequency_mhz=factory.instrument.frequency_mhz,
+        power=np.ones((4, factory.instrument.frequency_mhz.size)),
+        event_id=np.array(["a", "a", "b", "b"]),
+        time_unix=np.repeat([1.4e9, 1.43e9], 2),
+        station=stations,
+        antenna=np.zeros(4, dtype=np.int64),
+        dipole=np.full(4, "X"),
+        blocks=np.full(4, 100),
+    )
+    with factory.database.write() as stores:
+        stores.spectra.add(spectra)
+    return factory
+
+
+def of_limit(factory: Factory, parts: int) -> Factory:
+    return Factory(factory.settings.model_copy(update={"max_open_parts": parts}), factory.clock)
+
+
+@pytest.mark.parametrize(
+    ("route", "body", "parts"),
+    [
+        ("refits", REFIT, 2),
+        ("investigations", {"since": "2014-01-01", "until": "2016-01-01", "reason": "test"}, 4),
+    ],
+)
+def test_an_order_that_could_never_fit_was_told_to_try_again(
+    filled: Factory, route: str, body: dict[str, Any], parts: int
+) -> None:
+    _, key = filled.keys.create(("admin",))
+    headers = {"Authorization": f"Bearer {key}"}
+    with TestClient(make_app(of_limit(filled, parts - 1)), headers=headers) as http:
+        refused = http.post(f"/v1/{route}", json=body)
+        assert (refused.status_code, refused.json()["type"]) == (413, "urn:lbacal:too_large")
+        assert f"the order has {parts} parts" in refused.json()["detail"]
+        assert f"and {parts - 1} fit (LBACAL_MAX_OPEN_PARTS): ask for single stations" in refused.json()["detail"]
+        assert "retry-after" not in refused.headers
+        assert http.get("/v1/jobs").json()["jobs"] == []
+    with TestClient(make_app(of_limit(filled, parts)), headers=headers) as http:
+        assert http.post(f"/v1/{route}", json=body).status_code == 202
+        full = http.post(f"/v1/{route}", json=body)
+        assert (full.status_code, "retry-after" in full.headers) == (429, True), "there is room again once these ended"
+
+
+def test_jobs_are_listed_newest_first_and_stopped_once(filled: Factory, client: TestClient) -> None:
+    first, second = (client.post("/v1/refits", json=REFIT).json()["job"] for _ in range(2))
+    page = client.get("/v1/jobs", params={"limit": 1}).json()
+    assert [job["job"] for job in page["jobs"]] == [second]
+    rest = client.get("/v1/jobs", params={"cursor": page["next"]}).json()
+    assert ([job["job"] for job in rest["jobs"]], rest["next"]) == ([first], None)
+    job = client.get(f"/v1/jobs/{first}").json()
+    assert (job["kind"], job["state"], job["progress"], job["request"]["scope"]) == ("refit", "queued", 0.0, "antenna")
+    stopped = client.post(f"/v1/jobs/{first}/cancel", json={"reason": "a mistake"}).json()
+    assert (stopped["state"], stopped["error"].endswith(": a mistake")) == ("cancelled", True)
+    with filled.database.engine.begin() as connection:
+        connection.exec_driver_sql("UPDATE job_part SET state = 'done', ended_us = 1")
+    assert client.post(f"/v1/jobs/{second}/cancel").status_code == 409
+    assert client.get("/v1/jobs/99").status_code == 404
+
+
+def test_a_refit_needs_its_key_and_one_that_promotes_another(filled: Factory, client: TestClient) -> None:
+    for scopes, promotes, status in (
+        (("read",), False, 403),
+        (("refits:run",), True, 403),
+        (("refits:run",), False, 202),
+    ):
+        _, key = filled.keys.create(scopes)
+        headers = {"Authorization": f"Bearer {key}"}
+        assert client.post("/v1/refits", json={**REFIT, "promote": promotes}, headers=headers).status_code == status
