@@ -37,6 +37,9 @@ def test_a_version_is_promoted_frozen_withdrawn_and_put_back(service: Any) -> No
     with pytest.raises(KeyError):
         in_effect(service)
     assert in_effect(service, tag="old-years") == name
+    assert "(dry run: nothing was written)" in run(service, "rollback", *number, "--reason", "x", "--dry-run")
+    with pytest.raises(KeyError):
+        in_effect(service)
     undone = run(service, "rollback", *number, "--reason", "it was right")
     assert f"CS002 antenna 0 Y has version {name[:12]}" in undone
     assert in_effect(service) == name

@@ -147,7 +147,7 @@ def test_an_error_of_the_program_is_not_an_absent_database(factory: Factory) -> 
 
 def test_a_dropped_table_is_another_schema(factory: Factory) -> None:
     execute(factory.database, "DROP TABLE monthly_ratio")
-    with pytest.raises(UnavailableError, match="lbacal db check"):
+    with pytest.raises(UnavailableError, match="lbacal db upgrade"):
         execute(factory.database, "DELETE FROM monthly_ratio")
 
 

@@ -11,6 +11,9 @@ import pytest
 from lbacal_core.spectra import Spectra
 from service.config import Settings
 from service.factory import Factory
+from service.scheduler import look_again
+from service.storage.jobs import PAUSE_US
+from tests.service.conftest import Clock
 
 TIME_UNIX = 1_400_000_000.0
 
@@ -65,6 +68,19 @@ def test_work_given_up_for_another_instrument_is_due_again_at_once(filled: Facto
     filled.due.enqueue()
     assert stations_of(rewired, rewired.due.enqueue()) == ["CS001", "CS001", "CS002", "CS002", None]
     assert rewired.due.enqueue() == []
+
+
+def test_failed_work_is_looked_at_again_by_day_once_its_pause_is_over(filled: Factory, clock: Clock) -> None:
+    assert not filled.due.has_failed_lately()
+    filled.due.enqueue()
+    ended = clock.now
+    with filled.database.engine.begin() as connection:
+        connection.exec_driver_sql(f"UPDATE job_part SET state = 'failed', error = 'x', ended_us = {ended}")  # noqa: S608
+    assert not filled.due.has_failed_lately(), "its pause has begun"
+    assert look_again(filled) == []
+    clock.now = ended + PAUSE_US
+    assert filled.due.has_failed_lately()
+    assert stations_of(filled, look_again(filled)) == ["CS001", "CS001", "CS002", "CS002", None]
 
 
 def shift(factory: Factory, years: int) -> list[int]:

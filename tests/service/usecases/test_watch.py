@@ -250,12 +250,16 @@ def test_later_data_move_a_date_within_its_error_and_no_window(watched: Factory)
         "members": [{"antenna": 2, "dipole": "Y"}, {"antenna": 2, "dipole": "X"}, {"antenna": None, "dipole": "X"}],
     }  # fmt: skip
     moved, far = ({**change, "date_unix": STEPPED / 1e6 + 86_400 * days} for days in (2.0, 40.0))
-    vague, known = {**change, "date_sigma_days": 50.0}, {**change, "is_known": True}
-    expected = {"first": [STEPPED], "moved": [STEPPED], "far": [STEPPED + 40 * DAY_US], "none": []}
-    for name, changes in (("first", [change]), ("moved", [moved, vague, known]), ("far", [far]), ("none", [vague])):
+    vague, known = {**change, "date_sigma_days": 50.0}, {**far, "is_known": True}
+    exact, later = ({**change, "date_sigma_days": 1e-3, "date_unix": STEPPED / 1e6 + 3600 * h} for h in (0, 20))
+    for name, changes in (
+        ("first", [change]), ("moved", [moved, vague, known]), ("far", [far]), ("none", [vague]), ("known", [known]),
+        ("exact", [exact]), ("later", [later]),
+    ):  # fmt: skip
         with watched.database.write() as stores:
             settle_cuts(stores, {"changes": changes}, 1)
-            assert [one.date for one in stores.cuts.standing("CS002")] == expected[name]
+            dates = [] if name in ("none", "known") else [STEPPED + 40 * DAY_US if name == "far" else STEPPED]
+            assert [one.date for one in stores.cuts.standing("CS002")] == dates, name
 
 
 def test_an_alarm_of_a_step_along_frequency_says_where() -> None:

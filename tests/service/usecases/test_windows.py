@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import json
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -118,6 +118,25 @@ def test_a_small_window_beside_a_deaf_antenna_borrowed_nothing(
     assert "of 2014-01-01 to 2015-01-01" not in reason_of_december(factory), "nothing stands there to borrow from"
     refit(factory, "antenna", {"since": "2014-01-01", "until": "2015-01-01"})
     assert "too few events for a fit: C is that of 2014-01-01 to 2015-01-01" in reason_of_december(factory)
+
+
+def test_a_piece_borrowed_from_a_window_over_the_change_or_from_the_farthest(
+    with_change: Callable[..., Factory], campaign: Spectra
+) -> None:
+    factory, (since, until) = with_change("2015-12-01"), map(start_of_year, (2015, 2016))
+    path = Scope("CS002", 2, "X")
+
+    def make(since: int, until: int, lenders: Sequence[Version] = ()) -> list[Version]:
+        spectra = campaign.select((campaign.time_unix >= since / 1e6) & (campaign.time_unix < until / 1e6))
+        wanted = Wanted("antenna", Scope("CS002"), since, until, Model(), "test", "test")
+        made = factory.fits.make(factory.fits.fit_causes(spectra, Model()), wanted, find_lenders=lambda _: lenders)
+        return [one for one in made.versions if one.scope == path]
+
+    (far,) = make(start_of_year(2014), since)
+    over = replace(far, since=since, until=until, inputs={**far.inputs, "scope": "over the change"})
+    (near, piece) = make(since, until, [far, over])
+    assert since < near.until == piece.since
+    assert piece.inputs["borrowed_from"] == near.id
 
 
 def reason_of_december(factory: Factory) -> str:
