@@ -1,21 +1,27 @@
-"""Files of calibration curves read back (docs/formats/galcal.md): JSON, ECSV, FITS and HDF5 become the same content."""
+"""Files of calibration curves (docs/formats/galcal.md): JSON, ECSV, FITS and HDF5 hold the same, CSV the rows alone."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
 
-from lbacal.tables import COLUMNS, NO_ANTENNA
+from lbacal.tables import COLUMNS, NO_ANTENNA, write_format
 from lbacal_core.errors import BadInputError, UnreadableFileError
 from lbacal_core.galcal import FORMAT, KEY, name_path
 from lbacal_core.hdf5 import INTEGERS, NUMBERS, STRINGS, Kind, open_dataset, read_text, read_values
 
-SUFFIXES = (".json", ".ecsv", ".fits", ".h5", ".hdf5")
+FORMATS = {
+    ".ecsv": "ecsv", ".fits": "fits", ".h5": "hdf5", ".hdf5": "hdf5", ".json": "json", ".csv": "csv",
+}  # fmt: skip
+"""What a file holds, by the end of its name."""
+SUFFIXES = tuple(suffix for suffix in FORMATS if suffix != ".csv")
+"""Endings of files that can be read back."""
 REQUIRED = ("station", "antenna", "dipole", "frequency_mhz", "c", "c_sigma_stat", "c_sigma_sys", "flag")
 """Columns that no file lacks."""
 BY_CHANNEL = ("c", "c_sigma_stat", "c_sigma_sys", "factor", "c_over_h", "antenna_gain")
@@ -24,6 +30,24 @@ _UNSAID = {
     "valid": {"from": None, "to": None},
 }
 _KINDS: dict[type, Kind] = {float: NUMBERS, int: INTEGERS, str: STRINGS}
+
+
+def require_format(option: str, path: Path) -> str:
+    """The format that the end of a name says; what is no file, such as /dev/stdout, gets a table."""
+    if path.exists() and not path.is_file():
+        return "ecsv"
+    if path.suffix.lower() not in FORMATS:
+        expected = f"a name that ends in {', '.join(FORMATS)} (lbacal export writes others)"
+        raise BadInputError(f"{option} {path}", expected, path.suffix or "no ending")
+    return FORMATS[path.suffix.lower()]
+
+
+def write_calibrations(content: Mapping[str, Any], path: Path, kind: str) -> None:
+    """Write curves with their covariances and budgets in a format of `FORMATS`, or of `lbacal.tables`."""
+    if kind == "json":
+        path.write_text(json.dumps(content, allow_nan=False, indent=1) + "\n", encoding="utf-8")
+    else:
+        path.write_bytes(write_format(kind, dict(content)))
 
 
 def read_calibrations(path: Path) -> dict[str, Any]:
@@ -48,7 +72,11 @@ def read_calibrations(path: Path) -> dict[str, Any]:
 
 
 def _read_json(path: Path) -> dict[str, Any]:
-    content = _parse(path, path.read_bytes())
+    return complete_curves(_parse(path, path.read_bytes()), path)
+
+
+def complete_curves(content: Mapping[str, Any], path: Path) -> dict[str, Any]:
+    """A JSON answer or fit report with what it does not say as None, without curves that have no values."""
     curves = content.get("curves")
     if not isinstance(curves, list) or not all(isinstance(curve, dict) for curve in curves):
         raise BadInputError(f"{path}: curves", "a list of curves", repr(curves)[:60])
@@ -138,7 +166,7 @@ def _join(path: Path, columns: Mapping[str, Any], head: dict[str, Any]) -> dict[
         raise BadInputError(str(path), f"{rows} rows in every column", "another number")
     keys = list(zip(*(columns[name].tolist() for name in ("station", "antenna", "dipole")), strict=True))
     edges = [k for k in range(rows) if k == 0 or keys[k] != keys[k - 1]]
-    curves = [_make_curve(columns, slice(a, b)) for a, b in zip(edges, [*edges[1:], rows], strict=True)]
+    curves = [_make_curve(columns, slice(a, b)) for a, b in pairwise([*edges, rows])]
     covariances = head.get("covariances", {})
     for curve in curves:
         curve["covariance"] = covariances.get(name_path(curve))

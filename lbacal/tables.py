@@ -111,6 +111,7 @@ def write_ecsv(answer: dict[str, Any]) -> bytes:
     """Enhanced CSV of astropy: units and descriptions in the head, with covariances and budgets as JSON text."""
     table = _make_table(answer)
     table.meta = {"at": answer["at"] or "", "as_of": answer["as_of"] or "", KEY: _write_head(answer)}
+    table.meta |= {name: answer[name] for name in ("provenance", "status") if name in answer}
     text = io.StringIO()
     table.write(text, format="ascii.ecsv")
     return text.getvalue().encode()

@@ -13,10 +13,9 @@ from numpy.typing import NDArray
 
 from lbacal_core.anomalies import Anomalies, Anomaly
 from lbacal_core.covariance import Budget, CurveCovariance, parse_covariance
-from lbacal_core.galcal import KEY, make_head
 from lbacal_core.grids import Floats
 from lbacal_core.kept_lines import KeptLines
-from lbacal_core.provenance import Provenance, canonical_json, hash_arrays
+from lbacal_core.provenance import Provenance, hash_arrays
 from lbacal_core.reference_chain import ReferenceChain
 from lbacal_core.sky_over_model import SkyOverModel, parse_sky_over_model
 
@@ -311,55 +310,6 @@ class FitReport:
 def write_fit_report(report: FitReport, path: Path) -> None:
     """Write fit.json."""
     path.write_text(json.dumps(report.as_dict(), indent=1, allow_nan=False) + "\n")
-
-
-def write_calibration_table(report: FitReport, path: Path, made_with: Mapping[str, Any] | None = None) -> None:
-    """Write the curves with values as an ECSV table, one row per path and frequency (docs/formats/galcal.md).
-
-    `made_with` are the instrument and the models of sky and antenna, for the head of the file.
-    """
-    from astropy import units as u
-    from astropy.table import Table
-
-    curves = [curve for curve in report.curves if curve.c is not None]
-    rows = [(curve, k) for curve in curves for k in range(curve.frequency_mhz.size)]
-
-    table = Table()
-    table["station"] = np.array([curve.station or "" for curve, _ in rows], dtype=np.str_)
-    table["antenna"] = np.array([-1 if curve.antenna is None else curve.antenna for curve, _ in rows], dtype=np.int64)
-    table["dipole"] = np.array([curve.dipole or "" for curve, _ in rows], dtype=np.str_)
-    table["frequency_mhz"] = np.array([curve.frequency_mhz[k] for curve, k in rows], dtype=float)
-    table["frequency_mhz"].unit = u.MHz
-
-    def add_numbers(name: str, unit: u.UnitBase) -> None:
-        values = [np.nan if getattr(curve, name) is None else getattr(curve, name)[k] for curve, k in rows]
-        table[name] = np.array(values, dtype=float)
-        table[name].unit = unit
-
-    for name in ("c", "c_sigma_stat", "c_sigma_sys"):
-        add_numbers(name, u.V)
-    table["flag"] = np.array([curve.flags[k] for curve, k in rows], dtype=np.str_)
-    add_numbers("c_over_h", u.V / u.m)
-    add_numbers("antenna_gain", u.m**2)
-    descriptions = {
-        "station": "station name; empty for the whole array",
-        "antenna": "antenna number; -1: reference chain of the station or array, nobody's cable (fit.json says which)",
-        "dipole": "letter of the dipole; empty where one curve serves all",
-        "frequency_mhz": "centre of the channel",
-        "c": "calibration factor C(nu), V per ADC unit; relative unless P_sky is W m^-2 MHz^-1 and G_ant m^2",
-        "c_sigma_stat": "statistical standard deviation of c",
-        "c_sigma_sys": "systematic standard deviation of c, by the budget in fit.json",
-        "flag": "ok, uncertain (error above 13 %), interference, or outside (C is not determined: NaN)",
-        "c_over_h": "C/|H_zenith|, V/m per ADC unit, field along the arm from the zenith: G_ant cancels",
-        "antenna_gain": "G_ant that the chain was fitted with; c belongs to an antenna of this gain",
-    }
-    for name, text in descriptions.items():
-        table[name].info.description = text
-    content = report.as_dict()
-    table.meta = {name: content[name] for name in ("provenance", "status")}
-    kept = [curve for curve in content["curves"] if curve["c"] is not None]
-    table.meta[KEY] = canonical_json(make_head(content | {"curves": kept} | dict(made_with or {})))
-    table.write(path, format="ascii.ecsv", overwrite=True)
 
 
 def list_numbers(values: Floats) -> list[float | None]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
@@ -30,11 +29,7 @@ class ExportFormat(StrEnum):
     lofar2 = "lofar2"
 
 
-BY_SUFFIX = {
-    ".ecsv": ExportFormat.ecsv, ".fits": ExportFormat.fits, ".h5": ExportFormat.hdf5, ".hdf5": ExportFormat.hdf5,
-    ".csv": ExportFormat.csv, ".json": ExportFormat.json, ".txt": ExportFormat.nuradio,
-    ".calfits": ExportFormat.uvcal, ".calh5": ExportFormat.uvcal,
-}  # fmt: skip
+OF_OTHER_PROGRAMS = {".txt": "nuradio", ".calfits": "uvcal", ".calh5": "uvcal"}
 
 
 def check_table(
@@ -83,13 +78,15 @@ def export(
     ecsv, fits, hdf5 and json keep everything; csv has the rows; nuradio (.txt), uvcal (.calfits, .calh5) and lofar2
     (with --format) have C for those programs.
     """
-    from lbacal.calibration_files import read_calibrations
+    from lbacal.calibration_files import FORMATS, read_calibrations, write_calibrations
     from lbacal.exports import write_station_table, write_uvcal
-    from lbacal.tables import mean_curve, write_format
+    from lbacal.tables import mean_curve
 
-    chosen = kind or BY_SUFFIX.get(output.suffix.lower())
+    by_suffix = FORMATS | OF_OTHER_PROGRAMS
+    chosen = kind or by_suffix.get(output.suffix.lower())
     if chosen is None:
-        raise BadInputError("--output", f"--format, or a name that ends in {', '.join(BY_SUFFIX)}", output.name)
+        raise BadInputError("--output", f"--format, or a name that ends in {', '.join(by_suffix)}", output.name)
+    chosen = ExportFormat(chosen)
     if mean and chosen is not ExportFormat.nuradio:
         raise BadInputError("--mean", "the format nuradio", chosen.value)
     require_outputs({"--output": output}, {"SOURCE": source, "--instrument": instrument})
@@ -108,10 +105,8 @@ def export(
             write_uvcal(content, _require_instrument(instrument), beside)
         elif chosen is ExportFormat.lofar2:
             write_station_table(content, beside)
-        elif chosen is ExportFormat.json:
-            beside.write_text(json.dumps(content, allow_nan=False, indent=1) + "\n")
         else:
-            beside.write_bytes(write_format(chosen.value, mean_curve(content) if mean else content))
+            write_calibrations(mean_curve(content) if mean else content, beside, chosen.value)
     print(f"wrote {output}: {len(content['curves'])} curves as {chosen.value}")
 
 

@@ -70,7 +70,7 @@ def describe_misfits(misfits: Sequence[CalibrationCurve], command: str, sky_powe
 def fit(
     spectra: Annotated[list[Path], typer.Argument(help="Spectra files (HDF5, lbacal-spectra-1), or folders of them.")],
     instrument: Annotated[str, typer.Option(help="Instrument: a name such as lofar-superterp, or a JSON file.")],
-    output: Annotated[Path, typer.Option(help="Calibration table to write (ECSV).")],
+    output: Annotated[Path, typer.Option(help="Calibration table: .ecsv, .fits, .h5, .json, or .csv (rows).")],
     report: Annotated[Path, typer.Option(help="Report to write (JSON), whatever the outcome.")],
     sky_power: Annotated[
         Path | None, typer.Option(help="P_sky(LST, nu) file (JSON); without it the package's own sky and antenna.")
@@ -93,10 +93,10 @@ def fit(
 
     Exit 0 if any curve converged, else 1; the report is written either way.
     """
+    from lbacal.calibration_files import require_format
     from lbacal.cli.fit_summary import align, describe_error, explain_chi2, tabulate_curves
     from lbacal_core.audit.quick import audit_quickly
-    from lbacal_core.curves import CONVERGED, write_calibration_table, write_fit_report
-    from lbacal_core.galcal import describe_made_with
+    from lbacal_core.curves import CONVERGED, write_fit_report
     from lbacal_core.instrument import load_instrument
     from lbacal_core.pipeline import calibrate
     from lbacal_core.skypower.model import compute_sky_power
@@ -111,6 +111,7 @@ def fit(
         {"--output": output, "--report": report, "--html": html, "--plot": plot},
         {**known, **{f"SPECTRA {file}": file for file in files}},
     )
+    kind = require_format("--output", output)
     require_image(plot)
     model, left_open = read_model(with_), read_open_terms(with_)
     model.require_one_c(f"--with {with_}")
@@ -128,24 +129,19 @@ def fit(
         error = measure_error(result, measured, chain, power)
         with written_beside(report) as beside:
             write_fit_report(result, beside)
-        with written_beside(output) as beside:
-            models = None if power.made_for is None else power.made_for.as_dict()
-            write_calibration_table(result, beside, describe_made_with(chain, models))
+        _write_table(result, chain, power, output, kind)
         numbers = [] if error is None else [describe_error(error)]
         if html is not None or plot is not None:
             tell("draw")
             _draw(result, measured, chain, power, html, plot, numbers)
     converged = [curve for curve in result.curves if curve.status == CONVERGED]
     written = " and ".join(str(path) for path in (output, report, html, plot) if path is not None)
-    print(f"{len(converged)} of {len(result.curves)} curves converged; wrote {written}")
-    for line in [*align(tabulate_curves(result.curves)), *numbers]:
-        print(line)
-    if any(curve.c is not None for curve in result.curves):
-        print(explain_chi2(result.curves))
+    explained = [explain_chi2(result.curves)] if any(curve.c is not None for curve in result.curves) else []
     rerun = " ".join(str(path) for path in spectra)
     command = f"lbacal investigate {rerun}{selection.options} --instrument {instrument}"
-    for line in describe_rest(result, len(measured), command, sky_power):
-        print(line)
+    rest = describe_rest(result, len(measured), command, sky_power)
+    first = f"{len(converged)} of {len(result.curves)} curves converged; wrote {written}"
+    print("\n".join([first, *align(tabulate_curves(result.curves)), *numbers, *explained, *rest]))
     if not converged:
         raise typer.Exit(1)
 
@@ -180,6 +176,16 @@ def describe_rest(report: FitReport, spectra: int, command: str, sky_power: Path
     for curve, reference in zip(report.curves, report.chains, strict=True):
         if reference is not None and curve.antenna is None:
             yield f"{curve.name}: {describe_chain(reference)}"
+
+
+def _write_table(result: FitReport, chain: Instrument, power: SkyPower, output: Path, kind: str) -> None:
+    from lbacal.calibration_files import complete_curves, write_calibrations
+    from lbacal_core.galcal import describe_made_with
+
+    models = None if power.made_for is None else power.made_for.as_dict()
+    content = complete_curves(result.as_dict() | describe_made_with(chain, models), output)
+    with written_beside(output) as beside:
+        write_calibrations(content, beside, kind)
 
 
 def _draw(

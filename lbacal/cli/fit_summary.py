@@ -27,7 +27,7 @@ def tabulate_curves(curves: Sequence[CalibrationCurve]) -> list[list[str]]:
         groups = {}
         for curve in curves:
             groups.setdefault(" ".join(part for part in (curve.station, curve.dipole) if part), []).append(curve)
-    header = [*HEADER, *(f"C({frequency[k]:g} MHz)" for k in at)]
+    header = [*HEADER, *(f"C({frequency[k]:g} MHz), µV ±stat.% ±syst.%" for k in at)]
     return [header, *(_row(name, group, at) for name, group in groups.items())]
 
 
@@ -54,14 +54,14 @@ def _row(name: str, group: Sequence[CalibrationCurve], at: np.ndarray) -> list[s
 
 
 def _value(curves: Sequence[CalibrationCurve], k: int) -> str:
-    """C in one channel with both errors, the median of several curves."""
+    """C in one channel, microvolts, with both errors in per cent: the median of several curves."""
 
     def median(name: str) -> float:
         found = [float(values[k]) for curve in curves if (values := getattr(curve, name)) is not None]
         return float(np.median(found)) if found else float("nan")
 
     c = median("c")
-    return f"{c:.3g} ±{100 * median('c_sigma_stat') / c:.1f} ±{100 * median('c_sigma_sys') / c:.0f}%"
+    return f"{1e6 * c:.3g} ±{100 * median('c_sigma_stat') / c:.1f} ±{100 * median('c_sigma_sys') / c:.0f}"
 
 
 def _range(values: Sequence[float], form: str) -> str:

@@ -29,6 +29,11 @@ GAIN = 0.03
 SKY_COMMON, SKY_POLARISATION, SKY_BAND, SKY_HOURS = 0.03, 0.002, 0.0015, 3.0
 """Departures of the LST shape from all models, and how long they last: of everything, of a polarisation and of a
 band by itself. Where each model is predicted from the others, 0.1-0.3 % is left of polarisations and bands."""
+UNUSUAL, RARE = 10.0, 5.0
+"""Departures of polarisations and bands of a receiver whose gain changes its colour with the hour, a few per cent, over
+those of the sky; and ln of the odds against them, before the data are asked."""
+MISFIT = 5.0
+"""Standard deviations of chi^2 by which what fits does not exceed its expectation."""
 FREE = 1.0
 MEDIAN = (np.pi / 2) ** 0.5
 """Standard deviation of a median over that of a mean."""
@@ -149,9 +154,9 @@ def _follow(series: Series) -> Floats:
 
 
 class SeriesLikelihood:
-    """ln L of a series for any shape that the sky may have had."""
+    """ln L of a series for any shape that the sky may have had, with departures of some size from all models."""
 
-    def __init__(self, series: Series) -> None:
+    def __init__(self, series: Series, unusual: float = 1.0) -> None:
         self.series = series
         self.follows = _follow(series)
         dipoles, bands, times = series.power.shape
@@ -161,7 +166,7 @@ class SeriesLikelihood:
         dipole = np.kron(np.eye(dipoles), np.ones((bands, bands)))
         everything = np.ones_like(same)
         together = np.outer(self.follows, self.follows)
-        departures = SKY_COMMON**2 * together + SKY_POLARISATION**2 * dipole + SKY_BAND**2 * same
+        departures = SKY_COMMON**2 * together + unusual**2 * (SKY_POLARISATION**2 * dipole + SKY_BAND**2 * same)
         covariance = np.kron(departures, lasting)
         covariance += np.kron(GAIN**2 * everything, np.eye(times))
         covariance += np.kron(FREE**2 * same, np.ones((times, times)))
@@ -171,7 +176,12 @@ class SeriesLikelihood:
         self.rest = self.whiten @ (series.power.ravel() - 1.0)
 
     def log_likelihood(self, seen: Seen) -> float:
-        """Log likelihood, up to a constant."""
+        """Log likelihood, up to a constant that no departures change."""
+        chi2, volume = self.compare(seen)
+        return -chi2 / 2 - volume
+
+    def compare(self, seen: Seen) -> tuple[float, float]:
+        """Chi^2, and ln of the volume of what the data may be."""
         shares, differences = self._whiten_changes(seen)
         count = shares.shape[1]
         prior = np.eye(count + differences.shape[1])
@@ -182,7 +192,7 @@ class SeriesLikelihood:
         along = columns.T @ rest
         chi2 = rest @ rest - along @ cho_solve(inner, along)
         volume = np.sum(np.log(np.diag(inner[0]))) + np.linalg.slogdet(prior)[1] / 2
-        return float(-chi2 / 2 - volume)
+        return float(chi2), float(volume + np.sum(np.log(np.diag(self.factor))))
 
     def share(self, seen: Seen) -> tuple[float, float]:
         """The share of the sky in the power that the data show, in the mean of the bands, and its error."""
@@ -205,3 +215,22 @@ class SeriesLikelihood:
         differences = shown.reshape(len(shown), dipoles * bands * times).T
         whitened = self.whiten @ np.hstack([columns.reshape(-1, each.size), differences])
         return whitened[:, : each.size], whitened[:, each.size :]
+
+
+class AnyReceiver:
+    """ln L of a series whether its receiver keeps its colour or not."""
+
+    def __init__(self, series: Series) -> None:
+        self.series = series
+        self.usual = SeriesLikelihood(series)
+        self._unusual = SeriesLikelihood(series, UNUSUAL)
+
+    def log_likelihood(self, seen: Seen) -> float:
+        """Log likelihood, up to a constant."""
+        return float(np.logaddexp(self.usual.log_likelihood(seen), self._unusual.log_likelihood(seen) - RARE))
+
+    def fits(self, seen: Seen) -> bool:
+        """Whether the data are what may be seen of this sky."""
+        values = self.series.power.size
+        chi2 = min(one.compare(seen)[0] for one in (self.usual, self._unusual))
+        return chi2 < values + MISFIT * (2.0 * values) ** 0.5

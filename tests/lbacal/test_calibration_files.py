@@ -55,7 +55,7 @@ def test_the_served_hdf5_holds_budgets_of_a_megabyte(tmp_path: Path, calibration
 @pytest.mark.parametrize(
     ("name", "content", "said"),
     [
-        ("c.txt", b"1", "a name that ends in .json, .ecsv, .fits, .h5, .hdf5, found .txt"),
+        ("c.txt", b"1", "a name that ends in .ecsv, .fits, .h5, .hdf5, .json, found .txt"),
         ("c.json", b"[]", "a JSON object, found list"),
         ("c.json", b'{"curves": 3}', "a list of curves, found 3"),
         ("c.json", b'{"curves": [{"c": [1], "station": "A", "antenna": 1, "dipole": "X"}]}', "no frequency_mhz"),

@@ -6,8 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from astropy import units as u
-from astropy.table import Table
 
 from lbacal_core.curves import (
     CONVERGED,
@@ -17,7 +15,6 @@ from lbacal_core.curves import (
     FitReport,
     Parameter,
     parse_curve,
-    write_calibration_table,
     write_fit_report,
 )
 from lbacal_core.provenance import Provenance
@@ -132,34 +129,3 @@ def test_the_report_file_holds_every_curve_and_no_nan(tmp_path: Path) -> None:
     assert content["curves"][1]["c"] is None
     assert content["curves"][0]["parameters"]["n_lna"] == {"value": 0.5, "sigma": 0.01}
     assert content["provenance"]["inputs"] == {"spectra": "ab"}
-
-
-def test_the_table_has_a_row_per_path_and_channel_with_units_and_provenance(tmp_path: Path) -> None:
-    write_calibration_table(REPORT, tmp_path / "c.ecsv")
-    table = Table.read(tmp_path / "c.ecsv", format="ascii.ecsv")
-    assert table.colnames == [
-        "station",
-        "antenna",
-        "dipole",
-        "frequency_mhz",
-        "c",
-        "c_sigma_stat",
-        "c_sigma_sys",
-        "flag",
-        "c_over_h",
-        "antenna_gain",
-    ]
-    assert len(table) == 6
-    assert table["frequency_mhz"].unit == u.MHz
-    assert {table[name].unit for name in ("c", "c_sigma_stat", "c_sigma_sys")} == {u.V}
-    assert all(table[name].info.description for name in table.colnames)
-    np.testing.assert_array_equal(table["c"][:3], GOOD.c)
-    assert table["c_over_h"].unit == u.V / u.m
-    assert np.all(np.isnan(table["c_over_h"]))  # these curves do not keep their G_ant
-    assert list(table["antenna"]) == [17] * 3 + [-1] * 3
-    assert table.meta["provenance"]["inputs"] == {"spectra": "ab"}
-
-
-def test_a_table_without_a_converged_curve_is_empty_and_still_readable(tmp_path: Path) -> None:
-    write_calibration_table(replace(REPORT, curves=(FAILED,)), tmp_path / "c.ecsv")
-    assert len(Table.read(tmp_path / "c.ecsv", format="ascii.ecsv")) == 0

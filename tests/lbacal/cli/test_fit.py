@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 from astropy.table import Table
 
+from lbacal.calibration_files import read_calibrations
+from lbacal_core.galcal_rules import find_problems
 from lbacal_core.spectra import read_spectra, write_spectra
 from tests import short_dipole
 
@@ -309,3 +311,36 @@ def test_data_at_one_sidereal_time_end_with_their_coverage_and_a_report(folder: 
     assert "D1 antenna 0 X: not_identifiable (82 events, LST coverage 0.04, 0.25 needed)" in out
     (curve,) = json.loads((folder / "fit.json").read_text())["curves"]
     assert (curve["status"], curve["lst_coverage"]) == ("not_identifiable", 4 / 96)
+
+
+@pytest.mark.parametrize("name", ["C.fits", "C.csv", "C.h5", "C.ecsv", "C.json"])
+def test_the_table_is_what_its_name_says(folder: Path, lbacal: Lbacal, name: str) -> None:
+    """`--output C.fits` and `C.csv` held ECSV text, exit 0."""
+    assert lbacal(*FIT[:-4], "--output", name, "--report", "fit.json")[0] == 0
+    curves = [curve for curve in json.loads((folder / "fit.json").read_text())["curves"] if curve["c"] is not None]
+    expected = np.concatenate([curve["c"] for curve in curves])
+    if name == "C.csv":
+        table = Table.read(folder / name, format="ascii.csv")
+        np.testing.assert_array_equal(table["c"], expected)
+    else:
+        content = read_calibrations(folder / name)
+        np.testing.assert_array_equal(np.concatenate([one["c"] for one in content["curves"]]), expected)
+        assert content["provenance"]["inputs"]
+        assert find_problems(content) == []
+
+
+def test_a_table_of_no_known_kind_is_refused_before_the_fit(folder: Path, lbacal: Lbacal) -> None:
+    code, _, err = lbacal(*FIT[:-4], "--output", "C.txt", "--report", "fit.json")
+    assert code == 2
+    assert "a name that ends in .ecsv, .fits, .h5, .hdf5, .json, .csv" in err
+    assert not (folder / "fit.json").exists()
+
+
+def test_a_table_without_a_converged_curve_is_empty_and_still_readable(folder: Path, lbacal: Lbacal) -> None:
+    spectra = read_spectra(folder / "spectra.h5")
+    write_spectra(spectra.select(np.arange(8)), folder / "few.h5")
+    for name in ("C.ecsv", "C.fits", "C.csv"):
+        assert lbacal("fit", "few.h5", *FIT[2:-4], "--output", name, "--report", "fit.json")[0] == 1
+    table = Table.read(folder / "C.ecsv", format="ascii.ecsv")
+    assert (len(table), table["c"].unit, table.meta["status"]) == (0, "V", "too_few_events")
+    assert read_calibrations(folder / "C.fits")["curves"] == []

@@ -32,9 +32,9 @@ def failed() -> CalibrationCurve:
 def test_a_few_curves_have_a_row_each_with_chi2_and_both_errors() -> None:
     header, row, other = tabulate_curves([curve(), failed()])
     assert header[:7] == ["", "curves", "events", "LST", "chi2/dof", "sky free", "flagged"]
-    assert header[7:] == ["C(30 MHz)", "C(55 MHz)", "C(80 MHz)"]
+    assert header[7:] == [f"C({nu} MHz), µV ±stat.% ±syst.%" for nu in (30, 55, 80)]
     assert row[:7] == ["CS002 antenna 3 X", "converged", "900", "0.97", "1.13", "0.87", "0 of 51"]
-    assert row[7] == "2e-05 ±1.0 ±10%"
+    assert row[7] == "20 ±1.0 ±10"
     assert other[:3] == ["CS002 antenna 4 X", "too_few_events", "20"]
     assert len({len(one) for one in (header, row, other)}) == 1
     lines = align([header, row, other])
