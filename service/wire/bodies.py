@@ -27,11 +27,9 @@ _MOST = {"{": 2 * MAX_SPECTRA + 100, "[": MAX_SPECTRA + 100, ":": 30 * MAX_SPECT
 _CONTAINERS = (dict, list)
 
 Name = Annotated[str, StringConstraints(min_length=1, max_length=LONGEST_NAME, pattern=r"^[^\x00-\x1f\x7f]+$")]
+_PRINTED = r"[^\x00-\x08\x0b-\x1f\x7f]*"
 Reason = Annotated[
-    str,
-    StringConstraints(
-        min_length=1, max_length=2000, pattern=r"^[^\x00-\x08\x0b-\x1f\x7f]*\S[^\x00-\x08\x0b-\x1f\x7f]*$"
-    ),
+    str, StringConstraints(min_length=1, max_length=2000, pattern=rf"^{_PRINTED}[^\s\x00-\x1f\x7f]{_PRINTED}$")
 ]
 DipoleName = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_+-]{0,7}$")]
 CovariateName = Annotated[str, StringConstraints(pattern=r"^[a-z][a-z0-9_]{0,39}$")]

@@ -14,6 +14,7 @@ from fastapi.testclient import TestClient
 from sqlalchemy import text
 from sqlalchemy.exc import SQLAlchemyError
 
+from lbacal_core.errors import BadInputError
 from service.app import make_app
 from service.config import Settings
 from service.errors import UnavailableError
@@ -143,6 +144,20 @@ def test_a_question_of_one_statement_begins_no_transaction_and_cannot_write(
 def test_an_error_of_the_program_is_not_an_absent_database(factory: Factory) -> None:
     with pytest.raises(SQLAlchemyError, match=r"SELECT 1 \+"):
         execute(factory.database, "SELECT 1 +")
+
+
+def test_a_value_that_no_column_holds_was_a_failure_of_the_program(factory: Factory) -> None:
+    if factory.settings.is_sqlite:
+        pytest.skip("SQLite takes any text")
+    with pytest.raises(BadInputError, match=r"request: expected values that the database can hold, found .*NUL"):
+        factory.cuts.list_all("CS\x00")
+    with (
+        pytest.raises(
+            BadInputError, match=r"request: expected values that the database can hold, found .*out of range"
+        ),
+        factory.database.read() as stores,
+    ):
+        stores._connection.exec_driver_sql("SELECT 2147483647::integer + 1")
 
 
 def test_a_dropped_table_is_another_schema(factory: Factory) -> None:

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from lbacal_core.errors import BadInputError, LbacalError
 from service.errors import MalformedBodyError, TooLargeError
 from service.wire import bodies
-from service.wire.bodies import MAX_SPECTRA, SpectraBody, parse_body, parse_json
+from service.wire.bodies import MAX_SPECTRA, ReasonBody, SpectraBody, parse_body, parse_json
 
 ROW = {
     "event_id": "e", "time_utc": "2014-03-01", "station": "CS001", "antenna": 0, "dipole": "X", "blocks": 100,
@@ -116,3 +116,14 @@ def test_text_that_is_not_utf_8_is_malformed() -> None:
     for content in (body(ROW).encode("utf-16"), b"\xef\xbb\xbf" + body(ROW).encode(), b"\xff"):
         with pytest.raises(MalformedBodyError, match="not JSON"):
             parse_body(SpectraBody, content)
+
+
+@pytest.mark.parametrize("reason", ["\x00", "a\x00b", " ", "a\x1b[2J", ""])
+def test_a_reason_of_nul_alone_was_text(reason: str) -> None:
+    with pytest.raises(BadInputError, match="reason"):
+        parse_body(ReasonBody, json.dumps({"reason": reason}).encode())
+
+
+@pytest.mark.parametrize("reason", ["x", "two words", "two\nlines\tand a tab", " é "])
+def test_a_reason_is_any_text_that_is_seen(reason: str) -> None:
+    assert parse_body(ReasonBody, json.dumps({"reason": reason}).encode()).reason == reason
