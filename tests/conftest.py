@@ -24,6 +24,16 @@ settings.register_profile("lbacal", deadline=None)  # a busy machine fails no te
 settings.load_profile("lbacal")
 
 
+SECOND_TIER = ("e2e", "lbacal_paper", "validation")
+"""Rooms whose tests all belong to `./dev test --all`; elsewhere a test of more than about a second is marked `long`."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    for item in items:
+        if item.path.relative_to(Path(__file__).parent).parts[0] in SECOND_TIER:
+            item.add_marker("long")
+
+
 @pytest.fixture(scope="session")
 def shared() -> Path:
     """The folder of measured data beside the project; tests that need it are marked `shared`."""

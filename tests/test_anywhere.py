@@ -7,10 +7,7 @@ from pathlib import Path
 
 FOR_LOFAR = {
     "data/": "numbers with their citations, and what is LOFAR's",
-    "paper/": "the paper redone",
     "traces/": "LOFAR's traces",
-    "showers/": "the paper's pulses",
-    "twin/": "draws its noise about the published levels; simulates any instrument (test_pipeline.py)",
     "antenna/hamaker.py": "the antenna model of LOFAR",
     "antenna/circuit.py": "the resonance of LOFAR's antenna",
     "skypower/antenna_of.py": "LOFAR's antenna for an instrument that stands among its stations",
@@ -19,7 +16,6 @@ FOR_LOFAR = {
     "readers/visibilities.py": "the letters of pyuvdata's polarisations",
     "lstcurve/": "the columns x_db and y_db of an LST curve, the published one and its band",
     "discovery/curve_": "the same",
-    "calibration/reference_source.py": "the reference source of the paper",
     "drift/follow.py": "the stored label of a small station whose dipoles are followed together",
 }
 """What may name LOFAR, its letters or its band, and why."""

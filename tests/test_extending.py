@@ -11,8 +11,6 @@ from pathlib import Path
 
 import pytest
 
-pytestmark = pytest.mark.timeout(300)
-
 ASK = """
 import numpy as np
 from dataclasses import replace
@@ -47,6 +45,7 @@ def blocks_of_the_page(repository: Path) -> dict[str, str]:
     return dict(found)
 
 
+@pytest.mark.long
 def test_a_cause_takes_two_files_and_an_axis_one(repository: Path, tmp_path: Path) -> None:
     for package in ("lbacal_core", "lbacal", "service"):
         shutil.copytree(repository / package, tmp_path / package, ignore=shutil.ignore_patterns("__pycache__"))

@@ -17,6 +17,7 @@ def code_of(page: Path) -> str:
     return "\n".join(CODE.findall(page.read_text()))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("page", [page for page in TUTORIALS if page.name != "README.md"], ids=lambda page: page.stem)
 def test_a_tutorial_runs_and_ends_in_a_figure(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     code = code_of(page)

@@ -7,6 +7,8 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
+import pytest
+
 FRAGMENT = re.compile(r"(?:\A|[.:;]\s|\n\s*)Of\s")
 """The beginning of a docstring, of one of its lines or of a sentence with "Of": a fragment without subject and verb."""
 
@@ -85,6 +87,7 @@ def test_the_table_of_words_that_are_not_used_is_read(repository: Path) -> None:
     assert "law" not in words_of("lawn_of")
 
 
+@pytest.mark.long
 def test_no_public_name_has_a_word_that_the_glossary_refuses(repository: Path, tracked: list[Path]) -> None:
     refused = words_not_used(repository)
     found = {

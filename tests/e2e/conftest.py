@@ -44,7 +44,7 @@ class Service:
         """Run a command of `lbacal` as a user would."""
         return subprocess.run(
             [sys.executable, "-m", "lbacal", *arguments], env={**self.environment, **environment},
-            capture_output=True, text=True, check=False, timeout=120,
+            capture_output=True, text=True, check=False, timeout=900,
         )  # fmt: skip
 
 

@@ -47,7 +47,7 @@ class Installed:
         """Run `lbacal`, which must succeed, and return what it prints."""
         said = subprocess.run(
             [self.command, *arguments], cwd=self.folder, env=self.settings | settings,
-            capture_output=True, text=True, check=False, timeout=180,
+            capture_output=True, text=True, check=False, timeout=900,
         )  # fmt: skip
         assert said.returncode == 0, said.stderr
         return said.stdout

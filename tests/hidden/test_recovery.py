@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.curves import CONVERGED
@@ -30,6 +31,7 @@ def test_almost_without_scatter_the_fit_finds_the_planted_curve_and_noise(
                 np.testing.assert_allclose(curve.parameters[name].value, getattr(truth, name), rtol=1e-3)
 
 
+@pytest.mark.long
 def test_errors_claimed_are_errors_made_for_paths_and_stations(low_band: Instrument, two_waves: SkyPower) -> None:
     """Pulls over 25 campaigns; one campaign is one draw, because errors are correlated along frequency and paths."""
     settings = replace(TwinSettings(), stations=("CS002",), antennas=2)

@@ -72,6 +72,7 @@ WRITE = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", WRITE)
 def test_a_full_disk_cut_a_good_file_and_names_the_file_now(tmp_path: Path, kind: str) -> None:
     path = tmp_path / "good.png"

@@ -63,6 +63,7 @@ def test_a_plain_model_gives_the_bytes_of_the_plain_fit(late, chain, sky):
     assert json.dumps(ours.as_dict()) == json.dumps(theirs.as_dict())
 
 
+@pytest.mark.long
 def test_c_is_that_of_the_same_data_without_the_fault(report, record, late, chain, sky):
     healthy = fit_calibration(record(), chain, sky, "station").curves
     without = fit_calibration(late, chain, sky, "station").curves
@@ -82,6 +83,7 @@ def test_a_station_without_the_cause_keeps_its_numbers(report, late, chain, sky)
         assert ours.covariance.common is None
 
 
+@pytest.mark.long
 def test_the_error_of_the_size_is_in_the_covariance_of_c(late, chain, sky):
     """Moved by its sigma, a fixed size changes ln C by the vector that its error adds."""
     fixed = replace(LATE, size=0.3, sigma=0.1, is_free=False)

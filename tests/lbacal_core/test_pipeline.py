@@ -21,7 +21,6 @@ from lbacal_twin.settings import TwinSettings
 from tests import short_dipole
 from validation.anywhere import draw_instrument
 
-pytestmark = pytest.mark.timeout(900)
 SETTINGS = TwinSettings(events_per_year=300)
 TABLES = ("gain", "noise_k")
 
@@ -74,6 +73,7 @@ def test_one_arm_in_the_south_is_calibrated_and_found_consistent():
     json.dumps(found, allow_nan=False)
 
 
+@pytest.mark.long
 def test_three_arms_one_upright_are_calibrated_and_a_step_of_one_is_named():
     """GRAND has three: two level arms and one upright."""
     sky = compute_sky_power(THREE_ARMS)

@@ -17,6 +17,7 @@ JSON = st.recursive(
 )
 
 
+@pytest.mark.long
 @given(content=st.dictionaries(st.text(), JSON, min_size=2, max_size=5))
 def test_the_order_of_fields_does_not_change_a_hash(content: dict[str, object]) -> None:
     assert hash_content(dict(reversed(content.items()))) == hash_content(content)

@@ -109,6 +109,7 @@ def test_a_fit_that_forgets_the_sites_is_refused_by_the_chain_test_of_the_far_st
     assert {curve.station for curve in curves if curve.status == "converged"} == {WEST}
 
 
+@pytest.mark.long
 def test_an_investigation_of_two_places_finds_nothing_and_one_that_forgets_them_does(
     instrument: Instrument, sky: SkyPower, spectra: Spectra
 ) -> None:
@@ -133,6 +134,7 @@ def test_drift_of_a_far_station_is_measured_against_its_own_sky(
     assert with_site < 0.8 * without
 
 
+@pytest.mark.long
 def test_the_audit_takes_each_station_where_it_stands(instrument: Instrument, spectra: Spectra) -> None:
     assert [(line.station, line.sentence) for line in audit(spectra, instrument).lines if line.verdict == "wrong"] == []
     forgetful = audit(spectra, replace(instrument, sites={}))

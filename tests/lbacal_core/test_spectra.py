@@ -265,6 +265,7 @@ def test_random_bytes_are_a_sentence(tmp_path: Path, content: bytes) -> None:
         read_spectra(tmp_path / "random.h5")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("storage", ["contiguous", "gzip"])
 def test_flipped_bytes_give_a_sentence_or_numbers_unless_the_hdf5_library_itself_dies(
     path: Path, storage: str, flip_bytes: Callable[..., list[str]]

@@ -67,6 +67,7 @@ def test_worlds_are_drawn_from_everything_and_a_third_lies_outside() -> None:
     assert np.mean([bool(world.outside) for world in drawn]) == pytest.approx(1 / 3, abs=0.06)  # 3 sigma
 
 
+@pytest.mark.long
 def test_the_view_of_a_world_has_its_sky_and_antenna(low_band: Instrument) -> None:
     seen = []
     for world in (World("lfsm", "inverted-v", "behind"), World("gsm", "hamaker", "behind")):

@@ -39,6 +39,7 @@ def test_a_large_answer_is_compressed_for_those_who_accept_that(client: TestClie
     assert "content-encoding" not in client.get(small.url).headers
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("database_url", ["sqlite"], indirect=True)
 @pytest.mark.parametrize("scope", ["admin", "read"])
 def test_every_route_answers_what_its_schema_allows_as_its_schema_says(

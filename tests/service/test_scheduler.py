@@ -118,6 +118,7 @@ def test_the_scheduler_looks_again_while_the_sky_is_away_and_tells_that_it_lives
     assert seen[-1] == {SCHEDULER}
 
 
+@pytest.mark.long
 def test_an_antenna_that_dies_and_returns_spoils_no_other_and_one_that_is_dead_is_told(
     make: Make, years: Spectra
 ) -> None:
@@ -148,6 +149,7 @@ def test_an_antenna_that_dies_and_returns_spoils_no_other_and_one_that_is_dead_i
     assert [(state, kind) for state, kind, _ in tell_alarms(factory)] == [("ended", "lost_path")], "it returned"
 
 
+@pytest.mark.long
 def test_data_two_years_late_get_versions_of_their_own_and_become_what_drift_is_held_against(
     make: Make, years: Spectra
 ) -> None:
@@ -169,6 +171,7 @@ def test_data_two_years_late_get_versions_of_their_own_and_become_what_drift_is_
     assert tell_alarms(factory) == [], "no step over the gap"
 
 
+@pytest.mark.long
 def test_a_clock_that_is_an_hour_ahead_for_months_is_named_by_the_night(make: Make, years: Spectra) -> None:
     is_ahead = (years.time_unix > at("2015-03-01")) & (years.time_unix < at("2015-08-01"))
     jumped = replace(years, time_unix=np.where(is_ahead, years.time_unix + 3600.0, years.time_unix))

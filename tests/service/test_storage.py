@@ -161,6 +161,7 @@ def test_what_a_promotion_changes_is_worked_out_before_anybody_has_to_wait(
     assert not [statement for statement in sent if "curves" in statement or "GROUP BY" in statement]
 
 
+@pytest.mark.long
 def test_the_pages_show_what_is_in_effect_and_not_what_was_replaced_night_by_night(
     factory: Factory, client: TestClient, new_version: Callable[..., Version]
 ) -> None:

@@ -52,6 +52,7 @@ def test_a_refit_makes_the_versions_that_the_fit_alone_makes(
         assert curve["c_sigma_stat"] == pytest.approx(expected[name].c_sigma_stat, rel=1e-6)
 
 
+@pytest.mark.long
 def test_the_same_refit_again_returns_the_same_versions_and_promotes_nothing(
     station: Factory, http: TestClient
 ) -> None:
@@ -213,6 +214,7 @@ def with_other_sky(station: Factory) -> Factory:
     return Factory(station.settings.model_copy(update={"sky_power": None}), station.clock)
 
 
+@pytest.mark.long
 def test_a_worker_with_another_sky_than_the_schedulers_does_nothing_and_says_why(
     station: Factory, http: TestClient
 ) -> None:
@@ -230,6 +232,7 @@ def test_a_worker_with_another_sky_than_the_schedulers_does_nothing_and_says_why
     assert len(http.get("/v1/calibrations/effective", params={"at": "2015-12-30"}).json()["curves"]) == 576
 
 
+@pytest.mark.long
 def test_work_that_nobody_began_is_given_up_when_the_scheduler_has_another_sky(
     station: Factory, http: TestClient
 ) -> None:
@@ -252,6 +255,7 @@ def fail_all(station: Factory) -> None:
 MINUTE_US = 60_000_000
 
 
+@pytest.mark.long
 def test_due_work_that_failed_is_tried_again_after_ever_longer_pauses(
     station: Factory, http: TestClient, clock: Any
 ) -> None:
@@ -322,6 +326,7 @@ def test_a_refit_asked_for_twice_under_one_name_is_one_job(http: TestClient) -> 
     assert http.post("/v1/refits", json=body, headers={"Idempotency-Key": "other"}).json() != first.json()
 
 
+@pytest.mark.long
 def test_a_version_that_was_never_promoted_changes_no_drift(station: Factory, http: TestClient) -> None:
     look_for_due_work(station)
     work(station)
@@ -333,6 +338,7 @@ def test_a_version_that_was_never_promoted_changes_no_drift(station: Factory, ht
     assert http.get("/v1/drift", params={"station": "CS002"}).json()["months"] == before
 
 
+@pytest.mark.long
 def test_the_night_finds_every_year_station_and_antenna_once(station: Factory, http: TestClient) -> None:
     assert len(look_for_due_work(station)) == 6, "two years, scopes array, station and antenna"
     assert look_for_due_work(station) == [], "a second look, or a second scheduler, finds nothing new"
@@ -348,6 +354,7 @@ def test_the_night_finds_every_year_station_and_antenna_once(station: Factory, h
     assert sum(curve["answered_by"] == "antenna" for curve in answer["curves"]) == 8
 
 
+@pytest.mark.long
 def test_late_spectra_a_flag_and_another_sky_make_a_window_due_again(
     station: Factory, http: TestClient, campaign: Spectra
 ) -> None:

@@ -16,7 +16,6 @@ from validation.hidden.several_effects import draw_several
 PARTS = {part.name: part for part in discovery.PARTS}
 
 
-@pytest.mark.timeout(600)
 @pytest.mark.parametrize("name", ["clean", "nuisances", "ten-antennas", "own-sky", "lst-curves"])
 def test_a_small_instance_of_the_proof_finds_nothing_in_clean_data(name):
     row = PARTS[name].trial(0)
@@ -106,7 +105,6 @@ def test_realistic_data_sets_have_noisy_stations_and_gaps():
     assert len(quiet.spectra()) < 0.9 * 12 * quiet.events
 
 
-@pytest.mark.timeout(600)
 def test_a_path_with_hardly_an_event_to_compare_breaks_nothing():
     """An antenna that died in the first days of the year: nothing of it is left to look at."""
     assert realistic(459).ask().verdict == "consistent"

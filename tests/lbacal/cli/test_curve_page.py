@@ -9,8 +9,6 @@ from typer.testing import CliRunner
 from lbacal.cli.main import app
 from lbacal_core.lstcurve.curve import measured_curve
 
-pytestmark = pytest.mark.timeout(300)
-
 
 @pytest.fixture(scope="module")
 def written(tmp_path_factory):
@@ -21,6 +19,7 @@ def written(tmp_path_factory):
     return json.loads((folder / "r.json").read_text()), (folder / "r.html").read_text(), result.output
 
 
+@pytest.mark.long
 def test_an_lst_curve_has_a_page_with_its_three_figures(written):
     _, page, _ = written
     assert page.count("data:image/png;base64,") == 3
@@ -39,6 +38,7 @@ def test_the_command_prints_what_was_found_and_what_it_cannot_be_told_from(writt
     assert "cannot tell it from dipole_azimuth" in printed
 
 
+@pytest.mark.long
 def test_a_curve_without_findings_has_a_page_too(tmp_path):
     rows = [f"{lst},{np.cos(lst):.3f},{np.sin(lst):.3f},5.0" for lst in np.arange(0, 24, 0.5)]
     (tmp_path / "l.csv").write_text("\n".join(["lst_h,x_db,y_db,error_db", *rows]) + "\n")

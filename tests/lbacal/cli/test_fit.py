@@ -47,6 +47,7 @@ def test_the_table_says_chi2_and_one_line_the_error_for_one_event(lbacal: Lbacal
     assert "chi2/dof tests the chain along frequency: 1.0 ± 0.2" in out
 
 
+@pytest.mark.long
 def test_page_and_figure_are_written(folder: Path, lbacal: Lbacal) -> None:
     code, out, err = lbacal(*FIT, "--html", "fit.html", "--plot", "fit.svg")
     assert (code, err) == (0, "")

@@ -17,7 +17,6 @@ from lbacal_twin.faults.fault import Where
 from lbacal_twin.faults.uncatalogued import FieldGradient, FrostAndHeat
 from lbacal_twin.settings import TwinSettings
 
-pytestmark = pytest.mark.timeout(300)
 SETTINGS = TwinSettings(stations=("CS002",), antennas=6, events_per_year=250)
 
 
@@ -37,6 +36,7 @@ def written(tmp_path_factory):
     return content, path.read_text(), reports
 
 
+@pytest.mark.long
 def test_a_finding_has_its_signature_its_maps_and_its_change_of_c(written):
     content, page, _ = written
     assert [finding["cause"] for finding in content["findings"]] == ["gain_step"]
@@ -78,6 +78,7 @@ def test_labels_of_scores_stood_at_bars_of_other_causes(written):
     assert [tick.get_text() for tick in axes.get_yticklabels()] == causes[::-1]
 
 
+@pytest.mark.long
 def test_a_static_cause_is_drawn_as_an_antenna_against_the_others(tmp_path):
     chain = load_instrument("lofar-superterp")
     sky = compute_sky_power(chain)
@@ -99,6 +100,7 @@ def test_a_static_cause_is_drawn_as_an_antenna_against_the_others(tmp_path):
     assert "with an amplitude of" in page
 
 
+@pytest.mark.long
 def test_what_all_paths_show_together_is_told_path_by_path(tmp_path):
     """A gradient over the field read as if one path had it: its amounts show that it grows from antenna to antenna."""
     chain = load_instrument("lofar-superterp")

@@ -35,6 +35,7 @@ def _run(*arguments: str) -> subprocess.CompletedProcess[str]:
     )
 
 
+@pytest.mark.long
 def test_the_measured_curve_ends_in_a_report_and_a_plot(inputs: list[str], tmp_path: Path) -> None:
     report, plot = tmp_path / "r.json", tmp_path / "f.png"
     done = _run(str(measured_curve()), *inputs, "--report", str(report), "--plot", str(plot))

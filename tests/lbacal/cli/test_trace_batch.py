@@ -56,6 +56,7 @@ def test_a_run_that_stops_midway_keeps_what_it_did(work: list[Work], tmp_path: P
     assert not list((tmp_path / "parts").glob("*.unfinished"))
 
 
+@pytest.mark.long
 def test_a_dask_worker_killed_midway_loses_nothing(work: list[Work], tmp_path: Path) -> None:
     distributed = pytest.importorskip("distributed")
     here = dict(_by_event(TraceBatch(work, CleaningSettings(), tmp_path / "here")))

@@ -131,6 +131,7 @@ def test_fit_without_a_model_names_none(late):
     assert "model" not in content["provenance"]["inputs"]
 
 
+@pytest.mark.long
 def test_investigate_with_a_finding_tells_what_is_left(late, report):
     """It takes folders, and a choice from them, as `fit` does."""
     done = run(

@@ -50,6 +50,7 @@ def test_half_a_station_exchanged_is_the_half_that_the_sky_contradicts(spectra: 
     assert [line.antennas for line in report.lines if line.check == "exchange"] == [(0, 2, 4)]
 
 
+@pytest.mark.long
 @pytest.mark.shared
 @pytest.mark.filterwarnings("ignore")  # pyuvdata's own, about the header of the file
 def test_hera_antennas_of_one_snapshot_are_compared_and_no_clock_is_claimed(shared: Path) -> None:

@@ -58,6 +58,7 @@ def test_the_error_of_c_is_its_scatter_and_no_more(scene):
     assert np.median(np.sqrt(np.mean(np.square(pulls), axis=0))) == pytest.approx(1.0, abs=0.3)
 
 
+@pytest.mark.long
 def test_what_hardly_hears_has_the_error_of_its_slope(scene):
     """1 / C^2 is Gaussian; C has a smaller error where it came out too small: its pulls are wide, and negative."""
     weak = replace(scene.instrument, antenna_gain=0.005 * scene.instrument.antenna_gain)
@@ -123,6 +124,7 @@ def test_scaling_the_recorded_power_scales_c_by_the_inverse_root(scene, spectra)
     np.testing.assert_allclose(second.c, first.c / 2, rtol=1e-9)
 
 
+@pytest.mark.long
 def test_cables_of_different_length_do_not_make_the_station_look_more_certain_than_it_is(scene):
     """Deviations were averaged as if all antennas had the same power: chi^2 of clean station means was 1.15."""
     chi2 = []
@@ -284,6 +286,7 @@ WRONG_SPECTRA = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("scope", ["station", "antenna"])
 @pytest.mark.parametrize("kind", WRONG_SPECTRA)
 @pytest.mark.parametrize("is_own_sky", [True, False])

@@ -68,6 +68,7 @@ def exact(silent):
     return silent.look()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("cause", "kind", "law"), PLANTED)
 def test_the_best_template_is_the_effect_that_the_twin_plants(cause, kind, law, silent, exact):
     entry = catalogue_faults()[cause]
@@ -96,6 +97,7 @@ CHOSEN = {
 """The law to plant where it is not the first of the catalogue."""
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("cause", MOVING)
 def test_the_fitted_size_is_the_planted_one_with_its_sign_and_unit(cause, world, silent, exact):
     entry = catalogue_faults()[cause]

@@ -77,6 +77,7 @@ def test_functions_of_other_data_are_the_same_functions(station):
         np.testing.assert_allclose(frozen, axis.basis(conditions), atol=1e-12)
 
 
+@pytest.mark.long
 def test_structure_without_a_name_is_adopted_as_what_it_is(report, years, chain, sky):
     """It gains on the next year, and its size there is the one adopted."""
     assert report["verdict"] == "unexplained"

@@ -94,6 +94,7 @@ def test_a_cause_with_ends_changes_no_event_outside(late):
     assert np.abs(ratio[:, times >= middle] - 1.0).max() > 1e-3
 
 
+@pytest.mark.long
 def test_a_size_fitted_between_its_ends_is_that_of_the_events_there(late):
     middle = int(np.median(late.conditions.time_unix))
     (size,) = fit_adopted(late, Model((replace(LATE, since_unix=middle),))).sizes

@@ -27,6 +27,7 @@ def best(look):
     return look.static_scores()[0]
 
 
+@pytest.mark.long
 def test_antennas_that_are_alike_show_no_departure(alike):
     p = [best(replace(alike, seed=seed).look()).p_value for seed in range(6)]
     assert min(p) > 0.01
@@ -56,6 +57,7 @@ def test_a_wrong_length_of_some_metres_is_named_as_such(alike):
     assert score.p_value == pytest.approx(2 * p_of_score(abs(score.z), score.trials), rel=1e-3)
 
 
+@pytest.mark.long
 def test_the_size_of_a_length_scatters_no_more_than_its_error(alike):
     sizes, sigmas = [], []
     antenna = int(alike.station.scene.antennas[3])
@@ -151,6 +153,7 @@ def test_an_antenna_less_smooth_than_most_is_no_reflection(alike):
     assert score.p_value > 0.01
 
 
+@pytest.mark.long
 def test_what_a_finding_leaves_along_frequency_is_no_reflection(alike):
     """Half of a line of interference was left in its channel, and named a reflection of the same antenna."""
     antenna = int(alike.station.scene.antennas[5])

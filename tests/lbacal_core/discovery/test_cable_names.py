@@ -36,6 +36,7 @@ def look_in(world, noise, seed, faults=()):
     return look_at(spectra, world.instrument, world.sky)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("noise", ["behind", "front", "resonance"])
 def test_gains_that_all_antennas_share_make_no_cable_name_longer(noise, three_names):
     """Errors of single antennas alone gave 5-13 sigma: a gain of an event moves the slopes of a name together."""
@@ -72,7 +73,7 @@ def test_names_that_are_no_lengths_and_names_of_one_antenna_are_not_compared(wor
     assert look_in(coils, "behind", 1).cable_scores() == []
 
 
-@pytest.mark.timeout(600)
+@pytest.mark.long
 def test_a_wrong_cable_table_is_a_finding_for_all_antennas_of_the_name(three_names):
     fault = CableLength(size=25.0, where=Where(cables=("115",)))
     spectra = simulate_campaign(

@@ -64,7 +64,7 @@ def test_the_last_path_of_a_class_stays(broken, chain, sky):
     assert leave_out_deaf(station)[1] == []
 
 
-@pytest.mark.timeout(600)
+@pytest.mark.long
 def test_a_deaf_antenna_under_a_wrong_sky_is_named_deaf_and_nothing_else(broken, chain, sky):
     """It was `adc_jitter` and `compression` of that antenna at 5 sigma."""
     report, _ = investigate(broken, chain, sky, is_own_sky=True)

@@ -10,6 +10,7 @@ from lbacal_twin.faults.fault import Where
 from lbacal_twin.faults.sky import DipoleAzimuth, LstOffset
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("antenna", [0, 1])
 def test_a_finding_that_adds_nothing_beside_a_later_one_is_taken_out(world, antenna):
     """Arms that stand 57 degrees off were an exchange of dipoles first, and an azimuth beside it."""
@@ -22,6 +23,7 @@ def test_a_finding_that_adds_nothing_beside_a_later_one_is_taken_out(world, ante
     assert found.chi2_before > found.chi2_after
 
 
+@pytest.mark.long
 def test_findings_that_both_add_something_stay(world):
     report = world.look(GainTemperature(size=0.02), LstOffset(size=0.4)).investigate()
     assert {one.hypothesis.cause.identifier for one in report.findings} == {"gain_temperature", "lst_offset"}

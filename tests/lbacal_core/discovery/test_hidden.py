@@ -24,6 +24,7 @@ def other_sky(world):
     return compute_sky_power(world.instrument, "lfsm")
 
 
+@pytest.mark.long
 def test_the_level_of_another_sky_was_named_a_slope_of_the_noise_of_the_lna(world, other_sky):
     """The mean over LST of model differences was dropped, because A(nu) describes it; A multiplies N_LNA too."""
     level = {d: np.mean(other_sky.power[d] / world.sky.power[d], axis=0) for d in "XY"}
@@ -53,6 +54,7 @@ def test_a_sky_power_at_its_word_hides_nothing(world):
     assert not {"lna_noise_slope", "isotropic_level"} & {one["cause"] for one in report["unidentifiable"]}
 
 
+@pytest.mark.long
 def test_a_gain_step_keeps_its_significance_under_another_sky(world, other_sky):
     step = GainStep(size=0.03, date="2014-07-01", where=Where(antennas=(1,)))
     told, _ = investigate(world.spectra(step), world.instrument, world.sky)
@@ -62,6 +64,7 @@ def test_a_gain_step_keeps_its_significance_under_another_sky(world, other_sky):
     assert other["significance_sigma"] == pytest.approx(one["significance_sigma"], rel=0.1)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("harmonic", [1, 2, 3])
 def test_a_wave_of_the_sky_that_no_model_has_gets_no_name(world, other_sky, harmonic):
     """It was named: a pattern that is too wide, a source, a line at the end of the band.
@@ -77,6 +80,7 @@ def test_a_wave_of_the_sky_that_no_model_has_gets_no_name(world, other_sky, harm
     assert report["unexplained"] is None
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("is_own_sky", [True, False])
 def test_a_step_beside_a_wave_of_the_sky_is_named_with_its_size(world, is_own_sky):
     """Its size was 8 sigma off: with the wave a part of the step had been taken out of the data."""

@@ -13,8 +13,6 @@ from lbacal_twin.faults.fault import Where
 from lbacal_twin.faults.uncatalogued import WorkingWeek
 from tests.lbacal_core.discovery.conftest import SEED, SETTINGS
 
-pytestmark = pytest.mark.timeout(900)
-
 
 def test_a_clean_station_is_consistent_and_says_what_it_could_never_show(clean, chain, sky):
     report, _ = investigate(clean, chain, sky)
@@ -33,6 +31,7 @@ PARTS = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("part", PARTS)
 def test_data_with_little_to_compare_are_asked_what_they_can_show(part, clean, chain, sky):
     report, _ = investigate(PARTS[part](clean), chain, sky)
@@ -43,6 +42,7 @@ def test_data_with_little_to_compare_are_asked_what_they_can_show(part, clean, c
     json.dumps(report, allow_nan=False)
 
 
+@pytest.mark.long
 def test_a_gain_step_of_one_path_is_named_with_its_date_size_and_antenna(spoil, chain, sky):
     step = GainStep(size=0.05, where=Where(antennas=(2,), dipoles=("Y",)), date="2014-08-07")
     spectra = spoil(step)
@@ -59,6 +59,7 @@ def test_a_gain_step_of_one_path_is_named_with_its_date_size_and_antenna(spoil, 
     assert finding["gain"]["chi2_after"] < finding["gain"]["chi2_before"]
 
 
+@pytest.mark.long
 def test_exchanged_letters_are_a_dipole_swap_of_one(clean, chain, sky):
     letters = np.where(clean.dipole == "X", "Y", "X")
     report, _ = investigate(replace(clean, dipole=letters), chain, sky)
@@ -68,6 +69,7 @@ def test_exchanged_letters_are_a_dipole_swap_of_one(clean, chain, sky):
     assert abs(size["value"] - 1.0) < 4 * size["sigma"]
 
 
+@pytest.mark.long
 def test_a_weekly_rhythm_is_unexplained_and_lives_along_the_date(spoil, chain, sky):
     report, _ = investigate(spoil(WorkingWeek(size=0.05)), chain, sky)
     assert report["verdict"] == "unexplained"
@@ -89,6 +91,7 @@ def test_what_follows_a_column_that_nobody_knows_is_reported_along_it_by_its_nam
     json.dumps(report, allow_nan=False)
 
 
+@pytest.mark.long
 def test_a_gain_step_of_one_board_is_named_for_its_group(spoil, chain, sky):
     board = (1, 2, 6)
     records = [replace(r, group="board 2" if r.antenna in board else "board 1") for r in chain.antennas]
@@ -104,6 +107,7 @@ def test_a_gain_step_of_one_board_is_named_for_its_group(spoil, chain, sky):
     assert abs(finding["size"]["value"] - 0.03) < 3 * finding["size"]["sigma"]
 
 
+@pytest.mark.long
 def test_a_flat_receiver_ended_in_a_traceback_and_its_step_is_named(chain, sky):
     """All ones: the normal matrix of the noise constants was singular, scores were NaN, no report was written."""
     step = GainStep(size=0.05, where=Where(antennas=(2,), dipoles=("Y",)), date="2014-08-07")

@@ -14,8 +14,6 @@ from lbacal_twin.faults.antenna import GainStep
 from lbacal_twin.faults.fault import Where
 from lbacal_twin.faults.sky import ZenithWeighting
 
-pytestmark = pytest.mark.timeout(900)
-
 
 @pytest.fixture(scope="module")
 def weighted(spoil, chain, sky):
@@ -54,6 +52,7 @@ def test_what_fits_nearly_as_well_keeps_its_likelihood_and_its_own_change_of_c(w
     assert np.max(np.abs(other.d_ln_c["X"] - found.d_ln_c["X"])) > 1e-3
 
 
+@pytest.mark.long
 def test_a_finding_of_a_report_says_what_it_does_to_c_of_its_paths(spoil, chain, sky):
     step = GainStep(size=0.05, where=Where(antennas=(2,), dipoles=("Y",)), date="2014-08-07")
     report = add_left_open(*investigate(spoil(step), chain, sky))

@@ -14,7 +14,6 @@ from lbacal_core.provenance import Provenance
 from lbacal_core.skypower.variation import vary_sky_power
 
 BAND = (30.0, 80.0)
-pytestmark = pytest.mark.timeout(600)
 
 
 def simulated(chain, power, lst_hours, noise_share=0.3, seed=0):
@@ -85,6 +84,7 @@ def test_a_shift_in_sidereal_time_comes_out_in_hours(chain, sky, lst_hours):
     assert abs(report["findings"][0]["size"]["value"] - 0.5) < 4 * report["findings"][0]["size"]["sigma"]
 
 
+@pytest.mark.long
 def test_a_pair_is_found_although_neither_fits_alone(chain, sky, lst_hours):
     exchanged = replace(sky, power={"X": sky.power["Y"], "Y": sky.power["X"]})
     curve = simulated(chain, exchanged, lst_hours, noise_share=0.7)

@@ -52,6 +52,7 @@ def test_no_drawn_noise_is_negative_and_what_is_hardly_known_has_its_order_of_ma
     assert np.quantile(front, 0.2) == pytest.approx(0.253 * np.sqrt(2) * noise.front[0], rel=0.1)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [41, 65])
 def test_a_step_is_not_four_errors_low_where_noise_is_hardly_told_apart(seed):
     """Of 0.1 were found 0.034 +- 0.006, because the noise in front of the receiver was taken for ten times too much."""
@@ -60,12 +61,14 @@ def test_a_step_is_not_four_errors_low_where_noise_is_hardly_told_apart(seed):
     assert abs(row["pulls"][0]) < 3.0, (STEP, row["said"])
 
 
+@pytest.mark.long
 def test_a_step_is_no_moving_resonance_where_noise_is_hardly_told_apart():
     """Causes were compared at one share of the noise, at which the step lost 53 of chi^2, and a resonance 12."""
     row = investigate_drawn(125)
     assert (row["named"], row["others"]) == (True, 0), row["said"]
 
 
+@pytest.mark.long
 def test_a_step_that_is_not_significant_at_the_fitted_noise_is_still_a_rival():
     """A step of ideal SNR 8 scored 4.5 at the fitted share of the noise, and a resonance was named that fits worse."""
     row = investigate_drawn(501)

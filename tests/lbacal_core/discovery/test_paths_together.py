@@ -17,6 +17,7 @@ def deviations(rng, draws, paths, functions):
     return (noise - noise.mean(axis=2, keepdims=True)).reshape(draws, paths, functions)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("paths", "functions"), [(24, 40), (96, 40), (24, 4), (96, 16)])
 def test_probabilities_are_those_of_drawn_noise(paths, functions):
     drawn = deviations(np.random.default_rng(3), 3000, paths, functions)
@@ -72,6 +73,7 @@ def test_sizes_of_one_path_are_those_of_least_squares_and_of_many_those_of_the_p
     assert np.sum((together - true) ** 2) < 0.6 * np.sum((each - true) ** 2)
 
 
+@pytest.mark.long
 def test_a_tilt_that_grows_over_the_field_is_seen_though_no_path_shows_it(world, monkeypatch):
     """A wall beside 48 antennas was a compression of two boards, or nothing: no path showed it beyond chance."""
     look = world.with_settings(antennas=24).look()

@@ -45,6 +45,7 @@ def test_the_gain_is_the_difference_of_two_log_likelihoods(gain, late, chain, sk
     assert gain.gain == pytest.approx(0.5 * (chi2[1] - chi2[0]), rel=0.005)  # free vectors of either fit
 
 
+@pytest.mark.long
 def test_the_gain_of_a_large_offset_was_that_of_a_straight_line(spoil, chain, sky):
     """A clock that is 2 h off: the derivative at half the size, times the size, was 6 % beside the two likelihoods."""
     late = spoil(LstOffset(size=2.0))
@@ -56,6 +57,7 @@ def test_the_gain_of_a_large_offset_was_that_of_a_straight_line(spoil, chain, sk
     assert gain.gain == pytest.approx(0.5 * (chi2[1] - chi2[0]), rel=0.005)
 
 
+@pytest.mark.long
 def test_gains_of_disjoint_events_add_up(gain, late, chain, sky):
     new = np.isin(late.event_id, np.unique(late.event_id)[::4])
     parts = [measure_gains(late, chain, sky, Model((LATE,)), is_own_sky=False, is_new=at)[0] for at in (new, ~new)]
@@ -112,6 +114,7 @@ def test_a_weak_finding_promises_less_because_it_was_selected():
     assert promise.gain < 0.9 * 12.5
 
 
+@pytest.mark.long
 def test_the_true_score_is_unbiased_above_the_threshold():
     """A search sees only scores above its threshold, 3.9 for one trial of each cause."""
     rng = np.random.default_rng(1)

@@ -62,6 +62,7 @@ def test_the_date_of_a_strong_step_is_that_of_an_event(spoil, chain, sky):
     assert found.template_sigma < 1e-3  # 100 standard deviations leave no other date open
 
 
+@pytest.mark.long
 def test_the_scatter_of_the_size_is_that_of_the_likelihood_over_the_templates(spoil, chain, sky):
     """Against the plain sum over templates one by one, each with its own score and size."""
     model, score = best_of(spoil(RfiBroadband(size=0.004, index=-2.0, hours=(6.0, 18.0))), chain, sky, "rfi_broadband")
@@ -90,6 +91,7 @@ def test_a_cause_of_one_template_keeps_it(clean, chain, sky):
     assert (found.template, found.size, found.template_sigma) == (Template(), 0.1, 0.0)
 
 
+@pytest.mark.long
 def test_an_exchange_of_the_only_two_letters_has_a_gain_on_held_out_events(world):
     """Its template names no pair of letters where there is one, and the gain asked for the pair: KeyError."""
     look = world.look(DipoleSwap(size=0.3))
@@ -109,6 +111,7 @@ def test_noise_times_effect_is_no_gain_in_chi_squared():
     assert gain_in_chi_squared(before, fitted) == pytest.approx(score.z**2, rel=0.02)
 
 
+@pytest.mark.long
 def test_a_cause_that_the_means_alone_show_gains_what_they_show(world):
     """Common gains in front of N_RCU had been taken out of the deviations with the effect, and came out once more.
 

@@ -36,6 +36,7 @@ def test_the_change_of_c_is_that_between_a_fit_with_the_fault_and_one_without(ca
     assert np.corrcoef(claimed.ravel(), true.ravel())[0, 1] > 0.995
 
 
+@pytest.mark.long
 def test_the_errors_of_sizes_cover_where_the_template_is_open(world):
     """Hours and spectral index of broad-band interference are open at 8 standard deviations: its size is too."""
     fault = RfiBroadband(size=0.004, index=-2.0, hours=(6.0, 18.0))
@@ -53,6 +54,7 @@ def test_the_errors_of_sizes_cover_where_the_template_is_open(world):
     assert np.sqrt(np.mean(np.square(narrow))) > 2.0, "without the open template the errors would be too small"
 
 
+@pytest.mark.long
 def test_the_error_of_a_size_whose_template_is_known_covers(world):
     pulls = []
     for seed in range(10):
@@ -63,6 +65,7 @@ def test_the_error_of_a_size_whose_template_is_known_covers(world):
     assert 0.4 < np.sqrt(np.mean(np.square(pulls))) < 1.7  # 1.0 +- 0.22
 
 
+@pytest.mark.long
 def test_the_error_of_a_size_covers_where_the_effect_is_large(world):
     """It was 2.5 times too small: what A and the noise constants may be changes what the size of a large effect is."""
     pulls = []
@@ -114,6 +117,7 @@ def test_the_gain_on_held_out_data_is_what_refits_by_hand_give(world):
     assert 15 < claimed < 30
 
 
+@pytest.mark.long
 def test_the_template_is_chosen_again_without_the_held_out_events(world):
     """Nothing is hidden: the best of many dates fits its own events and predicts nothing."""
     gains = []

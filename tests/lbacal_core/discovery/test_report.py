@@ -40,6 +40,7 @@ def pair(world):
     return ask(two, step)
 
 
+@pytest.mark.long
 def test_of_two_stations_the_one_with_the_fault_is_named(pair):
     report, stations = pair
     assert report["verdict"] == "explained"
@@ -50,6 +51,7 @@ def test_of_two_stations_the_one_with_the_fault_is_named(pair):
     json.dumps(report, allow_nan=False)
 
 
+@pytest.mark.long
 def test_every_station_has_its_verdict_its_structure_and_what_it_can_never_show(world):
     """A cause was once said to be found and to be impossible, and the structure of the second station was dropped."""
     two = world.with_settings(stations=("CS002", "CS003"), events_per_year=150)
@@ -74,6 +76,7 @@ def test_the_findings_of_a_station_are_named_by_their_place_in_the_whole(pair):
     assert [one["verdict"] for one in report["stations"]] == ["consistent", "explained"]
 
 
+@pytest.mark.long
 def test_numbers_that_are_not_known_are_null(world):
     report, _ = ask(world, GainStep(size=0.08, date="2014-07-01", where=Where(antennas=(1,))))
     (named,) = report["findings"]
@@ -96,6 +99,7 @@ def test_the_noise_and_the_scores_of_both_stations_are_reported(pair):
     assert len(asked) >= 20
 
 
+@pytest.mark.long
 def test_the_false_alarm_rate_is_shared_by_all_stations(world):
     """A finding that one station alone would make must be k times rarer where k stations are asked."""
     look = world.look(GainTemperature(size=0.007))
@@ -123,6 +127,7 @@ def wrong_sky(world):
     return replace(world, sky=replace(world.sky, power=power)).spectra()
 
 
+@pytest.mark.long
 def test_a_sky_like_another_model_is_seen_and_not_misnamed_where_the_sky_is_taken_at_its_word(wrong_sky, world):
     report, _ = investigate(wrong_sky, world.instrument, world.sky)
     assert report["verdict"] == "unexplained"
@@ -142,6 +147,7 @@ def found(world):
     return ask(world, RfiBroadband(size=0.008, index=-2.0, hours=(6.0, 18.0)))
 
 
+@pytest.mark.long
 def test_a_finding_reports_the_error_with_the_open_template(found):
     report, (station,) = found
     named = next(one for one in report["findings"] if one["cause"] == "rfi_broadband")

@@ -57,6 +57,7 @@ def test_a_wave_over_the_day_is_left_along_utc_and_predicts_events_not_used(spoi
     assert find_structure(replace(spoilt, empirical=found.vectors), np.random.default_rng(1), SIGNIFICANT) is None
 
 
+@pytest.mark.long
 def test_the_probability_of_structure_in_noise_is_uniform(look):
     rng = np.random.default_rng(1)
     paths, events, channels = look.data.power.shape

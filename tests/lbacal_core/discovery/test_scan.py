@@ -74,6 +74,7 @@ def largest(look, causes, labels, seed):
     return {cause: drawn[:, of_cause == cause].max(axis=1) for cause in causes}, scores
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("labels", [["station"], ["station", "antenna 0", "antenna 1", "antenna 0 X", "antenna 1 Y"]])
 def test_corrected_probabilities_of_noise_are_uniform(labels, small):
     """The smallest corrected probability of each of 500 drawn scans, over all causes, is as rare as it says."""
@@ -86,6 +87,7 @@ def test_corrected_probabilities_of_noise_are_uniform(labels, small):
     assert np.mean(p < 0.1) < 0.1 + 0.03
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("labels", [["station"], ["station", "antenna 0", "antenna 1", "antenna 0 X", "antenna 1 Y"]])
 def test_the_trials_of_a_cause_are_those_of_its_own_templates_and_targets(labels, small):
     causes = STATION_CAUSES if labels == ["station"] else LOCAL_CAUSES

@@ -33,6 +33,7 @@ from lbacal_twin.faults.uncatalogued import FieldGradient
 from tests.lbacal_core.discovery.conftest import SEED, SETTINGS
 
 
+@pytest.mark.long
 def test_every_number_of_a_finding_is_of_the_last_model(chain, sky):
     """Two effects: what each gains is against the model with the other alone, not against that of its step."""
     faults = [GainStep(size=0.03, where=Where(antennas=(2,)), date="2014-08-07"), LstOffset(size=0.1)]
@@ -49,6 +50,7 @@ def test_every_number_of_a_finding_is_of_the_last_model(chain, sky):
     assert whole > max(finding.chi2_before for finding in report.findings)
 
 
+@pytest.mark.long
 def test_the_sizes_of_all_findings_are_those_of_the_last_fit(world):
     """A cause that is found second moves the size of the first: both are reported as fitted together."""
     report = world.look(GainTemperature(size=0.02), LstOffset(size=0.4)).investigate()
@@ -60,6 +62,7 @@ def test_the_sizes_of_all_findings_are_those_of_the_last_fit(world):
         assert found[cause].size == pytest.approx(size, abs=3 * found[cause].uncertainty)
 
 
+@pytest.mark.long
 def test_beside_an_adopted_cause_only_what_is_left_is_found(world):
     """The adopted cause is no finding; its size is fitted with those that are found, each of which is of that model."""
     adopted = AdoptedCause("lst_offset", "CS002", "station", 0.3, 0.02)
@@ -77,6 +80,7 @@ def test_beside_an_adopted_cause_only_what_is_left_is_found(world):
     )
 
 
+@pytest.mark.long
 def test_an_adopted_cause_of_the_wrong_form_leaves_structure(world):
     """Interference from 8 to 20 h is not described by that from 6 to 18 h, and gets no second name."""
     hours = {"spectral_index": -2.0, "utc_h": [6, 18]}

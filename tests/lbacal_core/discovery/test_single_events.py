@@ -26,6 +26,7 @@ def test_the_spectrum_of_a_vector_is_where_it_is_not_flat(model):
     assert share.sum() == pytest.approx(1.0)
 
 
+@pytest.mark.long
 def test_single_events_of_noise_show_no_more_than_noise(look):
     """Compared at the same total: a level that is wrong by 2 % would look like half a standard deviation."""
     rng = np.random.default_rng(2)
@@ -86,6 +87,7 @@ def test_a_vector_of_the_noise_that_is_off_by_a_few_per_cent_is_no_structure(sta
     assert find_structure(linear, np.random.default_rng(1), SIGNIFICANT) is None
 
 
+@pytest.mark.long
 def test_tests_of_which_each_sees_a_little_see_structure_together():
     """Storms were on one side with 4 in 10,000 and alike in neighbours with 3 in 100,000, yet `consistent`."""
     assert _chance_together([0.84, 7e-4, 3.4e-5]) < 1e-5

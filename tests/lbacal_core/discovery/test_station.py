@@ -68,6 +68,7 @@ def test_a_cable_that_changes_within_the_data_is_refused_as_the_fit_refuses_it(w
         fit_calibration(spectra, instrument, world.sky)
 
 
+@pytest.mark.long
 def test_one_unknown_temperature_costs_one_event(world):
     """One temperature missing in 250 events once turned a gain that follows it into two other causes."""
     fault = GainTemperature(size=0.02)

@@ -14,6 +14,7 @@ from lbacal_core.readers.open import choose_channels, open_source
 pytestmark = pytest.mark.filterwarnings("ignore")  # pyuvdata's own, about headers of old files
 
 
+@pytest.mark.long
 @pytest.mark.shared
 def test_hera_autocorrelations_are_read_as_the_file_has_them(shared: Path) -> None:
     path = shared / "data" / "other" / "hera_2459122.25108_autos.uvh5"

@@ -132,6 +132,7 @@ def test_the_real_file_of_2008_says_what_it_is(shared: Path) -> None:
     assert trace.faults == {}
 
 
+@pytest.mark.long
 def test_flipped_bytes_give_a_sentence_or_samples(
     tmp_path: Path, samples: NDArray[np.int16], flip_bytes: Callable[..., list[str]]
 ) -> None:

@@ -89,6 +89,7 @@ def test_nuradioreco_itself_gives_the_same_inside_the_band() -> None:
     assert ours.c[ours.is_inside] == pytest.approx(theirs._get_absolute_calibration(inside / 1e3), rel=1e-6)
 
 
+@pytest.mark.long
 def test_errors_are_interpolated_and_fully_correlated_along_frequency() -> None:
     found = calibrate_trace(noise(), RATE, curve(stat=0.03, sys=0.04))
     inside = found.is_inside

@@ -84,6 +84,7 @@ def test_the_shape_of_a_relative_antenna_gain_is_an_error_and_its_level_is_a_con
     assert "interference left" in names
 
 
+@pytest.mark.long
 def test_the_vectors_of_x_and_y_that_were_compressed_apart_no_longer_lose_what_both_share(study):
     spectra, instrument, sky = study
     shape = next(term for term in compute_budget(*study, "models").terms if term.name == "spectrum and LST shape")
@@ -104,6 +105,7 @@ def test_the_vectors_of_x_and_y_that_were_compressed_apart_no_longer_lose_what_b
     np.testing.assert_allclose(shared, x.T @ y, atol=2e-3 * np.abs(x.T @ y).max())
 
 
+@pytest.mark.long
 def test_the_budget_covers_what_a_wrong_antenna_does_to_c(study):
     """A short dipole taken for LOFAR's moved ln C by 0.5 at 80 MHz, four times the error told."""
     spectra, instrument, sky = study

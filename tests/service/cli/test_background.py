@@ -33,6 +33,7 @@ def environment(tmp_path: Path) -> dict[str, str]:
     return os.environ | {"LBACAL_DATABASE_URL": str(path)}
 
 
+@pytest.mark.long
 def test_a_child_whose_scheduler_dies_ends_so_that_the_server_starts_another(environment: dict[str, str]) -> None:
     """The thread died alone: the worker lived, /readyz said 200, and no night ever came again."""
     with subprocess.Popen(
@@ -43,6 +44,7 @@ def test_a_child_whose_scheduler_dies_ends_so_that_the_server_starts_another(env
         assert b"the scheduler ended" in child.stderr.read()
 
 
+@pytest.mark.long
 def test_a_child_without_its_sky_says_so_and_ends(environment: dict[str, str], tmp_path: Path) -> None:
     environment["LBACAL_SKY_POWER"] = str(tmp_path / "nowhere.json")
     command = [sys.executable, "-m", "service.cli.background"]

@@ -58,6 +58,7 @@ def test_the_table_has_fitted_planted_and_published_values(shown: Demonstration)
     assert rows[-1][:2] == ["published", "13.73"]  # the first value of the published table, 1.373e-5 V at 30 MHz
 
 
+@pytest.mark.long
 def test_the_report_is_one_page_that_loads_nothing(shown: Demonstration) -> None:
     page = render_report(shown)
     assert page.count("data:image/png;base64,") == 4

@@ -129,9 +129,10 @@ def environment_of(settings: dict[str, str]) -> dict[str, str]:
 def run(arguments: tuple[str, ...], settings: dict[str, str], cwd: Path) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "lbacal", *arguments]
     environment = environment_of(settings)
-    return subprocess.run(command, env=environment, cwd=cwd, capture_output=True, text=True, check=False, timeout=100)
+    return subprocess.run(command, env=environment, cwd=cwd, capture_output=True, text=True, check=False, timeout=900)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("world", WORLDS, ids=lambda world: world.__name__)
 def test_a_broken_world_is_one_sentence(world: World, tmp_path: Path, sqlite_template: Path, repository: Path) -> None:
     code, sentence = WORLDS[world]
@@ -141,7 +142,7 @@ def test_a_broken_world_is_one_sentence(world: World, tmp_path: Path, sqlite_tem
     concerned = [arguments for arguments in COMMANDS if arguments not in NOT_CONCERNED.get(world, ())]
     command = [sys.executable, "-c", RUN_ALL, json.dumps(concerned)]
     done = subprocess.run(
-        command, env=environment, cwd=tmp_path, capture_output=True, text=True, check=False, timeout=90
+        command, env=environment, cwd=tmp_path, capture_output=True, text=True, check=False, timeout=900
     )
     said = [json.loads(line) for line in done.stdout.splitlines()]
     assert len(said) == len(concerned), done.stderr
@@ -152,6 +153,7 @@ def test_a_broken_world_is_one_sentence(world: World, tmp_path: Path, sqlite_tem
         assert "hidden-word" not in err
 
 
+@pytest.mark.long
 def test_a_port_in_use_is_one_sentence(tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = str(taken.getsockname()[1])
@@ -162,6 +164,7 @@ def test_a_port_in_use_is_one_sentence(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.long
 def test_a_dropped_table_is_seen_by_the_check(tmp_path: Path, sqlite_template: Path) -> None:
     path = shutil.copy(sqlite_template, tmp_path / "x.sqlite")
     with closing(sqlite3.connect(path)) as connection, connection:
@@ -172,6 +175,7 @@ def test_a_dropped_table_is_seen_by_the_check(tmp_path: Path, sqlite_template: P
     assert "monthly_ratio" in said.stderr
 
 
+@pytest.mark.long
 def test_a_command_waits_for_a_database_that_is_still_starting(postgres: str, tmp_path: Path) -> None:
     """A proxy socket that appears later stands for a server that is booting."""
     said = run(("db", "upgrade"), {"DATABASE_URL": f"postgresql://me@/x?host={tmp_path}", "WAIT_S": "1"}, tmp_path)
@@ -182,6 +186,7 @@ def test_a_command_waits_for_a_database_that_is_still_starting(postgres: str, tm
     assert postgres
 
 
+@pytest.mark.long
 def test_a_database_that_a_server_does_not_have_is_one_sentence(postgres: str, tmp_path: Path) -> None:
     url = postgres.replace("/postgres?", "/nowhere?")
     for arguments in (CHECK, UPGRADE, LIST):
@@ -191,6 +196,7 @@ def test_a_database_that_a_server_does_not_have_is_one_sentence(postgres: str, t
         assert "nowhere" in said.stderr.splitlines()[-1]
 
 
+@pytest.mark.long
 def test_upgrades_at_once_all_succeed(postgres: str, tmp_path: Path) -> None:
     with psycopg.connect(postgres, autocommit=True) as connection:
         connection.execute("CREATE DATABASE at_once")
@@ -208,6 +214,7 @@ def test_upgrades_at_once_all_succeed(postgres: str, tmp_path: Path) -> None:
         connection.execute("DROP DATABASE at_once WITH (FORCE)")
 
 
+@pytest.mark.long
 def test_every_line_of_a_server_is_json_and_holds_no_key(tmp_path: Path) -> None:
     port, log = find_free_port(), tmp_path / "log"
     environment = {"LBACAL_DATABASE_URL": str(tmp_path / "x.sqlite"), "LBACAL_POLL_S": "0.2"}

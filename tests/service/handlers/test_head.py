@@ -4,6 +4,7 @@ import pytest
 from fastapi.testclient import TestClient
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "path", ["/healthz", "/v1/events", "/", "/v1/calibrations/effective?at=2014-05-01", "/openapi.json"]
 )

@@ -33,6 +33,7 @@ def run(factory: Factory, client: TestClient, **body: Any) -> dict[str, Any]:
     return job
 
 
+@pytest.mark.long
 def test_a_planted_step_is_found_in_its_year_and_the_report_is_kept(station: Factory, asked: TestClient) -> None:
     job = run(station, asked)
     assert job["kind"] == "investigation"
@@ -67,6 +68,7 @@ def test_a_planted_step_is_found_in_its_year_and_the_report_is_kept(station: Fac
     assert asked.get("/v1/models").json()["models"] == []
 
 
+@pytest.mark.long
 def test_the_same_inputs_are_investigated_once_and_named_alike(
     station: Factory, asked: TestClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -96,6 +96,7 @@ def job(factory: Factory, stored: Stored) -> int:
     return number
 
 
+@pytest.mark.long
 def test_all_versions_of_a_job_are_promoted_as_one_act(client: TestClient, stored: Stored, job: int) -> None:
     tried = client.post(f"/v1/jobs/{job}/promotion?dry_run=true", json={"reason": "looked at"})
     assert (tried.status_code, effective(client)) == (200, 404)

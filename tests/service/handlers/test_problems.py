@@ -79,6 +79,7 @@ BAD = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("body", BAD.values(), ids=BAD.keys())
 def test_a_bad_batch_is_refused_whole(client: TestClient, body: Any) -> None:
     if isinstance(body, dict) and body["spectra"]:

@@ -50,6 +50,7 @@ def test_a_job_beyond_all_others_is_not_found(client: TestClient) -> None:
     assert client.get("/v1/jobs/9223372036854775807").status_code == 404
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("path", "body"),
     [

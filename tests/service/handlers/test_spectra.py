@@ -84,6 +84,7 @@ def post(client: TestClient, content: str | bytes) -> Any:
     return client.post("/v1/spectra", content=content, headers={"Content-Type": "application/json"})
 
 
+@pytest.mark.long
 def test_clients_who_add_different_covariates_to_the_same_events_all_keep_theirs(client: TestClient) -> None:
     """On PostgreSQL, where two of them write at once, 42 of 60 events lacked a name."""
     events, clients = 60, 8
@@ -127,6 +128,7 @@ def post_file(client: TestClient, content: bytes) -> Any:
     return client.post("/v1/spectra", content=content, headers={"Content-Type": "application/x-hdf5"})
 
 
+@pytest.mark.long
 def test_a_spectra_file_is_stored_as_the_same_json_is(client: TestClient, file: bytes) -> None:
     rows = [spectrum(e, antenna=a, dipole=d) for e in range(2) for a in range(2) for d in "XY"]
     assert client.post("/v1/spectra", json=batch(*rows[:3])).status_code == 201

@@ -32,6 +32,7 @@ def add(factory: Factory, spectra: Spectra) -> int:
         return stores.spectra.add(spectra)
 
 
+@pytest.mark.long
 def test_a_batch_of_more_events_than_a_statement_takes_parameters_is_stored_and_sent_again(factory: Factory) -> None:
     """65,536 events were 503 for ever on PostgreSQL, and the client went on sending them."""
     events = 66_000

@@ -47,6 +47,7 @@ def rows_of(url: str) -> dict[str, list[tuple[object, ...]]]:
         database.close()
 
 
+@pytest.mark.long
 def test_the_page_on_backups_is_followed_word_by_word(
     factory: Factory, stored: dict[str, Version], repository: Path, tmp_path: Path
 ) -> None:

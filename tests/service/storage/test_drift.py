@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from lbacal_core.validity import Scope
 from service.factory import Factory
@@ -41,6 +42,7 @@ def test_the_last_report_is_the_one_that_is_kept(factory: Factory) -> None:
         assert stores.drift.report() == {"changes": [1]}
 
 
+@pytest.mark.long
 def test_months_have_a_gain_and_two_modes(station: Factory) -> None:
 
     look_for_due_work(station)

@@ -129,6 +129,7 @@ def test_the_edges_known_at_any_time_are_those_of_the_whole_ledger(
             assert stores.ledger.edges(as_of) == ends
 
 
+@pytest.mark.long
 @given(st.lists(promotions, max_size=15), st.integers(-2, 20), st.one_of(st.none(), st.integers(999, 1008)))
 @settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_the_neighbours_of_a_gap_are_those_of_brute_force(

@@ -20,6 +20,7 @@ def test_the_migrations_make_the_schema_that_the_code_states(factory: Factory) -
         assert key == [column.name for column in table.primary_key], table.name
 
 
+@pytest.mark.long
 def test_an_upgrade_can_be_run_again(factory: Factory) -> None:
     upgrade(factory.database)
     require_current(factory.database)

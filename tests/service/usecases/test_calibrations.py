@@ -302,6 +302,7 @@ def test_what_a_mean_is_of_is_stored_with_it_and_shared_parts_once(service: Fact
     assert Scope("CS002") in {version.scope for version in versions}
 
 
+@pytest.mark.long
 def test_what_is_answered_from_memory_is_what_was_told_first_in_all_cables_and_as_of_any_instant(
     http: TestClient, service: Factory
 ) -> None:

@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import pytest
 from fastapi.testclient import TestClient
 
 from lbacal_core.spectra import Spectra
@@ -37,6 +38,7 @@ def measure_again(factory: Factory, source: DriftSource) -> None:
     work(factory)
 
 
+@pytest.mark.long
 def test_after_one_more_event_drift_reads_it_alone_and_is_that_of_the_whole_year(
     station: Factory, campaign: Spectra
 ) -> None:
@@ -65,6 +67,7 @@ def test_after_one_more_event_drift_reads_it_alone_and_is_that_of_the_whole_year
     assert measured(station) == (whole, of_whole, read)
 
 
+@pytest.mark.long
 def test_the_planted_step_is_first_with_its_antenna_and_date(station: Factory, http: TestClient) -> None:
     look_for_due_work(station)
     work(station)

@@ -79,6 +79,7 @@ def test_a_night_after_one_more_event_reads_that_event_alone(year: Factory, camp
     assert kept(year) == before, "what is kept is not added to"
 
 
+@pytest.mark.long
 def test_what_was_examined_is_what_a_fit_from_spectra_says(year: Factory, campaign: Spectra) -> None:
     before = kept(year)
     store(year, campaign, slice(-5, -3))
@@ -103,6 +104,7 @@ def shifts(factory: Factory) -> dict[str, float]:
     return {row.scope: row.shift for row in rows}
 
 
+@pytest.mark.long
 def test_a_late_spectrum_of_an_event_that_was_there_is_fitted_from_spectra(year: Factory, campaign: Spectra) -> None:
     """Data of one antenna that arrive a day after those of the others have events that the kept fit holds already."""
     new = campaign.select(campaign.event_id == events_of(campaign)[-5])
@@ -118,6 +120,7 @@ def test_a_late_spectrum_of_an_event_that_was_there_is_fitted_from_spectra(year:
     assert {count for count, _ in kept(year).values()} == {spectra + 8}
 
 
+@pytest.mark.long
 def test_a_flag_an_anomalous_event_and_a_promotion_are_left_to_a_fit_from_spectra(
     year: Factory, campaign: Spectra
 ) -> None:

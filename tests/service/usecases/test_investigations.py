@@ -35,6 +35,7 @@ def night(factory: Factory) -> list[Any]:
     return [job for number in numbers if (job := factory.jobs.get(number)).kind == KIND]
 
 
+@pytest.mark.long
 def test_the_night_investigates_each_year_once_and_again_when_its_spectra_changed(nightly: Factory) -> None:
     jobs = night(nightly)
     assert [(job.state, job.by) for job in jobs] == [("done", "scheduler")] * 2

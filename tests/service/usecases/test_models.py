@@ -92,6 +92,7 @@ def drift_of_path(http: TestClient) -> Floats:
     return np.array([month["c_ratio"] for month in http.get("/v1/drift", params=PATH).json()["months"]])
 
 
+@pytest.mark.long
 def test_an_adopted_finding_changes_c_as_announced_and_withdrawal_restores_it_bit_by_bit(
     station: Factory, http: TestClient, found: str
 ) -> None:
@@ -156,6 +157,7 @@ def test_an_adopted_finding_changes_c_as_announced_and_withdrawal_restores_it_bi
     assert told(http, "2015-06-01", as_of=line["at"])["calibration"] == before["2015-06-01"]["calibration"]
 
 
+@pytest.mark.long
 def test_a_withdrawal_did_not_restore_what_somebody_had_put_into_effect_for_a_part_of_the_year(
     station: Factory, http: TestClient, found: str
 ) -> None:
@@ -172,6 +174,7 @@ def test_a_withdrawal_did_not_restore_what_somebody_had_put_into_effect_for_a_pa
     assert [told(http, at)["calibration"] for at in ("2015-03-01", "2015-07-01", "2015-11-01")] == before
 
 
+@pytest.mark.long
 def test_a_repeated_adoption_was_refused_although_its_first_try_was_done(http: TestClient, found: str) -> None:
     """Its plan was made before the idempotency key was looked up, and found the cause adopted already."""
     body = {"finding": 0, "reason": "test", "promote": True}
@@ -183,6 +186,7 @@ def test_a_repeated_adoption_was_refused_although_its_first_try_was_done(http: T
     assert (other.status_code, "something else was asked" in other.text) == (409, True)
 
 
+@pytest.mark.long
 def test_new_events_of_later_nights_inherit_the_model(station: Factory, http: TestClient, found: str) -> None:
     made = adopt(http, found)
     work(station)
@@ -196,6 +200,7 @@ def test_new_events_of_later_nights_inherit_the_model(station: Factory, http: Te
     assert http.get(f"/v1/calibrations/{name}").json()["model"] == made["model"]
 
 
+@pytest.mark.long
 def test_a_fit_that_began_before_an_adoption_does_not_go_into_effect_after_it(
     station: Factory, http: TestClient, found: str
 ) -> None:
@@ -212,6 +217,7 @@ def test_a_fit_that_began_before_an_adoption_does_not_go_into_effect_after_it(
     assert told(http, "2015-06-01")["calibration"] == after
 
 
+@pytest.mark.long
 def test_what_cannot_be_adopted_is_refused(station: Factory, http: TestClient, found: str) -> None:
     route = f"/v1/investigations/{found}/adoption"
     good = {"finding": 0, "reason": "test", "promote": False}
@@ -263,6 +269,7 @@ def pulls(http: TestClient, names: list[str], campaign: Campaign) -> Floats:
     return np.array(found)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("database_url", ["postgresql"], indirect=True)
 def test_the_loop_closes_on_a_fault_that_begins_in_the_second_year(
     database_url: str, sky_power_file: Path, three_years: Campaign, clock: Any
@@ -323,6 +330,7 @@ def test_the_loop_closes_on_a_fault_that_begins_in_the_second_year(
     factory.database.close()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("database_url", ["sqlite"], indirect=True)
 def test_structure_without_a_name_could_be_adopted_on_files_alone(
     database_url: str, sky_power_file: Path, superterp: Instrument, clock: Any

@@ -22,6 +22,7 @@ from service.worker import Worker
 ONE_YEAR = TwinSettings(stations=("CS002",), antennas=4, events_per_year=300, years=0.99)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("database_url", ["sqlite"], indirect=True)
 def test_a_clock_that_is_off_passed_the_gate_and_only_a_report_said_so(
     database_url: str, sky_power_file: Path, superterp: Instrument, clock: Any

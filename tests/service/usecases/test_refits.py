@@ -45,6 +45,7 @@ def spoil(campaign: Spectra, row: int, factor: float) -> Spectra:
     return replace(campaign, power=power)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("factor", [1000.0, 3.0, 1e308])
 def test_one_bad_spectrum_stopped_array_station_and_path_for_the_year(
     bare: Factory, campaign: Spectra, factor: float
@@ -111,6 +112,7 @@ def count(factory: Factory, name: str) -> int:
         return int(stores.versions._connection.exec_driver_sql(f"SELECT count(*) FROM {name}").scalar_one())  # noqa: S608
 
 
+@pytest.mark.long
 def test_a_night_that_hardly_moves_c_leaves_no_version_and_is_not_due_again(
     station: Factory, campaign: Spectra
 ) -> None:
@@ -131,6 +133,7 @@ def test_a_night_that_hardly_moves_c_leaves_no_version_and_is_not_due_again(
     assert count(station, "examined") == examined
 
 
+@pytest.mark.long
 def test_a_channel_without_a_value_made_the_night_fail_on_sqlite_and_was_kept_for_ever_on_postgresql(
     station: Factory, campaign: Spectra
 ) -> None:
@@ -156,6 +159,7 @@ def test_a_channel_without_a_value_made_the_night_fail_on_sqlite_and_was_kept_fo
     assert path in [version.scope for version in made], "a channel that got its value is news"
 
 
+@pytest.mark.long
 def test_what_was_examined_confirms_the_version_in_effect(station: Factory, campaign: Spectra) -> None:
     night(station)
     first = str(campaign.event_id[np.argmin(campaign.time_unix)])
@@ -175,6 +179,7 @@ def test_what_was_examined_confirms_the_version_in_effect(station: Factory, camp
     assert {one.scope.station for one in found if one} <= {None, "CS002"}
 
 
+@pytest.mark.long
 def test_a_refit_that_was_asked_for_stores_its_version_however_little_it_moves(
     station: Factory, campaign: Spectra
 ) -> None:
@@ -188,6 +193,7 @@ def test_a_refit_that_was_asked_for_stores_its_version_however_little_it_moves(
     assert count(station, "calibration") >= before + 8 - 2, "at most two of them were news to the night"
 
 
+@pytest.mark.long
 def test_a_night_with_news_stores_it(station: Factory, campaign: Spectra) -> None:
     night(station)
     of_year = np.unique(campaign.event_id[campaign.time_unix < np.datetime64("2015-01-01", "s").astype(float)])
@@ -201,6 +207,7 @@ def test_a_night_with_news_stores_it(station: Factory, campaign: Spectra) -> Non
     assert said[Scope("CS002", 0, "X")][0].calibration in changed
 
 
+@pytest.mark.long
 def test_another_model_is_news_even_where_c_stays(station: Factory, monkeypatch: pytest.MonkeyPatch) -> None:
     night(station)
     before = count(station, "calibration")

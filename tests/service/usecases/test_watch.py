@@ -99,6 +99,7 @@ def in_effect(factory: Factory, path: Scope) -> list[Version]:
         return [stores.versions.get(str(one.calibration)) for one in stretches if one.calibration is not None]
 
 
+@pytest.mark.long
 def test_a_step_and_a_swapped_cable_end_as_a_change_point_and_a_new_window(watched: Factory) -> None:
     night(watched)
     refits = [job.request for job in watched.jobs.newest() if job.kind == "refit"]

@@ -169,6 +169,7 @@ def test_an_investigation_leaves_out_the_antenna_whose_cable_changed(with_change
     assert "gain_step" not in [finding["cause"] for finding in report["findings"]]
 
 
+@pytest.mark.long
 def test_a_year_with_an_adopted_cause_is_cut_where_hardware_changed(
     with_change: Callable[[str], Factory], campaign: Spectra
 ) -> None:

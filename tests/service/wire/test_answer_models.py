@@ -51,6 +51,7 @@ def stored_client(client: TestClient) -> TestClient:
     return client
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("model", "method", "path", "body"),
     [
@@ -101,6 +102,7 @@ PATH = "station=CS001&antenna=0&dipole=X"
 A, B = "{path}", "{other}"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("model", "method", "path", "body"),
     [

@@ -56,6 +56,7 @@ def test_a_bad_body_of_a_megabyte_cost_two_gigabytes_and_now_a_small_multiple(
     assert len(str(caught.value)) < 500
 
 
+@pytest.mark.long
 def test_what_the_largest_batch_holds_is_within_every_limit() -> None:
     assert len(parse_body(SpectraBody, repeat(json.dumps(ROW), MAX_SPECTRA).encode()).spectra) == MAX_SPECTRA
     with pytest.raises(BadInputError, match="at most 100000 of them, found 100001"):

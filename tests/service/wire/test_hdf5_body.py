@@ -122,6 +122,7 @@ MEAN: dict[str, tuple[Callable[[h5py.File], None], str]] = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("change", "sentence"), MEAN.values(), ids=MEAN.keys())
 def test_a_mean_file_is_refused_in_one_sentence(
     reader: FileReader, file: Path, change: Callable[[h5py.File], None], sentence: str
