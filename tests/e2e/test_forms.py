@@ -58,5 +58,5 @@ def test_an_admin_lifts_a_cut_with_a_reason_and_restores_it(page: Page, service:
     assert page.url == service.url + "/drift#cuts"
     assert service.run("cuts").stdout.startswith(f"{cut} CS002 antenna 1 at 2014-06-01 ± 2.0 d (lifted")
     decide(row, "Restore", key, "it lay on the other one")
-    expect(row.locator(".state")).to_have_text("stands")
+    expect(row.locator(".state")).to_have_text("found, not yet refitted")
     expect(row).to_contain_text("restored")
