@@ -31,8 +31,8 @@ def audit(
 
     Example: lbacal audit S.h5 --instrument lofar-superterp --report audit.json --html audit.html
 
-    Minutes of data find what differs from antenna to antenna; clock, arms, place and unit need some hours. Exit 0 if
-    nothing is wrong, 3 if something is.
+    Minutes of data find what differs from antenna to antenna; clock, arms, place and unit need hours of sidereal
+    time. Exit 0 if nothing is wrong, 3 if something is.
     """
     from lbacal_core.audit.audit import audit as audit_spectra
     from lbacal_core.instrument import load_instrument
@@ -42,7 +42,7 @@ def audit(
     spectra = _read(data, chain, average)
     found = audit_spectra(spectra, chain, sky, antenna)
     for station in found.stations:
-        print(f"{station.name}: {station.antennas.size} antennas, {station.hours:.2f} h")
+        print(f"{station.name}: {station.antennas.size} antennas, {station.hours:.2f} h of sidereal time")
     for line in found.lines:
         odds = "" if line.log_odds is None else f" (ln odds {line.log_odds:+.0f})"
         print(f"{line.verdict:9} {line.check:12} {line.station}: {line.sentence}{odds}")

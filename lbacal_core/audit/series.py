@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
-from lbacal_core.audit.station import AuditedStation, spread
+from lbacal_core.audit.station import FEWEST, AuditedStation, spread
 from lbacal_core.grids import Floats
 from lbacal_core.sidereal import SIDEREAL_DAY_S
 
@@ -29,9 +29,11 @@ GAIN = 0.03
 SKY_COMMON, SKY_POLARISATION, SKY_BAND, SKY_HOURS = 0.03, 0.002, 0.0015, 3.0
 """Departures of the LST shape from all models, and how long they last: of everything, of a polarisation and of a
 band by itself. Where each model is predicted from the others, 0.1-0.3 % is left of polarisations and bands."""
-UNUSUAL, RARE = 10.0, 5.0
-"""Departures of polarisations and bands of a receiver whose gain changes its colour with the hour, a few per cent, over
-those of the sky; and ln of the odds against them, before the data are asked."""
+UNUSUAL = {1.0: 0.0, 3.0: 1.5, 8.0: 3.0, 20.0: 4.5}
+"""Departures of polarisations and bands over those of the sky, and ln of the odds against them before the data are
+asked: gains of receivers change their colour with the hour, by a per cent or a few."""
+ALONE = 3.0
+"""The least of them where there are too few antennas for a median: the colour is that of one receiver."""
 MISFIT = 5.0
 """Standard deviations of chi^2 by which what fits does not exceed its expectation."""
 FREE = 1.0
@@ -218,19 +220,26 @@ class SeriesLikelihood:
 
 
 class AnyReceiver:
-    """ln L of a series whether its receiver keeps its colour or not."""
+    """ln L of a series, whether its receivers keep their colour along the hours or not."""
 
-    def __init__(self, series: Series) -> None:
+    def __init__(self, series: Series, antennas: int) -> None:
         self.series = series
-        self.usual = SeriesLikelihood(series)
-        self._unusual = SeriesLikelihood(series, UNUSUAL)
+        known = 0.0 if antennas >= FEWEST else ALONE
+        self._sizes = {size: SeriesLikelihood(series, size) for size in UNUSUAL if size >= known}
+
+    def _weigh(self, seen: Seen) -> dict[float, float]:
+        return {size: one.log_likelihood(seen) - UNUSUAL[size] for size, one in self._sizes.items()}
 
     def log_likelihood(self, seen: Seen) -> float:
         """Log likelihood, up to a constant."""
-        return float(np.logaddexp(self.usual.log_likelihood(seen), self._unusual.log_likelihood(seen) - RARE))
+        return float(np.logaddexp.reduce(list(self._weigh(seen).values())))
+
+    def share(self, seen: Seen) -> tuple[float, float]:
+        """The share of the sky in the power, and its error, with receivers that keep their colour."""
+        return self._sizes[min(self._sizes)].share(seen)
 
     def fits(self, seen: Seen) -> bool:
-        """Whether the data are what may be seen of this sky."""
-        values = self.series.power.size
-        chi2 = min(one.compare(seen)[0] for one in (self.usual, self._unusual))
-        return chi2 < values + MISFIT * (2.0 * values) ** 0.5
+        """Whether the data are what may be seen of this sky, with the likeliest departures."""
+        each, values = self._weigh(seen), self.series.power.size
+        chi2, _ = self._sizes[max(each, key=lambda size: each[size])].compare(seen)
+        return bool(chi2 < values + MISFIT * (2.0 * values) ** 0.5)

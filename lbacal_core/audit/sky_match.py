@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from lbacal_core.audit.cables import log_likelihood_of_unit
 from lbacal_core.audit.finding import UNDECIDED, Line
-from lbacal_core.audit.series import SHARE, SHARE_SPREAD, Seen, SeriesLikelihood, make_series
+from lbacal_core.audit.series import SHARE, SHARE_SPREAD, SKY_HOURS, AnyReceiver, Seen, make_series
 from lbacal_core.audit.sky_models import SkyModels
 from lbacal_core.audit.station import AuditedStation
 from lbacal_core.audit.verdict import LEAST_GAIN, Possibility, conclude
@@ -21,7 +21,7 @@ from lbacal_core.grids import Floats
 from lbacal_core.instrument import Instrument
 
 SHORTEST_HOURS = 0.5
-"""The sky hardly changes in less."""
+"""The sky hardly changes in less; dipoles of antennas beside each other can be compared in more."""
 CLOCK_RANGE, CLOCK_STEP, CLOCK_FINE = 24.0, 0.5, 0.05
 ARMS_RANGE, ARMS_STEP, ARMS_FINE = 180.0, 10.0, 1.0
 PAIR = 2
@@ -43,16 +43,20 @@ class SkyMatch:
         """Whether the sky changes at all in these data."""
         return self.station.hours >= SHORTEST_HOURS
 
-    def _say_too_short(self) -> list[Line]:
-        sentence = f"{self.station.length} not determine {{}}; some hours would"
+    def _say_too_short(self, *checks: str) -> list[Line]:
         asked = {"clock": "clock and place", "arms": "the arms", "unit": "the unit"}
-        return [Line(check, UNDECIDED, self.station.name, sentence.format(what)) for check, what in asked.items()]
+        return [
+            Line(
+                one, UNDECIDED, self.station.name, f"{self.station.length} not determine {asked[one]}; some hours would"
+            )
+            for one in checks
+        ]
 
     def gain_of_exchange(self, rows: NDArray[np.int64]) -> float:
         """By how much ln L grows if the dipoles of some antennas are exchanged; 0 where the data are too short."""
         if not self.is_long_enough() or rows.size == 0:
             return 0.0
-        likelihood = SeriesLikelihood(make_series(self.station, rows))
+        likelihood = AnyReceiver(make_series(self.station, rows), rows.size)
         seen = self.models.seen(likelihood.series.lst_hours, self.instrument.latitude_deg)
         return likelihood.log_likelihood(_exchanged(seen)) - likelihood.log_likelihood(seen)
 
@@ -62,20 +66,23 @@ class SkyMatch:
         if rows.size == 0:
             return []
         if not self.is_long_enough():
-            return self._say_too_short()
-        likelihood = SeriesLikelihood(make_series(station, rows))
+            return self._say_too_short("clock", "arms", "unit")
+        likelihood = AnyReceiver(make_series(station, rows), rows.size)
         latitude, longitude = self.instrument.latitude_deg, self.instrument.longitude_deg
         seen = self.models.seen(likelihood.series.lst_hours, latitude)
         base = likelihood.log_likelihood(seen)
+        units = _try_units(station, rows, self.instrument, base, likelihood.share(seen))
+        if station.hours < SKY_HOURS:  # one departure of the sky from its models is all that they show
+            return [*self._say_too_short("clock", "arms"), *conclude(station.name, base, units, station.hours)]
         possibilities = [
             _scan_clock(likelihood, self.models, latitude),
             _scan_arms(likelihood, self.models, latitude),
             *_try_places(likelihood, self.models, latitude, longitude),
-            *_try_units(station, rows, self.instrument, base, likelihood.share(seen)),
+            *units,
         ]
         if len(station.dipoles) == PAIR:
-            possibilities.append(Possibility("exchange", likelihood.log_likelihood(_exchanged(seen))))
-        return conclude(station.name, base, possibilities, station.hours)
+            possibilities.append(_possible("exchange", likelihood, _exchanged(seen)))
+        return conclude(station.name, base, possibilities, station.hours, likelihood.fits(seen))
 
 
 def tell_unit(station: AuditedStation, rows: NDArray[np.int64], instrument: Instrument) -> list[Line]:
@@ -105,42 +112,40 @@ def _scan(tell: Callable[[float], float], coarse: Floats, fine: float) -> tuple[
     return float(max(near[k], height)), float(around[k] + vertex), float((-2 * bend) ** -0.5)
 
 
-def _weigh(kind: str, scan: tuple[float, float, float], period: float) -> Possibility:
-    """A possibility with a size: ln L averaged over all sizes that it may have."""
-    best, value, sigma = scan
+def _possible(kind: str, likelihood: AnyReceiver, seen: Seen, value: float | None = None) -> Possibility:
+    return Possibility(kind, likelihood.log_likelihood(seen), value, fits=likelihood.fits(seen))
+
+
+def _weigh(
+    kind: str, likelihood: AnyReceiver, seen: Callable[[float], Seen], coarse: Floats, fine: float
+) -> Possibility:
+    """A possibility with a size, over one turn of it: ln L averaged over all sizes that it may have."""
+    best, value, sigma = _scan(lambda size: likelihood.log_likelihood(seen(size)), coarse, fine)
+    period = -2.0 * float(coarse[0])
     width = min(1.0, sigma * (2 * np.pi) ** 0.5 / period)
-    return Possibility(kind, best + float(np.log(width)), (value + period / 2) % period - period / 2, sigma)
+    size = (value + period / 2) % period - period / 2
+    return Possibility(kind, best + float(np.log(width)), size, sigma, likelihood.fits(seen(value)))
 
 
-def _scan_clock(likelihood: SeriesLikelihood, models: SkyModels, latitude: float) -> Possibility:
+def _scan_clock(likelihood: AnyReceiver, models: SkyModels, latitude: float) -> Possibility:
     lst = likelihood.series.lst_hours
-    found = _scan(
-        lambda shift: likelihood.log_likelihood(models.seen(lst + shift, latitude)),
-        np.arange(-CLOCK_RANGE / 2, CLOCK_RANGE / 2, CLOCK_STEP),
-        CLOCK_FINE,
-    )
-    return _weigh("clock", found, CLOCK_RANGE)
+    hours = np.arange(-CLOCK_RANGE / 2, CLOCK_RANGE / 2, CLOCK_STEP)
+    return _weigh("clock", likelihood, lambda shift: models.seen(lst + shift, latitude), hours, CLOCK_FINE)
 
 
-def _scan_arms(likelihood: SeriesLikelihood, models: SkyModels, latitude: float) -> Possibility:
+def _scan_arms(likelihood: AnyReceiver, models: SkyModels, latitude: float) -> Possibility:
     lst = likelihood.series.lst_hours
-    found = _scan(
-        lambda angle: likelihood.log_likelihood(models.seen(lst, latitude, angle)),
-        np.arange(-ARMS_RANGE / 2, ARMS_RANGE / 2, ARMS_STEP),
-        ARMS_FINE,
-    )
-    return _weigh("arms", found, ARMS_RANGE)
+    angles = np.arange(-ARMS_RANGE / 2, ARMS_RANGE / 2, ARMS_STEP)
+    return _weigh("arms", likelihood, lambda angle: models.seen(lst, latitude, angle), angles, ARMS_FINE)
 
 
-def _try_places(
-    likelihood: SeriesLikelihood, models: SkyModels, latitude: float, longitude: float
-) -> list[Possibility]:
+def _try_places(likelihood: AnyReceiver, models: SkyModels, latitude: float, longitude: float) -> list[Possibility]:
     lst = likelihood.series.lst_hours
     shifts = {"latitude sign": (0.0, -latitude), "longitude sign": (-2 * longitude / 15, latitude)}
     if abs(longitude) <= NORTH_POLE_DEG:
         shifts["latitude for longitude"] = ((latitude - longitude) / 15, longitude)
     return [
-        Possibility(kind, likelihood.log_likelihood(models.seen(lst + shift, place)), (shift + 12.0) % 24.0 - 12.0)
+        _possible(kind, likelihood, models.seen(lst + shift, place), (shift + 12.0) % 24.0 - 12.0)
         for kind, (shift, place) in shifts.items()
     ]
 

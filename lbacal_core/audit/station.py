@@ -52,15 +52,18 @@ class AuditedStation:
 
     @property
     def hours(self) -> float:
-        """From the first spectrum to the last."""
-        return float(self.time_unix[-1] - self.time_unix[0]) / 3600.0
+        """Sidereal time that is covered: days on end at one sidereal time show no more of the sky than one of them."""
+        sky = np.sort(self.lst_hours)
+        gaps = np.diff(sky, append=sky[0] + 24.0)
+        return float(gaps[gaps < LARGEST_GAP_H].sum())
 
     @property
     def length(self) -> str:
         """How long the data are, in words."""
         if self.time_unix.size == 1:
             return "one spectrum a path does"
-        return f"{60 * self.hours:.0f} min do" if self.hours < LONG_HOURS else f"{self.hours:.1f} h do"
+        covered = f"{60 * self.hours:.0f} min" if self.hours < LONG_HOURS else f"{self.hours:.1f} h"
+        return f"{covered} of sidereal time do"
 
     def with_cables(self, cables: Mapping[int, str], instrument: Instrument) -> AuditedStation:
         """The station with other cables at some rows."""
@@ -129,6 +132,8 @@ FEWEST_TO_SCATTER = 3
 BEND = 1.5**0.5
 """Scatter of a channel less the mean of its two neighbours over that of a channel."""
 LONG_HOURS = 2.0
+LARGEST_GAP_H = 2.0
+"""The sky between two spectra that are farther apart is not seen."""
 FEWEST = 4
 """Antennas below which a median says nothing about the others."""
 

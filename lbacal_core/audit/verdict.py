@@ -18,6 +18,8 @@ SAME_SIGMAS, SAME_H = 2.5, 1 / 30
 """A size this near to that of a fault that has none is this fault: nothing else puts it just there."""
 TELLING = {"clock": 1.0, "arms": 20.0}
 """Errors (h, deg) above which data cannot be said to confirm a clock or arms."""
+CONFIRMS_SIGMAS = 4.0
+"""A size that is farther from none is no confirmation."""
 ZONE_SIGMA_H = 0.1
 """A clock must be known this well before its error is called that of a time zone."""
 RECORD = "record"
@@ -28,6 +30,10 @@ HOURS, HOUR_DEG = 24, 15.0
 WHAT_DECIDES = (
     "The sky does not tell a clock from a longitude: the Sun in data of the day, the local hours of broadcasts, or a "
     "second station on the same clock would"
+)
+NOTHING_FITS = (
+    "neither the record nor anything else that was tried describes these data: the antenna may be another than the "
+    "model, or the receiver changes with the hour; lbacal fit shows where along frequency"
 )
 _CHECKS = {
     "latitude sign": "place",
@@ -48,12 +54,15 @@ class Possibility:
         Averaged over all sizes that the possibility may have.
     value, sigma
         Size of a clock (h) or of turned arms (deg); of a place, the clock that would look like it (h).
+    fits
+        Whether it describes the data, and not only better than the record does.
     """
 
     kind: str
     log_likelihood: float
     value: float | None = None
     sigma: float | None = None
+    fits: bool = True
 
     @property
     def check(self) -> str:
@@ -72,7 +81,11 @@ class Possibility:
 
 
 def conclude(
-    station: str, base: float, possibilities: Sequence[Possibility], hours: float = float("inf")
+    station: str,
+    base: float,
+    possibilities: Sequence[Possibility],
+    hours: float = float("inf"),
+    base_fits: bool = True,
 ) -> list[Line]:
     """What is wrong, if anything; else what the data confirm.
 
@@ -81,11 +94,15 @@ def conclude(
     base
         ln L of the record.
     hours
-        Length of the data.
+        Sidereal time that the data cover.
+    base_fits
+        Whether the record describes the data.
     """
     alike_below = ALIKE if hours >= LONG_H else ALIKE_IN_HOURS
     best = max(possibilities, key=lambda one: one.log_likelihood)
     gain = best.log_likelihood - base
+    if not (base_fits if gain < LEAST_GAIN else best.fits):
+        return [Line(one.kind, UNDECIDED, station, NOTHING_FITS) for one in possibilities if one.kind in TELLING]
     if gain < LEAST_GAIN:
         lines = [_confirm(station, one, base) for one in possibilities if one.kind in TELLING]
         if best.check == "unit" and gain > ALIKE:
@@ -162,6 +179,9 @@ def _confirm(station: str, one: Possibility, base: float) -> Line:
     unit = {"clock": "h", "arms": "deg"}[one.kind]
     if not sigma < TELLING[one.kind]:
         return Line(one.kind, UNDECIDED, station, f"these hours do not determine the {one.kind}; a whole day would")
+    if abs(value) > CONFIRMS_SIGMAS * sigma:
+        sentence = f"not confirmed, and not enough to call it wrong: {describe(one)}"
+        return Line(one.kind, UNDECIDED, station, sentence, log_odds=one.log_likelihood - base)
     words = describe(one) if one.kind == "clock" else f"the arms are {value:+.0f} +- {sigma:.0f} deg from the record"
     return Line(
         one.kind, RIGHT, station, words, log_odds=one.log_likelihood - base, value=value, sigma=sigma, unit=unit

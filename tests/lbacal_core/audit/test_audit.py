@@ -12,13 +12,14 @@ from lbacal_core.instrument import Instrument
 from lbacal_core.readers.average import average
 from lbacal_core.readers.open import choose_channels, open_source
 from lbacal_core.spectra import Spectra
+from tests import short_dipole
 
 
 def test_a_healthy_station_is_healthy(spectra: Spectra, low_band: Instrument) -> None:
     report = audit(spectra, low_band, antenna="hamaker")
     assert report.is_healthy
     assert report.as_dict()["stations"] == [
-        {"station": "CS002", "antennas": 6, "spectra": 6 * 2 * 24, "hours": pytest.approx(22.937, abs=0.001)}
+        {"station": "CS002", "antennas": 6, "spectra": 6 * 2 * 24, "hours": pytest.approx(24.0)}
     ]
 
 
@@ -41,6 +42,40 @@ def test_one_antenna_is_asked_what_it_saw_of_the_sky(spectra: Spectra, low_band:
     assert healthy == {"antennas": "undecided", "clock": "right", "arms": "right"}
     late = audit(replace(one, time_unix=one.time_unix + 3 * 3600.0), low_band)
     assert [line.check for line in late.lines if line.verdict == "wrong"] == ["clock"]
+
+
+@pytest.mark.parametrize("place", [(52.9, 6.9), (79.4, -90.8), (-26.7, 116.6)])
+@pytest.mark.parametrize("seed", [1, 2])
+def test_daily_means_at_one_sidereal_time_say_nothing_of_clock_place_and_arms(
+    place: tuple[float, float], seed: int
+) -> None:
+    """82 days counted as 1940 hours: a clock off by 4-8 h was called wrong, or right, at one sidereal time."""
+    instrument = short_dipole.make_instrument(*place)
+    means = short_dipole.daily_means(instrument, np.random.default_rng(seed))
+    report = audit(means, instrument)
+    assert {line.verdict for line in report.lines} == {"undecided"}
+    assert {line.check for line in report.lines} == {"antennas", "clock", "arms"}
+    assert any("min of sidereal time do not determine clock and place" in line.sentence for line in report.lines)
+
+
+@pytest.mark.parametrize("place", [(52.9, 6.9), (79.4, -90.8), (-26.7, 116.6)])
+@pytest.mark.parametrize("antenna", ["short-dipole", "quarter-wave", "inverted-v"])
+def test_a_receiver_that_follows_the_hour_is_no_wrong_clock(place: tuple[float, float], antenna: str) -> None:
+    """3 % of colour in 24 h, one antenna: another wrong clock with each antenna model, at ln odds of 67 to 248."""
+    instrument = short_dipole.make_instrument(*place)
+    day = short_dipole.one_day(instrument, np.random.default_rng(9))
+    phase = np.pi / 12 * (day.time_unix % 86_400 / 3600 - 14)
+    colour = 1 + 0.03 * np.cos(phase)[:, None] * np.linspace(-1, 1, day.frequency_mhz.size)
+    report = audit(replace(day, power=day.power * colour), instrument, antenna=antenna)
+    assert not [line.sentence for line in report.lines if line.verdict == "wrong"]
+
+
+def test_a_clock_that_is_off_is_named_by_one_dipole_of_a_day() -> None:
+    instrument = short_dipole.make_instrument()
+    day = short_dipole.one_day(instrument, np.random.default_rng(9))
+    late = audit(replace(day, time_unix=day.time_unix - 5 * 3600.0), instrument)
+    ((check, value),) = [(line.check, line.value) for line in late.lines if line.verdict == "wrong"]
+    assert (check, value) == ("clock", pytest.approx(5.0, abs=1.0))
 
 
 def test_half_a_station_exchanged_is_the_half_that_the_sky_contradicts(spectra: Spectra, low_band: Instrument) -> None:

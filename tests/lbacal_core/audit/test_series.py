@@ -5,7 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lbacal_core.audit.series import BAND_SPREAD, SHARE, SHARE_SPREAD, Seen, SeriesLikelihood, make_series
+from lbacal_core.audit.series import (
+    BAND_SPREAD,
+    SHARE,
+    SHARE_SPREAD,
+    AnyReceiver,
+    Seen,
+    SeriesLikelihood,
+    make_series,
+)
 from lbacal_core.audit.station import AuditedStation
 
 
@@ -67,3 +75,15 @@ def test_an_instant_in_which_one_band_departs_is_noise(station: AuditedStation) 
     power[..., :13] *= np.random.default_rng(1).normal(1.0, 0.03, (station.power.shape[2], 1))
     noise = make_series(replace(station, power=power), np.arange(6)).noise
     assert noise[:, 0].min() > 0.01 > quiet.max()
+
+
+def test_a_receiver_whose_colour_changes_is_described_and_another_sky_is_not(station: AuditedStation) -> None:
+    series = make_series(station, np.arange(6))
+    sky = draw_sky(SeriesLikelihood(series), 4)
+    drift = 0.03 * np.cos(4 * np.pi / 24 * series.lst_hours) * np.array([-1.0, -0.3, 0.3, 1.0])[:, None]
+    seen = replace(series, power=1.0 + SHARE * sky.change + drift)
+    gain = [one.log_likelihood(sky) for one in (AnyReceiver(seen, 6), SeriesLikelihood(seen))]
+    assert gain[0] > gain[1] + 50
+    assert AnyReceiver(seen, 6).fits(sky)
+    noisy = replace(seen, power=seen.power + np.random.default_rng(1).normal(0.0, 0.1, seen.power.shape))
+    assert not AnyReceiver(noisy, 6).fits(sky)

@@ -14,7 +14,16 @@ from lbacal_core.spectra import Spectra
 def test_spectra_are_laid_out_by_antenna_dipole_and_time(spectra: Spectra, station: AuditedStation) -> None:
     row = np.flatnonzero((spectra.antenna == 4) & (spectra.dipole == "Y"))[7]
     np.testing.assert_array_equal(station.power[4, 1, 7], spectra.power[row])
-    assert station.hours == pytest.approx(23 * 3590.17 / 3600)
+    assert station.hours == pytest.approx(24.0)
+
+
+def test_hours_are_those_of_sidereal_time_that_is_covered(station: AuditedStation) -> None:
+    days = np.arange(24) * 86_164.09
+    once = replace(station, time_unix=days, lst_hours=np.linspace(23.6, 24.4, 24) % 24)
+    assert once.hours == pytest.approx(0.8)
+    assert once.length == "48 min of sidereal time do"
+    twice = replace(once, lst_hours=np.where(np.arange(24) % 2, once.lst_hours, (once.lst_hours + 12) % 24))
+    assert twice.hours < 2.0
 
 
 def test_missing_spectra_are_nan_and_nothing_else_is(spectra: Spectra, low_band: Instrument) -> None:

@@ -66,3 +66,22 @@ def test_an_hour_lists_what_a_day_would_leave_out() -> None:
 def test_a_clock_that_fits_better_than_a_place_of_the_same_shift_is_not_left_out() -> None:
     told = [Possibility("clock", 40.0, 3.47, 0.185), Possibility("latitude for longitude", 36.0, 3.07)]
     assert conclude("S1", 0.0, told)[0].candidates == ("clock", "place")
+
+
+def test_a_possibility_that_does_not_describe_the_data_either_is_not_named() -> None:
+    told = [Possibility("clock", 400.0, 7.1, 0.1, fits=False), Possibility("arms", 3.0, 4.0, 2.0)]
+    lines = conclude("S1", 0.0, told, base_fits=False)
+    assert [(line.check, line.verdict) for line in lines] == [("clock", "undecided"), ("arms", "undecided")]
+    assert "neither the record nor anything else" in lines[0].sentence
+
+
+def test_a_record_that_does_not_describe_the_data_is_not_confirmed() -> None:
+    (line,) = conclude("S1", 0.0, [Possibility("clock", -3.0, 0.01, 0.02)], base_fits=False)
+    assert line.verdict == "undecided"
+
+
+def test_a_clock_far_from_the_record_confirms_nothing() -> None:
+    """`right clock: +460 +- 44 min` stood in a report."""
+    (line,) = conclude("S1", 0.0, [Possibility("clock", 1.1, 460 / 60, 0.73)])
+    assert line.verdict == "undecided"
+    assert "not confirmed, and not enough to call it wrong: sidereal time is +460 +- 44 min" in line.sentence
