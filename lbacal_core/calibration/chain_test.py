@@ -23,7 +23,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2 as chi2_distribution
+from scipy.special import chdtrc
 
 from lbacal_core.calibration.lines import Lines
 from lbacal_core.calibration.mistakes import Mistake
@@ -111,7 +111,7 @@ class ChainTest:
 
 def is_improbable(chi2: Floats, dof: Floats | NDArray[np.int64]) -> NDArray[np.bool_]:
     """Whether chi^2 is larger than chance makes it."""
-    return np.asarray(chi2_distribution.sf(chi2, dof) < MISFIT_PROBABILITY)
+    return np.asarray((np.asarray(dof) > 0) & (chdtrc(dof, chi2) < MISFIT_PROBABILITY))
 
 
 def run_chain_test(

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import t as student
+from scipy.special import stdtr
 
 from lbacal_core.causes.cable import AntennaCause, AntennaTemplate, log_loss_per_metre
 from lbacal_core.causes.catalogue import ANTENNA_CAUSES
@@ -231,7 +231,7 @@ def _against_others(
     # Correlated templates count as fewer: the number of independent ones whose sum has the same scatter.
     independent = alike.sum(axis=1) ** 2 / np.einsum("ki,ij,kj->k", alike, correlation**2, alike)
     ratio = np.where(is_compared[:, None], amplitude / scatter, 0.0)
-    p_value = 2 * student.sf(np.abs(ratio), others * np.maximum(independent, 1.0))
+    p_value = 2 * stdtr(others * np.maximum(independent, 1.0), -np.abs(ratio))
     return np.sign(ratio) * np.vectorize(sigma_of)(p_value), scatter
 
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import t as student
+from scipy.special import stdtr
 
 from lbacal_core.calibration.normal_equations import solve_normal_equations
 from lbacal_core.causes.cable import CableLength, log_loss_per_metre
@@ -113,7 +113,7 @@ def _score(
     response = np.einsum("a,amf->mf", contrast, antennas.response)
     covariance = influence.T @ influence + response.T @ response
     sigma = float(np.sqrt(weights @ covariance @ weights + departure[0] ** 2 * np.sum(contrast**2)))
-    z = float(np.copysign(sigma_of(2 * student.sf(abs(size) / sigma, departure[1])), size))
+    z = float(np.copysign(sigma_of(2 * stdtr(departure[1], -abs(size) / sigma)), size))
     shown, error = np.full((2, per_metre.size), np.nan)
     shown[channels], error[channels] = observed - observed.mean(), np.sqrt(np.diag(covariance))
     rest = shown - size * (per_metre - per_metre[channels].mean())

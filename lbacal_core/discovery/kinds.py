@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import binom, chi2
+from scipy.special import bdtrc, chdtri
 
 from lbacal_core.causes.conditions import RAIN
 from lbacal_core.discovery.station import Station
@@ -89,7 +89,7 @@ def list_kinds(station: Station, amount: Floats) -> Kinds:
         left = both.beside_rain(amount)
         distance = np.einsum("ek,kj,ej->e", left, inverse, left)
         many = int(np.sum(distance[wet] > np.quantile(distance[dry], 1.0 - RARE)))
-        if binom.sf(many - 1, wet.sum(), RARE) >= BEYOND_CHANCE:
+        if bdtrc(many - 1, wet.sum(), RARE) >= BEYOND_CHANCE:
             return one
     return both
 
@@ -106,4 +106,4 @@ def is_heavy(amount: Floats) -> NDArray[np.bool_]:
         form *= size / max(float(np.trace(form)), SMALLEST_DISTANCE**0.5)
         inverse = np.linalg.pinv(form, hermitian=True)
         distance = np.maximum(np.einsum("ek,kj,ej->e", amount, inverse, amount), SMALLEST_DISTANCE)
-    return np.asarray(distance > np.median(distance) * chi2.isf(HEAVY, size) / chi2.median(size))
+    return np.asarray(distance > np.median(distance) * chdtri(size, HEAVY) / chdtri(size, 0.5))

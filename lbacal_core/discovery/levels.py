@@ -14,8 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import helmert
-from scipy.stats import chi2
-from scipy.stats import f as f_law
+from scipy.special import chdtr, chdtrc, chdtri, fdtrc
 
 from lbacal_core.calibration.noise import CHANNELS_PER_VECTOR, MOST_VECTORS, orthonormal
 from lbacal_core.calibration.normal_equations import solve_normal_equations
@@ -137,9 +136,9 @@ class NoiseLevels:
         """
         acts_in = np.isin(self.kind_of, self.kind_of[np.any(profiles != 0, axis=0)])
         if np.all(acts_in):
-            return float(chi2.sf(gain, dof))
+            return float(chdtrc(dof, gain))
         along = min(int(np.any(self.vectors != 0, axis=1).sum()), MOST_VECTORS, functions)
-        return float(f_law.sf(gain / dof, dof, int(acts_in.sum()) * functions / along))
+        return float(fdtrc(dof, int(acts_in.sum()) * functions / along, gain / dof))
 
 
 def estimate_levels(
@@ -284,7 +283,7 @@ def _scatter(amount: Floats) -> Floats:
     inside, cut = amount, 1.0
     if len(amount) > FEWEST_OF_KIND:
         # A normal distribution that is cut at the quantile has a smaller variance.
-        inside, cut = amount[~is_heavy(amount)], chi2.cdf(chi2.isf(HEAVY, size), size + 2) / (1.0 - HEAVY)
+        inside, cut = amount[~is_heavy(amount)], chdtr(size + 2, chdtri(size, HEAVY)) / (1.0 - HEAVY)
     return np.asarray(inside.T @ inside / (max(len(inside), 1) * cut))
 
 

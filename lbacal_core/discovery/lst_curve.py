@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import f as f_distribution
+from scipy.special import fdtrc
 from threadpoolctl import threadpool_limits
 
 from lbacal_core.discovery.curve_fit import CurveFit, CurveFitter
@@ -158,7 +158,7 @@ def investigate_curve(
         sorted(findings, key=lambda finding: -finding.z),
         single,
         search.trials,
-        float(f_distribution.sf(last.chi2 / last.dof, last.dof, fitter.noise.free)),
+        float(fdtrc(last.dof, fitter.noise.free, last.chi2 / last.dof)),
         why_not(station, choices),
         policy,
     )
@@ -209,7 +209,7 @@ class _Search:
         chi^2 follows an F, not a chi^2 distribution.
         """
         gain = max(fewer.chi2 - more.chi2, 0.0) / more.scale
-        z = sigma_of(float(f_distribution.sf(gain, 1, self.fitter.noise.free)))
+        z = sigma_of(float(fdtrc(1, self.fitter.noise.free, gain)))
         return z, p_of(z, self.trials)
 
     def finding(self, last: CurveFit, place: int) -> CurveFinding:

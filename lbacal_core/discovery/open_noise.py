@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import norm, qmc
+from scipy.special import ndtr, ndtri
 
 from lbacal_core.causes.cause import signature
 from lbacal_core.chain.terms import ChainTerms
@@ -52,7 +52,7 @@ class OpenNoise:
         sigma = np.sqrt(np.diag(self.covariance))[:count]
         n = np.where(
             sigma > HARDLY_KNOWN * self.front,
-            np.hypot(self.front, sigma) * norm.isf(norm.sf(u[:, :count]) / 2.0),
+            np.hypot(self.front, sigma) * -ndtri(ndtr(-u[:, :count]) / 2.0),
             np.maximum(self.front + sigma * u[:, :count], 0.0),
         )
         # what lies behind follows from what lies in front: the data determine their sum
@@ -96,7 +96,9 @@ def average_size(model: FittedModel, number: int) -> AveragedSize | None:
     noise = open_noise(model, one)
     if noise is None:
         return None
-    normal = norm.ppf(qmc.Sobol(len(noise.covariance), seed=SEED).random(DRAWS))
+    from scipy.stats import qmc  # half a second to import
+
+    normal = ndtri(qmc.Sobol(len(noise.covariance), seed=SEED).random(DRAWS))
     centre, scale = np.zeros(normal.shape[1]), 1.0
     for _ in range(MOST_ROUNDS):
         u = centre + scale * normal

@@ -9,7 +9,7 @@ raises the largest eigenvalue; that of noise has a known law.
 from __future__ import annotations
 
 import numpy as np
-from scipy.stats import gamma
+from scipy.special import gammaincc
 
 from lbacal_core.discovery.levels import beyond_noise
 from lbacal_core.grids import Floats
@@ -61,7 +61,7 @@ def chance_of_pattern(white: Floats, independent: float, functions: float) -> tu
     left, sizes, _ = np.linalg.svd(white, full_matrices=False)
     gain = float(sizes[0] ** 2)
     beyond = beyond_noise(gain, independent, functions)
-    return float(gamma.sf(beyond + SHIFT, SHAPE, scale=SCALE)), gain, left[:, 0] * sizes[0]
+    return float(gammaincc(SHAPE, max(beyond + SHIFT, 0.0) / SCALE)), gain, left[:, 0] * sizes[0]
 
 
 def fit_pattern(score: Floats, information: Floats) -> Floats:

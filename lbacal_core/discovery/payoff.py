@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
-from scipy.stats import norm
+from scipy.special import log_ndtr, ndtri
 from threadpoolctl import threadpool_limits
 
 from lbacal_core.causes.catalogue import CAUSES
@@ -152,13 +152,13 @@ def promise_of(finding: Mapping[str, Any]) -> Promise:
 
 def true_share(z: float, trials: float) -> float:
     """The true score over the one found, which is the largest of so many and above the threshold of a search."""
-    threshold = float(norm.isf(0.5 * Policy().catalogue_alpha / max(trials, 1.0)))
+    threshold = float(-ndtri(0.5 * Policy().catalogue_alpha / max(trials, 1.0)))
     if z <= threshold:
         return 0.0
 
     def surplus(true: float) -> float:
         """Mean score above the threshold less the one found."""
         above = threshold - true
-        return float(true + np.exp(norm.logpdf(above) - norm.logsf(above)) - z)
+        return float(true + np.exp(-0.5 * above**2 - 0.5 * np.log(2.0 * np.pi) - log_ndtr(-above)) - z)
 
     return float(brentq(surplus, 0.0, z)) / z if surplus(0.0) < 0 else 0.0

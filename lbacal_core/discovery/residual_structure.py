@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from lbacal_core.causes.axes import Axis, list_axes
 from lbacal_core.causes.cause import signature
@@ -206,7 +206,7 @@ def chance_of_following(model: LinearModel, found: Hypothesis, axis: Axis) -> fl
     shown, basis = signature(found.cause, model.terms, conditions, found.template), axis.basis(conditions)
     templates = [shown, *(shown * profile[:, None] for profile in ([] if basis is None else basis))]
     gain, dof = _gain(*model.products(templates, [found.target] * len(templates)))
-    return float(chi2.sf(gain, dof))
+    return float(chdtrc(dof, gain))
 
 
 @dataclass(frozen=True)
@@ -315,7 +315,7 @@ def _in_paths(model: LinearModel, paths: Sequence[_Shown], axis: Axis, basis: Fl
             gain, dof = _gain(score[m], others * information[m])
             label = f"antenna {station.antenna[k]} {station.dipole[k]}"
             place = _Place(label, shown.view, m, shown.seen)
-            found.append(_Candidate(axis, label, float(chi2.sf(gain, dof)), gain, dof, [place]))
+            found.append(_Candidate(axis, label, float(chdtrc(dof, gain)), gain, dof, [place]))
             departing += [place] * bool(in_mean[k])
     best = min(found, key=lambda one: (one.p_value, -one.deviations))
     best = replace(best, p_value=p_of_best(best.p_value, len(found)))

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import binom, chi2
+from scipy.special import bdtrc, chdtrc
 
 from lbacal_core.discovery.kinds import is_heavy
 from lbacal_core.discovery.levels import LINE
@@ -82,7 +82,7 @@ def find_in_events(model: LinearModel, smooth: Floats, rng: np.random.Generator)
     is_far = np.zeros(len(white), dtype=bool)
     for kind in range(kind_of.max() + 1):
         is_far[kind_of == kind] = is_heavy(amount[kind_of == kind])
-    in_few = float(binom.sf(is_far.sum() - 1, is_far.size, ORDINARY))
+    in_few = float(bdtrc(is_far.sum() - 1, is_far.size, ORDINARY))
     on_one_side = _chance_of_skewness(cut[~is_far] @ vectors.T)
     spectrum = right[0] if in_many <= min(in_few, on_one_side) else np.sum(amount**2, axis=1) @ amount @ vectors
     chances = [in_many, p_of_best(min(in_few, on_one_side), 2)]
@@ -100,7 +100,7 @@ def _chance_together(chances: Sequence[float]) -> float:
     That of the best and that of the product of all (Fisher 1925, Statistical Methods for Research Workers, 21.1) are
     two tests: storms that were on one side with 4 in 10,000 and alike in neighbours with 3 in 100,000 were silent.
     """
-    of_product = float(chi2.sf(-2.0 * np.sum(np.log(np.maximum(chances, SMALLEST_CHANCE))), 2 * len(chances)))
+    of_product = float(chdtrc(2 * len(chances), -2.0 * np.sum(np.log(np.maximum(chances, SMALLEST_CHANCE)))))
     return p_of_best(min(p_of_best(min(chances), len(chances)), of_product), 2)
 
 
@@ -109,7 +109,7 @@ def _chance_of_skewness(amount: Floats) -> float:
     events, size = amount.shape
     centred = amount - amount.mean(axis=0)
     skewness = np.sum((centred @ np.linalg.pinv(centred.T @ centred / events) @ centred.T) ** 3) / events**2
-    return float(chi2.sf(events * skewness / 6.0, size * (size + 1) * (size + 2) / 6))
+    return float(chdtrc(size * (size + 1) * (size + 2) / 6, events * skewness / 6.0))
 
 
 def _largest_of_noise(rng: np.random.Generator, events: int, channels: int) -> float:

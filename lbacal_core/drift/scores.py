@@ -8,7 +8,7 @@ all its products are sums over the end of a series, and all months are scored at
 from __future__ import annotations
 
 import numpy as np
-from scipy import stats
+from scipy.special import chdtrc, chdtri, ndtri
 
 from lbacal_core.drift.terms import Fit
 from lbacal_core.grids import Floats
@@ -45,10 +45,10 @@ def chi_square(whitener: Floats, size: Floats, variance: Floats) -> Floats:
 
 def find_significance(chi2: Floats, modes: int) -> Floats:
     """Standard deviations of a normal with the same probability on both sides; a very large chi-square's root."""
-    p = stats.chi2.sf(chi2, modes)
-    return np.asarray(np.where(p > _SMALLEST_P, stats.norm.isf(np.maximum(p, _SMALLEST_P) / 2.0), np.sqrt(chi2)))
+    p = chdtrc(modes, chi2)
+    return np.asarray(np.where(p > _SMALLEST_P, -ndtri(np.maximum(p, _SMALLEST_P) / 2.0), np.sqrt(chi2)))
 
 
 def find_threshold(false_alarms: float, trials: int, modes: int) -> float:
     """The chi-square that so many trials exceed by chance in `false_alarms` of all cases."""
-    return float(stats.chi2.isf(false_alarms / max(trials, 1), modes))
+    return float(chdtri(modes, false_alarms / max(trials, 1)))
