@@ -1,16 +1,17 @@
-"""The one place where use cases are put together; API, worker, scheduler, commands and tests all come here."""
+"""The one place where use cases are put together; API, worker, scheduler, commands and tests all come here.
+
+What computes is imported where it is asked for: an API that only answers loads none of it.
+"""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
 from functools import cached_property
+from typing import TYPE_CHECKING
 
-from lbacal_core.calibration.chain_test import SkyFreedom
-from lbacal_core.calibration.singles import RememberedSingles
 from lbacal_core.instrument import Instrument, load_instrument
 from lbacal_core.remembered import Remembered
-from lbacal_core.skypower.sky_terms import SkyTerm
 from lbacal_core.skypower.table import SkyPower, read_sky_power
 from lbacal_core.validity import Instant
 from service.config import Settings
@@ -19,25 +20,27 @@ from service.usecases.alarms import Alarms
 from service.usecases.calibrations import Calibrations
 from service.usecases.cuts import Cuts
 from service.usecases.deeds import Deeds
-from service.usecases.drift import Drift
-from service.usecases.due import DueWork
-from service.usecases.examination import Examination
-from service.usecases.fits import Fits
-from service.usecases.gate import Gate
-from service.usecases.inputs import Inputs, name_inputs
 from service.usecases.intake import Intake
-from service.usecases.investigations import Investigations
 from service.usecases.keys import Keys
 from service.usecases.last_made import LastMade
-from service.usecases.models import Models, find_stopped
 from service.usecases.orders import Limits
-from service.usecases.payoff import Payoff
 from service.usecases.promotions import Promotions
-from service.usecases.refits import Jobs, Refits
 from service.usecases.status import Status
 from service.usecases.tags import Tags
-from service.usecases.watch import Watch
 from service.wire.hdf5_body import FileReader
+
+if TYPE_CHECKING:
+    from lbacal_core.calibration.chain_test import SkyFreedom
+    from lbacal_core.skypower.sky_terms import SkyTerm
+    from service.usecases.drift import Drift
+    from service.usecases.due import DueWork
+    from service.usecases.fits import Fits
+    from service.usecases.inputs import Inputs
+    from service.usecases.investigations import Investigations
+    from service.usecases.models import Models
+    from service.usecases.payoff import Payoff
+    from service.usecases.refits import Jobs, Refits
+    from service.usecases.watch import Watch
 
 BLOCKS_REMEMBERED = 16
 """Single fits of stations' years and polarisations that stay in a worker's memory: those of an array's year, 150 MB."""
@@ -115,11 +118,17 @@ class Factory:
     @cached_property
     def inputs(self) -> Inputs:
         """What fits are made with here, besides spectra."""
+        from service.usecases.inputs import name_inputs
+
         return name_inputs(self.instrument, self.sky_power)
 
     @cached_property
     def refits(self) -> Refits:
         """New versions."""
+        from service.usecases.examination import Examination
+        from service.usecases.gate import Gate
+        from service.usecases.refits import Refits
+
         limits_of_gate = ("gate_change", "gate_error", "gate_coverage", "gate_band")
         gate = Gate(*(getattr(self.settings, name) for name in limits_of_gate))
         sky = self._get_sky_power
@@ -132,6 +141,9 @@ class Factory:
     @cached_property
     def fits(self) -> Fits:
         """Versions from stored spectra."""
+        from lbacal_core.calibration.singles import RememberedSingles
+        from service.usecases.fits import Fits
+
         is_own_sky, resistance = self.settings.sky_power is None, self.settings.resistance_ohm
         sky, freedom = self._get_sky_power, self._get_freedom
         singles = RememberedSingles(Remembered(BLOCKS_REMEMBERED))
@@ -140,16 +152,22 @@ class Factory:
     @cached_property
     def payoff(self) -> Payoff:
         """What adopted causes gain on later events."""
+        from service.usecases.payoff import Payoff
+
         return Payoff(self.instrument, self._get_sky_power, self.settings.sky_power is None, self.clock)
 
     @cached_property
     def models(self) -> Models:
         """What is adopted into the models of stations."""
+        from service.usecases.models import Models
+
         return Models(self.database, self.fits, self.promotions, self.due, LastMade(), self.clock)
 
     @cached_property
     def investigations(self) -> Investigations:
         """What the simulation gets wrong in stored spectra."""
+        from service.usecases.investigations import Investigations
+
         is_own_sky, resistance = self.settings.sky_power is None, self.settings.resistance_ohm
         return Investigations(
             self.database, self.instrument, self._get_sky_power, is_own_sky, resistance, self._limits, self.clock
@@ -158,6 +176,8 @@ class Factory:
     @cached_property
     def drift(self) -> Drift:
         """C over time."""
+        from service.usecases.drift import Drift
+
         sky, resistance = self._get_sky_power, self.settings.resistance_ohm
         return Drift(self.database, self.instrument, sky, resistance, self.fits, LastMade(), self.clock)
 
@@ -169,11 +189,15 @@ class Factory:
     @cached_property
     def watch(self) -> Watch:
         """What changed."""
+        from service.usecases.watch import Watch
+
         return Watch(self.database, self.instrument, self.settings.cut_windows, self.clock)
 
     @cached_property
     def alarms(self) -> Alarms:
         """What is wrong."""
+        from service.usecases.models import find_stopped
+
         return Alarms(
             self.database, self.clock, self.settings.stale_days, lambda: find_stopped(self.models.history()),
             self.cuts.waiting,
@@ -182,12 +206,16 @@ class Factory:
     @cached_property
     def due(self) -> DueWork:
         """What the night finds to do."""
+        from service.usecases.due import DueWork
+
         searches = self.investigations if self.settings.nightly_investigations else None
         return DueWork(self.database, self.instrument, self._get_sky_power, self.clock, searches, self.watch)
 
     @cached_property
     def jobs(self) -> Jobs:
         """A requested job and its progress."""
+        from service.usecases.refits import Jobs
+
         return Jobs(self.database, self.clock)
 
     @cached_property
