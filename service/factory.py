@@ -20,6 +20,7 @@ from service.usecases.alarms import Alarms
 from service.usecases.calibrations import Calibrations
 from service.usecases.cuts import Cuts
 from service.usecases.deeds import Deeds
+from service.usecases.drift import Drift
 from service.usecases.intake import Intake
 from service.usecases.keys import Keys
 from service.usecases.last_made import LastMade
@@ -32,7 +33,7 @@ from service.wire.hdf5_body import FileReader
 if TYPE_CHECKING:
     from lbacal_core.calibration.chain_test import SkyFreedom
     from lbacal_core.skypower.sky_terms import SkyTerm
-    from service.usecases.drift import Drift
+    from service.usecases.drift_measurement import DriftMeasurement
     from service.usecases.due import DueWork
     from service.usecases.fits import Fits
     from service.usecases.inputs import Inputs
@@ -176,10 +177,15 @@ class Factory:
     @cached_property
     def drift(self) -> Drift:
         """C over time."""
-        from service.usecases.drift import Drift
+        return Drift(self.database, self.instrument, LastMade())
+
+    @cached_property
+    def drift_measurement(self) -> DriftMeasurement:
+        """The measurement of C over time."""
+        from service.usecases.drift_measurement import DriftMeasurement
 
         sky, resistance = self._get_sky_power, self.settings.resistance_ohm
-        return Drift(self.database, self.instrument, sky, resistance, self.fits, LastMade(), self.clock)
+        return DriftMeasurement(self.database, self.instrument, sky, resistance, self.fits, self.clock)
 
     @cached_property
     def cuts(self) -> Cuts:

@@ -15,7 +15,7 @@ from service.factory import Factory
 from service.storage.jobs import LeaseLostError, Part
 from service.storage.processes import WORKER
 from service.usecases.alarms import describe_failed
-from service.usecases.drift import KIND as DRIFT
+from service.usecases.drift_measurement import KIND as DRIFT
 from service.usecases.inputs import explain_difference
 from service.usecases.investigations import KIND as INVESTIGATION
 from service.usecases.pulse import Pulse, name_process
@@ -37,7 +37,7 @@ class Worker:
         self._left: dict[str, int] = {}
         self._deeds: dict[str, Callable[[Part, str], None]] = {
             REFIT: factory.refits.run,
-            DRIFT: factory.drift.run,
+            DRIFT: factory.drift_measurement.run,
             INVESTIGATION: factory.investigations.run,
             WATCH: factory.watch.run,
         }

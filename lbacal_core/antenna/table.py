@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import CubicSpline, RectBivariateSpline
 
 from lbacal_core.antenna.model import Complexes
 from lbacal_core.errors import BadInputError
@@ -78,6 +77,8 @@ class JonesTable:
         return theta * visible, phi * visible
 
     def _interpolate(self, values: Complexes, frequency_mhz: Floats, rows: Floats, columns: Floats) -> Complexes:
+        from scipy.interpolate import CubicSpline, RectBivariateSpline  # half a second that few who import this need
+
         if not np.array_equal(frequency_mhz, self.frequency_mhz):
             values = (
                 values[[0]] if self.frequency_mhz.size == 1 else CubicSpline(self.frequency_mhz, values)(frequency_mhz)

@@ -16,7 +16,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import optimize, stats
+from scipy.optimize import brentq
+from scipy.special import stdtr, stdtrit
 
 from lbacal_core.drift.monthly import find_months
 from lbacal_core.drift.terms import SLOPE, YEAR_S, smooth_columns
@@ -150,15 +151,13 @@ class _Mixture:
     def part_within(self, reach: float) -> float:
         """The probability of the slopes that differ from the mean by less than this."""
         ends = self.mean + np.array([[-reach], [reach]])
-        low, high = stats.t.cdf((ends - self.slope) / self.error, self.freedom)
+        low, high = stdtr(self.freedom, (ends - self.slope) / self.error)
         return float(self.weight @ (high - low))
 
     def reach(self, part: float) -> float:
         """How far from the mean this part of the probability lies."""
-        farthest = float(
-            np.max(np.abs(self.slope - self.mean) + self.error * stats.t.ppf((1 + part) / 2, self.freedom))
-        )
-        return float(optimize.brentq(lambda reach: self.part_within(reach) - part, 0.0, farthest, xtol=1e-12))
+        farthest = float(np.max(np.abs(self.slope - self.mean) + self.error * stdtrit(self.freedom, (1 + part) / 2)))
+        return float(brentq(lambda reach: self.part_within(reach) - part, 0.0, farthest, xtol=1e-12))
 
 
 def _scatter(when: Floats, level: Floats) -> Floats:

@@ -9,12 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from lbacal_core.antenna.names import ANTENNAS, load_antenna
 from lbacal_core.errors import BadInputError
 from lbacal_core.instrument import Instrument
 from lbacal_core.provenance import MODEL_VERSION
-from lbacal_core.sky.measured import MEASURED_SKY
-from lbacal_core.sky.names import list_skies, load_sky
 
 ARM_TOLERANCE_DEG = 1e-6
 SHOWN = 12
@@ -96,11 +93,17 @@ class MadeFor:
 
 def shipped_sky_digest(name: str | None) -> str | None:
     """Digest of a sky model that ships with the package; None for any other."""
+    # the models need scipy, the tables that this describes do not
+    from lbacal_core.sky.measured import MEASURED_SKY
+    from lbacal_core.sky.names import list_skies, load_sky
+
     return load_sky(name).digest() if name in [*list_skies(), MEASURED_SKY] else None
 
 
 def shipped_antenna_digest(name: str | None) -> str | None:
     """Digest of an antenna model that ships with the package; None for any other."""
+    from lbacal_core.antenna.names import ANTENNAS, load_antenna
+
     return load_antenna(name).digest() if name in ANTENNAS else None
 
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from lbacal_core.drift.report import SILENT_EVENTS
 from lbacal_core.errors import BadInputError
 from lbacal_core.in_words import name_path
 from lbacal_core.validity import Instant, Scope
@@ -118,6 +117,8 @@ class Alarms:
 
     def _lost(self, stores: Stores) -> Iterator[News]:
         """Paths without a usable event while the path with the newest had many; those lost together are one alarm."""
+        from lbacal_core.drift.report import SILENT_EVENTS
+
         newest = stores.spectra.newest_by_path()
         dead = {path: at for path, at in _silent(stores).items() if at < newest.get(path, at)}
         newest |= dead

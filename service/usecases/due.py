@@ -28,8 +28,8 @@ from service.storage.database import Database, Stores
 from service.storage.jobs import Order
 from service.storage.models import ModelChange
 from service.storage.spectra import Window
-from service.usecases.drift import KIND as DRIFT
-from service.usecases.drift import find_references
+from service.usecases.drift_measurement import KIND as DRIFT
+from service.usecases.drift_measurement import find_references
 from service.usecases.fits import find_cuts
 from service.usecases.inputs import Inputs, name_inputs
 from service.usecases.investigations import KIND as INVESTIGATION

@@ -9,12 +9,11 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import partial
+from typing import TYPE_CHECKING
 
 from threadpoolctl import threadpool_limits
 
-from lbacal_core.adopted import promise_of_structure
 from lbacal_core.covariance import Budget, parse_budget
-from lbacal_core.discovery.payoff import promise_of
 from lbacal_core.errors import BadInputError
 from lbacal_core.model import UNEXPLAINED, AdoptedCause, Model
 from lbacal_core.provenance import canonical_json, hash_content
@@ -27,15 +26,16 @@ from service.storage.investigations import Investigation
 from service.storage.models import ADOPTED, WITHDRAWN, Announced, Gain, ModelChange
 from service.storage.spectra import Window
 from service.storage.versions import Version, mean_over_band
-from service.usecases.due import DueWork
-from service.usecases.fits import Fits, Wanted, find_cuts
 from service.usecases.gate import find_change_of_mean
 from service.usecases.last_made import LastMade
 from service.usecases.promotions import LAST, Change, Promotions, undo
-from service.usecases.windows import find_in_effect
 from service.usecases.years import start_of_year
 from service.wire.bodies import AdoptionBody, ReasonBody
 from service.wire.instants import format_instant, parse_instant
+
+if TYPE_CHECKING:
+    from service.usecases.due import DueWork
+    from service.usecases.fits import Fits, Wanted
 
 SCOPES = ("antenna", "station")
 """Scopes of the fits that announce how C changes."""
@@ -110,6 +110,10 @@ class Models:
     def _plan(
         self, made: Investigation, before: Model, window: tuple[Instant, Instant], body: AdoptionBody, by: str
     ) -> Adoption:
+        from lbacal_core.adopted import promise_of_structure
+        from lbacal_core.discovery.payoff import promise_of
+        from service.usecases.fits import Wanted, find_cuts
+
         model, cause = _adopt(before, made, body.finding)
         with self.database.read() as stores:
             cuts = find_cuts(stores, made.station, *window, model)
@@ -179,6 +183,8 @@ class Models:
 
     def _fit_both(self, spectra: Spectra, wanted: Sequence[Wanted]) -> list[list[Version]]:
         """Versions before and after by scope, all fitted as refits do."""
+        from service.usecases.windows import find_in_effect
+
         whole = {one.model.id: self.fits.fit_causes(spectra, one.model) for one in wanted[:2]}
         lenders = partial(find_in_effect, self.database)
         after = [self.fits.make(whole[one.model.id], one, find_lenders=lenders) for one in wanted[1::2]]

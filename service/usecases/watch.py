@@ -10,11 +10,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lbacal_core.drift.follow import History
 from lbacal_core.grids import Floats
 from lbacal_core.in_words import name_path, write_change
 from lbacal_core.instrument import Instrument
@@ -28,6 +27,9 @@ from service.storage.jobs import Part
 from service.usecases.changes import drop_noise, name_members, tell_change
 from service.usecases.months import keep_missing
 from service.wire.instants import DAY_US, format_instant
+
+if TYPE_CHECKING:
+    from lbacal_core.drift.follow import History
 
 KIND = "watch"
 SECOND_US = 1_000_000
@@ -93,6 +95,8 @@ def assemble_history(modes: Sequence[StoredModes], changes: Mapping[str, Sequenc
     changes
         Dates of hardware changes, s UTC, by station and antenna (``CS002/17``).
     """
+    from lbacal_core.drift.follow import History
+
     keys = sorted({(one.station, antenna, one.dipole) for one in modes for antenna in one.antennas})
     row = {key: k for k, key in enumerate(keys)}
     time_us = np.unique(np.concatenate([one.time_us for one in modes]))

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections import Counter
 
 import pytest
@@ -73,3 +75,19 @@ def test_every_route_answers_what_its_schema_allows_as_its_schema_says(
     assert statuses[200] > 0
     assert (statuses[403] > 0) == (scope == "read")
     assert statuses[401] == 0
+
+
+def test_an_api_that_answers_loads_nothing_of_what_computes() -> None:
+    code = "import sys, service.app; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    loaded = set(done.stdout.split())
+    assert "service.usecases.calibrations" in loaded
+    computing = (
+        "scipy",
+        "healpy",
+        "astropy",
+        "lbacal_core.discovery",
+        "lbacal_core.audit",
+        "lbacal_core.calibration.fit",
+    )
+    assert loaded.isdisjoint(computing)

@@ -22,7 +22,7 @@ from service.config import Settings
 from service.factory import Factory
 from service.scheduler import look_for_due_work, persist, run_scheduler
 from service.storage.processes import SCHEDULER
-from service.usecases.drift import find_references
+from service.usecases.drift_measurement import find_references
 from service.wire.instants import parse_instant
 from service.worker import Worker
 from tests.service.conftest import Clock

@@ -34,7 +34,7 @@ from service.factory import Factory
 from service.storage.kept_fits import KeptFitStore
 from service.storage.migration import upgrade
 from service.storage.spectra import SpectraStore
-from service.usecases.drift import KIND as DRIFT
+from service.usecases.drift_measurement import KIND as DRIFT
 from service.usecases.investigations import KIND as INVESTIGATION
 from service.usecases.refits import KIND as REFIT
 from service.usecases.watch import KIND as WATCH
@@ -59,7 +59,7 @@ def work(folder: Path, _: int = 0) -> Seconds:
     """Do all parts that are open."""
     factory, spent = open_service(folder), Counter[str]()
     deeds = {
-        REFIT: factory.refits.run, DRIFT: factory.drift.run, WATCH: factory.watch.run,
+        REFIT: factory.refits.run, DRIFT: factory.drift_measurement.run, WATCH: factory.watch.run,
         INVESTIGATION: factory.investigations.run,
     }  # fmt: skip
     for store, name in ((SpectraStore, "load"), (SpectraStore, "load_after"), (KeptFitStore, "get")):

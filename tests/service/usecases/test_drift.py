@@ -15,7 +15,7 @@ from service.factory import Factory
 from service.scheduler import look_for_due_work
 from service.storage.drift import DriftSource
 from service.storage.jobs import Order
-from service.usecases.drift import KIND
+from service.usecases.drift_measurement import KIND
 from service.wire.instants import parse_instant
 from tests.service.test_worker import work
 
