@@ -16,7 +16,7 @@ without a unit is taken in the unit that the argument names.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -323,6 +323,5 @@ def fit(
     measured = spectra if isinstance(spectra, Spectra) else read_spectra(spectra)
     audited = audit_quickly(measured, core)
     audited.require_power(measured.origin)
-    report = calibrate(measured, core, sky_power, scope)
-    report = replace(report, provenance=report.provenance.with_note("audit", audited.sentence))
+    report = audited.mark(calibrate(measured, core, sky_power, scope))
     return Calibration(report, core, measured, sky_power or compute_sky_power(core))

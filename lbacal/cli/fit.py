@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -122,8 +121,7 @@ def fit(
         audited = audit_quickly(measured, chain)
         audited.require_power(measured.origin)
         tell(f"fit {len(measured)} spectra")
-        result = widen_by_open_terms(calibrate(measured, chain, sky, scope.value, model=model), left_open)
-        result = replace(result, provenance=result.provenance.with_note("audit", audited.sentence))
+        result = audited.mark(widen_by_open_terms(calibrate(measured, chain, sky, scope.value, model=model), left_open))
         tell("error of one event")
         power = sky or compute_sky_power(chain)
         error = measure_error(result, measured, chain, power)

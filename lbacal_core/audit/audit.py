@@ -22,6 +22,7 @@ from lbacal_core.audit.series import mean_frequencies
 from lbacal_core.audit.sky_match import SkyMatch, tell_unit
 from lbacal_core.audit.sky_models import SkyModels, load_models
 from lbacal_core.audit.station import FEWEST, AuditedStation, split_stations
+from lbacal_core.audit.steps import STEPPED, find_steps
 from lbacal_core.instrument import Instrument
 from lbacal_core.skypower.differences import DifferenceModels
 from lbacal_core.spectra import Spectra
@@ -106,21 +107,25 @@ def _audit_station(
     if station.antennas.size < FEWEST:
         everyone = np.arange(station.antennas.size)
         sentence = f"paths, cables and letters are compared in {FEWEST} antennas or more, here are {everyone.size}"
-        alone = [Line("antennas", UNDECIDED, station.name, sentence)]
+        alone = [Line("antennas", UNDECIDED, station.name, sentence), *find_steps(station, everyone)]
+        models = None if len(alone) > 1 else models
         return alone if models is None else [*alone, *SkyMatch(station, instrument, models).tell(everyone)]
     as_recorded = compare_paths(station)
     is_off = find_ill_paths(station, as_recorded)[1].any(axis=1)
-    of_unit = tell_unit(station, np.flatnonzero(~is_off), instrument)
+    working = np.flatnonzero(~is_off)
+    of_unit = tell_unit(station, working, instrument)
     if of_unit:
         return of_unit  # what else would be compared is no power
+    steps = find_steps(station, working)
     wrong_cables, found = find_wrong_cables(station, as_recorded, instrument)
     station = station.with_cables(found, instrument)
     comparison = compare_paths(station)
     ill, is_ill = find_ill_paths(station, comparison)
     is_usable = np.asarray(~is_ill.any(axis=1) & np.isfinite(comparison.level).all(axis=1))
     exchange = compare_polarisations(station, is_usable)
-    if models is None:
-        return [*ill, *wrong_cables, *tell_exchanged(station, exchange)]
+    if models is None or any(line.check == STEPPED for line in steps):
+        # a series of two chains is no series of the sky
+        return [*steps, *ill, *wrong_cables, *tell_exchanged(station, exchange)]
     match = SkyMatch(station, instrument, models)
     most, others = np.setdiff1d(exchange.rows, exchange.exchanged()), exchange.exchanged()
     if others.size and match.gain_of_exchange(most) > match.gain_of_exchange(others):
@@ -128,4 +133,4 @@ def _audit_station(
     of_sky = match.tell(most)
     if any(line.check == "unit" and line.verdict == WRONG for line in of_sky):
         return of_sky
-    return [*ill, *wrong_cables, *tell_exchanged(station, exchange), *of_sky]
+    return [*steps, *ill, *wrong_cables, *tell_exchanged(station, exchange), *of_sky]

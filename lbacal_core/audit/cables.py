@@ -77,6 +77,11 @@ def _level_and_slope(difference: Floats, axis: Floats) -> Floats:
     return np.stack([seen.mean(axis=-1), seen @ axis / axis.size], axis=-1)
 
 
+def fits_cables(station: AuditedStation, rows: NDArray[np.int64], unit: str) -> bool:
+    """Whether values in a unit differ between cable names as cables do, and not only better than power does."""
+    return _of_cables(station, rows, np.log(as_power(station.power[rows], unit))) > -(FITS_SIGMA**2) / 2
+
+
 def log_likelihood_of_unit(
     station: AuditedStation, rows: NDArray[np.int64], unit: str, instrument: Instrument
 ) -> float:
@@ -100,15 +105,22 @@ def _of_spectrum(station: AuditedStation, rows: NDArray[np.int64], power: Floats
 
 def _of_cables(station: AuditedStation, rows: NDArray[np.int64], power: Floats) -> float:
     """Ln L of the levels of cable names; 0 where the antennas have one."""
+    _, rest, sigma = levels_of_cables(station, rows, power)
+    return float(-np.sum((rest / sigma) ** 2) / 2)
+
+
+def levels_of_cables(
+    station: AuditedStation, rows: NDArray[np.int64], power: Floats
+) -> tuple[NDArray[np.str_], Floats, Floats]:
+    """Cable names, ln P of their antennas over what loss and the other names say, and its error; none of one name."""
     level = np.nanmedian(np.nanmean(power, axis=1), axis=(1, 2))
     expected = np.log(station.loss[rows]).mean(axis=-1)
     names, name_at = np.unique(station.cables[rows], return_inverse=True)
     if names.size == 1:
-        return 0.0
+        return names[:0], np.zeros(0), np.ones(0)
     seen = np.array([np.nanmedian(level[name_at == k]) for k in range(names.size)])
     count = np.bincount(name_at)
     scatter = max(float(spread(level - seen[name_at])), SMALLEST[0])
     loss = np.array([expected[name_at == k][0] for k in range(names.size)])
     variance = MEDIAN * scatter**2 / count + (BEHIND_CABLE * (loss - loss.mean())) ** 2
-    rest = (seen - loss) - np.average(seen - loss, weights=1 / variance)
-    return float(-np.sum(rest**2 / variance) / 2)
+    return names, (seen - loss) - np.average(seen - loss, weights=1 / variance), np.sqrt(variance)

@@ -6,7 +6,7 @@ cables, exchanged letters, and the unit, as far as cables tell it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,9 @@ from numpy.typing import NDArray
 from lbacal_core.audit.audit import AuditReport, audit_antennas
 from lbacal_core.audit.finding import WRONG, Line
 from lbacal_core.audit.station import FEWEST, split_stations
+from lbacal_core.audit.steps import STEPPED
+from lbacal_core.calibration.mistakes import LIKELY_MISTAKE
+from lbacal_core.curves import FitReport
 from lbacal_core.errors import BadInputError
 from lbacal_core.instrument import Instrument
 from lbacal_core.spectra import Spectra
@@ -46,10 +49,26 @@ class QuickAudit:
         wrong = [line for line in self.report.lines if line.verdict == WRONG]
         antennas = sum(station.antennas.size for station in self.report.stations)
         if not wrong:
-            return f"nothing wrong in {antennas} antennas (paths, cables, exchanged letters, unit)"
+            return f"nothing wrong between {antennas} antennas (paths, cables, letters of single antennas, steps, unit)"
         told = "; ".join(f"{line.station}: {line.sentence}" for line in wrong[:SHOWN])
         more = f"; and {len(wrong) - SHOWN} more" if len(wrong) > SHOWN else ""
         return f"{len(wrong)} wrong in {antennas} antennas (lbacal audit tells more): {told}{more}"
+
+    def mark(self, report: FitReport) -> FitReport:
+        """The report of a fit of these spectra: what the audit says, and no good curve where the power stepped.
+
+        Where the fit names a mistake, antennas that agree with each other are no contradiction, and nothing is said.
+        """
+        lines = self.report.lines if self.report else ()
+        wrong = [line for line in lines if line.verdict == WRONG]
+        stepped = {line.station for line in wrong if line.check == STEPPED}
+        curves = [
+            curve.as_misfit() if curve.c is not None and stepped and curve.station in {None, *stepped} else curve
+            for curve in report.curves
+        ]
+        says = wrong or LIKELY_MISTAKE not in report.provenance.notes
+        provenance = report.provenance.with_note("audit", self.sentence) if says else report.provenance
+        return replace(report, curves=tuple(curves), provenance=provenance)
 
     def require_power(self, origin: str) -> None:
         """Refuse spectra whose unit is not that of power: a fit of them says nothing."""

@@ -11,7 +11,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from lbacal_core.audit.cables import log_likelihood_of_unit
+from lbacal_core.audit.cables import fits_cables, log_likelihood_of_unit
 from lbacal_core.audit.finding import UNDECIDED, Line
 from lbacal_core.audit.series import SHARE, SHARE_SPREAD, SKY_HOURS, AnyReceiver, Seen, make_series
 from lbacal_core.audit.sky_models import SkyModels
@@ -170,6 +170,8 @@ def _try_units(
     found = []
     for unit, factor in shrinks.items():
         if unit == "dB" and np.nanmax(np.abs(station.power)) > LARGEST_DECIBEL:
+            continue
+        if not fits_cables(station, rows, unit):
             continue
         odds = log_likelihood_of_unit(station, rows, unit, instrument) - by_cables
         if share is not None:

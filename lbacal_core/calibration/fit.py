@@ -20,7 +20,7 @@ from lbacal_core.calibration.channels import SMALLEST_BAND, flag_channels, solve
 from lbacal_core.calibration.continued import keep_lines
 from lbacal_core.calibration.lines import Lines, fit_lines
 from lbacal_core.calibration.merged import describe_merged
-from lbacal_core.calibration.mistakes import describe_mistakes, name_mistakes
+from lbacal_core.calibration.mistakes import LIKELY_MISTAKE, describe_mistakes, name_mistakes
 from lbacal_core.calibration.paths import (
     LST_BINS,
     MIN_LST_BINS,
@@ -140,7 +140,7 @@ def fit_calibration(
         },
         notes={"antenna_gain": instrument.antenna_gain_note, "sky_power": sky_power.note_for(instrument)}
         | ({"noise_constants": noise_constants(instrument).describe()} if instrument.stages else {})
-        | ({"likely mistake": describe_mistakes(mistaken)} if mistaken else {}),
+        | ({LIKELY_MISTAKE: describe_mistakes(mistaken)} if mistaken else {}),
     )
     return FitReport(
         tuple(_share_misfits(curves)),

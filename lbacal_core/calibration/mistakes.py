@@ -21,6 +21,8 @@ from lbacal_core.instrument import Instrument
 
 LARGEST_GAIN = 10.0
 """Both polarisations together; 24 antennas of clean drawn worlds reach -0.4, exchanged letters 15 and more."""
+LIKELY_MISTAKE = "likely mistake"
+"""Under this name the notes of a report hold them."""
 CLOCK_HOURS = (-2, -1, 1, 2)
 OTHER_ANTENNAS = ("hamaker", "short-dipole", "quarter-wave")
 """A dipole over lossy ground, a short one over a conducting plane, and one whose height grows with the wavelength."""

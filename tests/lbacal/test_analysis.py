@@ -135,6 +135,6 @@ def test_stations_with_sites_of_their_own_are_simulated_and_fitted_where_they_st
 
 def test_the_quick_audit_runs_before_a_fit_and_refuses_volts() -> None:
     spectra = lbacal.simulate("lofar-superterp", events=60, antennas=6)
-    assert "nothing wrong in 6 antennas" in lbacal.fit(spectra, "lofar-superterp").report.provenance.notes["audit"]
+    assert "nothing wrong between 6 antennas" in lbacal.fit(spectra, "lofar-superterp").report.provenance.notes["audit"]
     with pytest.raises(BadInputError, match="volts"):
         lbacal.fit(replace(spectra, power=spectra.power**0.5), "lofar-superterp")

@@ -6,8 +6,12 @@ import numpy as np
 import pytest
 
 from lbacal_core.audit.quick import EVENTS, audit_quickly
+from lbacal_core.calibration.mistakes import LIKELY_MISTAKE
+from lbacal_core.curves import FitReport
 from lbacal_core.errors import BadInputError
 from lbacal_core.instrument import Instrument, load_instrument
+from lbacal_core.pipeline import calibrate
+from lbacal_core.provenance import Provenance
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.spectra import Spectra
 from lbacal_core.spectra_join import join_spectra
@@ -19,7 +23,7 @@ def test_a_healthy_station_is_said_to_be_healthy_and_its_power_is_accepted(
     spectra: Spectra, low_band: Instrument
 ) -> None:
     found = audit_quickly(spectra, low_band)
-    assert found.sentence == "nothing wrong in 6 antennas (paths, cables, exchanged letters, unit)"
+    assert found.sentence == "nothing wrong between 6 antennas (paths, cables, letters of single antennas, steps, unit)"
     found.require_power("s.h5")
 
 
@@ -37,6 +41,44 @@ def test_decibels_are_refused(spectra: Spectra, low_band: Instrument) -> None:
     found = audit_quickly(replace(spectra, power=200.0 + 10 * np.log10(spectra.power * loss**3)), lossy)
     with pytest.raises(BadInputError, match=r"s.h5: power: expected power per MHz .*the power is in decibels"):
         found.require_power("s.h5")
+
+
+@pytest.fixture(scope="module")
+def year() -> Spectra:
+    superterp = load_instrument("lofar-superterp")
+    settings = TwinSettings(stations=("CS002",), antennas=6, events_per_year=200)
+    return simulate_campaign(settings, superterp, compute_sky_power(superterp), np.random.default_rng(3)).spectra
+
+
+def test_half_of_the_antennas_by_6_db_are_no_decibels(year: Spectra) -> None:
+    """`fit` refused the file as decibels, ln odds 10; decibels described it no better than power did."""
+    louder = replace(year, power=np.where(year.antenna[:, None] < 3, 4.0, 1.0) * year.power)
+    found = audit_quickly(louder, load_instrument("lofar-superterp"))
+    found.require_power("s.h5")
+    assert "antennas with the cable 115 lie -4.8 dB from what loss and others say" in found.sentence
+
+
+def test_power_times_four_in_the_first_half_of_the_year_is_a_misfit_and_two_chains(year: Spectra) -> None:
+    """It was `converged`, and nothing was wrong: C stood for neither half."""
+    superterp, middle = load_instrument("lofar-superterp"), np.median(year.time_unix)
+    first = year.time_unix[:, None] < middle
+    stepped = replace(year, power=np.where(first, 4.0, 1.0) * year.power)
+    found = audit_quickly(stepped, superterp)
+    assert "the power of all paths steps by -6.1 dB about 2014-07-01" in found.sentence
+    assert {curve.status for curve in found.mark(calibrate(stepped, superterp)).curves} == {"misfit"}
+    assert audit_quickly(year, superterp).sentence.startswith("nothing wrong")
+
+
+def test_nothing_is_not_wrong_under_a_fit_that_names_a_mistake(spectra: Spectra, low_band: Instrument) -> None:
+    """`likely mistake: dipoles X and Y exchanged`, then `audit: nothing wrong (... exchanged letters ...)`."""
+    found = audit_quickly(spectra, low_band)
+    fitted = FitReport((), Provenance({}))
+    assert found.mark(fitted).provenance.notes["audit"] == found.sentence
+    named = replace(fitted, provenance=fitted.provenance.with_note(LIKELY_MISTAKE, "dipoles X and Y exchanged"))
+    assert "audit" not in found.mark(named).provenance.notes
+    power = np.where((spectra.antenna == 4)[:, None], 1e-3, 1.0) * spectra.power
+    dead = audit_quickly(replace(spectra, power=power), low_band)
+    assert "antenna 4 X is dead" in dead.mark(named).provenance.notes["audit"]
 
 
 def test_volts_of_five_antennas_passed_where_cables_alone_do_not_tell() -> None:
