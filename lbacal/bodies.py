@@ -1,10 +1,11 @@
-"""What a client sends: the spectra of one event as a request body, a spectra file or JSON."""
+"""What a client sends: the spectra of whole events as a request body, a spectra file or JSON."""
 
 from __future__ import annotations
 
 import io
 from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -15,12 +16,23 @@ from lbacal_core.spectra import Spectra, write_spectra
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 
-def files_of_events(spectra: Spectra) -> Iterator[tuple[int, bytes]]:
-    """The spectra of each event as a file, with their number; the same spectra make the same bytes."""
-    for rows in _rows_of_events(spectra):
-        file = io.BytesIO()
-        write_spectra(spectra.select(rows), file)
-        yield rows.size, file.getvalue()
+def files_of_events(spectra: Spectra, at_least: int = 1) -> Iterator[tuple[int, int, bytes]]:
+    """Whole events as files, with the numbers of their events and spectra; the same spectra make the same bytes.
+
+    Parameters
+    ----------
+    at_least
+        Each file but the last takes events until it holds as many spectra.
+    """
+    bundle: list[NDArray[np.int64]] = []
+    for rows in chain(_rows_of_events(spectra), [None]):
+        if bundle and (rows is None or sum(event.size for event in bundle) >= at_least):
+            file, chosen = io.BytesIO(), np.concatenate(bundle)
+            write_spectra(spectra.select(chosen), file)
+            yield len(bundle), chosen.size, file.getvalue()
+            bundle = []
+        if rows is not None:
+            bundle.append(rows)
 
 
 def bodies_of_events(spectra: Spectra) -> Iterator[dict[str, Any]]:

@@ -38,7 +38,7 @@ class Format(StrEnum):
 
 
 def ingest(spectra: Annotated[Path, typer.Argument(help="Spectra file (HDF5, lbacal-spectra-1).")]) -> None:
-    """Send spectra to the server, one event a request; run again, it sends what is missing.
+    """Send spectra to the server in bundles of whole events; run again, it sends what is missing.
 
     Example: lbacal ingest spectra.h5
     """

@@ -9,6 +9,7 @@ about what is wrong.
 
 from __future__ import annotations
 
+import gc
 import io
 import json
 import os
@@ -37,6 +38,7 @@ def serve(control: socket.socket) -> None:
     """Keep processes ready for the files that arrive, until the server has gone."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the server, with whom these processes end
     warm_up()
+    gc.freeze()  # a collection in a fork would copy every object that it shares
     for _ in range(AT_ONCE):
         fork_reader(control)
     while os.waitstatus_to_exitcode(os.wait()[1]) != SERVER_GONE:
@@ -48,7 +50,6 @@ def fork_reader(control: socket.socket) -> None:
     if os.fork() > 0:
         return
     try:
-        warm_up()  # memory that is shared until it is written to is made its own before there is a file to wait for
         _, descriptors, _, _ = socket.recv_fds(control, 1, 1)
         if not descriptors:
             os._exit(SERVER_GONE)

@@ -23,21 +23,26 @@ SPECTRA = Spectra(
 
 def test_each_event_is_one_file_in_order_of_time_and_nothing_is_lost(tmp_path: Path) -> None:
     found = []
-    for k, (rows, content) in enumerate(files_of_events(SPECTRA)):
+    for k, (count, rows, content) in enumerate(files_of_events(SPECTRA)):
         (tmp_path / f"{k}.h5").write_bytes(content)
         found.append(read_spectra(tmp_path / f"{k}.h5"))
-        assert len(found[-1]) == rows
+        assert (len(found[-1]), count) == (rows, 1)
     assert [set(one.event_id.tolist()) for one in found] == [{"a"}, {"b"}, {"c"}, {"Ä"}]
     assert sorted(np.concatenate([one.power[:, 0] for one in found])) == SPECTRA.power[:, 0].tolist()
     assert found[0].environment["rain_mm_h"].tolist()[1:] == [4.0]
     assert found[0].time_unix.tolist() == [1.4e9, 1.4e9 + 3]
 
 
+def test_a_bundle_takes_whole_events_until_it_holds_enough() -> None:
+    assert [(count, rows) for count, rows, _ in files_of_events(SPECTRA, 3)] == [(2, 4), (2, 2)]
+    assert [(count, rows) for count, rows, _ in files_of_events(SPECTRA, 100)] == [(4, 6)]
+
+
 def test_the_same_spectra_make_the_same_bytes_and_others_do_not() -> None:
     first, again = (list(files_of_events(SPECTRA)) for _ in range(2))
     changed = replace(SPECTRA, power=SPECTRA.power * (1 + 1e-15))
     assert first == again
-    assert not {content for _, content in first} & {content for _, content in files_of_events(changed)}
+    assert not {content for *_, content in first} & {content for *_, content in files_of_events(changed)}
 
 
 def test_json_says_of_each_event_what_the_file_does() -> None:

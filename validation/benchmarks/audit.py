@@ -1,6 +1,6 @@
 """How long an audit of a day takes, and its quick part, against the fit of the same spectra.
 
-Run: OPENBLAS_NUM_THREADS=1 .venv/bin/python -m benchmarks.audit  (one core, half a minute)
+Run: OPENBLAS_NUM_THREADS=1 .venv/bin/python -m validation.benchmarks.audit  (one core, half a minute)
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """A year of the whole array in one fit, against SciPy's general minimiser on one path of it.
 
-Run: .venv/bin/python -m benchmarks.fit [--events 900] [--stations 6] [--antennas 48]
+Run: .venv/bin/python -m validation.benchmarks.fit [--events 900] [--stations 6] [--antennas 48]
 
 On two idle cores (three runs, commit 8f50095): 576 paths x 900 events x 51 channels in one call after loading in 0.93
 to 1.00 s by the clock, 1.7 to 1.8 s of processor time, of it the digest of the input 0.21 s. SciPy's `least_squares`

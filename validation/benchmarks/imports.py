@@ -1,6 +1,6 @@
 """How fast station statistics are averaged, against only reading the file, and what memory a longer file takes.
 
-Run: OPENBLAS_NUM_THREADS=1 .venv/bin/python -m benchmarks.imports  (one core, half a minute)
+Run: OPENBLAS_NUM_THREADS=1 .venv/bin/python -m validation.benchmarks.imports  (one core, half a minute)
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Speed of ingestion over HTTP, as ratios measured in one run: .venv/bin/python -m benchmarks.ingest [EVENTS].
+"""Speed of ingestion over HTTP, as ratios measured in one run: .venv/bin/python -m validation.benchmarks.ingest [EVENTS].
 
 One event (576 spectra of 51 channels) a request and one client, as JSON and as a spectra file, against the idempotent
 bulk load of the database by its own driver: into an empty table of the same schema, many events in one transaction,
@@ -218,7 +218,7 @@ def compare(name: str, database_url: str, bulk: BulkSqlite | BulkPostgres, event
             ready = [make_rows(power, next(free)) for power in np.split(make().power, events)]
             apart = [make_rows(power, next(free)) for power in np.split(make().power, events)]
             texts, more_texts = ([json.dumps(body).encode() for body in bodies_of_events(make())] for _ in range(2))
-            files, more_files = ([file for _, file in files_of_events(make())] for _ in range(2))
+            files, more_files = ([file for *_, file in files_of_events(make())] for _ in range(2))
             works: dict[str, Callable[[], object]] = {
                 "bulk load": partial(bulk.load, list(chain.from_iterable(ready))),
                 APART: partial(lambda each: [bulk.load(some) for some in each], apart),

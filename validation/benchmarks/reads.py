@@ -1,4 +1,4 @@
-"""Speed of reading, as ratios measured in one run: .venv/bin/python -m benchmarks.reads [EVENTS [NIGHTS]].
+"""Speed of reading, as ratios measured in one run: .venv/bin/python -m validation.benchmarks.reads [EVENTS [NIGHTS]].
 
 A large store (6000 events of 576 spectra; 174 nights that made 100,224 promotions besides the first 576) is compared
 with a small one (100 events, the first 576 promotions): the same requests to both in turn, through the whole

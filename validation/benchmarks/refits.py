@@ -1,4 +1,4 @@
-"""What the refits of a night cost: .venv/bin/python -m benchmarks.refits [STATIONS [ANTENNAS [EVENTS]]].
+"""What the refits of a night cost: .venv/bin/python -m validation.benchmarks.refits [STATIONS [ANTENNAS [EVENTS]]].
 
 A service on SQLite holds a year of some stations. Its first night makes all calibrations, the second measures drift
 against them; then one event arrives, and the third looks at everything again. At last the year of two stations is

@@ -1,6 +1,6 @@
 """How fast traces become spectra, against a bare FFT of the same samples and against reading the files.
 
-Run: OPENBLAS_NUM_THREADS=1 .venv/bin/python -m benchmarks.traces  (one core, half a minute)
+Run: OPENBLAS_NUM_THREADS=1 .venv/bin/python -m validation.benchmarks.traces  (one core, half a minute)
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Draw docs/images/imports.png: which files of discovery and causes import which.
 
-    .venv/bin/python -m scripts.draw_imports
+    .venv/bin/python -m validation.scripts.draw_imports
 
 Every file stands above all that it imports. The script fails where an arrow would point up: then there is a cycle.
 """

@@ -1,6 +1,6 @@
 """Draw the measured LOFAR curve and what is found in it, into docs/images.
 
-Run: .venv/bin/python -m scripts.draw_measured (needs the folder ../shared beside the project)
+Run: .venv/bin/python -m validation.scripts.draw_measured (needs the folder ../shared beside the project)
 """
 
 from __future__ import annotations

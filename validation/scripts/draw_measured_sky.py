@@ -1,6 +1,6 @@
 """Write the tables and the figure of docs/explanation/measured-sky.md: what the measured sky does to C.
 
-.venv/bin/python -m scripts.draw_measured_sky ../shared/data/anchor/edges_sky_temperature.csv
+.venv/bin/python -m validation.scripts.draw_measured_sky ../shared/data/anchor/edges_sky_temperature.csv
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Draw the figures and write the tables of docs/explanation/other-instruments.md from measured data beside the project.
 
-.venv/bin/python -m scripts.draw_other_instruments ../shared/data
+.venv/bin/python -m validation.scripts.draw_other_instruments ../shared/data
 """
 
 from __future__ import annotations
