@@ -1,4 +1,6 @@
-"""Speed of ingestion over HTTP, as ratios measured in one run: .venv/bin/python -m validation.benchmarks.ingest [EVENTS].
+"""Speed of ingestion over HTTP, as ratios measured in one run.
+
+Run: python -m validation.benchmarks.ingest [EVENTS]
 
 One event (576 spectra of 51 channels) a request and one client, as JSON and as a spectra file, against the idempotent
 bulk load of the database by its own driver: into an empty table of the same schema, many events in one transaction,

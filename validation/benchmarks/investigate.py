@@ -1,4 +1,6 @@
-"""How long one station-year takes to question, and how that grows: .venv/bin/python -m validation.benchmarks.investigate.
+"""How long one station-year takes to question, and how that grows.
+
+Run: python -m validation.benchmarks.investigate
 
 Nothing hidden: every cause is scanned for every path, antenna, cable and the station, calibrated for look-elsewhere;
 then structure is looked for without a catalogue. With a gain that follows temperature: refits, the held-out test and a

@@ -1,4 +1,6 @@
-"""Questions and promotions against a large ledger, as ratios to a small one: .venv/bin/python -m validation.benchmarks.ledger.
+"""Questions and promotions against a large ledger, as ratios to a small one.
+
+Run: python -m validation.benchmarks.ledger
 
 The small ledger holds one promotion of each of the 576 paths over a year. The large one holds besides what nights add:
 all paths anew over the same year, once a night (174 nights are 100,224 promotions; another number can be given). The

@@ -1,6 +1,7 @@
 """How long each tutorial takes to its first figure, from a fresh Python on: by the clock, and of the processors.
 
-Run: .venv/bin/python -m validation.benchmarks.tutorials  (half a minute; by the clock it means something on a quiet machine only)
+Run:
+python -m validation.benchmarks.tutorials  (half a minute; by the clock it means something on a quiet machine only)
 """
 
 from __future__ import annotations
