@@ -46,19 +46,21 @@ def find_about_chain(study: Study) -> dict[str, Result]:
     with_correction = find_peak(frequency, instrument.antenna_gain * published_correction(study))
     return {
         "frequency-resolution": Result(
-            SAMPLE_RATE_MHZ / BLOCK_SAMPLES, 0.0, f"{SAMPLE_RATE_MHZ:g} MHz / {BLOCK_SAMPLES} samples"
+            SAMPLE_RATE_MHZ / BLOCK_SAMPLES, 0.0, f"{SAMPLE_RATE_MHZ:g} MHz / {BLOCK_SAMPLES} samples", True
         ),
         "samples-per-bin": Result(
             events,
             0.0,
             f"{SAMPLES_PER_BIN} x {LST_BINS} bins / {antennas} antennas: events that must have had every antenna in "
             "the outer set. Read as samples of one station it would take six times as many, more than were recorded.",
+            True,
         ),
         "resonance": Result(
             peak,
             0.5,
             "peak of G_ant = C^2 / N_ADC,in from the published C and noise terms, parabola through its three largest "
             f"channels; with A(nu) the peak lies at {with_correction:.1f} MHz",
+            True,
         ),
         "pass-band-edge": Result(edge, 0.1, _describe_edge(frequency, instrument.receiver_gain)),
         "rise-by-cable": _rise(study, mean_loss(instrument), 30.0, 77.0, ELECTRONICS, "loss of the mean cable"),

@@ -35,7 +35,8 @@ def paper(
 
     Example: lbacal paper --output paper
 
-    Every statement is judged: agree, disagree, or cannot be tested here, with what is missing.
+    Every statement is judged: agree, disagree, undecided, or cannot be tested here, with what is missing; what follows
+    by construction is called that and not counted.
     """
     from lbacal_paper.everything import redo_paper
     from lbacal_paper.report import write_page

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -12,19 +11,20 @@ from lbacal_core.calibration.lines import fit_lines
 from lbacal_core.calibration.residuals import noise_at_input
 from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.data.tables import read_table
+from lbacal_core.discovery.curve_fit import CurveFitter
+from lbacal_core.discovery.curve_station import GRID_HOURS, gather_curve, list_choices
 from lbacal_core.grids import Floats
 from lbacal_core.lstcurve.compare import (
     AS_RECORDED,
     BAND_MHZ,
     Comparison,
-    DipoleComparison,
     band_weights,
-    compare_lst_curve,
     in_db,
     simulate_band_power,
 )
 from lbacal_core.lstcurve.curve import LstCurve
 from lbacal_core.lstcurve.noise import estimate_noise
+from lbacal_core.lstcurve.noise_share import noise_prior
 from lbacal_core.sidereal import local_sidereal_time
 from lbacal_core.sky.names import DEFAULT_SKY, list_skies
 from lbacal_core.skypower.differences import FULL_MAPS, model_difference_modes
@@ -42,8 +42,8 @@ CROSSING_SIGMA_MHZ = 0.5
 
 def find_about_noise(study: Study) -> dict[str, Result]:
     """Results on the electronic noise."""
-    share, sigma, parts = find_noise_share(study, study.exchanged)
-    as_named, sigma_named, _ = find_noise_share(study, study.comparison)
+    share, sigma = find_noise_share(study, study.curve, is_exchanged=True)
+    informed, sigma_informed = find_noise_share(study, study.curve, is_exchanged=True, is_published_known=True)
     chi2 = {name: _chi2(one) for name, one in (("exchanged", study.exchanged), ("as named", study.comparison))}
     return {
         "swing-without-noise": _swing(study),
@@ -58,8 +58,10 @@ def find_about_noise(study: Study) -> dict[str, Result]:
         "noise-share": Result(
             share,
             sigma,
-            "mean of the shares of both dipoles, fitted to the measured LST curve with our sky, letters exchanged; "
-            f"{parts}. Letters as named {as_named:.2f} +- {sigma_named:.2f}",
+            "fit of the measured LST curve with our sky, letters exchanged, the spread of sky and antenna models in "
+            f"its covariance, nothing known of the noise. With what is published of it as prior {informed:.3f} +- "
+            f"{sigma_informed:.3f}, which is the n = {informed / (1 - informed):.2f} of the sky of "
+            "docs/explanation/what-the-simulation-gets-wrong.md",
         ),
         **_crossings(study),
         "noise-without-chain": _gain_by_chain(study),
@@ -105,30 +107,27 @@ def _harmonics(hours: Floats, harmonics: int) -> Floats:
     return np.concatenate([np.ones((hours.size, 1)), np.cos(angle), np.sin(angle)], axis=1)
 
 
-def find_noise_share(study: Study, comparison: Comparison) -> tuple[float, float, str]:
-    """The mean over dipoles of the fitted noise share, and its error with what each part of it is.
+def find_noise_share(
+    study: Study, curve: LstCurve, *, is_exchanged: bool, is_published_known: bool = False
+) -> tuple[float, float]:
+    """Electronic noise over the total band power, and its error, as `lbacal investigate --lst-curve` fits it.
 
-    The error holds the drawn bars, half a bin of LST, and one standard deviation of each mode in which models of sky
-    and antenna differ, each by a fit of its own.
+    Parameters
+    ----------
+    is_exchanged
+        Whether the letters of the curve are exchanged.
+    is_published_known
+        Whether what is published of the noise is a prior of the fit; it is when a curve is investigated.
     """
-    plain = _mean_share(comparison.dipoles)
-    stated = [comparison.of(dipole, has_noise=True).noise_share_sigma or 0.0 for dipole in DIPOLES]
-    drawn = float(np.linalg.norm(stated) / 2)
-    half_bin = _mean_share(comparison.shifted) - plain
-    modes = model_difference_modes(study.instrument, study.sky_power.lst_hours, FULL_MAPS)
-    changes = []
-    for dipole in DIPOLES:
-        for mode in modes[dipole]:
-            power = dict(study.sky_power.power) | {dipole: study.sky_power.power[dipole] * (1.0 + mode)}
-            changed = compare_lst_curve(comparison.curve, replace(study.sky_power, power=power), study.instrument)
-            changes.append(_mean_share(changed.dipoles) - plain)
-    models = float(np.sqrt(np.sum(np.square(changes))))
-    words = f"error: bars {drawn:.3f}, half a bin of LST {abs(half_bin):.3f}, models of sky and antenna {models:.3f}"
-    return plain, float(np.sqrt(drawn**2 + half_bin**2 + models**2)), words
-
-
-def _mean_share(fits: Sequence[DipoleComparison]) -> float:
-    return float(np.mean([one.noise_share for one in fits if one.has_noise and one.weights == AS_RECORDED]))
+    weights = band_weights(study.instrument, AS_RECORDED, BAND_MHZ)
+    prior = noise_prior(study.instrument, BAND_MHZ, weights)
+    prior = prior if is_published_known else replace(prior, sigma=np.inf)
+    station = gather_curve(study.instrument, study.sky_power, weights, prior)
+    modes = model_difference_modes(study.instrument, GRID_HOURS, FULL_MAPS)
+    exchange = [one for one in list_choices(station) if one.is_statement] if is_exchanged else []
+    fitted = CurveFitter(curve, station, estimate_noise(curve), modes).fit(exchange)
+    over_total = 1.0 + fitted.noise
+    return fitted.noise / over_total, fitted.noise_sigma / over_total**2
 
 
 def sky_over_noise(study: Study, dipole: str) -> Floats:
@@ -163,16 +162,16 @@ def _crossings(study: Study) -> dict[str, Result]:
     edges = {name: 1.0 / np.mean([ratio[k] for ratio in ratios.values()]) for name, k in (("low", 0), ("high", -1))}
     return {
         "sky-dominates-from": Result(
-            mean[0], float(np.hypot(half[0], CROSSING_SIGMA_MHZ)), how.format(*found[:, 0], drawn[0])
+            mean[0], float(np.hypot(half[0], CROSSING_SIGMA_MHZ)), how.format(*found[:, 0], drawn[0]), True
         ),
         "sky-dominates-to": Result(
-            mean[1], float(np.hypot(half[1], CROSSING_SIGMA_MHZ)), how.format(*found[:, 1], drawn[1])
+            mean[1], float(np.hypot(half[1], CROSSING_SIGMA_MHZ)), how.format(*found[:, 1], drawn[1]), True
         ),
         "noise-at-low-edge": Result(
-            float(edges["low"]), 0.0, "sum of the fitted noise terms over the sky at 30 MHz; same fit"
+            float(edges["low"]), 0.0, "sum of the fitted noise terms over the sky at 30 MHz; same fit", True
         ),
         "noise-at-high-edge": Result(
-            float(edges["high"]), 0.0, "sum of the fitted noise terms over the sky at 80 MHz; same fit"
+            float(edges["high"]), 0.0, "sum of the fitted noise terms over the sky at 80 MHz; same fit", True
         ),
     }
 

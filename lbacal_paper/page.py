@@ -5,22 +5,29 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from lbacal_paper.statements import DISAGREE, UNTESTED, describe_verdicts
+from lbacal_paper.statements import BY_CONSTRUCTION, DISAGREE, UNDECIDED, UNTESTED, describe_verdicts
 
+TITLES = {
+    DISAGREE: "Where we disagree",
+    UNDECIDED: "What our numbers leave undecided",
+    UNTESTED: "What cannot be tested here",
+    BY_CONSTRUCTION: "What follows by construction",
+}
 BEGIN, END = "<!-- claims: written by validation/scripts/write_paper_page.py -->", "<!-- end of claims -->"
 
 
 def describe_claims(claims: Sequence[Mapping[str, Any]]) -> str:
-    """The table of all claims, then what stands behind those that disagree and what the others need."""
+    """The table of all claims, then what stands behind those that do not simply agree."""
     rows = [
         f"| `{one['id']}` | {one['section']} | {one['claim']} | {_published(one)} | {_ours(one)} | {one['verdict']} |"
         for one in claims
     ]
     head = ["| id | section | statement | published | ours | verdict |", "|---|---|---|---|---|---|"]
     parts = [f"**{describe_verdicts(claims)}.**", "\n".join([*head, *rows])]
-    for title, verdict in (("Where we disagree", DISAGREE), ("What cannot be tested here", UNTESTED)):
+    for verdict, title in TITLES.items():
         chosen = [f"- `{one['id']}`: {one['how'].rstrip('.')}." for one in claims if one["verdict"] == verdict]
-        parts.append(f"## {title}\n" + "\n".join(chosen))
+        if chosen:
+            parts.append(f"## {title}\n" + "\n".join(chosen))
     return "\n\n".join(parts) + "\n"
 
 

@@ -15,13 +15,17 @@ from typing import Any
 
 AGREE = "agree"
 DISAGREE = "disagree"
+UNDECIDED = "undecided"
 UNTESTED = "cannot be tested here"
-VERDICTS = (AGREE, DISAGREE, UNTESTED)
+BY_CONSTRUCTION = "by construction"
+VERDICTS = (AGREE, DISAGREE, UNDECIDED, UNTESTED, BY_CONSTRUCTION)
+JUDGED = (AGREE, DISAGREE, UNDECIDED)
 EQUAL, AT_MOST, AT_LEAST = "equal", "at most", "at least"
 RELATIONS = (EQUAL, AT_MOST, AT_LEAST)
 LARGEST_PULL = 2.0
-"""A statement counts as agreeing within two standard deviations of the precision with which it is made and our
-error."""
+"""A statement farther from ours than so many standard deviations, of the precision with which it is made and our error,
+is contradicted; a nearer one agrees if our error is below that precision, or if a limit is kept by as many of our own.
+"""
 
 
 @dataclass(frozen=True)
@@ -61,11 +65,14 @@ class Result:
         Our number in the unit of the statement and its standard deviation; `ours` None where it cannot be tested here.
     how
         How it was computed, from what; where it cannot be tested, exactly which data are missing.
+    is_constructed
+        Whether it follows by arithmetic alone, or from data drawn with the published numbers: no test of nature.
     """
 
     ours: float | None
     sigma: float
     how: str
+    is_constructed: bool = False
 
 
 def not_testable(how: str) -> Result:
@@ -79,9 +86,14 @@ def judge(statement: Statement, result: Result) -> str:
         return UNTESTED
     if not (math.isfinite(result.ours) and math.isfinite(result.sigma)):
         raise ValueError(f"statement {statement.identifier}: {result.ours} +- {result.sigma}")
+    if result.is_constructed:
+        return BY_CONSTRUCTION
     excess = result.ours - statement.value
     distance = {EQUAL: abs(excess), AT_MOST: excess, AT_LEAST: -excess}[statement.relation]
-    return AGREE if distance <= LARGEST_PULL * math.hypot(statement.precision, result.sigma) else DISAGREE
+    if distance > LARGEST_PULL * math.hypot(statement.precision, result.sigma):
+        return DISAGREE
+    is_kept = statement.relation != EQUAL and -distance >= LARGEST_PULL * result.sigma
+    return AGREE if is_kept or result.sigma <= statement.precision else UNDECIDED
 
 
 def make_claims(statements: Iterable[Statement], results: Mapping[str, Result]) -> list[dict[str, Any]]:
@@ -117,10 +129,16 @@ def round_to_error(result: Result) -> float:
 
 
 def describe_verdicts(claims: Sequence[Mapping[str, Any]]) -> str:
-    """How many statements agree, disagree and cannot be tested, in one phrase."""
+    """How many of the statements are judged, with what verdict, and what the others are, in one phrase."""
     verdicts = [claim["verdict"] for claim in claims]
-    counted = ", ".join(f"{verdicts.count(verdict)} {verdict}" for verdict in dict.fromkeys(verdicts))
-    return f"{len(claims)} statements: {counted}"
+
+    def count(kinds: Sequence[str]) -> str:
+        return ", ".join(f"{verdicts.count(kind)} {kind}" for kind in kinds if kind in verdicts)
+
+    judged, others = count(JUDGED), count([kind for kind in VERDICTS if kind not in JUDGED])
+    return (
+        f"{sum(one in JUDGED for one in verdicts)} of {len(claims)} statements judged: {judged}; not judged: {others}"
+    )
 
 
 def load_statements() -> tuple[Statement, ...]:

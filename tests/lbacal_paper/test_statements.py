@@ -6,10 +6,13 @@ import pytest
 from lbacal_core.lstcurve.compare import BAND_MHZ, published_noise_share
 from lbacal_paper.statements import (
     AGREE,
+    BY_CONSTRUCTION,
     DISAGREE,
+    UNDECIDED,
     UNTESTED,
     Result,
     Statement,
+    describe_verdicts,
     judge,
     load_statements,
     make_claims,
@@ -40,7 +43,28 @@ def test_a_verdict_follows_the_relation_and_two_standard_deviations(relation: st
 
 def test_our_error_counts_with_the_precision_of_the_statement() -> None:
     assert judge(statement(), Result(14.0, 0.0, "")) == DISAGREE
-    assert judge(statement(), Result(14.0, 2.0, "")) == AGREE
+    assert judge(statement(), Result(14.0, 2.0, "")) == UNDECIDED
+
+
+@pytest.mark.parametrize(("relation", "ours"), [("equal", 10.0), ("at most", 9.0), ("at least", 11.0)])
+def test_an_error_above_the_precision_of_the_statement_is_no_agreement(relation: str, ours: float) -> None:
+    """0.0 +- 3.5 agreed with slopes that are equal to 0.2."""
+    assert judge(statement(relation), Result(ours, 0.9, "")) == AGREE
+    assert judge(statement(relation), Result(ours, 1.1, "")) == UNDECIDED
+
+
+def test_a_limit_that_is_kept_by_two_of_our_errors_is_kept() -> None:
+    assert judge(statement("at most"), Result(4.0, 3.0, "")) == AGREE
+    assert judge(statement("at least"), Result(16.0, 3.0, "")) == AGREE
+
+
+def test_what_follows_by_construction_is_called_that_and_not_counted() -> None:
+    result = Result(10.0, 0.0, "", is_constructed=True)
+    assert judge(statement(), result) == BY_CONSTRUCTION
+    (claim,) = make_claims([statement()], {"s": result})
+    assert describe_verdicts([claim, claim | {"verdict": AGREE}]) == (
+        "1 of 2 statements judged: 1 agree; not judged: 1 by construction"
+    )
 
 
 def test_what_cannot_be_tested_is_no_agreement() -> None:
