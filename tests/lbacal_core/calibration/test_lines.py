@@ -3,6 +3,7 @@ from __future__ import annotations
 import numpy as np
 
 from lbacal_core.calibration.lines import fit_lines
+from lbacal_core.calibration.noise import estimate_noise_levels
 from lbacal_core.grids import Floats
 
 
@@ -20,6 +21,23 @@ def slow_lines(power: Floats, sky: Floats, model: Floats, covariances: list[Floa
     return np.linalg.solve(information, target), information
 
 
+def seeds_of(sky: Floats, slope: Floats, intercept: Floats) -> tuple[Floats, Floats]:
+    """What is added behind the gains that fluctuate, and the forms of a gain behind and in front of it."""
+    power = slope * sky.mean(axis=0) + intercept
+    columns = np.stack([slope, np.ones_like(slope)], axis=1) / power[:, None]
+    added = np.linalg.lstsq(columns, intercept / power, rcond=None)[0][1]
+    behind = np.clip(np.full_like(slope, added), 0.0, power)
+    return behind, np.stack([np.ones_like(slope), 1.0 - behind / power])
+
+
+def shared_at(vectors: Floats, seeds: Floats, behind: Floats, model: Floats) -> Floats:
+    """What an event of a power shares, from what one of the mean power does: a gain in front acts on what is there."""
+    size = np.linalg.norm(seeds, axis=1, keepdims=True)
+    ridge = np.vstack([(seeds / size).T, 1e-2 * np.eye(2)])
+    amount = np.linalg.lstsq(ridge, np.vstack([vectors.T, np.zeros((2, len(vectors)))]), rcond=None)[0] / size
+    return vectors + amount[1][:, None] * ((1.0 - behind / model) - seeds[1])
+
+
 def test_lines_and_information_equal_the_dense_generalised_least_squares(scene):
     _, sky, power = scene.draw(np.random.default_rng(3), paths=2, events=200)
     relative_variance = np.ones(power.shape[:2])
@@ -29,12 +47,19 @@ def test_lines_and_information_equal_the_dense_generalised_least_squares(scene):
     channels = sky.shape[1]
     for path in range(2):
         kept = np.isfinite(relative_variance[path])
-        # the weights come from unweighted lines: the oracle gets the same ones
-        model = np.stack(
-            [np.polyval(np.polyfit(x, y, 1), x) for x, y in zip(sky[kept].T, power[path][kept].T, strict=True)], 1
+        # the weights come from unweighted lines: the oracle draws its own
+        slope, intercept = np.stack(
+            [np.polyfit(x, y, 1) for x, y in zip(sky[kept].T, power[path][kept].T, strict=True)], axis=1
         )
-        diagonal = np.diag(lines.levels.radiometer[path] ** 2)
-        vectors = [lines.shared.constant[path] - lines.shared.behind[path] / at for at in model]
+        model = slope * sky + intercept
+        behind, seeds = seeds_of(sky, slope, intercept)
+        of_path = slice(path, path + 1)
+        padded = np.vstack([seeds, np.zeros(channels)])[None]
+        residual = (power[path] / model - 1.0)[None]
+        levels = estimate_noise_levels(residual, relative_variance[of_path], 2, padded)
+        model = model[kept]
+        vectors = [shared_at(levels.vectors[0], seeds, behind, at) for at in model]
+        diagonal = np.diag(levels.radiometer[0] ** 2)
         covariances = [k * diagonal + v.T @ v for k, v in zip(relative_variance[path][kept], vectors, strict=True)]
         expected, information = slow_lines(power[path][kept], sky[kept], model, covariances)
         np.testing.assert_allclose(lines.slope[path], expected[:channels], rtol=1e-9)
