@@ -98,6 +98,8 @@ def conclude(
     base_fits
         Whether the record describes the data.
     """
+    if not possibilities:
+        return []
     alike_below = ALIKE if hours >= LONG_H else ALIKE_IN_HOURS
     best = max(possibilities, key=lambda one: one.log_likelihood)
     gain = best.log_likelihood - base

@@ -70,6 +70,16 @@ def test_a_receiver_that_follows_the_hour_is_no_wrong_clock(place: tuple[float, 
     assert not [line.sentence for line in report.lines if line.verdict == "wrong"]
 
 
+def test_two_hours_in_which_no_other_unit_describes_the_cables_are_audited(
+    spectra: Spectra, low_band: Instrument
+) -> None:
+    lossy = replace(low_band, cables={name: loss**4 for name, loss in low_band.cables.items()})
+    loss = np.array([low_band.cables[low_band.cable_of("CS002", int(a), 1.4e9)] for a in spectra.antenna])
+    some = spectra.time_unix < np.sort(np.unique(spectra.time_unix))[3]
+    short = replace(spectra, power=1e6 * spectra.power * loss**3).select(some)
+    assert {line.verdict for line in audit(short, lossy, antenna="hamaker").lines} == {"undecided"}
+
+
 def test_a_clock_that_is_off_is_named_by_one_dipole_of_a_day() -> None:
     instrument = short_dipole.make_instrument()
     day = short_dipole.one_day(instrument, np.random.default_rng(9))
