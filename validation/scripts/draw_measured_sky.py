@@ -28,7 +28,7 @@ DOCS = Path(__file__).parents[2] / "docs"
 PAGE = DOCS / "explanation" / "measured-sky.md"
 SHOWN_MHZ = (30, 40, 50, 58, 70, 80)
 HEAD = "| | " + " | ".join(f"{mhz} MHz" for mhz in SHOWN_MHZ) + " |\n|---|" + "---|" * len(SHOWN_MHZ)
-SEED = 2019  # of the demo and of `lbacal paper`
+SEED = 2019  # that of `lbacal paper`
 
 Rows = dict[str, np.ndarray]
 
@@ -160,7 +160,7 @@ def main(table: str) -> None:
     curves: Rows = {"published": np.interp(instrument.frequency_mhz, read["mhz"], read["c"])}
     sigmas: Rows = {}
     for what, settings, scope in (
-        ("demo, station", TwinSettings(stations=("CS002",)), "station"),
+        ("simulated station", TwinSettings(stations=("CS002",)), "station"),
         ("paper redone, array", TwinSettings(), "array"),
     ):
         c, sigma = fit_both(instrument, settings, scope)
