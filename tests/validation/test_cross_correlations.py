@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from lbacal_core.antenna.names import load_antenna
-from lbacal_core.correlations import SUN, StationCorrelations, arm_ratio, expected_arm_ratio
 from lbacal_core.errors import BadInputError
 from lbacal_core.instrument import load_instrument
 from lbacal_core.traces.trace import name_dipole
+from validation.cross_correlations import SUN, StationCorrelations, arm_ratio, expected_arm_ratio
 
 SOURCES = ("cas-a", "cyg-a", "tau-a", SUN)
 SHA256 = "534532fdedcd1e01d0c95addf3398ef4b5f41aa5ff0d532955ef6207eca6e989"
