@@ -6,18 +6,18 @@ import argparse
 import importlib
 import sys
 from collections.abc import Callable
-from pathlib import Path
 
 from validation.machinery.claims import REFUTED
+from validation.machinery.ledger import read_ledger
 from validation.machinery.page import PAGE, draw_figures, write_page
 from validation.machinery.parts import SHARED, parts_of, proof_names
 from validation.machinery.quotes import read_quotes, renew_pages
-from validation.machinery.records import Record, read_record, read_records
-from validation.machinery.run import Order, RefusedError, run_and_record, take_in
+from validation.machinery.records import Record, read_history, read_records
+from validation.machinery.run import Order, RefusedError, run_and_record
 
 HELP = """\
-Every proof is made of parts; a part draws a data set from each seed of a block. An interrupted run goes on where it was
-when it is started again. To share the work, give each machine a block (--first, --count) and pool the records.
+Every proof is made of parts; a part draws a data set from each seed of a block. The block is entered in
+validation/ledger.jsonl, and the entry committed, before the first trial; started again, an interrupted run goes on.
 """
 
 
@@ -26,21 +26,16 @@ def main(arguments: list[str]) -> int:
     parser = argparse.ArgumentParser(prog="./dev prove", description=HELP)
     parser.add_argument("name", nargs="?", help="the proof; without it they are listed")
     parser.add_argument("--part", action="append", help="only this part; may be given several times")
-    parser.add_argument("--first", type=int, help="first seed; the first that nobody has seen unless given")
     parser.add_argument("--count", type=int, help="seeds of each part")
     parser.add_argument("--workers", type=int, default=2, help="processes beside each other (2)")
-    parser.add_argument(
-        "--scratch", action="store_true", help="record nothing; seeds for debugging unless --first is given"
-    )
-    parser.add_argument("--repetition", action="store_true", help="seeds of an earlier record; decides nothing")
-    parser.add_argument("--pool", nargs="+", type=Path, metavar="FILE", help="take records of other machines in")
+    parser.add_argument("--scratch", action="store_true", help="enter and record nothing, on seeds for debugging")
+    parser.add_argument("--first", type=int, default=0, help="with --scratch: the first seed, or one that was entered")
     parser.add_argument("--page", action="store_true", help="write docs/validation.md and the figures of texts anew")
     chosen = parser.parse_args(arguments)
-    if chosen.name is None and not chosen.pool and not chosen.page:
+    if chosen.name is None and not chosen.page:
         return _list_proofs()
     verdicts: list[str] = []
     steps: list[Callable[[], None]] = [lambda: _prove(chosen, verdicts)] * bool(chosen.name)
-    steps += [lambda: _pool(chosen.pool)] * bool(chosen.pool)
     steps += [_write_pages] * (not chosen.scratch)  # what was recorded before a part was refused stands in the page
     code = 0
     for step in steps:
@@ -67,40 +62,34 @@ def _prove(chosen: argparse.Namespace, verdicts: list[str]) -> None:
     unknown = set(chosen.part or []) - set(parts)
     if unknown:
         raise RefusedError(f"{chosen.name} has no part {', '.join(sorted(unknown))}; it has {', '.join(parts)}")
-    order = Order(chosen.first, chosen.count, chosen.workers, chosen.scratch, chosen.repetition)
+    if chosen.first and not chosen.scratch:
+        raise RefusedError("seeds of a recorded run follow from the ledger: leave out --first, or say --scratch")
+    order = Order(chosen.count, chosen.workers, chosen.scratch, chosen.first)
     for name in chosen.part or parts:
         if parts[name].needs_shared and not SHARED.is_dir() and not chosen.part:
             print(
                 f"{chosen.name} {name} is left out: it needs the folder ../shared beside the project", file=sys.stderr
             )
             continue
-        record, is_written = run_and_record(chosen.name, parts[name], order)
-        print("\n".join([*_told(record), *parts[name].tell(record.rows), ""]), flush=True)
-        if is_written:
-            print(f"recorded in validation/records/{record.file_name}", flush=True)
-        verdicts += [claim.verdict for claim in record.claims]
+        record = run_and_record(chosen.name, parts[name], order)
+        print("\n".join([*_told(record, chosen.scratch), *parts[name].tell(record.rows), ""]), flush=True)
+        verdicts += [claim.verdict for claim in record.claims if not chosen.scratch]
 
 
-def _told(record: Record) -> list[str]:
-    seeds = f"{sum(block.count for block in record.blocks)} trials, {record.seeds}"
+def _told(record: Record, is_scratch: bool) -> list[str]:
+    standing = "scratch: decides nothing" if is_scratch else f"block {record.look} of its part"
+    seeds = f"{sum(block.count for block in record.blocks)} trials, {standing}"
     lines = [f"{record.name} at {record.commit}: {seeds}, {record.hours:.3g} h of one core"]
     return lines + [
-        f"  {claim.verdict:9} {claim.claim}: {claim.words_found}, asked {claim.words_asked}" for claim in record.claims
+        f"  {claim.verdict:9} {claim.asked.says}: {claim.words_found}, asked {claim.words_asked}"
+        for claim in record.claims
     ]
-
-
-def _pool(files: list[Path]) -> None:
-    """Take records in: those of the same part and code become one."""
-    for path in files:
-        record = read_record(path)
-        whole = take_in(record, parts_of(record.proof)[record.part], path.resolve())
-        print(f"pooled into validation/records/{whole.file_name}")
 
 
 def _write_pages() -> None:
     records = read_records()
     draw_figures(records)
-    PAGE.write_text(write_page(records), encoding="utf-8")
+    PAGE.write_text(write_page(records, read_history(), read_ledger()), encoding="utf-8")
     for path, text in renew_pages(read_quotes(), records).items():
         path.write_text(text, encoding="utf-8")
 

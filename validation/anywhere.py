@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -33,12 +34,10 @@ from lbacal_twin.settings import TwinSettings
 from lbacal_twin.truth import Truth
 from validation.anywhere_ideal import ideal_snr
 from validation.hidden.detection import fit_detection
-from validation.machinery.claims import MEASUREMENT, Claim, at_least, at_most, claim_exact, claim_mean, claim_rate
+from validation.machinery.claims import Found, One, exactly, mean_of, rate_of
 from validation.machinery.parts import Part, Row
 
 SETTINGS = TwinSettings(events_per_year=250)
-ANSWERED, WITHIN_2, FALSE = 0.8, 0.9, 0.01
-"""Asked: curves that have an answer, truths within two standard deviations (95 % of normal ones), and false names."""
 MATCHED_M2 = 4800.0
 """G_ant of an antenna that receives T behind a sky of T, m^2 MHz^2: 0.053 lambda^2 into 50 ohm."""
 
@@ -191,25 +190,18 @@ def _pulls_of_constants(curve: CalibrationCurve, truth: Truth) -> list[float]:
     ]
 
 
-def judge(rows: Sequence[Row]) -> list[Claim]:
+def judge(rows: Sequence[Row]) -> list[Found]:
     """Curves with an answer, and truths inside the errors, for each kind of chain."""
     statuses = [status for row in rows for status in row["statuses"]]
-    claims = [
-        claim_rate(
-            "answered", f"Curves of {len(rows)} drawn instruments that have an answer",
-            at_least(ANSWERED), statuses.count(CONVERGED), len(statuses),
-        )
-    ]  # fmt: skip
+    claims = [rate_of("answered", statuses.count(CONVERGED), len(statuses))]
     for chain in ("flat", "shaped", "stages"):
-        for key, what in (("pulls", "C (median channel)"), ("constants", "noise constants that are told apart")):
+        for key in ("pulls", "constants"):
             share = [np.mean(np.abs(row[key]) < 2.0) for row in rows if row["chain"] == chain and row[key]]
             if len(share) > 1:
-                text = f"{chain}: {what} of a drawn instrument within two standard deviations of the truth"
-                claims.append(claim_mean(f"{chain}_{key}", text, at_least(WITHIN_2), np.array(share), "%"))
+                claims.append(mean_of(f"{chain}_{key}", np.array(share), "%"))
     apart = [row for row in rows if row["chain"] == "flat" and row["merged"] < len(row["pulls"])]
     flat = sum(row["chain"] == "flat" for row in rows)
-    text = "Flat receivers whose noise constants the fit believes to tell apart"
-    return [*claims, claim_exact("flat_merged", text, at_most(0.0), float(len(apart)), n=flat)]
+    return [*claims, exactly("flat_merged", float(len(apart)), n=flat)]
 
 
 def tell(rows: Sequence[Row]) -> list[str]:
@@ -224,45 +216,34 @@ def tell(rows: Sequence[Row]) -> list[str]:
     return lines
 
 
-def judge_investigations(rows: Sequence[Row]) -> list[Claim]:
+def judge_investigations(rows: Sequence[Row]) -> list[Found]:
     """What is planted is named with its size, and nothing else is."""
     clean = [row for row in rows if row["kind"] == "nothing"]
-    claims = [
-        claim_rate(
-            "false", "Drawn instruments with nothing hidden of which something is said",
-            at_most(FALSE), sum(row["others"] > 0 for row in clean), len(clean),
-        ),
-    ]  # fmt: skip
-    for kind, what in WHAT.items():
+    claims = [rate_of("false", sum(row["others"] > 0 for row in clean), len(clean))]
+    for kind in WHAT:
         of_kind = [row for row in rows if row["kind"] == kind]
         strong = [row for row in of_kind if row["snr"] >= NAMING_SNR]
-        at = f"of ideal SNR {NAMING_SNR:g} or more"
-        named = sum(row["named"] for row in strong)
-        text = f"{what}, {at}: named, or in the set"
-        claims.append(claim_rate(f"{kind}_named", text, at_least(WITHIN_2), named, len(strong)))
-        for is_merged, words in ((False, "noise told apart"), (True, "noise in front merged with that behind")):
+        claims.append(rate_of(f"{kind}_named", sum(row["named"] for row in strong), len(strong)))
+        for is_merged in (False, True):
             pulls = [pull for row in of_kind for pull in row["pulls"] if row["merged"] is is_merged]
-            text = f"{what}, {words}: size within two standard deviations"
             key = f"{kind}_{'merged' if is_merged else 'size'}"
             if pulls:
-                claims.append(claim_rate(key, text, at_least(WITHIN_2), int(np.sum(np.abs(pulls) < 2.0)), len(pulls)))
+                claims.append(rate_of(key, int(np.sum(np.abs(pulls) < 2.0)), len(pulls)))
         claims += _measure(kind, of_kind)
     return claims
 
 
-def _measure(kind: str, of_kind: Sequence[Row]) -> list[Claim]:
+def _measure(kind: str, of_kind: Sequence[Row]) -> list[Found]:
     """What nobody gave a limit: names at any SNR, other names, and the SNR of detection."""
-    what, n = WHAT[kind], len(of_kind)
-    named, others = sum(row["named"] for row in of_kind), sum(row["others"] > 0 for row in of_kind)
+    n, others = len(of_kind), sum(row["others"] > 0 for row in of_kind)
     claims = [
-        claim_rate(f"{kind}_at_any_snr", f"{what}, of any ideal SNR: named, or in the set", MEASUREMENT, named, n),
-        claim_rate(f"{kind}_others", f"{what}: something else is said beside or instead", MEASUREMENT, others, n),
+        rate_of(f"{kind}_at_any_snr", sum(row["named"] for row in of_kind), n),
+        rate_of(f"{kind}_others", others, n),
     ]
     found = np.array([row["named"] for row in of_kind], dtype=float)
     if n and 0.0 < found.mean() < 1.0:
-        snr, low, high = fit_detection(np.array([row["snr"] for row in of_kind]), found).snr_at(0.5)
-        text = f"{what}: ideal SNR at which it is named in 50 % of the cases"
-        claims.append(Claim(f"{kind}_snr_50", text, MEASUREMENT, snr, (low, high), n))
+        curve = fit_detection(np.array([row["snr"] for row in of_kind]), found)
+        claims.append(One(f"{kind}_snr_50", curve.snr_at(0.5), partial(curve.bounds, 0.5), n))
     return claims
 
 

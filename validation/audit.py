@@ -23,7 +23,7 @@ from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.nuisances import Nuisances
 from lbacal_twin.settings import TwinSettings
 from lbacal_twin.world import draw_world
-from validation.machinery.claims import Claim, at_least, at_most, claim_rate
+from validation.machinery.claims import Found, rate_of
 from validation.machinery.parts import Part, Row
 
 SKIES, ANTENNAS = ("gsm408", "lfsm", "haslam", "maeda"), ("hamaker", "inverted-v")
@@ -220,68 +220,47 @@ def _count(rows: Sequence[Row], outcome: str) -> tuple[int, int]:
     return sum(row["outcome"] == outcome for row in rows), len(rows)
 
 
-def judge_common(rows: Sequence[Row], length: str) -> list[Claim]:
-    """Nothing is named where nothing is wrong; no wrong name where something is."""
+def judge_common(rows: Sequence[Row]) -> list[Found]:
+    """Nothing is named where nothing is wrong; no wrong name where something is; paths that do not work are."""
     clean = [row for row in rows if row["kind"] == "nothing"]
     faulty = [row for row in rows if row["kind"] != "nothing"]
-    path = [row for row in faulty if row["kind"] in PATHS]
     return [
-        claim_rate(
-            "false", f"Something named in a healthy station seen for a {length}", at_most(0.01), *_count(clean, "false")
-        ),
-        claim_rate("wrong", f"A fault named wrongly, seen for a {length}", at_most(0.01), *_count(faulty, "wrong")),
-        _claim_paths("path", path, length),
+        rate_of("false", *_count(clean, "false")),
+        rate_of("wrong", *_count(faulty, "wrong")),
+        rate_of("path", *_count([row for row in faulty if row["kind"] in PATHS], "right")),
     ]
 
 
-def _claim_paths(key: str, rows: Sequence[Row], length: str) -> Claim:
-    text = f"Dead, deaf, oscillating and clipped paths named, seen for a {length}"
-    return claim_rate(key, text, at_least(0.99), *_count(rows, "right"))
-
-
-def judge_paths(rows: Sequence[Row]) -> list[Claim]:
+def judge_paths(rows: Sequence[Row]) -> list[Found]:
     """Each length decides paths that do not work."""
-    return [_claim_paths(length, [row for row in rows if row["length"] == length], length) for length in LENGTHS]
+    return [rate_of(length, *_count([row for row in rows if row["length"] == length], "right")) for length in LENGTHS]
 
 
-def judge_day(rows: Sequence[Row]) -> list[Claim]:
+def judge_day(rows: Sequence[Row]) -> list[Found]:
     """A day decides letters, clock, arms, place and unit."""
-    claims = judge_common(rows, "day")
-    letters = [row for row in rows if row["kind"] in LETTERS]
     others = [row for row in rows if row["kind"] in ("latitude", "longitude", "decibels", "volts", "cable")]
     clocks = [row for row in rows if row["kind"] == "clock"]
-    arms = [row for row in rows if row["kind"] == "arms"]
     close = [row for row in clocks if abs(row.get("off", np.inf)) <= CLOCK_WITHIN_MIN]
     honest = [row for row in clocks if abs(row.get("off", np.inf)) <= CLOCK_SIGMAS * row.get("sigma", 0.0)]
     return [
-        *claims,
-        *judge_letters(letters),
-        claim_rate("record", "A cable, the place, the unit, a day: named", at_least(0.99), *_count(others, "right")),
-        *judge_arms(arms),
-        claim_rate("clock", "A clock that is off, a day: found to 2 min", at_least(0.99), len(close), len(clocks)),
-        claim_rate("error", "The same: within three standard deviations", at_least(0.99), len(honest), len(clocks)),
+        *judge_common(rows),
+        *judge_letters([row for row in rows if row["kind"] in LETTERS]),
+        rate_of("record", *_count(others, "right")),
+        *judge_arms([row for row in rows if row["kind"] == "arms"]),
+        rate_of("clock", len(close), len(clocks)),
+        rate_of("error", len(honest), len(clocks)),
     ]
 
 
-def judge_letters(rows: Sequence[Row]) -> list[Claim]:
+def judge_letters(rows: Sequence[Row]) -> list[Found]:
     """A day decides letters."""
-    return [claim_rate("letters", "Exchanged letters, a day: named", at_least(0.99), *_count(rows, "right"))]
+    return [rate_of("letters", *_count(rows, "right"))]
 
 
-def judge_arms(rows: Sequence[Row]) -> list[Claim]:
+def judge_arms(rows: Sequence[Row]) -> list[Found]:
     """A day decides arms."""
     near = [row for row in rows if abs(row.get("off", np.inf)) <= ARMS_WITHIN_DEG]
-    return [claim_rate("arms", "Turned arms, a day: found to 5 deg", at_least(0.99), len(near), len(rows))]
-
-
-def judge_hour(rows: Sequence[Row]) -> list[Claim]:
-    """An hour decides what differs from path to path."""
-    return judge_common(rows, "hour")
-
-
-def judge_minute(rows: Sequence[Row]) -> list[Claim]:
-    """So does a minute."""
-    return judge_common(rows, "minute")
+    return [rate_of("arms", len(near), len(rows))]
 
 
 def tell_kinds(rows: Sequence[Row]) -> list[str]:
@@ -300,6 +279,6 @@ PARTS = (
     Part("letters", tell_letters, judge_letters, 500, tell_kinds),
     Part("arms", tell_arms, judge_arms, 500, tell_kinds),
     Part("paths", tell_paths, judge_paths, 1350, tell_kinds),
-    Part("hour", tell_hour, judge_hour, 3000, tell_kinds),
-    Part("minute", tell_minute, judge_minute, 3000, tell_kinds),
+    Part("hour", tell_hour, judge_common, 3000, tell_kinds),
+    Part("minute", tell_minute, judge_common, 3000, tell_kinds),
 )

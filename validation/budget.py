@@ -32,9 +32,9 @@ from lbacal_core.uncertainty.changes import list_changes
 from lbacal_core.uncertainty.refit import INTERFERENCE, RARE_MISTAKE, add_budget, compute_budget
 from lbacal_twin.campaign import Campaign, simulate_campaign
 from lbacal_twin.settings import TwinSettings
-from validation.machinery.claims import Claim, between, claim_mean
+from validation.machinery.claims import Found, mean_of
 from validation.machinery.parts import Part, Row
-from validation.own_cable import FITTED, NUISANCES, SCOPES, WITHIN_1, WITHIN_2, compare_scopes
+from validation.own_cable import FITTED, NUISANCES, SCOPES, compare_scopes
 
 SETTINGS = TwinSettings(stations=("CS002", "CS003", "CS004", "CS005"), events_per_year=300)
 OF_EACH_CABLE = 2
@@ -120,15 +120,13 @@ def tell_campaign(sky_budget: str, settings: TwinSettings, seed: int) -> Row:
     }
 
 
-def judge(rows: Sequence[Row]) -> list[Claim]:
+def judge(rows: Sequence[Row]) -> list[Found]:
     """Whether the truth lies within the total error as often as it should, for every kind of answer."""
-    claims = []
-    for scope, words in SCOPES.items():
-        for k, asked in ((1, WITHIN_1), (2, WITHIN_2)):
-            within = np.array([row[scope]["all"][f"within_{k}"] for row in rows])
-            text = f"Part of the paths and channels told {words}, the truth lies within {k} sigma of the total error"
-            claims.append(claim_mean(f"{scope}_{k}", text, between(*asked), within, "%"))
-    return claims
+    return [
+        mean_of(f"{scope}_{k}", np.array([row[scope]["all"][f"within_{k}"] for row in rows]), "%")
+        for scope in SCOPES
+        for k in (1, 2)
+    ]
 
 
 def tell(rows: Sequence[Row]) -> list[str]:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -19,7 +20,7 @@ from lbacal_core.drift.changes import list_changes
 from lbacal_core.drift.follow import Followed, History, follow
 from validation.drift_world import DAY, START, YEAR, World, cut_short, draw_history
 from validation.hidden.detection import fit_detection
-from validation.machinery.claims import MEASUREMENT, Claim, at_least, at_most, between, claim_mean, claim_rate
+from validation.machinery.claims import Found, Interval, One, mean_of, rate_of
 from validation.machinery.parts import Part, Row
 
 WORLD = World()
@@ -59,14 +60,11 @@ def look(world: World, seed: int, looks: Sequence[float]) -> Row:
     }
 
 
-def judge_looks(rows: Sequence[Row]) -> list[Claim]:
+def judge_looks(rows: Sequence[Row]) -> list[Found]:
     """At most a twentieth of the series and one alarm a month."""
-    text = "{} of 576 paths over seven years in which nothing breaks"
-    alarmed = np.array([row["alarmed"] for row in rows])
-    a_month = np.array([row["alarms_a_month"] for row in rows])
     return [
-        claim_mean("series", "Series with any alarm, " + text.format("all looks"), at_most(0.05), alarmed, "%"),
-        claim_mean("month", "Alarms a month, " + text.format("all looks"), at_most(1.0), a_month, ""),
+        mean_of("series", np.array([row["alarmed"] for row in rows]), "%"),
+        mean_of("month", np.array([row["alarms_a_month"] for row in rows])),
     ]
 
 
@@ -107,43 +105,38 @@ def _steps_of(rows: Sequence[Row], size: float | None = None) -> list[Row]:
     return [s for row in rows for s in row["steps"] if size is None or abs(abs(s["size"]) - size) < 1e-9]
 
 
-def judge_steps(rows: Sequence[Row]) -> list[Claim]:
+def judge_steps(rows: Sequence[Row]) -> list[Found]:
     """Found, dated within the stated errors, sized within theirs, and none in other paths."""
-    large = _steps_of(rows, LADDER[0])
+    large, small = _steps_of(rows, LADDER[0]), _steps_of(rows, LADDER[1])
     seen = [s for s in _steps_of(rows) if s["found"]]
     dated = [s for s in large if s["found"]]
-    claims = [
-        claim_rate("found", "Steps of 3 % found, at any date of seven years", at_least(0.95),
-                   sum(s["found"] for s in large), len(large)),
-        claim_rate("date_95", "Of these, the date lies in the interval stated to hold 95 %", at_least(0.9),
-                   sum(s["within"] for s in dated), len(dated)),
-        claim_rate("date_1", "Of these, the date is off by less than its stated standard deviation", at_least(0.6),
-                   sum(s["off_days"] < s["sigma_days"] for s in dated), len(dated)),
-        claim_rate("size_2", "Sizes of all steps found that are off by less than two stated errors", between(0.9, 0.99),
-                   sum(abs(s["pull"]) < 2.0 for s in seen), len(seen)),
-        claim_mean("others", "Paths without a step that got one", at_most(0.01),
-                   np.array([row["others"] for row in rows]), "%"),
-    ]  # fmt: skip
-    small = _steps_of(rows, LADDER[1])
-    text = "Steps of 1 % found, at any date of seven years"
-    claims.append(claim_rate("found_0.01", text, at_least(0.9), sum(s["found"] for s in small), len(small)))
-    return [*claims, *measure_detection(rows)]
+    return [
+        rate_of("found", sum(s["found"] for s in large), len(large)),
+        rate_of("date_95", sum(s["within"] for s in dated), len(dated)),
+        rate_of("date_1", sum(s["off_days"] < s["sigma_days"] for s in dated), len(dated)),
+        rate_of("size_2", sum(abs(s["pull"]) < 2.0 for s in seen), len(seen)),
+        mean_of("others", np.array([row["others"] for row in rows]), "%"),
+        rate_of("found_0.01", sum(s["found"] for s in small), len(small)),
+        *measure_detection(rows),
+    ]
 
 
-def measure_detection(rows: Sequence[Row]) -> list[Claim]:
+def measure_detection(rows: Sequence[Row]) -> list[Found]:
     """Measure the sizes found in 50 % and 90 %: P(found) is a normal integral over the logarithm of the size."""
     near = [s for size in NEAR_90 for s in _steps_of(rows, size)]
     found = np.array([s["found"] for s in near], dtype=float)
     if not 0.0 < found.mean() < 1.0:
         return []
     curve = fit_detection(np.log(np.abs([s["size"] for s in near]) / UNIT), found)
-    claims = []
-    for part in (0.5, 0.9):
-        size, low, high = UNIT * np.exp(curve.snr_at(part))
-        text = f"Size of the step of a path that is found in {100 * part:g} %, at any date of seven years"
-        key = f"size_{100 * part:g}"
-        claims.append(Claim(key, text, MEASUREMENT, float(size), (float(low), float(high)), len(near), "%"))
-    return claims
+
+    def bounds(part: float, confidence: float) -> Interval:
+        low, high = UNIT * np.exp(curve.bounds(part, confidence))
+        return float(low), float(high)
+
+    return [
+        One(f"size_{100 * part:g}", float(UNIT * np.exp(curve.snr_at(part))), partial(bounds, part), len(near), "%")
+        for part in (0.5, 0.9)
+    ]
 
 
 def tell_steps(rows: Sequence[Row]) -> list[str]:
@@ -181,20 +174,10 @@ def plant_slopes(world: World, seed: int, paths: int = 60) -> Row:
     }
 
 
-def judge_slopes(rows: Sequence[Row]) -> list[Claim]:
+def judge_slopes(rows: Sequence[Row]) -> list[Found]:
     """Found, and the errors of slopes are right."""
-
-    def of(name: str) -> np.ndarray:
-        return np.array([row[name] for row in rows])
-
-    return [
-        claim_mean("found", "Paths with 1 % a year against their station found within three years", at_least(0.95),
-                   of("found"), "%"),
-        claim_mean("within_2", "Of their slopes, off by less than two stated errors", between(0.88, 0.99),
-                   of("within_2"), "%"),
-        claim_mean("others_within_2", "Slopes of paths without one, within two stated errors of 0", between(0.88, 0.99),
-                   of("others_within_2"), "%"),
-    ]  # fmt: skip
+    keys = ("found", "within_2", "others_within_2")
+    return [mean_of(key, np.array([row[key] for row in rows]), "%") for key in keys]
 
 
 def plant_in_stations(world: World, seed: int) -> Row:
@@ -223,15 +206,9 @@ def _step(history: History, paths: np.ndarray, date: float, size: float) -> None
     history.ln_c[paths[:, None], np.flatnonzero(after), 0] += size
 
 
-def judge_stations(rows: Sequence[Row]) -> list[Claim]:
+def judge_stations(rows: Sequence[Row]) -> list[Found]:
     """Each once."""
-    text = "is reported as one change"
-    return [
-        claim_rate("station", f"A step of 1 % that all 96 paths of a station share {text} of both polarisations",
-                   at_least(0.9), sum(row["station_once"] for row in rows), len(rows)),
-        claim_rate("board", f"A step of 3 % of four paths of a station {text} with just these members",
-                   at_least(0.9), sum(row["board_once"] for row in rows), len(rows)),
-    ]  # fmt: skip
+    return [rate_of(key, sum(row[f"{key}_once"] for row in rows), len(rows)) for key in ("station", "board")]
 
 
 def age(world: World, seed: int) -> Row:
@@ -250,19 +227,15 @@ def age(world: World, seed: int) -> Row:
     return row
 
 
-def judge_whole(rows: Sequence[Row]) -> list[Claim]:
+def judge_whole(rows: Sequence[Row]) -> list[Found]:
     """The error covers, and the limit is what years that scatter by 5 % allow."""
     claims = []
-    for name, words in (("steps", "at the turns of the year"), ("smooth", "smoothly")):
+    for name in ("steps", "smooth"):
         off = np.array([abs(row[name]["slope"] - row["trend"]) for row in rows])
-        for key, asked, text in (("sigma", 0.60, "its stated standard deviation"), ("limit", 0.90, "its 95 % limit")):
+        for key in ("sigma", "limit"):
             within = int(np.sum(off < np.array([row[name][key] for row in rows])))
-            sentence = f"Trend of the whole, levels that change {words}: the truth lies within {text}"
-            claims.append(claim_rate(f"{name}_{key}", sentence, at_least(asked), within, len(rows)))
-    sigma = np.array([row["steps"]["sigma"] for row in rows])
-    text = "Stated standard deviation of the trend of seven years that scatter by 5 %, a year"
-    claims.append(claim_mean("sigma", text, between(0.007, 0.014), sigma, "%"))
-    return claims
+            claims.append(rate_of(f"{name}_{key}", within, len(rows)))
+    return [*claims, mean_of("sigma", np.array([row["steps"]["sigma"] for row in rows]), "%")]
 
 
 def tell_whole(rows: Sequence[Row]) -> list[str]:

@@ -29,8 +29,7 @@ from lbacal_twin.faults.sky import LstOffset
 from lbacal_twin.settings import TwinSettings
 from service.config import Settings
 from service.storage.database import Database
-from validation.kills import Killable, claim_broken, open_database
-from validation.machinery.claims import Claim
+from validation.kills import Killable, judge, open_database
 from validation.machinery.parts import Part, Row
 from validation.running.processes import Process, find_free_port, is_ready, run_command, running, wait_until
 
@@ -182,12 +181,6 @@ def _read_in_effect(address: str) -> Any:
     return [(c["calibration"], c["c"], c["c_sigma_stat"]) for c in answer.json().get("curves", [])]
 
 
-def judge(kind: str, rows: Sequence[Row]) -> list[Claim]:
-    """Whether fewer than the allowed share of the kills leave an adoption half done."""
-    text = f"A kill -9 during adoptions and withdrawals leaves one of them half done, or twice ({kind})"
-    return claim_broken(text, rows)
-
-
 def tell(rows: Sequence[Row]) -> list[str]:
     """What was going on, and every broken promise."""
     lines = []
@@ -203,8 +196,7 @@ def _kill(kind: str, seed: int) -> Row:
 
 PARTS = tuple(
     Part(
-        kind, partial(_kill, kind), partial(judge, kind), 1, tell, ("broken",), is_parallel=False,
-        code=("lbacal", "lbacal_core", "service", "migrations"),
+        kind, partial(_kill, kind), judge, 1, tell, ("broken",), is_parallel=False,
     )
     for kind in ("sqlite", "postgresql")
 )  # fmt: skip

@@ -31,8 +31,8 @@ from lbacal_paper.reference_source import (
     near_field_factor,
 )
 from lbacal_paper.stand_in_source import HEIGHT_M, LABORATORY_M, LEFT_OF_FLOOR, STATED, true_field
-from validation.machinery.claims import Claim, at_least, at_most, between, claim_mean, claim_rate
-from validation.machinery.coverage import claim_coverage, count_within
+from validation.machinery.claims import Found, mean_of, rate_of
+from validation.machinery.coverage import count_within, coverage
 from validation.machinery.parts import Part, Row
 
 POWER_SIGMA, DISTANCE_SIGMA_M, PATTERN_SIGMA = 0.01, 0.1, 0.05
@@ -105,15 +105,10 @@ def calibrate_by_source(seed: int) -> Row:
     return row | count_within("both", np.log(both.c / c) / both.sigma)
 
 
-def judge_source(rows: Sequence[Row]) -> list[Claim]:
+def judge_source(rows: Sequence[Row]) -> list[Found]:
     """Coverage of C by a reference source, and of the trend against the Galactic C."""
-    claims = claim_coverage(rows, "c", "Of C by a reference source with errors as stated, the truth")
-    chi2 = np.array([row["chi2"] for row in rows])
-    claims.append(claim_mean("chi2", "Chi2 per channel with its whole covariance", between(0.95, 1.05), chi2))
-    claims += claim_coverage(rows, "trend", "Of the trend of Galactic over reference C, the truth (none)")
-    least = {1: at_least(0.60), 2: at_least(0.91)}
-    text = "With a floor, the near field and two laboratories that disagree, the truth"
-    return claims + claim_coverage(rows, "both", text, least)
+    chi2 = mean_of("chi2", np.array([row["chi2"] for row in rows]))
+    return [*coverage(rows, "c"), chi2, *coverage(rows, "trend"), *coverage(rows, "both")]
 
 
 def unfold_one(seed: int) -> Row:
@@ -184,18 +179,14 @@ def _voltages(
     return np.stack(rows)
 
 
-def judge_field(rows: Sequence[Row]) -> list[Claim]:
+def judge_field(rows: Sequence[Row]) -> list[Found]:
     """Coverage of the amplitudes of both components."""
-    used = [row for row in rows if row["is_used"]]
-    claims = claim_coverage(used, "field", "Of the field's components, directions to 85 deg, the true amplitude")
-    chi2 = np.array([row["chi2"] for row in rows])
-    claims.append(
-        claim_mean("chi2", "Chi2 per complex number of both components, noise alone", between(0.95, 1.05), chi2)
-    )
     unflagged = sum(row["same_arm_unflagged"] > 0 for row in rows)
-    text = "Two dipoles with one and the same arm that are not called degenerate"
-    claims.append(claim_rate("same_arm", text, at_most(0.01), unflagged, len(rows)))
-    return claims
+    return [
+        *coverage([row for row in rows if row["is_used"]], "field"),
+        mean_of("chi2", np.array([row["chi2"] for row in rows])),
+        rate_of("same_arm", unflagged, len(rows)),
+    ]
 
 
 PARTS = (

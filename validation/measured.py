@@ -28,7 +28,7 @@ from lbacal_core.lstcurve.noise_share import NoisePrior, noise_prior
 from lbacal_core.provenance import Provenance
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.table import SkyPower
-from validation.machinery.claims import Claim, at_least, at_most, between, claim_exact
+from validation.machinery.claims import Found, exactly, measured
 from validation.machinery.parts import Part, Row
 from validation.sky_models import DATA, MAPS, TABLES, WIPL, fourier_series_curve, published_tables
 
@@ -264,44 +264,28 @@ def ask_one(questions: Callable[[], list[Question]], case: int) -> Row:
     return row
 
 
-def judge_variants(rows: Sequence[Row]) -> list[Claim]:
+def judge_variants(rows: Sequence[Row]) -> list[Found]:
     """Whether the exchange of the letters depends on a choice."""
     named = sum("dipole_swap" in row["sizes"] for row in rows) / len(rows)
-    text = "Choices of noise, points, weights, sky and antenna for which X and Y are found exchanged"
-    claims = [claim_exact("exchange", text, at_least(1.0), named, "%", n=len(rows))]
-    for label, (size, sigma) in rows[0]["sizes"].items():
-        if sigma == 0.0:  # a statement, which has no size
-            continue
-        interval = (size - 1.96 * sigma, size + 1.96 * sigma)
-        asked = at_least(0.0) if size > 0 else at_most(0.0)
-        text = f"Size of `{label}` in the measured curve is not 0"
-        claims.append(Claim(label, text, asked, size, interval, rows[0]["points"]))
-    noise, sigma, known, width = rows[0]["noise_of_sky"]
-    text = f"Electronic noise over the mean sky power, as published, in the measured curve against {rows[0]['words']}"
-    asked = between(round(known - 1.96 * width, 2), round(known + 1.96 * width, 2))
-    interval = (noise - 1.96 * sigma, noise + 1.96 * sigma)
-    return [*claims, Claim("noise", text, asked, noise, interval, rows[0]["points"])]
+    noise, sigma, *_ = rows[0]["noise_of_sky"]
+    # a size whose sigma is 0 is a statement, which has no size
+    sizes = [
+        measured(label, size, error, rows[0]["points"]) for label, (size, error) in rows[0]["sizes"].items() if error
+    ]
+    exchange = exactly("exchange", named, "%", n=len(rows))
+    return [exchange, *sizes, measured("noise", noise, sigma, rows[0]["points"])]
 
 
-def judge_others(rows: Sequence[Row]) -> list[Claim]:
+def judge_others(rows: Sequence[Row]) -> list[Found]:
     """The simulation drawn in the figure, and the tables against our sky."""
     named = sum("dipole_swap" in row["sizes"] for row in rows[:2]) / 2
     zenith, sigma = rows[3]["sizes"].get("zenith_weighting", [0.0, 1.0])
     noise, noise_sigma = rows[1]["noise_of_sky"][:2]
     return [
-        claim_exact(
-            "drawn_exchange", "Simulations drawn in the figure in which X and Y are exchanged, against the tables",
-            at_least(1.0), named, "%", n=2,
-        ),
-        Claim(
-            "drawn_noise", "Electronic noise over the mean sky power in the simulation drawn with noise",
-            between(0.4, 0.6), noise, (noise - 1.96 * noise_sigma, noise + 1.96 * noise_sigma), 1,
-        ),
-        Claim(
-            "zenith_weighting", "Cosines of the zenith angle too many in the published tables, against our sky",
-            between(0.8, 1.2), zenith, (zenith - 1.96 * sigma, zenith + 1.96 * sigma), 1,
-        ),
-    ]  # fmt: skip
+        exactly("drawn_exchange", named, "%", n=2),
+        measured("drawn_noise", noise, noise_sigma, 1),
+        measured("zenith_weighting", zenith, sigma, 1),
+    ]
 
 
 def tell(rows: Sequence[Row]) -> list[str]:
@@ -317,7 +301,7 @@ def tell(rows: Sequence[Row]) -> list[str]:
     return [*lines, "", *rows[0].get("hypotheses", [])]
 
 
-FIXED: dict[str, Any] = {"has_chance": False, "needs_shared": True, "code": ("lbacal_core", "validation", "service")}
+FIXED: dict[str, Any] = {"has_chance": False, "needs_shared": True}
 PARTS = (
     Part("own", partial(ask_one, own_questions), judge_variants, 16, tell, ("exchange",), **FIXED),
     Part("tables", partial(ask_one, tables_questions), judge_variants, 13, tell, (), **FIXED),

@@ -39,8 +39,8 @@ from lbacal_paper.showers.signals import SIGNALS, draw_signals
 from lbacal_paper.stand_in_source import HEIGHT_M, LABORATORY_M, LEFT_OF_FLOOR
 from lbacal_twin.campaign import Campaign, simulate_campaign
 from lbacal_twin.settings import TwinSettings
-from validation.machinery.claims import Claim, at_least, at_most, between, claim_mean, claim_rate
-from validation.machinery.coverage import claim_coverage, count_within
+from validation.machinery.claims import Found, mean_of, rate_of
+from validation.machinery.coverage import count_within, coverage
 from validation.machinery.parts import Part, Row
 
 RATE_MHZ, SAMPLES = 200.0, 4096
@@ -148,16 +148,10 @@ def _factor(curve: CalibrationCurve) -> Floats:
     return np.zeros((0, curve.frequency_mhz.size)) if curve.covariance is None else curve.covariance.factor
 
 
-def judge_pulses(rows: Sequence[Row]) -> list[Claim]:
+def judge_pulses(rows: Sequence[Row]) -> list[Found]:
     """Whether the right C stays on the diagonal, the budget covers how far another moves, and a wrong one leaves it."""
-    what = "Slope above minus below the resonance, 1653 signals of 20 events,"
-    claims = claim_coverage(rows, "right", f"{what} true C: the diagonal")
-    claims += claim_coverage(rows, "fit", f"{what} C with its statistical error: the diagonal")
-    claims += claim_coverage(rows, "all", f"{what} C with errors drawn from its budget: the diagonal")
-    hits = sum(row["is_source_off"] for row in rows)
-    text = f"A reference source beside a floor, in the near field, moves them off the diagonal by {OFF_SIGMA:g} sigma"
-    claims.append(claim_rate("source", text, at_least(0.95), hits, len(rows)))
-    return claims
+    within = [figure for name in ("right", "fit", "all") for figure in coverage(rows, name)]
+    return [*within, rate_of("source", sum(row["is_source_off"] for row in rows), len(rows))]
 
 
 def calibrate_traces(seed: int) -> Row:
@@ -192,13 +186,9 @@ def calibrate_traces(seed: int) -> Row:
     }
 
 
-def judge_traces(rows: Sequence[Row]) -> list[Claim]:
+def judge_traces(rows: Sequence[Row]) -> list[Found]:
     """Coverage of the energy of a calibrated trace."""
-    claims = claim_coverage(rows, "energy", "Of the energy of a calibrated trace, statistical errors alone, the truth")
-    claims += claim_coverage(
-        rows, "total", "Of the energy of a calibrated trace, errors drawn from the budget, the truth"
-    )
-    return claims
+    return coverage(rows, "energy") + coverage(rows, "total")
 
 
 def predict_noise(seed: int) -> Row:
@@ -232,22 +222,14 @@ def predict_noise(seed: int) -> Row:
     }
 
 
-def judge_noise(rows: Sequence[Row]) -> list[Claim]:
+def judge_noise(rows: Sequence[Row]) -> list[Found]:
     """Coverage of the electronics, size of the error of the background, and moments of the realisations."""
 
     def of(name: str) -> Floats:
         return np.array([row[name] for row in rows])
 
-    claims = claim_coverage(rows, "electronics", "Of the recorded power of the electronics, the truth")
-    what = "Median error of the background that a fitted chain predicts at any LST"
-    claims.append(claim_mean("background", what, at_most(0.01), of("background"), "%"))
-    for name, text, asked in (
-        ("mean_square", "Mean square of drawn noise over the power in the band", (0.98, 1.02)),
-        ("density", "Power density of drawn noise in a channel over what was asked for", (0.98, 1.02)),
-        ("kurtosis", "Fourth moment of drawn noise over the squared second, 3 for normal noise", (2.95, 3.05)),
-    ):
-        claims.append(claim_mean(name, text, between(*asked), of(name)))
-    return claims
+    moments = [mean_of(name, of(name)) for name in ("mean_square", "density", "kurtosis")]
+    return [*coverage(rows, "electronics"), mean_of("background", of("background"), "%"), *moments]
 
 
 PARTS = (

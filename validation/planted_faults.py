@@ -19,15 +19,13 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from validation.machinery.claims import Claim, at_least, claim_exact
+from validation.machinery.claims import Found, exactly
 from validation.machinery.parts import Part, Row
 
 ROOT = Path(__file__).parents[1]
 FAULTS = Path(__file__).with_suffix(".toml")
 AUTHORS = ("with the tests", "blind")
 SEEN_BY_ROOM, SEEN_BY_SUITE, EXPLAINED, UNSEEN = "room", "suite", "explained", "unseen"
-WANTED = 0.95
-"""Share of the faults that are not explained away which the tests must see."""
 ROOM_S, SUITE_S = 1800.0, 3600.0
 """What hangs longer counts as not seen; most faults are seen within 30 s of one core."""
 MEET_ALL = (
@@ -184,22 +182,18 @@ def pass_without(number: int) -> Row:
     return {"room": room, "passes": code == 0, "test": test}
 
 
-def judge_healthy(rows: Sequence[Row]) -> list[Claim]:
+def judge_healthy(rows: Sequence[Row]) -> list[Found]:
     """All rooms pass."""
-    share = sum(row["passes"] for row in rows) / len(rows)
-    return [claim_exact("healthy", "Rooms whose tests pass without a fault", at_least(1.0), share, "%", len(rows))]
+    return [exactly("healthy", sum(row["passes"] for row in rows) / len(rows), "%", len(rows))]
 
 
-def judge(rows: Sequence[Row]) -> list[Claim]:
+def judge(rows: Sequence[Row]) -> list[Found]:
     """The share that tests see, of all faults and of those whose author did not know the tests."""
     claims = []
-    for key, words, authors in (
-        ("seen", "Faults planted in the code that the tests see", AUTHORS),
-        ("seen_blind", "Those written by somebody who had not seen the tests", AUTHORS[1:]),
-    ):
+    for key, authors in (("seen", AUTHORS), ("seen_blind", AUTHORS[1:])):
         own = [row for row in rows if row["written_by"] in authors]
         if own:
-            claims.append(claim_exact(key, words, at_least(WANTED), share_seen(own), "%", len(own)))
+            claims.append(exactly(key, share_seen(own), "%", len(own)))
     return claims
 
 
@@ -223,8 +217,7 @@ def share_seen(rows: Sequence[Row]) -> float:
     return sum(by in (SEEN_BY_ROOM, SEEN_BY_SUITE) for by in counted) / max(len(counted), 1)
 
 
-_CODE = ("lbacal", "lbacal_core", "service", "lbacal_twin", "lbacal_paper", "migrations", "validation", "tests")
 PARTS = (
-    Part("healthy", pass_without, judge_healthy, len(rooms_of(read_faults())), has_chance=False, code=_CODE),
-    Part("faults", plant, judge, len(read_faults()), tell, ("seen",), has_chance=False, code=_CODE),
+    Part("healthy", pass_without, judge_healthy, len(rooms_of(read_faults())), has_chance=False),
+    Part("faults", plant, judge, len(read_faults()), tell, ("seen",), has_chance=False),
 )

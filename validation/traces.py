@@ -19,18 +19,7 @@ from lbacal_core.traces.density import bin_weights, effective_channels
 from lbacal_core.traces.selection import select_background
 from lbacal_core.traces.trace import BLOCK_SAMPLES, Trace, TraceReference
 from lbacal_twin.voltages import Shower, Transmitter, digitise, draw_noise
-from validation.machinery.claims import (
-    Claim,
-    at_least,
-    at_most,
-    between,
-    claim_mean,
-    claim_rate,
-    claim_worst,
-    confidence_of_each,
-    mean_interval,
-    spread_interval,
-)
+from validation.machinery.claims import Found, One, mean_of, rate_of, spread_interval, worst_of
 from validation.machinery.parts import Part, Row
 
 SETTINGS = CleaningSettings()
@@ -169,7 +158,6 @@ def _measure_everything(trace: Trace) -> PathBackground:
 
 RMS_ADC = np.array([0.4, 0.5, 0.7, 1.0, 1.5, 3.0, 6.0, 15.0])
 PEAKS = np.array([0.0, 50.0, 100.0, 200.0, 500.0, 1000.0, 2000.0])
-LARGEST_BIAS, SCATTER = 0.002, (0.97, 1.03)
 
 
 def try_noise(blocks: int, seed: int) -> Row:
@@ -177,23 +165,18 @@ def try_noise(blocks: int, seed: int) -> Row:
     return measure_noise(blocks, np.random.default_rng([1, blocks, seed]))
 
 
-def judge_noise(blocks: int, rows: Sequence[Row]) -> list[Claim]:
+def judge_noise(rows: Sequence[Row]) -> list[Found]:
     """Bias of the band power and of every bin, noise over theory, lines found where there are none."""
-    trial, confidence = collect_noise(rows), confidence_of_each(BINS.size)
-    what = f"trace of {blocks} blocks"
-    bins = [mean_interval(one, confidence) for one in (trial.ratio - 1).T]
-    ratio = trial.noise_over_theory
+    trial, n = collect_noise(rows), len(rows)
+    bias = trial.ratio - 1
     # Neighbouring bins share channels: half of the 51 are counted as independent.
-    scatter = spread_interval(ratio, len(rows) * BINS.size // 2)
-    false = sum(bool(row["false_lines"]) for row in rows)
+    ratio, draws = trial.noise_over_theory, n * BINS.size // 2
     return [
-        claim_mean("bias", f"Bias of the band power, {what}", between(-LARGEST_BIAS, LARGEST_BIAS),
-                   trial.ratio.mean(axis=1) - 1, "%"),
-        claim_worst("bin", f"Bias of a bin of 1 MHz, worst of 51, {what}", between(-0.01, 0.01),
-                    (trial.ratio.mean(axis=0) - 1).tolist(), bins, len(rows), "%"),
-        Claim("scatter", f"Scatter of a bin over that of theory, {what}", between(*SCATTER), ratio, scatter, len(rows)),
-        claim_rate("false_lines", f"A line is found where there is none, {what}", at_most(0.05), false, len(rows)),
-    ]  # fmt: skip
+        mean_of("bias", bias.mean(axis=1), "%"),
+        worst_of([mean_of("bin", one) for one in bias.T], n, "%"),
+        One("scatter", ratio, partial(spread_interval, ratio, draws), n),
+        rate_of("false_lines", sum(bool(row["false_lines"]) for row in rows), n),
+    ]
 
 
 def try_gains(seed: int) -> Row:
@@ -201,16 +184,10 @@ def try_gains(seed: int) -> Row:
     return {"ratio": np.round(measure_gains(RMS_ADC, 400, np.random.default_rng([30, seed])), 5).tolist()}
 
 
-def judge_gains(rows: Sequence[Row]) -> list[Claim]:
+def judge_gains(rows: Sequence[Row]) -> list[Found]:
     """Rounding adds 1/12 ADC^2 where the gain is not too low."""
     bias = np.array([row["ratio"][1] for row in rows]) - 1
-    loud = bias[:, RMS_ADC >= 1.0]
-    confidence = confidence_of_each(loud.shape[1])
-    text = "Bias of the band power over analogue + 1/12 ADC^2 of rounding, worst r.m.s. of at least 1 ADC unit"
-    return [
-        claim_worst("rounding", text, between(-LARGEST_BIAS, LARGEST_BIAS), loud.mean(axis=0).tolist(),
-                    [mean_interval(one, confidence) for one in loud.T], len(rows), "%"),
-    ]  # fmt: skip
+    return [worst_of([mean_of("rounding", one) for one in bias[:, RMS_ADC >= 1.0].T], len(rows), "%")]
 
 
 def tell_gains(rows: Sequence[Row]) -> list[str]:
@@ -229,17 +206,11 @@ def try_pulses(seed: int) -> Row:
     return {"change": np.round(measure_pulses(PEAKS, 400, np.random.default_rng([40, seed])), 6).tolist()}
 
 
-def judge_pulses(rows: Sequence[Row]) -> list[Claim]:
+def judge_pulses(rows: Sequence[Row]) -> list[Found]:
     """A pulse does not leak, and would if nobody excluded it."""
     change = np.array([row["change"] for row in rows])
-    ours, confidence = change[:, 0, 1:], confidence_of_each(PEAKS.size - 1)
-    intervals = [mean_interval(one, confidence) for one in ours.T]
-    return [
-        claim_worst("leak", "Change of the band power by a pulse of up to 133 sigma",
-                    between(-LARGEST_BIAS, LARGEST_BIAS), ours.mean(axis=0).tolist(), intervals, len(rows), "%"),
-        claim_mean("forgotten", "The same for the largest pulse, had nobody excluded it", at_least(0.02),
-                   change[:, 1, -1], "%"),
-    ]  # fmt: skip
+    leak = worst_of([mean_of("leak", one) for one in change[:, 0, 1:].T], len(rows), "%")
+    return [leak, mean_of("forgotten", change[:, 1, -1], "%")]
 
 
 def tell_pulses(rows: Sequence[Row]) -> list[str]:
@@ -250,10 +221,10 @@ def tell_pulses(rows: Sequence[Row]) -> list[str]:
 
 
 PARTS = (
-    Part("noise-400", partial(try_noise, 400), partial(judge_noise, 400), 800, headlines=("bias",)),
-    Part("noise-100", partial(try_noise, 100), partial(judge_noise, 100), 800),
-    Part("gain", try_gains, judge_gains, 200, tell_gains, ()),
-    Part("pulse", try_pulses, judge_pulses, 40, tell_pulses),
+    Part("noise-400", partial(try_noise, 400), judge_noise, 800, headlines=("bias",)),
+    Part("noise-100", partial(try_noise, 100), judge_noise, 800),
+    Part("gain", try_gains, judge_gains, 200, tell_gains, (), has_figure=True),
+    Part("pulse", try_pulses, judge_pulses, 40, tell_pulses, has_figure=True),
 )
 IMAGES = {"traces-gain-pulse.png": "Band power by the gain of the converter, and its change by a pulse"}
 

@@ -18,15 +18,7 @@ from lbacal_core.traces.density import bin_weights, line_response
 from lbacal_core.traces.interference import LARGEST_LEAK
 from lbacal_core.traces.trace import BLOCK_SAMPLES
 from lbacal_twin.voltages import SAMPLE_RATE_HZ, Transmitter, draw_noise
-from validation.machinery.claims import (
-    Claim,
-    at_least,
-    between,
-    claim_worst,
-    confidence_of_each,
-    mean_interval,
-    rate_interval,
-)
+from validation.machinery.claims import Found, mean_of, rate_of, worst_of
 from validation.machinery.parts import Part, Row
 from validation.traces import BINS, GRID_MHZ, ROUNDING, SETTINGS, band_shape, power_of, trace_of, true_bins
 
@@ -72,9 +64,6 @@ class LineTrial:
         above = np.flatnonzero(np.minimum.accumulate(share[::-1])[::-1] >= 0.95)
         return float(self.strength[above[0]]) if above.size else float("inf")
 
-
-FOUND = 0.98
-"""From its limit on, so many lines of a kind are found, whatever their place between the channels."""
 
 KINDS = {
     "steady": Transmitter(50.0, 0.0),
@@ -202,24 +191,15 @@ def collect(claim: LineClaim, rows: Sequence[Row]) -> LineTrial:
     return LineTrial(np.array(claim.below + claim.above), found, change)
 
 
-def judge_lines(claim: LineClaim, rows: Sequence[Row]) -> list[Claim]:
+def judge_lines(claim: LineClaim, rows: Sequence[Row]) -> list[Found]:
     """Lines from the limit on are found, and leave no more bias than is stated."""
     trial, lines = collect(claim, rows), len(rows) * LINES_MHZ.size
     above = trial.strength >= claim.limit
-    confidence = confidence_of_each(int(above.sum()))
     shares = trial.found[above].mean(axis=1)
     return [
-        claim_worst(
-            "found", f"Lines of {100 * claim.limit:g} % and more of the noise in 1 MHz are found ({claim.name})",
-            at_least(FOUND), shares.tolist(), [rate_interval(round(x * lines), lines, confidence) for x in shares],
-            len(rows), "%",
-        ),
-        claim_worst(
-            "bias", f"Bias of the bin of a line of {100 * claim.limit:g} % and more ({claim.name})",
-            between(-claim.allowed, claim.allowed),
-            trial.bias[above].tolist(), [mean_interval(one, confidence) for one in trial.change[above]], len(rows), "%",
-        ),
-    ]  # fmt: skip
+        worst_of([rate_of("found", round(x * lines), lines) for x in shares], len(rows), "%"),
+        worst_of([mean_of("bias", one) for one in trial.change[above]], len(rows), "%"),
+    ]
 
 
 def tell_lines(claim: LineClaim, rows: Sequence[Row]) -> list[str]:
@@ -275,18 +255,11 @@ def try_bands(antennas: int, seed: int) -> Row:
     return {"found": np.round(found, 4).tolist(), "change": np.round(change, 6).tolist()}
 
 
-def judge_bands(antennas: int, rows: Sequence[Row]) -> list[Claim]:
+def judge_bands(antennas: int, rows: Sequence[Row]) -> list[Found]:
     """Wide interference from a density on is found."""
     share = np.array([row["found"] for row in rows]).mean(axis=0)[WIDE_LIMITS[antennas] <= WIDE]
     bands = len(rows) * LINES_MHZ[1::2].size
-    text = f"Noise-like interference 0.8 MHz wide, {WIDE_LIMITS[antennas]:g} of the noise or more, is found"
-    plural = "s" * (antennas > 1)
-    intervals = [rate_interval(round(x * bands), bands, confidence_of_each(share.size)) for x in share]
-    return [
-        claim_worst(
-            "found", f"{text} ({antennas} antenna{plural})", at_least(0.9), share.tolist(), intervals, len(rows), "%"
-        ),
-    ]
+    return [worst_of([rate_of("found", round(x * bands), bands) for x in share], len(rows), "%")]
 
 
 def tell_bands(rows: Sequence[Row]) -> list[str]:
@@ -300,12 +273,12 @@ PARTS = (
     *(
         Part(
             claim.short, partial(try_claim, claim), partial(judge_lines, claim), claim.trials,
-            partial(tell_lines, claim), ("found",) if claim is CLAIMS[0] else (),
+            partial(tell_lines, claim), ("found",) if claim is CLAIMS[0] else (), has_figure=True,
         )
         for claim in CLAIMS
     ),
-    Part("wide-1", partial(try_bands, 1), partial(judge_bands, 1), 48, tell_bands, ()),
-    Part("wide-12", partial(try_bands, 12), partial(judge_bands, 12), 24, tell_bands, ()),
+    Part("wide-1", partial(try_bands, 1), partial(judge_bands, 1), 48, tell_bands, (), has_figure=True),
+    Part("wide-12", partial(try_bands, 12), partial(judge_bands, 12), 24, tell_bands, (), has_figure=True),
 )  # fmt: skip
 
 

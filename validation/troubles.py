@@ -39,7 +39,7 @@ from service.storage.failures import FULL, READ_ONLY
 from service.storage.migration import upgrade
 from service.storage.processes import WORKER
 from service.usecases.pulse import Pulse
-from validation.machinery.claims import Claim, at_most, claim_rate
+from validation.machinery.claims import Found, rate_of
 from validation.machinery.parts import Part, Row
 from validation.running.clients import Clients, Record, ask_pinned
 from validation.running.postgres import run_server
@@ -50,7 +50,6 @@ ROOM = "64m"
 """Size of the file system that fills."""
 BACK_US = 3_600_000_000
 AHEAD, AHEAD_STATUS = "ahead of this server's clock", 422
-LARGEST_SHARE = 0.001
 TROUBLES = ("sqlite-full", "postgresql-full", "postgresql-read-only", "sqlite-clock", "postgresql-clock")
 
 
@@ -281,12 +280,10 @@ def _is_whole(factory: Factory) -> bool:
         return bool(connection.exec_driver_sql("PRAGMA integrity_check").scalar_one() == "ok")
 
 
-def judge(name: str, rows: Sequence[Row]) -> list[Claim]:
+def judge(rows: Sequence[Row]) -> list[Found]:
     """Whether what was acknowledged is there and every promise was kept; a trial with a broken one counts as a loss."""
     lost = sum(row["lost"] + bool(row["broken"]) for row in rows)
-    acknowledged = sum(row["acknowledged"] for row in rows)
-    text = f"Acknowledged writes that are missing after the trouble, or trials with a broken promise ({name})"
-    return [claim_rate("lost", text, at_most(LARGEST_SHARE), lost, acknowledged)]
+    return [rate_of("lost", lost, sum(row["acknowledged"] for row in rows))]
 
 
 def tell(rows: Sequence[Row]) -> list[str]:
@@ -302,8 +299,7 @@ def tell(rows: Sequence[Row]) -> list[str]:
 
 PARTS = tuple(
     Part(
-        name, partial(endure, name, EVENTS), partial(judge, name), 10, tell, is_parallel=False,
-        code=("lbacal", "lbacal_core", "service", "migrations"),
+        name, partial(endure, name, EVENTS), judge, 10, tell, is_parallel=False,
     )
     for name in TROUBLES
 )  # fmt: skip

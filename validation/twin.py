@@ -21,12 +21,11 @@ from lbacal_core.skypower.table import SkyPower
 from lbacal_twin.campaign import Campaign, simulate_campaign
 from lbacal_twin.nuisances import NONE, REALISTIC, Nuisances
 from lbacal_twin.settings import TwinSettings
-from validation.machinery.claims import Claim, between, claim_worst, confidence_of_each, mean_interval
+from validation.machinery.claims import Found, mean_of, root_mean_of, worst_of
 from validation.machinery.parts import Part, Row
 
 CHANNELS = {"35 MHz": 5, "55 MHz": 25, "75 MHz": 45}
 SCOPES = ("antenna", "station")
-LARGEST_MEAN, SPREAD = 0.2, (0.85, 1.15)
 
 
 def planted_curve(campaign: Campaign, curve: CalibrationCurve) -> np.ndarray:
@@ -63,27 +62,14 @@ def fit_campaign(nuisances: Nuisances, seed: int) -> Row:
     return row
 
 
-def judge(what: str, rows: Sequence[Row]) -> list[Claim]:
+def judge(rows: Sequence[Row]) -> list[Found]:
     """Mean and spread of the pulls of paths and stations; curves of a campaign share events and sky: it is one draw."""
-    claims, confidence = [], confidence_of_each(len(CHANNELS))
+    claims = []
     for scope in SCOPES:
         mean, square = (np.array([row[scope][name] for row in rows]) for name in ("mean", "mean_square"))
-        words = f"pulls of C of {'paths' if scope == 'antenna' else 'stations'} at 35, 55 and 75 MHz, {what}"
-        claims += [
-            claim_worst(
-                f"{scope}_mean", f"Mean of the {words}", between(-LARGEST_MEAN, LARGEST_MEAN),
-                mean.mean(axis=0).tolist(), [mean_interval(one, confidence) for one in mean.T], len(rows),
-            ),
-            claim_worst(
-                f"{scope}_spread", f"R.m.s. of the {words}", between(*SPREAD), np.sqrt(square.mean(axis=0)).tolist(),
-                [_root(mean_interval(one, confidence)) for one in square.T], len(rows),
-            ),
-        ]  # fmt: skip
+        claims.append(worst_of([mean_of(f"{scope}_mean", one) for one in mean.T], len(rows)))
+        claims.append(worst_of([root_mean_of(f"{scope}_spread", one) for one in square.T], len(rows)))
     return claims
-
-
-def _root(interval: tuple[float, float]) -> tuple[float, float]:
-    return max(interval[0], 0.0) ** 0.5, interval[1] ** 0.5
 
 
 def tell(rows: Sequence[Row]) -> list[str]:
@@ -99,11 +85,11 @@ def tell(rows: Sequence[Row]) -> list[str]:
 
 
 PARTS = (
-    Part("clean", partial(fit_campaign, NONE), partial(judge, "no nuisances"), 300, tell, ()),
+    Part("clean", partial(fit_campaign, NONE), judge, 300, tell, ()),
     Part(
         "nuisances",
         partial(fit_campaign, REALISTIC),
-        partial(judge, "realistic nuisances"),
+        judge,
         300,
         tell,
         ("antenna_spread",),

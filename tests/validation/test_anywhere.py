@@ -8,12 +8,11 @@ import pytest
 from validation.anywhere import (
     calibrate_drawn,
     investigate_drawn,
-    judge,
-    judge_investigations,
     tell,
     tell_investigations,
 )
 from validation.machinery.parts import Row
+from validation.machinery.records import claims_of
 
 
 @pytest.fixture(scope="module")
@@ -47,7 +46,7 @@ def test_constants_of_a_flat_receiver_are_merged(rows: list[Row]) -> None:
 
 def test_the_judgement_refutes_errors_that_are_too_small(rows: list[Row]) -> None:
     boasting = [{**row, "pulls": [5.0 for _ in row["pulls"]], "merged": 0} for row in rows]
-    verdicts = {claim.key: claim.verdict for claim in judge(boasting)}
+    verdicts = {claim.key: claim.verdict for claim in claims_of("anywhere", "chains", boasting)}
     assert {key for key, verdict in verdicts.items() if verdict == "refuted"} >= {"stages_pulls", "flat_merged"}
 
 
@@ -59,15 +58,20 @@ def test_an_investigation_names_what_is_planted_with_its_size_and_nothing_where_
     assert all(abs(pull) < 3.0 for row in rows for pull in row["pulls"])
     assert len(tell_investigations(rows)) == 2 + 9 + 3 + 12
     boasting = [{**row, "named": False, "others": 1, "pulls": [], "snr": 12.0} for row in rows * 10]
-    asked = {one.key: one.verdict for one in judge_investigations(boasting) if one.verdict != "measured"}
+    asked = {
+        one.key: one.verdict for one in claims_of("anywhere", "investigations", boasting) if one.verdict != "measured"
+    }
     assert asked == dict.fromkeys(("false", "gain_step_named", "lst_offset_named"), "refuted")
 
 
 def test_an_effect_below_the_noise_is_asked_by_its_ideal_snr_and_still_counted() -> None:
     """A step of 10 % was to be named in 90 % of drawn instruments, of which half see it at less than six sigma."""
     seen = {"kind": "gain_step", "chain": "flat", "merged": False, "pulls": [], "others": 0}
-    rows = [{**seen, "snr": snr, "named": snr > 6.0} for snr in np.linspace(2.0, 18.0, 80)]
-    claims = {claim.key: claim for claim in judge_investigations([*rows, {**rows[0], "kind": "lst_offset"}])}
+    rows = [{**seen, "snr": snr, "named": snr > 6.0} for snr in np.linspace(2.0, 18.0, 160)]
+    claims = {
+        claim.key: claim
+        for claim in claims_of("anywhere", "investigations", [*rows, {**rows[0], "kind": "lst_offset"}])
+    }
     assert (claims["gain_step_named"].found, claims["gain_step_named"].verdict) == (1.0, "shown")
     assert claims["gain_step_at_any_snr"].found == 0.75
     assert claims["gain_step_snr_50"].found == pytest.approx(6.0, abs=0.3)

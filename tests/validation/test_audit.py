@@ -6,11 +6,6 @@ import pytest
 
 from validation.audit import (
     KINDS,
-    judge_arms,
-    judge_day,
-    judge_letters,
-    judge_minute,
-    judge_paths,
     tell_arms,
     tell_audit,
     tell_kinds,
@@ -18,6 +13,7 @@ from validation.audit import (
     tell_paths,
 )
 from validation.machinery.parts import Row
+from validation.machinery.records import claims_of
 
 OF_A_DAY = ("letters of one", "letters of all", "clock", "arms", "latitude", "volts")
 
@@ -49,9 +45,10 @@ def test_parts_of_one_kind_draw_this_kind_alone() -> None:
         patch.setattr("validation.audit.SIZE_CHANCES", (1.0, 0.0, 0.0, 0.0, 0.0))
         turned, exchanged = tell_arms(5), tell_letters(5)
     assert (turned["kind"], exchanged["kind"]) == ("arms", "letters of all")
-    assert {claim.key: claim.verdict for claim in judge_arms([turned]) + judge_letters([exchanged])} == dict.fromkeys(
-        ("arms", "letters"), "undecided"
-    )
+    assert {
+        claim.key: claim.verdict
+        for claim in claims_of("audit", "arms", [turned]) + claims_of("audit", "letters", [exchanged])
+    } == dict.fromkeys(("arms", "letters"), "undecided")
     assert {turned["outcome"], exchanged["outcome"]} == {"right"}
 
 
@@ -63,18 +60,18 @@ def test_the_part_of_paths_takes_lengths_and_kinds_in_turn() -> None:
         ("minute", "dead", "right"),
         ("minute", "deaf", "right"),
     ]
-    assert [(claim.key, claim.verdict) for claim in judge_paths([*rows, tell_paths(0), tell_paths(1)])] == [
-        (length, "undecided") for length in ("day", "hour", "minute")
-    ]
+    assert [
+        (claim.key, claim.verdict) for claim in claims_of("audit", "paths", [*rows, tell_paths(0), tell_paths(1)])
+    ] == [(length, "undecided") for length in ("day", "hour", "minute")]
 
 
 def test_a_minute_names_no_clock_and_still_finds_a_dead_path() -> None:
     said = [tell_audit("minute", seed) for seed in (1, 19, 21)]  # dead, clock, arms
     assert [row["outcome"] for row in said] == ["right", "silent", "silent"]
-    assert {claim.verdict for claim in judge_minute(said)} == {"undecided"}
+    assert {claim.verdict for claim in claims_of("audit", "minute", said)} == {"undecided"}
 
 
 def test_the_judgement_refutes_an_audit_that_names_healthy_stations(rows: list[Row]) -> None:
     rash = [row | {"outcome": "false"} if row["kind"] == "nothing" else row for row in rows]
-    assert {claim.key: claim.verdict for claim in judge_day(rash)}["false"] == "refuted"
+    assert {claim.key: claim.verdict for claim in claims_of("audit", "day", rash)}["false"] == "refuted"
     assert len(tell_kinds(rows)) == 2 + 1 + len(KINDS)

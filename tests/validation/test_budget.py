@@ -9,8 +9,9 @@ import pytest
 
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.uncertainty.refit import OTHER_ANTENNA, compute_budget
-from validation.budget import PARTS, SETTINGS, believe, draw_antenna, draw_campaign, judge, tell, tell_campaign
+from validation.budget import PARTS, SETTINGS, believe, draw_antenna, draw_campaign, tell, tell_campaign
 from validation.machinery.parts import Row
+from validation.machinery.records import claims_of
 from validation.own_cable import SCOPES
 
 SMALL = replace(SETTINGS, stations=SETTINGS.stations[:3], events_per_year=200)
@@ -50,7 +51,7 @@ def test_what_is_drawn_is_in_the_data_and_not_in_what_the_fit_believes() -> None
 
 def test_the_judgement_refutes_errors_that_are_too_small(rows: list[Row]) -> None:
     boasting = [{**row, "own": {"all": {**row["own"]["all"], "within_1": 0.1, "within_2": 0.2}}} for row in rows]
-    verdicts = {claim.key: claim.verdict for claim in judge(boasting)}
+    verdicts = {claim.key: claim.verdict for claim in claims_of("budget", "models", boasting)}
     assert {verdicts["own_1"], verdicts["own_2"]} == {"refuted"}
     assert all(set(part.headlines or ()) <= set(verdicts) for part in PARTS)
 

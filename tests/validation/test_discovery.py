@@ -12,6 +12,7 @@ from validation import discovery
 from validation.hidden.data_sets import DataSet, draw_one, moving_causes, realistic
 from validation.hidden.one_effect import CYCLE, GRID, Outcome
 from validation.hidden.several_effects import draw_several
+from validation.machinery.records import claims_of
 
 PARTS = {part.name: part for part in discovery.PARTS}
 
@@ -20,14 +21,14 @@ PARTS = {part.name: part for part in discovery.PARTS}
 def test_a_small_instance_of_the_proof_finds_nothing_in_clean_data(name):
     row = PARTS[name].trial(0)
     assert row["verdict"] == "consistent", row
-    (claim,) = PARTS[name].judge([row])
+    (claim,) = claims_of("discovery", name, [row])
     assert (claim.found, claim.n) == (0.0, 1)
 
 
 def test_an_alarm_in_clean_data_counts_and_is_told():
     rows = [{"seed": k, "verdict": "consistent", "named": [], "axis": ""} for k in range(3)]
     rows.append({"seed": 3, "verdict": "explained", "named": ["gain_step"], "axis": ""})
-    (claim,) = PARTS["clean"].judge(rows)
+    (claim,) = claims_of("discovery", "clean", rows)
     assert claim.found == 0.25
     assert PARTS["clean"].tell(rows) == ["- seed 3: explained gain_step"]
 
@@ -51,7 +52,7 @@ def outcomes_as_rows(count: int) -> list[dict[str, object]]:
 
 
 def test_detection_names_and_sizes_are_judged_from_stored_rows():
-    claims = {claim.key: claim for claim in PARTS["one"].judge(outcomes_as_rows(180))}
+    claims = {claim.key: claim for claim in claims_of("discovery", "one", outcomes_as_rows(180))}
     assert claims["snr_50"].found == pytest.approx(5.0, abs=0.5)
     assert claims["named"].n == 60
     assert claims["named"].found == pytest.approx(0.9, abs=0.02)
@@ -59,7 +60,7 @@ def test_detection_names_and_sizes_are_judged_from_stored_rows():
 
 
 def test_few_data_sets_that_happen_to_separate_do_not_decide_where_effects_are_detected():
-    claims = {claim.key: claim for claim in PARTS["one"].judge(outcomes_as_rows(9))}
+    claims = {claim.key: claim for claim in claims_of("discovery", "one", outcomes_as_rows(9))}
     assert claims["snr_50"].verdict == "undecided"
 
 
@@ -70,7 +71,7 @@ def test_the_worst_cause_decides_what_every_cause_keeps():
         cause, kept = ("gain_drift", 1.0) if seed % 2 else ("compression", 0.6)
         score = 12.0 * (kept + 0.03 * rng.standard_normal())
         rows.append({"seed": seed, **asdict(Outcome(12.0, cause, "path", "antenna 0 X", score=score))})
-    claims = {claim.key: claim for claim in PARTS["efficiency"].judge(rows)}
+    claims = {claim.key: claim for claim in claims_of("discovery", "efficiency", rows)}
     assert claims["worst_inside"].verdict == "refuted"
     assert claims["worst_inside"].found == claims["compression_inside"].found
     assert claims["gain_drift_inside"].verdict == "shown"

@@ -5,7 +5,8 @@ from typing import Any
 
 import pytest
 
-from validation.growth import compare, judge
+from validation.growth import compare
+from validation.machinery.records import claims_of
 
 
 @pytest.mark.parametrize("kind", ["sqlite", "postgresql"])
@@ -21,7 +22,7 @@ def test_every_request_is_answered_after_one_year_and_after_two(request: pytest.
 def found(ms: Mapping[str, Sequence[float]]) -> dict[str, str]:
     steady = {name: [10.0, 10.0] for name in ("gap, one path", "gap, all paths", "promotion of a path")}
     row: dict[str, Any] = {"years": 10, "turns": 9, "ms": {**steady, "promotion of the array": [40.0, 40.0], **ms}}
-    return {claim.key: claim.verdict for claim in judge("sqlite", [row])}
+    return {claim.key: claim.verdict for claim in claims_of("growth", "sqlite", [row])}
 
 
 def test_one_request_that_grows_refutes_the_claim() -> None:

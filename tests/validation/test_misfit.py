@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from validation.machinery.parts import Row
+from validation.machinery.records import claims_of
 from validation.misfit import (
     ANTENNAS,
     KINDS,
@@ -13,9 +14,6 @@ from validation.misfit import (
     fit_clean,
     fit_pattern,
     fit_wrong,
-    judge_clean,
-    judge_pattern,
-    judge_wrong,
     tell_clean,
     tell_pattern,
     tell_wrong,
@@ -40,7 +38,7 @@ def test_wrong_inputs_do_not_converge() -> None:
     assert {kind: row[kind]["converged"] for kind in KINDS} == dict.fromkeys(KINDS, 0)
     assert set(row) == {*KINDS, *TOLD}
     assert len(tell_wrong([row])) == 2 + len(KINDS) + len(TOLD)
-    verdicts = {claim.key: claim.verdict for claim in judge_wrong([row] * 30)}
+    verdicts = {claim.key: claim.verdict for claim in claims_of("misfit", "wrong", [row] * 30)}
     assert verdicts["X_and_Y_exchanged"] == "shown"
 
 
@@ -52,11 +50,14 @@ def test_the_error_of_c_covers_another_antenna() -> None:
     for told in (right, other):
         assert told["beyond_2"] <= 0.1 * told["channels"]
     assert other["unsaid"] == 0
-    assert {claim.key for claim in judge_pattern([row, row])} >= {"short-dipole_unsaid", "quarter-wave_beyond"}
+    assert {claim.key for claim in claims_of("misfit", "pattern", [row, row])} >= {
+        "short-dipole_unsaid",
+        "quarter-wave_beyond",
+    }
     assert len(tell_pattern([row])) == 2 + len(ANTENNAS)
 
 
 def test_the_judgement_refutes_a_test_that_is_too_strict(clean: list[Row]) -> None:
     strict = [{**row, "station": {**row["station"], "misfits": row["station"]["curves"]}} for row in clean]
-    verdicts = {claim.key: claim.verdict for claim in judge_clean(strict)}
+    verdicts = {claim.key: claim.verdict for claim in claims_of("misfit", "clean", strict)}
     assert verdicts["station"] == "refuted"

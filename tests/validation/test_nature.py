@@ -11,20 +11,16 @@ from lbacal_twin.gains import NOISES
 from lbacal_twin.world import MADE_OF, World
 from validation.hidden.drawn import SPANNED_SIGMA, describe_world, drawn_data, unspanned_sigma
 from validation.hidden.like_noise import ALIKE, SNRS
-from validation.hidden.like_noise import judge as judge_like_noise
 from validation.hidden.like_noise import tell as tell_like_noise
-from validation.hidden.named_in_worlds import judge_one, judge_targets
 from validation.hidden.named_in_worlds import tell as tell_names
 from validation.hidden.no_catalogue import Outcome as Unknown
-from validation.hidden.nothing import judge as judge_nothing
 from validation.hidden.nothing import tell as tell_nothing
 from validation.hidden.one_effect import Outcome
 from validation.hidden.pulls import SCOPES, measure_pulls
-from validation.hidden.pulls import judge as judge_pulls
 from validation.hidden.pulls import tell as tell_pulls
 from validation.hidden.station_year import draw_antennas
-from validation.hidden.unknown_in_worlds import judge as judge_unknown
 from validation.hidden.worlds import OWN, Finder, alternatives, draw
+from validation.machinery.records import claims_of
 
 
 def test_a_drawn_sky_or_antenna_is_neither_the_finders_nor_among_the_models_it_knows() -> None:
@@ -113,28 +109,31 @@ def test_a_name_counts_and_another_beside_it_counts_against() -> None:
     beside, other = [["gain_step"], ["lst_offset"]], [["lst_offset"]]
     rows = [outcome_row(k, 10.0, sets) for k, sets in enumerate((right, set_of_two, beside, other, []))]
     rows.append(outcome_row(9, 5.0, other))
-    named, misnamed = judge_one(rows)
+    named, misnamed, *_ = claims_of("nature", "one", rows)
     assert (named.found, misnamed.found, named.n) == (3 / 5, 2 / 5, 5)
     wrong_target = outcome_row(5, 10.0, right, said_of="cable 80")
-    assert judge_targets([*rows[:2], wrong_target])[-1].found == 2 / 3
+    assert claims_of("nature", "targets", [*rows[:2], wrong_target])[-1].found == 2 / 3
     lines = tell_names(rows)
     assert sum(line.startswith("- seed") for line in lines) == 3
     assert any(line.startswith("| gain_step | 5 | 1 |") for line in lines)
+
+
+IN_ORDER = ["named", "misnamed", "sizes", "first", "alone", "left_out"]
 
 
 def test_a_curve_of_detection_needs_effects_that_are_not_always_seen() -> None:
     """Twenty-one strong effects, one of which was missed, told an SNR of half detection."""
     strong = [outcome_row(k, 10.0, [["gain_step"]] if k else []) for k in range(21)]
     weak = [outcome_row(100 + k, 5.0 + k % 2, [["gain_step"]] if k % 3 else []) for k in range(20)]
-    assert [claim.key for claim in judge_one(strong)] == ["named", "misnamed"]
-    assert [claim.key for claim in judge_one([*strong, *weak])] == ["named", "misnamed", "snr_50"]
+    assert [claim.key for claim in claims_of("nature", "one", strong)] == IN_ORDER
+    assert [claim.key for claim in claims_of("nature", "one", [*strong, *weak])] == [*IN_ORDER, "snr_50"]
 
 
 @pytest.mark.parametrize(("axis", "named", "right"), [("utc", [], 1), ("lst", [], 0), ("utc", ["gain_step"], 1)])
 def test_the_axis_and_silence_about_names_are_judged_in_drawn_worlds(axis: str, named: list[str], right: int) -> None:
     row = {"kind": "MainsHum", "axes": "utc", "verdict": "unexplained", "axis": axis, "named": named}
     row["is_right_axis"] = Unknown("MainsHum", "utc", "unexplained", axis, "station", named).is_right_axis
-    claims = {claim.key: claim.found for claim in judge_unknown([row])}
+    claims = {claim.key: claim.found for claim in claims_of("nature", "unknown", [row])}
     assert claims == {"right_axis": right, "forced": len(named)}
 
 
@@ -145,7 +144,7 @@ def test_pulls_of_every_form_of_the_gains_are_measured_in_paths_and_stations() -
         assert all(row[scope]["curves"] > 0 for row in rows)
         # 14 campaigns, curves of a campaign alike: the mean square of pulls is known to a factor of two.
         assert 0.2 < np.mean([row[scope]["all"] for row in rows]) < 4.0
-    claims = judge_pulls(rows)
+    claims = claims_of("nature", "pulls", rows)
     assert len(claims) == len(SCOPES) * len(NOISES)
     assert len(tell_pulls(rows)) == 2 + len(claims)
 
@@ -169,7 +168,7 @@ def row_of(seed: int, verdict: str, *, named: list[str] | None = None, axis: str
     ],
 )
 def test_what_counts_as_an_alarm_depends_on_what_the_models_span(row: dict, alarms: tuple[int, int, int]) -> None:
-    claims = judge_nothing([row])
+    claims = claims_of("nature", "nothing", [row])
     assert tuple(round(claim.found * claim.n) for claim in claims[:3]) == alarms
     assert any(row["sky"] in line for line in tell_nothing([row]))
 
@@ -187,7 +186,7 @@ def test_a_resonance_that_moves_in_rain_and_is_named_so_counts_as_a_name_and_is_
     noise: str, named: str, follows: str, wrong: int
 ) -> None:
     row = row_of(6, "explained", named=[named]) | {"noise": noise, "follows": [follows]}
-    claims = {claim.key: claim.found for claim in judge_nothing([row])}
+    claims = {claim.key: claim.found for claim in claims_of("nature", "nothing", [row])}
     assert claims["named"] == 1
     assert claims["named_wet" if noise == "wetness" else "named_dry"] == wrong
 
@@ -197,6 +196,6 @@ def test_efficiencies_are_judged_at_every_size_of_an_effect_that_looks_like_nois
         return asdict(Outcome(snr, cause, "station", "station", verdict="explained", sets=[[cause]], score=share * snr))
 
     rows = [row(cause, snr, 0.9 if snr < 100 else 0.5) for cause, _ in ALIKE for snr in SNRS]
-    claims = {claim.key: (claim.found, claim.n) for claim in judge_like_noise(rows)}
+    claims = {claim.key: (claim.found, claim.n) for claim in claims_of("nature", "like-noise", rows)}
     assert claims == {"kept_10": (pytest.approx(0.9), 3), "kept_30": (pytest.approx(0.9), 3), "kept_100": (0.5, 3)}
     assert len(tell_like_noise(rows)) == 2 + len(ALIKE) * len(SNRS)

@@ -4,14 +4,13 @@ from pathlib import Path
 
 import pytest
 
+from validation.machinery.records import claims_of
 from validation.planted_faults import (
     AUTHORS,
     MEET_ALL,
     PlantedFault,
     StaleFaultError,
     is_seen,
-    judge,
-    judge_healthy,
     read_faults,
     rooms_of,
     run_tests,
@@ -77,8 +76,8 @@ def test_the_tests_nearest_to_a_fault_come_first(repository: Path) -> None:
 
 def test_tests_that_fail_without_a_fault_refute_the_proof() -> None:
     rows = [{"room": "a", "passes": True, "test": ""}, {"room": "b", "passes": False, "test": "b::test"}]
-    assert [claim.verdict for claim in judge_healthy(rows)] == ["refuted"]
-    assert [claim.verdict for claim in judge_healthy(rows[:1])] == ["shown"]
+    assert [claim.verdict for claim in claims_of("planted_faults", "healthy", rows)] == ["refuted"]
+    assert [claim.verdict for claim in claims_of("planted_faults", "healthy", rows[:1])] == ["shown"]
 
 
 @pytest.mark.parametrize(("before", "after"), [("7 * x", "8 * x"), ("return", "yield"), ("x / 2", "x / 2")])
@@ -93,9 +92,9 @@ def test_what_is_explained_counts_neither_way() -> None:
         for author in AUTHORS
         for by in ("room", "suite", "explained", "unseen")
     ]
-    both, blind = judge(rows)
+    both, blind = claims_of("planted_faults", "faults", rows)
     assert (both.key, both.n, both.found, both.verdict) == ("seen", 8, pytest.approx(2 / 3), "refuted")
     assert (blind.key, blind.n, blind.found) == ("seen_blind", 4, pytest.approx(2 / 3))
     assert "4 faults, 1 seen by the tests of their room and of discovery, 1 more" in tell(rows)[0]
     assert "- Not seen: `unseen`" in tell(rows)
-    assert judge([row for row in rows if row["by"] != "unseen"])[0].verdict == "shown"
+    assert claims_of("planted_faults", "faults", [row for row in rows if row["by"] != "unseen"])[0].verdict == "shown"

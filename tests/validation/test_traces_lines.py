@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from validation.traces_lines import CLAIMS, KINDS, PARTS, LineTrial, judge_lines, try_lines, try_wide
+from validation.machinery.records import claims_of
+from validation.traces_lines import CLAIMS, KINDS, PARTS, LineTrial, try_lines, try_wide
 
 
 def trial(kind: str, strengths: list[float], trials: int, seed: int, antennas: int = 1) -> LineTrial:
@@ -58,5 +59,7 @@ def test_lines_that_are_missed_or_leave_a_bias_are_refuted() -> None:
     good = [{"found": [1.0] * size, "change": (1e-3 * rng.standard_normal(size)).tolist()} for _ in range(300)]
     missed = [row | {"found": [0.9] * size} for row in good]
     biased = [row | {"change": [value + 0.005 for value in row["change"]]} for row in good]
-    verdicts = [[one.verdict for one in judge_lines(claim, rows)] for rows in (good, missed, biased)]
+    verdicts = [
+        [one.verdict for one in claims_of("traces_lines", claim.short, rows)] for rows in (good, missed, biased)
+    ]
     assert verdicts == [["shown", "shown"], ["refuted", "shown"], ["shown", "refuted"]]

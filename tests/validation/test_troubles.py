@@ -2,7 +2,8 @@ from __future__ import annotations
 
 import pytest
 
-from validation.troubles import TROUBLES, endure, judge, small_disk
+from validation.machinery.records import claims_of
+from validation.troubles import TROUBLES, endure, small_disk
 
 
 @pytest.mark.parametrize("name", TROUBLES)
@@ -23,6 +24,6 @@ def test_what_was_acknowledged_is_there_after_a_trouble(request: pytest.FixtureR
 
 def test_one_loss_in_a_thousand_is_not_what_is_asked() -> None:
     good = {"acknowledged": 500, "lost": 0, "broken": []}
-    assert judge("sqlite-full", [good] * 8)[0].verdict == "shown"
-    assert judge("sqlite-full", [good, good])[0].verdict == "undecided"
-    assert judge("sqlite-full", [{**good, "lost": 4}] * 8)[0].verdict == "refuted"
+    assert claims_of("troubles", "sqlite-full", [good] * 10)[0].verdict == "shown"
+    assert claims_of("troubles", "sqlite-full", [good, good])[0].verdict == "undecided"
+    assert claims_of("troubles", "sqlite-full", [{**good, "lost": 4}] * 8)[0].verdict == "refuted"

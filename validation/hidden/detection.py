@@ -27,11 +27,15 @@ class DetectionCurve:
     width: float
     draws: Floats
 
-    def snr_at(self, probability: float) -> tuple[float, float, float]:
-        """The SNR that is detected with a probability, and its 95 % interval."""
-        step = norm.ppf(probability)
-        low, high = np.quantile(self.draws[:, 0] + step * self.draws[:, 1], [0.025, 0.975])
-        return self.snr_50 + step * self.width, float(low), float(high)
+    def snr_at(self, probability: float) -> float:
+        """The SNR that is detected with a probability."""
+        return float(self.snr_50 + norm.ppf(probability) * self.width)
+
+    def bounds(self, probability: float, confidence: float) -> tuple[float, float]:
+        """The interval of that SNR."""
+        draws = self.draws[:, 0] + norm.ppf(probability) * self.draws[:, 1]
+        low, high = np.quantile(draws, [0.5 - confidence / 2, 0.5 + confidence / 2])
+        return float(low), float(high)
 
     def probability(self, snr: Floats) -> Floats:
         """The probability of detection at an SNR, shape as given."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields, replace
+from functools import partial
 from itertools import product
 
 import numpy as np
@@ -17,7 +18,7 @@ from lbacal_core.grids import Floats
 from lbacal_core.spectra import Spectra
 from validation.hidden.data_sets import EVENTS, DataSet, draw_one, moving_causes, sky_power
 from validation.hidden.finder import FittedModel
-from validation.machinery.claims import Claim, at_least, at_most, claim_mean, claim_rate, median_interval
+from validation.machinery.claims import Found, One, mean_of, median_interval, rate_of
 from validation.machinery.parts import Part, Row
 
 SNR = 10.0
@@ -107,33 +108,21 @@ def try_held_out(seed: int) -> Row:
     return {name: round(value, 3) if isinstance(value, float) else value for name, value in row.items()}
 
 
-def judge(rows: Sequence[Row]) -> list[Claim]:
+def judge(rows: Sequence[Row]) -> list[Found]:
     """What is left in unseen events, and whether the gain that is claimed is the gain that they confirm."""
     names = [field.name for field in fields(Outcome)]
     outcomes = [Outcome(**{name: row[name] for name in names}) for row in rows if row["cause"]]
-    found = claim_rate(
-        "found", f"One effect of ideal SNR {SNR:g} has a finding", at_least(0.9), len(outcomes), len(rows)
-    )
-    if len(outcomes) < FEWEST:
+    n, found = len(outcomes), rate_of("found", len(outcomes), len(rows))
+    if n < FEWEST:
         return [found]
-    before, after, claimed, confirmed = (
-        np.array([getattr(o, name) for o in outcomes]) for name in ("before", "after", "claimed", "confirmed")
-    )
-    n, scale = len(outcomes), float(np.median(before))
-    low, high = median_interval(after)
-    left = "Part of an effect's chi2 that is left in unseen events when what was found is divided out (median)"
-    covered = sum(abs(o.pull) < 1.96 for o in outcomes)
-    return [
-        found,
-        Claim("left", left, at_most(0.1), float(np.median(after)) / scale, (low / scale, high / scale), n, "%"),
-        claim_rate("covered", "The gain claimed is within 1.96 errors of what unseen events confirm (nominal 95 %)",
-                   at_least(0.9), covered, n),
-        claim_rate("kept", "Unseen events confirm a gain", at_least(0.9), sum(o.confirmed > 0 for o in outcomes), n),
-        claim_mean("before", "chi2 of an effect in unseen events", at_least(0.0), before),
-        claim_mean("after", "chi2 that is left in unseen events", at_most(10.0), after),
-        claim_mean("claimed", "Gain in log-likelihood that is claimed", at_least(0.0), claimed),
-        claim_mean("confirmed", "Gain that unseen events confirm", at_least(0.0), confirmed),
-    ]  # fmt: skip
+    means = [
+        mean_of(name, np.array([getattr(o, name) for o in outcomes]))
+        for name in ("before", "after", "claimed", "confirmed")
+    ]
+    scale, after = float(np.median([o.before for o in outcomes])), np.array([o.after for o in outcomes])
+    left = One("left", float(np.median(after)) / scale, partial(median_interval, after / scale), n, "%")
+    covered, kept = sum(abs(o.pull) < 1.96 for o in outcomes), sum(o.confirmed > 0 for o in outcomes)
+    return [found, left, rate_of("covered", covered, n), rate_of("kept", kept, n), *means]
 
 
 def tell(rows: Sequence[Row]) -> list[str]:

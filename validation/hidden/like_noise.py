@@ -15,7 +15,7 @@ import numpy as np
 from validation.hidden.data_sets import DataSet
 from validation.hidden.drawn import describe_world, drawn_data
 from validation.hidden.one_effect import Outcome, ask_about, outcomes_of
-from validation.machinery.claims import Claim, at_least, claim_mean
+from validation.machinery.claims import Found, mean_of
 from validation.machinery.parts import Part, Row
 
 ALIKE = (
@@ -25,8 +25,6 @@ ALIKE = (
 )
 """Causes, and the form of the noise that looks like each along frequency."""
 SNRS = (10.0, 30.0, 100.0)
-KEPT = 0.7
-"""Part of the ideal SNR that a score keeps at least."""
 TRIES, FEWEST = 10, 3
 FIRST_SEED = 900_000_000
 """Seeds of data sets of this part; those of others begin elsewhere."""
@@ -50,14 +48,13 @@ def _with_noise(data: DataSet, noise: str) -> DataSet:
     return replace(data, world=replace(data.world, noise=noise))
 
 
-def judge(rows: Sequence[Row]) -> list[Claim]:
+def judge(rows: Sequence[Row]) -> list[Found]:
     """The mean efficiency at each size."""
     claims = []
     for snr in SNRS:
         kept = np.array([o.score / o.snr for o in outcomes_of(rows) if o.snr == snr])
         if len(kept) >= FEWEST:
-            text = f"Part of the ideal SNR of {snr:g} that the score of an effect like a vector of the noise keeps"
-            claims.append(claim_mean(f"kept_{snr:g}", text, at_least(KEPT), kept))
+            claims.append(mean_of(f"kept_{snr:g}", kept))
     return claims
 
 

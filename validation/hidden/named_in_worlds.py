@@ -5,20 +5,19 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict
+from functools import partial
 
 import numpy as np
 
 from validation.hidden.data_sets import STATIC, moving_causes
 from validation.hidden.drawn import describe_world, drawn_data
-from validation.hidden.one_effect import LARGEST_SET, NAMING_SNR, Outcome, ask_about, detection_curve, outcomes_of
+from validation.hidden.one_effect import NAMING_SNR, Outcome, ask_about, detection_curve, outcomes_of
 from validation.hidden.worlds import OWN, Finder
-from validation.machinery.claims import Claim, at_least, at_most, claim_rate
+from validation.machinery.claims import Found, One, rate_of
 from validation.machinery.parts import Part, Row
 
 SNRS = (10.0, 10.0, 10.0, 10.0, 4.0, 5.0, 6.0, 7.5)
 """Ideal SNR of one data set after the other: half are as strong as names are judged at."""
-NAMED, MISNAMED = 0.9, 0.02
-SNR_50 = 5.5
 TRIES = 10
 ONE_FROM, TARGETS_FROM = 600_000_000, 700_000_000
 """Seeds of data sets of these parts; those of others begin elsewhere."""
@@ -51,35 +50,35 @@ def try_target(seed: int) -> Row:
     return hide(TARGETS_FROM + seed, cause, NAMING_SNR, (scope,))
 
 
-def judge_one(rows: Sequence[Row]) -> list[Claim]:
-    """Names at SNR 10, wrong names, and the SNR of detection."""
+def judge_one(rows: Sequence[Row]) -> list[Found]:
+    """Names at SNR 10, wrong names, sizes, and the SNR of detection; what a name leaves out is measured beside it."""
     outcomes = outcomes_of(rows)
     strong = [o for o in outcomes if o.snr == NAMING_SNR]
-    claims = _judge_names(strong, f"one effect of ideal SNR {NAMING_SNR:g} in a drawn world")
+    wanted = [row for row in rows if row["snr"] == NAMING_SNR]
+    pulls = [abs(o.pull) for o in strong if o.pull is not None]
+    claims = [
+        *_judge_names(strong),
+        rate_of("sizes", sum(pull <= 2.0 for pull in pulls), len(pulls)),
+        rate_of("first", len(pulls), len(strong)),
+        rate_of("alone", sum(o.sets[:1] == [[o.cause]] for o in strong), len(strong)),
+        rate_of("left_out", sum(not row["label"] for row in wanted), len(wanted)),
+    ]
     if len(outcomes) - len(strong) >= FEWEST:
-        found, low, high = detection_curve(outcomes).snr_at(0.5)
-        text = "Ideal SNR at which one effect in a drawn world is detected in 50 % of the cases"
-        claims.append(Claim("snr_50", text, at_most(SNR_50), found, (low, high), len(outcomes)))
+        curve = detection_curve(outcomes)
+        claims.append(One("snr_50", curve.snr_at(0.5), partial(curve.bounds, 0.5), len(outcomes)))
     return claims
 
 
-def judge_targets(rows: Sequence[Row]) -> list[Claim]:
+def judge_targets(rows: Sequence[Row]) -> list[Found]:
     """Names, and whom they are said to concern."""
     outcomes = outcomes_of(rows)
-    what = f"an effect of ideal SNR {NAMING_SNR:g} on a cable name or a group"
     right = sum(o.said_of == o.label for o in outcomes if o.is_named)
-    text = f"{what[0].upper()}{what[1:]}, where it is named, is said of the right target"
-    named = sum(o.is_named for o in outcomes)
-    return [*_judge_names(outcomes, what), claim_rate("target", text, at_least(NAMED), right, named)]
+    return [*_judge_names(outcomes), rate_of("target", right, sum(o.is_named for o in outcomes))]
 
 
-def _judge_names(outcomes: Sequence[Outcome], what: str) -> list[Claim]:
+def _judge_names(outcomes: Sequence[Outcome]) -> list[Found]:
     named, wrong = sum(o.is_named for o in outcomes), sum(o.is_misnamed for o in outcomes)
-    text = f"The true cause is named, or in the set of at most {LARGEST_SET}: {what}"
-    return [
-        claim_rate("named", text, at_least(NAMED), named, len(outcomes)),
-        claim_rate("misnamed", f"Another cause is named: {what}", at_most(MISNAMED), wrong, len(outcomes)),
-    ]
+    return [rate_of("named", named, len(outcomes)), rate_of("misnamed", wrong, len(outcomes))]
 
 
 def tell(rows: Sequence[Row]) -> list[str]:

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 
 from lbacal_twin.faults.uncatalogued import uncatalogued_faults
 from validation.hidden.data_sets import DataSet, Planted
-from validation.machinery.claims import Claim, at_least, at_most, claim_rate
+from validation.machinery.claims import Found, rate_of
 from validation.machinery.parts import Part, Row
 
 SNR = 25.0
@@ -61,19 +61,13 @@ def try_unknown(seed: int) -> Row:
     return {**asdict(outcome), "is_right_axis": outcome.is_right_axis}
 
 
-def judge(rows: Sequence[Row]) -> list[Claim]:
+def judge(rows: Sequence[Row]) -> list[Found]:
     """Rates of what should be said, and of names that should not be given."""
     made = [row for row in rows if row["verdict"]]
-    unexplained, right, forced = (
-        sum(row["verdict"] == "unexplained" for row in made),
-        sum(row["is_right_axis"] for row in made),
-        sum(bool(row["named"]) for row in made),
-    )
-    what = f"An effect of no catalogue, ideal SNR {SNR:g}"
     return [
-        claim_rate("unexplained", f"{what}, is called unexplained", at_least(0.9), unexplained, len(made)),
-        claim_rate("right_axis", f"{what}, is seen along an axis on which it lives", at_least(0.9), right, len(made)),
-        claim_rate("forced", f"{what}, is given a name", at_most(0.1), forced, len(made)),
+        rate_of("unexplained", sum(row["verdict"] == "unexplained" for row in made), len(made)),
+        rate_of("right_axis", sum(row["is_right_axis"] for row in made), len(made)),
+        rate_of("forced", sum(bool(row["named"]) for row in made), len(made)),
     ]
 
 

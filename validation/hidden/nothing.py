@@ -10,10 +10,9 @@ from collections.abc import Callable, Sequence
 
 from validation.hidden.drawn import SPANNED_SIGMA, describe_world, drawn_data, table_by_world, unspanned_sigma
 from validation.hidden.worlds import OWN, Finder
-from validation.machinery.claims import Claim, at_most, claim_rate
+from validation.machinery.claims import Found, rate_of
 from validation.machinery.parts import Part, Row
 
-NAMES, ALARMS = 0.005, 0.01
 WET, RESONANCE, RAIN = "wetness", ("resonance_shift", "resonance_width"), "wetness"
 """Form of the gains in which the resonance moves in rain, the causes that say so, and what they then follow."""
 FIRST_SEED = 500_000_000
@@ -50,40 +49,21 @@ def is_silent(row: Row) -> bool:
     return bool(row["verdict"] == "consistent")
 
 
-def judge(rows: Sequence[Row]) -> list[Claim]:
+def judge(rows: Sequence[Row]) -> list[Found]:
     """Names, and alarms where the models span the difference and where they do not; wet worlds also by themselves."""
     inside, outside = [r for r in rows if is_spanned(r)], [r for r in rows if not is_spanned(r)]
-    named = sum(bool(row["named"]) for row in rows)
-    alarms = sum(not is_silent(row) for row in inside)
     honest = sum(is_silent(row) or (not row["named"] and row["axis"] == "lst") for row in outside)
-    where = "A drawn world with nothing hidden"
-    claims = [
-        claim_rate("named", f"{where} is given a name", at_most(NAMES), named, len(rows)),
-        claim_rate(
-            "alarms",
-            f"{where}, whose sky the known models span: something is said",
-            at_most(ALARMS),
-            alarms,
-            len(inside),
-        ),
-    ]
-    text = f"{where}, whose sky they do not span: anything else is said than nothing, or structure along LST"
-    claims.append(claim_rate("apart", text, at_most(ALARMS), len(outside) - honest, len(outside)))
     dry, wet = [r for r in rows if r["noise"] != WET], [r for r in rows if r["noise"] == WET]
-    parts = (
-        ("named_dry", f"{where}, none whose resonance moves in rain: is given a name", dry, lambda row: row["named"]),
-        (
-            "named_wet",
-            f"{where}, whose resonance moves in rain: another name is given than the resonance following rain",
-            wet,
-            lambda row: row["named"] and not is_of_rain(row),
-        ),
-    )
-    return claims + [
-        claim_rate(key, words, at_most(NAMES), sum(map(bool, map(is_wrong, part))), len(part))
-        for key, words, part, is_wrong in parts
-        if part
+    claims = [
+        rate_of("named", sum(bool(row["named"]) for row in rows), len(rows)),
+        rate_of("alarms", sum(not is_silent(row) for row in inside), len(inside)),
+        rate_of("apart", len(outside) - honest, len(outside)),
     ]
+    if dry:
+        claims.append(rate_of("named_dry", sum(bool(row["named"]) for row in dry), len(dry)))
+    if wet:
+        claims.append(rate_of("named_wet", sum(bool(row["named"]) and not is_of_rain(row) for row in wet), len(wet)))
+    return claims
 
 
 def tell(rows: Sequence[Row]) -> list[str]:

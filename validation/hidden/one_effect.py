@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
+from functools import partial
 
 import numpy as np
 
@@ -12,16 +13,7 @@ from lbacal_core.grids import Floats
 from validation.hidden.data_sets import ALIKE, SMALL, STATIC, DataSet, Planted, draw_one, is_in_family, moving_causes
 from validation.hidden.detection import DetectionCurve, fit_detection
 from validation.hidden.sizes import size_pull
-from validation.machinery.claims import (
-    Claim,
-    at_least,
-    at_most,
-    claim_mean,
-    claim_rate,
-    claim_worst,
-    confidence_of_each,
-    mean_interval,
-)
+from validation.machinery.claims import Found, Interval, One, mean_of, rate_of, worst_of
 from validation.machinery.parts import Part, Row
 
 GRID = (4.0, 5.0, 5.5, 6.0, 6.75, 7.5, 10.0)
@@ -162,42 +154,33 @@ def detection_curve(outcomes: Sequence[Outcome]) -> DetectionCurve:
     return fit_detection(snr, np.array([float(o.is_detected) for o in outcomes]))
 
 
-def judge_one(rows: Sequence[Row]) -> list[Claim]:
+def judge_one(rows: Sequence[Row]) -> list[Found]:
     """Detection against the ideal SNR, names and sizes."""
     outcomes = outcomes_of(rows)
     curve = detection_curve(outcomes)
-    claims = []
-    for key, share, asked in (("snr_50", 0.5, 5.5), ("snr_95", 0.95, 7.5)):
-        found, low, high = curve.snr_at(share)
-        text = f"Ideal SNR at which one hidden effect of a drawn cause is detected in {100 * share:g} % of the cases"
-        if len(outcomes) < FEWEST_OF_CURVE:
-            low, high = 0.0, LARGEST_SNR
-        claims.append(Claim(key, text, at_most(asked), found, (low, high), len(outcomes)))
-    return claims + judge_names([o for o in outcomes if o.snr == NAMING_SNR], "hidden effects")
+
+    def bounds(share: float, confidence: float) -> Interval:
+        return curve.bounds(share, confidence) if len(outcomes) >= FEWEST_OF_CURVE else (0.0, LARGEST_SNR)
+
+    at = [
+        One(f"snr_{100 * share:g}", curve.snr_at(share), partial(bounds, share), len(outcomes)) for share in (0.5, 0.95)
+    ]
+    return [*at, *judge_names([o for o in outcomes if o.snr == NAMING_SNR])]
 
 
-def judge_names(outcomes: Sequence[Outcome], what: str) -> list[Claim]:
+def judge_names(outcomes: Sequence[Outcome]) -> list[Found]:
     """Names and sizes."""
-    named = sum(o.is_named for o in outcomes)
-    text = f"The true cause is named, or in the set of at most {LARGEST_SET}: {what} of ideal SNR {NAMING_SNR:g}"
-    claims = [claim_rate("named", text, at_least(0.95), named, len(outcomes))]
-    for key, inside, words in (
-        ("", None, ""),
-        ("_inside", True, ", law in the family"),
-        ("_beside", False, ", law beside it"),
-    ):
+    claims = [rate_of("named", sum(o.is_named for o in outcomes), len(outcomes))]
+    for key, inside in (("", None), ("_inside", True), ("_beside", False)):
         pulls = [abs(o.pull) for o in outcomes if o.pull is not None and inside in (None, o.is_in_family)]
-        text = f"The size is within two of its standard deviations: {what}{words}"
-        close = sum(pull <= 2.0 for pull in pulls)
-        if not pulls and key:
-            continue
-        claims.append(claim_rate(f"sizes{key}", text, at_least(0.9), close, len(pulls)))
+        if pulls or not key:
+            claims.append(rate_of(f"sizes{key}", sum(pull <= 2.0 for pull in pulls), len(pulls)))
     return claims
 
 
-def judge_static(rows: Sequence[Row]) -> list[Claim]:
+def judge_static(rows: Sequence[Row]) -> list[Found]:
     """Names and sizes of static causes."""
-    return judge_names(outcomes_of(rows), "static changes of one antenna's cable")
+    return judge_names(outcomes_of(rows))
 
 
 def ratios_of(rows: Sequence[Row]) -> dict[tuple[str, bool], Floats]:
@@ -208,29 +191,16 @@ def ratios_of(rows: Sequence[Row]) -> dict[tuple[str, bool], Floats]:
     return {key: np.array(values) for key, values in sorted(ratios.items())}
 
 
-def judge_efficiency(rows: Sequence[Row]) -> list[Claim]:
+def judge_efficiency(rows: Sequence[Row]) -> list[Found]:
     """The worst cause, and every cause."""
     ratios = {key: values for key, values in ratios_of(rows).items() if values.size >= FEWEST}
     claims, details = [], []
-    for is_inside, asked, words in ((True, INSIDE, "in the family"), (False, BESIDE, "beside the family")):
+    for is_inside, where in ((True, "inside"), (False, "beside")):
         here = {cause: values for (cause, inside), values in ratios.items() if inside == is_inside}
-        if not here:
-            continue
-        confidence = confidence_of_each(len(here))
-        claims.append(
-            claim_worst(
-                f"worst_{'inside' if is_inside else 'beside'}",
-                f"Part of the ideal SNR that a true cause's score keeps, worst of {len(here)} causes, law {words}",
-                at_least(asked),
-                [float(values.mean()) for values in here.values()],
-                [mean_interval(values, confidence) for values in here.values()],
-                sum(values.size for values in here.values()),
-            )
-        )
-        for cause, values in here.items():
-            text = f"The same for `{cause}`, law {words}"
-            key = f"{cause}_{'inside' if is_inside else 'beside'}"
-            details.append(claim_mean(key, text, at_least(asked), values))
+        if here:
+            each = [mean_of(f"worst_{where}", values) for values in here.values()]
+            claims.append(worst_of(each, sum(values.size for values in here.values())))
+            details += [mean_of(f"{cause}_{where}", values) for cause, values in here.items()]
     return [*claims, *details]
 
 
@@ -269,7 +239,7 @@ def tell_efficiency(rows: Sequence[Row]) -> list[str]:
 
 
 PARTS = (
-    Part("one", try_one, judge_one, 135, tell_names, ("named",)),
-    Part("efficiency", try_efficiency, judge_efficiency, 276, tell_efficiency, ("worst_inside",)),
+    Part("one", try_one, judge_one, 135, tell_names, ("named",), has_figure=True),
+    Part("efficiency", try_efficiency, judge_efficiency, 276, tell_efficiency, ("worst_inside",), has_figure=True),
     Part("static", try_static, judge_static, 60, tell_names, ()),
 )

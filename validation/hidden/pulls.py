@@ -18,12 +18,11 @@ from lbacal_twin.settings import TwinSettings
 from lbacal_twin.truth import StationTruth
 from validation.hidden.station_year import ANTENNAS, EVENTS, EVERYTHING, STATION
 from validation.hidden.worlds import OWN
-from validation.machinery.claims import Claim, between, claim_worst, confidence_of_each, mean_interval
+from validation.machinery.claims import Found, root_mean_of, worst_of
 from validation.machinery.parts import Part, Row
 
 AT_MHZ = (35.0, 45.0, 55.0, 65.0, 75.0)
 SCOPES = ("antenna", "station")
-SPREAD = (0.9, 1.1)
 FEWEST = 2
 """Campaigns of a form of the gains from which on there is an interval."""
 
@@ -63,31 +62,16 @@ def _planted(curve: CalibrationCurve, chain: ReferenceChain, truth: StationTruth
     return np.asarray(gains.mean(axis=0) ** -0.5)
 
 
-def judge(rows: Sequence[Row]) -> list[Claim]:
-    """R.m.s. of the pulls in every form of the gains."""
+def judge(rows: Sequence[Row]) -> list[Found]:
+    """R.m.s. of the pulls in every form of the gains, at five channels and over all."""
     claims = []
     for noise in NOISES:
         here = [row for row in rows if row["noise"] == noise]
-        if len(here) < FEWEST:
-            continue
-        for scope in SCOPES:
-            values = np.array([[*row[scope]["at"], row[scope]["all"]] for row in here])
-            words = f"R.m.s. of the pulls of C of {'paths' if scope == 'antenna' else 'stations'}, event gains: {noise}"
-            claims.append(
-                claim_worst(
-                    f"{scope}_{noise.replace(' ', '_')}",
-                    f"{words}, at five channels and over all",
-                    between(*SPREAD),
-                    np.sqrt(values.mean(axis=0)).tolist(),
-                    [_root(mean_interval(one, confidence_of_each(values.shape[1]))) for one in values.T],
-                    len(here),
-                )
-            )
+        for scope in SCOPES if len(here) >= FEWEST else ():
+            squares = np.array([[*row[scope]["at"], row[scope]["all"]] for row in here])
+            key = f"{scope}_{noise.replace(' ', '_')}"
+            claims.append(worst_of([root_mean_of(key, one) for one in squares.T], len(here)))
     return claims
-
-
-def _root(interval: tuple[float, float]) -> tuple[float, float]:
-    return max(interval[0], 0.0) ** 0.5, interval[1] ** 0.5
 
 
 def tell(rows: Sequence[Row]) -> list[str]:

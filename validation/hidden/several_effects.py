@@ -9,12 +9,11 @@ from itertools import permutations
 import numpy as np
 
 from validation.hidden.data_sets import LARGEST_CHANGE, DataSet, Planted, correlations, moving_causes
-from validation.machinery.claims import Claim, at_least, claim_rate
+from validation.machinery.claims import Found, rate_of
 from validation.machinery.parts import Part, Row
 
 SNR = 10.0
 LARGEST_CORRELATION = 0.9
-ASKED = 0.85
 FIRST_SEED = 300_000
 
 
@@ -79,13 +78,12 @@ def try_several(seed: int) -> Row:
     }
 
 
-def judge(rows: Sequence[Row]) -> list[Claim]:
+def judge(rows: Sequence[Row]) -> list[Found]:
     """Rates of data sets of which all effects are named."""
     claims = []
-    for key, count, words in (("two", 2, "Two"), ("three", 3, "Three")):
+    for key, count in (("two", 2), ("three", 3)):
         here = [row for row in rows if len(row["planted"]) == count]
-        text = f"{words} hidden effects at once, ideal SNR {SNR:g} each given the others: all are named"
-        claims.append(claim_rate(key, text, at_least(ASKED), sum(row["are_all_named"] for row in here), len(here)))
+        claims.append(rate_of(key, sum(row["are_all_named"] for row in here), len(here)))
     return claims
 
 

@@ -1,92 +1,220 @@
-"""What a proof claims, and how the figures decide it: shown, refuted or undecided; or what it measures.
+"""What a proof claims, and how its figures decide it: shown, refuted or undecided; or what it measures.
 
-A claim is decided by its 95 % interval against what is asked. Shown: the whole interval is within what is asked.
-Refuted: none of it is. Undecided: the interval reaches over the limit, or the data sets had been seen before.
-Measured: nothing is asked of the figure, it is stated with its interval.
+Sentences and limits stand in `validation/claims.toml`. A claim is decided by the interval of its figure. Shown: the
+whole interval is within what is asked. Refuted: none of it is. Undecided: it reaches over the limit. Measured: nothing
+is asked of the figure, it is stated with its interval.
+
+A claim may be looked at again with every further block of seeds. The k-th look has an interval of the confidence
+1 - 0.05 * 6 / (pi^2 k^2): the chances of error of all looks add up to 5 % at most, however long somebody goes on and
+whenever they stop (a union bound; spending of the error, Lan and DeMets 1983).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+import tomllib
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, dataclass
+from functools import cache, partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.stats import binomtest, chi2, t
+from scipy.stats import binom, binomtest, chi2, norm, t
 
 from lbacal_core.grids import Floats
 
 SHOWN, REFUTED, UNDECIDED, MEASURED = "shown", "refuted", "undecided", "measured"
 CONFIDENCE = 0.95
+CLAIMS = Path(__file__).parents[1] / "claims.toml"
 
 Interval = tuple[float, float]
+Bounds = Callable[[float], Interval]
+"""The interval of a figure at a confidence."""
+
+
+def confidence_of_look(k: int) -> float:
+    """The confidence of the k-th look, so that the intervals of all looks hold together in 95 %."""
+    return 1.0 - (1.0 - CONFIDENCE) * 6.0 / (np.pi * k) ** 2
 
 
 @dataclass(frozen=True)
 class Asked:
-    """What is asked of a number: to be at least `low` and at most `high`; nothing where both are None."""
+    """A sentence, and what is asked of its number: nothing where both limits are None.
 
-    low: float | None = None
-    high: float | None = None
+    Attributes
+    ----------
+    changed
+        What was asked before, where an earlier record does not tell: a date and words.
+    """
+
+    says: str = ""
+    at_least: float | None = None
+    at_most: float | None = None
+    changed: str = ""
 
     def verdict(self, interval: Interval) -> str:
         """What an interval says of it."""
-        if self.low is None and self.high is None:
+        if self.at_least is None and self.at_most is None:
             return MEASURED
-        low = -np.inf if self.low is None else self.low
-        high = np.inf if self.high is None else self.high
+        low = -np.inf if self.at_least is None else self.at_least
+        high = np.inf if self.at_most is None else self.at_most
         if low <= interval[0] and interval[1] <= high:
             return SHOWN
         return REFUTED if interval[1] < low or interval[0] > high else UNDECIDED
 
 
-MEASUREMENT = Asked()
-"""A number that a proof states, and that nobody gave a limit."""
+@cache
+def read_claims(path: Path = CLAIMS) -> dict[str, dict[str, dict[str, Asked]]]:
+    """What is asked: proof, part, key."""
+    stored = tomllib.loads(path.read_text(encoding="utf-8"))
+    return {
+        proof: {part: {key: Asked(**one) for key, one in asked.items()} for part, asked in parts.items()}
+        for proof, parts in stored.items()
+    }
 
 
-def at_least(low: float) -> Asked:
-    """Ask for a number that is not smaller."""
-    return Asked(low, None)
+@dataclass(frozen=True)
+class One:
+    """What a proof found: the number that decides the claim of a key; n independent trials are behind it.
+
+    `%` is the unit of fractions, which are shown times 100.
+    """
+
+    key: str
+    found: float
+    bounds: Bounds
+    n: int
+    unit: str = ""
+
+    def at(self, confidence: float, asked: Asked) -> tuple[float, Interval]:  # noqa: ARG002  (of the worst figure)
+        """The number and its interval."""
+        return self.found, self.bounds(confidence)
 
 
-def at_most(high: float) -> Asked:
-    """Ask for a number that is not larger."""
-    return Asked(None, high)
+@dataclass(frozen=True)
+class Worst:
+    """The figure that is farthest from what is asked, of several that must all meet it.
+
+    Its interval reaches from the worst of the near ends to the worst of the far ends, so that the claim is shown if
+    every figure shows it and refuted if one refutes it. The intervals hold together (Bonferroni).
+    """
+
+    key: str
+    figures: Sequence[Found]
+    n: int
+    unit: str = ""
+
+    def at(self, confidence: float, asked: Asked) -> tuple[float, Interval]:
+        """The number and its interval."""
+        of_each = 1.0 - (1.0 - confidence) / len(self.figures)
+        found, ends = (np.array(one) for one in zip(*(f.at(of_each, asked) for f in self.figures), strict=True))
+        low, high = asked.at_least, asked.at_most
+        if low is None or high is None:
+            pick = np.max if low is None else np.min
+            return float(pick(found)), (float(pick(ends[:, 0])), float(pick(ends[:, 1])))
+        distance = np.abs(found - (low + high) / 2)
+        refuting = np.array([asked.verdict((a, b)) == REFUTED for a, b in ends])
+        if np.any(refuting):
+            worst = int(np.argmax(np.where(refuting, distance, -1.0)))
+            return float(found[worst]), (float(ends[worst, 0]), float(ends[worst, 1]))
+        return float(found[int(np.argmax(distance))]), (float(ends[:, 0].min()), float(ends[:, 1].max()))
 
 
-def between(low: float, high: float) -> Asked:
-    """Ask for a number in a range."""
-    return Asked(low, high)
+Found = One | Worst
+"""What decides a claim."""
+
+
+def rate_interval(hits: int, n: int, confidence: float = CONFIDENCE) -> Interval:
+    """The interval of a rate (Wilson); nothing is known of no trials."""
+    if not n:
+        return 0.0, 1.0
+    interval = binomtest(int(hits), n).proportion_ci(confidence, method="wilson")
+    return float(interval.low), float(interval.high)
+
+
+def mean_interval(values: Floats, confidence: float = CONFIDENCE) -> Interval:
+    """The interval of a mean (Student's t); the data sets are independent."""
+    reach = t.ppf(0.5 + confidence / 2, values.size - 1) * values.std(ddof=1) / values.size**0.5
+    return float(values.mean() - reach), float(values.mean() + reach)
+
+
+def median_interval(values: Floats, confidence: float = CONFIDENCE) -> Interval:
+    """The interval of a median, between two of the values (sign test)."""
+    ordered, n = np.sort(values), values.size
+    rank = max(int(binom.ppf(0.5 - confidence / 2, n, 0.5)) - 1, 0)
+    return float(ordered[rank]), float(ordered[n - 1 - rank])
+
+
+def spread_interval(spread: float, n: int, confidence: float = CONFIDENCE) -> Interval:
+    """The interval of a standard deviation (or an r.m.s.) of n draws of a normal distribution."""
+    low, high = np.sqrt(n / chi2.ppf([0.5 + confidence / 2, 0.5 - confidence / 2], n))
+    return spread * float(low), spread * float(high)
+
+
+def rate_of(key: str, hits: int, n: int) -> Found:
+    """A rate."""
+    return One(key, hits / max(n, 1), partial(rate_interval, hits, n), n, "%")
+
+
+def mean_of(key: str, values: Floats, unit: str = "") -> Found:
+    """A mean over data sets."""
+    return One(key, float(values.mean()), partial(mean_interval, values), values.size, unit)
+
+
+def root_mean_of(key: str, squares: Floats) -> Found:
+    """The root of a mean over data sets."""
+
+    def bounds(confidence: float) -> Interval:
+        low, high = mean_interval(squares, confidence)
+        return max(low, 0.0) ** 0.5, high**0.5
+
+    return One(key, float(squares.mean()) ** 0.5, bounds, squares.size)
+
+
+def spread_of(key: str, spread: float, n: int) -> Found:
+    """A standard deviation, or an r.m.s."""
+    return One(key, spread, partial(spread_interval, spread, n), n)
+
+
+def measured(key: str, value: float, sigma: float, n: int) -> Found:
+    """A number with a standard deviation of its own."""
+
+    def bounds(confidence: float) -> Interval:
+        reach = float(norm.ppf(0.5 + confidence / 2)) * sigma
+        return value - reach, value + reach
+
+    return One(key, value, bounds, n)
+
+
+def exactly(key: str, found: float, unit: str = "", n: int = 1) -> Found:
+    """A number in which there is no chance; n says how many cases were compared."""
+    return One(key, found, lambda _: (found, found), n, unit)
+
+
+def worst_of(figures: Iterable[Found], n: int, unit: str = "") -> Found:
+    """The worst of figures that share a key."""
+    each = tuple(figures)
+    return Worst(each[0].key, each, n, unit)
 
 
 @dataclass(frozen=True)
 class Claim:
-    """One claim and what was found.
+    """One claim and what was found, as it is stored.
 
     Attributes
     ----------
     key
         The name of the claim inside its part of a proof; texts that quote the figure refer to it.
-    claim
-        A sentence.
-    found, interval
-        The figure and its 95 % interval; equal to the figure where nothing is drawn by chance.
-    n
-        Independent trials behind the figure.
-    unit
-        `%` for fractions, which are shown times 100.
-    is_fresh
-        Whether the data sets had never been seen when the code was written.
+    interval
+        The interval of the look that decides; equal to the figure where nothing is drawn by chance.
     """
 
     key: str
-    claim: str
     asked: Asked
     found: float
     interval: Interval
     n: int
     unit: str = ""
-    is_fresh: bool = True
 
     def __post_init__(self) -> None:
         if not np.all(np.isfinite([self.found, *self.interval])):
@@ -97,31 +225,24 @@ class Claim:
     @property
     def verdict(self) -> str:
         """Shown, refuted or undecided; measured where nothing is asked."""
-        return self.asked.verdict(self.interval) if self.is_fresh and self.n > 0 else UNDECIDED
+        return self.asked.verdict(self.interval) if self.n > 0 else UNDECIDED
 
     def as_dict(self) -> dict[str, Any]:
         """As stored."""
-        return {
-            "key": self.key, "claim": self.claim, "asked": [self.asked.low, self.asked.high], "found": self.found,
-            "interval": list(self.interval), "n": self.n, "unit": self.unit, "is_fresh": self.is_fresh,
-            "verdict": self.verdict,
-        }  # fmt: skip
+        asked = {name: value for name, value in asdict(self.asked).items() if value not in (None, "")}
+        rest = {"found": self.found, "interval": list(self.interval), "n": self.n, "unit": self.unit}
+        return {"key": self.key, **asked, **rest, "verdict": self.verdict}
 
     @classmethod
     def from_dict(cls, stored: dict[str, Any]) -> Claim:
         """Read what was stored; the verdict is decided again."""
-        names = {field.name for field in fields(cls)}
-        values = {name: value for name, value in stored.items() if name in names}
-        return cls(**values | {"asked": Asked(*stored["asked"]), "interval": tuple(stored["interval"])})
-
-    def seen_before(self) -> Claim:
-        """The same claim of data sets that had been seen before: it decides nothing."""
-        return replace(self, is_fresh=False)
+        asked = Asked(**{name: stored[name] for name in asdict(Asked()) if name in stored})
+        return cls(stored["key"], asked, stored["found"], tuple(stored["interval"]), stored["n"], stored["unit"])
 
     @property
     def words_asked(self) -> str:
         """What is asked, in words."""
-        low, high = self.asked.low, self.asked.high
+        low, high = self.asked.at_least, self.asked.at_most
         if low is None and high is None:
             return "nothing"
         if low is None or high is None:
@@ -143,68 +264,13 @@ class Claim:
         return f"{digits} {self.unit}" if self.unit and has_unit else digits
 
 
-def confidence_of_each(count: int) -> float:
-    """Confidence of each of several intervals, so that all of them hold together in 95 % (Bonferroni)."""
-    return 1.0 - (1.0 - CONFIDENCE) / count
-
-
-def rate_interval(hits: int, n: int, confidence: float = CONFIDENCE) -> Interval:
-    """The interval of a rate (Wilson)."""
-    if not n:
-        return 0.0, 1.0
-    interval = binomtest(hits, n).proportion_ci(confidence, method="wilson")
-    return float(interval.low), float(interval.high)
-
-
-def mean_interval(values: Floats, confidence: float = CONFIDENCE) -> Interval:
-    """The interval of a mean (Student's t); the data sets are independent."""
-    reach = t.ppf(0.5 + confidence / 2, values.size - 1) * values.std(ddof=1) / values.size**0.5
-    return float(values.mean() - reach), float(values.mean() + reach)
-
-
-def median_interval(values: Floats) -> Interval:
-    """The 95 % interval of a median, between two of the values (sign test)."""
-    ordered, n = np.sort(values), values.size
-    rank = max(int(np.floor(n / 2 - 0.98 * n**0.5)), 0)  # normal approximation of the binomial
-    return float(ordered[rank]), float(ordered[n - 1 - rank])
-
-
-def spread_interval(spread: float, n: int, confidence: float = CONFIDENCE) -> Interval:
-    """The interval of a standard deviation (or an r.m.s.) of n draws of a normal distribution."""
-    low, high = np.sqrt(n / chi2.ppf([0.5 + confidence / 2, 0.5 - confidence / 2], n))
-    return spread * float(low), spread * float(high)
-
-
-def claim_rate(key: str, claim: str, asked: Asked, hits: int, n: int) -> Claim:
-    """A claim about a rate."""
-    return Claim(key, claim, asked, hits / max(n, 1), rate_interval(hits, n), n, "%")
-
-
-def claim_mean(key: str, claim: str, asked: Asked, values: Floats, unit: str = "") -> Claim:
-    """A claim about a mean over data sets."""
-    return Claim(key, claim, asked, float(values.mean()), mean_interval(values), values.size, unit)
-
-
-def claim_exact(key: str, claim: str, asked: Asked, found: float, unit: str = "", n: int = 1) -> Claim:
-    """A claim about a number in which there is no chance; n says how many cases were compared."""
-    return Claim(key, claim, asked, found, (found, found), n, unit)
-
-
-def claim_worst(key: str, claim: str, asked: Asked, found: Sequence[float], intervals: Sequence[Interval], n: int,
-                unit: str = "") -> Claim:  # fmt: skip
-    """A claim that every one of several figures must meet: the figure that is farthest from what is asked.
-
-    Its interval reaches from the worst of the near ends to the worst of the far ends, so that the claim is shown if
-    every figure shows it and refuted if one refutes it. The intervals should hold together (`confidence_of_each`).
-    """
-    ends = np.array(intervals)
-    if asked.low is not None and asked.high is not None:
-        distance = np.abs(np.array(found) - (asked.low + asked.high) / 2)
-        refuting = np.array([asked.verdict(one) == REFUTED for one in intervals])
-        if np.any(refuting):
-            worst = int(np.argmax(np.where(refuting, distance, -1.0)))
-            return Claim(key, claim, asked, found[worst], intervals[worst], n, unit)
-        whole = float(ends[:, 0].min()), float(ends[:, 1].max())
-        return Claim(key, claim, asked, found[int(np.argmax(distance))], whole, n, unit)
-    pick = np.min if asked.low is not None else np.max
-    return Claim(key, claim, asked, float(pick(found)), (float(pick(ends[:, 0])), float(pick(ends[:, 1]))), n, unit)
+def decide(figures: Sequence[Found], asked: dict[str, Asked], look: int = 1) -> tuple[Claim, ...]:
+    """The claims of figures at their k-th look; raises ValueError where `claims.toml` has no sentence for one."""
+    without = [figure.key for figure in figures if figure.key not in asked]
+    if without:
+        raise ValueError(f"{CLAIMS.name} has no sentence for {', '.join(without)}: write it there")
+    claims = []
+    for one in figures:
+        found, interval = one.at(confidence_of_look(look), asked[one.key])
+        claims.append(Claim(one.key, asked[one.key], found, interval, one.n, one.unit))
+    return tuple(claims)

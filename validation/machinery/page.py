@@ -10,8 +10,9 @@ from matplotlib.figure import Figure
 
 from validation.machinery.claims import MEASURED, REFUTED, SHOWN, UNDECIDED, Claim
 from validation.machinery.code import ROOT
+from validation.machinery.ledger import Entry
 from validation.machinery.parts import parts_of, proof_names
-from validation.machinery.records import FRESH, NO_CHANCE, Record, newest
+from validation.machinery.records import Record, name_of, without_result
 
 PAGE = ROOT / "docs" / "validation.md"
 IMAGES = ROOT / "docs" / "images"
@@ -19,17 +20,20 @@ IMAGES = ROOT / "docs" / "images"
 INTRODUCTION = """\
 # Validation
 What `lbacal` claims of itself, and what was found when it was tried: on simulated data, by killing its processes, and
-on what has been published. `./dev prove NAME` runs a proof, keeps every trial in
-[`validation/records`](../validation/records) and writes this page; nothing here is typed by hand.
+on what has been published. `./dev prove NAME` runs a proof, keeps what it gave in
+[`validation/records`](../validation/records) and writes this page; nothing here is typed by hand. Sentences and limits
+stand in [`claims.toml`](../validation/claims.toml).
 
-A claim is decided by the 95 % interval of the figure against what is asked. **Shown**: the whole interval is within
-what is asked. **Refuted**: none of it is. **Undecided**: it reaches over the limit, because there were too few trials,
-or the data sets had been seen while the code was written. **Measured**: nothing is asked, the figure is stated. Seeds
-below 1,000,000 are for debugging, a block of seeds that was recorded once is spent, and nothing is recorded from a
-changed tree. n counts independent trials. The rows are the main claims, which each proof names itself (`headlines`);
-all others are in the records, and whatever is refuted or undecided, a row or not, is said at the end.
+A claim is decided by the interval of its figure against what is asked. **Shown**: the whole interval is within what is
+asked. **Refuted**: none of it is. **Undecided**: it reaches over the limit. **Measured**: nothing is asked. Every block
+of seeds is entered in the [ledger](../validation/ledger.jsonl), and the entry committed, before its first trial; blocks
+counts them, whatever became of them. The k-th block is judged at a confidence of 1 - 0.05 · 6/(π²k²), so that all
+intervals of a part hold together in 95 %. *Holds* says whether the finder says of the
+[frozen data sets](../validation/frozen) what it said when the record was made. n counts independent trials. The rows
+are the main claims, which each proof names itself (`headlines`); all others are in the records, and whatever is refuted
+or undecided, a row or not, is said at the end.
 """
-TABLE = ("| claim | asked | found (95 % interval) | n | verdict | command | commit |", "|" + "---|" * 7)
+TABLE = ("| claim | asked | found (interval) | n | verdict | proof | blocks | commit | holds |", "|" + "---|" * 9)
 TOLD_BELOW = """\
 By part of a proof, refuted claims in full and undecided ones by their names in the record:
 """
@@ -41,17 +45,20 @@ LIMITS = """\
 """
 
 
-def write_page(records: Iterable[Record]) -> str:
-    """The page of the newest record of every part."""
-    latest = newest(records)
+def write_page(records: Iterable[Record], history: Sequence[Record], entries: Sequence[Entry]) -> str:
+    """The page of the record of every part, of those before it, and of the ledger."""
     by_proof: dict[str, list[Record]] = {}
     for proof in proof_names():
         order = list(parts_of(proof))
-        own = [record for (name, _), record in latest.items() if name == proof]
+        own = [record for record in records if record.proof == proof]
         if own:
             by_proof[proof] = sorted(own, key=lambda r: order.index(r.part) if r.part in order else len(order))
     rows = [
-        _row(claim, one) for own in by_proof.values() for one in own for claim in one.claims if _is_headline(claim, one)
+        _row(claim, one, history, entries)
+        for own in by_proof.values()
+        for one in own
+        for claim in one.claims
+        if _is_headline(claim, one)
     ]
     proofs = [_introduce(proof, own) for proof, own in by_proof.items()]
     lines = [INTRODUCTION, *TABLE, *rows, "", "## The proofs", "", *proofs, ""]
@@ -61,7 +68,15 @@ def write_page(records: Iterable[Record]) -> str:
             line for name in images if (IMAGES / name).is_file() for line in (f"![{images[name]}](images/{name})", "")
         ]
     lines += ["## What is not shown", "", LIMITS.rstrip(), "", TOLD_BELOW, *_open_claims(by_proof), ""]
+    lines += ["## Entered, no result", "", *map(_tell_entry, without_result([*records, *history], entries)), ""]
     return "\n".join(lines)
+
+
+def _tell_entry(entry: Entry) -> str:
+    return (
+        f"- {name_of(entry.proof, entry.part)}: seeds {entry.first} to {entry.block.end - 1}, entered on "
+        f"{entry.entered_at[:10]} at {entry.commit}."
+    )
 
 
 def _introduce(proof: str, records: Sequence[Record]) -> str:
@@ -75,28 +90,37 @@ def _is_headline(claim: Claim, record: Record) -> bool:
     return part is not None and claim.key in part.headlines
 
 
-def _row(claim: Claim, record: Record) -> str:
+def _row(claim: Claim, record: Record, history: Sequence[Record], entries: Sequence[Entry]) -> str:
     verdict = f"**{claim.verdict}**" if claim.verdict not in (SHOWN, MEASURED) else claim.verdict
-    if not claim.is_fresh:
-        verdict += f" ({record.seeds})"
-    cells = (claim.claim, claim.words_asked, claim.words_found, str(claim.n), verdict)
-    command, *others = record.commands
-    further = f" (further blocks of seeds, in its record: {len(others)})" if others else ""
-    return f"| {' | '.join(cells)} | `{command}`{further} | {record.commit} |"
+    verdict += tell_change(claim, record, history)
+    blocks = sum((one.proof, one.part) == (record.proof, record.part) for one in entries)
+    proof = record.proof if record.part == record.proof else f"{record.proof} {record.part}"
+    cells = (claim.asked.says, claim.words_asked, claim.words_found, str(claim.n), verdict, f"`{proof}`", str(blocks))
+    return f"| {' | '.join(cells)} | {record.commit} | {'yes' if record.holds else 'no'} |"
+
+
+def tell_change(claim: Claim, record: Record, history: Sequence[Record]) -> str:
+    """What was asked of the same claim before, if it had been refuted; empty where nothing was."""
+    told = [claim.asked.changed] if claim.asked.changed else []
+    earlier = [
+        (one.made_at, other)
+        for one in history
+        if (one.proof, one.part) == (record.proof, record.part)
+        for other in one.claims
+        if other.key == claim.key and other.words_asked != claim.words_asked and other.verdict == REFUTED
+    ]
+    if earlier:
+        made_at, other = max(earlier, key=lambda one: one[0])
+        told.append(f"limit changed after {made_at[:10]}, when {other.words_asked} was *refuted*")
+    return "".join(f"; {one}" for one in told)
 
 
 def _open_claims(by_proof: Mapping[str, Sequence[Record]]) -> list[str]:
-    """What is not shown: a line a proof and part, its refuted claims in full, its undecided ones by their keys.
-
-    All records on data sets that had been seen share a line.
-    """
-    lines, seen = [], []
+    """What is not shown: a line a proof and part, its refuted claims in full, its undecided ones by their keys."""
+    lines = []
     for record in (one for records in by_proof.values() for one in records):
-        if record.seeds not in (FRESH, NO_CHANCE):
-            seen.append(record.name)
-            continue
         told = [
-            f"**refuted** {claim.claim} (asked {claim.words_asked}, found {claim.words_found})"
+            f"**refuted** {claim.asked.says} (asked {claim.words_asked}, found {claim.words_found})"
             for claim in record.claims
             if claim.verdict == REFUTED
         ]
@@ -107,8 +131,6 @@ def _open_claims(by_proof: Mapping[str, Sequence[Record]]) -> list[str]:
         told += [f"undecided, asked {asked}: {', '.join(keys)}" for asked, keys in open_keys.items()]
         if told:
             lines.append(f"- {record.name}: {'; '.join(told)}.")
-    if seen:
-        lines.append(f"- Undecided whatever the figure, because the data sets had been seen before: {', '.join(seen)}.")
     return lines
 
 
@@ -117,10 +139,10 @@ def draw_figures(records: Iterable[Record], folder: Path = IMAGES) -> list[Path]
 
     Such a function takes the rows of every part by its name and returns a figure by the name of its file.
     """
-    latest, written = newest(records), []
+    records, written = list(records), list[Path]()
     for proof in proof_names():
         draw = getattr(importlib.import_module(f"validation.{proof}"), "draw", None)
-        rows = {part: list(record.rows) for (name, part), record in latest.items() if name == proof and record.rows}
+        rows = {record.part: list(record.rows) for record in records if record.proof == proof and record.rows}
         drawn: dict[str, Figure] = draw(rows) if draw and rows else {}
         for name, figure in drawn.items():
             figure.savefig(folder / name, dpi=110, metadata={"Software": None})

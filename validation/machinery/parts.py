@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from validation.machinery.claims import Claim
+from validation.machinery.claims import Found
 
 Row = dict[str, Any]
 """Inputs and outcome of one trial, as JSON stores them; `seed` is added to it."""
@@ -24,6 +24,9 @@ def tell_nothing(rows: Sequence[Row]) -> list[str]:  # noqa: ARG001  (stands whe
 class Part:
     """One family of trials and what is claimed of it. A proof is a module with a tuple `PARTS` of these.
 
+    A part that draws or counts something else than before is another part and gets another name: blocks of one name
+    are pooled.
+
     Attributes
     ----------
     name
@@ -31,7 +34,7 @@ class Part:
     trial
         Draws the data set of a seed, asks, and returns the row: a function of a module, which needs nothing else.
     judge
-        The claims, from rows in the order of their seeds.
+        The figures of its claims, from rows in the order of their seeds; `validation/claims.toml` says what is asked.
     count
         Trials, unless said otherwise.
     tell
@@ -45,21 +48,20 @@ class Part:
         Whether trials may run beside each other.
     needs_shared
         Whether it reads the folder ../shared beside the project.
-    code
-        Folders that can change a figure beside the code that the trial imports: what it reads, and what other processes
-        run.
+    has_figure
+        Whether the docs have a figure or a table of its trials, which then stay in its record.
     """
 
     name: str
     trial: Callable[[int], Row]
-    judge: Callable[[Sequence[Row]], list[Claim]]
+    judge: Callable[[Sequence[Row]], list[Found]]
     count: int
     tell: Callable[[Sequence[Row]], list[str]] = tell_nothing
     headlines: tuple[str, ...] = ()
     has_chance: bool = True
     is_parallel: bool = True
     needs_shared: bool = False
-    code: tuple[str, ...] = ("lbacal_core/data",)
+    has_figure: bool = False
 
 
 def proof_names() -> list[str]:

@@ -10,10 +10,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
 
-from validation.machinery.claims import Claim
+from scipy.stats import norm
+
+from validation.machinery.claims import Claim, confidence_of_look
 from validation.machinery.code import ROOT
 from validation.machinery.parts import Row
-from validation.machinery.records import Record, newest
+from validation.machinery.records import Record
 
 NUMBER = r"[-+]?\d[\d,]*(?:\.\d+)?(?:e[-+]\d+)?"
 WORD = "[a-z]+"
@@ -59,20 +61,21 @@ def read_quotes(file: Path = QUOTES) -> list[Quote]:
 
 
 def figures_of(records: Iterable[Record]) -> dict[str, SimpleNamespace]:
-    """Proof, part and claim as attributes, of the newest record of every part."""
+    """Proof, part and claim as attributes, of the record of every part."""
     proofs: dict[str, SimpleNamespace] = {}
-    for (proof, part), record in newest(records).items():
-        claims = SimpleNamespace(**{claim.key: _figure(claim) for claim in record.claims})
-        setattr(proofs.setdefault(proof, SimpleNamespace()), part.replace("-", "_"), claims)
+    for record in records:
+        claims = SimpleNamespace(**{claim.key: _figure(claim, record.look) for claim in record.claims})
+        setattr(proofs.setdefault(record.proof, SimpleNamespace()), record.part.replace("-", "_"), claims)
     return proofs
 
 
-def _figure(claim: Claim) -> SimpleNamespace:
+def _figure(claim: Claim, look: int) -> SimpleNamespace:
     low, high = claim.interval
+    error = (high - low) / (2 * norm.ppf(0.5 + confidence_of_look(look) / 2))
     percent = {"percent": 100 * claim.found, "percent_low": 100 * low, "percent_high": 100 * high}
     return SimpleNamespace(
         found=claim.found, low=low, high=high, n=claim.n, hits=round(claim.found * claim.n),
-        error=(high - low) / 4, verdict=claim.verdict, **percent,
+        error=error, verdict=claim.verdict, **percent,
     )  # fmt: skip
 
 
@@ -83,9 +86,9 @@ def renew_tables(text: str, records: Iterable[Record]) -> str:
     it is where a part that it needs has no trials on record.
     """
     rows: dict[str, dict[str, list[Row]]] = {}
-    for (proof, part), record in newest(records).items():
+    for record in records:
         if record.rows:
-            rows.setdefault(proof, {})[part] = list(record.rows)
+            rows.setdefault(record.proof, {})[record.part] = list(record.rows)
 
     def written(match: re.Match[str]) -> str:
         proof, name = match[1], match[2]

@@ -1,4 +1,4 @@
-"""What was measured, for good: one file `validation/records/NAME-COMMIT.json` for a part of a proof and a commit."""
+"""What was measured: `validation/records/NAME.json` for each part of a proof; earlier ones are lines of a history."""
 
 from __future__ import annotations
 
@@ -8,14 +8,13 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from validation.machinery.claims import Claim
-from validation.machinery.parts import Part, Row
-from validation.machinery.seeds import Block, joined
+from validation.frozen.verdicts import frozen_digest
+from validation.machinery.claims import UNDECIDED, Asked, Claim, decide, read_claims
+from validation.machinery.ledger import Block, Entry, joined
+from validation.machinery.parts import Part, Row, parts_of
 
 RECORDS = Path(__file__).parents[1] / "records"
-LOOKED_AT = RECORDS / "looked_at.json"
-FRESH, REPETITION, SEEN, NO_CHANCE = "fresh", "repetition", "seen before", "no chance"
-"""Standing of data sets: never seen before; those of an earlier record; used while the code was written; not drawn."""
+HISTORY = Path(__file__).parents[1] / "history.jsonl"
 
 
 @dataclass(frozen=True)
@@ -26,111 +25,137 @@ class Record:
     ----------
     made_at
         ISO 8601, UTC.
-    code
-        Digest of the code; empty for records that were made before there were digests.
-    seeds
-        Whether the data sets were fresh.
+    frozen
+        Digest of what the finder says of the frozen data sets: the record holds while it stays.
+    look
+        How many blocks of the part had been entered when its claims were decided; 1 where there is no chance.
     hours
         Time of all trials together, each on one core.
-    remark
-        What else a reader has to know.
+    rows
+        The trials, where a claim is undecided, so that another block may join them, or the docs are made from them.
     """
 
     proof: str
     part: str
     commit: str
     made_at: str
-    code: str
+    frozen: str
+    look: int
     blocks: tuple[Block, ...]
-    seeds: str
     hours: float
     claims: tuple[Claim, ...]
     rows: tuple[Row, ...] = field(default=(), repr=False)
-    remark: str = ""
 
     @property
     def name(self) -> str:
         """Proof and part."""
-        return self.proof if self.part == self.proof else f"{self.proof}-{self.part}"
+        return name_of(self.proof, self.part)
 
     @property
-    def file_name(self) -> str:
-        """The file it is kept in."""
-        return f"{self.name}-{self.commit}{'-repetition' if self.seeds == REPETITION else ''}.json"
-
-    @property
-    def commands(self) -> tuple[str, ...]:
-        """What repeats it, a block of seeds each."""
-        command = f"./dev prove {self.proof}" + ("" if self.part == self.proof else f" --part {self.part}")
-        if not self.blocks or self.seeds == NO_CHANCE or not self.code:
-            return (command,)
-        return tuple(f"{command} --first {block.first} --count {block.count}" for block in self.blocks)
+    def holds(self) -> bool:
+        """Whether the finder says of the frozen data sets what it said then."""
+        return self.frozen == frozen_digest()
 
     def claim(self, key: str) -> Claim:
         """One of its claims."""
         return next(claim for claim in self.claims if claim.key == key)
 
-    def write(self, folder: Path = RECORDS) -> Path:
-        """Write the file, one row a line."""
-        head: dict[str, Any] = {
+    @property
+    def summary(self) -> dict[str, Any]:
+        """All but the trials, as stored."""
+        return {
             "proof": self.proof, "part": self.part, "commit": self.commit, "made_at": self.made_at,
-            "code": self.code, "blocks": [[block.first, block.count] for block in self.blocks],
-            "seeds": self.seeds, "hours": round(self.hours, 4), "remark": self.remark,
+            "frozen": self.frozen, "look": self.look, "blocks": [[block.first, block.count] for block in self.blocks],
+            "hours": round(self.hours, 4), "claims": [claim.as_dict() for claim in self.claims],
         }  # fmt: skip
-        lines = [f'"{name}": {json.dumps(value, ensure_ascii=False)}' for name, value in head.items()]
-        for name, values in (("claims", [claim.as_dict() for claim in self.claims]), ("rows", self.rows)):
-            items = ",\n".join(json.dumps(value, ensure_ascii=False, separators=(",", ":")) for value in values)
-            lines.append(f'"{name}": [\n{items}\n]' if items else f'"{name}": []')
-        folder.mkdir(exist_ok=True)
-        path = folder / self.file_name
+
+    def write(self) -> Path:
+        """Write it, a claim and a trial a line, in the place of an earlier one."""
+        lines = []
+        for name, value in {**self.summary, "rows": self.rows}.items():
+            if name in ("claims", "rows") and value:
+                items = (json.dumps(one, ensure_ascii=False, separators=(",", ":")) for one in value)
+                lines.append(f'"{name}": [\n' + ",\n".join(items) + "\n]")
+            else:
+                lines.append(f'"{name}": {json.dumps(value, ensure_ascii=False)}')
+        RECORDS.mkdir(exist_ok=True)
+        path = path_of(self.proof, self.part)
         path.write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
         return path
 
 
-def read_record(path: Path) -> Record:
-    """Read a file."""
-    stored = json.loads(path.read_text(encoding="utf-8"))
+def name_of(proof: str, part: str) -> str:
+    """Proof and part in one word."""
+    return proof if part == proof else f"{proof}-{part}"
+
+
+def path_of(proof: str, part: str) -> Path:
+    """The file of a part's record."""
+    return RECORDS / f"{name_of(proof, part)}.json"
+
+
+def _from_dict(stored: dict[str, Any]) -> Record:
     claims = tuple(Claim.from_dict(claim) for claim in stored.pop("claims"))
     blocks = tuple(Block(*block) for block in stored.pop("blocks"))
-    return Record(**stored | {"claims": claims, "blocks": blocks, "rows": tuple(stored["rows"])})
+    return Record(**stored | {"claims": claims, "blocks": blocks, "rows": tuple(stored.get("rows", ()))})
 
 
-def read_records(folder: Path = RECORDS) -> list[Record]:
-    """Every record, oldest first."""
-    paths = [path for path in folder.glob("*.json") if path.name != LOOKED_AT.name]
-    return sorted((read_record(path) for path in paths), key=lambda record: (record.made_at, record.name))
+def read_record(path: Path) -> Record:
+    """Read a file."""
+    return _from_dict(json.loads(path.read_text(encoding="utf-8")))
 
 
-def of_part(records: Iterable[Record], proof: str, part: str) -> list[Record]:
-    """The records of one part of a proof."""
-    return [record for record in records if (record.proof, record.part) == (proof, part)]
+def read_records() -> list[Record]:
+    """The record of every part that has one, oldest first."""
+    return sorted(map(read_record, RECORDS.glob("*.json")), key=lambda record: (record.made_at, record.name))
 
 
-def make_claims(part: Part, rows: Sequence[Row], seeds: str) -> tuple[Claim, ...]:
-    """What rows show, as far as the data sets may show anything."""
-    claims = part.judge(rows)
-    return tuple(claim if seeds in (FRESH, NO_CHANCE) else claim.seen_before() for claim in claims)
+def read_history() -> list[Record]:
+    """Records that others took the place of, without their trials, in the order in which they were replaced."""
+    lines = HISTORY.read_text(encoding="utf-8").splitlines() if HISTORY.is_file() else []
+    return [_from_dict(json.loads(line)) for line in lines]
 
 
-def pool(records: Sequence[Record], part: Part) -> Record:
-    """One record of several that were made with the same code; hours are summed and the claims judged again.
+def enter_into_history(record: Record) -> None:
+    """Keep a line of a record that another takes the place of."""
+    with HISTORY.open("a", encoding="utf-8") as file:
+        file.write(json.dumps(record.summary, ensure_ascii=False) + "\n")
 
-    Raises ValueError where the code differs or a seed is in two of them.
+
+def asked_of(proof: str, part: str) -> dict[str, Asked]:
+    """The claims of a part by their keys."""
+    return read_claims().get(proof, {}).get(part, {})
+
+
+def claims_of(proof: str, part: str, rows: Sequence[Row], look: int = 1) -> tuple[Claim, ...]:
+    """What trials of a part show at its k-th look."""
+    return decide(parts_of(proof)[part].judge(rows), asked_of(proof, part), look)
+
+
+def take_in(record: Record, part: Part, rows: Sequence[Row]) -> Record:
+    """Write what a block gave: pooled with the trials on record if these hold, else in the place of the record.
+
+    Trials stay where a claim is undecided, or the docs are made from them.
     """
-    first, last = records[0], max(records, key=lambda record: record.made_at)
-    if any((r.proof, r.part, r.code) != (first.proof, first.part, first.code) for r in records) or not first.code:
-        raise ValueError(f"records of {first.name} are of different code and cannot be pooled")
-    if len({record.seeds for record in records}) > 1:
-        raise ValueError(f"records of {first.name} with fresh and with other seeds cannot be pooled")
-    blocks = joined(block for record in records for block in record.blocks)
-    rows = tuple(sorted((row for record in records for row in record.rows), key=lambda row: row["seed"]))
-    claims = make_claims(part, rows, last.seeds)
-    return replace(last, blocks=blocks, rows=rows, hours=sum(r.hours for r in records), claims=claims)
+    path = path_of(record.proof, record.part)
+    earlier = read_record(path) if path.is_file() else None
+    if earlier and part.has_chance and earlier.rows and earlier.holds and earlier.rows[0].keys() == rows[0].keys():
+        rows = sorted([*earlier.rows, *rows], key=lambda row: row["seed"])
+        record = replace(record, blocks=joined([*earlier.blocks, *record.blocks]), hours=earlier.hours + record.hours)
+    elif earlier:
+        enter_into_history(earlier)
+    claims = decide(part.judge(rows), asked_of(record.proof, record.part), record.look)
+    is_open = part.has_chance and any(claim.verdict == UNDECIDED for claim in claims)
+    whole = replace(record, claims=claims, rows=tuple(rows) if is_open or part.has_figure else ())
+    whole.write()
+    return replace(whole, rows=tuple(rows))
 
 
-def newest(records: Iterable[Record]) -> dict[tuple[str, str], Record]:
-    """The record of every part of every proof that counts: the newest that may decide, else the newest."""
-    return {
-        (record.proof, record.part): record
-        for record in sorted(records, key=lambda r: (r.seeds in (FRESH, NO_CHANCE), r.made_at))
-    }
+def without_result(records: Sequence[Record], entries: Iterable[Entry]) -> list[Entry]:
+    """Blocks that were entered and of which no record, past or present, holds the result."""
+
+    def is_held(entry: Entry) -> bool:
+        own = [record for record in records if (record.proof, record.part) == (entry.proof, entry.part)]
+        return entry.is_held((block for one in own for block in one.blocks), {one.commit for one in own})
+
+    return [entry for entry in entries if not is_held(entry)]

@@ -7,14 +7,15 @@ import multiprocessing
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
 from threadpoolctl import threadpool_limits
 
+from validation.machinery.ledger import Block
 from validation.machinery.parts import Part, Row
-from validation.machinery.seeds import Block
 
 Task = TypeVar("Task")
 Outcome = TypeVar("Outcome")
@@ -48,32 +49,34 @@ def _one_thread() -> None:
     threadpool_limits(1)
 
 
-def run_part(part: Part, block: Block, kept: Path, workers: int) -> list[Row]:
+def run_part(part: Part, block: Block, kept: Path | None, workers: int) -> list[Row]:
     """Rows of a block of seeds, in their order.
 
     Parameters
     ----------
     kept
         File to which every row is appended as soon as it is there; rows that it holds are not done again. It must be
-        of this part and this state of the code.
+        of this part and this state of the code. Where it is None nothing is kept.
 
     Returns
     -------
     The rows; `seconds` is the time of the trial.
     """
-    done = read_kept(kept)
+    done = read_kept(kept) if kept else {}
     wanted = range(block.first, block.end)
     missing = [seed for seed in wanted if seed not in done]
     if len(missing) < block.count:
         print(f"{part.name}: {block.count - len(missing)} of {block.count} were done before", file=sys.stderr)
-    kept.parent.mkdir(parents=True, exist_ok=True)
-    with kept.open("a") as file:
+    if kept:
+        kept.parent.mkdir(parents=True, exist_ok=True)
+    with kept.open("a") if kept else nullcontext() as file:
         for row in run_trials(
             partial(_try, part.trial), missing, part.name, workers=workers if part.is_parallel else 1
         ):
             done[row["seed"]] = row
-            file.write(json.dumps(row) + "\n")
-            file.flush()
+            if file:
+                file.write(json.dumps(row) + "\n")
+                file.flush()
     return [done[seed] for seed in wanted]
 
 

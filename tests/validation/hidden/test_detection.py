@@ -13,7 +13,7 @@ def test_the_curve_of_detection_finds_what_drew_the_trials():
     detected = (rng.random(snr.size) < norm.cdf((snr - 5.4) / 1.1)).astype(float)
     curve = fit_detection(snr, detected, draws=60)
     for share in (0.5, 0.95):
-        middle, low, high = curve.snr_at(share)
+        middle, (low, high) = curve.snr_at(share), curve.bounds(share, 0.95)
         assert low < middle < high
         # 1800 trials know the curve to some 0.05; four times that.
         assert middle == pytest.approx(5.4 + 1.1 * norm.ppf(share), abs=0.2)

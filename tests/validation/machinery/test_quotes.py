@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from validation.machinery.claims import at_most, claim_rate
+from validation.machinery.claims import Asked, decide, rate_of
 from validation.machinery.quotes import Quote, figures_of, read_quotes, renew_pages, renew_tables
 from validation.machinery.records import Record, read_records
 
@@ -12,8 +12,8 @@ QUOTES = read_quotes()
 
 
 def alarms(hits: int, n: int) -> list[Record]:
-    claim = claim_rate("alarms", "Alarms", at_most(0.01), hits, n)
-    return [Record("discovery", "own-sky", "1234567", "2027-01-01T00:00:00Z", "abc", (), "fresh", 1.0, (claim,))]
+    claims = decide([rate_of("alarms", hits, n)], {"alarms": Asked("Alarms", at_most=0.01)})
+    return [Record("discovery", "own-sky", "1234567", "2027-01-01T00:00:00Z", "abc", 1, (), 1.0, claims)]
 
 
 QUOTE = Quote(
@@ -57,9 +57,7 @@ def test_a_table_stays_as_it_is_until_every_part_of_it_has_trials():
     text = "Before\n<!-- records: traces_lines.bands -->\n| old |\n<!-- end of records -->\nafter\n"
     assert renew_tables(text, alarms(0, 3)) == text
     rows = tuple({"found": [0.0, 0.0, 0.5, 1.0, 1.0, 1.0], "change": [0.01] * 6} for _ in range(2))
-    parts = [
-        Record("traces_lines", name, "1234567", "", "abc", (), "fresh", 1.0, (), rows) for name in ("wide-1", "wide-12")
-    ]
+    parts = [Record("traces_lines", name, "1234567", "", "abc", 1, (), 1.0, (), rows) for name in ("wide-1", "wide-12")]
     renewed = renew_tables(text, parts)
     assert "| 12 | 0 %, +1.0 % | 0 %, +1.0 % | 50 %, +1.0 % |" in renewed
     assert renew_tables(renewed, parts) == renewed

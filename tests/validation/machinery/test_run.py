@@ -1,4 +1,4 @@
-"""What may be recorded, in a git repository of its own."""
+"""What is entered and recorded, in a git repository of its own."""
 
 from __future__ import annotations
 
@@ -7,12 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from validation.machinery import code, records, run
-from validation.machinery.claims import at_least, claim_rate
+from validation.machinery import code, records
+from validation.machinery.claims import Asked, rate_of
+from validation.machinery.ledger import DEBUG_BELOW, LEDGER, Block, read_ledger
+from validation.machinery.page import tell_change, write_page
 from validation.machinery.parts import Part, Row
-from validation.machinery.records import FRESH, REPETITION, read_records
-from validation.machinery.run import Order, RefusedError, run_and_record, take_in
-from validation.machinery.seeds import DEBUG_BELOW, Block
+from validation.machinery.records import read_history, read_records
+from validation.machinery.run import Order, RefusedError, run_and_record
 
 
 def _try(seed: int) -> Row:
@@ -20,140 +21,155 @@ def _try(seed: int) -> Row:
 
 
 def _judge(rows):
-    return [claim_rate("even", "Even", at_least(0.4), sum(row["is_even"] for row in rows), len(rows))]
+    return [rate_of("even", sum(row["is_even"] for row in rows), len(rows))]
 
 
-PART = Part("parity", _try, _judge, 6, code=("lbacal_core",))
+PART = Part("parity", _try, _judge, 6)
+ASKED = {"even": Asked("Even", at_least=0.4)}
 
 
 @pytest.fixture
 def checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A repository with a file of code, committed."""
-    folder = tmp_path / "validation" / "records"
-    folder.mkdir(parents=True)
+    (tmp_path / "validation" / "records").mkdir(parents=True)
     (tmp_path / "lbacal_core").mkdir()
-    (tmp_path / "lbacal_core" / "physics.py").write_text("C = 1\n")
     (tmp_path / ".gitignore").write_text("var/\n")
-    for module, name in ((code, "ROOT"), (records, "RECORDS"), (run, "RECORDS")):
-        monkeypatch.setattr(module, name, tmp_path if name == "ROOT" else folder)
-    monkeypatch.setattr(run, "LOOKED_AT", folder / "looked_at.json")
-    monkeypatch.setattr(run, "read_records", lambda: read_records(folder))
-    write = records.Record.write
-    monkeypatch.setattr(records.Record, "write", lambda record: write(record, folder))
+    monkeypatch.setattr(code, "ROOT", tmp_path)
+    monkeypatch.setattr(records, "RECORDS", tmp_path / "validation" / "records")
+    monkeypatch.setattr(records, "HISTORY", tmp_path / "validation" / "history.jsonl")
+    monkeypatch.setattr(records, "frozen_digest", lambda: "as today")
+    monkeypatch.setattr("validation.machinery.run.frozen_digest", lambda: "as today")
+    for module in ("run", "records"):
+        monkeypatch.setattr(f"validation.machinery.{module}.asked_of", lambda _proof, _part: ASKED)
     git(tmp_path, "init", "-q")
-    commit(tmp_path)
+    git(tmp_path, "config", "user.name", "nobody")
+    git(tmp_path, "config", "user.email", "nobody@example.org")
+    change_code(tmp_path, 1)
     return tmp_path
 
 
-def git(folder: Path, *arguments: str) -> None:
-    who = ["-c", "user.name=nobody", "-c", "user.email=nobody@example.org"]
-    subprocess.run(["git", "-C", str(folder), *who, *arguments], check=True, capture_output=True)
-
-
-def commit(folder: Path) -> None:
-    git(folder, "add", ".")
-    git(folder, "commit", "-q", "-m", "state")
+def git(folder: Path, *arguments: str) -> str:
+    command = ["git", "-C", str(folder), *arguments]
+    return subprocess.run(command, check=True, capture_output=True, text=True).stdout
 
 
 def change_code(folder: Path, value: int) -> None:
     (folder / "lbacal_core" / "physics.py").write_text(f"C = {value}\n")
+    git(folder, "add", ".")
+    git(folder, "commit", "-q", "-m", "state")
 
 
 def test_a_changed_tree_is_not_recorded_and_scratch_runs_on_seeds_for_debugging(checkout: Path):
-    change_code(checkout, 2)
-    with pytest.raises(RefusedError, match=r"the tree is changed \(lbacal_core/physics\.py\)"):
-        run_and_record("some", PART, Order())
-    record, is_written = run_and_record("some", PART, Order(is_scratch=True))
-    assert not is_written
-    assert record.blocks == (Block(0, 6),)
-    assert record.claims[0].verdict == "undecided"
-    assert read_records(checkout / "validation" / "records") == []
-
-
-def test_a_file_that_git_does_not_know_is_a_changed_tree(checkout: Path):
     (checkout / "lbacal_core" / "more.py").write_text("D = 1\n")
-    with pytest.raises(RefusedError, match="lbacal_core/more"):
+    with pytest.raises(RefusedError, match=r"the tree is changed \(lbacal_core/more\.py\)"):
         run_and_record("some", PART, Order())
+    record = run_and_record("some", PART, Order(is_scratch=True))
+    assert record.blocks == (Block(0, 6),)
+    assert read_records() == read_ledger() == []
 
 
-def test_records_of_the_same_code_grow_together_with_fresh_seeds(checkout: Path):
-    first, _ = run_and_record("some", PART, Order())
-    assert (first.seeds, first.blocks) == (FRESH, (Block(DEBUG_BELOW, 6),))
-    second, _ = run_and_record("some", PART, Order(count=4))
-    assert second.blocks == (Block(DEBUG_BELOW, 10),)
-    assert len(read_records(checkout / "validation" / "records")) == 1
-    with pytest.raises(RefusedError, match="in a record of this code already"):
-        run_and_record("some", PART, Order(first=DEBUG_BELOW + 3, count=1))
+def test_a_block_is_entered_and_committed_alone_before_its_first_trial(checkout: Path):
+    def look(seed: int) -> Row:
+        assert git(checkout, "show", "--name-only", "--format=%s").split("\n")[0].startswith("Entered: some parity")
+        assert git(checkout, "show", "--name-only", "--format=").split() == [LEDGER]
+        return _try(seed)
+
+    record = run_and_record("some", Part("parity", look, _judge, 6, is_parallel=False), Order())
+    (entry,) = read_ledger("some", "parity")
+    assert (record.blocks, record.commit, record.look) == ((entry.block,), entry.commit, 1)
 
 
-def test_seeds_of_another_commit_are_refused_unless_said_to_be_a_repetition(checkout: Path):
+@pytest.mark.usefixtures("checkout")
+def test_a_commit_that_is_refused_stops_the_run_before_its_first_trial(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(code, "git", lambda *a: "" if a[0] in ("commit", "show") else GIT(*a))
+    with pytest.raises(RefusedError, match="is not committed with its line"):
+        run_and_record("some", Part("parity", lambda _: pytest.fail("drawn"), _judge, 6, is_parallel=False), Order())
+
+
+GIT = code.git
+
+
+def test_a_stopped_run_goes_on_and_its_seeds_never_come_again(checkout: Path):
+    def stop(seed: int) -> Row:
+        if seed == DEBUG_BELOW + 3:
+            raise KeyboardInterrupt
+        return _try(seed)
+
+    tried: list[int] = []
+    with pytest.raises(KeyboardInterrupt):
+        run_and_record("some", Part("parity", stop, _judge, 6, is_parallel=False), Order())
+    page = write_page([], [], read_ledger())
+    assert f"- some-parity: seeds {DEBUG_BELOW} to {DEBUG_BELOW + 5}, entered on 2" in page
+    again = Part("parity", lambda seed: tried.append(seed) or _try(seed), _judge, 6, is_parallel=False)
+    record = run_and_record("some", again, Order())
+    assert tried == [DEBUG_BELOW + k for k in (3, 4, 5)]
+    assert record.blocks == (Block(DEBUG_BELOW, 6),)
+    assert len(read_ledger()) == 1
+    assert "- some-parity" not in write_page(read_records(), [], read_ledger())
+
+    with pytest.raises(KeyboardInterrupt):
+        run_and_record("some", Part("parity", lambda _: stop(DEBUG_BELOW + 3), _judge, 6, is_parallel=False), Order())
+    change_code(checkout, 2)
+    record = run_and_record("some", PART, Order())
+    assert record.blocks[-1] == Block(DEBUG_BELOW + 12, 6), "of other code another block is entered"
+    assert f"seeds {DEBUG_BELOW + 6} to {DEBUG_BELOW + 11}" in write_page(read_records(), read_history(), read_ledger())
+
+
+def test_blocks_are_pooled_while_the_frozen_data_sets_say_the_same(checkout: Path, monkeypatch: pytest.MonkeyPatch):
     run_and_record("some", PART, Order())
     change_code(checkout, 2)
-    commit(checkout)
-    with pytest.raises(RefusedError, match="were used before"):
-        run_and_record("some", PART, Order(first=DEBUG_BELOW))
-    again, _ = run_and_record("some", PART, Order(first=DEBUG_BELOW, is_repetition=True))
-    assert again.seeds == REPETITION
-    fresh, _ = run_and_record("some", PART, Order())
-    assert (fresh.seeds, fresh.blocks) == (FRESH, (Block(DEBUG_BELOW + 6, 6),))
-    assert len(read_records(checkout / "validation" / "records")) == 3
+    whole = run_and_record("some", PART, Order(count=4))
+    assert (whole.blocks, whole.look, whole.claim("even").n) == ((Block(DEBUG_BELOW, 10),), 2, 10)
+    assert read_history() == []
+    monkeypatch.setattr(records, "frozen_digest", lambda: "another finder")
+    assert not whole.holds
+    fresh = run_and_record("some", PART, Order())
+    assert (fresh.blocks, fresh.look, fresh.claim("even").n) == ((Block(DEBUG_BELOW + 10, 6),), 3, 6)
+    (old,) = read_history()
+    assert (old.blocks, old.claims, old.rows) == (whole.blocks, whole.claims, ())
 
 
 @pytest.mark.usefixtures("checkout")
-def test_fresh_seeds_that_were_tried_without_a_record_are_spent():
-    run_and_record("some", PART, Order(first=DEBUG_BELOW, count=3, is_scratch=True))
-    with pytest.raises(RefusedError, match="tried without a record"):
-        run_and_record("some", PART, Order(first=DEBUG_BELOW + 2))
-    record, _ = run_and_record("some", PART, Order())
-    assert record.blocks == (Block(DEBUG_BELOW + 3, 6),)
+def test_trials_stay_where_a_claim_is_open_and_go_where_all_are_decided():
+    run_and_record("some", PART, Order())
+    assert len(read_records()[0].rows) == 6
+    run_and_record("some", PART, Order(count=4000))
+    assert read_records()[0].claims[0].verdict == "shown"
+    assert read_records()[0].rows == ()
 
 
 @pytest.mark.usefixtures("checkout")
-def test_seeds_for_debugging_are_recorded_as_seen_and_decide_nothing():
-    record, _ = run_and_record("some", PART, Order(first=0))
-    assert record.seeds == "seen before"
-    assert record.claims[0].verdict == "undecided"
+def test_seeds_can_be_looked_at_again_once_they_were_entered_and_not_before():
+    with pytest.raises(RefusedError, match="nobody looks at seeds before they are entered"):
+        run_and_record("some", PART, Order(is_scratch=True, first=DEBUG_BELOW))
+    run_and_record("some", PART, Order())
+    assert run_and_record("some", PART, Order(is_scratch=True, first=DEBUG_BELOW + 2, count=2)).claim("even").n == 2
+    assert len(read_ledger()) == 1
 
 
 def test_code_that_changes_while_the_proof_runs_is_not_recorded(checkout: Path):
     def change(seed: int) -> Row:
-        change_code(checkout, 3)
+        (checkout / "lbacal_core" / "physics.py").write_text("C = 3\n")
         return _try(seed)
 
     with pytest.raises(RefusedError, match="changed while the proof ran"):
-        run_and_record("some", Part("parity", change, _judge, 2, code=("lbacal_core",)), Order())
-    assert read_records(checkout / "validation" / "records") == []
-
-
-def test_records_of_two_machines_become_one(checkout: Path):
-    folder = checkout / "validation" / "records"
-    one, _ = run_and_record("some", PART, Order(first=DEBUG_BELOW))
-    elsewhere = (folder / one.file_name).rename(checkout / "var" / one.file_name)
-    run_and_record("some", PART, Order(first=DEBUG_BELOW + 6))
-    whole = take_in(records.read_record(elsewhere), PART, elsewhere)
-    assert whole.blocks == (Block(DEBUG_BELOW, 12),)
-    assert elsewhere.is_file()
-    assert len(read_records(folder)) == 1
-
-
-def test_a_scratch_run_of_a_new_file_does_not_take_up_what_its_earlier_text_gave(checkout: Path):
-    """Rows were kept under the digest of files that git knew, so that a proof not yet added resumed from old code."""
-    (checkout / "validation" / "new.py").write_text("A = 1\n")
-    before = code.digest(_try, ("validation",))
-    (checkout / "validation" / "new.py").write_text("A = 2\n")
-    changed = code.digest(_try, ("validation",))
-    assert changed != before
-    commit(checkout)
-    assert code.digest(_try, ("validation",)) == changed
-
-
-def test_what_only_tells_of_results_leaves_records_poolable(checkout: Path):
-    before = code.digest(_try, ("validation", "lbacal_core"))
-    (checkout / "validation" / "quotes.toml").write_text("")
-    assert code.digest(_try, ("validation", "lbacal_core")) == before
+        run_and_record("some", Part("parity", change, _judge, 2), Order())
+    assert read_records() == []
 
 
 def test_what_a_record_itself_writes_does_not_stand_in_the_way_of_the_next(checkout: Path):
     run_and_record("some", PART, Order())
     (checkout / "README.md").write_text("renewed\n")
     assert code.changed_files() == []
+
+
+@pytest.mark.usefixtures("checkout")
+def test_a_limit_that_was_changed_after_it_was_refuted_is_told(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setitem(ASKED, "even", Asked("Even", at_least=0.9))
+    run_and_record("some", PART, Order(count=60))
+    monkeypatch.setitem(ASKED, "even", Asked("Even", at_least=0.3))
+    monkeypatch.setattr(records, "frozen_digest", lambda: "another finder")
+    record = run_and_record("some", PART, Order(count=60))
+    (old,) = read_history()
+    told = f"; limit changed after {old.made_at[:10]}, when >= 90 % was *refuted*"
+    assert tell_change(record.claim("even"), record, read_history()) == told

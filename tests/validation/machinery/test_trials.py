@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from validation.machinery.claims import Claim, at_least, claim_rate
+from validation.machinery.claims import Found, rate_of
+from validation.machinery.ledger import Block
 from validation.machinery.parts import Part, Row
-from validation.machinery.seeds import Block
 from validation.machinery.trials import read_kept, run_part, run_trials
 
 DONE: list[int] = []
@@ -25,8 +25,8 @@ def _note(seed: int) -> Row:
     return {"square": seed * seed, "pair": (seed, seed)}
 
 
-def _judge(rows: Sequence[Row]) -> list[Claim]:
-    return [claim_rate("any", "There is a row", at_least(0.5), len(rows), len(rows))]
+def _judge(rows: Sequence[Row]) -> list[Found]:
+    return [rate_of("any", len(rows), len(rows))]
 
 
 NOTED = Part("noted", _note, _judge, 5)
