@@ -1,9 +1,8 @@
-"""Faults are planted in the code one by one, and the tests have to see them.
+"""Faults are planted in the code one by one, and the tests have to see them, most of them the tests of `./dev test`.
 
-A fault is three lines of `planted_faults.toml`: a file, what stands there, and what takes its place. Each is applied to
-a copy of the tree, never to the tree itself, and meets the tests of its own file, of its room and of discovery, until
-the first of them fails. Whatever survives these meets the whole suite. Faults that nothing sees are either explained in
-the file, or show where a test is missing.
+A fault is a line of `planted_faults.toml`: a function, and what changes in it. Each is applied to a copy of the tree,
+never to the tree itself, and meets the first tier of the suite, the tests nearest to it first, until one fails.
+Whatever survives meets the second tier. Faults that nothing sees show where a test is missing.
 """
 
 from __future__ import annotations
@@ -14,19 +13,22 @@ import subprocess
 import sys
 import tempfile
 import tomllib
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from validation.code_changes import Change, StaleChangeError, changed
 from validation.machinery.claims import Found, exactly
 from validation.machinery.parts import Part, Row
 
 ROOT = Path(__file__).parents[1]
 FAULTS = Path(__file__).with_suffix(".toml")
-AUTHORS = ("with the tests", "blind")
-SEEN_BY_ROOM, SEEN_BY_SUITE, EXPLAINED, UNSEEN = "room", "suite", "explained", "unseen"
-ROOM_S, SUITE_S = 1800.0, 3600.0
+FIRST_TIER, SECOND_TIER, UNSEEN = "first tier", "second tier", "unseen"
+TIERS = {FIRST_TIER: "not long", SECOND_TIER: "long"}
+"""Markers of the tests of each tier (`./dev test`, and what `./dev test --all` runs beside them)."""
+NEAR_S, TIER_S = 1800.0, 3600.0
 """What hangs longer counts as not seen; most faults are seen within 30 s of one core."""
 MEET_ALL = (
     "discovery/test_refit.py",
@@ -37,12 +39,8 @@ MEET_ALL = (
     "discovery",
 )
 """Tests of the science that every fault meets after those of its own file and room, the broadest claims first."""
-FAILED, BROKEN = 1, 2
-"""Exit codes of pytest where a test fails, and where tests cannot even be imported: a fault is seen either way."""
-
-
-class StaleFaultError(Exception):
-    """A fault that does not fit the code any more."""
+FAILED, BROKEN, NONE_CHOSEN = 1, 2, 5
+"""Exit codes of pytest where a test fails, where tests cannot even be imported, and where none has the marker."""
 
 
 @dataclass(frozen=True)
@@ -51,42 +49,34 @@ class PlantedFault:
 
     Attributes
     ----------
-    file
-        Path from the root of the tree.
-    before, after
-        What stands there exactly once, and what takes its place.
-    written_by
-        One of `AUTHORS`: whether its author knew the tests.
-    explained
-        Why it is no defect that no test sees it; empty for all others.
+    where
+        Module and function, `lbacal_core.causes.cable:log_loss_per_metre`.
+    change
+        What is there and what takes its place, as `code_changes` says.
+    blind
+        Whether its author had not seen the tests.
     """
 
-    file: str
-    before: str
-    after: str
-    written_by: str
-    explained: str = ""
+    where: str
+    change: tuple[str, ...]
+    blind: bool = False
 
     @property
     def name(self) -> str:
-        """The file and the first line that changes."""
-        lines = [line.strip() for line in self.after.strip().splitlines()]
-        old = {line.strip() for line in self.before.splitlines()}
-        return f"{self.file}: {next((line for line in lines if line not in old), lines[0])}"
+        """The place and the change."""
+        return f"{self.where}: {', '.join(self.change)}"
+
+    @property
+    def file(self) -> str:
+        """Path from the root of the tree."""
+        return f"{self.where.partition(':')[0].replace('.', '/')}.py"
 
     def planted(self, text: str) -> str:
         """The text of its file with the fault."""
-        count = text.count(self.before)
-        if count != 1:
-            raise StaleFaultError(
-                f"{self.file}: expected once, found {count} times: {self.before.strip()!r}; write the fault of "
-                f"{FAULTS.name} anew for the code as it is"
-            )
-        if self.before == self.after:
-            raise StaleFaultError(f"{self.file}: changes nothing: {self.before.strip()}")
-        changed = text.replace(self.before, self.after)
-        compile(changed, self.file, "exec")
-        return changed
+        try:
+            return changed(text, self.where.partition(":")[2], [Change.read(one) for one in self.change])
+        except StaleChangeError as error:
+            raise StaleChangeError(f"{self.where} {error}; write the fault of {FAULTS.name} anew") from error
 
     def tests(self, root: Path) -> list[str]:
         """Files of tests: of its own file, of its room, of discovery; those nearest first."""
@@ -103,7 +93,7 @@ def _test_files(place: Path) -> list[Path]:
 
 def read_faults(path: Path = FAULTS) -> list[PlantedFault]:
     """Every fault of the list."""
-    return [PlantedFault(**entry) for entry in tomllib.loads(path.read_text())["fault"]]
+    return [PlantedFault(**one | {"change": tuple(one["change"])}) for one in tomllib.loads(path.read_text())["faults"]]
 
 
 @contextmanager
@@ -129,10 +119,22 @@ def _git(folder: Path, *arguments: str) -> str:
     return subprocess.run(command, capture_output=True, text=True, check=True).stdout
 
 
-def run_tests(tree: Path, tests: Sequence[str], limit_s: float) -> tuple[int | None, str]:
+def run_tests(tree: Path, tests: Sequence[str], limit_s: float, marker: str = "") -> tuple[int | None, str]:
     """Exit code of pytest on some tests of a tree, None where they last too long, and the first test that failed."""
     environment = os.environ | {"PYTHONPATH": str(tree), "OPENBLAS_NUM_THREADS": "1", "PYTHONDONTWRITEBYTECODE": "1"}
-    command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", "--no-header", *tests]
+    command = [
+        sys.executable,
+        "-m",
+        "pytest",
+        "-q",
+        "-x",
+        "-p",
+        "no:cacheprovider",
+        "--no-header",
+        "-m",
+        marker,
+        *tests,
+    ]
     try:
         done = subprocess.run(
             command, cwd=tree, env=environment, capture_output=True, text=True, timeout=limit_s, check=False
@@ -143,30 +145,30 @@ def run_tests(tree: Path, tests: Sequence[str], limit_s: float) -> tuple[int | N
     return done.returncode, failed[0] if failed else ""
 
 
-def is_seen(tree: Path, fault: PlantedFault, tests: Sequence[str], limit_s: float) -> tuple[bool, str]:
-    """Whether some tests of a tree fail with the fault planted; the tree is as before afterwards."""
+def find_seen(tree: Path, fault: PlantedFault) -> tuple[str, str]:
+    """The tier that sees a fault of a tree, and the first test that does; the tree is as before afterwards."""
     place = tree / fault.file
     healthy = place.read_text()
     place.write_text(fault.planted(healthy))
     try:
-        code, test = run_tests(tree, tests, limit_s)
+        for tier, marker in TIERS.items():
+            for tests, limit_s in ((fault.tests(tree), NEAR_S), ((), TIER_S)):
+                code, test = run_tests(tree, tests, limit_s, marker)
+                if code not in (0, FAILED, BROKEN, NONE_CHOSEN, None):
+                    raise RuntimeError(f"pytest ends with {code}: {' '.join(tests)}")
+                if code in (FAILED, BROKEN):
+                    return tier, test
     finally:
         place.write_text(healthy)
-    if code not in (0, FAILED, BROKEN, None):
-        raise RuntimeError(f"pytest ends with {code}: {' '.join(tests)}")
-    return code in (FAILED, BROKEN), test
+    return UNSEEN, ""
 
 
 def plant(number: int) -> Row:
     """Plant one fault of the list in a copy of the tree: who sees it, and which test first."""
     fault = read_faults()[number]
     with copy_of_tree() as tree:
-        seen, test = is_seen(tree, fault, fault.tests(tree), ROOM_S)
-        by = SEEN_BY_ROOM if seen else ""
-        if not seen:
-            seen, test = is_seen(tree, fault, [], SUITE_S)
-            by = SEEN_BY_SUITE if seen else EXPLAINED if fault.explained else UNSEEN
-    return {"name": fault.name, "written_by": fault.written_by, "by": by, "test": test}
+        by, test = find_seen(tree, fault)
+    return {"name": fault.name, "blind": fault.blind, "by": by, "test": test}
 
 
 def rooms_of(faults: Sequence[PlantedFault], tree: Path = ROOT) -> list[str]:
@@ -178,7 +180,7 @@ def pass_without(number: int) -> Row:
     """Run the tests of one room without a fault: if they failed, they would see every fault."""
     with copy_of_tree() as tree:
         room = rooms_of(read_faults(), tree)[number]
-        code, test = run_tests(tree, [room], SUITE_S)
+        code, test = run_tests(tree, [room], TIER_S)
     return {"room": room, "passes": code == 0, "test": test}
 
 
@@ -188,33 +190,25 @@ def judge_healthy(rows: Sequence[Row]) -> list[Found]:
 
 
 def judge(rows: Sequence[Row]) -> list[Found]:
-    """The share that tests see, of all faults and of those whose author did not know the tests."""
-    claims = []
-    for key, authors in (("seen", AUTHORS), ("seen_blind", AUTHORS[1:])):
-        own = [row for row in rows if row["written_by"] in authors]
-        if own:
-            claims.append(exactly(key, share_seen(own), "%", len(own)))
-    return claims
+    """The share that tests see, of all faults and of those whose author did not know the tests; of these the tier's."""
+    seen = [row for row in rows if row["by"] != UNSEEN]
+    blind = [row for row in rows if row["blind"]]
+    return [
+        _share("seen", seen, rows),
+        _share("seen_blind", [row for row in blind if row in seen], blind),
+        _share("first_tier", [row for row in seen if row["by"] == FIRST_TIER], seen),
+    ]
+
+
+def _share(key: str, some: Sequence[Row], of: Sequence[Row]) -> Found:
+    return exactly(key, len(some) / max(len(of), 1), "%", len(of))
 
 
 def tell(rows: Sequence[Row]) -> list[str]:
-    """What was seen, by whom, and every fault that nothing saw."""
-    lines = []
-    for author in AUTHORS:
-        own = [row["by"] for row in rows if row["written_by"] == author]
-        if own:
-            lines.append(
-                f"- Written {author}: {len(own)} faults, {own.count(SEEN_BY_ROOM)} seen by the tests of their room and "
-                f"of discovery, {own.count(SEEN_BY_SUITE)} more by the whole suite, {own.count(EXPLAINED)} explained, "
-                f"{own.count(UNSEEN)} not seen."
-            )
-    return lines + [f"- Not seen: `{row['name']}`" for row in rows if row["by"] == UNSEEN]
-
-
-def share_seen(rows: Sequence[Row]) -> float:
-    """Share of the faults that the tests see, those left out that are explained."""
-    counted = [row["by"] for row in rows if row["by"] != EXPLAINED]
-    return sum(by in (SEEN_BY_ROOM, SEEN_BY_SUITE) for by in counted) / max(len(counted), 1)
+    """How many each tier sees, and every fault that the first does not."""
+    counts = Counter(row["by"] for row in rows)
+    lines = [f"- {', '.join(f'{counts[by]} {by}' for by in (*TIERS, UNSEEN))} of {len(rows)}"]
+    return lines + [f"- {row['by']}: `{row['name']}` {row['test']}" for row in rows if row["by"] != FIRST_TIER]
 
 
 PARTS = (

@@ -4,13 +4,16 @@ from pathlib import Path
 
 import pytest
 
+from validation import planted_faults
+from validation.code_changes import Change, StaleChangeError, changed
 from validation.machinery.records import claims_of
 from validation.planted_faults import (
-    AUTHORS,
+    FIRST_TIER,
     MEET_ALL,
+    SECOND_TIER,
+    UNSEEN,
     PlantedFault,
-    StaleFaultError,
-    is_seen,
+    find_seen,
     read_faults,
     rooms_of,
     run_tests,
@@ -18,24 +21,45 @@ from validation.planted_faults import (
 )
 
 FAULTS = read_faults()
-CODE = "def double(x):\n    return 2 * x\n\n\ndef half(x):\n    return x / 2\n"
+CODE = "def double(x):\n    return 2 * x  # twice\n\n\ndef half(x):\n    return x / 2 if x else 0\n"
 TEST = "from room.sums import double\n\n\ndef test_two_is_doubled():\n    assert double(2) == 4\n"
 
 
-@pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: fault.name)
-def test_every_fault_fits_the_code_exactly_once_and_can_be_compiled(fault: PlantedFault, repository: Path) -> None:
-    changed = fault.planted((repository / fault.file).read_text())
-    assert fault.after in changed
-    assert fault.written_by in AUTHORS
+def test_every_fault_fits_the_code_and_none_is_listed_twice(repository: Path) -> None:
+    planted = [fault.file + fault.planted((repository / fault.file).read_text()) for fault in FAULTS]
+    assert len(set(planted)) == len(FAULTS)
 
 
-def test_no_fault_is_listed_twice() -> None:
-    assert len({(fault.file, fault.before, fault.after) for fault in FAULTS}) == len(FAULTS)
+@pytest.mark.parametrize(
+    ("function", "change", "line"),
+    [
+        ("double", "* -> +", "return (2 + x)  # twice"),
+        ("double", "2 -> 3", "return (3) * x  # twice"),
+        ("double", "* ... -> right", "return (x)  # twice"),
+        ("half", "if -> yes", "return (x / 2)"),
+        ("half", "x #3 -> -it", None),
+        ("half", "x #2 -> -it", "return (-x) / 2 if x else 0"),
+        ("half", "< -> >", None),
+        ("half", "2 -> 2", None),
+        ("third", "2 -> 3", None),
+    ],
+)
+def test_a_change_is_made_once_where_it_is_told_and_all_else_stays(
+    function: str, change: str, line: str | None
+) -> None:
+    if line is None:
+        with pytest.raises(StaleChangeError):
+            changed(CODE, function, [Change.read(change)])
+        return
+    other = CODE.replace("return 2 * x  # twice" if function == "double" else "return x / 2 if x else 0", line)
+    assert changed(CODE, function, [Change.read(change)]) == other
 
 
 @pytest.fixture
-def tree(tmp_path: Path) -> Path:
+def tree(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A small tree with a room and a test that looks at half of it."""
+    monkeypatch.setattr(planted_faults, "TIERS", {FIRST_TIER: "not slow", SECOND_TIER: "slow"})
+    (tmp_path / "pyproject.toml").write_text("[tool.pytest.ini_options]\nmarkers = ['slow']\n")
     (tmp_path / "room").mkdir()
     (tmp_path / "room/__init__.py").touch()
     (tmp_path / "room/sums.py").write_text(CODE)
@@ -44,31 +68,28 @@ def tree(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def fault_of(before: str, after: str) -> PlantedFault:
-    return PlantedFault("room/sums.py", before, after, "blind")
-
-
 def test_a_fault_is_seen_where_a_test_fails_and_the_tree_is_as_before(tree: Path) -> None:
-    fault = fault_of("2 * x", "3 * x")
+    fault = PlantedFault("room.sums:double", ("2 -> 3",))
     assert fault.tests(tree) == ["tests/room/test_sums.py"]
-    assert is_seen(tree, fault, fault.tests(tree), 60) == (True, "tests/room/test_sums.py::test_two_is_doubled")
+    assert find_seen(tree, fault) == (FIRST_TIER, "tests/room/test_sums.py::test_two_is_doubled")
     assert (tree / "room/sums.py").read_text() == CODE
     assert rooms_of([fault], tree) == ["tests/room"]
     assert run_tests(tree, ["tests/room"], 60) == (0, "")
 
 
-def test_a_fault_that_no_test_looks_at_is_not_seen(tree: Path) -> None:
-    fault = fault_of("x / 2", "x / 3")
-    assert is_seen(tree, fault, fault.tests(tree), 60) == (False, "")
+def test_a_fault_that_only_the_second_tier_looks_at_is_its_and_one_that_nobody_looks_at_is_unseen(tree: Path) -> None:
+    test = tree / "tests/room/test_sums.py"
+    test.write_text(f"import pytest\n{TEST}".replace("def test_two", "@pytest.mark.slow\ndef test_two"))
+    assert find_seen(tree, PlantedFault("room.sums:double", ("2 -> 3",)))[0] == SECOND_TIER
+    assert find_seen(tree, PlantedFault("room.sums:half", ("2 -> 3",))) == (UNSEEN, "")
 
 
 def test_the_tests_nearest_to_a_fault_come_first(repository: Path) -> None:
-    fault = PlantedFault("lbacal_core/discovery/scan.py", "", "", "blind")
-    tests = fault.tests(repository)
+    tests = PlantedFault("lbacal_core.discovery.scan:scan", ()).tests(repository)
     assert tests[0] == "tests/lbacal_core/discovery/test_scan.py"
     assert len(set(tests)) == len(tests) > 15
     assert all((repository / test).is_file() for test in tests)
-    gate = PlantedFault("service/usecases/gate.py", "", "", "blind").tests(repository)
+    gate = PlantedFault("service.usecases.gate:Gate", ()).tests(repository)
     assert gate[0] == "tests/service/usecases/test_gate.py"
     assert all((repository / "tests/lbacal_core" / place).exists() for place in MEET_ALL)
     assert f"tests/lbacal_core/{MEET_ALL[0]}" in gate
@@ -80,21 +101,15 @@ def test_tests_that_fail_without_a_fault_refute_the_proof() -> None:
     assert [claim.verdict for claim in claims_of("planted_faults", "healthy", rows[:1])] == ["shown"]
 
 
-@pytest.mark.parametrize(("before", "after"), [("7 * x", "8 * x"), ("return", "yield"), ("x / 2", "x / 2")])
-def test_a_fault_that_does_not_fit_the_code_is_an_error(before: str, after: str) -> None:
-    with pytest.raises(StaleFaultError):
-        fault_of(before, after).planted(CODE)
-
-
-def test_what_is_explained_counts_neither_way() -> None:
-    rows = [
-        {"name": by, "written_by": author, "by": by, "test": ""}
-        for author in AUTHORS
-        for by in ("room", "suite", "explained", "unseen")
-    ]
-    both, blind = claims_of("planted_faults", "faults", rows)
-    assert (both.key, both.n, both.found, both.verdict) == ("seen", 8, pytest.approx(2 / 3), "refuted")
-    assert (blind.key, blind.n, blind.found) == ("seen_blind", 4, pytest.approx(2 / 3))
-    assert "4 faults, 1 seen by the tests of their room and of discovery, 1 more" in tell(rows)[0]
-    assert "- Not seen: `unseen`" in tell(rows)
-    assert claims_of("planted_faults", "faults", [row for row in rows if row["by"] != "unseen"])[0].verdict == "shown"
+def test_what_the_first_tier_sees_is_counted_among_what_any_test_sees() -> None:
+    by = [FIRST_TIER, FIRST_TIER, SECOND_TIER, UNSEEN]
+    rows = [{"name": one, "blind": k > 0, "by": one, "test": ""} for k, one in enumerate(by)]
+    claims = {claim.key: claim for claim in claims_of("planted_faults", "faults", rows)}
+    found = {key: (claim.found, claim.n) for key, claim in claims.items()}
+    assert found == {
+        "seen": (3 / 4, 4),
+        "seen_blind": (pytest.approx(2 / 3), 3),
+        "first_tier": (pytest.approx(2 / 3), 3),
+    }
+    assert "- 2 first tier, 1 second tier, 1 unseen of 4" in tell(rows)
+    assert {claim.verdict for claim in claims_of("planted_faults", "faults", rows[:2])} == {"shown"}
