@@ -5,7 +5,10 @@ from __future__ import annotations
 import argparse
 import importlib
 import sys
+import tomllib
 from collections.abc import Callable
+from functools import partial
+from pathlib import Path
 
 from validation.machinery.claims import REFUTED
 from validation.machinery.ledger import read_ledger
@@ -15,6 +18,7 @@ from validation.machinery.quotes import read_quotes, renew_pages
 from validation.machinery.records import Record, read_history, read_records
 from validation.machinery.run import Order, RefusedError, run_and_record
 
+STANDING = Path(__file__).with_name("standing.toml")
 HELP = """\
 Every proof is made of parts; a part draws a data set from each seed of a block. The block is entered in
 validation/ledger.jsonl, and the entry committed, before the first trial; started again, an interrupted run goes on.
@@ -30,12 +34,20 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--workers", type=int, default=2, help="processes beside each other (2)")
     parser.add_argument("--scratch", action="store_true", help="enter and record nothing, on seeds for debugging")
     parser.add_argument("--first", type=int, default=0, help="with --scratch: the first seed, or one that was entered")
+    parser.add_argument("--standing", action="store_true", help="every part of validation/standing.toml, at a release")
     parser.add_argument("--page", action="store_true", help="write docs/validation.md and the figures of texts anew")
     chosen = parser.parse_args(arguments)
-    if chosen.name is None and not chosen.page:
+    if chosen.first and not chosen.scratch:
+        parser.error("seeds of a recorded run follow from the ledger: leave out --first, or say --scratch")
+    if chosen.name is None and not (chosen.page or chosen.standing):
         return _list_proofs()
     verdicts: list[str] = []
     steps: list[Callable[[], None]] = [lambda: _prove(chosen, verdicts)] * bool(chosen.name)
+    if chosen.standing:
+        for name, counts in read_standing().items():
+            for part, count in counts.items():
+                one = argparse.Namespace(**vars(chosen) | {"name": name, "part": [part], "count": count})
+                steps.append(partial(_prove, one, verdicts))
     steps += [_write_pages] * (not chosen.scratch)  # what was recorded before a part was refused stands in the page
     code = 0
     for step in steps:
@@ -45,6 +57,11 @@ def main(arguments: list[str]) -> int:
             print(f"./dev prove: {error}", file=sys.stderr)
             code = 2
     return code or int(REFUTED in verdicts)
+
+
+def read_standing() -> dict[str, dict[str, int]]:
+    """Trials of the standing validation, by proof and part."""
+    return tomllib.loads(STANDING.read_text(encoding="utf-8"))
 
 
 def _list_proofs() -> int:
@@ -62,8 +79,6 @@ def _prove(chosen: argparse.Namespace, verdicts: list[str]) -> None:
     unknown = set(chosen.part or []) - set(parts)
     if unknown:
         raise RefusedError(f"{chosen.name} has no part {', '.join(sorted(unknown))}; it has {', '.join(parts)}")
-    if chosen.first and not chosen.scratch:
-        raise RefusedError("seeds of a recorded run follow from the ledger: leave out --first, or say --scratch")
     order = Order(chosen.count, chosen.workers, chosen.scratch, chosen.first)
     for name in chosen.part or parts:
         if parts[name].needs_shared and not SHARED.is_dir() and not chosen.part:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from validation.__main__ import main
+from validation.__main__ import main, read_standing
+from validation.machinery.parts import parts_of
+from validation.machinery.records import path_of, read_record
 
 
 def test_without_a_name_the_proofs_and_their_parts_are_listed(capsys: pytest.CaptureFixture[str]):
@@ -30,3 +32,19 @@ def test_a_scratch_run_tells_claims_and_tables_and_records_nothing(capsys: pytes
     assert "2 trials, scratch: decides nothing" in told
     assert "undecided R.m.s. of the pulls of C of paths" in told
     assert "| antenna | 55 MHz |" in told
+
+
+def test_the_standing_validation_takes_four_hours_of_one_core_at_most():
+    hours = 0.0
+    for proof, counts in read_standing().items():
+        assert set(counts) <= set(parts_of(proof)), proof
+        for part, count in counts.items():
+            record = read_record(path_of(proof, part))
+            hours += count * record.hours / sum(block.count for block in record.blocks)
+    assert 2.0 < hours <= 4.0
+
+
+def test_the_first_seed_of_a_recorded_run_cannot_be_chosen(capsys: pytest.CaptureFixture[str]):
+    with pytest.raises(SystemExit):
+        main(["twin", "--first", "2000000"])
+    assert "seeds of a recorded run follow from the ledger" in capsys.readouterr().err
