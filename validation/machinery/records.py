@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from validation.frozen.verdicts import frozen_digest
-from validation.machinery.claims import UNDECIDED, Asked, Claim, decide, read_claims
+from validation.machinery.claims import Asked, Claim, decide, read_claims
 from validation.machinery.ledger import Block, Entry, joined
 from validation.machinery.parts import Part, Row, parts_of
 
@@ -32,7 +32,7 @@ class Record:
     hours
         Time of all trials together, each on one core.
     rows
-        The trials, where a claim is undecided, so that another block may join them, or the docs are made from them.
+        The trials, where another block may join them, or the docs are made from them.
     """
 
     proof: str
@@ -135,7 +135,7 @@ def claims_of(proof: str, part: str, rows: Sequence[Row], look: int = 1) -> tupl
 def take_in(record: Record, part: Part, rows: Sequence[Row]) -> Record:
     """Write what a block gave: pooled with the trials on record if these hold, else in the place of the record.
 
-    Trials stay where a claim is undecided, or the docs are made from them.
+    Trials stay where another block may join them, or the docs are made from them.
     """
     path = path_of(record.proof, record.part)
     earlier = read_record(path) if path.is_file() else None
@@ -145,10 +145,9 @@ def take_in(record: Record, part: Part, rows: Sequence[Row]) -> Record:
     elif earlier:
         enter_into_history(earlier)
     claims = decide(part.judge(rows), asked_of(record.proof, record.part), record.look)
-    is_open = part.has_chance and any(claim.verdict == UNDECIDED for claim in claims)
-    whole = replace(record, claims=claims, rows=tuple(rows) if is_open or part.has_figure else ())
-    whole.write()
-    return replace(whole, rows=tuple(rows))
+    whole = replace(record, claims=claims, rows=tuple(rows))
+    (whole if part.has_chance or part.has_figure else replace(whole, rows=())).write()
+    return whole
 
 
 def without_result(records: Sequence[Record], entries: Iterable[Entry]) -> list[Entry]:

@@ -130,12 +130,11 @@ def test_blocks_are_pooled_while_the_frozen_data_sets_say_the_same(checkout: Pat
 
 
 @pytest.mark.usefixtures("checkout")
-def test_trials_stay_where_a_claim_is_open_and_go_where_all_are_decided():
-    run_and_record("some", PART, Order())
-    assert len(read_records()[0].rows) == 6
+def test_a_small_block_does_not_take_the_place_of_many_trials_that_hold():
     run_and_record("some", PART, Order(count=4000))
-    assert read_records()[0].claims[0].verdict == "shown"
-    assert read_records()[0].rows == ()
+    whole = run_and_record("some", PART, Order(count=6))
+    assert (whole.claim("even").n, whole.claim("even").verdict) == (4006, "shown")
+    assert len(read_records()[0].rows) == 4006
 
 
 @pytest.mark.usefixtures("checkout")
