@@ -43,6 +43,7 @@ from lbacal_core.discovery.station import Station, model_modes
 from lbacal_core.drift.windows import set_apart
 from lbacal_core.grids import Floats
 from lbacal_core.instrument import Instrument
+from lbacal_core.linear import root_of
 from lbacal_core.model import Model
 from lbacal_core.skypower.differences import compute_model_differences
 from lbacal_core.skypower.table import SkyPower
@@ -198,7 +199,7 @@ class FittedCauses:
         """Curves with the error of a station's sizes, from the fits with each size moved by its standard deviation."""
         sigma = np.array([size.sigma for size in station.sizes])
         # Rows of the root are independent, each one standard deviation.
-        root = np.linalg.cholesky(station.covariance / np.outer(sigma, sigma)).T
+        root = root_of(station.covariance / np.outer(sigma, sigma)).T
         found = []
         for k, (curve, before) in enumerate(zip(curves, central, strict=True)):
             moved = [change[k] for change in changes]

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from lbacal_core.anomalies import Anomaly
 from lbacal_core.grids import Floats
+from lbacal_core.linear import solve_symmetric
 from lbacal_core.sidereal import local_sidereal_time
 from lbacal_core.spectra_blocks import SpectraBlock
 
@@ -50,7 +51,6 @@ _CLIP = 3.0
 _LARGEST_LOGARITHM = 700.0
 _CHANNELS_OF_LEVEL = 10
 _MAD_TO_SIGMA = 1.482602218505602
-_RIDGE = 1e-9
 
 
 @dataclass(frozen=True)
@@ -221,9 +221,8 @@ def predict_daily_variation(
         reach = (_REACH if round_number else _FIRST_REACH) * scale
         weight = is_present * np.clip(1.0 - (residual / reach) ** 2, 0.0, None) ** 2
         normal = (weight @ squares).reshape(-1, columns, columns)
-        normal += _RIDGE * np.maximum(weight.sum(axis=1), 1.0)[:, None, None] * np.eye(columns)
         target = (weight * level) @ design
-        predicted = np.linalg.solve(normal, target[:, :, None])[:, :, 0] @ design.T
+        predicted = solve_symmetric(normal, target[:, :, None])[:, :, 0] @ design.T
     return predicted
 
 

@@ -17,6 +17,7 @@ from lbacal_core.antenna.effective import effective_heights
 from lbacal_core.antenna.model import AntennaModel, Complexes
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
+from lbacal_core.linear import pseudo_invert
 
 LARGEST_CONDITION = 10.0
 """Beyond, one combination of the components is known ten times worse than another."""
@@ -126,7 +127,7 @@ def unfold_field(
     is_solvable = smallest > SMALLEST_SINGULAR_VALUE * np.maximum(largest, 1e-300)
     condition = np.where(is_solvable, largest / np.where(is_solvable, smallest, 1.0), np.inf)
     inverse = np.zeros_like(jones)
-    inverse[is_solvable] = np.linalg.inv(jones[is_solvable])
+    inverse[is_solvable] = pseudo_invert(jones[is_solvable])
     inverse[~is_solvable] = np.nan
     noise = np.zeros(expected) if noise_variance is None else noise_variance
     relative = np.zeros((0, *expected)) if calibration_factors is None else calibration_factors

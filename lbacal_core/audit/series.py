@@ -12,10 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 from lbacal_core.audit.station import FEWEST, AuditedStation, spread
 from lbacal_core.grids import Floats
+from lbacal_core.linear import find_whitener, invert_symmetric, solve_symmetric
 from lbacal_core.sidereal import SIDEREAL_DAY_S
 
 BANDS = 4
@@ -173,8 +173,9 @@ class SeriesLikelihood:
         covariance += np.kron(GAIN**2 * everything, np.eye(times))
         covariance += np.kron(FREE**2 * same, np.ones((times, times)))
         covariance[np.diag_indices_from(covariance)] += series.noise.ravel() ** 2
-        self.factor = np.linalg.cholesky(covariance)
-        self.whiten = solve_triangular(self.factor, np.eye(len(covariance)), lower=True)
+        self.covariance: Floats = np.asarray(covariance)
+        self.whiten = find_whitener(self.covariance)
+        self.log_determinant = float(np.linalg.slogdet(covariance)[1])
         self.rest = self.whiten @ (series.power.ravel() - 1.0)
 
     def log_likelihood(self, seen: Seen) -> float:
@@ -190,11 +191,11 @@ class SeriesLikelihood:
         prior[:count, :count] = BAND_SPREAD**2 * np.eye(count) + SHARE_SPREAD**2
         columns = np.hstack([shares, differences])
         rest = self.rest - SHARE * shares.sum(axis=1)
-        inner = cho_factor(np.linalg.inv(prior) + columns.T @ columns)
-        along = columns.T @ rest
-        chi2 = rest @ rest - along @ cho_solve(inner, along)
-        volume = np.sum(np.log(np.diag(inner[0]))) + np.linalg.slogdet(prior)[1] / 2
-        return float(chi2), float(volume + np.sum(np.log(np.diag(self.factor))))
+        inner = invert_symmetric(prior) + columns.T @ columns
+        along = (columns.T @ rest)[:, None]
+        chi2 = rest @ rest - float(np.sum(along * solve_symmetric(inner, along)))
+        determinants = [np.linalg.slogdet(one)[1] for one in (inner, prior)]
+        return float(chi2), float(sum(determinants) + self.log_determinant) / 2
 
     def share(self, seen: Seen) -> tuple[float, float]:
         """The share of the sky in the power that the data show, in the mean of the bands, and its error."""
@@ -202,9 +203,9 @@ class SeriesLikelihood:
         count = shares.shape[1]
         columns = np.hstack([shares, differences])
         information = columns.T @ columns + np.diag([1e-6] * count + [1.0] * differences.shape[1])
-        covariance = np.linalg.inv(information)
+        covariance = invert_symmetric(information)
         of_bands = covariance @ (columns.T @ self.rest)
-        weights = np.linalg.solve(covariance[:count, :count] + BAND_SPREAD**2 * np.eye(count), np.ones(count))
+        weights = invert_symmetric(covariance[:count, :count] + BAND_SPREAD**2 * np.eye(count)).sum(axis=1)
         return float(weights @ of_bands[:count] / weights.sum()), float(weights.sum() ** -0.5)
 
     def _whiten_changes(self, seen: Seen) -> tuple[Floats, Floats]:

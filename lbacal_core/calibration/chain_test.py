@@ -27,7 +27,6 @@ from scipy.special import chdtrc
 
 from lbacal_core.calibration.lines import Lines
 from lbacal_core.calibration.mistakes import Mistake
-from lbacal_core.calibration.normal_equations import scale_to_unit_diagonal, solve_normal_equations
 from lbacal_core.calibration.other_antennas import OtherAntenna
 from lbacal_core.calibration.path_lines import (
     SKY_HARMONICS,
@@ -40,6 +39,7 @@ from lbacal_core.calibration.path_lines import (
 )
 from lbacal_core.grids import Floats
 from lbacal_core.intercepts import Intercepts
+from lbacal_core.linear import find_whitener, invert_symmetric, solve_symmetric
 
 MISFIT_PROBABILITY = 1e-6
 """A curve whose chi^2 is less probable than this is a misfit: of 2000 good ones 0.002 are."""
@@ -262,8 +262,7 @@ class _Seen:
         if series is not None:
             signal = path.slope * path.of_sky
             beside = look.respond(signal, path.of_sky, path.of_constant, basis, series, moved)
-        scaled, unit = scale_to_unit_diagonal(path.information[None])
-        covariance = np.linalg.inv(scaled[0] + 1e-12 * np.eye(2 * channels)) * np.outer(unit[0], unit[0])
+        covariance = invert_symmetric(path.information)
         tested = np.flatnonzero(~is_free)
         to_residual = np.concatenate([-np.diag(before), np.eye(channels)], axis=1)[tested]
         noise = to_residual @ covariance @ to_residual.T
@@ -276,16 +275,13 @@ class _Seen:
         columns = np.zeros((value.size, len(terms.names)))
         forms = np.concatenate([terms.front * slope, terms.behind])
         columns[: tested.size] = forms.T[tested] / scale[:, None]
-        whitener = np.linalg.cholesky(total)
-        return cls(path, look, to_residual, scale, value, free, response[:mistakes], columns, whitener)
+        return cls(path, look, to_residual, scale, value, free, response[:mistakes], columns, find_whitener(total))
 
     def whiten(self, vectors: Floats) -> Floats:
         """Vectors, shape (number, ...), in units of their scatter, the noise constants profiled out."""
         flat = vectors.reshape(self.value.size, -1)
-        columns = np.linalg.solve(self.whitener, self.columns)
-        white: Floats = np.asarray(np.linalg.solve(self.whitener, flat))
-        normal, target = columns.T @ columns, columns.T @ white
-        return np.asarray(white - columns @ solve_normal_equations(normal[None], target[None])[0])
+        columns, white = self.whitener @ self.columns, self.whitener @ flat
+        return np.asarray(white - columns @ solve_symmetric(columns.T @ columns, columns.T @ white))
 
     def gain_of(self, responses: Floats) -> Floats:
         """Ln of the probability of r about each response over that about 0; shape (response, number) to (response,)."""

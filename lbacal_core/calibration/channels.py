@@ -9,11 +9,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from lbacal_core.calibration.normal_equations import solve_normal_equations
 from lbacal_core.calibration.separable import SeparableSolution, solve_separable
 from lbacal_core.curves import INTERFERENCE, OK, OUTSIDE, UNCERTAIN
 from lbacal_core.grids import Floats
 from lbacal_core.intercepts import Intercepts
+from lbacal_core.linear import solve_symmetric
 
 Booleans = NDArray[np.bool_]
 
@@ -118,7 +118,7 @@ def _excess_of_intercepts(
     side = np.matmul(information, derivative)
     normal = np.matmul(derivative.transpose(0, 2, 1), side)
     of_intercept = side[:, channels:]
-    taken = np.matmul(of_intercept, solve_normal_equations(normal, of_intercept.transpose(0, 2, 1)))
+    taken = np.matmul(of_intercept, solve_symmetric(normal, of_intercept.transpose(0, 2, 1)))
     own = np.einsum("pii->pi", information)[:, channels:]
     left = own - np.einsum("pii->pi", taken)
     pull = np.matmul(information[:, channels:], residual[:, :, None])[:, :, 0]
@@ -132,7 +132,7 @@ def _free(information: Floats, is_free: Booleans) -> Floats:
     """Information about lines once the intercepts of some channels are free, shape (2 freq, 2 freq)."""
     at = is_free.size + np.flatnonzero(is_free)
     side = information[:, at]
-    left = information - side @ np.linalg.solve(information[np.ix_(at, at)], side.T)
+    left = information - side @ solve_symmetric(information[np.ix_(at, at)], side.T)
     left[at] = left[:, at] = 0.0
     return np.asarray(left)
 

@@ -13,15 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lbacal_core.calibration.noise import NoiseLevels, estimate_noise_levels, slope_of_gain
-from lbacal_core.calibration.normal_equations import solve_normal_equations
 from lbacal_core.grids import Floats
+from lbacal_core.linear import find_whitener, solve_symmetric
 
 PATHS_AT_ONCE = 6
 """Paths whose spectra of a year fit into a core's cache together: 6 x 900 x 51 numbers, 2.2 MB (4 and 8 are slower)."""
 
-RIDGE = 1e-12
-"""Where the sky hardly varies, slope and intercept of a channel are nearly one parameter."""
-SEEDS_RIDGE = 1e-4
+SEEDS_PRIOR = 1e-4
 """Where nothing is added behind, gains in front and behind are one."""
 
 
@@ -63,7 +61,7 @@ class SharedNoise:
     def of(cls, levels: NoiseLevels, seeds: Floats, behind: Floats, chain: ChainForms) -> SharedNoise:
         """Split the vectors into the gains in front of N_RCU, which act on 1 - behind / P, and the rest."""
         normal = np.matmul(seeds, seeds.transpose(0, 2, 1))
-        amount = solve_normal_equations(normal, np.matmul(seeds, levels.vectors.transpose(0, 2, 1)), SEEDS_RIDGE)
+        amount = solve_symmetric(normal, np.matmul(seeds, levels.vectors.transpose(0, 2, 1)), prior=SEEDS_PRIOR)
         gain = amount[:, 1, :, None] + amount[:, 2, :, None] * chain.antenna_slope
         rest = levels.vectors - np.matmul(amount.transpose(0, 2, 1), seeds)
         return cls(amount[:, 0, :, None] + gain + rest, gain * behind[:, None])
@@ -192,7 +190,7 @@ def _behind(slope: Floats, intercept: Floats, mean_sky: Floats, chain: ChainForm
     added = np.broadcast_to(np.stack([chain.receiver_gain, np.ones_like(mean_sky)]), (len(slope), 2, mean_sky.size))
     columns = np.concatenate([slope[:, None], added], axis=1) / power[:, None]
     normal = np.matmul(columns, columns.transpose(0, 2, 1))
-    levels = solve_normal_equations(normal, np.matmul(columns, (intercept / power)[:, :, None]), RIDGE)
+    levels = solve_symmetric(normal, np.matmul(columns, (intercept / power)[:, :, None]))
     return np.asarray(np.clip(np.matmul(levels[:, 1:].transpose(0, 2, 1), added)[:, 0], 0.0, power))
 
 
@@ -249,7 +247,7 @@ def _weigh_events(
 
 def _solve(information: Floats, gradient: Floats) -> Floats:
     """The step to the generalised least-squares lines, shape (path, 2, freq)."""
-    step = solve_normal_equations(information, gradient.reshape(len(gradient), -1, 1), RIDGE)
+    step = solve_symmetric(information, gradient.reshape(len(gradient), -1, 1))
     return step.reshape(gradient.shape)
 
 
@@ -268,7 +266,7 @@ def weigh_shared_noise(inverse_model: Floats, precision: Floats, levels: NoiseLe
     weighted = vectors * (levels.radiometer**-2)[:, None, None]
     size = np.matmul(weighted, vectors.transpose(0, 1, 3, 2)) * precision[:, :, None, None]
     # Each row of the root of the inverse makes one vector of the event.
-    root = np.linalg.inv(np.linalg.cholesky(size + np.eye(size.shape[-1]))) * np.sqrt(precision)[:, :, None, None]
+    root = find_whitener(size + np.eye(size.shape[-1])) * np.sqrt(precision)[:, :, None, None]
     return np.asarray(np.matmul(root, weighted))
 
 

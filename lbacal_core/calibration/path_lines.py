@@ -13,8 +13,8 @@ from functools import cached_property
 import numpy as np
 
 from lbacal_core.calibration.lines import Lines, weigh_shared_noise
-from lbacal_core.calibration.normal_equations import solve_normal_equations
 from lbacal_core.grids import Floats
+from lbacal_core.linear import find_whitener, solve_symmetric
 
 SKY_HARMONICS = 8
 """P_sky and its changes have no more, to 0.005 %."""
@@ -125,9 +125,8 @@ def look_beside(residual: Floats, of_sky: Floats, of_constant: Floats, basis: Fl
     scatter = projected - directions @ amplitude
     scatter -= axes @ (axes.T @ scatter)
     dof = events - directions.shape[1] - axes.shape[1]
-    factor = np.linalg.cholesky(scatter.T @ scatter / dof)
     # the mean of a quadratic form with a measured covariance exceeds that with the true one
-    features = polynomials @ np.linalg.inv(factor).T * np.sqrt(max(dof - DEGREES - 1, 1) / dof)
+    features = polynomials @ find_whitener(scatter.T @ scatter / dof).T * np.sqrt(max(dof - DEGREES - 1, 1) / dof)
     return Look((directions.T @ (residual @ features)).ravel(), directions, features)
 
 
@@ -165,7 +164,7 @@ def move_lines_by(path: PathLines, change: Floats) -> Floats:
 def _solve_lines(path: PathLines, gradient: Sequence[Floats]) -> Floats:
     """The step of the lines by the gradient along slopes and intercepts, shape (change, freq) each."""
     target = np.concatenate(gradient, axis=1).T
-    return np.asarray(solve_normal_equations(path.information[None], target[None], 1e-12)[0].T)
+    return solve_symmetric(path.information, target).T
 
 
 def harmonics_at(lst_hours: Floats, most: int) -> Floats:

@@ -29,9 +29,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lbacal_core.calibration.normal_equations import scale_to_unit_diagonal, solve_normal_equations
 from lbacal_core.grids import Floats
 from lbacal_core.intercepts import Intercepts
+from lbacal_core.linear import invert_symmetric, scale_to_unit_diagonal, solve_symmetric
 
 MAX_ITERATIONS = 50
 STEP_TOLERANCE = 1e-5
@@ -183,7 +183,7 @@ class _Scaled:
         is_converged = np.zeros(problems, dtype=bool)
         for _ in range(MAX_ITERATIONS):
             optimum = _solve_linear(self, n, prior)
-            step = solve_normal_equations(optimum.curvature, optimum.gradient[:, :, None])[:, :, 0]
+            step = solve_symmetric(optimum.curvature, optimum.gradient[:, :, None])[:, :, 0]
             # the length of the step in standard deviations of n
             length = np.einsum("pi,pij,pj->p", step, optimum.curvature, step)
             is_converged |= length <= STEP_TOLERANCE**2
@@ -266,7 +266,7 @@ class _Scaled:
         at = np.arange(r)
         normal[:, at, at] += self.precision
         target[:, :r, 0] += self.precision * self.mean
-        return solve_normal_equations(normal, target)[:, :r, 0]
+        return solve_symmetric(normal, target)[:, :r, 0]
 
     def spread(self, solution: SeparableSolution) -> Floats:
         """Standard deviations of (n, q) in unit columns, shape (problem, r + k); NaN where not identifiable."""
@@ -334,7 +334,7 @@ def _solve_linear(problem: _Scaled, n: Floats, prior: float) -> _Optimum:
     normal[:, size:, :size] = side.transpose(0, 2, 1)
     normal[:, size:, size:] = np.matmul(design.transpose(0, 2, 1), w_yh) + prior * np.eye(constants)
     weighted = np.matmul(weight, problem.measured[:, :, None])
-    linear = solve_normal_equations(normal, _project(weighted, row, design))[:, :, 0]
+    linear = solve_symmetric(normal, _project(weighted, row, design))[:, :, 0]
 
     x, q = linear[:, :size], linear[:, size:]
     model = np.concatenate([x, before * x + np.matmul(design, q[:, :, None])[:, :, 0]], axis=1)
@@ -346,7 +346,7 @@ def _solve_linear(problem: _Scaled, n: Floats, prior: float) -> _Optimum:
     border = _project(along, row, design)
     known = problem.precision * (n - problem.mean)
     own = np.matmul(terms, along[:, size:]) + np.einsum("pr,rs->prs", problem.precision + prior, np.eye(n.shape[1]))
-    absorbed = np.matmul(border.transpose(0, 2, 1), solve_normal_equations(normal, border))
+    absorbed = np.matmul(border.transpose(0, 2, 1), solve_symmetric(normal, border))
     curvature = own - absorbed
     at = np.arange(n.shape[1])
     curvature[:, at, at] = np.maximum(curvature[:, at, at], 1e-15 * own[:, at, at])
@@ -385,10 +385,10 @@ def _invert(full: Floats, size: int) -> tuple[Floats, NDArray[np.bool_]]:
     """Covariance, and whether the information left for (n, q) once x is free determines them."""
     scaled, unit = scale_to_unit_diagonal(full)
     head, side, tail = scaled[:, :size, :size], scaled[:, :size, size:], scaled[:, size:, size:]
-    schur = tail - np.matmul(side.transpose(0, 2, 1), solve_normal_equations(head, side))
+    schur = tail - np.matmul(side.transpose(0, 2, 1), solve_symmetric(head, side))
     smallest = np.linalg.eigvalsh(schur)[:, 0]
     is_identifiable = np.isfinite(smallest) & (smallest > SMALLEST_EIGENVALUE)
     covariance = np.full_like(full, np.nan)
     if np.any(is_identifiable):
-        covariance[is_identifiable] = np.linalg.inv(scaled[is_identifiable])
+        covariance[is_identifiable] = invert_symmetric(scaled[is_identifiable])
     return covariance * unit[:, :, None] * unit[:, None, :], is_identifiable

@@ -12,6 +12,7 @@ from scipy.interpolate import CubicSpline
 
 from lbacal_core.grids import Floats
 from lbacal_core.intercepts import Intercepts, three_constants
+from lbacal_core.linear import fit_least_squares
 from lbacal_core.skypower.table import read_at
 
 YEAR_S = 365.25 * 86_400.0
@@ -122,7 +123,7 @@ class Conditions:
         measured = (values - reference) / 10.0
         if delay_h != 0.0:
             now, earlier = self._diurnal_waves(0.0), self._diurnal_waves(delay_h)
-            amplitude, *_ = np.linalg.lstsq(now[is_known], measured[is_known], rcond=None)
+            amplitude = fit_least_squares(now[is_known], measured[is_known])
             measured = measured + (earlier - now) @ amplitude
         return np.asarray(np.where(is_known, measured, 0.0)[:, None])
 

@@ -14,6 +14,7 @@ import numpy as np
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
 from lbacal_core.instrument import Instrument
+from lbacal_core.linear import pseudo_invert
 from lbacal_core.sky.sources import SOURCES
 from lbacal_core.skypower.sources import source_sky_power
 from lbacal_core.skypower.table import SkyPower, read_at
@@ -81,7 +82,7 @@ def _polynomial(own: SkyPower, varied: Sequence[SkyPower], dipole: str) -> Float
     """Coefficients of the polynomial in the size, 0 at 0, through ln(own(size)/own(0)); the linear term last."""
     logs = np.stack([np.log(one.power[dipole] / own.power[dipole]) for one in varied])
     sizes = np.array(EXPONENTS)
-    return np.asarray(np.einsum("kn,ntf->ktf", np.linalg.inv(np.vander(sizes) * sizes[:, None]), logs))
+    return np.asarray(np.einsum("kn,ntf->ktf", pseudo_invert(np.vander(sizes) * sizes[:, None]), logs))
 
 
 def _exponentiate(terms: Floats, amount: Floats) -> Floats:

@@ -26,6 +26,7 @@ from lbacal_core.discovery.view import SMALLEST_SHARE
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
 from lbacal_core.instrument import Instrument
+from lbacal_core.linear import invert_symmetric
 from lbacal_core.model import AdoptedCause, Model
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra import Spectra
@@ -288,7 +289,7 @@ def _covariance(information: Floats, is_free: NDArray[np.bool_], sigma: Floats) 
     covariance = np.diag(np.where(is_free, 0.0, sigma**2))
     if np.any(is_free):
         free, fixed = np.flatnonzero(is_free), np.flatnonzero(~is_free)
-        own = np.linalg.inv(information[np.ix_(free, free)])
+        own = invert_symmetric(information[np.ix_(free, free)])
         moved = -own @ information[np.ix_(free, fixed)]
         of_fixed = np.diag(sigma[fixed] ** 2)
         covariance[np.ix_(free, free)] = own + moved @ of_fixed @ moved.T

@@ -30,6 +30,7 @@ from lbacal_core.discovery.policy import Policy
 from lbacal_core.discovery.station import Station
 from lbacal_core.discovery.trials import p_of, sigma_of, trials_factor
 from lbacal_core.grids import Floats
+from lbacal_core.linear import invert_symmetric
 
 FEWEST_COMPARISONS = 3
 """Smallest number of independent comparisons: antennas less cable names."""
@@ -151,7 +152,7 @@ def compare_antennas(
                 dof=template.departure.size - 2 - int(np.isinf(own.typical).sum()),
                 departure=template.departure,
                 observed=own.less_smooth(size * template.departure),
-                error=np.diag(np.linalg.inv(own.root @ own.root.T)) ** -0.5,
+                error=np.diag(invert_symmetric(own.root @ own.root.T)) ** -0.5,
                 similar=similar,
             )
         )

@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtr
 
-from lbacal_core.calibration.normal_equations import solve_normal_equations
 from lbacal_core.causes.cable import CableLength, log_loss_per_metre
 from lbacal_core.discovery.antennas import AntennaScore
 from lbacal_core.discovery.baseline import Baseline
@@ -25,6 +24,7 @@ from lbacal_core.discovery.project import LinearModel
 from lbacal_core.discovery.station import Station
 from lbacal_core.discovery.trials import sigma_of
 from lbacal_core.grids import Floats
+from lbacal_core.linear import invert_symmetric, solve_symmetric
 
 FEWEST_ANTENNAS = 2
 """Antennas of a cable name, so that their scatter is known."""
@@ -198,7 +198,7 @@ def _influence(station: Station, baseline: Baseline, model: LinearModel, path: i
         information[:channels, :channels] -= (along * (part * precision / radiometer)[:, None]).T @ along
     information[np.arange(channels), np.arange(channels)] += precision @ of_slope**2 / radiometer
     # in a flat receiver the information about two noise constants is singular, that about the slopes is not
-    inverse = solve_normal_equations(information[None], np.eye(len(information))[None])[0]
+    inverse = invert_symmetric(information)
 
     def moved(values: Floats) -> Floats:
         """Change of ln s by each of some residuals, shape (..., event, freq) -> (..., event, freq)."""
@@ -219,8 +219,8 @@ def _weights(antennas: _Antennas, per_metre: Floats) -> Floats:
     noise = np.einsum("aef,aeg->fg", antennas.influence, antennas.influence)
     noise += 1e-3 * np.trace(noise) / len(noise) * np.eye(len(noise))
     columns = np.column_stack([per_metre, np.ones_like(per_metre)])
-    solved = np.linalg.solve(noise, columns)
-    return np.asarray(solved @ np.linalg.inv(columns.T @ solved)[:, 0])
+    solved = solve_symmetric(noise, columns)
+    return np.asarray(solved @ invert_symmetric(columns.T @ solved)[:, 0])
 
 
 def _departure(antennas: _Antennas, weights: Floats, compared: Sequence[str]) -> tuple[float, int]:

@@ -16,13 +16,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import block_diag, solve_triangular
+from scipy.linalg import block_diag
 from scipy.optimize import least_squares
 
 from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.discovery.curve_calibration import fit_station_year
 from lbacal_core.discovery.curve_station import GRID_HOURS, Choice, CurveStation
 from lbacal_core.grids import Floats
+from lbacal_core.linear import find_whitener, fit_least_squares, invert_symmetric
 from lbacal_core.lstcurve.curve import LstCurve
 from lbacal_core.lstcurve.noise import PointNoise
 from lbacal_core.lstcurve.noise_share import LARGEST_RATIO
@@ -163,7 +164,7 @@ class CurveFitter:
         """
         prior, dipoles = self.station.prior, len(DIPOLES)
         kept = np.arange(self.measured.size) if rows is None else np.flatnonzero(rows)
-        root = np.linalg.cholesky(self.covariance[np.ix_(kept, kept)])
+        whitener = find_whitener(self.covariance[np.ix_(kept, kept)])
         free = [choice for choice in choices if not choice.is_statement]
         is_free = np.array([not choice.is_statement for choice in choices], dtype=bool)
         has_own_noise = any(choice.cause.identifier == "missing_noise" for choice in choices)
@@ -181,8 +182,7 @@ class CurveFitter:
             return np.asarray(self.measured - model - self.offsets @ values[:dipoles])
 
         def residual(values: Floats) -> Floats:
-            white = solve_triangular(root, left(values)[kept], lower=True)
-            return np.append(white, (values[dipoles] - prior.mean) / prior.sigma)
+            return np.append(whitener @ left(values)[kept], (values[dipoles] - prior.mean) / prior.sigma)
 
         lowest = [*[-np.inf] * dipoles, 0.0, *(choice.sizes.lowest for choice in free)]
         highest = [*[np.inf] * dipoles, LARGEST_RATIO, *(choice.sizes.highest for choice in free)]
@@ -194,7 +194,7 @@ class CurveFitter:
             first = np.clip([*[0.0] * dipoles, prior.mean, *sizes], lowest + INSIDE * span, highest - INSIDE * span)
             tried.append(least_squares(residual, first, bounds=(lowest, highest), x_scale=span, max_nfev=60))
         found = min(tried, key=lambda one: float(one.cost))
-        errors = np.sqrt(np.diag(np.linalg.inv(found.jac.T @ found.jac + 1e-12 * np.diag(span**-2.0))))
+        errors = np.sqrt(np.diag(invert_symmetric(found.jac.T @ found.jac + 1e-12 * np.diag(span**-2.0))))
         sigmas = np.zeros(len(choices))
         sigmas[is_free] = errors[dipoles + 1 :]
         best, noise = sizes_of(found.x), noise_of(found.x)
@@ -223,12 +223,12 @@ class CurveFitter:
     def _chi2_drawn(self, difference: Floats) -> float:
         """With the drawn bars and offsets of their own."""
         design, white = self.offsets / self.drawn[:, None], difference / self.drawn
-        return float(np.sum((white - design @ np.linalg.lstsq(design, white, rcond=None)[0]) ** 2))
+        return float(np.sum((white - design @ fit_least_squares(design, white)) ** 2))
 
     def _chi2_of(self, left: Floats, rows: Floats) -> float:
         """Chi^2 of given residuals at given points."""
         kept = np.flatnonzero(rows)
-        white = solve_triangular(np.linalg.cholesky(self.covariance[np.ix_(kept, kept)]), left[kept], lower=True)
+        white = find_whitener(self.covariance[np.ix_(kept, kept)]) @ left[kept]
         return float(white @ white)
 
     def held_out_gain(self, fewer: CurveFit, more: CurveFit) -> float:
@@ -264,10 +264,10 @@ class CurveFitter:
 
     def signature(self, fewer: CurveFit, more: CurveFit) -> Floats:
         """Change of the points by the larger model, whitened, the offsets profiled out."""
-        root = np.linalg.cholesky(self.covariance)
+        whitener = find_whitener(self.covariance)
         new, old = (self.points_with(one.choices, one.sizes, one.noise) for one in (more, fewer))
-        white = solve_triangular(root, new - old, lower=True)
-        absorbed = np.linalg.qr(solve_triangular(root, self.offsets, lower=True))[0]
+        white = whitener @ (new - old)
+        absorbed = np.linalg.qr(whitener @ self.offsets)[0]
         return np.asarray(white - absorbed @ (absorbed.T @ white))
 
 

@@ -21,6 +21,7 @@ from lbacal_core.chain.terms import ChainTerms
 from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.grids import Floats
 from lbacal_core.instrument import Instrument
+from lbacal_core.linear import fit_least_squares
 from lbacal_core.lstcurve.noise_share import NoisePrior
 from lbacal_core.skypower.table import SkyPower
 
@@ -95,7 +96,7 @@ class CurveStation:
         bent = 0.0
         for own, power in zip(change, whole, strict=True):
             free = np.stack([np.ones_like(power), power.mean() / power], axis=1)[:, : 1 if self.prior.is_known else 2]
-            bent += float(np.sum((own - free @ np.linalg.lstsq(free, own, rcond=None)[0]) ** 2))
+            bent += float(np.sum((own - free @ fit_least_squares(free, own)) ** 2))
         return bool(bent <= SMALLEST_BEND * np.sum(change**2))
 
     def terms_with(self, choices: Sequence[Choice], sizes: Floats, noise: float) -> ChainTerms:

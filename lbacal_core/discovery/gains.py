@@ -15,13 +15,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from lbacal_core.calibration.normal_equations import solve_normal_equations
 from lbacal_core.causes.antenna import log_gain
 from lbacal_core.chain.terms import ChainTerms
-from lbacal_core.discovery.levels import GAINS_RIDGE, clean_mean
+from lbacal_core.discovery.levels import GAINS_PRIOR, clean_mean
 from lbacal_core.discovery.noise import Residuals
 from lbacal_core.discovery.station import Station
 from lbacal_core.grids import Floats
+from lbacal_core.linear import invert_symmetric, solve_symmetric
 
 LARGEST = 5.0
 """Standard deviations to which the amounts of an event are cut: beyond are bursts, which are no gains."""
@@ -90,11 +90,11 @@ class EventGains:
         front = np.tensordot(share / share.sum(), self.front, axes=1)
         seeds = np.tensordot(share / share.sum(), self.vectors, axes=1)
         # amounts of the seeds by those of the vectors
-        onto = solve_normal_equations((seeds @ seeds.T)[None], (seeds @ vectors.T)[None], GAINS_RIDGE)[0]
+        onto = solve_symmetric(seeds @ seeds.T, seeds @ vectors.T, prior=GAINS_PRIOR)
         spread = residuals.spread.mean()
         channel = np.mean(levels.common_channel**2) + levels.path_channel**2 * spread
         shared = levels.common_sum + spread * levels.mean_path_shared
-        inverse = np.linalg.inv(shared + channel * np.eye(len(vectors)))
+        inverse = invert_symmetric(shared + channel * np.eye(len(vectors)))
         shrunk = inverse @ shared
         unknown = (shared - shared @ shrunk) / len(mean) + (1.0 - spread) * levels.mean_path_shared
         variance = (onto @ unknown @ onto.T)[levels.kind_of]

@@ -11,6 +11,7 @@ from scipy.special import bdtrc, chdtri
 from lbacal_core.causes.conditions import RAIN
 from lbacal_core.discovery.station import Station
 from lbacal_core.grids import Floats
+from lbacal_core.linear import fit_least_squares, invert_symmetric
 
 FEWEST_OF_KIND = 40
 """Events of a kind from which its covariance is estimated, to 22 %."""
@@ -57,7 +58,7 @@ class Kinds:
         own, count = self.is_ordinary, int(self.is_ordinary.sum())
         if count <= len(WAYS):
             return amount
-        left = amount - self.follows @ (np.linalg.pinv(self.follows[own]) @ amount[..., own, :])
+        left = amount - self.follows @ fit_least_squares(self.follows[own], amount[..., own, :])
         whole = (count / (count - np.linalg.matrix_rank(self.follows[own]))) ** 0.5
         return np.asarray(np.where(self.of_event[:, None] > 0, whole * left, amount))
 
@@ -85,7 +86,7 @@ def list_kinds(station: Station, amount: Floats) -> Kinds:
     ordinary[wet] = ~is_heavy(both.beside_rain(amount)[wet])
     both = Kinds(both.of_event, both.follows, ordinary)
     if wet.sum() < FEWEST_OF_KIND:
-        inverse = np.linalg.pinv(amount[dry].T @ amount[dry], hermitian=True)
+        inverse = invert_symmetric(amount[dry].T @ amount[dry])
         left = both.beside_rain(amount)
         distance = np.einsum("ek,kj,ej->e", left, inverse, left)
         many = int(np.sum(distance[wet] > np.quantile(distance[dry], 1.0 - RARE)))
@@ -104,6 +105,6 @@ def is_heavy(amount: Floats) -> NDArray[np.bool_]:
     for _ in range(TYLER_ROUNDS):
         form = amount.T @ (amount / distance[:, None])
         form *= size / max(float(np.trace(form)), SMALLEST_DISTANCE**0.5)
-        inverse = np.linalg.pinv(form, hermitian=True)
+        inverse = invert_symmetric(form)
         distance = np.maximum(np.einsum("ek,kj,ej->e", amount, inverse, amount), SMALLEST_DISTANCE)
     return np.asarray(distance > np.median(distance) * chdtri(size, HEAVY) / chdtri(size, 0.5))

@@ -17,11 +17,11 @@ from scipy.linalg import helmert
 from scipy.special import chdtr, chdtrc, chdtri, fdtrc
 
 from lbacal_core.calibration.noise import CHANNELS_PER_VECTOR, MOST_VECTORS, orthonormal
-from lbacal_core.calibration.normal_equations import solve_normal_equations
 from lbacal_core.causes.axes import list_axes
 from lbacal_core.discovery.kinds import FEWEST_OF_KIND, HEAVY, Kinds, is_heavy, list_kinds
 from lbacal_core.discovery.station import Station
 from lbacal_core.grids import Floats
+from lbacal_core.linear import fit_least_squares, solve_symmetric
 
 SMALLEST_LEVEL = 1e-9
 """Floor of a relative noise level: exact data keep a finite weight."""
@@ -35,7 +35,7 @@ STRUCTURE_SHARE, SMALLEST_PROFILE = 1 / 3, 1e-6
 """Most profiles in time that are no noise, as a share of the events; and the size of one that others contain."""
 TYPICAL_EVENTS = 100
 """Spectra for which the typical covariance of a path counts in that of a cable name: 14 % of a variance."""
-GAINS_RIDGE = 1e-4
+GAINS_PRIOR = 1e-4
 """Where nothing is added behind, gains in front and behind are one."""
 
 
@@ -210,7 +210,7 @@ def estimate_levels(
     if len(deviation) > polarisations:
         noise = own + channel * np.eye(len(vectors))
         told = (whole if takes_slow else clean).mean(axis=0) @ vectors.T
-        gains = np.matmul(told[:, None], (np.linalg.pinv(of_sum + noise) @ of_sum)[kinds.of_event])[:, 0] @ vectors
+        gains = np.matmul(told[:, None], solve_symmetric(of_sum + noise, of_sum)[kinds.of_event])[:, 0] @ vectors
         left = _left_in_classes(station, gains, seeds, members)
         rest = (left @ vectors.T)[station.class_of] * np.any(deviation != 0.0, axis=-1)[..., None]
         amount = kinds.beside_rain(_clean(deviation @ vectors.T - rest, structure, is_ordinary))
@@ -270,7 +270,7 @@ def _left_in_classes(station: Station, gains: Floats, seeds: Floats, members: Me
     polarisation_of_class = np.unique(station.conditions.dipoles, return_inverse=True)[1]
     for d in np.unique(polarisation_of_class):
         seen = np.tensordot(members.share_of_class(station, int(d)), seeds, axes=1)
-        amount = solve_normal_equations((seen @ seen.T)[None], (seen @ gains.T)[None], GAINS_RIDGE)[0]
+        amount = solve_symmetric(seen @ seen.T, seen @ gains.T, prior=GAINS_PRIOR)
         of_polarisation = polarisation_of_class == d
         left[of_polarisation] = np.einsum("ke,ckf->cef", amount, seeds[of_polarisation] - seen)
     return left
@@ -320,7 +320,7 @@ def _clean(values: Floats, structure: Floats, is_ordinary: NDArray[np.bool_]) ->
 
     A burst in one event would otherwise leave a part of itself in all that its profiles join with it.
     """
-    return np.asarray(values - structure @ (np.linalg.pinv(structure[is_ordinary]) @ values[..., is_ordinary, :]))
+    return np.asarray(values - structure @ fit_least_squares(structure[is_ordinary], values[..., is_ordinary, :]))
 
 
 def _choose_vectors(mean: Floats, seeds: Floats, kinds: Sequence[NDArray[np.int64]], share_free: float) -> Floats:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from lbacal_core.causes.cable import AntennaTemplate
 from lbacal_core.discovery.view import Seen, View
 from lbacal_core.grids import Floats
+from lbacal_core.linear import find_whitener, fit_least_squares, root_of
 
 MOST_SMOOTH, CHANNELS_PER_SMOOTH = 8, 6
 """Most half periods within the band of a departure that counts as smooth, and fewest channels for each."""
@@ -74,9 +75,13 @@ class Comparison:
             self._whiten(self.departure)[:, None, :, None],
         )
 
+    @cached_property
+    def _whitener(self) -> Floats:
+        return find_whitener(self.root @ self.root.T)
+
     def _whiten(self, values: Floats) -> Floats:
         """Departures, shape (k, freq), in units of independent errors."""
-        return np.asarray(np.linalg.solve(self.root, values.T).T, dtype=np.float64)
+        return values @ self._whitener.T
 
     def see(self, templates: Sequence[AntennaTemplate]) -> Seen:
         """Departures in units of the errors."""
@@ -92,7 +97,7 @@ class Comparison:
     def fit(self, departures: Floats) -> Floats:
         """Amount of each of some departures, all free, in the mean and half the difference, shape (2, departure)."""
         free = self._whiten(np.concatenate([np.ones((1, departures.shape[1])), departures]))
-        return np.asarray(np.linalg.lstsq(free.T, self._whiten(self.departure).T)[0].T[:, 1:])
+        return np.asarray(fit_least_squares(free.T, self._whiten(self.departure).T).T[:, 1:])
 
     def told_apart(self, templates: Sequence[AntennaTemplate]) -> list[AntennaTemplate]:
         """Templates that are no smooth departures."""
@@ -149,7 +154,7 @@ def compare(number: int, log_slope: Floats, covariance: Floats, cable: NDArray[n
         return None
     weight = 1.0 / np.einsum("aff->a", covariance[others])
     weight /= weight.sum()
-    root = np.linalg.cholesky(covariance[number] + np.tensordot(weight**2, covariance[others], axes=1))
+    root = root_of(covariance[number] + np.tensordot(weight**2, covariance[others], axes=1))
     departure = log_slope[:, number] - np.einsum("a,maf->mf", weight, log_slope[:, others])
     return Comparison(root, departure, np.empty((0, len(root))), np.empty(0))
 

@@ -18,6 +18,7 @@ from lbacal_core.chain.terms import ChainTerms
 from lbacal_core.discovery.hypothesis import Hypothesis
 from lbacal_core.discovery.refit import FittedModel, Noise, can_be_told_apart, refit, with_noise
 from lbacal_core.grids import Floats
+from lbacal_core.linear import invert_symmetric, solve_symmetric
 
 OPEN_FROM = 0.05
 """Share of the power by which a noise constant must be uncertain: below, it moves a size by less than this share."""
@@ -57,7 +58,7 @@ class OpenNoise:
         )
         # what lies behind follows from what lies in front: the data determine their sum
         of_front, across = self.covariance[:count, :count], self.covariance[:count, count:]
-        onto = np.linalg.pinv(of_front, hermitian=True) @ across
+        onto = solve_symmetric(of_front, across)
         values, turned = np.linalg.eigh(self.covariance[count:, count:] - across.T @ onto)
         scatter = u[:, count:] @ (turned * np.sqrt(np.maximum(values, 0.0))).T
         return list(zip(n, np.maximum(self.behind + (n - self.front) @ onto + scatter, 0.0), strict=True))
@@ -165,7 +166,7 @@ def _fit_sizes(model: FittedModel, one: Hypothesis, drawn: Sequence[Noise]) -> t
         missed = fitted - _log_ratio(there, terms, model)
         score, information = model.linear.products([*templates, missed], [*targets, one.target])
         if can_be_told_apart(information[:-1, :-1]):
-            inverse = np.linalg.inv(information[:-1, :-1])
+            inverse = invert_symmetric(information[:-1, :-1])
             onto = score[:-1] + information[:-1, -1]
             size[k] = one.size + inverse[0] @ onto
             gain[k] = 0.5 * (onto @ inverse @ onto - information[-1, -1]) - score[-1]

@@ -22,6 +22,7 @@ from lbacal_core.discovery.noise import Residuals, estimate_again, split_residua
 from lbacal_core.discovery.station import SkyModes, Station
 from lbacal_core.discovery.view import Seen, View
 from lbacal_core.grids import Floats
+from lbacal_core.linear import invert_symmetric
 from lbacal_core.skypower.differences import Waves
 
 
@@ -169,7 +170,7 @@ class LinearModel:
         of_paths = residuals.spread.mean(axis=0)[:, None, None] * levels.mean_path_shared[levels.kind_of]
         joint = of_paths + variance[:, None, None] * size
         of_sum, of_difference = (
-            everyone * np.linalg.inv(np.where(everyone, shared[levels.kind_of] + joint, size))
+            everyone * invert_symmetric(np.where(everyone, shared[levels.kind_of] + joint, size))
             for shared in (levels.common_sum, levels.common_difference)
         )
         mean = np.full((polarisations, polarisations), 1.0 / polarisations)[:, :, None, None, None]
@@ -259,7 +260,7 @@ class LinearModel:
         levels = self.residuals.levels
         variance = levels.path_channel**2
         channel = np.array([[1.0 / variance]])
-        inside = np.asarray(np.linalg.inv(shared + variance * np.eye(len(levels.vectors))))
+        inside = invert_symmetric(shared + variance * np.eye(len(levels.vectors)))
         inside = (inside[levels.kind_of] if len(inside) > 1 else inside)[None, None]
         free, residual = np.concatenate([constants, level])[:, None], self.residuals.deviation[members][:, None]
         prior = np.repeat([0.0, 1.0 if self.modes is None else self.modes.prior], [len(constants), len(level)])

@@ -24,6 +24,7 @@ from lbacal_core.discovery.project import LinearModel
 from lbacal_core.discovery.station import SkyModes, Station
 from lbacal_core.discovery.view import SMALLEST_SHARE
 from lbacal_core.grids import Floats
+from lbacal_core.linear import invert_symmetric, solve_symmetric
 
 MAX_ROUNDS = 8
 """Newton steps: causes that are close to linear need two or three."""
@@ -221,8 +222,8 @@ def fit_sizes(
         if not can_be_told_apart(own):
             return None
         step, sigma = np.zeros(len(hypotheses)), np.array([one.sigma for one in hypotheses])
-        step[at] = np.clip(np.linalg.solve(own, score[at]), -limit[at], limit[at])
-        sigma[at] = np.sqrt(np.diag(np.linalg.inv(own)))
+        step[at] = np.clip(solve_symmetric(own, score[at, None])[:, 0], -limit[at], limit[at])
+        sigma[at] = np.sqrt(np.diag(invert_symmetric(own)))
         is_converged = bool(np.all(np.abs(step) < STANDS_STILL * sigma))
         fitted = [replace(one, sigma=float(s)) for one, s in zip(hypotheses, sigma, strict=True)]
         if is_converged:

@@ -39,6 +39,7 @@ from lbacal_core.discovery.single_events import share_of_channels
 from lbacal_core.discovery.station import SkyModes, Station
 from lbacal_core.discovery.trials import p_of
 from lbacal_core.grids import Floats
+from lbacal_core.linear import invert_symmetric
 from lbacal_core.model import PLAIN, Model
 
 
@@ -252,7 +253,7 @@ def _seen_beside(
     hypotheses = [finding.hypothesis for finding in findings]
     templates = [signature(one.cause, beside.terms, beside.station.conditions, one.template) for one in hypotheses]
     score, information = beside.products(templates, [one.target for one in hypotheses])
-    inverse = np.linalg.pinv(information, rcond=1e-6, hermitian=True)
+    inverse = invert_symmetric(information, share=1e-6)
     z = np.abs(inverse @ score) / np.sqrt(np.maximum(np.diag(inverse), 1e-300))
     chances = [p_of(own, one.score.trials * one.score.causes) for own, one in zip(z.tolist(), findings, strict=True)]
     alpha, in_means = policy.catalogue_alpha * policy.beside_share, structure.vectors is not None

@@ -17,6 +17,7 @@ from lbacal_core.discovery.memory import find_memory
 from lbacal_core.discovery.project import LinearModel
 from lbacal_core.discovery.trials import p_of_best
 from lbacal_core.grids import Floats
+from lbacal_core.linear import invert_symmetric
 
 NOISE_DRAWS = 60
 """Draws of noise for the largest singular value: they give its mean to 13 % and its spread to 9 % of the spread."""
@@ -108,7 +109,7 @@ def _chance_of_skewness(amount: Floats) -> float:
     """Probability by chance of the skewness of amounts, shape (event, k)."""
     events, size = amount.shape
     centred = amount - amount.mean(axis=0)
-    skewness = np.sum((centred @ np.linalg.pinv(centred.T @ centred / events) @ centred.T) ** 3) / events**2
+    skewness = np.sum((centred @ invert_symmetric(centred.T @ centred / events) @ centred.T) ** 3) / events**2
     return float(chdtrc(size * (size + 1) * (size + 2) / 6, events * skewness / 6.0))
 
 
@@ -123,7 +124,7 @@ def pattern_of(model: LinearModel, spectrum: Floats) -> Floats:
     vectors, channel = model.common.vectors, model.common.channel
     amount = pattern @ vectors.T
     outside = (pattern - amount @ vectors) / np.sqrt(np.maximum(channel, 1e-300))[..., None]
-    inside = np.squeeze(np.linalg.pinv(_root_of_inside(model)) @ amount[..., None], -1) @ vectors
+    inside = np.squeeze(invert_symmetric(_root_of_inside(model)) @ amount[..., None], -1) @ vectors
     return np.asarray((outside + inside) * (channel > 0)[..., None])[None]
 
 

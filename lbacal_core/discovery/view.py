@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from lbacal_core.discovery.free_vectors import Along, FreeVectors
 from lbacal_core.grids import Floats
+from lbacal_core.linear import root_of_inverse
 
 SMALLEST_EIGENVALUE = 1e-10
 """Eigenvalue of the unit-diagonal N'WN below which free vectors are combinations of others to rounding errors."""
@@ -299,11 +300,7 @@ class View(FreeVectors):
     def _root(self) -> Floats:
         """R of each member with R R' = (N'WN + L)^-1; vectors of any size count alike."""
         gram = self.information_of_free(self.weight) + self.prior_information
-        size = np.sqrt(np.maximum(np.diagonal(gram, axis1=1, axis2=2), 1e-300))
-        values, vectors = np.linalg.eigh(gram / (size[:, :, None] * size[:, None, :]))
-        kept = values > SMALLEST_EIGENVALUE * values[:, -1:]
-        inverse = np.where(kept, 1.0 / np.where(kept, values, 1.0), 0.0)
-        return np.asarray(vectors / size[:, :, None] * np.sqrt(inverse)[:, None, :])
+        return root_of_inverse(gram, SMALLEST_EIGENVALUE)
 
 
 def _indicators(fold: NDArray[np.int64]) -> Floats:

@@ -24,13 +24,13 @@ from lbacal_core.chain.noise import noise_constants
 from lbacal_core.curves import CalibrationCurve
 from lbacal_core.grids import Floats
 from lbacal_core.instrument import Instrument
+from lbacal_core.linear import solve_symmetric
 from lbacal_core.sidereal import local_sidereal_time
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra_blocks import SpectraBlock
 
 MODES = ("gain", "tilt", "curvature")
 """What is followed: ln C in the mean over the band, and the coefficients of the Legendre polynomials 1 and 2 in it."""
-_RIDGE = 1e-9
 
 
 @dataclass(frozen=True)
@@ -123,6 +123,5 @@ def _fit_modes(ratio: Floats, weight: Floats, modes: Floats) -> Floats:
     columns = np.vstack([np.ones(modes.shape[1]), modes])
     products = (columns[:, None, :] * columns[None, :, :]).reshape(-1, modes.shape[1])
     normal = (weight @ products.T).reshape(*weight.shape[:2], 3, 3)
-    normal += _RIDGE * weight.sum(axis=2)[:, :, None, None] * np.eye(3)
     target = (weight * ratio) @ columns.T
-    return np.asarray(np.linalg.solve(normal, target[..., None])[..., 1:, 0])
+    return solve_symmetric(normal, target[..., None])[..., 1:, 0]

@@ -14,6 +14,7 @@ from lbacal_core.drift.noise import Lasting, correlate_modes, estimate_lasting, 
 from lbacal_core.drift.scores import chi_square, find_threshold, score_slope, score_steps
 from lbacal_core.drift.terms import SLOPE, STEPS, Fit, Terms, fit_terms, month_columns, smooth_columns
 from lbacal_core.grids import Floats
+from lbacal_core.linear import find_whitener
 
 MOST_STEPS = 8
 FEWEST_EVENTS = 10
@@ -113,7 +114,7 @@ class SeriesModel:
         self.inverse = np.repeat(plain, len(self.y), axis=0)
         self.result = fit_terms(self.y, self.inverse, columns, self.scale)
         left = self.y - (columns @ self.result.theta[..., None])[..., 0]
-        self.whitener = np.linalg.inv(np.linalg.cholesky(correlate_modes(left, self.events)))
+        self.whitener = find_whitener(correlate_modes(left, self.events))
         steps, _ = self.scores(self.all)
         best = np.argmax(steps, axis=1)
         is_step = (np.arange(len(self.months)) >= best[:, None]) & (steps[self.all, best] > self.cut)[:, None]

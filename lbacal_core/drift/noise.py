@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from lbacal_core.drift.terms import OFFSET, SEASON_PRIOR, SLOPE
 from lbacal_core.grids import Floats
+from lbacal_core.linear import invert_symmetric, solve_symmetric
 
 LENGTHS_MONTHS = (0.3, 2.0, 8.0, 30.0)
 LEVELS = (0.0, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
@@ -72,10 +73,8 @@ def estimate_lasting(
 
 
 def _minus_log_likelihood(covariance: Floats, y: Floats) -> float:
-    root = np.linalg.cholesky(covariance)
-    white = np.linalg.solve(root, y[..., None])[..., 0]
-    log_determinant = 2 * np.log(np.diagonal(root, axis1=-2, axis2=-1)).sum(axis=1)
-    return float(np.sum(white**2) + np.sum(log_determinant))
+    chi2 = np.sum(y * solve_symmetric(covariance, y[..., None])[..., 0])
+    return float(chi2 + np.sum(np.linalg.slogdet(covariance)[1]))
 
 
 def invert_covariance(events: Floats, lasting: Lasting, months: NDArray[np.datetime64]) -> Floats:
@@ -83,7 +82,7 @@ def invert_covariance(events: Floats, lasting: Lasting, months: NDArray[np.datet
     covariance = np.repeat(lasting.covariance(months)[None], len(events), axis=0)
     diagonal = np.arange(len(months))
     covariance[:, diagonal, diagonal] += 1.0 / np.maximum(events, NO_EVENTS)
-    return np.asarray(np.linalg.inv(covariance))
+    return invert_symmetric(covariance)
 
 
 def correlate_modes(y: Floats, events: Floats) -> Floats:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lbacal_core.grids import Floats
+from lbacal_core.linear import invert_symmetric
 
 YEAR_S = 365.25 * 86_400.0
 SEASON_PRIOR = (0.03, 0.03, 0.01, 0.01)
@@ -117,7 +118,7 @@ def fit_terms(y: Floats, inverse: Floats, columns: Floats, scale: Floats) -> Fit
     precision = np.where(is_used, _HARDLY_KNOWN, _UNUSED) * np.ones((*scale.shape, 1))
     precision[:, :, OFFSET + 1 : SLOPE] = (scale[..., None] / np.array(SEASON_PRIOR)) ** 2
     normal += precision[..., None] * np.eye(columns.shape[-1])
-    covariance = np.linalg.inv(normal)
+    covariance = invert_symmetric(normal)
     theta = (covariance @ (np.swapaxes(weighted, -1, -2) @ y[..., None]))[..., 0]
     residual = y - (columns @ theta[..., None])[..., 0]
-    return Fit(theta, np.asarray(covariance), np.asarray((inverse @ residual[..., None])[..., 0]))
+    return Fit(theta, covariance, np.asarray((inverse @ residual[..., None])[..., 0]))

@@ -22,6 +22,7 @@ from scipy.special import stdtr, stdtrit
 from lbacal_core.drift.monthly import find_months
 from lbacal_core.drift.terms import SLOPE, YEAR_S, smooth_columns
 from lbacal_core.grids import Floats
+from lbacal_core.linear import fit_least_squares, invert_symmetric
 
 FEWEST_YEARS = 3
 FEWEST_MONTHS = 6
@@ -83,7 +84,7 @@ def measure_whole(time_unix: Floats, values: Floats) -> Whole | None:
         return None
     is_of = (year[:, None] == np.arange(int(year.max()) + 1)).astype(float)
     columns = np.hstack([is_of, smooth[:, 1:SLOPE], smooth[:, SLOPE, None]])
-    season = np.linalg.lstsq(columns, y, rcond=None)[0][is_of.shape[1] : -1]
+    season = fit_least_squares(columns, y)[is_of.shape[1] : -1]
     mean = is_of.T[kept] / is_of.T[kept].sum(axis=1, keepdims=True)
     level, when = mean @ (y - smooth[:, 1:SLOPE] @ season), mean @ smooth[:, SLOPE]
     middle_unix = float(time_unix[0] + when.mean() * YEAR_S)
@@ -109,9 +110,9 @@ def _fit_line(year: NDArray[np.int64], when: Floats, level: Floats, correlation:
     """Fit the means of years, shape (year, mode), whose correlation falls with their distance as a power."""
     apart = np.abs(year[:, None] - year)
     covariance = np.where(apart == 0, 1.0, correlation ** np.maximum(apart, 1))
-    inverse = np.linalg.inv(covariance)
+    inverse = invert_symmetric(covariance)
     columns = np.stack([np.ones_like(when), when], axis=1)
-    of_line = np.linalg.inv(columns.T @ inverse @ columns)
+    of_line = invert_symmetric(columns.T @ inverse @ columns)
     theta = of_line @ columns.T @ inverse @ level
     left = level - columns @ theta
     freedom = year.size - 2

@@ -9,6 +9,7 @@ import numpy as np
 from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
+from lbacal_core.linear import fit_least_squares
 from lbacal_core.lstcurve.curve import LstCurve
 
 SMOOTH_HARMONICS = 6
@@ -81,5 +82,5 @@ def _about_smooth(curve: LstCurve, dipole: str, harmonics: int) -> Floats:
     design = np.concatenate([np.ones((angle.shape[0], 1)), np.cos(angle), np.sin(angle)], axis=1)
     measured = curve.variation_db[dipole][has_point]
     left = np.full(curve.lst_hours.shape, np.nan)
-    left[has_point] = measured - design @ np.linalg.lstsq(design, measured, rcond=None)[0]
+    left[has_point] = measured - design @ fit_least_squares(design, measured)
     return left

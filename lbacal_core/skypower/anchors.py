@@ -14,6 +14,7 @@ from scipy.linalg import block_diag
 from lbacal_core.antenna.ideal import ShortDipole
 from lbacal_core.antenna.model import AntennaModel
 from lbacal_core.grids import Floats
+from lbacal_core.linear import invert_symmetric
 from lbacal_core.sky.frames import DATA_EPOCH
 from lbacal_core.sky.measured import PIVOT_MHZ, SkyLevel
 from lbacal_core.sky.model import SkyModel
@@ -160,7 +161,7 @@ def predict_left_out(anchors: Sequence[Anchor], base: SkyModel) -> list[LeftOut]
         own = [anchor for anchor in anchors if anchor.family == family]
         level = combine_anchors([anchor for anchor in anchors if anchor.family != family], base)
         ratio, design, stated, _ = _system(own, base)
-        weight = np.linalg.solve(stated, np.ones(ratio.size))
+        weight = invert_symmetric(stated).sum(axis=1)
         weight /= weight.sum()
         row = weight @ design
         variance = weight @ stated @ weight + row @ level.covariance @ row + level.scatter**2
@@ -188,10 +189,11 @@ def _system(anchors: Sequence[Anchor], base: SkyModel) -> tuple[Floats, Floats, 
 
 def _solve(ratio: Floats, design: Floats, covariance: Floats) -> tuple[Floats, Floats, float]:
     """Level and slope, their covariance, and ln of the likelihood with both integrated out."""
-    precision = design.T @ np.linalg.solve(covariance, design) + np.diag([0.0, SLOPE_PRIOR**-2])
-    inverse = np.linalg.inv(precision)
-    mean = inverse @ (design.T @ np.linalg.solve(covariance, ratio))
+    weight = invert_symmetric(covariance)
+    precision = design.T @ weight @ design + np.diag([0.0, SLOPE_PRIOR**-2])
+    inverse = invert_symmetric(precision)
+    mean = inverse @ (design.T @ weight @ ratio)
     left = ratio - design @ mean
-    chi2 = left @ np.linalg.solve(covariance, left) + (mean[1] / SLOPE_PRIOR) ** 2
+    chi2 = left @ weight @ left + (mean[1] / SLOPE_PRIOR) ** 2
     log_determinants = np.linalg.slogdet(covariance)[1] + np.linalg.slogdet(precision)[1]
     return mean, inverse, float(-0.5 * (chi2 + log_determinants))

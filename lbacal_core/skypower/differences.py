@@ -21,6 +21,7 @@ from lbacal_core.antenna.names import DEFAULT_ANTENNA, load_antenna
 from lbacal_core.antenna.varied import VariedAntenna
 from lbacal_core.grids import Floats
 from lbacal_core.instrument import Instrument
+from lbacal_core.linear import fit_least_squares
 from lbacal_core.sky.frames import DATA_EPOCH
 from lbacal_core.sky.multipoles import Complexes, precess_multipoles
 from lbacal_core.sky.names import DEFAULT_SKY, default_sky, load_sky
@@ -123,7 +124,7 @@ class ModelDifferences:
         """Legendre polynomials in ln nu, each of the size that real models have, shape (degree, freq)."""
         polynomials = self.smooth_spectra()
         levels = np.mean(list(self.level.values()), axis=0)
-        size = np.sqrt(np.sum(np.linalg.lstsq(polynomials.T, levels.T, rcond=None)[0] ** 2, axis=1))
+        size = np.sqrt(np.sum(fit_least_squares(polynomials.T, levels.T) ** 2, axis=1))
         return np.asarray(polynomials * size[:, None])
 
     def smooth_spectra(self) -> Floats:

@@ -15,6 +15,7 @@ import numpy as np
 
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
+from lbacal_core.linear import pseudo_invert
 
 HARMONICS = 8
 """The LBA sees no more to 0.005 %."""
@@ -75,7 +76,7 @@ def make_even(
         orthogonal, triangular = np.linalg.qr(_basis(lst_hours, harmonics))
         if np.min(np.abs(np.diag(triangular))) < SMALLEST_PIVOT * np.max(np.abs(np.diag(triangular))):
             continue
-        series = np.linalg.solve(triangular.T, _basis(even, harmonics).T).T
+        series = _basis(even, harmonics) @ pseudo_invert(triangular)
         if np.max(np.sum(series**2, axis=1)) <= LARGEST_VARIANCE:
             break
     else:

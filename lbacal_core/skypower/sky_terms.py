@@ -17,6 +17,7 @@ from lbacal_core.antenna.names import load_antenna
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
 from lbacal_core.instrument import Instrument
+from lbacal_core.linear import root_of
 from lbacal_core.sky.measured import BASE_SKY, MEASURED_SKY, PIVOT_MHZ, read_sky_level
 from lbacal_core.sky.names import WIDE_SKIES, WIDE_SKY, default_sky, list_skies, load_sky
 from lbacal_core.skypower.anchors import Anchor, mean_temperature, read_anchors
@@ -95,7 +96,7 @@ def _model_terms(instrument: Instrument) -> list[SkyTerm]:
 def _measured_terms(instrument: Instrument) -> list[SkyTerm]:
     own = compute_sky_power(instrument, BASE_SKY)
     frequency_mhz, level = own.frequency_mhz, read_sky_level()
-    root = np.linalg.cholesky(level.covariance)
+    root = root_of(level.covariance)
     source = "experiments of lbacal_core/data/sky_anchors.json, scatter between them included"
     x = np.log(frequency_mhz / PIVOT_MHZ)
     terms = [

@@ -34,7 +34,7 @@ def test_series_has_mean_one_and_keeps_the_order_of_instants(station: AuditedSta
 
 def test_likelihood_is_that_of_the_dense_normal_distribution(station: AuditedStation) -> None:
     likelihood = SeriesLikelihood(make_series(station, np.arange(6)))
-    covariance = likelihood.factor @ likelihood.factor.T
+    covariance = likelihood.covariance
     values = likelihood.series.power.ravel() - 1.0
 
     def dense(seen: Seen) -> float:

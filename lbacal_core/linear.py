@@ -1,0 +1,132 @@
+"""Solve, invert and whiten by symmetric positive semi-definite matrices, and fit least squares, by one rule.
+
+A matrix is scaled to a unit diagonal first, so that the units of its parameters do not matter. A direction whose
+eigenvalue is below a share of the largest one is not there, and neither is a parameter with 0 on the diagonal: both
+get 0 in a solution, in an inverse and in its root (Moore & Penrose). An inverse therefore states no error of what the
+data do not determine; a caller that reads errors asks first whether they do. Designs follow the same rule, with columns
+of unit length and singular values. Matrices have leading axes, any number of them; a NaN in one makes its answer NaN.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lbacal_core.grids import Floats
+
+SHARE = 1e-13
+"""Eigenvalues and singular values below this share of the largest are rounding: entries that are sums of n products are
+wrong by up to n roundings of 2e-16 (Higham 2002, Accuracy and Stability of Numerical Algorithms, 3.1), eigenvalues by
+no more than the matrix (Weyl 1912), and n is some hundred."""
+FAR = 1e5
+"""Pivots of Cholesky's factor whose square exceeds the share by this factor show that no eigenvalue is near it: the
+smallest pivot exceeds the smallest eigenvalue by the square of the size at most in practice, 2700 in a fit of lines."""
+
+
+def scale_to_unit_diagonal(matrix: Floats) -> tuple[Floats, Floats]:
+    """Scaled matrices, shape (..., k, k), and the unit of each parameter, shape (..., k).
+
+    A parameter with 0 on the diagonal has the unit 0, and a row of zeros.
+    """
+    diagonal = np.diagonal(matrix, axis1=-2, axis2=-1)
+    unit = np.where(diagonal > 0.0, diagonal, np.inf) ** -0.5
+    return matrix * unit[..., :, None] * unit[..., None, :], unit
+
+
+def solve_symmetric(matrix: Floats, target: Floats, share: float = SHARE, prior: float = 0.0) -> Floats:
+    """Solve A x = t.
+
+    Parameters
+    ----------
+    matrix, target
+        A, shape (..., k, k), and t, shape (..., k, column).
+    prior
+        Information about each parameter being 0, in units of its own information: parameters that the data hardly tell
+        apart share what they are together.
+
+    Returns
+    -------
+    Shape (..., k, column).
+    """
+    scaled, unit = _regularise(matrix)
+    if prior:
+        np.einsum("...ii->...i", scaled)[...] += prior
+    scaled_target = unit[..., None] * target
+    is_near = ~_is_far(scaled, share)
+    if not np.any(is_near):
+        return np.asarray(unit[..., None] * np.linalg.solve(scaled, scaled_target))
+    solution = np.linalg.solve(np.where(is_near[..., None, None], np.eye(matrix.shape[-1]), scaled), scaled_target)
+    root = _root_of_inverse(scaled[is_near], share)
+    solution[is_near] = root @ (np.swapaxes(root, -1, -2) @ np.broadcast_to(scaled_target, solution.shape)[is_near])
+    return np.asarray(unit[..., None] * solution)
+
+
+def invert_symmetric(matrix: Floats, share: float = SHARE) -> Floats:
+    """The inverse of matrices, shape (..., k, k)."""
+    return solve_symmetric(matrix, np.eye(matrix.shape[-1]), share)
+
+
+def root_of_inverse(matrix: Floats, share: float = SHARE) -> Floats:
+    """R with R R^T = A^-1, shape (..., k, k); columns of directions that are not there are 0."""
+    scaled, unit = _regularise(matrix)
+    return np.asarray(unit[..., None] * _root_of_inverse(scaled, share))
+
+
+def root_of(covariance: Floats) -> Floats:
+    """R with R R^T = C, shape (..., k, k): Cholesky's factor unless one of the matrices is nearly singular."""
+    scaled, unit = _regularise(covariance)
+    if np.all(unit > 0.0) and np.all(_is_far(scaled, SHARE)):
+        return np.asarray(np.linalg.cholesky(covariance))
+    values, vectors = np.linalg.eigh(covariance)
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0))[..., None, :])
+
+
+def find_whitener(covariance: Floats) -> Floats:
+    """W with W C W^T = 1, shape (..., k, k): triangular unless one of the matrices is nearly singular.
+
+    What has no variance is not there: W gives it 0.
+    """
+    scaled, unit = _regularise(covariance)
+    if np.all(unit > 0.0) and np.all(_is_far(scaled, SHARE)):
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
+    return np.swapaxes(unit[..., None] * _root_of_inverse(scaled, SHARE), -1, -2)
+
+
+def pseudo_invert(design: Floats, share: float = SHARE) -> Floats:
+    """The pseudo-inverse of matrices of any form with columns of unit length, (..., row, column) to its transpose."""
+    length = np.linalg.norm(design, axis=-2)
+    unit = np.where(length > 0.0, length, np.inf) ** -1.0
+    return np.asarray(unit[..., None] * np.linalg.pinv(design * unit[..., None, :], rcond=share))
+
+
+def fit_least_squares(design: Floats, values: Floats, share: float = SHARE) -> Floats:
+    """Amounts of the columns of a design, shape (row, column), in values, shape (row,) or (..., row, any)."""
+    return np.asarray(pseudo_invert(design, share) @ values)
+
+
+def _regularise(matrix: Floats) -> tuple[Floats, Floats]:
+    """As `scale_to_unit_diagonal`, with 1 on the diagonal also for a parameter that is not there: its unit is 0."""
+    scaled, unit = scale_to_unit_diagonal(matrix)
+    if not np.all(unit):
+        np.einsum("...ii->...i", scaled)[unit == 0.0] = 1.0
+    return scaled, unit
+
+
+def _is_far(scaled: Floats, share: float) -> NDArray[np.bool_]:
+    """Whether no eigenvalue of unit-diagonal matrices is near the share, shape (...)."""
+    lifted = scaled.copy()
+    # a hundredth of what is looked for keeps one singular matrix from stopping all others
+    np.einsum("...ii->...i", lifted)[...] += FAR / 100.0 * share
+    try:
+        factor = np.linalg.cholesky(lifted)
+    except np.linalg.LinAlgError:  # NaN, or negative beyond rounding: eigenvalues say where
+        return np.zeros(scaled.shape[:-2], dtype=bool)
+    return np.asarray(np.all(np.diagonal(factor, axis1=-2, axis2=-1) ** 2 > FAR * share, axis=-1))
+
+
+def _root_of_inverse(scaled: Floats, share: float) -> Floats:
+    is_finite = np.all(np.isfinite(scaled), axis=(-2, -1), keepdims=True)
+    values, vectors = np.linalg.eigh(np.where(is_finite, scaled, 0.0))
+    is_there = values > share * values[..., -1:]
+    root = vectors * (np.where(is_there, values, np.inf) ** -0.5)[..., None, :]
+    return np.where(is_finite, root, np.nan)
