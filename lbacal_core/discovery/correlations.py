@@ -11,7 +11,7 @@ from lbacal_core.causes.cause import Cause, Template
 from lbacal_core.discovery.families import FamilySpectra, SpectralFamily, batch_families, group_templates
 from lbacal_core.discovery.hypothesis import Target
 from lbacal_core.discovery.project import LinearModel
-from lbacal_core.discovery.view import SMALLEST_INFORMATION, View
+from lbacal_core.discovery.view import SMALLEST_EIGENVALUE, SMALLEST_INFORMATION, View
 from lbacal_core.grids import Floats
 
 
@@ -24,7 +24,9 @@ def correlate(model: LinearModel, families: Sequence[SpectralFamily], target: Ta
     view, spectra = _best_view(model, target, [FamilySpectra.of(model, [one]) for one in families])
     product = view.products([view.see(one.whole) for one in spectra], [family.profiles for family in families])[0]
     information = np.diag(product)
-    size = np.sqrt(np.where(information > SMALLEST_INFORMATION, information, np.inf))
+    # profiling out leaves rounding of what a template had, which grows with the data and with the kernel of the algebra
+    smallest = max(SMALLEST_INFORMATION, SMALLEST_EIGENVALUE * information.max(initial=0.0))
+    size = np.sqrt(np.where(information > smallest, information, np.inf))
     return np.asarray(product / np.outer(size, size))
 
 
