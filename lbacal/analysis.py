@@ -25,16 +25,15 @@ from astropy import units as u
 from astropy.table import QTable
 
 from lbacal.chain import Chain, convert_number, convert_numbers
-from lbacal_core.antenna_gain import ABSOLUTE, GainProvenance
-from lbacal_core.antenna_records import AntennaRecord
-from lbacal_core.curves import CalibrationCurve, FitReport
+from lbacal_core.curves.curves import CalibrationCurve, FitReport
 from lbacal_core.errors import MissingExtraError, UnknownNameError
-from lbacal_core.instrument import Instrument as CoreInstrument
-from lbacal_core.instrument import load_instrument
-from lbacal_core.site import Site as CoreSite
+from lbacal_core.instrument.antennas import ABSOLUTE, AntennaRecord, GainProvenance
+from lbacal_core.instrument.antennas import Site as CoreSite
+from lbacal_core.instrument.instrument import Instrument as CoreInstrument
+from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.skypower.table import SkyPower
-from lbacal_core.spectra import Spectra
-from lbacal_core.spectra import read_spectra as read_core_spectra
+from lbacal_core.spectra.spectra import Spectra
+from lbacal_core.spectra.spectra import read_spectra as read_core_spectra
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -315,7 +314,7 @@ def fit(
     What the quick part of the audit says of the spectra is `report.provenance.notes["audit"]`; it refuses decibels and
     volts.
     """
-    from lbacal_core.audit.quick import audit_quickly
+    from lbacal_core.audit.audit import audit_quickly
     from lbacal_core.pipeline import calibrate
     from lbacal_core.skypower.model import compute_sky_power
 

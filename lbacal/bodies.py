@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lbacal_core.spectra import Spectra, write_spectra
+from lbacal_core.spectra.spectra import Spectra, write_spectra
 
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 

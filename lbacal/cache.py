@@ -22,9 +22,9 @@ from lbacal.files import written_beside
 from lbacal.instants import format_instant, parse_instant
 from lbacal.tables import write_format
 from lbacal.transport import RefusedError
-from lbacal_core.covariance import name_budgets
+from lbacal_core.curves.covariance import name_budgets
+from lbacal_core.curves.validity import Instant
 from lbacal_core.errors import BadInputError, LbacalError
-from lbacal_core.validity import Instant
 
 FORMAT = "lbacal-cache-1"
 ARRAY = ""

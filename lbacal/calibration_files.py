@@ -12,8 +12,8 @@ import h5py
 import numpy as np
 
 from lbacal.tables import COLUMNS, NO_ANTENNA, write_format
+from lbacal_core.curves.galcal import FORMAT, KEY, name_path
 from lbacal_core.errors import BadInputError, UnreadableFileError
-from lbacal_core.galcal import FORMAT, KEY, name_path
 from lbacal_core.hdf5 import INTEGERS, NUMBERS, STRINGS, Kind, open_dataset, read_text, read_values
 
 FORMATS = {

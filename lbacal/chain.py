@@ -12,9 +12,8 @@ from astropy import units as u
 
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
-from lbacal_core.stage_files import interpolate, read_touchstone_gain
-from lbacal_core.stages import FREE, gain_behind, require_chain
-from lbacal_core.stages import Stage as CoreStage
+from lbacal_core.instrument.stages import FREE, gain_behind, interpolate, read_touchstone_gain, require_chain
+from lbacal_core.instrument.stages import Stage as CoreStage
 
 
 def convert_number(value: Any, unit: u.UnitBase) -> float:

@@ -18,13 +18,13 @@ import numpy as np
 from lbacal.cache import Cache, Question, Snapshot, find_cache
 from lbacal.instants import parse_instant
 from lbacal.transport import STUCK_S, TRIES, Transport, UnreachableError
+from lbacal_core.curves.galcal import name_path
 from lbacal_core.errors import BadInputError
-from lbacal_core.galcal import name_path
 
 if TYPE_CHECKING:
     from astropy.table import QTable
 
-    from lbacal_core.spectra import Spectra
+    from lbacal_core.spectra.spectra import Spectra
 
 DEFAULT_URL = "http://127.0.0.1:8000"
 _EFFECTIVE = "/v1/calibrations/effective"
@@ -171,7 +171,7 @@ class Client:
             Called with the number of events sent and their total.
         """
         from lbacal.bodies import files_of_events
-        from lbacal_core.spectra import read_spectra
+        from lbacal_core.spectra.spectra import read_spectra
 
         measured = read_spectra(Path(spectra)) if isinstance(spectra, str | Path) else spectra
         total = {"received": 0, "stored": 0, "duplicates": 0}

@@ -11,12 +11,12 @@ import h5py
 import numpy as np
 
 from lbacal.instants import parse_instant
+from lbacal_core.curves.galcal import make_head
 from lbacal_core.errors import BadInputError, MissingExtraError
-from lbacal_core.galcal import make_head
 from lbacal_core.grids import Floats
 
 if TYPE_CHECKING:
-    from lbacal_core.instrument import Instrument
+    from lbacal_core.instrument.instrument import Instrument
 
 JONES = {"X": -5, "Y": -6}
 """AIPS numbers of the gains of linear feeds (AIPS memo 117)."""

@@ -6,8 +6,8 @@ import math
 import re
 from datetime import UTC, datetime, timedelta
 
+from lbacal_core.curves.validity import Instant
 from lbacal_core.errors import BadInputError
-from lbacal_core.validity import Instant
 
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 MICROSECOND = timedelta(microseconds=1)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from lbacal.client import Client
 from lbacal.voltages import calibrate_trace
-from lbacal_core.curves import OK
+from lbacal_core.curves.curves import OK
 from lbacal_core.errors import BadInputError
 
 if TYPE_CHECKING:

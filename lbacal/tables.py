@@ -11,9 +11,8 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from lbacal_core.errors import BadInputError
-from lbacal_core.galcal import KEY, make_head
-from lbacal_core.in_words import name_path
+from lbacal_core.curves.galcal import KEY, make_head
+from lbacal_core.errors import BadInputError, name_path
 from lbacal_core.provenance import canonical_json
 
 if TYPE_CHECKING:

@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from lbacal_core.curves.galcal import name_path
 from lbacal_core.errors import BadInputError
-from lbacal_core.galcal import name_path
 from lbacal_core.grids import Floats
 
 if TYPE_CHECKING:
     from astropy.table import QTable
 
-    from lbacal_core.curves import CalibrationCurve
+    from lbacal_core.curves.curves import CalibrationCurve
     from lbacal_core.traces.voltage import CalibratedTrace
 
 
@@ -29,7 +29,7 @@ def calibrate_trace(samples: Floats, sample_rate_mhz: float, effective: QTable) 
     effective
         The answer of `lbacal.effective` for the one path that recorded the trace.
     """
-    from lbacal_core.covariance import parse_budget
+    from lbacal_core.curves.covariance import parse_budget
     from lbacal_core.traces.voltage import calibrate_trace as calibrate
 
     curve = curve_of(effective)
@@ -39,8 +39,8 @@ def calibrate_trace(samples: Floats, sample_rate_mhz: float, effective: QTable) 
 
 def curve_of(effective: QTable) -> CalibrationCurve:
     """The curve in the rows of one path."""
-    from lbacal_core.covariance import parse_covariance
-    from lbacal_core.curves import CONVERGED, CalibrationCurve
+    from lbacal_core.curves.covariance import parse_covariance
+    from lbacal_core.curves.curves import CONVERGED, CalibrationCurve
 
     paths = {(str(row["station"]), int(row["antenna"]), str(row["dipole"])) for row in effective}
     if len(paths) != 1:

@@ -1,27 +1,26 @@
 """The main path on one page: spectra, sky power and the chain go in; calibration curves with their errors come out.
 
-P_sky(LST, nu)      lbacal_core.skypower    the Galaxy, seen by the antenna
+P_sky(LST, nu)      lbacal_core.skypower                the Galaxy, seen by the antenna
 P = s P_sky + b     lbacal_core.calibration.lines       a straight line per channel and path
 b = N_LNA s + ...   lbacal_core.calibration.separable   the chain ties the intercepts together
-C = (G_ant / s)^1/2 lbacal_core.chain       the calibration factor
-P / P(causes)       lbacal_core.adopted     what the model's adopted causes do, their sizes fitted with C
-sigma_sys(C)        lbacal_core.uncertainty every input that may be wrong, exchanged and fitted again
+C = (G_ant / s)^1/2 lbacal_core.chain                   the calibration factor
+P / P(causes)       lbacal_core.discovery.calibrate     what the model's adopted causes do, their sizes fitted with C
+sigma_sys(C)        lbacal_core.uncertainty             every input that may be wrong, exchanged and fitted again
 """
 
 from __future__ import annotations
 
-from lbacal_core.adopted import fit_causes
-from lbacal_core.calibration.freedom import free_own_sky
+from lbacal_core.calibration.chain_test import free_own_sky
 from lbacal_core.calibration.singles import RememberedSingles
-from lbacal_core.curves import FitReport
-from lbacal_core.instrument import Instrument
-from lbacal_core.model import PLAIN, Model
-from lbacal_core.remembered import Remembered
+from lbacal_core.causes.model import PLAIN, Model
+from lbacal_core.curves.curves import FitReport
+from lbacal_core.discovery.calibrate import fit_causes
+from lbacal_core.instrument.instrument import Instrument
+from lbacal_core.provenance import Remembered
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.table import SkyPower
-from lbacal_core.spectra import Spectra
-from lbacal_core.uncertainty.changes import DEFAULT_SKY_BUDGET
-from lbacal_core.uncertainty.refit import add_budget, compute_budget
+from lbacal_core.spectra.spectra import Spectra
+from lbacal_core.uncertainty.refit import DEFAULT_SKY_BUDGET, add_budget, compute_budget
 
 
 def calibrate(

@@ -11,20 +11,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lbacal_core import covariance
 from lbacal_core.calibration.fit import fit_calibration
-from lbacal_core.curves import CalibrationCurve
-from lbacal_core.data.lofar import DIPOLES
+from lbacal_core.curves import covariance
+from lbacal_core.curves.curves import CalibrationCurve
+from lbacal_core.data.tables import DIPOLES
 from lbacal_core.grids import Floats
-from lbacal_core.sky.measured import MEASURED_SKY
-from lbacal_core.sky.names import DEFAULT_SKY, list_skies, load_sky
-from lbacal_core.skypower.model import compute_sky_power
+from lbacal_core.sky.names import DEFAULT_SKY, MEASURED_SKY, list_skies, load_sky
+from lbacal_core.skypower.model import compute_sky_power, vary_sky_power
 from lbacal_core.skypower.sky_terms import PAPER
 from lbacal_core.skypower.table import SkyPower
-from lbacal_core.skypower.variation import vary_sky_power
-from lbacal_core.spectra import Spectra
+from lbacal_core.spectra.spectra import Spectra
 from lbacal_core.uncertainty import refit as uncertainty
-from lbacal_core.uncertainty.changes import PAPER_BUDGET, PATTERN, ZENITH_GAIN
+from lbacal_core.uncertainty.refit import PAPER_BUDGET, PATTERN, ZENITH_GAIN
 from lbacal_paper.study import SEED, STATION, Study
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.settings import TwinSettings

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from lbacal_core.data.lofar import DIPOLES
+from lbacal_core.data.tables import DIPOLES
 from lbacal_core.lstcurve.compare import compare_lst_curve
-from lbacal_core.skypower.variation import vary_sky_power
-from lbacal_core.uncertainty.changes import ZENITH_GAIN
+from lbacal_core.skypower.model import vary_sky_power
+from lbacal_core.uncertainty.refit import ZENITH_GAIN
 from lbacal_paper.budget import EDGE_MHZ, Budget, spread_with_cables
 from lbacal_paper.statements import Result, not_testable
 from lbacal_paper.study import Study

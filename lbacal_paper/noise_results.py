@@ -6,31 +6,28 @@ from dataclasses import replace
 
 import numpy as np
 
+from lbacal_core.calibration.antenna_noise import noise_at_input
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.calibration.lines import fit_lines
-from lbacal_core.calibration.residuals import noise_at_input
-from lbacal_core.data.lofar import DIPOLES
-from lbacal_core.data.tables import read_table
-from lbacal_core.discovery.curve_fit import CurveFitter
-from lbacal_core.discovery.curve_station import GRID_HOURS, gather_curve, list_choices
+from lbacal_core.data.tables import DIPOLES, read_table
+from lbacal_core.discovery.curve_fit import GRID_HOURS, CurveFitter, gather_curve, list_choices
 from lbacal_core.grids import Floats
+from lbacal_core.instrument.sidereal import local_sidereal_time
 from lbacal_core.lstcurve.compare import (
     AS_RECORDED,
     BAND_MHZ,
     Comparison,
     band_weights,
     in_db,
+    noise_prior,
     simulate_band_power,
 )
-from lbacal_core.lstcurve.curve import LstCurve
-from lbacal_core.lstcurve.noise import estimate_noise
-from lbacal_core.lstcurve.noise_share import noise_prior
-from lbacal_core.sidereal import local_sidereal_time
+from lbacal_core.lstcurve.curve import LstCurve, estimate_noise
 from lbacal_core.sky.names import DEFAULT_SKY, list_skies
 from lbacal_core.skypower.differences import FULL_MAPS, model_difference_modes
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.table import SkyPower
-from lbacal_core.spectra_blocks import split_into_blocks
+from lbacal_core.spectra.blocks import split_into_blocks
 from lbacal_paper.budget import has_every_channel
 from lbacal_paper.statements import Result, not_testable
 from lbacal_paper.study import STATION, Study

@@ -6,7 +6,7 @@ import numpy as np
 
 from lbacal_core.data.tables import read_table
 from lbacal_core.grids import Floats
-from lbacal_core.instrument import Instrument
+from lbacal_core.instrument.instrument import Instrument
 from lbacal_twin.settings import TwinSettings
 from lbacal_twin.stage_noise import KELVIN_W_MHZ, draw_stage_noise
 from lbacal_twin.stages import Scene, Stages

@@ -9,8 +9,8 @@ import numpy as np
 
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
-from lbacal_core.sidereal import local_sidereal_time
-from lbacal_core.spectra import Spectra
+from lbacal_core.instrument.sidereal import local_sidereal_time
+from lbacal_core.spectra.spectra import Spectra
 from lbacal_twin.stages import Stages
 
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from lbacal_core.grids import Floats
-from lbacal_core.instrument import Instrument
-from lbacal_core.stages import SEEN, Stage, split_stages
+from lbacal_core.instrument.instrument import Instrument
+from lbacal_core.instrument.stages import SEEN, Stage, split_stages
 
 KELVIN_W_MHZ = 1.380649e-23 * 1e6
 """Power of 1 K in 1 MHz, W/MHz."""

@@ -15,9 +15,9 @@ from scipy.interpolate import CubicSpline
 
 from lbacal_core.antenna.model import AntennaModel, Complexes
 from lbacal_core.antenna.names import DEFAULT_ANTENNA, load_antenna
-from lbacal_core.antenna.tilted import raise_arm
+from lbacal_core.antenna.varied import raise_arm
 from lbacal_core.grids import Floats
-from lbacal_core.instrument import Instrument
+from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.sky.model import SkyModel
 from lbacal_core.sky.names import DEFAULT_SKY, default_sky, load_sky
 from lbacal_twin.bodies import horizontal, on_the_equator_of

@@ -14,8 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lbacal_core.grids import Floats
-from lbacal_core.traces.frames import FRAME, header_checksums, sample_checksums
-from lbacal_core.traces.trace import ADC_HIGHEST, ADC_LOWEST, BLOCK_SAMPLES, TraceReference
+from lbacal_core.traces.trace import (
+    ADC_HIGHEST,
+    ADC_LOWEST,
+    BLOCK_SAMPLES,
+    FRAME,
+    TraceReference,
+    header_checksums,
+    sample_checksums,
+)
 from lbacal_twin.stages import Stages
 
 SAMPLE_RATE_HZ = 200e6

@@ -14,7 +14,7 @@ from threadpoolctl import threadpool_limits
 from lbacal_core.antenna.names import load_antenna
 from lbacal_core.errors import UnknownNameError
 from lbacal_core.grids import Floats
-from lbacal_core.instrument import Instrument
+from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.sky.model import SkyModel
 from lbacal_core.sky.names import load_sky
 from lbacal_core.skypower.model import compute_sky_power

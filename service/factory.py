@@ -10,10 +10,10 @@ from collections.abc import Callable, Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING
 
-from lbacal_core.instrument import Instrument, load_instrument
-from lbacal_core.remembered import Remembered
+from lbacal_core.curves.validity import Instant
+from lbacal_core.instrument.instrument import Instrument, load_instrument
+from lbacal_core.provenance import Remembered
 from lbacal_core.skypower.table import SkyPower, read_sky_power
-from lbacal_core.validity import Instant
 from service.config import Settings
 from service.storage.database import Database
 from service.usecases.alarms import Alarms
@@ -105,14 +105,14 @@ class Factory:
         """What the package's own P_sky may be wrong by; a file is taken at its word."""
         if self.settings.sky_power is not None:
             return None
-        from lbacal_core.calibration.freedom import free_own_sky
+        from lbacal_core.calibration.chain_test import free_own_sky
 
         return free_own_sky(self.instrument)
 
     @cached_property
     def changes(self) -> Sequence[SkyTerm]:
         """What sky, pattern and ground may be wrong by, for the budget of C."""
-        from lbacal_core.uncertainty.changes import list_changes
+        from lbacal_core.uncertainty.refit import list_changes
 
         return list_changes(self.instrument)
 

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
-from lbacal_core.antenna_records import AntennaRecord
-from lbacal_core.covariance import Budget, BudgetTerm, CurveCovariance
-from lbacal_core.curves import CalibrationCurve
-from lbacal_core.instrument import Instrument
+from lbacal_core.curves.covariance import Budget, BudgetTerm, CurveCovariance
+from lbacal_core.curves.curves import CalibrationCurve
+from lbacal_core.instrument.antennas import AntennaRecord
+from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.skypower.table import SkyPower
 from validation.running.postgres import find_binaries
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from lbacal_core.antenna_records import AntennaRecord
 from lbacal_core.grids import Floats
-from lbacal_core.instrument import Instrument
-from lbacal_core.spectra import Spectra
+from lbacal_core.instrument.antennas import AntennaRecord
+from lbacal_core.instrument.instrument import Instrument
+from lbacal_core.spectra.spectra import Spectra
 
 FREQUENCY = np.arange(42.0, 56.0)
 DAY_S, SIDEREAL_DAY_S, START = 86_400.0, 86_164.09, 1_656_633_600.0

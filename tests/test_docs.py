@@ -14,16 +14,16 @@ import numpy as np
 import pytest
 
 from lbacal import tables
-from lbacal_core import spectra
 from lbacal_core.causes.catalogue import ANTENNA_CAUSES, CAUSES
-from lbacal_core.curves import CalibrationCurve, FitReport, parse_curve
-from lbacal_core.discovery import curve_report as report_of_curve
+from lbacal_core.curves.curves import CalibrationCurve, FitReport, parse_curve
+from lbacal_core.curves.reference_chain import CableTable, GainSpread, GainSpreads, ReferenceChain
+from lbacal_core.discovery import curve_search as report_of_curve
 from lbacal_core.discovery import report as report_of_spectra
-from lbacal_core.instrument import load_instrument
+from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.lstcurve import curve as lst_curve
 from lbacal_core.provenance import Provenance
-from lbacal_core.reference_chain import CableTable, GainSpread, GainSpreads, ReferenceChain
 from lbacal_core.skypower.table import read_sky_power
+from lbacal_core.spectra import spectra
 from lbacal_core.traces.assembly import COVARIATES, read_event_facts
 from service.cli.reference import describe_causes, describe_commands, describe_settings
 from service.wire import formats

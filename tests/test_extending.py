@@ -14,8 +14,8 @@ import pytest
 ASK = """
 import numpy as np
 from dataclasses import replace
-from lbacal_core.discovery.investigate import investigate
-from lbacal_core.instrument import load_instrument
+from lbacal_core.discovery.report import investigate
+from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.faults.antenna import GainTemperature

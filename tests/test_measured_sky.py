@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from lbacal_core.calibration.fit import fit_calibration
-from lbacal_core.instrument import load_instrument
-from lbacal_core.sky.measured import read_sky_level
+from lbacal_core.instrument.instrument import load_instrument
+from lbacal_core.sky.names import read_sky_level
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.settings import TwinSettings

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lbacal_core.audit.health import compare_paths
+from lbacal_core.audit.antennas import compare_paths
 from lbacal_core.audit.station import split_stations, spread
 from validation.scripts.draw_other_instruments import PAGE, make_tables, read_eda2, read_hera
 

@@ -18,14 +18,13 @@ from typing import Any
 
 import numpy as np
 
-from lbacal_core.antenna_gain import GainProvenance
-from lbacal_core.antenna_records import AntennaRecord
 from lbacal_core.calibration.fit import fit_calibration
-from lbacal_core.curves import CONVERGED, CalibrationCurve
-from lbacal_core.discovery.investigate import investigate
-from lbacal_core.instrument import Instrument
+from lbacal_core.curves.curves import CONVERGED, CalibrationCurve
+from lbacal_core.discovery.report import investigate
+from lbacal_core.instrument.antennas import AntennaRecord, GainProvenance
+from lbacal_core.instrument.instrument import Instrument
+from lbacal_core.instrument.stages import Stage, gain_behind
 from lbacal_core.skypower.model import compute_sky_power
-from lbacal_core.stages import Stage, gain_behind
 from lbacal_twin.campaign import draw_stations, simulate_campaign
 from lbacal_twin.faults.antenna import GainStep
 from lbacal_twin.faults.fault import Fault, Where

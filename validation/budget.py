@@ -17,19 +17,16 @@ from functools import cache, partial
 import numpy as np
 from scipy.special import expit
 
-from lbacal_core.antenna_records import AntennaRecord
-from lbacal_core.calibration.chain_test import SkyFreedom
+from lbacal_core.calibration.chain_test import OtherAntenna, SkyFreedom, free_own_sky
 from lbacal_core.calibration.fit import fit_calibration
-from lbacal_core.calibration.freedom import free_own_sky
-from lbacal_core.calibration.other_antennas import OtherAntenna
-from lbacal_core.curves import MISFIT
-from lbacal_core.instrument import Instrument, load_instrument
+from lbacal_core.curves.curves import MISFIT
+from lbacal_core.instrument.antennas import AntennaRecord
+from lbacal_core.instrument.instrument import Instrument, load_instrument
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.sky_terms import SkyTerm
 from lbacal_core.skypower.table import SkyPower, read_at
-from lbacal_core.spectra import Spectra
-from lbacal_core.uncertainty.changes import list_changes
-from lbacal_core.uncertainty.refit import INTERFERENCE, RARE_MISTAKE, add_budget, compute_budget
+from lbacal_core.spectra.spectra import Spectra
+from lbacal_core.uncertainty.refit import INTERFERENCE, RARE_MISTAKE, add_budget, compute_budget, list_changes
 from lbacal_twin.campaign import Campaign, simulate_campaign
 from lbacal_twin.settings import TwinSettings
 from validation.machinery.claims import Found, mean_of

@@ -18,10 +18,9 @@ from scipy.constants import speed_of_light
 from lbacal_core.antenna.model import AntennaModel, directional_response
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
-from lbacal_core.sidereal import local_sidereal_time
-from lbacal_core.sky.frames import local_direction, precess
+from lbacal_core.instrument.sidereal import local_sidereal_time, sun_position
+from lbacal_core.sky.model import local_direction, precess
 from lbacal_core.sky.sources import find_sources
-from lbacal_core.sun import sun_position
 
 SUN = "sun"
 SHORTEST_WAVELENGTHS = 4.0

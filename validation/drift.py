@@ -16,8 +16,8 @@ from functools import partial
 
 import numpy as np
 
-from lbacal_core.drift.changes import list_changes
 from lbacal_core.drift.follow import Followed, History, follow
+from lbacal_core.drift.report import list_changes
 from validation.drift_world import DAY, START, YEAR, World, cut_short, draw_history
 from validation.hidden.detection import fit_detection
 from validation.machinery.claims import Found, Interval, One, mean_of, rate_of

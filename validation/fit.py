@@ -15,14 +15,14 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from lbacal_core.calibration.fit import fit_calibration
-from lbacal_core.curves import CONVERGED
+from lbacal_core.curves.curves import CONVERGED
 from lbacal_core.data.tables import read_table
 from lbacal_core.grids import Floats
-from lbacal_core.instrument import Instrument, load_instrument
-from lbacal_core.sidereal import local_sidereal_time
+from lbacal_core.instrument.instrument import Instrument, load_instrument
+from lbacal_core.instrument.sidereal import local_sidereal_time
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.table import SkyPower, read_sky_power
-from lbacal_core.spectra import Spectra, read_spectra
+from lbacal_core.spectra.spectra import Spectra, read_spectra
 from validation.machinery.claims import Found, mean_of, rate_of, spread_interval, spread_of, worst_of
 from validation.machinery.parts import SHARED, Part, Row
 

@@ -34,10 +34,10 @@ from schemathesis.specs.openapi.checks import (
 
 from lbacal.cache import Cache
 from lbacal_core.errors import LbacalError
-from lbacal_core.instrument import load_instrument
+from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.lstcurve.curve import read_lst_curve
 from lbacal_core.skypower.table import read_sky_power
-from lbacal_core.spectra import Spectra, write_spectra
+from lbacal_core.spectra.spectra import Spectra, write_spectra
 from service.wire.bodies import FlagBody, PromotionBody, RefitBody, SpectraBody, parse_body
 from service.wire.formats import choose_format
 from service.wire.hdf5_body import FileReader

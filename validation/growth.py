@@ -21,11 +21,11 @@ import numpy as np
 import psycopg
 from fastapi.testclient import TestClient
 
-from lbacal_core.curves import CONVERGED, CalibrationCurve
-from lbacal_core.drift.whole import FEWEST_YEARS
-from lbacal_core.instrument import load_instrument
-from lbacal_core.spectra import Spectra
-from lbacal_core.validity import Promotion, Scope
+from lbacal_core.curves.curves import CONVERGED, CalibrationCurve
+from lbacal_core.curves.validity import Promotion, Scope
+from lbacal_core.drift.follow import FEWEST_YEARS
+from lbacal_core.instrument.instrument import load_instrument
+from lbacal_core.spectra.spectra import Spectra
 from service.app import make_app
 from service.config import Settings
 from service.factory import Factory

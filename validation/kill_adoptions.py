@@ -21,7 +21,7 @@ from typing import Any
 import httpx2
 import numpy as np
 
-from lbacal_core.instrument import load_instrument
+from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.table import write_sky_power
 from lbacal_twin.campaign import simulate_campaign

@@ -25,10 +25,10 @@ import psycopg
 
 from lbacal.bodies import bodies_of_events
 from lbacal_core.grids import Floats
-from lbacal_core.instrument import load_instrument
+from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.table import write_sky_power
-from lbacal_core.spectra import Spectra
+from lbacal_core.spectra.spectra import Spectra
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.settings import TwinSettings
 from service.config import Settings

@@ -21,11 +21,11 @@ from typing import Any
 import numpy as np
 
 from lbacal_core.calibration.fit import fit_calibration
-from lbacal_core.curves import CalibrationCurve
+from lbacal_core.curves.curves import CalibrationCurve
+from lbacal_core.curves.validity import Instant, Scope
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.table import write_sky_power
-from lbacal_core.spectra import Spectra
-from lbacal_core.validity import Instant, Scope
+from lbacal_core.spectra.spectra import Spectra
 from lbacal_twin.campaign import Campaign, simulate_campaign
 from lbacal_twin.faults.antenna import GainTemperature
 from lbacal_twin.faults.fault import Fault

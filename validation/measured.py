@@ -15,16 +15,13 @@ from typing import Any
 import numpy as np
 
 from lbacal.cli.curve_figures import name_hypothesis
-from lbacal_core.data.lofar import DIPOLES
+from lbacal_core.data.tables import DIPOLES
 from lbacal_core.discovery.curve_fit import CurveFit
-from lbacal_core.discovery.curve_report import describe_curve
-from lbacal_core.discovery.lst_curve import CurveInvestigation, investigate_curve
+from lbacal_core.discovery.curve_search import CurveInvestigation, describe_curve, investigate_curve
 from lbacal_core.grids import Floats
-from lbacal_core.instrument import Instrument, load_instrument
-from lbacal_core.lstcurve.compare import AS_RECORDED, FLAT, band_weights
-from lbacal_core.lstcurve.curve import LstCurve, measured_curve, read_lst_curve
-from lbacal_core.lstcurve.noise import PointNoise, estimate_noise
-from lbacal_core.lstcurve.noise_share import NoisePrior, noise_prior
+from lbacal_core.instrument.instrument import Instrument, load_instrument
+from lbacal_core.lstcurve.compare import AS_RECORDED, FLAT, NoisePrior, band_weights, noise_prior
+from lbacal_core.lstcurve.curve import LstCurve, PointNoise, estimate_noise, measured_curve, read_lst_curve
 from lbacal_core.provenance import Provenance
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.table import SkyPower

@@ -17,20 +17,18 @@ import numpy as np
 
 from lbacal_core.antenna.ideal import ShortDipole
 from lbacal_core.antenna.model import AntennaModel
-from lbacal_core.calibration.chain_test import SkyFreedom
+from lbacal_core.calibration.chain_test import SkyFreedom, free_own_sky
 from lbacal_core.calibration.fit import fit_calibration
-from lbacal_core.calibration.freedom import free_own_sky
-from lbacal_core.curves import CONVERGED, MISFIT, OK, CalibrationCurve, FitReport
+from lbacal_core.curves.curves import CONVERGED, MISFIT, OK, CalibrationCurve, FitReport
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
-from lbacal_core.instrument import Instrument, load_instrument
+from lbacal_core.instrument.instrument import Instrument, load_instrument
 from lbacal_core.skypower.differences import DifferenceModels
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.sky_terms import SkyTerm
 from lbacal_core.skypower.table import SkyPower
-from lbacal_core.spectra import Spectra
-from lbacal_core.uncertainty.changes import list_changes
-from lbacal_core.uncertainty.refit import add_budget, compute_budget
+from lbacal_core.spectra.spectra import Spectra
+from lbacal_core.uncertainty.refit import add_budget, compute_budget, list_changes
 from lbacal_twin.campaign import Campaign, simulate_campaign
 from lbacal_twin.gains import NOISES
 from lbacal_twin.settings import TwinSettings

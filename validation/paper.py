@@ -21,17 +21,16 @@ from lbacal_core.calibration.antenna_noise import (
     recorded_electronics,
 )
 from lbacal_core.calibration.fit import fit_calibration
-from lbacal_core.covariance import Budget
-from lbacal_core.curves import CalibrationCurve
-from lbacal_core.data.lofar import DIPOLES
+from lbacal_core.curves.covariance import Budget
+from lbacal_core.curves.curves import CalibrationCurve
+from lbacal_core.data.tables import DIPOLES
 from lbacal_core.grids import Floats
-from lbacal_core.instrument import Instrument, load_instrument
+from lbacal_core.instrument.instrument import Instrument, load_instrument
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.power import RESISTANCE_OHM
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.traces.voltage import calibrate_trace
-from lbacal_core.uncertainty.electronics import electronics_sigma
-from lbacal_core.uncertainty.refit import compute_budget
+from lbacal_core.uncertainty.refit import compute_budget, electronics_sigma
 from lbacal_paper.reference_source import floor_factor, near_field_factor
 from lbacal_paper.showers.comparison import Displacement, compare_calibrations
 from lbacal_paper.showers.recording import record

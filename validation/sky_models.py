@@ -13,7 +13,7 @@ import numpy as np
 
 from lbacal_core.antenna.hamaker import load_hamaker
 from lbacal_core.grids import Floats
-from lbacal_core.instrument import Instrument, load_instrument
+from lbacal_core.instrument.instrument import Instrument, load_instrument
 from lbacal_core.lstcurve.compare import AS_RECORDED, band_weights, compare_lst_curve
 from lbacal_core.lstcurve.curve import LstCurve, measured_curve, read_lst_curve
 from lbacal_core.sky.names import load_sky

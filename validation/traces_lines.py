@@ -14,8 +14,7 @@ from matplotlib.figure import Figure
 
 from lbacal_core.grids import Floats
 from lbacal_core.traces.background import PathBackground, measure_traces
-from lbacal_core.traces.density import bin_weights, line_response
-from lbacal_core.traces.interference import LARGEST_LEAK
+from lbacal_core.traces.density import LARGEST_LEAK, bin_weights, line_response
 from lbacal_core.traces.trace import BLOCK_SAMPLES
 from lbacal_twin.voltages import SAMPLE_RATE_HZ, Transmitter, draw_noise
 from validation.machinery.claims import Found, mean_of, rate_of, worst_of

@@ -26,10 +26,10 @@ import numpy as np
 import psycopg
 import uvicorn
 
-from lbacal_core.instrument import load_instrument
+from lbacal_core.curves.validity import Instant
+from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.table import write_sky_power
-from lbacal_core.validity import Instant
 from service.app import make_app
 from service.cli.connections import configure_server, listen
 from service.config import Settings

@@ -27,10 +27,10 @@ def antenna_gain(
 
     Example: lbacal antenna-gain --instrument I.json --antenna lba.npz --source "NEC, our model" --output I2.json
     """
-    from lbacal_core.antenna.gain import take_antenna_gain
+    from lbacal_core.antenna.names import take_antenna_gain
     from lbacal_core.errors import BadInputError
-    from lbacal_core.instrument import parse_instrument
-    from lbacal_core.json_values import read_json
+    from lbacal_core.foreign import read_json
+    from lbacal_core.instrument.instrument import parse_instrument
 
     require_outputs({"--output": output}, {"--instrument": instrument, "--antenna": antenna})
     content = read_json(instrument)

@@ -11,8 +11,8 @@ import typer
 from lbacal.cli.outputs import require_outputs
 
 if TYPE_CHECKING:
-    from lbacal_core.instrument import Instrument
-    from lbacal_core.spectra import Spectra
+    from lbacal_core.instrument.instrument import Instrument
+    from lbacal_core.spectra.spectra import Spectra
 
 EXIT_WRONG = 3
 """Exit code when something is wrong with a station: the work was done, so neither 1 nor 2."""
@@ -35,7 +35,7 @@ def audit(
     time. Exit 0 if nothing is wrong, 3 if something is.
     """
     from lbacal_core.audit.audit import audit as audit_spectra
-    from lbacal_core.instrument import load_instrument
+    from lbacal_core.instrument.instrument import load_instrument
 
     require_outputs({"--report": report, "--html": html}, {"DATA": data, "--instrument": instrument})
     chain = load_instrument(instrument)
@@ -65,7 +65,7 @@ def _read(data: Path, chain: Instrument, average_s: float) -> Spectra:
     from lbacal_core.readers.average import average
     from lbacal_core.readers.open import choose_channels, open_source
     from lbacal_core.readers.statistics import is_statistics
-    from lbacal_core.spectra import read_spectra
+    from lbacal_core.spectra.spectra import read_spectra
 
     is_hdf5 = data.is_file() and data.suffix != ".uvh5" and (data.suffix in (".h5", ".hdf5") or h5py.is_hdf5(data))
     if is_hdf5 and not is_statistics(data):

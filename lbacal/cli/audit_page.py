@@ -9,8 +9,8 @@ from matplotlib.figure import Figure
 
 from lbacal.cli.figures import DIPOLE_COLOURS, GREY
 from lbacal.cli.report_pages import embed, fill_report
+from lbacal_core.audit.antennas import compare_paths
 from lbacal_core.audit.audit import AuditReport
-from lbacal_core.audit.health import compare_paths
 from lbacal_core.audit.station import AuditedStation
 
 SHORTEST_HOURS = 0.5

@@ -13,7 +13,7 @@ import typer
 from lbacal.cli.fit_inputs import find_spectra_files, parse_selection, read_selected
 from lbacal.cli.outputs import require_image, require_outputs
 from lbacal.cli.with_model import read_open_terms
-from lbacal_core.covariance import Budget, BudgetTerm
+from lbacal_core.curves.covariance import Budget, BudgetTerm
 from lbacal_core.grids import Floats
 
 if TYPE_CHECKING:
@@ -49,8 +49,8 @@ def budget(
 
     Example: lbacal budget spectra.h5 --instrument lofar-superterp --sky measured --plot budget.png
     """
-    from lbacal_core.calibration.freedom import free_own_sky
-    from lbacal_core.instrument import load_instrument
+    from lbacal_core.calibration.chain_test import free_own_sky
+    from lbacal_core.instrument.instrument import load_instrument
     from lbacal_core.skypower.model import compute_sky_power
     from lbacal_core.skypower.table import read_sky_power
     from lbacal_core.uncertainty.refit import compute_budget, measure_electronics

@@ -44,7 +44,7 @@ def check_table(
     files agree, 1 if one does not, 2 if one cannot be read.
     """
     from lbacal.calibration_files import read_calibrations
-    from lbacal_core.galcal_rules import find_problems
+    from lbacal_core.curves.galcal import find_problems
 
     failed = False
     for path in files:
@@ -111,7 +111,7 @@ def export(
 
 
 def _require_instrument(name: str | None) -> Any:
-    from lbacal_core.instrument import load_instrument
+    from lbacal_core.instrument.instrument import load_instrument
 
     if name is None:
         raise BadInputError("--instrument", "the instrument, for its place and its arms", "none")

@@ -15,8 +15,7 @@ import typer
 from lbacal.cli.outputs import require_outputs
 from lbacal.client import Client, describe_snapshot
 from lbacal.files import written_beside
-from lbacal_core.errors import BadInputError
-from lbacal_core.in_words import name_path
+from lbacal_core.errors import BadInputError, name_path
 
 Station = Annotated[str | None, typer.Option(help="Station such as CS002.")]
 Antenna = Annotated[int | None, typer.Option(help="Antenna number.", min=0)]

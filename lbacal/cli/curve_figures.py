@@ -8,9 +8,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from lbacal.cli.figures import DIPOLE_COLOURS, label_lst_panels
-from lbacal_core.data.lofar import DIPOLES
+from lbacal_core.data.tables import DIPOLES
 from lbacal_core.discovery.curve_fit import CurveFit
-from lbacal_core.discovery.lst_curve import CurveInvestigation
+from lbacal_core.discovery.curve_search import CurveInvestigation
 from lbacal_core.grids import Floats
 from lbacal_core.skypower.table import read_at
 

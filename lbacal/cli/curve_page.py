@@ -8,11 +8,11 @@ from typing import Any
 from lbacal.cli.curve_figures import draw_change, draw_curve, draw_ranking
 from lbacal.cli.report_pages import embed, fill_report
 from lbacal.files import written_beside
-from lbacal_core.discovery.lst_curve import CurveInvestigation
+from lbacal_core.discovery.curve_search import CurveInvestigation
 
 
 def write_curve_page(content: dict[str, Any], found: CurveInvestigation, path: Path) -> None:
-    """Write the report of `lbacal_core.discovery.curve_report.describe_curve` as a page."""
+    """Write the report of `lbacal_core.discovery.curve_search.describe_curve` as a page."""
     figures = {
         "curve": embed(draw_curve(found, found.fitter.curve.origin)),
         "ranking": embed(draw_ranking(found)),

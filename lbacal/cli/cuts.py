@@ -8,8 +8,7 @@ import typer
 
 from lbacal.cli.client import Station
 from lbacal.client import Client
-from lbacal_core.errors import BadInputError
-from lbacal_core.in_words import name_path
+from lbacal_core.errors import BadInputError, name_path
 
 
 def cuts(

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from lbacal.cli.figure_style import COLOURS
-from lbacal_core.data.lofar import DIPOLES
+from lbacal_core.data.tables import DIPOLES
 from lbacal_core.grids import Floats
 from lbacal_core.lstcurve.compare import Comparison, in_db
 

@@ -16,14 +16,14 @@ from lbacal.cli.outputs import require_image, require_outputs
 from lbacal.cli.progress import progress
 from lbacal.cli.with_model import HELP, read_model, read_open_terms, report_path
 from lbacal.files import written_beside
-from lbacal_core.curves import CalibrationCurve
-from lbacal_core.reference_chain import ReferenceChain
+from lbacal_core.curves.curves import CalibrationCurve
+from lbacal_core.curves.reference_chain import ReferenceChain
 
 if TYPE_CHECKING:
-    from lbacal_core.curves import FitReport
-    from lbacal_core.instrument import Instrument
+    from lbacal_core.curves.curves import FitReport
+    from lbacal_core.instrument.instrument import Instrument
     from lbacal_core.skypower.table import SkyPower
-    from lbacal_core.spectra import Spectra
+    from lbacal_core.spectra.spectra import Spectra
 
 STEPS_OF_FIT = 2
 """What the progress bar counts beside the files: the fit, and the error of one event."""
@@ -94,9 +94,9 @@ def fit(
     """
     from lbacal.calibration_files import require_format
     from lbacal.cli.fit_summary import align, describe_error, explain_chi2, tabulate_curves
-    from lbacal_core.audit.quick import audit_quickly
-    from lbacal_core.curves import CONVERGED, write_fit_report
-    from lbacal_core.instrument import load_instrument
+    from lbacal_core.audit.audit import audit_quickly
+    from lbacal_core.curves.curves import CONVERGED, write_fit_report
+    from lbacal_core.instrument.instrument import load_instrument
     from lbacal_core.pipeline import calibrate
     from lbacal_core.skypower.model import compute_sky_power
     from lbacal_core.skypower.table import read_sky_power
@@ -146,9 +146,9 @@ def fit(
 
 def describe_rest(report: FitReport, spectra: int, command: str, sky_power: Path | None) -> Iterator[str]:
     """What else there is to know: inputs, anomalous power, misfits, curves without values, and reference chains."""
-    from lbacal_core.anomalies import Anomalies
     from lbacal_core.calibration.paths import LEAST_COVERAGE
-    from lbacal_core.curves import CONVERGED, MISFIT
+    from lbacal_core.curves.anomalies import Anomalies
+    from lbacal_core.curves.curves import CONVERGED, MISFIT
 
     for name, note in report.provenance.notes.items():
         yield f"{name}: {note}"
@@ -178,7 +178,7 @@ def describe_rest(report: FitReport, spectra: int, command: str, sky_power: Path
 
 def _write_table(result: FitReport, chain: Instrument, power: SkyPower, output: Path, kind: str) -> None:
     from lbacal.calibration_files import complete_curves, write_calibrations
-    from lbacal_core.galcal import describe_made_with
+    from lbacal_core.curves.galcal import describe_made_with
 
     models = None if power.made_for is None else power.made_for.as_dict()
     content = complete_curves(result.as_dict() | describe_made_with(chain, models), output)

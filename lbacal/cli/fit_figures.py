@@ -11,14 +11,14 @@ from matplotlib.figure import Figure
 
 from lbacal.cli.figure_style import COLOURS
 from lbacal.cli.figures import DIPOLE_COLOURS, GREY
-from lbacal_core.calibration.residuals import noise_at_input
-from lbacal_core.curves import MISFIT, OK, CalibrationCurve, FitReport
+from lbacal_core.calibration.antenna_noise import noise_at_input
+from lbacal_core.curves.curves import MISFIT, OK, CalibrationCurve, FitReport
 from lbacal_core.grids import Floats
-from lbacal_core.instrument import Instrument
+from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.skypower.table import SkyPower
-from lbacal_core.spectra import Spectra
-from lbacal_core.spectra_blocks import iterate_blocks
-from lbacal_core.uncertainty.departures import map_departures
+from lbacal_core.spectra.blocks import iterate_blocks
+from lbacal_core.spectra.spectra import Spectra
+from lbacal_core.uncertainty.one_event import map_departures
 from lbacal_core.uncertainty.refit import largest_chi2_per_dof
 
 WITHIN_1_SIGMA = (15.87, 84.13)

@@ -11,11 +11,10 @@ import h5py
 import numpy as np
 
 from lbacal.instants import format_instant, parse_instant
+from lbacal_core.curves.validity import Instant
 from lbacal_core.errors import BadInputError
 from lbacal_core.hdf5 import HDF5_FAILURES
-from lbacal_core.spectra import FORMAT, Spectra, read_spectra
-from lbacal_core.spectra_join import join_spectra
-from lbacal_core.validity import Instant
+from lbacal_core.spectra.spectra import FORMAT, Spectra, join_spectra, read_spectra
 
 SUFFIXES = (".h5", ".hdf5")
 MICRO = 1e-6

@@ -8,8 +8,8 @@ from matplotlib.figure import Figure
 
 from lbacal.cli.fit_summary import MOST_ROWS, explain_chi2, tabulate_curves
 from lbacal.cli.report_pages import embed, fill_report
-from lbacal_core.covariance import Budget
-from lbacal_core.curves import FitReport
+from lbacal_core.curves.covariance import Budget
+from lbacal_core.curves.curves import FitReport
 
 
 def draw_page(report: FitReport, figure: Figure, source: str, sentences: Sequence[str]) -> str:

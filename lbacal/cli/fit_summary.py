@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from lbacal_core.curves import MISFIT, OK, CalibrationCurve
+from lbacal_core.curves.curves import MISFIT, OK, CalibrationCurve
 from lbacal_core.uncertainty.one_event import ErrorOfC
 from lbacal_core.uncertainty.refit import largest_chi2_per_dof
 

@@ -37,10 +37,10 @@ def import_(
     a minute of data.
     """
     from lbacal_core.errors import BadInputError
-    from lbacal_core.instrument import load_instrument
+    from lbacal_core.instrument.instrument import load_instrument
     from lbacal_core.readers.average import average as average_source
     from lbacal_core.readers.open import choose_channels, open_source
-    from lbacal_core.spectra import write_spectra
+    from lbacal_core.spectra.spectra import write_spectra
 
     require_outputs({"--output": output}, {"SOURCE": source, "--instrument": instrument})
     for option, value in (("--average", average), ("--channel-mhz", channel_mhz)):

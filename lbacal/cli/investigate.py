@@ -13,10 +13,10 @@ import typer
 from lbacal.cli.fit_inputs import Selection, find_spectra_files, parse_selection, read_selected
 from lbacal.cli.with_model import HELP, read_model, report_path
 from lbacal.files import written_beside
-from lbacal_core.in_words import write_chance
+from lbacal_core.errors import write_chance
 
 if TYPE_CHECKING:
-    from lbacal_core.spectra import Spectra
+    from lbacal_core.spectra.spectra import Spectra
 
 
 def investigate(
@@ -73,7 +73,7 @@ def investigate(
     if report is None:
         raise typer.BadParameter("name the report to write with --report")
     from lbacal.cli.outputs import require_outputs
-    from lbacal_core.instrument import load_instrument
+    from lbacal_core.instrument.instrument import load_instrument
     from lbacal_core.skypower.model import compute_sky_power
     from lbacal_core.skypower.table import read_sky_power
 
@@ -123,9 +123,9 @@ def _tell(content: dict[str, Any]) -> None:
 def _ask_spectra(
     measured: Spectra, chain: Any, sky: Any, is_own_sky: bool, html: Path | None, model: Any
 ) -> dict[str, Any]:
-    from lbacal_core.audit.quick import audit_quickly
-    from lbacal_core.discovery.investigate import investigate as ask
+    from lbacal_core.audit.audit import audit_quickly
     from lbacal_core.discovery.left_open import add_left_open
+    from lbacal_core.discovery.report import investigate as ask
 
     audited = audit_quickly(measured, chain)
     audited.require_power(measured.origin)
@@ -142,8 +142,7 @@ def _ask_spectra(
 def _ask_curve(
     path: Path | None, chain: Any, sky: Any, is_own_sky: bool, band: tuple[float, float], html: Path | None
 ) -> dict[str, Any]:
-    from lbacal_core.discovery.curve_report import describe_curve
-    from lbacal_core.discovery.lst_curve import investigate_curve
+    from lbacal_core.discovery.curve_search import describe_curve, investigate_curve
     from lbacal_core.lstcurve.curve import measured_curve, read_lst_curve
     from lbacal_core.provenance import Provenance
 

@@ -27,7 +27,7 @@ from lbacal_core.discovery.search import StationReport
 
 
 def write_investigation_page(content: dict[str, Any], reports: Sequence[StationReport], path: Path) -> None:
-    """Write the report of `lbacal_core.discovery.investigate.investigate` as a page."""
+    """Write the report of `lbacal_core.discovery.report.investigate` as a page."""
     stations = [_station(report) for report in reports]
     with written_beside(path) as beside:
         beside.write_text(fill_report("investigation.html", report=content, stations=stations), encoding="utf-8")

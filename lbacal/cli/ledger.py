@@ -9,8 +9,7 @@ import typer
 
 from lbacal.cli.client import SHOWN, Antenna, Dipole, Station
 from lbacal.client import Client
-from lbacal_core.errors import BadInputError
-from lbacal_core.in_words import name_path
+from lbacal_core.errors import BadInputError, name_path
 
 Reason = Annotated[str, typer.Option(help="Why; it is kept.")]
 DryRun = Annotated[bool, typer.Option("--dry-run", help="Show what would change, and change nothing.")]

@@ -29,7 +29,7 @@ def lst_curve(
     Example: lbacal lst-curve measured.csv --report lst.json --plot lst.png
     """
     from lbacal_core.errors import BadInputError
-    from lbacal_core.instrument import load_instrument
+    from lbacal_core.instrument.instrument import load_instrument
     from lbacal_core.lstcurve.compare import AS_RECORDED, band_weights, compare_lst_curve, simulate_band_power
     from lbacal_core.lstcurve.curve import read_lst_curve
     from lbacal_core.skypower.table import read_sky_power

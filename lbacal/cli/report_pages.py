@@ -9,7 +9,7 @@ from typing import Any
 from jinja2 import ChoiceLoader, Environment, PackageLoader
 from matplotlib.figure import Figure
 
-from lbacal_core.in_words import write_chance
+from lbacal_core.errors import write_chance
 
 
 def fill_report(template: str, package: str = "lbacal.cli", **content: Any) -> str:

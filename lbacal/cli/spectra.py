@@ -11,7 +11,7 @@ import typer
 
 from lbacal.cli.outputs import require_outputs
 from lbacal.files import written_beside
-from lbacal_core.spectra import Spectra
+from lbacal_core.spectra.spectra import Spectra
 
 LOFAR_CORE_LONGITUDE_DEG = 6.87
 """Longitude of the Superterp (van Haarlem et al. 2013) to 0.01 deg (2 s of LST): to print LST and for the cut."""
@@ -57,11 +57,10 @@ def spectra(
     written).
     """
     from lbacal_core.errors import BadInputError, UnreadableFileError
-    from lbacal_core.instrument import load_instrument
+    from lbacal_core.instrument.instrument import load_instrument
     from lbacal_core.traces.assembly import EventFacts, read_event_facts
     from lbacal_core.traces.background import CleaningSettings
-    from lbacal_core.traces.discovery import find_files, group_traces
-    from lbacal_core.traces.trace import require_antenna_set
+    from lbacal_core.traces.trace import find_files, group_traces, require_antenna_set
 
     require_antenna_set(antenna_set)
     if output is None and inspect is None:
@@ -97,7 +96,7 @@ def spectra(
 def _list_all(files: list[Path], named: set[Path], antenna_set: str | None) -> tuple[list[Any], list[dict[str, str]]]:
     """List the traces of all files; what is wrong with a file found in a folder must not stop the others."""
     from lbacal_core.errors import LbacalError
-    from lbacal_core.traces.discovery import list_traces
+    from lbacal_core.traces.trace import list_traces
 
     references: list[Any] = []
     failures = []
@@ -124,9 +123,8 @@ def _reduce(
     """Measure all station events, cut the anomalous, write spectra and report."""
     from lbacal.cli.trace_batch import TraceBatch
     from lbacal_core.errors import LbacalError
-    from lbacal_core.spectra import write_spectra
-    from lbacal_core.traces.anomalies import find_anomalous_spectra
-    from lbacal_core.traces.assembly import assemble_spectra
+    from lbacal_core.spectra.spectra import write_spectra
+    from lbacal_core.traces.assembly import assemble_spectra, find_anomalous_spectra
 
     batch = TraceBatch(work, settings, output.with_name(output.name + ".parts"))
     records: list[dict[str, Any]] = []
@@ -163,7 +161,7 @@ def _describe(name: str, records: list[dict[str, Any]], longitude: float, is_old
     """One line on a station event."""
     import numpy as np
 
-    from lbacal_core.sidereal import local_sidereal_time
+    from lbacal_core.instrument.sidereal import local_sidereal_time
 
     usable = [record for record in records if not record["excluded"]]
     lst = float(local_sidereal_time(np.array(records[0]["time_unix"]), longitude))
@@ -207,8 +205,8 @@ class _progress:  # noqa: N801  (reads as a function where it is used)
 def _draw(item: Any, settings: Any, path: Path) -> None:
     """Draw the first trace of a station event."""
     from lbacal_core.traces.background import measure_background
-    from lbacal_core.traces.discovery import read_trace
     from lbacal_core.traces.inspection import draw_inspection
+    from lbacal_core.traces.trace import read_trace
 
     event, pulse_unix = item
     background = measure_background(event.references, settings, pulse_unix)[0]

@@ -12,7 +12,7 @@ from lbacal_core.errors import LbacalError, MissingExtraError
 from lbacal_core.provenance import hash_content
 from lbacal_core.traces.assembly import record_background
 from lbacal_core.traces.background import CleaningSettings, measure_background
-from lbacal_core.traces.discovery import StationEvent
+from lbacal_core.traces.trace import StationEvent
 
 Work = tuple[StationEvent, float | None]
 """A station event, and when the particle detectors expect its pulse (s UTC)."""

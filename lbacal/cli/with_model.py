@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from lbacal_core.errors import BadInputError, UnreadableFileError
 
 if TYPE_CHECKING:
-    from lbacal_core.model import Model
+    from lbacal_core.causes.model import Model
     from lbacal_core.uncertainty.left_open import OpenTerm
 
 HELP = (
@@ -25,7 +25,7 @@ def report_path(text: str) -> Path:
 
 def read_model(text: str | None) -> Model:
     """The model that a value such as ``R.json`` or ``R.json#1`` names; the chain alone without one."""
-    from lbacal_core.model import PLAIN, Model
+    from lbacal_core.causes.model import PLAIN, Model
 
     if text is None:
         return PLAIN

@@ -1,1 +1,1 @@
-"""Antenna models: read `model` (what one answers), `hamaker`, `table` and `files`, `varied`, `circuit`, `effective`."""
+"""Antenna models: read `model`, `hamaker`, `names`, `files`, `varied`, `circuit`, `unfolding`."""

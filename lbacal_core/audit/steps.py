@@ -7,11 +7,10 @@ from datetime import UTC, datetime
 import numpy as np
 from numpy.typing import NDArray
 
-from lbacal_core.audit.cables import FITS_SIGMA, levels_of_cables
-from lbacal_core.audit.finding import WRONG, Line
-from lbacal_core.audit.series import SKY_HOURS
-from lbacal_core.audit.station import AuditedStation
-from lbacal_core.calibration.path_lines import harmonics_at
+from lbacal_core.audit.antennas import FITS_SIGMA, levels_of_cables
+from lbacal_core.audit.station import SKY_HOURS, AuditedStation
+from lbacal_core.audit.verdict import WRONG, Line
+from lbacal_core.calibration.lines import harmonics_at
 
 STEPPED = "stepped"
 LEAST_IN_TIME, LEAST_OF_CABLE = np.log(1.5), np.log(2.0)

@@ -1,1 +1,1 @@
-"""From spectra to C(nu): read `fit`, then `lines`, `noise` and `separable`."""
+"""From spectra to C(nu): read `fit`, then `lines`, `separable`, `paths` and `chain_test`."""

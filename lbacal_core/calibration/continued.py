@@ -15,21 +15,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lbacal_core.calibration.channels import solve_without_interference
-from lbacal_core.calibration.lines import Lines, SharedNoise, continue_lines
-from lbacal_core.calibration.noise import NoiseLevels
+from lbacal_core.calibration.lines import Lines, NoiseLevels, SharedNoise, continue_lines
 from lbacal_core.calibration.paths import MeanOfEvents, Paths
 from lbacal_core.calibration.singles import MIN_EVENTS, relative_variance_of
 from lbacal_core.chain.model import calibration_factor
 from lbacal_core.chain.noise import noise_constants
-from lbacal_core.curves import CalibrationCurve
+from lbacal_core.curves.curves import CalibrationCurve
+from lbacal_core.curves.kept_lines import KeptLines, MemberLines
 from lbacal_core.grids import Floats
-from lbacal_core.instrument import Instrument
-from lbacal_core.kept_lines import KeptLines, MemberLines
-from lbacal_core.screening import CUT_SIGMA, SMALLEST_DEPARTURE, SMALLEST_OF_CHANNEL
-from lbacal_core.sidereal import local_sidereal_time
+from lbacal_core.instrument.instrument import Instrument
+from lbacal_core.instrument.sidereal import local_sidereal_time
 from lbacal_core.skypower.table import SkyPower
-from lbacal_core.spectra import Spectra
-from lbacal_core.spectra_blocks import SpectraBlock, split_into_blocks
+from lbacal_core.spectra.blocks import SpectraBlock, split_into_blocks
+from lbacal_core.spectra.screening import CUT_SIGMA, SMALLEST_DEPARTURE, SMALLEST_OF_CHANNEL
+from lbacal_core.spectra.spectra import Spectra
 
 LARGEST_SHARE = 0.05
 """Events that a fit may be continued by, over those that it was made from: noise levels of 900 events move by 1 %."""

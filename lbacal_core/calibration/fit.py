@@ -14,13 +14,17 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from lbacal_core.anomalies import Anomaly
-from lbacal_core.calibration.chain_test import SkyFreedom, is_improbable, run_chain_test
-from lbacal_core.calibration.channels import SMALLEST_BAND, flag_channels, solve_without_interference
+from lbacal_core.calibration.chain_test import (
+    LIKELY_MISTAKE,
+    SkyFreedom,
+    describe_mistakes,
+    is_improbable,
+    name_mistakes,
+    run_chain_test,
+)
+from lbacal_core.calibration.channels import SMALLEST_BAND, describe_merged, flag_channels, solve_without_interference
 from lbacal_core.calibration.continued import keep_lines
 from lbacal_core.calibration.lines import Lines, fit_lines
-from lbacal_core.calibration.merged import describe_merged
-from lbacal_core.calibration.mistakes import LIKELY_MISTAKE, describe_mistakes, name_mistakes
 from lbacal_core.calibration.paths import (
     LST_BINS,
     MIN_LST_BINS,
@@ -34,8 +38,9 @@ from lbacal_core.calibration.singles import MIN_EVENTS, FitSingles, chain_forms,
 from lbacal_core.calibration.spreads import measure_spreads
 from lbacal_core.chain.model import calibration_factor
 from lbacal_core.chain.noise import noise_constants
-from lbacal_core.covariance import CurveCovariance, compress_covariance
-from lbacal_core.curves import (
+from lbacal_core.curves.anomalies import Anomaly
+from lbacal_core.curves.covariance import CurveCovariance, compress_covariance
+from lbacal_core.curves.curves import (
     CONVERGED,
     MISFIT,
     NOT_CONVERGED,
@@ -47,15 +52,15 @@ from lbacal_core.curves import (
     FitReport,
     Parameter,
 )
+from lbacal_core.curves.kelvin import SkyOverModel
+from lbacal_core.curves.kept_lines import KeptLines
+from lbacal_core.curves.reference_chain import CableTable, ReferenceChain
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats, require_same_grid
-from lbacal_core.instrument import Instrument
-from lbacal_core.kept_lines import KeptLines
+from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.provenance import Provenance
-from lbacal_core.reference_chain import CableTable, ReferenceChain
-from lbacal_core.sky_over_model import SkyOverModel
 from lbacal_core.skypower.table import SkyPower
-from lbacal_core.spectra import Spectra
+from lbacal_core.spectra.spectra import Spectra
 
 SCOPES = ("array", "station", "antenna")
 ONE_TIME_BINS = 12

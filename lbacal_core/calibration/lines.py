@@ -7,14 +7,148 @@ equals fitting it to the spectra (`tests/lbacal_core/calibration/test_lines.py` 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 
-from lbacal_core.calibration.noise import NoiseLevels, estimate_noise_levels, slope_of_gain
 from lbacal_core.grids import Floats
 from lbacal_core.linear import find_whitener, solve_symmetric
+
+# The noise of background spectra: independent in each channel, plus a few vectors that an event shares along nu.
+#
+# The relative deviation of event i from its model has the covariance
+#
+# C_i = k_i diag(sigma_f^2) + sum_k v_k v_k^T,
+#
+# radiometer noise (k_i: its variance against that of the typical number of blocks) and at most three vectors. A gain
+# that fluctuates from event to event behind everything is a vector flat in frequency; in front of N_RCU it has the
+# share of the sky and of N_LNA in the recorded power; a resonance that moves adds d ln G/d nu times that share. Such
+# vectors span a few dimensions; their covariance in these, and one more vector if it stands out, are estimated from the
+# data.
+
+MOST_VECTORS = 3
+"""More would describe effects that are looked for."""
+ROUNDS = 3
+"""Rounds between the radiometer noise and the basis, which is weighted by it."""
+SMALLEST, SMALLEST_SHARE, SMALLEST_OF_TYPICAL = 1e-12, 0.05, 0.1
+"""Floors of a variance, of its share outside the basis, and of a channel's variance over the typical channel's."""
+SMALLEST_ANGLE = 1e-3
+"""Angle of a vector to those before it below which only rounding tells them apart."""
+CHANNELS_PER_VECTOR = 8
+"""Channels that each vector needs."""
+SEEN = 4.0
+"""Standard deviations of its estimate beyond which the variance along a vector counts."""
+OUTSTANDING = 1.5
+"""Factor above the largest eigenvalue of noise (Marchenko & Pastur 1967) beyond which data have a vector of their
+own."""
+
+
+@dataclass(frozen=True)
+class NoiseLevels:
+    """Levels of the relative noise of paths.
+
+    Attributes
+    ----------
+    radiometer
+        Shape (path, freq), standard deviation at the typical number of blocks.
+    vectors
+        v_k, shape (path, vector, freq), orthogonal in units of the radiometer noise; 0 where there is none.
+    """
+
+    radiometer: Floats
+    vectors: Floats
+
+    @property
+    def event_gain(self) -> Floats:
+        """Standard deviation of what all channels of an event share, rms over frequency, shape (path,)."""
+        return np.asarray(np.sqrt(np.sum(self.vectors**2, axis=1).mean(axis=-1)))
+
+    @property
+    def of_band(self) -> Floats:
+        """Standard deviation of the mean over all channels of an event, shape (path,)."""
+        own = np.mean(self.radiometer**2, axis=-1) / self.radiometer.shape[-1]
+        return np.asarray(np.sqrt(np.sum(self.vectors.mean(axis=-1) ** 2, axis=1) + own))
+
+
+def slope_of_gain(frequency_mhz: Floats, antenna_gain: Floats) -> Floats:
+    """Derivative of ln G_ant by frequency, shape (freq,), 1/MHz: the form of a resonance that moves."""
+    return np.asarray(CubicSpline(frequency_mhz, np.log(antenna_gain))(frequency_mhz, 1))
+
+
+def estimate_noise_levels(
+    residual: Floats, relative_variance: Floats, fitted_per_channel: int, seeds: Floats
+) -> NoiseLevels:
+    """Estimate the levels from relative residuals of a fit that is linear in each channel.
+
+    Parameters
+    ----------
+    residual
+        Relative residuals, shape (path, event, freq); any finite number where absent.
+    relative_variance
+        k_i, shape (path, event); infinite where absent.
+    fitted_per_channel
+        Parameters that the fit spent on each channel.
+    seeds
+        Vectors that an event may share, shape (path, seed, freq).
+    """
+    seeds = seeds[:, : max(1, residual.shape[2] // CHANNELS_PER_VECTOR)]
+    precision = 1.0 / relative_variance
+    events = np.maximum(np.isfinite(relative_variance).sum(axis=1), 1)
+    dof = np.maximum(events - fitted_per_channel, 1)
+    weighted = residual * precision[:, :, None]
+    covariance = np.matmul(weighted.transpose(0, 2, 1), residual) / dof[:, None, None]
+    variance = np.maximum(np.einsum("pff->pf", covariance), SMALLEST)
+    for number in range(ROUNDS):
+        sigma = np.sqrt(variance)
+        white = covariance / (sigma[:, :, None] * sigma[:, None, :])
+        basis = orthonormal(seeds / sigma[:, None]).transpose(0, 2, 1)
+        rest = _beside(white, basis)
+        own = _outstanding(rest, events / residual.shape[2], is_sought=number == ROUNDS - 1)
+        basis = np.concatenate([basis, own[:, :, None]], axis=2)
+        # What lies outside the basis is radiometer noise; the basis has taken its leverage of it.
+        left = np.einsum("pff->pf", rest) - own * np.einsum("pfg,pg->pf", rest, own)
+        share = 1.0 - np.sum(basis**2, axis=2)
+        variance = np.maximum(variance * left / np.maximum(share, SMALLEST_SHARE), SMALLEST)
+        variance = np.maximum(variance, SMALLEST_OF_TYPICAL * np.median(variance, axis=1, keepdims=True))
+    white = covariance / (sigma[:, :, None] * sigma[:, None, :])
+    inside = np.matmul(basis.transpose(0, 2, 1), np.matmul(white, basis)) - np.eye(basis.shape[2])
+    values, turned = np.linalg.eigh(inside)
+    strongest = slice(None, -MOST_VECTORS - 1, -1)
+    size = np.where(values[:, strongest] > SEEN * np.sqrt(2.0 / events)[:, None], values[:, strongest], 0.0)
+    vectors = np.matmul(basis, turned[:, :, strongest]).transpose(0, 2, 1) * np.sqrt(size)[:, :, None] * sigma[:, None]
+    # An event of more blocks counts more in the covariance than the gain that it shares does.
+    shared = np.sum(precision, axis=1) / events
+    return NoiseLevels(sigma, vectors / np.sqrt(np.maximum(shared, 1e-300))[:, None, None])
+
+
+def orthonormal(vectors: Floats) -> Floats:
+    """An orthonormal basis of vectors, shape (..., vector, freq); 0 for one that is a combination of those before."""
+    turned, corner = np.linalg.qr(np.swapaxes(vectors, -1, -2))
+    own = np.abs(np.diagonal(corner, axis1=-2, axis2=-1))
+    is_new = own > SMALLEST_ANGLE * np.linalg.norm(vectors, axis=-1)[..., : own.shape[-1]]
+    return np.asarray(np.swapaxes(turned, -1, -2) * is_new[..., None])
+
+
+def _beside(white: Floats, basis: Floats) -> Floats:
+    """The part of covariances that lies outside a basis, shape (path, freq, freq)."""
+    along = np.matmul(basis.transpose(0, 2, 1), white)
+    inside = np.matmul(basis, along)
+    both = np.matmul(np.matmul(inside, basis), basis.transpose(0, 2, 1))
+    return np.asarray(white - inside - inside.transpose(0, 2, 1) + both)
+
+
+def _outstanding(rest: Floats, events_per_channel: Floats, *, is_sought: bool) -> Floats:
+    """The strongest vector of covariances, shape (path, freq); 0 where noise has as strong a one, or none is sought."""
+    if not is_sought:
+        return np.zeros(rest.shape[:2])
+    values, vectors = np.linalg.eigh(rest)
+    largest_of_noise = (1.0 + events_per_channel**-0.5) ** 2
+    return np.asarray(vectors[:, :, -1] * (values[:, -1] > OUTSTANDING * largest_of_noise)[:, None])
+
 
 PATHS_AT_ONCE = 6
 """Paths whose spectra of a year fit into a core's cache together: 6 x 900 x 51 numbers, 2.2 MB (4 and 8 are slower)."""
@@ -273,3 +407,165 @@ def weigh_shared_noise(inverse_model: Floats, precision: Floats, levels: NoiseLe
 def _sum_events(weight: Floats, values: Floats) -> Floats:
     """Weighted sum over events, shape (path, freq)."""
     return np.asarray(np.matmul(weight[:, None, :], values)[:, 0, :])
+
+
+# What the lines of one path leave of its events along LST, and how lines and rest answer to changes of the sky.
+#
+# Both answers are those of the fit with its weights held: a change of the power of every event moves slopes and
+# intercepts by one step, and what the lines do not take is left beside them.
+
+SKY_HARMONICS = 8
+"""P_sky and its changes have no more, to 0.005 %."""
+HARMONICS = 3
+"""Harmonics of the sidereal day that are looked for beside the lines."""
+DEGREES = 3
+"""Legendre polynomials in frequency on which the residual of an event is projected."""
+SMALLEST_LEFT = 0.1
+"""A harmonic of which the lines absorb all but this share cannot be tested."""
+SMALLEST_OF_LINES = 1e-3
+ROUNDING = 1e-13
+"""A harmonic of a change of the sky that is weaker than this share of the strongest is rounding."""
+
+
+@dataclass(frozen=True)
+class PathLines:
+    """One path: spectra (event, freq), precision (event,), weight and lines (freq,), information.
+
+    `shared` is what an event shares along frequency, shape (event, vector, freq): C_i^-1 is diag(weight) times the
+    precision, less the sum of the outer products of these vectors.
+    """
+
+    power: Floats
+    sky: Floats
+    precision: Floats
+    shared: Floats
+    weight: Floats
+    slope: Floats
+    intercept: Floats
+    information: Floats
+
+    @cached_property
+    def model(self) -> Floats:
+        """The power on the lines, shape (event, freq)."""
+        return self.slope * self.sky + self.intercept
+
+    @cached_property
+    def of_sky(self) -> Floats:
+        """The relative change of the power by a slope, shape (event, freq)."""
+        return self.sky / self.model
+
+    @cached_property
+    def of_constant(self) -> Floats:
+        """The relative change of the power by an intercept, shape (event, freq)."""
+        return 1.0 / self.model
+
+    @classmethod
+    def of(cls, power: Floats, sky: Floats, relative_variance: Floats, lines: Lines) -> PathLines:
+        """A path from its spectra that are present and its lines."""
+        precision = 1.0 / relative_variance
+        vectors = weigh_shared_noise(1.0 / lines.power(sky), precision[None], lines.levels, lines.shared)[0]
+        return cls(
+            power, sky, precision, vectors * np.sqrt(precision)[:, None, None],
+            lines.levels.radiometer[0] ** -2, lines.slope[0], lines.intercept[0], lines.information[0],
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Look:
+    """What is left beside the lines of a path, along the harmonics of the sidereal day.
+
+    Attributes
+    ----------
+    value
+        Amplitudes in standard deviations, shape (direction x degree,).
+    directions
+        Orthonormal functions of LST that the lines do not absorb, shape (event, direction).
+    features
+        Functions of frequency, each in units of its standard deviation, shape (freq, degree).
+    """
+
+    value: Floats
+    directions: Floats
+    features: Floats
+
+    def respond(
+        self, signal: Floats, of_sky: Floats, of_constant: Floats, basis: Floats, series: Floats, moved: Floats
+    ) -> Floats:
+        """The amplitudes that each change of the sky makes, shape (mode, direction x degree)."""
+        channels, numbers = signal.shape[1], self.value.size
+        both = self.directions[:, :, None] * basis[:, None, :]
+        seen = (both.reshape(len(signal), -1).T @ signal).reshape(*both.shape[1:], channels)
+        weights = seen.transpose(1, 2, 0)[..., None] * self.features[:, None, :]
+        change = series.reshape(len(series), -1) @ weights.reshape(-1, numbers)
+        for at, regressor in ((slice(channels), of_sky), (slice(channels, None), of_constant)):
+            taken = (self.directions.T @ regressor).T[:, :, None] * self.features[:, None, :]
+            change -= moved[:, at] @ taken.reshape(channels, numbers)
+        return np.asarray(change)
+
+
+def look_beside(residual: Floats, of_sky: Floats, of_constant: Floats, basis: Floats) -> Look:
+    """Project the residuals of a path's events; shape (event, freq) each.
+
+    The scatter of the projections from event to event is measured, and with it gains of any shape along frequency.
+    """
+    events, channels = residual.shape
+    polynomials = np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, channels), DEGREES - 1) / channels
+    projected = residual @ polynomials
+    of_lines = np.concatenate([of_sky[:, :: channels // 4], of_constant[:, :: channels // 4]], axis=1)
+    axes, size, _ = np.linalg.svd(of_lines / np.linalg.norm(of_lines, axis=0), full_matrices=False)
+    axes = axes[:, size > SMALLEST_OF_LINES * size[0]]
+    waves = basis[:, 1 : HARMONICS + 1], basis[:, SKY_HARMONICS + 1 : SKY_HARMONICS + HARMONICS + 1]
+    left = np.concatenate(waves, axis=1)
+    left = left - axes @ (axes.T @ left)
+    directions, size, _ = np.linalg.svd(left, full_matrices=False)
+    directions = directions[:, size > SMALLEST_LEFT * np.sqrt(events / 2.0)]
+    amplitude = directions.T @ projected
+    scatter = projected - directions @ amplitude
+    scatter -= axes @ (axes.T @ scatter)
+    dof = events - directions.shape[1] - axes.shape[1]
+    # the mean of a quadratic form with a measured covariance exceeds that with the true one
+    features = polynomials @ find_whitener(scatter.T @ scatter / dof).T * np.sqrt(max(dof - DEGREES - 1, 1) / dof)
+    return Look((directions.T @ (residual @ features)).ravel(), directions, features)
+
+
+def move_lines(path: PathLines, basis: Floats, series: Floats) -> Floats:
+    """How slopes and intercepts answer to each change of the sky, as the fit weighs events; shape (mode, 2 freq)."""
+    of_sky, of_constant = path.of_sky, path.of_constant
+    signal = path.slope * of_sky
+    # most modes are one harmonic or a few: the others are rounding
+    mode_of, harmonic_of = np.nonzero(np.abs(series).max(axis=2) > ROUNDING * np.abs(series).max(initial=0.0))
+    flat, waves = series[mode_of, harmonic_of].T, basis[:, harmonic_of]
+    moving, first = np.unique(mode_of, return_index=True)
+    vectors = np.moveaxis(path.shared, 1, 0)
+    common = [np.add.reduceat((signal * vector @ flat) * waves, first, axis=1) for vector in vectors]
+    gradient = []
+    for regressor in (of_sky, of_constant):
+        own = (basis * path.precision[:, None]).T @ (signal * regressor)
+        change = path.weight * np.einsum("mhf,hf->mf", series, own)
+        for amount, vector in zip(common, vectors, strict=True):
+            change[moving] -= amount.T @ (vector * regressor)
+        gradient.append(change)
+    return _solve_lines(path, gradient)
+
+
+def move_lines_by(path: PathLines, change: Floats) -> Floats:
+    """The same for relative changes of the power of each event, shape (change, event, freq)."""
+    common = np.einsum("kef,evf->kev", change, path.shared, optimize=True)
+    gradient = []
+    for regressor in (path.of_sky, path.of_constant):
+        own = path.weight * np.einsum("kef,ef->kf", change, regressor * path.precision[:, None])
+        shared = np.einsum("kev,evf->kf", common, path.shared * regressor[:, None], optimize=True)
+        gradient.append(own - shared)
+    return _solve_lines(path, gradient)
+
+
+def _solve_lines(path: PathLines, gradient: Sequence[Floats]) -> Floats:
+    """The step of the lines by the gradient along slopes and intercepts, shape (change, freq) each."""
+    target = np.concatenate(gradient, axis=1).T
+    return solve_symmetric(path.information, target).T
+
+
+def harmonics_at(lst_hours: Floats, most: int) -> Floats:
+    """1, then cosines, then sines, of the sidereal day, shape (event, 1 + 2 most)."""
+    angle = 2.0 * np.pi / 24.0 * np.outer(lst_hours, np.arange(1, most + 1))
+    return np.concatenate([np.ones((angle.shape[0], 1)), np.cos(angle), np.sin(angle)], axis=1)

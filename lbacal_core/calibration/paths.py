@@ -9,18 +9,18 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from lbacal_core.anomalies import Anomaly
 from lbacal_core.calibration.singles import MIN_EVENTS, FitSingles, SingleFits, fit_singles, relative_variance_of
 from lbacal_core.calibration.spreads import SinglePaths, join_paths
+from lbacal_core.curves.anomalies import Anomaly
+from lbacal_core.curves.kept_lines import MemberLines, join_members
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
-from lbacal_core.instrument import Instrument
-from lbacal_core.kept_lines import MemberLines, join_members
-from lbacal_core.screening import leave_out
-from lbacal_core.sidereal import local_sidereal_time
+from lbacal_core.instrument.instrument import Instrument
+from lbacal_core.instrument.sidereal import local_sidereal_time
 from lbacal_core.skypower.table import SkyPower
-from lbacal_core.spectra import Spectra
-from lbacal_core.spectra_blocks import SpectraBlock, iterate_blocks, split_into_blocks
+from lbacal_core.spectra.blocks import SpectraBlock, iterate_blocks, split_into_blocks
+from lbacal_core.spectra.screening import leave_out
+from lbacal_core.spectra.spectra import Spectra
 
 BLOCK_SAMPLES = 1024
 LST_BINS = 96

@@ -12,17 +12,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lbacal_core.anomalies import Anomaly
 from lbacal_core.calibration.lines import ChainForms, Lines, fit_lines
 from lbacal_core.calibration.separable import SeparableSolution, solve_separable
 from lbacal_core.chain.noise import noise_constants
+from lbacal_core.curves.anomalies import Anomaly
 from lbacal_core.grids import Floats
-from lbacal_core.instrument import Instrument
-from lbacal_core.remembered import Remembered
-from lbacal_core.screening import screen_block
-from lbacal_core.sidereal import local_sidereal_time
+from lbacal_core.instrument.instrument import Instrument
+from lbacal_core.instrument.sidereal import local_sidereal_time
+from lbacal_core.provenance import Remembered
 from lbacal_core.skypower.table import SkyPower
-from lbacal_core.spectra_blocks import SpectraBlock
+from lbacal_core.spectra.blocks import SpectraBlock
+from lbacal_core.spectra.screening import screen_block
 
 MIN_EVENTS = 60
 """Fewer events leave C worse than 2 % and the noise levels worse than 10 %."""

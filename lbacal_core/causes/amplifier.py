@@ -7,9 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lbacal_core.causes.cause import SCOPES, Cause, SizeRange, Template
-from lbacal_core.causes.conditions import FEWEST_KNOWN, TEMPERATURE, YEAR_S, Conditions
-from lbacal_core.chain.terms import ChainTerms
+from lbacal_core.causes.cause import FEWEST_KNOWN, SCOPES, TEMPERATURE, YEAR_S, Cause, Conditions, SizeRange, Template
+from lbacal_core.chain.model import ChainTerms
 from lbacal_core.grids import Floats
 
 NO_TEMPERATURE = f"no column {TEMPERATURE} that varies and is known on {FEWEST_KNOWN} events"

@@ -10,9 +10,8 @@ import numpy as np
 from scipy.interpolate import make_smoothing_spline
 
 from lbacal_core.antenna.circuit import ResonanceCircuit
-from lbacal_core.causes.cause import Cause, SizeRange, Template
-from lbacal_core.causes.conditions import RAIN, TEMPERATURE, Conditions, read_between
-from lbacal_core.chain.terms import ChainTerms
+from lbacal_core.causes.cause import RAIN, TEMPERATURE, Cause, Conditions, SizeRange, Template, read_between
+from lbacal_core.chain.model import ChainTerms
 from lbacal_core.grids import Floats
 
 SEASON_SPAN_S = 250 * 86_400.0

@@ -7,9 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lbacal_core.causes.cause import Cause, SizeRange, Template
-from lbacal_core.causes.conditions import Conditions
-from lbacal_core.chain.terms import ChainTerms
+from lbacal_core.causes.cause import Cause, Conditions, SizeRange, Template
+from lbacal_core.chain.model import ChainTerms
 from lbacal_core.grids import Floats
 
 CLEAR_MHZ = 4.0

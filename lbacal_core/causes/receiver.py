@@ -8,9 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lbacal_core.causes.amplifier import StepCause, TemperatureCause, step_template
-from lbacal_core.causes.cause import Cause, SizeRange, Template
-from lbacal_core.causes.conditions import TEMPERATURE, Conditions, read_between
-from lbacal_core.chain.terms import ChainTerms
+from lbacal_core.causes.cause import TEMPERATURE, Cause, Conditions, SizeRange, Template, read_between
+from lbacal_core.chain.model import ChainTerms
 from lbacal_core.grids import Floats
 
 

@@ -8,6 +8,8 @@ every fast path. At one frequency it is a straight line in P_sky, which is what 
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from lbacal_core.grids import Floats
@@ -61,3 +63,37 @@ def calibration_factor(slope: Floats, antenna_gain: Floats) -> Floats:
     Shape (..., freq), V per ADC unit.
     """
     return np.asarray(np.sqrt(antenna_gain / slope))
+
+
+# The terms of eq. full_chain for each class of paths: what a cause changes, and the power that follows.
+
+
+@dataclass(frozen=True)
+class ChainTerms:
+    """The terms of eq. full_chain for each class of paths, broadcastable to shape (class, event, freq).
+
+    Paths of one station with the same polarisation and cable share their terms: they are one *class* of paths.
+
+    Attributes
+    ----------
+    sky
+        P_sky.
+    n_lna
+        N_LNA, in the unit of P_sky.
+    front
+        s = G_ant A L_coax G_RCU S: from the sky to the output.
+    receiver_noise
+        N_RCU S G_RCU, at the output.
+    adc_noise
+        N_ADC, at the output.
+    """
+
+    sky: Floats
+    n_lna: Floats
+    front: Floats
+    receiver_noise: Floats
+    adc_noise: Floats
+
+    def power(self) -> Floats:
+        """Recorded power (eq. full_chain), shape (class, event, freq)."""
+        return np.asarray((self.sky + self.n_lna) * self.front + self.receiver_noise + self.adc_noise)

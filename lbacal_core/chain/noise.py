@@ -7,12 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.constants import Boltzmann
 
+from lbacal_core.chain.intercepts import OUTPUT_UNIT, SKY_UNIT, Intercepts, three_constants
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
-from lbacal_core.instrument import Instrument
-from lbacal_core.intercepts import OUTPUT_UNIT, SKY_UNIT, Intercepts, three_constants
+from lbacal_core.instrument.instrument import Instrument
+from lbacal_core.instrument.stages import FREE, SEEN, Stage, multiply_gains, split_stages
 from lbacal_core.skypower.power import power_per_kelvin_sr
-from lbacal_core.stages import FREE, SEEN, Stage, multiply_gains, split_stages
 
 WATT_PER_MHZ = 1e6 * Boltzmann
 """Noise power of 1 K, W/MHz."""

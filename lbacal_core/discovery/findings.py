@@ -2,20 +2,279 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from lbacal_core.causes.catalogue import CAUSES
+from lbacal_core.causes.cause import Cause, Template
+from lbacal_core.discovery.families import HiddenCause, group_templates, list_families, list_hidden, overlap
 from lbacal_core.discovery.growth import grow
 from lbacal_core.discovery.hypothesis import Hypothesis, Target
-from lbacal_core.discovery.indistinguishable import find_indistinguishable
-from lbacal_core.discovery.open_noise import AveragedSize, average_size
 from lbacal_core.discovery.policy import Policy
-from lbacal_core.discovery.proposals import StationSearch, chi_squared_of, gain_of
-from lbacal_core.discovery.refit import FittedModel, refit
-from lbacal_core.discovery.scan import Score
+from lbacal_core.discovery.project import LinearModel
+from lbacal_core.discovery.refit import AveragedSize, FittedModel, average_size, held_out_gain, refit, refit_over_noise
+from lbacal_core.discovery.residual_structure import STATION, chance_along
+from lbacal_core.discovery.scan import Score, scan, score_families
+from lbacal_core.discovery.station import Station
 from lbacal_core.grids import Floats
+
+# What spectra propose to `grow`: the best significant causes, each refined and fitted again with everything else.
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A significant score and the model that it would make.
+
+    Attributes
+    ----------
+    gain
+        Gain in chi^2, averaged over the noise that the fit leaves open, less the gain that the best of so many scores
+        has by chance.
+    """
+
+    score: Score
+    model: FittedModel
+    gain: float
+
+
+@dataclass(frozen=True)
+class SameAgain:
+    """A cause that is significant a second time for the same target: its template does not have the effect's form.
+
+    Attributes
+    ----------
+    number
+        Number of the finding that named the cause first; negative for an adopted cause.
+    """
+
+    score: Score
+    number: int
+
+
+def _same_again(score: Score, hypotheses: Sequence[Hypothesis], adopted: int) -> SameAgain | None:
+    for number, earlier in enumerate(hypotheses):
+        is_same = earlier.cause.identifier == score.cause.identifier and earlier.target.label == score.target.label
+        if is_same and not score.cause.is_another(score.template, earlier.template):
+            return SameAgain(score, number - adopted)
+    return None
+
+
+class StationSearch:
+    """The search of one station as `grow` wants it.
+
+    Attributes
+    ----------
+    first_scores
+        Scores of every cause before anything was added.
+    again
+        Why the search ended, where a cause was significant once more.
+    has_significant
+        Whether chance did not explain some score.
+    impossible
+        A score that chance does not explain, where no cause describes it with a size that it can have.
+    hidden
+        Causes that the differences between models hide, known with the first model.
+    adopted
+        Number of hypotheses that the model had before the search.
+    """
+
+    def __init__(
+        self,
+        station: Station,
+        targets: Sequence[Target],
+        policy: Policy,
+        stations: int,
+        seed: int,
+        progress: Callable[[str], None],
+        causes: Sequence[Cause] = CAUSES,
+    ) -> None:
+        self.causes = causes
+        self.name, self.targets, self.policy, self.seed = station.name, targets, policy, seed
+        self.stations, self.alpha, self.progress = stations, policy.catalogue_alpha / stations, progress
+        self.has_significant = False
+        self.first_scores: list[Score] = []
+        self.again: SameAgain | None = None
+        self.hidden: list[HiddenCause] | None = None
+        self.impossible: Score | None = None
+        self.adopted = 0
+
+    def propose(self, before: FittedModel) -> list[Candidate]:
+        """The model with each of the best significant causes, fitted without linearising."""
+        self.progress(f"{self.name}: scoring {len(self.causes)} causes for {len(self.targets)} targets")
+        if self.hidden is None:
+            self.hidden = list_hidden(before.linear, self.causes, self.targets[-1], self.policy.hidden_share)
+        hidden = [one.cause for one in self.hidden]
+        scores = scan(before.linear, [one for one in self.causes if one not in hidden], self.targets, self.seed)
+        self.first_scores = self.first_scores or scores
+        significant = [score for score in scores if score.p_value < self.alpha]
+        self.has_significant |= bool(significant)
+        if significant:
+            self.again = _same_again(significant[0], before.hypotheses, self.adopted)
+        if not significant or self.again is not None or self._is_crowded(before):
+            return []
+        self.progress(f"{self.name}: fitting everything again with {significant[0].cause.identifier}")
+        rivals = _rivals(significant, self.policy)
+        possible = self._fit_possible(before, rivals)
+        self.impossible = None if possible else significant[0]
+        if any(one.model.noise is not None for one in possible):
+            # Scores are of one share of the noise: at the share that it prefers, a cause may gain more than these.
+            others = [one for one in _rivals(scores, self.policy) if all(one is not tried for tried in rivals)]
+            possible += self._fit_possible(before, others)
+        return sorted(possible, key=lambda one: -one.gain)
+
+    def _fit_possible(self, before: FittedModel, scores: Sequence[Score]) -> list[Candidate]:
+        """The models with each of some causes, where all sizes are physical."""
+        fitted = [_fit(before, score, self.policy) for score in scores]
+        return [one for one in fitted if one is not None and _is_possible(one.model)]
+
+    def _is_crowded(self, before: FittedModel) -> bool:
+        """Whether causes along one axis were accepted again and again, and structure along it remains."""
+        axes = [axis for one in before.hypotheses[self.adopted :] if one.target.is_wide for axis in one.cause.axes]
+        crowded = {axis for axis in axes if axes.count(axis) >= self.policy.crowd}
+        return bool(crowded) and chance_along(before.linear, crowded, STATION) < self.policy.crowd_alpha
+
+    def model_of(self, candidate: Candidate) -> FittedModel:
+        """The fitted model of a candidate."""
+        return candidate.model
+
+    def held_out_gain(self, before: FittedModel, candidate: Candidate) -> float:
+        """Gain in log-likelihood on events that were not used, the template chosen again."""
+        return gain_of(before, candidate.model.hypotheses[-1], candidate.score)
+
+
+def _is_possible(model: FittedModel) -> bool:
+    """Whether the sizes of all hypotheses lie in their physical ranges."""
+    return all(one.cause.sizes_of(one.template).allows(one.size, one.uncertainty) for one in model.hypotheses)
+
+
+def _rivals(scores: Sequence[Score], policy: Policy) -> list[Score]:
+    """The candidates to be fitted: the best few, without those whose scores are far below the best."""
+    ranking = sorted(scores, key=lambda s: -(s.z**2 - 2 * np.log(s.trials)))
+    return [s for s in ranking[: policy.rivals] if abs(s.z) > policy.rival_share * abs(ranking[0].z)]
+
+
+def _fit(before: FittedModel, score: Score, policy: Policy) -> Candidate | None:
+    fitted = refit_over_noise(before, refine(before.linear, score, policy))
+    if fitted is None:
+        return None
+    model, over_noise = fitted
+    gain = gain_in_chi_squared(before, model)
+    return Candidate(score, model, gain + over_noise - 2 * float(np.log(score.trials)))
+
+
+def chi_squared_of(before: FittedModel, after: FittedModel) -> tuple[float, float, int]:
+    """Chi^2 of two models on the events and with the noise levels of the second, and its degrees of freedom."""
+    chi2_after, dof = after.linear.chi_squared()
+    same_events = before.linear.on_events(after.station.is_used)
+    return same_events.with_levels(after.linear.residuals.levels).chi_squared()[0], chi2_after, dof
+
+
+def gain_in_chi_squared(before: FittedModel, after: FittedModel) -> float:
+    """By how much chi^2 is less in the second model, on its events; models that gain over the same one are rivals.
+
+    Both leave residuals relative to the power of the first, with its noise levels and free vectors. Relative to their
+    own powers, residuals of two models differ by noise times effect: by chance that is more than rivals differ by.
+
+    Where the means alone show the cause, they alone are compared: from the deviations of the first model was taken what
+    its means told of the sky and of common gains, a part of the effect, which the second would take out once more.
+    """
+    linear = before.linear.on_events(after.station.is_used)
+    # P = m (1 + r) in each model: relative to the first, the second leaves r_before + 1 - m_after / m_before.
+    of_before, of_after = 1.0 + before.baseline.residual, 1.0 + after.baseline.residual
+    is_there = linear.station.is_present[:, :, None] & (of_after > 0)
+    change = np.where(is_there, 1.0 - of_before / np.where(is_there, of_after, 1.0), 0.0)
+    of_means = linear.shows_in_means_alone(after.hypotheses[-1].target.is_member)
+    by_event = [one.chi_squared_by_event(of_means=of_means) for one in (linear, linear.with_change(change))]
+    return float(by_event[0].sum() - by_event[1].sum())
+
+
+def refine(model: LinearModel, score: Score, policy: Policy) -> Hypothesis:
+    """The hypothesis that a scan found, with the best template about the one tried, at the size to first order.
+
+    A scan tries hours, dates and indices on a grid; `refine` scores finer templates about the best one. Templates that
+    fit nearly as well have other sizes: the scatter of these sizes, weighed with the likelihoods, is part of the error.
+    """
+    cause = score.cause
+    conditions = model.station.conditions
+    templates = cause.finer_templates(conditions, score.template)
+    if len(templates) == 1:
+        return Hypothesis(cause, templates[0], score.target, score.size)
+    known = model.on_events(cause.known_events(conditions, score.template))
+    found, scores, sizes, strengths = [], [], [], []
+    for batch, z, size in score_families(known, group_templates(conditions, cause, templates), [score.target]):
+        profile = batch[0].profiles
+        strength = np.abs(profile).sum(axis=1) / np.maximum((profile != 0).sum(axis=1), 1)
+        found += [template for family in batch for template in family.templates]
+        scores.append(z[:, 0].ravel())
+        sizes.append(size[:, 0].ravel())
+        strengths.append(np.tile(strength, len(batch)))
+    gain, size = np.concatenate(scores) ** 2, np.concatenate(sizes)
+    # Power added at some hours and power missing at the others fit alike; power is added, so the size is positive.
+    if np.any(size > 0) and gain[size > 0].max() > gain.max() - policy.indistinguishable:
+        gain = np.where(size > 0, gain, 0.0)
+    best = int(np.argmax(gain))
+    # Sizes of different templates are compared by their mean effect on the events on which the template acts.
+    change = size * np.concatenate(strengths)
+    weight = np.exp(0.5 * (gain - gain[best])) * (np.sign(change) == np.sign(change[best]))
+    scatter = np.sqrt(weight @ (change / change[best] - 1.0) ** 2 / weight.sum())
+    return Hypothesis(cause, found[best], score.target, float(size[best]), template_sigma=float(scatter))
+
+
+def gain_of(before: FittedModel, hypothesis: Hypothesis, score: Score) -> float:
+    """Gain in log-likelihood on held-out events, the time profile chosen again for the same spectral template."""
+    cause, conditions = hypothesis.cause, before.station.conditions
+    known = hypothesis.template.parameters
+    same = {name: known[name] for name in cause.spectral_parameters if name in known}
+    key = cause.spectral_key(score.template)
+    alike = [one for one in cause.templates(conditions) if cause.spectral_key(one) == key]
+    nearby = [hypothesis.template, *(Template({**one.parameters, **same}) for one in alike)]
+    return held_out_gain(before, hypothesis, nearby)
+
+
+# Causes that the data cannot tell apart from one that was found, at its size and by what they show.
+
+HALF_ALIKE = 0.5
+"""Correlation below which a template does not stand for another: it would need twice the other's score."""
+
+
+def find_indistinguishable(model: LinearModel, hypothesis: Hypothesis, policy: Policy) -> list[tuple[str, float]]:
+    """Causes with a template that the data cannot distinguish from the one found, with the largest such correlation.
+
+    Beside such a template the one found adds little to chi^2, (z - r z_other)^2 / (1 - r^2). If the one found is the
+    truth, this is SNR^2 (1 - r^2) on average; if the other is the truth, the data alone show it: both are asked.
+
+    Parameters
+    ----------
+    model
+        The residuals with everything fitted but the one found.
+    """
+    conditions, own, target = model.station.conditions, hypothesis.cause, hypothesis.target
+    others = [cause for cause in CAUSES if cause is not own and target.scope in cause.scopes]
+    known = model.on_events(own.known_events(conditions, hypothesis.template))
+    families = list_families(conditions, others)
+    correlations = overlap(known, own, hypothesis.template, target, families)
+    snr = abs(hypothesis.size / hypothesis.sigma)
+    found: dict[str, float] = {}
+
+    def add(name: str, correlation: float) -> None:
+        found[name] = max(found.get(name, 0.0), correlation)
+
+    for one, correlation in zip(families, correlations, strict=True):
+        largest = float(np.abs(correlation).max())
+        if snr**2 * (1 - min(largest, 1.0) ** 2) < policy.indistinguishable:
+            add(one.cause.identifier, largest)
+    alike = [k for k, r in enumerate(correlations) if np.abs(r).max() > HALF_ALIKE]
+    ((_, z, _),) = score_families(known, group_templates(conditions, own, [hypothesis.template]), [target])
+    scores = [z for _, batch, _ in score_families(known, [families[k] for k in alike], [target]) for z in batch[:, 0]]
+    for k, z_other in zip(alike, scores, strict=True):
+        r = np.clip(correlations[k], -1.0, 1.0)
+        added = (z.item() - r * z_other) ** 2
+        stands_for_it = (np.abs(r) > HALF_ALIKE) & (added < policy.indistinguishable * (1.0 - r**2))
+        if np.any(stands_for_it):
+            add(families[k].cause.identifier, float(np.abs(r[stands_for_it]).max()))
+    return sorted(found.items(), key=lambda item: -item[1])
 
 
 @dataclass(frozen=True)

@@ -2,23 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
+from lbacal_core.causes.axes import describe_term
 from lbacal_core.causes.cause import Description
-from lbacal_core.causes.structure import describe_term
+from lbacal_core.causes.model import PLAIN, Model
+from lbacal_core.discovery.adopted import describe_size
 from lbacal_core.discovery.antennas import AntennaScore
 from lbacal_core.discovery.findings import Finding
 from lbacal_core.discovery.hypothesis import Target
+from lbacal_core.discovery.policy import Policy
 from lbacal_core.discovery.residual_structure import ResidualStructure
 from lbacal_core.discovery.scan import Score
-from lbacal_core.discovery.search import StationReport
+from lbacal_core.discovery.search import StationReport, search_station
+from lbacal_core.discovery.station import gather_stations, model_modes
 from lbacal_core.discovery.trials import sigma_of
-from lbacal_core.grids import Floats
+from lbacal_core.grids import Floats, require_same_grid
+from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.provenance import Provenance
+from lbacal_core.skypower.differences import DifferenceModels, compute_model_differences
+from lbacal_core.skypower.table import SkyPower
+from lbacal_core.spectra.spectra import Spectra
 
 VERDICTS = CONSISTENT, EXPLAINED, UNEXPLAINED = "consistent", "explained", "unexplained"
 BY_RATIO = "acts by ratio: P_sky times own(with)/own(without), from the package's own sky and antenna model"
@@ -332,3 +342,68 @@ def plain_parameters(parameters: Mapping[str, Any]) -> dict[str, Any]:
     if "date_unix" in values:
         values["date"] = f"{datetime.fromtimestamp(values['date_unix'], UTC):%Y-%m-%dT%H:%MZ}"
     return values
+
+
+# The entry of an investigation: search station by station for what the simulation of the spectra gets wrong.
+
+
+def investigate(
+    spectra: Spectra,
+    instrument: Instrument,
+    sky_power: SkyPower,
+    *,
+    is_own_sky: bool = False,
+    models: DifferenceModels | None = None,
+    seed: int = 0,
+    progress: Callable[[str], None] = lambda _: None,
+    model: Model = PLAIN,
+) -> tuple[dict[str, Any], list[StationReport]]:
+    """Find what the simulation gets wrong in the spectra of every station.
+
+    Parameters
+    ----------
+    is_own_sky
+        Whether `sky_power` is the package's own, so that the differences between sky and antenna models are profiled
+        out. A sky power from a file is taken as exact.
+    models
+        Names of the models whose differences these are; all that ship unless given.
+    seed
+        Seed of the simulated trials factors.
+    progress
+        Called with a sentence before each step.
+    model
+        Its adopted causes belong to the baseline, with sizes fitted again: what is looked for is what they leave.
+
+    Returns
+    -------
+    The report as JSON values, and the values of each station from which it was made.
+    """
+    name = f"instrument {instrument.name}"
+    require_same_grid(spectra.origin, spectra.frequency_mhz, instrument.frequency_mhz, name)
+    require_same_grid(sky_power.origin, sky_power.frequency_mhz, instrument.frequency_mhz, name)
+    policy = Policy()
+    known = compute_model_differences(instrument, models) if is_own_sky else None
+    # The products are small: threads of the linear algebra would wait for each other.
+    with threadpool_limits(1):
+        stations = gather_stations(spectra, instrument, sky_power)
+        reports = [
+            search_station(
+                station,
+                modes=None if known is None else model_modes(station, known),
+                stations=len(stations),
+                seed=seed,
+                policy=policy,
+                progress=progress,
+                model=model,
+            )
+            for station in stations
+        ]
+    provenance = Provenance(
+        inputs={"spectra": spectra.digest(), "instrument": instrument.digest(), "sky_power": sky_power.digest()},
+        settings={"policy": policy.as_dict(), "seed": seed, "own_sky": is_own_sky},
+    )
+    if model.is_plain:
+        return describe(reports, provenance), reports
+    provenance = replace(provenance, inputs={**provenance.inputs, "model": model.id})
+    adopted = [describe_size(size) for report in reports for size in report.adopted]
+    return {**describe(reports, provenance), "model": model.to_text(), "adopted": adopted}, reports

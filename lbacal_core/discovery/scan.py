@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lbacal_core.causes.cause import Cause, Template
-from lbacal_core.discovery.correlations import correlate
-from lbacal_core.discovery.families import FamilySpectra, SpectralFamily, batch_families, list_families
+from lbacal_core.discovery.families import FamilySpectra, SpectralFamily, batch_families, correlate, list_families
 from lbacal_core.discovery.hypothesis import Target
 from lbacal_core.discovery.project import LinearModel
 from lbacal_core.discovery.trials import p_of, significance, trials_factor

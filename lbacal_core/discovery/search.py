@@ -13,18 +13,16 @@ import numpy as np
 
 from lbacal_core.causes.axes import Axis
 from lbacal_core.causes.catalogue import CAUSES
-from lbacal_core.causes.cause import Cause, Template, signature
-from lbacal_core.causes.conditions import Conditions
+from lbacal_core.causes.cause import Cause, Conditions, Template, signature
+from lbacal_core.causes.model import PLAIN, Model
 from lbacal_core.discovery.adopted import FittedSize, fit_adopted
-from lbacal_core.discovery.antennas import AntennaScore, compare_antennas, why_no_comparison
-from lbacal_core.discovery.cable_names import compare_cable_names
-from lbacal_core.discovery.deaf import leave_out_deaf
-from lbacal_core.discovery.findings import Finding, Grown, grow_findings
-from lbacal_core.discovery.hidden import shares_taken
+from lbacal_core.discovery.antennas import AntennaScore, compare_antennas, compare_cable_names, why_no_comparison
+from lbacal_core.discovery.baseline import leave_out_deaf
+from lbacal_core.discovery.families import shares_taken
+from lbacal_core.discovery.findings import Finding, Grown, SameAgain, StationSearch, grow_findings
 from lbacal_core.discovery.hypothesis import Hypothesis, list_targets
 from lbacal_core.discovery.policy import Policy
 from lbacal_core.discovery.project import LinearModel
-from lbacal_core.discovery.proposals import SameAgain, StationSearch
 from lbacal_core.discovery.refit import FittedModel, refit
 from lbacal_core.discovery.residual_structure import (
     PATHS,
@@ -40,7 +38,6 @@ from lbacal_core.discovery.station import SkyModes, Station
 from lbacal_core.discovery.trials import p_of
 from lbacal_core.grids import Floats
 from lbacal_core.linear import invert_symmetric
-from lbacal_core.model import PLAIN, Model
 
 
 @dataclass(frozen=True)

@@ -10,19 +10,18 @@ from numpy.typing import NDArray
 
 from lbacal_core.calibration.paths import Cables, require_one_cable_each
 from lbacal_core.calibration.singles import MIN_EVENTS
-from lbacal_core.causes.conditions import Conditions
-from lbacal_core.causes.directions import SkyRatio, sky_ratios
+from lbacal_core.causes.cause import Conditions
+from lbacal_core.causes.sky import SkyRatio, sky_ratios
 from lbacal_core.chain.noise import noise_constants
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
-from lbacal_core.instrument import Instrument
-from lbacal_core.sidereal import local_sidereal_time
+from lbacal_core.instrument.instrument import Instrument
+from lbacal_core.instrument.sidereal import local_sidereal_time, sun_position
 from lbacal_core.skypower.differences import ModelDifferences, Waves, waves_at
 from lbacal_core.skypower.sources import response_towards
 from lbacal_core.skypower.table import SkyPower
-from lbacal_core.spectra import Spectra
-from lbacal_core.spectra_blocks import SpectraBlock, split_into_blocks
-from lbacal_core.sun import sun_position
+from lbacal_core.spectra.blocks import SpectraBlock, split_into_blocks
+from lbacal_core.spectra.spectra import Spectra
 
 
 @dataclass(frozen=True)

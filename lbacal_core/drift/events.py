@@ -20,14 +20,22 @@ import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
+from lbacal_core.calibration.continued import NEARER
 from lbacal_core.chain.noise import noise_constants
-from lbacal_core.curves import CalibrationCurve
+from lbacal_core.curves.curves import CalibrationCurve
 from lbacal_core.grids import Floats
-from lbacal_core.instrument import Instrument
+from lbacal_core.instrument.instrument import Instrument
+from lbacal_core.instrument.sidereal import local_sidereal_time
 from lbacal_core.linear import solve_symmetric
-from lbacal_core.sidereal import local_sidereal_time
 from lbacal_core.skypower.table import SkyPower
-from lbacal_core.spectra_blocks import SpectraBlock
+from lbacal_core.spectra.blocks import SpectraBlock
+from lbacal_core.spectra.screening import (
+    CUT_SIGMA,
+    FEWEST_EVENTS,
+    SMALLEST_DEPARTURE,
+    SMALLEST_OF_CHANNEL,
+    robust_sigma,
+)
 
 MODES = ("gain", "tilt", "curvature")
 """What is followed: ln C in the mean over the band, and the coefficients of the Legendre polynomials 1 and 2 in it."""
@@ -125,3 +133,127 @@ def _fit_modes(ratio: Floats, weight: Floats, modes: Floats) -> Floats:
     normal = (weight @ products.T).reshape(*weight.shape[:2], 3, 3)
     target = (weight * ratio) @ columns.T
     return solve_symmetric(normal, target[..., None])[..., 1:, 0]
+
+
+# The mean of a path's events in a month: one gain and two modes along frequency, against a fixed calibration.
+
+MIN_EVENTS = 5
+"""Fewer events in a month leave its gain worse than 2.5 %."""
+
+
+@dataclass(frozen=True)
+class MonthlyRatios:
+    """C of each month over that of the reference.
+
+    Attributes
+    ----------
+    antennas
+        Shape (antenna,), those with a reference.
+    months
+        Shape (month,), datetime64[M], rising.
+    c_ratio, c_ratio_sigma
+        Shape (antenna, month); NaN where a month has too few events.
+    shape, shape_sigma
+        Tilt and curvature of ln C, shape (antenna, month, 2); NaN where a month has too few events.
+    events
+        Shape (antenna, month).
+    """
+
+    antennas: NDArray[np.int64]
+    months: NDArray[np.datetime64]
+    c_ratio: Floats
+    c_ratio_sigma: Floats
+    shape: Floats
+    shape_sigma: Floats
+    events: NDArray[np.int64]
+
+
+def average_months(modes: EventModes) -> MonthlyRatios:
+    """Average the events of every month.
+
+    The error of a month is the scatter of its path's events over the whole block divided by the root of their number:
+    a month has too few events to know its own scatter.
+    """
+    months, starts = find_months(modes.time_unix)
+    is_known = np.isfinite(modes.ln_c[..., 0])
+    values = modes.ln_c.copy()
+    values[..., 0] = np.exp(-2.0 * values[..., 0])  # the power gain, whose mean is C^-2
+    values[~is_known] = 0.0
+    events = np.add.reduceat(is_known.astype(np.int64), starts, axis=1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean = np.add.reduceat(values, starts, axis=1) / events[..., None]
+        squares = np.add.reduceat(values**2, starts, axis=1) - events[..., None] * mean**2
+        freedom = np.maximum(is_known.sum(axis=1) - (events > 0).sum(axis=1), 1)
+        scatter = np.sqrt(np.maximum(np.nansum(squares, axis=1), 0.0) / freedom[:, None])
+        sigma = scatter[:, None, :] / np.sqrt(events)[..., None]
+        is_good = (events >= MIN_EVENTS) & (mean[..., 0] > 0)
+        mean[~is_good] = sigma[~is_good] = np.nan
+        c_ratio, c_ratio_sigma = mean[..., 0] ** -0.5, 0.5 * sigma[..., 0] * mean[..., 0] ** -1.5
+    return MonthlyRatios(modes.antennas, months, c_ratio, c_ratio_sigma, mean[..., 1:], sigma[..., 1:], events)
+
+
+def find_months(time_unix: Floats) -> tuple[NDArray[np.datetime64], NDArray[np.int64]]:
+    """The months with events, and the first event of each: shape (month,) both.
+
+    Parameters
+    ----------
+    time_unix
+        Shape (event,), rising.
+    """
+    months, starts = np.unique(time_unix.astype("datetime64[s]").astype("datetime64[M]"), return_index=True)
+    return months, starts
+
+
+# Drift of a year with some events more: what of the new ones may be taken without looking at the year again.
+#
+# An event's modes against a fixed reference depend on no other event (`events`). What depends on the whole year is the
+# screening: a spectrum that may be left out, and a path that gets so many events that it is screened, are left to a
+# reading of the whole year.
+
+LARGEST_SHARE = 0.05
+"""Events of a year that may be added to those that were screened together, over these."""
+
+
+def add_events(
+    kept: EventModes,
+    new: SpectraBlock,
+    references: Mapping[int, CalibrationCurve],
+    instrument: Instrument,
+    sky_power: SkyPower,
+) -> EventModes | None:
+    """Events of one polarisation of a station, and some more; None where the whole year is to be read.
+
+    Parameters
+    ----------
+    kept
+        Those that were measured.
+    """
+    antennas, time_unix, ln_c = kept.antennas, kept.time_unix, kept.ln_c
+    found = measure_event_modes(new, references, instrument, sky_power)
+    at = np.searchsorted(antennas, found.antennas)
+    if found.antennas.size == 0 or at.max() >= antennas.size or np.any(antennas[at] != found.antennas):
+        return None
+    rows = np.isin(new.antennas, found.antennas)
+    old = ln_c[at]
+    before, more = np.isfinite(old[..., 0]).sum(axis=1), new.is_present[rows].sum(axis=1)
+    if np.any((before < FEWEST_EVENTS) & (before + more >= FEWEST_EVENTS)):
+        return None
+    judged = before >= FEWEST_EVENTS
+    ln_gain = -2.0 * old[judged, :, 0]
+    expected = predict_power(
+        new, references, instrument, sky_power, found.antennas[judged], np.nanmedian(ln_gain, axis=1)
+    )
+    departure = np.log(new.power[rows][judged] / expected)
+    departure[~new.is_present[rows][judged]] = 0.0
+    centred = ln_gain - np.nanmedian(ln_gain, axis=1, keepdims=True)
+    cut = NEARER * np.maximum(CUT_SIGMA * robust_sigma(centred), SMALLEST_DEPARTURE)
+    if np.any(np.abs(departure.mean(axis=2)) > cut[:, None]) or np.any(
+        np.abs(departure) > NEARER * SMALLEST_OF_CHANNEL
+    ):
+        return None
+    times = np.concatenate([time_unix, found.time_unix])
+    whole = np.full((antennas.size, times.size, ln_c.shape[2]), np.nan)
+    whole[:, : time_unix.size] = ln_c
+    whole[at, time_unix.size :] = found.ln_c
+    order = np.argsort(times, kind="stable")
+    return EventModes(antennas, times[order], whole[:, order], kept.centre)

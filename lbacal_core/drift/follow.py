@@ -12,12 +12,168 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import brentq
+from scipy.special import stdtr, stdtrit
 
-from lbacal_core.drift.medians import FEWEST_COMPANIONS
-from lbacal_core.drift.model import Series
+from lbacal_core.drift.events import find_months
+from lbacal_core.drift.model import FEWEST_COMPANIONS, SLOPE, YEAR_S, Series, smooth_columns
 from lbacal_core.drift.search import Found, search_series
-from lbacal_core.drift.whole import Whole, measure_whole
 from lbacal_core.grids import Floats
+from lbacal_core.linear import fit_least_squares, invert_symmetric
+
+# What all paths share: the trend of the whole, beside its scatter from year to year.
+#
+# The mean of many paths has no companions to be compared with. It moves by about 5 % from year to year (Mulrey et al.
+# 2019, section 4), and a slope must be told from that: the season is removed, and the means of whole years are fitted
+# with a line. Nothing says that levels change where our years begin. A level that lasts a year and changes at another
+# date, or smoothly, gives the means of neighbouring years a correlation of up to 1/2; with independent years assumed,
+# the stated error held 57 % instead of 68.3 %. Seven means do not determine the correlation, and so the slope is
+# averaged over it: a mixture of Student's t, each with two degrees of freedom fewer than there are years, weighted by
+# the residual likelihood of the years. With 5 % a year and seven years the error is about 1 % a year: no method can do
+# much better.
+
+FEWEST_YEARS = 3
+FEWEST_MONTHS = 6
+"""Months that make a year, from the first event on."""
+CORRELATIONS = tuple(np.linspace(0.0, 0.5, 6).tolist())
+"""Means of neighbouring years: 0 where levels change at the turns of our years, 1/2 where they do half a year later."""
+ONE_SIGMA, LIMIT = 0.682689492137086, 0.95
+
+
+@dataclass(frozen=True)
+class Whole:
+    """The trend of what all paths share; changes of ln C, one entry a mode.
+
+    Attributes
+    ----------
+    slope, sigma, limit
+        A year; slope +- sigma holds 68.3 % of the probability, and slope +- limit 95 %.
+    scatter
+        Standard deviation of a year about the line.
+    years
+        How many there are.
+    p_value
+        Probability of so large a slope without one, of the gain.
+    middle_unix
+        Mean time of the years, s UTC.
+    season
+        Coefficients of the columns of `smooth_columns`, shape (4, mode).
+    """
+
+    slope: Floats
+    sigma: Floats
+    limit: Floats
+    scatter: Floats
+    years: int
+    p_value: float
+    middle_unix: float
+    season: Floats
+
+
+def measure_whole(time_unix: Floats, values: Floats) -> Whole | None:
+    """Fit the trend; None where there are fewer than three years.
+
+    Parameters
+    ----------
+    values
+        What all paths share, shape (event, mode), NaN where unknown.
+    """
+    is_known = np.isfinite(values[:, 0])
+    time_unix, values = time_unix[is_known], values[is_known]
+    if time_unix.size == 0:
+        return None
+    _, starts = find_months(time_unix)
+    events = np.diff(np.append(starts, time_unix.size))[:, None]
+    y = np.add.reduceat(values, starts, axis=0, dtype=float) / events
+    smooth = np.add.reduceat(smooth_columns(time_unix, time_unix[0]), starts, axis=0) / events
+    year = np.floor(smooth[:, SLOPE]).astype(int)
+    kept = [number for number in range(int(year.max()) + 1) if np.sum(year == number) >= FEWEST_MONTHS]
+    if len(kept) < FEWEST_YEARS:
+        return None
+    is_of = (year[:, None] == np.arange(int(year.max()) + 1)).astype(float)
+    columns = np.hstack([is_of, smooth[:, 1:SLOPE], smooth[:, SLOPE, None]])
+    season = fit_least_squares(columns, y)[is_of.shape[1] : -1]
+    mean = is_of.T[kept] / is_of.T[kept].sum(axis=1, keepdims=True)
+    level, when = mean @ (y - smooth[:, 1:SLOPE] @ season), mean @ smooth[:, SLOPE]
+    middle_unix = float(time_unix[0] + when.mean() * YEAR_S)
+    fits = [_fit_line(np.array(kept), when - when.mean(), level, correlation) for correlation in CORRELATIONS]
+    found = [_Mixture.of([fit[mode] for fit in fits], len(kept) - 2) for mode in range(level.shape[1])]
+    slope, sigma, limit = (
+        np.array(values) for values in zip(*((m.mean, m.reach(ONE_SIGMA), m.reach(LIMIT)) for m in found), strict=True)
+    )
+    p_value = 1.0 - found[0].part_within(abs(found[0].mean))
+    return Whole(slope, sigma, limit, _scatter(when, level), len(kept), p_value, middle_unix, season)
+
+
+@dataclass(frozen=True)
+class _Line:
+    """The slope of one mode for one correlation of years, its error, and the logarithm of the likelihood."""
+
+    slope: float
+    error: float
+    log_likelihood: float
+
+
+def _fit_line(year: NDArray[np.int64], when: Floats, level: Floats, correlation: float) -> list[_Line]:
+    """Fit the means of years, shape (year, mode), whose correlation falls with their distance as a power."""
+    apart = np.abs(year[:, None] - year)
+    covariance = np.where(apart == 0, 1.0, correlation ** np.maximum(apart, 1))
+    inverse = invert_symmetric(covariance)
+    columns = np.stack([np.ones_like(when), when], axis=1)
+    of_line = invert_symmetric(columns.T @ inverse @ columns)
+    theta = of_line @ columns.T @ inverse @ level
+    left = level - columns @ theta
+    freedom = year.size - 2
+    chi2 = np.maximum(np.sum(left * (inverse @ left), axis=0), 1e-300)
+    constant = 0.5 * np.linalg.slogdet(of_line)[1] - 0.5 * np.linalg.slogdet(covariance)[1]
+    return [
+        _Line(
+            float(slope), float(np.sqrt(one / freedom * of_line[1, 1])), float(constant - 0.5 * freedom * np.log(one))
+        )
+        for slope, one in zip(theta[1], chi2, strict=True)
+    ]
+
+
+@dataclass(frozen=True)
+class _Mixture:
+    """The probability of a slope: Student's t about several values, with their weights."""
+
+    slope: Floats
+    error: Floats
+    weight: Floats
+    freedom: int
+
+    @classmethod
+    def of(cls, lines: list[_Line], freedom: int) -> _Mixture:
+        """Weight lines by their likelihood."""
+        slope, error, log_likelihood = (
+            np.array([getattr(one, name) for one in lines]) for name in ("slope", "error", "log_likelihood")
+        )
+        weight = np.exp(log_likelihood - log_likelihood.max())
+        return cls(slope, error, weight / weight.sum(), freedom)
+
+    @property
+    def mean(self) -> float:
+        """The slope that is told."""
+        return float(self.weight @ self.slope)
+
+    def part_within(self, reach: float) -> float:
+        """The probability of the slopes that differ from the mean by less than this."""
+        ends = self.mean + np.array([[-reach], [reach]])
+        low, high = stdtr(self.freedom, (ends - self.slope) / self.error)
+        return float(self.weight @ (high - low))
+
+    def reach(self, part: float) -> float:
+        """How far from the mean this part of the probability lies."""
+        farthest = float(np.max(np.abs(self.slope - self.mean) + self.error * stdtrit(self.freedom, (1 + part) / 2)))
+        return float(brentq(lambda reach: self.part_within(reach) - part, 0.0, farthest, xtol=1e-12))
+
+
+def _scatter(when: Floats, level: Floats) -> Floats:
+    """Standard deviation of years about the straight line through them, one entry a mode."""
+    left = level - np.polynomial.polynomial.polyval(when, np.polynomial.polynomial.polyfit(when, level, 1)).T
+    return np.asarray(np.sqrt(np.sum(left**2, axis=0) / (when.size - 2)))
+
 
 BOTH = "XY"
 """The polarisation of a group that has both."""

@@ -6,15 +6,340 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtrc, chdtri, ndtri
 
-from lbacal_core.drift.dates import find_dates
-from lbacal_core.drift.medians import median_of_members, median_over
-from lbacal_core.drift.monthly import find_months
-from lbacal_core.drift.noise import Lasting, correlate_modes, estimate_lasting, invert_covariance
-from lbacal_core.drift.scores import chi_square, find_threshold, score_slope, score_steps
-from lbacal_core.drift.terms import SLOPE, STEPS, Fit, Terms, fit_terms, month_columns, smooth_columns
+from lbacal_core.drift.events import find_months
 from lbacal_core.grids import Floats
-from lbacal_core.linear import find_whitener
+from lbacal_core.linear import find_whitener, invert_symmetric, solve_symmetric
+
+# The linear model of a monthly series: an offset, a season, a slope and steps, fitted to many series at once.
+#
+# Least squares with the inverse covariance W of the months, in units of the event noise of the series:
+# theta = (Z^T W Z + Q)^-1 Z^T W y, where Q holds the inverse variances of what is known beforehand of the season. An
+# annual term that nobody models drives every detector of steps from 5 % to 30-80 % false alarms in seven years.
+
+YEAR_S = 365.25 * 86_400.0
+SEASON_PRIOR = (0.03, 0.03, 0.01, 0.01)
+"""Standard deviations of ln C of the annual term (cosine, sine) and of the half-annual one, before any data: in a
+series that is shorter than a year they keep the season from describing a step."""
+OFFSET, SLOPE, STEPS = 0, 5, 6
+"""Columns: the offset, four of the season, the slope, then the steps."""
+_UNUSED = 1.0
+_HARDLY_KNOWN = 1e-9
+
+
+@dataclass(frozen=True)
+class Terms:
+    """Which terms the series have.
+
+    Attributes
+    ----------
+    has_slope
+        Shape (series,).
+    dates
+        Shape (series, step), s UTC; infinite where there is no step.
+    is_known
+        Shape (series, step): steps at which hardware changed, which stay in the model whatever their size.
+    """
+
+    has_slope: NDArray[np.bool_]
+    dates: Floats
+    is_known: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Coefficients in units of the event noise.
+
+    Attributes
+    ----------
+    theta
+        Shape (mode, series, column).
+    covariance
+        Shape (mode, series, column, column).
+    weighted_residual
+        W (y - Z theta), shape (mode, series, month).
+    """
+
+    theta: Floats
+    covariance: Floats
+    weighted_residual: Floats
+
+
+def smooth_columns(time_unix: Floats, middle_unix: float) -> Floats:
+    """Offset, season and slope (per year) at some times, shape (time, 6)."""
+    years = (time_unix - middle_unix) / YEAR_S
+    angle = 2 * np.pi * time_unix / YEAR_S
+    season = [np.cos(angle), np.sin(angle), np.cos(2 * angle), np.sin(2 * angle)]
+    return np.stack([np.ones_like(years), *season, years], axis=-1)
+
+
+def month_columns(
+    smooth: Floats, terms: Terms, time_unix: Floats, is_known: NDArray[np.bool_], starts: NDArray[np.int64]
+) -> Floats:
+    """All columns at the months of every series, shape (series, month, column).
+
+    A step within a month has there the part of the series' events that come after it.
+
+    Parameters
+    ----------
+    smooth
+        Shape (month, 6).
+    is_known
+        Whether a series has a value at an event, shape (series, event).
+    """
+    series, steps = terms.dates.shape
+    columns = np.zeros((series, len(smooth), STEPS + steps))
+    columns[:, :, :STEPS] = smooth
+    columns[~terms.has_slope, :, SLOPE] = 0.0
+    for j in range(steps):
+        used = np.flatnonzero(np.isfinite(terms.dates[:, j]))
+        is_after = time_unix >= terms.dates[used, j, None]
+        after = np.add.reduceat((is_known[used] & is_after).astype(float), starts, axis=1)
+        events = np.add.reduceat(is_known[used].astype(float), starts, axis=1)
+        columns[used, :, STEPS + j] = np.where(events > 0, after / np.maximum(events, 1.0), is_after[:, starts])
+    return columns
+
+
+def fit_terms(y: Floats, inverse: Floats, columns: Floats, scale: Floats) -> Fit:
+    """Fit all series.
+
+    Parameters
+    ----------
+    y
+        Shape (mode, series, month), in units of the event noise; 0 where unknown.
+    inverse
+        W, shape (mode, series, month, month).
+    columns
+        Shape (series, month, column); a column of zeros is a term that the series does not have.
+    scale
+        The event noise, shape (mode, series).
+    """
+    weighted = inverse @ columns
+    normal = np.swapaxes(columns, -1, -2) @ weighted
+    is_used = np.any(columns != 0.0, axis=1)
+    precision = np.where(is_used, _HARDLY_KNOWN, _UNUSED) * np.ones((*scale.shape, 1))
+    precision[:, :, OFFSET + 1 : SLOPE] = (scale[..., None] / np.array(SEASON_PRIOR)) ** 2
+    normal += precision[..., None] * np.eye(columns.shape[-1])
+    covariance = invert_symmetric(normal)
+    theta = (covariance @ (np.swapaxes(weighted, -1, -2) @ y[..., None]))[..., 0]
+    residual = y - (columns @ theta[..., None])[..., 0]
+    return Fit(theta, covariance, np.asarray((inverse @ residual[..., None])[..., 0]))
+
+
+# How much a step at any month, or a slope, would explain beside the terms that series have: score tests.
+#
+# For a candidate column h the residual r of the fit gives the size (h W r) / (h W h - b^T S b), with b = Z^T W h and S
+# the covariance of the fit: what the fit describes of h is profiled out. A step's column is 1 from its month on, so
+# that all its products are sums over the end of a series, and all months are scored at once.
+
+_NOTHING = 1e-12
+_SMALLEST_P = 1e-250
+
+
+def score_steps(inverse: Floats, columns: Floats, fit: Fit, whitener: Floats) -> Floats:
+    """Chi-square of a step before every month, shape (series, month); arguments as in `terms.fit_terms`."""
+    after = np.cumsum((inverse @ columns)[:, :, ::-1], axis=2)[:, :, ::-1]
+    sums = np.cumsum(np.cumsum(inverse[:, :, ::-1, ::-1], axis=2), axis=3)
+    information = np.diagonal(sums, axis1=2, axis2=3)[:, :, ::-1]
+    described = np.sum((after @ fit.covariance) * after, axis=-1)
+    score = np.cumsum(fit.weighted_residual[:, :, ::-1], axis=2)[:, :, ::-1]
+    information = np.maximum(information - described, _NOTHING)
+    return chi_square(whitener, score / information, 1.0 / information)
+
+
+def score_slope(inverse: Floats, columns: Floats, fit: Fit, whitener: Floats, slope: Floats) -> Floats:
+    """Chi-square of a slope, shape (series,); `slope` is its column, shape (month,)."""
+    weighted = inverse @ slope
+    beside = (weighted[:, :, None, :] @ columns)[:, :, 0]
+    described = np.sum((beside[:, :, None, :] @ fit.covariance)[:, :, 0] * beside, axis=-1)
+    information = np.maximum(weighted @ slope - described, _NOTHING)
+    return chi_square(whitener, (fit.weighted_residual @ slope) / information, 1.0 / information)
+
+
+def chi_square(whitener: Floats, size: Floats, variance: Floats) -> Floats:
+    """Chi-square of sizes, shape (mode, ...), the modes made uncorrelated."""
+    z = np.tensordot(whitener, size / np.sqrt(np.maximum(variance, 1e-300)), axes=1)
+    return np.asarray(np.sum(z**2, axis=0))
+
+
+def find_significance(chi2: Floats, modes: int) -> Floats:
+    """Standard deviations of a normal with the same probability on both sides; a very large chi-square's root."""
+    p = chdtrc(modes, chi2)
+    return np.asarray(np.where(p > _SMALLEST_P, -ndtri(np.maximum(p, _SMALLEST_P) / 2.0), np.sqrt(chi2)))
+
+
+def find_threshold(false_alarms: float, trials: int, modes: int) -> float:
+    """The chi-square that so many trials exceed by chance in `false_alarms` of all cases."""
+    return float(chdtri(modes, false_alarms / max(trials, 1)))
+
+
+# The date of a step, from events: months only say between which of them to look.
+#
+# Given its size, a step at the date t changes the likelihood by the events between t and any other date. With a uniform
+# prior in time that is a probability of t, constant between two events: its median is the date, and the interval that
+# holds 95 % of it is stated beside its standard deviation. Where a path was silent, that interval is the gap.
+
+REACH_S = 62 * 86_400.0
+"""A step lies within so much of the month in which the scan saw it."""
+OUTER = 0.025
+"""Probability on either side of the stated interval."""
+
+
+@dataclass(frozen=True)
+class Dates:
+    """When steps happened, s UTC, shape (step,) each: median, standard deviation, and the interval that holds 95 %."""
+
+    date: Floats
+    sigma: Floats
+    earliest: Floats
+    latest: Floats
+
+
+def find_dates(time_unix: Floats, residual: Floats, size: Floats, near_unix: Floats) -> Dates:
+    """Date some steps.
+
+    Parameters
+    ----------
+    time_unix
+        Shape (event,), rising.
+    residual
+        What is left of each event without the step, modes uncorrelated and of unit noise, shape (step, event, mode);
+        NaN where unknown.
+    size
+        The steps in the same unit, shape (step, mode).
+    near_unix
+        About when they happened, shape (step,).
+    """
+    gain = np.einsum("sek,sk->se", residual, size) - 0.5 * np.sum(size**2, axis=1)[:, None]
+    width = np.diff(time_unix)
+    is_gap = (time_unix[1:] >= near_unix[:, None] - REACH_S) & (time_unix[:-1] <= near_unix[:, None] + REACH_S)
+    is_gap &= width > 0
+    is_near = np.pad(is_gap, ((0, 0), (0, 1))) | np.pad(is_gap, ((0, 0), (1, 0)))
+    gain = np.where(is_near & np.isfinite(gain), gain, 0.0)
+    after = np.cumsum(gain[:, ::-1], axis=1)[:, ::-1][:, 1:]  # of all events behind the gap that follows an event
+    log_p = np.where(is_gap, after + np.log(np.maximum(width, 1e-9)), -np.inf)
+    p = np.exp(log_p - log_p.max(axis=1, keepdims=True))
+    p /= p.sum(axis=1, keepdims=True)
+    middle = 0.5 * (time_unix[1:] + time_unix[:-1])
+    mean = p @ middle
+    variance = np.sum(p * ((middle - mean[:, None]) ** 2 + width**2 / 12.0), axis=1)
+    total = np.cumsum(p, axis=1)
+    quantiles = [_quantile(total, p, time_unix, q) for q in (0.5, OUTER, 1.0 - OUTER)]
+    return Dates(quantiles[0], np.sqrt(variance), quantiles[1], quantiles[2])
+
+
+def _quantile(total: Floats, p: Floats, time_unix: Floats, q: float) -> Floats:
+    gap = np.argmax(total >= min(q, 1.0 - 1e-12), axis=1)
+    rows = np.arange(len(p))
+    passed = 1.0 - (total[rows, gap] - q) / np.maximum(p[rows, gap], 1e-300)
+    return np.asarray(time_unix[gap] + np.clip(passed, 0.0, 1.0) * (time_unix[gap + 1] - time_unix[gap]))
+
+
+# The noise of monthly series: that of events, and what lasts longer than an event, estimated from all series.
+#
+# The mean of n events has the variance 1/n in units of the event noise. Weather, read-out and whatever nobody models
+# add a process that lasts: rho exp(-|dt| / L). Its level and length are common to the series of one kind and one mode;
+# the likelihood over a grid of both decides (residual maximum likelihood: offset, season, slope and one step are
+# marginalised).
+
+LENGTHS_MONTHS = (0.3, 2.0, 8.0, 30.0)
+LEVELS = (0.0, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
+"""Variance of the process over that of the mean of a typical month's events."""
+MOST_SERIES = 150
+"""As many series determine two numbers."""
+NO_EVENTS = 1e-6
+_FREE = 1e4
+
+
+@dataclass(frozen=True)
+class Lasting:
+    """The process beside the events' noise: its variance in units of the event noise, and its length in months."""
+
+    variance: float
+    length_months: float
+
+    def covariance(self, months: NDArray[np.datetime64]) -> Floats:
+        """Shape (month, month)."""
+        number = months.astype(np.int64)
+        distance = np.abs(number[:, None] - number)
+        return np.asarray(self.variance * np.exp(-distance / self.length_months))
+
+
+def estimate_lasting(
+    y: Floats, events: Floats, smooth: Floats, scale: Floats, months: NDArray[np.datetime64], more: Floats
+) -> Lasting:
+    """Estimate the process of one mode.
+
+    Parameters
+    ----------
+    y
+        Shape (series, month), in units of the event noise, 0 where unknown.
+    events
+        Shape (series, month).
+    smooth
+        Offset, season and slope at the months, shape (month, 6).
+    scale
+        The event noise, shape (series,).
+    more
+        One more column of each series that is no noise, shape (series, month); zeros where there is none.
+    """
+    if not np.any(events > 0):
+        return Lasting(0.0, 1.0)
+    some = slice(None, None, max(1, -(-len(y) // MOST_SERIES)))
+    y, events, scale, more = y[some], events[some], scale[some], more[some]
+    prior = np.full((len(y), smooth.shape[1]), _FREE)
+    prior[:, OFFSET + 1 : SLOPE] = (np.array(SEASON_PRIOR) / scale[:, None]) ** 2
+    fixed = (smooth * prior[:, None, :]) @ smooth.T + _FREE * more[:, :, None] * more[:, None, :]
+    fixed[:, np.arange(len(months)), np.arange(len(months))] += 1.0 / np.maximum(events, NO_EVENTS)
+    of_month = 1.0 / np.median(events[events > 0])
+    grid = [Lasting(0.0, 1.0)]
+    grid += [Lasting(level * of_month, length) for level in LEVELS[1:] for length in LENGTHS_MONTHS]
+    return min(grid, key=lambda one: _minus_log_likelihood(fixed + one.covariance(months), y))
+
+
+def _minus_log_likelihood(covariance: Floats, y: Floats) -> float:
+    chi2 = np.sum(y * solve_symmetric(covariance, y[..., None])[..., 0])
+    return float(chi2 + np.sum(np.linalg.slogdet(covariance)[1]))
+
+
+def invert_covariance(events: Floats, lasting: Lasting, months: NDArray[np.datetime64]) -> Floats:
+    """W of every series, shape (series, month, month): its rows are practically 0 where a month has no event."""
+    covariance = np.repeat(lasting.covariance(months)[None], len(events), axis=0)
+    diagonal = np.arange(len(months))
+    covariance[:, diagonal, diagonal] += 1.0 / np.maximum(events, NO_EVENTS)
+    return invert_symmetric(covariance)
+
+
+def correlate_modes(y: Floats, events: Floats) -> Floats:
+    """Correlation of the modes' noise, shape (mode, mode), from residuals in units of the event noise."""
+    weighted = y * np.sqrt(events)
+    product = np.einsum("ksm,lsm->kl", weighted, weighted)
+    size = np.sqrt(np.diag(product))
+    return np.asarray(product / np.maximum(np.outer(size, size), 1e-300) + 1e-6 * np.eye(len(y)))
+
+
+# What the series of a group have in common in an event: their median.
+
+FEWEST_COMPANIONS = 3
+"""The median of fewer series is too much the series itself."""
+
+
+def median_of_members(values: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Median of the series of a group at every event, shape (event, mode); NaN where fewer than three are known."""
+    median = median_over(values, axis=0)
+    median[np.isfinite(values).sum(axis=0) < FEWEST_COMPANIONS] = np.nan
+    return median
+
+
+def median_over(values: NDArray[np.float32], axis: int) -> NDArray[np.float32]:
+    """Median of the known values along an axis, NaN where there is none; some times faster than `nanmedian`."""
+    ordered = np.sort(np.moveaxis(values, axis, -1), axis=-1)  # NaN last
+    count = np.isfinite(ordered).sum(axis=-1, keepdims=True)
+    upper, lower = np.minimum(count // 2, values.shape[axis] - 1), np.maximum((count - 1) // 2, 0)
+    pair = np.take_along_axis(ordered, np.concatenate([lower, upper], axis=-1), axis=-1)
+    return np.asarray(np.where(count[..., 0] > 0, pair.mean(axis=-1), np.nan), dtype=np.float32)
+
 
 MOST_STEPS = 8
 FEWEST_EVENTS = 10

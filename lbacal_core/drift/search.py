@@ -19,10 +19,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lbacal_core.drift.model import MOST_STEPS, Series, SeriesModel
-from lbacal_core.drift.noise import Lasting
-from lbacal_core.drift.scores import chi_square, find_significance
-from lbacal_core.drift.terms import SLOPE, STEPS, Terms, fit_terms
+from lbacal_core.drift.model import (
+    MOST_STEPS,
+    SLOPE,
+    STEPS,
+    Lasting,
+    Series,
+    SeriesModel,
+    Terms,
+    chi_square,
+    find_significance,
+    fit_terms,
+)
 from lbacal_core.grids import Floats
 
 FALSE_ALARMS = 0.05

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
 from lbacal_core.readers.source import Integrations, Source
-from lbacal_core.spectra import Spectra
+from lbacal_core.spectra.spectra import Spectra
 
 BLOCK_S = 1024 / 200e6
 """Length of a block of LOFAR's transient buffer (1024 samples at 200 MHz), the unit of `blocks` in a spectra file."""

@@ -8,8 +8,8 @@ import numpy as np
 
 from lbacal_core.errors import BadInputError, UnreadableFileError
 from lbacal_core.grids import guess_widths
-from lbacal_core.instrument import Instrument
-from lbacal_core.readers import folder, nenufar, statistics, tables, visibilities
+from lbacal_core.instrument.instrument import Instrument
+from lbacal_core.readers import statistics, tables, visibilities
 from lbacal_core.readers.average import Channels
 from lbacal_core.readers.source import Source
 
@@ -40,12 +40,12 @@ def open_source(path: Path, station: str | None = None) -> Source:
         return visibilities.open_visibilities(path)
     if statistics.is_statistics(path):
         return statistics.open_statistics(path)
-    if path.suffix in nenufar.SUFFIXES:
-        return nenufar.open_mini_arrays(path, station)
+    if path.suffix in statistics.NENUFAR_SUFFIXES:
+        return statistics.open_mini_arrays(path, station)
     if path.suffix == ".csv" and tables.is_table_of_rows(path):
         return tables.open_table(path, station or DEFAULT_STATION)
-    if path.suffix in folder.SUFFIXES:
-        return folder.open_folder([path], station or DEFAULT_STATION)
+    if path.suffix in tables.SUFFIXES:
+        return tables.open_folder([path], station or DEFAULT_STATION)
     raise BadInputError(str(path), "; ".join(FORMATS), f"a file {path.suffix or 'without a suffix'}")
 
 
@@ -53,10 +53,10 @@ def _open_folder(path: Path, station: str) -> Source:
     receivers = statistics.find_receiver_files(path)
     if receivers:
         return statistics.open_receiver_files(receivers, station)
-    files = sorted(file for file in path.iterdir() if file.suffix in folder.SUFFIXES)
+    files = sorted(file for file in path.iterdir() if file.suffix in tables.SUFFIXES)
     if not files:
         raise BadInputError(str(path), "; ".join(FORMATS), "a folder without any of them")
-    return folder.open_folder(files, station)
+    return tables.open_folder(files, station)
 
 
 def choose_channels(

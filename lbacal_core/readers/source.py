@@ -9,9 +9,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from lbacal_core.dipoles import EXPECTED, are_dipole_names
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats, require_channels
+from lbacal_core.instrument.antennas import EXPECTED, are_dipole_names
 
 
 @dataclass(frozen=True)

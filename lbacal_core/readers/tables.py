@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterator
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from itertools import groupby
 from pathlib import Path
@@ -12,7 +14,8 @@ from typing import Any
 import numpy as np
 
 from lbacal_core.errors import BadInputError, UnreadableFileError
-from lbacal_core.grids import guess_widths
+from lbacal_core.foreign import read_npz
+from lbacal_core.grids import Floats, guess_widths
 from lbacal_core.readers.source import Integrations, Source
 
 KEYS = ("time", "antenna", "dipole")
@@ -141,3 +144,129 @@ def parse_time(text: str, path: Path) -> float:
     except ValueError as error:
         raise BadInputError(f"{path}: time", "an ISO 8601 instant", repr(text)) from error
     return (instant if instant.tzinfo else instant.replace(tzinfo=UTC)).timestamp()
+
+
+# Folders of one file an integration: CSV tables or NumPy archives (docs/formats.md).
+
+SUFFIXES = (".csv", ".npz")
+
+
+def open_folder(files: Sequence[Path], station: str) -> Source:
+    """Open files of one integration each; every file has the same channels and paths, the first decides which.
+
+    A CSV file has a column `frequency_mhz` and one column a path (`17X`), and a line `# time: 2014-05-01T03:04:05Z`; a
+    NumPy archive has `frequency_mhz` (freq,), `power` (path, freq), `antenna` (path,), `dipole` (path,) and
+    `time_unix`, and `duration_s` if it is not 1 s. Both may have `event_id`, `flag` and covariates `env/...`.
+    """
+    first = _read_file(files[0])
+    frequency_mhz, paths = first.frequency_mhz, first.paths
+    instants = [first.time_unix]
+    for file in files[1:]:
+        content = _read_file(file)
+        if content.paths != paths or not np.array_equal(content.frequency_mhz, frequency_mhz):
+            raise BadInputError(str(file), f"the channels and paths of {files[0].name}", "others")
+        instants.append(content.time_unix)
+    in_order = [files[k] for k in np.argsort(instants, kind="stable")]
+    return Source(
+        name=files[0].parent.name or str(files[0]),
+        frequency_mhz=frequency_mhz,
+        width_mhz=guess_widths(frequency_mhz),
+        station=np.full(len(paths), station),
+        antenna=np.array([antenna for antenna, _ in paths], dtype=np.int64),
+        dipole=np.array([dipole for _, dipole in paths]),
+        read=lambda: _read_folder(in_order),
+        notes=(f"the station is called {station}",),
+    )
+
+
+def _read_folder(files: Sequence[Path]) -> Iterator[Integrations]:
+    for file in files:
+        content = _read_file(file)
+        facts = content.facts
+        length = _read_number(facts.get("duration_s", "1"), file, "duration_s")
+        yield Integrations(
+            np.array([content.time_unix]),
+            np.array([length]),
+            content.power[None],
+            event_id=np.array([facts.get("event_id", "")]),
+            flag=np.array([facts.get("flag", "")]),
+            environment={
+                name.removeprefix(COVARIATE): np.array([_read_number(text, file, name)])
+                for name, text in facts.items()
+                if name.startswith(COVARIATE)
+            },
+        )
+
+
+@dataclass(frozen=True)
+class _Content:
+    """One file: channels, paths, middle of the integration, power (path, freq), and its facts as texts."""
+
+    frequency_mhz: Floats
+    paths: list[tuple[int, str]]
+    time_unix: float
+    power: Floats
+    facts: dict[str, str]
+
+
+def _read_file(path: Path) -> _Content:
+    return _read_archive(path) if path.suffix == ".npz" else _read_table(path)
+
+
+def _read_number(text: str, path: Path, name: str) -> float:
+    try:
+        return float(text)
+    except ValueError as error:
+        raise BadInputError(f"{path}: {name}", "a number", repr(text[:40])) from error
+
+
+def _read_table(path: Path) -> _Content:
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise UnreadableFileError(f"{path}: expected a CSV table ({error})") from error
+    facts = dict(_split_fact(line) for line in lines if line.startswith("#") and ":" in line)
+    rows = list(csv.reader(line for line in lines if line and not line.startswith("#")))
+    if len(rows) < 2 or rows[0][0].strip() != "frequency_mhz":
+        raise BadInputError(
+            f"{path}: line 1",
+            "frequency_mhz and one column a path, or time,antenna,dipole and one column a frequency",
+            ",".join(rows[0][:3]) if rows else "nothing",
+        )
+    paths = [_parse_path(name.strip(), path) for name in rows[0][1:]]
+    try:
+        values = np.array([[float(cell) if cell.strip() else np.nan for cell in row] for row in rows[1:]])
+    except ValueError as error:
+        raise BadInputError(str(path), "numbers in every column", str(error)) from error
+    if values.ndim != 2 or values.shape[1] != len(paths) + 1:
+        raise BadInputError(str(path), f"{len(paths) + 1} columns in every row", "fewer or more")
+    if "time" not in facts:
+        raise BadInputError(str(path), "a line '# time: 2014-05-01T03:04:05Z'", "none")
+    return _Content(values[:, 0], paths, parse_time(facts["time"], path), values[:, 1:].T, facts)
+
+
+def _read_archive(path: Path) -> _Content:
+    needed = ("frequency_mhz", "power", "antenna", "dipole", "time_unix")
+    content = read_npz(path, needed, "one integration")
+    try:
+        paths = [(int(a), str(d)) for a, d in zip(content["antenna"], content["dipole"], strict=True)]
+        power, frequency = (np.asarray(content[name], dtype=float) for name in ("power", "frequency_mhz"))
+        time_unix = float(content["time_unix"])
+    except (ValueError, TypeError) as error:
+        raise BadInputError(str(path), "numbers, and one antenna and dipole a path", str(error)[:80]) from error
+    if power.shape != (len(paths), frequency.size):
+        raise BadInputError(f"{path}: power", f"shape {(len(paths), frequency.size)} (path, freq)", f"{power.shape}")
+    facts = {name: str(values) for name, values in content.items() if name not in needed and values.ndim == 0}
+    return _Content(frequency, paths, time_unix, power, facts)
+
+
+def _split_fact(line: str) -> tuple[str, str]:
+    name, _, value = line.lstrip("#").partition(":")
+    return name.strip().lower(), value.strip()
+
+
+def _parse_path(name: str, path: Path) -> tuple[int, str]:
+    found = re.fullmatch(r"(\d+)([A-Za-z][A-Za-z0-9_+-]{0,7})", name, re.ASCII)
+    if found is None:
+        raise BadInputError(f"{path}: column {name!r}", "an antenna and a dipole, such as 17X", repr(name))
+    return int(found[1]), found[2]

@@ -1,1 +1,1 @@
-"""Sky models: read `model` (what one is), `names`, `maps`, `sources` (where they come from), `frames`, `multipoles`."""
+"""Sky models: read `model` (what one is), `names`, `maps` and `sources` (where they come from)."""

@@ -6,8 +6,7 @@ import numpy as np
 
 from lbacal_core.antenna.model import AntennaModel, directional_response
 from lbacal_core.grids import Floats
-from lbacal_core.sky.frames import DATA_EPOCH, local_direction, precess
-from lbacal_core.sky.model import SkyModel
+from lbacal_core.sky.model import DATA_EPOCH, SkyModel, local_direction, precess
 from lbacal_core.skypower.power import power_per_kelvin_sr
 
 

@@ -3,22 +3,56 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
-from lbacal_core.antenna.model import AntennaModel
-from lbacal_core.antenna.names import load_antenna
+from lbacal_core.antenna.model import AntennaModel, zenith_gain
+from lbacal_core.antenna.names import ANTENNAS, DEFAULT_ANTENNA, load_antenna
+from lbacal_core.antenna.varied import VariedAntenna
+from lbacal_core.data.tables import LOFAR_DEG, LOFAR_RADIUS_DEG
+from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
-from lbacal_core.instrument import Instrument
+from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.provenance import hash_content
-from lbacal_core.sky.frames import DATA_EPOCH
-from lbacal_core.sky.model import SkyModel
-from lbacal_core.sky.multipoles import precess_multipoles
+from lbacal_core.sky.model import DATA_EPOCH, SkyModel, precess_multipoles
 from lbacal_core.sky.names import default_sky, load_sky
-from lbacal_core.skypower.antenna_of import antenna_of
-from lbacal_core.skypower.made_for import describe_view
 from lbacal_core.skypower.modes import beam_multipoles, combine, sky_power_at
-from lbacal_core.skypower.table import SkyPower
+from lbacal_core.skypower.table import SkyPower, describe_view
+
+# The antenna model that belongs to an instrument.
+
+
+def antenna_for_ratios(instrument: Instrument) -> str:
+    """The antenna model that an instrument names, else the default one.
+
+    For changes of the beam or the sky by ratio, P own(with) / own(without), beside a sky power that was given: there
+    the pattern of another antenna is off by the difference of the ratios only.
+    """
+    return instrument.antenna or DEFAULT_ANTENNA
+
+
+def antenna_of(instrument: Instrument) -> str:
+    """The antenna model that an instrument names; for one among LOFAR's Dutch stations that of LOFAR.
+
+    Raises
+    ------
+    BadInputError
+        Where an instrument elsewhere names none. The pattern of another antenna would put C wrong by 24-51 %.
+    """
+    if instrument.antenna is not None:
+        return instrument.antenna
+    north = instrument.latitude_deg - LOFAR_DEG[0]
+    east = (instrument.longitude_deg - LOFAR_DEG[1]) * np.cos(np.radians(LOFAR_DEG[0]))
+    if np.hypot(north, east) <= LOFAR_RADIUS_DEG:
+        return DEFAULT_ANTENNA
+    raise BadInputError(
+        f"instrument {instrument.name}: antenna",
+        f"the name of an antenna model ({', '.join(sorted(ANTENNAS))}) or a file of Jones terms, in the instrument "
+        "file or as lbacal sky-power --antenna; or a sky power file (--sky-power)",
+        "none, and the instrument does not stand among LOFAR's stations, whose antenna is the default",
+    )
+
 
 LST_HOURS = np.arange(96) / 4.0
 """The default grid; P_sky has so few Fourier terms that it is exact between these points as well."""
@@ -77,3 +111,32 @@ def compute_sky_power(
     north = instrument.latitude_deg
     elsewhere = [station for station, site in instrument.sites.items() if site.latitude_deg != north]
     return table_of(instrument, {station: table_of(instrument.at_station(station), {}) for station in elsewhere})
+
+
+# P_sky with a changed beam.
+
+
+def vary_sky_power(
+    instrument: Instrument,
+    sky: str | SkyModel | None = None,
+    antenna: str | AntennaModel | None = None,
+    lst_hours: Floats | None = None,
+    *,
+    azimuth_deg: float = 0.0,
+    tilt_deg: float = 0.0,
+    tilt_towards_deg: float = 0.0,
+    zenith_exponent: float = 0.0,
+    zenith_gain_fraction: float = 0.0,
+) -> SkyPower:
+    """P_sky where the instrument stands as `compute_sky_power`, with the beam varied and its G_ant left as it is.
+
+    A variation that changes the gain at zenith (`zenith_gain_fraction`, a tilt) appears in P_sky, so that
+    P_sky G_ant is the power received; parameters as in `VariedAntenna`.
+    """
+    antenna = antenna or antenna_for_ratios(instrument)
+    base = load_antenna(antenna) if isinstance(antenna, str) else antenna
+    varied = VariedAntenna(base, azimuth_deg, tilt_deg, tilt_towards_deg, zenith_exponent, zenith_gain_fraction)
+    result = compute_sky_power(replace(instrument, sites={}), sky, varied, lst_hours)
+    gain = zenith_gain(varied, instrument.frequency_mhz) / zenith_gain(base, instrument.frequency_mhz)
+    received = replace(result, power={dipole: values * gain for dipole, values in result.power.items()})
+    return received.of_inputs(hash_content([result.digest(), "gain of the base", base.digest()]))

@@ -9,13 +9,13 @@ import numpy as np
 
 from lbacal_core.antenna.model import AntennaModel, directional_response
 from lbacal_core.antenna.names import load_antenna
-from lbacal_core.antenna.tilted import raise_arm
+from lbacal_core.antenna.varied import raise_arm
 from lbacal_core.grids import Floats
-from lbacal_core.instrument import Instrument
+from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.provenance import hash_content
-from lbacal_core.sky.frames import DATA_EPOCH, local_direction, precess
+from lbacal_core.sky.model import DATA_EPOCH, local_direction, precess
 from lbacal_core.sky.sources import PointSource
-from lbacal_core.skypower.antenna_of import antenna_for_ratios
+from lbacal_core.skypower.model import antenna_for_ratios
 from lbacal_core.skypower.power import IMPEDANCE_OF_FREE_SPACE, RESISTANCE_OHM
 from lbacal_core.skypower.table import SkyPower
 

@@ -13,27 +13,32 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from lbacal_core.data.lofar import DIPOLES
+from lbacal_core.data.tables import DIPOLES
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats, require_channels
-from lbacal_core.traces.blocks import FEWEST_SEGMENTS, find_segments, transform_segments, transform_trace
-from lbacal_core.traces.density import bin_weights, channel_frequencies, density_per_square, sum_of_squares
-from lbacal_core.traces.discovery import read_trace
-from lbacal_core.traces.interference import (
+from lbacal_core.traces.density import (
     COARSE_BOXES,
+    FEWEST_SEGMENTS,
     LARGEST_LEAK,
     FineSpectrum,
     Flags,
+    bin_weights,
+    channel_frequencies,
+    density_per_square,
     estimate_baseline,
     find_excess,
     find_lines,
+    find_segments,
     find_station_excess,
     find_steady_phases,
     line_leakage,
     phase_stability,
+    sum_of_squares,
+    transform_segments,
+    transform_trace,
 )
 from lbacal_core.traces.selection import BlockSelection, find_keyed_blocks, select_background
-from lbacal_core.traces.trace import BLOCK_SAMPLES, Trace, TraceReference
+from lbacal_core.traces.trace import BLOCK_SAMPLES, Trace, TraceReference, read_trace
 
 FEWEST_BLOCKS = 20
 """Fewer background blocks than this make no spectrum: 10 % noise in a bin of 1 MHz, and no search for lines."""

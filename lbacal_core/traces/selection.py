@@ -10,7 +10,7 @@ from astropy.stats import mad_std
 from numpy.typing import NDArray
 
 from lbacal_core.grids import Floats
-from lbacal_core.traces.blocks import BlockStatistics, transform_trace
+from lbacal_core.traces.density import BlockStatistics, transform_trace
 from lbacal_core.traces.trace import ADC_HIGHEST, ADC_LOWEST, BLOCK_SAMPLES, Trace
 
 PULSE_REACH = 5

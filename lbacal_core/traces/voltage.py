@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lbacal_core.covariance import Budget
-from lbacal_core.curves import CalibrationCurve
+from lbacal_core.curves.covariance import Budget
+from lbacal_core.curves.curves import CalibrationCurve
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
 

@@ -1,1 +1,1 @@
-"""How far C may be off beside its statistical error: what may be wrong (`changes`), what that does to C (`refit`)."""
+"""How far C may be off: `refit` (what may be wrong, and what that does to C), `one_event`."""

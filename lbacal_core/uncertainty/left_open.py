@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from lbacal_core.covariance import BudgetTerm
-from lbacal_core.curves import CalibrationCurve, FitReport
+from lbacal_core.causes.model import UNEXPLAINED
+from lbacal_core.curves.covariance import BudgetTerm
+from lbacal_core.curves.curves import CalibrationCurve, FitReport
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
-from lbacal_core.model import UNEXPLAINED
 
 
 @dataclass(frozen=True)

@@ -23,17 +23,67 @@ from lbacal_core.calibration.lines import ChainForms, Lines, fit_lines
 from lbacal_core.calibration.paths import MIN_LST_BINS, Paths, paths_of_scope, require_one_cable_each
 from lbacal_core.calibration.separable import SeparableSolution
 from lbacal_core.calibration.singles import FitSingles, chain_forms, fit_singles
+from lbacal_core.chain.intercepts import Intercepts
 from lbacal_core.chain.noise import noise_constants
-from lbacal_core.covariance import Budget, BudgetTerm
-from lbacal_core.curves import OK, UNCERTAIN, CalibrationCurve, FitReport
+from lbacal_core.curves.covariance import Budget, BudgetTerm
+from lbacal_core.curves.curves import OK, UNCERTAIN, CalibrationCurve, FitReport
+from lbacal_core.curves.reference_chain import ReferenceChain
+from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
-from lbacal_core.instrument import Instrument
-from lbacal_core.intercepts import Intercepts
-from lbacal_core.reference_chain import ReferenceChain
-from lbacal_core.skypower.sky_terms import SkyTerm
+from lbacal_core.instrument.instrument import Instrument
+from lbacal_core.skypower.model import compute_sky_power, vary_sky_power
+from lbacal_core.skypower.sky_terms import PAPER, SKY_BUDGETS, SkyTerm, sky_terms
 from lbacal_core.skypower.table import SkyPower, read_at
-from lbacal_core.spectra import Spectra
-from lbacal_core.uncertainty.changes import DEFAULT_SKY_BUDGET, PAPER_BUDGET, list_changes
+from lbacal_core.spectra.spectra import Spectra
+
+# What may be wrong with sky, pattern and ground: changes of P_sky, one standard deviation each.
+
+DEFAULT_SKY_BUDGET = "models"
+PAPER_BUDGET = "paper"
+PATTERN = "antenna pattern"
+ZENITH_GAIN = 0.10
+"""Change of the pattern's gain at zenith with its total fixed (section 4.2 of the paper)."""
+GROUND = {30.0: 0.004, 55.0: 0.017, 80.0: 0.041}
+"""Power from the ground over that of the sky by frequency, MHz: 75 K, a quarter of 300 K."""
+
+
+def list_changes(instrument: Instrument, sky_budget: str = DEFAULT_SKY_BUDGET) -> list[SkyTerm]:
+    """How far sky, pattern and ground may be from what C is made with; terms alike up to a bracket are one.
+
+    Where no sky or antenna model reaches the instrument's channels, the level of the sky alone.
+    """
+    if sky_budget not in SKY_BUDGETS:
+        raise BadInputError("sky budget", ", ".join(SKY_BUDGETS), repr(sky_budget))
+    try:
+        changes = [*sky_terms(instrument, sky_budget, instrument.sky or "gsm"), _pattern(instrument)]
+        return changes if sky_budget == PAPER_BUDGET else [*changes, _ground(instrument)]
+    except BadInputError:
+        return [_level(instrument)]
+
+
+def _level(instrument: Instrument) -> SkyTerm:
+    """The error of the level that the paper gives."""
+    hours = np.arange(24.0)
+    size = np.full((hours.size, instrument.frequency_mhz.size), np.sqrt(sum(one**2 for one in PAPER.values())))
+    change = dict.fromkeys(instrument.dipole_azimuth_deg, size)
+    return SkyTerm("level of the sky", "Mulrey et al. 2019: no model reaches these channels", hours, change)
+
+
+def _pattern(instrument: Instrument) -> SkyTerm:
+    """The antenna pattern, wider or narrower."""
+    own, wider = (vary_sky_power(instrument, zenith_gain_fraction=size) for size in (0.0, ZENITH_GAIN))
+    change = {dipole: np.log(wider.power[dipole] / power) for dipole, power in own.power.items()}
+    source = "gain at zenith +-10 % with the total fixed (Mulrey et al. 2019, section 4.2)"
+    return SkyTerm(PATTERN, source, own.lst_hours, change)
+
+
+def _ground(instrument: Instrument) -> SkyTerm:
+    """Power that the antenna receives from the ground, the same at all LST."""
+    own = compute_sky_power(instrument)
+    share = np.interp(instrument.frequency_mhz, list(GROUND), list(GROUND.values()))
+    change = {dipole: np.log1p(share * power.mean(axis=0) / power) for dipole, power in own.power.items()}
+    return SkyTerm("ground and losses", "75 K of 300 K through the ground", own.lst_hours, change)
+
 
 INTERFERENCE = 0.002
 """Interference left after narrow lines are removed, fraction of the mean power."""
@@ -308,3 +358,19 @@ def _fit_mean(
 ) -> tuple[Sequence[CalibrationCurve], Sequence[ReferenceChain | None]]:
     report = fit_calibration(spectra, instrument, sky_power, "array")
     return report.curves, report.chains
+
+
+# How well a fit knows what an antenna records without the sky.
+
+
+def electronics_sigma(curve: CalibrationCurve, instrument: Instrument, sky_power: SkyPower) -> Floats:
+    """Standard deviation of `calibration.antenna_noise.recorded_electronics`, shape (freq,), ADC^2/Ohm/MHz.
+
+    The mean recorded power is known far better than its split: what the sky is given too much, the electronics get too
+    little. With s = G_ant/C^2 the sky's part is s P_sky, and an error of ln C changes it by -2 s P_sky. A sky that is
+    brighter than the model changes C and leaves s P_sky as it is.
+    """
+    if curve.c is None or curve.c_sigma_stat is None or curve.dipole is None:
+        raise BadInputError(curve.name, "a curve of one polarisation with its statistical error", curve.status)
+    slope, sky = instrument.antenna_gain / curve.c**2, sky_power.of_station(curve.station)
+    return np.asarray(2.0 * curve.c_sigma_stat / curve.c * slope * sky.power[curve.dipole].mean(axis=0))

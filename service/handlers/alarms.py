@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Depends, Query, Request, Response
 
-from lbacal_core.validity import Instant
+from lbacal_core.curves.validity import Instant
 from service.handlers.problems import document
 from service.handlers.request import (
     JobNumber,

@@ -8,9 +8,9 @@ from typing import Annotated, Any, Literal
 from fastapi import APIRouter, Depends, Query, Request, Response
 
 from lbacal.tables import write_format
-from lbacal_core.calibration.own_cable import ToldCurve
-from lbacal_core.curves import STATUSES, list_numbers
-from lbacal_core.validity import Promotion, Scope
+from lbacal_core.calibration.spreads import ToldCurve
+from lbacal_core.curves.curves import STATUSES, list_numbers
+from lbacal_core.curves.validity import Promotion, Scope
 from service.factory import Factory
 from service.handlers.problems import document
 from service.handlers.request import (

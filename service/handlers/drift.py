@@ -8,8 +8,8 @@ from typing import Any
 
 from fastapi import APIRouter, Depends, Request, Response
 
+from lbacal_core.curves.validity import Scope
 from lbacal_core.errors import BadInputError
-from lbacal_core.validity import Scope
 from service.handlers.problems import document
 from service.handlers.request import TAKES_TURN, AntennaQuery, UseCases, answer, require_read
 from service.usecases.calibrations import select_paths

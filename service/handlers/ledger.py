@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Path, Query, Request, Response
 
-from lbacal_core.validity import Promotion
+from lbacal_core.curves.validity import Promotion
 from service.factory import Factory
 from service.handlers.calibrations import describe_changes
 from service.handlers.problems import document

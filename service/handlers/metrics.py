@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram
 
-from lbacal_core.validity import Instant
+from lbacal_core.curves.validity import Instant
 from service.storage.alarms import ACKNOWLEDGED, KINDS, OPEN
 from service.storage.processes import API, SCHEDULER, WORKER
 from service.usecases.status import State

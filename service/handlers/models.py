@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Query, Request, Response
 
-from lbacal_core.model import AdoptedCause, Model
+from lbacal_core.causes.model import AdoptedCause, Model
 from service.handlers.calibrations import describe_changes
 from service.handlers.problems import document
 from service.handlers.request import (

@@ -11,9 +11,9 @@ import numpy as np
 from fastapi import APIRouter, Depends, Request, Response, status
 from fastapi.responses import HTMLResponse, RedirectResponse
 
-from lbacal_core.curves import list_numbers
-from lbacal_core.model import follows_date
-from lbacal_core.validity import Scope
+from lbacal_core.causes.model import follows_date
+from lbacal_core.curves.curves import list_numbers
+from lbacal_core.curves.validity import Scope
 from service.handlers.request import (
     FORM_COOKIE,
     IMMUTABLE,

@@ -10,8 +10,8 @@ from typing import Any
 
 from sqlalchemy import Connection, Row, and_, func, or_, select, update
 
+from lbacal_core.curves.validity import Instant, Scope
 from lbacal_core.provenance import canonical_json
-from lbacal_core.validity import Instant, Scope
 from service.errors import NotFoundError
 from service.schema.tables import alarm
 from service.wire.instants import DAY_US

@@ -17,9 +17,9 @@ from sqlalchemy import Connection, select
 from sqlalchemy.dialects.postgresql import insert as postgresql_insert
 from sqlalchemy.dialects.sqlite import insert as sqlite_insert
 
+from lbacal_core.curves.validity import Instant
 from lbacal_core.errors import BadInputError
-from lbacal_core.spectra import MAX_COVARIATES, Spectra
-from lbacal_core.validity import Instant
+from lbacal_core.spectra.spectra import MAX_COVARIATES, Spectra
 from service.errors import ConflictError
 from service.schema.tables import event, path, receipt
 

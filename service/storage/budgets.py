@@ -10,7 +10,7 @@ from sqlalchemy import Connection, select
 from sqlalchemy.dialects.postgresql import insert as postgresql_insert
 from sqlalchemy.dialects.sqlite import insert as sqlite_insert
 
-from lbacal_core.covariance import Budget
+from lbacal_core.curves.covariance import Budget
 from lbacal_core.provenance import canonical_json
 from service.errors import NotFoundError
 from service.schema.tables import budget

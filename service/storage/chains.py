@@ -12,8 +12,8 @@ from sqlalchemy import Connection, select
 from sqlalchemy.dialects.postgresql import insert as postgresql_insert
 from sqlalchemy.dialects.sqlite import insert as sqlite_insert
 
+from lbacal_core.curves.reference_chain import CableTable, GainSpreads, ReferenceChain, parse_cable_table, parse_spreads
 from lbacal_core.provenance import canonical_json
-from lbacal_core.reference_chain import CableTable, GainSpreads, ReferenceChain, parse_cable_table, parse_spreads
 from service.schema.tables import chain_part
 
 MANY_KEYS = 500

@@ -6,7 +6,7 @@ import time
 
 from sqlalchemy import Connection, text
 
-from lbacal_core.validity import Instant
+from lbacal_core.curves.validity import Instant
 
 
 def read_database_clock(connection: Connection) -> Instant:

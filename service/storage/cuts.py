@@ -12,7 +12,7 @@ from typing import Any
 
 from sqlalchemy import Connection, Row, Select, func, select, update
 
-from lbacal_core.validity import Instant
+from lbacal_core.curves.validity import Instant
 from service.errors import NotFoundError
 from service.schema.drift import cut_decision, window_cut
 from service.wire.instants import DAY_US

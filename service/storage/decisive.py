@@ -21,7 +21,7 @@ from sqlalchemy import (
 )
 from sqlalchemy.dialects.postgresql import ARRAY
 
-from lbacal_core.validity import Instant
+from lbacal_core.curves.validity import Instant
 from service.schema.tables import promotion, standing
 
 

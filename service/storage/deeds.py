@@ -9,7 +9,7 @@ from sqlalchemy import Connection, delete, select, update
 from sqlalchemy.dialects.postgresql import insert as postgresql_insert
 from sqlalchemy.dialects.sqlite import insert as sqlite_insert
 
-from lbacal_core.validity import Instant
+from lbacal_core.curves.validity import Instant
 from service.schema.tables import deed
 
 KEPT_US = 7 * 86_400_000_000

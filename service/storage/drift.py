@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from sqlalchemy import Connection, delete, select
 
+from lbacal_core.curves.validity import Instant, Scope
 from lbacal_core.provenance import canonical_json
-from lbacal_core.validity import Instant, Scope
 from service.schema.drift import drift_report, drift_source, drift_year, event_modes, monthly_ratio
 from service.schema.tables import path
 

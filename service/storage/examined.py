@@ -10,7 +10,7 @@ from sqlalchemy import Connection, select
 from sqlalchemy.dialects.postgresql import insert as postgresql_insert
 from sqlalchemy.dialects.sqlite import insert as sqlite_insert
 
-from lbacal_core.validity import Instant, Scope, parse_scope
+from lbacal_core.curves.validity import Instant, Scope, parse_scope
 from service.schema.tables import examined
 
 

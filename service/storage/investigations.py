@@ -11,8 +11,8 @@ from sqlalchemy import Connection, Row, and_, func, or_, select
 from sqlalchemy.dialects.postgresql import insert as postgresql_insert
 from sqlalchemy.dialects.sqlite import insert as sqlite_insert
 
+from lbacal_core.curves.validity import Instant
 from lbacal_core.provenance import canonical_json
-from lbacal_core.validity import Instant
 from service.errors import NotFoundError
 from service.schema.tables import investigation
 from service.storage.short_ids import complete_id

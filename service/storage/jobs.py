@@ -11,8 +11,8 @@ from sqlalchemy import Connection, and_, case, func, or_, select, update
 from sqlalchemy.dialects.postgresql import insert as postgresql_insert
 from sqlalchemy.dialects.sqlite import insert as sqlite_insert
 
+from lbacal_core.curves.validity import Instant
 from lbacal_core.provenance import canonical_json
-from lbacal_core.validity import Instant
 from service.errors import ConflictError, NotFoundError
 from service.schema.tables import HAS_FAILED, HAS_SETTLED, IS_OPEN, job, job_part
 from service.storage.clocks import read_database_clock

@@ -12,11 +12,11 @@ from sqlalchemy import Connection, select
 from sqlalchemy.dialects.postgresql import insert as postgresql_insert
 from sqlalchemy.dialects.sqlite import insert as sqlite_insert
 
-from lbacal_core.curves import list_numbers
+from lbacal_core.curves.curves import list_numbers
+from lbacal_core.curves.kept_lines import KeptLines, read_lines, write_lines
+from lbacal_core.curves.validity import Instant, Scope, parse_scope
 from lbacal_core.grids import Floats
-from lbacal_core.kept_lines import KeptLines, read_lines, write_lines
 from lbacal_core.provenance import canonical_json
-from lbacal_core.validity import Instant, Scope, parse_scope
 from service.schema.tables import kept_fit
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from sqlalchemy import Connection, select, update
 
-from lbacal_core.validity import Instant
+from lbacal_core.curves.validity import Instant
 from service.errors import NotFoundError
 from service.schema.tables import api_key
 

@@ -25,7 +25,7 @@ from sqlalchemy.dialects.postgresql import ARRAY
 from sqlalchemy.dialects.postgresql import insert as postgresql_insert
 from sqlalchemy.dialects.sqlite import insert as sqlite_insert
 
-from lbacal_core.validity import Instant, Promotion, Scope
+from lbacal_core.curves.validity import Instant, Promotion, Scope
 from service.errors import UnavailableError
 from service.schema.tables import edge, model_change, promotion, standing, tag
 from service.storage.clocks import read_database_clock

@@ -11,9 +11,9 @@ from sqlalchemy import Connection, Row, func, select
 from sqlalchemy.dialects.postgresql import insert as postgresql_insert
 from sqlalchemy.dialects.sqlite import insert as sqlite_insert
 
-from lbacal_core.model import Model
+from lbacal_core.causes.model import Model
+from lbacal_core.curves.validity import Instant
 from lbacal_core.provenance import canonical_json
-from lbacal_core.validity import Instant
 from service.errors import NotFoundError
 from service.schema.tables import model, model_change, model_gain
 from service.storage.short_ids import complete_id

@@ -10,7 +10,7 @@ from sqlalchemy import Connection, delete, select
 from sqlalchemy.dialects.postgresql import insert as postgresql_insert
 from sqlalchemy.dialects.sqlite import insert as sqlite_insert
 
-from lbacal_core.validity import Instant
+from lbacal_core.curves.validity import Instant
 from service.schema.tables import process
 from service.storage.clocks import read_database_clock
 

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from sqlalchemy import BigInteger, Connection, Row, Select, bindparam, func, select, update
 
+from lbacal_core.curves.validity import Instant, Scope
 from lbacal_core.grids import Floats
-from lbacal_core.spectra import Spectra
-from lbacal_core.validity import Instant, Scope
+from lbacal_core.spectra.spectra import Spectra
 from service.errors import NotFoundError
 from service.schema.tables import event, event_flag, path, spectrum
 from service.storage.arrivals import EVENT_SPAN_US, POWER, Arrivals

@@ -8,7 +8,7 @@ from typing import Any
 
 from sqlalchemy import Connection, Row, select
 
-from lbacal_core.validity import Instant
+from lbacal_core.curves.validity import Instant
 from service.schema.tables import tag
 
 

@@ -13,12 +13,12 @@ from sqlalchemy import ColumnElement, Connection, Row, and_, func, select
 from sqlalchemy.dialects.postgresql import insert as postgresql_insert
 from sqlalchemy.dialects.sqlite import insert as sqlite_insert
 
-from lbacal_core.anomalies import NONE, Anomalies, parse_anomalies
-from lbacal_core.calibration.own_cable import ToldCurve, carry_to_path
-from lbacal_core.curves import MISFIT, STATUSES, CalibrationCurve, parse_curve
+from lbacal_core.calibration.spreads import ToldCurve, carry_to_path
+from lbacal_core.curves.anomalies import NONE, Anomalies, parse_anomalies
+from lbacal_core.curves.curves import MISFIT, STATUSES, CalibrationCurve, parse_curve
+from lbacal_core.curves.reference_chain import ReferenceChain
+from lbacal_core.curves.validity import Instant, Scope
 from lbacal_core.provenance import canonical_json, hash_content
-from lbacal_core.reference_chain import ReferenceChain
-from lbacal_core.validity import Instant, Scope
 from service.errors import NotFoundError
 from service.schema.tables import IS_GATED, calibration, calibration_mean, promotion
 from service.storage.chains import read_cable_changes, read_chains, write_chains

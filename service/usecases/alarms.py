@@ -11,9 +11,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from lbacal_core.errors import BadInputError
-from lbacal_core.in_words import name_path
-from lbacal_core.validity import Instant, Scope
+from lbacal_core.curves.validity import Instant, Scope
+from lbacal_core.errors import BadInputError, name_path
 from service.storage.alarms import (
     ACKNOWLEDGED,
     CAUSE_STOPPED_PAYING,

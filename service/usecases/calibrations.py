@@ -7,13 +7,12 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from lbacal_core.calibration.own_cable import ToldCurve, tell_reference
-from lbacal_core.errors import BadInputError
-from lbacal_core.in_words import name_path
-from lbacal_core.instrument import Instrument
-from lbacal_core.reference_chain import ReferenceChain
-from lbacal_core.remembered import Remembered
-from lbacal_core.validity import Instant, Promotion, Scope
+from lbacal_core.calibration.spreads import ToldCurve, tell_reference
+from lbacal_core.curves.reference_chain import ReferenceChain
+from lbacal_core.curves.validity import Instant, Promotion, Scope
+from lbacal_core.errors import BadInputError, name_path
+from lbacal_core.instrument.instrument import Instrument
+from lbacal_core.provenance import Remembered
 from service.errors import NotInEffectError
 from service.storage.cuts import Cut
 from service.storage.database import Database

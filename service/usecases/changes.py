@@ -12,8 +12,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from lbacal_core.errors import write_change, write_percent
 from lbacal_core.grids import Floats
-from lbacal_core.in_words import write_change, write_percent
 
 PLAIN, BESIDE = 3.0, 1.0 / 3.0
 """A part beside the most significant one is told from so many standard deviations on, and from this share of it."""

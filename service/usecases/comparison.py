@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from lbacal_core.curves import CalibrationCurve
+from lbacal_core.curves.curves import CalibrationCurve
+from lbacal_core.curves.reference_chain import ReferenceChain
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats, require_same_grid
-from lbacal_core.reference_chain import ReferenceChain
 from service.storage.versions import BUDGET, Version
 
 

@@ -8,8 +8,8 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 
-from lbacal_core.in_words import name_path
-from lbacal_core.validity import Instant, Promotion, Scope
+from lbacal_core.curves.validity import Instant, Promotion, Scope
+from lbacal_core.errors import name_path
 from service.errors import ConflictError
 from service.storage.cuts import LIFTED, RESTORED, Cut, Decision, KeptCut
 from service.storage.database import Database, Stores

@@ -6,8 +6,8 @@ import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from lbacal_core.curves.validity import Instant
 from lbacal_core.errors import BadInputError
-from lbacal_core.validity import Instant
 from service.errors import ConflictError
 from service.storage.database import Database
 from service.storage.deeds import Deed

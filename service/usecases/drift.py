@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from lbacal_core.drift.terms import SLOPE, smooth_columns
-from lbacal_core.in_words import name_path
-from lbacal_core.instrument import Instrument
+from lbacal_core.curves.validity import Instant, Promotion, Scope, timeline
+from lbacal_core.drift.model import SLOPE, smooth_columns
+from lbacal_core.errors import name_path
+from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.provenance import hash_content
-from lbacal_core.validity import Instant, Promotion, Scope, timeline
 from service.errors import NotFoundError
 from service.storage.database import Database, Stores
 from service.storage.versions import MeanC, Version

@@ -7,18 +7,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lbacal_core.curves import CalibrationCurve
-from lbacal_core.drift.events import EventModes, measure_event_modes
-from lbacal_core.drift.later import LARGEST_SHARE, add_events
-from lbacal_core.drift.monthly import average_months
+from lbacal_core.causes.model import Model
+from lbacal_core.curves.curves import CalibrationCurve
+from lbacal_core.curves.validity import Instant, Scope
+from lbacal_core.drift.events import LARGEST_SHARE, EventModes, add_events, average_months, measure_event_modes
 from lbacal_core.grids import Floats
-from lbacal_core.instrument import Instrument
-from lbacal_core.model import Model
+from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.provenance import MODEL_VERSION, hash_content
-from lbacal_core.screening import screen_block
 from lbacal_core.skypower.table import SkyPower
-from lbacal_core.spectra_blocks import SpectraBlock, split_into_blocks
-from lbacal_core.validity import Instant, Scope
+from lbacal_core.spectra.blocks import SpectraBlock, split_into_blocks
+from lbacal_core.spectra.screening import screen_block
 from service.storage.database import Database, Stores
 from service.storage.drift import DriftSource, MonthlyRatio, StoredModes
 from service.storage.jobs import Part

@@ -20,10 +20,10 @@ from typing import Any
 
 import numpy as np
 
-from lbacal_core.instrument import Instrument
+from lbacal_core.curves.validity import Instant, Scope
+from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.provenance import hash_content
 from lbacal_core.skypower.table import SkyPower
-from lbacal_core.validity import Instant, Scope
 from service.storage.database import Database, Stores
 from service.storage.jobs import Order
 from service.storage.models import ModelChange

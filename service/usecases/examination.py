@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from lbacal_core.calibration.continued import Continued, continue_fit
+from lbacal_core.curves.kept_lines import KeptLines
+from lbacal_core.curves.validity import Instant, Scope
 from lbacal_core.grids import Floats
-from lbacal_core.instrument import Instrument
-from lbacal_core.kept_lines import KeptLines
+from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.provenance import MODEL_VERSION, hash_content
 from lbacal_core.skypower.table import SkyPower
-from lbacal_core.spectra import Spectra
-from lbacal_core.validity import Instant, Scope
+from lbacal_core.spectra.spectra import Spectra
 from service.storage.database import Stores
 from service.storage.examined import Examined
 from service.storage.kept_fits import KeptFit, KeptPiece, Told

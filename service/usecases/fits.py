@@ -12,25 +12,25 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lbacal_core.adopted import FittedCauses, fit_causes
-from lbacal_core.anomalies import Anomalies
-from lbacal_core.audit.quick import audit_quickly
+from lbacal_core.audit.audit import audit_quickly
 from lbacal_core.calibration.chain_test import SkyFreedom
 from lbacal_core.calibration.singles import MIN_EVENTS, FitSingles
-from lbacal_core.covariance import Budget
-from lbacal_core.curves import CalibrationCurve, FitReport
+from lbacal_core.causes.model import Model
+from lbacal_core.curves.anomalies import Anomalies
+from lbacal_core.curves.covariance import Budget
+from lbacal_core.curves.curves import CalibrationCurve, FitReport
+from lbacal_core.curves.kept_lines import KeptLines
+from lbacal_core.curves.reference_chain import ReferenceChain
+from lbacal_core.curves.validity import Instant, Scope
+from lbacal_core.discovery.calibrate import FittedCauses, fit_causes
 from lbacal_core.drift.windows import cut_window
-from lbacal_core.in_words import name_path
-from lbacal_core.instrument import Instrument
-from lbacal_core.kept_lines import KeptLines
-from lbacal_core.model import Model
-from lbacal_core.reference_chain import ReferenceChain
-from lbacal_core.remembered import Remembered
+from lbacal_core.errors import name_path
+from lbacal_core.instrument.instrument import Instrument
+from lbacal_core.provenance import Remembered
 from lbacal_core.skypower.sky_terms import SkyTerm
 from lbacal_core.skypower.table import SkyPower
-from lbacal_core.spectra import Spectra
+from lbacal_core.spectra.spectra import Spectra
 from lbacal_core.uncertainty.refit import add_budget, compute_budget
-from lbacal_core.validity import Instant, Scope
 from service.errors import ConflictError
 from service.storage.cuts import Cut
 from service.storage.database import Stores

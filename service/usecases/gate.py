@@ -15,8 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lbacal_core.curves import CONVERGED, MISFIT, OK, CalibrationCurve
-from lbacal_core.validity import Instant, Scope
+from lbacal_core.curves.curves import CONVERGED, MISFIT, OK, CalibrationCurve
+from lbacal_core.curves.validity import Instant, Scope
 from service.storage.ledger import LedgerStore
 from service.storage.models import ModelChange
 from service.storage.versions import Version, mean_over_band

@@ -9,13 +9,12 @@ from functools import cached_property
 
 import numpy as np
 
-from lbacal_core.antenna_records import AntennaRecord
-from lbacal_core.errors import BadInputError
+from lbacal_core.curves.validity import Instant
+from lbacal_core.errors import BadInputError, name_path
 from lbacal_core.grids import require_same_grid
-from lbacal_core.in_words import name_path
-from lbacal_core.instrument import Instrument
-from lbacal_core.spectra import Spectra
-from lbacal_core.validity import Instant
+from lbacal_core.instrument.antennas import AntennaRecord
+from lbacal_core.instrument.instrument import Instrument
+from lbacal_core.spectra.spectra import Spectra
 from service.errors import ConflictError
 from service.storage.arrivals import EVENT_SPAN_US
 from service.storage.database import Database

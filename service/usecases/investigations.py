@@ -11,14 +11,14 @@ from dataclasses import dataclass
 from typing import Any
 
 from lbacal_core.calibration.singles import MIN_EVENTS
+from lbacal_core.causes.model import Model
+from lbacal_core.curves.validity import Instant, Scope
 from lbacal_core.discovery.policy import Policy
 from lbacal_core.drift.windows import leave_out_changed
-from lbacal_core.instrument import Instrument
-from lbacal_core.model import Model
+from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.provenance import MODEL_VERSION, hash_content
 from lbacal_core.skypower.table import SkyPower
-from lbacal_core.spectra import Spectra
-from lbacal_core.validity import Instant, Scope
+from lbacal_core.spectra.spectra import Spectra
 from service.errors import ConflictError
 from service.storage.database import Database, Stores
 from service.storage.investigations import Investigation
@@ -120,8 +120,8 @@ class Investigations:
         }
 
     def _investigate(self, spectra: Spectra, model: Model) -> dict[str, Any]:
-        from lbacal_core.discovery.investigate import investigate  # a second to import, and only workers need it
         from lbacal_core.discovery.left_open import add_left_open
+        from lbacal_core.discovery.report import investigate  # a second to import, and only workers need it
 
         sky = self.sky_power()
         return add_left_open(*investigate(spectra, self.instrument, sky, is_own_sky=self.is_own_sky, model=model))

@@ -7,8 +7,8 @@ import secrets
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from lbacal_core.curves.validity import Instant
 from lbacal_core.errors import BadInputError
-from lbacal_core.validity import Instant
 from service.errors import ForbiddenError, UnauthenticatedError
 from service.storage.database import Database
 from service.storage.keys import Key

@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING
 
 from threadpoolctl import threadpool_limits
 
-from lbacal_core.covariance import Budget, parse_budget
+from lbacal_core.causes.model import UNEXPLAINED, AdoptedCause, Model
+from lbacal_core.curves.covariance import Budget, parse_budget
+from lbacal_core.curves.validity import Instant, Promotion, Scope, timeline
 from lbacal_core.errors import BadInputError
-from lbacal_core.model import UNEXPLAINED, AdoptedCause, Model
 from lbacal_core.provenance import canonical_json, hash_content
-from lbacal_core.spectra import Spectra
-from lbacal_core.validity import Instant, Promotion, Scope, timeline
+from lbacal_core.spectra.spectra import Spectra
 from service.errors import ConflictError
 from service.storage.alarms import CAUSE_STOPPED_PAYING, News
 from service.storage.database import Database, Stores
@@ -110,8 +110,8 @@ class Models:
     def _plan(
         self, made: Investigation, before: Model, window: tuple[Instant, Instant], body: AdoptionBody, by: str
     ) -> Adoption:
-        from lbacal_core.adopted import promise_of_structure
-        from lbacal_core.discovery.payoff import promise_of
+        from lbacal_core.discovery.adopted import promise_of
+        from lbacal_core.discovery.calibrate import promise_of_structure
         from service.usecases.fits import Wanted, find_cuts
 
         model, cause = _adopt(before, made, body.finding)

@@ -16,9 +16,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lbacal_core.curves.validity import Instant, Scope
 from lbacal_core.grids import Floats
 from lbacal_core.provenance import hash_content
-from lbacal_core.validity import Instant, Scope
 from service.storage.database import Stores
 from service.storage.drift import MonthlyRatio, StoredYear
 from service.usecases.years import end_of_year

@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from lbacal_core.curves import OK
+from lbacal_core.causes.model import Model, follows_date
+from lbacal_core.curves.curves import OK
+from lbacal_core.curves.validity import Scope
 from lbacal_core.errors import BadInputError
-from lbacal_core.model import Model, follows_date
-from lbacal_core.validity import Scope
 from service.storage.alarms import NAMED_CAUSE, News
 from service.storage.database import Stores
 from service.storage.investigations import Investigation

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from lbacal_core.in_words import write_chance
+from lbacal_core.errors import write_chance
 from service.storage.investigations import Investigation
 
 STRONGER_SIGMA = 2.0

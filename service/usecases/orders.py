@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from lbacal_core.curves.validity import Instant
 from lbacal_core.errors import BadInputError
-from lbacal_core.validity import Instant
 from service.errors import ConflictError, TooLargeError, TooManyError
 from service.storage.database import Stores
 from service.storage.jobs import Order

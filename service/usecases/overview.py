@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from lbacal_core.instrument import Instrument
-from lbacal_core.validity import Instant, Promotion, Scope
+from lbacal_core.curves.validity import Instant, Promotion, Scope
+from lbacal_core.instrument.instrument import Instrument
 from service.storage.database import Database
 from service.storage.versions import Version
 from service.usecases.calibrations import select_paths

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-from lbacal_core.adopted import FittedCauses
-from lbacal_core.discovery.payoff import measure_gains
+from lbacal_core.causes.model import Model
+from lbacal_core.curves.validity import Instant
+from lbacal_core.discovery.adopted import measure_gains
+from lbacal_core.discovery.calibrate import FittedCauses
 from lbacal_core.drift.windows import leave_out_changed
-from lbacal_core.instrument import Instrument
-from lbacal_core.model import Model
+from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.skypower.table import SkyPower
-from lbacal_core.validity import Instant
 from service.storage.database import Stores
 from service.storage.models import ADOPTED, MICROSECONDS, Gain
 from service.usecases.fits import Wanted

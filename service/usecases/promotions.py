@@ -7,10 +7,10 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
-from lbacal_core.curves import CONVERGED
+from lbacal_core.curves.curves import CONVERGED
+from lbacal_core.curves.validity import Instant, Promotion, Scope, Stretch, timeline
 from lbacal_core.errors import BadInputError
-from lbacal_core.instrument import Instrument
-from lbacal_core.validity import Instant, Promotion, Scope, Stretch, timeline
+from lbacal_core.instrument.instrument import Instrument
 from service.errors import ConflictError, NotFoundError
 from service.storage.database import Database, Stores
 from service.storage.jobs import OPEN

@@ -7,12 +7,12 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
-from lbacal_core.covariance import parse_budget
+from lbacal_core.causes.model import Model
+from lbacal_core.curves.covariance import parse_budget
+from lbacal_core.curves.validity import Instant, Promotion, Scope, timeline
 from lbacal_core.errors import BadInputError
-from lbacal_core.instrument import Instrument
-from lbacal_core.model import Model
+from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.skypower.table import SkyPower
-from lbacal_core.validity import Instant, Promotion, Scope, timeline
 from service.errors import ConflictError
 from service.storage.database import Database, Stores
 from service.storage.examined import Examined

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
+from lbacal_core.curves.validity import Instant
 from lbacal_core.errors import LbacalError
-from lbacal_core.validity import Instant
 from service.errors import UnavailableError
 from service.storage.database import Database
 from service.storage.failures import FULL

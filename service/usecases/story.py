@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lbacal_core.in_words import write_percent
-from lbacal_core.reference_chain import ReferenceChain
+from lbacal_core.curves.reference_chain import ReferenceChain
+from lbacal_core.errors import write_percent
 from service.storage.versions import Version
 from service.usecases.gate import find_change_of_mean
 

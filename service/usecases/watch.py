@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from lbacal_core.curves.validity import Instant, Scope
+from lbacal_core.errors import name_path, write_change
 from lbacal_core.grids import Floats
-from lbacal_core.in_words import name_path, write_change
-from lbacal_core.instrument import Instrument
+from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.provenance import MODEL_VERSION, hash_content
-from lbacal_core.validity import Instant, Scope
 from service.storage.alarms import SLOPE, STEP, News
 from service.storage.cuts import Cut
 from service.storage.database import Database, Stores

@@ -8,14 +8,14 @@ from dataclasses import replace
 import numpy as np
 
 from lbacal_core.calibration.fit import SHARE_OF_MISFITS
-from lbacal_core.curves import CONVERGED, MISFIT, TOO_FEW_EVENTS, TOO_FEW_LST_BINS
-from lbacal_core.drift.borrow import Borrowed, borrow_curve
-from lbacal_core.instrument import Instrument
-from lbacal_core.reference_chain import CableTable, ReferenceChain
+from lbacal_core.curves.curves import CONVERGED, MISFIT, TOO_FEW_EVENTS, TOO_FEW_LST_BINS
+from lbacal_core.curves.reference_chain import CableTable, ReferenceChain
+from lbacal_core.curves.validity import Instant, Scope, timeline
+from lbacal_core.drift.windows import Borrowed, borrow_curve
+from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.skypower.table import SkyPower
-from lbacal_core.spectra import Spectra
-from lbacal_core.spectra_blocks import split_into_blocks
-from lbacal_core.validity import Instant, Scope, timeline
+from lbacal_core.spectra.blocks import split_into_blocks
+from lbacal_core.spectra.spectra import Spectra
 from service.storage.database import Database
 from service.storage.versions import Version
 from service.wire.instants import format_instant

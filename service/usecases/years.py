@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from datetime import UTC, datetime
 
-from lbacal_core.validity import Instant
+from lbacal_core.curves.validity import Instant
 from service.storage.database import Stores
 from service.wire.instants import parse_instant
 

@@ -6,11 +6,11 @@ import json
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from lbacal_core.calibration.own_cable import ToldCurve
-from lbacal_core.covariance import name_budgets
-from lbacal_core.curves import OK, UNCERTAIN
-from lbacal_core.reference_chain import ReferenceChain
-from lbacal_core.validity import Instant, Promotion, Scope
+from lbacal_core.calibration.spreads import ToldCurve
+from lbacal_core.curves.covariance import name_budgets
+from lbacal_core.curves.curves import OK, UNCERTAIN
+from lbacal_core.curves.reference_chain import ReferenceChain
+from lbacal_core.curves.validity import Instant, Promotion, Scope
 from service.wire.instants import format_instant, format_optional
 
 

@@ -11,8 +11,8 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, FailFast, Field, StringConstraints, ValidationError
 
 from lbacal_core.errors import BadInputError
-from lbacal_core.json_values import require_unique_fields
-from lbacal_core.spectra import MAX_COVARIATES
+from lbacal_core.foreign import require_unique_fields
+from lbacal_core.spectra.spectra import MAX_COVARIATES
 from service.errors import MalformedBodyError, TooLargeError
 from service.refusals import describe_refusal
 

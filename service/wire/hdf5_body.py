@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from lbacal_core.errors import LbacalError
-from lbacal_core.spectra import Spectra
+from lbacal_core.spectra.spectra import Spectra
 from service.errors import MalformedBodyError, UnavailableError
 from service.wire.hdf5_child import AT_ONCE, DEADLINE_S, GOOD, REFUSED
 

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from lbacal_core.errors import LbacalError
-from lbacal_core.spectra import read_columns
+from lbacal_core.spectra.spectra import read_columns
 
 ADDRESS_SPACE = 1 << 30
 DEADLINE_S = 20

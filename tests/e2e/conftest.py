@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 from playwright.sync_api import Browser, expect, sync_playwright
 
-from lbacal_core.instrument import load_instrument
+from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.skypower.model import compute_sky_power
-from lbacal_core.spectra import write_spectra
+from lbacal_core.spectra.spectra import write_spectra
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.faults.fault import Fault
 from lbacal_twin.faults.sky import LstOffset

@@ -12,7 +12,7 @@ import pytest
 from astropy.time import Time
 
 import lbacal
-from lbacal_core.spectra import read_spectra
+from lbacal_core.spectra.spectra import read_spectra
 
 
 def test_ingest_can_be_run_again(service: Any) -> None:

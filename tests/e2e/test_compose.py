@@ -12,7 +12,7 @@ import pytest
 import yaml
 
 from lbacal.client import Client
-from lbacal_core.spectra import read_spectra
+from lbacal_core.spectra.spectra import read_spectra
 from service.config import Settings
 from validation.running.postgres import run_postgres
 from validation.running.processes import Process, find_free_port, is_ready, run_command, running, wait_until

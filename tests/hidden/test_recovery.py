@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from lbacal_core.calibration.fit import fit_calibration
-from lbacal_core.curves import CONVERGED
-from lbacal_core.instrument import Instrument
+from lbacal_core.curves.curves import CONVERGED
+from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.skypower.table import SkyPower
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.settings import TwinSettings

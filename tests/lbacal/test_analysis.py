@@ -12,7 +12,7 @@ from astropy import units as u
 
 import lbacal
 from lbacal_core.errors import BadInputError, MissingExtraError, UnknownNameError
-from lbacal_core.instrument import load_instrument
+from lbacal_core.instrument.instrument import load_instrument
 
 SITE = lbacal.Site(-30.7 * u.deg, 21.4 * u.deg, 1.05 * u.km)
 ANTENNA = lbacal.Antenna("short-dipole", {"E": 90, "N": 0 * u.rad, "UP": (0, 90 * u.deg)}, gain=2 * u.m**2)

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from lbacal.bodies import bodies_of_events, files_of_events
-from lbacal_core.spectra import Spectra, read_spectra
+from lbacal_core.spectra.spectra import Spectra, read_spectra
 
 SPECTRA = Spectra(
     frequency_mhz=np.array([30.0, 31.0]),

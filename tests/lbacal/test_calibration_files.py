@@ -12,8 +12,8 @@ from astropy.table import Table
 
 from lbacal.calibration_files import read_calibrations
 from lbacal.tables import COLUMNS, write_format
+from lbacal_core.curves.galcal import CARRIED, make_head
 from lbacal_core.errors import BadInputError, UnreadableFileError
-from lbacal_core.galcal import CARRIED, make_head
 
 ENDINGS = {"ecsv": ".ecsv", "fits": ".fits", "hdf5": ".h5"}
 

@@ -11,8 +11,8 @@ import pytest
 
 from lbacal.exports import read_station_table, write_station_table, write_uvcal
 from lbacal_core.errors import BadInputError
-from lbacal_core.instrument import load_instrument
-from lbacal_core.site import Site
+from lbacal_core.instrument.antennas import Site
+from lbacal_core.instrument.instrument import load_instrument
 
 
 @pytest.mark.parametrize("ending", [".calfits", ".calh5"])

@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lbacal_core.adopted import fit_causes
 from lbacal_core.calibration.fit import fit_calibration
-from lbacal_core.curves import CONVERGED, NOT_CONVERGED, TOO_FEW_EVENTS, parse_curve
-from lbacal_core.instrument import load_instrument
-from lbacal_core.model import PLAIN, AdoptedCause, Model
+from lbacal_core.causes.model import PLAIN, AdoptedCause, Model
+from lbacal_core.curves.curves import CONVERGED, NOT_CONVERGED, TOO_FEW_EVENTS, parse_curve
+from lbacal_core.discovery.calibrate import fit_causes
+from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.faults.antenna import GainTemperature

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import json
 
-from lbacal_core.anomalies import MOST_NAMED, NONE, Anomalies, Anomaly, parse_anomalies
+from lbacal_core.curves.anomalies import MOST_NAMED, NONE, Anomalies, Anomaly, parse_anomalies
 
 HUGE = Anomaly("e1", "CS003", 5, "X", 947.0)
 DEAD = Anomaly("e2", "CS003", 6, "Y", 1e-4, 45.0)

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from lbacal_core.errors import BadInputError
-from lbacal_core.instrument import parse_instrument
+from lbacal_core.instrument.instrument import parse_instrument
 
 
 def make_content() -> dict[str, Any]:

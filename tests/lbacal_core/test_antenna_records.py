@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from lbacal_core.antenna_records import AntennaRecord, parse_record, record_as_dict
+from lbacal_core.instrument.antennas import AntennaRecord, parse_record, record_as_dict
 
 
 def test_a_record_covers_its_first_instant_and_not_its_last() -> None:

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from lbacal_core.covariance import (
+from lbacal_core.curves.covariance import (
     MOST_FACTORS,
     Budget,
     BudgetTerm,

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lbacal_core.curves import (
+from lbacal_core.curves.curves import (
     CONVERGED,
     STATUSES,
     TOO_FEW_EVENTS,

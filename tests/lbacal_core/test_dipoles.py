@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lbacal_core.dipoles import are_dipole_names, is_dipole_name, look_like_radians
+from lbacal_core.instrument.antennas import are_dipole_names, is_dipole_name, look_like_radians
 
 
 @pytest.mark.parametrize("name", ["X", "y", "EW", "arm-2", "Z_up", "45deg"])

@@ -2,8 +2,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from lbacal_core.galcal import FORMAT, describe_made_with, make_head, name_path
-from lbacal_core.instrument import load_instrument
+from lbacal_core.curves.galcal import FORMAT, describe_made_with, make_head, name_path
+from lbacal_core.instrument.instrument import load_instrument
 
 
 def test_a_head_holds_every_covariance_by_its_path_and_the_budgets(calibrations: dict[str, Any]) -> None:

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from lbacal_core.galcal_rules import find_problems
+from lbacal_core.curves.galcal import find_problems
 
 
 def test_what_agrees_with_itself_has_no_problem(calibrations: dict[str, Any]) -> None:

@@ -5,7 +5,7 @@ import pytest
 
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import guess_widths, require_channels, require_same_grid
-from lbacal_core.spectra import Spectra
+from lbacal_core.spectra.spectra import Spectra
 
 GRID = np.arange(30.0, 81.0)
 

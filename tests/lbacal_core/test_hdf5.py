@@ -11,7 +11,7 @@ import pytest
 
 from lbacal_core.errors import BadInputError
 from lbacal_core.hdf5 import FLOATS, INTEGERS, NUMBERS, STRINGS, Kind, is_in_file, open_dataset, read_values
-from lbacal_core.spectra import Spectra, read_columns, read_spectra, write_spectra
+from lbacal_core.spectra.spectra import Spectra, read_columns, read_spectra, write_spectra
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from lbacal_core.in_words import name_path, write_chance, write_change, write_percent
+from lbacal_core.errors import name_path, write_chance, write_change, write_percent
 
 
 def test_a_path_a_polarisation_a_station_and_the_array_have_one_name_each() -> None:

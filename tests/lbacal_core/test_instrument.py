@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from lbacal_core.errors import BadInputError, LbacalError, UnknownNameError, UnreadableFileError
-from lbacal_core.instrument import load_instrument, parse_instrument
+from lbacal_core.instrument.instrument import load_instrument, parse_instrument
 
 
 def make_content() -> dict[str, Any]:

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from lbacal_core.intercepts import three_constants
+from lbacal_core.chain.intercepts import three_constants
 
 GAIN = np.array([1.0, 0.8, 0.1])
 

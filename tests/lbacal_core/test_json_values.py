@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 
 from lbacal_core.errors import BadInputError, UnreadableFileError
-from lbacal_core.json_values import parse_name, parse_number, parse_numbers, parse_optional_name, read_json
+from lbacal_core.foreign import parse_name, parse_number, parse_numbers, parse_optional_name, read_json
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), True, "1", None, 10**400])

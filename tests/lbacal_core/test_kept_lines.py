@@ -5,7 +5,7 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from lbacal_core.kept_lines import KeptLines, MemberLines, read_lines, write_lines
+from lbacal_core.curves.kept_lines import KeptLines, MemberLines, read_lines, write_lines
 
 
 def draw(rng: np.random.Generator, members: MemberLines | None) -> KeptLines:

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import pytest
 
+from lbacal_core.causes.model import AdoptedCause, Model
 from lbacal_core.errors import BadInputError
-from lbacal_core.model import AdoptedCause, Model
 
 SWAP = AdoptedCause("dipole_swap", "CS002", "station", 0.0123456789, 0.00123456789, since_unix=1_420_070_400)
 STEP = AdoptedCause(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lbacal_core.errors import BadInputError, UnreadableFileError
-from lbacal_core.npz import read_npz
+from lbacal_core.foreign import read_npz
 
 
 @pytest.fixture

@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lbacal_core.antenna_records import AntennaRecord
-from lbacal_core.discovery.investigate import investigate
+from lbacal_core.discovery.report import investigate
 from lbacal_core.errors import BadInputError
-from lbacal_core.instrument import Instrument
+from lbacal_core.instrument.antennas import AntennaRecord
+from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.pipeline import calibrate
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_twin.campaign import simulate_campaign

@@ -6,8 +6,8 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 
-from lbacal_core.quarters import number_quarters, start_of_quarter
-from lbacal_core.spectra import Spectra
+from lbacal_core.spectra.quarters import number_quarters, start_of_quarter
+from lbacal_core.spectra.spectra import Spectra
 
 
 def at(text: str) -> float:

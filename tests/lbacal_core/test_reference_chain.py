@@ -5,9 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from lbacal_core.antenna_records import AntennaRecord
-from lbacal_core.provenance import hash_content
-from lbacal_core.reference_chain import (
+from lbacal_core.curves.reference_chain import (
     CableTable,
     GainSpread,
     GainSpreads,
@@ -15,6 +13,8 @@ from lbacal_core.reference_chain import (
     parse_cable_table,
     parse_spreads,
 )
+from lbacal_core.instrument.antennas import AntennaRecord
+from lbacal_core.provenance import hash_content
 
 TABLE = CableTable(
     {"50": np.array([0.5, 0.4]), "80": np.array([0.3, 0.2])},

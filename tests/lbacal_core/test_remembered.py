@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from lbacal_core.remembered import Remembered
+from lbacal_core.provenance import Remembered
 
 
 def test_a_value_is_made_once_and_what_was_asked_for_last_stays_longest() -> None:

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lbacal_core.screening import CUT_SIGMA, FEWEST_EVENTS, LASTING_EVENTS, Screened, screen_block
-from lbacal_core.sidereal import local_sidereal_time
-from lbacal_core.spectra_blocks import SpectraBlock
+from lbacal_core.instrument.sidereal import local_sidereal_time
+from lbacal_core.spectra.blocks import SpectraBlock
+from lbacal_core.spectra.screening import CUT_SIGMA, FEWEST_EVENTS, LASTING_EVENTS, Screened, screen_block
 
 LONGITUDE = 6.87
 PATHS, EVENTS, CHANNELS = 4, 400, 51

@@ -9,7 +9,7 @@ from astropy.time import Time
 from astropy.utils import iers
 
 from lbacal_core.grids import Floats
-from lbacal_core.sidereal import SIDEREAL_DAY_S, local_sidereal_time
+from lbacal_core.instrument.sidereal import SIDEREAL_DAY_S, local_sidereal_time
 
 LONGITUDE = 6.8698
 INSTANTS = np.random.default_rng(1).uniform(1_230_768_000.0, 1_735_689_600.0, 400)  # 2009 to 2025

@@ -9,21 +9,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lbacal_core.antenna_records import AntennaRecord
 from lbacal_core.audit.audit import audit
 from lbacal_core.calibration.fit import fit_calibration
-from lbacal_core.curves import CalibrationCurve
-from lbacal_core.discovery.investigate import investigate
+from lbacal_core.curves.curves import CalibrationCurve
+from lbacal_core.discovery.report import investigate
 from lbacal_core.discovery.station import gather_stations
 from lbacal_core.drift.events import measure_event_modes
 from lbacal_core.errors import BadInputError
-from lbacal_core.instrument import Instrument, load_instrument, parse_instrument
-from lbacal_core.sidereal import local_sidereal_time
-from lbacal_core.site import Site, parse_sites
+from lbacal_core.instrument.antennas import AntennaRecord, Site, parse_sites
+from lbacal_core.instrument.instrument import Instrument, load_instrument, parse_instrument
+from lbacal_core.instrument.sidereal import local_sidereal_time
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.table import SkyPower, read_sky_power, write_sky_power
-from lbacal_core.spectra import Spectra
-from lbacal_core.spectra_blocks import split_into_blocks
+from lbacal_core.spectra.blocks import split_into_blocks
+from lbacal_core.spectra.spectra import Spectra
 from lbacal_twin.campaign import Campaign, simulate_campaign
 from lbacal_twin.settings import TwinSettings
 

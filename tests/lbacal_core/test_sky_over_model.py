@@ -10,10 +10,10 @@ import pytest
 from lbacal_core.antenna.ideal import ShortDipole
 from lbacal_core.antenna.model import zenith_gain
 from lbacal_core.calibration.fit import fit_calibration
-from lbacal_core.curves import parse_curve
+from lbacal_core.curves.curves import parse_curve
+from lbacal_core.curves.kelvin import SkyOverModel, parse_sky_over_model
 from lbacal_core.errors import BadInputError
-from lbacal_core.instrument import parse_instrument
-from lbacal_core.sky_over_model import SkyOverModel, parse_sky_over_model
+from lbacal_core.instrument.instrument import parse_instrument
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.table import SkyPower
 from lbacal_twin.campaign import simulate_campaign

@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from lbacal_core.errors import BadInputError, LbacalError, UnreadableFileError
-from lbacal_core.spectra import Spectra, read_spectra, write_spectra
+from lbacal_core.spectra.spectra import Spectra, read_spectra, write_spectra
 
 NOW = 1_500_000_000.0
 
@@ -273,7 +273,7 @@ def test_flipped_bytes_give_a_sentence_or_numbers_unless_the_hdf5_library_itself
     if storage == "gzip":
         with h5py.File(path, "a") as file:
             put("power", file["power"][()], compression="gzip", shuffle=True)(file)
-    imports = "from lbacal_core.spectra import read_spectra"
+    imports = "from lbacal_core.spectra.spectra import read_spectra"
     outcomes = flip_bytes(path.read_bytes(), 120, imports, "read_spectra(Path(name), 1.5e9)")
     assert set(outcomes) <= {"read", "sentence", "died"}
     # A file changed in its structure is refused, one changed in its numbers may be read; both must occur.

@@ -2,8 +2,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from lbacal_core.spectra import Spectra
-from lbacal_core.spectra_blocks import split_into_blocks
+from lbacal_core.spectra.blocks import split_into_blocks
+from lbacal_core.spectra.spectra import Spectra
 
 
 def test_blocks_hold_every_spectrum_in_its_place(two_stations: Spectra) -> None:

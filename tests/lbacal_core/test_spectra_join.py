@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from lbacal_core.errors import BadInputError
-from lbacal_core.spectra import Spectra
-from lbacal_core.spectra_join import join_spectra
+from lbacal_core.spectra.spectra import Spectra, join_spectra
 
 
 def part(events: range, **changes: Any) -> Spectra:

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from lbacal_core.errors import BadInputError, UnreadableFileError
-from lbacal_core.instrument import load_instrument, parse_instrument
-from lbacal_core.stage_files import parse_stages
+from lbacal_core.instrument.instrument import load_instrument, parse_instrument
+from lbacal_core.instrument.stages import parse_stages
 
 NU = np.array([50.0, 60.0, 80.0])
 ADC = {"name": "adc", "kind": "adc", "noise_temperature_k": "free"}

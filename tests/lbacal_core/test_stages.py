@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lbacal_core.errors import BadInputError
-from lbacal_core.stages import Stage, fill_fields, gain_behind, require_chain, split_stages
+from lbacal_core.instrument.stages import Stage, fill_fields, gain_behind, require_chain, split_stages
 
 HALF, TEN = np.full(3, 0.5), np.full(3, 10.0)
 ANTENNA, GROUND = Stage("antenna", "antenna", is_free=True), Stage("ground", "ground", noise_k=np.full(3, 290.0))

@@ -9,8 +9,7 @@ import pytest
 from astropy.coordinates import AltAz, EarthLocation, get_sun
 from astropy.time import Time
 
-from lbacal_core.sidereal import local_sidereal_time
-from lbacal_core.sun import sun_position
+from lbacal_core.instrument.sidereal import local_sidereal_time, sun_position
 
 LATITUDE, LONGITUDE = 52.9153, 6.8698
 

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from lbacal_core.curves.validity import Promotion, Scope, answer_path, timeline
 from lbacal_core.errors import BadInputError
-from lbacal_core.validity import Promotion, Scope, answer_path, timeline
 
 PATH = Scope("CS001", 0, "X")
 SCOPES = (PATH, Scope("CS001"), Scope(), Scope("CS001", 0, "Y"), Scope("CS002"))

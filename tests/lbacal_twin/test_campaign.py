@@ -6,14 +6,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lbacal_core.antenna_records import AntennaRecord
 from lbacal_core.data.tables import read_table
 from lbacal_core.errors import BadInputError, UnknownNameError
-from lbacal_core.instrument import Instrument
-from lbacal_core.sidereal import local_sidereal_time
+from lbacal_core.instrument.antennas import AntennaRecord
+from lbacal_core.instrument.instrument import Instrument
+from lbacal_core.instrument.sidereal import local_sidereal_time
 from lbacal_core.skypower.table import SkyPower
-from lbacal_core.spectra import read_spectra, write_spectra
-from lbacal_core.spectra_blocks import split_into_blocks
+from lbacal_core.spectra.blocks import split_into_blocks
+from lbacal_core.spectra.spectra import read_spectra, write_spectra
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.settings import YEAR_S, TwinSettings
 

@@ -7,8 +7,8 @@ import pytest
 
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.errors import BadInputError
-from lbacal_core.instrument import Instrument
-from lbacal_core.sidereal import local_sidereal_time
+from lbacal_core.instrument.instrument import Instrument
+from lbacal_core.instrument.sidereal import local_sidereal_time
 from lbacal_core.skypower.table import SkyPower
 from lbacal_twin.campaign import Campaign, simulate_campaign
 from lbacal_twin.nuisances import DEAF_GAIN, NONE, REALISTIC, RESIDUAL_LINE, Nuisances

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lbacal_core.calibration.fit import fit_calibration
-from lbacal_core.instrument import parse_instrument
+from lbacal_core.instrument.instrument import parse_instrument
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.settings import TwinSettings

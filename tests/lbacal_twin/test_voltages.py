@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lbacal_core.instrument import Instrument
+from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.traces.background import CleaningSettings, measure_traces
 from lbacal_core.traces.density import bin_weights, effective_channels

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from lbacal_core.errors import UnknownNameError
-from lbacal_core.instrument import Instrument
+from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.sky.names import load_sky
 from lbacal_twin.gains import NOISES
 from lbacal_twin.world import ANTENNAS, LST_RMS, OUTSIDE, SKIES, World, draw_world, make_sky, tilt

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lbacal_core.instrument import Instrument
+from lbacal_core.curves.validity import Scope
+from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.skypower.table import read_sky_power
-from lbacal_core.spectra import Spectra
-from lbacal_core.validity import Scope
+from lbacal_core.spectra.spectra import Spectra
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.settings import TwinSettings
 from service import scheduler

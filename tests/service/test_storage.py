@@ -12,7 +12,7 @@ from fastapi.testclient import TestClient
 from sqlalchemy import Engine, event
 from sqlalchemy.pool import Pool
 
-from lbacal_core.validity import Promotion, Scope
+from lbacal_core.curves.validity import Promotion, Scope
 from service.factory import Factory
 from service.storage.versions import Version
 from service.wire.instants import DAY_US, parse_instant

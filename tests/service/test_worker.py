@@ -8,7 +8,7 @@ import pytest
 from fastapi.testclient import TestClient
 
 from lbacal_core.calibration.fit import fit_calibration
-from lbacal_core.spectra import Spectra
+from lbacal_core.spectra.spectra import Spectra
 from service.app import make_app
 from service.factory import Factory
 from service.scheduler import look_again, look_for_due_work

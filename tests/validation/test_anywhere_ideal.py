@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lbacal_core.antenna_records import AntennaRecord
+from lbacal_core.instrument.antennas import AntennaRecord
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_twin.campaign import DrawnStation, draw_stations, expected_power
 from lbacal_twin.faults.antenna import GainStep

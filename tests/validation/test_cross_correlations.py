@@ -12,7 +12,7 @@ import pytest
 
 from lbacal_core.antenna.names import load_antenna
 from lbacal_core.errors import BadInputError
-from lbacal_core.instrument import load_instrument
+from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.traces.trace import name_dipole
 from validation.cross_correlations import SUN, StationCorrelations, arm_ratio, expected_arm_ratio
 

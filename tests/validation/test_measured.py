@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lbacal_core.lstcurve.noise import PointNoise
+from lbacal_core.lstcurve.curve import PointNoise
 from validation.measured import Question, drawn_simulation, main_questions, tables_as_sky_power
 from validation.sky_models import published_tables
 
@@ -12,7 +12,7 @@ pytestmark = pytest.mark.shared
 
 @pytest.fixture(scope="module")
 def instrument():
-    from lbacal_core.instrument import load_instrument
+    from lbacal_core.instrument.instrument import load_instrument
 
     return load_instrument("lofar-superterp")
 

@@ -10,9 +10,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from lbacal_core.audit.audit import audit
-from lbacal_core.audit.quick import audit_quickly
-from lbacal_core.instrument import load_instrument
+from lbacal_core.audit.audit import audit, audit_quickly
+from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.pipeline import calibrate
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_twin.campaign import simulate_campaign

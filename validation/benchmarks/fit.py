@@ -19,16 +19,16 @@ import numpy as np
 from scipy.optimize import OptimizeResult, least_squares
 from threadpoolctl import threadpool_limits
 
-from lbacal_core.antenna_records import AntennaRecord
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.calibration.lines import ChainForms, fit_lines
-from lbacal_core.curves import FitReport
+from lbacal_core.curves.curves import FitReport
 from lbacal_core.grids import Floats
-from lbacal_core.instrument import load_instrument
-from lbacal_core.sidereal import local_sidereal_time
+from lbacal_core.instrument.antennas import AntennaRecord
+from lbacal_core.instrument.instrument import load_instrument
+from lbacal_core.instrument.sidereal import local_sidereal_time
 from lbacal_core.skypower.model import compute_sky_power
-from lbacal_core.spectra import Spectra
-from lbacal_core.spectra_blocks import split_into_blocks
+from lbacal_core.spectra.blocks import split_into_blocks
+from lbacal_core.spectra.spectra import Spectra
 from validation.fit import COMMON_GAIN, PATH_GAIN, RADIOMETER, YEAR_S, YEAR_START, Scene, scene_of_noise_terms
 
 REPEATS = 3

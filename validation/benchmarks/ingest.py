@@ -35,8 +35,8 @@ import psycopg
 from lbacal.bodies import bodies_of_events, files_of_events
 from lbacal.client import Client
 from lbacal_core.grids import Floats
-from lbacal_core.instrument import load_instrument
-from lbacal_core.spectra import Spectra, read_columns
+from lbacal_core.instrument.instrument import load_instrument
+from lbacal_core.spectra.spectra import Spectra, read_columns
 from service.config import Settings
 from service.handlers.request import HDF5
 from service.storage.database import Database

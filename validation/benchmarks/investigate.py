@@ -21,14 +21,14 @@ from threadpoolctl import threadpool_limits
 
 from lbacal_core.causes.catalogue import CAUSES
 from lbacal_core.discovery.hypothesis import Hypothesis, list_targets
-from lbacal_core.discovery.investigate import investigate
 from lbacal_core.discovery.refit import fit_chain, refit
+from lbacal_core.discovery.report import investigate
 from lbacal_core.discovery.scan import scan
 from lbacal_core.discovery.station import gather_stations
-from lbacal_core.instrument import Instrument, load_instrument
+from lbacal_core.instrument.instrument import Instrument, load_instrument
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.table import SkyPower
-from lbacal_core.spectra import Spectra
+from lbacal_core.spectra.spectra import Spectra
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.faults.antenna import GainTemperature
 from lbacal_twin.settings import TwinSettings

@@ -19,11 +19,11 @@ from contextlib import contextmanager
 import numpy as np
 import psycopg
 
-from lbacal_core.covariance import Budget, BudgetTerm, CurveCovariance
-from lbacal_core.curves import CONVERGED, CalibrationCurve, Parameter
+from lbacal_core.curves.covariance import Budget, BudgetTerm, CurveCovariance
+from lbacal_core.curves.curves import CONVERGED, CalibrationCurve, Parameter
+from lbacal_core.curves.validity import Promotion, Scope
 from lbacal_core.errors import LbacalError
-from lbacal_core.instrument import load_instrument
-from lbacal_core.validity import Promotion, Scope
+from lbacal_core.instrument.instrument import load_instrument
 from service.config import Settings
 from service.factory import Factory
 from service.storage.migration import upgrade

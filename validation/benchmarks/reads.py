@@ -24,7 +24,7 @@ import psycopg
 from fastapi import Depends, FastAPI, Request, Response
 from sqlalchemy import event
 
-from lbacal_core.validity import Scope
+from lbacal_core.curves.validity import Scope
 from service.app import make_app
 from service.factory import Factory
 from service.handlers.request import answer, require_read

@@ -26,7 +26,7 @@ from threadpoolctl import threadpool_limits
 
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.skypower.table import write_sky_power
-from lbacal_core.spectra import Spectra
+from lbacal_core.spectra.spectra import Spectra
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.settings import TwinSettings
 from service.config import Settings

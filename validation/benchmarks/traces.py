@@ -14,9 +14,8 @@ import numpy as np
 import scipy.fft
 
 from lbacal_core.traces.background import CleaningSettings, measure_background, measure_traces
-from lbacal_core.traces.blocks import FACTORS, find_segments, transform_segments, transform_trace
-from lbacal_core.traces.discovery import group_traces, list_traces, read_trace
-from lbacal_core.traces.trace import BLOCK_SAMPLES, TraceReference
+from lbacal_core.traces.density import FACTORS, find_segments, transform_segments, transform_trace
+from lbacal_core.traces.trace import BLOCK_SAMPLES, TraceReference, group_traces, list_traces, read_trace
 from lbacal_twin.voltages import SAMPLE_RATE_HZ, Transmitter, digitise, draw_noise, write_frames
 
 ANTENNAS = 24

@@ -16,23 +16,21 @@ import numpy as np
 from lbacal.cli.curve_figures import draw_curve
 from lbacal.cli.investigation_figures import axes_of, draw_finding, draw_residual_maps
 from lbacal.cli.report_pages import embed, fill_report
+from lbacal_core.calibration.chain_test import free_own_sky
 from lbacal_core.calibration.fit import fit_calibration
-from lbacal_core.calibration.freedom import free_own_sky
-from lbacal_core.curves import CalibrationCurve, FitReport
-from lbacal_core.data.lofar import DIPOLES
-from lbacal_core.data.tables import read_table
-from lbacal_core.discovery.curve_report import describe_curve
-from lbacal_core.discovery.investigate import investigate
-from lbacal_core.discovery.lst_curve import CurveInvestigation, investigate_curve
+from lbacal_core.curves.curves import CalibrationCurve, FitReport
+from lbacal_core.data.tables import DIPOLES, read_table
+from lbacal_core.discovery.curve_search import CurveInvestigation, describe_curve, investigate_curve
+from lbacal_core.discovery.report import investigate
 from lbacal_core.discovery.search import StationReport
 from lbacal_core.grids import Floats
-from lbacal_core.instrument import Instrument, load_instrument
+from lbacal_core.instrument.instrument import Instrument, load_instrument
 from lbacal_core.lstcurve.compare import BAND_MHZ
 from lbacal_core.lstcurve.curve import measured_curve, read_lst_curve
 from lbacal_core.provenance import Provenance
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.table import SkyPower
-from lbacal_core.spectra import Spectra, write_spectra
+from lbacal_core.spectra.spectra import Spectra, write_spectra
 from lbacal_core.uncertainty.refit import add_budget, compute_budget
 from lbacal_twin.campaign import Campaign, simulate_campaign
 from lbacal_twin.faults.sky import SolarEmission

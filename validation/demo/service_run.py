@@ -23,8 +23,8 @@ import numpy as np
 
 from lbacal.client import Client
 from lbacal.transport import UnreachableError
-from lbacal_core.in_words import name_path
-from lbacal_core.spectra import Spectra
+from lbacal_core.errors import name_path
+from lbacal_core.spectra.spectra import Spectra
 from lbacal_twin.faults.antenna import GainStep
 from lbacal_twin.faults.fault import Where
 from validation.running.processes import find_free_port

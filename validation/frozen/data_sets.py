@@ -7,12 +7,12 @@ from functools import cache
 
 import numpy as np
 
-from lbacal_core.instrument import Instrument, load_instrument
+from lbacal_core.instrument.instrument import Instrument, load_instrument
 from lbacal_core.lstcurve.compare import AS_RECORDED, BAND_MHZ, band_weights
 from lbacal_core.lstcurve.curve import LstCurve, measured_curve, read_lst_curve
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.table import SkyPower
-from lbacal_core.spectra import Spectra
+from lbacal_core.spectra.spectra import Spectra
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.faults.fault import Fault
 from lbacal_twin.nuisances import NONE, Nuisances

@@ -8,19 +8,18 @@ from typing import Any
 
 import numpy as np
 
-from lbacal_core.discovery.curve_report import describe_curve
-from lbacal_core.discovery.investigate import investigate
-from lbacal_core.discovery.lst_curve import investigate_curve
+from lbacal_core.discovery.curve_search import describe_curve, investigate_curve
 from lbacal_core.discovery.refit import power_ratio
+from lbacal_core.discovery.report import investigate
 from lbacal_core.discovery.search import StationReport
 from lbacal_core.discovery.station import gather_stations
 from lbacal_core.grids import Floats
-from lbacal_core.instrument import Instrument
+from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.lstcurve.curve import LstCurve
 from lbacal_core.provenance import Provenance
 from lbacal_core.skypower.differences import DifferenceModels
 from lbacal_core.skypower.table import SkyPower
-from lbacal_core.spectra import Spectra
+from lbacal_core.spectra.spectra import Spectra
 
 
 @dataclass(frozen=True)

@@ -13,9 +13,9 @@ from itertools import product
 
 import numpy as np
 
-from lbacal_core.data.lofar import DIPOLES
+from lbacal_core.data.tables import DIPOLES
 from lbacal_core.grids import Floats
-from lbacal_core.spectra import Spectra
+from lbacal_core.spectra.spectra import Spectra
 from validation.hidden.data_sets import EVENTS, DataSet, draw_one, moving_causes, sky_power
 from validation.hidden.finder import FittedModel
 from validation.machinery.claims import Found, One, mean_of, median_interval, rate_of

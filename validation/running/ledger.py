@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from itertools import islice
 
-from lbacal_core.validity import Promotion
+from lbacal_core.curves.validity import Promotion
 from service.factory import Factory
 from service.schema.tables import promotion
 

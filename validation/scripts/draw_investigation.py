@@ -13,9 +13,9 @@ import numpy as np
 
 from lbacal.cli.investigation_figures import draw_finding, draw_residual_maps, draw_structure
 from lbacal_core.causes.axes import axis_named
-from lbacal_core.discovery.investigate import investigate
+from lbacal_core.discovery.report import investigate
 from lbacal_core.discovery.search import StationReport
-from lbacal_core.instrument import load_instrument
+from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.faults.antenna import GainStep

@@ -14,12 +14,19 @@ import numpy as np
 from lbacal_core.antenna.ideal import ShortDipole
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.data.tables import read_table
-from lbacal_core.instrument import Instrument, load_instrument
-from lbacal_core.sky.measured import read_sky_level
-from lbacal_core.sky.names import load_sky
-from lbacal_core.skypower.anchors import combine_anchors, dipole_temperature, predict_left_out, read_anchors
+from lbacal_core.instrument.instrument import Instrument, load_instrument
+from lbacal_core.sky.names import load_sky, read_sky_level
 from lbacal_core.skypower.model import compute_sky_power
-from lbacal_core.skypower.sky_terms import EDGES_DEG, EDGES_HEIGHT_M, SKY_BUDGETS, sky_terms
+from lbacal_core.skypower.sky_terms import (
+    EDGES_DEG,
+    EDGES_HEIGHT_M,
+    SKY_BUDGETS,
+    combine_anchors,
+    dipole_temperature,
+    predict_left_out,
+    read_anchors,
+    sky_terms,
+)
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.settings import TwinSettings
 from validation.scripts.page_tables import replace_tables

@@ -18,16 +18,16 @@ from matplotlib.figure import Figure
 from lbacal.cli.figure_style import COLOURS, SETTINGS
 from lbacal_core.antenna.ideal import ShortDipole
 from lbacal_core.antenna.model import AntennaModel
+from lbacal_core.audit.antennas import compare_paths
 from lbacal_core.audit.audit import AuditReport, audit
-from lbacal_core.audit.health import compare_paths
 from lbacal_core.audit.station import AuditedStation
 from lbacal_core.grids import Floats
-from lbacal_core.instrument import AntennaRecord, Instrument
+from lbacal_core.instrument.instrument import AntennaRecord, Instrument
 from lbacal_core.readers.average import average
 from lbacal_core.readers.open import choose_channels, open_source
 from lbacal_core.sky.names import load_sky
-from lbacal_core.skypower.anchors import dipole_temperature
-from lbacal_core.spectra import Spectra
+from lbacal_core.skypower.sky_terms import dipole_temperature
+from lbacal_core.spectra.spectra import Spectra
 from validation.scripts.page_tables import replace_tables
 
 DOCS = Path(__file__).parents[2] / "docs"

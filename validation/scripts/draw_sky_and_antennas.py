@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from lbacal_core.antenna.model import directional_response
 from lbacal_core.antenna.names import load_antenna
-from lbacal_core.instrument import load_instrument
+from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.sky.names import load_sky
 from lbacal_core.skypower.differences import model_difference_modes
 from lbacal_core.skypower.model import compute_sky_power

@@ -4,7 +4,7 @@
 
 The table of EDGES goes in as its means over the sidereal day at five frequencies; the other numbers are those of the
 abstracts of the papers that are cited. The level and slope by which the sky `gsm` is multiplied, and their covariance,
-follow from `lbacal_core.skypower.anchors`.
+follow from `lbacal_core.skypower.sky_terms`.
 """
 
 from __future__ import annotations
@@ -16,9 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
-from lbacal_core.sky.measured import BASE_SKY
-from lbacal_core.sky.names import load_sky
-from lbacal_core.skypower.anchors import combine_anchors, predict_left_out, read_anchors
+from lbacal_core.sky.names import BASE_SKY, load_sky
+from lbacal_core.skypower.sky_terms import combine_anchors, predict_left_out, read_anchors
 
 DATA = Path(__file__).parents[2] / "lbacal_core" / "data"
 FREQUENCY_MHZ = [50.0, 60.0, 70.0, 80.0, 100.0]

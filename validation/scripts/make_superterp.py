@@ -35,7 +35,7 @@ from astropy import units
 from astropy.coordinates import EarthLocation
 
 from lbacal_core.antenna.names import load_antenna
-from lbacal_core.sidereal import local_sidereal_time
+from lbacal_core.instrument.sidereal import local_sidereal_time
 from lbacal_core.sky.names import load_sky
 from lbacal_core.skypower.modes import sky_power_at, sky_power_modes
 

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from lbacal.cli.main import main
-from lbacal_core.instrument import Instrument, parse_instrument
-from lbacal_core.sidereal import local_sidereal_time
+from lbacal_core.instrument.instrument import Instrument, parse_instrument
+from lbacal_core.instrument.sidereal import local_sidereal_time
 from lbacal_core.skypower.table import SkyPower, write_sky_power
-from lbacal_core.spectra import Spectra, write_spectra
+from lbacal_core.spectra.spectra import Spectra, write_spectra
 
 FREQUENCY = np.arange(30.0, 81.0)
 EVENTS = 120

@@ -7,7 +7,7 @@ import numpy as np
 from typer.testing import CliRunner
 
 from lbacal.cli.main import app
-from lbacal_core.instrument import load_instrument
+from lbacal_core.instrument.instrument import load_instrument
 
 
 def test_the_command_writes_an_instrument_with_the_gain_of_a_table(folder: Path) -> None:

@@ -7,10 +7,10 @@ import pytest
 
 from lbacal.cli.budget import draw_budget, tabulate
 from lbacal.cli.main import run
-from lbacal_core.covariance import Budget, BudgetTerm, parse_budget
-from lbacal_core.instrument import load_instrument
+from lbacal_core.curves.covariance import Budget, BudgetTerm, parse_budget
+from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.skypower.model import compute_sky_power
-from lbacal_core.spectra import write_spectra
+from lbacal_core.spectra.spectra import write_spectra
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.settings import TwinSettings
 

@@ -12,8 +12,8 @@ import pytest
 from astropy.table import Table
 
 from lbacal.calibration_files import read_calibrations
-from lbacal_core.galcal_rules import find_problems
-from lbacal_core.spectra import read_spectra, write_spectra
+from lbacal_core.curves.galcal import find_problems
+from lbacal_core.spectra.spectra import read_spectra, write_spectra
 from tests import short_dipole
 
 OUTPUTS = ["--output", "C.ecsv", "--report", "fit.json"]

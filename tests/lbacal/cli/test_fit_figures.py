@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from lbacal.cli.fit_figures import average_residuals, draw_fit
-from lbacal_core.curves import FitReport
-from lbacal_core.instrument import Instrument, load_instrument
+from lbacal_core.curves.curves import FitReport
+from lbacal_core.instrument.instrument import Instrument, load_instrument
 from lbacal_core.pipeline import calibrate
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.table import SkyPower
-from lbacal_core.spectra import Spectra
+from lbacal_core.spectra.spectra import Spectra
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.settings import TwinSettings
 

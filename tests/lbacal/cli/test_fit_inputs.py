@@ -7,7 +7,7 @@ import pytest
 
 from lbacal.cli.fit_inputs import Selection, find_spectra_files, parse_selection, read_selected
 from lbacal_core.errors import BadInputError
-from lbacal_core.spectra import Spectra, write_spectra
+from lbacal_core.spectra.spectra import Spectra, write_spectra
 
 NOW = 1.8e9
 NEW_YEAR_2015 = 1_420_070_400.0

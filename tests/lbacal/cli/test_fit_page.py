@@ -6,8 +6,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from lbacal.cli.fit_page import draw_page
-from lbacal_core.covariance import Budget, BudgetTerm
-from lbacal_core.curves import CalibrationCurve, FitReport
+from lbacal_core.curves.covariance import Budget, BudgetTerm
+from lbacal_core.curves.curves import CalibrationCurve, FitReport
 from lbacal_core.provenance import Provenance
 
 FREQUENCY = np.arange(30.0, 81.0)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from lbacal.cli.fit_summary import align, describe_error, explain_chi2, tabulate_curves
-from lbacal_core.curves import CalibrationCurve
+from lbacal_core.curves.curves import CalibrationCurve
 from lbacal_core.uncertainty.one_event import ErrorOfC
 
 FREQUENCY = np.arange(30.0, 81.0)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lbacal.cli.main import run
-from lbacal_core.spectra import read_spectra
+from lbacal_core.spectra.spectra import read_spectra
 
 
 def call(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:

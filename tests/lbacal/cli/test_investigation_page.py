@@ -7,8 +7,8 @@ import pytest
 
 from lbacal.cli.investigation_figures import draw_scores, draw_structure
 from lbacal.cli.investigation_page import write_investigation_page
-from lbacal_core.discovery.investigate import investigate
-from lbacal_core.instrument import load_instrument
+from lbacal_core.discovery.report import investigate
+from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.faults.antenna import GainStep

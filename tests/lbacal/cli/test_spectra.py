@@ -13,7 +13,7 @@ import uvicorn
 
 from lbacal.cli.main import main
 from lbacal.client import Client
-from lbacal_core.spectra import read_spectra
+from lbacal_core.spectra.spectra import read_spectra
 from lbacal_core.traces.trace import TraceReference
 from lbacal_twin.voltages import Transmitter, digitise, draw_noise, write_frames
 from service.app import make_app

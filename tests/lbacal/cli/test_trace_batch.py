@@ -12,8 +12,7 @@ import pytest
 
 from lbacal.cli.trace_batch import TraceBatch, Work
 from lbacal_core.traces.background import CleaningSettings
-from lbacal_core.traces.discovery import find_files, group_traces, list_traces
-from lbacal_core.traces.trace import TraceReference
+from lbacal_core.traces.trace import TraceReference, find_files, group_traces, list_traces
 from lbacal_twin.voltages import digitise, draw_noise, write_frames
 
 EVENTS = 12

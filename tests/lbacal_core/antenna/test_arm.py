@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lbacal_core.antenna.arm import grid_rows, turn_to_arm
+from lbacal_core.antenna.files import grid_rows, turn_to_arm
 from lbacal_core.errors import BadInputError
 
 

@@ -9,7 +9,7 @@ from lbacal_core.antenna.circuit import ResonanceCircuit
 from lbacal_core.antenna.model import directional_response, zenith_gain
 from lbacal_core.antenna.names import load_antenna
 from lbacal_core.errors import BadInputError
-from lbacal_core.instrument import load_instrument
+from lbacal_core.instrument.instrument import load_instrument
 
 NU = np.arange(30.0, 81.0)
 

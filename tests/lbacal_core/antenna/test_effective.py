@@ -3,9 +3,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lbacal_core.antenna.effective import IMPEDANCE_OF_FREE_SPACE, effective_area, effective_heights
 from lbacal_core.antenna.hamaker import load_hamaker
 from lbacal_core.antenna.model import directional_response
+from lbacal_core.antenna.unfolding import IMPEDANCE_OF_FREE_SPACE, effective_area, effective_heights
 
 
 def test_a_matched_short_dipole_in_free_space_has_three_eighths_of_lambda_squared_over_pi() -> None:

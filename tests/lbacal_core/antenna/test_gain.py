@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.constants import speed_of_light
 
-from lbacal_core.antenna.gain import take_antenna_gain
 from lbacal_core.antenna.ideal import ShortDipole
+from lbacal_core.antenna.names import take_antenna_gain
 from lbacal_core.errors import BadInputError
-from lbacal_core.instrument import parse_instrument
+from lbacal_core.instrument.instrument import parse_instrument
 
 NU = np.array([30.0, 45.0, 60.0, 80.0])
 ZENITH, AZIMUTH = np.arange(0.0, 91.0, 5.0), np.arange(0.0, 360.0, 10.0)

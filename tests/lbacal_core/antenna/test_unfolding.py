@@ -8,7 +8,7 @@ from lbacal_core.antenna.ideal import ShortDipole
 from lbacal_core.antenna.model import AntennaModel
 from lbacal_core.antenna.unfolding import jones_matrix, unfold_field
 from lbacal_core.errors import BadInputError
-from lbacal_core.instrument import load_instrument
+from lbacal_core.instrument.instrument import load_instrument
 
 FREQUENCY = np.arange(30.0, 81.0)
 ARMS = {"X": 45.0, "Y": 135.0}

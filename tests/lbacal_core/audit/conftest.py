@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from lbacal_core.audit.station import AuditedStation, split_stations
-from lbacal_core.instrument import Instrument
-from lbacal_core.sidereal import local_sidereal_time
+from lbacal_core.instrument.instrument import Instrument
+from lbacal_core.instrument.sidereal import local_sidereal_time
 from lbacal_core.skypower.model import compute_sky_power
-from lbacal_core.spectra import Spectra
+from lbacal_core.spectra.spectra import Spectra
 
 HOURS = 24
 START = 1_400_000_000.0

@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lbacal_core.antenna_records import AntennaRecord
 from lbacal_core.audit.audit import audit
-from lbacal_core.instrument import Instrument
+from lbacal_core.instrument.antennas import AntennaRecord
+from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.readers.average import average
 from lbacal_core.readers.open import choose_channels, open_source
-from lbacal_core.spectra import Spectra
+from lbacal_core.spectra.spectra import Spectra
 from tests import short_dipole
 
 

@@ -5,10 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lbacal_core.audit.cables import find_wrong_cables, log_likelihood_of_unit
-from lbacal_core.audit.health import compare_paths
+from lbacal_core.audit.antennas import compare_paths, find_wrong_cables, log_likelihood_of_unit
 from lbacal_core.audit.station import AuditedStation
-from lbacal_core.instrument import Instrument
+from lbacal_core.instrument.instrument import Instrument
 
 
 @pytest.mark.parametrize(("antenna", "recorded"), [(0, "115"), (5, "50")])

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from lbacal_core.audit.exchange import compare_polarisations, tell_exchanged
+from lbacal_core.audit.antennas import compare_polarisations, tell_exchanged
 from lbacal_core.audit.station import AuditedStation
 
 EVERYBODY = np.ones(6, dtype=bool)

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import json
 
-from lbacal_core.audit.finding import WRONG, Line
+from lbacal_core.audit.verdict import WRONG, Line
 
 
 def test_a_line_becomes_json_with_null_for_what_is_not_known() -> None:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lbacal_core.audit.health import compare_paths, find_ill_paths
+from lbacal_core.audit.antennas import compare_paths, find_ill_paths
 from lbacal_core.audit.station import AuditedStation
 
 ANTENNA, DIPOLE = 3, 1

@@ -5,16 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lbacal_core.audit.quick import EVENTS, audit_quickly
-from lbacal_core.calibration.mistakes import LIKELY_MISTAKE
-from lbacal_core.curves import FitReport
+from lbacal_core.audit.audit import EVENTS, audit_quickly
+from lbacal_core.calibration.chain_test import LIKELY_MISTAKE
+from lbacal_core.curves.curves import FitReport
 from lbacal_core.errors import BadInputError
-from lbacal_core.instrument import Instrument, load_instrument
+from lbacal_core.instrument.instrument import Instrument, load_instrument
 from lbacal_core.pipeline import calibrate
 from lbacal_core.provenance import Provenance
 from lbacal_core.skypower.model import compute_sky_power
-from lbacal_core.spectra import Spectra
-from lbacal_core.spectra_join import join_spectra
+from lbacal_core.spectra.spectra import Spectra, join_spectra
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.settings import TwinSettings
 

@@ -5,16 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lbacal_core.audit.series import (
+from lbacal_core.audit.station import (
     BAND_SPREAD,
     SHARE,
     SHARE_SPREAD,
     AnyReceiver,
+    AuditedStation,
     Seen,
     SeriesLikelihood,
     make_series,
 )
-from lbacal_core.audit.station import AuditedStation
 
 
 def draw_sky(likelihood: SeriesLikelihood, seed: int) -> Seen:

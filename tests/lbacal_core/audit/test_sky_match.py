@@ -5,11 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lbacal_core.audit.series import mean_frequencies
-from lbacal_core.audit.sky_match import SkyMatch
-from lbacal_core.audit.sky_models import load_models
-from lbacal_core.audit.station import AuditedStation
-from lbacal_core.instrument import Instrument
+from lbacal_core.audit.sky_match import SkyMatch, load_models
+from lbacal_core.audit.station import AuditedStation, mean_frequencies
+from lbacal_core.instrument.instrument import Instrument
 
 ALL = np.arange(6)
 

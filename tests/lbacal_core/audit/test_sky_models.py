@@ -2,8 +2,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from lbacal_core.audit.sky_models import load_models
-from lbacal_core.instrument import Instrument
+from lbacal_core.audit.sky_match import load_models
+from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.skypower.differences import DifferenceModels
 from lbacal_core.skypower.model import compute_sky_power
 

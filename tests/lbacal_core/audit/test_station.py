@@ -7,8 +7,8 @@ import pytest
 
 from lbacal_core.audit.station import AuditedStation, split_stations, spread
 from lbacal_core.errors import BadInputError
-from lbacal_core.instrument import Instrument
-from lbacal_core.spectra import Spectra
+from lbacal_core.instrument.instrument import Instrument
+from lbacal_core.spectra.spectra import Spectra
 
 
 def test_spectra_are_laid_out_by_antenna_dipole_and_time(spectra: Spectra, station: AuditedStation) -> None:

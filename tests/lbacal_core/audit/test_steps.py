@@ -8,8 +8,8 @@ import pytest
 from lbacal_core.audit.audit import audit
 from lbacal_core.audit.station import AuditedStation
 from lbacal_core.audit.steps import find_steps
-from lbacal_core.instrument import Instrument
-from lbacal_core.spectra import Spectra
+from lbacal_core.instrument.instrument import Instrument
+from lbacal_core.spectra.spectra import Spectra
 
 ALL = np.arange(6)
 

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from lbacal_core.antenna_records import AntennaRecord
 from lbacal_core.grids import Floats
-from lbacal_core.instrument import Instrument
-from lbacal_core.sidereal import local_sidereal_time
+from lbacal_core.instrument.antennas import AntennaRecord
+from lbacal_core.instrument.instrument import Instrument
+from lbacal_core.instrument.sidereal import local_sidereal_time
 from lbacal_core.skypower.table import SkyPower
-from lbacal_core.spectra import Spectra
+from lbacal_core.spectra.spectra import Spectra
 
 RADIOMETER, PATH_GAIN, COMMON_GAIN = 0.045, 0.03, 0.02
 N_LNA, N_RCU, N_ADC = 0.14, 4.6, 4.5

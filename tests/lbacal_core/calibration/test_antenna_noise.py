@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from lbacal_core.calibration.antenna_noise import draw_noise, recorded_background, recorded_electronics
-from lbacal_core.curves import CalibrationCurve, Parameter
+from lbacal_core.curves.curves import CalibrationCurve, Parameter
 from lbacal_core.errors import BadInputError
-from lbacal_core.instrument import Instrument
+from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.skypower.power import RESISTANCE_OHM
 from lbacal_core.skypower.table import SkyPower
 

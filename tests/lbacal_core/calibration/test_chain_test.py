@@ -5,11 +5,10 @@ import pytest
 from scipy.stats import chi2 as chi2_distribution
 from scipy.stats import kstest
 
-from lbacal_core.calibration.chain_test import SkyFreedom, compare_predictions, is_improbable, run_chain_test
+from lbacal_core.calibration.chain_test import Mistake, SkyFreedom, compare_predictions, is_improbable, run_chain_test
 from lbacal_core.calibration.lines import fit_lines
-from lbacal_core.calibration.mistakes import Mistake
 from lbacal_core.calibration.separable import solve_separable
-from lbacal_core.intercepts import three_constants
+from lbacal_core.chain.intercepts import three_constants
 
 
 def run_test(scene, paths, events, seed, freedom=None, change=None):

@@ -4,7 +4,7 @@ import numpy as np
 
 from lbacal_core.calibration.channels import flag_channels, solve_without_interference
 from lbacal_core.calibration.separable import solve_separable
-from lbacal_core.intercepts import three_constants
+from lbacal_core.chain.intercepts import three_constants
 
 CHANNELS = 20
 TERMS = three_constants(np.linspace(1.0, 2.0, CHANNELS) ** 2)

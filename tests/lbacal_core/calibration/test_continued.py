@@ -7,7 +7,7 @@ import pytest
 
 from lbacal_core.calibration.continued import LARGEST_SHARE, continue_fit
 from lbacal_core.calibration.fit import fit_calibration
-from lbacal_core.kept_lines import read_lines, write_lines
+from lbacal_core.curves.kept_lines import read_lines, write_lines
 
 EVENTS = 400
 

@@ -5,16 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lbacal_core.antenna_records import AntennaRecord
+from lbacal_core.calibration.chain_test import free_own_sky
 from lbacal_core.calibration.fit import fit_calibration
-from lbacal_core.calibration.freedom import free_own_sky
 from lbacal_core.chain.model import calibration_factor
-from lbacal_core.curves import parse_curve
+from lbacal_core.curves.curves import parse_curve
 from lbacal_core.errors import BadInputError
-from lbacal_core.instrument import load_instrument
+from lbacal_core.instrument.antennas import AntennaRecord
+from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.table import read_sky_power
-from lbacal_core.spectra import read_spectra
+from lbacal_core.spectra.spectra import read_spectra
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.settings import TwinSettings
 

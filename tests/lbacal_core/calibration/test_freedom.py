@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lbacal_core.calibration.freedom import free_own_sky
-from lbacal_core.instrument import load_instrument
+from lbacal_core.calibration.chain_test import free_own_sky
+from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.skypower.differences import LST_HOURS
 from lbacal_core.skypower.model import compute_sky_power
 

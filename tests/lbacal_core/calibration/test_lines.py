@@ -2,8 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lbacal_core.calibration.lines import fit_lines
-from lbacal_core.calibration.noise import estimate_noise_levels
+from lbacal_core.calibration.lines import estimate_noise_levels, fit_lines
 from lbacal_core.grids import Floats
 
 

@@ -2,9 +2,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from lbacal_core.calibration.merged import describe_merged
+from lbacal_core.calibration.channels import describe_merged
 from lbacal_core.calibration.separable import solve_separable
-from lbacal_core.intercepts import three_constants
+from lbacal_core.chain.intercepts import three_constants
 
 
 def lines(terms):

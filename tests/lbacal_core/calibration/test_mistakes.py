@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lbacal_core.calibration.mistakes import LARGEST_GAIN, Mistake, describe_mistakes, list_mistakes, name_mistakes
-from lbacal_core.curves import CalibrationCurve
-from lbacal_core.instrument import load_instrument
+from lbacal_core.calibration.chain_test import LARGEST_GAIN, Mistake, describe_mistakes, list_mistakes, name_mistakes
+from lbacal_core.curves.curves import CalibrationCurve
+from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.skypower.model import compute_sky_power
 
 LST_HOURS = np.arange(48) / 2.0

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from lbacal_core.antenna.ideal import ShortDipole
-from lbacal_core.calibration.other_antennas import list_other_antennas
-from lbacal_core.instrument import load_instrument
+from lbacal_core.calibration.chain_test import list_other_antennas
+from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.skypower.differences import LST_HOURS
 from lbacal_core.skypower.model import compute_sky_power
 

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lbacal_core.antenna_records import AntennaRecord
+from lbacal_core.calibration.antenna_noise import noise_at_input
 from lbacal_core.calibration.fit import fit_calibration
-from lbacal_core.calibration.own_cable import carry_to_path, tell_reference
-from lbacal_core.calibration.residuals import noise_at_input
+from lbacal_core.calibration.spreads import carry_to_path, tell_reference
 from lbacal_core.chain.model import calibration_factor
-from lbacal_core.reference_chain import CableTable, ReferenceChain
+from lbacal_core.curves.reference_chain import CableTable, ReferenceChain
+from lbacal_core.instrument.antennas import AntennaRecord
 
 AT = 1_400_000_000.0
 

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from lbacal_core.calibration.chain_test import SkyFreedom
-from lbacal_core.calibration.lines import fit_lines
-from lbacal_core.calibration.path_lines import SKY_HARMONICS, PathLines, harmonics_at, move_lines, move_lines_by
+from lbacal_core.calibration.lines import SKY_HARMONICS, PathLines, fit_lines, harmonics_at, move_lines, move_lines_by
 from lbacal_core.calibration.singles import chain_forms
 
 

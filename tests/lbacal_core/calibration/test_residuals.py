@@ -3,12 +3,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lbacal_core.calibration.residuals import noise_at_input, predict_power
-from lbacal_core.curves import CONVERGED, CalibrationCurve, Parameter
-from lbacal_core.instrument import Instrument
-from lbacal_core.sidereal import local_sidereal_time
+from lbacal_core.calibration.antenna_noise import noise_at_input, predict_power
+from lbacal_core.curves.curves import CONVERGED, CalibrationCurve, Parameter
+from lbacal_core.instrument.instrument import Instrument
+from lbacal_core.instrument.sidereal import local_sidereal_time
 from lbacal_core.skypower.table import SkyPower
-from lbacal_core.spectra_blocks import split_into_blocks
+from lbacal_core.spectra.blocks import split_into_blocks
 from lbacal_twin.campaign import Campaign, simulate_campaign
 from lbacal_twin.settings import TwinSettings
 

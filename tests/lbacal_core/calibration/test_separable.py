@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import least_squares
 
 from lbacal_core.calibration.separable import solve_separable
-from lbacal_core.intercepts import Intercepts, three_constants
+from lbacal_core.chain.intercepts import Intercepts, three_constants
 
 
 def problem(rng, size=12):

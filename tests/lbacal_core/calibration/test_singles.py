@@ -8,8 +8,8 @@ import pytest
 from lbacal_core.calibration import singles
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.calibration.singles import MIN_EVENTS, RememberedSingles, fit_singles
-from lbacal_core.remembered import Remembered
-from lbacal_core.spectra_blocks import split_into_blocks
+from lbacal_core.provenance import Remembered
+from lbacal_core.spectra.blocks import split_into_blocks
 from lbacal_core.uncertainty.refit import compute_budget
 
 

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from lbacal_core.causes.catalogue import CAUSES, DESCRIPTIONS
-from lbacal_core.causes.cause import SCOPES, SizeRange, Template, signature
-from lbacal_core.causes.conditions import Conditions
-from lbacal_core.chain.terms import ChainTerms
+from lbacal_core.causes.cause import SCOPES, Conditions, SizeRange, Template, signature
+from lbacal_core.chain.model import ChainTerms
 from lbacal_twin.faults.catalogue import catalogue_faults
 
 

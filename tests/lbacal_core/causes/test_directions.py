@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lbacal_core.causes.directions import sky_ratios
-from lbacal_core.skypower.variation import vary_sky_power
+from lbacal_core.causes.sky import sky_ratios
+from lbacal_core.skypower.model import vary_sky_power
 
 LST = np.arange(32) * 0.75
 OPTION = {

@@ -8,17 +8,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lbacal_core.causes.axes import list_axes, smooth_functions
-from lbacal_core.causes.structure import describe_term, read_term
-from lbacal_core.discovery.adopted import fit_adopted
-from lbacal_core.discovery.payoff import measure_gains
+from lbacal_core.causes.axes import describe_term, list_axes, read_term, smooth_functions
+from lbacal_core.causes.model import Model
+from lbacal_core.discovery.adopted import fit_adopted, measure_gains
 from lbacal_core.discovery.refit import fit_chain
 from lbacal_core.discovery.residual_structure import find_structure
 from lbacal_core.discovery.search import search_station
 from lbacal_core.discovery.station import gather_stations
 from lbacal_core.errors import BadInputError
-from lbacal_core.instrument import load_instrument
-from lbacal_core.model import Model
+from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.faults.uncatalogued import MainsHum

@@ -9,12 +9,12 @@ import pytest
 from scipy.constants import Boltzmann
 
 from lbacal_core.antenna.ideal import IsotropicAntenna
-from lbacal_core.antenna_gain import GainProvenance
+from lbacal_core.chain.intercepts import three_constants
 from lbacal_core.chain.noise import noise_constants
 from lbacal_core.errors import BadInputError
-from lbacal_core.intercepts import three_constants
+from lbacal_core.instrument.antennas import GainProvenance
+from lbacal_core.instrument.stages import Stage
 from lbacal_core.skypower.model import compute_sky_power
-from lbacal_core.stages import Stage
 
 
 def staged(low_band, *stages, **changes):

@@ -2,8 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lbacal_core.chain.model import chain_power
-from lbacal_core.chain.terms import ChainTerms
+from lbacal_core.chain.model import ChainTerms, chain_power
 
 
 def test_the_power_of_the_terms_is_the_chain_equation_written_out() -> None:

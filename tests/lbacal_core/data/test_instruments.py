@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lbacal_core.instrument import load_instrument
+from lbacal_core.instrument.instrument import load_instrument
 
 
 def test_the_superterp_has_six_stations_of_48_antennas() -> None:

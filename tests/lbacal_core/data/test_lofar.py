@@ -1,7 +1,7 @@
 from __future__ import annotations
 
-from lbacal_core.data.lofar import DIPOLES, LOFAR_DEG, LOFAR_RADIUS_DEG
-from lbacal_core.instrument import load_instrument
+from lbacal_core.data.tables import DIPOLES, LOFAR_DEG, LOFAR_RADIUS_DEG
+from lbacal_core.instrument.instrument import load_instrument
 
 
 def test_the_shipped_superterp_has_these_letters_and_stands_there():

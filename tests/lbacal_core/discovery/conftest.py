@@ -12,10 +12,10 @@ from lbacal_core.discovery.project import LinearModel
 from lbacal_core.discovery.refit import fit_chain
 from lbacal_core.discovery.station import Station, gather_stations
 from lbacal_core.grids import Floats
-from lbacal_core.instrument import Instrument, load_instrument
+from lbacal_core.instrument.instrument import Instrument, load_instrument
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.table import SkyPower
-from lbacal_core.spectra import Spectra
+from lbacal_core.spectra.spectra import Spectra
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.faults.fault import Fault
 from lbacal_twin.settings import TwinSettings

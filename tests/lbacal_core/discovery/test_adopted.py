@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from lbacal_core.causes.model import PLAIN, AdoptedCause, Model
 from lbacal_core.discovery.adopted import REFERENCE_C, BoundedCause, find_members, fit_adopted, list_hypotheses
 from lbacal_core.discovery.baseline import fit_baseline
 from lbacal_core.discovery.refit import power_ratio
 from lbacal_core.discovery.station import gather_stations
 from lbacal_core.errors import BadInputError
-from lbacal_core.model import PLAIN, AdoptedCause, Model
 from lbacal_twin.faults.antenna import GainTemperature
 from lbacal_twin.faults.sky import IonosphericAbsorption, LstOffset
 

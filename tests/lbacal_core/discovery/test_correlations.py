@@ -6,8 +6,7 @@ import numpy as np
 
 from lbacal_core.causes.catalogue import CAUSES
 from lbacal_core.causes.cause import Template
-from lbacal_core.discovery.correlations import correlate, overlap
-from lbacal_core.discovery.families import group_templates
+from lbacal_core.discovery.families import correlate, group_templates, overlap
 from lbacal_core.discovery.hypothesis import list_targets
 
 

@@ -3,9 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lbacal_core.discovery.curve_calibration import fit_station_year
-from lbacal_core.discovery.curve_station import GRID_HOURS
-from lbacal_core.intercepts import three_constants
+from lbacal_core.chain.intercepts import three_constants
+from lbacal_core.discovery.curve_fit import GRID_HOURS, fit_station_year
 
 
 @pytest.fixture(scope="module")

@@ -5,12 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lbacal_core.discovery.curve_fit import CurveFitter
-from lbacal_core.discovery.curve_station import GRID_HOURS, gather_curve, list_choices
-from lbacal_core.lstcurve.compare import AS_RECORDED, band_weights
-from lbacal_core.lstcurve.curve import LstCurve
-from lbacal_core.lstcurve.noise import estimate_noise
-from lbacal_core.lstcurve.noise_share import noise_prior
+from lbacal_core.discovery.curve_fit import GRID_HOURS, CurveFitter, gather_curve, list_choices
+from lbacal_core.lstcurve.compare import AS_RECORDED, band_weights, noise_prior
+from lbacal_core.lstcurve.curve import LstCurve, estimate_noise
 from lbacal_core.skypower.differences import model_difference_modes
 
 BAND = (30.0, 80.0)

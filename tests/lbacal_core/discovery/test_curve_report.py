@@ -4,8 +4,7 @@ import json
 
 import pytest
 
-from lbacal_core.discovery.curve_report import describe_curve
-from lbacal_core.discovery.lst_curve import investigate_curve
+from lbacal_core.discovery.curve_search import describe_curve, investigate_curve
 from lbacal_core.lstcurve.curve import measured_curve, read_lst_curve
 from lbacal_core.provenance import Provenance
 

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from lbacal_core.causes.catalogue import DESCRIPTIONS
-from lbacal_core.discovery.curve_station import GRID_HOURS, gather_curve, list_choices, why_not
-from lbacal_core.lstcurve.compare import AS_RECORDED, band_weights
-from lbacal_core.lstcurve.noise_share import noise_prior
-from lbacal_core.skypower.variation import vary_sky_power
+from lbacal_core.discovery.curve_fit import GRID_HOURS, gather_curve, list_choices, why_not
+from lbacal_core.lstcurve.compare import AS_RECORDED, band_weights, noise_prior
+from lbacal_core.skypower.model import vary_sky_power
 
 BAND = (30.0, 80.0)
 
@@ -118,7 +117,7 @@ def test_every_cause_of_the_catalogue_is_asked_or_has_a_reason_that_follows_from
 
 
 def test_channels_that_the_own_models_do_not_cover_leave_the_causes_that_need_no_direction(chain, sky, monkeypatch):
-    monkeypatch.setattr("lbacal_core.discovery.curve_station.sky_ratios", lambda _: {})
+    monkeypatch.setattr("lbacal_core.discovery.curve_fit.sky_ratios", lambda _: {})
     weights = band_weights(chain, AS_RECORDED, BAND)
     station = gather_curve(chain, sky, weights, noise_prior(chain, BAND, weights))
     asked = {choice.label for choice in list_choices(station)}

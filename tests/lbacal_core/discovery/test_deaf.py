@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lbacal_core.discovery.deaf import SMALLEST_SHARE, leave_out_deaf, sky_shares
-from lbacal_core.discovery.investigate import investigate
+from lbacal_core.discovery.baseline import SMALLEST_SHARE, leave_out_deaf, sky_shares
+from lbacal_core.discovery.report import investigate
 from lbacal_core.discovery.station import gather_stations
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.faults.fault import Where

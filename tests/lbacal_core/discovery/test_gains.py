@@ -7,8 +7,8 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from lbacal_core.discovery.baseline import fit_baseline
-from lbacal_core.discovery.gains import LARGEST, EventGains
 from lbacal_core.discovery.noise import split_residuals
+from lbacal_core.discovery.project import LARGEST, EventGains
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lbacal_core.discovery.investigate import investigate
+from lbacal_core.discovery.report import investigate
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.faults.antenna import GainStep
 from lbacal_twin.faults.fault import Where

@@ -5,9 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lbacal_core.causes.conditions import RAIN
-from lbacal_core.discovery.kinds import list_kinds
-from lbacal_core.discovery.noise import split_residuals
+from lbacal_core.causes.cause import RAIN
+from lbacal_core.discovery.noise import list_kinds, split_residuals
 from tests.lbacal_core.discovery.vectors import THREE
 
 

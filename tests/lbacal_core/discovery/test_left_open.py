@@ -6,9 +6,9 @@ import pytest
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.causes.catalogue import CAUSES
 from lbacal_core.discovery.hypothesis import Hypothesis, Target
-from lbacal_core.discovery.investigate import investigate
 from lbacal_core.discovery.left_open import add_left_open, weigh_alternatives
 from lbacal_core.discovery.refit import fit_chain, refit
+from lbacal_core.discovery.report import investigate
 from lbacal_core.discovery.station import gather_stations
 from lbacal_twin.faults.antenna import GainStep
 from lbacal_twin.faults.fault import Where

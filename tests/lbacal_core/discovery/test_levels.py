@@ -3,8 +3,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lbacal_core.discovery.kinds import HEAVY, is_heavy
-from lbacal_core.discovery.levels import STANDS_OUT, NoiseLevels, _beyond, _choose_vectors, _scatter, beyond_noise
+from lbacal_core.discovery.noise import (
+    HEAVY,
+    STANDS_OUT,
+    NoiseLevels,
+    _beyond,
+    _choose_vectors,
+    _scatter,
+    beyond_noise,
+    is_heavy,
+)
 
 
 def test_normal_amounts_keep_their_covariance_and_hardly_any_is_heavy():

@@ -6,12 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lbacal_core.discovery.curve_report import describe_curve
-from lbacal_core.discovery.lst_curve import investigate_curve
+from lbacal_core.discovery.curve_search import describe_curve, investigate_curve
 from lbacal_core.lstcurve.compare import AS_RECORDED, band_weights
 from lbacal_core.lstcurve.curve import LstCurve
 from lbacal_core.provenance import Provenance
-from lbacal_core.skypower.variation import vary_sky_power
+from lbacal_core.skypower.model import vary_sky_power
 
 BAND = (30.0, 80.0)
 

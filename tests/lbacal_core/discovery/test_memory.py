@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lbacal_core.discovery.levels import profiles_of_axes
-from lbacal_core.discovery.memory import FEWEST_PAIRS, WITHIN_S, _Neighbours, chance_of, find_memory
+from lbacal_core.discovery.noise import profiles_of_axes
+from lbacal_core.discovery.single_events import FEWEST_PAIRS, WITHIN_S, _Neighbours, chance_of, find_memory
 
 CHANNELS = 51
 FLAT = np.full((1, CHANNELS), CHANNELS**-0.5)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from lbacal_core.causes.cable import AntennaTemplate
-from lbacal_core.discovery.one_antenna import Comparison, smooth_departures, typical_amounts
+from lbacal_core.discovery.antennas import Comparison, smooth_departures, typical_amounts
 
 CHANNELS = 40
 PLACE = np.linspace(0.0, 1.0, CHANNELS)

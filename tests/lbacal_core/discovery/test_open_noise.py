@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lbacal_core.discovery.open_noise import average_size, open_noise
+from lbacal_core.discovery.refit import average_size, open_noise
 from lbacal_twin.faults.antenna import GainStep
 from lbacal_twin.faults.fault import Where
 from tests.lbacal_core.discovery.worlds import CALM

@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import chi2
 
 from lbacal_core.discovery import residual_structure
-from lbacal_core.discovery.paths_together import chance_of_pattern, depart, fit_pattern
+from lbacal_core.discovery.residual_structure import chance_of_pattern, depart, fit_pattern
 from tests.lbacal_core.discovery.worlds import look_with_residual
 
 PATHS, POLARISATIONS = 24, 2

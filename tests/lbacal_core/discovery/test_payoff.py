@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lbacal_core.discovery.payoff import measure_gains, promise_of, true_share
-from lbacal_core.model import PLAIN, AdoptedCause, Model
+from lbacal_core.causes.model import PLAIN, AdoptedCause, Model
+from lbacal_core.discovery.adopted import measure_gains, promise_of, true_share
 from lbacal_twin.faults.sky import LstOffset
 from tests.lbacal_core.discovery.worlds import look_at
 

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lbacal_core.discovery.investigate import investigate
 from lbacal_core.discovery.policy import Policy
+from lbacal_core.discovery.report import investigate
 from lbacal_core.errors import LbacalError
 from lbacal_core.skypower.differences import model_difference_modes
 from lbacal_twin.faults.antenna import GainStep, GainTemperature

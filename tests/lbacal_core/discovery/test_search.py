@@ -9,10 +9,10 @@ import pytest
 from lbacal_core.causes.axes import axis_named
 from lbacal_core.causes.catalogue import CAUSES
 from lbacal_core.causes.cause import Template
-from lbacal_core.discovery.findings import Grown
+from lbacal_core.causes.model import AdoptedCause, Model
+from lbacal_core.discovery.findings import Grown, StationSearch
 from lbacal_core.discovery.hypothesis import Hypothesis, Target, list_targets
 from lbacal_core.discovery.policy import Policy
-from lbacal_core.discovery.proposals import StationSearch
 from lbacal_core.discovery.refit import refit
 from lbacal_core.discovery.residual_structure import ResidualStructure
 from lbacal_core.discovery.search import (
@@ -23,7 +23,6 @@ from lbacal_core.discovery.search import (
     search_station,
 )
 from lbacal_core.discovery.station import gather_stations
-from lbacal_core.model import AdoptedCause, Model
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.faults.antenna import GainStep, GainTemperature
 from lbacal_twin.faults.fault import Where

@@ -17,18 +17,15 @@ import numpy as np
 from lbacal_core.causes.cable import log_loss_per_metre
 from lbacal_core.causes.catalogue import ANTENNA_CAUSES, CAUSES
 from lbacal_core.causes.cause import Template, signature, spectral_signature
-from lbacal_core.data.lofar import DIPOLES
+from lbacal_core.data.tables import DIPOLES
 from lbacal_core.discovery import search
-from lbacal_core.discovery.antennas import AntennaScore, compare_antennas
-from lbacal_core.discovery.cable_names import compare_cable_names
+from lbacal_core.discovery.antennas import AntennaScore, compare_antennas, compare_cable_names
 from lbacal_core.discovery.families import group_templates
-from lbacal_core.discovery.findings import _calibration_change
+from lbacal_core.discovery.findings import _calibration_change, find_indistinguishable, refine
 from lbacal_core.discovery.hypothesis import Hypothesis, Target, list_targets
-from lbacal_core.discovery.indistinguishable import find_indistinguishable
 from lbacal_core.discovery.noise import split_residuals
 from lbacal_core.discovery.policy import Policy
 from lbacal_core.discovery.project import LinearModel
-from lbacal_core.discovery.proposals import refine
 from lbacal_core.discovery.refit import FOLDS, FittedModel, fit_chain, held_out_fold, held_out_gain, power_ratio, refit
 from lbacal_core.discovery.report import describe
 from lbacal_core.discovery.residual_structure import ResidualStructure, find_structure, strongest_structure
@@ -37,11 +34,11 @@ from lbacal_core.discovery.station import SkyModes, Station, gather_stations, mo
 from lbacal_core.discovery.trials import p_of
 from lbacal_core.discovery.view import SMALLEST_INFORMATION
 from lbacal_core.grids import Floats
-from lbacal_core.instrument import Instrument
+from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.provenance import Provenance
 from lbacal_core.skypower.differences import compute_model_differences
 from lbacal_core.skypower.table import SkyPower
-from lbacal_core.spectra import Spectra
+from lbacal_core.spectra.spectra import Spectra
 from lbacal_twin.campaign import DrawnStation, draw_stations, expected_power, simulate_campaign
 from lbacal_twin.faults.fault import Fault
 from lbacal_twin.settings import TwinSettings

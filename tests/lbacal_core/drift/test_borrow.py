@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lbacal_core.drift.borrow import borrow_curve
+from lbacal_core.drift.windows import borrow_curve
 from tests.lbacal_core.drift.test_monthly import CABLE, make_case
 
 

@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lbacal_core.drift.changes import list_changes
 from lbacal_core.drift.follow import History, follow
+from lbacal_core.drift.report import list_changes
 from validation.drift_world import DAY, START, YEAR, World, draw_history
 
 WORLD = World(years=2.0, stations=1, antennas=12, events_per_year=500, yearly=0.03)

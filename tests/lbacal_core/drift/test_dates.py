@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lbacal_core.drift.dates import find_dates
+from lbacal_core.drift.model import find_dates
 
 DAY = 86_400.0
 

@@ -7,9 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lbacal_core.drift.events import EventModes, measure_event_modes
-from lbacal_core.drift.later import add_events
-from lbacal_core.spectra_blocks import SpectraBlock
+from lbacal_core.drift.events import EventModes, add_events, measure_event_modes
+from lbacal_core.spectra.blocks import SpectraBlock
 from tests.lbacal_core.drift.test_monthly import make_case
 
 LAST = np.array([11, 57])

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lbacal_core.drift.medians import median_of_members, median_over
+from lbacal_core.drift.model import median_of_members, median_over
 
 
 def test_the_median_is_that_of_the_known_values() -> None:

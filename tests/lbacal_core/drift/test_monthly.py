@@ -3,16 +3,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lbacal_core.antenna_records import AntennaRecord
 from lbacal_core.chain.model import calibration_factor, chain_power
-from lbacal_core.curves import CalibrationCurve, Parameter
-from lbacal_core.drift.events import measure_event_modes
-from lbacal_core.drift.monthly import MonthlyRatios, average_months
+from lbacal_core.curves.curves import CalibrationCurve, Parameter
+from lbacal_core.drift.events import MonthlyRatios, average_months, measure_event_modes
 from lbacal_core.grids import Floats
-from lbacal_core.instrument import Instrument
-from lbacal_core.sidereal import local_sidereal_time
+from lbacal_core.instrument.antennas import AntennaRecord
+from lbacal_core.instrument.instrument import Instrument
+from lbacal_core.instrument.sidereal import local_sidereal_time
 from lbacal_core.skypower.table import SkyPower
-from lbacal_core.spectra_blocks import SpectraBlock
+from lbacal_core.spectra.blocks import SpectraBlock
 
 MHZ = np.array([30.0, 40.0, 55.0, 70.0])
 GAIN = np.array([0.1, 0.3, 1.0, 0.2])

@@ -3,8 +3,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lbacal_core.drift.noise import Lasting, correlate_modes, estimate_lasting, invert_covariance
-from lbacal_core.drift.terms import YEAR_S, smooth_columns
+from lbacal_core.drift.model import (
+    YEAR_S,
+    Lasting,
+    correlate_modes,
+    estimate_lasting,
+    invert_covariance,
+    smooth_columns,
+)
 
 MONTHS = np.arange(84).astype("datetime64[M]")
 EVENTS = np.full((100, 84), 70.0)

@@ -4,8 +4,18 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from lbacal_core.drift.scores import find_significance, find_threshold, score_slope, score_steps
-from lbacal_core.drift.terms import SLOPE, YEAR_S, Terms, fit_terms, month_columns, smooth_columns
+from lbacal_core.drift.model import (
+    SLOPE,
+    YEAR_S,
+    Terms,
+    find_significance,
+    find_threshold,
+    fit_terms,
+    month_columns,
+    score_slope,
+    score_steps,
+    smooth_columns,
+)
 
 MONTHS = 36
 TIME = np.arange(MONTHS) * YEAR_S / 12

@@ -3,9 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lbacal_core.drift.model import Series
+from lbacal_core.drift.model import YEAR_S, Series
 from lbacal_core.drift.search import Found, search_series
-from lbacal_core.drift.terms import YEAR_S
 
 DAY = 86_400.0
 NOISE = 0.017

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lbacal_core.drift.terms import SEASON_PRIOR, SLOPE, STEPS, YEAR_S, Terms, fit_terms, month_columns, smooth_columns
+from lbacal_core.drift.model import SEASON_PRIOR, SLOPE, STEPS, YEAR_S, Terms, fit_terms, month_columns, smooth_columns
 
 MONTHS = 60
 TIME = np.arange(MONTHS) * YEAR_S / 12

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lbacal_core.drift.whole import measure_whole
+from lbacal_core.drift.follow import measure_whole
 
 YEAR = 365.25 * 86_400.0
 

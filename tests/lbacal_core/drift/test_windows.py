@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lbacal_core.antenna_records import AntennaRecord
 from lbacal_core.drift.windows import cut_window, find_hardware_changes, leave_out_changed, set_apart
-from lbacal_core.instrument import Instrument
-from lbacal_core.spectra import Spectra
+from lbacal_core.instrument.antennas import AntennaRecord
+from lbacal_core.instrument.instrument import Instrument
+from lbacal_core.spectra.spectra import Spectra
 
 MHZ = np.array([30.0, 45.0, 60.0, 80.0])
 DAYS = 100

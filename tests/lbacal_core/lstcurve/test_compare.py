@@ -8,7 +8,7 @@ import pytest
 
 from lbacal_core.data.tables import read_table
 from lbacal_core.errors import BadInputError
-from lbacal_core.instrument import Instrument, load_instrument
+from lbacal_core.instrument.instrument import Instrument, load_instrument
 from lbacal_core.lstcurve.compare import (
     AS_RECORDED,
     FLAT,

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from lbacal_core.errors import BadInputError
-from lbacal_core.lstcurve.curve import LstCurve, measured_curve, read_lst_curve
-from lbacal_core.lstcurve.noise import estimate_noise, estimate_point_noise
+from lbacal_core.lstcurve.curve import LstCurve, estimate_noise, estimate_point_noise, measured_curve, read_lst_curve
 
 LST = np.arange(0, 24, 0.1)
 SMOOTH = np.cos((LST - 19) * np.pi / 12) + 0.3 * np.sin(LST * np.pi / 4)

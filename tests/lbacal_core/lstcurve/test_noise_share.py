@@ -5,9 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lbacal_core.instrument import load_instrument
-from lbacal_core.lstcurve.compare import AS_RECORDED, BAND_MHZ, band_weights, published_noise_share
-from lbacal_core.lstcurve.noise_share import noise_prior
+from lbacal_core.instrument.instrument import load_instrument
+from lbacal_core.lstcurve.compare import AS_RECORDED, BAND_MHZ, band_weights, noise_prior, published_noise_share
 
 
 @pytest.fixture(scope="module")

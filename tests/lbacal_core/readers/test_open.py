@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lbacal_core.errors import BadInputError, UnreadableFileError
-from lbacal_core.instrument import Instrument
+from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.readers.open import choose_channels, open_source
 from lbacal_core.readers.source import Source
 

@@ -7,8 +7,8 @@ import pytest
 from astropy.coordinates import AltAz, EarthLocation, SkyCoord
 from astropy.time import Time
 
-from lbacal_core.sidereal import local_sidereal_time
-from lbacal_core.sky.frames import local_direction, precess, precession_angles
+from lbacal_core.instrument.sidereal import local_sidereal_time
+from lbacal_core.sky.model import local_direction, precess, precession_angles
 
 LATITUDE, LONGITUDE = 52.91512, 6.86983
 CAS_A = (350.866, 58.812)

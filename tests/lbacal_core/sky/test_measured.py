@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from lbacal_core.errors import UnknownNameError
-from lbacal_core.sky.measured import PIVOT_MHZ, SkyLevel, read_sky_level, tie_to_measurements
-from lbacal_core.sky.names import load_sky
+from lbacal_core.sky.names import PIVOT_MHZ, SkyLevel, load_sky, read_sky_level, tie_to_measurements
 
 NU = np.array([30.0, 50.0, 65.0, 80.0, 100.0])
 

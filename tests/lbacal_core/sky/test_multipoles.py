@@ -6,8 +6,7 @@ import pytest
 from scipy.special import sph_harm_y
 from threadpoolctl import threadpool_limits
 
-from lbacal_core.sky.frames import precess, precession_angles
-from lbacal_core.sky.multipoles import Complexes, precess_multipoles, wigner_d
+from lbacal_core.sky.model import Complexes, precess, precess_multipoles, precession_angles, wigner_d
 
 
 def field(multipoles: Complexes, longitude: np.ndarray, latitude: np.ndarray) -> np.ndarray:

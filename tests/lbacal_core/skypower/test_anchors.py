@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from lbacal_core.antenna.ideal import IsotropicAntenna, QuarterWaveDipole, ShortDipole
-from lbacal_core.sky.measured import read_sky_level
 from lbacal_core.sky.model import SkyModel
-from lbacal_core.sky.names import load_sky
-from lbacal_core.skypower.anchors import (
+from lbacal_core.sky.names import load_sky, read_sky_level
+from lbacal_core.skypower.sky_terms import (
     Anchor,
     combine_anchors,
     dipole_temperature,

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lbacal_core.instrument import Instrument, load_instrument
+from lbacal_core.instrument.instrument import Instrument, load_instrument
 from lbacal_core.skypower.differences import (
     LST_HOURS,
     DifferenceModels,
@@ -15,8 +15,7 @@ from lbacal_core.skypower.differences import (
     model_difference_modes,
     waves_at,
 )
-from lbacal_core.skypower.model import compute_sky_power
-from lbacal_core.skypower.variation import vary_sky_power
+from lbacal_core.skypower.model import compute_sky_power, vary_sky_power
 
 
 @pytest.fixture(scope="module")

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lbacal_core.antenna_gain import GainProvenance
 from lbacal_core.errors import BadInputError
-from lbacal_core.instrument import Instrument, load_instrument
+from lbacal_core.instrument.antennas import GainProvenance
+from lbacal_core.instrument.instrument import Instrument, load_instrument
 from lbacal_core.sky.sources import find_sources
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.sources import add_sources

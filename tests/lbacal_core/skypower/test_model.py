@@ -6,12 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lbacal_core.instrument import load_instrument
+from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.sky.names import load_sky
 from lbacal_core.sky.sources import find_sources
-from lbacal_core.skypower.model import compute_sky_power
+from lbacal_core.skypower.model import compute_sky_power, vary_sky_power
 from lbacal_core.skypower.sources import add_sources
-from lbacal_core.skypower.variation import vary_sky_power
 
 
 def test_the_sky_of_the_superterp_has_a_physical_size() -> None:

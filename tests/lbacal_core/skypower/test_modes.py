@@ -8,8 +8,7 @@ from lbacal_core.antenna.hamaker import load_hamaker
 from lbacal_core.antenna.ideal import IsotropicAntenna, QuarterWaveDipole, ShortDipole
 from lbacal_core.antenna.model import AntennaModel, directional_response
 from lbacal_core.antenna.varied import VariedAntenna
-from lbacal_core.sky.frames import local_direction, precess
-from lbacal_core.sky.model import SkyModel
+from lbacal_core.sky.model import SkyModel, local_direction, precess
 from lbacal_core.sky.names import load_sky
 from lbacal_core.skypower.direct import sum_over_pixels
 from lbacal_core.skypower.modes import beam_multipoles, sky_power_at, sky_power_modes

@@ -6,12 +6,10 @@ import numpy as np
 import pytest
 
 from lbacal_core.errors import BadInputError
-from lbacal_core.instrument import Instrument, load_instrument
-from lbacal_core.sky.measured import read_sky_level
-from lbacal_core.sky.names import load_sky
-from lbacal_core.skypower.anchors import read_anchors
+from lbacal_core.instrument.instrument import Instrument, load_instrument
+from lbacal_core.sky.names import load_sky, read_sky_level
 from lbacal_core.skypower.model import compute_sky_power
-from lbacal_core.skypower.sky_terms import SKY_BUDGETS, SkyTerm, sky_terms, zero_level_sigma_k
+from lbacal_core.skypower.sky_terms import SKY_BUDGETS, SkyTerm, read_anchors, sky_terms, zero_level_sigma_k
 
 CHANNELS = [30.0, 50.0, 65.0, 80.0]
 

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lbacal_core.instrument import load_instrument
+from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.sky.sources import SOURCES, find_sources
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.power import power_per_kelvin_sr

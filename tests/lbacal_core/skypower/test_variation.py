@@ -5,9 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lbacal_core.instrument import load_instrument
-from lbacal_core.skypower.model import compute_sky_power
-from lbacal_core.skypower.variation import vary_sky_power
+from lbacal_core.instrument.instrument import load_instrument
+from lbacal_core.skypower.model import compute_sky_power, vary_sky_power
 
 INSTRUMENT = load_instrument("lofar-superterp")
 

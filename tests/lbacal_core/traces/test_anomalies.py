@@ -3,10 +3,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lbacal_core.screening import FEWEST_EVENTS
-from lbacal_core.sidereal import local_sidereal_time
-from lbacal_core.spectra import Spectra
-from lbacal_core.traces.anomalies import find_anomalous_spectra
+from lbacal_core.instrument.sidereal import local_sidereal_time
+from lbacal_core.spectra.screening import FEWEST_EVENTS
+from lbacal_core.spectra.spectra import Spectra
+from lbacal_core.traces.assembly import find_anomalous_spectra
 
 LONGITUDE = 6.87
 EVENTS, ANTENNAS = 150, 6

@@ -10,8 +10,7 @@ import pytest
 from lbacal_core.errors import BadInputError
 from lbacal_core.traces.background import CleaningSettings, bin_spectrum, measure_background, measure_traces
 from lbacal_core.traces.density import channel_frequencies
-from lbacal_core.traces.discovery import group_traces, list_traces
-from lbacal_core.traces.trace import Trace
+from lbacal_core.traces.trace import Trace, group_traces, list_traces
 from lbacal_twin.voltages import Transmitter
 
 MakeTrace = Callable[..., Trace]

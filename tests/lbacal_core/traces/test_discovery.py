@@ -6,8 +6,7 @@ from pathlib import Path
 import pytest
 
 from lbacal_core.errors import BadInputError, UnreadableFileError
-from lbacal_core.traces.discovery import find_files, group_traces, list_traces, name_event
-from lbacal_core.traces.trace import TraceReference
+from lbacal_core.traces.trace import TraceReference, find_files, group_traces, list_traces, name_event
 
 ONE = TraceReference(Path("a.dat"), "10", "CS011", 10, 1_311_073_541, 199_999_000, 200e6)
 

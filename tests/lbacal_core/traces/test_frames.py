@@ -7,14 +7,15 @@ import pytest
 from numpy.typing import NDArray
 
 from lbacal_core.errors import BadInputError, UnreadableFileError
-from lbacal_core.traces.frames import (
+from lbacal_core.traces.trace import (
     FRAME,
+    Trace,
+    TraceReference,
     header_checksums,
     list_frame_traces,
     read_frame_trace,
     sample_checksums,
 )
-from lbacal_core.traces.trace import Trace, TraceReference
 from lbacal_twin.voltages import write_frames
 
 COUNT = 40

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from lbacal_core.errors import BadInputError, UnreadableFileError
-from lbacal_core.traces.hdf5 import list_hdf5_traces, read_hdf5_trace
+from lbacal_core.traces.trace import list_hdf5_traces, read_hdf5_trace
 
 BLOCKS = 30
 
@@ -139,7 +139,7 @@ def test_flipped_bytes_give_a_sentence_or_samples(
     path = tmp_path / "early.h5"
     _write_early(path, samples)
     structure = slice(0, 1500)  # the samples follow it: any bytes are samples
-    imports = "from lbacal_core.traces.discovery import list_traces, read_trace"
+    imports = "from lbacal_core.traces.trace import list_traces, read_trace"
     read = "[read_trace(reference) for reference in list_traces(Path(name))]"
     outcomes = flip_bytes(path.read_bytes(), 120, imports, read, structure)
     assert {"read", "sentence"} <= set(outcomes) <= {"read", "sentence", "died"}

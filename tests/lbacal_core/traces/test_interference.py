@@ -4,17 +4,19 @@ import numpy as np
 import pytest
 
 from lbacal_core.grids import Floats
-from lbacal_core.traces.density import channel_frequencies, line_response, power_density
-from lbacal_core.traces.interference import (
+from lbacal_core.traces.density import (
     FALSE_FLAG_RATE,
     FineSpectrum,
+    channel_frequencies,
     estimate_baseline,
     find_excess,
     find_lines,
     find_station_excess,
     find_steady_phases,
     line_leakage,
+    line_response,
     phase_stability,
+    power_density,
     unit_phases,
 )
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lbacal_core.covariance import Budget, BudgetTerm, CurveCovariance
-from lbacal_core.curves import CalibrationCurve
+from lbacal_core.curves.covariance import Budget, BudgetTerm, CurveCovariance
+from lbacal_core.curves.curves import CalibrationCurve
 from lbacal_core.data.tables import read_table
 from lbacal_core.errors import BadInputError
 from lbacal_core.traces.voltage import calibrate_trace, relative_errors

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from lbacal_core.errors import BadInputError
-from lbacal_core.instrument import load_instrument
-from lbacal_core.uncertainty.changes import list_changes
+from lbacal_core.instrument.instrument import load_instrument
+from lbacal_core.uncertainty.refit import list_changes
 
 INSTRUMENT = load_instrument("lofar-superterp")
 

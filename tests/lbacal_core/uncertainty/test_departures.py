@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lbacal_core.curves import CalibrationCurve, Parameter
-from lbacal_core.instrument import Instrument
-from lbacal_core.sidereal import local_sidereal_time
+from lbacal_core.curves.curves import CalibrationCurve, Parameter
+from lbacal_core.instrument.instrument import Instrument
+from lbacal_core.instrument.sidereal import local_sidereal_time
 from lbacal_core.skypower.table import SkyPower
-from lbacal_core.spectra_blocks import SpectraBlock
-from lbacal_core.uncertainty.departures import compare_paths, map_departures
+from lbacal_core.spectra.blocks import SpectraBlock
+from lbacal_core.uncertainty.one_event import compare_paths, map_departures
 
 FREQUENCY = np.arange(30.0, 81.0)
 EVENTS = 400

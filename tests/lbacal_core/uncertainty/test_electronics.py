@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lbacal_core.curves import CalibrationCurve
+from lbacal_core.curves.curves import CalibrationCurve
 from lbacal_core.errors import BadInputError
-from lbacal_core.instrument import Instrument
+from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.skypower.table import SkyPower
-from lbacal_core.uncertainty.electronics import electronics_sigma
+from lbacal_core.uncertainty.refit import electronics_sigma
 
 
 def test_what_the_sky_is_given_too_much_the_electronics_get_too_little(

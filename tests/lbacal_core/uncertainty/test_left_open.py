@@ -7,7 +7,7 @@ import pytest
 
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.errors import BadInputError
-from lbacal_core.instrument import load_instrument
+from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.uncertainty.left_open import list_open_terms, widen_by_open_terms
 from lbacal_twin.campaign import simulate_campaign

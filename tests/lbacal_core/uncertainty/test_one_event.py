@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from lbacal_core.calibration.fit import fit_calibration
-from lbacal_core.instrument import load_instrument
+from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.uncertainty.one_event import ErrorOfC, measure_error, measure_event_gains
 from lbacal_twin.campaign import simulate_campaign

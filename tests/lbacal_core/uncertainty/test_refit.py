@@ -7,12 +7,11 @@ import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from lbacal_core.antenna.ideal import ShortDipole
+from lbacal_core.calibration.chain_test import free_own_sky
 from lbacal_core.calibration.fit import fit_calibration
-from lbacal_core.calibration.freedom import free_own_sky
-from lbacal_core.instrument import load_instrument
+from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.skypower.model import compute_sky_power
-from lbacal_core.uncertainty.changes import list_changes
-from lbacal_core.uncertainty.refit import OTHER_ANTENNA, add_budget, compute_budget, measure_electronics
+from lbacal_core.uncertainty.refit import OTHER_ANTENNA, add_budget, compute_budget, list_changes, measure_electronics
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.settings import TwinSettings
 

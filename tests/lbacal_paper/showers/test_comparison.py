@@ -5,7 +5,7 @@ import pytest
 
 from lbacal_core.antenna.hamaker import load_hamaker
 from lbacal_core.errors import BadInputError
-from lbacal_core.instrument import Instrument
+from lbacal_core.instrument.instrument import Instrument
 from lbacal_paper.showers.comparison import compare_calibrations, mean_of_unequal
 from lbacal_paper.showers.recording import record
 from lbacal_paper.showers.signals import draw_signals

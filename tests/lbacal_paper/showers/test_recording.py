@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from lbacal_core.antenna.hamaker import load_hamaker
-from lbacal_core.instrument import Instrument
+from lbacal_core.instrument.instrument import Instrument
 from lbacal_paper.showers.recording import Recording, field_power, record, true_power
 from lbacal_paper.showers.signals import draw_signals
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from lbacal_core.grids import Floats
-from lbacal_core.instrument import Instrument
-from lbacal_core.sidereal import local_sidereal_time
+from lbacal_core.instrument.instrument import Instrument
+from lbacal_core.instrument.sidereal import local_sidereal_time
 from lbacal_core.skypower.table import SkyPower
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.faults.fault import Fault

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lbacal_core.instrument import Instrument
+from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.skypower.table import SkyPower
 from lbacal_twin.faults.sky import (
     DipoleSwap,

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lbacal_core.spectra import Spectra, write_spectra
+from lbacal_core.spectra.spectra import Spectra, write_spectra
 
 MHZ = [30.0, 45.0, 60.0, 80.0]
 

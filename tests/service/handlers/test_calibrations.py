@@ -17,9 +17,9 @@ from sqlalchemy import Engine, event
 
 from lbacal.calibration_files import read_calibrations
 from lbacal.tables import rows_of
-from lbacal_core.galcal_rules import find_problems
+from lbacal_core.curves.galcal import find_problems
+from lbacal_core.curves.validity import Scope
 from lbacal_core.provenance import canonical_json
-from lbacal_core.validity import Scope
 from service.factory import Factory
 from service.storage.versions import Version
 

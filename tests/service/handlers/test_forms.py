@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 from fastapi.testclient import TestClient
 
-from lbacal_core.validity import Scope
+from lbacal_core.curves.validity import Scope
 from service.app import make_app
 from service.factory import Factory
 from service.storage.alarms import MISFIT, OPEN, News

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 
-from lbacal_core.spectra import Spectra
+from lbacal_core.spectra.spectra import Spectra
 from service.app import make_app
 from service.factory import Factory
 

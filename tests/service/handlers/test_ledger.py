@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 
-from lbacal_core.validity import Scope
+from lbacal_core.curves.validity import Scope
 from service.factory import Factory
 from service.storage.jobs import Order
 from service.storage.versions import Version

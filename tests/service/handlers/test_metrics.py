@@ -2,7 +2,7 @@ from __future__ import annotations
 
 from fastapi.testclient import TestClient
 
-from lbacal_core.validity import Scope
+from lbacal_core.curves.validity import Scope
 from service.factory import Factory
 from service.storage.alarms import News
 

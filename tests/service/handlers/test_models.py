@@ -2,7 +2,7 @@ from __future__ import annotations
 
 from fastapi.testclient import TestClient
 
-from lbacal_core.model import AdoptedCause, Model
+from lbacal_core.causes.model import AdoptedCause, Model
 from service.factory import Factory
 from service.storage.models import ADOPTED, ModelChange
 

@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 from fastapi.testclient import TestClient
 
-from lbacal_core.validity import Promotion
+from lbacal_core.curves.validity import Promotion
 from service.app import make_app
 from service.factory import Factory
 from service.storage.versions import Version

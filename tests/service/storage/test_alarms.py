@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from lbacal_core.validity import Scope
+from lbacal_core.curves.validity import Scope
 from service.errors import NotFoundError
 from service.factory import Factory
 from service.storage.alarms import (

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import sqlalchemy
 
-from lbacal_core.spectra import Spectra
+from lbacal_core.spectra.spectra import Spectra
 from service.errors import ConflictError
 from service.factory import Factory
 

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lbacal_core.covariance import Budget, BudgetTerm, parse_budget
+from lbacal_core.curves.covariance import Budget, BudgetTerm, parse_budget
 from service.errors import NotFoundError
 from service.factory import Factory
 

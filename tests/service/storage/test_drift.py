@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lbacal_core.validity import Scope
+from lbacal_core.curves.validity import Scope
 from service.factory import Factory
 from service.scheduler import look_for_due_work
 from service.storage.drift import StoredModes

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from lbacal_core.validity import Promotion, Scope, answer_path
+from lbacal_core.curves.validity import Promotion, Scope, answer_path
 from service.errors import UnavailableError
 from service.factory import Factory, read_clock
 from service.storage.ledger import Neighbours

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 from fastapi.testclient import TestClient
 
-from lbacal_core.model import AdoptedCause, Model
+from lbacal_core.causes.model import AdoptedCause, Model
 from service.errors import NotFoundError
 from service.factory import Factory
 from service.storage.models import ADOPTED, WITHDRAWN, Announced, Gain, ModelChange

@@ -4,8 +4,8 @@ import tracemalloc
 
 import numpy as np
 
-from lbacal_core.spectra import Spectra
-from lbacal_core.validity import Scope
+from lbacal_core.curves.validity import Scope
+from lbacal_core.spectra.spectra import Spectra
 from service.factory import Factory
 from service.storage.spectra import Window
 

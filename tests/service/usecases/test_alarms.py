@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from fastapi.testclient import TestClient
 
-from lbacal_core.spectra import Spectra
-from lbacal_core.validity import Scope
+from lbacal_core.curves.validity import Scope
+from lbacal_core.spectra.spectra import Spectra
 from service.app import make_app
 from service.factory import Factory
 from service.scheduler import look_for_due_work

@@ -19,12 +19,12 @@ from fastapi.testclient import TestClient
 
 from lbacal.cli.client import print_curve
 from lbacal.client import make_table
-from lbacal_core.antenna_records import AntennaRecord
-from lbacal_core.covariance import parse_budget
-from lbacal_core.instrument import Instrument
+from lbacal_core.curves.covariance import parse_budget
+from lbacal_core.curves.reference_chain import CableTable, ReferenceChain
+from lbacal_core.curves.validity import Scope
+from lbacal_core.instrument.antennas import AntennaRecord
+from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.provenance import hash_content
-from lbacal_core.reference_chain import CableTable, ReferenceChain
-from lbacal_core.validity import Scope
 from lbacal_twin.campaign import Campaign
 from service.app import make_app
 from service.config import Settings

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 
-from lbacal_core.spectra import Spectra
-from lbacal_core.validity import Scope
+from lbacal_core.curves.validity import Scope
+from lbacal_core.spectra.spectra import Spectra
 from service.factory import Factory
 from service.scheduler import look_for_due_work
 from service.storage.drift import DriftSource

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lbacal_core.spectra import Spectra
+from lbacal_core.spectra.spectra import Spectra
 from service.config import Settings
 from service.factory import Factory
 from service.scheduler import look_again

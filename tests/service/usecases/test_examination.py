@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from sqlalchemy import update
 
-from lbacal_core.spectra import Spectra
+from lbacal_core.spectra.spectra import Spectra
 from service.config import Settings
 from service.factory import Factory
 from service.scheduler import look_for_due_work

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lbacal_core.curves import CONVERGED, TOO_FEW_EVENTS, CalibrationCurve
-from lbacal_core.validity import Promotion, Scope
+from lbacal_core.curves.curves import CONVERGED, TOO_FEW_EVENTS, CalibrationCurve
+from lbacal_core.curves.validity import Promotion, Scope
 from service.storage.models import Announced, ModelChange
 from service.storage.versions import Version
 from service.usecases.gate import Gate, find_announced, find_predecessors

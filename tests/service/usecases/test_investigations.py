@@ -9,8 +9,8 @@ import pytest
 from fastapi.testclient import TestClient
 
 from lbacal_core.calibration.fit import MIN_EVENTS
-from lbacal_core.spectra import Spectra
-from lbacal_core.validity import Scope
+from lbacal_core.curves.validity import Scope
+from lbacal_core.spectra.spectra import Spectra
 from service.app import make_app
 from service.factory import Factory
 from service.page.render import format_day

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 
-from lbacal_core.spectra import Spectra
-from lbacal_core.validity import Promotion, Scope
+from lbacal_core.curves.validity import Promotion, Scope
+from lbacal_core.spectra.spectra import Spectra
 from service.factory import Factory
 from service.storage.database import Stores
 from service.storage.drift import MonthlyRatio

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 
-from lbacal_core.instrument import Instrument
+from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.skypower.table import read_sky_power
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.faults.sky import LstOffset

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lbacal_core.validity import Scope
+from lbacal_core.curves.validity import Scope
 from service.factory import Factory
 from service.wire.bodies import PromotionBody
 from service.wire.instants import DAY_US, format_instant

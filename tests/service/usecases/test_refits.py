@@ -10,9 +10,9 @@ import pytest
 from sqlalchemy import update
 
 from lbacal_core.calibration.fit import fit_calibration
+from lbacal_core.curves.validity import Scope
 from lbacal_core.provenance import MODEL_VERSION
-from lbacal_core.spectra import Spectra
-from lbacal_core.validity import Scope
+from lbacal_core.spectra.spectra import Spectra
 from service.factory import Factory
 from service.scheduler import look_for_due_work
 from service.schema.tables import calibration

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 
-from lbacal_core.curves import Parameter
-from lbacal_core.reference_chain import CableTable, ReferenceChain
-from lbacal_core.validity import Scope
+from lbacal_core.curves.curves import Parameter
+from lbacal_core.curves.reference_chain import CableTable, ReferenceChain
+from lbacal_core.curves.validity import Scope
 from service.app import make_app
 from service.factory import Factory
 from service.scheduler import look_for_due_work

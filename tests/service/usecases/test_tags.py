@@ -8,8 +8,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from lbacal_core.curves.validity import Promotion, Scope
 from lbacal_core.errors import BadInputError
-from lbacal_core.validity import Promotion, Scope
 from service.errors import ConflictError, NotFoundError, UnavailableError
 from service.factory import Factory, read_clock
 from service.storage.versions import Version

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 
-from lbacal_core.instrument import Instrument, load_instrument
-from lbacal_core.model import AdoptedCause, Model
+from lbacal_core.causes.model import AdoptedCause, Model
+from lbacal_core.curves.validity import Scope, timeline
+from lbacal_core.instrument.instrument import Instrument, load_instrument
 from lbacal_core.skypower.table import read_sky_power
-from lbacal_core.spectra import Spectra
-from lbacal_core.validity import Scope, timeline
+from lbacal_core.spectra.spectra import Spectra
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.faults.antenna import GainStep
 from lbacal_twin.faults.fault import Where

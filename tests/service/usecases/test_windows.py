@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 
-from lbacal_core.instrument import Instrument
-from lbacal_core.model import AdoptedCause, Model
+from lbacal_core.causes.model import AdoptedCause, Model
+from lbacal_core.curves.validity import Scope
+from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.skypower.table import read_sky_power, write_sky_power
-from lbacal_core.spectra import Spectra
-from lbacal_core.validity import Scope
+from lbacal_core.spectra.spectra import Spectra
 from service.app import make_app
 from service.config import Settings
 from service.factory import Factory

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from lbacal_core.errors import LbacalError
-from lbacal_core.spectra import Spectra, write_spectra
+from lbacal_core.spectra.spectra import Spectra, write_spectra
 from service.errors import MalformedBodyError, UnavailableError
 from service.wire.hdf5_body import FileReader
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from lbacal_core.calibration.fit import fit_calibration
-from lbacal_core.sidereal import local_sidereal_time
-from lbacal_core.spectra_blocks import split_into_blocks
+from lbacal_core.instrument.sidereal import local_sidereal_time
+from lbacal_core.spectra.blocks import split_into_blocks
 from validation.benchmarks.fit import OnePath, farthest, make_scene, make_spectra
 from validation.fit import Scene
 

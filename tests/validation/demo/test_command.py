@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lbacal_core.spectra import read_spectra
+from lbacal_core.spectra.spectra import read_spectra
 
 
 def test_the_demo_finds_what_it_planted_and_ends_by_itself(tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lbacal_core.instrument import load_instrument
+from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.skypower.model import compute_sky_power
 from validation.demo.__main__ import (
     SHOWN_MHZ,

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from lbacal_core.antenna_records import AntennaRecord
-from lbacal_core.instrument import Instrument
+from lbacal_core.instrument.antennas import AntennaRecord
+from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.skypower.table import SkyPower
 from lbacal_twin.campaign import draw_stations, expected_power, simulate_campaign
 from lbacal_twin.faults.antenna import GainStep, GainTemperature

@@ -1,0 +1,399 @@
+"""Antennas against the others of a station: what is dead or clipped, bears the other letter or has another cable."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lbacal_core.audit.station import AuditedStation, as_power, spread
+from lbacal_core.audit.verdict import UNDECIDED, WRONG, Line
+from lbacal_core.grids import Floats
+from lbacal_core.instrument.instrument import Instrument
+
+# Paths that do not receive as the others of their station do: dead, deaf, oscillating, clipped, outlying.
+#
+# Every path is compared with the median of its station's polarisation, each through its own cable: by its level, by its
+# spectrum, and by how much of the others' change with time it follows. Thresholds are wide of what working antennas do:
+# gains of a station's receivers spread by 3-5 % (its gain tables), shapes by less.
+
+DEAD_LEVEL = -np.log(10.0)
+"""A path with less than a tenth of the others' power sends nothing of the sky."""
+DEAF_SHARE, DEAF_LEVEL = 0.6, -0.25
+"""A deaf path follows less than this of the others' spectrum or of their change with time, and lies lower."""
+PEAK, PEAK_SHARE = np.log(2.0), 1 / 3
+"""An oscillating path exceeds its own level by a factor 2 in fewer than a third of its channels, or is loud."""
+LOUD = np.log(3.0)
+CLIPPED_SHARE = 0.7
+"""A clipped path is loud and follows less than this of the others' change with time."""
+OUTLYING_SIGMA, OUTLYING = 6.0, 0.2
+"""An outlying path is this many robust standard deviations and this factor from the others."""
+SMALLEST_SPREAD = 0.01
+CLASS = 3
+"""Antennas of one cable name that are compared among themselves; of a rarer name, with all."""
+MEASURABLE = 0.03
+"""Change with time of the median path, r.m.s. of ln P, that a comparison needs."""
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Each path against the median of its polarisation, shape (antenna, dipole) and for the profile (..., freq).
+
+    Attributes
+    ----------
+    level, profile
+        Median of ln P over the others' in time and frequency, and what is left of it along frequency.
+    follows
+        Slope of a path's change with time on that of the median path; NaN where it does not change enough.
+    shares
+        Slope of a path's spectrum on the others', both about their means: 1 for a working path, 0 for a flat one.
+    """
+
+    level: Floats
+    profile: Floats
+    follows: Floats
+    shares: Floats
+
+
+def compare_paths(station: AuditedStation) -> Comparison:
+    """Compare every path with the median of its polarisation and cable name."""
+    power = station.before_cable()
+    typical = np.nanmedian(power, axis=0)
+    difference = np.nanmedian(power - typical, axis=2)
+    for cable in np.unique(station.cables):  # noise behind long cables lifts them where the sky is weak
+        rows = station.cables == cable
+        if rows.sum() >= CLASS:
+            difference[rows] -= np.nanmedian(difference[rows], axis=0)
+    level = np.nanmedian(difference, axis=-1)
+    seen = typical.mean(axis=-1)
+    change = seen - seen.mean(axis=-1, keepdims=True)
+    own = np.nanmean(power, axis=-1)
+    own = np.where(np.isfinite(own), own, np.nan)
+    own = own - np.nanmean(own, axis=-1, keepdims=True)
+    is_known = np.isfinite(own)
+    variance = np.sum(np.where(is_known, change**2, 0.0), axis=-1)
+    follows = np.sum(np.where(is_known, own, 0.0) * change, axis=-1) / np.where(variance > 0, variance, 1.0)
+    follows[:, change.std(axis=-1) < MEASURABLE] = np.nan
+    shape = np.median(typical, axis=1) + np.log(station.loss).mean(axis=0)
+    shape = shape - shape.mean(axis=-1, keepdims=True)
+    contrast = np.sum(shape**2, axis=-1)
+    shares = 1.0 + np.sum((difference - level[..., None]) * shape, axis=-1) / np.where(contrast > 0, contrast, 1.0)
+    return Comparison(level, difference - level[..., None], follows, shares)
+
+
+def find_ill_paths(station: AuditedStation, comparison: Comparison) -> tuple[list[Line], NDArray[np.bool_]]:
+    """Name the paths that do not work; shape (antenna, dipole) of those that must not count among the others."""
+    lines = []
+    is_ill = np.zeros(comparison.level.shape, dtype=bool)
+    names, counts = np.unique(station.cables, return_counts=True)
+    is_comparable = counts[np.searchsorted(names, station.cables)] >= CLASS
+    level_spread = np.maximum(spread(comparison.level), SMALLEST_SPREAD)
+    rms = np.sqrt(np.mean(comparison.profile**2, axis=-1))
+    typical_rms = np.maximum(np.nanmedian(rms, axis=0), SMALLEST_SPREAD)
+    centre = np.nanmedian(comparison.level, axis=0)
+    for a, d in np.ndindex(*comparison.level.shape):
+        level = comparison.level[a, d] - centre[d]
+        if not np.isfinite(level):
+            continue
+        sigma, shape_ratio = float(level / level_spread[d]), float(rms[a, d] / typical_rms[d])
+        kind = _name(comparison, a, d, float(level), sigma, shape_ratio)
+        if kind is None or (kind == "outlying" and not is_comparable[a]):
+            continue
+        is_ill[a, d] = True
+        lines.append(
+            Line(
+                check=kind,
+                verdict=WRONG,
+                station=station.name,
+                sentence=f"antenna {station.antennas[a]} {station.dipoles[d]} {_SENTENCES[kind]}: "
+                f"{10 / np.log(10) * level:+.1f} dB from the others",
+                antennas=(int(station.antennas[a]),),
+                dipole=station.dipoles[d],
+                value=10 / np.log(10) * level,
+                unit="dB",
+            )
+        )
+    return lines, is_ill
+
+
+_SENTENCES = {
+    "dead": "is dead (a tenth of the others' power at most)",
+    "deaf": "is deaf (its receiver works, its antenna does not)",
+    "oscillating": "oscillates (strong in part of the band)",
+    "clipped": "is clipped (loud, and follows the others' change too little)",
+    "outlying": "lies outside what the others do",
+}
+
+
+def _name(comparison: Comparison, a: int, d: int, level: float, sigma: float, shape_ratio: float) -> str | None:
+    """The first kind whose description a path meets, or None."""
+    follows = float(np.nan_to_num(comparison.follows[a, d], nan=1.0))
+    receives = min(float(comparison.shares[a, d]), follows)
+    profile = comparison.profile[a, d]
+    is_far = abs(sigma) > OUTLYING_SIGMA
+    is_peaked = profile.max() > PEAK and np.mean(profile > PEAK / 2) < PEAK_SHARE
+    is_odd = shape_ratio > OUTLYING_SIGMA and np.sqrt(np.mean(profile**2)) > OUTLYING / 2
+    kinds = {
+        "dead": level < DEAD_LEVEL,
+        "deaf": level < DEAF_LEVEL and is_far and receives < DEAF_SHARE,
+        "clipped": level > LOUD and follows < CLIPPED_SHARE,
+        "oscillating": level > LOUD or is_peaked,
+        "outlying": (abs(level) > OUTLYING and is_far) or is_odd,
+    }
+    return next((kind for kind, is_met in kinds.items() if is_met), None)
+
+
+# Antennas whose cable is not the one on record: level and slope against every cable that the instrument has.
+
+LEAST_LOG_ODDS = np.log(1e4)
+"""One antenna in a hundred has a wrong entry at most, and every other cable name is tried for each."""
+FITS_SIGMA = 4.0
+"""The cable that is named must describe the antenna within this many standard deviations."""
+MEDIAN = np.pi / 2
+"""Variance of a median of n values times n."""
+BEHIND_CABLE = 0.2
+"""Share of the loss that noise behind the cable hides, at most."""
+SKY_INDEX = -0.55
+"""Exponent of P_sky along frequency, W m^-2 MHz^-1: that of the brightness (-2.55; Mozdzen et al. 2019) plus 2."""
+CORRECTION, BANDS, BAND_SAYS = 0.7, 4, 1.5
+"""Ln A(nu), what nobody knows of antenna gains: a factor 2, independent in as many parts of the band; and the most that
+one of them says: spectra from which the pass band was divided out exist."""
+SMALLEST = np.array([0.03, 0.01])
+"""Scatter of level and slope that working antennas have at least: 3-5 % of gain (station gain tables of 2013)."""
+
+
+def find_wrong_cables(
+    station: AuditedStation, comparison: Comparison, instrument: Instrument
+) -> tuple[list[Line], dict[int, str]]:
+    """Name antennas that another cable describes far better; and the cable of each, by its row.
+
+    A cable name that other antennas have is represented by their median: it holds the noise behind the cable too. Where
+    none has it, its loss must do, with what that noise hides of the loss as an error.
+    """
+    axis = station.frequency_mhz - station.frequency_mhz.mean()
+    axis = axis / np.sqrt(np.mean(axis**2)) if axis.size > 1 else axis
+    recorded = np.nanmedian(np.log(station.power), axis=2)
+    sigma = np.maximum(spread(_level_and_slope(comparison.level[..., None] + comparison.profile, axis)), SMALLEST)
+    distances = {}
+    for name, loss in instrument.cables.items():
+        rows = station.cables == name
+        lost = np.log(station.loss / loss)[:, None, :]
+        expected = comparison.level[..., None] + comparison.profile + lost
+        if not rows.any():
+            distances[name] = _distance(expected, axis, np.hypot(sigma, BEHIND_CABLE * _level_and_slope(lost, axis)))
+            continue
+        of_others = _distance(recorded - np.nanmedian(recorded[rows], axis=0), axis, sigma) / (1 + MEDIAN / rows.sum())
+        distances[name] = np.where(rows & (rows.sum() < CLASS), _distance(expected, axis, sigma), of_others)
+    lines = []
+    found = {}
+    for a, own in enumerate(station.cables):
+        best = min((name for name in distances if name != own), key=lambda name: distances[name][a], default=None)
+        if best is None or not np.isfinite(distances[best][a]):
+            continue
+        odds = float(distances[own][a] - distances[best][a]) / 2
+        if odds < LEAST_LOG_ODDS or distances[best][a] > FITS_SIGMA**2:
+            continue
+        found[a] = best
+        sentence = f"antenna {station.antennas[a]} has the cable {best}, not {own} as on record"
+        lines.append(Line("cable", WRONG, station.name, sentence, antennas=(int(station.antennas[a]),), log_odds=odds))
+    return lines, found
+
+
+def _distance(difference: Floats, axis: Floats, sigma: Floats) -> Floats:
+    """Squared distance of level and slope in standard deviations (shape (2,) or (antenna, 2)), shape (antenna,)."""
+    return np.asarray(np.sum((_level_and_slope(difference, axis) / sigma) ** 2, axis=1))
+
+
+def _level_and_slope(difference: Floats, axis: Floats) -> Floats:
+    """Mean over both polarisations of ln P, and its slope along frequency; shape (antenna, 2)."""
+    seen = np.nanmean(difference, axis=1)
+    return np.stack([seen.mean(axis=-1), seen @ axis / axis.size], axis=-1)
+
+
+def fits_cables(station: AuditedStation, rows: NDArray[np.int64], unit: str) -> bool:
+    """Whether values in a unit differ between cable names as cables do, and not only better than power does."""
+    return _of_cables(station, rows, np.log(as_power(station.power[rows], unit))) > -(FITS_SIGMA**2) / 2
+
+
+def log_likelihood_of_unit(
+    station: AuditedStation, rows: NDArray[np.int64], unit: str, instrument: Instrument
+) -> float:
+    """Ln L that recorded values are in a unit, by how cable names differ and by how the power runs along frequency.
+
+    A longer cable takes from the power, in dB; and the power runs as the sky does, through antenna and receiver.
+    """
+    power = np.log(as_power(station.power[rows], unit))
+    return _of_cables(station, rows, power) + _of_spectrum(station, rows, power, instrument)
+
+
+def _of_spectrum(station: AuditedStation, rows: NDArray[np.int64], power: Floats, instrument: Instrument) -> float:
+    """Ln L of the median spectrum of the antennas, shape (antenna, dipole, time, freq), but for its level."""
+    expected = np.log(instrument.antenna_gain * instrument.receiver_gain)
+    expected = expected + SKY_INDEX * np.log(station.frequency_mhz)
+    rest = np.nanmedian(power - np.log(station.loss[rows])[:, None, None, :], axis=(0, 1, 2)) - expected
+    rest -= rest.mean()
+    bands = [float(np.mean(band**2)) for band in np.array_split(rest, BANDS) if band.size]
+    return -float(np.sum(np.minimum(np.array(bands) / (2 * CORRECTION**2), BAND_SAYS)))
+
+
+def _of_cables(station: AuditedStation, rows: NDArray[np.int64], power: Floats) -> float:
+    """Ln L of the levels of cable names; 0 where the antennas have one."""
+    _, rest, sigma = levels_of_cables(station, rows, power)
+    return float(-np.sum((rest / sigma) ** 2) / 2)
+
+
+def levels_of_cables(
+    station: AuditedStation, rows: NDArray[np.int64], power: Floats
+) -> tuple[NDArray[np.str_], Floats, Floats]:
+    """Cable names, ln P of their antennas over what loss and the other names say, and its error; none of one name."""
+    level = np.nanmedian(np.nanmean(power, axis=1), axis=(1, 2))
+    expected = np.log(station.loss[rows]).mean(axis=-1)
+    names, name_at = np.unique(station.cables[rows], return_inverse=True)
+    if names.size == 1:
+        return names[:0], np.zeros(0), np.ones(0)
+    seen = np.array([np.nanmedian(level[name_at == k]) for k in range(names.size)])
+    count = np.bincount(name_at)
+    scatter = max(float(spread(level - seen[name_at])), SMALLEST[0])
+    loss = np.array([expected[name_at == k][0] for k in range(names.size)])
+    variance = MEDIAN * scatter**2 / count + (BEHIND_CABLE * (loss - loss.mean())) ** 2
+    return names, (seen - loss) - np.average(seen - loss, weights=1 / variance), np.sqrt(variance)
+
+
+# Antennas whose dipoles bear each other's letter, against the others of their station.
+#
+# ln P_X - ln P_Y changes with sidereal time alike for all antennas; of an exchanged one it changes the other way round.
+# Where the data are too short for that its value itself must do: the sky is not equally bright in both polarisations,
+# and gains of dipoles scatter by a few per cent.
+
+CERTAIN = np.log(1e3)
+"""Odds of 1000 to 1 either way; between them the data cannot say."""
+FEWEST_TIMES = 3
+PAIR = 2
+"""Dipoles of an antenna whose letters can be told apart by their ratio; of one or three the sky alone can tell."""
+ABOVE_NOISE = 1.5
+"""Singular value of a common change over the largest that noise alone has, sigma (sqrt(antennas) + sqrt(times))."""
+SMALLEST_SCATTER = 0.03
+"""Scatter of ln P_X - ln P_Y from antenna to antenna at least."""
+TAIL = 4.0
+"""Degrees of freedom of Student's t."""
+SMALLEST_SLOPE_ERROR = 0.1
+"""Antennas do not follow the median closer than this: coupling between neighbours, sky noise."""
+
+
+@dataclass(frozen=True)
+class ExchangeOdds:
+    """Log odds that the dipoles of an antenna bear each other's letter against most of the station.
+
+    Attributes
+    ----------
+    rows
+        Rows of the antennas that were compared.
+    odds
+        Shape (antenna,) of these; which of the two groups is right, the sky decides.
+    """
+
+    rows: NDArray[np.int64]
+    odds: Floats
+
+    def exchanged(self) -> NDArray[np.int64]:
+        """Rows of the antennas that differ from most."""
+        return np.asarray(self.rows[self.odds > CERTAIN])
+
+    def flipped(self) -> ExchangeOdds:
+        """The same, if most of the station is exchanged."""
+        return ExchangeOdds(self.rows, -self.odds)
+
+
+def compare_polarisations(station: AuditedStation, is_usable: NDArray[np.bool_]) -> ExchangeOdds:
+    """Sort the antennas into those that agree with most of the station and those that are exchanged against it.
+
+    Parameters
+    ----------
+    is_usable
+        Shape (antenna,): both dipoles work.
+    """
+    rows = np.flatnonzero(is_usable)
+    if rows.size == 0 or len(station.dipoles) != PAIR:
+        return ExchangeOdds(rows, np.zeros(0))
+    ratio = np.nanmean(np.log(station.power[rows, 0]) - np.log(station.power[rows, 1]), axis=-1)
+    odds, sign = _odds_of_changes(ratio)
+    odds += _odds_of_values(ratio, sign)
+    return ExchangeOdds(rows, odds if np.sum(odds > 0) <= rows.size / 2 else -odds)
+
+
+def tell_exchanged(station: AuditedStation, exchange: ExchangeOdds) -> list[Line]:
+    """The exchanged antennas, and those of which these data cannot say."""
+    lines: list[Line] = []
+    if len(station.dipoles) != PAIR:
+        return lines
+    exchanged = exchange.exchanged()
+    if exchanged.size:
+        found = tuple(int(a) for a in station.antennas[exchanged])
+        sentence = f"X and Y are exchanged at {_list_antennas(found)}{_describe(station, exchange)}"
+        least = float(exchange.odds[exchange.odds > CERTAIN].min())
+        lines.append(Line("exchange", WRONG, station.name, sentence, antennas=found, log_odds=least))
+    unknown = np.abs(exchange.odds) <= CERTAIN
+    if unknown.any():
+        silent = tuple(int(a) for a in station.antennas[exchange.rows[unknown]])
+        sentence = f"{station.length} not tell X from Y at {_list_antennas(silent)}; some hours would"
+        likeliest = float(exchange.odds[unknown].max())
+        lines.append(Line("exchange", UNDECIDED, station.name, sentence, antennas=silent, log_odds=likeliest))
+    return lines
+
+
+def _odds_of_changes(ratio: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+    """Log odds, shape (antenna,), of the group of the fewer; and who runs with the strongest common change.
+
+    Parameters
+    ----------
+    ratio
+        Shape (antenna, time). The common change is its first principal component, which does not care how many run
+        against it.
+    """
+    own = ratio - np.nanmean(ratio, axis=1, keepdims=True)
+    own = np.where(np.isfinite(own), own, 0.0)
+    if ratio.shape[1] < FEWEST_TIMES or not own.any():
+        return np.zeros(ratio.shape[0]), np.ones(ratio.shape[0], dtype=bool)
+    loadings, strengths, changes = np.linalg.svd(own, full_matrices=False)
+    rest = own - strengths[0] * np.outer(loadings[:, 0], changes[0])
+    noise = float(np.median(spread(rest, axis=1)))
+    if strengths[0] < ABOVE_NOISE * noise * (own.shape[0] ** 0.5 + own.shape[1] ** 0.5):
+        return np.zeros(ratio.shape[0]), np.ones(ratio.shape[0], dtype=bool)
+    typical = float(np.median(np.abs(loadings[:, 0])))
+    slope = loadings[:, 0] / typical
+    scatter = float(spread(np.abs(slope)))
+    error = np.hypot(max(SMALLEST_SLOPE_ERROR, scatter), noise / (typical * strengths[0]))
+    return np.asarray(-2.0 * slope / error**2), slope > 0
+
+
+def _odds_of_values(ratio: Floats, is_with: NDArray[np.bool_]) -> Floats:
+    """Log odds that the mean in time has the other sign, of gains that scatter as those of the station do.
+
+    The scatter is that of Student's t: one odd gain in a hundred antennas is no exchanged one.
+    """
+    mean = np.nanmean(ratio, axis=1)
+    sign = np.where(is_with, 1.0, -1.0)
+    typical = float(np.nanmedian(sign * mean))
+    error = max(float(spread(sign * mean)), SMALLEST_SCATTER)
+
+    def penalty(expected: float) -> Floats:
+        return np.asarray((TAIL + 1) / 2 * np.log1p(((mean - expected) / error) ** 2 / TAIL))
+
+    return penalty(typical) - penalty(-typical)
+
+
+def _describe(station: AuditedStation, exchange: ExchangeOdds) -> str:
+    """Whether they are just the even or the odd antennas: then it is a whole antenna field."""
+    parity = station.antennas % 2
+    for value, word in ((0, "even"), (1, "odd")):
+        of_field = exchange.rows[parity[exchange.rows] == value]
+        if of_field.size > 1 and np.array_equal(exchange.exchanged(), of_field):
+            return f": all {word} antennas, an antenna field whose inputs are wired the other way round"
+    return ""
+
+
+def _list_antennas(numbers: tuple[int, ...]) -> str:
+    shown = ", ".join(str(number) for number in numbers[:8])
+    more = f" and {len(numbers) - 8} more" if len(numbers) > 8 else ""
+    return f"antenna{'s' if len(numbers) > 1 else ''} {shown}{more}"

@@ -1,0 +1,321 @@
+"""Calibration curves C(nu), the report of a fit, and their files (docs/formats.md)."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lbacal_core.curves.anomalies import Anomalies, Anomaly
+from lbacal_core.curves.covariance import Budget, CurveCovariance, parse_covariance
+from lbacal_core.curves.kelvin import SkyOverModel, parse_sky_over_model
+from lbacal_core.curves.kept_lines import KeptLines
+from lbacal_core.curves.reference_chain import ReferenceChain
+from lbacal_core.grids import Floats
+from lbacal_core.provenance import Provenance, hash_arrays
+
+CONVERGED = "converged"
+MISFIT = "misfit"
+NOT_CONVERGED = "not_converged"
+TOO_FEW_EVENTS = "too_few_events"
+TOO_FEW_LST_BINS = "too_few_lst_bins"
+NOT_IDENTIFIABLE = "not_identifiable"
+STATUSES = (CONVERGED, MISFIT, NOT_IDENTIFIABLE, NOT_CONVERGED, TOO_FEW_LST_BINS, TOO_FEW_EVENTS)
+"""Every way a fit ends, from best to worst."""
+WITH_VALUES = (CONVERGED, MISFIT)
+"""A misfit converged, but noise and the freedom of sky and pattern cannot explain the data: C and errors are given."""
+
+OK = "ok"
+UNCERTAIN = "uncertain"
+INTERFERENCE = "interference"
+OUTSIDE = "outside"
+FLAGS = (OK, UNCERTAIN, INTERFERENCE, OUTSIDE)
+"""What a channel of a curve may be; `outside` has no value: it is outside the band in which the data determine C."""
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A fitted number and its standard deviation, in the same unit."""
+
+    value: float
+    sigma: float
+
+
+@dataclass(frozen=True)
+class MergedConstants:
+    """Noise constants that the data do not tell apart.
+
+    Attributes
+    ----------
+    constants
+        Their names in `CalibrationCurve.parameters`, where each has an error as large as what they add together.
+    value, sigma
+        What they add together to the recorded power, mean over the channels, ADC^2/Ohm/MHz.
+    reason
+        One sentence.
+    """
+
+    constants: tuple[str, ...]
+    value: float
+    sigma: float
+    reason: str
+
+
+@dataclass(frozen=True)
+class CalibrationCurve:
+    """The calibration C(nu) of one path, one station or the whole array, or why there is none.
+
+    Attributes
+    ----------
+    station, antenna, dipole
+        What it belongs to: `antenna` is None for a station, `station` too for the array.
+    status
+        One of `STATUSES`; `c` and its errors are None unless it is `converged` or `misfit`.
+    events
+        Number of events used.
+    c, c_sigma_stat, c_sigma_sys
+        Shape (freq,), V per ADC unit (relative where P_sky or G_ant are relative); one standard deviation. NaN in a
+        channel whose flag is `outside`.
+    chi2_per_dof, chi2_per_dof_profiled
+        The chain test with noise alone, and with the sky free within what is known of it (`calibration.chain_test`).
+    lst_coverage
+        Fraction of the 96 LST bins of 15 minutes that hold an event.
+    parameters
+        `n_lna` (unit of P_sky), `n_rcu` and `n_adc` (power at the output, ADC^2/Ohm/MHz).
+    flag
+        One of `FLAGS` for each channel; None where there is no curve, or in one older than flags (all are good).
+    antenna_gain
+        G_ant that the chain was fitted with, shape (freq,); None where nobody kept it.
+    covariance
+        Covariance of ln C along frequency; None where nobody kept it.
+    merged
+        Noise constants that the data do not tell apart; None where there are none.
+    sky_over_model
+        The sky over its model, where the data are calibrated in kelvin; None elsewhere.
+    """
+
+    station: str | None
+    antenna: int | None
+    dipole: str | None
+    status: str
+    events: int
+    frequency_mhz: Floats
+    c: Floats | None
+    c_sigma_stat: Floats | None
+    c_sigma_sys: Floats | None
+    chi2_per_dof: float | None
+    lst_coverage: float
+    parameters: Mapping[str, Parameter]
+    flag: Sequence[str] | None = None
+    antenna_gain: Floats | None = None
+    chi2_per_dof_profiled: float | None = None
+    covariance: CurveCovariance | None = None
+    merged: MergedConstants | None = None
+    sky_over_model: SkyOverModel | None = None
+
+    def __post_init__(self) -> None:
+        if self.status not in STATUSES:
+            raise ValueError(f"status {self.status!r} is not one of {STATUSES}")
+        if (self.status in WITH_VALUES) != (self.c is not None):
+            raise ValueError("a curve has values exactly when its status is converged or misfit")
+        if self.flag is not None and (len(self.flag) != self.frequency_mhz.size or not {*self.flag} <= {*FLAGS}):
+            raise ValueError(
+                f"flags {self.flag!r} are not one of {FLAGS} for each of {self.frequency_mhz.size} channels"
+            )
+        if self.antenna_gain is not None and self.antenna_gain.shape != self.frequency_mhz.shape:
+            raise ValueError(f"G_ant of {self.antenna_gain.shape} values for {self.frequency_mhz.size} channels")
+        for values in (self.c, self.c_sigma_stat, self.c_sigma_sys):
+            if values is not None and values.shape != self.frequency_mhz.shape:
+                raise ValueError(f"{values.shape} values for {self.frequency_mhz.size} channels")
+            if values is not None and not np.array_equal(np.isfinite(values) & (values > 0), self.has_value):
+                raise ValueError("C and its errors are finite and positive, exactly where no flag is outside")
+
+    @property
+    def flags(self) -> NDArray[np.str_]:
+        """The flag of each channel, shape (freq,)."""
+        return np.array([OK] * self.frequency_mhz.size if self.flag is None else self.flag)
+
+    @property
+    def has_value(self) -> NDArray[np.bool_]:
+        """Whether C is known, shape (freq,)."""
+        return np.asarray(self.flags != OUTSIDE)
+
+    def filled(self, values: Floats) -> Floats:
+        """Values of all channels, shape (freq,); of one without a value, between or beside those that have one."""
+        at = self.has_value
+        return np.asarray(np.interp(self.frequency_mhz, self.frequency_mhz[at], values[at]))
+
+    @property
+    def name(self) -> str:
+        """The path, station or array in words: ``CS002 antenna 17 X``."""
+        parts = [self.station or "array"]
+        parts += [f"antenna {self.antenna}"] if self.antenna is not None else []
+        parts += [self.dipole] if self.dipole else []
+        return " ".join(parts)
+
+    @property
+    def owner(self) -> tuple[str | None, int | None]:
+        """Station and antenna that it belongs to, with all their dipoles."""
+        return self.station, self.antenna
+
+    @property
+    def antenna_gain_sha256(self) -> str | None:
+        """Hash of G_ant: curves with the same one were fitted with the same antenna gain."""
+        return None if self.antenna_gain is None else hash_arrays(self.frequency_mhz, self.antenna_gain)
+
+    @property
+    def c_over_h(self) -> Floats | None:
+        """C/|H_zenith|, shape (freq,), V/m per ADC unit: the field along the arm from the zenith.
+
+        |H_zenith|^2 = G_ant, because G_ant D = |J_theta|^2 + |J_phi|^2 and D = 1 at zenith. With C^2 = G_ant / s it is
+        s^-1/2: whatever is wrong with G_ant is not in it.
+        """
+        if self.c is None or self.antenna_gain is None:
+            return None
+        return np.asarray(self.c / np.sqrt(self.antenna_gain))
+
+    def as_not_converged(self) -> CalibrationCurve:
+        """The same curve without values."""
+        return replace(
+            self, status=NOT_CONVERGED, c=None, c_sigma_stat=None, c_sigma_sys=None, chi2_per_dof=None, parameters={},
+            flag=None, chi2_per_dof_profiled=None, covariance=None, sky_over_model=None,
+        )  # fmt: skip
+
+    def as_misfit(self) -> CalibrationCurve:
+        """The same curve as a misfit: no channel of it is good."""
+        return replace(self, status=MISFIT, flag=tuple(np.where(self.flags == OK, UNCERTAIN, self.flags).tolist()))
+
+    def as_dict(self) -> dict[str, Any]:
+        """The curve as JSON values; never NaN. What belongs to G_ant is absent where nobody kept G_ant."""
+        content = {
+            "station": self.station,
+            "antenna": self.antenna,
+            "dipole": self.dipole,
+            "status": self.status,
+            "events": self.events,
+            "frequency_mhz": self.frequency_mhz.tolist(),
+            "c": None if self.c is None else list_numbers(self.c),
+            "c_sigma_stat": None if self.c_sigma_stat is None else list_numbers(self.c_sigma_stat),
+            "c_sigma_sys": None if self.c_sigma_sys is None else list_numbers(self.c_sigma_sys),
+            "chi2_per_dof": self.chi2_per_dof,
+            "lst_coverage": self.lst_coverage,
+            "parameters": {name: {"value": p.value, "sigma": p.sigma} for name, p in self.parameters.items()},
+            **self._gain_as_dict(),
+            **(
+                {} if self.merged is None else {"merged": asdict(self.merged) | {"constants": [*self.merged.constants]}}
+            ),
+        }
+        if self.sky_over_model is not None:
+            content["sky_over_model"] = self.sky_over_model.as_dict()
+        # a version from before flags keeps its content and with it its hash
+        if self.flag is not None:
+            content |= {"flag": list(self.flag), "chi2_per_dof_profiled": self.chi2_per_dof_profiled}
+        if self.covariance is not None:
+            content["covariance"] = self.covariance.as_dict()
+        return content
+
+    def _gain_as_dict(self) -> dict[str, Any]:
+        if self.antenna_gain is None:
+            return {}
+        return {
+            "antenna_gain": self.antenna_gain.tolist(),
+            "antenna_gain_sha256": self.antenna_gain_sha256,
+            "c_over_h": None if self.c_over_h is None else list_numbers(self.c_over_h),
+        }
+
+
+def parse_curve(content: Mapping[str, Any]) -> CalibrationCurve:
+    """Make a curve from its JSON values."""
+    return CalibrationCurve(
+        station=content["station"],
+        antenna=content["antenna"],
+        dipole=content["dipole"],
+        status=content["status"],
+        events=content["events"],
+        frequency_mhz=np.array(content["frequency_mhz"], dtype=float),
+        c=_array(content["c"]),
+        c_sigma_stat=_array(content["c_sigma_stat"]),
+        c_sigma_sys=_array(content["c_sigma_sys"]),
+        chi2_per_dof=content["chi2_per_dof"],
+        lst_coverage=content["lst_coverage"],
+        parameters={name: Parameter(p["value"], p["sigma"]) for name, p in content["parameters"].items()},
+        flag=None if content.get("flag") is None else tuple(content["flag"]),
+        antenna_gain=_array(content.get("antenna_gain")),
+        chi2_per_dof_profiled=content.get("chi2_per_dof_profiled"),
+        covariance=None if content.get("covariance") is None else parse_covariance(content["covariance"]),
+        merged=_parse_merged(content.get("merged")),
+        sky_over_model=parse_sky_over_model(content.get("sky_over_model")),
+    )
+
+
+def _parse_merged(content: Mapping[str, Any] | None) -> MergedConstants | None:
+    if content is None:
+        return None
+    return MergedConstants(tuple(content["constants"]), content["value"], content["sigma"], content["reason"])
+
+
+@dataclass(frozen=True)
+class FitReport:
+    """The curves of one fit and where they came from.
+
+    Attributes
+    ----------
+    chains
+        What each curve belongs to, in the order of `curves`; None where there is no curve. Empty where nobody knows.
+    anomalies
+        Spectra with anomalous power, left out of the fit or not.
+    budgets
+        The systematic terms that the curves share, by hash.
+    causes
+        The adopted causes of the model with their sizes, as JSON values; empty for a model without any.
+    lines
+        With which later events can continue the fit; empty where the model has causes.
+    """
+
+    curves: Sequence[CalibrationCurve]
+    provenance: Provenance
+    chains: Sequence[ReferenceChain | None] = ()
+    anomalies: Sequence[Anomaly] = ()
+    budgets: Mapping[str, Budget] = field(default_factory=dict)
+    causes: Sequence[Mapping[str, Any]] = ()
+    lines: Sequence[KeptLines] = ()
+
+    @property
+    def status(self) -> str:
+        """The worst status of any curve."""
+        return max((curve.status for curve in self.curves), key=STATUSES.index)
+
+    def as_dict(self) -> dict[str, Any]:
+        """The content of fit.json."""
+        return {
+            "status": self.status,
+            "curves": [{**curve.as_dict(), "reference": chain} for curve, chain in self._with_reference()],
+            "budgets": {digest: budget.as_dict() for digest, budget in self.budgets.items()},
+            "anomalies": Anomalies.of(self.anomalies).as_dict(),
+            **({"causes": list(self.causes)} if self.causes else {}),
+            "provenance": self.provenance.as_dict(),
+        }
+
+    def _with_reference(self) -> Iterator[tuple[CalibrationCurve, dict[str, Any] | None]]:
+        """Each curve, and of a mean of paths its reference chain as JSON values."""
+        for curve, chain in zip(self.curves, self.chains or [None] * len(self.curves), strict=True):
+            yield curve, None if chain is None or curve.antenna is not None else chain.as_dict()
+
+
+def write_fit_report(report: FitReport, path: Path) -> None:
+    """Write fit.json."""
+    path.write_text(json.dumps(report.as_dict(), indent=1, allow_nan=False) + "\n")
+
+
+def list_numbers(values: Floats) -> list[float | None]:
+    """Numbers as JSON values: null where there is none."""
+    return [value if np.isfinite(value) else None for value in values.tolist()]
+
+
+def _array(values: Sequence[float | None] | None) -> Floats | None:
+    return None if values is None else np.array(values, dtype=float)

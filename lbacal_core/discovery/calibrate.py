@@ -1,0 +1,329 @@
+"""Calibration with a model that has adopted causes: their sizes are fitted with the chain, and C follows from both.
+
+The sizes of a station are fitted jointly with the chains of all its paths (`discovery.adopted`). What the causes do is
+divided out of the recorded power, and C is fitted to the rest. With D = d ln C / d size, by a refit with each size
+moved by its standard deviation, and the covariance V of the sizes, the covariance of ln C is
+
+    that at fixed sizes + D V D^T,
+
+which is the covariance of the joint fit. D V D^T is common to all curves of the station.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from lbacal_core.calibration.chain_test import SkyFreedom
+from lbacal_core.calibration.fit import fit_calibration
+from lbacal_core.calibration.singles import FitSingles, fit_singles
+from lbacal_core.causes.model import Model
+from lbacal_core.chain.model import ChainTerms
+from lbacal_core.curves.covariance import compress_covariance
+from lbacal_core.curves.curves import CalibrationCurve, FitReport
+from lbacal_core.discovery.adopted import (
+    FittedSize,
+    Promise,
+    at_reference,
+    describe_size,
+    fit_adopted,
+    gather_adopted,
+    list_hypotheses,
+    take_adopted,
+)
+from lbacal_core.discovery.baseline import leave_out_deaf
+from lbacal_core.discovery.hypothesis import Hypothesis
+from lbacal_core.discovery.refit import power_ratio
+from lbacal_core.discovery.station import Station, model_modes
+from lbacal_core.drift.windows import set_apart
+from lbacal_core.grids import Floats
+from lbacal_core.instrument.instrument import Instrument
+from lbacal_core.linear import root_of
+from lbacal_core.skypower.differences import compute_model_differences
+from lbacal_core.skypower.table import SkyPower
+from lbacal_core.spectra.spectra import Spectra
+
+
+@dataclass(frozen=True)
+class _OfStation:
+    """The sizes of one station, and where its spectra stand.
+
+    Attributes
+    ----------
+    station
+        With all its paths, those that a search leaves out too.
+    terms
+        Its chains with the causes.
+    sizes, covariance
+        The causes with their sizes, and the covariance of these, shape (size, size).
+    rows, path, event
+        Rows of the spectra on the station's grid, and their places there, shape (row,).
+    """
+
+    station: Station
+    terms: ChainTerms
+    sizes: Sequence[FittedSize]
+    covariance: Floats
+    rows: NDArray[np.int64]
+    path: NDArray[np.int64]
+    event: NDArray[np.int64]
+
+    def ratio(self, moved: Floats) -> Floats:
+        """Power with the causes over power without, the sizes moved by some amounts, shape (row, freq)."""
+        sizes = [size.value + float(by) for size, by in zip(self.sizes, moved, strict=True)]
+        hypotheses = [replace(one, size=size) for one, size in zip(self._hypotheses, sizes, strict=True)]
+        grid = power_ratio(self.station, self.terms, hypotheses)
+        return np.asarray(grid[self.path, self.event])
+
+    @cached_property
+    def _hypotheses(self) -> list[Hypothesis]:
+        """The causes of the sizes, in their order, on the station's grid."""
+        acting = Model(tuple(size.adopted for size in self.sizes))
+        return [one for _, one in list_hypotheses(acting, self.station)]
+
+    @cached_property
+    def is_known(self) -> NDArray[np.bool_]:
+        """Whether every covariate of the causes that act on a row is known, shape (row,)."""
+        known = np.ones(self.rows.size, dtype=bool)
+        for one in self._hypotheses:
+            on_events = one.cause.known_events(self.station.conditions, one.template)
+            known &= on_events[self.event] | ~one.target.is_member[self.path]
+        return known
+
+
+@dataclass(frozen=True)
+class FittedCauses:
+    """Spectra with the sizes of the adopted causes in them.
+
+    Attributes
+    ----------
+    recorded
+        The spectra as they were recorded.
+    """
+
+    recorded: Spectra
+    instrument: Instrument
+    sky_power: SkyPower
+    model: Model
+    stations: Sequence[_OfStation]
+
+    @property
+    def sizes(self) -> list[FittedSize]:
+        """The sizes of all stations; only causes that act in these spectra."""
+        return [size for one in self.stations for size in one.sizes]
+
+    @cached_property
+    def spectra(self) -> Spectra:
+        """The spectra with what the causes do divided out; without those of which a covariate is not known."""
+        return self._divide_out(None)
+
+    def _divide_out(self, moved: tuple[int, int] | None) -> Spectra:
+        """The same with one size, by number of station and of size, moved by its standard deviation."""
+        if not self.stations:
+            return self.recorded
+        power, is_kept = self.recorded.power.copy(), np.ones(len(self.recorded), dtype=bool)
+        for number, one in enumerate(self.stations):
+            by = np.zeros(len(one.sizes))
+            if moved is not None and moved[0] == number:
+                by[moved[1]] = one.sizes[moved[1]].sigma
+            power[one.rows] /= one.ratio(by)
+            is_kept[one.rows] = one.is_known
+        divided = replace(self.recorded, power=power)
+        return divided if np.all(is_kept) else divided.select(is_kept)
+
+    def select(self, rows: NDArray[np.bool_]) -> FittedCauses:
+        """Some of the spectra, such as those of one path, with the sizes fitted to all."""
+        place = np.cumsum(rows) - 1
+        stations = []
+        for one in self.stations:
+            kept = rows[one.rows]
+            if np.any(kept):
+                at = place[one.rows[kept]].astype(np.int64)
+                stations.append(replace(one, rows=at, path=one.path[kept], event=one.event[kept]))
+        return replace(self, recorded=self.recorded.select(rows), stations=stations)
+
+    def fit(
+        self,
+        scope: str,
+        freedom: SkyFreedom | None = None,
+        without: Sequence[CalibrationCurve] = (),
+        singles: FitSingles = fit_singles,
+    ) -> FitReport:
+        """Calibrate with the model; parameters as in `fit_calibration`, which it is where no cause acts.
+
+        The error of the sizes is in the statistical error of C, and common to all curves of a station.
+
+        Parameters
+        ----------
+        without
+            Where the model has one size, curves of these spectra without its cause, if they are at hand: what the error
+            of the size does to C is then taken in proportion to what the size does, which saves a fit.
+        """
+        report = fit_calibration(self.spectra, self.instrument, self.sky_power, scope, freedom, singles)
+        if self.model.is_plain:
+            return report
+        curves = list(report.curves)
+        for number, one in enumerate(self.stations):
+            if without:
+                changes: list[Sequence[CalibrationCurve]] = [_move_in_proportion(report.curves, without, one.sizes[0])]
+            else:
+                changes = [
+                    fit_calibration(
+                        self._divide_out((number, k)), self.instrument, self.sky_power, scope, singles=singles
+                    ).curves
+                    for k in range(len(one.sizes))
+                ]
+            if changes:
+                curves = self._add_errors(curves, list(report.curves), changes, one)
+        provenance = replace(
+            report.provenance,
+            inputs={**report.provenance.inputs, "spectra": self.recorded.digest(), "model": self.model.id},
+            settings={**report.provenance.settings, "model": self.model.to_text()},
+            notes={**report.provenance.notes, "model": self._note},
+        )
+        return replace(report, curves=tuple(curves), provenance=provenance, causes=self.as_dicts(), lines=())
+
+    def _add_errors(
+        self,
+        curves: Sequence[CalibrationCurve],
+        central: Sequence[CalibrationCurve],
+        changes: Sequence[Sequence[CalibrationCurve]],
+        station: _OfStation,
+    ) -> list[CalibrationCurve]:
+        """Curves with the error of a station's sizes, from the fits with each size moved by its standard deviation."""
+        sigma = np.array([size.sigma for size in station.sizes])
+        # Rows of the root are independent, each one standard deviation.
+        root = root_of(station.covariance / np.outer(sigma, sigma)).T
+        found = []
+        for k, (curve, before) in enumerate(zip(curves, central, strict=True)):
+            moved = [change[k] for change in changes]
+            if curve.c is None or before.c is None:
+                found.append(curve)
+            elif any(one.c is None for one in moved):
+                found.append(curve.as_not_converged())
+            else:
+                by_size = np.array(
+                    [np.log(one.filled(one.c) / before.filled(before.c)) for one in moved if one.c is not None]
+                )
+                found.append(curve if not np.any(by_size) else _with_common(curve, root @ by_size))
+        return found
+
+    @property
+    def _note(self) -> str:
+        """The model in one line, with the sizes in these data."""
+        fitted = [
+            f"{s.adopted.cause} in {s.adopted.target} of {s.adopted.station} {s.value:.4g} ± {s.sigma:.2g}"
+            for s in self.sizes
+        ]
+        idle = len(self.model.causes) - len(fitted)
+        left_out = int(sum((~one.is_known).sum() for one in self.stations))
+        words = [f"{len(self.model.causes)} adopted cause{'s' * (len(self.model.causes) > 1)}", *fitted]
+        words += [f"{idle} without effect in these spectra"] if idle else []
+        words += [f"{left_out} spectra left out, a covariate is not known"] if left_out else []
+        return "; ".join(words)
+
+    def as_dicts(self) -> tuple[Mapping[str, Any], ...]:
+        """The adopted causes with their sizes in these spectra, as JSON values."""
+        return tuple(describe_size(size) for size in self.sizes)
+
+
+def _move_in_proportion(
+    curves: Sequence[CalibrationCurve], without: Sequence[CalibrationCurve], size: FittedSize
+) -> list[CalibrationCurve]:
+    """Curves as they would be with a size moved by its standard deviation, from those at the size and those without."""
+    plain, share = {curve.owner: curve for curve in without}, size.sigma / size.value
+    moved = []
+    for curve in curves:
+        before = plain.get(curve.owner)
+        if curve.c is None or before is None or before.c is None:
+            moved.append(curve)
+        else:
+            moved.append(replace(curve, c=curve.c * (curve.filled(curve.c) / before.filled(before.c)) ** share))
+    return moved
+
+
+def _with_common(curve: CalibrationCurve, common: Floats) -> CalibrationCurve:
+    """A curve with vectors of ln C, shape (vector, freq), one standard deviation each, in its statistical error."""
+    if curve.c is None or curve.covariance is None:
+        return curve
+    known = np.where(curve.has_value, common, np.nan)
+    own = curve.covariance.factor.T @ curve.covariance.factor + np.diag(curve.covariance.diagonal)
+    total = own + known.T @ known
+    factor, diagonal = compress_covariance(total)
+    return replace(
+        curve,
+        c_sigma_stat=curve.c * np.sqrt(np.diag(total)),
+        covariance=replace(curve.covariance, factor=factor, diagonal=diagonal, common=known),
+    )
+
+
+def promise_of_structure(gain: Mapping[str, Any]) -> Promise:
+    """The gain that structure without a name promises for as many events again, adopted at its shrunk size.
+
+    Its gain in chi^2 is G, of which d, the number of its terms, is noise: the term is adopted at s = 1 - d/G. Its true
+    signal is (G - d)^1/2 standard deviations, along a term that is G^1/2 long, so that as many events gain
+    s (G - d) - s^2 G / 2 = (G - d)^2 / 2G, with the error s G^1/2.
+    """
+    found = float(gain["chi2"])
+    share = 1.0 - gain["terms"] / found
+    return Promise(0.5 * share**2 * found, share * found**0.5)
+
+
+def fit_causes(
+    spectra: Spectra,
+    instrument: Instrument,
+    sky_power: SkyPower,
+    model: Model,
+    *,
+    is_own_sky: bool,
+    are_sizes_known: bool = False,
+) -> FittedCauses:
+    """Fit the sizes of the adopted causes of a model, each to all paths of its target in the spectra.
+
+    Parameters
+    ----------
+    spectra
+        All spectra of the stations in a window: `FittedCauses.select` takes some of them afterwards. An antenna whose
+        hardware changed in it is fitted as several (`drift.windows.set_apart`).
+    is_own_sky
+        Whether `sky_power` is the package's own, so that the differences between sky and antenna models are profiled
+        out. A sky power from a file is taken as exact.
+    are_sizes_known
+        Whether all sizes are those of the model, found in these same spectra, so that none is fitted again.
+    """
+    found = []
+    sizes: Sequence[FittedSize]
+    # The products are small: threads of the linear algebra would wait for each other.
+    with threadpool_limits(1):
+        apart, parts = set_apart(spectra, instrument)
+        stations = gather_adopted(apart, parts, sky_power, model)
+        is_free = is_own_sky and bool(stations) and not are_sizes_known
+        known = compute_model_differences(instrument) if is_free else None
+        for station in stations:
+            if are_sizes_known:
+                terms, sizes, covariance = take_adopted(station, model)
+            else:
+                modes = None if known is None else model_modes(station, known)
+                fitted = fit_adopted(leave_out_deaf(station)[0], model, modes)
+                terms, sizes, covariance = fitted.model.baseline.terms, fitted.sizes, fitted.covariance
+            if sizes:
+                found.append(_OfStation(at_reference(station), terms, sizes, covariance, *_places(apart, station)))
+    return FittedCauses(spectra, instrument, sky_power, model, found)
+
+
+def _places(spectra: Spectra, station: Station) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """Rows of a station's spectra, with path and event of each on the station's grid."""
+    rows = np.flatnonzero(spectra.station == station.name)
+    path = np.full(rows.size, -1, dtype=np.int64)
+    for k, (antenna, dipole) in enumerate(zip(station.antenna, station.dipole, strict=True)):
+        path[(spectra.antenna[rows] == antenna) & (spectra.dipole[rows] == dipole)] = k
+    order = np.argsort(station.event_id)
+    event = order[np.searchsorted(station.event_id[order], spectra.event_id[rows])]
+    is_on_grid = path >= 0
+    return rows[is_on_grid], path[is_on_grid], event[is_on_grid].astype(np.int64)

@@ -1,0 +1,97 @@
+"""Values of JSON files and arrays of NumPy archives from strangers: each is checked, and refused in one sentence."""
+
+from __future__ import annotations
+
+import json
+import math
+import zipfile
+import zlib
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lbacal_core.errors import BadInputError, UnreadableFileError
+from lbacal_core.grids import Floats
+
+# Values of JSON files, each checked, with one clear sentence where one is not what it should be.
+
+
+def read_json(path: Path) -> Any:
+    """Read a JSON file, with one clear sentence when it is not one."""
+    try:
+        text = path.read_text(encoding="utf-8")
+        if not text.strip():
+            raise UnreadableFileError(f"{path}: expected JSON, found an empty file")
+        return json.loads(text, object_pairs_hook=require_unique_fields)
+    except OSError as error:
+        raise UnreadableFileError(f"{path}: cannot be read ({error.strerror})") from error
+    except (ValueError, RecursionError) as error:
+        raise UnreadableFileError(f"{path}: expected JSON, found something else ({error})") from error
+
+
+def require_unique_fields(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """A JSON object, refused when it gives a field twice: one of the two would be lost."""
+    content = dict(pairs)
+    if len(content) < len(pairs):
+        twice = Counter(name for name, _ in pairs).most_common(1)[0][0]
+        raise ValueError(f"the field {twice!r} twice in one object")
+    return content
+
+
+def parse_numbers(values: Any, place: str) -> Floats:
+    """Make an array of finite floats from JSON, naming the first entry that is not a number."""
+    if not isinstance(values, list):
+        raise BadInputError(place, "a list of numbers", type(values).__name__)
+    return np.array([parse_number(value, f"{place}, entry {k}") for k, value in enumerate(values)], dtype=float)
+
+
+def parse_number(value: Any, place: str) -> float:
+    """Read a finite number."""
+    try:
+        if not isinstance(value, bool) and isinstance(value, int | float) and math.isfinite(value):
+            return float(value)
+    except OverflowError:  # an integer of more than 308 digits
+        pass
+    raise BadInputError(place, "a finite number", repr(value))
+
+
+def parse_name(value: Any, place: str) -> str:
+    """Read a printable name."""
+    if not isinstance(value, str) or not value or not value.isprintable():
+        raise BadInputError(place, "a name", repr(value))
+    return value
+
+
+def parse_optional_name(value: Any, place: str) -> str | None:
+    """Read a printable name, or None where there is none."""
+    return None if value is None else parse_name(value, place)
+
+
+# NumPy `.npz` files from strangers: named arrays, or one sentence on why not.
+
+_FAILURES = (OSError, ValueError, EOFError, KeyError, RuntimeError, MemoryError, zipfile.BadZipFile, zlib.error)
+"""What NumPy and zipfile raise on broken files."""
+
+
+def read_npz(path: Path, wanted: tuple[str, ...], words: str) -> dict[str, NDArray[Any]]:
+    """Read every array of a file, which must hold the required ones.
+
+    Parameters
+    ----------
+    words
+        What the file should hold, for the message: ``Jones terms``.
+    """
+    try:
+        # Opened here, because np.load leaves a broken file open.
+        with path.open("rb") as file:
+            arrays = np.load(file, allow_pickle=False)
+            content = {key: arrays[key] for key in arrays.files} if isinstance(arrays, np.lib.npyio.NpzFile) else {}
+    except _FAILURES as error:
+        raise UnreadableFileError(f"{path}: expected a NumPy .npz file of {words}, found a broken one") from error
+    missing = [key for key in wanted if key not in content]
+    if missing:
+        raise BadInputError(str(path), f"the arrays {', '.join(wanted)}", f"no {', '.join(missing)}")
+    return content

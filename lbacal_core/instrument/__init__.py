@@ -1,0 +1,1 @@
+"""What stands in the field: read `instrument`, then `antennas` and `stages`."""

@@ -1,0 +1,406 @@
+"""The instrument: where it stands, its dipoles, and the simulated and measured parts of its signal chain."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lbacal_core.errors import BadInputError, UnknownNameError
+from lbacal_core.foreign import parse_name, parse_number, parse_numbers, parse_optional_name, read_json
+from lbacal_core.grids import Floats, require_channels
+from lbacal_core.instrument.antennas import (
+    ABSOLUTE,
+    EXPECTED,
+    AntennaRecord,
+    GainProvenance,
+    Site,
+    is_dipole_name,
+    look_like_radians,
+    parse_gain_provenance,
+    parse_record,
+    parse_sites,
+    record_as_dict,
+    require_one_at_a_time,
+)
+from lbacal_core.instrument.stages import IN_LINE, Stage, fill_fields, gain_behind, parse_stages
+from lbacal_core.provenance import hash_content
+
+STEEPEST_DEG = 90.0
+"""Tilt of an arm that stands upright."""
+
+
+@dataclass(frozen=True)
+class Instrument:
+    """Everything about the signal chain that comes from simulations, data sheets and measurements.
+
+    Attributes
+    ----------
+    frequency_mhz
+        Shape (freq,), MHz.
+    dipole_azimuth_deg
+        Azimuth of each dipole's arm by its letter, degrees from north through east; one arm or more.
+    antenna_gain, receiver_gain
+        G_ant and G_RCU of eq. full_chain, shape (freq,), linear power.
+    cables
+        L_coax by cable name, shape (freq,), the factor <= 1 that multiplies the power.
+    antenna, sky
+        Antenna model and sky model, by name or file, that the package's own P_sky is computed with unless others are
+        given; None where the instrument names none.
+    gain_provenance
+        What `antenna_gain` is; None where nobody says.
+    dipole_tilt_deg
+        How far the end of an arm that points to its azimuth is raised above the horizon, degrees, by letter; arms that
+        are absent lie level. `antenna_gain` is that of a level arm: P_sky holds what a tilt changes.
+    stages
+        The chain in the order of the signal, `receiver_gain` being the product of the gains behind A(nu); empty for
+        that of eq. full_chain (`chain.noise`).
+    kelvin_error
+        Error of a receiver that is calibrated in kelvin, a fraction of the power: spectra are then temperatures behind
+        the antenna. None for spectra in ADC units.
+    sites
+        Where stations stand that do not stand where the instrument does, by name.
+    """
+
+    name: str
+    latitude_deg: float
+    longitude_deg: float
+    height_m: float
+    frequency_mhz: Floats
+    dipole_azimuth_deg: Mapping[str, float]
+    antenna_gain: Floats
+    receiver_gain: Floats
+    cables: Mapping[str, Floats]
+    antennas: Sequence[AntennaRecord]
+    antenna: str | None = None
+    sky: str | None = None
+    gain_provenance: GainProvenance | None = None
+    dipole_tilt_deg: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    stages: Sequence[Stage] = ()
+    kelvin_error: float | None = None
+    sites: Mapping[str, Site] = dataclasses.field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        place = f"instrument {self.name}"
+        require_channels(place, self.frequency_mhz)
+        self._require_sites()
+        self._require_dipoles()
+        self._require_gain("antenna_gain", self.antenna_gain, np.inf)
+        self._require_gain("receiver_gain", self.receiver_gain, np.inf)
+        self._require_shape_error()
+        self._require_stages()
+        self._require_kelvin()
+        for cable, loss in self.cables.items():
+            self._require_gain(f"cables.{cable}", loss, 1.0)
+        for row, record in enumerate(self.antennas):
+            if record.cable not in self.cables:
+                raise BadInputError(
+                    f"{place}: antennas, row {row}: cable", f"one of {', '.join(self.cables)}", repr(record.cable)
+                )
+            if record.since is not None and record.until is not None and record.since >= record.until:
+                raise BadInputError(f"{place}: antennas, row {row}: until", "a date after since", "one that is not")
+        require_one_at_a_time(self.antennas, place)
+
+    def _require_sites(self) -> None:
+        place = f"instrument {self.name}"
+        Site(self.latitude_deg, self.longitude_deg, self.height_m).require_on_earth(place)
+        known = {record.station for record in self.antennas}
+        for station, site in self.sites.items():
+            if station not in known:
+                raise BadInputError(f"{place}: sites", f"a station ({', '.join(sorted(known))})", repr(station))
+            site.require_on_earth(f"{place}: sites.{station}")
+
+    def _require_dipoles(self) -> None:
+        place = f"instrument {self.name}: dipoles"
+        if not self.dipole_azimuth_deg:
+            raise BadInputError(place, "one dipole or more", "none")
+        for dipole, azimuth in self.dipole_azimuth_deg.items():
+            if not is_dipole_name(dipole):
+                raise BadInputError(place, EXPECTED, repr(dipole))
+            if not np.isfinite(azimuth):
+                raise BadInputError(f"{place}.{dipole}.azimuth_deg", "finite degrees", f"{azimuth}")
+        if look_like_radians(self.dipole_azimuth_deg.values()):
+            found = ", ".join(f"{dipole} {azimuth:.3g}" for dipole, azimuth in self.dipole_azimuth_deg.items())
+            meant = "degrees (360 more for one of arms that are so near each other)"
+            raise BadInputError(f"{place}: azimuth_deg", meant, f"{found}, which look like radians")
+        for dipole, tilt in self.dipole_tilt_deg.items():
+            if not abs(tilt) <= STEEPEST_DEG:
+                raise BadInputError(f"{place}.{dipole}.tilt_deg", "-90 to 90", f"{tilt}")
+
+    @property
+    def dipoles(self) -> tuple[str, ...]:
+        """Letters of the dipoles, in alphabetical order: the order of every dipole axis."""
+        return tuple(sorted(self.dipole_azimuth_deg))
+
+    def tilt_deg(self, dipole: str) -> float:
+        """Tilt of an arm, 0 where none is given."""
+        return self.dipole_tilt_deg.get(dipole, 0.0)
+
+    def at_station(self, station: str | None) -> Instrument:
+        """The instrument standing where a station of it stands; itself where the station has no site of its own."""
+        site = None if station is None else self.sites.get(station)
+        if site is None:
+            return self
+        north, east, height = site.latitude_deg, site.longitude_deg, site.height_m
+        return replace(self, sites={}, latitude_deg=north, longitude_deg=east, height_m=height)
+
+    def require_dipoles(self, letters: NDArray[np.str_], origin: str) -> None:
+        """Refuse letters of spectra that are none of this instrument's."""
+        unknown = [str(letter) for letter in np.unique(letters) if str(letter) not in self.dipole_azimuth_deg]
+        if unknown:
+            row = int(np.flatnonzero(letters == unknown[0])[0])
+            expected = f"a dipole of instrument {self.name} ({', '.join(self.dipoles)})"
+            raise BadInputError(f"{origin}: dipole, row {row}", expected, repr(unknown[0]))
+
+    def _require_stages(self) -> None:
+        if not self.stages:
+            return
+        place = f"instrument {self.name}: stages"
+        if not np.allclose(self.receiver_gain, gain_behind(self.stages, self.frequency_mhz.size), rtol=1e-9, atol=0.0):
+            raise BadInputError(place, "receiver_gain as the product of the gains behind the cable", "another")
+        known = [stage.name for stage in self.stages if stage.noise_k is not None and stage.kind in IN_LINE]
+        if known:
+            self._require_square_metres(f"{place}: noise_temperature_k", f"a temperature of {known[0]}")
+
+    def _require_kelvin(self) -> None:
+        if self.kelvin_error is not None:
+            place = f"instrument {self.name}: calibrated_in_kelvin"
+            self._require_square_metres(place, "kelvin")
+            if not 0 < self.kelvin_error < 1:
+                raise BadInputError(f"{place}.error", "a fraction of the power, 0 to 1", f"{self.kelvin_error}")
+
+    def _require_square_metres(self, place: str, found: str) -> None:
+        if self.gain_provenance is None or self.gain_provenance.kind != ABSOLUTE:
+            raise BadInputError(
+                place,
+                f"an antenna_gain in m^2 (antenna_gain_provenance: kind {ABSOLUTE}), to refer kelvin to the sky",
+                f"{found} beside one that is not said to be",
+            )
+
+    def _require_shape_error(self) -> None:
+        error = None if self.gain_provenance is None else self.gain_provenance.shape_error
+        if error is not None and error.shape != self.frequency_mhz.shape:
+            place = f"instrument {self.name}: antenna_gain_provenance.shape_error"
+            raise BadInputError(place, "a number a channel, or one", f"{error.size}")
+
+    def _require_gain(self, field: str, values: Floats, largest: float) -> None:
+        place = f"instrument {self.name}: {field}"
+        if values.shape != self.frequency_mhz.shape:
+            raise BadInputError(place, f"{self.frequency_mhz.size} numbers, one a channel", f"shape {values.shape}")
+        bad = np.flatnonzero(~(np.isfinite(values) & (values > 0) & (values <= largest)))
+        if bad.size:
+            expected = "a finite power factor > 0" + (" and <= 1" if largest == 1.0 else "")
+            raise BadInputError(f"{place}, channel {bad[0]}", expected, f"{values[bad[0]]}")
+
+    def cable_of(self, station: str, antenna: int, time_unix: float) -> str:
+        """Name of the cable of an antenna at an instant."""
+        return self.cables_between(station, antenna, time_unix, time_unix)[0]
+
+    def cables_between(self, station: str, antenna: int, first_unix: float, last_unix: float) -> list[str]:
+        """Names of the cables that an antenna had from one instant to another, each once."""
+        place = f"station {station}, antenna {antenna}"
+        records = [r for r in self.antennas if r.station == station and r.antenna == antenna]
+        if not records:
+            stations = sorted({r.station for r in self.antennas})
+            own = sorted({r.antenna for r in self.antennas if r.station == station})
+            there = f"antennas {own[0]} to {own[-1]} there" if own else f"stations {', '.join(stations[:5])} alone"
+            raise BadInputError(place, f"an antenna of instrument {self.name}", there)
+        for instant in (first_unix, last_unix):
+            if not any(record.covers(instant) for record in records):
+                raise BadInputError(
+                    place,
+                    f"a cable on record in instrument {self.name} at {datetime.fromtimestamp(instant, UTC):%Y-%m-%d}",
+                    "records of other dates only",
+                )
+        held = [
+            r
+            for r in records
+            if (r.since is None or r.since <= last_unix) and (r.until is None or first_unix < r.until)
+        ]
+        return list(dict.fromkeys(record.cable for record in held))
+
+    def group_between(self, station: str, antenna: int, first_unix: float, last_unix: float) -> str | None:
+        """Name of the group of an antenna from one instant to another; None where it has none, or changes it."""
+        held = {
+            record.group
+            for record in self.antennas
+            if (record.station, record.antenna) == (station, antenna)
+            and (record.since is None or record.since <= last_unix)
+            and (record.until is None or first_unix < record.until)
+        }
+        return held.pop() if len(held) == 1 else None
+
+    def as_dict(self) -> dict[str, Any]:
+        """The content of an instrument file (docs/formats.md)."""
+        return {
+            "name": self.name,
+            "latitude_deg": self.latitude_deg,
+            "longitude_deg": self.longitude_deg,
+            "height_m": self.height_m,
+            "frequency_mhz": self.frequency_mhz.tolist(),
+            "dipoles": {
+                dipole: {"azimuth_deg": value, **({"tilt_deg": tilt} if (tilt := self.tilt_deg(dipole)) else {})}
+                for dipole, value in self.dipole_azimuth_deg.items()
+            },
+            "antenna_gain": self.antenna_gain.tolist(),
+            "receiver_gain": self.receiver_gain.tolist(),
+            "cables": {name: loss.tolist() for name, loss in self.cables.items()},
+            "antennas": [record_as_dict(record) for record in self.antennas],
+            **({} if self.antenna is None else {"antenna": self.antenna}),
+            **({} if self.sky is None else {"sky": self.sky}),
+            **({} if self.gain_provenance is None else {"antenna_gain_provenance": self.gain_provenance.as_dict()}),
+            **({"stages": [stage.as_dict() for stage in self.stages]} if self.stages else {}),
+            **({} if self.kelvin_error is None else {"calibrated_in_kelvin": {"error": self.kelvin_error}}),
+            **({"sites": {name: site.as_dict() for name, site in sorted(self.sites.items())}} if self.sites else {}),
+        }
+
+    def digest(self) -> str:
+        """Hash of the numbers, which names the instrument in provenance and version ids.
+
+        The names of sky and antenna are not in it, because P_sky brings hashes of its own, nor is what is said about
+        the antenna gain.
+        """
+        words = ("antenna", "sky", "antenna_gain_provenance")
+        return hash_content({name: value for name, value in self.as_dict().items() if name not in words})
+
+    def digest_of(
+        self, since_unix: float, until_unix: float, station: str | None = None, antenna: int | None = None
+    ) -> str:
+        """Hash of what a fit of some antennas uses in an interval: of one antenna, of a station's, or of all.
+
+        Records of other antennas and of other times are not in it, nor cables that nobody had.
+        """
+        used = [
+            record
+            for record in self.antennas
+            if station in (None, record.station)
+            and antenna in (None, record.antenna)
+            and (record.since is None or record.since < until_unix)
+            and (record.until is None or record.until > since_unix)
+        ]
+        inside = [
+            replace(
+                record,
+                since=None if record.since is None or record.since <= since_unix else record.since,
+                until=None if record.until is None or record.until >= until_unix else record.until,
+            )
+            for record in used
+        ]
+        known = {record.cable: self.cables[record.cable] for record in used}
+        stations = {record.station for record in used}
+        sites = {name: replace(site, height_m=0.0) for name, site in self.sites.items() if name in stations}
+        own = replace(self, name="", height_m=0.0, cables=known, antennas=inside, sites=sites)
+        return own.digest()
+
+    def view_digest(self) -> str:
+        """Hash of what P_sky takes from an instrument: its places, the arms of its dipoles and its channels."""
+        tilts = {dipole: tilt for dipole, tilt in self.dipole_tilt_deg.items() if tilt}
+        view = [self.latitude_deg, dict(self.dipole_azimuth_deg), self.frequency_mhz.tolist()]
+        elsewhere = {name: site.latitude_deg for name, site in self.sites.items()}
+        return hash_content([*view, *(more for more in (tilts, elsewhere) if more)])
+
+    @property
+    def antenna_gain_note(self) -> str:
+        """What is known of the antenna gain, in words."""
+        return (
+            "unchecked: the instrument does not say what its antenna_gain is"
+            if self.gain_provenance is None
+            else (str(self.gain_provenance))
+        )
+
+
+def load_instrument(name_or_file: str) -> Instrument:
+    """Load an instrument that ships with the package by its name, or any other from its JSON file."""
+    shipped = {path.name.removesuffix(".json"): path for path in (files("lbacal_core") / "data/instruments").iterdir()}
+    if name_or_file in shipped:
+        return parse_instrument(json.loads(shipped[name_or_file].read_text(encoding="utf-8")), name_or_file)
+    path = Path(name_or_file)
+    if not _is_there(path):
+        raise UnknownNameError("instrument", name_or_file, sorted(shipped))
+    read = parse_instrument(read_json(path), str(path), path.parent)
+    return replace(read, antenna=_beside(path, read.antenna), sky=_beside(path, read.sky))
+
+
+def _beside(path: Path, name_or_file: str | None) -> str | None:
+    """A file that an instrument file names relative to itself; a name stays what it is."""
+    if name_or_file is None or not _is_there(path.parent / name_or_file):
+        return name_or_file
+    return str(path.parent / name_or_file)
+
+
+def _is_there(path: Path) -> bool:
+    """Whether a file has that name; a name that no file can have is none."""
+    try:
+        return path.exists()
+    except OSError:
+        return False
+
+
+def parse_instrument(content: Any, place: str, folder: Path | None = None) -> Instrument:
+    """Make an instrument from the content of its file; fields it does not know are left alone.
+
+    Parameters
+    ----------
+    folder
+        Where files are that its stages name; None where there are none to be read.
+    """
+    if not isinstance(content, dict):
+        raise BadInputError(place, "a JSON object", type(content).__name__)
+    stages: tuple[Stage, ...] = ()
+    if "stages" in content:
+        frequency_mhz = parse_numbers(content.get("frequency_mhz"), f"{place}: frequency_mhz")
+        stages = parse_stages(content["stages"], frequency_mhz, f"{place}: stages", folder)
+        content = fill_fields(content, stages, frequency_mhz.size)
+    fields = ["name", "latitude_deg", "longitude_deg", "height_m", "frequency_mhz", "dipoles"]
+    fields += ["antenna_gain", "receiver_gain", "cables", "antennas"]
+    missing = [field for field in fields if field not in content]
+    if missing:
+        raise BadInputError(place, f"the fields {', '.join(fields)}", f"no {', '.join(missing)}")
+    dipoles, cables, antennas = content["dipoles"], content["cables"], content["antennas"]
+    if not isinstance(dipoles, dict) or not isinstance(cables, dict) or not isinstance(antennas, list):
+        raise BadInputError(place, "dipoles and cables as objects, antennas as a list", "another shape")
+    height_m = parse_number(content["height_m"], f"{place}: height_m")
+    return Instrument(
+        name=parse_name(content["name"], f"{place}: name"),
+        latitude_deg=parse_number(content["latitude_deg"], f"{place}: latitude_deg"),
+        longitude_deg=parse_number(content["longitude_deg"], f"{place}: longitude_deg"),
+        height_m=height_m,
+        frequency_mhz=parse_numbers(content["frequency_mhz"], f"{place}: frequency_mhz"),
+        dipole_azimuth_deg={
+            name: parse_number(arm.get("azimuth_deg") if isinstance(arm, dict) else None, f"{place}: dipoles.{name}")
+            for name, arm in dipoles.items()
+        },
+        dipole_tilt_deg={
+            name: parse_number(arm["tilt_deg"], f"{place}: dipoles.{name}.tilt_deg")
+            for name, arm in dipoles.items()
+            if isinstance(arm, dict) and arm.get("tilt_deg")
+        },
+        antenna_gain=parse_numbers(content["antenna_gain"], f"{place}: antenna_gain"),
+        receiver_gain=parse_numbers(content["receiver_gain"], f"{place}: receiver_gain"),
+        cables={str(name): parse_numbers(loss, f"{place}: cables.{name}") for name, loss in cables.items()},
+        antennas=tuple(parse_record(record, f"{place}: antennas, row {k}") for k, record in enumerate(antennas)),
+        antenna=parse_optional_name(content.get("antenna"), f"{place}: antenna"),
+        sky=parse_optional_name(content.get("sky"), f"{place}: sky"),
+        gain_provenance=parse_gain_provenance(
+            content.get("antenna_gain_provenance"), len(content["frequency_mhz"]), f"{place}: antenna_gain_provenance"
+        ),
+        stages=stages,
+        kelvin_error=_parse_kelvin_error(content.get("calibrated_in_kelvin"), f"{place}: calibrated_in_kelvin"),
+        sites=parse_sites(content.get("sites"), f"{place}: sites", height_m),
+    )
+
+
+def _parse_kelvin_error(content: Any, place: str) -> float | None:
+    if content is None:
+        return None
+    if not isinstance(content, dict):
+        raise BadInputError(place, "an object with error", type(content).__name__)
+    return parse_number(content.get("error"), f"{place}.error")

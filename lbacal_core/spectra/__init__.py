@@ -1,0 +1,1 @@
+"""Background spectra: read `spectra`, then `screening` and `blocks`."""

@@ -1,0 +1,483 @@
+"""Background spectra: what one antenna's dipole measured in one event, and their file (docs/formats.md)."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
+from functools import cached_property
+from pathlib import Path
+from typing import IO, Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from lbacal_core.errors import BadInputError, UnreadableFileError
+from lbacal_core.grids import Floats, guess_widths, require_channels, require_same_grid
+from lbacal_core.hdf5 import (
+    FLOATS,
+    HDF5_FAILURES,
+    INTEGERS,
+    NUMBERS,
+    REALS,
+    STRINGS,
+    is_in_file,
+    open_dataset,
+    read_text,
+    read_values,
+)
+from lbacal_core.instrument.antennas import EXPECTED, are_dipole_names
+from lbacal_core.spectra.quarters import Path as PathName
+from lbacal_core.spectra.quarters import PathQuarter, group_by_path, hash_quarters, hash_window, pick_hashes
+
+FORMAT = "lbacal-spectra-1"
+EARLIEST_UNIX = datetime(2009, 1, 1, tzinfo=UTC).timestamp()
+DAY_S = 86_400.0
+MAX_COVARIATES = 16
+"""Covariates of one event."""
+_COVARIATE = re.compile(r"[a-z][a-z0-9_]{0,39}", re.ASCII)
+
+_COLUMNS = ("event_id", "time_unix", "station", "antenna", "dipole", "blocks")
+_KEY = ("station", "antenna", "dipole", "event_id")
+_KINDS = {
+    "frequency_mhz": NUMBERS,
+    "power": REALS,
+    "event_id": STRINGS,
+    "time_unix": FLOATS,
+    "station": STRINGS,
+    "antenna": INTEGERS,
+    "dipole": STRINGS,
+    "blocks": INTEGERS,
+}
+_OPTIONAL = {"width_mhz": NUMBERS, "duration_s": NUMBERS, "flag": STRINGS}
+
+
+@dataclass(frozen=True)
+class Spectra:
+    """N background spectra; row k is one (event, station, antenna, dipole).
+
+    Attributes
+    ----------
+    frequency_mhz
+        Shape (freq,), MHz.
+    power
+        Shape (row, freq), mean |F(nu)|^2 / R_r, ADC^2/Ohm/MHz, one-sided, > 0.
+    event_id, station, dipole
+        Shape (row,), strings.
+    time_unix
+        Shape (row,), s UTC.
+    antenna, blocks
+        Shape (row,), integers; `blocks` counts the 1024-sample blocks averaged.
+    resistance_ohm
+        R_r, one constant that cancels in C.
+    environment
+        Covariates by name (`temperature_c`, `rain_mm_h`), shape (row,), NaN where unknown.
+    width_mhz
+        Widths of the channels, shape (freq,), MHz; None where the file has none: see `channel_widths`.
+    duration_s
+        What was averaged in each spectrum, shape (row,), s; None where only `blocks` counts it.
+    flag
+        Why a spectrum must not be used, shape (row,), empty where it may; None where nothing is flagged. A file keeps
+        flagged spectra, and `read_spectra` leaves them out.
+    left_out
+        How many flagged spectra were left out when the file was read, by flag.
+    """
+
+    frequency_mhz: Floats
+    power: Floats
+    event_id: NDArray[np.str_]
+    time_unix: Floats
+    station: NDArray[np.str_]
+    antenna: NDArray[np.int64]
+    dipole: NDArray[np.str_]
+    blocks: NDArray[np.int64]
+    resistance_ohm: float = 50.0
+    environment: Mapping[str, Floats] = field(default_factory=dict)
+    origin: str = "spectra"
+    width_mhz: Floats | None = None
+    duration_s: Floats | None = None
+    flag: NDArray[np.str_] | None = None
+    left_out: Mapping[str, int] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        require_channels(self.origin, self.frequency_mhz)
+        rows = len(self.event_id)
+        for name in (*_COLUMNS[1:], "power"):
+            if len(getattr(self, name)) != rows:
+                raise BadInputError(
+                    f"{self.origin}: {name}", f"{rows} rows as in event_id", f"{len(getattr(self, name))}"
+                )
+        if self.power.shape != (rows, self.frequency_mhz.size):
+            raise BadInputError(f"{self.origin}: power", f"{self.frequency_mhz.size} channels", f"{self.power.shape}")
+        if not (np.isfinite(self.resistance_ohm) and self.resistance_ohm > 0):
+            raise BadInputError(f"{self.origin}: resistance_ohm", "Ohm > 0", f"{self.resistance_ohm}")
+        self._require("power", np.all(np.isfinite(self.power) & (self.power > 0), axis=1), "finite power > 0")
+        self._require("time_unix", np.isfinite(self.time_unix) & (self.time_unix > 0), "an instant (s UTC)")
+        self._require("dipole", are_dipole_names(self.dipole), EXPECTED)
+        self._require("antenna", self.antenna >= 0, "a number >= 0")
+        self._require("blocks", self.blocks > 0, "a count > 0")
+        self._require("event_id", self.event_id != "", "a name")
+        self._require("station", self.station != "", "a name")
+        if self.flag is not None and self.flag.shape != (rows,):
+            raise BadInputError(f"{self.origin}: flag", f"{rows} texts, one a row", f"shape {self.flag.shape}")
+        self._require_covariates(rows)
+        self._require_widths_and_durations(rows)
+        self._require_unique_keys()
+
+    def _require_widths_and_durations(self, rows: int) -> None:
+        for name, values, size in (
+            ("width_mhz", self.width_mhz, self.frequency_mhz.size),
+            ("duration_s", self.duration_s, rows),
+        ):
+            if values is None:
+                continue
+            if values.shape != (size,):
+                raise BadInputError(f"{self.origin}: {name}", f"{size} numbers", f"shape {values.shape}")
+            bad = np.flatnonzero(~(np.isfinite(values) & (values > 0)))
+            if bad.size:
+                raise BadInputError(
+                    f"{self.origin}: {name}, entry {bad[0]}", "a finite number > 0", f"{values[bad[0]]}"
+                )
+
+    def _require_covariates(self, rows: int) -> None:
+        known = np.zeros(rows, dtype=np.int64)
+        for name, values in self.environment.items():
+            if not _COVARIATE.fullmatch(name):
+                raise BadInputError(f"{self.origin}: env", "names such as rain_mm_h (40 characters)", repr(name[:60]))
+            if values.shape != (rows,):
+                raise BadInputError(f"{self.origin}: env/{name}", f"{rows} numbers, one a row", f"{values.shape}")
+            self._require(f"env/{name}", ~np.isinf(values), "a number, or NaN where unknown")
+            known += np.isfinite(values)
+        if np.any(known > MAX_COVARIATES):
+            row = int(np.argmax(known))
+            raise BadInputError(
+                f"{self.origin}: env, row {row}", f"at most {MAX_COVARIATES} covariates", f"{known[row]}"
+            )
+
+    def _require(self, name: str, is_good: NDArray[np.bool_], expected: str) -> None:
+        bad = np.flatnonzero(~np.asarray(is_good))
+        if bad.size == 0:
+            return
+        row = int(bad[0])
+        values = self.environment[name.removeprefix("env/")] if name.startswith("env/") else getattr(self, name)
+        found = repr(str(values[row])) if name in ("event_id", "station", "dipole") else f"{values[row]}"
+        if name == "power":
+            channel = int(np.flatnonzero(~(np.isfinite(values[row]) & (values[row] > 0)))[0])
+            found = f"{values[row, channel]} at {self.frequency_mhz[channel]:g} MHz"
+        more = f" (and {bad.size - 1} more rows)" if bad.size > 1 else ""
+        raise BadInputError(f"{self.origin}: {name}, row {row}", expected, f"{found}{more}")
+
+    def _require_unique_keys(self) -> None:
+        rising = np.sort(self._keys)
+        repeated = rising[1:][rising[1:] == rising[:-1]]
+        if repeated.size:
+            row = int(np.flatnonzero(self._keys == repeated[0])[1])
+            expected = "one spectrum per event, station, antenna and dipole"
+            raise BadInputError(f"{self.origin}: row {row}", expected, f"{self.name_row(row)} again")
+
+    def name_row(self, row: int) -> str:
+        """Event, station, antenna and dipole of a row, in words."""
+        return f"{self.event_id[row]}, {self.station[row]} antenna {self.antenna[row]} {self.dipole[row]}"
+
+    def __repr__(self) -> str:
+        """One line: how much of what, and from when to when."""
+        nu, ends = self.frequency_mhz, np.sort(self.time_unix)[:: max(len(self) - 1, 1)].astype("datetime64[s]")
+        return f"<Spectra: {len(self)}, {nu.size} channels {nu[0]:g}-{nu[-1]:g} MHz, {' to '.join(ends.astype(str))}>"
+
+    def __len__(self) -> int:
+        return len(self.event_id)
+
+    def select(self, rows: NDArray[np.bool_] | NDArray[np.int64]) -> Spectra:
+        """The spectra of some rows, in that order."""
+        return Spectra(
+            self.frequency_mhz,
+            self.power[rows],
+            self.event_id[rows],
+            self.time_unix[rows],
+            self.station[rows],
+            self.antenna[rows],
+            self.dipole[rows],
+            self.blocks[rows],
+            self.resistance_ohm,
+            {name: values[rows] for name, values in self.environment.items()},
+            self.origin,
+            self.width_mhz,
+            None if self.duration_s is None else self.duration_s[rows],
+            None if self.flag is None else self.flag[rows],
+            self.left_out,
+        )
+
+    def without_flagged(self) -> Spectra:
+        """The spectra that are not flagged; `left_out` counts the others."""
+        if self.flag is None:
+            return self
+        flags, counts = np.unique(self.flag[self.flag != ""], return_counts=True)
+        found = dict(zip(flags.tolist(), counts.tolist(), strict=True))
+        return replace(self.select(self.flag == ""), flag=None, left_out=found)
+
+    @property
+    def flagged_words(self) -> str:
+        """How many spectra were left out for their flags, in words."""
+        words = ", ".join(f"{count} {flag}" for flag, count in self.left_out.items())
+        return f"{sum(self.left_out.values())} spectra are flagged ({words})"
+
+    def channel_widths(self) -> Floats:
+        """Widths of the channels, shape (freq,), MHz: as given, else 1 on a grid of whole MHz, else the spacing."""
+        return self.width_mhz if self.width_mhz is not None else guess_widths(self.frequency_mhz)
+
+    def require_past(self, now_unix: float) -> None:
+        """Refuse spectra from before 2009 (LOFAR's first dumps are older) or of more than a day ahead of `now_unix`."""
+        self._require("time_unix", self.time_unix >= EARLIEST_UNIX, "an instant of 2009 or later (s UTC)")
+        limit = f"an instant not after {datetime.fromtimestamp(now_unix, UTC):%Y-%m-%d} (s UTC)"
+        self._require("time_unix", self.time_unix <= now_unix + DAY_S, limit)
+
+    def digest(self, station: str | None = None, antenna: int | None = None, dipole: str | None = None) -> str:
+        """Hash of every value that a fit sees, of all spectra or of a station's or path's; their order does not count.
+
+        It is the hash of the sorted hashes of its quarters.
+        """
+        hashes = pick_hashes(self._hashes_of_paths, station, antenna, dipole)
+        return hash_window(self.frequency_mhz, self.resistance_ohm, self.width_mhz, hashes)
+
+    @cached_property
+    def _hashes_of_paths(self) -> Mapping[PathName, list[str]]:
+        return group_by_path(self.quarter_hashes)
+
+    @cached_property
+    def quarter_hashes(self) -> Mapping[PathQuarter, str]:
+        """The hash of what each path recorded in each quarter."""
+        numbers, path_of = np.unique(self._keys // self.key_codes["event_id"][0].size, return_inverse=True)
+        first = np.empty(numbers.size, dtype=np.int64)
+        first[path_of] = np.arange(len(self))
+        paths = [(str(self.station[k]), int(self.antenna[k]), str(self.dipole[k])) for k in first]
+        columns = [self.event_id, self.time_unix, self.blocks, self.power]
+        columns += [] if self.duration_s is None else [self.duration_s]
+        return hash_quarters(paths, path_of, np.argsort(self._keys), self.time_unix, columns)
+
+    @cached_property
+    def key_codes(self) -> Mapping[str, tuple[NDArray[Any], NDArray[np.int64]]]:
+        """For each column of the key what occurs in it, rising, and which of these each row has, shape (row,)."""
+        names = {name: np.unique(getattr(self, name)) for name in _KEY}
+        return {name: (found, np.searchsorted(found, getattr(self, name))) for name, found in names.items()}
+
+    @cached_property
+    def _keys(self) -> NDArray[np.int64]:
+        """One number a row that puts rows in order of station, antenna, dipole and event, shape (row,)."""
+        keys = np.zeros(len(self), dtype=np.int64)
+        for names, codes in self.key_codes.values():
+            keys = keys * names.size + codes
+        return keys
+
+
+def read_spectra(path: Path, now_unix: float | None = None) -> Spectra:
+    """Read a spectra file without its flagged spectra; with `now_unix`, refuse spectra of the future."""
+    if not path.is_file():
+        raise UnreadableFileError(
+            f"{path}: expected a spectra file, found {'a folder' if path.is_dir() else 'no file'}"
+        )
+    if path.stat().st_size == 0:
+        raise UnreadableFileError(f"{path}: expected a spectra file (HDF5), found an empty file")
+    try:
+        with h5py.File(path, "r") as file:
+            content = _read_open_file(file, path.name)
+    except HDF5_FAILURES as error:
+        reason = str(error)[:120]
+        raise UnreadableFileError(
+            f"{path}: expected a spectra file (HDF5), found something unreadable ({reason})"
+        ) from error
+    spectra = Spectra(**content, origin=path.name).without_flagged()
+    if len(spectra) == 0 and spectra.left_out:
+        raise BadInputError(
+            f"{path}: flag", "a spectrum that is not flagged", f"all {sum(spectra.left_out.values())} are"
+        )
+    if now_unix is not None:
+        spectra.require_past(now_unix)
+    return spectra
+
+
+def read_columns(content: bytes, place: str, largest_bytes: int) -> dict[str, Any]:
+    """Read the bytes of a spectra file into the fields of `Spectra`, which has not checked them yet; none is flagged.
+
+    Parameters
+    ----------
+    place
+        What the bytes are, for messages.
+    largest_bytes
+        The most that any column may take in memory.
+    """
+    try:
+        with h5py.File(h5py.h5f.open_file_image(content), "r") as file:
+            columns = _read_open_file(file, place, largest_bytes)
+    except HDF5_FAILURES as error:
+        reason = str(error)[:120]
+        sentence = f"{place}: expected a spectra file (HDF5), found something unreadable ({reason})"
+        raise UnreadableFileError(sentence) from error
+    flagged = np.flatnonzero(columns.pop("flag", np.array([""])) != "")
+    if flagged.size:
+        raise BadInputError(
+            f"{place}: flag, row {flagged[0]}", "no flagged spectra (lbacal ingest leaves them out)", "one"
+        )
+    return columns
+
+
+def _read_open_file(file: h5py.File, place: str, largest_bytes: int | None = None) -> dict[str, Any]:
+    """Everything in the file by the names of `Spectra`; types and shapes are settled before any data are read."""
+    found_format = file.attrs.get("format", "none")
+    if not isinstance(found_format, str | bytes) or read_text(found_format, f"{place}: attribute format") != FORMAT:
+        raise BadInputError(f"{place}: attribute format", FORMAT, repr(found_format))
+    names = set(file)
+    missing, unknown = sorted(set(_KINDS) - names), sorted(names - set(_KINDS) - set(_OPTIONAL) - {"env"})
+    if missing or unknown:
+        found = [f"{word} {_listed(some)}" for word, some in (("no", missing), ("unknown", unknown)) if some]
+        raise BadInputError(place, f"the datasets {', '.join(_KINDS)} and the group env", "; ".join(found))
+    kinds = _KINDS | {name: kind for name, kind in _OPTIONAL.items() if name in names}
+    if "env" in names:
+        if not is_in_file(file, "env") or not isinstance(file["env"], h5py.Group):
+            raise BadInputError(f"{place}: env", "a group in this file", "something else")
+        kinds |= {f"env/{name}": NUMBERS for name in file["env"]}
+    datasets = {name: open_dataset(file, name, kind, f"{place}: {name}") for name, kind in kinds.items()}
+    _require_shapes(datasets, place)
+    for name, dataset in datasets.items():
+        if largest_bytes is not None and dataset.nbytes > largest_bytes:
+            raise BadInputError(f"{place}: {name}", f"at most {largest_bytes} bytes", f"{dataset.nbytes}")
+    values = {name: read_values(datasets[name], kind, f"{place}: {name}") for name, kind in kinds.items()}
+    return {
+        **{name: values[name] for name in values if not name.startswith("env/")},
+        "resistance_ohm": _resistance(file, place),
+        "environment": {name.removeprefix("env/"): values[name] for name in values if name.startswith("env/")},
+    }
+
+
+def _require_shapes(datasets: Mapping[str, h5py.Dataset], place: str) -> None:
+    """One row per entry of event_id, one channel per entry of frequency_mhz."""
+    for name in ("event_id", "frequency_mhz"):
+        if datasets[name].ndim != 1 or datasets[name].shape is None:
+            raise BadInputError(f"{place}: {name}", "one dimension", f"shape {datasets[name].shape}")
+    rows, channels = datasets["event_id"].shape[0], datasets["frequency_mhz"].shape[0]
+    for name, dataset in datasets.items():
+        if name == "power" and dataset.shape != (rows, channels):
+            expected = f"{rows} rows as in event_id and {channels} channels as in frequency_mhz"
+            raise BadInputError(f"{place}: power", expected, f"shape {dataset.shape}")
+        if name == "width_mhz" and dataset.shape != (channels,):
+            raise BadInputError(f"{place}: width_mhz", f"{channels} channels as in frequency_mhz", f"{dataset.shape}")
+        if name not in ("power", "frequency_mhz", "width_mhz") and dataset.shape != (rows,):
+            raise BadInputError(f"{place}: {name}", f"{rows} rows as in event_id", f"shape {dataset.shape}")
+
+
+def _resistance(file: h5py.File, place: str) -> float:
+    found = file.attrs.get("resistance_ohm", 50.0)
+    values = np.unique(np.asarray(found))
+    if values.size != 1 or values.dtype.kind not in "fiu":
+        raise BadInputError(f"{place}: attribute resistance_ohm", "one number", f"{found}")
+    return float(values[0])
+
+
+def _listed(names: list[str]) -> str:
+    """Names for a sentence: in quotes where they are odd, and not thousands of them."""
+    shown = [name if name.isprintable() and len(name) < 40 else ascii(name)[:40] for name in names[:5]]
+    return ", ".join(shown) + (f" and {len(names) - 5} more" if len(names) > 5 else "")
+
+
+def write_spectra(spectra: Spectra, file: Path | IO[bytes]) -> None:
+    """Write a spectra file; the same spectra make the same bytes."""
+    with h5py.File(file, "w") as opened:
+        opened.attrs["format"] = FORMAT
+        opened.attrs["resistance_ohm"] = spectra.resistance_ohm
+        opened["frequency_mhz"] = spectra.frequency_mhz
+        opened["power"] = spectra.power
+        for name in _COLUMNS:
+            values = getattr(spectra, name)
+            # texts of one length: ten times as fast to write and read as texts that each have their own
+            opened[name] = np.char.encode(values, "utf-8") if values.dtype.kind == "U" else values
+        for name in _OPTIONAL:
+            values = getattr(spectra, name)
+            if values is not None:
+                opened[name] = np.char.encode(values, "utf-8") if values.dtype.kind == "U" else values
+        for name, values in spectra.environment.items():
+            opened[f"env/{name}"] = values
+
+
+# Spectra of several files as one: the same channels, every spectrum once.
+
+
+def join_spectra(parts: Sequence[Spectra]) -> Spectra:
+    """Join spectra of one experiment, such as one file a month.
+
+    A spectrum that stands in two files is taken once if it is the same in both, and is an error if it is not. A
+    covariate that a file lacks is unknown there.
+    """
+    if len(parts) == 1:
+        return parts[0]
+    first = parts[0]
+    for one in parts[1:]:
+        require_same_grid(one.origin, one.frequency_mhz, first.frequency_mhz, first.origin)
+        if one.resistance_ohm != first.resistance_ohm:
+            raise BadInputError(
+                f"{one.origin}: resistance_ohm",
+                f"{first.resistance_ohm:g} as in {first.origin}",
+                f"{one.resistance_ohm:g}",
+            )
+        if not np.array_equal(one.channel_widths(), first.channel_widths()):
+            raise BadInputError(f"{one.origin}: width_mhz", f"those of {first.origin}", "others")
+        if (one.duration_s is None) != (first.duration_s is None):
+            has, lacks = (one, first) if first.duration_s is None else (first, one)
+            raise BadInputError(f"{lacks.origin}: duration_s", f"durations as in {has.origin}", "none")
+    parts = _without_repetitions(parts)
+    names = sorted({name for part in parts for name in part.environment})
+    durations = [part.duration_s for part in parts if part.duration_s is not None]
+    return Spectra(
+        first.frequency_mhz,
+        np.concatenate([part.power for part in parts]),
+        np.concatenate([part.event_id for part in parts]),
+        np.concatenate([part.time_unix for part in parts]),
+        np.concatenate([part.station for part in parts]),
+        np.concatenate([part.antenna for part in parts]),
+        np.concatenate([part.dipole for part in parts]),
+        np.concatenate([part.blocks for part in parts]),
+        first.resistance_ohm,
+        {name: np.concatenate([_covariate(part, name) for part in parts]) for name in names},
+        f"{first.origin} and {len(parts) - 1} more",
+        first.width_mhz,
+        np.concatenate(durations) if durations else None,
+        left_out={flag: sum(part.left_out.get(flag, 0) for part in parts) for part in parts for flag in part.left_out},
+    )
+
+
+def _covariate(part: Spectra, name: str) -> Floats:
+    return part.environment.get(name, np.full(len(part), np.nan))
+
+
+def _without_repetitions(parts: Sequence[Spectra]) -> list[Spectra]:
+    """The parts without the rows that an earlier one has."""
+    sizes = [len(part) for part in parts]
+    keys = np.zeros(sum(sizes), dtype=np.int64)
+    for name in ("station", "antenna", "dipole", "event_id"):
+        found, codes = np.unique(np.concatenate([getattr(part, name) for part in parts]), return_inverse=True)
+        keys = keys * found.size + codes
+    order = np.argsort(keys, kind="stable")
+    repeats = order[1:][keys[order[1:]] == keys[order[:-1]]]
+    first_of = dict(zip(keys[order[::-1]].tolist(), order[::-1].tolist(), strict=True)) if repeats.size else {}
+    starts = np.concatenate([[0], np.cumsum(sizes)])
+    keep = np.ones(keys.size, dtype=bool)
+    for at in repeats.tolist():
+        (one, row), (other, other_row) = (
+            (int(part := np.searchsorted(starts, k, side="right") - 1), int(k - starts[part]))
+            for k in (at, first_of[int(keys[at])])
+        )
+        _require_same(parts[one], row, parts[other], other_row)
+        keep[at] = False
+    chosen = np.split(keep, starts[1:-1])
+    return [part if np.all(rows) else part.select(rows) for part, rows in zip(parts, chosen, strict=True)]
+
+
+def _require_same(part: Spectra, row: int, other: Spectra, other_row: int) -> None:
+    """Refuse two spectra of one path in one event that differ."""
+    is_same = part.time_unix[row] == other.time_unix[other_row] and part.blocks[row] == other.blocks[other_row]
+    if not (is_same and np.array_equal(part.power[row], other.power[other_row])):
+        raise BadInputError(
+            f"{part.origin}: row {row}",
+            f"{part.name_row(row)} as in {other.origin}, row {other_row}",
+            "another spectrum",
+        )
