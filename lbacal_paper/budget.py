@@ -14,7 +14,7 @@ import numpy as np
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.curves import covariance
 from lbacal_core.curves.curves import CalibrationCurve
-from lbacal_core.data.tables import DIPOLES
+from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.grids import Floats
 from lbacal_core.sky.names import DEFAULT_SKY, MEASURED_SKY, list_skies, load_sky
 from lbacal_core.skypower.model import compute_sky_power, vary_sky_power

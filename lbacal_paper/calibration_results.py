@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lbacal_core.data.tables import DIPOLES
+from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.lstcurve.compare import compare_lst_curve
 from lbacal_core.skypower.model import vary_sky_power
 from lbacal_core.uncertainty.refit import ZENITH_GAIN

@@ -10,7 +10,8 @@ from lbacal_core.antenna.circuit import ResonanceCircuit
 from lbacal_core.antenna.model import zenith_gain
 from lbacal_core.antenna.names import load_antenna
 from lbacal_core.calibration.antenna_noise import noise_at_input
-from lbacal_core.data.tables import DIPOLES, read_table
+from lbacal_core.data.lofar import DIPOLES
+from lbacal_core.data.tables import read_table
 from lbacal_core.grids import Floats
 from lbacal_core.lstcurve.compare import AS_RECORDED, BAND_MHZ, band_weights, in_db, simulate_band_power
 from lbacal_paper.budget import Budget

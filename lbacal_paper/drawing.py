@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from lbacal.cli.figure_style import COLOURS, MARKERS, SETTINGS
+from lbacal.cli.report_pages import COLOURS, MARKERS, SETTINGS
 from lbacal_paper.figures import BAND, BOXES, LINE, OTHER, PUBLISHED, Panel, PaperFigure, Series
 
 WIDTHS = (1.6, 1.2, 1.2, 1.2, 1.2, 1.2, 1.2)

@@ -9,7 +9,7 @@ from typing import Any
 
 from threadpoolctl import threadpool_limits
 
-from lbacal_core.data.tables import DIPOLES
+from lbacal_core.data.lofar import DIPOLES
 from lbacal_paper.budget import Budget, compute_budget
 from lbacal_paper.calibration_results import find_about_calibration
 from lbacal_paper.chain_figures import make_chain_figures

@@ -9,7 +9,8 @@ import numpy as np
 from lbacal_core.calibration.antenna_noise import noise_at_input
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.calibration.lines import fit_lines
-from lbacal_core.data.tables import DIPOLES, read_table
+from lbacal_core.data.lofar import DIPOLES
+from lbacal_core.data.tables import read_table
 from lbacal_core.discovery.curve_fit import GRID_HOURS, CurveFitter, gather_curve, list_choices
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.sidereal import local_sidereal_time

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from lbacal_core.data.tables import DIPOLES
+from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.grids import Floats
 from lbacal_core.traces.voltage import relative_errors
 from lbacal_paper.budget import MEASURED, TIED, Budget

@@ -10,7 +10,7 @@ import numpy as np
 from lbacal_core.antenna.names import DEFAULT_ANTENNA, load_antenna
 from lbacal_core.calibration.antenna_noise import recorded_background
 from lbacal_core.curves import covariance
-from lbacal_core.data.tables import DIPOLES
+from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.grids import Floats
 from lbacal_paper.budget import MEASURED, OTHER_SKY, TIED, Budget
 from lbacal_paper.reference_source import (

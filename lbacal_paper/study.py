@@ -15,7 +15,8 @@ import numpy as np
 
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.curves.curves import CalibrationCurve, FitReport
-from lbacal_core.data.tables import DIPOLES, read_table
+from lbacal_core.data.lofar import DIPOLES
+from lbacal_core.data.tables import read_table
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument, load_instrument
 from lbacal_core.lstcurve.compare import Comparison, compare_lst_curve

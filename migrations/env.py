@@ -5,7 +5,7 @@ from __future__ import annotations
 from alembic import context
 from sqlalchemy import text
 
-from service.schema.drift import SCHEMA
+from service.schema.tables import SCHEMA
 
 LOCK = 5_240_122
 """Names the lock of PostgreSQL that lets one upgrade at a time go on; on SQLite the transaction itself is that lock."""

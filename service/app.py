@@ -27,9 +27,7 @@ from service.handlers import (
     session,
     spectra,
 )
-from service.handlers.edge import Edge
-from service.handlers.head import AnswersHead
-from service.handlers.limits import KeyGuard
+from service.handlers.edge import AnswersHead, Edge, KeyGuard
 from service.handlers.metrics import Traffic
 from service.handlers.request import LARGE_READS, require_acceptable, require_known_query
 

@@ -17,17 +17,14 @@ from lbacal_core.skypower.table import SkyPower, read_sky_power
 from service.config import Settings
 from service.storage.database import Database
 from service.usecases.alarms import Alarms
-from service.usecases.calibrations import Calibrations
+from service.usecases.calibrations import Calibrations, LastMade
 from service.usecases.cuts import Cuts
-from service.usecases.deeds import Deeds
 from service.usecases.drift import Drift
 from service.usecases.intake import Intake
 from service.usecases.keys import Keys
-from service.usecases.last_made import LastMade
-from service.usecases.orders import Limits
-from service.usecases.promotions import Promotions
+from service.usecases.orders import Deeds, Limits
+from service.usecases.promotions import Promotions, Tags
 from service.usecases.status import Status
-from service.usecases.tags import Tags
 from service.wire.hdf5_body import FileReader
 
 if TYPE_CHECKING:
@@ -36,9 +33,9 @@ if TYPE_CHECKING:
     from service.usecases.drift_measurement import DriftMeasurement
     from service.usecases.due import DueWork
     from service.usecases.fits import Fits
-    from service.usecases.inputs import Inputs
     from service.usecases.investigations import Investigations
     from service.usecases.models import Models
+    from service.usecases.orders import Inputs
     from service.usecases.payoff import Payoff
     from service.usecases.refits import Jobs, Refits
     from service.usecases.watch import Watch
@@ -119,14 +116,14 @@ class Factory:
     @cached_property
     def inputs(self) -> Inputs:
         """What fits are made with here, besides spectra."""
-        from service.usecases.inputs import name_inputs
+        from service.usecases.orders import name_inputs
 
         return name_inputs(self.instrument, self.sky_power)
 
     @cached_property
     def refits(self) -> Refits:
         """New versions."""
-        from service.usecases.examination import Examination
+        from service.usecases.fits import Examination
         from service.usecases.gate import Gate
         from service.usecases.refits import Refits
 

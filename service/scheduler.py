@@ -14,7 +14,7 @@ from apscheduler.triggers.interval import IntervalTrigger
 from service.errors import UnavailableError
 from service.factory import Factory
 from service.storage.processes import SCHEDULER
-from service.usecases.pulse import Pulse
+from service.usecases.status import Pulse
 
 log = structlog.get_logger()
 AGAIN_S = 600

@@ -16,10 +16,10 @@ from service.storage.jobs import LeaseLostError, Part
 from service.storage.processes import WORKER
 from service.usecases.alarms import describe_failed
 from service.usecases.drift_measurement import KIND as DRIFT
-from service.usecases.inputs import explain_difference
 from service.usecases.investigations import KIND as INVESTIGATION
-from service.usecases.pulse import Pulse, name_process
+from service.usecases.orders import explain_difference
 from service.usecases.refits import KIND as REFIT
+from service.usecases.status import Pulse, name_process
 from service.usecases.watch import KIND as WATCH
 
 log = structlog.get_logger()

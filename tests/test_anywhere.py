@@ -21,17 +21,16 @@ FOR_LOFAR = {
 """What may name LOFAR, its letters or its band, and why."""
 PIVOTS = {
     "causes/amplifier.py": "the slope of N_LNA is about 55 MHz by its definition",
-    "causes/conditions.py": "levels at 55 MHz by the definition of their causes",
+    "causes/cause.py": "levels at 55 MHz by the definition of their causes",
     "causes/interference.py": "the same",
     "causes/sky.py": "levels at 55 MHz, tau at 30 MHz by their definitions",
     "skypower/sky_terms.py": "an error that is stated from 50 to 30 MHz",
-    "uncertainty/changes.py": "an error that is stated at 30, 55 and 80 MHz",
+    "uncertainty/refit.py": "an error that is stated at 30, 55 and 80 MHz",
     "sky/maps.py": "nodes of a power law",
-    "instrument.py": "a longitude",
-    "drift/noise.py": "months",
+    "instrument/instrument.py": "a longitude",
+    "drift/model.py": "months",
     "audit/sky_match.py": "degrees",
     "antenna/names.py": "a permittivity",
-    "antenna/tilted.py": "degrees",
     "antenna/varied.py": "degrees",
 }
 """Files in which 30, 55 or 80 stand, and what they are there."""

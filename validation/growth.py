@@ -35,8 +35,7 @@ from service.storage.drift import MonthlyRatio
 from service.storage.migration import upgrade
 from service.storage.versions import Version
 from service.usecases.calibrations import select_paths
-from service.usecases.months import keep_missing, keep_months
-from service.usecases.years import start_of_year
+from service.usecases.drift import keep_missing, keep_months, start_of_year
 from service.wire.bodies import TagBody
 from validation.machinery.claims import Found, exactly
 from validation.machinery.parts import Part, Row

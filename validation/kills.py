@@ -37,7 +37,7 @@ from service.logs import configure_logs
 from service.storage.database import Database
 from service.storage.migration import upgrade
 from service.usecases.calibrations import select_paths
-from service.usecases.examination import SMALLEST_SHIFT
+from service.usecases.fits import SMALLEST_SHIFT
 from service.wire.instants import parse_instant
 from service.worker import Worker
 from validation.machinery.claims import Found, rate_of

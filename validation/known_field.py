@@ -16,7 +16,8 @@ from lbacal_core.antenna.ideal import ShortDipole
 from lbacal_core.antenna.model import AntennaModel, Complexes, zenith_gain
 from lbacal_core.antenna.names import load_antenna
 from lbacal_core.antenna.unfolding import jones_matrix, unfold_field
-from lbacal_core.data.tables import DIPOLES, read_table
+from lbacal_core.data.lofar import DIPOLES
+from lbacal_core.data.tables import read_table
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument, load_instrument
 from lbacal_core.skypower.power import RESISTANCE_OHM

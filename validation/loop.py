@@ -40,7 +40,7 @@ from service.scheduler import look_for_due_work
 from service.storage.migration import upgrade
 from service.storage.versions import Version
 from service.usecases.calibrations import select_paths
-from service.usecases.years import start_of_year
+from service.usecases.drift import start_of_year
 from service.wire.bodies import AdoptionBody, InvestigationBody, ReasonBody, RefitBody
 from service.wire.instants import format_instant
 from service.worker import Worker

@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from lbacal.cli.curve_figures import name_hypothesis
-from lbacal_core.data.tables import DIPOLES
+from lbacal.cli.curve_page import name_hypothesis
+from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.discovery.curve_fit import CurveFit
 from lbacal_core.discovery.curve_search import CurveInvestigation, describe_curve, investigate_curve
 from lbacal_core.grids import Floats

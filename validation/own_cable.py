@@ -16,7 +16,7 @@ import numpy as np
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.calibration.spreads import ToldCurve, carry_to_path
 from lbacal_core.curves.curves import UNCERTAIN, FitReport
-from lbacal_core.data.tables import DIPOLES
+from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.instrument.instrument import Instrument, load_instrument
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.table import SkyPower

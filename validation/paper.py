@@ -23,7 +23,7 @@ from lbacal_core.calibration.antenna_noise import (
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.curves.covariance import Budget
 from lbacal_core.curves.curves import CalibrationCurve
-from lbacal_core.data.tables import DIPOLES
+from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument, load_instrument
 from lbacal_core.skypower.model import compute_sky_power

@@ -38,7 +38,7 @@ from service.logs import configure_logs
 from service.storage.failures import FULL, READ_ONLY
 from service.storage.migration import upgrade
 from service.storage.processes import WORKER
-from service.usecases.pulse import Pulse
+from service.usecases.status import Pulse
 from validation.machinery.claims import Found, rate_of
 from validation.machinery.parts import Part, Row
 from validation.running.clients import Clients, Record, ask_pinned

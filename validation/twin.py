@@ -14,7 +14,7 @@ import numpy as np
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.calibration.singles import MIN_EVENTS
 from lbacal_core.curves.curves import CalibrationCurve
-from lbacal_core.data.tables import DIPOLES
+from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.table import SkyPower

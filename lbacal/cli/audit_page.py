@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from lbacal.cli.figures import DIPOLE_COLOURS, GREY
-from lbacal.cli.report_pages import embed, fill_report
+from lbacal.cli.report_pages import DIPOLE_COLOURS, GREY, embed, fill_report
 from lbacal_core.audit.antennas import compare_paths
 from lbacal_core.audit.audit import AuditReport
 from lbacal_core.audit.station import AuditedStation

@@ -12,8 +12,7 @@ import numpy as np
 import typer
 
 from lbacal.cli.fit_inputs import find_spectra_files, parse_selection, read_selected
-from lbacal.cli.outputs import require_image, require_outputs
-from lbacal.cli.progress import progress
+from lbacal.cli.outputs import progress, require_image, require_outputs
 from lbacal.cli.with_model import HELP, read_model, read_open_terms, report_path
 from lbacal.files import written_beside
 from lbacal_core.curves.curves import CalibrationCurve
@@ -196,8 +195,7 @@ def _draw(
     sentences: Sequence[str],
 ) -> None:
     """Draw the figure once, for both outputs."""
-    from lbacal.cli.fit_figures import average_residuals, draw_fit
-    from lbacal.cli.fit_page import draw_page
+    from lbacal.cli.fit_page import average_residuals, draw_fit, draw_page
 
     figure = draw_fit(result, average_residuals(measured, result.curves, chain, power), chain, power)
     if plot is not None:

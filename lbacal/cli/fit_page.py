@@ -2,14 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from itertools import cycle
+from typing import Any
 
+import numpy as np
 from matplotlib.figure import Figure
 
 from lbacal.cli.fit_summary import MOST_ROWS, explain_chi2, tabulate_curves
-from lbacal.cli.report_pages import embed, fill_report
+from lbacal.cli.report_pages import COLOURS, DIPOLE_COLOURS, GREY, embed, fill_report
+from lbacal_core.calibration.antenna_noise import noise_at_input
 from lbacal_core.curves.covariance import Budget
-from lbacal_core.curves.curves import FitReport
+from lbacal_core.curves.curves import MISFIT, OK, CalibrationCurve, FitReport
+from lbacal_core.grids import Floats
+from lbacal_core.instrument.instrument import Instrument
+from lbacal_core.skypower.table import SkyPower
+from lbacal_core.spectra.blocks import iterate_blocks
+from lbacal_core.spectra.spectra import Spectra
+from lbacal_core.uncertainty.one_event import map_departures
+from lbacal_core.uncertainty.refit import largest_chi2_per_dof
 
 
 def draw_page(report: FitReport, figure: Figure, source: str, sentences: Sequence[str]) -> str:
@@ -46,3 +57,155 @@ def _describe_terms(budget: Budget) -> dict[str, object]:
         for term in budget.terms
     ]
     return {"digest": budget.digest, "rows": rows, "polarisations": " / ".join(budget.terms[0].vectors)}
+
+
+# The figure of a fit: C with its bands, residual maps, noise terms and chi2, a column for each polarisation.
+
+WITHIN_1_SIGMA = (15.87, 84.13)
+SMALLEST_LIMIT = 0.5
+"""Per cent: the colours of a residual map go no further down, else noise alone would fill them."""
+LARGEST_LINEAR = 5.0
+"""A chi2 per degree of freedom above which a linear axis would show the good curves as one line."""
+LEGEND_ROOM = 1.45
+STYLES = ("--", "-.", ":", (0, (5, 1)), (0, (1, 3)), (0, (3, 1, 1, 1)), (0, (7, 3)))
+"""Lines of the noise terms, in the order of the chain."""
+
+
+def average_residuals(
+    spectra: Spectra, curves: Sequence[CalibrationCurve], instrument: Instrument, sky_power: SkyPower
+) -> dict[str, Floats]:
+    """Residual maps of each polarisation, the mean over stations, shape (lst, freq); NaN where nothing was measured."""
+    maps: dict[str, list[Floats]] = {}
+    for block in iterate_blocks(spectra):
+        maps.setdefault(block.dipole, []).append(map_departures(block, curves, instrument, sky_power))
+    means = {}
+    for dipole, found in sorted(maps.items()):
+        known = np.isfinite(found)
+        with np.errstate(invalid="ignore"):
+            means[dipole] = np.where(known, found, 0.0).sum(axis=0) / known.sum(axis=0)
+    return means
+
+
+def draw_fit(report: FitReport, maps: Mapping[str, Floats], instrument: Instrument, sky_power: SkyPower) -> Figure:
+    """All of a fit on one page.
+
+    Parameters
+    ----------
+    maps
+        From `average_residuals`.
+    """
+    curves = [curve for curve in report.curves if curve.c is not None]
+    dipoles = sorted({str(curve.dipole) for curve in curves}) or list(maps)
+    figure = Figure(figsize=(4.9 * len(dipoles), 13.5), layout="constrained")
+    axes: Any = figure.subplots(4, len(dipoles), squeeze=False, sharey="row", height_ratios=[1.3, 1, 1, 0.8])
+    image = None
+    for column, dipole in zip(axes.T, dipoles, strict=True):
+        own = [curve for curve in curves if curve.dipole == dipole]
+        _draw_c(column[0], own, dipole)
+        image = _draw_map(column[1], maps, dipole, instrument.frequency_mhz) or image
+        _draw_noise(column[2], own, instrument, sky_power.power[dipole].mean(axis=0))
+        _draw_chi2(column[3], own)
+    if image is not None:
+        figure.colorbar(image, ax=axes[1], label="measured / predicted - 1 (%)")
+    axes[0, 0].set_ylabel("C (V per ADC unit)")
+    axes[1, 0].set_ylabel("local sidereal time (h)")
+    axes[2, 0].set_ylabel("power at the start of the chain\n(unit of P_sky)")
+    axes[3, 0].set_ylabel("chi² per degree of freedom")
+    return figure
+
+
+def _draw_c(axes: Any, curves: Sequence[CalibrationCurve], dipole: str) -> None:
+    """C of one curve, or the median of several, with the statistical and the total error."""
+    axes.set(title=f"polarisation {dipole}", xlabel="frequency (MHz)")
+    if not curves:
+        return
+    frequency, colour = curves[0].frequency_mhz, DIPOLE_COLOURS.get(dipole, COLOURS[0])
+    c = np.array([curve.c for curve in curves], dtype=float)
+    middle = np.nanmedian(c, axis=0)
+    stat, sys = (_median_error(curves, name) for name in ("c_sigma_stat", "c_sigma_sys"))
+    total = np.hypot(stat, np.nan_to_num(sys))
+    name = curves[0].name if len(curves) == 1 else f"median of {len(curves)} curves"
+    axes.fill_between(
+        frequency, middle * (1 - total), middle * (1 + total), color=colour, alpha=0.2, lw=0, label="total error"
+    )
+    axes.fill_between(
+        frequency, middle * (1 - stat), middle * (1 + stat), color=colour, alpha=0.6, lw=0, label="statistical error"
+    )
+    if len(curves) > 1:
+        low, high = np.nanpercentile(c, WITHIN_1_SIGMA, axis=0)
+        for edge, label in ((low, "68 % of the curves"), (high, None)):
+            axes.plot(frequency, edge, color=GREY, lw=0.9, ls="--", label=label)
+    axes.plot(frequency, middle, color=colour, lw=1.4, label=name)
+    flagged = np.mean([curve.flags != OK for curve in curves], axis=0) > 0.5
+    if np.any(flagged):
+        axes.plot(
+            frequency[flagged], np.zeros(flagged.sum()), "x", color="black", ms=4, clip_on=False,
+            transform=axes.get_xaxis_transform(), label="flagged",
+        )  # fmt: skip
+    axes.legend(fontsize=8, frameon=False)
+
+
+def _median_error(curves: Sequence[CalibrationCurve], name: str) -> Floats:
+    found = [values / np.asarray(curve.c) for curve in curves if (values := getattr(curve, name)) is not None]
+    return np.asarray(np.nanmedian(found, axis=0)) if found else np.full(curves[0].frequency_mhz.shape, np.nan)
+
+
+def _draw_map(axes: Any, maps: Mapping[str, Floats], dipole: str, frequency_mhz: Floats) -> Any:
+    """Measured over predicted power against LST and frequency."""
+    axes.set(xlabel="frequency (MHz)", ylim=(0, 24), yticks=range(0, 25, 6))
+    if dipole not in maps or not np.any(np.isfinite(list(maps.values()))):
+        return None
+    limit = max(100 * float(np.nanpercentile(np.abs(np.stack(list(maps.values()))), 99)), SMALLEST_LIMIT)
+    extent = (frequency_mhz[0] - 0.5, frequency_mhz[-1] + 0.5, 0.0, 24.0)
+    axes.set_facecolor("0.85")
+    return axes.imshow(
+        100 * maps[dipole], origin="lower", aspect="auto", extent=extent, cmap="RdBu_r", vmin=-limit, vmax=limit,
+        interpolation="nearest",
+    )  # fmt: skip
+
+
+def _draw_noise(axes: Any, curves: Sequence[CalibrationCurve], instrument: Instrument, sky: Floats) -> None:
+    """Sky and noise terms at the start of the chain, medians of the curves."""
+    axes.set(xlabel="frequency (MHz)", yscale="log")
+    if not curves:
+        return
+    found = [noise_at_input(curve, instrument) for curve in curves]
+    lines: list[tuple[str, Floats, Any]] = [("sky, mean over LST", sky, "-")]
+    for name, style in zip(found[0], cycle(STYLES), strict=False):
+        lines.append((f"N_{name.upper()}", np.nanmedian([one[name] for one in found], axis=0), style))
+    for (label, values, style), colour in zip(lines, cycle(COLOURS), strict=False):
+        axes.plot(
+            instrument.frequency_mhz, np.where(values > 0, values, np.nan), linestyle=style, color=colour, label=label
+        )
+    axes.legend(fontsize=8, frameon=False, ncols=2)
+
+
+def _draw_chi2(axes: Any, curves: Sequence[CalibrationCurve]) -> None:
+    """Both numbers of the chain test for every curve, and what noise alone makes of the first."""
+    axes.set(xlabel="curve, in the order of the table")
+    axes.xaxis.get_major_locator().set_params(integer=True)
+    if not curves:
+        return
+    channels = curves[0].frequency_mhz.size
+    at = np.arange(1, len(curves) + 1)
+    sigma = float(np.sqrt(2.0 / (channels - 3)))
+    axes.axhspan(1 - 2 * sigma, 1 + 2 * sigma, color=GREY, alpha=0.2, lw=0, label="expected of noise, 95 %")
+    axes.axhline(largest_chi2_per_dof(channels), color=GREY, lw=0.9, ls="--", label="errors are widened above")
+    largest = largest_chi2_per_dof(channels)
+    for name, label, style in (
+        ("chi2_per_dof", "noise alone", {"marker": "o", "color": COLOURS[2]}),
+        ("chi2_per_dof_profiled", "sky and pattern free", {"marker": "^", "mfc": "white", "color": COLOURS[1]}),
+    ):
+        values = np.array([getattr(curve, name) or np.nan for curve in curves], dtype=float)
+        axes.plot(at, values, ls="none", ms=3.5, label=label, **style)
+        largest = max(largest, float(np.nanmax(np.append(values, 0.0))), axes.get_ylim()[1] / LEGEND_ROOM)
+    wrong = np.array([curve.status == MISFIT for curve in curves])
+    if np.any(wrong):
+        axes.plot(at[wrong], np.zeros(wrong.sum()), "x", color="black", clip_on=False, label="misfit",
+                  transform=axes.get_xaxis_transform())  # fmt: skip
+    if largest > LARGEST_LINEAR:
+        axes.set_yscale("log")
+        axes.yaxis.set_major_formatter("{x:g}")
+    axes.set(xlim=(0.5, len(curves) + 0.5), ylim=(None if largest > LARGEST_LINEAR else 0.0, LEGEND_ROOM * largest))
+    axes.xaxis.get_major_locator().set_params(integer=True)
+    axes.legend(fontsize=7.5, frameon=False, ncols=2)

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from lbacal.cli.client import SHOWN, Antenna, Dipole, Station
+from lbacal.cli.client import SHOWN, Antenna, Dipole, Station, print_job
 from lbacal.client import Client
 from lbacal_core.errors import BadInputError, name_path
 
@@ -137,3 +137,166 @@ def print_act(done: dict[str, Any], *, dry_run: bool) -> None:
         print(f"  {path}, {one['from']} to {one['to'] or OPEN}: {names[0]} -> {names[1]}{size}")
     if len(changes) > SHOWN:
         print(f"  and {len(changes) - SHOWN} more")
+
+
+# `lbacal adopt`, `models`, `abandon`: what the fits of stations assume beside the signal chain.
+
+Wait = Annotated[bool, typer.Option(help="Wait until the refits have ended.")]
+
+
+def adopt(
+    investigation: Annotated[str, typer.Argument(help="Investigation, or six or more first digits of its id.")],
+    reason: Reason,
+    finding: Annotated[str, typer.Option(help="Number of the finding in its report, or unexplained.")] = "0",
+    promote: Annotated[bool, typer.Option("--promote", help="Put into effect what passes the gate.")] = False,
+    dry_run: DryRun = False,
+    wait: Wait = True,
+) -> None:
+    """Adopt a finding: from its window on, fits of the station have the cause; the windows it touches are fitted again.
+
+    Example: lbacal adopt 4798c009 --finding 0 --reason "the cables were exchanged" --dry-run
+    """
+    body = {"finding": int(finding) if finding.isdecimal() else finding, "reason": reason, "promote": promote}
+    with Client() as client:
+        path = f"/v1/investigations/{investigation}/adoption"
+        done = client.send("POST", path, body, dry_run=dry_run or None)
+        if dry_run:
+            print(f"model {done['model'][:12]} would be adopted: {done['cause']}")
+            _print_promise(*done["promise"])
+            print_act(done, dry_run=True)
+            return
+        print(f"model {done['model'][:12]} is adopted; withdraw it with `lbacal abandon {done['model'][:12]}`")
+        follow(client, done["jobs"], wait=wait)
+
+
+def abandon(
+    model: Annotated[str, typer.Argument(help="Model, or six or more first digits of its id.")],
+    reason: Reason,
+    wait: Wait = True,
+) -> None:
+    """Withdraw the cause that was adopted with a model; what was in effect before answers again at once.
+
+    Example: lbacal abandon bf7c1b786b66 --reason "the cables were right"
+    """
+    with Client() as client:
+        done = client.send("POST", f"/v1/models/{model}/withdrawal", {"reason": reason})
+        print(f"the station has model {done['model'][:12]} again")
+        follow(client, done["jobs"], wait=wait)
+
+
+def models() -> None:
+    """List what was adopted and withdrawn, newest first, and what each adopted cause gained on later events.
+
+    Example: lbacal models
+    """
+    with Client() as client:
+        for one in client.get("/v1/models")["models"]:
+            print_model(one)
+
+
+def follow(client: Client, jobs: list[int], *, wait: bool) -> None:
+    """Print the refits, once they have ended if they are waited for; a failed one ends the command with 1."""
+    found = [client.wait_for(number) if wait else client.job(number) for number in jobs]
+    for job in found:
+        print_job(job)
+    if any(job["state"] == "failed" for job in found):
+        raise typer.Exit(1)
+
+
+def _print_promise(gain: float, sigma: float) -> None:
+    """Print what a cause is to gain on as many events again, once the selection of the largest score is taken off."""
+    doubt = "" if gain > 0.0 else "; so small a finding is not expected to pay"
+    print(f"promised on as many events again: log-likelihood {gain:+.1f} ± {sigma:.1f}{doubt}")
+
+
+def print_model(one: dict[str, Any]) -> None:
+    """Print an adoption or a withdrawal, and the gains of the causes that the station has from then on."""
+    now = ", in effect" if one["in_effect"] else ""
+    print(f"model {one['id'][:12]} of {one['station']}{now}, {one['at']} by {one['by']}: {one['reason']}")
+    print(f"  {one['act']}: {one['changed']}")
+    for cause in one["causes"]:
+        for gain in cause["gains"]:
+            window = f"{gain['since'][:10]} to {gain['until'][:10]}"
+            print(
+                f"  {cause['cause']} in {cause['target']}, {gain['events']} new events of {window}: log-likelihood "
+                f"{gain['log_likelihood_gain']:+.1f}, expected {gain['expected']:.1f} ± {gain['expected_sigma']:.1f}"
+            )
+
+
+# `lbacal cuts`: where the windows of antennas are cut, and decisions about that.
+
+
+def cuts(
+    lift: Annotated[int | None, typer.Option(help="Leave the windows whole at this cut; with --reason.")] = None,
+    restore: Annotated[int | None, typer.Option(help="Cut the windows again at this cut; with --reason.")] = None,
+    reason: Annotated[str | None, typer.Option(help="Why; it is kept.")] = None,
+    station: Station = None,
+) -> None:
+    """List where the windows of antennas are cut because drift found a change there; lift a cut, or restore it.
+
+    Example: lbacal cuts --lift 3 --reason "snow lay on the antenna"
+    """
+    asked = [(number, act) for number, act in ((lift, "lift"), (restore, "restoration")) if number is not None]
+    if len(asked) > 1 or (reason is None) == bool(asked):
+        raise BadInputError("cuts", "--lift or --restore, with --reason", "another combination of options")
+    with Client() as client:
+        if asked:
+            number, act = asked[0]
+            found = [client.send("POST", f"/v1/cuts/{number}/{act}", {"reason": reason})]
+        else:
+            found = client.get("/v1/cuts", station=station)["cuts"]
+    for one in found:
+        _print_cut(one)
+    if not found:
+        print("no cuts")
+
+
+def _print_cut(one: dict[str, Any]) -> None:
+    """Print a cut in one line, and the last decision about it in a second one."""
+    stands = "stands" if one["refitted"] else "found, not yet refitted"
+    state = stands if one["stands"] else ("lifted" if one["ended_at"] is None else "ended")
+    where = f"{name_path(one['station'], one['antenna'])} at {one['date'][:10]} ± {one['date_sigma_days']:.1f} d"
+    print(f"{one['cut']} {where} ({state}, made {one['made_at'][:10]})")
+    said = one["decision"]
+    if said is not None:
+        print(f"  {said['act']} {said['at'][:10]}, {said['by']}: {said['reason']}")
+
+
+# `lbacal alarms`: what is wrong, and saying that it is known.
+
+
+def alarms(
+    acknowledge: Annotated[int | None, typer.Option(help="Say that this alarm is known; with --reason.")] = None,
+    reason: Annotated[str | None, typer.Option(help="Why it is no news; it is kept.")] = None,
+    until: Annotated[str | None, typer.Option(help="Known until then, ISO 8601, UTC; without it for good.")] = None,
+    station: Station = None,
+    state: Annotated[str, typer.Option(help="open, acknowledged, ended, lasting (not ended) or all.")] = "lasting",
+) -> None:
+    """List steps and slopes of C, lost paths, stale data, misfits, named causes, failed jobs; or acknowledge one.
+
+    Example: lbacal alarms --acknowledge 12 --until 2027-03-01 --reason "the cable is ordered"
+    """
+    if (acknowledge is None) != (reason is None) or (acknowledge is None and until is not None):
+        raise BadInputError("alarms", "--acknowledge with --reason (and --until)", "one without the other")
+    with Client() as client:
+        if acknowledge is not None:
+            body = {"reason": reason, **({} if until is None else {"until": until})}
+            found = [client.send("POST", f"/v1/alarms/{acknowledge}/acknowledgement", body)]
+        else:
+            found, cursor = [], ""
+            while cursor is not None:
+                page = client.get("/v1/alarms", state=state, station=station, cursor=cursor or None)
+                found, cursor = found + page["alarms"], page["next"]
+    for one in found:
+        print_alarm(one)
+    if not found:
+        print(f"no alarms ({state})")
+
+
+def print_alarm(one: dict[str, Any]) -> None:
+    """Print an alarm in one line, and who knows of it in a second one."""
+    print(f"{one['alarm']} {one['kind']} ({one['state']}, raised {one['raised_at'][:10]}): {one['sentence']}")
+    known = one["acknowledgement"]
+    if known is not None:
+        until = f" until {known['until'][:10]}" if known["until"] else ""
+        print(f"  known{until}, {known['by']}: {known['reason']}")

@@ -15,19 +15,16 @@ from typing import Annotated, Any
 
 import typer
 
-from lbacal.cli.alarms import alarms
 from lbacal.cli.antenna_gain import antenna_gain
 from lbacal.cli.audit import audit
 from lbacal.cli.budget import budget
 from lbacal.cli.calibration_tables import check_table, export
 from lbacal.cli.client import effective, ingest, jobs, refit, sync
-from lbacal.cli.cuts import cuts
 from lbacal.cli.fit import fit
 from lbacal.cli.import_ import import_
 from lbacal.cli.investigate import investigate
-from lbacal.cli.ledger import promote, rollback, tag, withdraw
+from lbacal.cli.ledger import abandon, adopt, alarms, cuts, models, promote, rollback, tag, withdraw
 from lbacal.cli.lst_curve import lst_curve
-from lbacal.cli.models import abandon, adopt, models
 from lbacal.cli.sky_power import sky_power
 from lbacal.cli.spectra import spectra
 from lbacal.cli.status import status

@@ -33,7 +33,8 @@ def sky_power(
     from lbacal_core.instrument.instrument import load_instrument
     from lbacal_core.sky.names import default_sky, load_sky
     from lbacal_core.sky.sources import find_sources
-    from lbacal_core.skypower.model import antenna_of, compute_sky_power
+    from lbacal_core.skypower.antenna_of import antenna_of
+    from lbacal_core.skypower.model import compute_sky_power
     from lbacal_core.skypower.sources import add_sources
     from lbacal_core.skypower.table import write_sky_power
 

@@ -48,8 +48,9 @@ from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.linear import find_whitener, invert_symmetric, solve_symmetric
 from lbacal_core.provenance import hash_content
+from lbacal_core.skypower.antenna_of import antenna_of
 from lbacal_core.skypower.differences import LST_HOURS, DifferenceModels, compute_model_differences
-from lbacal_core.skypower.model import antenna_of, compute_sky_power, vary_sky_power
+from lbacal_core.skypower.model import compute_sky_power, vary_sky_power
 
 # What P_sky would be with other antennas than the one that an instrument names.
 #

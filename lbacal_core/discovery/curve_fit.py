@@ -28,7 +28,7 @@ from lbacal_core.causes.sky import sky_ratios
 from lbacal_core.chain.intercepts import Intercepts
 from lbacal_core.chain.model import ChainTerms
 from lbacal_core.chain.noise import noise_constants
-from lbacal_core.data.tables import DIPOLES
+from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.linear import find_whitener, fit_least_squares, invert_symmetric

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.special import fdtrc
 from threadpoolctl import threadpool_limits
 
-from lbacal_core.data.tables import DIPOLES
+from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.discovery.curve_fit import (
     GRID_HOURS,
     Choice,

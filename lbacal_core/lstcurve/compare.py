@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from lbacal_core.data.tables import DIPOLES, SUPERTERP, read_table
+from lbacal_core.data.lofar import DIPOLES, SUPERTERP
+from lbacal_core.data.tables import read_table
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats, require_same_grid
 from lbacal_core.instrument.instrument import Instrument

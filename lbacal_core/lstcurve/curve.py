@@ -10,7 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from lbacal_core.data.tables import DIPOLES, SHIPPED
+from lbacal_core.data.lofar import DIPOLES
+from lbacal_core.data.tables import SHIPPED
 from lbacal_core.errors import BadInputError, UnreadableFileError
 from lbacal_core.grids import Floats
 from lbacal_core.linear import fit_least_squares

@@ -36,7 +36,8 @@ from lbacal_core.sky.names import (
     load_sky,
     read_sky_level,
 )
-from lbacal_core.skypower.model import antenna_of, compute_sky_power
+from lbacal_core.skypower.antenna_of import antenna_of
+from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.modes import beam_multipoles, beam_on_equator
 from lbacal_core.skypower.power import power_per_kelvin_sr
 from lbacal_core.skypower.table import SkyPower

@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from lbacal_core.data.tables import DIPOLES
+from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats, require_channels
 from lbacal_core.traces.density import (

@@ -52,7 +52,7 @@ def backup(output: Annotated[Path, typer.Argument(help="File to write.")]) -> No
 
     Example: lbacal db backup backup.sqlite
     """
-    from service.storage.backup import copy_sqlite
+    from service.storage.migration import copy_sqlite
 
     settings = _factory().settings
     require_outputs({"OUTPUT": output}, {"LBACAL_DATABASE_URL": settings.database_url if settings.is_sqlite else None})

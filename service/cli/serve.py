@@ -37,7 +37,7 @@ def serve(
     from service.cli.opening import open_factory
     from service.storage.migration import require_current, upgrade
     from service.storage.processes import API
-    from service.usecases.pulse import Pulse
+    from service.usecases.status import Pulse
 
     factory = open_factory()
     settings = factory.settings

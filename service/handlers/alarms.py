@@ -21,9 +21,9 @@ from service.handlers.request import (
 )
 from service.storage.alarms import ACKNOWLEDGED, OPEN, STATES, Acknowledgement, Alarm
 from service.usecases.keys import Caller
+from service.wire.answer_models import AlarmAnswer, AlarmKind, AlarmsAnswer
 from service.wire.answers import describe_scope
 from service.wire.bodies import AcknowledgementBody, parse_body
-from service.wire.drift_models import AlarmAnswer, AlarmKind, AlarmsAnswer
 from service.wire.instants import DAY_US, format_instant, format_optional
 
 router = APIRouter(tags=["alarms"])

@@ -28,23 +28,13 @@ from service.handlers.request import (
     describes,
     require_read,
 )
-from service.storage.short_ids import ID_DIGITS
+from service.storage.models import ID_DIGITS
 from service.storage.versions import Version
 from service.usecases.calibrations import CurveInEffect, InEffect, WrittenCurve, select_scope
 from service.usecases.comparison import compare_versions
 from service.usecases.keys import Caller
-from service.usecases.promotions import Change
-from service.usecases.tags import Knowledge
-from service.wire.answers import (
-    describe_curve_in_effect,
-    describe_in_effect,
-    describe_promotion,
-    describe_scope,
-    to_json,
-    write_in_effect,
-)
-from service.wire.bodies import PromotionBody, parse_body
-from service.wire.calibration_models import (
+from service.usecases.promotions import Change, Knowledge
+from service.wire.answer_models import (
     BudgetAnswer,
     ChangesAnswer,
     DiffAnswer,
@@ -54,6 +44,15 @@ from service.wire.calibration_models import (
     VersionsAnswer,
     WholeVersionAnswer,
 )
+from service.wire.answers import (
+    describe_curve_in_effect,
+    describe_in_effect,
+    describe_promotion,
+    describe_scope,
+    to_json,
+    write_in_effect,
+)
+from service.wire.bodies import PromotionBody, parse_body
 from service.wire.formats import FORMATS, Format, choose_format
 from service.wire.instants import format_instant, format_optional, parse_at, parse_instant
 

@@ -8,10 +8,10 @@ from fastapi import APIRouter, Depends, Request, Response
 
 from service.handlers.problems import document
 from service.handlers.request import JobNumber, JsonBody, UseCases, answer, caller_with, describes, require_read
-from service.storage.cuts import KeptCut
+from service.storage.drift import KeptCut
 from service.usecases.keys import Caller
+from service.wire.answer_models import CutAnswer, CutsAnswer
 from service.wire.bodies import ReasonBody, parse_body
-from service.wire.drift_models import CutAnswer, CutsAnswer
 from service.wire.instants import format_instant, format_optional
 
 router = APIRouter(tags=["cuts"])

@@ -14,8 +14,8 @@ from service.handlers.problems import document
 from service.handlers.request import TAKES_TURN, AntennaQuery, UseCases, answer, require_read
 from service.usecases.calibrations import select_paths
 from service.usecases.drift import SECOND_US, DriftSeries, Step
+from service.wire.answer_models import DriftAnswer
 from service.wire.answers import describe_scope
-from service.wire.drift_models import DriftAnswer
 from service.wire.instants import format_instant
 
 router = APIRouter(tags=["drift"])

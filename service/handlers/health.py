@@ -13,11 +13,11 @@ from service.handlers.metrics import describe_state
 from service.handlers.problems import document
 from service.handlers.request import UseCases, answer, require_read
 from service.storage.jobs import Failure
+from service.usecases.alarms import StationNews
 from service.usecases.cuts import tell_not_refitted
 from service.usecases.models import list_stopped
-from service.usecases.night import StationNews
 from service.usecases.status import State
-from service.wire.calibration_models import AliveAnswer, ReadyAnswer, StatusAnswer
+from service.wire.answer_models import AliveAnswer, ReadyAnswer, StatusAnswer
 from service.wire.instants import format_instant, format_optional
 
 router = APIRouter(tags=["health"])

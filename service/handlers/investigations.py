@@ -19,12 +19,11 @@ from service.handlers.request import (
     describes,
     require_read,
 )
-from service.storage.investigations import Investigation
+from service.storage.models import Investigation
 from service.usecases.keys import Caller
-from service.wire.answer_models import RefitAnswer
+from service.wire.answer_models import InvestigationAnswer, InvestigationsAnswer, RefitAnswer
 from service.wire.answers import to_json
 from service.wire.bodies import InvestigationBody, parse_body
-from service.wire.calibration_models import InvestigationAnswer, InvestigationsAnswer
 from service.wire.instants import format_instant
 
 router = APIRouter(tags=["investigations"])

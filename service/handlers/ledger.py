@@ -22,12 +22,12 @@ from service.handlers.request import (
     describes,
     require_read,
 )
-from service.storage.tags import Tag
+from service.storage.ledger import Tag
 from service.usecases.keys import Caller
 from service.usecases.promotions import Change, Plan
+from service.wire.answer_models import PromotionsAnswer, TagAnswer, TagsAnswer
 from service.wire.answers import describe_promotion, to_json
 from service.wire.bodies import ReasonBody, TagBody, parse_body
-from service.wire.calibration_models import PromotionsAnswer, TagAnswer, TagsAnswer
 from service.wire.instants import format_instant
 
 router = APIRouter(tags=["ledger"])

@@ -24,10 +24,10 @@ from service.handlers.request import (
 from service.storage.models import Gain
 from service.usecases.keys import Caller
 from service.usecases.models import AdoptedModel, Adoption
+from service.wire.answer_models import AdoptionAnswer, AdoptionPlanAnswer, ModelsAnswer
 from service.wire.answers import to_json
 from service.wire.bodies import AdoptionBody, ReasonBody, parse_body
 from service.wire.instants import format_instant
-from service.wire.model_answers import AdoptionAnswer, AdoptionPlanAnswer, ModelsAnswer
 
 router = APIRouter(tags=["models"])
 Promoter = Annotated[Caller, caller_with("calibrations:promote")]

@@ -29,10 +29,9 @@ from service.page.render import format_day, name_scope, render_page, render_part
 from service.storage.alarms import ACKNOWLEDGED, ENDED, OPEN
 from service.storage.versions import MeanC, Version
 from service.usecases.calibrations import select_paths
-from service.usecases.drift import DriftSeries
+from service.usecases.drift import DriftSeries, Story
 from service.usecases.models import list_stopped
-from service.usecases.overview import look_over
-from service.usecases.story import Story
+from service.usecases.status import look_over
 from service.wire.formats import FORMATS
 from service.wire.instants import format_instant, parse_instant
 

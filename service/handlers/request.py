@@ -16,7 +16,7 @@ from pydantic import BaseModel, BeforeValidator
 from lbacal_core.errors import BadInputError
 from service.errors import TooLargeError, UnauthenticatedError, UnavailableError, UnsupportedMediaError
 from service.factory import Factory
-from service.handlers.limits import KeyGuard
+from service.handlers.edge import KeyGuard
 from service.usecases.keys import Caller
 from service.wire.answers import to_json
 from service.wire.formats import choose_media

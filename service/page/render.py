@@ -11,7 +11,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from lbacal_core.curves.validity import Instant, Scope
 from lbacal_core.errors import name_path, write_chance, write_change, write_percent
 from service.page.assets import load_assets
-from service.usecases.changes import name_members, tell_shapes
+from service.usecases.comparison import name_members, tell_shapes
 from service.wire.instants import format_instant
 
 SHORT_DAYS = 10.0

@@ -15,22 +15,16 @@ from sqlalchemy.exc import DBAPIError, SQLAlchemyError
 
 from service.errors import UnavailableError
 from service.storage.alarms import AlarmStore
-from service.storage.budgets import BudgetStore
-from service.storage.cuts import CutStore
-from service.storage.deeds import DeedStore
-from service.storage.drift import DriftStore
-from service.storage.examined import ExaminedStore
+from service.storage.drift import CutStore, DriftStore
 from service.storage.failures import FULL, READ_ONLY, explain_failure
-from service.storage.investigations import InvestigationStore
 from service.storage.jobs import JobStore
-from service.storage.kept_fits import KeptFitStore
-from service.storage.keys import KeyStore
-from service.storage.ledger import LedgerStore
-from service.storage.models import ModelStore
+from service.storage.kept_fits import ExaminedStore, KeptFitStore
+from service.storage.keys import DeedStore, KeyStore
+from service.storage.ledger import LedgerStore, TagStore
+from service.storage.models import InvestigationStore, ModelStore
 from service.storage.processes import ProcessStore
 from service.storage.spectra import SpectraStore
-from service.storage.tags import TagStore
-from service.storage.versions import VersionStore
+from service.storage.versions import BudgetStore, VersionStore
 
 BUSY_S = 10
 """How long SQLite waits for another process that writes."""

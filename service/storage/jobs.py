@@ -15,7 +15,7 @@ from lbacal_core.curves.validity import Instant
 from lbacal_core.provenance import canonical_json
 from service.errors import ConflictError, NotFoundError
 from service.schema.tables import HAS_FAILED, HAS_SETTLED, IS_OPEN, job, job_part
-from service.storage.clocks import read_database_clock
+from service.storage.processes import read_database_clock
 
 QUEUED, RUNNING, DONE, FAILED, CANCELLED = "queued", "running", "done", "failed", "cancelled"
 OPEN = (QUEUED, RUNNING)
@@ -39,7 +39,7 @@ class LeaseLostError(ConflictError):
 class Order:
     """A job to be made: who asked for what and why.
 
-    `inputs` are those that a worker must have for it (`service.usecases.inputs`). `due_name` names scheduled work,
+    `inputs` are those that a worker must have for it (`service.usecases.orders`). `due_name` names scheduled work,
     which is made until it is done, and then no more.
     """
 

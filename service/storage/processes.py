@@ -2,17 +2,28 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from sqlalchemy import Connection, delete, select
+from sqlalchemy import Connection, delete, select, text
 from sqlalchemy.dialects.postgresql import insert as postgresql_insert
 from sqlalchemy.dialects.sqlite import insert as sqlite_insert
 
 from lbacal_core.curves.validity import Instant
 from service.schema.tables import process
-from service.storage.clocks import read_database_clock
+
+# The database's clock: the one that all who share it agree on.
+
+
+def read_database_clock(connection: Connection) -> Instant:
+    """Now, in microseconds since 1970; with SQLite this machine's, where all who share the file run."""
+    if connection.dialect.name == "sqlite":
+        return time.time_ns() // 1000
+    now = connection.execute(text("SELECT extract(epoch FROM clock_timestamp()) * 1000000"))
+    return int(now.scalar_one())
+
 
 API, SCHEDULER, WORKER = "api", "scheduler", "worker"
 ALIVE_US = 60_000_000

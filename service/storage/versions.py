@@ -15,14 +15,104 @@ from sqlalchemy.dialects.sqlite import insert as sqlite_insert
 
 from lbacal_core.calibration.spreads import ToldCurve, carry_to_path
 from lbacal_core.curves.anomalies import NONE, Anomalies, parse_anomalies
+from lbacal_core.curves.covariance import Budget
 from lbacal_core.curves.curves import MISFIT, STATUSES, CalibrationCurve, parse_curve
-from lbacal_core.curves.reference_chain import ReferenceChain
+from lbacal_core.curves.reference_chain import CableTable, GainSpreads, ReferenceChain, parse_cable_table, parse_spreads
 from lbacal_core.curves.validity import Instant, Scope
 from lbacal_core.provenance import canonical_json, hash_content
 from service.errors import NotFoundError
-from service.schema.tables import IS_GATED, calibration, calibration_mean, promotion
-from service.storage.chains import read_cable_changes, read_chains, write_chains
-from service.storage.short_ids import complete_id
+from service.schema.tables import IS_GATED, budget, calibration, calibration_mean, chain_part, promotion
+from service.storage.models import complete_id
+
+# The reference chains of versions: members and L_ref beside the version, cables and spreads once under their hash.
+
+MANY_KEYS = 500
+PARTS_REMEMBERED = 64
+"""Tables of cables, and as many of spreads, that stay in memory; they never change, and there are few."""
+
+
+def write_chains(connection: Connection, chains: Mapping[str, Mapping[str, ReferenceChain]]) -> dict[str, str | None]:
+    """Store what the chains of versions share, and give each version's own part as canonical JSON."""
+    parts: dict[str, str] = {}
+    for chain in (chain for of_version in chains.values() for chain in of_version.values()):
+        shared = (chain.cables,) if chain.spreads is None else (chain.cables, chain.spreads)
+        for part in shared:
+            if part.digest not in parts:
+                parts[part.digest] = canonical_json(part.as_dict())
+    if parts:
+        insert: Any = sqlite_insert if connection.dialect.name == "sqlite" else postgresql_insert
+        rows = [{"sha256": digest, "content": content} for digest, content in sorted(parts.items())]
+        connection.execute(insert(chain_part).on_conflict_do_nothing(), rows)
+    return {name: _describe(of_version) for name, of_version in chains.items()}
+
+
+def _describe(chains: Mapping[str, ReferenceChain]) -> str | None:
+    if not chains:
+        return None
+    return canonical_json(
+        {
+            dipole: {
+                "members": [list(member) for member in chain.members],
+                "mean_cable_loss": chain.mean_loss.tolist(),
+                "cables": chain.cables.digest,
+                "spreads": None if chain.spreads is None else chain.spreads.digest,
+                "doubt": chain.doubt,
+            }
+            for dipole, chain in chains.items()
+        }
+    )
+
+
+def read_chains(connection: Connection, references: Mapping[str, str | None]) -> dict[str, dict[str, ReferenceChain]]:
+    """The chains of versions by dipole, from each version's own part."""
+    own = {name: {} if text is None else json.loads(text) for name, text in references.items()}
+    described = [chain for of_version in own.values() for chain in of_version.values()]
+    tables = {chain["cables"] for chain in described}
+    spreads = {chain["spreads"] for chain in described if chain["spreads"] is not None}
+    contents = dict(_read_parts(connection, tables | spreads))
+    table_of = {digest: _parse_cables(contents[digest]) for digest in tables}
+    spreads_of = {digest: _parse_spreads(contents[digest]) for digest in spreads}
+    return {
+        name: {
+            dipole: ReferenceChain(
+                members=tuple((station, antenna) for station, antenna in chain["members"]),
+                mean_loss=np.array(chain["mean_cable_loss"], dtype=float),
+                cables=table_of[chain["cables"]],
+                spreads=spreads_of.get(chain["spreads"]),
+                doubt=chain["doubt"],
+            )
+            for dipole, chain in of_version.items()
+        }
+        for name, of_version in own.items()
+    }
+
+
+def read_cable_changes(connection: Connection) -> dict[str, set[float]]:
+    """When antennas change cables, unix seconds by station, in any table that a version answers with."""
+    found: dict[str, set[float]] = {}
+    for row in connection.execute(select(chain_part)):
+        for station, _, _, *instants in json.loads(row.content).get("antennas", ()):
+            found.setdefault(station, set()).update(instant for instant in instants if instant is not None)
+    return found
+
+
+@lru_cache(PARTS_REMEMBERED)
+def _parse_cables(text: str) -> CableTable:
+    return parse_cable_table(json.loads(text))
+
+
+@lru_cache(PARTS_REMEMBERED)
+def _parse_spreads(text: str) -> GainSpreads:
+    return parse_spreads(json.loads(text))
+
+
+def _read_parts(connection: Connection, digests: Iterable[str]) -> Iterable[tuple[str, str]]:
+    wanted = sorted(digests)
+    for start in range(0, len(wanted), MANY_KEYS):
+        of_keys = chain_part.c.sha256.in_(wanted[start : start + MANY_KEYS])
+        for row in connection.execute(select(chain_part).where(of_keys)):
+            yield row.sha256, row.content
+
 
 BUDGET = "budget"
 """The input that names a budget which was not computed from the version's own spectra and those around them."""
@@ -287,3 +377,41 @@ def _value(row: Row[Any], chains: Mapping[str, ReferenceChain]) -> Version:
 def _parse_curves(text: str) -> tuple[CalibrationCurve, ...]:
     """Curves from their stored text; the same text, which never changes, is read once."""
     return tuple(parse_curve(curve) for curve in json.loads(text))
+
+
+# Budgets of systematic errors: what the curves of a fit share, stored once under its hash.
+
+
+class BudgetStore:
+    """Budgets by their hash."""
+
+    def __init__(self, connection: Connection) -> None:
+        self._connection = connection
+        self._insert: Any = sqlite_insert if connection.dialect.name == "sqlite" else postgresql_insert
+
+    def add(self, budgets: Mapping[str, Budget]) -> None:
+        """Store budgets; one that is stored already stays as it is."""
+        rows = [{"sha256": name, "content": canonical_json(one.as_dict())} for name, one in sorted(budgets.items())]
+        if rows:
+            self._connection.execute(self._insert(budget).on_conflict_do_nothing(), rows)
+
+    def get(self, digest: str) -> dict[str, Any]:
+        """One budget as JSON values."""
+        found = self.get_many([digest])
+        if not found:
+            raise NotFoundError(f"no budget {digest!r}; a curve names its own in covariance.systematic.budget")
+        return found[digest]
+
+    def get_many(self, digests: Iterable[str]) -> dict[str, dict[str, Any]]:
+        """Budgets by their hash as JSON values; unknown ones are left out."""
+        return {name: json.loads(text) for name, text in self.get_texts(digests).items()}
+
+    def get_texts(self, digests: Iterable[str]) -> dict[str, str]:
+        """The same as they are stored, as canonical JSON."""
+        wanted = sorted(set(digests))
+        found: dict[str, str] = {}
+        for start in range(0, len(wanted), MANY_KEYS):
+            is_wanted = budget.c.sha256.in_(wanted[start : start + MANY_KEYS])
+            rows = self._connection.execute(select(budget).where(is_wanted).order_by(budget.c.sha256))
+            found |= {row.sha256: row.content for row in rows}
+        return found

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 from lbacal_core.calibration.spreads import ToldCurve, tell_reference
 from lbacal_core.curves.reference_chain import ReferenceChain
@@ -14,9 +14,9 @@ from lbacal_core.errors import BadInputError, name_path
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.provenance import Remembered
 from service.errors import NotInEffectError
-from service.storage.cuts import Cut
 from service.storage.database import Database
-from service.storage.examined import Examined
+from service.storage.drift import Cut
+from service.storage.kept_fits import Examined
 from service.storage.ledger import Neighbours
 from service.storage.versions import MICROSECONDS, Version
 from service.usecases.cuts import is_over, tell_not_refitted
@@ -293,3 +293,24 @@ def _explain_gap(missing: Sequence[Scope], neighbours: Neighbours, at: Instant) 
     if after is not None:
         named.append(f"{after.promotion.calibration} is from {format_instant(after.instant)}")
     return f"{sentence}: {' and '.join(named)}; gap=hold answers with the nearest"
+
+
+# What takes long to put together, kept in the process with the state of the database that it was made from.
+
+Content = TypeVar("Content")
+
+
+@dataclass(frozen=True)
+class LastMade(Generic[Content]):
+    """The content that was made last. Whoever asks in another state makes it anew: it is never stale."""
+
+    kept: list[tuple[str, Content]] = field(default_factory=list)
+
+    def get(self, state: str, make: Callable[[], Content]) -> Content:
+        """The content of a state, read before it is made: what comes between makes it newer than its name."""
+        for name, content in self.kept[:1]:
+            if name == state:
+                return content
+        made = make()
+        self.kept[:] = [(state, made)]
+        return made

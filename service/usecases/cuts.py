@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 from lbacal_core.curves.validity import Instant, Promotion, Scope
 from lbacal_core.errors import name_path
 from service.errors import ConflictError
-from service.storage.cuts import LIFTED, RESTORED, Cut, Decision, KeptCut
 from service.storage.database import Database, Stores
+from service.storage.drift import LIFTED, RESTORED, Cut, Decision, KeptCut
 from service.wire.bodies import ReasonBody
 from service.wire.instants import format_instant
 

@@ -22,10 +22,8 @@ from service.storage.drift import DriftSource, MonthlyRatio, StoredModes
 from service.storage.jobs import Part
 from service.storage.spectra import Window
 from service.storage.versions import Version
-from service.usecases.drift import SECOND_US
+from service.usecases.drift import SECOND_US, find_years, keep_months
 from service.usecases.fits import Fits
-from service.usecases.months import keep_months
-from service.usecases.years import find_years
 
 KIND = "drift"
 

@@ -28,18 +28,18 @@ from service.storage.database import Database, Stores
 from service.storage.jobs import Order
 from service.storage.models import ModelChange
 from service.storage.spectra import Window
+from service.usecases.drift import find_years
 from service.usecases.drift_measurement import KIND as DRIFT
 from service.usecases.drift_measurement import find_references
 from service.usecases.fits import find_cuts
-from service.usecases.inputs import Inputs, name_inputs
 from service.usecases.investigations import KIND as INVESTIGATION
 from service.usecases.investigations import Investigations
+from service.usecases.orders import Inputs, name_inputs
 from service.usecases.refits import KIND as REFIT
 from service.usecases.refits import describe_part
 from service.usecases.watch import KIND as WATCH
 from service.usecases.watch import Watch
 from service.usecases.windows import SECOND_US
-from service.usecases.years import find_years
 from service.wire.instants import DAY_US
 
 BY = "scheduler"

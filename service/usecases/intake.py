@@ -16,9 +16,8 @@ from lbacal_core.instrument.antennas import AntennaRecord
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.spectra.spectra import Spectra
 from service.errors import ConflictError
-from service.storage.arrivals import EVENT_SPAN_US
 from service.storage.database import Database
-from service.storage.spectra import StoredEvent
+from service.storage.spectra import EVENT_SPAN_US, StoredEvent
 from service.wire.bodies import LONGEST_NAME, MAX_SPECTRA, SpectraBody, SpectrumBody, parse_body
 from service.wire.hdf5_body import FileReader
 from service.wire.instants import format_instant, parse_instant

@@ -21,15 +21,14 @@ from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra.spectra import Spectra
 from service.errors import ConflictError
 from service.storage.database import Database, Stores
-from service.storage.investigations import Investigation
 from service.storage.jobs import Order, Part
+from service.storage.models import Investigation
 from service.storage.spectra import Window
+from service.usecases.alarms import StationNews, tell_news
 from service.usecases.calibrations import select_paths
-from service.usecases.inputs import hash_covariates, name_inputs
-from service.usecases.night import StationNews, tell_news
-from service.usecases.orders import Limits, place_order, read_window
+from service.usecases.drift import find_years, split_years
+from service.usecases.orders import Limits, hash_covariates, name_inputs, place_order, read_window
 from service.usecases.windows import SECOND_US
-from service.usecases.years import find_years, split_years
 from service.wire.bodies import InvestigationBody
 from service.wire.instants import format_instant
 

@@ -22,14 +22,13 @@ from lbacal_core.spectra.spectra import Spectra
 from service.errors import ConflictError
 from service.storage.alarms import CAUSE_STOPPED_PAYING, News
 from service.storage.database import Database, Stores
-from service.storage.investigations import Investigation
-from service.storage.models import ADOPTED, WITHDRAWN, Announced, Gain, ModelChange
+from service.storage.models import ADOPTED, WITHDRAWN, Announced, Gain, Investigation, ModelChange
 from service.storage.spectra import Window
 from service.storage.versions import Version, mean_over_band
+from service.usecases.calibrations import LastMade
+from service.usecases.drift import start_of_year
 from service.usecases.gate import find_change_of_mean
-from service.usecases.last_made import LastMade
 from service.usecases.promotions import LAST, Change, Promotions, undo
-from service.usecases.years import start_of_year
 from service.wire.bodies import AdoptionBody, ReasonBody
 from service.wire.instants import format_instant, parse_instant
 

@@ -15,17 +15,24 @@ from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.skypower.table import SkyPower
 from service.errors import ConflictError
 from service.storage.database import Database, Stores
-from service.storage.examined import Examined
 from service.storage.jobs import Job, Order, Part
-from service.storage.kept_fits import Told
+from service.storage.kept_fits import Examined, Told
 from service.storage.versions import Version
 from service.usecases.calibrations import select_paths
 from service.usecases.comparison import find_shift
-from service.usecases.examination import SMALLEST_SHIFT, Examination, Later, TellKey, find_standing, tell
-from service.usecases.fits import Fits, Wanted, read_part
+from service.usecases.fits import (
+    SMALLEST_SHIFT,
+    Examination,
+    Fits,
+    Later,
+    TellKey,
+    Wanted,
+    find_standing,
+    read_part,
+    tell,
+)
 from service.usecases.gate import Gate, find_predecessors
-from service.usecases.inputs import name_inputs
-from service.usecases.orders import Limits, place_order, read_window
+from service.usecases.orders import Limits, name_inputs, place_order, read_window
 from service.usecases.payoff import Payoff
 from service.usecases.windows import find_in_effect
 from service.wire.bodies import RefitBody

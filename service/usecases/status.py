@@ -2,19 +2,29 @@
 
 from __future__ import annotations
 
+import os
+import secrets
+import socket
+import threading
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Self
 
-from lbacal_core.curves.validity import Instant
+import structlog
+
+from lbacal_core.curves.validity import Instant, Promotion, Scope
 from lbacal_core.errors import LbacalError
+from lbacal_core.instrument.instrument import Instrument
 from service.errors import UnavailableError
 from service.storage.database import Database
 from service.storage.failures import FULL
 from service.storage.jobs import Failure
 from service.storage.migration import require_current
 from service.storage.processes import WORKER, Process
+from service.storage.versions import Version
 from service.usecases.alarms import AlarmCounts, count_alarms
-from service.usecases.inputs import explain_difference
+from service.usecases.calibrations import select_paths
+from service.usecases.orders import explain_difference
 from service.wire.instants import DAY_US
 
 ROOM_BYTES = 16_000_000
@@ -90,3 +100,135 @@ def _explain_waiting(waiting: Mapping[str | None, int], processes: Sequence[Proc
         for needed, count in waiting.items()
         if needed is not None and had and needed not in had
     ]
+
+
+# The state of everything on one page.
+
+
+@dataclass(frozen=True)
+class StationState:
+    """How many paths of a station are calibrated at the last event, and how many of them by their own version.
+
+    A path counts if it has data behind what it is told: its own version, or that of a mean of paths of which it is one.
+    `without_data` are told the mean of others.
+    """
+
+    name: str
+    paths: int
+    in_effect: int
+    own: int
+    without_data: int
+
+
+@dataclass(frozen=True)
+class Overview:
+    """Counts, stations, and what changed last."""
+
+    events: int
+    first: Instant | None
+    last: Instant | None
+    open_parts: int
+    stations: Sequence[StationState]
+    promotions: Sequence[Promotion]
+    versions: Sequence[Version]
+
+    @property
+    def paths(self) -> int:
+        """Paths of the instrument."""
+        return sum(station.paths for station in self.stations)
+
+    @property
+    def paths_in_effect(self) -> int:
+        """Those with data behind the version in effect at the last event."""
+        return sum(station.in_effect for station in self.stations)
+
+
+def look_over(database: Database, instrument: Instrument, clock: Callable[[], Instant], newest: int = 10) -> Overview:
+    """Gather the state of everything."""
+    paths = select_paths(instrument, None, None, None)
+    with database.read() as stores:
+        span = stores.spectra.span()
+        answers = stores.ledger.answers(paths, clock() if span is None else span[1], None)
+        last = {path: said[-1] for path, said in answers.items() if said and said[-1].calibration is not None}
+        wide = {str(promotion.calibration) for promotion in last.values() if promotion.scope.antenna is None}
+        versions = stores.versions.get_many(wide)
+        own = {path for path, promotion in last.items() if promotion.scope.antenna is not None}
+        averaged = {
+            path for path in last if path not in own and _is_member(versions[str(last[path].calibration)], path)
+        }
+        stations = []
+        for name in sorted({str(path.station) for path in paths}):
+            of_station = {path for path in paths if path.station == name}
+            with_data = of_station & (own | averaged)
+            told = of_station & set(last)
+            stations.append(
+                StationState(name, len(of_station), len(with_data), len(of_station & own), len(told - with_data))
+            )
+        return Overview(
+            events=stores.spectra.count_events(),
+            first=span[0] if span else None,
+            last=span[1] if span else None,
+            open_parts=stores.jobs.count_open(),
+            stations=stations,
+            promotions=stores.ledger.recent(newest),
+            versions=stores.versions.newest(newest),
+        )
+
+
+def _is_member(version: Version, path: Scope) -> bool:
+    """Whether a path is one of those whose mean a version is."""
+    chain = version.chains.get(str(path.dipole))
+    return chain is not None and (path.station, path.antenna) in chain.member_set
+
+
+# A process records that it lives, every few seconds, for as long as its work runs.
+
+BEAT_S = 5.0
+log = structlog.get_logger()
+
+
+def name_process() -> str:
+    """A name that no other process has, even in two containers with one host name and number."""
+    return f"{socket.gethostname()}:{os.getpid()}:{secrets.token_hex(3)}"
+
+
+@dataclass
+class Pulse:
+    """Beats between entering and leaving; a beat that fails is tried again at the next."""
+
+    database: Database
+    kind: str
+    inputs: str | None = None
+    name: str = field(default_factory=name_process)
+    _stop: threading.Event = field(default_factory=threading.Event, repr=False)
+
+    def __enter__(self) -> Self:
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stop.set()
+        self._thread.join()
+        try:
+            with self.database.write() as stores:
+                stores.processes.leave(self.name)
+        except LbacalError as error:
+            log.warning("end not noted", error=str(error))
+
+    def beat(self) -> None:
+        """Note that the process lives."""
+        try:
+            with self.database.write() as stores:
+                stores.processes.see(self.name, self.kind, self.inputs)
+        except LbacalError as error:
+            log.warning("pulse not noted", error=str(error), detail=getattr(error, "detail", ""))
+
+    def _run(self) -> None:
+        self.beat()
+        while not self._stop.wait(BEAT_S):
+            try:
+                self.beat()
+            except Exception:
+                # the process works on whether its pulse is noted or not
+                log.exception("pulse not noted")

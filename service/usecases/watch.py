@@ -20,12 +20,11 @@ from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.provenance import MODEL_VERSION, hash_content
 from service.storage.alarms import SLOPE, STEP, News
-from service.storage.cuts import Cut
 from service.storage.database import Database, Stores
-from service.storage.drift import MODES, StoredModes
+from service.storage.drift import MODES, Cut, StoredModes
 from service.storage.jobs import Part
-from service.usecases.changes import drop_noise, name_members, tell_change
-from service.usecases.months import keep_missing
+from service.usecases.comparison import drop_noise, name_members, tell_change
+from service.usecases.drift import keep_missing
 from service.wire.instants import DAY_US, format_instant
 
 if TYPE_CHECKING:

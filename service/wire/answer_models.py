@@ -75,3 +75,592 @@ class JobsAnswer(Answer):
 
     jobs: list[JobAnswer]
     next: int | None = Field(description="cursor of the next page")
+
+
+# What answers about calibrations, drift and the state of the service look like, for the OpenAPI document.
+
+Level = Literal["array", "station", "antenna"]
+
+
+class AliveAnswer(Answer):
+    """The process lives."""
+
+    status: Literal["alive"]
+
+
+class ReadyAnswer(Answer):
+    """The service can do its work."""
+
+    status: Literal["ready"]
+    instrument: str
+
+
+class ProcessAnswer(Answer):
+    """A process of the service."""
+
+    name: str
+    kind: Literal["api", "scheduler", "worker"]
+    alive: bool
+    silent_s: float = Field(description="time since it said that it lives, s")
+    started_at: str
+
+
+class FailureAnswer(Answer):
+    """A job that failed and that nothing made up for."""
+
+    job: int
+    kind: str
+    request: dict[str, Any]
+    error: str
+    tries: int
+    again_after: str | None = Field(description="when it is tried again; null where nobody will unless asked")
+
+
+class InvestigationLine(Answer):
+    """An investigation without its report."""
+
+    id: str
+    station: str
+    since: str
+    until: str
+    verdict: str = Field(description="consistent, explained or unexplained")
+    findings: list[str] = Field(description="causes found, most significant first")
+    made_at: str
+    made_by: str
+    reason: str
+
+
+class NewsAnswer(InvestigationLine):
+    """The newest investigation of a station, against the one before."""
+
+    before: str | None = Field(description="id of the one before; null where there is none")
+    new: list[str] = Field(description="findings that the one before did not have")
+    stronger: list[str] = Field(description="findings whose significance rose by 2 standard deviations or more")
+    gone: list[str] = Field(description="findings that only the one before has")
+
+
+class AlarmCountsAnswer(Answer):
+    """Alarms that last, by kind."""
+
+    line: str = Field(description="all of it in one line")
+    open: dict[str, int]
+    acknowledged: dict[str, int]
+    new: int = Field(description="raised within a day")
+
+
+class StatusAnswer(Answer):
+    """What an operator looks at."""
+
+    ready: bool
+    problem: str | None
+    processes: list[ProcessAnswer]
+    parts: dict[str, int] = Field(description="parts of jobs by state; ended ones of the last 30 days")
+    stuck: list[str]
+    events: int
+    newest_event: str | None
+    gated: int = Field(description="versions that the gate kept back and nobody promoted")
+    alarms: AlarmCountsAnswer
+    investigations: list[NewsAnswer] = Field(description="the newest of every station")
+    not_refitted: list[str] = Field(description="changes that were found while C in effect is the mean over them")
+    stopped_paying: list[str] = Field(description="adopted causes that gain less on new events than they should")
+    failures: list[FailureAnswer]
+
+
+class PathAnswer(Answer):
+    """A path, a station (antenna and dipole null) or the array (all null)."""
+
+    station: str | None
+    antenna: int | None
+    dipole: str | None
+
+
+class Fitted(Answer):
+    """A number and its standard deviation."""
+
+    value: float
+    sigma: float
+
+
+class CurveAnswer(PathAnswer):
+    """A curve as in fit.json (docs/formats.md), which may hold more fields than these."""
+
+    model_config = ConfigDict(strict=True, extra="allow")
+
+    status: str
+    events: int
+    frequency_mhz: list[float]
+    c: list[float | None] | None = Field(description="C(nu), V per ADC unit")
+    c_sigma_stat: list[float | None] | None
+    c_sigma_sys: list[float | None] | None
+    chi2_per_dof: float | None
+    lst_coverage: float
+    parameters: dict[str, Fitted]
+
+
+class Validity(Answer):
+    """A half-open interval; `to` null is open."""
+
+    model_config = ConfigDict(strict=True, extra="forbid", populate_by_name=True)
+
+    start: str = Field(alias="from")
+    end: str | None = Field(alias="to")
+
+
+class ReferenceAnswer(Answer):
+    """What a curve of a wider scope was converted from."""
+
+    paths: int = Field(description="how many paths it is the mean of")
+    cable: str | None = Field(description="of the path")
+    cables: str = Field(description="hash of the cable table")
+    spreads: str | None = Field(description="hash of the departures of single paths")
+    jensen: list[float] | None
+
+
+class TraceAnswer(Answer):
+    """A promotion on the way from the narrowest scope to the one that answered."""
+
+    scope: Level
+    promotion: int
+    calibration: str | None
+    at: str
+
+
+class CurveInEffectAnswer(CurveAnswer):
+    """The curve that answers for a path, through the path's own cable."""
+
+    calibration: str
+    answered_by: Level
+    factor: list[float] = Field(description="C told over C of the stored curve")
+    flag: list[Literal["ok", "uncertain", "interference", "outside"]]
+    flag_reason: str | None
+    reference: ReferenceAnswer | None
+    valid: Validity
+    held: bool
+    trace: list[TraceAnswer]
+
+
+class BudgetTermAnswer(Answer):
+    """One source of systematic error."""
+
+    name: str
+    source: str
+    is_of_gain: bool = Field(description="an error of G_ant, which cancels in C/|H|")
+    vectors: dict[str, list[list[float]]] = Field(description="by polarisation: d ln C, one standard deviation each")
+
+
+class BudgetAnswer(Answer):
+    """The systematic terms that curves share."""
+
+    frequency_mhz: list[float]
+    terms: list[BudgetTermAnswer]
+
+
+class InEffectAnswer(Answer):
+    """The calibration in effect at an instant."""
+
+    model_config = ConfigDict(strict=True, extra="allow")
+
+    at: str
+    as_of: str | None = Field(description="as it was asked")
+    curves: list[CurveInEffectAnswer]
+    budgets: dict[str, BudgetAnswer] = Field(description="by hash, those that the curves name")
+    missing: list[PathAnswer] = Field(description="paths for which nothing is in effect")
+
+
+class StationEdges(Answer):
+    """A station and where its answers change; null is the array's reference chain."""
+
+    station: str | None
+    antennas: list[int]
+    dipoles: list[str]
+    edges: list[str]
+
+
+class EdgesAnswer(Answer):
+    """Where answers change."""
+
+    as_of: str
+    stations: list[StationEdges]
+
+
+class VersionAnswer(PathAnswer):
+    """A version without its curves."""
+
+    model_config = ConfigDict(strict=True, extra="allow")
+
+    id: str
+    scope: Level
+    since: str
+    until: str
+    status: str
+    events: int
+    model: str | None = Field(description="id of the model, where causes were adopted into it")
+    gate: str | None = Field(description="why it was not promoted by itself")
+    made_at: str
+    made_by: str
+    reason: str
+    payload_sha256: str
+    inputs: dict[str, Any]
+
+
+class VersionsAnswer(Answer):
+    """A page of versions."""
+
+    calibrations: list[VersionAnswer]
+    next: str | None = Field(description="cursor of the next page")
+
+
+class WholeVersionAnswer(VersionAnswer):
+    """A version with its curves."""
+
+    curves: list[CurveAnswer]
+    reference: dict[str, Any] | None = Field(description="reference chains by dipole")
+
+
+class DiffCurve(Answer):
+    """The change of C at one dipole."""
+
+    dipole: str | None
+    frequency_mhz: list[float]
+    fraction: list[float | None]
+    sigma: list[float | None]
+    max_fraction: float
+    max_sigma: float
+
+
+class DiffAnswer(Answer):
+    """How the second version differs from the first."""
+
+    first: str
+    second: str
+    curves: list[DiffCurve]
+    inputs: dict[str, Any]
+
+
+class ChangeAnswer(PathAnswer):
+    """What a promotion changes for a path over an interval."""
+
+    model_config = ConfigDict(strict=True, extra="forbid", populate_by_name=True)
+
+    start: str = Field(alias="from")
+    end: str | None = Field(alias="to")
+    before: str | None
+    after: str | None
+    max_fraction: float | None
+    max_sigma: float | None
+    mean_c: list[float] | None = Field(description="mean of C over the band before and after, V per ADC unit")
+
+
+class ChangesAnswer(Answer):
+    """What a promotion would change."""
+
+    changes: list[ChangeAnswer]
+
+
+class PromotionAnswer(ChangesAnswer):
+    """A promotion and what it changes."""
+
+    model_config = ConfigDict(strict=True, extra="allow")
+
+    promotion: int
+    scope: Level
+    station: str | None
+    antenna: int | None
+    dipole: str | None
+    valid_from: str
+    valid_to: str | None
+    calibration: str | None
+    at: str
+    by: str
+    reason: str
+
+
+class PromotionLine(Answer):
+    """One line of the ledger."""
+
+    promotion: int
+    scope: Level
+    station: str | None
+    antenna: int | None
+    dipole: str | None
+    valid_from: str
+    valid_to: str | None
+    calibration: str | None
+    at: str
+    by: str
+    reason: str
+
+
+class PromotionsAnswer(ChangesAnswer):
+    """Promotions made as one act, none for a dry run, and what they change."""
+
+    promotions: list[PromotionLine]
+    left_out: dict[str, str] = Field(description="versions that are not promoted, and their status")
+
+
+class TagAnswer(Answer):
+    """A name under which the ledger is frozen."""
+
+    name: str
+    as_of: str
+    at: str = Field(description="when it was made")
+    by: str
+    reason: str
+
+
+class TagsAnswer(Answer):
+    """A page of tags."""
+
+    tags: list[TagAnswer]
+    next: str | None = Field(description="cursor of the next page")
+
+
+class InvestigationsAnswer(Answer):
+    """A page of investigations."""
+
+    investigations: list[InvestigationLine]
+    next: str | None = Field(description="cursor of the next page")
+
+
+class InvestigationAnswer(InvestigationLine):
+    """An investigation as it was made."""
+
+    inputs: dict[str, Any] = Field(description="what it was made from; the id is their hash")
+    report: dict[str, Any] = Field(description="the report, as `lbacal investigate` writes it")
+
+
+# What answers about drift and alarms look like, for the OpenAPI document.
+
+
+class DriftVersion(Answer):
+    """The band mean of C of a version."""
+
+    calibration: str
+    dipole: str | None
+    since: str
+    until: str
+    events: int
+    c: float
+    c_sigma: float
+
+
+class DriftMonth(Answer):
+    """C of a month over that of the first whole year; the line is offset, season and slope, with one sigma."""
+
+    month: str
+    c_ratio: float
+    low: float
+    high: float
+    paths: int
+    events: int
+    calibration: str | None
+    tilt: float | None = Field(description="of ln C: coefficient of the Legendre polynomial 1 over the band")
+    curvature: float | None = Field(description="of ln C: coefficient of the Legendre polynomial 2")
+    line: float | None
+    line_low: float | None
+    line_high: float | None
+
+
+class DriftMember(Answer):
+    """A path that steps, or with `antenna` null a polarisation of the station."""
+
+    antenna: int | None
+    dipole: str
+    size: float
+    sigma: float
+    significance: float
+
+
+class DriftShape(Answer):
+    """A mode of ln C along frequency."""
+
+    value: float
+    sigma: float
+
+
+class DriftStep(PathAnswer):
+    """What changed at a date, beside its station or the other stations; several members have no antenna here."""
+
+    date: str
+    date_sigma_days: float
+    earliest: str = Field(description="with `latest` the interval that holds 95 %")
+    latest: str
+    size: float = Field(description="change of C, fraction, of the most significant member")
+    sigma: float
+    shape: dict[str, DriftShape]
+    significance: float
+    known: bool = Field(description="the instrument says that the hardware changed then")
+    members: list[DriftMember]
+    calibration: str | None
+
+
+class DriftFrequency(Answer):
+    """The slope in frequency, a year."""
+
+    mhz: list[float]
+    slope: list[float]
+    sigma: list[float]
+
+
+class DriftSlope(Answer):
+    """Change of ln C a year; with its error, which holds 68.3 %."""
+
+    slope: float
+    sigma: float
+    limit_95: float | None = Field(description="half the interval that holds 95 %, of a station or the array")
+    years: int | None
+    scatter: float | None = Field(description="of a year about the line")
+    significance: float | None = Field(description="of a path beside its station, gain and shape together")
+    season: float = Field(description="amplitude of the annual term")
+    shape: dict[str, DriftShape] | None
+    frequency: DriftFrequency | None
+    beside: str | None = Field(description="what a path is compared with; null where the slope is that of C itself")
+
+
+class DriftAnswer(PathAnswer):
+    """C over time."""
+
+    scope: Level
+    versions: list[DriftVersion]
+    months: list[DriftMonth]
+    steps: list[DriftStep]
+    slope: DriftSlope | None
+    threshold_sigma: float | None = Field(description="significance from which on a step or a slope is found")
+
+
+AlarmKind = Literal[
+    "step", "slope", "lost_path", "stale_data", "misfit", "named_cause", "cause_stopped_paying", "failed_job"
+]
+
+
+class AcknowledgementAnswer(Answer):
+    """Who knows of a problem."""
+
+    by: str
+    at: str
+    reason: str
+    until: str | None = Field(description="null is for good")
+
+
+class AlarmAnswer(PathAnswer):
+    """A problem."""
+
+    alarm: int
+    kind: AlarmKind
+    state: Literal["open", "acknowledged", "ended"]
+    scope: Level
+    sentence: str
+    since: str | None = Field(description="when it began")
+    since_sigma_days: float | None
+    raised_at: str
+    seen_at: str = Field(description="when it was found last")
+    ended_at: str | None
+    acknowledgement: AcknowledgementAnswer | None
+    content: dict[str, Any]
+
+
+class AlarmsAnswer(Answer):
+    """A page of alarms."""
+
+    alarms: list[AlarmAnswer]
+    next: int | None = Field(description="cursor of the next page")
+
+
+class CutDecision(Answer):
+    """What a person decided about a cut."""
+
+    act: Literal["lifted", "restored"]
+    at: str
+    by: str
+    reason: str
+
+
+class CutAnswer(Answer):
+    """A date at which the windows of an antenna are cut, both dipoles alike."""
+
+    cut: int
+    station: str
+    antenna: int
+    date: str = Field(description="when the antenna changed, as the watch found it first")
+    date_sigma_days: float
+    stands: bool
+    refitted: bool = Field(description="false while one version in effect answers on both sides of a cut that stands")
+    made_at: str
+    ended_at: str | None = Field(description="when the watch no longer found the change")
+    decision: CutDecision | None = Field(description="the last one")
+
+
+class CutsAnswer(Answer):
+    """All cuts on record."""
+
+    cuts: list[CutAnswer]
+
+
+# What answers about the models of stations look like, for the OpenAPI document.
+
+
+class GainAnswer(Answer):
+    """What a cause gained on the events of a window that its adoption had not seen, sizes as adopted."""
+
+    since: str
+    until: str
+    events: int
+    log_likelihood_gain: float
+    expected: float
+    expected_sigma: float
+
+
+class AdoptedCauseAnswer(Answer):
+    """A cause that is part of a model."""
+
+    cause: str
+    target: str
+    parameters: dict[str, Any]
+    size: float = Field(description="as adopted, in `unit`")
+    sigma: float
+    unit: str
+    is_free: bool = Field(description="whether fits fit the size again")
+    since: str | None
+    until: str | None
+    sentence: str
+    gains: list[GainAnswer] = Field(description="on later events, by window")
+
+
+class ModelLine(Answer):
+    """What a station had from an adoption or a withdrawal on."""
+
+    id: str
+    station: str
+    act: Literal["adopted", "withdrawn"]
+    before: str
+    in_effect: bool = Field(description="whether the station has it now")
+    changed: str = Field(description="the cause that was adopted or withdrawn, in one sentence")
+    investigation: str | None
+    finding: int | None = Field(description="its number in the report; null where it is structure without a name")
+    promise: list[float] | None = Field(description="gain in log-likelihood that the finding promised, and its error")
+    at: str
+    by: str
+    reason: str
+    causes: list[AdoptedCauseAnswer]
+
+
+class ModelsAnswer(Answer):
+    """A page of models."""
+
+    models: list[ModelLine]
+    next: int | None = Field(description="cursor of the next page")
+
+
+class AdoptionAnswer(Answer):
+    """The model that a station has from now on, and the jobs of the refits."""
+
+    model: str
+    jobs: list[int]
+
+
+class AdoptionPlanAnswer(ChangesAnswer):
+    """The model that a station would have, and what its fits of the investigated year change."""
+
+    model: str
+    cause: str = Field(description="what would be adopted, in one sentence")
+    promise: list[float] = Field(description="gain in log-likelihood on as many events again, and its error")

@@ -10,7 +10,7 @@ from playwright.sync_api import Browser, Locator, Page, expect
 
 from service.config import Settings
 from service.factory import Factory
-from service.storage.cuts import Cut
+from service.storage.drift import Cut
 from service.wire.instants import DAY_US, parse_instant
 
 DATE = parse_instant("date", "2014-06-01")

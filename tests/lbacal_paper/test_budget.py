@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lbacal_core.data.tables import DIPOLES
+from lbacal_core.data.lofar import DIPOLES
 from lbacal_paper.budget import Budget, measure_electronics, spread_with_cables
 from lbacal_paper.study import Study
 

@@ -9,7 +9,7 @@ import pytest
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
-from lbacal.cli.figure_style import COLOURS, MARKERS
+from lbacal.cli.report_pages import COLOURS, MARKERS
 from lbacal_paper.drawing import draw
 from lbacal_paper.everything import redo_paper
 from lbacal_paper.figures import Panel, PaperFigure, Series

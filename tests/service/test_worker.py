@@ -14,7 +14,7 @@ from service.factory import Factory
 from service.scheduler import look_again, look_for_due_work
 from service.storage.jobs import LeaseLostError, Part
 from service.storage.processes import WORKER
-from service.usecases.pulse import Pulse
+from service.usecases.status import Pulse
 from service.wire.answer_models import JobAnswer
 from service.worker import Worker
 

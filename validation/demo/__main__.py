@@ -13,13 +13,14 @@ from typing import Any
 
 import numpy as np
 
-from lbacal.cli.curve_figures import draw_curve
-from lbacal.cli.investigation_figures import axes_of, draw_finding, draw_residual_maps
+from lbacal.cli.curve_page import draw_curve
+from lbacal.cli.investigation_page import axes_of, draw_finding, draw_residual_maps
 from lbacal.cli.report_pages import embed, fill_report
 from lbacal_core.calibration.chain_test import free_own_sky
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.curves.curves import CalibrationCurve, FitReport
-from lbacal_core.data.tables import DIPOLES, read_table
+from lbacal_core.data.lofar import DIPOLES
+from lbacal_core.data.tables import read_table
 from lbacal_core.discovery.curve_search import CurveInvestigation, describe_curve, investigate_curve
 from lbacal_core.discovery.report import investigate
 from lbacal_core.discovery.search import StationReport

@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from lbacal_core.data.tables import DIPOLES
+from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.lstcurve.compare import AS_RECORDED, band_weights
 from lbacal_core.lstcurve.curve import LstCurve

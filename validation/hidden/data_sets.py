@@ -8,7 +8,7 @@ from functools import cache, cached_property
 
 import numpy as np
 
-from lbacal_core.data.tables import DIPOLES
+from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument, load_instrument
 from lbacal_core.skypower.table import SkyPower

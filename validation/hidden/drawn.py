@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from lbacal_core.data.tables import DIPOLES
+from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.grids import Floats
 from validation.hidden.data_sets import DataSet
 from validation.hidden.ideal import IdealDetector, PathChains

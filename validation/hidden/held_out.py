@@ -13,7 +13,7 @@ from itertools import product
 
 import numpy as np
 
-from lbacal_core.data.tables import DIPOLES
+from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.grids import Floats
 from lbacal_core.spectra.spectra import Spectra
 from validation.hidden.data_sets import EVENTS, DataSet, draw_one, moving_causes, sky_power

@@ -26,7 +26,7 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from lbacal_core.data.tables import DIPOLES
+from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.grids import Floats
 from lbacal_core.spectra.spectra import Spectra
 from lbacal_twin.campaign import DrawnStation, expected_power

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from lbacal_core.data.tables import DIPOLES
+from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.grids import Floats
 from lbacal_core.spectra.spectra import Spectra
 from lbacal_twin.gains import BEHIND_EVERYTHING, EventGains

@@ -10,7 +10,7 @@ import numpy as np
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.curves.curves import CalibrationCurve
 from lbacal_core.curves.reference_chain import ReferenceChain
-from lbacal_core.data.tables import DIPOLES
+from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.instrument.instrument import load_instrument
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.gains import NOISES

@@ -9,7 +9,7 @@ from functools import cache, lru_cache
 import numpy as np
 
 from lbacal_core.antenna.names import DEFAULT_ANTENNA
-from lbacal_core.data.tables import DIPOLES
+from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument, load_instrument
 from lbacal_core.sky.names import DEFAULT_SKY, load_sky

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lbacal.cli.investigation_figures import draw_finding, draw_residual_maps, draw_structure
+from lbacal.cli.investigation_page import draw_finding, draw_residual_maps, draw_structure
 from lbacal_core.causes.axes import axis_named
 from lbacal_core.discovery.report import investigate
 from lbacal_core.discovery.search import StationReport

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from lbacal.cli.curve_figures import draw_change, draw_curve, draw_ranking
+from lbacal.cli.curve_page import draw_change, draw_curve, draw_ranking
 from lbacal_core.instrument.instrument import load_instrument
 from validation.measured import main_questions
 

@@ -115,7 +115,7 @@ def draw(curves: Rows, instrument: Instrument, path: Path) -> None:
     import matplotlib as mpl
     from matplotlib.figure import Figure
 
-    from lbacal.cli.figure_style import COLOURS, MARKERS, SETTINGS
+    from lbacal.cli.report_pages import COLOURS, MARKERS, SETTINGS
 
     nu, level = instrument.frequency_mhz, read_sky_level()
     with mpl.rc_context(SETTINGS):

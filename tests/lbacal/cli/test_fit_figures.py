@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lbacal.cli.fit_figures import average_residuals, draw_fit
+from lbacal.cli.fit_page import average_residuals, draw_fit
 from lbacal_core.curves.curves import FitReport
 from lbacal_core.instrument.instrument import Instrument, load_instrument
 from lbacal_core.pipeline import calibrate

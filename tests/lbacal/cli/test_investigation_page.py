@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lbacal.cli.investigation_figures import draw_scores, draw_structure
-from lbacal.cli.investigation_page import write_investigation_page
+from lbacal.cli.investigation_page import draw_scores, draw_structure, write_investigation_page
 from lbacal_core.discovery.report import investigate
 from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.skypower.model import compute_sky_power

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 PROGRAM = """
-from lbacal.cli.progress import progress
+from lbacal.cli.outputs import progress
 with progress(2) as tell:
     tell("read a.h5")
     tell("fit 10 spectra")

@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from lbacal_core.data.tables import DIPOLES, LOFAR_DEG, LOFAR_RADIUS_DEG
+from lbacal_core.data.lofar import DIPOLES, LOFAR_DEG, LOFAR_RADIUS_DEG
 from lbacal_core.instrument.instrument import load_instrument
 
 

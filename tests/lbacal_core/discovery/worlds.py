@@ -17,7 +17,7 @@ import numpy as np
 from lbacal_core.causes.cable import log_loss_per_metre
 from lbacal_core.causes.catalogue import ANTENNA_CAUSES, CAUSES
 from lbacal_core.causes.cause import Template, signature, spectral_signature
-from lbacal_core.data.tables import DIPOLES
+from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.discovery import search
 from lbacal_core.discovery.antennas import AntennaScore, compare_antennas, compare_cable_names
 from lbacal_core.discovery.families import group_templates

@@ -7,7 +7,8 @@ import pytest
 
 from lbacal_core.errors import BadInputError
 from lbacal_core.instrument.instrument import Instrument, load_instrument
-from lbacal_core.skypower.model import antenna_of, compute_sky_power, vary_sky_power
+from lbacal_core.skypower.antenna_of import antenna_of
+from lbacal_core.skypower.model import compute_sky_power, vary_sky_power
 from lbacal_core.skypower.sources import response_towards
 
 LST = np.arange(24.0)

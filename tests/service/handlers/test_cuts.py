@@ -4,7 +4,7 @@ from fastapi.testclient import TestClient
 
 from lbacal_core.curves.validity import Promotion, Scope
 from service.factory import Factory
-from service.storage.cuts import Cut
+from service.storage.drift import Cut
 from service.storage.versions import Version
 from service.wire.instants import DAY_US, parse_instant
 

@@ -10,7 +10,7 @@ from lbacal_core.curves.validity import Scope
 from service.app import make_app
 from service.factory import Factory
 from service.storage.alarms import MISFIT, OPEN, News
-from service.storage.cuts import Cut
+from service.storage.drift import Cut
 from service.wire.instants import DAY_US, format_instant, parse_instant
 
 BROWSER = {"Accept": "text/html,application/xhtml+xml,*/*;q=0.8"}

@@ -11,7 +11,7 @@ from service.factory import Factory
 from service.storage.database import Database
 from service.storage.processes import API, SCHEDULER, WORKER
 from service.usecases import status
-from service.usecases.pulse import Pulse, name_process
+from service.usecases.status import Pulse, name_process
 
 
 def see(factory: Factory, kind: str) -> str:

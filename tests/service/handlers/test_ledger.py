@@ -10,7 +10,7 @@ from lbacal_core.curves.validity import Scope
 from service.factory import Factory
 from service.storage.jobs import Order
 from service.storage.versions import Version
-from service.wire.calibration_models import PromotionsAnswer, TagAnswer, TagsAnswer
+from service.wire.answer_models import PromotionsAnswer, TagAnswer, TagsAnswer
 from service.wire.instants import DAY_US, format_instant
 
 Stored = dict[str, Version]

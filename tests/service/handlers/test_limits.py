@@ -6,7 +6,7 @@ from fastapi.testclient import TestClient
 from service.app import make_app
 from service.errors import TooManyError
 from service.factory import Factory
-from service.handlers.limits import BAD_KEYS_AT_ONCE, Buckets, KeyGuard
+from service.handlers.edge import BAD_KEYS_AT_ONCE, Buckets, KeyGuard
 
 
 def test_a_tenth_wrong_key_is_told_to_wait_and_a_good_one_is_not(client: TestClient) -> None:

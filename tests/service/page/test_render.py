@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from service.page.render import render_page, render_part
-from service.storage.investigations import Investigation
+from service.storage.models import Investigation
 
 REPORT: dict[str, Any] = {"verdict": "consistent", "findings": [], "unexplained": None, "unidentifiable": []}
 ADOPTED = {

@@ -17,8 +17,8 @@ import pytest
 from lbacal_core.errors import BadInputError
 from service.errors import UnavailableError
 from service.factory import Factory
-from service.storage.backup import copy_sqlite
 from service.storage.database import Database
+from service.storage.migration import copy_sqlite
 from service.storage.versions import Version
 
 TABLES = ("event", "spectrum", "calibration", "promotion", "api_key")

@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from service.usecases.last_made import LastMade
+from service.usecases.calibrations import LastMade
 
 
 def test_another_state_is_made_anew_and_the_same_is_not() -> None:

@@ -14,8 +14,15 @@ from service.factory import Factory
 from service.storage.database import Stores
 from service.storage.drift import MonthlyRatio
 from service.storage.versions import Version
-from service.usecases.months import keep_missing, keep_months, read_matrix, read_months, summarise
-from service.usecases.years import end_of_year, start_of_year
+from service.usecases.drift import (
+    end_of_year,
+    keep_missing,
+    keep_months,
+    read_matrix,
+    read_months,
+    start_of_year,
+    summarise,
+)
 
 MONTH_US = 31 * 86_400_000_000
 STATIONS, YEARS = ("CS001", "CS002"), (2014, 2015)

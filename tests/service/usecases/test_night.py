@@ -2,8 +2,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from service.storage.investigations import Investigation
-from service.usecases.night import STRONGER_SIGMA, tell_news
+from service.storage.models import Investigation
+from service.usecases.alarms import STRONGER_SIGMA, tell_news
 
 
 def finding(cause: str, sigma: float, antennas: tuple[int, ...] = (0, 1)) -> dict[str, Any]:

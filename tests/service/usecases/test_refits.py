@@ -16,7 +16,7 @@ from lbacal_core.spectra.spectra import Spectra
 from service.factory import Factory
 from service.scheduler import look_for_due_work
 from service.schema.tables import calibration
-from service.storage.examined import Examined
+from service.storage.kept_fits import Examined
 from service.wire.bodies import RefitBody
 from service.worker import Worker
 
@@ -211,7 +211,7 @@ def test_a_night_with_news_stores_it(station: Factory, campaign: Spectra) -> Non
 def test_another_model_is_news_even_where_c_stays(station: Factory, monkeypatch: pytest.MonkeyPatch) -> None:
     night(station)
     before = count(station, "calibration")
-    for place in ("lbacal_core.provenance.Provenance.__init__", "service.usecases.inputs.Inputs.__init__"):
+    for place in ("lbacal_core.provenance.Provenance.__init__", "service.usecases.orders.Inputs.__init__"):
         module, owner, _ = place.rsplit(".", 2)
         made = getattr(__import__(module, fromlist=[owner]), owner)
         defaults = tuple(99 if value == MODEL_VERSION else value for value in made.__init__.__defaults__)

@@ -14,7 +14,7 @@ from service.app import make_app
 from service.factory import Factory
 from service.scheduler import look_for_due_work
 from service.storage.versions import Version
-from service.usecases.story import explain_version, tell_story
+from service.usecases.drift import explain_version, tell_story
 from tests.service.test_worker import work
 
 

@@ -20,9 +20,9 @@ from service.app import make_app
 from service.config import Settings
 from service.factory import Factory
 from service.storage.versions import Version
+from service.usecases.drift import start_of_year
 from service.usecases.fits import Wanted
 from service.usecases.windows import share_misfits
-from service.usecases.years import start_of_year
 from service.wire.bodies import InvestigationBody, RefitBody
 from service.worker import Worker
 from tests.service.conftest import Clock

@@ -14,26 +14,26 @@ from service.scheduler import look_for_due_work
 from service.storage.alarms import News
 from service.storage.versions import Version
 from service.wire.answer_models import (
+    AlarmAnswer,
+    AlarmsAnswer,
+    AliveAnswer,
     Answer,
+    ChangesAnswer,
+    DiffAnswer,
+    DriftAnswer,
     EventAnswer,
     EventsAnswer,
+    InEffectAnswer,
     JobAnswer,
     JobsAnswer,
+    PromotionAnswer,
     ReceiptAnswer,
     ReceiptsAnswer,
     RefitAnswer,
-)
-from service.wire.calibration_models import (
-    AliveAnswer,
-    ChangesAnswer,
-    DiffAnswer,
-    InEffectAnswer,
-    PromotionAnswer,
     StatusAnswer,
     VersionsAnswer,
     WholeVersionAnswer,
 )
-from service.wire.drift_models import AlarmAnswer, AlarmsAnswer, DriftAnswer
 from tests.service.test_worker import work
 
 ROW = {
