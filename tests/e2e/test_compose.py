@@ -59,12 +59,6 @@ def test_services_wait_for_what_they_need(compose: dict[str, Any]) -> None:
     assert set(compose["volumes"]) == {"db"}
 
 
-def test_the_image_starts_the_command(request: pytest.FixtureRequest) -> None:
-    text = (request.config.rootpath / "Dockerfile").read_text()
-    assert 'ENTRYPOINT ["lbacal"]' in text
-    assert "USER lbacal" in text
-
-
 def is_done(environment: dict[str, str], *arguments: str) -> bool:
     """Whether a command ends with 0."""
     command = [sys.executable, "-m", "lbacal", *arguments]

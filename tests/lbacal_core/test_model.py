@@ -5,10 +5,21 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
-from lbacal_core.causes.model import AdoptedCause, Model
+from lbacal_core.calibration.fit import fit_calibration
+from lbacal_core.causes.model import PLAIN, AdoptedCause, Model
+from lbacal_core.curves.curves import CONVERGED, NOT_CONVERGED, TOO_FEW_EVENTS, parse_curve
+from lbacal_core.discovery.calibrate import fit_causes
 from lbacal_core.errors import BadInputError
+from lbacal_core.instrument.instrument import load_instrument
+from lbacal_core.skypower.model import compute_sky_power
+from lbacal_twin.campaign import simulate_campaign
+from lbacal_twin.faults.antenna import GainTemperature
+from lbacal_twin.faults.fault import Where
+from lbacal_twin.faults.sky import LstOffset
+from lbacal_twin.settings import TwinSettings
 
 SWAP = AdoptedCause("dipole_swap", "CS002", "station", 0.0123456789, 0.00123456789, since_unix=1_420_070_400)
 STEP = AdoptedCause(
@@ -149,3 +160,146 @@ def test_a_model_is_cut_to_a_window_and_to_stations():
 def test_a_withdrawn_cause_leaves_the_model_as_it_was():
     model = Model((SWAP, STEP))
     assert model.without(1).id == Model((SWAP,)).id
+
+
+SETTINGS = TwinSettings(stations=("CS002", "CS003"), antennas=4, events_per_year=300)
+LATE = AdoptedCause("lst_offset", "CS002", "station", 0.25, 0.02)
+HERE = Where(stations=("CS002",))
+
+
+@pytest.fixture(scope="module")
+def chain():
+    return load_instrument("lofar-superterp")
+
+
+@pytest.fixture(scope="module")
+def sky(chain):
+    return compute_sky_power(chain)
+
+
+@pytest.fixture(scope="module")
+def record(chain, sky):
+    return lambda *faults: simulate_campaign(SETTINGS, chain, sky, np.random.default_rng(5), faults).spectra
+
+
+@pytest.fixture(scope="module")
+def late(record):
+    """CS002 has a clock that is 0.3 h off, CS003 is right."""
+    return record(LstOffset(size=0.3, where=HERE))
+
+
+@pytest.fixture(scope="module")
+def fitted(late, chain, sky):
+    return fit_causes(late, chain, sky, Model((LATE,)), is_own_sky=False)
+
+
+@pytest.fixture(scope="module")
+def report(fitted):
+    return fitted.fit("station")
+
+
+def test_a_plain_model_gives_the_bytes_of_the_plain_fit(late, chain, sky):
+    plain = fit_causes(late, chain, sky, PLAIN, is_own_sky=False)
+    assert plain.spectra is late
+    ours, theirs = plain.fit("antenna"), fit_calibration(late, chain, sky, "antenna")
+    assert json.dumps(ours.as_dict()) == json.dumps(theirs.as_dict())
+
+
+@pytest.mark.long
+def test_c_is_that_of_the_same_data_without_the_fault(report, record, late, chain, sky):
+    healthy = fit_calibration(record(), chain, sky, "station").curves
+    without = fit_calibration(late, chain, sky, "station").curves
+    for curve, right, wrong in zip(report.curves[:2], healthy[:2], without[:2], strict=True):
+        assert curve.status == CONVERGED
+        # The size is right to 4 %, and with it what the fault did to C.
+        assert np.all(np.abs(curve.c - right.c) < 0.3 * right.c_sigma_stat)
+        assert np.abs(wrong.c - right.c).max() > 2.0 * right.c_sigma_stat.min()
+
+
+def test_a_station_without_the_cause_keeps_its_numbers(report, late, chain, sky):
+    plain = fit_calibration(late, chain, sky, "station").curves
+    for ours, theirs in zip(report.curves[2:], plain[2:], strict=True):
+        assert ours.station == "CS003"
+        np.testing.assert_array_equal(ours.c, theirs.c)
+        np.testing.assert_array_equal(ours.c_sigma_stat, theirs.c_sigma_stat)
+        assert ours.covariance.common is None
+
+
+@pytest.mark.long
+def test_the_error_of_the_size_is_in_the_covariance_of_c(late, chain, sky):
+    """Moved by its sigma, a fixed size changes ln C by the vector that its error adds."""
+    fixed = replace(LATE, size=0.3, sigma=0.1, is_free=False)
+    curves = fit_causes(late, chain, sky, Model((fixed,)), is_own_sky=False).fit("station").curves
+    moved = fit_causes(late, chain, sky, Model((replace(fixed, size=0.4),)), is_own_sky=False).fit("station").curves
+    known = replace(fixed, sigma=1e-6)
+    alone = fit_causes(late, chain, sky, Model((known,)), is_own_sky=False).fit("station").curves
+    for curve, other, without in zip(curves[:2], moved[:2], alone[:2], strict=True):
+        change = np.log(other.c / curve.c)
+        assert np.abs(change).max() > 1e-3
+        # The other fit has fitted its chain at the moved size once more.
+        np.testing.assert_allclose(curve.covariance.common, change[None], rtol=0.06)
+        added = (curve.c_sigma_stat / curve.c) ** 2 - (without.c_sigma_stat / without.c) ** 2
+        np.testing.assert_allclose(added, curve.covariance.common[0] ** 2, rtol=1e-6, atol=1e-10)
+        of_parts = np.sum(curve.covariance.factor**2, axis=0) + curve.covariance.diagonal
+        np.testing.assert_allclose(of_parts, (curve.c_sigma_stat / curve.c) ** 2, rtol=1e-9)
+
+
+def test_one_path_takes_the_size_of_its_station(fitted, late, chain, sky):
+    """A size belongs to its target: fitted to all its paths, and the same for each of them."""
+    whole = {curve.name: curve for curve in fitted.fit("antenna").curves}
+    rows = (late.station == "CS002") & (late.antenna == 1) & (late.dipole == "Y")
+    part = fitted.select(rows)
+    assert [size.value for size in part.sizes] == [size.value for size in fitted.sizes]
+    (curve,) = part.fit("antenna").curves
+    np.testing.assert_allclose(curve.c, whole[curve.name].c, rtol=1e-12)
+    assert part.fit("antenna").provenance.inputs["spectra"] == late.select(rows).digest()
+    (alone,) = fit_causes(late.select(rows), chain, sky, Model((LATE,)), is_own_sky=False).sizes
+    assert alone.sigma > 1.2 * fitted.sizes[0].sigma
+
+
+def test_the_provenance_names_the_model_and_the_spectra_as_recorded(report, fitted, late):
+    model = Model((LATE,))
+    assert report.provenance.inputs["model"] == model.id
+    assert report.provenance.inputs["spectra"] == late.digest()
+    assert report.provenance.settings["model"] == model.to_text()
+    assert "lst_offset in station of CS002 0.3" in report.provenance.notes["model"]
+    (cause,) = report.as_dict()["causes"]
+    assert cause["adopted"] == {"value": 0.25, "sigma": 0.02}
+    assert cause["size"]["value"] == fitted.sizes[0].value
+    assert cause["size"]["unit"] == "h"
+
+
+def test_a_curve_with_the_error_of_a_size_is_read_back(report):
+    content = json.loads(json.dumps(report.curves[0].as_dict()))
+    assert parse_curve(content).as_dict() == content
+    assert len(content["covariance"]["statistical"]["common"]) == 1
+
+
+def test_spectra_without_the_covariate_of_their_cause_are_left_out(record, chain, sky):
+    spectra = record(GainTemperature(size=0.05, where=HERE))
+    values = spectra.environment["temperature_c"].copy()
+    lost = np.isin(spectra.event_id, np.unique(spectra.event_id)[::4])
+    values[lost] = np.nan
+    spectra = replace(spectra, environment={"temperature_c": values})
+    one = AdoptedCause("gain_temperature", "CS002", "antenna 2", 0.05, 0.01, {"delay_h": 0})
+    fitted = fit_causes(spectra, chain, sky, Model((one,)), is_own_sky=False)
+    left_out = lost & (spectra.station == "CS002") & (spectra.antenna == 2)
+    assert len(spectra) - len(fitted.spectra) == left_out.sum()
+    curves = {curve.name: curve.events for curve in fitted.fit("antenna").curves}
+    assert curves["CS002 antenna 2 X"] == 225
+    assert curves["CS002 antenna 1 X"] == 300
+
+
+def test_a_station_with_too_few_events_has_no_size(late, chain, sky):
+    """The first weeks of a year with an inherited model: its curves say why they are none, and nothing is refused."""
+    few = late.select(np.isin(late.event_id, np.unique(late.event_id)[:40]))
+    fitted = fit_causes(few, chain, sky, Model((LATE,)), is_own_sky=False)
+    assert fitted.sizes == []
+    assert {curve.status for curve in fitted.fit("antenna").curves} == {TOO_FEW_EVENTS}
+
+
+def test_a_curve_that_fails_within_the_error_of_a_size_has_not_converged(report):
+    curve = report.curves[0].as_not_converged()
+    assert curve.status == NOT_CONVERGED
+    assert curve.c is None
+    assert curve.as_dict()["c"] is None

@@ -5,9 +5,13 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
+from lbacal_paper.everything import WITHOUT_DATA, WITHOUT_SHOWERS, redo_paper
+from lbacal_paper.page import BEGIN, END, describe_claims, insert_claims
 from lbacal_paper.statements import VERDICTS, load_statements
 
 MOST_BYTES = 10_000_000
@@ -63,3 +67,51 @@ def test_bad_usage_is_one_sentence_and_exit_2(tmp_path: Path) -> None:
         assert done.returncode == 2
         assert message in done.stderr
         assert "Traceback" not in done.stderr
+
+
+def claim(verdict: str, ours: float | None) -> dict[str, Any]:
+    return {
+        "id": verdict.split(maxsplit=1)[0], "section": "1", "claim": "text", "published": 5.0, "relation": "at most",
+        "unit": "%", "ours": ours, "sigma": 0.5, "verdict": verdict, "how": "so",
+    }  # fmt: skip
+
+
+def test_claims_become_a_table_with_reasons() -> None:
+    text = describe_claims([claim("agree", 4.0), claim("disagree", 9.0), claim("cannot be tested here", None)])
+    assert "| `agree` | 1 | text | at most 5 % | 4 ± 0.5 % | agree |" in text
+    assert "## Where we disagree\n- `disagree`: so." in text
+    assert "## What cannot be tested here\n- `cannot`: so." in text
+
+
+def test_claims_replace_what_stood_between_the_marks() -> None:
+    page = f"before\n{BEGIN}\nold\n{END}\nafter\n"
+    new = insert_claims(page, [claim("agree", 4.0)])
+    assert new.startswith("before\n")
+    assert new.endswith("\nafter\n")
+    assert "old" not in new
+    assert insert_claims(new, [claim("agree", 4.0)]) == new
+
+
+def test_the_page_says_of_every_statement_what_a_run_finds(repository: Path) -> None:
+    page = (repository / "docs/explanation/the-paper-redone.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `([a-z0-9-]+)` \|.*\| ([a-z ]+) \|$", page, re.MULTILINE)
+    assert [name for name, _ in rows] == [one.identifier for one in load_statements()]
+    for one in redo_paper(lambda _: None, antennas=12).claims:
+        # a quarter of the antennas: what lies near the limit of two standard deviations may fall on either side
+        scale = 2 * np.hypot(one["precision"], one["sigma"] or 0.0)
+        is_near = one["ours"] is not None and 0.7 * scale < abs(one["ours"] - one["published"]) < 1.4 * scale
+        assert dict(rows)[one["id"]] == one["verdict"] or is_near, one
+
+
+def test_the_whole_paper_is_redone_without_any_data_beside_the_package() -> None:
+    steps: list[str] = []
+    redone = redo_paper(steps.append, antennas=4)
+    assert len(steps) >= 5
+    assert redone.notes[:2] == [WITHOUT_DATA, WITHOUT_SHOWERS]
+    assert redone.notes[2].startswith("What the measured sky changes in 5.1 and 5.2: with the sky tied to absolute")
+    # a hotter sky is a larger C in every channel
+    assert all(part.startswith("+") for part in re.findall(r"([+-]\d+) %", redone.notes[2]))
+    assert sum(claim["ours"] is not None for claim in redone.claims) >= 20
+    assert [figure.number for figure in redone.figures] == list(range(1, 10))
+    assert [len(table.rows) > 3 for table in redone.tables] == [True, True, True]
+    assert all(len(row) == len(table.header) for table in redone.tables for row in table.rows)

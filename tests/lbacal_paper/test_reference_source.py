@@ -16,6 +16,7 @@ from lbacal_paper.reference_source import (
     floor_factor,
     near_field_factor,
 )
+from lbacal_paper.stand_in_source import SCALED_M, stand_in_tables, true_field
 
 FREQUENCY = np.arange(30.0, 81.0)
 GAIN = 0.1 + 3.0 / (1.0 + ((FREQUENCY - 58.0) / 4.0) ** 2)
@@ -129,3 +130,15 @@ def test_broken_tables_are_refused() -> None:
         SourceTable("x", FREQUENCY, FIELD, np.zeros(51), 0.0)
     with pytest.raises(BadInputError, match="measured_power"):
         calibrate_with_source(table(), Geometry(10.0, 0.1), GAIN, -measured(), np.full(51, 0.02))
+
+
+def test_both_laboratories_miss_the_true_field_and_each_other() -> None:
+    chamber, cell = stand_in_tables(FREQUENCY)
+    truth = true_field(FREQUENCY)
+    assert chamber.distance_m == cell.distance_m == SCALED_M
+    assert "stand-in" in chamber.name
+    assert "stand-in" in cell.name
+    # within the stated error, but not alike in shape
+    for one in (chamber, cell):
+        assert np.all(np.abs(np.log(one.field / truth)) < 2 * one.sigma)
+    assert np.ptp(np.log(chamber.field / cell.field)) > 0.1

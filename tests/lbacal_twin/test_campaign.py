@@ -1,11 +1,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
+from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.data.tables import read_table
 from lbacal_core.errors import BadInputError, UnknownNameError
 from lbacal_core.instrument.antennas import AntennaRecord
@@ -13,8 +13,10 @@ from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.instrument.sidereal import local_sidereal_time
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra.blocks import split_into_blocks
-from lbacal_core.spectra.spectra import read_spectra, write_spectra
-from lbacal_twin.campaign import simulate_campaign
+from lbacal_core.spectra.spectra import Spectra
+from lbacal_twin.campaign import Campaign, simulate_campaign
+from lbacal_twin.gains import BEHIND, FRONT, NOISES, EventGains, shift_resonance
+from lbacal_twin.nuisances import DEAF_GAIN, NONE, REALISTIC, RESIDUAL_LINE, Nuisances
 from lbacal_twin.settings import YEAR_S, TwinSettings
 
 QUIET = TwinSettings(events_per_year=40, event_gain_common=0, event_gain_path=0, radiometer=0)
@@ -120,14 +122,6 @@ def test_events_cover_the_year_and_the_weather_has_seasons(low_band: Instrument,
     assert 0.02 < np.mean(spectra.environment["rain_mm_h"] > 0) < 0.2
 
 
-def test_a_campaign_goes_through_a_spectra_file_unchanged(
-    low_band: Instrument, two_waves: SkyPower, tmp_path: Path
-) -> None:
-    spectra = simulate_campaign(TwinSettings(events_per_year=9), low_band, two_waves, np.random.default_rng(8)).spectra
-    write_spectra(spectra, tmp_path / "s.h5")
-    assert read_spectra(tmp_path / "s.h5").digest() == spectra.digest()
-
-
 def test_a_changed_cable_changes_the_power_from_its_date_on(low_band: Instrument, two_waves: SkyPower) -> None:
     change = QUIET.start_unix + YEAR_S / 2
     records = [AntennaRecord("CS002", 0, "50", until=change), AntennaRecord("CS002", 0, "115", since=change)]
@@ -147,3 +141,203 @@ def test_an_unknown_station_is_named(low_band: Instrument, two_waves: SkyPower) 
         simulate_campaign(TwinSettings(stations=("CS999",)), low_band, two_waves, np.random.default_rng(1))
     with pytest.raises(BadInputError, match="path_gain"):
         TwinSettings(path_gain=-0.1)
+
+
+STILL = TwinSettings(events_per_year=400, radiometer=0, stations=("CS002",))
+
+
+def relative(instrument: Instrument, sky: SkyPower, gains: EventGains, settings: TwinSettings = STILL) -> np.ndarray:
+    """Departure of the power from that without event gains, shape (antenna, dipole, event, freq)."""
+    quiet = replace(settings, event_gain_common=0, event_gain_path=0)
+    changed, plain = (
+        simulate_campaign(one, instrument, sky, np.random.default_rng(3), gains=kind).spectra
+        for one, kind in ((settings, gains), (quiet, EventGains()))
+    )
+    return (changed.power / plain.power - 1).reshape(6, 2, 400, 51)
+
+
+def test_a_gain_in_front_shows_less_where_electronic_noise_is_a_large_share(
+    low_band: Instrument, two_waves: SkyPower
+) -> None:
+    seen = relative(low_band, two_waves, EventGains(FRONT, FRONT))
+    by_channel = seen.std(axis=(0, 1, 2))
+    # N_RCU and N_ADC are a tenth of the power at the resonance and three quarters of it at 80 MHz.
+    assert by_channel.max() == pytest.approx(0.05, rel=0.1)
+    assert by_channel[-1] < 0.4 * by_channel.max()
+    behind = relative(low_band, two_waves, EventGains(BEHIND, BEHIND))
+    np.testing.assert_allclose(np.ptp(behind, axis=-1), 0.0, atol=1e-12)
+
+
+def test_each_part_acts_where_it_is_put(low_band: Instrument, two_waves: SkyPower) -> None:
+    for gains, of_common, of_path in (
+        (EventGains(FRONT, BEHIND), True, False),
+        (EventGains(BEHIND, FRONT), False, True),
+    ):
+        for name, has_shape in (("event_gain_common", of_common), ("event_gain_path", of_path)):
+            alone = replace(STILL, **{"event_gain_common": 0.0, "event_gain_path": 0.0, name: 0.04})
+            assert (np.ptp(relative(low_band, two_waves, gains, alone), axis=-1).max() > 1e-3) == has_shape
+
+
+def test_a_jitter_of_the_resonance_raises_one_side_of_it_and_lowers_the_other(
+    low_band: Instrument, two_waves: SkyPower
+) -> None:
+    flat = replace(STILL, event_gain_common=0, event_gain_path=0, response=0)
+    seen = relative(low_band, two_waves, EventGains(common_jitter_mhz=0.05), flat)
+    _, sizes, patterns = np.linalg.svd(seen.mean(axis=(0, 1)), full_matrices=False)
+    assert sizes[1] < 0.1 * sizes[0]
+    assert patterns[0].min() < -0.1
+    assert patterns[0].max() > 0.1
+    # All paths of an event move together.
+    np.testing.assert_allclose(np.corrcoef(seen[..., 20].reshape(12, -1)), 1.0, atol=0.05)
+
+
+def test_in_a_wet_world_the_resonance_jitters_in_rain_alone(low_band: Instrument, two_waves: SkyPower) -> None:
+    settings = replace(STILL, event_gain_common=0, event_gain_path=0)
+    campaign = simulate_campaign(settings, low_band, two_waves, np.random.default_rng(3), gains=NOISES["wetness"])
+    seen = relative(low_band, two_waves, NOISES["wetness"], settings)
+    is_wet = rain_of(campaign.spectra) > 0
+    assert np.abs(seen[:, :, ~is_wet]).max() < 1e-9
+    assert np.all(np.abs(seen[:, :, is_wet]).max(axis=(0, 1, 3)) > 1e-4)
+
+
+def rain_of(spectra: Spectra) -> np.ndarray:
+    return spectra.environment["rain_mm_h"].reshape(12, -1)[0]
+
+
+def test_a_resonance_that_moves_up_is_the_curve_read_lower() -> None:
+    frequency = np.arange(30.0, 81.0)
+    curve = 1.0 + 20.0 * np.exp(-(((frequency - 58.0) / 6.0) ** 2))
+    moved = shift_resonance(curve[None, None, None], frequency, np.full((1, 1, 1, 1), 2.0))
+    np.testing.assert_allclose(moved[0, 0, 0, 5:], curve[3:-2], rtol=1e-9)
+
+
+def test_the_form_of_the_gains_changes_no_other_random_number(low_band: Instrument, two_waves: SkyPower) -> None:
+    quiet = replace(STILL, event_gain_common=0, event_gain_path=0)
+    first, second = (
+        simulate_campaign(quiet, low_band, two_waves, np.random.default_rng(3), gains=kind).spectra
+        for kind in (NOISES["behind"], NOISES["front"])
+    )
+    np.testing.assert_array_equal(first.power, second.power)
+
+
+def test_places_and_jitters_that_cannot_be_are_refused() -> None:
+    with pytest.raises(BadInputError, match="front or behind"):
+        EventGains("beside")
+    with pytest.raises(BadInputError, match="0 to 2"):
+        EventGains(common_jitter_mhz=-1.0)
+
+
+SETTINGS = TwinSettings(events_per_year=400)
+
+
+def _simulate(instrument: Instrument, sky: SkyPower, nuisances: Nuisances, settings: TwinSettings) -> Campaign:
+    return simulate_campaign(settings, instrument, sky, np.random.default_rng(1), nuisances=nuisances)
+
+
+def test_missing_events_and_dead_antennas_leave_gaps(low_band: Instrument, two_waves: SkyPower) -> None:
+    full = _simulate(low_band, two_waves, NONE, SETTINGS).spectra
+    assert len(full) == 400 * 24
+    holed = _simulate(low_band, two_waves, Nuisances(missing=0.1), SETTINGS).spectra
+    assert len(holed) / len(full) == pytest.approx(0.81, abs=0.02)
+    dead = _simulate(low_band, two_waves, Nuisances(dead_antennas=2), SETTINGS).spectra
+    last = {
+        (s, a): dead.time_unix[(dead.station == s) & (dead.antenna == a)].max()
+        for s in ("CS002", "CS003")
+        for a in range(6)
+    }
+    assert sum(time < full.time_unix.max() for time in last.values()) == 4
+
+
+def test_a_thin_part_of_the_sidereal_day_has_fewer_events(low_band: Instrument, two_waves: SkyPower) -> None:
+    full, thin = (
+        _simulate(low_band, two_waves, Nuisances(thin=depth, thin_lst_hours=3.0), SETTINGS).spectra
+        for depth in (0.0, 0.8)
+    )
+    counts = [
+        np.histogram(local_sidereal_time(one.time_unix, low_band.longitude_deg), 24, (0, 24))[0] for one in (full, thin)
+    ]
+    assert (counts[1] / counts[0]).min() < 0.5
+    assert (counts[1] / counts[0]).max() == 1.0
+
+
+def test_a_noisy_station_scatters_more(low_band: Instrument, two_waves: SkyPower) -> None:
+    noisy = Nuisances(noisy_stations=("CS003",), noise_factor=2.0)
+    still = replace(SETTINGS, radiometer=0, event_gain_common=0, event_gain_path=0)
+    clean = _simulate(low_band, two_waves, NONE, still).spectra
+    spectra = _simulate(low_band, two_waves, noisy, SETTINGS).spectra
+    scatter = [(spectra.power / clean.power - 1)[spectra.station == name].std() for name in ("CS002", "CS003")]
+    assert scatter[1] / scatter[0] == pytest.approx(2.0, rel=0.05)
+
+
+def test_antennas_that_see_the_same_sky_are_weakly_correlated(low_band: Instrument, two_waves: SkyPower) -> None:
+    quiet = replace(SETTINGS, event_gain_common=0, event_gain_path=0, stations=("CS002",))
+    clean = _simulate(low_band, two_waves, NONE, replace(quiet, radiometer=0)).spectra
+    spectra = _simulate(low_band, two_waves, Nuisances(sky_correlation=0.1), quiet).spectra
+    noise = (spectra.power / clean.power - 1).reshape(6, 2, -1)
+    correlation = np.corrcoef(noise[:, 0])[np.triu_indices(6, 1)]
+    assert correlation.mean() == pytest.approx(0.1, abs=0.01)  # 15 pairs of 20,400 numbers: 0.002
+    assert np.corrcoef(noise[0])[0, 1] == pytest.approx(0.0, abs=0.03)
+    assert noise.std() == pytest.approx(0.0442, rel=0.02)
+
+
+def test_departures_are_in_the_truth_and_have_zero_mean(low_band: Instrument, two_waves: SkyPower) -> None:
+    same, other = (
+        _simulate(low_band, two_waves, Nuisances(departures=size), SETTINGS).truth.stations[0].c for size in (0.0, 0.02)
+    )
+    departure = other / same - 1
+    # Power: 2 % from g behind N_RCU and 2 % from A; half of that in C.
+    assert departure.std() == pytest.approx(0.014, rel=0.4)
+    assert abs(departure.mean()) < 0.014 / 12**0.5 * 3
+
+
+def test_a_deaf_antenna_hardly_hears_the_sky_and_the_truth_knows(low_band: Instrument, two_waves: SkyPower) -> None:
+    same, deaf = (
+        _simulate(low_band, two_waves, Nuisances(deaf_antennas=count), SETTINGS).truth.stations[0].c for count in (0, 1)
+    )
+    ratio = (deaf / same) ** -2
+    assert sorted(ratio[:, :, 25].min(axis=1).round(6)) == [DEAF_GAIN, 1, 1, 1, 1, 1]
+
+
+def test_events_of_runs_lie_together(low_band: Instrument, two_waves: SkyPower) -> None:
+    counts = []
+    for part in (0.0, 0.6):
+        spectra = _simulate(
+            low_band, two_waves, Nuisances(clustered=part), replace(SETTINGS, stations=("CS002",))
+        ).spectra
+        times = np.unique(spectra.time_unix)
+        assert times.size == 400
+        counts.append(np.histogram(times, 73, (SETTINGS.start_unix, SETTINGS.start_unix + YEAR_S))[0])
+    assert counts[1].std() > 1.5 * counts[0].std()
+
+
+def test_interference_that_was_left_is_in_single_channels_of_all_paths(
+    low_band: Instrument, two_waves: SkyPower
+) -> None:
+    still = replace(SETTINGS, radiometer=0, event_gain_common=0, event_gain_path=0, stations=("CS002",))
+    clean, spoilt = (
+        _simulate(low_band, two_waves, Nuisances(interference=lines), still).spectra.power.reshape(12, -1)
+        for lines in (0.0, 0.2)
+    )
+    excess = spoilt / clean - 1
+    is_hit = excess > 0
+    assert np.mean(is_hit.any(axis=0)) == pytest.approx(0.2 / 51, rel=0.4)  # 80 lines
+    assert np.all(is_hit.all(axis=0) == is_hit.any(axis=0))
+    assert excess[is_hit].mean() == pytest.approx(RESIDUAL_LINE, rel=0.4)
+    assert excess.min() >= 0
+
+
+def test_a_realistic_campaign_still_calibrates(low_band: Instrument, two_waves: SkyPower) -> None:
+    campaign = _simulate(low_band, two_waves, REALISTIC, TwinSettings(stations=("CS002",)))
+    report = fit_calibration(campaign.spectra, low_band, two_waves)
+    deviations = [
+        np.abs(curve.c / campaign.truth.curve(curve.dipole or "", "CS002", curve.antenna) - 1)
+        for curve in report.curves
+        if curve.c is not None
+    ]
+    assert len(deviations) >= 8
+    assert np.median(deviations) < 0.03
+
+
+def test_what_cannot_be_is_refused() -> None:
+    with pytest.raises(BadInputError, match="missing"):
+        Nuisances(missing=1.5)

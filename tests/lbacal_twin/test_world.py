@@ -1,12 +1,20 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from astropy.coordinates import PrecessedGeocentric, SkyCoord, get_body, get_sun
+from astropy.time import Time
 
 from lbacal_core.errors import UnknownNameError
+from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.sky.names import load_sky
+from lbacal_core.skypower.model import compute_sky_power
+from lbacal_twin.bodies import horizontal, jupiter_position, on_the_equator_of, sun_position
 from lbacal_twin.gains import NOISES
+from lbacal_twin.view import View
 from lbacal_twin.world import ANTENNAS, LST_RMS, OUTSIDE, SKIES, World, draw_world, make_sky, tilt
 
 AT = np.array([30.0, 55.0, 80.0])
@@ -81,3 +89,72 @@ def test_the_view_of_a_world_has_its_sky_and_antenna(low_band: Instrument) -> No
 def test_an_unknown_sky_is_refused() -> None:
     with pytest.raises(UnknownNameError, match="half"):
         make_sky("flat")
+
+
+LST = np.linspace(0, 24, 50, endpoint=False)
+
+
+@pytest.fixture(scope="module")
+def view(low_band: Instrument) -> View:
+    return View(low_band)
+
+
+def test_the_plain_sum_turns_dipoles_as_the_sky_power_does(low_band: Instrument, view: View) -> None:
+    turned = replace(
+        low_band, dipole_azimuth_deg={name: arm + 5.0 for name, arm in low_band.dipole_azimuth_deg.items()}
+    )
+    expected, plain = compute_sky_power(turned), compute_sky_power(low_band)
+    ratio = view.ratio(lambda _, pattern: pattern, LST, turned_deg=5.0)[0]
+    for row, dipole in enumerate("XY"):
+        # Pixels of 3.7 degrees and a spline over 5 MHz; the effect itself is 2 %.
+        np.testing.assert_allclose(ratio[row], expected.at(dipole, LST) / plain.at(dipole, LST), atol=2e-4)
+
+
+def test_a_response_is_one_overhead_and_none_below_the_horizon(view: View) -> None:
+    response = view.response(np.array([0.0, 1.0, 2.0]), np.array([0.3, 0.3, 0.3]), np.array([40.0, 60.0]))
+    np.testing.assert_allclose(response[:, 0], 1.0, atol=0.005)  # fitted patterns: 0.1 % around the azimuth
+    assert np.all(response[:, 2] == 0)
+    assert np.all((response[:, 1] > 0) & (response[:, 1] < 1))
+
+
+def test_the_mean_sky_is_that_of_the_sky_power(low_band: Instrument, view: View) -> None:
+    mean = np.mean([compute_sky_power(low_band).power[dipole].mean(axis=0) for dipole in "XY"], axis=0)
+    # k_B Z_0 nu^2 / (c^2 R_r) per MHz, R_r = 50 Ohm: eq. total_sky_power_eq
+    per_kelvin = 1.380649e-23 * 376.730313668 * (low_band.frequency_mhz * 1e6 / 299_792_458.0) ** 2 / 50 * 1e6
+    np.testing.assert_allclose(view.mean_kelvin_sr * per_kelvin, mean, rtol=5e-3)  # pixels at the horizon
+
+
+TIMES = 1_388_534_400.0 + np.linspace(0, 7 * 365.25, 200) * 86_400
+
+
+def _separation_deg(position: tuple[Floats, Floats], other: tuple[Floats, Floats]) -> Floats:
+    (a, d), (b, e) = position, other
+    cosine = np.sin(d) * np.sin(e) + np.cos(d) * np.cos(e) * np.cos(a - b)
+    return np.degrees(np.arccos(np.clip(cosine, -1, 1)))
+
+
+def test_the_sun_stands_where_astropy_has_it() -> None:
+    sun = get_sun(Time(TIMES, format="unix")).transform_to("tete")
+    separation = _separation_deg(sun_position(TIMES), (sun.ra.rad, sun.dec.rad))
+    assert separation.max() < 0.02
+
+
+def test_jupiter_stands_where_astropy_has_it() -> None:
+    jupiter = get_body("jupiter", Time(TIMES, format="unix")).transform_to("tete")
+    separation = _separation_deg(jupiter_position(TIMES), (jupiter.ra.rad, jupiter.dec.rad))
+    assert separation.max() < 0.05  # aberration, nutation and the time of the light: 0.02 degrees
+
+
+def test_a_star_of_2015_stands_where_astropy_has_it() -> None:
+    star = SkyCoord(350.866, 58.812, unit="deg").transform_to(PrecessedGeocentric(equinox="J2015", obstime="J2015"))
+    position = on_the_equator_of(2015.0, np.radians([350.866]), np.radians([58.812]))
+    # 30 arcsec: the aberration that PrecessedGeocentric includes
+    assert _separation_deg(position, (star.ra.rad, star.dec.rad)).max() < 30 / 3600
+
+
+def test_a_source_on_the_meridian_has_its_zenith_angle_and_lies_south() -> None:
+    zenith, azimuth = horizontal(np.radians(30.0), np.radians(10.0), np.array([2.0]), 52.9)
+    assert np.degrees(zenith[0]) == pytest.approx(42.9)
+    assert abs(np.degrees(azimuth[0])) == pytest.approx(180.0)
+    _, later = horizontal(np.radians(30.0), np.radians(10.0), np.array([5.0]), 52.9)
+    assert np.sin(later[0]) < 0  # it sets in the west

@@ -1,17 +1,22 @@
 from __future__ import annotations
 
+import os
+import pickle
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from lbacal_core.antenna.files import grid_rows, turn_to_arm
 from lbacal_core.antenna.hamaker import load_hamaker
 from lbacal_core.antenna.ideal import ShortDipole
 from lbacal_core.antenna.model import AntennaModel, directional_response, zenith_gain
 from lbacal_core.antenna.names import load_antenna
 from lbacal_core.antenna.varied import VariedAntenna, beam_solid_angle
 from lbacal_core.errors import BadInputError, UnknownNameError, UnreadableFileError
+from tests.lbacal_core.antenna.conftest import DIPOLE
 
 NU = np.array([30.0, 45.0, 60.0, 80.0])
 ZENITH = np.arange(0.0, 91.0, 5.0)
@@ -154,3 +159,110 @@ def test_the_simulated_lba_agrees_with_the_element_beam_about_arm_and_width(shar
     zenith, azimuth = np.full(2, np.radians(60.0)), np.array([0.0, np.pi / 2])
     along, across = directional_response(simulated, nu, zenith, azimuth).T
     assert np.all(across > 1.5 * along)
+
+
+def write(one, path):
+    zenith, phi = (axis.ravel() for axis in np.meshgrid(one.zenith_deg, one.phi_deg, indexing="ij"))
+
+    def block(name, values, attributes=""):
+        return f"<{name} {attributes}> {' '.join(f'{value:.9g}' for value in values)} </{name}>\n"
+
+    text = "<!-- <frequency>1 2 3</frequency> -->\n"
+    text += block("frequency", one.frequency_mhz, 'unit="MHz"') + block("theta", zenith, 'unit="deg"')
+    text += block("phi", phi, 'unit="deg"')
+    for k, nu in enumerate(one.frequency_mhz):
+        for name, values in (("EAHTheta", one.theta[k].ravel()), ("EAHPhi", one.phi[k].ravel())):
+            text += block(f"{name}_amp", np.abs(values), f'unit="m" idfreq="{nu:.1f}"')
+            text += block(f"{name}_phase", np.degrees(np.angle(values)), f'unit="deg" idfreq="{nu:.1f}"')
+    path.write_text(text)
+    return path
+
+
+def test_a_dipole_comes_back_with_its_level(tabulated, tmp_path):
+    table = load_antenna(str(write(tabulated, tmp_path / "dipole.xml")))
+    tabulated.require_the_same(table)
+    assert table.has_level
+    np.testing.assert_allclose(
+        zenith_gain(table, tabulated.frequency_mhz), zenith_gain(DIPOLE, tabulated.frequency_mhz), rtol=1e-5
+    )
+
+
+def test_what_is_missing_is_named(tabulated, tmp_path):
+    path = write(tabulated, tmp_path / "dipole.xml")
+    text = path.read_text()
+    path.write_text(text.replace("<phi ", "<fi ").replace("</phi>", "</fi>"))
+    with pytest.raises(UnreadableFileError, match="found no phi"):
+        load_antenna(str(path))
+    path.write_text(text.replace('idfreq="50.0"', 'idfreq="51.0"', 1))
+    with pytest.raises(BadInputError, match="EAHTheta_amp at 50 MHz: expected 684 numbers, found none"):
+        load_antenna(str(path))
+
+
+def turn(one, theta, phi):
+    return turn_to_arm("x", "x.xml", [one.frequency_mhz, one.zenith_deg, one.phi_deg], theta, phi, has_level=True)
+
+
+def test_the_arm_is_found_in_the_pattern_wherever_it_lies(tabulated):
+    tabulated.require_the_same(turn(tabulated, tabulated.theta, tabulated.phi))
+
+
+def test_an_antenna_that_answers_to_every_direction_alike_has_no_arm(tabulated):
+    quarter = tabulated.phi_deg.size // 4
+    crossed_theta = tabulated.theta + 1j * np.roll(tabulated.theta, quarter, axis=2)
+    crossed_phi = tabulated.phi + 1j * np.roll(tabulated.phi, quarter, axis=2)
+    with pytest.raises(BadInputError, match=r"expected one arm: 90% of the response at zenith .* found 50%"):
+        turn(tabulated, crossed_theta, crossed_phi)
+
+
+def test_rows_come_in_any_order_and_a_hole_is_named():
+    frequency, zenith, phi = (np.array(one, dtype=float) for one in ([30, 30, 30, 30], [0, 0, 5, 5], [90, 360, 90, 0]))
+    axes, (grid,) = grid_rows("x", (frequency, zenith, phi), (np.array([2.0, 1.0, 4.0, 3.0], dtype=complex),))
+    assert [axis.tolist() for axis in axes] == [[30.0], [0.0, 5.0], [0.0, 90.0]]
+    np.testing.assert_array_equal(grid[0], [[1.0, 2.0], [3.0, 4.0]])
+    with pytest.raises(BadInputError, match="found none at 30 MHz, 5, 0 deg"):
+        grid_rows("x", (frequency[:3], zenith[:3], phi[:3]), (np.ones(3, dtype=complex),))
+
+
+def columns(one):
+    """One row a frequency and direction, phi before zenith, as NuRadioMC sorts them; GHz, rad, m."""
+    nu, phi, zenith = np.meshgrid(
+        one.frequency_mhz / 1e3, np.radians(one.phi_deg), np.radians(one.zenith_deg), indexing="ij"
+    )
+    rows = (nu, zenith, phi, one.phi.transpose(0, 2, 1), one.theta.transpose(0, 2, 1))
+    return [0.0, 0.0, np.pi / 2, np.float64(0.0), *(row.ravel() for row in rows)]
+
+
+@pytest.mark.parametrize("protocol", [2, 4, 5])
+def test_a_pickled_dipole_comes_back_with_its_level(protocol, tabulated, tmp_path):
+    path = tmp_path / "dipole.pkl"
+    path.write_bytes(pickle.dumps(columns(tabulated), protocol=protocol))
+    table = load_antenna(str(path))
+    tabulated.require_the_same(table)
+    np.testing.assert_allclose(
+        zenith_gain(table, tabulated.frequency_mhz), zenith_gain(DIPOLE, tabulated.frequency_mhz), rtol=1e-5
+    )
+
+
+@dataclass(frozen=True)
+class Touches:
+    """Made again by calling `os.mkdir`, as a hostile pickle calls what it likes."""
+
+    path: str
+
+    def __reduce__(self):
+        return (os.mkdir, (self.path,))
+
+
+def test_a_pickle_that_names_a_function_is_refused_and_nothing_of_it_is_executed(tmp_path):
+    path, made = tmp_path / "evil.pkl", tmp_path / "made"
+    path.write_bytes(pickle.dumps([0, 0, 0, 0, Touches(str(made))]))
+    with pytest.raises(UnreadableFileError, match=r"it names posix.mkdir, which is no part of an array"):
+        load_antenna(str(path))
+    assert not made.exists()
+
+
+@pytest.mark.parametrize("content", [b"", b"no pickle", pickle.dumps([1, 2]), pickle.dumps("text")])
+def test_a_file_that_is_none_is_one_sentence(content, tmp_path):
+    (tmp_path / "no.pkl").write_bytes(content)
+    with pytest.raises(UnreadableFileError, match="expected a pickled list of four angles and the arrays"):
+        load_antenna(str(tmp_path / "no.pkl"))

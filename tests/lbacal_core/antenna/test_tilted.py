@@ -14,11 +14,6 @@ NU = np.array([50.0, 120.0])
 ZENITH, AZIMUTH = np.radians([[20.0, 50.0, 80.0]]), np.radians([[10.0, 130.0, 250.0]])
 
 
-def test_a_level_arm_is_the_antenna_itself():
-    antenna = load_hamaker()
-    assert raise_arm(antenna, 0.0) is antenna
-
-
 @pytest.mark.parametrize("tilt", [-30.0, 25.0, 90.0])
 def test_a_raised_dipole_is_two_currents_above_a_mirror(tilt):
     """The sum of the fields of the dipole and its image, written with vectors."""

@@ -5,22 +5,32 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lbacal_core.calibration.chain_test import LARGEST_GAIN, Mistake, describe_mistakes, list_mistakes, name_mistakes
+from lbacal_core.antenna.ideal import ShortDipole
+from lbacal_core.calibration.chain_test import (
+    LARGEST_GAIN,
+    Mistake,
+    describe_mistakes,
+    free_own_sky,
+    list_mistakes,
+    list_other_antennas,
+    name_mistakes,
+)
 from lbacal_core.curves.curves import CalibrationCurve
 from lbacal_core.instrument.instrument import load_instrument
+from lbacal_core.skypower.differences import LST_HOURS
 from lbacal_core.skypower.model import compute_sky_power
 
-LST_HOURS = np.arange(48) / 2.0
+HALF_HOURS = np.arange(48) / 2.0
 
 
 @pytest.fixture(scope="module")
 def power():
-    return compute_sky_power(load_instrument("lofar-superterp"), lst_hours=LST_HOURS).power
+    return compute_sky_power(load_instrument("lofar-superterp"), lst_hours=HALF_HOURS).power
 
 
 @pytest.fixture(scope="module")
 def mistakes(power):
-    return {one.name: one for one in list_mistakes(load_instrument("lofar-superterp"), power, LST_HOURS)}
+    return {one.name: one for one in list_mistakes(load_instrument("lofar-superterp"), power, HALF_HOURS)}
 
 
 def test_each_mistake_leads_to_what_p_sky_would_be_without_it(power, mistakes):
@@ -42,8 +52,8 @@ def test_of_another_antenna_the_data_show_its_form_along_lst_and_not_its_level(m
 def test_an_instrument_with_one_arm_has_no_letters_to_exchange():
     lofar = load_instrument("lofar-superterp")
     one_arm = replace(lofar, dipole_azimuth_deg={"A": 20.0}, antenna="short-dipole", gain_provenance=None)
-    power = compute_sky_power(one_arm, lst_hours=LST_HOURS).power
-    names = [one.name for one in list_mistakes(one_arm, power, LST_HOURS)]
+    power = compute_sky_power(one_arm, lst_hours=HALF_HOURS).power
+    names = [one.name for one in list_mistakes(one_arm, power, HALF_HOURS)]
     assert not any("exchanged" in name for name in names)
     assert "the antenna is like hamaker" in names
     assert "the antenna is like short-dipole" not in names
@@ -62,3 +72,74 @@ def test_the_dipoles_of_an_antenna_share_a_mistake():
     mistaken = name_mistakes(found, mistakes)
     assert mistaken == {("CS002", 1): "b", ("CS002", 3): "a"}
     assert describe_mistakes({**mistaken, ("CS002", 4): "b"}) == "b (CS002 antenna 1 and 1 more); a (CS002 antenna 3)"
+
+
+def test_dipoles_of_all_heights_are_tried_and_not_one():
+    """One height stood for all: a dipole 0.1 m lower passed for LOFAR's antenna, and C was off by 0.35."""
+    instrument = load_instrument("lofar-superterp")
+    own = compute_sky_power(instrument, lst_hours=LST_HOURS).power
+    others = {one.name: one.change for one in list_other_antennas(instrument, own, LST_HOURS)}
+    assert "hamaker" not in others
+    assert "quarter-wave" in others
+    of_dipoles = [change["X"] for name, change in others.items() if name.startswith("a short dipole")]
+    levels = np.array([change.mean(axis=0)[-1] for change in of_dipoles])
+    # from less power than LOFAR's antenna gets, relative to the zenith, to ten times as much
+    assert levels[0] < 0.0
+    assert levels[-1] > 2.0
+    assert np.all(np.diff(levels) > 0.0)
+    # any height between 0.6 and 1.7 m is near one of them
+    for height in (0.66, 1.01, 1.37, 1.61):
+        true = np.log(
+            compute_sky_power(instrument, antenna=ShortDipole(height), lst_hours=LST_HOURS).power["X"] / own["X"]
+        )
+        assert (
+            min(np.abs(true - change).max() for change in of_dipoles) < 0.4
+        )  # between neighbours that differ by 0.8 at 80 MHz
+
+
+def test_an_instrument_elsewhere_is_asked_for_other_heights_and_for_the_lba():
+    dipole = replace(load_instrument("lofar-superterp"), antenna="short-dipole", gain_provenance=None)
+    own = compute_sky_power(dipole, lst_hours=LST_HOURS).power
+    others = list_other_antennas(dipole, own, LST_HOURS)
+    names = [one.name for one in others]
+    assert names[:2] == ["hamaker", "quarter-wave"]
+    assert [one.share for one in others[:2]] == pytest.approx([1 / 3, 1 / 3])
+    assert sum(one.share for one in others) == pytest.approx(1.0)
+    assert len(names) > 10
+    assert "a short dipole at 1.43 m" in names
+
+
+def test_heights_follow_the_band():
+    lofar = load_instrument("lofar-superterp")
+    low = replace(
+        lofar,
+        frequency_mhz=lofar.frequency_mhz[:20],
+        **{name: getattr(lofar, name)[:20] for name in ("antenna_gain", "receiver_gain")},
+        cables={name: loss[:20] for name, loss in lofar.cables.items()},
+        gain_provenance=None,
+    )
+    own = compute_sky_power(low, lst_hours=LST_HOURS).power
+    names = [one.name for one in list_other_antennas(low, own, LST_HOURS)]
+    assert names[-1] == "a short dipole at 2.92 m"
+    assert pytest.approx(3.0, abs=0.01) == 2 * np.pi * 49e6 * 2.92 / 299792458.0
+
+
+@pytest.mark.parametrize("name", ["gsm408", "lfsm", "haslam", "maeda"])
+def test_another_sky_is_about_one_standard_deviation_away(name):
+    instrument = load_instrument("lofar-superterp")
+    freedom, own = free_own_sky(instrument), compute_sky_power(instrument, lst_hours=LST_HOURS)
+    other = compute_sky_power(instrument, sky=name, lst_hours=LST_HOURS)
+    for dipole, modes in freedom.modes.items():
+        change = np.log(other.power[dipole] / own.power[dipole]).ravel()
+        flat = modes.reshape(len(modes), -1)
+        # the most probable amplitudes for a change that is known to 0.3 %
+        amplitude = np.linalg.solve(flat @ flat.T + 0.003**2 * np.eye(len(flat)), flat @ change)
+        assert np.sum(amplitude**2) < 3.0
+        assert np.sqrt(np.mean((change - amplitude @ flat) ** 2)) < 0.002
+
+
+def test_the_digest_names_what_it_was_made_from():
+    instrument = load_instrument("lofar-superterp")
+    elsewhere = replace(instrument, latitude_deg=40.0)
+    assert free_own_sky(instrument).digest == free_own_sky(instrument).digest
+    assert free_own_sky(instrument).digest != free_own_sky(elsewhere).digest

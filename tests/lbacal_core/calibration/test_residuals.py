@@ -3,10 +3,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lbacal_core.calibration.antenna_noise import noise_at_input, predict_power
+from lbacal_core.calibration.antenna_noise import (
+    draw_noise,
+    noise_at_input,
+    predict_power,
+    recorded_background,
+    recorded_electronics,
+)
 from lbacal_core.curves.curves import CONVERGED, CalibrationCurve, Parameter
+from lbacal_core.errors import BadInputError
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.instrument.sidereal import local_sidereal_time
+from lbacal_core.skypower.power import RESISTANCE_OHM
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra.blocks import split_into_blocks
 from lbacal_twin.campaign import Campaign, simulate_campaign
@@ -49,3 +57,47 @@ def test_noise_terms_at_the_input_add_up_to_the_predicted_power(campaign: Campai
     silent = predict_power(curve, low_band, np.zeros((1, low_band.frequency_mhz.size)))[0]
     np.testing.assert_allclose(sum(terms.values()) * low_band.antenna_gain / curve.c**2, silent)
     assert terms["adc"] == pytest.approx(curve.parameters["n_adc"].value * curve.c**2 / low_band.antenna_gain)
+
+
+FREQUENCY = np.arange(30.0, 81.0)
+RATE = 200.0
+
+
+def test_noise_has_the_density_that_was_asked_for() -> None:
+    power = 1.0 + 3.0 * np.exp(-(((FREQUENCY - 58.0) / 5.0) ** 2))
+    samples, trials = 2000, 1500
+    traces = draw_noise(power, FREQUENCY, samples, RATE, np.random.default_rng(3), trials)
+    bins = np.fft.rfftfreq(samples, 1 / RATE)
+    density = 2 * np.mean(np.abs(np.fft.rfft(traces, axis=1)) ** 2, axis=0) / (samples * RATE * RESISTANCE_OHM)
+    at = [int(np.argmin(np.abs(bins - nu))) for nu in FREQUENCY]
+    # a mean of 1500 exponential variables scatters by 2.6 %
+    assert density[at] == pytest.approx(power, rel=0.12)
+    assert np.mean(density[at] / power) == pytest.approx(1.0, abs=0.02)
+    assert np.all(density[(bins < 29) | (bins > 81)] < 1e-20)
+
+
+def test_the_mean_square_is_the_sum_of_the_spectrum() -> None:
+    power = np.linspace(2.0, 5.0, 51)
+    traces = draw_noise(power, FREQUENCY, 20_000, RATE, np.random.default_rng(4), 50)
+    assert np.mean(traces**2) == pytest.approx(power.sum() * 1.0 * RESISTANCE_OHM, rel=0.01)
+
+
+def test_background_is_the_chain_and_electronics_is_what_is_left_without_the_sky(
+    low_band: Instrument, two_waves: SkyPower
+) -> None:
+    slope = 2.0 * low_band.antenna_gain
+    parameters = {name: Parameter(value, 0.0) for name, value in (("n_lna", 0.3), ("n_rcu", 0.7), ("n_adc", 0.1))}
+    c = np.sqrt(low_band.antenna_gain / slope)
+    curve = CalibrationCurve("CS002", 0, "X", "converged", 900, FREQUENCY, c, 0.01 * c, None, 1.0, 1.0, parameters)
+    lst = np.array([3.0, 17.0])
+    electronics = 0.3 * slope + 0.7 * low_band.receiver_gain + 0.1
+    assert recorded_electronics(curve, low_band) == pytest.approx(electronics)
+    expected = two_waves.at("X", lst) * slope + electronics
+    assert recorded_background(curve, low_band, two_waves, lst) == pytest.approx(expected)
+
+
+def test_too_slow_sampling_and_negative_densities_are_refused() -> None:
+    with pytest.raises(BadInputError, match="161"):
+        draw_noise(np.ones(51), FREQUENCY, 100, 150.0, np.random.default_rng(0))
+    with pytest.raises(BadInputError, match="densities"):
+        draw_noise(-np.ones(51), FREQUENCY, 100, RATE, np.random.default_rng(0))

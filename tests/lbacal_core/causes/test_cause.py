@@ -146,12 +146,6 @@ def test_causes_act_one_after_the_other(cause, terms, conditions):
     assert np.linalg.norm(change - first) < 0.1 * np.linalg.norm(first)
 
 
-def test_an_exchange_of_dipoles_is_a_swap_of_size_one(terms, conditions):
-    swap = next(cause for cause in CAUSES if cause.identifier == "dipole_swap")
-    changed = swap.apply(terms, conditions, Template(), 1.0)
-    np.testing.assert_allclose(changed.sky, terms.sky[::-1])
-
-
 def test_without_temperature_and_rain_their_causes_say_what_is_missing(conditions):
     bare = replace(conditions, covariates={}, time_unix=conditions.time_unix[:1] + np.arange(200.0))
     for cause in CAUSES:
@@ -178,8 +172,3 @@ def test_an_error_may_carry_a_size_beyond_a_physical_end():
     assert swap.allows(1.02, 0.01)
     assert not swap.allows(1.05, 0.01)
     assert not swap.allows(-0.26, 0.05)
-
-
-def test_every_cause_of_spectra_has_a_range():
-    without = [cause.identifier for cause in CAUSES if not np.isfinite(cause.sizes.lowest + cause.sizes.highest)]
-    assert without in ([], ["missing_noise"]), "a share of noise is a matter of LST curves"

@@ -7,6 +7,10 @@ import numpy as np
 import pytest
 
 from lbacal_core.causes.antenna import DipoleSwap
+from lbacal_core.causes.axes import AXES, axis_named, list_axes
+from lbacal_core.causes.cable import CableReflection
+from lbacal_core.causes.sky import sky_ratios
+from lbacal_core.skypower.model import vary_sky_power
 
 
 def seconds(date):
@@ -44,3 +48,183 @@ def test_one_dipole_has_no_letter_to_be_exchanged_with(world):
     conditions = world.look().data.conditions
     one = replace(conditions, dipoles=["A"], cables=["80"], sky_of={"A": np.ones((1, 1))})
     assert DipoleSwap().templates(one) == []
+
+
+@pytest.fixture(scope="module")
+def conditions(world):
+    return world.look().data.conditions
+
+
+def left_of(wave, basis):
+    """Share of the mean square of a wave that functions of an axis and a constant do not describe."""
+    columns = np.vstack([np.ones_like(wave), basis]).T
+    rest = wave - columns @ np.linalg.lstsq(columns, wave, rcond=None)[0]
+    return np.mean(rest**2) / np.var(wave)
+
+
+def test_a_drift_whose_ends_differ_is_a_smooth_function_of_the_date(conditions):
+    """Waves of whole periods alone would bend it back at both ends, and leave 6 % of it."""
+    date = axis_named("date")
+    days = date.values(conditions)
+    assert left_of(days, date.basis(conditions)) < 1e-3
+
+
+def test_structure_of_five_weeks_is_a_smooth_function_of_the_date_and_of_a_fortnight_is_not(conditions):
+    date = axis_named("date")
+    days = date.values(conditions)
+    # Maxima 73 days apart: five weeks up and five weeks down.
+    assert left_of(np.cos(2 * np.pi * days / 73.0), date.basis(conditions)) < 0.01
+    assert left_of(np.cos(2 * np.pi * days / 28.0), date.basis(conditions)) > 0.5
+
+
+@pytest.mark.parametrize(("name", "period_h"), [("lst", 24.0), ("utc", 24.0)])
+def test_a_day_has_five_harmonics_and_no_more(name, period_h, conditions):
+    axis = axis_named(name)
+    hours, basis = axis.values(conditions), axis.basis(conditions)
+    assert left_of(np.cos(2 * np.pi * 5 * hours / period_h + 1.0), basis) < 1e-6
+    assert left_of(np.cos(2 * np.pi * 7 * hours / period_h + 1.0), basis) > 0.5
+
+
+def test_every_column_of_env_that_varies_is_an_axis_by_its_name(conditions):
+    events = conditions.time_unix.size
+    wave = np.cos(np.arange(events) / 7.0)
+    scarce = np.where(np.arange(events) < 20, wave, np.nan)
+    columns = {"humidity": wave, "dead_clock": np.full(events, 3.0), "scarce": scarce, "lst": wave}
+    names = [axis.name for axis in list_axes(conditions.with_covariates(**columns))]
+    assert names == [*(axis.name for axis in AXES), "humidity", "env/lst"]
+    humidity = list_axes(conditions.with_covariates(humidity=wave))[-1]
+    assert left_of(wave**2, humidity.basis(conditions.with_covariates(humidity=wave))) < 0.01
+
+
+FREQUENCY = np.arange(30.0, 81.0)
+
+
+def test_a_ripple_is_the_mean_of_the_wave_over_each_channel():
+    """Against the plain mean of the monochromatic wave over 1 MHz."""
+    fine = (np.arange(400) + 0.5) / 400 - 0.5
+    for shape in CableReflection().templates(FREQUENCY, None)[::17]:
+        delay, phase = shape.parameters["delay_us"], np.radians(shape.parameters["phase_deg"])
+        wave = np.cos(2 * np.pi * delay * (FREQUENCY[:, None] + fine) - phase)
+        np.testing.assert_allclose(shape.departure, wave.mean(axis=1), atol=1e-5)
+
+
+def test_no_ripple_falls_between_those_that_are_tried():
+    tried = np.stack([shape.departure for shape in CableReflection().templates(FREQUENCY, None)])
+    tried /= np.linalg.norm(tried, axis=1, keepdims=True)
+    rng = np.random.default_rng(1)
+    for delay, phase in zip(rng.uniform(0.05, 0.95, 60), rng.uniform(0, 6.3, 60), strict=True):
+        ripple = np.cos(2 * np.pi * delay * FREQUENCY + phase)
+        # Half a step in delay and in phase off: sinc(0.005 us x 51 MHz) cos(22.5 deg) = 0.83.
+        assert np.abs(tried @ ripple).max() > 0.8 * np.linalg.norm(ripple)
+
+
+def test_the_note_names_the_delay_that_looks_the_same_with_its_amplitude():
+    cause = CableReflection()
+    (shape,) = (
+        s
+        for s in cause.templates(FREQUENCY, None)
+        if s.parameters == pytest.approx({"delay_us": 0.35, "phase_deg": 0.0, "or_delay_us": 0.65})
+    )
+    note = cause.note(shape.parameters, 0.01)
+    assert "0.65 us" in note
+    assert f"{0.01 * np.sinc(0.35) / np.sinc(0.65):.2g}" in note
+    about = cause.finer_templates(shape, FREQUENCY)
+    assert any(np.allclose(one.departure, -shape.departure) for one in about)
+
+
+def test_two_channels_close_to_each_other_asked_for_50_000_delays_and_9_gigabytes():
+    uneven = np.sort(np.r_[np.random.default_rng(1).uniform(40.0, 117.0, 150), 60.0, 60.0001])
+    tried = CableReflection().templates(uneven, None)
+    assert len(tried) < 4 * 2 * uneven.size
+    longest = max(template.parameters["delay_us"] for template in tried)
+    assert longest < 1.0 / np.median(np.diff(uneven))
+
+
+def test_finer_channels_reach_longer_delays():
+    """With channels of 0.39 MHz an echo of 0.85 us was named 0.026 us."""
+    fine = np.arange(50.0, 70.0, 0.39)
+    delays = {template.parameters["delay_us"] for template in CableReflection().templates(fine, None)}
+    assert min(abs(delay - 0.85) for delay in delays) < 0.5 / np.ptp(fine)
+
+
+def test_a_ripple_that_is_zero_in_every_channel_was_named_with_an_amplitude_of_3e11():
+    """A sine of half a period a channel is a rounding error in each, and every antenna has some multiple of it."""
+    cause = CableReflection()
+    tried = cause.templates(FREQUENCY, None)
+    longest = [one for one in tried if one.parameters["delay_us"] == pytest.approx(0.5)]
+    assert {one.parameters["phase_deg"] for one in longest} == {0.0, 45.0, 135.0}
+    about = cause.finer_templates(longest[0], FREQUENCY)
+    assert min(np.abs(one.departure).max() for one in [*tried, *about]) > 0.1
+
+
+LST = np.arange(32) * 0.75
+OPTION = {
+    "dipole_azimuth": "azimuth_deg",
+    "zenith_weighting": "zenith_exponent",
+    "pattern_width": "zenith_gain_fraction",
+}
+BETWEEN = [
+    # A Fourier series of 8 angles: the beam has nothing above six times the azimuth.
+    ("dipole_azimuth", 33.0, 1e-6),
+    ("dipole_azimuth", -2.0, 1e-6),
+    # A polynomial through four powers; the effect itself is 20 %.
+    ("zenith_weighting", 0.8, 1e-4),
+    ("zenith_weighting", 0.02, 2e-6),
+    # Linear in its size.
+    ("pattern_width", 0.3, 1e-6),
+    ("pattern_width", -0.1, 1e-6),
+]
+
+
+@pytest.fixture(scope="module")
+def ratios(world):
+    return {name: ratio.at("XY", LST) for name, ratio in sky_ratios(world.instrument).items()}
+
+
+def relative(power):
+    """Shape (dipole, lst, freq) over its mean over LST."""
+    return power / power.mean(axis=1, keepdims=True)
+
+
+@pytest.fixture(scope="module")
+def own(world):
+    return vary_sky_power(world.instrument, lst_hours=LST)
+
+
+@pytest.mark.parametrize(("name", "size", "tolerance"), BETWEEN)
+def test_between_the_sizes_computed_the_ratio_is_the_exact_one(name, size, tolerance, ratios, own, world):
+    exact = vary_sky_power(world.instrument, lst_hours=LST, **{OPTION[name]: size})
+    expected = np.stack([exact.power[d] / own.power[d] for d in "XY"])
+    sky = np.stack([own.power[d] for d in "XY"])
+    assert relative(sky * ratios[name](np.array(size))) == pytest.approx(relative(sky * expected), rel=tolerance)
+
+
+def test_a_power_of_the_cosine_is_taken_out_by_the_inverse(ratios):
+    ratio = ratios["zenith_weighting"]
+    np.testing.assert_allclose(ratio(np.array(-0.8)) * ratio(np.array(0.8)), 1.0, rtol=1e-12)
+
+
+def test_every_event_may_have_an_amount_of_its_own(ratios):
+    amounts = np.linspace(-0.3, 0.3, LST.size)
+    for name, ratio in ratios.items():
+        scale = 30.0 if name == "dipole_azimuth" else 1.0
+        together = ratio(scale * amounts[:, None])
+        apart = np.stack([ratio(np.array(scale * a))[:, k] for k, a in enumerate(amounts)], axis=1)
+        np.testing.assert_allclose(together, apart, rtol=1e-12)
+
+
+def test_no_size_is_no_change(ratios):
+    for ratio in ratios.values():
+        np.testing.assert_allclose(ratio(np.array(0.0)) * np.ones((2, 32, 51)), 1.0, rtol=1e-12)
+
+
+def test_a_source_adds_its_share(ratios):
+    for source in ("Cas A", "Cyg A", "Tau A", "Vir A"):
+        share = ratios[source](np.array(1.0)) - 1.0
+        assert np.all(share >= -1e-12)
+        assert 1e-4 < share.max() < 0.5
+
+
+def test_channels_that_the_own_models_do_not_cover_have_no_ratios(world):
+    outside = replace(world.instrument, frequency_mhz=world.instrument.frequency_mhz + 300.0)
+    assert sky_ratios(outside) == {}

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from lbacal_core.data.lofar import DIPOLES, LOFAR_DEG, LOFAR_RADIUS_DEG
 from lbacal_core.instrument.instrument import load_instrument
 
 
@@ -35,3 +36,10 @@ def test_g_ant_is_the_simulated_one_within_its_documented_error(shared: Path) ->
     assert np.std(ratio[band]) < 0.03  # 2 % and the reading of a figure
     assert ratio[0] == pytest.approx(1.10, abs=0.03)
     assert ratio[-1] == pytest.approx(0.83, abs=0.03)
+
+
+def test_the_shipped_superterp_has_these_letters_and_stands_there():
+    superterp = load_instrument("lofar-superterp")
+    assert superterp.dipoles == DIPOLES
+    assert abs(superterp.latitude_deg - LOFAR_DEG[0]) < LOFAR_RADIUS_DEG
+    assert abs(superterp.longitude_deg - LOFAR_DEG[1]) < LOFAR_RADIUS_DEG

@@ -5,7 +5,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lbacal_core.discovery.noise import split_residuals
+from lbacal_core.causes.cause import RAIN
+from lbacal_core.discovery.noise import (
+    HEAVY,
+    STANDS_OUT,
+    NoiseLevels,
+    _beyond,
+    _choose_vectors,
+    _scatter,
+    beyond_noise,
+    is_heavy,
+    list_kinds,
+    split_residuals,
+)
 from tests.lbacal_core.discovery.vectors import NU, THREE
 
 FLAT = np.ones((1, 51))
@@ -134,3 +146,116 @@ def test_gains_that_all_paths_share_leave_nothing_in_the_deviations_of_those_tha
         for c in (int(station.class_of[long][0]), int(station.class_of[~long][0]))
     )
     assert np.trace(one) / np.trace(other) == pytest.approx(0.64, rel=0.15)
+
+
+def _levels(station, residual, rain):
+    conditions = replace(station.conditions, covariates={**station.conditions.covariates, RAIN: 1.0 * rain})
+    return split_residuals(replace(station, conditions=conditions), residual, THREE).levels
+
+
+@pytest.mark.parametrize("spell", [5, 25])
+def test_events_in_rain_have_levels_of_their_own(station, noise, spell):
+    """A resonance that moves in rain alone was structure in single events, and once a cause that follows rain.
+
+    Where fewer than 40 events were wet they were weighed as dry ones: interference and the Sun were named.
+    """
+    wet = np.arange(noise.shape[1]) % spell == 0
+    moved = 0.6 * np.random.default_rng(9).standard_normal((1, noise.shape[1], 1)) * wet[:, None] * THREE[2]
+    levels = _levels(station, noise + moved, wet)
+    np.testing.assert_array_equal(levels.kind_of, wet)
+    dry, rainy = (np.diag(levels.vectors.T @ one @ levels.vectors).max() for one in levels.common_sum)
+    assert rainy > 4 * dry
+
+
+def test_a_few_events_in_rain_are_weighed_as_the_others_where_they_are_alike_but_for_a_burst(station, noise):
+    wet = np.arange(noise.shape[1]) % 25 == 0
+    burst = noise + 2.0 * (np.arange(noise.shape[1]) == 50)[:, None] * THREE[2]
+    for residual in (noise, burst):
+        assert not np.any(_levels(station, residual, wet).kind_of)
+
+
+@pytest.mark.parametrize("spell", [5, 20])
+def test_a_resonance_that_moves_with_the_millimetres_of_rain_is_no_noise(station, noise, spell):
+    """It made events in rain a kind of their own, whose noise took half of its score."""
+    rng = np.random.default_rng(4)
+    rain = np.where(np.arange(noise.shape[1]) % spell == 0, rng.exponential(1.5, noise.shape[1]), 0.0)
+    moved = 0.2 * rain[:, None] * THREE[2]
+    still, levels = (_levels(station, one, rain) for one in (noise, noise + moved))
+    np.testing.assert_array_equal(levels.kind_of, still.kind_of)
+    along = levels.vectors @ THREE[2] / np.linalg.norm(THREE[2])
+    # what moves has a variance of 0.4 in rain, and the noise of the means none along this vector
+    assert max(along @ one @ along for one in levels.common_sum) < 1e-3
+
+
+def test_what_does_not_follow_rain_keeps_its_variance(station):
+    """Three ways to follow rain describe a part of the noise of 60 events; the rest is scaled."""
+    rng = np.random.default_rng(6)
+    events = station.power.shape[1]
+    rain = np.where(np.arange(events) % 5 == 0, rng.exponential(1.5, events), 0.0)
+    conditions = replace(station.conditions, covariates={**station.conditions.covariates, RAIN: rain})
+    amount = rng.standard_normal((400, events, 2))
+    kinds = list_kinds(replace(station, conditions=conditions), amount[0])
+    left = kinds.beside_rain(amount)
+    np.testing.assert_array_equal(left[:, rain == 0], amount[:, rain == 0])
+    assert np.mean(left[:, rain > 0] ** 2) == pytest.approx(1.0, abs=0.03)
+    followed = amount + rain[:, None] * [2.0, -1.0] + np.tanh(rain)[:, None]
+    np.testing.assert_allclose(kinds.beside_rain(followed), left, atol=1e-9)
+
+
+def test_normal_amounts_keep_their_covariance_and_hardly_any_is_heavy():
+    rng = np.random.default_rng(8)
+    truth = np.array([[2.0, 0.6, 0.0], [0.6, 1.0, 0.1], [0.0, 0.1, 0.1]])
+    amount = rng.multivariate_normal(np.zeros(3), truth, 20_000)
+    assert is_heavy(amount).mean() == pytest.approx(HEAVY, abs=5 * (HEAVY / 20_000) ** 0.5)
+    np.testing.assert_allclose(_scatter(amount), truth, atol=0.05)
+
+
+def test_noise_has_no_vector_of_its_own_and_a_vector_beyond_noise_stands_out():
+    rng = np.random.default_rng(5)
+    largest = [np.linalg.eigvalsh(x.T @ x)[-1] for x in rng.standard_normal((200, 300, 48))]
+    units = np.array([beyond_noise(float(value), 300, 48) for value in largest])
+    assert np.mean(units) == pytest.approx(-1.2, abs=0.4)  # the law's mean is -1.21 and its spread 1.27
+    assert np.sum(units > STANDS_OUT) <= 2
+    strong = rng.standard_normal((300, 48)) + 1.2 * rng.standard_normal((300, 1)) * np.eye(48)[0]
+    assert beyond_noise(float(np.linalg.eigvalsh(strong.T @ strong)[-1]), 300, 48) > STANDS_OUT
+
+
+def test_the_noise_of_an_event_has_at_most_three_vectors():
+    found = _beyond(np.diag([4.0, 3.0, 2.0, 1.5]), 0.5)
+    np.testing.assert_allclose(np.diag(found), [3.5, 2.5, 1.5, 0.0])
+
+
+def test_lines_of_interference_make_no_vector_of_the_noise():
+    """Lines left in a fifth of the events, two in one channel, were a vector, along which they lie on one side."""
+    rng = np.random.default_rng(7)
+    events, channels = 760, 51
+    seed = np.ones((1, channels)) / channels**0.5
+    noise = rng.standard_normal((2, events, channels)) + 20.0 * rng.standard_normal((events, 1)) * seed
+    line = np.zeros((events, channels))
+    line[rng.choice(events, 150, replace=False), rng.integers(channels, size=150)] = rng.exponential(2.5, 150)
+    line[[100, 500], 5] = 14.0
+    tilt = rng.standard_normal((events, 1)) * np.cos(9 * np.linspace(-1, 1, channels)) / 5.0**0.5
+    everyone = [np.arange(events)]
+    assert len(_choose_vectors(noise + line, seed, everyone, 1.0)) == 1
+    assert len(_choose_vectors(noise + tilt, seed, everyone, 1.0)) == 2
+    # Beside cut lines a vector that is not orthogonal to the others gave information below 0, and scores of 18 sigma.
+    chosen = _choose_vectors(noise + tilt + np.abs(line), seed, everyone, 1.0)
+    np.testing.assert_allclose(chosen @ chosen.T, np.eye(2), atol=1e-12)
+
+
+@pytest.mark.parametrize("wet", [38, 64])
+def test_what_follows_rain_is_as_rare_as_noise_known_from_a_few_wet_events_makes_it(wet):
+    """Noise of wet events that counted as exact made structure along rain five to twenty times too probable."""
+    rng = np.random.default_rng(11)
+    vectors = np.eye(51)[:3]
+    kind_of = (np.arange(700) < wet).astype(np.int64)
+    nothing = np.zeros((2, 3, 3))
+    levels = NoiseLevels(vectors, kind_of, 1.0, nothing[:, None], np.ones(1), np.ones(1), np.zeros(2), nothing, nothing)
+    draws = 100_000
+    gain = rng.chisquare(6, draws)
+    for _ in range(2):  # means of three amounts of each polarisation, over their scatter in as many events
+        gain += wet * 3 / (wet - 3) * rng.f(3, wet - 3, draws)
+    for p in (1e-2, 1e-3, 2e-4):
+        one_in = float(np.quantile(gain, 1.0 - p))
+        assert levels.chance_of_gain(one_in, 12, kind_of[None] * 1.0, 6) == pytest.approx(p, rel=0.45)
+    assert levels.chance_of_gain(one_in, 12, np.ones((1, 700)), 6) < 0.4 * p  # in all events noise is known

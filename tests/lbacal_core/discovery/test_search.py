@@ -10,24 +10,19 @@ from lbacal_core.causes.axes import axis_named
 from lbacal_core.causes.catalogue import CAUSES
 from lbacal_core.causes.cause import Template
 from lbacal_core.causes.model import AdoptedCause, Model
-from lbacal_core.discovery.findings import Grown, StationSearch
+from lbacal_core.discovery.findings import Grown, StationSearch, _idle
+from lbacal_core.discovery.growth import grow
 from lbacal_core.discovery.hypothesis import Hypothesis, Target, list_targets
 from lbacal_core.discovery.policy import Policy
 from lbacal_core.discovery.refit import refit
 from lbacal_core.discovery.residual_structure import ResidualStructure
-from lbacal_core.discovery.search import (
-    _lives_there,
-    _seen_beside,
-    _standing,
-    _structure_beside,
-    search_station,
-)
+from lbacal_core.discovery.search import _lives_there, _seen_beside, _standing, _structure_beside, search_station
 from lbacal_core.discovery.station import gather_stations
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.faults.antenna import GainStep, GainTemperature
 from lbacal_twin.faults.fault import Where
 from lbacal_twin.faults.interference import RfiBroadband
-from lbacal_twin.faults.sky import LstOffset
+from lbacal_twin.faults.sky import DipoleAzimuth, LstOffset
 from lbacal_twin.faults.uncatalogued import FieldGradient
 from tests.lbacal_core.discovery.conftest import SEED, SETTINGS
 
@@ -160,3 +155,65 @@ def test_a_name_on_an_antenna_beside_structure_in_paths_needs_as_much(world, siz
     finding = SimpleNamespace(hypothesis=found.effect, score=SimpleNamespace(trials=20.0, causes=26))
     left = ResidualStructure(axis_named("lst"), "antenna 2 X", 1e-9, 60.0, 16, 20.0, np.ones(1), None)
     assert _seen_beside(look.model.linear, [finding], left, Policy()) == [stands]
+
+
+class Letters:
+    """Models are words: every letter but those refused may be added, in the order of the alphabet given."""
+
+    def __init__(self, alphabet, refused=""):
+        self.alphabet, self.refused, self.tested = alphabet, refused, []
+
+    def propose(self, before):
+        return [before + letter for letter in self.alphabet if letter not in before]
+
+    def model_of(self, candidate):
+        return candidate
+
+    def held_out_gain(self, before, candidate):
+        self.tested.append((before, candidate))
+        return 0.0 if candidate[-1] in self.refused else 1.5
+
+
+def test_a_model_grows_by_the_best_candidate_until_nothing_is_proposed():
+    steps = grow("", Letters("ab"), 5)
+    assert [step.candidate for step in steps] == ["a", "ab"]
+    assert [step.held_out_gain for step in steps] == [1.5, 1.5]
+
+
+def test_a_candidate_that_held_out_data_refuse_gives_way_to_the_next_one():
+    search = Letters("abc", refused="a")
+    assert [step.candidate for step in grow("", search, 5)] == ["b", "bc"]
+    # Those behind the one accepted are not tested, and what is refused is asked again of the larger model.
+    assert search.tested == [("", "a"), ("", "b"), ("b", "ba"), ("b", "bc"), ("bc", "bca")]
+
+
+def test_a_model_takes_no_more_causes_than_are_allowed():
+    assert [step.candidate for step in grow("", Letters("abcd"), 2)] == ["a", "ab"]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("antenna", [0, 1])
+def test_a_finding_that_adds_nothing_beside_a_later_one_is_taken_out(world, antenna):
+    """Arms that stand 57 degrees off were an exchange of dipoles first, and an azimuth beside it."""
+    report = world.look(DipoleAzimuth(size=57.0, where=Where(antennas=(antenna,)))).investigate()
+    assert [one.hypothesis.cause.identifier for one in report.findings] == ["dipole_azimuth"]
+    found = report.findings[0]
+    assert [one.cause.identifier for one in report.last.hypotheses] == ["dipole_azimuth"]
+    assert found.hypothesis.size == pytest.approx(57.0, abs=3 * found.hypothesis.uncertainty)
+    assert found.held_out_gain > 0
+    assert found.chi2_before > found.chi2_after
+
+
+@pytest.mark.parametrize(
+    ("gains", "fitted_beside", "number"),
+    [([], 0, None), ([3.0, 1.0], 1, None), ([-1.0, 1.0], 1, 0), ([3.0, -2.0, -1.0], 1, 1), ([-1.0, 1.0], 0, None)],
+)
+def test_the_finding_that_adds_least_goes_first_where_the_others_could_be_fitted(gains, fitted_beside, number):
+    """A model that lacks a later finding as well does not tell what an earlier one adds."""
+    findings = [SimpleNamespace(held_out_gain=gain) for gain in gains]
+    chains = []
+    for k in range(len(gains)):
+        before = [SimpleNamespace(hypotheses=[None] * n) for n in range(k + 1)]
+        after = [SimpleNamespace(hypotheses=[None] * (k + fitted_beside * (n + 1))) for n in range(len(gains) - k - 1)]
+        chains.append([*before, *after])
+    assert _idle(findings, chains) == number

@@ -6,8 +6,17 @@ import numpy as np
 import pytest
 
 from lbacal_core.calibration.fit import fit_calibration
+from lbacal_core.discovery.baseline import SMALLEST_SHARE, leave_out_deaf, sky_shares
+from lbacal_core.discovery.report import investigate
+from lbacal_core.discovery.station import gather_stations
 from lbacal_core.errors import BadInputError
-from lbacal_twin.faults.antenna import GainDrift, GainTemperature
+from lbacal_twin.campaign import simulate_campaign
+from lbacal_twin.faults.antenna import GainTemperature
+from lbacal_twin.faults.fault import Where
+from lbacal_twin.faults.receiver import Compression
+from lbacal_twin.nuisances import Nuisances
+from lbacal_twin.world import World
+from tests.lbacal_core.discovery.conftest import SEED, SETTINGS
 from tests.lbacal_core.discovery.worlds import look_at
 
 
@@ -26,14 +35,6 @@ def test_every_event_stands_at_its_time_and_every_spectrum_at_its_path(world):
         assert data.conditions.covariates["temperature_c"][event] == spectra.environment["temperature_c"][row]
         assert data.conditions.covariates["rain_mm_h"][event] == spectra.environment["rain_mm_h"][row]
     assert np.all(look.residual[~data.is_present] == 0.0)
-
-
-def test_the_events_of_a_world_are_the_same_with_a_fault(world):
-    """What spares the tests a second: only the power of a spoilt station is read again."""
-    fault = GainDrift(size=0.02)
-    gathered = look_at(world.spectra(fault), world.instrument, world.sky)
-    assert np.array_equal(gathered.data.power, world.look(fault).data.power)
-    assert np.array_equal(gathered.data.event_id, world.look(fault).data.event_id)
 
 
 def test_spectra_of_fewer_blocks_count_as_noisier(world):
@@ -98,3 +99,107 @@ def test_a_dipole_hears_the_sun_best_across_its_arms(station, chain):
     assert np.all(x[better] > y[better])
     assert np.all(x[worse] < y[worse])
     assert np.all(conditions.sun_response[:, conditions.sun_altitude < 0] == 0.0)
+
+
+@pytest.fixture(scope="module")
+def broken(chain):
+    """A year in which one of eight antennas hardly hears the sky, and that sky is not the finder's."""
+    world = World("maeda", "hamaker", "behind")
+    nuisances = Nuisances(deaf_antennas=1)
+    return simulate_campaign(
+        SETTINGS, chain, world.sky_power(chain), np.random.default_rng(SEED), nuisances=nuisances
+    ).spectra
+
+
+def test_an_antenna_that_hardly_hears_the_sky_is_left_out_and_no_other(broken, chain, sky):
+    (station,) = gather_stations(broken, chain, sky)
+    without, names = leave_out_deaf(station)
+    assert len(names) == 2
+    assert names[0].removesuffix(" X") == names[1].removesuffix(" Y")
+    assert len(without.antenna) == len(station.antenna) - 2
+    number = int(names[0].split()[1])
+    assert number not in without.antenna
+    assert without.power.shape[0] == without.relative_variance.shape[0] == without.group.size == without.antenna.size
+
+
+def test_a_station_that_hears_the_sky_stays_as_it_is(station):
+    without, names = leave_out_deaf(station)
+    assert without is station
+    assert names == []
+    share = sky_shares(station)
+    assert share.min() > 1.2 * SMALLEST_SHARE * np.median(share)
+
+
+def test_a_path_that_compresses_is_not_deaf(world):
+    """What the gain loses to the power looks like noise behind the sky: two such paths in drawn worlds were "deaf"."""
+    antenna = int(world.station.scene.antennas[1])
+    where = Where(antennas=(antenna,), dipoles=("X",))
+    look = world.look(Compression(size=0.85, where=where))
+    share = sky_shares(look.data)
+    seems = share[look.paths.index((antenna, "X"))] / np.median(share)
+    assert SMALLEST_SHARE < seems < 0.4
+    assert leave_out_deaf(look.data)[1] == []
+
+
+def test_the_last_path_of_a_class_stays(broken, chain, sky):
+    (station,) = gather_stations(broken, chain, sky)
+    number = int(leave_out_deaf(station)[1][0].split()[1])
+    cable = chain.cable_of("CS002", number, station.conditions.time_unix[0])
+    others = [r.antenna for r in chain.antennas if r.station == "CS002" and r.cable == cable and r.antenna != number]
+    alone = broken.select(~np.isin(broken.antenna, others))
+    (station,) = gather_stations(alone, chain, sky)
+    assert leave_out_deaf(station)[1] == []
+
+
+@pytest.mark.long
+def test_a_deaf_antenna_under_a_wrong_sky_is_named_deaf_and_nothing_else(broken, chain, sky):
+    """It was `adc_jitter` and `compression` of that antenna at 5 sigma."""
+    report, _ = investigate(broken, chain, sky, is_own_sky=True)
+    assert report["findings"] == []
+    assert len(report["stations"][0]["deaf"]) == 2
+
+
+def labels(look):
+    return [label for _, label, _ in look.targets()]
+
+
+def test_paths_antennas_cables_and_the_station_are_targets(world):
+    look = world.with_settings(antennas=8).look()
+    scopes = [scope for scope, _, _ in look.targets()]
+    cables = {record.cable for record in world.instrument.antennas if record.station == "CS002" and record.antenna < 8}
+    assert scopes.count("path") == 16
+    assert scopes.count("antenna") == 8
+    assert scopes.count("cable") == len(cables) > 1
+    assert scopes.count("station") == 1
+    members = {label: paths for _, label, paths in look.targets()}
+    assert members["antenna 3"] == [(3, "X"), (3, "Y")]
+    assert members["antenna 3 Y"] == [(3, "Y")]
+    assert sorted(members["station"]) == [(a, d) for a in range(8) for d in "XY"]
+    for cable in cables:
+        antennas = {r.antenna for r in world.instrument.antennas if r.station == "CS002" and r.cable == cable}
+        assert members[f"cable {cable}"] == [(a, d) for d in "XY" for a in range(8) if a in antennas]
+
+
+def test_antennas_of_one_board_are_a_target_unless_they_are_one_antenna_or_all(world):
+    records = [
+        replace(record, group={0: "board 1", 2: "board 1", 1: "board 2"}.get(record.antenna))
+        for record in world.instrument.antennas
+    ]
+    targets = look_at(world.spectra(), replace(world.instrument, antennas=records), world.sky).targets()
+    of_groups = [(label, paths) for scope, label, paths in targets if scope == "group"]
+    assert of_groups == [("group board 1", [(0, "X"), (2, "X"), (0, "Y"), (2, "Y")])]
+    everyone = replace(world.instrument, antennas=[replace(r, group="cabinet") for r in world.instrument.antennas])
+    assert "group" not in {scope for scope, _, _ in look_at(world.spectra(), everyone, world.sky).targets()}
+
+
+def test_sets_of_paths_that_coincide_are_one_target(world):
+    spectra = world.spectra()
+    one = spectra.select(spectra.antenna == 1)
+    assert labels(look_at(one, world.instrument, world.sky)) == ["station"]
+    one_dipole = spectra.select(spectra.dipole == "X")
+    assert labels(look_at(one_dipole, world.instrument, world.sky)) == [
+        "antenna 0 X",
+        "antenna 1 X",
+        "antenna 2 X",
+        "station",
+    ]

@@ -1,11 +1,21 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from lbacal_core.chain.model import calibration_factor, chain_power
 from lbacal_core.curves.curves import CalibrationCurve, Parameter
-from lbacal_core.drift.events import MonthlyRatios, average_months, measure_event_modes
+from lbacal_core.drift.events import (
+    EventModes,
+    MonthlyRatios,
+    add_events,
+    average_months,
+    frequency_modes,
+    measure_event_modes,
+)
+from lbacal_core.drift.windows import borrow_curve
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.antennas import AntennaRecord
 from lbacal_core.instrument.instrument import Instrument
@@ -102,3 +112,119 @@ def test_a_month_with_few_events_has_no_value_and_an_antenna_without_reference_n
     found = measure_monthly_ratios(block, {7: curve}, instrument, sky)
     assert np.isfinite(found.c_ratio[0]).tolist() == [True, False]
     assert measure_monthly_ratios(block, {}, instrument, sky).c_ratio.shape == (0, 2)
+
+
+def test_a_borrowed_curve_is_the_neighbours_through_its_own_cable_times_the_gain_of_its_events() -> None:
+    """The power gain rose to 1.21, and of that the cables explain what they do."""
+    block, curve, instrument, sky = make_case(np.full(30, 1.21), np.random.default_rng(1), noise=0.01)
+    with_cables = replace(instrument, cables={"c": CABLE, "old": CABLE})
+    found = borrow_curve(curve, block, with_cables, sky, ("old", "c"))
+    assert found is not None
+    assert curve.c is not None
+    assert found.curve.c is not None
+    assert found.gain == pytest.approx(1.0 / 1.1, abs=4 * found.sigma)
+    assert found.curve.c / curve.c == pytest.approx(found.gain)
+    assert (found.curve.status, found.curve.events) == ("converged", 30)
+    neighbours_error = 0.01
+    assert found.curve.c_sigma_stat is not None
+    assert found.curve.c_sigma_stat / found.curve.c == pytest.approx(np.hypot(neighbours_error, found.sigma))
+
+    shorter = replace(instrument, cables={"c": CABLE * 1.21, "old": CABLE})
+    explained = borrow_curve(curve, block, shorter, sky, ("old", "c"))
+    assert explained is not None
+    assert explained.gain == pytest.approx(1.0, abs=4 * explained.sigma)
+    assert explained.curve.c == pytest.approx(found.curve.c)
+
+
+def test_too_few_events_borrow_nothing() -> None:
+    block, curve, instrument, sky = make_case(np.ones(4), np.random.default_rng(1), noise=0.01)
+    assert borrow_curve(curve, block, instrument, sky, ("c", "c")) is None
+
+
+def test_a_tilt_in_front_of_the_receiver_is_measured_as_such() -> None:
+    block, curve, instrument, sky = make_case(np.ones(40), np.random.default_rng(1), noise=0.0)
+    modes = frequency_modes(MHZ)
+    tilt = 1.0 + 0.02 * modes[0] - 0.01 * modes[1]
+    behind = N_RCU * RECEIVER * SCALE + N_ADC
+    block.power[:] = (block.power - behind) * tilt + behind
+    found = measure_event_modes(block, {7: curve}, instrument, sky)
+    # ln g = ln of the weighted mean, which is 1 + 0.02 <L1> - 0.01 <L2>; modes are relative to it, and half in C
+    level = 1.0 + 0.02 * found.centre[0, 0] - 0.01 * found.centre[0, 1]
+    # the weights, and with them the mean of a tilt, follow the sky: by a hundredth of the tilt over these 40 days
+    assert found.ln_c[0, :, 0] == pytest.approx(-0.5 * np.log(level), abs=2e-4)
+    assert found.ln_c[0, :, 1] == pytest.approx(-0.5 * 0.02 / level, abs=2e-5)
+    assert found.ln_c[0, :, 2] == pytest.approx(0.5 * 0.01 / level, abs=2e-5)
+
+
+def test_a_gain_of_all_channels_has_neither_tilt_nor_curvature() -> None:
+    block, curve, instrument, sky = make_case(np.full(40, 1.3), np.random.default_rng(1), noise=0.0)
+    found = measure_event_modes(block, {7: curve}, instrument, sky)
+    assert found.ln_c[0, :, 0] == pytest.approx(-0.5 * np.log(1.3), rel=1e-9)
+    assert np.abs(found.ln_c[0, :, 1:]).max() < 1e-9
+
+
+def test_an_event_with_less_power_than_the_noise_of_the_receiver_has_no_value() -> None:
+    block, curve, instrument, sky = make_case(np.ones(10), np.random.default_rng(1), noise=0.0)
+    block.power[0, 3] = 0.5 * (N_RCU * RECEIVER * SCALE + N_ADC)
+    found = measure_event_modes(block, {7: curve}, instrument, sky)
+    assert np.isnan(found.ln_c[0, :, 0]).tolist() == [k == 3 for k in range(10)]
+
+
+LAST = np.array([11, 57])
+"""Numbers of the events that came later: one between others."""
+
+
+def pick(block: SpectraBlock, events: np.ndarray) -> SpectraBlock:
+    """Some events of a block."""
+    return replace(
+        block, power=block.power[:, events], is_present=block.is_present[:, events], blocks=block.blocks[:, events],
+        time_unix=block.time_unix[events], event_id=block.event_id[events],
+    )  # fmt: skip
+
+
+@pytest.fixture
+def case():
+    block, curve, *rest = make_case(
+        np.random.default_rng(3).normal(1.0, 0.05, 58), np.random.default_rng(2), noise=0.04
+    )
+    return block, {7: curve}, *rest
+
+
+@pytest.fixture
+def kept(case) -> EventModes:
+    block, *others = case
+    return measure_event_modes(pick(block, np.setdiff1d(np.arange(58), LAST)), *others)
+
+
+def test_a_year_with_two_events_more_is_the_whole_year(case, kept) -> None:
+    block, *others = case
+    whole, found = measure_event_modes(block, *others), add_events(kept, pick(block, LAST), *others)
+    assert np.array_equal(found.antennas, whole.antennas)
+    assert np.array_equal(found.time_unix, whole.time_unix)
+    np.testing.assert_allclose(found.ln_c, whole.ln_c, rtol=1e-12)
+
+
+@pytest.mark.parametrize("factor", [2.0, 0.5])
+def test_a_spectrum_that_may_be_left_out_is_left_to_the_whole_year(case, kept, factor) -> None:
+    block, *others = case
+    odd = pick(block, LAST)
+    odd.power[:, 1] *= factor
+    assert add_events(kept, odd, *others) is None
+
+
+def test_a_channel_with_three_times_its_power_is_left_to_the_whole_year(case, kept) -> None:
+    block, *others = case
+    odd = pick(block, LAST)
+    odd.power[0, 1, 2] *= 3.0
+    assert add_events(kept, odd, *others) is None
+
+
+def test_a_path_that_becomes_known_well_enough_to_be_screened_is_left_to_the_whole_year(case) -> None:
+    block, *others = case
+    few = measure_event_modes(pick(block, np.arange(19)), *others)
+    assert add_events(few, pick(block, LAST), *others) is None
+
+
+def test_an_antenna_without_events_before_is_left_to_the_whole_year(case, kept) -> None:
+    block, *others = case
+    assert add_events(replace(kept, antennas=kept.antennas + 1), pick(block, LAST), *others) is None

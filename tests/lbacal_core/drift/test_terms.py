@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lbacal_core.drift.model import SEASON_PRIOR, SLOPE, STEPS, YEAR_S, Terms, fit_terms, month_columns, smooth_columns
+from lbacal_core.drift.model import SEASON_PRIOR, STEPS, YEAR_S, Terms, fit_terms, month_columns, smooth_columns
 
 MONTHS = 60
 TIME = np.arange(MONTHS) * YEAR_S / 12
@@ -48,7 +48,3 @@ def test_a_step_within_a_month_has_the_part_of_its_events() -> None:
         smooth_columns(np.array([5.0, 15.0]), 10.0), _terms([[16.5]]), time_unix, known, np.array([0, 10])
     )
     assert columns[0, :, STEPS].tolist() == [0.0, 3 / 8]
-
-
-def test_a_series_without_slope_has_none() -> None:
-    assert not np.any(_columns(_terms([[np.inf]], slope=False))[0, :, SLOPE])

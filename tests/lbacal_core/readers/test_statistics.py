@@ -83,11 +83,6 @@ def test_a_second_without_its_timestamp_is_refused_by_name(tmp_path: Path) -> No
         average(open_source(tmp_path / "sst.h5"), 60.0)
 
 
-def test_the_boards_that_recorded_are_told(tmp_path: Path) -> None:
-    write_statistics(tmp_path / "sst.h5")
-    assert "recorded with the RCU boards 1000, 1001, 1002" in open_source(tmp_path / "sst.h5").notes
-
-
 def test_receiver_files_of_the_first_lofar_are_one_source(tmp_path: Path) -> None:
     rng = np.random.default_rng(2)
     power = rng.uniform(1.0, 2.0, (4, 90, 512))

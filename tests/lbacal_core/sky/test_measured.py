@@ -3,7 +3,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lbacal_core.errors import UnknownNameError
 from lbacal_core.sky.names import PIVOT_MHZ, SkyLevel, load_sky, read_sky_level, tie_to_measurements
 
 NU = np.array([30.0, 50.0, 65.0, 80.0, 100.0])
@@ -34,19 +33,8 @@ def test_the_error_of_the_level_is_smallest_near_the_pivot() -> None:
     assert level.sigma(np.array([PIVOT_MHZ * np.e]))[0] == pytest.approx(np.hypot(0.03, 0.02))
 
 
-def test_no_correction_changes_nothing_but_the_name() -> None:
-    base = load_sky("gsm")
-    same = tie_to_measurements(base, SkyLevel(0.0, 0.0, np.zeros((2, 2)), 0.0))
-    np.testing.assert_array_equal(same.temperature(NU), base.temperature(NU))
-
-
 def test_the_digest_does_not_hang_on_the_last_bits_of_an_exponential() -> None:
     level = read_sky_level()
     nudged = SkyLevel(np.nextafter(level.level, 1.0), level.slope, level.covariance, level.scatter)
     base = load_sky("gsm")
     assert tie_to_measurements(base, nudged).digest() == tie_to_measurements(base, level).digest()
-
-
-def test_the_name_is_offered_where_another_is_unknown() -> None:
-    with pytest.raises(UnknownNameError, match="measured"):
-        load_sky("nowhere")

@@ -8,10 +8,15 @@ import numpy as np
 import pytest
 
 from lbacal_core.errors import BadInputError
+from lbacal_core.instrument.sidereal import local_sidereal_time
+from lbacal_core.spectra.screening import FEWEST_EVENTS
+from lbacal_core.spectra.spectra import Spectra
+from lbacal_core.traces.assembly import find_anomalous_spectra
 from lbacal_core.traces.background import CleaningSettings, bin_spectrum, measure_background, measure_traces
-from lbacal_core.traces.density import channel_frequencies
+from lbacal_core.traces.density import channel_frequencies, density_per_square, transform_blocks
+from lbacal_core.traces.selection import find_keyed_blocks, select_background
 from lbacal_core.traces.trace import Trace, group_traces, list_traces
-from lbacal_twin.voltages import Transmitter
+from lbacal_twin.voltages import Shower, Transmitter
 
 MakeTrace = Callable[..., Trace]
 SETTINGS = CleaningSettings()
@@ -156,3 +161,130 @@ def test_the_dump_of_2008_shows_its_glitches_and_its_band(shared: Path) -> None:
     assert found.rms == pytest.approx(141, abs=1)
     assert abs(SETTINGS.frequency_mhz[np.argmax(found.power)] - 57) <= 1
     assert np.sum(found.is_filled) == 0
+
+
+def test_noise_loses_no_block(make_trace: MakeTrace) -> None:
+    selection = select_background(make_trace(1))
+    assert np.all(selection.is_background)
+    assert selection.dropped == {}
+
+
+def test_a_pulse_takes_five_blocks_on_either_side(make_trace: MakeTrace) -> None:
+    trace = make_trace(2, disturbances=[Shower(sample=200 * 1024 + 500, peak=400.0)])
+    selection = select_background(trace)
+    assert selection.dropped == {"pulse": 11}
+    assert np.flatnonzero(~selection.is_background).tolist() == list(range(195, 206))
+    assert selection.pulses == (trace.position[200],)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_spike_above_or_below_the_noise_is_a_pulse(make_trace: MakeTrace, sign: int) -> None:
+    trace = make_trace(2)
+    samples = trace.samples.copy()
+    samples[200, 500] = sign * 400
+    selection = select_background(replace(trace, samples=samples))
+    assert selection.pulses == (trace.position[200],)
+    assert selection.dropped == {"pulse": 11}
+
+
+def test_a_known_pulse_is_left_out_even_when_it_cannot_be_seen(make_trace: MakeTrace) -> None:
+    trace = make_trace(3)
+    instant = trace.reference.time_unix + (50 * 1024 + 500) / 200e6
+    selection = select_background(trace, instant)
+    assert np.flatnonzero(~selection.is_background).tolist() == list(range(45, 56))
+
+
+def test_saturated_damaged_and_burst_blocks_are_dropped_for_their_own_reason(make_trace: MakeTrace) -> None:
+    trace = make_trace(4)
+    samples = trace.samples.copy()
+    samples[30] *= 3
+    samples[60, 17] = 2047
+    samples[90, 3] = -2048
+    is_intact = np.ones(len(samples), dtype=bool)
+    is_intact[120] = False
+    selection = select_background(replace(trace, samples=samples, is_intact=is_intact))
+    assert selection.dropped["damaged"] == 1
+    assert selection.dropped["saturated"] == 2
+    # The lone extreme samples are pulses too, and so, being three times the noise, is the burst.
+    assert not np.any(selection.is_background[[30, 60, 90, 120]])
+    assert np.sum(selection.is_background) >= 400 - 4 - 3 * 10
+
+
+def test_a_weak_burst_without_a_peak_is_a_burst(make_trace: MakeTrace) -> None:
+    trace = make_trace(5)
+    samples = trace.samples.copy()
+    samples[30] = np.rint(samples[30] * 1.4)
+    selection = select_background(replace(trace, samples=samples))
+    assert selection.dropped == {"burst": 3}  # with the blocks in which it begins and ends
+
+
+@pytest.mark.parametrize(("duty", "is_keyed"), [(0.2, True), (1.0, False), (0.9, False)])
+def test_only_a_transmitter_that_is_mostly_silent_costs_blocks(
+    make_trace: MakeTrace, duty: float, is_keyed: bool
+) -> None:
+    line = Transmitter(45.0, mean_square=60.0, duty=duty, period_s=4e-4)
+    trace = make_trace(6, disturbances=[line])
+    strength = np.zeros(513)
+    strength[round(45.0 * 1024 / 200)] = 10.0
+    to_density = density_per_square(1024, 200e6)
+    found = find_keyed_blocks(transform_blocks(trace.samples), strength, np.full(513, 4.0), to_density)
+    on = (np.arange(400) * 1024 / 200e6 / 4e-4) % 1.0 < duty
+    if is_keyed:
+        assert np.all(found[on])
+        assert found.mean() < 0.3
+    else:
+        assert not np.any(found)
+
+
+LONGITUDE = 6.87
+EVENTS, ANTENNAS = 150, 6
+
+
+def campaign(factor: np.ndarray, events: int = EVENTS) -> Spectra:
+    """A sky that swings by 40 % over the sidereal day, 5 % gain scatter, and a factor (antenna, event) on top."""
+    rng = np.random.default_rng(1)
+    time_unix = 1.4e9 + np.sort(rng.uniform(0, 3e7, events))
+    sky = 1 + 0.4 * np.cos(2 * np.pi * (local_sidereal_time(time_unix, LONGITUDE) - 18) / 24)
+    gain = rng.normal(1, 0.03, (1, events)) * rng.normal(1, 0.04, (ANTENNAS, events))
+    level = sky * gain * rng.normal(1, 0.3, (ANTENNAS, 1)) ** 2 * factor[:, :events]
+    rows = ANTENNAS * events
+    return Spectra(
+        frequency_mhz=np.arange(30.0, 81.0),
+        power=level.reshape(-1, 1) * rng.normal(1, 0.04, (rows, 51)),
+        event_id=np.tile([f"e{k}" for k in range(events)], ANTENNAS),
+        time_unix=np.tile(time_unix, ANTENNAS),
+        station=np.full(rows, "CS002"),
+        antenna=np.repeat(np.arange(ANTENNAS), events),
+        dipole=np.full(rows, "X"),
+        blocks=np.full(rows, 400),
+    )
+
+
+def test_ordinary_scatter_and_the_turning_sky_are_not_anomalous() -> None:
+    assert find_anomalous_spectra(campaign(np.ones((ANTENNAS, EVENTS))), LONGITUDE) == {}
+
+
+@pytest.mark.parametrize("factor", [0.5, 1.6, 30.0])
+def test_a_thunderstorm_takes_the_station_and_a_bad_receiver_its_path(factor: float) -> None:
+    change = np.ones((ANTENNAS, EVENTS))
+    change[:, 40] = factor
+    change[2, 70] = factor
+    found = find_anomalous_spectra(campaign(change), LONGITUDE)
+    station = {("e40", "CS002", antenna, "X") for antenna in range(ANTENNAS)}
+    assert set(found) == station | {("e70", "CS002", 2, "X")}
+    words = found["e70", "CS002", 2, "X"]
+    assert words.startswith("anomalous power: this path's is ")
+    assert float(words.split(" is ")[1].split(" times")[0]) == pytest.approx(factor, rel=0.2)
+
+
+def test_a_bad_receiver_is_seen_where_the_gain_of_the_whole_station_scatters() -> None:
+    """What all paths share is taken out before one of them is compared with the others."""
+    change = np.exp(0.12 * np.random.default_rng(2).standard_normal((1, EVENTS))) * np.ones((ANTENNAS, 1))
+    change[2, 70] *= 1.6
+    assert set(find_anomalous_spectra(campaign(change), LONGITUDE)) == {("e70", "CS002", 2, "X")}
+
+
+def test_few_events_are_left_alone() -> None:
+    change = np.ones((ANTENNAS, EVENTS))
+    change[:, 3] = 10.0
+    assert find_anomalous_spectra(campaign(change, FEWEST_EVENTS - 1), LONGITUDE) == {}

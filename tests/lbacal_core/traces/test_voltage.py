@@ -148,12 +148,6 @@ def test_at_the_channels_a_covariance_gives_the_standard_deviations_of_the_curve
         assert total == pytest.approx(expected)
 
 
-def test_a_curve_without_errors_claims_none() -> None:
-    found = calibrate_trace(noise(), RATE, curve(None, None))
-    assert found.factors.shape == (0, SAMPLES // 2 + 1)
-    assert np.all(found.c_sigma == 0)
-
-
 @pytest.mark.parametrize(
     ("samples", "rate", "message"),
     [

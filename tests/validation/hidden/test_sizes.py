@@ -2,12 +2,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from lbacal_twin.faults.antenna import ResonanceShift, ResonanceWidth
 from lbacal_twin.faults.fault import Where
 from lbacal_twin.faults.interference import RfiLine
 from lbacal_twin.faults.sky import LstOffset, PatternWidth
 from validation.hidden.data_sets import DataSet, Planted, is_in_family
+from validation.hidden.detection import fit_detection
+from validation.hidden.held_out import hide_in_halves
 from validation.hidden.sizes import planted_size, size_pull
 
 
@@ -54,3 +57,23 @@ def test_what_follows_rain_is_compared_in_the_mean_rain_whatever_the_law(data):
 def test_a_law_that_the_catalogue_does_not_document_is_beside_the_family() -> None:
     laws = (PatternWidth(size=0.1), LstOffset(size=0.1), ResonanceShift(size=0.1, is_circuit=True))
     assert [is_in_family(Planted("cause", law, "station", "station")) for law in laws] == [False, True, False]
+
+
+def test_the_curve_of_detection_finds_what_drew_the_trials():
+    rng = np.random.default_rng(1)
+    snr = np.repeat([4.0, 5.0, 5.5, 6.0, 7.5, 10.0], 300)
+    detected = (rng.random(snr.size) < norm.cdf((snr - 5.4) / 1.1)).astype(float)
+    curve = fit_detection(snr, detected, draws=60)
+    for share in (0.5, 0.95):
+        middle, (low, high) = curve.snr_at(share), curve.bounds(share, 0.95)
+        assert low < middle < high
+        # 1800 trials know the curve to some 0.05; four times that.
+        assert middle == pytest.approx(5.4 + 1.1 * norm.ppf(share), abs=0.2)
+
+
+def test_what_a_deaf_path_recorded_is_divided_by_nothing() -> None:
+    """A compression of this size leaves one path without the sky: the search leaves it out, and the model lacks it."""
+    outcome = hide_in_halves(1_356_142)
+    assert outcome is not None
+    assert outcome.named == ["compression"]
+    assert outcome.after < outcome.before

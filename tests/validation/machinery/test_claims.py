@@ -16,9 +16,7 @@ from validation.machinery.claims import (
     One,
     confidence_of_look,
     decide,
-    exactly,
     mean_interval,
-    mean_of,
     median_interval,
     rate_interval,
     rate_of,
@@ -26,6 +24,7 @@ from validation.machinery.claims import (
     spread_interval,
     worst_of,
 )
+from validation.machinery.coverage import count_within, coverage
 from validation.machinery.parts import parts_of
 
 
@@ -171,9 +170,24 @@ def test_the_figure_that_refutes_is_told_though_a_vaguer_one_lies_farther_off():
     assert (claim.verdict, claim.found) == (REFUTED, 0.3)
 
 
-def test_figures_are_told_with_their_unit_and_interval():
-    claim = claim_of(rate_of("r", 4, 2000), at_most(0.01))
-    assert (claim.words_found, claim.words_asked) == ("0.2 % (0.071 to 0.562)", "<= 1 %")
-    exact = claim_of(exactly("e", 1.0), between(0.95, 1.05))
-    assert (exact.words_found, exact.words_asked) == ("1", "0.95 to 1.05")
-    assert claim_of(mean_of("m", np.array([1.0, 3.0]), "dB"), at_least(0.0)).words_found.startswith("2 dB (")
+WITHIN = {"c_1": Asked("68 %", 0.60, 0.76), "c_2": Asked("95 %", 0.91, 0.98)}
+
+
+def test_shares_count_the_numbers_within_one_and_two_sigma() -> None:
+    assert count_within("c", np.array([0.5, -1.5, 2.5, -0.1])) == {"c_1": 0.5, "c_2": 0.75}
+
+
+def test_normal_pulls_are_shown_and_wide_ones_refuted() -> None:
+    rng = np.random.default_rng(1)
+    good = [count_within("c", rng.standard_normal(40)) for _ in range(200)]
+    wide = [count_within("c", 2.0 * rng.standard_normal(40)) for _ in range(200)]
+    assert [claim.verdict for claim in decide(coverage(good, "c"), WITHIN)] == [SHOWN, SHOWN]
+    assert [claim.verdict for claim in decide(coverage(wide, "c"), WITHIN)] == [REFUTED, REFUTED]
+
+
+def test_forty_of_forty_leave_room_for_a_few_outside() -> None:
+    # the interval of a mean of 40 ones has no width, and refuted 95 %
+    within_1, within_2 = decide(coverage([count_within("c", np.array([0.3])) for _ in range(40)], "c"), WITHIN)
+    assert within_1.verdict == REFUTED
+    assert within_2.verdict == UNDECIDED
+    assert 0.89 < within_2.interval[0] < within_2.interval[1] == 1.0

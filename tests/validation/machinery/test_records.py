@@ -2,10 +2,18 @@
 
 from __future__ import annotations
 
-from validation.machinery.claims import Asked, decide, rate_of
-from validation.machinery.ledger import DEBUG_BELOW, Block, joined, read_ledger
-from validation.machinery.parts import parts_of, proof_names
+import json
+import pickle
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+
+from validation.machinery.claims import Asked, Found, decide, rate_of
+from validation.machinery.ledger import DEBUG_BELOW, Block, Entry, first_unspent, joined, read_ledger
+from validation.machinery.parts import Part, Row, parts_of, proof_names
 from validation.machinery.records import Record, asked_of, path_of, read_history, read_record, read_records
+from validation.machinery.trials import read_kept, run_part, run_trials
 
 
 def test_a_record_is_read_as_it_was_written(tmp_path, monkeypatch):
@@ -45,3 +53,93 @@ def test_no_seed_is_in_two_results():
         blocks.setdefault((record.proof, record.part), []).extend(fresh)
     for own in blocks.values():
         joined(own)
+
+
+def entry(first: int, count: int, commit: str = "abcdefa") -> Entry:
+    return Entry("some", "part", first, count, "2027-01-01T00:00:00Z", commit)
+
+
+def test_neighbours_become_one_block_and_a_seed_is_in_one_block_only():
+    blocks = [Block(20, 5), Block(10, 10), Block(40, 1)]
+    assert joined(blocks) == (Block(10, 15), Block(40, 1))
+    with pytest.raises(ValueError, match="seeds 24 to 24 are in two blocks"):
+        joined([*blocks, Block(24, 1)])
+
+
+def test_the_next_seed_comes_after_all_that_were_entered_and_never_below_those_for_debugging():
+    assert first_unspent([]) == DEBUG_BELOW
+    assert first_unspent([entry(0, 50)]) == DEBUG_BELOW
+    assert first_unspent([entry(DEBUG_BELOW + 100, 50), entry(DEBUG_BELOW, 5)]) == DEBUG_BELOW + 150
+
+
+def test_seeds_are_held_by_a_record_that_has_them_and_fixed_cases_by_their_commit():
+    assert entry(DEBUG_BELOW, 5).is_held([Block(DEBUG_BELOW + 4, 6)], set())
+    assert not entry(DEBUG_BELOW, 5).is_held([Block(DEBUG_BELOW + 5, 6)], {"abcdefa"})
+    assert entry(0, 5).is_held([], {"abcdefa"})
+    assert not entry(0, 5).is_held([Block(0, 5)], {"1234567"})
+
+
+DONE: list[int] = []
+
+
+def _square(number: int) -> int:
+    return number * number
+
+
+def _note(seed: int) -> Row:
+    DONE.append(seed)
+    if seed == 13:
+        raise KeyboardInterrupt
+    return {"square": seed * seed, "pair": (seed, seed)}
+
+
+def _judge(rows: Sequence[Row]) -> list[Found]:
+    return [rate_of("any", len(rows), len(rows))]
+
+
+NOTED = Part("noted", _note, _judge, 5)
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_every_task_is_done_once_however_many_processes_do_it(workers: int):
+    assert sorted(run_trials(_square, range(7), "squares", workers)) == [0, 1, 4, 9, 16, 25, 36]
+
+
+def test_an_interrupted_run_goes_on_where_it_was(tmp_path: Path):
+    kept = tmp_path / "noted.jsonl"
+    DONE.clear()
+    with pytest.raises(KeyboardInterrupt):
+        run_part(NOTED, Block(10, 5), kept, workers=1)
+    assert sorted(read_kept(kept)) == [10, 11, 12]
+    DONE.clear()
+    rows = run_part(NOTED, Block(10, 3), kept, workers=1)
+    assert DONE == []
+    assert [row["square"] for row in rows] == [100, 121, 144]
+
+
+def test_a_row_that_was_cut_off_is_done_again(tmp_path: Path):
+    kept = tmp_path / "noted.jsonl"
+    run_part(NOTED, Block(1, 3), kept, workers=1)
+    text = kept.read_text()
+    kept.write_text(text[:-9])
+    DONE.clear()
+    rows = run_part(NOTED, Block(1, 3), kept, workers=1)
+    assert DONE == [3]
+    assert [row["seed"] for row in rows] == [1, 2, 3]
+    assert [json.loads(line)["seed"] for line in kept.read_text().splitlines()] == [1, 2, 3]
+
+
+def test_what_is_judged_is_what_is_stored(tmp_path: Path):
+    (row,) = run_part(NOTED, Block(2, 1), tmp_path / "noted.jsonl", workers=1)
+    assert row["pair"] == [2, 2]
+    assert row["seconds"] >= 0
+
+
+@pytest.mark.parametrize("proof", proof_names())
+def test_every_part_of_a_proof_can_be_sent_to_other_processes(proof: str):
+    parts = parts_of(proof)
+    assert parts
+    for name, part in parts.items():
+        assert part.name == name
+        assert part.count > 0
+        assert pickle.loads(pickle.dumps(part)).name == name  # noqa: S301  (our own)

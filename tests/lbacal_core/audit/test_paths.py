@@ -1,0 +1,186 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lbacal_core.audit.antennas import (
+    compare_paths,
+    compare_polarisations,
+    find_ill_paths,
+    find_wrong_cables,
+    log_likelihood_of_unit,
+    tell_exchanged,
+)
+from lbacal_core.audit.audit import audit
+from lbacal_core.audit.station import AuditedStation
+from lbacal_core.audit.steps import find_steps
+from lbacal_core.instrument.instrument import Instrument
+from lbacal_core.spectra.spectra import Spectra
+
+
+@pytest.mark.parametrize(("antenna", "recorded"), [(0, "115"), (5, "50")])
+def test_a_cable_on_record_that_is_not_there_is_named(
+    station: AuditedStation, low_band: Instrument, antenna: int, recorded: str
+) -> None:
+    true = str(station.cables[antenna])
+    claimed = station.with_cables({antenna: recorded}, low_band)
+    lines, found = find_wrong_cables(claimed, compare_paths(claimed), low_band)
+    assert found == {antenna: true}
+    assert f"antenna {antenna} has the cable {true}, not {recorded}" in lines[0].sentence
+
+
+def test_true_records_are_left_alone(station: AuditedStation, low_band: Instrument) -> None:
+    assert find_wrong_cables(station, compare_paths(station), low_band) == ([], {})
+
+
+def test_of_one_cable_only_the_spectrum_tells_the_unit(station: AuditedStation, low_band: Instrument) -> None:
+    one = station.with_cables(dict.fromkeys(range(6), "80"), low_band)
+    seen = replace(one, power=one.power.mean() * np.exp(0.02 * np.log(one.power / one.power.mean())))
+    power, volt = (log_likelihood_of_unit(one, np.arange(6), unit, low_band) for unit in ("power", "volt"))
+    assert power > volt
+    assert log_likelihood_of_unit(seen, np.arange(6), "power", low_band) < power
+
+
+@pytest.mark.parametrize("unit", ["power", "dB", "volt"])
+def test_cables_tell_power_from_decibels_and_volts(station: AuditedStation, low_band: Instrument, unit: str) -> None:
+    recorded = {
+        "power": station.power,
+        "dB": 10 * np.log10(station.power) + 200,
+        "volt": station.power**0.5,
+    }[unit]
+    seen = replace(station, power=recorded)
+    could_be = ("power", "volt", "dB") if unit == "dB" else ("power", "volt")
+    likelihood = {name: log_likelihood_of_unit(seen, np.arange(6), name, low_band) for name in could_be}
+    assert max(likelihood, key=lambda name: likelihood[name]) == unit
+
+
+EVERYBODY = np.ones(6, dtype=bool)
+
+
+def exchange(station: AuditedStation, *rows: int) -> AuditedStation:
+    """A station in which some antennas' dipoles bear each other's letter."""
+    power = station.power.copy()
+    power[list(rows)] = power[list(rows), ::-1]
+    return replace(station, power=power)
+
+
+def test_an_exchanged_antenna_is_named_with_odds(station: AuditedStation) -> None:
+    changed = exchange(station, 2)
+    lines = tell_exchanged(changed, compare_polarisations(changed, EVERYBODY))
+    assert [(line.verdict, line.antennas) for line in lines] == [("wrong", (2,))]
+    assert (lines[0].log_odds or 0.0) > 7
+
+
+def test_a_field_is_told_from_single_antennas(station: AuditedStation) -> None:
+    changed = exchange(station, 1, 3, 5)
+    letters = compare_polarisations(changed, EVERYBODY)
+    letters = letters if set(letters.exchanged()) == {1, 3, 5} else letters.flipped()
+    assert "all odd antennas" in tell_exchanged(changed, letters)[0].sentence
+
+
+def test_nothing_is_said_of_a_station_whose_letters_agree(station: AuditedStation) -> None:
+    assert tell_exchanged(station, compare_polarisations(station, EVERYBODY)) == []
+
+
+def test_one_instant_says_what_it_cannot(station: AuditedStation) -> None:
+    ratio = np.log(station.power[:, 0] / station.power[:, 1]).mean(axis=(0, 2))
+    quiet = int(np.argmin(np.abs(ratio)))
+    one = replace(
+        station, power=station.power[:, :, [quiet]], time_unix=station.time_unix[[quiet]],
+        lst_hours=station.lst_hours[[quiet]],
+    )  # fmt: skip
+    lines = tell_exchanged(one, compare_polarisations(one, EVERYBODY))
+    assert [line.verdict for line in lines] == ["undecided"]
+    assert "some hours would" in lines[0].sentence
+
+
+def test_antennas_that_do_not_work_are_not_compared(station: AuditedStation) -> None:
+    assert compare_polarisations(station, np.zeros(6, dtype=bool)).rows.size == 0
+
+
+def test_an_odd_gain_in_one_instant_is_no_exchange(station: AuditedStation) -> None:
+    """A drawn station of which one antenna's gains were off by 14 % was said to be exchanged there."""
+    power = np.repeat(station.power[:, :1, :1], 2, axis=1)
+    power[:, 0] *= np.exp(0.1 + np.array([0.01, -0.01, 0.02, -0.135, 0.0, -0.02]))[:, None, None]
+    one = replace(station, power=power, time_unix=station.time_unix[:1], lst_hours=station.lst_hours[:1])
+    odds = compare_polarisations(one, EVERYBODY)
+    assert odds.exchanged().size == 0
+    assert odds.odds[3] > odds.odds[[0, 1, 2, 4, 5]].max()
+
+
+ANTENNA, DIPOLE = 3, 1
+
+
+def spoil(station: AuditedStation, kind: str) -> AuditedStation:
+    """A station of which one path does not work."""
+    power = station.power.copy()
+    path = power[ANTENNA, DIPOLE]
+    if kind == "dead":
+        path[:] = 1e-3 * path.mean()
+    elif kind == "deaf":
+        path[:] = path.mean() / 3
+    elif kind == "oscillating":
+        path[:, 20:23] *= 10.0
+    elif kind == "clipped":
+        path[:] = 5 * path.mean() * (path / path.mean()) ** 0.3
+    else:
+        path *= 1.8
+    return replace(station, power=power)
+
+
+@pytest.mark.parametrize("kind", ["dead", "deaf", "oscillating", "clipped", "outlying"])
+def test_a_path_that_does_not_work_is_named_and_no_other(station: AuditedStation, kind: str) -> None:
+    spoilt = spoil(replace(station, cables=np.full(6, "80"), loss=station.loss[[1] * 6]), kind)
+    spoilt = replace(spoilt, power=spoilt.power / (station.loss / spoilt.loss)[:, None, None, :])
+    lines, is_ill = find_ill_paths(spoilt, compare_paths(spoilt))
+    assert [(line.check, line.antennas, line.dipole) for line in lines] == [(kind, (ANTENNA,), "Y")]
+    assert np.argwhere(is_ill).tolist() == [[ANTENNA, DIPOLE]]
+
+
+def test_nothing_is_named_in_a_station_that_works(station: AuditedStation) -> None:
+    assert find_ill_paths(station, compare_paths(station))[0] == []
+
+
+def test_a_working_path_follows_the_others_wholly(station: AuditedStation) -> None:
+    comparison = compare_paths(station)
+    np.testing.assert_allclose(comparison.follows, 1.0, atol=1e-6)
+    np.testing.assert_allclose(comparison.shares, 1.0, atol=0.05)
+
+
+ALL = np.arange(6)
+
+
+def step(station: AuditedStation, factor: float, rows: np.ndarray = ALL) -> AuditedStation:
+    power = station.power.copy()
+    power[rows, :, 10:] *= factor
+    return replace(station, power=power)
+
+
+def test_a_healthy_station_has_no_step(station: AuditedStation) -> None:
+    assert find_steps(station, ALL) == []
+
+
+@pytest.mark.parametrize("factor", [2.0, 0.25])
+def test_a_step_is_found_with_size_and_date(station: AuditedStation, factor: float) -> None:
+    (line,) = find_steps(step(station, factor), ALL)
+    assert (line.check, line.verdict) == ("stepped", "wrong")
+    assert line.value == pytest.approx(10 * np.log10(factor), abs=0.3)
+    assert "about 2014-05-14 02:2" in line.sentence
+
+
+def test_a_small_step_and_that_of_a_few_antennas_are_left_to_others(station: AuditedStation) -> None:
+    assert find_steps(step(station, 1.2), ALL) == []
+    assert find_steps(step(station, 4.0, np.array([0, 1])), ALL) == []
+
+
+def test_a_slope_in_time_is_no_step(station: AuditedStation) -> None:
+    rising = replace(station, power=station.power * np.linspace(1.0, 4.0, 24)[:, None])
+    assert find_steps(rising, ALL) == []
+
+
+def test_the_sky_is_not_asked_of_two_chains(spectra: Spectra, low_band: Instrument) -> None:
+    late = spectra.time_unix[:, None] > np.median(spectra.time_unix)
+    report = audit(replace(spectra, power=np.where(late, 4.0, 1.0) * spectra.power), low_band, antenna="hamaker")
+    assert [line.check for line in report.lines] == ["stepped"]

@@ -1,0 +1,119 @@
+"""What the benchmark compares has the same minimum; the speeds themselves are no test."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import psycopg
+import pytest
+from fastapi import FastAPI
+
+from lbacal_core.calibration.fit import fit_calibration
+from lbacal_core.instrument.sidereal import local_sidereal_time
+from lbacal_core.spectra.blocks import split_into_blocks
+from service.app import make_app
+from service.config import Settings
+from service.factory import Factory
+from validation.benchmarks.fit import OnePath, farthest, make_scene, make_spectra
+from validation.benchmarks.ingest import BulkPostgres, BulkSqlite, prepare
+from validation.benchmarks.ledger import PATHS, deeds, fill, opened
+from validation.benchmarks.reads import ONE, REQUESTS, add_same, compare_a_year, fill_spectra, get
+from validation.fit import Scene
+from validation.running.postgres import run_postgres
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return make_scene(stations=1, antennas=2)
+
+
+@pytest.fixture(scope="module")
+def path(scene: Scene) -> OnePath:
+    block = split_into_blocks(make_spectra(scene, 300, np.random.default_rng(1)))[0]
+    lst = local_sidereal_time(block.time_unix, scene.instrument.longitude_deg)
+    return OnePath(scene, block.power[0], scene.sky_power.at(block.dipole, lst))
+
+
+def test_the_fit_finds_the_minimum_that_scipy_finds_with_all_spectra(scene: Scene, path: OnePath):
+    spectra = make_spectra(scene, 300, np.random.default_rng(1))
+    report = fit_calibration(spectra, scene.instrument, scene.sky_power)
+    # SciPy stops when chi^2 changes by 1e-8 of itself, 1e-4 in chi^2 = 0.01 sigma
+    assert farthest(report, scene, path.minimise(path.jacobian), path) < 0.01
+
+
+def test_the_analytic_derivatives_are_those_of_finite_differences(path: OnePath):
+    at = np.random.default_rng(2).uniform(0.8, 1.2, path.start.size)
+    step = 1e-6
+    for k in (0, 25, 51, 52, 53):
+        shift = np.zeros_like(at)
+        shift[k] = step
+        slope = (path.residual(at + shift) - path.residual(at - shift)) / (2 * step)
+        np.testing.assert_allclose(path.jacobian(at)[:, k], slope, rtol=1e-6, atol=1e-6)
+
+
+def count(url: str) -> int:
+    factory = Factory(Settings(database_url=url))
+    everything = {"station": None, "since": None, "until": None, "flag": None, "cursor": -1, "limit": 10}
+    with factory.database.read() as stores:
+        found = sum(event.spectra for event in stores.spectra.events(**everything))
+    factory.database.close()
+    return found
+
+
+def require_once(bulk: BulkSqlite | BulkPostgres, url: str) -> None:
+    bulk.add_keys(3, 2)
+    for events in (1, 2, 2):
+        bulk.load([(path, event, 0, 100, bytes(8)) for event in range(events) for path in range(3)])
+        assert count(url) == 3 * events
+    bulk.close()
+
+
+def test_the_bulk_load_of_sqlite_stores_each_spectrum_once(tmp_path: Path) -> None:
+    url = str(tmp_path / "bare.sqlite")
+    prepare(url)
+    require_once(BulkSqlite(url), url)
+
+
+@pytest.mark.usefixtures("needs_postgres")
+def test_the_bulk_load_of_postgresql_stores_each_spectrum_once() -> None:
+    name = f"bulk_{os.getpid()}"
+    with run_postgres() as server, psycopg.connect(server, autocommit=True) as connection:
+        connection.execute(f"CREATE DATABASE {name}")
+        url = server.replace("/postgres?", f"/{name}?", 1)
+        prepare(url)
+        require_once(BulkPostgres(url), url)
+        connection.execute(f"DROP DATABASE {name} WITH (FORCE)")
+
+
+def test_each_deed_is_done_on_a_ledger_of_two_nights(tmp_path: Path) -> None:
+    with opened(str(tmp_path / "lbacal.sqlite")) as factory:
+        every = deeds(factory, fill(factory, 2))
+        for deed in every.values():
+            deed(0)
+        with factory.database.read() as stores:
+            newest = stores.ledger.newest_number()
+    assert newest == 3 * len(PATHS) + sum(name.startswith("promotion") for name in every)
+
+
+def read(app: FastAPI, address: str) -> bytes:
+    """Ask in a thread of its own: in this one a browser of other tests may run its loop."""
+    with ThreadPoolExecutor(1) as pool:
+        return pool.submit(asyncio.run, get(app, address)).result()
+
+
+def test_each_request_is_answered_and_a_path_s_year_is_read(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with opened(str(tmp_path / "lbacal.sqlite")) as factory:
+        version = fill(factory, 1)[PATHS[0]][0]
+        fill_spectra(factory, 30)
+        app = make_app(factory)
+        bodies = {what: read(app, address.format(version=version)) for what, address in REQUESTS.items()}
+        assert len(json.loads(bodies["effective, all paths"])["curves"]) == len(PATHS)
+        add_same(app, json.loads(bodies["effective, one path"]))
+        assert read(app, "/same") == read(app, ONE)
+        compare_a_year(factory)
+    assert "a path's year, " in capsys.readouterr().out
