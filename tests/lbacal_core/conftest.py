@@ -3,8 +3,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lbacal_core.instrument.instrument import load_instrument
+from lbacal_core.instrument.instrument import Instrument, load_instrument
 from lbacal_core.skypower.model import compute_sky_power
+from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra.spectra import Spectra
 from lbacal_twin.settings import TwinSettings
 from lbacal_twin.view import View
@@ -12,11 +13,20 @@ from tests.lbacal_core.discovery.worlds import World
 
 
 @pytest.fixture(scope="session")
-def world() -> World:
+def chain() -> Instrument:
+    return load_instrument("lofar-superterp")
+
+
+@pytest.fixture(scope="session")
+def sky(chain: Instrument) -> SkyPower:
+    return compute_sky_power(chain)
+
+
+@pytest.fixture(scope="session")
+def world(chain: Instrument, sky: SkyPower) -> World:
     """A year of three antennas of CS002: 200 events, the noise of the real array."""
-    instrument = load_instrument("lofar-superterp")
     settings = TwinSettings(stations=("CS002",), antennas=3, events_per_year=200)
-    return World(instrument, compute_sky_power(instrument), settings, View(instrument))
+    return World(chain, sky, settings, View(chain))
 
 
 @pytest.fixture(scope="session")

@@ -13,8 +13,6 @@ from lbacal_core.causes.model import PLAIN, AdoptedCause, Model
 from lbacal_core.curves.curves import CONVERGED, NOT_CONVERGED, TOO_FEW_EVENTS, parse_curve
 from lbacal_core.discovery.calibrate import fit_causes
 from lbacal_core.errors import BadInputError
-from lbacal_core.instrument.instrument import load_instrument
-from lbacal_core.skypower.model import compute_sky_power
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.faults.antenna import GainTemperature
 from lbacal_twin.faults.fault import Where
@@ -165,16 +163,6 @@ def test_a_withdrawn_cause_leaves_the_model_as_it_was():
 SETTINGS = TwinSettings(stations=("CS002", "CS003"), antennas=4, events_per_year=300)
 LATE = AdoptedCause("lst_offset", "CS002", "station", 0.25, 0.02)
 HERE = Where(stations=("CS002",))
-
-
-@pytest.fixture(scope="module")
-def chain():
-    return load_instrument("lofar-superterp")
-
-
-@pytest.fixture(scope="module")
-def sky(chain):
-    return compute_sky_power(chain)
 
 
 @pytest.fixture(scope="module")

@@ -74,13 +74,6 @@ def test_equal_columns_are_merged_and_leave_x_and_their_sum_as_with_one_column()
     np.testing.assert_allclose(np.sqrt(np.diag(flat.covariance[0]))[:size], error[:size], rtol=0.01)
 
 
-def test_columns_that_differ_are_not_merged():
-    x, y, information, terms = problem(np.random.default_rng(3))
-    solution = solve_separable(x[None], y[None], information[None], terms)
-    assert solution.is_identifiable[0]
-    assert not solution.is_merged.any()
-
-
 def test_an_amount_far_below_zero_with_a_small_error_is_left_for_those_that_the_data_allow():
     """The errors of x and y are correlated along y = -P x, so that chi^2 has a narrow valley at n = -P."""
     rng = np.random.default_rng(17)

@@ -16,24 +16,12 @@ from lbacal_core.discovery.residual_structure import find_structure
 from lbacal_core.discovery.search import search_station
 from lbacal_core.discovery.station import gather_stations
 from lbacal_core.errors import BadInputError
-from lbacal_core.instrument.instrument import load_instrument
-from lbacal_core.skypower.model import compute_sky_power
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.faults.uncatalogued import MainsHum
 from lbacal_twin.settings import YEAR_S, TwinSettings
 from tests.lbacal_core.discovery.worlds import report_of
 
 SETTINGS = TwinSettings(stations=("CS002",), antennas=6, events_per_year=300, years=2.0)
-
-
-@pytest.fixture(scope="module")
-def chain():
-    return load_instrument("lofar-superterp")
-
-
-@pytest.fixture(scope="module")
-def sky(chain):
-    return compute_sky_power(chain)
 
 
 @pytest.fixture(scope="module")

@@ -12,9 +12,6 @@ from lbacal_core.discovery.project import LinearModel
 from lbacal_core.discovery.refit import fit_chain
 from lbacal_core.discovery.station import Station, gather_stations
 from lbacal_core.grids import Floats
-from lbacal_core.instrument.instrument import Instrument, load_instrument
-from lbacal_core.skypower.model import compute_sky_power
-from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra.spectra import Spectra
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.faults.fault import Fault
@@ -22,16 +19,6 @@ from lbacal_twin.settings import TwinSettings
 
 SETTINGS = TwinSettings(stations=("CS002",), antennas=8, events_per_year=300)
 SEED = 20140101
-
-
-@pytest.fixture(scope="session")
-def chain() -> Instrument:
-    return load_instrument("lofar-superterp")
-
-
-@pytest.fixture(scope="session")
-def sky(chain) -> SkyPower:
-    return compute_sky_power(chain)
 
 
 @pytest.fixture(scope="session")

@@ -139,11 +139,6 @@ def test_the_band_of_another_instrument_was_weighed_with_lofars_calibration_and_
 
 
 @pytest.fixture(scope="module")
-def chain():
-    return load_instrument("lofar-superterp")
-
-
-@pytest.fixture(scope="module")
 def weights(chain):
     return band_weights(chain, AS_RECORDED, BAND_MHZ)
 

@@ -19,13 +19,8 @@ from lbacal_core.skypower.model import compute_sky_power, vary_sky_power
 
 
 @pytest.fixture(scope="module")
-def superterp() -> Instrument:
-    return load_instrument("lofar-superterp")
-
-
-@pytest.fixture(scope="module")
-def differences(superterp: Instrument) -> ModelDifferences:
-    return compute_model_differences(superterp)
+def differences(chain: Instrument) -> ModelDifferences:
+    return compute_model_differences(chain)
 
 
 def left_by(basis: np.ndarray, change: np.ndarray) -> tuple[float, np.ndarray]:
@@ -68,21 +63,21 @@ def test_the_level_modes_describe_every_exchange_within_their_prior(differences:
         assert np.all(np.abs(amount) < 1.1)
 
 
-def test_frequencies_beyond_the_models_have_the_differences_of_their_edge(superterp: Instrument) -> None:
-    wide = replace(superterp, frequency_mhz=np.linspace(5.0, 125.0, 51))
+def test_frequencies_beyond_the_models_have_the_differences_of_their_edge(chain: Instrument) -> None:
+    wide = replace(chain, frequency_mhz=np.linspace(5.0, 125.0, 51))
     shape = compute_model_differences(wide).shape["X"]
     assert shape[..., 0] == pytest.approx(shape[..., 1], abs=1e-9)  # 5 and 7.4 MHz, both below 10
 
 
-def test_an_arm_and_not_a_letter_has_a_shape(superterp: Instrument, differences: ModelDifferences) -> None:
-    exchanged = compute_model_differences(replace(superterp, dipole_azimuth_deg={"X": 315.0, "Y": 225.0}))
+def test_an_arm_and_not_a_letter_has_a_shape(chain: Instrument, differences: ModelDifferences) -> None:
+    exchanged = compute_model_differences(replace(chain, dipole_azimuth_deg={"X": 315.0, "Y": 225.0}))
     for one, other in ("XY", "YX"):
         for shape in exchanged.shape[one]:
             assert left_by(differences.shape[other], shape)[0] < 2e-4, "the modes left out; of 0.04"
 
 
-def test_each_dipole_has_the_shapes_of_its_own_arm(superterp: Instrument, differences: ModelDifferences) -> None:
-    other, default = compute_sky_power(superterp, "lfsm"), compute_sky_power(superterp)
+def test_each_dipole_has_the_shapes_of_its_own_arm(chain: Instrument, differences: ModelDifferences) -> None:
+    other, default = compute_sky_power(chain, "lfsm"), compute_sky_power(chain)
     for own, across in ("XY", "YX"):
         change = np.log(other.power[own] / default.power[own])
         change -= change.mean(axis=0)
@@ -90,18 +85,18 @@ def test_each_dipole_has_the_shapes_of_its_own_arm(superterp: Instrument, differ
         assert left_by(differences.changes_at(across, other.lst_hours), change)[0] > 1e-3
 
 
-def test_an_instrument_elsewhere_gets_the_differences_of_its_own_site(superterp: Instrument) -> None:
+def test_an_instrument_elsewhere_gets_the_differences_of_its_own_site(chain: Instrument) -> None:
     """They were those of the Superterp everywhere."""
-    south = replace(superterp, latitude_deg=-35.2)
+    south = replace(chain, latitude_deg=-35.2)
     other, default = compute_sky_power(south, "lfsm"), compute_sky_power(south)
     change = np.log(other.power["X"] / default.power["X"])
     change -= change.mean(axis=0)
     assert left_by(model_difference_modes(south, other.lst_hours)["X"], change)[0] < 3e-4
-    assert left_by(model_difference_modes(superterp, other.lst_hours)["X"], change)[0] > 5e-3
+    assert left_by(model_difference_modes(chain, other.lst_hours)["X"], change)[0] > 5e-3
 
 
-def test_waves_are_a_few_percent_and_smaller_at_higher_harmonics_and_degrees(superterp: Instrument) -> None:
-    together, own = waves_at(superterp.frequency_mhz, LST_HOURS)
+def test_waves_are_a_few_percent_and_smaller_at_higher_harmonics_and_degrees(chain: Instrument) -> None:
+    together, own = waves_at(chain.frequency_mhz, LST_HOURS)
     assert together.changes.std(axis=(1, 2)) == pytest.approx(0.02 / 2**0.5)
     size = np.abs(np.fft.rfft(own.changes, axis=1)).max(axis=2) / 24
     harmonic = size.argmax(axis=1)
@@ -111,13 +106,13 @@ def test_waves_are_a_few_percent_and_smaller_at_higher_harmonics_and_degrees(sup
     assert strongest[0] == pytest.approx(0.008)
 
 
-def test_waves_describe_what_the_other_models_leave_of_one(superterp: Instrument) -> None:
+def test_waves_describe_what_the_other_models_leave_of_one(chain: Instrument) -> None:
     """What a model leaves of another is some tenths of a percent; with the waves within three of their sigma, less."""
-    true, default = compute_sky_power(superterp, "lfsm", "inverted-v-wet"), compute_sky_power(superterp)
+    true, default = compute_sky_power(chain, "lfsm", "inverted-v-wet"), compute_sky_power(chain)
     change = np.log(true.at("X", LST_HOURS) / default.at("X", LST_HOURS))
     change -= change.mean(axis=0)
-    known = compute_model_differences(superterp, DifferenceModels(("gsm408",), ("inverted-v",))).shape["X"]
-    _, waves = waves_at(superterp.frequency_mhz, LST_HOURS)
+    known = compute_model_differences(chain, DifferenceModels(("gsm408",), ("inverted-v",))).shape["X"]
+    _, waves = waves_at(chain.frequency_mhz, LST_HOURS)
     left, _ = left_by(known, change)
     beside, amount = left_by(np.concatenate([known, waves.changes]), change)
     assert left > 3e-3
@@ -125,11 +120,11 @@ def test_waves_describe_what_the_other_models_leave_of_one(superterp: Instrument
     assert np.sqrt(np.mean(amount[len(known) :] ** 2)) < 3
 
 
-def test_models_left_out_do_not_count(superterp: Instrument) -> None:
-    other, default = compute_sky_power(superterp, "lfsm"), compute_sky_power(superterp)
+def test_models_left_out_do_not_count(chain: Instrument) -> None:
+    other, default = compute_sky_power(chain, "lfsm"), compute_sky_power(chain)
     change = np.log(other.at("X", LST_HOURS) / default.at("X", LST_HOURS))
     change -= change.mean(axis=0)
-    without = compute_model_differences(superterp, DifferenceModels(skies=("gsm408",)))
+    without = compute_model_differences(chain, DifferenceModels(skies=("gsm408",)))
     assert left_by(without.shape["X"], change)[0] > 5e-3
     assert len(without.level["X"]) == 3 + 4
 
@@ -145,11 +140,11 @@ def test_isotropic_brightness_changes_the_minimum_of_the_sky_most(differences: M
 @pytest.mark.parametrize("sky", ["gsm-408locked", "lfsm-5.1deg"])
 @pytest.mark.parametrize("antenna", ["hamaker", "lba_vout"])
 def test_the_shapes_span_every_exchange_of_the_full_models(
-    shared: Path, differences: ModelDifferences, superterp: Instrument, sky: str, antenna: str
+    shared: Path, differences: ModelDifferences, chain: Instrument, sky: str, antenna: str
 ) -> None:
     beam = antenna if antenna == "hamaker" else str(shared / "data/antenna/lba_vout.npz")
-    other = compute_sky_power(superterp, str(shared / f"data/sky/{sky}.npz"), beam)
-    default = compute_sky_power(superterp)
+    other = compute_sky_power(chain, str(shared / f"data/sky/{sky}.npz"), beam)
+    default = compute_sky_power(chain)
     for dipole in "XY":
         change = np.log(other.power[dipole] / default.power[dipole])
         change -= change.mean(axis=0)

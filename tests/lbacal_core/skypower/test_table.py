@@ -51,12 +51,6 @@ def test_a_single_harmonic_is_exact_between_the_instants(order: int) -> None:
     np.testing.assert_allclose(table.at("Y", ANYWHERE), 2 * wave(ANYWHERE), rtol=1e-12)
 
 
-def test_sky_power_at_its_instants_is_the_table_and_repeats_every_sidereal_day() -> None:
-    table = make_sky_power()
-    for day in (-24.0, 0.0, 48.0):
-        np.testing.assert_allclose(table.at("Y", table.lst_hours + day), table.power["Y"], rtol=1e-12)
-
-
 def test_a_file_returns_what_was_written(tmp_path: Path) -> None:
     write_sky_power(make_sky_power(), tmp_path / "p.json")
     read = read_sky_power(tmp_path / "p.json")
