@@ -1,1 +1,1 @@
-"""The tables; read `tables`, then `drift`. Their history is in `migrations/`."""
+"""The tables; read `tables`. Their history is in `migrations/`."""

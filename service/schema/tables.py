@@ -447,6 +447,3 @@ drift_report = Table(
     Column("report", Text, nullable=False, comment="JSON"),
     Column("made_us", BigInteger, nullable=False),
 )
-
-SCHEMA = metadata
-"""All tables."""

@@ -19,7 +19,7 @@ from sqlalchemy import make_url
 from lbacal.files import written_beside
 from lbacal_core.errors import BadInputError
 from service.errors import UnavailableError
-from service.schema.tables import SCHEMA
+from service.schema.tables import metadata
 from service.storage.database import Database, explaining_failures
 
 
@@ -34,8 +34,10 @@ def make_config(database: Database) -> Config:
 def upgrade(database: Database) -> None:
     """Bring the schema to what this code needs."""
     _require_known(find_revision(database))
+    config = make_config(database)
+    config.attributes["may_make"] = True
     with explaining_failures():
-        command.upgrade(make_config(database), "head")
+        command.upgrade(config, "head")
 
 
 def require_current(database: Database) -> None:
@@ -51,8 +53,8 @@ def require_current(database: Database) -> None:
 def require_complete(database: Database) -> None:
     """Refuse a schema of the right number whose tables are not those that this code states."""
     with database.connect() as connection:
-        context = MigrationContext.configure(connection, opts={"compare_type": True, "target_metadata": SCHEMA})
-        found = [_name_difference(one) for one in compare_metadata(context, SCHEMA)]
+        context = MigrationContext.configure(connection, opts={"compare_type": True, "target_metadata": metadata})
+        found = [_name_difference(one) for one in compare_metadata(context, metadata)]
     if found:
         raise UnavailableError(f"the database differs from its schema in {len(found)} places: {'; '.join(found[:3])}")
 
