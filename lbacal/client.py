@@ -170,7 +170,7 @@ class Client:
         on_event
             Called with the number of events sent and their total.
         """
-        from lbacal.bodies import files_of_events
+        from lbacal.transport import files_of_events
         from lbacal_core.spectra.spectra import read_spectra
 
         measured = read_spectra(Path(spectra)) if isinstance(spectra, str | Path) else spectra

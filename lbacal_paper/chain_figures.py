@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lbacal_core.antenna.circuit import ResonanceCircuit
+from lbacal_core.antenna.lofar import ResonanceCircuit
 from lbacal_core.antenna.model import zenith_gain
 from lbacal_core.antenna.names import load_antenna
 from lbacal_core.calibration.antenna_noise import noise_at_input

@@ -11,22 +11,7 @@ from prometheus_client import CollectorRegistry
 from starlette.middleware.gzip import GZipMiddleware
 
 from service.factory import Factory
-from service.handlers import (
-    alarms,
-    calibrations,
-    cuts,
-    drift,
-    forms,
-    health,
-    investigations,
-    jobs,
-    ledger,
-    models,
-    pages,
-    problems,
-    session,
-    spectra,
-)
+from service.handlers import calibrations, drift, health, jobs, ledger, models, pages, problems, session, spectra
 from service.handlers.edge import AnswersHead, Edge, KeyGuard
 from service.handlers.metrics import Traffic
 from service.handlers.request import LARGE_READS, require_acceptable, require_known_query
@@ -54,16 +39,16 @@ def make_app(factory: Factory) -> FastAPI:
         calibrations.router,
         jobs.router,
         ledger.router,
-        investigations.router,
+        models.investigations,
         models.router,
         drift.router,
-        cuts.router,
-        alarms.router,
+        drift.cuts,
+        drift.alarms,
         health.router,
         pages.router,
         pages.assets,
         session.router,
-        forms.router,
+        session.forms,
     ):
         app.include_router(router)
     problems.install(app)

@@ -8,8 +8,7 @@ from pathlib import Path
 FOR_LOFAR = {
     "data/": "numbers with their citations, and what is LOFAR's",
     "traces/": "LOFAR's traces",
-    "antenna/hamaker.py": "the antenna model of LOFAR",
-    "antenna/circuit.py": "the resonance of LOFAR's antenna",
+    "antenna/lofar.py": "the antenna model of LOFAR, and its resonance",
     "skypower/antenna_of.py": "LOFAR's antenna for an instrument that stands among its stations",
     "skypower/differences.py": "the models that there are of LOFAR's antenna",
     "readers/statistics.py": "LOFAR's station statistics",
@@ -22,7 +21,6 @@ FOR_LOFAR = {
 PIVOTS = {
     "causes/amplifier.py": "the slope of N_LNA is about 55 MHz by its definition",
     "causes/cause.py": "levels at 55 MHz by the definition of their causes",
-    "causes/interference.py": "the same",
     "causes/sky.py": "levels at 55 MHz, tau at 30 MHz by their definitions",
     "skypower/sky_terms.py": "an error that is stated from 50 to 30 MHz",
     "uncertainty/refit.py": "an error that is stated at 30, 55 and 80 MHz",

@@ -23,7 +23,7 @@ import httpx2
 import numpy as np
 import psycopg
 
-from lbacal.bodies import bodies_of_events
+from lbacal.transport import bodies_of_events
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.skypower.model import compute_sky_power

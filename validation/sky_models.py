@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lbacal_core.antenna.hamaker import load_hamaker
+from lbacal_core.antenna.lofar import load_hamaker
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument, load_instrument
 from lbacal_core.lstcurve.compare import AS_RECORDED, band_weights, compare_lst_curve

@@ -62,8 +62,8 @@ def _read(data: Path, chain: Instrument, average_s: float) -> Spectra:
     """Spectra from their file, or averaged from another format to the channels of the instrument."""
     import h5py
 
-    from lbacal_core.readers.average import average
     from lbacal_core.readers.open import choose_channels, open_source
+    from lbacal_core.readers.source import average
     from lbacal_core.readers.statistics import is_statistics
     from lbacal_core.spectra.spectra import read_spectra
 

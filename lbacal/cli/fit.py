@@ -146,8 +146,7 @@ def fit(
 def describe_rest(report: FitReport, spectra: int, command: str, sky_power: Path | None) -> Iterator[str]:
     """What else there is to know: inputs, anomalous power, misfits, curves without values, and reference chains."""
     from lbacal_core.calibration.paths import LEAST_COVERAGE
-    from lbacal_core.curves.anomalies import Anomalies
-    from lbacal_core.curves.curves import CONVERGED, MISFIT
+    from lbacal_core.curves.curves import CONVERGED, MISFIT, Anomalies
 
     for name, note in report.provenance.notes.items():
         yield f"{name}: {note}"

@@ -38,8 +38,8 @@ def import_(
     """
     from lbacal_core.errors import BadInputError
     from lbacal_core.instrument.instrument import load_instrument
-    from lbacal_core.readers.average import average as average_source
     from lbacal_core.readers.open import choose_channels, open_source
+    from lbacal_core.readers.source import average as average_source
     from lbacal_core.spectra.spectra import write_spectra
 
     require_outputs({"--output": output}, {"SOURCE": source, "--instrument": instrument})

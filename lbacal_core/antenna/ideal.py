@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.constants import speed_of_light
+from scipy.constants import epsilon_0, speed_of_light
 
 from lbacal_core.antenna.model import Complexes
+from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
 from lbacal_core.provenance import hash_content
 
@@ -91,3 +92,92 @@ class ShortDipole:
     def digest(self) -> str:
         """Hash of the definition."""
         return hash_content([self.name, self.height_m, *([self.tilt_deg] if self.tilt_deg else [])])
+
+
+# An inverted-V dipole over ground, from its currents: it shares nothing with fitted or simulated beams.
+
+SEGMENTS = 8
+"""Gauss-Legendre nodes along an arm of less than half a wavelength: the response is exact to 1e-8."""
+
+
+@dataclass(frozen=True)
+class InvertedV:
+    """Two straight arms that slope down from a feed, each with a sinusoidal current that ends at its tip, over ground.
+
+    The response to a plane wave is the integral of the current along the arms times the incident field and the field
+    that the ground reflects, with Fresnel's coefficients of an even soil (Balanis, Antenna Theory, 3rd ed., eq. 4-125
+    and section 4.8). Coupling of the soil into the current is left out.
+
+    Attributes
+    ----------
+    arm_m
+        Length of each arm.
+    feed_m
+        Height of the feed above ground.
+    droop_deg
+        Angle of the arms below the horizontal.
+    permittivity, conductivity
+        Relative permittivity of the soil, and its conductivity in S/m; infinite for a perfect conductor.
+    """
+
+    arm_m: float = 1.38
+    feed_m: float = 1.5
+    droop_deg: float = 45.0
+    permittivity: float = 13.0
+    conductivity: float = 5e-3
+    name: str = "inverted-v"
+
+    def __post_init__(self) -> None:
+        lowest = self.feed_m - self.arm_m * np.sin(np.radians(self.droop_deg))
+        if not (self.arm_m > 0 and lowest > 0):
+            raise BadInputError(f"antenna {self.name}", "arms above the ground", f"a tip at {lowest:.2f} m")
+        if not (self.permittivity >= 1 and self.conductivity >= 0):
+            raise BadInputError(
+                f"antenna {self.name}",
+                "permittivity >= 1, conductivity >= 0",
+                f"{self.permittivity}, {self.conductivity}",
+            )
+
+    def jones(self, frequency_mhz: Floats, zenith: Floats, azimuth_from_arm: Floats) -> tuple[Complexes, Complexes]:
+        """Effective length along theta and phi for a current of 1 at the feed, m."""
+        zenith, azimuth = np.broadcast_arrays(np.asarray(zenith, dtype=float), azimuth_from_arm)
+        cosine, sine = np.cos(zenith), np.sin(zenith)
+        wavenumber = (2e6 * np.pi / speed_of_light * frequency_mhz).reshape((-1,) + (1,) * zenith.ndim)
+        across, along = sine * np.cos(azimuth), np.cos(azimuth)
+        # Horizontal (along the arms) and vertical moment of the current as the direct and the reflected wave see it.
+        direct = self._moments(wavenumber, across, cosine)
+        reflected = self._moments(wavenumber, across, -cosine)
+        vertical, horizontal = self._fresnel(frequency_mhz, zenith)
+        theta = along * cosine * direct[0] - sine * direct[1]
+        theta = theta - vertical * (along * cosine * reflected[0] + sine * reflected[1])
+        phi = -np.sin(azimuth) * (direct[0] + horizontal * reflected[0])
+        visible = zenith < np.pi / 2
+        return theta * visible, phi * visible
+
+    def _moments(self, wavenumber: Floats, across: Floats, up: Floats) -> tuple[Complexes, Complexes]:
+        """Integrals of the current along both arms with the phase of a wave, shape (freq, ...), m."""
+        nodes, weights = np.polynomial.legendre.leggauss(SEGMENTS)
+        droop = np.radians(self.droop_deg)
+        horizontal, vertical = 0.0, 0.0
+        for position, weight in zip((nodes + 1) / 2 * self.arm_m, weights / 2 * self.arm_m, strict=True):
+            current = weight * np.sin(wavenumber * (self.arm_m - position)) / np.sin(wavenumber * self.arm_m)
+            height = self.feed_m - position * np.sin(droop)
+            carrier = current * np.exp(1j * wavenumber * height * up)
+            reach = wavenumber * position * np.cos(droop) * across
+            # The current flows up one arm and down the other: horizontal parts add, vertical parts oppose each other.
+            horizontal = horizontal + 2 * np.cos(droop) * np.cos(reach) * carrier
+            vertical = vertical - 2j * np.sin(droop) * np.sin(reach) * carrier
+        return np.asarray(horizontal), np.asarray(vertical)
+
+    def _fresnel(self, frequency_mhz: Floats, zenith: Floats) -> tuple[Complexes, Complexes]:
+        """Reflection coefficients for the field in the plane of incidence and across it, shape (freq, ...)."""
+        if np.isinf(self.conductivity):
+            return np.ones((1,) * (1 + zenith.ndim), dtype=complex), -np.ones((1,) * (1 + zenith.ndim), dtype=complex)
+        loss = self.conductivity / (2e6 * np.pi * frequency_mhz * epsilon_0)
+        soil = (self.permittivity - 1j * loss).reshape((-1,) + (1,) * zenith.ndim)
+        cosine, inside = np.cos(zenith), np.sqrt(soil - np.sin(zenith) ** 2)
+        return (soil * cosine - inside) / (soil * cosine + inside), (cosine - inside) / (cosine + inside)
+
+    def digest(self) -> str:
+        """Hash of the definition."""
+        return hash_content([self.name, *(str(value) for value in self.__dict__.values())])

@@ -6,11 +6,9 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from lbacal_core.antenna.circuit import ResonanceCircuit, ResonantAntenna
 from lbacal_core.antenna.files import read_aera_xml, read_jones_npz, read_jones_text, read_nuradio_pickle, read_uvbeam
-from lbacal_core.antenna.hamaker import load_hamaker
-from lbacal_core.antenna.ideal import IsotropicAntenna, QuarterWaveDipole, ShortDipole
-from lbacal_core.antenna.inverted_v import InvertedV
+from lbacal_core.antenna.ideal import InvertedV, IsotropicAntenna, QuarterWaveDipole, ShortDipole
+from lbacal_core.antenna.lofar import ResonanceCircuit, ResonantAntenna, load_hamaker
 from lbacal_core.antenna.model import AntennaModel, zenith_gain
 from lbacal_core.errors import BadInputError, UnknownNameError
 from lbacal_core.foreign import parse_numbers

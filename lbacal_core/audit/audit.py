@@ -16,15 +16,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lbacal_core.audit.antennas import (
+    STEPPED,
     compare_paths,
     compare_polarisations,
     find_ill_paths,
+    find_steps,
     find_wrong_cables,
     tell_exchanged,
 )
 from lbacal_core.audit.sky_match import SkyMatch, SkyModels, load_models, tell_unit
 from lbacal_core.audit.station import FEWEST, AuditedStation, mean_frequencies, split_stations
-from lbacal_core.audit.steps import STEPPED, find_steps
 from lbacal_core.audit.verdict import UNDECIDED, WRONG, Line
 from lbacal_core.calibration.chain_test import LIKELY_MISTAKE
 from lbacal_core.curves.curves import FitReport

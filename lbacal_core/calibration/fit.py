@@ -38,7 +38,6 @@ from lbacal_core.calibration.singles import MIN_EVENTS, FitSingles, chain_forms,
 from lbacal_core.calibration.spreads import measure_spreads
 from lbacal_core.chain.model import calibration_factor
 from lbacal_core.chain.noise import noise_constants
-from lbacal_core.curves.anomalies import Anomaly
 from lbacal_core.curves.covariance import CurveCovariance, compress_covariance
 from lbacal_core.curves.curves import (
     CONVERGED,
@@ -48,11 +47,12 @@ from lbacal_core.curves.curves import (
     OUTSIDE,
     TOO_FEW_EVENTS,
     TOO_FEW_LST_BINS,
+    Anomaly,
     CalibrationCurve,
     FitReport,
     Parameter,
+    SkyOverModel,
 )
-from lbacal_core.curves.kelvin import SkyOverModel
 from lbacal_core.curves.kept_lines import KeptLines
 from lbacal_core.curves.reference_chain import CableTable, ReferenceChain
 from lbacal_core.errors import BadInputError

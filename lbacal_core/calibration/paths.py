@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from lbacal_core.calibration.singles import MIN_EVENTS, FitSingles, SingleFits, fit_singles, relative_variance_of
 from lbacal_core.calibration.spreads import SinglePaths, join_paths
-from lbacal_core.curves.anomalies import Anomaly
+from lbacal_core.curves.curves import Anomaly
 from lbacal_core.curves.kept_lines import MemberLines, join_members
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats

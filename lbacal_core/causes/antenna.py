@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import make_smoothing_spline
 
-from lbacal_core.antenna.circuit import ResonanceCircuit
+from lbacal_core.antenna.lofar import ResonanceCircuit
 from lbacal_core.causes.cause import RAIN, TEMPERATURE, Cause, Conditions, SizeRange, Template, read_between
 from lbacal_core.chain.model import ChainTerms
 from lbacal_core.grids import Floats

@@ -13,7 +13,6 @@ from lbacal_core.causes.amplifier import (
 from lbacal_core.causes.antenna import DipoleSwap, ResonanceShift, ResonanceWidth
 from lbacal_core.causes.cable import CableLength, CableReflection
 from lbacal_core.causes.cause import Cause, Description, SizeRange
-from lbacal_core.causes.interference import RfiBroadband, RfiLine
 from lbacal_core.causes.receiver import AdcJitter, AdcNoiseStep, CableTemperature, Compression, FilterShift
 from lbacal_core.causes.sky import (
     DipoleAzimuth,
@@ -21,6 +20,8 @@ from lbacal_core.causes.sky import (
     IsotropicLevel,
     LstOffset,
     PointSource,
+    RfiBroadband,
+    RfiLine,
     SkyChange,
     SolarEmission,
 )

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -11,13 +12,189 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lbacal_core.curves.anomalies import Anomalies, Anomaly
 from lbacal_core.curves.covariance import Budget, CurveCovariance, parse_covariance
-from lbacal_core.curves.kelvin import SkyOverModel, parse_sky_over_model
 from lbacal_core.curves.kept_lines import KeptLines
 from lbacal_core.curves.reference_chain import ReferenceChain
 from lbacal_core.grids import Floats
 from lbacal_core.provenance import Provenance, hash_arrays
+
+# Spectra whose power is anomalous, as they are named to people: in reports, on pages and by the gate.
+
+MOST_NAMED = 100
+"""A summary names this many spectra and counts the others."""
+
+
+@dataclass(frozen=True)
+class Anomaly:
+    """One spectrum that is off, by which factor, and what became of it.
+
+    Attributes
+    ----------
+    factor
+        Recorded power over the path's usual power at that LST.
+    frequency_mhz
+        The channel that is off, where it is not the whole band.
+    kept
+        Why it is fitted nevertheless; None where it is left out.
+    """
+
+    event_id: str
+    station: str
+    antenna: int
+    dipole: str
+    factor: float
+    frequency_mhz: float | None = None
+    kept: str | None = None
+
+    @property
+    def path(self) -> str:
+        """The path as scopes are written: ``CS002/17/X``."""
+        return f"{self.station}/{self.antenna}/{self.dipole}"
+
+    @property
+    def reason(self) -> str:
+        """What is anomalous, in words."""
+        where = "" if self.frequency_mhz is None else f" at {self.frequency_mhz:g} MHz"
+        return f"power {self.factor:.3g} times the usual{where}" + (f"; fitted: {self.kept}" if self.kept else "")
+
+    @property
+    def departure(self) -> float:
+        """The size of the logarithm of the factor."""
+        return abs(math.log(self.factor))
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON values."""
+        return {**vars(self), "reason": self.reason}
+
+
+@dataclass(frozen=True)
+class Anomalies:
+    """How many anomalous spectra were left out of a fit and how many were fitted, and the worst of both."""
+
+    left_out: int
+    fitted: int
+    worst: Sequence[Anomaly]
+
+    @classmethod
+    def of(cls, found: Iterable[Anomaly]) -> Anomalies:
+        """Summarise what was found."""
+        ranked = sorted(found, key=lambda one: (-one.departure, one.event_id, one.path))
+        fitted = sum(one.kept is not None for one in ranked)
+        return cls(len(ranked) - fitted, fitted, tuple(ranked[:MOST_NAMED]))
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON values."""
+        return {"left_out": self.left_out, "fitted": self.fitted, "worst": [one.as_dict() for one in self.worst]}
+
+    def name_worst(self, count: int) -> str:
+        """The worst few in words; empty where there are none."""
+        return ", ".join(f"{one.event_id} of {one.path} ({one.reason})" for one in self.worst[:count])
+
+
+NONE = Anomalies(0, 0, ())
+
+
+def parse_anomalies(content: Mapping[str, Any]) -> Anomalies:
+    """Make a summary from its JSON values."""
+    worst = [Anomaly(**{name: one[name] for name in Anomaly.__dataclass_fields__}) for one in content["worst"]]
+    return Anomalies(content["left_out"], content["fitted"], tuple(worst))
+
+
+# The sky through an antenna against its model, where the laboratory knows the receiver: data calibrated in kelvin.
+#
+# The recorded power is then the temperature behind the antenna, k_B T = P_sky G_ant + noise: C is known, C^2 = k_B per
+# MHz, within the error of the laboratory, and the slope tests the product of sky model and G_ant.
+
+WATT_PER_MHZ = 1.380649e-17
+"""Noise power of 1 K, W/MHz: k_B, which the SI fixes."""
+
+
+@dataclass(frozen=True)
+class SkyOverModel:
+    """How bright the sky is that a path records, over the model's.
+
+    Attributes
+    ----------
+    ratio
+        Measured over modelled P_sky G_ant, shape (freq,); NaN where C is not determined.
+    sigma_stat
+        Standard deviation by the noise of the data, shape (freq,).
+    sigma_laboratory
+        That by the receiver's calibration, which moves all channels together.
+    mean, mean_sigma_stat
+        Mean over the channels and its error by the noise.
+    c, c_sigma
+        C by the laboratory, V per root kelvin, and its error.
+    """
+
+    ratio: Floats
+    sigma_stat: Floats
+    sigma_laboratory: float
+    mean: float
+    mean_sigma_stat: float
+    c: float
+    c_sigma: float
+
+    @classmethod
+    def of(cls, c: Floats, covariance: Floats, error: float) -> SkyOverModel:
+        """The level from a C that was fitted with the model's sky.
+
+        Parameters
+        ----------
+        c
+            Fitted, shape (freq,), NaN where not determined.
+        covariance
+            Statistical covariance of ln C, shape (freq, freq).
+        error
+            Error of the receiver's calibration, a fraction of the power.
+        """
+        known = WATT_PER_MHZ**0.5
+        ratio, at = known**2 / c**2, np.isfinite(c)
+        # ln s = -2 ln C + const
+        of_ratio = 4.0 * covariance * np.outer(ratio, ratio)
+        sigma = np.sqrt(np.diag(of_ratio))
+        weight = np.where(at, np.where(at, sigma, 1.0) ** -2.0, 0.0)
+        weight /= weight.sum()
+        some = np.ix_(at, at)
+        return cls(
+            ratio=ratio,
+            sigma_stat=np.where(at, sigma, np.nan),
+            sigma_laboratory=error,
+            mean=float(weight[at] @ ratio[at]),
+            mean_sigma_stat=float(np.sqrt(weight[at] @ of_ratio[some] @ weight[at])),
+            c=known,
+            c_sigma=known * error / 2.0,
+        )
+
+    def as_dict(self) -> dict[str, Any]:
+        """The content as JSON values; null where C is not determined."""
+        return {
+            "ratio": [value if np.isfinite(value) else None for value in self.ratio.tolist()],
+            "sigma_stat": [value if np.isfinite(value) else None for value in self.sigma_stat.tolist()],
+            "sigma_laboratory": self.sigma_laboratory,
+            "mean": self.mean,
+            "mean_sigma_stat": self.mean_sigma_stat,
+            "c": self.c,
+            "c_sigma": self.c_sigma,
+        }
+
+    def __str__(self) -> str:
+        """What a user is told."""
+        return (
+            f"the sky through this antenna is {self.mean:.3f} +- {self.mean_sigma_stat:.3f} (noise) +- "
+            f"{self.sigma_laboratory * self.mean:.3f} (laboratory) of the model"
+        )
+
+
+def parse_sky_over_model(content: Mapping[str, Any] | None) -> SkyOverModel | None:
+    """Make the level from its JSON values."""
+    if content is None:
+        return None
+    ratio, sigma = (np.array(content[name], dtype=float) for name in ("ratio", "sigma_stat"))
+    return SkyOverModel(ratio, sigma, *(content[name] for name in (
+        "sigma_laboratory", "mean", "mean_sigma_stat", "c", "c_sigma",
+    )))  # fmt: skip
+
 
 CONVERGED = "converged"
 MISFIT = "misfit"

@@ -25,11 +25,10 @@ from lbacal_core.causes.cable import AntennaCause, AntennaTemplate, CableLength,
 from lbacal_core.causes.catalogue import ANTENNA_CAUSES
 from lbacal_core.causes.cause import signature
 from lbacal_core.discovery.baseline import Baseline
-from lbacal_core.discovery.hypothesis import Hypothesis, Target
+from lbacal_core.discovery.hypothesis import Hypothesis, Target, p_of, sigma_of, trials_factor
 from lbacal_core.discovery.policy import Policy
 from lbacal_core.discovery.project import LinearModel
 from lbacal_core.discovery.station import Station
-from lbacal_core.discovery.trials import p_of, sigma_of, trials_factor
 from lbacal_core.discovery.view import Seen, View
 from lbacal_core.grids import Floats
 from lbacal_core.linear import find_whitener, fit_least_squares, invert_symmetric, root_of, solve_symmetric

@@ -25,9 +25,8 @@ from lbacal_core.causes.axes import axes_of
 from lbacal_core.causes.catalogue import CAUSES, DESCRIPTIONS
 from lbacal_core.causes.cause import Cause, Conditions, SizeRange, Template
 from lbacal_core.causes.sky import sky_ratios
-from lbacal_core.chain.intercepts import Intercepts
 from lbacal_core.chain.model import ChainTerms
-from lbacal_core.chain.noise import noise_constants
+from lbacal_core.chain.noise import Intercepts, noise_constants
 from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument

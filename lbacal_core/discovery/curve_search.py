@@ -25,9 +25,9 @@ from lbacal_core.discovery.curve_fit import (
     why_not,
 )
 from lbacal_core.discovery.growth import grow
+from lbacal_core.discovery.hypothesis import p_of, sigma_of
 from lbacal_core.discovery.policy import CURVE_POLICY, Policy
 from lbacal_core.discovery.report import BY_RATIO, CONSISTENT, EXPLAINED, UNEXPLAINED, tell_finding, tell_gain
-from lbacal_core.discovery.trials import p_of, sigma_of
 from lbacal_core.grids import Floats, require_same_grid
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.lstcurve.compare import AS_RECORDED, NoisePrior, band_weights, noise_prior

@@ -16,13 +16,12 @@ from lbacal_core.causes.model import PLAIN, Model
 from lbacal_core.discovery.adopted import describe_size
 from lbacal_core.discovery.antennas import AntennaScore
 from lbacal_core.discovery.findings import Finding
-from lbacal_core.discovery.hypothesis import Target
+from lbacal_core.discovery.hypothesis import Target, sigma_of
 from lbacal_core.discovery.policy import Policy
 from lbacal_core.discovery.residual_structure import ResidualStructure
 from lbacal_core.discovery.scan import Score
 from lbacal_core.discovery.search import StationReport, search_station
 from lbacal_core.discovery.station import gather_stations, model_modes
-from lbacal_core.discovery.trials import sigma_of
 from lbacal_core.grids import Floats, require_same_grid
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.provenance import Provenance

@@ -16,12 +16,11 @@ from scipy.special import chdtrc, gammaincc
 
 from lbacal_core.causes.axes import Axis, list_axes
 from lbacal_core.causes.cause import signature
-from lbacal_core.discovery.hypothesis import Hypothesis
+from lbacal_core.discovery.hypothesis import Hypothesis, p_of_best
 from lbacal_core.discovery.noise import NoiseLevels, beyond_noise
 from lbacal_core.discovery.project import LinearModel
 from lbacal_core.discovery.refit import FOLDS, held_out_fold
 from lbacal_core.discovery.single_events import find_in_events, pattern_of
-from lbacal_core.discovery.trials import p_of_best
 from lbacal_core.discovery.view import Seen, View
 from lbacal_core.grids import Floats
 

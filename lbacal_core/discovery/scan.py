@@ -18,9 +18,8 @@ from numpy.typing import NDArray
 
 from lbacal_core.causes.cause import Cause, Template
 from lbacal_core.discovery.families import FamilySpectra, SpectralFamily, batch_families, correlate, list_families
-from lbacal_core.discovery.hypothesis import Target
+from lbacal_core.discovery.hypothesis import Target, p_of, significance, trials_factor
 from lbacal_core.discovery.project import LinearModel
-from lbacal_core.discovery.trials import p_of, significance, trials_factor
 from lbacal_core.discovery.view import SMALLEST_INFORMATION, SMALLEST_SHARE
 from lbacal_core.grids import Floats
 

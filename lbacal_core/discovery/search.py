@@ -20,7 +20,7 @@ from lbacal_core.discovery.antennas import AntennaScore, compare_antennas, compa
 from lbacal_core.discovery.baseline import leave_out_deaf
 from lbacal_core.discovery.families import shares_taken
 from lbacal_core.discovery.findings import Finding, Grown, SameAgain, StationSearch, grow_findings
-from lbacal_core.discovery.hypothesis import Hypothesis, list_targets
+from lbacal_core.discovery.hypothesis import Hypothesis, list_targets, p_of
 from lbacal_core.discovery.policy import Policy
 from lbacal_core.discovery.project import LinearModel
 from lbacal_core.discovery.refit import FittedModel, refit
@@ -35,7 +35,6 @@ from lbacal_core.discovery.residual_structure import (
 from lbacal_core.discovery.scan import Score
 from lbacal_core.discovery.single_events import share_of_channels
 from lbacal_core.discovery.station import SkyModes, Station
-from lbacal_core.discovery.trials import p_of
 from lbacal_core.grids import Floats
 from lbacal_core.linear import invert_symmetric
 

@@ -13,10 +13,10 @@ from numpy.polynomial.hermite_e import hermeval
 from numpy.typing import NDArray
 from scipy.special import bdtrc, chdtrc, gammaln
 
+from lbacal_core.discovery.hypothesis import p_of_best
 from lbacal_core.discovery.noise import LINE, clean_mean, is_heavy, profiles_of_axes
 from lbacal_core.discovery.project import LinearModel
 from lbacal_core.discovery.station import Station
-from lbacal_core.discovery.trials import p_of_best
 from lbacal_core.grids import Floats
 from lbacal_core.linear import invert_symmetric
 

@@ -10,8 +10,7 @@ from lbacal_core.errors import BadInputError, UnreadableFileError
 from lbacal_core.grids import guess_widths
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.readers import statistics, tables, visibilities
-from lbacal_core.readers.average import Channels
-from lbacal_core.readers.source import Source
+from lbacal_core.readers.source import Channels, Source
 
 FORMATS = (
     "visibilities (.uvh5, .uvfits)",

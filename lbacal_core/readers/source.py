@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats, require_channels
 from lbacal_core.instrument.antennas import EXPECTED, are_dipole_names
+from lbacal_core.spectra.spectra import Spectra
 
 
 @dataclass(frozen=True)
@@ -78,3 +80,245 @@ class Source:
         twice = [path for path, count in Counter(paths).items() if count > 1]
         if twice:
             raise BadInputError(self.name, "each path once", f"{twice[0][0]} antenna {twice[0][1]} {twice[0][2]} twice")
+
+
+# Integrations of any length and channels of any width to background spectra: averages over time and over frequency.
+#
+# The mean of an interval weighs every integration with its length and every channel with its width; what is flagged
+# counts nowhere. An integration that is flagged as a whole counts only where its interval has no other: then the
+# average bears its flag. In memory are the averages and one block of integrations, whatever the length of the source.
+
+BLOCK_S = 1024 / 200e6
+"""Length of a block of LOFAR's transient buffer (1024 samples at 200 MHz), the unit of `blocks` in a spectra file."""
+WHOLE_SHARE = 0.5
+"""An averaged channel must have recorded this share of what the best channel of its spectrum recorded."""
+EDGE_MHZ = 1e-9
+"""A channel on the edge of two averages belongs to the upper one, whatever rounding does."""
+COMMON_SHARE = 0.5
+"""Channels that fewer spectra have than this are left out; spectra that then lack one are left out."""
+
+
+@dataclass(frozen=True)
+class Channels:
+    """The channels to average to: centres and widths, shape (freq,), MHz."""
+
+    frequency_mhz: Floats
+    width_mhz: Floats
+
+
+@dataclass(frozen=True)
+class Averaged:
+    """Spectra, and what was left out on the way to them.
+
+    Attributes
+    ----------
+    channels_left_out
+        Centres of the channels that most spectra lack, MHz.
+    spectra_left_out
+        How many spectra lacked one of the other channels.
+    flags
+        How many spectra bear each flag.
+    integrations
+        How many integrations were read.
+    """
+
+    spectra: Spectra
+    channels_left_out: Floats
+    spectra_left_out: int
+    integrations: int
+    flags: Mapping[str, int]
+
+
+def average(
+    source: Source,
+    interval_s: float | None,
+    channels: Channels | None = None,
+    say: Callable[[int], None] = lambda _: None,
+) -> Averaged:
+    """Average a source to background spectra.
+
+    Parameters
+    ----------
+    interval_s
+        Length of the intervals, s; they begin with the first integration. None: every integration is an event of its
+        own, with its name where it has one.
+    channels
+        What to average to; without it the channels of the source.
+    say
+        Is called with the number of integrations read so far.
+
+    Returns
+    -------
+    Spectra whose `event_id` is the UTC second in which an interval begins, whose `time_unix` is the mean of what was
+    averaged, and whose covariate `flagged_fraction` is the share of samples that were flagged; other covariates are
+    means over the interval.
+    """
+    sums = _Sums(source, interval_s, channels or Channels(source.frequency_mhz, source.width_mhz))
+    for block in source.read():
+        sums.add(block)
+        say(sums.integrations)
+    if sums.integrations == 0:
+        raise BadInputError(source.name, "at least one integration", "none")
+    return sums.finish()
+
+
+@dataclass
+class _Sum:
+    """What one interval holds: sums over its integrations.
+
+    Attributes
+    ----------
+    power, weight
+        Shape (path, channel).
+    clock
+        Sums of length, of length x time since the beginning, and of flagged length.
+    covariates
+        By name: the sums of value x length, and of the length in which it is known.
+    """
+
+    power: Floats
+    weight: Floats
+    clock: Floats
+    name: str
+    covariates: dict[str, Floats]
+
+    def add(self, other: _Sum) -> None:
+        self.power += other.power
+        self.weight += other.weight
+        self.clock += other.clock
+        for name, values in other.covariates.items():
+            self.covariates[name] = self.covariates.get(name, np.zeros(2)) + values
+
+
+class _Sums:
+    """The sums of every interval, what is flagged as a whole by itself."""
+
+    def __init__(self, source: Source, interval_s: float | None, channels: Channels) -> None:
+        self.source, self.interval_s, self.channels = source, interval_s, channels
+        self.members, self.edges = _find_members(source, channels)
+        self.begin: float | None = None
+        self.integrations = 0
+        self.sums: dict[tuple[int, str], _Sum] = {}
+
+    def add(self, block: Integrations) -> None:
+        count = block.time_unix.size
+        if count == 0:
+            return
+        if self.begin is None:
+            self.begin = float(block.time_unix[0] - block.duration_s[0] / 2)
+        since = block.time_unix - self.begin
+        if self.interval_s is None:
+            interval = self.integrations + np.arange(count)
+        else:
+            interval = np.floor(since / self.interval_s).astype(np.int64)
+        power = block.power[:, :, self.members].astype(float)
+        is_good = np.isfinite(power) & (power > 0)
+        width = self.source.width_mhz[self.members]
+        power *= width
+        power[~is_good] = 0.0
+        share = is_good * width
+        inside = np.add.reduceat(power, self.edges, axis=-1)
+        recorded = np.add.reduceat(share, self.edges, axis=-1)
+        flagged = 1.0 - recorded.sum(axis=(1, 2)) / (width.sum() * power.shape[1])
+        flags = np.full(count, "") if block.flag is None else block.flag
+        names = np.full(count, "") if block.event_id is None else block.event_id
+        for k, flag in dict.fromkeys(zip(interval.tolist(), flags.tolist(), strict=True)):
+            rows = np.flatnonzero((interval == k) & (flags == flag))
+            length = block.duration_s[rows]
+            found = _Sum(
+                np.tensordot(length, inside[rows], axes=1),
+                np.tensordot(length, recorded[rows], axes=1),
+                np.array([length.sum(), length @ since[rows], length @ flagged[rows]]),
+                str(names[rows[0]]),
+                {name: _sum_known(values[rows], length) for name, values in block.environment.items()},
+            )
+            if (k, flag) in self.sums:
+                self.sums[k, flag].add(found)
+            else:
+                self.sums[k, flag] = found
+        self.integrations += count
+
+    def _chosen(self) -> list[tuple[int, str]]:
+        """One sum an interval, in order of time: what is not flagged, else the first flag in the alphabet."""
+        chosen: dict[int, str] = {}
+        for interval, flag in sorted(self.sums):
+            chosen.setdefault(interval, flag)
+        return list(chosen.items())
+
+    def finish(self) -> Averaged:
+        keys = self._chosen()
+        sums = [self.sums[key] for key in keys]
+        weight = np.array([one.weight for one in sums])
+        power = np.array([one.power for one in sums]) / np.where(weight > 0, weight, 1.0)
+        share = weight / self.channels.width_mhz
+        best = share.max(axis=-1, keepdims=True)
+        is_whole = (share > 0) & (share >= WHOLE_SHARE * best)
+        is_recorded = is_whole.any(axis=-1)
+        if not is_recorded.any():
+            raise BadInputError(self.source.name, "something that is not flagged", "everything flagged")
+        is_kept = is_whole[is_recorded].mean(axis=0) >= COMMON_SHARE
+        is_usable = is_recorded & is_whole[..., is_kept].all(axis=-1)
+        at, path = np.nonzero(is_usable)
+        if at.size == 0:
+            raise BadInputError(self.source.name, "spectra that have all their channels", "none")
+        lengths, moments, flagged = np.array([one.clock for one in sums]).T
+        duration_s = best[at, path, 0]
+        begin = float(self.begin or 0.0)
+        time_unix = begin + moments / lengths
+        begins = time_unix if self.interval_s is None else begin + self.interval_s * np.array([k for k, _ in keys])
+        names = [one.name if self.interval_s is None and one.name else "" for one in sums]
+        names = [name or _name_interval(float(t)) for name, t in zip(names, begins, strict=True)]
+        flags = np.array([flag for _, flag in keys])[at]
+        covariates = {name: np.array([_mean_known(one, name) for one in sums])[at] for name in self._covariates()}
+        spectra = Spectra(
+            frequency_mhz=self.channels.frequency_mhz[is_kept],
+            power=power[at, path][:, is_kept],
+            event_id=np.array(names)[at],
+            time_unix=time_unix[at],
+            station=self.source.station[path],
+            antenna=self.source.antenna[path],
+            dipole=self.source.dipole[path],
+            blocks=np.maximum(1, np.rint(duration_s / BLOCK_S)).astype(np.int64),
+            environment=covariates | {"flagged_fraction": (flagged / lengths)[at]},
+            origin=self.source.name,
+            width_mhz=self.channels.width_mhz[is_kept],
+            duration_s=duration_s,
+            flag=flags if np.any(flags != "") else None,
+        )
+        left_out = self.channels.frequency_mhz[~is_kept]
+        counts = {str(flag): int(np.sum(flags == flag)) for flag in np.unique(flags[flags != ""])}
+        return Averaged(spectra, left_out, int(is_recorded.sum() - is_usable.sum()), self.integrations, counts)
+
+    def _covariates(self) -> list[str]:
+        return sorted({name for one in self.sums.values() for name in one.covariates})
+
+
+def _sum_known(values: Floats, length: Floats) -> Floats:
+    is_known = np.isfinite(values)
+    return np.array([values[is_known] @ length[is_known], length[is_known].sum()])
+
+
+def _mean_known(one: _Sum, name: str) -> float:
+    total, length = one.covariates.get(name, np.zeros(2))
+    return float(total / length) if length > 0 else float("nan")
+
+
+def _find_members(source: Source, channels: Channels) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Which channels of a source belong to each wanted one, one after the other, and where each wanted one begins."""
+    centre = source.frequency_mhz
+    begin = np.searchsorted(centre, channels.frequency_mhz - channels.width_mhz / 2 - EDGE_MHZ)
+    end = np.searchsorted(centre, channels.frequency_mhz + channels.width_mhz / 2 - EDGE_MHZ)
+    empty = np.flatnonzero(end <= begin)
+    if empty.size:
+        raise BadInputError(
+            f"{source.name}: channels",
+            f"some within {channels.width_mhz[empty[0]] / 2:g} MHz of {channels.frequency_mhz[empty[0]]:g} MHz",
+            f"{centre.size} channels from {centre[0]:g} to {centre[-1]:g} MHz",
+        )
+    members = np.concatenate([np.arange(low, high) for low, high in zip(begin, end, strict=True)])
+    return members, np.append(0, np.cumsum(end - begin)[:-1])
+
+
+def _name_interval(begin_unix: float) -> str:
+    """Event id: the UTC second in which an interval begins, or in which an integration is centred, 20110719T110541."""
+    return f"{datetime.fromtimestamp(int(begin_unix), UTC):%Y%m%dT%H%M%S}"

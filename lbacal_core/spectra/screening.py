@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lbacal_core.curves.anomalies import Anomaly
+from lbacal_core.curves.curves import Anomaly
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.sidereal import local_sidereal_time
 from lbacal_core.linear import solve_symmetric

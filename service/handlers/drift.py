@@ -1,22 +1,40 @@
-"""Drift of C with time."""
+"""Drift of C with time, the alarms that it raises, and the dates at which it cuts windows."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any
+from typing import Annotated, Any, Literal
 
-from fastapi import APIRouter, Depends, Request, Response
+from fastapi import APIRouter, Depends, Query, Request, Response
 
-from lbacal_core.curves.validity import Scope
+from lbacal_core.curves.validity import Instant, Scope
 from lbacal_core.errors import BadInputError
 from service.handlers.problems import document
-from service.handlers.request import TAKES_TURN, AntennaQuery, UseCases, answer, require_read
+from service.handlers.request import (
+    TAKES_TURN,
+    AntennaQuery,
+    JobNumber,
+    JsonBody,
+    Limit,
+    UseCases,
+    Whole,
+    answer,
+    caller_with,
+    describes,
+    require_read,
+)
+from service.storage.alarms import ACKNOWLEDGED, OPEN, STATES, Acknowledgement, Alarm
+from service.storage.drift import KeptCut
 from service.usecases.calibrations import select_paths
 from service.usecases.drift import SECOND_US, DriftSeries, Step
-from service.wire.answer_models import DriftAnswer
+from service.usecases.keys import Caller
+from service.wire.answer_models import AlarmAnswer, AlarmKind, AlarmsAnswer, CutAnswer, CutsAnswer, DriftAnswer
 from service.wire.answers import describe_scope
-from service.wire.instants import format_instant
+from service.wire.bodies import AcknowledgementBody, ReasonBody, parse_body
+from service.wire.instants import DAY_US, format_instant, format_optional
+
+# Drift of C with time.
 
 router = APIRouter(tags=["drift"])
 
@@ -108,4 +126,148 @@ def describe_slope(slope: Mapping[str, Any]) -> dict[str, Any]:
         **{name: slope.get(name) for name in optional},
         "season": season,
         "beside": "the median of its station and polarisation" if is_own else None,
+    }
+
+
+# Alarms: what is wrong and lasts, and who knows of it.
+
+alarms = APIRouter(tags=["alarms"])
+Operator = Annotated[Caller, caller_with("refits:run")]
+State = Literal["open", "acknowledged", "ended", "lasting", "all"]
+CHOICES = {"lasting": (OPEN, ACKNOWLEDGED), "all": STATES}
+
+
+@alarms.get(
+    "/v1/alarms",
+    response_model=AlarmsAnswer,
+    summary="What is wrong",
+    description="Newest first. `state`: `open` are those that nobody acknowledged, or whose acknowledgement has run "
+    "out; `lasting` (the default) are these and the acknowledged ones; `ended` are over. A problem is one alarm from "
+    "the night on which it was found. `next` is the cursor of the next page.",
+    responses=document(401, 422, 503),
+    dependencies=[Depends(require_read)],
+)
+def list_alarms(
+    request: Request,
+    use: UseCases,
+    state: State = "lasting",
+    kind: AlarmKind | None = None,
+    station: str | None = None,
+    cursor: Annotated[Whole | None, Query(ge=0, le=2**63 - 1)] = None,
+    limit: Limit = 100,
+) -> Response:
+    states = CHOICES.get(state, (state,))
+    found = use.alarms.newest(states=states, kind=kind, station=station, before=cursor, limit=limit)
+    following = found[-1].number if len(found) == limit else None
+    return answer(request, {"alarms": [describe_alarm(one, use.clock()) for one in found], "next": following})
+
+
+@alarms.post(
+    "/v1/alarms/{number}/acknowledgement",
+    status_code=201,
+    response_model=AlarmAnswer,
+    summary="Say that a problem is known",
+    description="It is not told again, until `until` where that is given: then it is open again if it still lasts. "
+    "The last acknowledgement counts.",
+    responses=document(400, 401, 403, 404, 415, 422, 503),
+    openapi_extra=describes(AcknowledgementBody),
+)
+def acknowledge_alarm(request: Request, use: UseCases, number: JobNumber, caller: Operator, body: JsonBody) -> Response:
+    known = use.alarms.acknowledge(number, parse_body(AcknowledgementBody, body), caller.name)
+    return answer(request, describe_alarm(known, use.clock()), status=201)
+
+
+def describe_alarm(alarm: Alarm, now: Instant) -> dict[str, Any]:
+    """An alarm as JSON values."""
+    news, known = alarm.news, alarm.acknowledgement
+    return {
+        "alarm": alarm.number,
+        "kind": news.kind,
+        "state": alarm.state_at(now),
+        "scope": news.scope.level,
+        **describe_scope(news.scope),
+        "sentence": news.sentence,
+        "since": format_optional(news.since),
+        "since_sigma_days": None if news.since is None else news.since_error_us / DAY_US,
+        "raised_at": format_instant(alarm.raised),
+        "seen_at": format_instant(alarm.seen),
+        "ended_at": format_optional(alarm.ended),
+        "acknowledgement": None if known is None else describe_acknowledgement(known),
+        "content": dict(news.content),
+    }
+
+
+def describe_acknowledgement(known: Acknowledgement) -> dict[str, Any]:
+    """Who knows of a problem, as JSON values."""
+    return {
+        "by": known.by,
+        "at": format_instant(known.at),
+        "reason": known.reason,
+        "until": format_optional(known.until),
+    }
+
+
+# Cuts: dates at which the watch cuts the windows of antennas, and what people decide about them.
+
+cuts = APIRouter(tags=["cuts"])
+Promoter = Annotated[Caller, caller_with("calibrations:promote")]
+
+
+@cuts.get(
+    "/v1/cuts",
+    response_model=CutsAnswer,
+    summary="Where windows are cut",
+    description="Dates at which the watch found that an antenna changed, in order of antenna and date: the windows of "
+    "its refits are cut there while the cut stands.",
+    responses=document(401, 422, 503),
+    dependencies=[Depends(require_read)],
+)
+def list_cuts(request: Request, use: UseCases, station: str | None = None) -> Response:
+    return answer(request, {"cuts": [describe_cut(one) for one in use.cuts.list_all(station)]})
+
+
+@cuts.post(
+    "/v1/cuts/{number}/lift",
+    status_code=201,
+    response_model=CutAnswer,
+    summary="Leave windows whole at a date",
+    description="Although the watch finds a change there; the next look for due work fits the windows again. A cut "
+    "that is lifted already, or that has ended, is 409.",
+    responses=document(400, 401, 403, 404, 409, 415, 422, 503),
+    openapi_extra=describes(ReasonBody),
+)
+def lift_cut(request: Request, use: UseCases, number: JobNumber, caller: Promoter, body: JsonBody) -> Response:
+    lifted = use.cuts.lift(number, parse_body(ReasonBody, body), caller.name)
+    return answer(request, describe_cut(lifted), status=201)
+
+
+@cuts.post(
+    "/v1/cuts/{number}/restoration",
+    status_code=201,
+    response_model=CutAnswer,
+    summary="Cut windows again where the cut was lifted",
+    description="The next look for due work fits the windows again. A cut that stands, or that has ended, is 409.",
+    responses=document(400, 401, 403, 404, 409, 415, 422, 503),
+    openapi_extra=describes(ReasonBody),
+)
+def restore_cut(request: Request, use: UseCases, number: JobNumber, caller: Promoter, body: JsonBody) -> Response:
+    restored = use.cuts.restore(number, parse_body(ReasonBody, body), caller.name)
+    return answer(request, describe_cut(restored), status=201)
+
+
+def describe_cut(kept: KeptCut) -> dict[str, Any]:
+    """A cut as JSON values."""
+    cut, decision = kept.cut, kept.decision
+    said = None if decision is None else {**vars(decision), "at": format_instant(decision.at)}
+    return {
+        "cut": kept.number,
+        "station": cut.station,
+        "antenna": cut.antenna,
+        "date": format_instant(cut.date),
+        "date_sigma_days": cut.sigma_days,
+        "stands": kept.stands,
+        "refitted": kept.is_refitted,
+        "made_at": format_instant(kept.made),
+        "ended_at": format_optional(kept.ended),
+        "decision": said,
     }

@@ -8,8 +8,8 @@ from fastapi import APIRouter, Depends, Request, Response
 from fastapi.responses import PlainTextResponse
 from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, generate_latest
 
-from service.handlers.investigations import describe_investigation
 from service.handlers.metrics import describe_state
+from service.handlers.models import describe_investigation
 from service.handlers.problems import document
 from service.handlers.request import UseCases, answer, require_read
 from service.storage.jobs import Failure

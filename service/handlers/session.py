@@ -1,8 +1,8 @@
 """Pages behind a log-in: the key travels in a cookie that no script can read, and opens nothing but reads.
 
 A cookie is sent along with whatever another site makes a browser ask for. What changes anything therefore needs the
-header `Authorization`, which no other site can make a browser send, or a key typed into a form
-(`service.handlers.forms`), and the two forms here carry a random word that must equal the one in a cookie of their own.
+header `Authorization`, which no other site can make a browser send, or a key typed into a form, and the two forms of
+the log-in carry a random word that must equal the one in a cookie of their own.
 """
 
 from __future__ import annotations
@@ -10,15 +10,69 @@ from __future__ import annotations
 import hmac
 import re
 import secrets
+from typing import Annotated, TypeVar
+from urllib.parse import parse_qs
 
-from fastapi import APIRouter, FastAPI, Request, Response
+from fastapi import APIRouter, Depends, FastAPI, Request, Response
 from fastapi.responses import HTMLResponse, RedirectResponse
 
+from lbacal_core.errors import BadInputError
 from service.errors import ForbiddenError, UnauthenticatedError
-from service.handlers.forms import Form, read_fields
 from service.handlers.problems import problem_of, wants_page
-from service.handlers.request import FORM_COOKIE, KEY_COOKIE, UseCases, require_caller
+from service.handlers.request import FORM_COOKIE, KEY_COOKIE, JobNumber, UseCases, read_form_body, require_caller
 from service.page.render import render_page
+from service.wire.answers import to_json
+from service.wire.bodies import AcknowledgementBody, Body, ReasonBody, parse_body
+
+# Forms of pages that change something: they ask for a key each time, and keep it nowhere.
+#
+# The key that a browser keeps opens reads only. A form here carries a key that its sender
+# types; no other site knows one, so nothing else tells that it was sent from one of our own pages.
+
+forms = APIRouter(include_in_schema=False, default_response_class=HTMLResponse)
+Form = Annotated[bytes, Depends(read_form_body)]
+BodyType = TypeVar("BodyType", bound=Body)
+KEY = "key"
+
+
+@forms.post("/cuts/{number}/lift")
+def lift_cut(request: Request, use: UseCases, number: JobNumber, form: Form) -> RedirectResponse:
+    body, by = _take(request, use, form, ReasonBody, "calibrations:promote")
+    use.cuts.lift(number, body, by)
+    return RedirectResponse("/drift#cuts", 303)
+
+
+@forms.post("/cuts/{number}/restoration")
+def restore_cut(request: Request, use: UseCases, number: JobNumber, form: Form) -> RedirectResponse:
+    body, by = _take(request, use, form, ReasonBody, "calibrations:promote")
+    use.cuts.restore(number, body, by)
+    return RedirectResponse("/drift#cuts", 303)
+
+
+@forms.post("/alarms/{number}/acknowledgement")
+def acknowledge_alarm(request: Request, use: UseCases, number: JobNumber, form: Form) -> RedirectResponse:
+    body, by = _take(request, use, form, AcknowledgementBody, "refits:run")
+    use.alarms.acknowledge(number, body, by)
+    return RedirectResponse("/alarms", 303)
+
+
+def read_fields(form: bytes) -> dict[str, str]:
+    """The fields of a form that were filled in, each once."""
+    try:
+        return {name: values[0] for name, values in parse_qs(form.decode(), max_num_fields=10).items()}
+    except ValueError as error:
+        raise BadInputError("body", "a form", "something else") from error
+
+
+def _take(request: Request, use: UseCases, form: bytes, wanted: type[BodyType], scope: str) -> tuple[BodyType, str]:
+    """What a form asks for, and the name of the key that was typed into it."""
+    fields = read_fields(form)
+    try:
+        caller = require_caller(request, use, scope, authorization=f"Bearer {fields.pop(KEY, '').strip()}")
+    except UnauthenticatedError as error:
+        raise ForbiddenError(str(error)) from error  # a page that asks for a log-in would lead nowhere
+    return parse_body(wanted, to_json(fields)), caller.name
+
 
 HALF_A_DAY_S = 43_200
 _PATH = re.compile(r"/(?![/\\])[A-Za-z0-9._~/%-]{0,300}")

@@ -14,9 +14,8 @@ from sqlalchemy.dialects.postgresql import insert as postgresql_insert
 from sqlalchemy.dialects.sqlite import insert as sqlite_insert
 
 from lbacal_core.calibration.spreads import ToldCurve, carry_to_path
-from lbacal_core.curves.anomalies import NONE, Anomalies, parse_anomalies
 from lbacal_core.curves.covariance import Budget
-from lbacal_core.curves.curves import MISFIT, STATUSES, CalibrationCurve, parse_curve
+from lbacal_core.curves.curves import MISFIT, NONE, STATUSES, Anomalies, CalibrationCurve, parse_anomalies, parse_curve
 from lbacal_core.curves.reference_chain import CableTable, GainSpreads, ReferenceChain, parse_cable_table, parse_spreads
 from lbacal_core.curves.validity import Instant, Scope
 from lbacal_core.provenance import canonical_json, hash_content

@@ -18,9 +18,8 @@ from lbacal_core.calibration.chain_test import SkyFreedom
 from lbacal_core.calibration.continued import Continued, continue_fit
 from lbacal_core.calibration.singles import MIN_EVENTS, FitSingles
 from lbacal_core.causes.model import Model
-from lbacal_core.curves.anomalies import Anomalies
 from lbacal_core.curves.covariance import Budget
-from lbacal_core.curves.curves import CalibrationCurve, FitReport
+from lbacal_core.curves.curves import Anomalies, CalibrationCurve, FitReport
 from lbacal_core.curves.kept_lines import KeptLines
 from lbacal_core.curves.reference_chain import ReferenceChain
 from lbacal_core.curves.validity import Instant, Scope

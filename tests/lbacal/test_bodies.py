@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lbacal.bodies import bodies_of_events, files_of_events
+from lbacal.transport import bodies_of_events, files_of_events
 from lbacal_core.spectra.spectra import Spectra, read_spectra
 
 SPECTRA = Spectra(

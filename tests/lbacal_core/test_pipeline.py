@@ -13,8 +13,7 @@ from lbacal_core.antenna.ideal import ShortDipole
 from lbacal_core.antenna.model import zenith_gain
 from lbacal_core.audit.audit import audit
 from lbacal_core.calibration.fit import fit_calibration
-from lbacal_core.curves.curves import CalibrationCurve, parse_curve
-from lbacal_core.curves.kelvin import SkyOverModel, parse_sky_over_model
+from lbacal_core.curves.curves import CalibrationCurve, SkyOverModel, parse_curve, parse_sky_over_model
 from lbacal_core.discovery.report import investigate
 from lbacal_core.discovery.station import gather_stations
 from lbacal_core.drift.events import measure_event_modes

@@ -17,8 +17,8 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from lbacal_core.readers.average import average
 from lbacal_core.readers.open import choose_channels, open_source
+from lbacal_core.readers.source import average
 
 INPUTS, SUB_BANDS, CLOCK_HZ = 96, 512, 200e6
 SHORT_S, LONG_S = 300, 1200

@@ -32,8 +32,8 @@ import jiter
 import numpy as np
 import psycopg
 
-from lbacal.bodies import bodies_of_events, files_of_events
 from lbacal.client import Client
+from lbacal.transport import bodies_of_events, files_of_events
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.spectra.spectra import Spectra, read_columns

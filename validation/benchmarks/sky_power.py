@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from lbacal_core.antenna.hamaker import load_hamaker
+from lbacal_core.antenna.lofar import load_hamaker
 from lbacal_core.antenna.varied import VariedAntenna
 from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.sky.model import DATA_EPOCH, precess_multipoles

@@ -23,8 +23,8 @@ from lbacal_core.audit.audit import AuditReport, audit
 from lbacal_core.audit.station import AuditedStation
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import AntennaRecord, Instrument
-from lbacal_core.readers.average import average
 from lbacal_core.readers.open import choose_channels, open_source
+from lbacal_core.readers.source import average
 from lbacal_core.sky.names import load_sky
 from lbacal_core.skypower.sky_terms import dipole_temperature
 from lbacal_core.spectra.spectra import Spectra

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from lbacal_core.antenna.files import grid_rows, turn_to_arm
-from lbacal_core.antenna.hamaker import load_hamaker
 from lbacal_core.antenna.ideal import ShortDipole
+from lbacal_core.antenna.lofar import load_hamaker
 from lbacal_core.antenna.model import AntennaModel, directional_response, zenith_gain
 from lbacal_core.antenna.names import load_antenna
 from lbacal_core.antenna.varied import VariedAntenna, beam_solid_angle

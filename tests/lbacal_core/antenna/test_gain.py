@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.constants import speed_of_light
 
-from lbacal_core.antenna.hamaker import load_hamaker
 from lbacal_core.antenna.ideal import ShortDipole
+from lbacal_core.antenna.lofar import load_hamaker
 from lbacal_core.antenna.model import directional_response
 from lbacal_core.antenna.names import take_antenna_gain
 from lbacal_core.antenna.unfolding import IMPEDANCE_OF_FREE_SPACE, effective_area, effective_heights

@@ -8,10 +8,8 @@ import numpy as np
 import pytest
 from scipy.constants import speed_of_light
 
-from lbacal_core.antenna.circuit import ResonanceCircuit
-from lbacal_core.antenna.hamaker import load_hamaker
-from lbacal_core.antenna.ideal import IsotropicAntenna, ShortDipole
-from lbacal_core.antenna.inverted_v import InvertedV
+from lbacal_core.antenna.ideal import InvertedV, IsotropicAntenna, ShortDipole
+from lbacal_core.antenna.lofar import ResonanceCircuit, load_hamaker
 from lbacal_core.antenna.model import directional_response, power_pattern, zenith_gain
 from lbacal_core.antenna.names import load_antenna
 from lbacal_core.antenna.varied import VariedAntenna, beam_solid_angle, mean_cosine

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.constants import speed_of_light
 
-from lbacal_core.antenna.hamaker import load_hamaker
 from lbacal_core.antenna.ideal import ShortDipole
+from lbacal_core.antenna.lofar import load_hamaker
 from lbacal_core.antenna.model import directional_response, power_pattern
 from lbacal_core.antenna.varied import VariedAntenna, raise_arm
 from lbacal_core.errors import BadInputError

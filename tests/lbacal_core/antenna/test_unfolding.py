@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lbacal_core.antenna.hamaker import load_hamaker
 from lbacal_core.antenna.ideal import ShortDipole
+from lbacal_core.antenna.lofar import load_hamaker
 from lbacal_core.antenna.model import AntennaModel
 from lbacal_core.antenna.unfolding import jones_matrix, unfold_field
 from lbacal_core.errors import BadInputError

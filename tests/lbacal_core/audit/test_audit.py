@@ -14,8 +14,8 @@ from lbacal_core.instrument.antennas import AntennaRecord
 from lbacal_core.instrument.instrument import Instrument, load_instrument
 from lbacal_core.pipeline import calibrate
 from lbacal_core.provenance import Provenance
-from lbacal_core.readers.average import average
 from lbacal_core.readers.open import choose_channels, open_source
+from lbacal_core.readers.source import average
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.spectra.spectra import Spectra, join_spectra
 from lbacal_twin.campaign import simulate_campaign

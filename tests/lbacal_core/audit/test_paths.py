@@ -9,13 +9,13 @@ from lbacal_core.audit.antennas import (
     compare_paths,
     compare_polarisations,
     find_ill_paths,
+    find_steps,
     find_wrong_cables,
     log_likelihood_of_unit,
     tell_exchanged,
 )
 from lbacal_core.audit.audit import audit
 from lbacal_core.audit.station import AuditedStation
-from lbacal_core.audit.steps import find_steps
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.spectra.spectra import Spectra
 

@@ -9,7 +9,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lbacal_core.curves.anomalies import MOST_NAMED, NONE, Anomalies, Anomaly, parse_anomalies
 from lbacal_core.curves.covariance import (
     MOST_FACTORS,
     Budget,
@@ -20,6 +19,7 @@ from lbacal_core.curves.covariance import (
     parse_budget,
     parse_covariance,
 )
+from lbacal_core.curves.curves import MOST_NAMED, NONE, Anomalies, Anomaly, parse_anomalies
 from lbacal_core.curves.kept_lines import KeptLines, MemberLines, read_lines, write_lines
 from lbacal_core.curves.reference_chain import (
     CableTable,

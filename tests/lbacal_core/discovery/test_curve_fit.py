@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lbacal_core.causes.catalogue import DESCRIPTIONS
-from lbacal_core.chain.intercepts import three_constants
+from lbacal_core.chain.noise import three_constants
 from lbacal_core.discovery.curve_fit import (
     GRID_HOURS,
     CurveFitter,

@@ -8,6 +8,7 @@ from numpy.polynomial.legendre import legvander
 from scipy.stats import kstest
 
 from lbacal_core.causes.axes import axis_named
+from lbacal_core.discovery.hypothesis import p_of_best
 from lbacal_core.discovery.refit import fit_chain
 from lbacal_core.discovery.residual_structure import (
     PATHS,
@@ -21,7 +22,6 @@ from lbacal_core.discovery.residual_structure import (
 )
 from lbacal_core.discovery.single_events import _chance_together, _largest_of_noise, find_in_events, share_of_channels
 from lbacal_core.discovery.station import gather_stations
-from lbacal_core.discovery.trials import p_of_best
 from lbacal_twin.faults.interference import RfiBroadband
 from lbacal_twin.faults.uncatalogued import AuroralAbsorption, MainsHum
 from tests.lbacal_core.discovery.worlds import Look, look_with_residual

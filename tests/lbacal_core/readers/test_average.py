@@ -10,9 +10,8 @@ from hypothesis import strategies as st
 
 from lbacal_core.errors import BadInputError, UnreadableFileError
 from lbacal_core.instrument.instrument import Instrument
-from lbacal_core.readers.average import Channels, average
 from lbacal_core.readers.open import choose_channels, open_source
-from lbacal_core.readers.source import Integrations, Source
+from lbacal_core.readers.source import Channels, Integrations, Source, average
 
 PATHS = 3
 FREQUENCY = np.arange(40.0, 44.0, 0.25)

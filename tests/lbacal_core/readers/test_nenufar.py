@@ -7,8 +7,8 @@ import pytest
 from astropy.io import fits
 
 from lbacal_core.errors import BadInputError, UnreadableFileError
-from lbacal_core.readers.average import average
 from lbacal_core.readers.open import open_source
+from lbacal_core.readers.source import average
 
 MINI_ARRAYS = np.array([0, 2, 55], dtype=np.int16)
 SECONDS, SUB_BANDS = 90, 8

@@ -8,8 +8,8 @@ import pytest
 
 from lbacal_core.errors import BadInputError, UnreadableFileError
 from lbacal_core.readers import statistics
-from lbacal_core.readers.average import average
 from lbacal_core.readers.open import open_source
+from lbacal_core.readers.source import average
 
 ANTENNAS = 4
 SECONDS = 5

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from lbacal_core.errors import BadInputError
-from lbacal_core.readers.average import average
 from lbacal_core.readers.open import open_source
+from lbacal_core.readers.source import average
 
 TABLE = """# a comment
 time, antenna, dipole, duration_s, event_id, flag, env/temperature_c, 50.0, 50.4, 51.2

@@ -8,8 +8,8 @@ import pytest
 from astropy.coordinates import EarthLocation
 
 from lbacal_core.errors import UnreadableFileError
-from lbacal_core.readers.average import average
 from lbacal_core.readers.open import choose_channels, open_source
+from lbacal_core.readers.source import average
 
 pytestmark = pytest.mark.filterwarnings("ignore")  # pyuvdata's own, about headers of old files
 

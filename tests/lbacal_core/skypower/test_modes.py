@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.constants import speed_of_light
 
-from lbacal_core.antenna.hamaker import load_hamaker
 from lbacal_core.antenna.ideal import IsotropicAntenna, QuarterWaveDipole, ShortDipole
+from lbacal_core.antenna.lofar import load_hamaker
 from lbacal_core.antenna.model import AntennaModel, directional_response
 from lbacal_core.antenna.varied import VariedAntenna
 from lbacal_core.instrument.instrument import load_instrument

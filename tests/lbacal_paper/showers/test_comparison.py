@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lbacal_core.antenna.hamaker import load_hamaker
+from lbacal_core.antenna.lofar import load_hamaker
 from lbacal_core.errors import BadInputError
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_paper.showers.comparison import compare_calibrations, mean_of_unequal

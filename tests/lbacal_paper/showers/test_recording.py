@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lbacal_core.antenna.hamaker import load_hamaker
+from lbacal_core.antenna.lofar import load_hamaker
 from lbacal_core.errors import BadInputError, UnreadableFileError
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_paper.showers.coreas import read_coreas, sky_basis
