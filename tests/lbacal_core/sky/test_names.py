@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 
 from lbacal_core.errors import BadInputError, UnknownNameError, UnreadableFileError
-from lbacal_core.sky.names import WIDE_SKIES, default_sky, load_sky
+from lbacal_core.sky.names import (
+    PIVOT_MHZ,
+    WIDE_SKIES,
+    SkyLevel,
+    default_sky,
+    load_sky,
+    read_sky_level,
+    tie_to_measurements,
+)
 from lbacal_core.sky.sources import SOURCES, find_sources
 
 
@@ -124,3 +132,38 @@ def test_isotropic_brightness_is_added_in_units_of_the_extragalactic_level() -> 
 def test_a_negative_scale_is_refused() -> None:
     with pytest.raises(BadInputError, match="scale: expected a factor > 0"):
         load_sky("gsm").changed(scale=-1.0)
+
+
+AT_MHZ = np.array([30.0, 50.0, 65.0, 80.0, 100.0])
+
+
+def test_the_measured_sky_is_the_map_times_the_measured_level() -> None:
+    base, measured = load_sky("gsm"), load_sky("measured")
+    cmb = np.sqrt(4 * np.pi) * base.isotropic_k(AT_MHZ)
+    expected = np.exp(read_sky_level().ln_ratio(AT_MHZ))
+    ratio = (measured.temperature(AT_MHZ)[:, 0, 0].real - cmb) / (base.temperature(AT_MHZ)[:, 0, 0].real - cmb)
+    np.testing.assert_allclose(ratio, expected, rtol=1e-9)
+    anisotropy = measured.temperature(AT_MHZ)[:, 3, 2] / base.temperature(AT_MHZ)[:, 3, 2]
+    np.testing.assert_allclose(anisotropy, expected, rtol=1e-9)
+    assert measured.name == "measured"
+    assert measured.digest() != base.digest()
+
+
+def test_the_measured_sky_is_hotter_by_what_was_measured_absolutely() -> None:
+    # EDGES over gsm, LST means, is 1.15 at 50 and 1.09 at 80 MHz; other experiments agree within their errors
+    level = read_sky_level()
+    np.testing.assert_allclose(np.exp(level.ln_ratio(AT_MHZ))[[1, 3]], [1.13, 1.09], atol=0.03)
+    assert np.all((level.sigma(AT_MHZ) > 0.02) & (level.sigma(AT_MHZ) < 0.06))
+
+
+def test_the_error_of_the_level_is_smallest_near_the_pivot() -> None:
+    level = SkyLevel(0.1, -0.07, np.diag([0.03**2, 0.02**2]), 0.0)
+    assert level.sigma(np.array([PIVOT_MHZ]))[0] == pytest.approx(0.03)
+    assert level.sigma(np.array([PIVOT_MHZ * np.e]))[0] == pytest.approx(np.hypot(0.03, 0.02))
+
+
+def test_the_digest_does_not_hang_on_the_last_bits_of_an_exponential() -> None:
+    level = read_sky_level()
+    nudged = SkyLevel(np.nextafter(level.level, 1.0), level.slope, level.covariance, level.scatter)
+    base = load_sky("gsm")
+    assert tie_to_measurements(base, nudged).digest() == tie_to_measurements(base, level).digest()
