@@ -103,3 +103,9 @@ def scene() -> Scene:
         ),
     )
     return Scene(instrument, SkyPower(frequency, lst, power, "scene"))
+
+
+@pytest.fixture(scope="session")
+def spectra(scene: Scene) -> Spectra:
+    """400 events of two stations."""
+    return scene.spectra(np.random.default_rng(11), events=400, stations=2)

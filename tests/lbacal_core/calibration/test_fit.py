@@ -19,11 +19,6 @@ from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.settings import TwinSettings
 
 
-@pytest.fixture(scope="module")
-def spectra(scene):
-    return scene.spectra(np.random.default_rng(11), events=400, stations=2)
-
-
 def test_antenna_curves_and_noise_constants_lie_within_their_errors(scene, spectra):
     report = fit_calibration(spectra, scene.instrument, scene.sky_power, "antenna")
     assert report.status == "converged"

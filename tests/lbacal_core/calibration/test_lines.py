@@ -162,11 +162,6 @@ def test_the_freedom_of_the_sky_moves_the_lines_as_a_fit_with_shared_noise_does(
     assert by_event / scale == pytest.approx(moved / scale, abs=1e-9)
 
 
-@pytest.fixture(scope="module")
-def spectra(scene):
-    return scene.spectra(np.random.default_rng(11), events=400, stations=2)
-
-
 def test_an_event_that_one_antenna_of_four_recorded_has_the_noise_of_its_power_and_not_of_four(scene, spectra):
     one_station = spectra.select((spectra.station == "CS002") & (spectra.dipole == "X"))
     is_lonely = np.isin(one_station.event_id, np.unique(one_station.event_id)[::4])

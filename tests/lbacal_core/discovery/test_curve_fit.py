@@ -179,16 +179,11 @@ def test_a_level_of_noise_leaves_c_as_it_is(fitter, causes):
 
 
 @pytest.fixture(scope="module")
-def choices(station):
-    return {choice.label: choice for choice in list_choices(station)}
-
-
-@pytest.fixture(scope="module")
-def with_causes(station, choices):
+def with_causes(station, causes):
     """Recorded power without noise and with causes at sizes, shape (dipole, lst, freq)."""
 
     def make(**sizes):
-        named = [choices[label.replace("_near_90", " 90 deg")] for label in sizes]
+        named = [causes[label.replace("_near_90", " 90 deg")] for label in sizes]
         return station.terms_with(named, np.array(list(sizes.values())), 0.0).power()
 
     return make
@@ -209,8 +204,8 @@ def test_the_band_power_is_that_of_the_sky_weighed_with_the_channels(station, sk
     np.testing.assert_allclose(noisy - quiet, 0.5 * expected.mean(), rtol=1e-12)
 
 
-def test_no_cause_of_size_zero_changes_anything(station, choices):
-    for choice in choices.values():
+def test_no_cause_of_size_zero_changes_anything(station, causes):
+    for choice in causes.values():
         unchanged = station.terms_with([choice], np.zeros(1), 1.0).power()
         np.testing.assert_allclose(unchanged, station.terms.power(), rtol=1e-9)
 
@@ -238,18 +233,18 @@ def test_a_power_of_the_cosine_is_the_exact_one(with_causes, chain, station):
     assert relative(with_causes(zenith_weighting=0.7)) == pytest.approx(relative(expected), rel=1e-4)
 
 
-def test_a_power_too_many_in_the_simulation_is_taken_out_exactly(chain, choices):
+def test_a_power_too_many_in_the_simulation_is_taken_out_exactly(chain, causes):
     """own(0)/own(1) at -1; own(-1)/own(0), which is not the inverse, needed -0.77 for a whole cosine too many."""
     weights = band_weights(chain, AS_RECORDED, BAND)
     wrong = vary_sky_power(chain, zenith_exponent=1.0)
     station = gather_curve(chain, wrong, weights, noise_prior(chain, BAND, weights))
-    found = station.terms_with([choices["zenith_weighting"]], np.array([-1.0]), 0.0).power()
+    found = station.terms_with([causes["zenith_weighting"]], np.array([-1.0]), 0.0).power()
     right = np.stack([vary_sky_power(chain).at(d, GRID_HOURS) for d in "XY"]) * weights
     assert relative(found) == pytest.approx(relative(right), rel=1e-4)
 
 
-def test_noise_and_an_isotropic_level_flatten_a_channel_alike_and_are_never_fitted_together(with_causes, choices):
-    noise, level = choices["missing_noise"], choices["isotropic_level"]
+def test_noise_and_an_isotropic_level_flatten_a_channel_alike_and_are_never_fitted_together(with_causes, causes):
+    noise, level = causes["missing_noise"], causes["isotropic_level"]
     assert noise.kinds == level.kinds
     assert noise.scale != 1.0
     plain = relative(with_causes()).std()
@@ -258,16 +253,16 @@ def test_noise_and_an_isotropic_level_flatten_a_channel_alike_and_are_never_fitt
     assert flat.mean() == pytest.approx(1.5 * with_causes().sum(axis=-1).mean(), rel=1e-12)
 
 
-def test_a_turn_by_a_right_angle_is_an_alias_of_an_exchange(choices):
-    turn = choices["dipole_azimuth 90 deg"]
+def test_a_turn_by_a_right_angle_is_an_alias_of_an_exchange(causes):
+    turn = causes["dipole_azimuth 90 deg"]
     assert turn.is_alias
-    assert turn.kinds > choices["dipole_swap"].kinds
-    assert [choice.label for choice in choices.values() if choice.is_alias] == [turn.label]
+    assert turn.kinds > causes["dipole_swap"].kinds
+    assert [choice.label for choice in causes.values() if choice.is_alias] == [turn.label]
 
 
-def test_every_cause_of_the_catalogue_is_asked_or_has_a_reason_that_follows_from_its_axes(station, choices):
-    reasons = why_not(station, list(choices.values()))
-    asked = {choice.cause.identifier for choice in choices.values()}
+def test_every_cause_of_the_catalogue_is_asked_or_has_a_reason_that_follows_from_its_axes(station, causes):
+    reasons = why_not(station, list(causes.values()))
+    asked = {choice.cause.identifier for choice in causes.values()}
     assert asked | set(reasons) == {one.identifier for one in DESCRIPTIONS}
     assert not asked & set(reasons)
     assert "date" in reasons["gain_drift"]
