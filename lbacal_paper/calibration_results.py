@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from lbacal_core.data.lofar import DIPOLES
-from lbacal_core.lstcurve.compare import compare_lst_curve
+from lbacal_core.lstcurve.curve import compare_lst_curve
 from lbacal_core.skypower.model import vary_sky_power
 from lbacal_core.uncertainty.refit import ZENITH_GAIN
 from lbacal_paper.budget import EDGE_MHZ, Budget, spread_with_cables

@@ -13,7 +13,7 @@ from lbacal_core.calibration.antenna_noise import noise_at_input
 from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.data.tables import read_table
 from lbacal_core.grids import Floats
-from lbacal_core.lstcurve.compare import AS_RECORDED, BAND_MHZ, band_weights, in_db, simulate_band_power
+from lbacal_core.lstcurve.curve import AS_RECORDED, BAND_MHZ, band_weights, in_db, simulate_band_power
 from lbacal_paper.budget import Budget
 from lbacal_paper.chain_results import mean_loss, published_correction
 from lbacal_paper.figures import BAND, BOXES, OTHER, POINTS, PUBLISHED, Panel, PaperFigure, Series

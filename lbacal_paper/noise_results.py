@@ -14,16 +14,17 @@ from lbacal_core.data.tables import read_table
 from lbacal_core.discovery.curve_fit import GRID_HOURS, CurveFitter, gather_curve, list_choices
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.sidereal import local_sidereal_time
-from lbacal_core.lstcurve.compare import (
+from lbacal_core.lstcurve.curve import (
     AS_RECORDED,
     BAND_MHZ,
     Comparison,
+    LstCurve,
     band_weights,
+    estimate_noise,
     in_db,
     noise_prior,
     simulate_band_power,
 )
-from lbacal_core.lstcurve.curve import LstCurve, estimate_noise
 from lbacal_core.sky.names import DEFAULT_SKY, list_skies
 from lbacal_core.skypower.differences import FULL_MAPS, model_difference_modes
 from lbacal_core.skypower.model import compute_sky_power

@@ -19,8 +19,7 @@ from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.data.tables import read_table
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument, load_instrument
-from lbacal_core.lstcurve.compare import Comparison, compare_lst_curve
-from lbacal_core.lstcurve.curve import LstCurve, measured_curve, read_lst_curve
+from lbacal_core.lstcurve.curve import Comparison, LstCurve, compare_lst_curve, measured_curve, read_lst_curve
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.table import SkyPower
 from lbacal_twin.campaign import Campaign, simulate_campaign

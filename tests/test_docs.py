@@ -26,7 +26,7 @@ from lbacal_core.skypower.table import read_sky_power
 from lbacal_core.spectra import spectra
 from lbacal_core.traces.assembly import COVARIATES, read_event_facts
 from service.cli.reference import describe_causes, describe_commands, describe_settings
-from service.wire import formats
+from service.wire import answers as formats
 
 LINK = re.compile(r"(?<!\\)\]\(([^)\s]+)\)")
 FENCE = re.compile(r"^ *```.*?^ *```", re.MULTILINE | re.DOTALL)

@@ -19,8 +19,7 @@ from lbacal_core.antenna.model import AntennaModel, directional_response
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.sidereal import local_sidereal_time, sun_position
-from lbacal_core.sky.model import local_direction, precess
-from lbacal_core.sky.sources import find_sources
+from lbacal_core.sky.model import find_sources, local_direction, precess
 
 SUN = "sun"
 SHORTEST_WAVELENGTHS = 4.0
@@ -88,7 +87,7 @@ class StationCorrelations:
         return np.asarray(np.where(self.works, same, np.nan) / np.where(self.works, same + cross, 1.0))
 
     def direction(self, source: str) -> tuple[float, float]:
-        """Zenith angle and azimuth (north through east) of a source of `lbacal_core.sky.sources`, or the Sun, rad."""
+        """Zenith angle and azimuth (north through east) of a source of `lbacal_core.sky.model`, or the Sun, rad."""
         longitude, latitude, _ = erfa.gc2gd(1, self.centre_m)
         if source == SUN:
             altitude, azimuth = sun_position(np.array([self.time_unix]), np.degrees(latitude), np.degrees(longitude))

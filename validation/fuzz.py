@@ -33,15 +33,15 @@ from schemathesis.specs.openapi.checks import (
 )
 
 from lbacal.cache import Cache
+from lbacal.instants import parse_at, parse_instant
 from lbacal_core.errors import LbacalError
 from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.lstcurve.curve import read_lst_curve
 from lbacal_core.skypower.table import read_sky_power
 from lbacal_core.spectra.spectra import Spectra, write_spectra
+from service.wire.answers import choose_format
 from service.wire.bodies import FlagBody, PromotionBody, RefitBody, SpectraBody, parse_body
-from service.wire.formats import choose_format
 from service.wire.hdf5_body import FileReader
-from service.wire.instants import parse_at, parse_instant
 from validation.fuzzing import NASTY, change_bytes, change_hdf5, write_json
 from validation.machinery.claims import Found, exactly, rate_of
 from validation.machinery.parts import Part, Row

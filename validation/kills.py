@@ -23,6 +23,7 @@ import httpx2
 import numpy as np
 import psycopg
 
+from lbacal.instants import parse_instant
 from lbacal.transport import bodies_of_events
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import load_instrument
@@ -38,7 +39,6 @@ from service.storage.database import Database
 from service.storage.migration import upgrade
 from service.usecases.calibrations import select_paths
 from service.usecases.fits import SMALLEST_SHIFT
-from service.wire.instants import parse_instant
 from service.worker import Worker
 from validation.machinery.claims import Found, rate_of
 from validation.machinery.parts import Part, Row

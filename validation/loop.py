@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+from lbacal.instants import format_instant
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.curves.curves import CalibrationCurve
 from lbacal_core.curves.validity import Instant, Scope
@@ -42,7 +43,6 @@ from service.storage.versions import Version
 from service.usecases.calibrations import select_paths
 from service.usecases.drift import start_of_year
 from service.wire.bodies import AdoptionBody, InvestigationBody, ReasonBody, RefitBody
-from service.wire.instants import format_instant
 from service.worker import Worker
 from validation.kills import open_database
 from validation.machinery.claims import Found, exactly, mean_of, rate_of, root_mean_of, worst_of

@@ -20,8 +20,18 @@ from lbacal_core.discovery.curve_fit import CurveFit
 from lbacal_core.discovery.curve_search import CurveInvestigation, describe_curve, investigate_curve
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument, load_instrument
-from lbacal_core.lstcurve.compare import AS_RECORDED, FLAT, NoisePrior, band_weights, noise_prior
-from lbacal_core.lstcurve.curve import LstCurve, PointNoise, estimate_noise, measured_curve, read_lst_curve
+from lbacal_core.lstcurve.curve import (
+    AS_RECORDED,
+    FLAT,
+    LstCurve,
+    NoisePrior,
+    PointNoise,
+    band_weights,
+    estimate_noise,
+    measured_curve,
+    noise_prior,
+    read_lst_curve,
+)
 from lbacal_core.provenance import Provenance
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.table import SkyPower

@@ -14,8 +14,14 @@ import numpy as np
 from lbacal_core.antenna.lofar import load_hamaker
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument, load_instrument
-from lbacal_core.lstcurve.compare import AS_RECORDED, band_weights, compare_lst_curve
-from lbacal_core.lstcurve.curve import LstCurve, measured_curve, read_lst_curve
+from lbacal_core.lstcurve.curve import (
+    AS_RECORDED,
+    LstCurve,
+    band_weights,
+    compare_lst_curve,
+    measured_curve,
+    read_lst_curve,
+)
 from lbacal_core.sky.names import load_sky
 from lbacal_core.skypower.direct import sum_over_pixels
 from lbacal_core.skypower.model import compute_sky_power

@@ -35,7 +35,7 @@ from service.cli.connections import configure_server, listen
 from service.config import Settings
 from service.factory import Factory, read_clock
 from service.logs import configure_logs
-from service.storage.failures import FULL, READ_ONLY
+from service.storage.database import FULL, READ_ONLY
 from service.storage.migration import upgrade
 from service.storage.processes import WORKER
 from service.usecases.status import Pulse

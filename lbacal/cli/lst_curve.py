@@ -30,8 +30,13 @@ def lst_curve(
     """
     from lbacal_core.errors import BadInputError
     from lbacal_core.instrument.instrument import load_instrument
-    from lbacal_core.lstcurve.compare import AS_RECORDED, band_weights, compare_lst_curve, simulate_band_power
-    from lbacal_core.lstcurve.curve import read_lst_curve
+    from lbacal_core.lstcurve.curve import (
+        AS_RECORDED,
+        band_weights,
+        compare_lst_curve,
+        read_lst_curve,
+        simulate_band_power,
+    )
     from lbacal_core.skypower.table import read_sky_power
 
     require_outputs(

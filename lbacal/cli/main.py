@@ -15,7 +15,6 @@ from typing import Annotated, Any
 
 import typer
 
-from lbacal.cli.antenna_gain import antenna_gain
 from lbacal.cli.audit import audit
 from lbacal.cli.budget import budget
 from lbacal.cli.calibration_tables import check_table, export
@@ -23,11 +22,10 @@ from lbacal.cli.client import effective, ingest, jobs, refit, sync
 from lbacal.cli.fit import fit
 from lbacal.cli.import_ import import_
 from lbacal.cli.investigate import investigate
-from lbacal.cli.ledger import abandon, adopt, alarms, cuts, models, promote, rollback, tag, withdraw
+from lbacal.cli.ledger import abandon, adopt, alarms, cuts, models, promote, rollback, status, tag, withdraw
 from lbacal.cli.lst_curve import lst_curve
-from lbacal.cli.sky_power import sky_power
+from lbacal.cli.sky_power import antenna_gain, sky_power
 from lbacal.cli.spectra import spectra
-from lbacal.cli.status import status
 from lbacal.settings import require_known_settings
 from lbacal_core.errors import BadInputError, LbacalError, MissingExtraError, UnknownNameError, UnreadableFileError
 

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.errors import write_chance
 from lbacal_core.grids import Floats
-from lbacal_core.lstcurve.compare import Comparison, in_db
+from lbacal_core.lstcurve.curve import Comparison, in_db
 
 
 def fill_report(template: str, package: str = "lbacal.cli", **content: Any) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lbacal_core.chain.noise import noise_constants
+from lbacal_core.chain.model import noise_constants
 from lbacal_core.curves.curves import CalibrationCurve
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats

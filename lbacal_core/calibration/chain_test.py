@@ -41,7 +41,7 @@ from lbacal_core.calibration.lines import (
     move_lines,
     move_lines_by,
 )
-from lbacal_core.chain.noise import Intercepts
+from lbacal_core.chain.model import Intercepts
 from lbacal_core.curves.curves import CalibrationCurve
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats

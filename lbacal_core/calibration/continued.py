@@ -18,8 +18,7 @@ from lbacal_core.calibration.channels import solve_without_interference
 from lbacal_core.calibration.lines import Lines, NoiseLevels, SharedNoise, continue_lines
 from lbacal_core.calibration.paths import MeanOfEvents, Paths
 from lbacal_core.calibration.singles import MIN_EVENTS, relative_variance_of
-from lbacal_core.chain.model import calibration_factor
-from lbacal_core.chain.noise import noise_constants
+from lbacal_core.chain.model import calibration_factor, noise_constants
 from lbacal_core.curves.curves import CalibrationCurve
 from lbacal_core.curves.kept_lines import KeptLines, MemberLines
 from lbacal_core.grids import Floats

@@ -36,8 +36,7 @@ from lbacal_core.calibration.paths import (
 from lbacal_core.calibration.separable import SeparableSolution
 from lbacal_core.calibration.singles import MIN_EVENTS, FitSingles, chain_forms, fit_singles
 from lbacal_core.calibration.spreads import measure_spreads
-from lbacal_core.chain.model import calibration_factor
-from lbacal_core.chain.noise import noise_constants
+from lbacal_core.chain.model import calibration_factor, noise_constants
 from lbacal_core.curves.covariance import CurveCovariance, compress_covariance
 from lbacal_core.curves.curves import (
     CONVERGED,

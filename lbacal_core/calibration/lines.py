@@ -63,11 +63,6 @@ class NoiseLevels:
     vectors: Floats
 
     @property
-    def event_gain(self) -> Floats:
-        """Standard deviation of what all channels of an event share, rms over frequency, shape (path,)."""
-        return np.asarray(np.sqrt(np.sum(self.vectors**2, axis=1).mean(axis=-1)))
-
-    @property
     def of_band(self) -> Floats:
         """Standard deviation of the mean over all channels of an event, shape (path,)."""
         own = np.mean(self.radiometer**2, axis=-1) / self.radiometer.shape[-1]

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from lbacal_core.calibration.lines import ChainForms, Lines, fit_lines
 from lbacal_core.calibration.separable import SeparableSolution, solve_separable
-from lbacal_core.chain.noise import noise_constants
+from lbacal_core.chain.model import noise_constants
 from lbacal_core.curves.curves import Anomaly
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument

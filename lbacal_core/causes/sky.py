@@ -14,7 +14,7 @@ from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.linear import pseudo_invert
-from lbacal_core.sky.sources import SOURCES
+from lbacal_core.sky.model import SOURCES
 from lbacal_core.skypower.model import vary_sky_power
 from lbacal_core.skypower.sources import source_sky_power
 from lbacal_core.skypower.table import SkyPower, read_at

@@ -1,1 +1,1 @@
-"""The signal chain of eq. full_chain: read `model`, then `noise` and `intercepts`."""
+"""The signal chain of eq. full_chain: read `model`."""

@@ -25,14 +25,12 @@ from lbacal_core.causes.axes import axes_of
 from lbacal_core.causes.catalogue import CAUSES, DESCRIPTIONS
 from lbacal_core.causes.cause import Cause, Conditions, SizeRange, Template
 from lbacal_core.causes.sky import sky_ratios
-from lbacal_core.chain.model import ChainTerms
-from lbacal_core.chain.noise import Intercepts, noise_constants
+from lbacal_core.chain.model import ChainTerms, Intercepts, noise_constants
 from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.linear import find_whitener, fit_least_squares, invert_symmetric
-from lbacal_core.lstcurve.compare import LARGEST_RATIO, NoisePrior
-from lbacal_core.lstcurve.curve import LstCurve, PointNoise
+from lbacal_core.lstcurve.curve import LARGEST_RATIO, LstCurve, NoisePrior, PointNoise
 from lbacal_core.skypower.table import SkyPower
 
 # What causes found in an LST curve do to C: the chain fitted to a station-year of data that contain them.
@@ -73,7 +71,7 @@ def fit_station_year(power: Floats, sky: Floats, terms: Intercepts) -> Floats:
 # An LST curve as a station of the classes X and Y on the axis LST: conditions, chain, and causes that it can show.
 #
 # The band power is the sum over channels of (P_sky + noise) x weight. The baseline contains the electronic noise of all
-# stages, whose ratio to the mean sky power has a prior (`lbacal_core.lstcurve.compare`).
+# stages, whose ratio to the mean sky power has a prior (`lbacal_core.lstcurve.curve`).
 
 GRID_HOURS: Floats = np.asarray(np.arange(32) * 0.75, dtype=np.float64)
 """Resolves |m| <= 15: the beam of a dipole leaves nothing above 8."""

@@ -30,8 +30,15 @@ from lbacal_core.discovery.policy import CURVE_POLICY, Policy
 from lbacal_core.discovery.report import BY_RATIO, CONSISTENT, EXPLAINED, UNEXPLAINED, tell_finding, tell_gain
 from lbacal_core.grids import Floats, require_same_grid
 from lbacal_core.instrument.instrument import Instrument
-from lbacal_core.lstcurve.compare import AS_RECORDED, NoisePrior, band_weights, noise_prior
-from lbacal_core.lstcurve.curve import LstCurve, PointNoise, estimate_noise
+from lbacal_core.lstcurve.curve import (
+    AS_RECORDED,
+    LstCurve,
+    NoisePrior,
+    PointNoise,
+    band_weights,
+    estimate_noise,
+    noise_prior,
+)
 from lbacal_core.provenance import Provenance
 from lbacal_core.skypower.differences import FULL_MAPS, model_difference_modes
 from lbacal_core.skypower.table import SkyPower

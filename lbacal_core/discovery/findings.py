@@ -9,14 +9,22 @@ import numpy as np
 
 from lbacal_core.causes.catalogue import CAUSES
 from lbacal_core.causes.cause import Cause, Template
-from lbacal_core.discovery.families import HiddenCause, group_templates, list_families, list_hidden, overlap
 from lbacal_core.discovery.growth import grow
 from lbacal_core.discovery.hypothesis import Hypothesis, Target
 from lbacal_core.discovery.policy import Policy
 from lbacal_core.discovery.project import LinearModel
 from lbacal_core.discovery.refit import AveragedSize, FittedModel, average_size, held_out_gain, refit, refit_over_noise
 from lbacal_core.discovery.residual_structure import STATION, chance_along
-from lbacal_core.discovery.scan import Score, scan, score_families
+from lbacal_core.discovery.scan import (
+    HiddenCause,
+    Score,
+    group_templates,
+    list_families,
+    list_hidden,
+    overlap,
+    scan,
+    score_families,
+)
 from lbacal_core.discovery.station import Station
 from lbacal_core.grids import Floats
 

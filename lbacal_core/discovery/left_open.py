@@ -11,11 +11,11 @@ from threadpoolctl import threadpool_limits
 
 from lbacal_core.causes.catalogue import CAUSES
 from lbacal_core.causes.cause import Template
-from lbacal_core.discovery.families import list_families, overlap
 from lbacal_core.discovery.findings import Finding, gain_in_chi_squared
 from lbacal_core.discovery.hypothesis import Hypothesis, Target
 from lbacal_core.discovery.refit import FittedModel, fit_chain, refit, refit_over_noise
 from lbacal_core.discovery.report import plain_parameters
+from lbacal_core.discovery.scan import list_families, overlap
 from lbacal_core.discovery.search import StationReport
 from lbacal_core.grids import Floats
 

@@ -18,7 +18,6 @@ from lbacal_core.causes.model import PLAIN, Model
 from lbacal_core.discovery.adopted import FittedSize, fit_adopted
 from lbacal_core.discovery.antennas import AntennaScore, compare_antennas, compare_cable_names, why_no_comparison
 from lbacal_core.discovery.baseline import leave_out_deaf
-from lbacal_core.discovery.families import shares_taken
 from lbacal_core.discovery.findings import Finding, Grown, SameAgain, StationSearch, grow_findings
 from lbacal_core.discovery.hypothesis import Hypothesis, list_targets, p_of
 from lbacal_core.discovery.policy import Policy
@@ -32,7 +31,7 @@ from lbacal_core.discovery.residual_structure import (
     chance_of_following,
     find_structure,
 )
-from lbacal_core.discovery.scan import Score
+from lbacal_core.discovery.scan import Score, shares_taken
 from lbacal_core.discovery.single_events import share_of_channels
 from lbacal_core.discovery.station import SkyModes, Station
 from lbacal_core.grids import Floats

@@ -12,7 +12,7 @@ from lbacal_core.calibration.paths import Cables, require_one_cable_each
 from lbacal_core.calibration.singles import MIN_EVENTS
 from lbacal_core.causes.cause import Conditions
 from lbacal_core.causes.sky import SkyRatio, sky_ratios
-from lbacal_core.chain.noise import noise_constants
+from lbacal_core.chain.model import noise_constants
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument

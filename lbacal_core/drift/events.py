@@ -21,7 +21,7 @@ from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
 from lbacal_core.calibration.continued import NEARER
-from lbacal_core.chain.noise import noise_constants
+from lbacal_core.chain.model import noise_constants
 from lbacal_core.curves.curves import CalibrationCurve
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument

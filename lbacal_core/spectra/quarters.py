@@ -27,11 +27,6 @@ def number_quarters(time_unix: Floats) -> NDArray[np.int64]:
     return np.asarray(months.astype(np.int64) // MONTHS)
 
 
-def start_of_quarter(number: int) -> int:
-    """The first instant of a quarter, s UTC."""
-    return int(np.datetime64(number * MONTHS, "M").astype("datetime64[s]").astype(np.int64))
-
-
 def hash_quarters(
     paths: Sequence[Path],
     path_of: NDArray[np.int64],

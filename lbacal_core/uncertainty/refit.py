@@ -23,7 +23,7 @@ from lbacal_core.calibration.lines import ChainForms, Lines, fit_lines
 from lbacal_core.calibration.paths import MIN_LST_BINS, Paths, paths_of_scope, require_one_cable_each
 from lbacal_core.calibration.separable import SeparableSolution
 from lbacal_core.calibration.singles import FitSingles, chain_forms, fit_singles
-from lbacal_core.chain.noise import Intercepts, noise_constants
+from lbacal_core.chain.model import Intercepts, noise_constants
 from lbacal_core.curves.covariance import Budget, BudgetTerm
 from lbacal_core.curves.curves import OK, UNCERTAIN, CalibrationCurve, FitReport
 from lbacal_core.curves.reference_chain import ReferenceChain

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.constants import Boltzmann, speed_of_light
 
 from lbacal_core.grids import Floats
-from lbacal_core.sky.sources import find_sources
+from lbacal_core.sky.model import find_sources
 from lbacal_twin.bodies import horizontal, sun_position
 from lbacal_twin.faults.fault import Fault
 from lbacal_twin.stages import Scene, Stages

@@ -68,7 +68,7 @@ def repair_clock() -> None:
 
     Until the instant of the last of them nothing can be promoted. No line goes; every line that was moved is printed.
     """
-    from service.wire.instants import format_instant
+    from lbacal.instants import format_instant
 
     with _factory().database.write() as stores:
         moved = stores.ledger.repair_clock()
@@ -98,7 +98,7 @@ def list_keys() -> None:
 
     Example: lbacal keys list
     """
-    from service.wire.instants import format_optional
+    from lbacal.instants import format_optional
 
     for key in _factory().keys.list():
         ends = f"expires {format_optional(key.expires) or 'never'}"

@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Depends, Query, Request, Response
 
+from lbacal.instants import format_instant, format_optional, parse_at, parse_instant
 from lbacal.tables import write_format
 from lbacal_core.calibration.spreads import ToldCurve
 from lbacal_core.curves.curves import STATUSES, list_numbers
@@ -31,7 +32,7 @@ from service.handlers.request import (
 from service.storage.models import ID_DIGITS
 from service.storage.versions import Version
 from service.usecases.calibrations import CurveInEffect, InEffect, WrittenCurve, select_scope
-from service.usecases.comparison import compare_versions
+from service.usecases.gate import compare_versions
 from service.usecases.keys import Caller
 from service.usecases.promotions import Change, Knowledge
 from service.wire.answer_models import (
@@ -45,6 +46,9 @@ from service.wire.answer_models import (
     WholeVersionAnswer,
 )
 from service.wire.answers import (
+    FORMATS,
+    Format,
+    choose_format,
     describe_curve_in_effect,
     describe_in_effect,
     describe_promotion,
@@ -53,8 +57,6 @@ from service.wire.answers import (
     write_in_effect,
 )
 from service.wire.bodies import PromotionBody, parse_body
-from service.wire.formats import FORMATS, Format, choose_format
-from service.wire.instants import format_instant, format_optional, parse_at, parse_instant
 
 router = APIRouter(tags=["calibrations"])
 FILES: dict[int | str, dict[str, Any]] = {

@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Depends, Query, Request, Response
 
+from lbacal.instants import DAY_US, format_instant, format_optional
 from lbacal_core.curves.validity import Instant, Scope
 from lbacal_core.errors import BadInputError
 from service.handlers.problems import document
@@ -32,7 +33,6 @@ from service.usecases.keys import Caller
 from service.wire.answer_models import AlarmAnswer, AlarmKind, AlarmsAnswer, CutAnswer, CutsAnswer, DriftAnswer
 from service.wire.answers import describe_scope
 from service.wire.bodies import AcknowledgementBody, ReasonBody, parse_body
-from service.wire.instants import DAY_US, format_instant, format_optional
 
 # Drift of C with time.
 

@@ -8,6 +8,7 @@ from fastapi import APIRouter, Depends, Request, Response
 from fastapi.responses import PlainTextResponse
 from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, generate_latest
 
+from lbacal.instants import format_instant, format_optional
 from service.handlers.metrics import describe_state
 from service.handlers.models import describe_investigation
 from service.handlers.problems import document
@@ -18,7 +19,6 @@ from service.usecases.cuts import tell_not_refitted
 from service.usecases.models import list_stopped
 from service.usecases.status import State
 from service.wire.answer_models import AliveAnswer, ReadyAnswer, StatusAnswer
-from service.wire.instants import format_instant, format_optional
 
 router = APIRouter(tags=["health"])
 

@@ -6,6 +6,7 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Query, Request, Response
 
+from lbacal.instants import format_instant
 from service.handlers.problems import document
 from service.handlers.request import (
     IdempotencyKey,
@@ -26,7 +27,6 @@ from service.usecases.keys import Caller
 from service.wire.answer_models import JobAnswer, JobsAnswer, RefitAnswer
 from service.wire.answers import to_json
 from service.wire.bodies import ReasonBody, RefitBody, parse_body
-from service.wire.instants import format_instant
 
 router = APIRouter(tags=["jobs"])
 Runner = Annotated[Caller, caller_with("refits:run")]

@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Path, Query, Request, Response
 
+from lbacal.instants import format_instant
 from lbacal_core.curves.validity import Promotion
 from service.factory import Factory
 from service.handlers.calibrations import describe_changes
@@ -28,7 +29,6 @@ from service.usecases.promotions import Change, Plan
 from service.wire.answer_models import PromotionsAnswer, TagAnswer, TagsAnswer
 from service.wire.answers import describe_promotion, to_json
 from service.wire.bodies import ReasonBody, TagBody, parse_body
-from service.wire.instants import format_instant
 
 router = APIRouter(tags=["ledger"])
 Promoter = Annotated[Caller, caller_with("calibrations:promote")]

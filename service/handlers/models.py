@@ -6,6 +6,7 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Query, Request, Response
 
+from lbacal.instants import format_instant
 from lbacal_core.causes.model import AdoptedCause, Model
 from service.handlers.calibrations import describe_changes
 from service.handlers.problems import document
@@ -35,7 +36,6 @@ from service.wire.answer_models import (
 )
 from service.wire.answers import to_json
 from service.wire.bodies import AdoptionBody, InvestigationBody, ReasonBody, parse_body
-from service.wire.instants import format_instant
 
 router = APIRouter(tags=["models"])
 Promoter = Annotated[Caller, caller_with("calibrations:promote")]

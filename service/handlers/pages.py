@@ -11,6 +11,7 @@ import numpy as np
 from fastapi import APIRouter, Depends, Request, Response, status
 from fastapi.responses import HTMLResponse, RedirectResponse
 
+from lbacal.instants import format_instant, parse_instant
 from lbacal_core.causes.model import follows_date
 from lbacal_core.curves.curves import list_numbers
 from lbacal_core.curves.validity import Scope
@@ -24,16 +25,14 @@ from service.handlers.request import (
     answer,
     require_read,
 )
-from service.page.assets import find_asset
-from service.page.render import format_day, name_scope, render_page, render_part
+from service.page.render import find_asset, format_day, name_scope, render_page, render_part
 from service.storage.alarms import ACKNOWLEDGED, ENDED, OPEN
 from service.storage.versions import MeanC, Version
 from service.usecases.calibrations import select_paths
 from service.usecases.drift import DriftSeries, Story
 from service.usecases.models import list_stopped
 from service.usecases.status import look_over
-from service.wire.formats import FORMATS
-from service.wire.instants import format_instant, parse_instant
+from service.wire.answers import FORMATS
 
 router = APIRouter(
     include_in_schema=False, dependencies=[Depends(require_read), TAKES_TURN], default_response_class=HTMLResponse

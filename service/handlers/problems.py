@@ -16,8 +16,7 @@ from lbacal_core.errors import BadInputError, LbacalError
 from service.errors import NotAcceptableError, TooManyError, UnavailableError
 from service.page.render import render_page
 from service.refusals import describe_refusal
-from service.wire.answers import to_json
-from service.wire.formats import choose_media
+from service.wire.answers import choose_media, to_json
 
 RETRY_S = 5
 STATUSES = {400: "not JSON", 401: "no valid key", 403: "scope missing", 404: "not found", 406: "nothing you accept",

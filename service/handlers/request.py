@@ -18,8 +18,7 @@ from service.errors import TooLargeError, UnauthenticatedError, UnavailableError
 from service.factory import Factory
 from service.handlers.edge import KeyGuard
 from service.usecases.keys import Caller
-from service.wire.answers import to_json
-from service.wire.formats import choose_media
+from service.wire.answers import choose_media, to_json
 
 IMMUTABLE = "public, max-age=31536000, immutable"
 REVALIDATE = "no-cache"

@@ -6,6 +6,7 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Query, Request, Response
 
+from lbacal.instants import format_instant, parse_instant
 from service.handlers.problems import document
 from service.handlers.request import (
     HDF5,
@@ -25,7 +26,6 @@ from service.storage.spectra import StoredEvent
 from service.usecases.keys import Caller
 from service.wire.answer_models import EventAnswer, EventsAnswer, ReceiptAnswer, ReceiptsAnswer
 from service.wire.bodies import FlagBody, SpectraBody, parse_body
-from service.wire.instants import format_instant, parse_instant
 
 router = APIRouter(tags=["spectra"])
 Writer = Annotated[Caller, caller_with("spectra:write")]

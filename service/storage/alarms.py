@@ -10,11 +10,11 @@ from typing import Any
 
 from sqlalchemy import Connection, Row, and_, func, or_, select, update
 
+from lbacal.instants import DAY_US
 from lbacal_core.curves.validity import Instant, Scope
 from lbacal_core.provenance import canonical_json
 from service.errors import NotFoundError
 from service.schema.tables import alarm
-from service.wire.instants import DAY_US
 
 STEP = "step"
 SLOPE = "slope"

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from sqlalchemy import Connection, Row, Select, delete, func, select, update
 
+from lbacal.instants import DAY_US
 from lbacal_core.curves.validity import Instant, Scope
 from lbacal_core.provenance import canonical_json
 from service.errors import NotFoundError
@@ -29,7 +30,6 @@ from service.schema.tables import (
     path,
     window_cut,
 )
-from service.wire.instants import DAY_US
 
 SINGLE = "<f4"
 MODES = 3

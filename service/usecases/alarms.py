@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from lbacal.instants import DAY_US, format_instant, parse_instant
 from lbacal_core.causes.model import Model, follows_date
 from lbacal_core.curves.curves import OK
 from lbacal_core.curves.validity import Instant, Scope
@@ -41,7 +42,6 @@ from service.usecases.cuts import NOT_REFITTED
 from service.usecases.drift import end_of_year
 from service.usecases.watch import is_same_cut, list_cuts
 from service.wire.bodies import AcknowledgementBody
-from service.wire.instants import DAY_US, format_instant, parse_instant
 
 # Named causes that move C: what an investigation found, while the calibrations in effect were made without it.
 #

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Generic, TypeVar
 
+from lbacal.instants import format_instant
 from lbacal_core.calibration.spreads import ToldCurve, tell_reference
 from lbacal_core.curves.reference_chain import ReferenceChain
 from lbacal_core.curves.validity import Instant, Promotion, Scope
@@ -20,7 +21,6 @@ from service.storage.kept_fits import Examined
 from service.storage.ledger import Neighbours
 from service.storage.versions import MICROSECONDS, Version
 from service.usecases.cuts import is_over, tell_not_refitted
-from service.wire.instants import format_instant
 
 PROMOTIONS_SHOWN = 100
 VERSIONS_REMEMBERED = 1200

@@ -8,13 +8,13 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 
+from lbacal.instants import format_instant
 from lbacal_core.curves.validity import Instant, Promotion, Scope
 from lbacal_core.errors import name_path
 from service.errors import ConflictError
 from service.storage.database import Database, Stores
 from service.storage.drift import LIFTED, RESTORED, Cut, Decision, KeptCut
 from service.wire.bodies import ReasonBody
-from service.wire.instants import format_instant
 
 NOT_REFITTED = "found, not yet refitted"
 

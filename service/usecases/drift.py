@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lbacal.instants import format_instant, parse_instant
 from lbacal_core.curves.reference_chain import ReferenceChain
 from lbacal_core.curves.validity import Instant, Promotion, Scope, timeline
 from lbacal_core.drift.model import SLOPE, smooth_columns
@@ -26,7 +27,6 @@ from service.storage.drift import MonthlyRatio, StoredYear
 from service.storage.versions import MeanC, Version
 from service.usecases.calibrations import LastMade, select_paths
 from service.usecases.gate import find_change_of_mean
-from service.wire.instants import format_instant, parse_instant
 
 # Calendar years: the windows of the scheduled fits.
 

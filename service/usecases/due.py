@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+from lbacal.instants import DAY_US
 from lbacal_core.curves.validity import Instant, Scope
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.provenance import hash_content
@@ -40,7 +41,6 @@ from service.usecases.refits import describe_part
 from service.usecases.watch import KIND as WATCH
 from service.usecases.watch import Watch
 from service.usecases.windows import SECOND_US
-from service.wire.instants import DAY_US
 
 BY = "scheduler"
 ALWAYS = {"since": -np.inf, "until": np.inf}

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from lbacal.instants import format_instant
 from lbacal_core.audit.audit import audit_quickly
 from lbacal_core.calibration.chain_test import SkyFreedom
 from lbacal_core.calibration.continued import Continued, continue_fit
@@ -41,7 +42,6 @@ from service.storage.spectra import Window
 from service.storage.versions import BUDGET, Version
 from service.usecases.orders import hash_covariates
 from service.usecases.windows import SECOND_US, FindLenders, lend_to_small, share_misfits
-from service.wire.instants import format_instant
 
 GAIN_STEP = "gain_step"
 BUDGETS_REMEMBERED = 8

@@ -10,17 +10,205 @@ The limits are settings; a jump beyond them is either a fault or news, and both 
 
 from __future__ import annotations
 
-from collections.abc import Collection
-from dataclasses import dataclass
+import math
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from lbacal_core.curves.curves import CONVERGED, MISFIT, OK, CalibrationCurve
+from lbacal_core.curves.reference_chain import ReferenceChain
 from lbacal_core.curves.validity import Instant, Scope
+from lbacal_core.errors import BadInputError, write_change, write_percent
+from lbacal_core.grids import Floats, require_same_grid
 from service.storage.ledger import LedgerStore
 from service.storage.models import ModelChange
-from service.storage.versions import Version, mean_over_band
-from service.usecases.comparison import through_common_cable
+from service.storage.versions import BUDGET, Version, mean_over_band
+
+# How far two calibration curves differ, channel by channel.
+
+
+@dataclass(frozen=True)
+class CurveChange:
+    """Change of C from one curve to another, shape (freq,): as a fraction, and in standard deviations of both.
+
+    NaN in a channel in which one of them has no value. `means` are those of C over the channels that both have, before
+    and after, V per ADC unit.
+    """
+
+    frequency_mhz: Floats
+    fraction: Floats
+    sigma: Floats
+    means: tuple[float, float]
+
+    @property
+    def max_fraction(self) -> float:
+        """The largest change of any channel, as a fraction."""
+        return float(np.nanmax(np.abs(self.fraction)))
+
+    @property
+    def max_sigma(self) -> float:
+        """The largest change of any channel, in standard deviations."""
+        return float(np.nanmax(np.abs(self.sigma)))
+
+
+def compare_curves(before: CalibrationCurve, after: CalibrationCurve) -> CurveChange:
+    """Compare two converged curves on the same channels; their errors, all that are known, count as independent."""
+    if before.c is None or after.c is None:
+        raise BadInputError("calibrations", "two converged curves", f"{before.status} and {after.status}")
+    require_same_grid(after.name, after.frequency_mhz, before.frequency_mhz, before.name)
+    sigma = np.hypot(_total_error(before), _total_error(after))
+    is_known = np.isfinite(before.c) & np.isfinite(after.c)
+    means = (float(before.c[is_known].mean()), float(after.c[is_known].mean()))
+    return CurveChange(before.frequency_mhz, after.c / before.c - 1.0, (after.c - before.c) / sigma, means)
+
+
+def compare_versions(first: Version, second: Version) -> list[tuple[str | None, CurveChange]]:
+    """How the curves of two versions differ, by dipole, as one and the same path is told them.
+
+    If one of them is a path's own, the other is carried through that path's cable. Curves of two reference chains are
+    compared through one and the same cable, C L_ref^1/2: a change of which antennas were averaged is no change.
+    """
+    path = next((one.scope for one in (first, second) if one.scope.antenna is not None), None)
+    changes = []
+    for curve in first.curves:
+        other = next((c for c in second.curves if c.dipole == curve.dipole), None)
+        if other is None or curve.c is None or other.c is None:
+            continue
+        if path is None:
+            before, after = (through_common_cable(version, str(curve.dipole)) for version in (first, second))
+        else:
+            before, after = (version.tell(path, sum(version.window) // 2).curve for version in (first, second))
+        changes.append((curve.dipole, compare_curves(before, after)))
+    return changes
+
+
+def find_shift(before: Version, after: Version) -> float | None:
+    """By how much C moved from one fit of a scope to the next, in standard deviations: the largest of any channel.
+
+    The fits share most of their events, so their errors do not add: the unit is the smaller `c_sigma_stat` of the two.
+    None if anything but the spectra differs (model, instrument, sky power, members of a mean), a curve is missing, or a
+    channel has a value in one of the two only: that is news however little the others move.
+    """
+    if _without_spectra(before) != _without_spectra(after) or before.window != after.window:
+        return None
+    shifts = []
+    for curve in after.curves:
+        dipole = str(curve.dipole)
+        chains = [version.chains.get(dipole) for version in (before, after)]
+        old, new = (through_common_cable(version, dipole) for version in (before, after))
+        if _members(chains[0]) != _members(chains[1]) or old.c is None or new.c is None:
+            return None
+        is_known = np.isfinite(new.c)
+        if not np.array_equal(is_known, np.isfinite(old.c)) or not is_known.any():
+            return None
+        unit = np.minimum(np.asarray(old.c_sigma_stat), np.asarray(new.c_sigma_stat))
+        shifts.append(float(np.max(np.abs(new.c - old.c)[is_known] / unit[is_known])))
+    return max(shifts)
+
+
+def _without_spectra(version: Version) -> dict[str, Any]:
+    return {name: value for name, value in version.inputs.items() if name not in ("spectra", BUDGET)}
+
+
+def _members(chain: ReferenceChain | None) -> frozenset[tuple[str, int]] | None:
+    return None if chain is None else chain.member_set
+
+
+def through_common_cable(version: Version, dipole: str) -> CalibrationCurve:
+    """The curve of a version with its cable taken out, C L_ref^1/2; as it is where the cables are not known."""
+    curve, chain = version.curve_of(dipole), version.chains.get(dipole)
+    if chain is None or curve.c is None or curve.c_sigma_stat is None:
+        return curve
+    factor = np.sqrt(chain.mean_loss)
+    return replace(curve, c=curve.c * factor, c_sigma_stat=curve.c_sigma_stat * factor)
+
+
+def _total_error(curve: CalibrationCurve) -> Floats:
+    """The error that curves do not share: that of the sky and of the antenna moves all of them alike."""
+    of_noise = np.asarray(curve.c_sigma_stat, dtype=float)
+    if curve.covariance is not None and curve.c is not None:
+        return np.asarray(np.hypot(of_noise, curve.c * np.sqrt(np.sum(curve.covariance.own**2, axis=0))))
+    return of_noise if curve.c_sigma_sys is None else np.hypot(of_noise, curve.c_sigma_sys)
+
+
+# A change of C in words: in the mean over the band, as a tilt, as a curvature, and where along frequency each is felt.
+#
+# A change is found by all three together, and any of them may carry it. The most significant is told first, then the
+# mean and what else is plain. Tilt and curvature are the Legendre polynomials 1 and 2 over the band
+# (`lbacal_core.drift.events`): 1 at its top, where the bottom has -1 and 1, and the middle of the curvature -1/2.
+
+PLAIN, BESIDE = 3.0, 1.0 / 3.0
+"""A part beside the most significant one is told from so many standard deviations on, and from this share of it."""
+TILT = "tilt"
+Shape = Mapping[str, Mapping[str, float]]
+"""Tilt and curvature of ln C by their names, each a `value` with its `sigma`."""
+
+
+@dataclass(frozen=True)
+class _Part:
+    significance: float
+    words: str
+
+
+def drop_noise(report: dict[str, Any]) -> dict[str, Any]:
+    """The report of a watch without members of changes that are below its threshold.
+
+    Among few antennas the median of a station follows the step of one, and the search finds another one stepping the
+    other way. Once the medians are settled, what is left of that is noise.
+    """
+    threshold = report["threshold_sigma"]
+    for change in report["changes"]:
+        if not change["is_known"]:
+            first, *others = change["members"]
+            change["members"] = [first, *(one for one in others if one["significance"] >= threshold)]
+    return report
+
+
+def name_members(members: Sequence[Mapping[str, Any]], most: int) -> str:
+    """Who of a station changed: paths, and polarisations as a whole."""
+    named = [
+        f"all {one['dipole']}" if one["antenna"] is None else f"antenna {one['antenna']} {one['dipole']}"
+        for one in members[:most]
+    ]
+    return ", ".join(named) + (f" and {len(members) - most} more" if len(members) > most else "")
+
+
+def tell_change(mean: float, sigma: float, shape: Shape, frequency_mhz: Floats) -> str:
+    """By how much C changed, `mean` over the band with its error and along frequency: ``-3.10 ± 0.20 %``."""
+    of_mean = abs(mean) / sigma
+    shapes = _rank_shapes(of_mean, shape, frequency_mhz)
+    whole = _Part(of_mean, write_change(mean, sigma) + (" in the mean over the band" if shapes else ""))
+    return " and by ".join(part.words for part in sorted([whole, *shapes], key=lambda part: -part.significance))
+
+
+def tell_shapes(change: Mapping[str, Any], frequency_mhz: Floats) -> str:
+    """What changed along frequency beside the mean over the band; nothing where the mean says it all."""
+    of_mean = abs(change["size"]) / change["sigma"]
+    return " and ".join(part.words for part in _rank_shapes(of_mean, change["shape"], frequency_mhz))
+
+
+def _rank_shapes(of_mean: float, shape: Shape, frequency_mhz: Floats) -> list[_Part]:
+    """The shapes that are told beside a mean of some significance, the most significant first."""
+    found = [
+        _Part(abs(one["value"]) / one["sigma"], _tell_shape(name, one["value"], one["sigma"], frequency_mhz))
+        for name, one in shape.items()
+    ]
+    most = max(of_mean, *(part.significance for part in found))
+    least = min(most, max(PLAIN, BESIDE * most))
+    told = [part for part in found if part.significance >= least]
+    return sorted(told, key=lambda part: -part.significance)
+
+
+def _tell_shape(name: str, value: float, sigma: float, frequency_mhz: Floats) -> str:
+    """A shape of ln C, with its error where it is largest."""
+    bottom, top = f"{frequency_mhz[0]:.0f}", f"{frequency_mhz[-1]:.0f}"
+    largest = write_change(math.expm1(value), math.exp(value) * sigma)
+    if name == TILT:
+        return f"a tilt ({largest} at {top} MHz, {write_percent(math.expm1(-value))} at {bottom} MHz)"
+    return f"a curvature ({largest} at {bottom} and {top} MHz, {write_percent(math.expm1(-value / 2))} halfway)"
+
 
 ANNOUNCED_SIGMA = 3.0
 """Standard deviations by which a change of C may depart from what the adoption of a cause announced."""

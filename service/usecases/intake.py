@@ -9,6 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
+from lbacal.instants import format_instant, parse_instant
 from lbacal_core.curves.validity import Instant
 from lbacal_core.errors import BadInputError, name_path
 from lbacal_core.grids import require_same_grid
@@ -20,7 +21,6 @@ from service.storage.database import Database
 from service.storage.spectra import EVENT_SPAN_US, StoredEvent
 from service.wire.bodies import LONGEST_NAME, MAX_SPECTRA, SpectraBody, SpectrumBody, parse_body
 from service.wire.hdf5_body import FileReader
-from service.wire.instants import format_instant, parse_instant
 
 MAX_NAMES_IN_BATCH = 64
 """Names of covariates in one batch: each is a column of it in memory."""

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from lbacal.instants import format_instant
 from lbacal_core.calibration.singles import MIN_EVENTS
 from lbacal_core.causes.model import Model
 from lbacal_core.curves.validity import Instant, Scope
@@ -30,7 +31,6 @@ from service.usecases.drift import find_years, split_years
 from service.usecases.orders import Limits, hash_covariates, name_inputs, place_order, read_window
 from service.usecases.windows import SECOND_US
 from service.wire.bodies import InvestigationBody
-from service.wire.instants import format_instant
 
 KIND = "investigation"
 

@@ -7,12 +7,12 @@ import secrets
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from lbacal.instants import DAY_US
 from lbacal_core.curves.validity import Instant
 from lbacal_core.errors import BadInputError
 from service.errors import ForbiddenError, UnauthenticatedError
 from service.storage.database import Database
 from service.storage.keys import Key
-from service.wire.instants import DAY_US
 
 SCOPES = ("read", "spectra:write", "refits:run", "calibrations:promote", "admin")
 LONGEST_NAME = 60

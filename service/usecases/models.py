@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from threadpoolctl import threadpool_limits
 
+from lbacal.instants import format_instant, parse_instant
 from lbacal_core.causes.model import UNEXPLAINED, AdoptedCause, Model
 from lbacal_core.curves.covariance import Budget, parse_budget
 from lbacal_core.curves.validity import Instant, Promotion, Scope, timeline
@@ -30,7 +31,6 @@ from service.usecases.drift import start_of_year
 from service.usecases.gate import find_change_of_mean
 from service.usecases.promotions import LAST, Change, Promotions, undo
 from service.wire.bodies import AdoptionBody, ReasonBody
-from service.wire.instants import format_instant, parse_instant
 
 if TYPE_CHECKING:
     from service.usecases.due import DueWork

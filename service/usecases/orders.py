@@ -7,6 +7,7 @@ import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 
+from lbacal.instants import parse_instant
 from lbacal_core.curves.validity import Instant
 from lbacal_core.errors import BadInputError
 from lbacal_core.instrument.instrument import Instrument
@@ -17,7 +18,6 @@ from service.errors import ConflictError, TooLargeError, TooManyError
 from service.storage.database import Database, Stores
 from service.storage.jobs import Order
 from service.storage.keys import Deed
-from service.wire.instants import parse_instant
 
 RETRY_S = 60.0
 

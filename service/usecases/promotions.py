@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
+from lbacal.instants import format_instant, parse_instant
 from lbacal_core.curves.curves import CONVERGED
 from lbacal_core.curves.validity import Instant, Promotion, Scope, Stretch, timeline
 from lbacal_core.errors import BadInputError
@@ -17,9 +18,8 @@ from service.storage.jobs import OPEN
 from service.storage.ledger import Tag
 from service.storage.versions import Version
 from service.usecases.calibrations import select_paths
-from service.usecases.comparison import CurveChange, compare_curves
+from service.usecases.gate import CurveChange, compare_curves
 from service.wire.bodies import PromotionBody, ReasonBody, TagBody
-from service.wire.instants import format_instant, parse_instant
 
 LAST = 2**63 - 1
 Answer = TypeVar("Answer")

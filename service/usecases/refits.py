@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
+from lbacal.instants import DAY_US
 from lbacal_core.causes.model import Model
 from lbacal_core.curves.covariance import parse_budget
 from lbacal_core.curves.validity import Instant, Promotion, Scope, timeline
@@ -19,7 +20,6 @@ from service.storage.jobs import Job, Order, Part
 from service.storage.kept_fits import Examined, Told
 from service.storage.versions import Version
 from service.usecases.calibrations import select_paths
-from service.usecases.comparison import find_shift
 from service.usecases.fits import (
     SMALLEST_SHIFT,
     Examination,
@@ -31,12 +31,11 @@ from service.usecases.fits import (
     read_part,
     tell,
 )
-from service.usecases.gate import Gate, find_predecessors
+from service.usecases.gate import Gate, find_predecessors, find_shift
 from service.usecases.orders import Limits, name_inputs, place_order, read_window
 from service.usecases.payoff import Payoff
 from service.usecases.windows import find_in_effect
 from service.wire.bodies import RefitBody
-from service.wire.instants import DAY_US
 
 KIND = "refit"
 

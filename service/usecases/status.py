@@ -12,12 +12,12 @@ from typing import Self
 
 import structlog
 
+from lbacal.instants import DAY_US
 from lbacal_core.curves.validity import Instant, Promotion, Scope
 from lbacal_core.errors import LbacalError
 from lbacal_core.instrument.instrument import Instrument
 from service.errors import UnavailableError
-from service.storage.database import Database
-from service.storage.failures import FULL
+from service.storage.database import FULL, Database
 from service.storage.jobs import Failure
 from service.storage.migration import require_current
 from service.storage.processes import WORKER, Process
@@ -25,7 +25,6 @@ from service.storage.versions import Version
 from service.usecases.alarms import AlarmCounts, count_alarms
 from service.usecases.calibrations import select_paths
 from service.usecases.orders import explain_difference
-from service.wire.instants import DAY_US
 
 ROOM_BYTES = 16_000_000
 """With less room than this on its disk, an SQLite file counts as unable to grow."""

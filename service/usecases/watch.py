@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from lbacal.instants import DAY_US, format_instant
 from lbacal_core.curves.validity import Instant, Scope
 from lbacal_core.errors import name_path, write_change
 from lbacal_core.grids import Floats
@@ -23,9 +24,8 @@ from service.storage.alarms import SLOPE, STEP, News
 from service.storage.database import Database, Stores
 from service.storage.drift import MODES, Cut, StoredModes
 from service.storage.jobs import Part
-from service.usecases.comparison import drop_noise, name_members, tell_change
 from service.usecases.drift import keep_missing
-from service.wire.instants import DAY_US, format_instant
+from service.usecases.gate import drop_noise, name_members, tell_change
 
 if TYPE_CHECKING:
     from lbacal_core.drift.follow import History

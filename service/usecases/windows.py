@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from lbacal.instants import format_instant
 from lbacal_core.calibration.fit import SHARE_OF_MISFITS
 from lbacal_core.curves.curves import CONVERGED, MISFIT, TOO_FEW_EVENTS, TOO_FEW_LST_BINS
 from lbacal_core.curves.reference_chain import CableTable, ReferenceChain
@@ -18,7 +19,6 @@ from lbacal_core.spectra.blocks import split_into_blocks
 from lbacal_core.spectra.spectra import Spectra
 from service.storage.database import Database
 from service.storage.versions import Version
-from service.wire.instants import format_instant
 
 SECOND_US = 1_000_000
 TOO_SMALL = (TOO_FEW_EVENTS, TOO_FEW_LST_BINS)

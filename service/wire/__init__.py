@@ -1,1 +1,1 @@
-"""What travels over HTTP: instants, request bodies and the formats of answers. Read `instants` first."""
+"""What travels over HTTP: request bodies, answers and their formats. Read `answers` first."""

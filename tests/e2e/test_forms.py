@@ -8,10 +8,10 @@ from typing import Any
 import pytest
 from playwright.sync_api import Browser, Locator, Page, expect
 
+from lbacal.instants import DAY_US, parse_instant
 from service.config import Settings
 from service.factory import Factory
 from service.storage.drift import Cut
-from service.wire.instants import DAY_US, parse_instant
 
 DATE = parse_instant("date", "2014-06-01")
 CUT = Cut("CS002", 1, DATE, 2 * DAY_US)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from lbacal_core.data.lofar import DIPOLES
-from lbacal_core.lstcurve.compare import (
+from lbacal_core.lstcurve.curve import (
     AS_RECORDED,
     BAND_MHZ,
     band_weights,

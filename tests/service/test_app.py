@@ -17,7 +17,7 @@ from schemathesis.specs.openapi.checks import (
 
 from service.app import GZIP_FROM, make_app
 from service.factory import Factory
-from service.page.assets import load_assets
+from service.page.render import load_assets
 from service.storage.versions import Version
 
 EXAMPLES = 5

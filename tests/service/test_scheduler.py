@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from lbacal.instants import parse_instant
 from lbacal_core.curves.validity import Scope
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.skypower.table import read_sky_power
@@ -23,7 +24,6 @@ from service.factory import Factory
 from service.scheduler import look_for_due_work, persist, run_scheduler
 from service.storage.processes import SCHEDULER
 from service.usecases.drift_measurement import find_references
-from service.wire.instants import parse_instant
 from service.worker import Worker
 from tests.service.conftest import Clock
 

@@ -12,10 +12,10 @@ from fastapi.testclient import TestClient
 from sqlalchemy import Engine, event
 from sqlalchemy.pool import Pool
 
+from lbacal.instants import DAY_US, parse_instant
 from lbacal_core.curves.validity import Promotion, Scope
 from service.factory import Factory
 from service.storage.versions import Version
-from service.wire.instants import DAY_US, parse_instant
 from validation.running.ledger import write_promotions
 
 PATHS = [Scope(station, antenna, dipole) for station in ("CS001", "CS002") for antenna in range(3) for dipole in "XY"]

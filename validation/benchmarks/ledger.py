@@ -19,6 +19,7 @@ from contextlib import contextmanager
 import numpy as np
 import psycopg
 
+from lbacal.instants import parse_instant
 from lbacal_core.curves.covariance import Budget, BudgetTerm, CurveCovariance
 from lbacal_core.curves.curves import CONVERGED, CalibrationCurve, Parameter
 from lbacal_core.curves.validity import Promotion, Scope
@@ -30,7 +31,6 @@ from service.storage.migration import upgrade
 from service.storage.versions import Version
 from service.usecases.calibrations import select_paths
 from service.wire.bodies import PromotionBody
-from service.wire.instants import parse_instant
 from validation.running.ledger import write_promotions
 from validation.running.postgres import run_postgres
 

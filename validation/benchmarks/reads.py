@@ -24,13 +24,13 @@ import psycopg
 from fastapi import Depends, FastAPI, Request, Response
 from sqlalchemy import event
 
+from lbacal.instants import parse_instant
 from lbacal_core.curves.validity import Scope
 from service.app import make_app
 from service.factory import Factory
 from service.handlers.request import answer, require_read
 from service.logs import configure_logs
 from service.storage.spectra import Window
-from service.wire.instants import parse_instant
 from validation.benchmarks.ingest import make_spectra
 from validation.benchmarks.ledger import INSTRUMENT, PATHS, fill, opened
 from validation.running.postgres import run_postgres

@@ -26,8 +26,7 @@ from lbacal_core.discovery.report import investigate
 from lbacal_core.discovery.search import StationReport
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument, load_instrument
-from lbacal_core.lstcurve.compare import BAND_MHZ
-from lbacal_core.lstcurve.curve import measured_curve, read_lst_curve
+from lbacal_core.lstcurve.curve import BAND_MHZ, measured_curve, read_lst_curve
 from lbacal_core.provenance import Provenance
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.table import SkyPower

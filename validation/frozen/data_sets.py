@@ -8,8 +8,7 @@ from functools import cache
 import numpy as np
 
 from lbacal_core.instrument.instrument import Instrument, load_instrument
-from lbacal_core.lstcurve.compare import AS_RECORDED, BAND_MHZ, band_weights
-from lbacal_core.lstcurve.curve import LstCurve, measured_curve, read_lst_curve
+from lbacal_core.lstcurve.curve import AS_RECORDED, BAND_MHZ, LstCurve, band_weights, measured_curve, read_lst_curve
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra.spectra import Spectra

@@ -13,14 +13,13 @@ from threadpoolctl import threadpool_limits
 
 from lbacal_core.causes.catalogue import CAUSES
 from lbacal_core.discovery.curve_search import describe_curve, investigate_curve
-from lbacal_core.discovery.families import list_families
 from lbacal_core.discovery.hypothesis import list_targets
 from lbacal_core.discovery.project import LinearModel
 from lbacal_core.discovery.report import investigate
 from lbacal_core.discovery.residual_structure import strongest_structure
-from lbacal_core.discovery.scan import by_known_events, score_families
+from lbacal_core.discovery.scan import by_known_events, list_families, score_families
 from lbacal_core.discovery.search import StationReport
-from lbacal_core.lstcurve.compare import BAND_MHZ
+from lbacal_core.lstcurve.curve import BAND_MHZ
 from lbacal_core.provenance import Provenance
 from lbacal_core.spectra.spectra import Spectra
 from validation.frozen.data_sets import BandCurve, DataSet, StationSpectra, sky_power

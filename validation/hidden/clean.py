@@ -9,8 +9,7 @@ import numpy as np
 
 from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.instrument.instrument import load_instrument
-from lbacal_core.lstcurve.compare import AS_RECORDED, band_weights
-from lbacal_core.lstcurve.curve import LstCurve
+from lbacal_core.lstcurve.curve import AS_RECORDED, LstCurve, band_weights
 from validation.hidden.data_sets import comparable, plain, realistic, sky_power
 from validation.hidden.finder import Answer, ask_of_curve
 from validation.machinery.claims import Found, rate_of

@@ -8,7 +8,7 @@ from scipy.stats import kstest
 from lbacal_core.calibration.chain_test import Mistake, SkyFreedom, compare_predictions, is_improbable, run_chain_test
 from lbacal_core.calibration.lines import fit_lines
 from lbacal_core.calibration.separable import solve_separable
-from lbacal_core.chain.noise import three_constants
+from lbacal_core.chain.model import three_constants
 
 
 def run_test(scene, paths, events, seed, freedom=None, change=None):

@@ -7,8 +7,7 @@ import pytest
 from scipy.constants import Boltzmann
 
 from lbacal_core.antenna.ideal import IsotropicAntenna
-from lbacal_core.chain.model import ChainTerms, calibration_factor, chain_power
-from lbacal_core.chain.noise import noise_constants, three_constants
+from lbacal_core.chain.model import ChainTerms, calibration_factor, chain_power, noise_constants, three_constants
 from lbacal_core.errors import BadInputError
 from lbacal_core.instrument.antennas import GainProvenance
 from lbacal_core.instrument.stages import Stage

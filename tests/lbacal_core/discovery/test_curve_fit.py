@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lbacal_core.causes.catalogue import DESCRIPTIONS
-from lbacal_core.chain.noise import three_constants
+from lbacal_core.chain.model import three_constants
 from lbacal_core.discovery.curve_fit import (
     GRID_HOURS,
     CurveFitter,
@@ -15,8 +15,7 @@ from lbacal_core.discovery.curve_fit import (
     list_choices,
     why_not,
 )
-from lbacal_core.lstcurve.compare import AS_RECORDED, band_weights, noise_prior
-from lbacal_core.lstcurve.curve import LstCurve, estimate_noise
+from lbacal_core.lstcurve.curve import AS_RECORDED, LstCurve, band_weights, estimate_noise, noise_prior
 from lbacal_core.skypower.differences import model_difference_modes
 from lbacal_core.skypower.model import vary_sky_power
 

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from lbacal_core.discovery.curve_search import describe_curve, investigate_curve
-from lbacal_core.lstcurve.compare import AS_RECORDED, band_weights
-from lbacal_core.lstcurve.curve import LstCurve, measured_curve, read_lst_curve
+from lbacal_core.lstcurve.curve import AS_RECORDED, LstCurve, band_weights, measured_curve, read_lst_curve
 from lbacal_core.provenance import Provenance
 from lbacal_core.skypower.model import vary_sky_power
 

@@ -8,12 +8,11 @@ import pytest
 from lbacal_core.causes.catalogue import CAUSES
 from lbacal_core.causes.cause import Template, signature, spectral_signature
 from lbacal_core.discovery.baseline import fit_baseline
-from lbacal_core.discovery.families import group_templates
 from lbacal_core.discovery.hypothesis import list_targets
 from lbacal_core.discovery.noise import split_residuals
 from lbacal_core.discovery.project import LinearModel
 from lbacal_core.discovery.refit import fit_chain, held_out_fold
-from lbacal_core.discovery.scan import scan, score_families
+from lbacal_core.discovery.scan import group_templates, scan, score_families
 from lbacal_core.discovery.station import gather_stations, model_modes
 from lbacal_core.skypower.differences import DifferenceModels, compute_model_differences
 from lbacal_twin.campaign import simulate_campaign

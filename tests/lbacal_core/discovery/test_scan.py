@@ -8,10 +8,9 @@ from scipy.stats import kstest, norm
 
 from lbacal_core.causes.catalogue import CAUSES
 from lbacal_core.causes.cause import signature
-from lbacal_core.discovery.families import list_families
 from lbacal_core.discovery.hypothesis import list_targets, p_of, sigma_of, trials_factor
 from lbacal_core.discovery.refit import fit_chain
-from lbacal_core.discovery.scan import scan, score_families
+from lbacal_core.discovery.scan import list_families, scan, score_families
 from lbacal_core.discovery.station import gather_stations
 from tests.lbacal_core.discovery.worlds import MOVING, p_of_score, p_value_of
 from validation.anywhere import investigate_drawn

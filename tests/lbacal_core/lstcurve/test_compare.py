@@ -8,10 +8,11 @@ import pytest
 from lbacal_core.data.tables import read_table
 from lbacal_core.errors import BadInputError
 from lbacal_core.instrument.instrument import Instrument, load_instrument
-from lbacal_core.lstcurve.compare import (
+from lbacal_core.lstcurve.curve import (
     AS_RECORDED,
     BAND_MHZ,
     FLAT,
+    LstCurve,
     band_weights,
     compare_lst_curve,
     in_db,
@@ -19,7 +20,6 @@ from lbacal_core.lstcurve.compare import (
     published_noise_share,
     simulate_band_power,
 )
-from lbacal_core.lstcurve.curve import LstCurve
 from lbacal_core.skypower.table import SkyPower
 
 BAND = (30.0, 80.0)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from lbacal_core.errors import BadInputError, UnknownNameError, UnreadableFileError
+from lbacal_core.sky.model import SOURCES, find_sources
 from lbacal_core.sky.names import (
     PIVOT_MHZ,
     WIDE_SKIES,
@@ -15,7 +16,6 @@ from lbacal_core.sky.names import (
     read_sky_level,
     tie_to_measurements,
 )
-from lbacal_core.sky.sources import SOURCES, find_sources
 
 
 def test_the_embedded_sky_has_the_mean_temperature_of_its_source() -> None:

@@ -2,11 +2,11 @@ from __future__ import annotations
 
 from fastapi.testclient import TestClient
 
+from lbacal.instants import DAY_US, parse_instant
 from lbacal_core.curves.validity import Promotion, Scope
 from service.factory import Factory
 from service.storage.drift import Cut
 from service.storage.versions import Version
-from service.wire.instants import DAY_US, parse_instant
 
 DATE = parse_instant("", "2014-05-01")
 

@@ -6,12 +6,12 @@ from typing import Any
 import pytest
 from fastapi.testclient import TestClient
 
+from lbacal.instants import DAY_US, format_instant, parse_instant
 from lbacal_core.curves.validity import Scope
 from service.app import make_app
 from service.factory import Factory
 from service.storage.alarms import MISFIT, OPEN, News
 from service.storage.drift import Cut
-from service.wire.instants import DAY_US, format_instant, parse_instant
 
 BROWSER = {"Accept": "text/html,application/xhtml+xml,*/*;q=0.8"}
 DATE = parse_instant("date", "2014-06-01")

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 
+from lbacal.instants import DAY_US, format_instant
 from lbacal_core.curves.validity import Scope
 from service.factory import Factory
 from service.storage.jobs import Order
 from service.storage.versions import Version
 from service.wire.answer_models import PromotionsAnswer, TagAnswer, TagsAnswer
-from service.wire.instants import DAY_US, format_instant
 
 Stored = dict[str, Version]
 YEAR = {"valid_from": "2014-01-01", "valid_to": "2015-01-01"}

@@ -3,11 +3,11 @@ from __future__ import annotations
 import pytest
 from fastapi.testclient import TestClient
 
+from lbacal.instants import parse_instant
 from lbacal_core.curves.validity import Promotion
 from service.app import make_app
 from service.factory import Factory
 from service.storage.versions import Version
-from service.wire.instants import parse_instant
 
 PAGES = ("/", "/jobs", "/drift", "/alarms", "/models", "/stations/CS001")
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from fastapi.testclient import TestClient
 
 import service.page
-from service.page.assets import load_assets
+from service.page.render import load_assets
 
 VENDOR = Path(service.page.__file__).parent / "static" / "vendor"
 

@@ -19,6 +19,7 @@ from fastapi.testclient import TestClient
 
 from lbacal.cli.client import print_curve
 from lbacal.client import make_table
+from lbacal.instants import format_instant
 from lbacal_core.curves.covariance import parse_budget
 from lbacal_core.curves.reference_chain import CableTable, ReferenceChain
 from lbacal_core.curves.validity import Scope
@@ -30,7 +31,6 @@ from service.app import make_app
 from service.config import Settings
 from service.factory import Factory
 from service.wire.answers import to_json
-from service.wire.instants import format_instant
 from service.worker import Worker
 
 ANTENNAS = 12

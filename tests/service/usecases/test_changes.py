@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from service.usecases.comparison import drop_noise, name_members, tell_change, tell_shapes
+from service.usecases.gate import drop_noise, name_members, tell_change, tell_shapes
 
 BAND = np.array([10.0, 50.0, 90.0])
 TILT = "a tilt (+5.00 ± 1.05 % at 90 MHz, -4.76 % at 10 MHz)"

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 
+from lbacal.instants import parse_instant
 from lbacal_core.curves.validity import Scope
 from lbacal_core.spectra.spectra import Spectra
 from service.factory import Factory
@@ -16,7 +17,6 @@ from service.scheduler import look_for_due_work
 from service.storage.drift import DriftSource
 from service.storage.jobs import Order
 from service.usecases.drift_measurement import KIND
-from service.wire.instants import parse_instant
 from tests.service.test_worker import work
 
 YEAR = {"station": "CS002", "since": parse_instant("", "2015-01-01"), "until": parse_instant("", "2016-01-01")}

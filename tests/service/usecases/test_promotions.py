@@ -5,10 +5,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from lbacal.instants import DAY_US, format_instant
 from lbacal_core.curves.validity import Scope
 from service.factory import Factory
 from service.wire.bodies import PromotionBody
-from service.wire.instants import DAY_US, format_instant
 
 
 def test_a_promotion_whose_answer_cannot_be_written_is_not_made(factory: Factory, stored: Any) -> None:

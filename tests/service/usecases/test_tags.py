@@ -8,13 +8,13 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from lbacal.instants import format_instant
 from lbacal_core.curves.validity import Promotion, Scope
 from lbacal_core.errors import BadInputError
 from service.errors import ConflictError, NotFoundError, UnavailableError
 from service.factory import Factory, read_clock
 from service.storage.versions import Version
 from service.wire.bodies import TagBody
-from service.wire.instants import format_instant
 
 Stored = dict[str, Version]
 PATH = Scope("CS001", 0, "X")

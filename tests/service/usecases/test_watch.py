@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 
+from lbacal.instants import DAY_US, format_instant, parse_instant
 from lbacal_core.causes.model import AdoptedCause, Model
 from lbacal_core.curves.validity import Scope, timeline
 from lbacal_core.instrument.instrument import Instrument, load_instrument
@@ -30,7 +31,6 @@ from service.storage.versions import Version
 from service.usecases.models import Adoption
 from service.usecases.watch import settle_cuts, tell_news
 from service.wire.bodies import ReasonBody
-from service.wire.instants import DAY_US, format_instant, parse_instant
 from service.worker import Worker
 from tests.service.conftest import Clock
 

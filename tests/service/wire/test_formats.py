@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, strategies
 
 from service.errors import NotAcceptableError
-from service.wire.formats import FORMATS, choose_format
+from service.wire.answers import FORMATS, choose_format
 
 
 @pytest.mark.parametrize(
