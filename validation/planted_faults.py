@@ -1,8 +1,9 @@
 """Faults are planted in the code one by one, and the tests have to see them, most of them the tests of `./dev test`.
 
 A fault is a line of `planted_faults.toml`: a function, and what changes in it. Each is applied to a copy of the tree,
-never to the tree itself, and meets the first tier of the suite, the tests nearest to it first, until one fails.
-Whatever survives meets the second tier. Faults that nothing sees show where a test is missing.
+never to the tree itself, and meets the first tier of the suite, first the tests that call its function (the nearest of
+them first), until one fails. Whatever survives meets the second tier. Faults that nothing sees show where a test is
+missing.
 """
 
 from __future__ import annotations
@@ -14,11 +15,13 @@ import sys
 import tempfile
 import tomllib
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
+from validation.callers import find_callers
 from validation.code_changes import Change, StaleChangeError, changed
 from validation.machinery.claims import Found, exactly
 from validation.machinery.parts import Part, Row
@@ -78,13 +81,17 @@ class PlantedFault:
         except StaleChangeError as error:
             raise StaleChangeError(f"{self.where} {error}; write the fault of {FAULTS.name} anew") from error
 
-    def tests(self, root: Path) -> list[str]:
-        """Files of tests: of its own file, of its room, of discovery; those nearest first."""
+    def tests(self, root: Path, callers: Sequence[str] | None = None) -> list[str]:
+        """Tests that call it, or, where those are unknown, files: of its own file, room, discovery; nearest first."""
         path = Path(self.file)
         places = [path.with_name(f"test_{path.name}"), path.parent, *(Path("lbacal_core") / one for one in MEET_ALL)]
         # Files, not folders: where arguments overlap pytest puts them into its own order.
         files = [file for place in places for file in _test_files(root / "tests" / place)]
-        return list(dict.fromkeys(str(file.relative_to(root)) for file in files))
+        near = list(dict.fromkeys(str(file.relative_to(root)) for file in files))
+        if callers is None:
+            return near
+        place_of = {file: number for number, file in enumerate(near)}
+        return sorted(callers, key=lambda test: place_of.get(test.partition("::")[0], len(near)))
 
 
 def _test_files(place: Path) -> list[Path]:
@@ -119,6 +126,20 @@ def _git(folder: Path, *arguments: str) -> str:
     return subprocess.run(command, capture_output=True, text=True, check=True).stdout
 
 
+def callers_in(tree: Path, marker: str) -> dict[str, list[str]]:
+    """Tests of a tier by the faulty place that they call; found once for a state of the tree."""
+    faults = {fault.where: fault for fault in read_faults()}
+    state = _git(tree, "rev-parse", "HEAD^{tree}").strip()[:12]
+
+    def run() -> None:
+        run_tests(noting, ["-n", "2", "--dist", "loadfile", "--maxfail", "1000"], TIER_S, marker)
+
+    with copy_of_tree(tree) as noting:
+        places = [(noting / one.file, one.where.partition(":")[2], one.where) for one in faults.values()]
+        log = ROOT / "var" / "callers" / f"{state}-{marker.replace(' ', '-')}.json"
+        return find_callers(places, run, log)
+
+
 def run_tests(tree: Path, tests: Sequence[str], limit_s: float, marker: str = "") -> tuple[int | None, str]:
     """Exit code of pytest on some tests of a tree, None where they last too long, and the first test that failed."""
     environment = os.environ | {"PYTHONPATH": str(tree), "OPENBLAS_NUM_THREADS": "1", "PYTHONDONTWRITEBYTECODE": "1"}
@@ -145,29 +166,47 @@ def run_tests(tree: Path, tests: Sequence[str], limit_s: float, marker: str = ""
     return done.returncode, failed[0] if failed else ""
 
 
-def find_seen(tree: Path, fault: PlantedFault) -> tuple[str, str]:
-    """The tier that sees a fault of a tree, and the first test that does; the tree is as before afterwards."""
+def find_seen(
+    tree: Path, fault: PlantedFault, callers_of: Callable[[str], dict[str, list[str]]] = lambda _marker: {}
+) -> tuple[str, str]:
+    """The tier that sees a fault of a tree, and the first test that does; the tree is as before afterwards.
+
+    `callers_of` gives the tests of a tier by the place that they call, from the tree without the fault.
+    """
     place = tree / fault.file
     healthy = place.read_text()
-    place.write_text(fault.planted(healthy))
+    planted = fault.planted(healthy)
     try:
         for tier, marker in TIERS.items():
-            for tests, limit_s in ((fault.tests(tree), NEAR_S), ((), TIER_S)):
+            callers = callers_of(marker).get(fault.where)
+            place.write_text(planted)
+            for tests, limit_s in _in_turn(fault.tests(tree, callers)):
                 code, test = run_tests(tree, tests, limit_s, marker)
                 if code not in (0, FAILED, BROKEN, NONE_CHOSEN, None):
                     raise RuntimeError(f"pytest ends with {code}: {' '.join(tests)}")
                 if code in (FAILED, BROKEN):
                     return tier, test
+            place.write_text(healthy)
     finally:
         place.write_text(healthy)
     return UNSEEN, ""
+
+
+def _in_turn(tests: Sequence[str]) -> Iterator[tuple[Sequence[str], float]]:
+    """Some tests, their files whole (what a fixture calls is noted for one test alone), then the whole tier."""
+    files = list(dict.fromkeys(test.partition("::")[0] for test in tests))
+    if files != list(tests):
+        yield tests, NEAR_S
+    if files:
+        yield files, NEAR_S
+    yield (), TIER_S
 
 
 def plant(number: int) -> Row:
     """Plant one fault of the list in a copy of the tree: who sees it, and which test first."""
     fault = read_faults()[number]
     with copy_of_tree() as tree:
-        by, test = find_seen(tree, fault)
+        by, test = find_seen(tree, fault, partial(callers_in, tree))
     return {"name": fault.name, "blind": fault.blind, "by": by, "test": test}
 
 

@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from validation import planted_faults
+from validation.callers import find_callers
 from validation.code_changes import Change, StaleChangeError, changed
 from validation.machinery.records import claims_of
 from validation.planted_faults import (
@@ -82,6 +83,21 @@ def test_a_fault_that_only_the_second_tier_looks_at_is_its_and_one_that_nobody_l
     test.write_text(f"import pytest\n{TEST}".replace("def test_two", "@pytest.mark.slow\ndef test_two"))
     assert find_seen(tree, PlantedFault("room.sums:double", ("2 -> 3",)))[0] == SECOND_TIER
     assert find_seen(tree, PlantedFault("room.sums:half", ("2 -> 3",))) == (UNSEEN, "")
+
+
+def test_the_tests_that_call_a_function_are_found_once_and_meet_its_fault_first(tree: Path) -> None:
+    test = tree / "tests/room/test_sums.py"
+    test.write_text(f"{TEST}\n\ndef test_nothing():\n    pass\n")
+    runs, log = [], tree / "var/callers.json"
+    places = [(tree / "room/sums.py", name, f"room.sums:{name}") for name in ("double", "half")]
+    for _ in range(2):
+        callers = find_callers(places, lambda: runs.append(run_tests(tree, [], 60)), log)
+    assert callers == {"room.sums:double": ["tests/room/test_sums.py::test_two_is_doubled"], "room.sums:half": []}
+    assert runs == [(0, "")]
+    (tree / "room/sums.py").write_text(CODE)
+    fault = PlantedFault("room.sums:double", ("2 -> 3",))
+    assert fault.tests(tree, callers[fault.where]) == callers[fault.where]
+    assert find_seen(tree, fault, lambda _marker: callers)[0] == FIRST_TIER
 
 
 def test_the_tests_nearest_to_a_fault_come_first(repository: Path) -> None:
