@@ -2,7 +2,8 @@
 
 A fault is a line of `planted_faults.toml`: a function, and what changes in it. Each is applied to a copy of the tree,
 never to the tree itself, and meets the first tier of the suite, first the tests that call its function (the nearest of
-them first), until one fails. Whatever survives meets the second tier. Faults that nothing sees show where a test is
+them first), until one fails. Whatever survives meets the second tier. What a session's fixture calls is noted for one
+test, so that a tier may see more than is counted here, and not less. Faults that nothing sees show where a test is
 missing.
 """
 
@@ -180,7 +181,7 @@ def find_seen(
         for tier, marker in TIERS.items():
             callers = callers_of(marker).get(fault.where)
             place.write_text(planted)
-            for tests, limit_s in _in_turn(fault.tests(tree, callers)):
+            for tests, limit_s in _in_turn(fault, tree, callers):
                 code, test = run_tests(tree, tests, limit_s, marker)
                 if code not in (0, FAILED, BROKEN, NONE_CHOSEN, None):
                     raise RuntimeError(f"pytest ends with {code}: {' '.join(tests)}")
@@ -193,14 +194,19 @@ def find_seen(
     return UNSEEN, ""
 
 
-def _in_turn(tests: Sequence[str]) -> Iterator[tuple[Sequence[str], float]]:
-    """Some tests, their files whole (what a fixture calls is noted for one test alone), then the whole tier."""
-    files = list(dict.fromkeys(test.partition("::")[0] for test in tests))
-    if files != list(tests):
+def _in_turn(fault: PlantedFault, tree: Path, callers: Sequence[str] | None) -> Iterator[tuple[Sequence[str], float]]:
+    """The tests of a tier that can see a fault, the nearest first.
+
+    The tests that call its function, then their files whole, because what a fixture calls is noted for one test alone;
+    a tier whose tests never call it cannot see it. Where callers are not known, what is near and then the whole tier.
+    """
+    tests = fault.tests(tree, callers)
+    if callers is None:
         yield tests, NEAR_S
-    if files:
-        yield files, NEAR_S
-    yield (), TIER_S
+        yield (), TIER_S
+    elif callers:
+        yield tests, NEAR_S
+        yield list(dict.fromkeys(test.partition("::")[0] for test in tests)), NEAR_S
 
 
 def plant(number: int) -> Row:
