@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from astropy import units as u
+from astropy.table import QTable
 
 import lbacal
 from lbacal_core.errors import BadInputError, MissingExtraError, UnknownNameError
@@ -138,3 +139,99 @@ def test_the_quick_audit_runs_before_a_fit_and_refuses_volts() -> None:
     assert "nothing wrong between 6 antennas" in lbacal.fit(spectra, "lofar-superterp").report.provenance.notes["audit"]
     with pytest.raises(BadInputError, match="volts"):
         lbacal.fit(replace(spectra, power=spectra.power**0.5), "lofar-superterp")
+
+
+NU = np.array([30.0, 55.0, 80.0])
+GAIN = np.array([3.5, 310.0, 19.0])
+
+
+def make_table() -> QTable:
+    table = QTable()
+    table["frequency_mhz"] = np.tile(NU, 2) * u.MHz
+    table["c"] = np.tile([1.0, 2.0, 3.0], 2) * 1e-5 * u.V
+    table["c_sigma_stat"] = 0.01 * table["c"]
+    table["c_sigma_sys"] = 0.1 * table["c"]
+    table["antenna_gain"] = np.tile(GAIN, 2) * u.m**2
+    table["c_over_h"] = table["c"] / np.sqrt(table["antenna_gain"])
+    return table
+
+
+def test_c_carried_to_another_antenna_gives_the_same_field() -> None:
+    table, other = make_table(), np.array([20.0, 3.5, 457.0])
+    carried = lbacal.carry_to_antenna(table, NU[[2, 0, 1]], other)  # in any order of channels
+    np.testing.assert_allclose((carried["c"] / np.sqrt(carried["antenna_gain"]) / table["c_over_h"]).value, 1.0)
+    np.testing.assert_allclose((carried["c"] / table["c"]).value[:3], np.sqrt(other[[1, 2, 0]] / GAIN))
+    np.testing.assert_allclose((carried["c_sigma_stat"] / carried["c"]).value, 0.01)
+    np.testing.assert_array_equal(table["antenna_gain"].value, np.tile(GAIN, 2))  # the table given is as it was
+
+
+def test_c_carried_to_its_own_antenna_is_what_it_was() -> None:
+    np.testing.assert_array_equal(lbacal.carry_to_antenna(make_table(), NU, GAIN)["c"], make_table()["c"])
+
+
+@pytest.mark.parametrize(
+    ("nu", "gain", "said"),
+    [(NU[:2], GAIN[:2], "none at 80 MHz"), (NU, GAIN[:2], "a finite number > 0"), (NU, -GAIN, "a finite number > 0")],
+)
+def test_a_gain_that_does_not_cover_the_channels_is_refused(nu: np.ndarray, gain: np.ndarray, said: str) -> None:
+    with pytest.raises(BadInputError, match=said):
+        lbacal.carry_to_antenna(make_table(), nu, gain)
+
+
+def test_c_of_unknown_antenna_gain_is_not_mixed_with_another_antenna() -> None:
+    table = make_table()
+    table["antenna_gain"] = np.nan * u.m**2
+    with pytest.raises(BadInputError, match="refit"):
+        lbacal.carry_to_antenna(table, NU, GAIN)
+    table.remove_column("antenna_gain")
+    with pytest.raises(BadInputError, match="no such column"):
+        lbacal.carry_to_antenna(table, NU, GAIN)
+
+
+NU_OF_CHAIN = np.array([50.0, 60.0, 80.0])
+
+
+def chain_of(*stages):
+    return lbacal.Chain([
+        lbacal.Stage("lna", 25 * u.dB, noise=150 * u.K, error=15),
+        lbacal.Stage("cable"),
+        lambda nu: 1 / (1 + (nu / 70) ** 12),
+        lbacal.Stage("amplifier", 30 * u.dB, noise="free", name="amp"),
+        lbacal.Stage("adc", noise="free"),
+        *stages,
+    ], cable=-4 * u.dB)  # fmt: skip
+
+
+def test_stages_that_say_their_noise_are_those_of_the_instrument_file(tmp_path):
+    site, antenna = lbacal.Site(52.9, 6.9), lbacal.Antenna("short-dipole", {"A": 0}, gain=2.0, gain_source="a table")
+    made = lbacal.Instrument("mine", site, antenna, chain_of(), NU_OF_CHAIN * u.MHz)
+    kinds = [(stage.name, stage.kind) for stage in made.core.stages]
+    assert kinds == [("lna", "lna"), ("cable", "cable"), ("gain 2", "filter"), ("amp", "amplifier"), ("adc", "adc")]
+    np.testing.assert_allclose(made.core.receiver_gain, 1000 / (1 + (NU_OF_CHAIN / 70) ** 12))
+    np.testing.assert_allclose(made.core.cables["all"], 10**-0.4)
+    made.save(tmp_path / "mine.json")
+    assert lbacal.Instrument.load(tmp_path / "mine.json").core.digest() == made.core.digest()
+
+
+def test_a_noise_temperature_is_a_number_or_a_table_and_a_cable_may_have_a_gain_of_its_own():
+    table = ([40, 90] * u.MHz, [100, 200] * u.K)
+    chain = lbacal.Chain([
+        lbacal.Stage("load", noise=table), lbacal.Stage("cable", 0.5), lbacal.Stage("adc", noise="free")
+    ])  # fmt: skip
+    np.testing.assert_allclose(chain.core_stages(NU_OF_CHAIN)[0].noise_k, [120, 140, 180])
+    np.testing.assert_allclose(chain.cable_loss(NU_OF_CHAIN), 0.5)
+
+
+def test_bare_gains_alone_make_the_chain_of_the_paper():
+    assert lbacal.Chain([20 * u.dB, 0.5]).core_stages(NU_OF_CHAIN) == ()
+
+
+def test_a_list_that_is_no_chain_is_refused_as_in_a_file():
+    with pytest.raises(BadInputError, match="the adc as the last stage"):
+        chain_of(lbacal.Stage("amplifier", 2.0)).core_stages(NU_OF_CHAIN)
+
+
+def test_a_touchstone_file_is_a_gain(tmp_path):
+    pytest.importorskip("skrf")
+    (tmp_path / "f.s2p").write_text("# MHz S DB R 50\n40 -20 0 -20 0 -60 0 -20 0\n90 -20 0 -20 0 -60 0 -20 0\n")
+    np.testing.assert_allclose(lbacal.Chain([str(tmp_path / "f.s2p")]).receiver_gain(NU_OF_CHAIN), 0.01)

@@ -1,14 +1,29 @@
 from __future__ import annotations
 
+import json
 import re
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
+import pytest
 from matplotlib.figure import Figure
 
-from lbacal.cli.fit_page import draw_page
-from lbacal_core.curves.covariance import Budget, BudgetTerm
+from lbacal.cli.budget import draw_budget, tabulate
+from lbacal.cli.fit_page import average_residuals, draw_fit, draw_page
+from lbacal.cli.fit_summary import align, describe_error, explain_chi2, tabulate_curves
+from lbacal.cli.main import run
+from lbacal_core.curves.covariance import Budget, BudgetTerm, parse_budget
 from lbacal_core.curves.curves import CalibrationCurve, FitReport
+from lbacal_core.instrument.instrument import Instrument, load_instrument
+from lbacal_core.pipeline import calibrate
 from lbacal_core.provenance import Provenance
+from lbacal_core.skypower.model import compute_sky_power
+from lbacal_core.skypower.table import SkyPower
+from lbacal_core.spectra.spectra import Spectra, write_spectra
+from lbacal_core.uncertainty.one_event import ErrorOfC
+from lbacal_twin.campaign import simulate_campaign
+from lbacal_twin.settings import TwinSettings
 
 FREQUENCY = np.arange(30.0, 81.0)
 C = np.full(51, 2e-5)
@@ -37,3 +52,169 @@ def test_many_curves_are_folded_away_below_their_summary() -> None:
     page = draw_page(report(40), Figure(), "S.h5", ["number"])
     assert "All 40 curves" in page
     assert page.index("CS002 X") < page.index("<details>") < page.index("CS002 antenna 39 X")
+
+
+def curve(antenna: int = 3, dipole: str = "X", **changes: Any) -> CalibrationCurve:
+    one = CalibrationCurve(
+        "CS002", antenna, dipole, "converged", 900, FREQUENCY, C, 0.01 * C, 0.1 * C, 1.13, 0.97, {},
+        chi2_per_dof_profiled=0.87,
+    )  # fmt: skip
+    return replace(one, **changes)
+
+
+def failed() -> CalibrationCurve:
+    return curve(
+        antenna=4, status="too_few_events", c=None, c_sigma_stat=None, c_sigma_sys=None, chi2_per_dof=None,
+        chi2_per_dof_profiled=None, events=20,
+    )  # fmt: skip
+
+
+def test_a_few_curves_have_a_row_each_with_chi2_and_both_errors() -> None:
+    header, row, other = tabulate_curves([curve(), failed()])
+    assert header[:7] == ["", "curves", "events", "LST", "chi2/dof", "sky free", "flagged"]
+    assert header[7:] == [f"C({nu} MHz), µV ±stat.% ±syst.%" for nu in (30, 55, 80)]
+    assert row[:7] == ["CS002 antenna 3 X", "converged", "900", "0.97", "1.13", "0.87", "0 of 51"]
+    assert row[7] == "20 ±1.0 ±10"
+    assert other[:3] == ["CS002 antenna 4 X", "too_few_events", "20"]
+    assert len({len(one) for one in (header, row, other)}) == 1
+    lines = align([header, row, other])
+    assert lines[1].index("converged") > lines[1].index("antenna")
+
+
+def test_many_curves_are_told_by_station_and_polarisation() -> None:
+    curves = [curve(k, dipole, chi2_per_dof=1.0 + 0.01 * k) for k in range(20) for dipole in "XY"]
+    curves[4] = replace(failed(), antenna=2)
+    _, x, y = tabulate_curves(curves)
+    assert (x[0], y[0]) == ("CS002 X", "CS002 Y")
+    assert x[1] == "19 converged, 1 too_few_events"
+    assert x[4] == "1.00-1.19"
+
+
+def test_a_flagged_channel_is_counted_and_one_without_a_value_is_outside() -> None:
+    flag = ("outside", "uncertain", *["ok"] * 49)
+    c = C.copy()
+    c[0] = np.nan
+    _, row = tabulate_curves([curve(flag=flag, c=c, c_sigma_stat=0.01 * c, c_sigma_sys=0.1 * c)])
+    assert row[6:8] == ["2 of 51", "outside"]
+
+
+def test_what_chi2_means_is_said_with_the_numbers_of_these_channels() -> None:
+    sentence = explain_chi2([curve(), curve(chi2_per_dof=2.0)])
+    assert "1.0 ± 0.2 (48 degrees of freedom)" in sentence
+    assert "above 1.6 the systematic error of a curve is widened (1 here)" in sentence
+    assert "(0 here)" in sentence
+
+
+def test_one_number_for_one_event_on_one_antenna() -> None:
+    sentence = describe_error(ErrorOfC(0.01, 0.1, 0.0, 0.025))
+    assert sentence == (
+        "error of C for one event on one antenna: 10.4 % (statistical 1.0 %, systematic 10.0 %, gain of an event "
+        "2.5 %); for the mean of the events: 10.0 %"
+    )
+    assert "single antennas 1.6 %" in describe_error(ErrorOfC(0.002, 0.1, 0.016, 0.025))
+
+
+@pytest.mark.parametrize("error", [ErrorOfC(0.01, 0.1, 0.0, np.nan), ErrorOfC(0.01, 0.1, np.nan, 0.02)])
+def test_an_unknown_part_makes_the_number_unknown(error: ErrorOfC) -> None:
+    assert describe_error(error).startswith("error of C for one event on one antenna: unknown (")
+
+
+INSTRUMENT = load_instrument("lofar-superterp")
+
+
+@pytest.fixture(scope="module")
+def sky() -> SkyPower:
+    return compute_sky_power(INSTRUMENT)
+
+
+@pytest.fixture(scope="module")
+def spectra(sky: SkyPower) -> Spectra:
+    settings = TwinSettings(stations=("CS002", "CS003"), antennas=3, events_per_year=250)
+    return simulate_campaign(settings, INSTRUMENT, sky, np.random.default_rng(1)).spectra
+
+
+@pytest.mark.parametrize("scope", ["antenna", "station", "array"])
+def test_residuals_of_every_scope_are_small_where_the_chain_is_right(
+    spectra: Spectra, sky: SkyPower, scope: str
+) -> None:
+    report = calibrate(spectra, INSTRUMENT, None, scope)
+    maps = average_residuals(spectra, report.curves, INSTRUMENT, sky)
+    assert sorted(maps) == ["X", "Y"]
+    for one in maps.values():
+        assert one.shape == (48, 51)
+        # gains of events of 5 % in bins of a few events
+        assert np.nanmedian(np.abs(one)) < 0.04
+    draw_and_check(report, maps, INSTRUMENT, sky)
+
+
+def draw_and_check(report: FitReport, maps: dict[str, np.ndarray], instrument: Instrument, sky: SkyPower) -> None:
+    figure = draw_fit(report, maps, instrument, sky)
+    labels = [set(axes.get_legend_handles_labels()[1]) for axes in figure.axes]
+    assert {"total error", "statistical error"} <= labels[0]
+    assert {"N_LNA", "N_RCU", "N_ADC", "sky, mean over LST"} <= labels[4]
+    assert {"noise alone", "sky and pattern free", "expected of noise, 95 %"} <= labels[6]
+    assert len(figure.axes[2].images) == 1
+    figure.canvas.draw()
+
+
+def test_a_fit_without_any_curve_is_drawn_empty(spectra: Spectra, sky: SkyPower) -> None:
+    few = spectra.select(np.isin(spectra.event_id, np.unique(spectra.event_id)[:10]))
+    report = calibrate(few, INSTRUMENT, None, "antenna")
+    assert all(curve.c is None for curve in report.curves)
+    draw_fit(report, average_residuals(few, report.curves, INSTRUMENT, sky), INSTRUMENT, sky).canvas.draw()
+
+
+FREQUENCY_OF_BUDGET = np.array([30.0, 55.0, 80.0])
+TERMS = [
+    BudgetTerm("sky", "a paper", {p: np.full((1, 3), 0.11) for p in "XY"}),
+    BudgetTerm("antenna gain", "another", {p: np.array([[0.03, 0.0, 0.04]]) for p in "XY"}, is_of_gain=True),
+]
+
+
+def test_the_table_has_a_line_a_term_and_their_sum_in_quadrature():
+    lines = tabulate(FREQUENCY_OF_BUDGET, TERMS)
+    assert "30 MHz" in lines[0]
+    assert lines[1].split() == ["sky", "11.0/11.0", "11.0/11.0", "11.0/11.0"]
+    assert lines[3].split() == ["total", "11.4/11.4", "11.0/11.0", "11.7/11.7"]
+    assert lines[4] == (
+        "C is known best at 55 MHz, to 11.0/11.0 % (the paper: 13%); the largest term there is sky, "
+        "without which 0.0/0.0 % would be left."
+    )
+    assert lines[5] == "C/|H| has no error of the antenna gain."
+
+
+def test_the_figure_stacks_every_term_below_the_total():
+    figure = draw_budget(Budget(FREQUENCY_OF_BUDGET, TERMS), TERMS)
+    assert [axes.get_title() for axes in figure.axes] == ["polarisation X", "polarisation Y"]
+    (total,) = figure.axes[0].lines
+    np.testing.assert_allclose(total.get_ydata()[0], 100 * np.hypot(0.11, 0.03))
+    assert len(figure.axes[0].collections) == len(TERMS)
+
+
+def test_the_command_prints_the_papers_table_and_writes_the_terms(tmp_path, capsys, monkeypatch):
+    instrument = load_instrument("lofar-superterp")
+    settings = TwinSettings(stations=("CS002",), antennas=4, events_per_year=300)
+    campaign = simulate_campaign(settings, instrument, compute_sky_power(instrument), np.random.default_rng(1))
+    write_spectra(campaign.spectra, tmp_path / "S.h5")
+    finding = {
+        "cause": "lst_offset",
+        "where": {"station": "CS002", "antennas": [0, 1, 2, 3]},
+        "left_open": [{"weight": 1.0, "d_ln_c": {p: [0.071] * 51 for p in "XY"}}],
+    }
+    (tmp_path / "R.json").write_text(json.dumps({"findings": [finding], "stations": []}))
+    arguments = ["budget", "S.h5", "--instrument", "lofar-superterp", "--sky", "paper", "--report", "B.json"]
+    arguments += ["--left-open", "R.json"]
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sys.argv", ["lbacal", *arguments, "--plot", "B.png"])
+    with pytest.raises(SystemExit) as ended:
+        run()
+    assert ended.value.code == 0
+    out = capsys.readouterr().out
+    assert "scale of the sky maps" in out
+    assert "electronics between antennas" in out
+    (of_finding,) = [line for line in out.splitlines() if line.startswith("lst_offset not adopted")]
+    assert of_finding.split()[-6:] == ["7.1/7.1"] * 6
+    ((digest, content),) = json.loads((tmp_path / "B.json").read_text()).items()
+    assert parse_budget(content).digest == digest
+    assert f"budget {digest}" in out
+    assert (tmp_path / "B.png").read_bytes().startswith(b"\x89PNG")

@@ -1,15 +1,25 @@
 from __future__ import annotations
 
 import errno
+import json
 import subprocess
 import sys
 from importlib.metadata import version
 from pathlib import Path
 
+import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from lbacal.cli import main as command
+from lbacal.cli.main import app, run
 from lbacal_core.errors import BadInputError, LbacalError, UnknownNameError, UnreadableFileError
+from lbacal_core.instrument.instrument import load_instrument
+from lbacal_core.skypower.model import compute_sky_power
+from lbacal_core.skypower.table import read_sky_power
+from lbacal_core.spectra.spectra import write_spectra
+from lbacal_twin.campaign import simulate_campaign
+from lbacal_twin.settings import TwinSettings
 
 LBACAL = Path(sys.executable).with_name("lbacal")
 
@@ -68,3 +78,90 @@ def test_a_client_without_the_extra_fit_starts() -> None:
     program = f"import sys\nsys.modules |= dict.fromkeys({(*command.FIT, 'erfa')!r})\nimport lbacal.cli.main"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_the_command_writes_an_instrument_with_the_gain_of_a_table(folder: Path) -> None:
+    content = json.loads((folder / "instrument.json").read_text())
+    del content["antenna_gain"]
+    (folder / "bare.json").write_text(json.dumps(content))
+    zenith, azimuth = np.arange(0.0, 91.0, 10.0), np.arange(0.0, 360.0, 15.0)
+    along = np.broadcast_to(np.cos(np.radians(azimuth)), (2, zenith.size, azimuth.size)).astype(complex)
+    across = np.broadcast_to(-np.sin(np.radians(azimuth)), along.shape).astype(complex)
+    grid = {"frequency_mhz": [20.0, 90.0], "zenith_deg": zenith, "azimuth_deg": azimuth}
+    np.savez(folder / "lba.npz", **grid, v_theta=3.0 * along, v_phi=3.0 * across)
+    files = ["--instrument", str(folder / "bare.json"), "--antenna", str(folder / "lba.npz")]
+    wanted = [*files, "--source", "a test", "--absolute", "--output", str(folder / "made.json")]
+    result = CliRunner().invoke(app, ["antenna-gain", *wanted])
+    assert result.exit_code == 0, result.output
+    made = load_instrument(str(folder / "made.json"))
+    np.testing.assert_allclose(made.antenna_gain, 9.0)
+    assert made.antenna_gain_note == "absolute: a test; error of ln G_ant unknown"
+    assert Path(str(made.antenna)).name == "lba.npz"
+
+
+def test_sky_power_writes_a_file_that_reads_back(tmp_path: Path) -> None:
+    target = tmp_path / "P.json"
+    result = CliRunner().invoke(app, ["sky-power", "--instrument", "lofar-superterp", "--output", str(target)])
+    assert result.exit_code == 0, result.output
+    assert "X (arm at 45 deg)" in result.output
+    assert read_sky_power(target).power["Y"].shape == (96, 51)
+
+
+def test_sky_power_takes_sky_parameters_and_sources(tmp_path: Path) -> None:
+    common = ["sky-power", "--instrument", "lofar-superterp", "--output"]
+    plain, more = tmp_path / "P.json", tmp_path / "Q.json"
+    assert CliRunner().invoke(app, [*common, str(plain)]).exit_code == 0
+    options = ["--scale", "1.1", "--isotropic", "0.5", "--source", "cas-a", "--source", "cyg-a", "--year", "2013"]
+    result = CliRunner().invoke(app, [*common, str(more), *options])
+    assert result.exit_code == 0, result.output
+    assert "gsm(scale=1.1, isotropic=0.5)" in result.output
+    assert (read_sky_power(more).power["X"] > 1.1 * read_sky_power(plain).power["X"]).all()
+
+
+def test_sky_power_has_an_example() -> None:
+    assert "Example: lbacal sky-power" in CliRunner().invoke(app, ["sky-power", "--help"]).output
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A day of a simulated station of which antenna 3 is dead."""
+    instrument = load_instrument("lofar-superterp")
+    settings = TwinSettings(
+        years=1 / 365.25, events_per_year=60 * 365, stations=("CS002",), antennas=10,
+        event_gain_common=0.01, event_gain_path=0.01, radiometer=0.005,
+    )  # fmt: skip
+    campaign = simulate_campaign(settings, instrument, compute_sky_power(instrument), np.random.default_rng(8))
+    spectra = campaign.spectra
+    spectra.power[spectra.antenna == 3] *= 0.01
+    path = tmp_path_factory.mktemp("audit") / "s.h5"
+    write_spectra(spectra, path)
+    return path
+
+
+def call(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
+    monkeypatch.setattr("sys.argv", ["lbacal", "audit", *arguments])
+    with pytest.raises(SystemExit) as left:
+        run()
+    return int(left.value.code or 0)
+
+
+def test_the_audit_prints_a_line_a_question_writes_report_and_page_and_exits_with_3(
+    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    report, page = tmp_path / "audit.json", tmp_path / "audit.html"
+    code = call(monkeypatch, str(data), "--instrument", "lofar-superterp", "--report", str(report), "--html", str(page))
+    said = capsys.readouterr().out
+    assert code == 3
+    assert "antenna 3 X is dead" in said
+    content = json.loads(report.read_text())
+    assert content["healthy"] is False
+    assert {line["check"] for line in content["lines"] if line["verdict"] == "wrong"} == {"dead"}
+    assert page.read_text().count("data:image/png;base64,") == 1
+
+
+def test_a_file_that_is_no_data_is_refused_with_2(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "s.txt").write_text("power")
+    assert call(monkeypatch, str(tmp_path / "s.txt"), "--instrument", "lofar-superterp") == 2
+    assert "uvh5" in capsys.readouterr().err

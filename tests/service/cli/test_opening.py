@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import socket
 import sqlite3
@@ -11,12 +12,18 @@ import subprocess
 import sys
 from collections.abc import Callable
 from contextlib import closing
+from importlib.metadata import entry_points
 from pathlib import Path
 
 import httpx2
 import psycopg
 import pytest
+import typer
 
+from lbacal.cli.main import ADDED, ENTRY_POINTS, add_commands, app
+from service.config import Settings
+from service.storage.database import Database
+from service.storage.migration import upgrade
 from validation.running.processes import Process, find_free_port, is_ready, run_command, running, wait_until
 
 CHECK, UPGRADE, LIST = ("db", "check"), ("db", "upgrade"), ("keys", "list")
@@ -234,3 +241,79 @@ def test_every_line_of_a_server_is_json_and_holds_no_key(tmp_path: Path) -> None
     assert (line["event"], line["path"], line["status"], line["caller"]) == ("request", "/v1/jobs", 200, "key 1")
     assert key not in text
     assert "limit=7" not in text
+
+
+DYING_SCHEDULER = """
+from service.cli import background
+
+
+def die(*_):
+    raise ZeroDivisionError
+
+
+background.run_scheduler = die
+background.main()
+"""
+
+
+@pytest.fixture
+def environment(tmp_path: Path) -> dict[str, str]:
+    path = tmp_path / "lbacal.sqlite"
+    database = Database(Settings(database_url=str(path)).sqlalchemy_url)
+    upgrade(database)
+    database.close()
+    return os.environ | {"LBACAL_DATABASE_URL": str(path)}
+
+
+@pytest.mark.long
+def test_a_child_whose_scheduler_dies_ends_so_that_the_server_starts_another(environment: dict[str, str]) -> None:
+    """The thread died alone: the worker lived, /readyz said 200, and no night ever came again."""
+    with subprocess.Popen(
+        [sys.executable, "-c", DYING_SCHEDULER], env=environment, stdin=subprocess.PIPE, stderr=subprocess.PIPE
+    ) as child:
+        assert child.wait(60) == 1
+        assert child.stderr is not None
+        assert b"the scheduler ended" in child.stderr.read()
+
+
+@pytest.mark.long
+def test_a_child_without_its_sky_says_so_and_ends(environment: dict[str, str], tmp_path: Path) -> None:
+    environment["LBACAL_SKY_POWER"] = str(tmp_path / "nowhere.json")
+    command = [sys.executable, "-m", "service.cli.background"]
+    with subprocess.Popen(command, env=environment, stdin=subprocess.PIPE, stderr=subprocess.PIPE) as child:
+        assert child.wait(60) == 1
+        assert child.stderr is not None
+        (line,) = child.stderr.read().splitlines()
+        assert b"nowhere.json" in line
+
+
+def commands_of(group: typer.Typer) -> dict[str, typer.core.TyperCommand]:
+    add_commands()
+    return dict(typer.main.get_command(group).commands)  # type: ignore[attr-defined]
+
+
+def test_every_command_has_help_with_an_example() -> None:
+    commands = commands_of(app)
+    assert {"fit", "serve"} <= set(commands)
+    single = {name: one for name, one in commands.items() if name not in ("db", "keys")}
+    for group in ("db", "keys"):
+        single |= {f"{group} {name}": one for name, one in commands[group].commands.items()}
+    assert [name for name, one in single.items() if not re.search(rf"Example: .*lbacal {name}", one.help or "")] == []
+
+
+def test_the_client_knows_which_commands_other_wheels_add() -> None:
+    """Where a wheel is not installed, the client promises its commands, and says what to install."""
+    for extra, package in (("server", "service."), ("paper", "lbacal_paper.")):
+        added = [name for name, one in commands_of(app).items() if _module_of(one).startswith(package)]
+        assert sorted(added) == sorted(ADDED[extra])
+
+
+def _module_of(command: typer.core.TyperCommand) -> str:
+    inner = next(iter(getattr(command, "commands", {"": command}).values()))
+    return str(inner.callback.__module__)
+
+
+def test_the_entry_points_add_their_commands_to_this_app() -> None:
+    found = entry_points(group=ENTRY_POINTS)
+    assert found.names == set(ADDED)
+    assert {one.load().app for one in found} == {app}

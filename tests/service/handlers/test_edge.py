@@ -11,10 +11,12 @@ from fastapi.testclient import TestClient
 from prometheus_client import CollectorRegistry
 
 from service.app import make_app
+from service.errors import TooManyError
 from service.factory import Factory
-from service.handlers import edge
-from service.handlers.edge import STRICT, Edge
+from service.handlers import edge, request
+from service.handlers.edge import BAD_KEYS_AT_ONCE, STRICT, Buckets, Edge, KeyGuard
 from service.handlers.metrics import Traffic
+from service.handlers.request import LARGE_READS
 
 
 def test_an_unexpected_failure_is_a_problem_with_the_headers_of_every_answer(factory: Factory) -> None:
@@ -144,3 +146,158 @@ def test_an_answer_that_needed_a_key_is_kept_by_no_cache_between(factory: Factor
         page = client.get("/", headers={"Authorization": f"Bearer {key}"})
         assert page.headers["cache-control"] == "private, no-cache"
         assert client.get("/").status_code == 401
+
+
+def test_a_tenth_wrong_key_is_told_to_wait_and_a_good_one_is_not(client: TestClient) -> None:
+    assert client.get("/v1/jobs").status_code == 200
+    wrong = [client.get("/v1/jobs", headers={"Authorization": f"Bearer no{k}"}) for k in range(BAD_KEYS_AT_ONCE + 1)]
+    assert [answer.status_code for answer in wrong] == [401] * BAD_KEYS_AT_ONCE + [429]
+    assert int(wrong[-1].headers["retry-after"]) > 0
+    assert client.get("/v1/jobs").status_code == 200
+
+
+def test_a_flood_is_told_to_wait(factory: Factory) -> None:
+    settings = factory.settings.model_copy(update={"max_rate": 0.001})
+    with TestClient(make_app(Factory(settings, factory.clock))) as client:
+        answer = client.get("/healthz")
+    assert (answer.status_code, answer.json()["type"]) == (429, "urn:lbacal:too_many")
+
+
+def test_a_bucket_fills_with_time() -> None:
+    now = [0.0]
+    buckets = Buckets(rate=2.0, size=3.0, clock=lambda: now[0])
+    assert [buckets.take("a") for _ in range(4)] == [0, 0, 0, 0.5]
+    assert buckets.take("b") == 0, "one address does not take from another"
+    now[0] = 0.5
+    assert [buckets.take("a"), buckets.take("a")] == [0, 0.5]
+
+
+def test_a_good_key_of_many_at_once_is_not_a_flood_of_wrong_ones_and_a_revoked_one_counts() -> None:
+    guard = KeyGuard(clock=lambda: 0.0)
+    for _ in range(3 * BAD_KEYS_AT_ONCE):
+        guard.require_patience("a", "key")  # all ask before the first is known to be good
+    guard.note_good("key")
+    for _ in range(BAD_KEYS_AT_ONCE):
+        guard.note_refused("a", "other")
+    guard.require_patience("a", "key")
+    guard.note_refused("a", "key")
+    with pytest.raises(TooManyError):
+        guard.require_patience("a", "key")
+    guard.require_patience("b", "key")
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    "path", ["/healthz", "/v1/events", "/", "/v1/calibrations/effective?at=2014-05-01", "/openapi.json"]
+)
+def test_head_answers_what_get_answers_without_the_body(client: TestClient, path: str) -> None:
+    get, head = client.get(path), client.head(path)
+    assert (head.status_code, head.content) == (get.status_code, b"")
+    for name in ("content-type", "content-length", "etag", "cache-control", "content-security-policy"):
+        assert head.headers.get(name) == get.headers.get(name)
+
+
+def test_head_of_what_the_client_holds_is_not_modified(client: TestClient) -> None:
+    held = {"If-None-Match": client.head("/v1/events").headers["etag"]}
+    assert client.head("/v1/events", headers=held).status_code == 304
+
+
+def test_head_of_a_route_that_only_writes_is_not_allowed(client: TestClient) -> None:
+    assert client.head("/v1/spectra").status_code == 405
+
+
+LOCAL_MIN = "0001-01-01T00:00:00+14:00"
+
+
+@pytest.mark.parametrize(
+    ("method", "path"),
+    [
+        ("GET", "/v1/jobs/9223372036854775808"),
+        ("POST", "/v1/jobs/9223372036854775808/cancel"),
+        ("GET", "/v1/jobs/" + "9" * 5000),
+        ("GET", "/v1/jobs/1.0"),
+        ("GET", "/v1/jobs/-1"),
+        ("GET", "/v1/jobs/1_0"),
+        ("GET", "/v1/jobs/%D9%A1"),
+        ("GET", "/v1/jobs?cursor=1.0"),
+        ("GET", "/v1/events?limit=1_0"),
+        ("GET", "/v1/calibrations?antenna=1.0"),
+        ("GET", "/v1/calibrations/effective?at=2014-05-01&station=CS001&antenna=9223372036854775808"),
+        ("GET", "/v1/calibrations/%00"),
+        ("GET", "/calibrations/%00"),
+        ("GET", "/stations/%00"),
+        ("GET", "/v1/calibrations/a%00b/diff/c"),
+        ("GET", "/v1/calibrations/a/diff/%00"),
+        ("POST", "/v1/events/%00/flag"),
+    ],
+)
+def test_a_number_or_a_name_that_no_database_holds_is_refused_and_not_a_failure(
+    client: TestClient, method: str, path: str
+) -> None:
+    body = {"json": {"flag": "x", "reason": "x"}} if method == "POST" else {}
+    answer = client.request(method, path, **body)
+    assert answer.status_code == 422, answer.text
+    assert answer.headers["content-type"] == "application/problem+json"
+
+
+def test_a_job_beyond_all_others_is_not_found(client: TestClient) -> None:
+    assert client.get("/v1/jobs/9223372036854775807").status_code == 404
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("path", "body"),
+    [
+        ("/v1/refits", {"scope": "station", "since": LOCAL_MIN, "until": "2014-10-01", "reason": "x"}),
+        ("/v1/promotions", {"calibration": None, "station": "CS001", "valid_from": LOCAL_MIN, "reason": "x"}),
+        (
+            "/v1/promotions",
+            {
+                "calibration": None, "station": "CS001", "valid_from": "2014-01-01",
+                "valid_to": "9999-12-31T23:59:59-01:00", "reason": "x",
+            },
+        ),
+    ],
+)  # fmt: skip
+@pytest.mark.usefixtures("stored")
+def test_a_local_datetime_min_poisoned_every_page_and_is_refused_now(
+    client: TestClient, path: str, body: dict[str, Any]
+) -> None:
+    assert client.post(path, json=body).status_code == 422
+    for page in ("/", "/stations/CS001", "/v1/calibrations", "/v1/jobs"):
+        assert client.get(page).status_code == 200
+    assert client.get("/v1/calibrations/effective", params={"at": LOCAL_MIN}).status_code == 422
+    assert client.get("/v1/calibrations/effective", params={"at": "0001-01-01"}).status_code == 404
+
+
+def test_five_questions_about_all_paths_at_once_kept_the_server_busy_for_everybody(
+    factory: Factory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Those above the limit are told to come again; what is asked about one antenna needs no turn."""
+    monkeypatch.setattr(request, "TURN_S", 0.02)
+    app = make_app(factory)
+    turns: asyncio.Semaphore = app.state.large_reads
+
+    async def take_all() -> None:
+        for _ in range(LARGE_READS):
+            await turns.acquire()
+
+    large = ("/v1/calibrations/effective?at=2014-05-01", "/v1/drift", "/", "/stations/CS001")
+    small = "/v1/calibrations/effective?at=2014-05-01&station=CS001&antenna=0&dipole=X"
+    with TestClient(app) as client, ThreadPoolExecutor(1) as pool:
+        pool.submit(asyncio.run, take_all()).result()
+        answers = [client.get(address) for address in large]
+        assert [(answer.status_code, answer.headers["retry-after"]) for answer in answers] == [(503, "5")] * len(large)
+        assert client.get(small).status_code == 404
+        turns.release()
+        for _ in range(2):  # a turn is given back, by failures too
+            assert [client.get(address).status_code for address in large] == [404, 200, 200, 200]
+
+
+@pytest.mark.parametrize(
+    ("address", "told"), [("/?at=2014", "no parameter, found at"), ("/v1/tags?x=1", "only cursor")]
+)
+def test_a_route_without_parameters_expected_only_no_parameter(client: TestClient, address: str, told: str) -> None:
+    answer = client.get(address)
+    assert answer.status_code == 422
+    assert f"query: expected {told}" in answer.json()["detail"]

@@ -1,19 +1,31 @@
 from __future__ import annotations
 
 import re
+import threading
 from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from fastapi.testclient import TestClient
 
 from lbacal_core.curves.validity import Scope
+from lbacal_core.instrument.instrument import Instrument
+from lbacal_core.skypower.table import read_sky_power
 from lbacal_core.spectra.spectra import Spectra
+from lbacal_twin.campaign import simulate_campaign
+from lbacal_twin.faults.sky import LstOffset
+from lbacal_twin.settings import TwinSettings
 from service.app import make_app
+from service.config import Settings
 from service.factory import Factory
 from service.scheduler import look_for_due_work
 from service.storage.alarms import CAUSE_STOPPED_PAYING, News
+from service.storage.models import Investigation
+from service.usecases.alarms import STRONGER_SIGMA, tell_news
+from service.worker import Worker
 from tests.service.conftest import MHZ, Clock, instant
 from tests.service.test_worker import work
 
@@ -169,3 +181,88 @@ def test_a_cause_that_stopped_paying_is_an_alarm_until_it_pays_or_is_withdrawn(
     assert (alarm["kind"], alarm["station"]) == ("cause_stopped_paying", "CS001")
     factory.alarms.look()
     assert alarms(client) == []
+
+
+def finding(cause: str, sigma: float, antennas: tuple[int, ...] = (0, 1)) -> dict[str, Any]:
+    sentence = f"{cause} in {list(antennas)}"
+    where = {"antennas": list(antennas), "dipoles": ["X", "Y"]}
+    return {"cause": cause, "significance_sigma": sigma, "where": where, "sentence": sentence}
+
+
+def investigation(name: str, *findings: dict[str, Any], axis: str | None = None) -> Investigation:
+    rest = None
+    if axis is not None:
+        rest = {"where": {"axis": axis, "target": "station"}, "description": f"along {axis}", "p_value": 1e-9}
+    report = {"verdict": "explained", "findings": list(findings), "unexplained": rest}
+    return Investigation(name, "CS001", 0, 1, {}, report, 2, "test", "test")
+
+
+def test_the_first_investigation_is_all_new() -> None:
+    news = tell_news(investigation("b", finding("lst_offset", 9.0)), None)
+    assert (news.before, news.new, news.stronger, news.gone) == (None, ["lst_offset in [0, 1]"], [], [])
+
+
+def test_what_stayed_is_no_news_and_noise_of_a_significance_is_none() -> None:
+    before = investigation("a", finding("lst_offset", 9.0), axis="utc")
+    news = tell_news(investigation("b", finding("lst_offset", 9.0 + 0.9 * STRONGER_SIGMA), axis="utc"), before)
+    assert (news.before, news.new, news.stronger, news.gone) == ("a", [], [], [])
+
+
+def test_what_came_grew_and_went_is_told() -> None:
+    before = investigation("a", finding("lst_offset", 9.0), finding("gain_step", 8.0, (2,)), axis="utc")
+    after = investigation("b", finding("lst_offset", 12.0), finding("gain_step", 8.0, (3,)), axis="date")
+    news = tell_news(after, before)
+    assert news.new == ["gain_step in [3]", "along date (p = 1.0e-09)"]
+    assert news.stronger == ["lst_offset in [0, 1] (9.0 -> 12.0 sigma)"]
+    assert news.gone == ["gain_step in [2]", "along utc (p = 1.0e-09)"]
+
+
+def test_a_pattern_of_all_paths_is_no_news_where_another_path_shows_most() -> None:
+    before, after = investigation("a", axis="lst"), investigation("b", axis="lst")
+    before.report["unexplained"]["where"]["target"] = "antenna 0 X"
+    after.report["unexplained"]["where"]["target"] = "antenna 47 Y"
+    news = tell_news(after, before)
+    assert (news.new, news.gone) == (["along lst (p = 1.0e-09)"], ["along lst (p = 1.0e-09)"])
+    for one in (before, after):
+        one.report["unexplained"]["paths"] = {"antenna 0 X": {"value": 1.0, "sigma": 0.1}}
+    news = tell_news(after, before)
+    assert (news.new, news.gone) == ([], [])
+
+
+def test_a_second_step_of_the_same_path_is_new() -> None:
+    before = investigation("a", finding("gain_step", 9.0, (2,)))
+    news = tell_news(investigation("b", finding("gain_step", 9.0, (2,)), finding("gain_step", 6.0, (2,))), before)
+    assert news.new == ["gain_step in [2]"]
+
+
+ONE_YEAR = TwinSettings(stations=("CS002",), antennas=4, events_per_year=300, years=0.99)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("database_url", ["sqlite"], indirect=True)
+def test_a_clock_that_is_off_passed_the_gate_and_only_a_report_said_so(
+    database_url: str, sky_power_file: Path, superterp: Instrument, clock: Any
+) -> None:
+    sky, fault = read_sky_power(sky_power_file), LstOffset(size=0.4)
+    factory = Factory(Settings(database_url=database_url, sky_power=sky_power_file, poll_s=0.01), clock)
+    with factory.database.write() as stores:
+        stores.spectra.add(simulate_campaign(ONE_YEAR, superterp, sky, np.random.default_rng(15), [fault]).spectra)
+    _, key = factory.keys.create(("admin",))
+    with TestClient(make_app(factory), headers={"Authorization": f"Bearer {key}"}) as http:
+        look_for_due_work(factory)
+        Worker(factory, "worker").run(threading.Event(), until_idle=True)
+        assert {one["gate"] for one in http.get("/v1/calibrations").json()["calibrations"]} == {None}
+        factory.alarms.look()
+        (alarm,) = http.get("/v1/alarms", params={"kind": "named_cause"}).json()["alarms"]
+        (year,) = alarm["content"]["years"]
+        assert (alarm["station"], alarm["content"]["cause"]) == ("CS002", "lst_offset")
+        assert year["fraction"] > year["statistical_error"] > 0.005
+        assert alarm["sentence"].startswith("CS002 in 2014: In station CS002, ")
+        assert "of its statistical errors: adopt it" in alarm["sentence"]
+        assert "1 cause named and not adopted" in http.get("/v1/status").json()["alarms"]["line"]
+        body = {"finding": year["finding"], "reason": "the clock is off", "promote": True}
+        answer = http.post(f"/v1/investigations/{year['investigation']}/adoption", json=body)
+        assert answer.status_code == 202, answer.text
+        factory.alarms.look()
+        assert http.get("/v1/alarms", params={"kind": "named_cause"}).json()["alarms"] == []
+    factory.database.close()

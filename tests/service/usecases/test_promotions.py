@@ -1,14 +1,22 @@
 from __future__ import annotations
 
+import threading
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from lbacal.instants import DAY_US, format_instant
-from lbacal_core.curves.validity import Scope
-from service.factory import Factory
-from service.wire.bodies import PromotionBody
+from lbacal_core.curves.validity import Promotion, Scope
+from lbacal_core.errors import BadInputError
+from service.errors import ConflictError, NotFoundError, UnavailableError
+from service.factory import Factory, read_clock
+from service.storage.versions import Version
+from service.usecases.calibrations import LastMade
+from service.wire.bodies import PromotionBody, TagBody
 
 
 def test_a_promotion_whose_answer_cannot_be_written_is_not_made(factory: Factory, stored: Any) -> None:
@@ -64,3 +72,150 @@ def test_what_a_promotion_changes_agrees_with_asking_at_each_instant(factory: Fa
         said = {k: (c.before, c.after) for c in changes if c.path == path
                 for k in range(40) if c.start <= k * DAY_US and (c.end is None or k * DAY_US < c.end)}  # fmt: skip
         assert said == {k: (a, b) for k, (a, b) in enumerate(zip(before, after, strict=True)) if a != b}
+
+
+Stored = dict[str, Version]
+PATH = Scope("CS001", 0, "X")
+AT = 1_400_000_000_000_000
+
+
+def promote(factory: Factory, version: Version | None, scope: Scope = PATH) -> Promotion:
+    wanted = Promotion(0, scope, AT - 1, None, None if version is None else version.id, 0, "test", "test")
+    with factory.database.write() as stores:
+        return stores.ledger.append([wanted], factory.clock)[0]
+
+
+def freeze(factory: Factory, name: str, as_of: str | None = None, reason: str = "test") -> Any:
+    return factory.tags.put(name, TagBody(as_of=as_of, reason=reason), "test")
+
+
+def answer(factory: Factory, tag: str) -> str | None:
+    known = factory.tags.read_knowledge(None, tag)
+    with factory.database.read() as stores:
+        said = stores.ledger.answers([PATH], AT, known.as_of)[PATH]
+    return said[-1].calibration if said else None
+
+
+def test_a_tag_keeps_what_was_known_whatever_is_promoted_later(factory: Factory, stored: Stored) -> None:
+    promote(factory, stored["path"])
+    tag, is_new = freeze(factory, "paper")
+    promote(factory, stored["other"])
+    promote(factory, None)
+    assert is_new
+    assert answer(factory, "paper") == stored["path"].id
+    assert factory.tags.read_knowledge(None, "paper").text == format_instant(tag.as_of)
+    assert factory.tags.read_knowledge(None, "paper").is_final
+
+
+def test_a_promotion_by_a_clock_that_is_behind_is_still_later_than_a_tag(
+    factory: Factory, stored: Stored, clock: Any
+) -> None:
+    promote(factory, stored["path"])
+    tag, _ = freeze(factory, "paper")
+    clock.now -= 30_000_000
+    assert promote(factory, stored["other"]).at > tag.as_of
+    assert answer(factory, "paper") == stored["path"].id
+
+
+def test_a_tag_of_a_ledger_ahead_of_the_clock_sees_its_newest_promotion(
+    factory: Factory, stored: Stored, clock: Any
+) -> None:
+    promote(factory, stored["path"])
+    clock.now -= 30_000_000
+    freeze(factory, "paper")
+    assert answer(factory, "paper") == stored["path"].id
+
+
+def test_a_tag_by_a_clock_ahead_stopped_all_promotions_until_that_day(factory: Factory, clock: Any) -> None:
+    clock.now = read_clock() + 5 * 31_536_000_000_000
+    with pytest.raises(UnavailableError, match="ahead of the database's: nothing is promoted or tagged"):
+        freeze(factory, "paper")
+    with factory.database.read() as stores:
+        assert stores.tags.find("paper") is None
+
+
+def test_the_same_tag_again_is_the_same_and_another_content_a_conflict(factory: Factory, stored: Stored) -> None:
+    first = promote(factory, stored["path"])
+    promote(factory, stored["other"])
+    then = format_instant(first.at)
+    tag, _ = freeze(factory, "v1", then)
+    assert answer(factory, "v1") == stored["path"].id
+    assert freeze(factory, "v1", then) == (tag, False)
+    assert freeze(factory, "v1") == (tag, False), "a request that is repeated names no instant again"
+    for as_of, reason in ((format_instant(first.at + 1), "test"), (then, "another reason")):
+        with pytest.raises(ConflictError, match="v1 exists with another content"):
+            freeze(factory, "v1", as_of, reason)
+
+
+def test_what_a_tag_may_not_be(factory: Factory) -> None:
+    with pytest.raises(BadInputError, match="not later than now"):
+        freeze(factory, "v1", "2031-01-01")
+    with pytest.raises(NotFoundError, match="no tag 'v2'"):
+        factory.tags.read_knowledge(None, "v2")
+    with pytest.raises(BadInputError, match="either tag or as_of"):
+        factory.tags.read_knowledge("2014-01-01", "v2")
+    assert factory.tags.after("", 10) == []
+
+
+def test_tags_and_promotions_at_once_never_change_what_was_frozen(factory: Factory, stored: Stored) -> None:
+    versions = [stored["path"], stored["other"]]
+    seen: dict[str, str | None] = {}
+    is_over = threading.Event()
+
+    def promote_on() -> None:
+        k = 0
+        while not is_over.wait(0.002):
+            promote(factory, versions[k % 2])
+            k += 1
+
+    def freeze_many(worker: int) -> None:
+        for k in range(8):
+            name = f"t{worker}-{k}"
+            freeze(factory, name)
+            seen[name] = answer(factory, name)
+
+    with ThreadPoolExecutor(4) as pool:
+        promoters = [pool.submit(promote_on) for _ in range(2)]
+        for done in [pool.submit(freeze_many, worker) for worker in range(2)]:
+            done.result()
+        is_over.set()
+        for done in promoters:
+            done.result()
+    assert {name: answer(factory, name) for name in seen} == seen
+    assert [tag.name for tag in factory.tags.after("", 100)] == sorted(seen)
+    assert [tag.name for tag in factory.tags.after("t0-3", 2)] == ["t0-4", "t0-5"]
+
+
+@given(st.lists(st.tuples(st.sampled_from(["tag", "path", "other", "withdraw"]), st.integers(-40, 40)), max_size=12))
+@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_tags_are_what_brute_force_remembers(
+    factory: Factory, stored: Stored, clock: Any, deeds: list[tuple[str, int]]
+) -> None:
+    """The oracle writes down at each tag what stood last; clocks go forward and back by seconds."""
+    with factory.database.engine.begin() as connection:
+        for table in ("standing", "promotion", "tag"):
+            connection.exec_driver_sql(f"DELETE FROM {table}")  # noqa: S608 - those above
+    standing: str | None = None
+    remembered: dict[str, str | None] = {}
+    for k, (deed, seconds) in enumerate(deeds):
+        behind = max(-seconds, 0) * 1_000_000
+        clock.now += max(seconds, 0) * 1_000_000 - behind
+        if deed == "tag":
+            freeze(factory, f"t{k}")
+            remembered[f"t{k}"] = standing
+        else:
+            standing = promote(factory, stored.get(deed)).calibration
+        clock.now += behind
+    assert {name: answer(factory, name) for name in remembered} == remembered
+
+
+def test_another_state_is_made_anew_and_the_same_is_not() -> None:
+    made: list[str] = []
+    last = LastMade[str]()
+
+    def make() -> str:
+        made.append("one")
+        return f"content {len(made)}"
+
+    told = [last.get(state, make) for state in ("a", "a", "b", "a")]
+    assert told == ["content 1", "content 1", "content 2", "content 3"]
