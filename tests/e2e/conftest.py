@@ -2,10 +2,8 @@ from __future__ import annotations
 
 import os
 import shutil
-import socket
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -23,6 +21,7 @@ from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.faults.fault import Fault
 from lbacal_twin.faults.sky import LstOffset
 from lbacal_twin.settings import TwinSettings
+from validation.running.processes import Process, find_free_port, is_ready, running, wait_until
 
 QUIET = [
     "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
@@ -47,6 +46,12 @@ class Service:
             capture_output=True, text=True, check=False, timeout=900,
         )  # fmt: skip
 
+    def do(self, *arguments: str) -> str:
+        """Run a command of `lbacal` that must succeed, and return what it printed."""
+        said = self.run(*arguments)
+        assert said.returncode == 0, said.stderr
+        return said.stdout
+
 
 @pytest.fixture(scope="session")
 def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
@@ -67,9 +72,7 @@ def faulty(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
 @contextmanager
 def serve(folder: Path, settings: TwinSettings, last: set[str], faults: Sequence[Fault] = ()) -> Iterator[Service]:
     """A service with the spectra of a simulated campaign, one of whose nights has passed, up to its last jobs."""
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
+    port = find_free_port()
     url = f"http://127.0.0.1:{port}"
     environment = os.environ | {
         "LBACAL_DATABASE_URL": str(folder / "lbacal.sqlite"), "LBACAL_URL": url, "LBACAL_POLL_S": "0.1",
@@ -79,36 +82,14 @@ def serve(folder: Path, settings: TwinSettings, last: set[str], faults: Sequence
     instrument = load_instrument("lofar-superterp")
     sky = compute_sky_power(instrument)
     write_spectra(simulate_campaign(settings, instrument, sky, np.random.default_rng(5), faults).spectra, spectra)
-    with (folder / "log").open("wb") as log:
-        command = [sys.executable, "-m", "lbacal", "serve", "--port", str(port)]
-        server = subprocess.Popen(command, env=environment, stdout=log, stderr=log)
-        try:
-            _wait_until(lambda: _answers(url), "the server to answer")
-            made = Service(url, environment, spectra)
-            key = made.run("keys", "create", "--scope", "admin").stdout.splitlines()[-1]
-            made.environment["LBACAL_API_KEY"] = key
-            assert made.run("ingest", str(spectra)).returncode == 0
-            assert made.run("scheduler", "--once").returncode == 0
-            _wait_until(lambda: _is_idle(url, last), "the night to end")
-            yield made
-        finally:
-            server.terminate()
-            server.wait(20)
-
-
-def _wait_until(is_so: Callable[[], bool], what: str) -> None:
-    for _ in range(2400):
-        if is_so():
-            return
-        time.sleep(0.1)
-    raise TimeoutError(f"waited 240 s for {what}")
-
-
-def _answers(url: str) -> bool:
-    try:
-        return httpx2.get(f"{url}/readyz").is_success
-    except httpx2.TransportError:
-        return False
+    with running(Process(environment, folder / "log", "serve", "--port", str(port))):
+        wait_until(lambda: is_ready(url), "the server to answer")
+        made = Service(url, environment, spectra)
+        made.environment["LBACAL_API_KEY"] = made.do("keys", "create", "--scope", "admin").splitlines()[-1]
+        made.do("ingest", str(spectra))
+        made.do("scheduler", "--once")
+        wait_until(lambda: _is_idle(url, last), "the night to end")
+        yield made
 
 
 def _is_idle(url: str, last: set[str]) -> bool:

@@ -3,6 +3,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import shlex
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -81,8 +82,7 @@ def test_an_admin_refits_and_sees_the_job(service: Any) -> None:
     assert line in service.run("jobs").stdout
     made = re.fullmatch(r"  ([0-9a-f]{12}) made", version)
     assert made is not None, "what is put into effect next is named"
-    tried = service.run("promote", made[1], "--reason", "looked at", "--dry-run")
-    assert tried.returncode == 0, tried.stderr
+    tried = service.do("promote", made[1], "--reason", "looked at", "--dry-run")
     assert "dry run: nothing was written" in tried.stdout
 
 
@@ -172,8 +172,7 @@ def test_a_refusal_and_an_absent_server_are_exceptions_with_a_sentence() -> None
 def test_stored_spectra_are_investigated_and_the_status_says_what_the_night_found(service: Any, tmp_path: Path) -> None:
     window = ("--since", "2014-01-01", "--until", "2015-01-01")
     report = tmp_path / "R.json"
-    asked = service.run("investigate", "--stored", *window, "--reason", "test", "--report", str(report))
-    assert asked.returncode == 0, asked.stderr
+    asked = service.do("investigate", "--stored", *window, "--reason", "test", "--report", str(report))
     assert re.match(r"CS002, 2014-01-01 to 2015-01-01: \w+; investigation [0-9a-f]{12}\n", asked.stdout)
     assert f": {json.loads(report.read_text())['verdict']};" in asked.stdout
     said = service.run("status")
@@ -185,12 +184,6 @@ def test_stored_spectra_are_investigated_and_the_status_says_what_the_night_foun
 PATH = ("--station", "CS002", "--antenna", "0", "--dipole", "Y")
 
 
-def run(service: Any, *arguments: str) -> str:
-    said = service.run(*arguments)
-    assert said.returncode == 0, said.stderr
-    return str(said.stdout)
-
-
 def in_effect(service: Any, **params: Any) -> str:
     asked = {"station": "CS002", "antenna": 0, "dipole": "Y", "at": "2003-06-01", **params}
     answer = httpx2.get(f"{service.url}/v1/calibrations/effective", params=asked)
@@ -199,29 +192,71 @@ def in_effect(service: Any, **params: Any) -> str:
 
 def test_a_version_is_promoted_frozen_withdrawn_and_put_back(service: Any) -> None:
     name = in_effect(service, at="2014-06-01")
-    tried = run(service, "promote", name, *YEAR, "--dry-run")
+    tried = service.do("promote", name, *YEAR, "--dry-run")
     assert "changes of what paths are told: 1 (dry run: nothing was written)" in tried
     assert "CS002 antenna 0 Y, 2003-01-01T00:00:00Z to 2004-01-01T00:00:00Z: nothing -> " in tried
-    made = run(service, "promote", name, *YEAR)
+    made = service.do("promote", name, *YEAR)
     assert f"CS002 antenna 0 Y has version {name[:12]} from 2003-01-01T00:00:00Z to 2004-01-01T00:00:00Z" in made
     assert in_effect(service) == name
-    assert run(service, "tag", "old-years", "--reason", "test").startswith("old-years: as of 20")
-    number = re.findall(r"promotion (\d+): CS002 antenna 0 Y has nothing", run(service, "withdraw", *PATH, *YEAR))
+    assert service.do("tag", "old-years", "--reason", "test").startswith("old-years: as of 20")
+    number = re.findall(r"promotion (\d+): CS002 antenna 0 Y has nothing", service.do("withdraw", *PATH, *YEAR))
     with pytest.raises(KeyError):
         in_effect(service)
     assert in_effect(service, tag="old-years") == name
-    assert "(dry run: nothing was written)" in run(service, "rollback", *number, "--reason", "x", "--dry-run")
+    assert "(dry run: nothing was written)" in service.do("rollback", *number, "--reason", "x", "--dry-run")
     with pytest.raises(KeyError):
         in_effect(service)
-    undone = run(service, "rollback", *number, "--reason", "it was right")
+    undone = service.do("rollback", *number, "--reason", "it was right")
     assert f"CS002 antenna 0 Y has version {name[:12]}" in undone
     assert in_effect(service) == name
-    assert "old-years: as of " in run(service, "tag")
+    assert "old-years: as of " in service.do("tag")
 
 
 def test_all_versions_of_a_job_are_promoted_by_its_number(service: Any) -> None:
-    asked = run(
-        service, "refit", "--scope", "station", "--since", "2014-02-01", "--until", "2015-02-01", "--reason", "test"
+    asked = service.do(
+        "refit", "--scope", "station", "--since", "2014-02-01", "--until", "2015-02-01", "--reason", "test"
     )
     number = re.findall(r"^job (\d+): ", asked)
-    assert "(dry run: nothing was written)" in run(service, "promote", "--job", *number, "--reason", "x", "--dry-run")
+    assert "(dry run: nothing was written)" in service.do("promote", "--job", *number, "--reason", "x", "--dry-run")
+
+
+COMMAND = re.compile(r"^lbacal (.*)$", re.MULTILINE)
+
+
+def follow(service: Any, line: str, **names: str) -> str:
+    """Run a command of the page with its placeholders filled in."""
+    return str(service.do(*(names.get(word, word) for word in shlex.split(line))))
+
+
+def curves_in_effect(service: Any) -> list[Any]:
+    """What the paths of the station are told; nothing where the gate held every fit back."""
+    asked = {"station": "CS002", "at": "2014-06-01", "gap": "hold"}
+    answer = httpx2.get(f"{service.url}/v1/calibrations/effective", params=asked)
+    return [curve["c"] for curve in answer.json().get("curves", [])]
+
+
+def test_the_commands_of_the_page_close_the_loop(faulty: Any, repository: Path) -> None:
+    page = (repository / "docs/how-to/adopt-a-cause.md").read_text().replace("2015-", "2014-").replace("2016-", "2015-")
+    status, investigate, dry_run, adopt, models, abandon = COMMAND.findall(page)
+    told = follow(faulty, status)
+    assert "CS002, 2014-01-01 to 2015-01-01: explained (lst_offset" in told
+    assert re.search(r"^alarms: .* misfits?\b", told, re.MULTILINE), "told in the night in which it was found"
+    found = follow(faulty, investigate)
+    (name,) = re.findall(r"investigation ([0-9a-f]{12})", found)
+    assert re.search(r"^  #0 .* sigma: In station CS002, .*sidereal", found, re.MULTILINE)
+    tried = follow(faulty, dry_run, INVESTIGATION=name)
+    assert "would be adopted: In station CS002" in tried
+    assert re.search(r"changes of what paths are told: \d+ \(dry run: nothing was written\)", tried)
+    before = curves_in_effect(faulty)
+    made = follow(faulty, adopt, INVESTIGATION=name)
+    (model,) = re.findall(r"`lbacal abandon ([0-9a-f]{12})`", made)
+    assert len(re.findall(r"^job \d+: refit .*, done \(100%\)", made, re.MULTILINE)) == 3
+    assert len(curves_in_effect(faulty)) == 96
+    listed = follow(faulty, models)
+    assert f"model {model} of CS002, in effect" in listed
+    gone = follow(faulty, abandon, MODEL=model)
+    assert len(re.findall(r"^job \d+: refit .*, done \(100%\)", gone, re.MULTILINE)) == 3
+    assert curves_in_effect(faulty) == before
+    assert "withdrawn: In station CS002" in follow(faulty, models)
+    missing = faulty.run("adopt", "0" * 12, "--reason", "x")
+    assert (missing.returncode, "no investigation" in missing.stderr) == (1, True)

@@ -6,8 +6,12 @@ from typing import Any
 
 import httpx2
 import pytest
-from playwright.sync_api import Browser, Page, expect
+from playwright.sync_api import Browser, Locator, Page, expect
 
+from lbacal.instants import DAY_US, parse_instant
+from service.config import Settings
+from service.factory import Factory
+from service.storage.drift import Cut
 from validation.running.processes import Process, find_free_port, running, wait_until
 
 
@@ -144,3 +148,52 @@ def test_the_documentation_takes_a_key(browser: Browser, service: Any, closed: s
     page.get_by_role("button", name="Execute").click()
     expect(page.locator(".live-responses-table tr.response .response-col_status").first).to_contain_text("200")
     context.close()
+
+
+DATE = parse_instant("date", "2014-06-01")
+CUT = Cut("CS002", 1, DATE, 2 * DAY_US)
+
+
+@pytest.fixture
+def cut(service: Any) -> Iterator[int]:
+    """A cut as the watch writes one, which ends with the test."""
+    made = Factory(Settings(database_url=service.environment["LBACAL_DATABASE_URL"]), lambda: DATE)
+    with made.database.write() as stores:
+        stores.cuts.add([CUT], DATE)
+        (kept,) = stores.cuts.kept()
+    yield kept.number
+    with made.database.write() as stores:
+        stores.cuts.end(CUT, DATE)
+    made.database.close()
+
+
+@pytest.fixture
+def plain_page(browser: Browser) -> Iterator[Page]:
+    made = browser.new_page(viewport={"width": 1240, "height": 900})
+    yield made
+    made.close()
+
+
+def decide(row: Locator, label: str, key: str, reason: str) -> None:
+    row.locator("summary").click()
+    row.get_by_label("Reason").fill(reason)
+    row.get_by_label("Key").fill(key)
+    row.get_by_role("button", name=label).click()
+
+
+def test_an_admin_lifts_a_cut_with_a_reason_and_restores_it(plain_page: Page, service: Any, cut: int) -> None:
+    key = service.environment["LBACAL_API_KEY"]
+    plain_page.goto(service.url + "/drift")
+    row = plain_page.locator("#cuts tbody tr")
+    expect(row).to_contain_text("2014-06-01 ± 2.0 d")
+    decide(row, "Lift", "a wrong key", "snow")
+    expect(plain_page.locator("p.lead")).to_have_text("the key is unknown, expired or revoked")
+    plain_page.go_back()
+    decide(row, "Lift", key, "snow lay on the antenna")
+    expect(row).to_contain_text("snow lay on the antenna")
+    expect(row.locator(".state")).to_have_text("lifted")
+    assert plain_page.url == service.url + "/drift#cuts"
+    assert service.run("cuts").stdout.startswith(f"{cut} CS002 antenna 1 at 2014-06-01 ± 2.0 d (lifted")
+    decide(row, "Restore", key, "it lay on the other one")
+    expect(row.locator(".state")).to_have_text("found, not yet refitted")
+    expect(row).to_contain_text("restored")

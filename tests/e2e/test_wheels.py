@@ -5,17 +5,14 @@ from __future__ import annotations
 import json
 import os
 import shutil
-import socket
 import subprocess
 import sys
 import sysconfig
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-import httpx2
 import numpy as np
 import pytest
 
@@ -24,6 +21,7 @@ from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.spectra.spectra import write_spectra
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.settings import TwinSettings
+from validation.running.processes import find_free_port, is_ready, wait_until
 
 TREE = (
     "lbacal", "lbacal_core", "lbacal_twin", "lbacal_paper", "service", "migrations", "wheels", "pyproject.toml",
@@ -55,31 +53,17 @@ class Installed:
     @contextmanager
     def serve(self) -> Iterator[str]:
         """Serve on a free port; yields the address."""
-        with socket.socket() as free:
-            free.bind(("127.0.0.1", 0))
-            port = str(free.getsockname()[1])
-        log = self.folder / "log"
-        with log.open("wb") as sink:
-            command = [self.command, "serve", "--port", port]
+        port = find_free_port()
+        url = f"http://127.0.0.1:{port}"
+        with (self.folder / "log").open("wb") as sink:
+            command = [self.command, "serve", "--port", str(port)]
             server = subprocess.Popen(command, cwd=self.folder, env=self.settings, stdout=sink, stderr=sink)
             try:
-                url = f"http://127.0.0.1:{port}"
-                _wait_for(url, log)
+                wait_until(lambda: is_ready(url), "the server")
                 yield url
             finally:
                 server.terminate()
                 server.wait(30)
-
-
-def _wait_for(url: str, log: Path) -> None:
-    for _ in range(300):
-        try:
-            if httpx2.get(f"{url}/readyz").is_success:
-                return
-        except httpx2.TransportError:
-            pass
-        time.sleep(0.2)
-    raise TimeoutError(f"no server after 60 s: {log.read_text()}")
 
 
 @pytest.fixture(scope="module")

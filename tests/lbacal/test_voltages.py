@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -99,26 +100,10 @@ class Channel:
         return 0.2  # GHz
 
 
-@dataclass
-class Station:
-    channels: list[Channel]
-
-    def get_id(self) -> int:
-        return 2
-
-    def get_station_time(self) -> Time:
-        return Time("2014-05-01")
-
-    def iter_channels(self) -> Any:
-        return iter(self.channels)
-
-
-@dataclass
-class Event:
-    stations: list[Station]
-
-    def get_stations(self) -> list[Station]:
-        return self.stations
+def station(*channels: Channel) -> Any:
+    return SimpleNamespace(
+        get_id=lambda: 2, get_station_time=lambda: Time("2014-05-01"), iter_channels=lambda: iter(channels)
+    )
 
 
 class Detector:
@@ -151,7 +136,7 @@ def test_every_channel_of_an_event_gets_the_c_of_its_own_path(calibrations: dict
     client: Any = Answers(calibrations)
     module = EffectiveCalibrator(client, tag="paper")
     module.begin()
-    said = module.run(Event([Station(channels)]), Detector())
+    said = module.run(SimpleNamespace(get_stations=lambda: [station(*channels)]), Detector())
     module.end()
     assert [name for name, _ in client.asked] == ["CS002"]
     assert client.asked[0][1]["tag"] == "paper"
@@ -163,15 +148,12 @@ def test_every_channel_of_an_event_gets_the_c_of_its_own_path(calibrations: dict
 
 
 def test_the_letter_is_that_of_the_arm_not_of_the_receiver() -> None:
-    station, even, odd = Station([]), Channel(2000034, np.zeros(2)), Channel(2000035, np.zeros(2))
-    assert path_of_lofar(station, even, Detector()) == ("CS002", 17, "Y")
-    assert path_of_lofar(station, odd, Detector()) == ("CS002", 17, "X")
+    even, odd = Channel(2000034, np.zeros(2)), Channel(2000035, np.zeros(2))
+    assert path_of_lofar(station(), even, Detector()) == ("CS002", 17, "Y")
+    assert path_of_lofar(station(), odd, Detector()) == ("CS002", 17, "X")
 
 
 def test_an_arm_that_lofar_does_not_have_is_refused() -> None:
-    class Turned(Detector):
-        def get_antenna_orientation(self, _station: int, _channel: int) -> list[float]:
-            return [0.0, 0.0]
-
+    turned = SimpleNamespace(get_antenna_orientation=lambda *_: [0.0, 0.0])
     with pytest.raises(BadInputError, match=r"an arm at 45 deg \(X\) or 135 deg \(Y\), found 90 deg"):
-        path_of_lofar(Station([]), Channel(2000034, np.zeros(2)), Turned())
+        path_of_lofar(station(), Channel(2000034, np.zeros(2)), turned)

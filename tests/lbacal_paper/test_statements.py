@@ -40,42 +40,38 @@ from lbacal_paper.statements import (
 )
 from lbacal_paper.study import Study
 
+NEAR = (("equal", 10.0), ("at most", 9.0), ("at least", 11.0))
+
 
 def statement(relation: str = "equal", precision: float = 1.0) -> Statement:
     return Statement("s", "1", "text", 10.0, "%", precision, relation)
 
 
 @pytest.mark.parametrize(
-    ("relation", "ours", "verdict"),
+    ("relation", "ours", "sigma", "verdict"),
     [
-        ("equal", 12.0, AGREE),
-        ("equal", 12.5, DISAGREE),
-        ("equal", 7.5, DISAGREE),
-        ("at most", 1.0, AGREE),
-        ("at most", 12.5, DISAGREE),
-        ("at least", 30.0, AGREE),
-        ("at least", 7.5, DISAGREE),
+        ("equal", 12.0, 0.0, AGREE),
+        ("equal", 12.5, 0.0, DISAGREE),
+        ("equal", 7.5, 0.0, DISAGREE),
+        ("at most", 1.0, 0.0, AGREE),
+        ("at most", 12.5, 0.0, DISAGREE),
+        ("at least", 30.0, 0.0, AGREE),
+        ("at least", 7.5, 0.0, DISAGREE),
+        # our error counts with the precision of the statement
+        ("equal", 14.0, 0.0, DISAGREE),
+        ("equal", 14.0, 2.0, UNDECIDED),
+        # an error above the precision of the statement is no agreement: 0.0 +- 3.5 agreed with slopes equal to 0.2
+        *((relation, ours, 0.9, AGREE) for relation, ours in NEAR),
+        *((relation, ours, 1.1, UNDECIDED) for relation, ours in NEAR),
+        # a limit that is kept by two of our errors is kept
+        ("at most", 4.0, 3.0, AGREE),
+        ("at least", 16.0, 3.0, AGREE),
     ],
 )
-def test_a_verdict_follows_the_relation_and_two_standard_deviations(relation: str, ours: float, verdict: str) -> None:
-    assert judge(statement(relation), Result(ours, 0.0, "")) == verdict
-
-
-def test_our_error_counts_with_the_precision_of_the_statement() -> None:
-    assert judge(statement(), Result(14.0, 0.0, "")) == DISAGREE
-    assert judge(statement(), Result(14.0, 2.0, "")) == UNDECIDED
-
-
-@pytest.mark.parametrize(("relation", "ours"), [("equal", 10.0), ("at most", 9.0), ("at least", 11.0)])
-def test_an_error_above_the_precision_of_the_statement_is_no_agreement(relation: str, ours: float) -> None:
-    """0.0 +- 3.5 agreed with slopes that are equal to 0.2."""
-    assert judge(statement(relation), Result(ours, 0.9, "")) == AGREE
-    assert judge(statement(relation), Result(ours, 1.1, "")) == UNDECIDED
-
-
-def test_a_limit_that_is_kept_by_two_of_our_errors_is_kept() -> None:
-    assert judge(statement("at most"), Result(4.0, 3.0, "")) == AGREE
-    assert judge(statement("at least"), Result(16.0, 3.0, "")) == AGREE
+def test_a_verdict_follows_the_relation_and_two_standard_deviations(
+    relation: str, ours: float, sigma: float, verdict: str
+) -> None:
+    assert judge(statement(relation), Result(ours, sigma, "")) == verdict
 
 
 def test_what_follows_by_construction_is_called_that_and_not_counted() -> None:

@@ -1,10 +1,21 @@
 from __future__ import annotations
 
+import csv
+import itertools
+
 import numpy as np
 import pytest
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
 
+from lbacal.cli.report_pages import COLOURS, MARKERS
 from lbacal_core.data.lofar import DIPOLES
 from lbacal_paper.budget import Budget, measure_electronics, spread_with_cables
+from lbacal_paper.chain_figures import make_chain_figures
+from lbacal_paper.drawing import draw
+from lbacal_paper.everything import redo_paper
+from lbacal_paper.figures import Panel, PaperFigure, Series
+from lbacal_paper.shower_figures import make_shower_figures
 from lbacal_paper.shower_study import FITTED, RIGHT, TOTAL, ShowerStudy, describe_terms
 from lbacal_paper.stand_in_source import CELL, CHAMBER
 from lbacal_paper.study import Study
@@ -71,3 +82,105 @@ def test_every_term_of_todays_budgets_moves_the_slopes_by_something_said(showers
         assert terms[TOTAL] == pytest.approx(np.linalg.norm(parts, axis=0))
     assert showers.terms["models"]["level of the sky"] == pytest.approx(np.zeros(3), abs=0.01)
     assert len(describe_terms(showers)) == sum(len(terms) for terms in showers.terms.values())
+
+
+def read(figure: PaperFigure) -> list[dict[str, str]]:
+    return list(csv.DictReader(line for line in figure.as_csv().splitlines() if not line.startswith("#")))
+
+
+def test_a_csv_holds_every_number_that_is_drawn() -> None:
+    x = np.array([1.0, 2.0])
+    series = Series("a, b", x, x**2, low=x, high=np.array([np.nan, 5.0]), kind="points")
+    rows = read(PaperFigure(1, "title", "caption", [Panel("nu", "C", [series])]))
+    assert [row["y"] for row in rows] == ["1", "4"]
+    assert [row["high"] for row in rows] == ["", "5"]
+    assert rows[0]["series"] == "a, b"
+
+
+def test_a_series_with_unequal_lengths_is_refused() -> None:
+    with pytest.raises(ValueError, match="short"):
+        Series("short", np.zeros(3), np.zeros(2))
+
+
+def test_figures_1_to_6_have_published_numbers_beside_ours(study: Study, budget: Budget) -> None:
+    figures = make_chain_figures(study, budget, None)
+    assert [figure.number for figure in figures] == [1, 2, 3, 4, 5, 6]
+    for figure in figures[1:]:
+        origins = {one.origin for panel in figure.panels for one in panel.series}
+        assert {"ours", "published"} <= origins, figure.title
+        assert all(np.all(np.isfinite(one.y)) for panel in figure.panels for one in panel.series)
+
+
+def test_figures_7_to_9_call_the_stand_in_a_stand_in(study: Study, budget: Budget, showers: ShowerStudy) -> None:
+    figures = make_shower_figures(study, budget, showers)
+    assert [figure.number for figure in figures] == [7, 8, 9]
+    for figure in figures:
+        assert "stand-in" in figure.caption
+        assert "not public" in figure.caption
+        assert all(np.all(np.isfinite(one.y)) for panel in figure.panels for one in panel.series)
+
+
+# Machado, Oliveira & Fernandes 2009, severity 1.0, linear RGB
+BLIND = {
+    "protanopia": [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]],
+    "deuteranopia": [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.011820, 0.042940, 0.968881]],
+    "tritanopia": [[1.255528, -0.076749, -0.178779], [-0.078411, 0.930809, 0.147602], [0.004733, 0.691367, 0.303900]],
+}
+SMALLEST_DISTANCE = 8.0
+"""In CIELAB; 2.3 is just noticeable side by side, and every series has a marker of its own besides."""
+
+
+@pytest.fixture(scope="module")
+def figures() -> list[PaperFigure]:
+    return list(redo_paper(lambda _: None, antennas=4).figures)
+
+
+def linear(colour: str) -> np.ndarray:
+    rgb = np.array(to_rgb(colour))
+    return np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
+
+
+def lab(rgb: np.ndarray) -> np.ndarray:
+    xyz = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]) @ np.clip(rgb, 0, 1)
+    t = xyz / np.array([0.9505, 1.0, 1.089])
+    f = np.where(t > 0.008856, np.cbrt(t), 7.787 * t + 16 / 116)
+    return np.array([116 * f[1] - 16, 500 * (f[0] - f[1]), 200 * (f[1] - f[2])])
+
+
+def looks(figure: Figure) -> list[list[tuple[object, ...]]]:
+    """What tells the entries of each legend apart without colour: marker, dashes, and whether a line or a band."""
+    found = []
+    for axes in figure.axes:
+        handles, names = axes.get_legend_handles_labels()
+        looks_of = []
+        for handle, name in zip(handles, names, strict=True):
+            line = handle[0] if hasattr(handle, "has_xerr") else handle
+            if hasattr(line, "get_marker"):
+                looks_of.append((name, line.get_marker(), str(line.get_linestyle()), str(line._dash_pattern)))
+            else:
+                looks_of.append((name, "band", str(handle.get_hatch()), ""))
+        found.append(looks_of)
+    return found
+
+
+def test_no_two_series_of_a_panel_are_told_by_colour_alone(figures: list[PaperFigure]) -> None:
+    assert len(figures) == 9
+    for content in figures:
+        for panel in looks(draw(content)):
+            for one, other in itertools.combinations(panel, 2):
+                assert one[1:] != other[1:], f"figure {content.number}: {one[0]} and {other[0]}"
+
+
+def test_a_panel_has_no_more_groups_than_there_are_markers(figures: list[PaperFigure]) -> None:
+    assert len(COLOURS) == len(MARKERS)
+    for content in figures:
+        for panel in content.panels:
+            groups = {one.group or one.name for one in panel.series if one.kind != "boxes"}
+            assert len(groups) <= len(MARKERS), content.title
+
+
+@pytest.mark.parametrize("kind", BLIND)
+def test_colours_differ_for_the_colour_blind(kind: str) -> None:
+    seen = [lab(np.array(BLIND[kind]) @ linear(colour)) for colour in COLOURS]
+    closest = min(float(np.linalg.norm(a - b)) for a, b in itertools.combinations(seen, 2))
+    assert closest > SMALLEST_DISTANCE

@@ -94,11 +94,6 @@ def test_an_unknown_sky_is_refused() -> None:
 LST = np.linspace(0, 24, 50, endpoint=False)
 
 
-@pytest.fixture(scope="module")
-def view(low_band: Instrument) -> View:
-    return View(low_band)
-
-
 def test_the_plain_sum_turns_dipoles_as_the_sky_power_does(low_band: Instrument, view: View) -> None:
     turned = replace(
         low_band, dipole_azimuth_deg={name: arm + 5.0 for name, arm in low_band.dipole_azimuth_deg.items()}

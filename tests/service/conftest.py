@@ -4,7 +4,9 @@ import itertools
 import json
 import os
 import shutil
+import threading
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -27,9 +29,13 @@ from lbacal_twin.settings import TwinSettings
 from service.app import make_app
 from service.config import Settings
 from service.factory import Factory
+from service.scheduler import look_for_due_work
 from service.storage.database import Database
+from service.storage.jobs import Job
 from service.storage.migration import upgrade
 from service.storage.versions import Version
+from service.wire.bodies import RefitBody
+from service.worker import Worker
 from validation.running.postgres import run_postgres
 
 CHANNELS = 4
@@ -50,6 +56,56 @@ class Clock:
     def __call__(self) -> int:
         self.now += 1
         return self.now
+
+
+def work(factory: Factory) -> None:
+    Worker(factory, "worker").run(threading.Event(), until_idle=True)
+
+
+def night(factory: Factory) -> list[Job]:
+    """One night: what it enqueued, done, as jobs."""
+    numbers = look_for_due_work(factory)
+    work(factory)
+    return [factory.jobs.get(number) for number in numbers]
+
+
+def refit(factory: Factory, scope: str, **more: Any) -> Job:
+    """A refit of 2014 whose versions go into effect, done."""
+    asked = {"scope": scope, "since": "2014-01-01", "until": "2015-01-01", "reason": "test", "promote": True, **more}
+    number = factory.refits.request(RefitBody.model_validate(asked), "test")
+    work(factory)
+    return factory.jobs.get(number)
+
+
+def add_spectra(factory: Factory, spectra: Spectra) -> None:
+    with factory.database.write() as stores:
+        stores.spectra.add(spectra)
+
+
+def flat_spectra(*rows: tuple[str, float, str, int, str]) -> Spectra:
+    """Power 1 for every row of event, time (s UTC), station, antenna and dipole."""
+    event_id, time_unix, station, antenna, dipole = (np.array(column) for column in zip(*rows, strict=True))
+    power, blocks = np.ones((len(rows), CHANNELS)), np.full(len(rows), 100)
+    return Spectra(np.array(MHZ), power, event_id, time_unix, station, antenna, dipole, blocks)
+
+
+def bearer(factory: Factory, *scopes: str) -> dict[str, str]:
+    """The header of a new key with some scopes."""
+    _, key = factory.keys.create(scopes)
+    return {"Authorization": f"Bearer {key}"}
+
+
+def served(factory: Factory, *scopes: str, **more: Any) -> TestClient:
+    """A client of the service with a new key, that of an administrator if nothing is said."""
+    return TestClient(make_app(factory), headers=bearer(factory, *(scopes or ("admin",))), **more)
+
+
+@contextmanager
+def like(factory: Factory, **changes: Any) -> Iterator[Factory]:
+    """The service with other settings."""
+    made = Factory(factory.settings.model_copy(update=changes), factory.clock)
+    yield made
+    made.database.close()
 
 
 @pytest.fixture(scope="session")
@@ -131,9 +187,7 @@ def factory(database_url: str, instrument_file: Path, clock: Clock) -> Iterator[
 
 @pytest.fixture
 def client(factory: Factory) -> Iterator[TestClient]:
-    _, key = factory.keys.create(("admin",))
-    with TestClient(make_app(factory), raise_server_exceptions=False) as made:
-        made.headers["Authorization"] = f"Bearer {key}"
+    with served(factory, raise_server_exceptions=False) as made:
         yield made
 
 
@@ -218,22 +272,39 @@ def three_cables(superterp: Instrument, sky_power_file: Path) -> Campaign:
 
 
 @pytest.fixture
-def station(database_url: str, sky_power_file: Path, campaign: Spectra, clock: Clock) -> Iterator[Factory]:
+def make_service(database_url: str, sky_power_file: Path, clock: Clock) -> Iterator[Callable[..., Factory]]:
+    """Makes services of one database and one sky power, which hold spectra and are closed in the end."""
+    made: list[Factory] = []
+
+    def make(spectra: Spectra | None = None, **more: Any) -> Factory:
+        # an investigation of a year takes seconds: tests/service/usecases/test_due.py looks at the nightly ones
+        quick = {"poll_s": 0.01, "nightly_investigations": False, "sky_power": sky_power_file, **more}
+        made.append(Factory(Settings(database_url=database_url, **quick), clock))
+        if spectra is not None:
+            add_spectra(made[-1], spectra)
+        return made[-1]
+
+    yield make
+    for factory in made:
+        factory.database.close()
+
+
+@pytest.fixture
+def station(make_service: Callable[..., Factory], campaign: Spectra) -> Factory:
     """A service that holds the campaign."""
-    # an investigation of a year takes seconds: tests/service/usecases/test_due.py looks at the nightly ones
-    quick = {"poll_s": 0.01, "lease_s": 5.0, "nightly_investigations": False, "cut_windows": False}
-    settings = Settings(database_url=database_url, sky_power=sky_power_file, **quick)
-    made = Factory(settings, clock)
-    with made.database.write() as stores:
-        stores.spectra.add(campaign)
-    yield made
-    made.database.close()
+    return make_service(campaign, lease_s=5.0, cut_windows=False)
 
 
 @pytest.fixture
 def http(station: Factory) -> Iterator[TestClient]:
     """An administrator's client of the station's service."""
-    _, key = station.keys.create(("admin",))
-    with TestClient(make_app(station)) as made:
-        made.headers["Authorization"] = f"Bearer {key}"
+    with served(station) as made:
         yield made
+
+
+def promote(client: TestClient, version: Version | None, start: str, end: str | None = None, **scope: Any) -> Any:
+    """Promote a version over HTTP; without one, withdraw what is in effect."""
+    body = {"calibration": version and version.id, "valid_from": start, "valid_to": end, "reason": "test", **scope}
+    answer = client.post("/v1/promotions", json=body)
+    assert answer.status_code == 201, answer.text
+    return answer.json()

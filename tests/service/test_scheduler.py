@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,13 +20,11 @@ from lbacal_core.spectra.spectra import Spectra
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.settings import TwinSettings
 from service import scheduler
-from service.config import Settings
 from service.factory import Factory
 from service.scheduler import look_for_due_work, persist, run_scheduler
 from service.storage.processes import SCHEDULER
 from service.usecases.drift_measurement import find_references
-from service.worker import Worker
-from tests.service.conftest import Clock
+from tests.service.conftest import add_spectra, night
 
 DAY_S = 86_400.0
 EVERYTHING: dict[str, Any] = {"states": ("open", "ended"), "kind": None, "station": None, "before": None, "limit": 99}
@@ -44,30 +43,16 @@ def years(superterp: Instrument, sky_power_file: Path) -> Spectra:
 
 
 @pytest.fixture
-def make(database_url: str, sky_power_file: Path, clock: Clock) -> Iterator[Make]:
+def make(make_service: Make) -> Make:
     """Makes a service that looks at one database; data of a past year are not stale."""
-    made: list[Factory] = []
-
-    def open_service(**more: Any) -> Factory:
-        quick = {"poll_s": 0.01, "lease_s": 60.0, "nightly_investigations": False, "gate_change": 0.9, **more}
-        made.append(
-            Factory(Settings(database_url=database_url, sky_power=sky_power_file, stale_days=0, **quick), clock)
-        )
-        return made[-1]
-
-    yield open_service
-    for factory in made:
-        factory.database.close()
+    return partial(make_service, lease_s=60.0, gate_change=0.9, stale_days=0)
 
 
 def pass_nights(factory: Factory, spectra: Spectra, count: int = 2) -> None:
     """Take spectra in, and let nights pass; no job of them fails."""
-    with factory.database.write() as stores:
-        stores.spectra.add(spectra)
+    add_spectra(factory, spectra)
     for _ in range(count):
-        numbers = look_for_due_work(factory)
-        Worker(factory, "worker").run(threading.Event(), until_idle=True)
-        assert not [errors for number in numbers for errors in factory.jobs.get(number).errors if errors]
+        assert not [errors for job in night(factory) for errors in job.errors if errors]
     assert look_for_due_work(factory) == [], "the work of the nights is done"
 
 

@@ -21,6 +21,7 @@ from lbacal_core.errors import BadInputError, LbacalError
 from service.app import make_app
 from service.factory import Factory
 from service.storage.versions import Version
+from tests.service.conftest import promote
 
 ABSENT = "http://127.0.0.1:9"
 KINDS = ("json", "csv", "ecsv", "fits", "hdf5")
@@ -48,21 +49,15 @@ def listening(factory: Factory) -> Iterator[str]:
 @pytest.fixture
 def tagged(client: TestClient, stored: dict[str, Version], clock: Any) -> str:
     """A ledger with all scopes, gaps and a withdrawal, frozen as `paper`; what came later is not in the tag."""
-
-    def promote(name: str | None, start: str, end: str | None = None, **scope: Any) -> None:
-        version = None if name is None else stored[name].id
-        body = {"calibration": version, "valid_from": start, "valid_to": end, "reason": "test", **scope}
-        assert client.post("/v1/promotions", json=body).status_code == 201
-
-    promote("array", "2013-01-01", "2015-01-01")
-    promote("station", "2014-01-01", "2014-06-01")
-    promote("path", "2014-03-01")
-    promote(None, "2014-06-01", "2014-07-01", **PATH)
+    promote(client, stored["array"], "2013-01-01", "2015-01-01")
+    promote(client, stored["station"], "2014-01-01", "2014-06-01")
+    promote(client, stored["path"], "2014-03-01")
+    promote(client, None, "2014-06-01", "2014-07-01", **PATH)
     made = client.put("/v1/tags/paper", json={"reason": "test"})
     assert made.status_code == 201, made.text
     clock.now += 100_000_000
-    promote("other", "2012-01-01")
-    promote("station", "2001-01-01")
+    promote(client, stored["other"], "2012-01-01")
+    promote(client, stored["station"], "2001-01-01")
     return "paper"
 
 

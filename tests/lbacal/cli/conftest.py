@@ -18,6 +18,7 @@ from lbacal_core.spectra.spectra import Spectra, write_spectra
 
 FREQUENCY = np.arange(30.0, 81.0)
 EVENTS = 120
+Lbacal = Callable[..., tuple[int, str, str]]
 
 
 def make_instrument() -> Instrument:
@@ -77,21 +78,15 @@ def folder(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def run_in(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> Callable[[Path], Callable[..., tuple[int, str, str]]]:
-    """Make `lbacal` as it runs in a folder: exit code, standard output and standard error."""
+def lbacal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Lbacal:
+    """`lbacal` as it runs in the folder of the test: exit code, standard output and standard error."""
+    monkeypatch.chdir(tmp_path)
 
-    def enter(folder: Path) -> Callable[..., tuple[int, str, str]]:
-        monkeypatch.chdir(folder)
+    def run(*arguments: object) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["lbacal", *map(str, arguments)])
+        with pytest.raises(SystemExit) as caught:
+            main()
+        captured = capsys.readouterr()
+        return int(caught.value.code or 0), captured.out, captured.err
 
-        def run(*arguments: str) -> tuple[int, str, str]:
-            monkeypatch.setattr(sys, "argv", ["lbacal", *arguments])
-            with pytest.raises(SystemExit) as caught:
-                main()
-            captured = capsys.readouterr()
-            return int(caught.value.code or 0), captured.out, captured.err
-
-        return run
-
-    return enter
+    return run

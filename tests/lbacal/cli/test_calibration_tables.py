@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -9,13 +8,7 @@ import pytest
 
 from lbacal.calibration_files import read_calibrations
 from lbacal.tables import write_format
-
-Run = Callable[..., tuple[int, str, str]]
-
-
-@pytest.fixture
-def lbacal(tmp_path: Path, run_in: Callable[[Path], Run]) -> Run:
-    return run_in(tmp_path)
+from tests.lbacal.cli.conftest import Lbacal
 
 
 @pytest.fixture
@@ -25,7 +18,7 @@ def table(tmp_path: Path, calibrations: dict[str, Any]) -> Path:
     return path
 
 
-def test_a_file_that_follows_its_format_is_described(lbacal: Run, table: Path) -> None:
+def test_a_file_that_follows_its_format_is_described(lbacal: Lbacal, table: Path) -> None:
     code, out, err = lbacal("check-table", table.name)
     assert (code, err) == (0, "")
     assert out == (
@@ -35,7 +28,7 @@ def test_a_file_that_follows_its_format_is_described(lbacal: Run, table: Path) -
 
 
 def test_a_file_that_contradicts_itself_fails_and_one_that_cannot_be_read_is_bad_input(
-    lbacal: Run, table: Path, calibrations: dict[str, Any]
+    lbacal: Lbacal, table: Path, calibrations: dict[str, Any]
 ) -> None:
     calibrations["curves"][0]["c_sigma_stat"][3] *= 2
     Path("bad.json").write_text(json.dumps(calibrations))
@@ -47,14 +40,14 @@ def test_a_file_that_contradicts_itself_fails_and_one_that_cannot_be_read_is_bad
 
 
 @pytest.mark.parametrize("name", ["c.ecsv", "c.h5", "c.json"])
-def test_an_export_keeps_everything(lbacal: Run, table: Path, name: str) -> None:
+def test_an_export_keeps_everything(lbacal: Lbacal, table: Path, name: str) -> None:
     code, out, err = lbacal("export", table.name, "--output", name)
     assert (code, out, err) == (0, f"wrote {name}: 4 curves as {'hdf5' if name == 'c.h5' else name[2:]}\n", "")
     assert read_calibrations(Path(name)) == read_calibrations(table)
     assert lbacal("check-table", name)[0] == 0
 
 
-def test_nuradio_has_one_path_or_the_mean(lbacal: Run, table: Path) -> None:
+def test_nuradio_has_one_path_or_the_mean(lbacal: Lbacal, table: Path) -> None:
     one = ("--station", "CS002", "--antenna", "17", "--dipole", "X")
     assert lbacal("export", table.name, "--output", "one.txt", *one)[0] == 0
     assert "CS002 antenna 17 X, answered by antenna" in Path("one.txt").read_text()
@@ -64,7 +57,7 @@ def test_nuradio_has_one_path_or_the_mean(lbacal: Run, table: Path) -> None:
     assert "mean recorded power of 4 curves" in Path("all.txt").read_text()
 
 
-def test_station_tables_and_uvcal_are_written(lbacal: Run, table: Path) -> None:
+def test_station_tables_and_uvcal_are_written(lbacal: Lbacal, table: Path) -> None:
     assert lbacal("export", table.name, "--output", "s.h5", "--format", "lofar2")[0] == 0
     pytest.importorskip("pyuvdata")
     assert lbacal("export", table.name, "--output", "c.calh5", "--instrument", "lofar-superterp")[0] == 0
@@ -80,7 +73,7 @@ def test_station_tables_and_uvcal_are_written(lbacal: Run, table: Path) -> None:
         (("--output", "c.fits"), "a file of its own"),
     ],
 )
-def test_bad_usage_is_one_sentence(lbacal: Run, table: Path, arguments: tuple[str, ...], said: str) -> None:
+def test_bad_usage_is_one_sentence(lbacal: Lbacal, table: Path, arguments: tuple[str, ...], said: str) -> None:
     code, out, err = lbacal("export", table.name, *arguments)
     assert (code, out, err.count("\n")) == (2, "", 1)
     assert said in err

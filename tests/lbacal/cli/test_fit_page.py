@@ -12,10 +12,9 @@ from matplotlib.figure import Figure
 from lbacal.cli.budget import draw_budget, tabulate
 from lbacal.cli.fit_page import average_residuals, draw_fit, draw_page
 from lbacal.cli.fit_summary import align, describe_error, explain_chi2, tabulate_curves
-from lbacal.cli.main import run
 from lbacal_core.curves.covariance import Budget, BudgetTerm, parse_budget
 from lbacal_core.curves.curves import CalibrationCurve, FitReport
-from lbacal_core.instrument.instrument import Instrument, load_instrument
+from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.pipeline import calibrate
 from lbacal_core.provenance import Provenance
 from lbacal_core.skypower.model import compute_sky_power
@@ -144,11 +143,7 @@ def test_residuals_of_every_scope_are_small_where_the_chain_is_right(
         assert one.shape == (48, 51)
         # gains of events of 5 % in bins of a few events
         assert np.nanmedian(np.abs(one)) < 0.04
-    draw_and_check(report, maps, INSTRUMENT, sky)
-
-
-def draw_and_check(report: FitReport, maps: dict[str, np.ndarray], instrument: Instrument, sky: SkyPower) -> None:
-    figure = draw_fit(report, maps, instrument, sky)
+    figure = draw_fit(report, maps, INSTRUMENT, sky)
     labels = [set(axes.get_legend_handles_labels()[1]) for axes in figure.axes]
     assert {"total error", "statistical error"} <= labels[0]
     assert {"N_LNA", "N_RCU", "N_ADC", "sky, mean over LST"} <= labels[4]
@@ -191,7 +186,7 @@ def test_the_figure_stacks_every_term_below_the_total():
     assert len(figure.axes[0].collections) == len(TERMS)
 
 
-def test_the_command_prints_the_papers_table_and_writes_the_terms(tmp_path, capsys, monkeypatch):
+def test_the_command_prints_the_papers_table_and_writes_the_terms(tmp_path, lbacal):
     instrument = load_instrument("lofar-superterp")
     settings = TwinSettings(stations=("CS002",), antennas=4, events_per_year=300)
     campaign = simulate_campaign(settings, instrument, compute_sky_power(instrument), np.random.default_rng(1))
@@ -204,12 +199,8 @@ def test_the_command_prints_the_papers_table_and_writes_the_terms(tmp_path, caps
     (tmp_path / "R.json").write_text(json.dumps({"findings": [finding], "stations": []}))
     arguments = ["budget", "S.h5", "--instrument", "lofar-superterp", "--sky", "paper", "--report", "B.json"]
     arguments += ["--left-open", "R.json"]
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("sys.argv", ["lbacal", *arguments, "--plot", "B.png"])
-    with pytest.raises(SystemExit) as ended:
-        run()
-    assert ended.value.code == 0
-    out = capsys.readouterr().out
+    code, out, _ = lbacal(*arguments, "--plot", "B.png")
+    assert code == 0
     assert "scale of the sky maps" in out
     assert "electronics between antennas" in out
     (of_finding,) = [line for line in out.splitlines() if line.startswith("lst_offset not adopted")]

@@ -1,8 +1,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,7 +11,7 @@ from typer.testing import CliRunner
 from lbacal.cli.investigation_page import draw_scores, draw_structure, write_investigation_page
 from lbacal.cli.main import app
 from lbacal_core.discovery.report import investigate
-from lbacal_core.instrument.instrument import Instrument, load_instrument
+from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.lstcurve.curve import measured_curve
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_twin.campaign import simulate_campaign
@@ -22,6 +20,7 @@ from lbacal_twin.faults.cable import CableReflection
 from lbacal_twin.faults.fault import Where
 from lbacal_twin.faults.uncatalogued import FieldGradient, FrostAndHeat
 from lbacal_twin.settings import TwinSettings
+from tests.lbacal.cli.conftest import Lbacal
 
 SETTINGS = TwinSettings(stations=("CS002",), antennas=6, events_per_year=250)
 
@@ -50,26 +49,15 @@ def test_a_finding_has_its_signature_its_maps_and_its_change_of_c(written):
         assert words in page
 
 
-def test_structure_that_no_cause_explains_is_drawn_along_its_axis(written):
+def test_structure_without_a_cause_the_sentence_the_gain_and_the_change_of_c_are_on_one_page(written):
     content, page, _ = written
     assert content["verdict"] == "unexplained"
-    assert "Residual structure that no cause explains" in page
-
-
-def test_every_picture_is_inside_the_page(written):
-    _, page, _ = written
     assert page.count("<img") == page.count("data:image/png;base64,") == 9
     assert "http" not in page
-
-
-def test_the_sentence_the_gain_and_what_it_changes_in_c_are_said(written):
-    content, page, _ = written
     for words in (
-        content["findings"][0]["sentence"],
-        "gain on held-out events",
-        "indistinguishable from",
-        "in the median",
-    ):
+        "Residual structure that no cause explains", content["findings"][0]["sentence"], "gain on held-out events",
+        "indistinguishable from", "in the median",
+    ):  # fmt: skip
         assert words in page
 
 
@@ -133,30 +121,20 @@ def test_what_all_paths_show_together_is_told_path_by_path(tmp_path):
     assert told["description"] in (tmp_path / "r.html").read_text()
 
 
-@pytest.fixture(scope="module")
-def written_of_curve_page(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("curve")
-    command = ["investigate", "--lst-curve", str(measured_curve()), "--report", str(folder / "r.json")]
+def investigate_curve(curve, folder):
+    """The report of an LST curve, its page, and what the command printed."""
+    command = ["investigate", "--lst-curve", str(curve), "--report", str(folder / "r.json")]
     result = CliRunner().invoke(app, [*command, "--html", str(folder / "r.html")])
     assert result.exit_code == 0, result.output
     return json.loads((folder / "r.json").read_text()), (folder / "r.html").read_text(), result.output
 
 
-@pytest.mark.long
-def test_an_lst_curve_has_a_page_with_its_three_figures(written_of_curve_page):
-    _, page, _ = written_of_curve_page
+def test_an_lst_curve_has_a_page_with_its_figures_its_sentence_and_what_would_decide(tmp_path):
+    report, page, printed = investigate_curve(measured_curve(), tmp_path)
     assert page.count("data:image/png;base64,") == 3
-
-
-def test_the_page_says_the_sentence_the_alternatives_and_what_would_decide(written_of_curve_page):
-    report, page, _ = written_of_curve_page
     assert report["sentence"].split(":")[0] in page
     assert "not excluded" in page
     assert report["findings"][0]["evidence"]["confirm"] in page
-
-
-def test_the_command_prints_what_was_found_and_what_it_cannot_be_told_from(written_of_curve_page):
-    _, _, printed = written_of_curve_page
     assert "dipole_swap" in printed
     assert "cannot tell it from dipole_azimuth" in printed
 
@@ -165,45 +143,21 @@ def test_the_command_prints_what_was_found_and_what_it_cannot_be_told_from(writt
 def test_a_curve_without_findings_has_a_page_too(tmp_path):
     rows = [f"{lst},{np.cos(lst):.3f},{np.sin(lst):.3f},5.0" for lst in np.arange(0, 24, 0.5)]
     (tmp_path / "l.csv").write_text("\n".join(["lst_h,x_db,y_db,error_db", *rows]) + "\n")
-    command = ["investigate", "--lst-curve", str(tmp_path / "l.csv"), "--report", str(tmp_path / "r.json")]
-    result = CliRunner().invoke(app, [*command, "--html", str(tmp_path / "r.html")])
-    assert result.exit_code == 0, result.output
-    assert "What the simulation gets wrong" in (tmp_path / "r.html").read_text()
+    assert "What the simulation gets wrong" in investigate_curve(tmp_path / "l.csv", tmp_path)[1]
 
 
-@pytest.fixture(scope="module")
-def inputs(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
-    """An instrument and a sky power file on the channels of the low band."""
-    folder = tmp_path_factory.mktemp("inputs")
-    frequency = np.arange(30.0, 81.0)
-    gain = 1.0 / (1.0 + ((frequency - 58.0) / 5.0) ** 2)
-    instrument = Instrument(
-        "plain", 52.9, 6.87, 49.0, frequency, {"X": 45.0, "Y": 135.0}, gain, np.ones(51), {"80": np.full(51, 0.3)}, ()
-    )
-    (folder / "i.json").write_text(json.dumps(instrument.as_dict()))
-    lst = np.arange(96) * 0.25
-    rows = np.outer(1 + 0.3 * np.cos((lst - 19) * np.pi / 12), (frequency / 55) ** -0.5).tolist()
-    sky = {"frequency_mhz": frequency.tolist(), "lst_hours": lst.tolist(), "X": rows, "Y": rows}
-    (folder / "p.json").write_text(json.dumps(sky))
-    return ["--instrument", str(folder / "i.json"), "--sky-power", str(folder / "p.json")]
-
-
-def _run(*arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "lbacal", "lst-curve", *arguments], capture_output=True, text=True, check=False
-    )
+CURVE = ["lst-curve", str(measured_curve()), "--instrument", "instrument.json", "--sky-power", "sky_power.json"]
 
 
 @pytest.mark.long
-def test_the_measured_curve_ends_in_a_report_and_a_plot(inputs: list[str], tmp_path: Path) -> None:
-    report, plot = tmp_path / "r.json", tmp_path / "f.png"
-    done = _run(str(measured_curve()), *inputs, "--report", str(report), "--plot", str(plot))
-    assert done.returncode == 0, done.stderr
-    assert "chi2 per point" in done.stdout
-    assert json.loads(report.read_text())["points"] == 91
-    assert plot.read_bytes().startswith(b"\x89PNG")
+def test_the_measured_curve_ends_in_a_report_and_a_plot(folder: Path, lbacal: Lbacal) -> None:
+    code, out, err = lbacal(*CURVE, "--report", "r.json", "--plot", "f.png")
+    assert (code, "chi2 per point" in out) == (0, True), err
+    assert json.loads((folder / "r.json").read_text())["points"] == 91
+    assert (folder / "f.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.usefixtures("folder")
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -213,21 +167,13 @@ def test_the_measured_curve_ends_in_a_report_and_a_plot(inputs: list[str], tmp_p
         (["--plot", "nowhere/f.png"], "a folder that exists"),
     ],
 )
-def test_bad_usage_is_one_sentence_and_exit_2(
-    inputs: list[str], tmp_path: Path, arguments: list[str], message: str
-) -> None:
-    done = _run(str(measured_curve()), *inputs, "--report", str(tmp_path / "r.json"), *arguments)
-    assert done.returncode == 2
-    assert message in done.stderr
-    assert "Traceback" not in done.stderr
+def test_bad_usage_is_one_sentence_and_exit_2(lbacal: Lbacal, arguments: list[str], message: str) -> None:
+    code, _, err = lbacal(*CURVE, "--report", "r.json", *arguments)
+    assert (code, err.count("\n"), message in err) == (2, 1, True), err
 
 
-def test_a_broken_curve_is_one_sentence_and_exit_2(inputs: list[str], tmp_path: Path) -> None:
-    broken = tmp_path / "l.csv"
-    broken.write_text("lst_h,x_db\n0,1\n")
-    done = _run(str(broken), *inputs, "--report", str(tmp_path / "r.json"))
-    assert done.returncode == 2
-    assert (
-        done.stderr.strip()
-        == "lbacal: l.csv: expected the columns lst_h, x_db, y_db, error_db, found no y_db, error_db"
-    )
+def test_a_broken_curve_is_one_sentence_and_exit_2(folder: Path, lbacal: Lbacal) -> None:
+    (folder / "l.csv").write_text("lst_h,x_db\n0,1\n")
+    code, _, err = lbacal("lst-curve", "l.csv", *CURVE[2:], "--report", "r.json")
+    said = "lbacal: l.csv: expected the columns lst_h, x_db, y_db, error_db, found no y_db, error_db\n"
+    assert (code, err) == (2, said)

@@ -12,7 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 from lbacal.cli import main as command
-from lbacal.cli.main import app, run
+from lbacal.cli.main import app
 from lbacal_core.errors import BadInputError, LbacalError, UnknownNameError, UnreadableFileError
 from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.skypower.model import compute_sky_power
@@ -20,6 +20,7 @@ from lbacal_core.skypower.table import read_sky_power
 from lbacal_core.spectra.spectra import write_spectra
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.settings import TwinSettings
+from tests.lbacal.cli.conftest import Lbacal
 
 LBACAL = Path(sys.executable).with_name("lbacal")
 
@@ -99,27 +100,18 @@ def test_the_command_writes_an_instrument_with_the_gain_of_a_table(folder: Path)
     assert Path(str(made.antenna)).name == "lba.npz"
 
 
-def test_sky_power_writes_a_file_that_reads_back(tmp_path: Path) -> None:
-    target = tmp_path / "P.json"
-    result = CliRunner().invoke(app, ["sky-power", "--instrument", "lofar-superterp", "--output", str(target)])
-    assert result.exit_code == 0, result.output
-    assert "X (arm at 45 deg)" in result.output
-    assert read_sky_power(target).power["Y"].shape == (96, 51)
-
-
-def test_sky_power_takes_sky_parameters_and_sources(tmp_path: Path) -> None:
+def test_sky_power_writes_a_file_that_reads_back_and_takes_sky_parameters_and_sources(tmp_path: Path) -> None:
     common = ["sky-power", "--instrument", "lofar-superterp", "--output"]
     plain, more = tmp_path / "P.json", tmp_path / "Q.json"
-    assert CliRunner().invoke(app, [*common, str(plain)]).exit_code == 0
+    result = CliRunner().invoke(app, [*common, str(plain)])
+    assert result.exit_code == 0, result.output
+    assert "X (arm at 45 deg)" in result.output
+    assert read_sky_power(plain).power["Y"].shape == (96, 51)
     options = ["--scale", "1.1", "--isotropic", "0.5", "--source", "cas-a", "--source", "cyg-a", "--year", "2013"]
     result = CliRunner().invoke(app, [*common, str(more), *options])
     assert result.exit_code == 0, result.output
     assert "gsm(scale=1.1, isotropic=0.5)" in result.output
     assert (read_sky_power(more).power["X"] > 1.1 * read_sky_power(plain).power["X"]).all()
-
-
-def test_sky_power_has_an_example() -> None:
-    assert "Example: lbacal sky-power" in CliRunner().invoke(app, ["sky-power", "--help"]).output
 
 
 @pytest.fixture(scope="module")
@@ -138,19 +130,11 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def call(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
-    monkeypatch.setattr("sys.argv", ["lbacal", "audit", *arguments])
-    with pytest.raises(SystemExit) as left:
-        run()
-    return int(left.value.code or 0)
-
-
 def test_the_audit_prints_a_line_a_question_writes_report_and_page_and_exits_with_3(
-    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    data: Path, tmp_path: Path, lbacal: Lbacal
 ) -> None:
     report, page = tmp_path / "audit.json", tmp_path / "audit.html"
-    code = call(monkeypatch, str(data), "--instrument", "lofar-superterp", "--report", str(report), "--html", str(page))
-    said = capsys.readouterr().out
+    code, said, _ = lbacal("audit", data, "--instrument", "lofar-superterp", "--report", report, "--html", page)
     assert code == 3
     assert "antenna 3 X is dead" in said
     content = json.loads(report.read_text())
@@ -159,9 +143,7 @@ def test_the_audit_prints_a_line_a_question_writes_report_and_page_and_exits_wit
     assert page.read_text().count("data:image/png;base64,") == 1
 
 
-def test_a_file_that_is_no_data_is_refused_with_2(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_file_that_is_no_data_is_refused_with_2(tmp_path: Path, lbacal: Lbacal) -> None:
     (tmp_path / "s.txt").write_text("power")
-    assert call(monkeypatch, str(tmp_path / "s.txt"), "--instrument", "lofar-superterp") == 2
-    assert "uvh5" in capsys.readouterr().err
+    code, _, err = lbacal("audit", "s.txt", "--instrument", "lofar-superterp")
+    assert (code, "uvh5" in err) == (2, True)

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from lbacal.cli.fit_inputs import Selection, find_spectra_files, parse_selection, read_selected
-from lbacal.cli.main import main
 from lbacal.cli.outputs import require_image, require_outputs
 from lbacal_core.errors import BadInputError
 from lbacal_core.spectra.spectra import Spectra, write_spectra
+from tests.lbacal.cli.conftest import Lbacal
 
 
 def test_new_files_and_files_to_be_replaced_are_welcome(tmp_path: Path) -> None:
@@ -24,30 +24,25 @@ def test_new_files_and_files_to_be_replaced_are_welcome(tmp_path: Path) -> None:
     )
 
 
-def test_a_folder_that_does_not_exist_is_named(tmp_path: Path) -> None:
-    with pytest.raises(BadInputError, match=r"--output .*expected a file in a folder that exists, found no folder"):
-        require_outputs({"--output": tmp_path / "none" / "c.ecsv"}, {})
-
-
-def test_a_file_in_place_of_a_folder_is_named(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("outputs", "inputs", "said"),
+    [
+        ({"--output": "none/c.ecsv"}, {}, "--output .*expected a file in a folder that exists, found no folder"),
+        ({"--output": "file/c.ecsv"}, {}, "found no folder"),
+        ({"--report": "."}, {}, "expected a file to write, found a folder"),
+        ({"--output": "c", "--report": "./c"}, {}, "--report .*a file of its own, found the file of --output"),
+        ({"--output": "s.h5"}, {"SPECTRA": "s.h5"}, "found the file of SPECTRA"),
+    ],
+)
+def test_an_output_is_a_file_of_its_own_in_a_folder_that_exists(
+    tmp_path: Path, outputs: dict[str, str], inputs: dict[str, str], said: str
+) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(BadInputError, match="found no folder"):
-        require_outputs({"--output": tmp_path / "file" / "c.ecsv"}, {})
-
-
-def test_a_folder_in_place_of_a_file_is_named(tmp_path: Path) -> None:
-    with pytest.raises(BadInputError, match="expected a file to write, found a folder"):
-        require_outputs({"--report": tmp_path}, {})
-
-
-def test_two_outputs_never_share_a_file(tmp_path: Path) -> None:
-    with pytest.raises(BadInputError, match=r"--report .*expected a file of its own, found the file of --output"):
-        require_outputs({"--output": tmp_path / "c", "--report": tmp_path / "." / "c"}, {})
-
-
-def test_an_output_never_replaces_an_input(tmp_path: Path) -> None:
-    with pytest.raises(BadInputError, match="found the file of SPECTRA"):
-        require_outputs({"--output": tmp_path / "s.h5"}, {"SPECTRA": str(tmp_path / "s.h5")})
+    with pytest.raises(BadInputError, match=said):
+        require_outputs(
+            {name: tmp_path / path for name, path in outputs.items()},
+            {name: str(tmp_path / path) for name, path in inputs.items()},
+        )
 
 
 @pytest.mark.parametrize(
@@ -62,26 +57,20 @@ def test_an_output_never_replaces_an_input(tmp_path: Path) -> None:
         ["spectra", "in.dat", "--inspect", "none/out"],
     ],
 )
-def test_every_command_refuses_an_output_before_it_looks_at_its_input(
-    arguments: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "argv", ["lbacal", *arguments])
-    with pytest.raises(SystemExit) as caught:
-        main()
-    assert caught.value.code == 2
-    assert capsys.readouterr().err.endswith("none/out: expected a file in a folder that exists, found no folder none\n")
+def test_every_command_refuses_an_output_before_it_looks_at_its_input(lbacal: Lbacal, arguments: list[str]) -> None:
+    code, _, err = lbacal(*arguments)
+    assert (code, err.endswith("none/out: expected a file in a folder that exists, found no folder none\n")) == (
+        2,
+        True,
+    )
 
 
-@pytest.mark.parametrize("name", ["C", "C.jpeg", "C.png.txt"])
-def test_a_figure_in_a_form_that_cannot_be_drawn_is_refused(name: str) -> None:
-    with pytest.raises(BadInputError, match=r"ends in \.png, \.pdf, \.svg"):
-        require_image(Path(name))
-
-
-def test_a_figure_in_a_known_form_or_none_is_fine() -> None:
+def test_a_figure_has_a_form_that_can_be_drawn() -> None:
     for path in (Path("C.PNG"), Path("a/C.pdf"), None):
         require_image(path)
+    for name in ("C", "C.jpeg", "C.png.txt"):
+        with pytest.raises(BadInputError, match=r"ends in \.png, \.pdf, \.svg"):
+            require_image(Path(name))
 
 
 PROGRAM = """

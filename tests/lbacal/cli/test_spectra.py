@@ -2,24 +2,28 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import uvicorn
 
-from lbacal.cli.main import main
+from lbacal.cli.trace_batch import TraceBatch, Work
 from lbacal.client import Client
 from lbacal_core.spectra.spectra import read_spectra
-from lbacal_core.traces.trace import TraceReference
+from lbacal_core.traces.background import CleaningSettings
+from lbacal_core.traces.trace import TraceReference, find_files, group_traces, list_traces
 from lbacal_twin.voltages import Transmitter, digitise, draw_noise, write_frames
 from service.app import make_app
 from service.config import Settings
 from service.factory import Factory
 from service.storage.migration import upgrade
+from tests.lbacal.cli.conftest import Lbacal
 
 FREQUENCY = np.arange(30.0, 81.0)
 BLOCKS = 60
@@ -44,21 +48,10 @@ def dumps(tmp_path: Path) -> Path:
     return folder
 
 
-def run(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
-    monkeypatch.setattr("sys.argv", ["lbacal", "spectra", *map(str, arguments)])
-    try:
-        main()
-    except SystemExit as stop:
-        return int(stop.code or 0)
-    return 0
-
-
-def test_a_folder_of_dumps_becomes_a_spectra_file_and_a_report(
-    dumps: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_folder_of_dumps_becomes_a_spectra_file_and_a_report(dumps: Path, tmp_path: Path, lbacal: Lbacal) -> None:
     output = tmp_path / "S.h5"
-    assert run(monkeypatch, dumps, "--output", output) == 0
-    assert "20110719T110541 CS011: 3 of 3 paths, 60-60 blocks" in capsys.readouterr().out
+    code, said, _ = lbacal("spectra", dumps, "--output", output)
+    assert (code, "20110719T110541 CS011: 3 of 3 paths, 60-60 blocks" in said) == (0, True)
     found = read_spectra(output)
     assert found.event_id.tolist() == ["20110719T110541"] * 3
     assert list(zip(found.antenna.tolist(), found.dipole.tolist(), strict=True)) == [(5, "X"), (5, "Y"), (6, "X")]
@@ -70,56 +63,45 @@ def test_a_folder_of_dumps_becomes_a_spectra_file_and_a_report(
     assert any(abs(line - 45.0) < 0.1 for line in report["paths"][0]["line_mhz"])
 
 
-def test_a_second_run_finds_what_was_done_unless_it_changed(
-    dumps: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_second_run_finds_what_was_done_unless_it_changed(dumps: Path, tmp_path: Path, lbacal: Lbacal) -> None:
     output = tmp_path / "S.h5"
-    run(monkeypatch, dumps, "--output", output)
+    command = ("spectra", dumps, "--output", output)
+    lbacal(*command)
     first = read_spectra(output).digest()
-    capsys.readouterr()
-    run(monkeypatch, dumps, "--output", output)
-    assert "(done before)" in capsys.readouterr().out
+    assert "(done before)" in lbacal(*command)[1]
     assert read_spectra(output).digest() == first
-    run(monkeypatch, dumps, "--output", output, "--blocks", 30)
-    assert "(done before)" not in capsys.readouterr().out
+    assert "(done before)" not in lbacal(*command, "--blocks", 30)[1]
     changed = write_dump(dumps, 12, seed=1)
     os.utime(changed, ns=(1, 1))
-    run(monkeypatch, dumps, "--output", output)
-    assert "(done before)" not in capsys.readouterr().out
+    assert "(done before)" not in lbacal(*command)[1]
     assert read_spectra(output).digest() != first
 
 
-def test_names_weather_and_pulse_times_come_from_the_user(
-    dumps: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_names_weather_and_pulse_times_come_from_the_user(dumps: Path, tmp_path: Path, lbacal: Lbacal) -> None:
     output, events = tmp_path / "S.h5", tmp_path / "events.csv"
     pulse = 1_311_073_541 + (10 * 1024 + 30.5 * 1024) / 200e6
     events.write_text(f"# weather station\nevent_id,pulse_unix,temperature_c\nE1,{pulse:.9f},17.5\n")
-    assert run(monkeypatch, dumps, "--output", output, "--event-id", "E1", "--events", events) == 0
+    assert lbacal("spectra", dumps, "--output", output, "--event-id", "E1", "--events", events)[0] == 0
     found = read_spectra(output)
     assert set(found.event_id) == {"E1"}
     assert np.all(found.environment["temperature_c"] == 17.5)
     assert found.blocks.tolist() == [BLOCKS - 11] * 3
-    assert run(monkeypatch, dumps, "--output", output, "--antenna-set", "LBA_OUTER") == 0
+    assert lbacal("spectra", dumps, "--output", output, "--antenna-set", "LBA_OUTER")[0] == 0
     assert read_spectra(output).dipole.tolist() == ["Y", "X", "Y"]
     # Antenna 5 is of the outer field and antenna 6 of the inner one.
-    assert run(monkeypatch, dumps, "--output", output, "--antenna-set", "LBA_SPARSE_EVEN") == 0
+    assert lbacal("spectra", dumps, "--output", output, "--antenna-set", "LBA_SPARSE_EVEN")[0] == 0
     assert read_spectra(output).dipole.tolist() == ["Y", "X", "X"]
 
 
-def test_a_broken_file_in_a_folder_stops_nothing_and_is_told(
-    dumps: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_broken_file_in_a_folder_stops_nothing_and_is_told(dumps: Path, tmp_path: Path, lbacal: Lbacal) -> None:
     (dumps / "broken.dat").write_bytes(b"x" * 5000)
-    assert run(monkeypatch, dumps, "--output", tmp_path / "S.h5") == 1
-    assert "left out:" in capsys.readouterr().out
+    code, said, _ = lbacal("spectra", dumps, "--output", tmp_path / "S.h5")
+    assert (code, "left out:" in said) == (1, True)
     assert len(read_spectra(tmp_path / "S.h5")) == 3
     assert len(json.loads((tmp_path / "S.h5.report.json").read_text())["failures"]) == 1
 
 
-def test_bad_usage_is_one_sentence_and_exit_2(
-    dumps: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_bad_usage_is_one_sentence_and_exit_2(dumps: Path, tmp_path: Path, lbacal: Lbacal) -> None:
     empty = tmp_path / "empty"
     empty.mkdir()
     broken = dumps / "broken.dat"
@@ -132,30 +114,24 @@ def test_bad_usage_is_one_sentence_and_exit_2(
         (dumps, "--output", tmp_path / "S.h5", "--blocks", 3),
         (dumps, "--output", tmp_path / "S.h5", "--antenna-set", "LBA_OUTTER"),
     ):
-        assert run(monkeypatch, *arguments) == 2
-        error = capsys.readouterr().err
-        assert error.startswith("lbacal: ")
-        assert error.count("\n") == 1
+        code, _, error = lbacal("spectra", *arguments)
+        assert (code, error[:8], error.count("\n")) == (2, "lbacal: ", 1)
 
 
-def test_too_few_blocks_everywhere_fails_with_the_reason(
-    dumps: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run(monkeypatch, dumps, "--output", tmp_path / "S.h5", "--blocks", 100) == 1
-    captured = capsys.readouterr()
-    assert "60, 100 are needed" in captured.out
-    assert "no usable spectrum" in captured.err
+def test_too_few_blocks_everywhere_fails_with_the_reason(dumps: Path, tmp_path: Path, lbacal: Lbacal) -> None:
+    code, out, err = lbacal("spectra", dumps, "--output", tmp_path / "S.h5", "--blocks", 100)
+    assert (code, "60, 100 are needed" in out, "no usable spectrum" in err) == (1, True, True)
 
 
-def test_inspect_draws_a_trace(dumps: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_inspect_draws_a_trace(dumps: Path, tmp_path: Path, lbacal: Lbacal) -> None:
     picture = tmp_path / "trace.png"
-    assert run(monkeypatch, dumps, "--inspect", picture) == 0
+    assert lbacal("spectra", dumps, "--inspect", picture)[0] == 0
     assert picture.stat().st_size > 20_000
 
 
 @pytest.mark.shared
-def test_all_real_dumps_in_one_go(shared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert run(monkeypatch, shared / "data/tbb", "--output", tmp_path / "S.h5") == 0
+def test_all_real_dumps_in_one_go(shared: Path, tmp_path: Path, lbacal: Lbacal) -> None:
+    assert lbacal("spectra", shared / "data/tbb", "--output", tmp_path / "S.h5")[0] == 0
     found = read_spectra(tmp_path / "S.h5")
     assert sorted(set(found.event_id)) == ["20080701T162002", "20110719T110541"]
     assert found.blocks.tolist() == [1978, 1000, 1000, 1000, 1000]
@@ -178,7 +154,7 @@ def service(tmp_path: Path) -> Iterator[tuple[str, Factory]]:
 
 
 def test_spectra_go_straight_into_a_service_and_can_be_asked_for(
-    service: tuple[str, Factory], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    service: tuple[str, Factory], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, lbacal: Lbacal
 ) -> None:
     url, factory = service
     dumps = tmp_path / "dumps"
@@ -187,13 +163,148 @@ def test_spectra_go_straight_into_a_service_and_can_be_asked_for(
         write_dump(dumps, rcu, start_s, station=2)
     output = tmp_path / "S.h5"
     monkeypatch.delenv("LBACAL_API_KEY", raising=False)
-    assert run(monkeypatch, dumps, "--output", output, "--url", url) != 0
-    assert capsys.readouterr().err.count("\n") == 1
+    command = ("spectra", dumps, "--output", output, "--url", url)
+    code, _, err = lbacal(*command)
+    assert (code != 0, err.count("\n")) == (True, 1)
     monkeypatch.setenv("LBACAL_API_KEY", factory.keys.create(("spectra:write", "read"))[1])
-    assert run(monkeypatch, dumps, "--output", output, "--url", url) == 0
-    assert "3 received, 3 stored, 0 duplicates" in capsys.readouterr().out
-    assert run(monkeypatch, dumps, "--output", output, "--url", url) == 0
-    assert "3 received, 0 stored, 3 duplicates" in capsys.readouterr().out
+    for told in ("3 received, 3 stored, 0 duplicates", "3 received, 0 stored, 3 duplicates"):
+        code, said, _ = lbacal(*command)
+        assert (code, told in said) == (0, True)
     with Client(url) as client:
         events = client.get("/v1/events")["events"]
     assert sorted(event["event_id"] for event in events) == ["20110719T110541", "20110719T125320"]
+
+
+def test_a_folder_of_tables_becomes_a_spectra_file(tmp_path: Path, lbacal: Lbacal) -> None:
+    folder = tmp_path / "tables"
+    folder.mkdir()
+    for hour in range(3):
+        lines = [f"# time: 2014-05-01T0{hour}:00:00Z", "frequency_mhz,0X,0Y", "40,1,2", "41,3,4"]
+        (folder / f"{hour}.csv").write_text("\n".join(lines))
+    output = tmp_path / "S.h5"
+    code, said, _ = lbacal("import", folder, "--output", output, "--station", "CS002")
+    assert (code, "6 spectra, 3 intervals of 900 s" in said) == (0, True)
+    spectra = read_spectra(output)
+    assert len(spectra) == 6
+    assert set(spectra.station.tolist()) == {"CS002"}
+
+
+def test_events_of_a_trigger_stay_single_and_keep_their_names_and_flags(tmp_path: Path, lbacal: Lbacal) -> None:
+    source, output = tmp_path / "events.csv", tmp_path / "S.h5"
+    rows = [
+        f"2014-05-01T03:0{k // 2}:{30 * (k % 2):02d}Z,{antenna},X,2,shower {k},{'storm' if k == 1 else ''},{20 + k},1,2"
+        for k in range(3)
+        for antenna in (4, 5)
+    ]
+    source.write_text("\n".join(["time,antenna,dipole,duration_s,event_id,flag,env/temperature_c,40,41", *rows]))
+    code, said, _ = lbacal("import", source, "--output", output, "--events", "--station", "CS002")
+    assert code == 0
+    assert "6 spectra, 3 events from 3 integrations" in said
+    assert "2 spectra are flagged 'storm'" in said
+    spectra = read_spectra(output)
+    assert spectra.event_id.tolist() == ["shower 0"] * 2 + ["shower 2"] * 2
+    assert spectra.left_out == {"storm": 2}
+    assert spectra.environment["temperature_c"].tolist() == [20.0, 20.0, 22.0, 22.0]
+    assert np.diff(spectra.time_unix).tolist() == [0.0, 60.0, 0.0]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--events", "--average", "60"], "--average or --events"),
+        (["--average", "0"], "--average: expected a number > 0"),
+        (["--channel-mhz", "1", "--instrument", "lofar-superterp"], "--instrument or --channel-mhz"),
+        (["--band", "60", "80"], "some between 40 and 41 MHz"),
+    ],
+)
+def test_options_that_make_no_sense_are_refused_with_2(
+    tmp_path: Path, lbacal: Lbacal, options: list[str], message: str
+) -> None:
+    source = tmp_path / "a.csv"
+    source.write_text("# time: 2014-05-01T00:00:00Z\nfrequency_mhz,0X\n40,1\n41,3\n")
+    code, _, err = lbacal("import", source, "--output", "S.h5", *options)
+    assert (code, message in err) == (2, True)
+    assert not (tmp_path / "S.h5").exists()
+
+
+EVENTS = 12
+
+
+@pytest.fixture
+def work(tmp_path: Path) -> list[Work]:
+    folder = tmp_path / "dumps"
+    folder.mkdir()
+    for event in range(EVENTS):
+        rng = np.random.default_rng(event)
+        path = folder / f"{event:02d}.dat"
+        samples = digitise(draw_noise(np.full(51, 4.0), np.arange(30.0, 81.0), 400 * 1024, rng))
+        write_frames(path, samples, TraceReference(path, "10", "CS011", 10, 1_311_073_541 + 60 * event, 0, 200e6), 11)
+    references = [reference for file in find_files([folder]) for reference in list_traces(file)]
+    return [(event, None) for event in group_traces(references)]
+
+
+def test_a_failing_event_is_reported_and_the_rest_done(work: list[Work], tmp_path: Path) -> None:
+    work[3][0].references[0].path.unlink()
+    batch = TraceBatch([item for k, item in enumerate(work) if k != 3][:3], CleaningSettings(), tmp_path / "parts")
+    assert sum(not isinstance(result, str) for _, result, _ in batch.run()) == 3
+    vanished = work[4][0].references[0].path
+    vanished.write_bytes(vanished.read_bytes()[:2000])
+    results = [result for _, result, _ in TraceBatch(work[4:6], CleaningSettings(), tmp_path / "parts").run()]
+    assert isinstance(results[0], str)
+    assert "2000 bytes" in results[0]
+    assert not isinstance(results[1], str)
+
+
+def test_a_run_that_stops_midway_keeps_what_it_did(work: list[Work], tmp_path: Path) -> None:
+    batch = TraceBatch(work[:4], CleaningSettings(), tmp_path / "parts")
+    run = batch.run()
+    first = [next(run), next(run)]
+    run.close()  # as when the process is stopped
+    assert [is_old for _, _, is_old in first] == [False, False]
+    again = list(batch.run())
+    assert [is_old for _, _, is_old in again] == [True, True, False, False]
+    assert [result for _, result, _ in again[:2]] == [result for _, result, _ in first]
+    assert not list((tmp_path / "parts").glob("*.unfinished"))
+
+
+@pytest.mark.long
+def test_a_dask_worker_killed_midway_loses_nothing(work: list[Work], tmp_path: Path) -> None:
+    distributed = pytest.importorskip("distributed")
+    batch = TraceBatch(work, CleaningSettings(), tmp_path / "here")
+    here = {event.event_id: result for event, result, _ in batch.run()}
+    signs = tmp_path / "signs"
+    signs.mkdir()
+
+    def wait_in_every_task() -> None:
+        """In a worker: say that a task has begun, and go on with it when told to."""
+        from lbacal.cli import trace_batch
+
+        measure = trace_batch.measure_background
+
+        def measure_when_told(*arguments: Any) -> Any:
+            (signs / str(os.getpid())).touch()
+            while not (signs / "go").exists():
+                time.sleep(0.01)
+            return measure(*arguments)
+
+        trace_batch.measure_background = measure_when_told
+
+    def kill_one_at_work(victim: int) -> None:
+        while not (signs / str(victim)).exists():
+            time.sleep(0.01)
+        os.kill(victim, signal.SIGKILL)
+        (signs / "go").touch()
+
+    cluster = distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, memory_limit=0
+    )
+    with cluster, distributed.Client(cluster.scheduler_address) as client:
+        client.run(wait_in_every_task)
+        victim = next(iter(cluster.workers.values())).pid
+        killer = threading.Thread(target=kill_one_at_work, args=(victim,), daemon=True)
+        killer.start()
+        run = TraceBatch(work, CleaningSettings(), tmp_path / "there").run(cluster.scheduler_address)
+        results = {event.event_id: result for event, result, _ in run}
+        killer.join()
+    assert len(results) == EVENTS
+    assert results == here

@@ -40,11 +40,6 @@ Plant = Callable[..., Planted]
 
 
 @pytest.fixture(scope="session")
-def view(low_band: Instrument) -> View:
-    return View(low_band)
-
-
-@pytest.fixture(scope="session")
 def plant(low_band: Instrument, two_waves: SkyPower, view: View) -> Plant:
     """Simulate the same quiet station-year with some faults and without."""
 

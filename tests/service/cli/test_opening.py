@@ -10,7 +10,6 @@ import socket
 import sqlite3
 import subprocess
 import sys
-from collections.abc import Callable
 from contextlib import closing
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -28,88 +27,56 @@ from validation.running.processes import Process, find_free_port, is_ready, run_
 
 CHECK, UPGRADE, LIST = ("db", "check"), ("db", "upgrade"), ("keys", "list")
 COMMANDS = (CHECK, UPGRADE, LIST, ("worker", "--until-idle"), ("scheduler", "--once"), ("serve", "--port", "1"))
-World = Callable[[Path, Path], dict[str, str]]
-
-
-def garbage(folder: Path, _template: Path) -> dict[str, str]:
-    (folder / "garbage.sqlite").write_bytes(b"no database at all, " * 500)
-    return {"DATABASE_URL": str(folder / "garbage.sqlite")}
-
-
-def truncated(folder: Path, template: Path) -> dict[str, str]:
-    (folder / "half.sqlite").write_bytes(template.read_bytes()[:9000])
-    return {"DATABASE_URL": str(folder / "half.sqlite")}
-
-
-def a_folder(folder: Path, _template: Path) -> dict[str, str]:
-    return {"DATABASE_URL": str(folder)}
-
-
-def below_a_file(folder: Path, _template: Path) -> dict[str, str]:
-    (folder / "file").touch()
-    return {"DATABASE_URL": str(folder / "file" / "x.sqlite")}
-
-
-def empty_name(_folder: Path, _template: Path) -> dict[str, str]:
-    return {"DATABASE_URL": ""}
-
-
-def mysql(_folder: Path, _template: Path) -> dict[str, str]:
-    return {"DATABASE_URL": "mysql://me:hidden-word@host/lbacal"}
-
-
-def bad_port(_folder: Path, _template: Path) -> dict[str, str]:
-    return {"DATABASE_URL": "postgresql://me:hidden-word@host:port/lbacal"}
-
-
-def absent_server(folder: Path, _template: Path) -> dict[str, str]:
-    return {"DATABASE_URL": f"postgresql://me:hidden-word@/lbacal?host={folder}", "WAIT_S": "0"}
-
-
-def newer_schema(folder: Path, template: Path) -> dict[str, str]:
-    shutil.copy(template, folder / "newer.sqlite")
-    with closing(sqlite3.connect(folder / "newer.sqlite")) as connection, connection:
-        connection.execute("UPDATE alembic_version SET version_num = '9999'")
-    return {"DATABASE_URL": str(folder / "newer.sqlite")}
-
-
-def empty_database(folder: Path, _template: Path) -> dict[str, str]:
-    return {"DATABASE_URL": str(folder / "empty.sqlite")}
-
-
-def misspelt_name(folder: Path, _template: Path) -> dict[str, str]:
-    return {"DATABASE_URL": str(folder / "x.sqlite"), "INSTRUMNET": "lofar-superterp"}
-
-
-def absent_sky(folder: Path, template: Path) -> dict[str, str]:
-    return {"DATABASE_URL": str(shutil.copy(template, folder / "x.sqlite")), "SKY_POWER": str(folder / "nowhere.json")}
-
-
-def absent_instrument(folder: Path, template: Path) -> dict[str, str]:
-    return {"DATABASE_URL": str(shutil.copy(template, folder / "x.sqlite")), "INSTRUMENT": str(folder / "nowhere.json")}
-
-
-WORLDS: dict[World, tuple[int, str]] = {
-    garbage: (1, "not an SQLite database"),
-    truncated: (1, "damaged"),
-    a_folder: (1, "cannot be opened"),
-    below_a_file: (2, "name a file that can be used here"),
-    empty_name: (2, "LBACAL_DATABASE_URL: expected a file, or postgresql://"),
-    mysql: (2, "LBACAL_DATABASE_URL: expected a file, or postgresql://"),
-    bad_port: (2, "LBACAL_DATABASE_URL: expected a number as port"),
-    absent_server: (1, "the database does not answer"),
-    newer_schema: (1, "newer than this version of lbacal knows"),
-    empty_database: (1, "run `lbacal db upgrade`"),
-    misspelt_name: (2, "INSTRUMNET: expected a name such as LBACAL_INSTRUMENT"),
-    absent_sky: (2, "nowhere.json"),
-    absent_instrument: (2, "nowhere.json"),
-}
+WORLDS = {
+    "garbage": ({"DATABASE_URL": "{folder}/garbage.sqlite"}, 1, "not an SQLite database"),
+    "truncated": ({"DATABASE_URL": "{folder}/half.sqlite"}, 1, "damaged"),
+    "a folder": ({"DATABASE_URL": "{folder}"}, 1, "cannot be opened"),
+    "below a file": ({"DATABASE_URL": "{folder}/file/x.sqlite"}, 2, "name a file that can be used here"),
+    "empty name": ({"DATABASE_URL": ""}, 2, "LBACAL_DATABASE_URL: expected a file, or postgresql://"),
+    "mysql": (
+        {"DATABASE_URL": "mysql://me:hidden-word@host/lbacal"}, 2,
+        "LBACAL_DATABASE_URL: expected a file, or postgresql://",
+    ),
+    "bad port": (
+        {"DATABASE_URL": "postgresql://me:hidden-word@host:port/lbacal"}, 2,
+        "LBACAL_DATABASE_URL: expected a number as port",
+    ),
+    "absent server": (
+        {"DATABASE_URL": "postgresql://me:hidden-word@/lbacal?host={folder}", "WAIT_S": "0"}, 1,
+        "the database does not answer",
+    ),
+    "newer schema": ({"DATABASE_URL": "{folder}/newer.sqlite"}, 1, "newer than this version of lbacal knows"),
+    "empty database": ({"DATABASE_URL": "{folder}/empty.sqlite"}, 1, "run `lbacal db upgrade`"),
+    "misspelt name": (
+        {"DATABASE_URL": "{folder}/empty.sqlite", "INSTRUMNET": "lofar-superterp"}, 2,
+        "INSTRUMNET: expected a name such as LBACAL_INSTRUMENT",
+    ),
+    "absent sky": ({"DATABASE_URL": "{folder}/x.sqlite", "SKY_POWER": "{folder}/nowhere.json"}, 2, "nowhere.json"),
+    "absent instrument": (
+        {"DATABASE_URL": "{folder}/x.sqlite", "INSTRUMENT": "{folder}/nowhere.json"}, 2, "nowhere.json",
+    ),
+}  # fmt: skip
 NOT_CONCERNED = {
-    absent_sky: {CHECK, UPGRADE, LIST},
-    absent_instrument: {CHECK, UPGRADE, LIST},
-    newer_schema: {LIST},
-    empty_database: {UPGRADE, ("serve", "--port", "1")},  # which make the tables
+    "absent sky": {CHECK, UPGRADE, LIST},
+    "absent instrument": {CHECK, UPGRADE, LIST},
+    "newer schema": {LIST},
+    "empty database": {UPGRADE, ("serve", "--port", "1")},  # which make the tables
 }
+
+
+@pytest.fixture
+def folder(tmp_path: Path, sqlite_template: Path) -> Path:
+    """Databases that are broken, each in a way of its own, and one that is whole."""
+    made = tmp_path / "world"
+    made.mkdir()
+    (made / "file").touch()
+    (made / "garbage.sqlite").write_bytes(b"no database at all, " * 500)
+    (made / "half.sqlite").write_bytes(sqlite_template.read_bytes()[:9000])
+    for name in ("x.sqlite", "newer.sqlite"):
+        shutil.copy(sqlite_template, made / name)
+    with closing(sqlite3.connect(made / "newer.sqlite")) as connection, connection:
+        connection.execute("UPDATE alembic_version SET version_num = '9999'")
+    return made
 
 
 RUN_ALL = """
@@ -140,12 +107,11 @@ def run(arguments: tuple[str, ...], settings: dict[str, str], cwd: Path) -> subp
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("world", WORLDS, ids=lambda world: world.__name__)
-def test_a_broken_world_is_one_sentence(world: World, tmp_path: Path, sqlite_template: Path, repository: Path) -> None:
-    code, sentence = WORLDS[world]
-    folder = tmp_path / "world"
-    folder.mkdir()
-    environment = environment_of(world(folder, sqlite_template)) | {"PYTHONPATH": str(repository)}
+@pytest.mark.parametrize("world", WORLDS)
+def test_a_broken_world_is_one_sentence(world: str, folder: Path, tmp_path: Path, repository: Path) -> None:
+    settings, code, sentence = WORLDS[world]
+    filled = {name: value.format(folder=folder) for name, value in settings.items()}
+    environment = environment_of(filled) | {"PYTHONPATH": str(repository)}
     concerned = [arguments for arguments in COMMANDS if arguments not in NOT_CONCERNED.get(world, ())]
     command = [sys.executable, "-c", RUN_ALL, json.dumps(concerned)]
     done = subprocess.run(

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from lbacal_core.spectra.spectra import Spectra, write_spectra
-
-MHZ = [30.0, 45.0, 60.0, 80.0]
+from tests.service.conftest import MHZ
 
 
 @pytest.fixture

@@ -40,15 +40,13 @@ def test_alarms_of_a_station_and_of_a_kind_are_those_alone(factory: Factory, cli
 def test_an_acknowledged_alarm_lasts_and_is_not_open(factory: Factory, client: TestClient) -> None:
     number = raise_alarm(factory, "CS001")
     route = f"/v1/alarms/{number}/acknowledgement"
-    assert client.post(route, json={"reason": "known", "until": "2019-01-01"}).status_code == 422
+    for body in ({"reason": "known", "until": "2019-01-01"}, {"reason": " "}):
+        assert client.post(route, json=body).status_code == 422
     known = client.post(route, json={"reason": "the cable is ordered", "until": "2021-01-01"})
     assert (known.status_code, known.json()["acknowledgement"]["reason"]) == (201, "the cable is ordered")
     for state, count in (("open", 0), ("acknowledged", 1), ("lasting", 1), ("ended", 0), ("all", 1)):
         assert len(client.get("/v1/alarms", params={"state": state}).json()["alarms"]) == count
     assert client.post("/v1/alarms/99/acknowledgement", json={"reason": "x"}).status_code == 404
-    _, reader = factory.keys.create(("read",))
-    headers = {"Authorization": f"Bearer {reader}"}
-    assert client.post(route, json={"reason": "x"}, headers=headers).status_code == 403
 
 
 DATE = parse_instant("", "2014-05-01")
@@ -74,9 +72,6 @@ def test_a_cut_is_lifted_and_restored_once_each(factory: Factory, client: TestCl
         assert (done.status_code, done.json()["stands"], done.json()["decision"]["reason"]) == (201, stands, "snow")
         assert client.post(route, json={"reason": "snow"}).status_code == 409
     assert client.post("/v1/cuts/99/lift", json={"reason": "x"}).status_code == 404
-    _, runner = factory.keys.create(("refits:run",))
-    headers = {"Authorization": f"Bearer {runner}"}
-    assert client.post(f"/v1/cuts/{one['cut']}/lift", json={"reason": "x"}, headers=headers).status_code == 403
 
 
 def test_a_cut_is_refitted_once_no_version_answers_on_both_sides(

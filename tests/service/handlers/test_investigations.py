@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import threading
 from collections.abc import Iterator
 from typing import Any
 
@@ -8,10 +7,9 @@ import pytest
 from fastapi.testclient import TestClient
 
 from lbacal_core.causes.model import AdoptedCause, Model
-from service.app import make_app
 from service.factory import Factory
 from service.storage.models import ADOPTED, ModelChange
-from service.worker import Worker
+from tests.service.conftest import bearer, served, work
 
 WINDOW = {"since": "2014-01-01", "until": "2016-01-01", "reason": "test"}
 ROUTE = "/v1/investigations"
@@ -20,8 +18,7 @@ ROUTE = "/v1/investigations"
 @pytest.fixture
 def asked(station: Factory) -> Iterator[TestClient]:
     """A client that may run jobs, of a service that holds two years of one station."""
-    _, key = station.keys.create(["read", "refits:run"], None)
-    with TestClient(make_app(station), headers={"Authorization": f"Bearer {key}"}) as client:
+    with served(station, "read", "refits:run") as client:
         yield client
 
 
@@ -29,7 +26,7 @@ def run(factory: Factory, client: TestClient, **body: Any) -> dict[str, Any]:
     """Ask, work, and return the job."""
     response = client.post(ROUTE, json=WINDOW | body)
     assert response.status_code == 202, response.text
-    Worker(factory).run(threading.Event(), until_idle=True)
+    work(factory)
     job: dict[str, Any] = client.get(f"/v1/jobs/{response.json()['job']}").json()
     assert job["state"] == "done", job
     return job
@@ -59,8 +56,7 @@ def test_a_planted_step_is_found_in_its_year_and_the_report_is_kept(station: Fac
     assert "gain_step" in page.text
     assert "C changes with the date, so it is not adopted: windows are" in page.text
 
-    _, admin = station.keys.create(["admin"], None)
-    asked.headers["Authorization"] = f"Bearer {admin}"
+    asked.headers.update(bearer(station, "admin"))
     body = {"finding": 0, "reason": "a new amplifier", "promote": True}
     for dry_run in (True, False):  # C of the year would be that before the step, 7 % off behind it
         refused = asked.post(f"{ROUTE}/{by_year['2015']['id']}/adoption", json=body, params={"dry_run": dry_run})
@@ -145,11 +141,7 @@ def test_a_model_is_listed_and_withdrawn_once(factory: Factory, client: TestClie
     assert [one["act"] for one in rest] == ["adopted"]
 
 
-def test_who_may_not_promote_may_not_withdraw(factory: Factory, client: TestClient) -> None:
-    model = adopt(factory)
-    _, runner = factory.keys.create(("refits:run",))
-    headers = {"Authorization": f"Bearer {runner}"}
-    answer = client.post(f"/v1/models/{model.id}/withdrawal", json={"reason": "x"}, headers=headers)
-    assert answer.status_code == 403
+def test_an_unknown_model_is_not_withdrawn(factory: Factory, client: TestClient) -> None:
+    adopt(factory)
     assert client.post(f"/v1/models/{'0' * 64}/withdrawal", json={"reason": "x"}).status_code == 404
     assert client.get("/v1/models").json()["models"][0]["in_effect"]

@@ -10,11 +10,11 @@ from fastapi.testclient import TestClient
 from lbacal.instants import DAY_US, format_instant, parse_instant
 from lbacal_core.curves.validity import Promotion, Scope
 from service.app import make_app
-from service.config import Settings
 from service.factory import Factory
 from service.storage.alarms import MISFIT, OPEN, News
 from service.storage.drift import Cut
 from service.storage.versions import Version
+from tests.service.conftest import like
 
 PAGES = ("/", "/jobs", "/drift", "/alarms", "/models", "/stations/CS001")
 
@@ -42,19 +42,8 @@ def test_a_version_has_a_page_and_a_month_leads_to_it(
     assert "it is &lt;good&gt;" in page
     assert "CS001 antenna 0 X" in page
     assert client.get("/stations/CS001/0/X/2015-06").status_code == 404
-
-
-@pytest.mark.parametrize(("path", "status"), [("/calibrations/none", 404), ("/stations/CS999", 422), ("/cuts", 404)])
-def test_what_is_not_there_is_a_page_for_whoever_looks(client: TestClient, path: str, status: int) -> None:
-    seen = client.get(path, headers={"Accept": "text/html"})
-    assert (seen.status_code, seen.headers["content-type"]) == (status, "text/html; charset=utf-8")
-    assert seen.text.rstrip().endswith("</html>")
-
-
-def test_the_pages_are_closed_where_reads_are(factory: Factory) -> None:
-    closed = Factory(factory.settings.model_copy(update={"open_reads": False}), factory.clock)
-    with TestClient(make_app(closed)) as stranger:
-        assert {stranger.get(path, headers={"Accept": "*/*"}).status_code for path in PAGES} == {401}
+    assert client.get("/stations/CS001/0/X/May").status_code == 422
+    assert client.get("/stations/CS001/77/X/2014-05").status_code in (404, 422)
 
 
 BROWSER = {"Accept": "text/html,application/xhtml+xml,*/*;q=0.8"}
@@ -62,17 +51,25 @@ REFUSED = "the key is unknown, expired or revoked"
 
 
 @pytest.fixture
-def closed(database_url: str, instrument_file: Any, clock: Any) -> Iterator[Factory]:
-    settings = Settings(database_url=database_url, instrument=str(instrument_file), open_reads=False)
-    made = Factory(settings, clock)
-    yield made
-    made.database.close()
+def closed(factory: Factory) -> Iterator[Factory]:
+    with like(factory, open_reads=False) as made:
+        yield made
+
+
+def browse(factory: Factory, **more: Any) -> TestClient:
+    app = make_app(factory)
+    return TestClient(app, raise_server_exceptions=False, headers=BROWSER, follow_redirects=False, **more)
 
 
 @pytest.fixture
 def browser(closed: Factory) -> Iterator[TestClient]:
-    with TestClient(make_app(closed), raise_server_exceptions=False, headers=BROWSER, follow_redirects=False) as made:
+    with browse(closed) as made:
         yield made
+
+
+def test_the_pages_are_closed_where_reads_are(closed: Factory) -> None:
+    with TestClient(make_app(closed)) as stranger:
+        assert {stranger.get(path, headers={"Accept": "*/*"}).status_code for path in PAGES} == {401}
 
 
 def word_of(page: str) -> str:
@@ -109,7 +106,7 @@ def test_a_page_asks_for_a_key_and_shows_itself_to_whoever_has_one(browser: Test
 
 def test_a_log_in_over_tls_is_kept_from_other_connections(closed: Factory) -> None:
     _, key = closed.keys.create(("read",))
-    with TestClient(make_app(closed), base_url="https://here", headers=BROWSER, follow_redirects=False) as browser:
+    with browse(closed, base_url="https://here") as browser:
         assert "Secure" in log_in(browser, key).headers["set-cookie"]
 
 
@@ -164,9 +161,10 @@ def test_a_form_that_is_none_is_refused(browser: TestClient, body: bytes) -> Non
 
 
 def test_a_wrong_address_gave_a_browser_raw_json_and_is_a_page_now(client: TestClient) -> None:
-    for path, status in (("/nowhere", 404), ("/calibrations/none", 404), ("/stations/CS999", 422)):
+    for path, status in (("/cuts", 404), ("/calibrations/none", 404), ("/stations/CS999", 422)):
         shown = client.get(path, headers=BROWSER)
         assert (shown.status_code, shown.headers["content-type"]) == (status, "text/html; charset=utf-8")
+        assert shown.text.rstrip().endswith("</html>")
         assert client.get(path).headers["content-type"] == "application/problem+json"
     assert client.get("/v1/nothing", headers=BROWSER).headers["content-type"] == "application/problem+json"
 
@@ -175,8 +173,8 @@ DATE = parse_instant("date", "2014-06-01")
 
 
 @pytest.fixture
-def browser_of_forms(factory: Factory) -> Iterator[TestClient]:
-    with TestClient(make_app(factory), raise_server_exceptions=False, headers=BROWSER, follow_redirects=False) as made:
+def visitor(factory: Factory) -> Iterator[TestClient]:
+    with browse(factory) as made:
         yield made
 
 
@@ -187,66 +185,62 @@ def cut(factory: Factory) -> int:
         return stores.cuts.kept()[0].number
 
 
-def send(browser_of_forms: TestClient, address: str, key: str, **fields: str) -> Any:
-    return browser_of_forms.post(address, data={"reason": "snow lay on it", "key": key, **fields})
+def send(visitor: TestClient, address: str, key: str, **fields: str) -> Any:
+    return visitor.post(address, data={"reason": "snow lay on it", "key": key, **fields})
 
 
-def test_an_admin_lifts_a_cut_on_the_page_and_restores_it(
-    browser_of_forms: TestClient, factory: Factory, cut: int
-) -> None:
+def test_an_admin_lifts_a_cut_on_the_page_and_restores_it(visitor: TestClient, factory: Factory, cut: int) -> None:
     number, key = factory.keys.create(("calibrations:promote",))
-    page = browser_of_forms.get("/drift").text
+    page = visitor.get("/drift").text
     assert "2014-06-01 &plusmn; 2.0 d" in page
     assert f'action="/cuts/{cut}/lift"' in page
-    lifted = send(browser_of_forms, f"/cuts/{cut}/lift", key)
+    lifted = send(visitor, f"/cuts/{cut}/lift", key)
     assert (lifted.status_code, lifted.headers["location"]) == (303, "/drift#cuts")
     (kept,) = factory.cuts.list_all(None)
     assert (kept.stands, kept.decision is not None and kept.decision.reason) == (False, "snow lay on it")
-    page = browser_of_forms.get("/drift").text
+    page = visitor.get("/drift").text
     assert "snow lay on it" in page
     assert f'action="/cuts/{cut}/restoration"' in page
     assert f'action="/cuts/{cut}/lift"' not in page
-    assert send(browser_of_forms, f"/cuts/{cut}/lift", key).status_code == 409
-    assert send(browser_of_forms, f"/cuts/{cut}/restoration", key).status_code == 303
+    assert send(visitor, f"/cuts/{cut}/lift", key).status_code == 409
+    assert send(visitor, f"/cuts/{cut}/restoration", key).status_code == 303
     assert factory.cuts.list_all(None)[0].stands
     factory.keys.revoke(number)
-    assert send(browser_of_forms, f"/cuts/{cut}/lift", key).status_code == 403
+    assert send(visitor, f"/cuts/{cut}/lift", key).status_code == 403
 
 
 @pytest.mark.parametrize("address", ["/cuts/{}/lift", "/cuts/{}/restoration"])
-def test_nothing_changes_without_a_key_that_may(
-    browser_of_forms: TestClient, factory: Factory, cut: int, address: str
-) -> None:
+def test_nothing_changes_without_a_key_that_may(visitor: TestClient, factory: Factory, cut: int, address: str) -> None:
     _, reads = factory.keys.create(("read", "refits:run"))
     _, good = factory.keys.create(("admin",))
-    browser_of_forms.cookies.set("lbacal_key", good)
+    visitor.cookies.set("lbacal_key", good)
     where = address.format(cut)
-    refused = send(browser_of_forms, where, "wrong")
+    refused = send(visitor, where, "wrong")
     assert (refused.status_code, "the key is unknown, expired or revoked" in refused.text) == (403, True)
     assert "<h1>Forbidden</h1>" in refused.text, "a page, and not a log-in that leads nowhere"
-    assert [send(browser_of_forms, where, key).status_code for key in ("", reads)] == [403, 403]
-    assert browser_of_forms.post(where, data={"reason": "x"}).status_code == 403, "the kept key opens reads only"
-    assert browser_of_forms.post(where, json={"reason": "x", "key": good}).status_code == 415
-    assert send(browser_of_forms, where, good, reason=" ").status_code == 422
-    assert send(browser_of_forms, where, good, more="x").status_code == 422
-    assert browser_of_forms.get(where).status_code == 405
+    assert [send(visitor, where, key).status_code for key in ("", reads)] == [403, 403]
+    assert visitor.post(where, data={"reason": "x"}).status_code == 403, "the kept key opens reads only"
+    assert visitor.post(where, json={"reason": "x", "key": good}).status_code == 415
+    assert send(visitor, where, good, reason=" ").status_code == 422
+    assert send(visitor, where, good, more="x").status_code == 422
+    assert visitor.get(where).status_code == 405
     assert factory.cuts.list_all(None)[0].decision is None
 
 
-def test_a_problem_is_said_to_be_known_until_a_date(browser_of_forms: TestClient, factory: Factory, clock: Any) -> None:
+def test_a_problem_is_said_to_be_known_until_a_date(visitor: TestClient, factory: Factory, clock: Any) -> None:
     _, key = factory.keys.create(("refits:run",))
     with factory.database.write() as stores:
         number = stores.alarms.raise_alarm(News(MISFIT, Scope("CS001"), "", "it misfits"), clock.now)
     address = f"/alarms/{number}/acknowledgement"
-    assert f'action="{address}"' in browser_of_forms.get("/alarms").text
+    assert f'action="{address}"' in visitor.get("/alarms").text
     until = format_instant(clock.now + 40 * DAY_US)[:10]
-    assert send(browser_of_forms, address, key, until="2001-01-01").status_code == 422
-    assert send(browser_of_forms, address, key, until=until).headers["location"] == "/alarms"
-    page = browser_of_forms.get("/alarms").text
+    assert send(visitor, address, key, until="2001-01-01").status_code == 422
+    assert send(visitor, address, key, until=until).headers["location"] == "/alarms"
+    page = visitor.get("/alarms").text
     assert f"until {until}: snow lay on it" in page
     clock.now += 41 * DAY_US
     assert [one.number for one in lasting(factory)] == [number], "it is told again"
-    assert send(browser_of_forms, address, key, until="").status_code == 303, "without a date it is for good"
+    assert send(visitor, address, key, until="").status_code == 303, "without a date it is for good"
     assert lasting(factory) == []
 
 

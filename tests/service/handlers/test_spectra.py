@@ -15,8 +15,8 @@ import pytest
 from fastapi.testclient import TestClient
 
 from service.factory import Factory
-
-MHZ = [30.0, 45.0, 60.0, 80.0]
+from service.wire.hdf5_child import write_example
+from tests.service.conftest import MHZ, bearer
 
 
 def spectrum(event: int = 0, **more: Any) -> dict[str, Any]:
@@ -178,12 +178,11 @@ def test_writing_needs_a_key_with_the_scope(client: TestClient, factory: Any) ->
     nobody = client.post("/v1/spectra", json=body)
     assert (nobody.status_code, nobody.headers["www-authenticate"]) == (401, "Bearer")
     assert client.post("/v1/spectra", json=body, headers={"Authorization": "Bearer no"}).status_code == 401
-    _, reader = factory.keys.create(("read", "refits:run"))
-    assert client.post("/v1/spectra", json=body, headers={"Authorization": f"Bearer {reader}"}).status_code == 403
-    number, writer = factory.keys.create(("spectra:write",))
-    assert client.post("/v1/spectra", json=body, headers={"Authorization": f"Bearer {writer}"}).status_code == 201
-    factory.keys.revoke(number)
-    assert client.post("/v1/spectra", json=body, headers={"Authorization": f"Bearer {writer}"}).status_code == 401
+    reader, writer = bearer(factory, "read", "refits:run"), bearer(factory, "spectra:write")
+    assert client.post("/v1/spectra", json=body, headers=reader).status_code == 403
+    assert client.post("/v1/spectra", json=body, headers=writer).status_code == 201
+    factory.keys.revoke(factory.keys.list()[-1].number)
+    assert client.post("/v1/spectra", json=body, headers=writer).status_code == 401
 
 
 def test_events_are_listed_in_pages_and_filtered(client: TestClient) -> None:
@@ -223,17 +222,14 @@ def test_four_clients_that_send_the_same_events_store_each_spectrum_once(client:
     assert count(client) == 12 * 6
 
 
+MISSING = object()
 BAD = {
     "another grid": batch(spectrum(), mhz=[30.0, 45.0, 60.0, 81.0]),
     "fewer channels": batch(spectrum(power=[1.0, 2.0]), mhz=[30.0, 45.0]),
-    "a short row": batch(spectrum(power=[1.0, 2.0])),
     "unknown station": batch(spectrum(station="CS003")),
-    "unknown antenna": batch(spectrum(antenna=3)),
     "negative antenna": batch(spectrum(antenna=-1)),
     "huge antenna": batch(spectrum(antenna=2**70)),
-    "unknown dipole": batch(spectrum(dipole="Z")),
     "zero power": batch(spectrum(power=[1.0, 0.0, 3.0, 4.0])),
-    "negative power": batch(spectrum(power=[1.0, -2.0, 3.0, 4.0])),
     "null power": batch(spectrum(power=[1.0, None, 3.0, 4.0])),
     "power as text": batch(spectrum(power=[1.0, "2.0", 3.0, 4.0])),
     "power as bool": batch(spectrum(power=[1.0, True, 3.0, 4.0])),
@@ -241,12 +237,9 @@ BAD = {
     "half a block": batch(spectrum(blocks=1.5)),
     "before 2009": batch(spectrum(time_utc="2008-12-31T23:59:59Z")),
     "the future": batch(spectrum(time_utc="2020-01-02T01:00:00Z")),
-    "a year": batch(spectrum(time_utc="2014")),
     "a number": batch(spectrum(time_utc=1.4e9)),
     "no event": batch(spectrum(event_id="")),
     "control character": batch(spectrum(event_id="a\x00b")),
-    "unknown field": batch(spectrum(antena=1)),
-    "missing field": batch({key: value for key, value in spectrum().items() if key != "blocks"}),
     "no spectra": batch(),
     "a list": [spectrum()],
     "a covariate as text": batch(spectrum(env={"temperature_c": "cold"})),
@@ -272,21 +265,17 @@ def test_a_bad_batch_is_refused_whole(client: TestClient, body: Any) -> None:
         body = {**body, "spectra": [spectrum(7), *body["spectra"]]}
     answer = client.post("/v1/spectra", json=body)
     assert answer.status_code == 422, answer.text
-    assert answer.json()["code" if "code" in answer.json() else "type"] == "urn:lbacal:bad_input"
-    assert count(client) == 0
-
-
-@pytest.mark.parametrize("literal", ["NaN", "Infinity", "-Infinity", "1e999"])
-def test_power_that_is_no_number_is_refused(client: TestClient, literal: str) -> None:
-    text = json.dumps(batch(spectrum())).replace("2.0", literal)
-    answer = client.post("/v1/spectra", content=text, headers={"Content-Type": "application/json"})
-    assert answer.status_code == 422, answer.text
+    assert answer.json()["type"] == "urn:lbacal:bad_input"
     assert count(client) == 0
 
 
 @pytest.mark.parametrize(
     ("old", "new", "named"),
     [
+        ("2.0", "NaN", "found NaN"),
+        ("2.0", "Infinity", "found Infinity"),
+        ("2.0", "-Infinity", "found -Infinity"),
+        ("2.0", "1e999", "power[1]: expected a finite number"),
         ("[30.0, 45.0, 60.0, 80.0]", "[NaN, NaN, NaN, NaN]", "numbers are finite, found NaN"),
         ("[30.0, 45.0, 60.0, 80.0]", "[1e999, 45.0, 60.0, 80.0]", r"frequency_mhz[0]: expected a finite number"),
         ('"blocks": 100', '"blocks": 100, "blocks": 50', "the field 'blocks' twice in one object"),
@@ -311,20 +300,16 @@ def test_what_json_says_twice_or_not_at_all_is_refused(client: TestClient, old: 
         ({"blocks": "100"}, "body.spectra[1].blocks: expected a valid integer, found '100'"),
         ({"time_utc": "2014"}, "body.spectra[1].time_utc: expected an ISO 8601 date"),
         ({"power": [1.0]}, "body.spectra[1].power: expected 4 channels, found 1"),
+        ({"blocks": MISSING}, "body.spectra[1].blocks: expected a value, found nothing"),
     ],
 )
 def test_a_refusal_names_the_place_what_was_expected_and_what_was_found(
     client: TestClient, change: dict[str, Any], sentence: str
 ) -> None:
-    answer = client.post("/v1/spectra", json=batch(spectrum(), spectrum(1, **change)))
-    assert answer.status_code == 422
+    row = {name: value for name, value in spectrum(1, **change).items() if value is not MISSING}
+    answer = client.post("/v1/spectra", json=batch(spectrum(), row))
+    assert (answer.status_code, answer.json()["type"], count(client)) == (422, "urn:lbacal:bad_input", 0)
     assert answer.json()["detail"].startswith(sentence)
-
-
-def test_a_missing_field_is_named(client: TestClient) -> None:
-    row = {key: value for key, value in spectrum().items() if key != "blocks"}
-    answer = client.post("/v1/spectra", json=batch(row))
-    assert answer.json()["detail"] == "body.spectra[0].blocks: expected a value, found nothing"
 
 
 @pytest.mark.parametrize(
@@ -357,33 +342,27 @@ def test_a_receipt_is_asked_for_by_hashes(client: TestClient, sha256: str) -> No
     assert client.get("/v1/spectra/receipts", params={"sha256": sha256}).status_code == 422
 
 
-def test_a_file_that_is_none_is_malformed(client: TestClient, file: bytes) -> None:
-    for content in (b"", b"{}", file[:2000]):
-        assert post_file(client, content).status_code == 400
-
-
 @pytest.mark.parametrize(
     ("content", "media", "status"),
     [
         (b"{", "application/json", 400),
         (b"", "application/json", 400),
         (b"\xff\xfe", "application/json", 400),
+        (b"", "application/x-hdf5", 400),
+        (b"{}", "application/x-hdf5", 400),
+        (write_example("e")[:2000], "application/x-hdf5", 400),
         (b"{}", "text/plain", 415),
         (b"{}", "", 415),
     ],
 )
-def test_a_body_that_is_not_json(client: TestClient, content: bytes, media: str, status: int) -> None:
+def test_a_body_that_is_not_what_it_says(client: TestClient, content: bytes, media: str, status: int) -> None:
     answer = client.post("/v1/spectra", content=content, headers={"Content-Type": media})
     assert answer.status_code == status, answer.text
 
 
 def test_a_body_above_the_limit_is_refused_also_without_a_length(client: TestClient) -> None:
-    size = 65 * 10**6
-    assert (
-        client.post("/v1/spectra", content=b" " * size, headers={"Content-Type": "application/json"}).status_code == 413
-    )
-    chunks = (b" " * 10**6 for _ in range(65))
-    assert client.post("/v1/spectra", content=chunks, headers={"Content-Type": "application/json"}).status_code == 413
+    for content in (b" " * 65 * 10**6, (b" " * 10**6 for _ in range(65))):
+        assert post(client, content).status_code == 413
 
 
 def test_a_body_that_changes_one_thing_is_small(client: TestClient) -> None:

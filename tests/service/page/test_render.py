@@ -74,9 +74,3 @@ def test_pages_load_nothing_from_elsewhere(client: TestClient) -> None:
         policy = answer.headers["content-security-policy"]
         assert "default-src 'none'" in policy
         assert "script-src 'self';" in policy
-
-
-def test_an_unknown_page_is_a_problem(client: TestClient) -> None:
-    assert client.get("/calibrations/none").status_code == 404
-    assert client.get("/stations/CS999").status_code == 422
-    assert client.get("/nothing").headers["content-type"] == "application/problem+json"

@@ -9,7 +9,6 @@ from sqlalchemy import text
 from lbacal_core.curves.validity import Scope
 from service.errors import NotFoundError
 from service.factory import Factory
-from service.scheduler import look_for_due_work
 from service.storage.alarms import (
     ACKNOWLEDGED,
     ENDED,
@@ -25,7 +24,7 @@ from service.storage.alarms import (
 )
 from service.storage.drift import StoredModes
 from service.storage.jobs import Order
-from tests.service.test_worker import work
+from tests.service.conftest import night
 
 DAY = 86_400_000_000
 NOW = 1_600_000_000_000_000
@@ -151,8 +150,7 @@ def test_the_last_report_is_the_one_that_is_kept(factory: Factory) -> None:
 @pytest.mark.long
 def test_months_have_a_gain_and_two_modes(station: Factory) -> None:
 
-    look_for_due_work(station)
-    work(station)
+    night(station)
     with station.database.read() as stores:
         ratios = stores.drift.ratios(Scope("CS002", 1, "X"))
     assert len(ratios) == 24

@@ -3,6 +3,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import pytest
@@ -66,6 +67,11 @@ def fill(factory: Factory, names: tuple[str, ...], new_version: Callable[..., Ve
     return {name: version.id for name, version in versions.items()}
 
 
+@pytest.fixture
+def version(factory: Factory, new_version: Callable[..., Version]) -> str:
+    return fill(factory, ("a",), new_version)["a"]
+
+
 def append(factory: Factory, scope: Scope, start: int, end: int | None, version: str | None, at: int) -> Line:
     with factory.database.write() as stores:
         made = stores.ledger.append([Promotion(0, scope, start, end, version, 0)], lambda: at)[0]
@@ -76,51 +82,47 @@ promotions = st.tuples(
     st.sampled_from(SCOPES), st.integers(0, 9), st.one_of(st.none(), st.integers(1, 9)),
     st.sampled_from([None, *NAMES]), st.integers(1000, 1010),
 )  # fmt: skip
+Wanted = list[tuple[Scope, int, int | None, str | None, int]]
+examples = partial(settings, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
-@given(st.lists(promotions, max_size=15), st.data())
-@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_the_ledger_answers_as_brute_force_does(
-    factory: Factory,
-    new_version: Callable[..., Version],
-    wanted: list[tuple[Scope, int, int | None, str | None, int]],
-    data: st.DataObject,
-) -> None:
-    ids = fill(factory, NAMES, new_version)
+def start_again(factory: Factory, new_version: Callable[..., Version]) -> dict[str, str]:
+    """The versions that promotions name, of a ledger that is empty."""
     with factory.database.engine.begin() as connection:
-        connection.exec_driver_sql("DELETE FROM standing")
-        connection.exec_driver_sql("DELETE FROM promotion")
-    lines = [
+        for table in ("edge", "standing", "promotion"):
+            connection.exec_driver_sql(f"DELETE FROM {table}")  # noqa: S608 - those above
+    return fill(factory, NAMES, new_version)
+
+
+def append_all(factory: Factory, new_version: Callable[..., Version], wanted: Wanted) -> list[Line]:
+    """A ledger of these promotions alone."""
+    ids = start_again(factory, new_version)
+    return [
         append(factory, scope, start, None if length is None else start + length, ids.get(str(name)), at)
         for scope, start, length, name, at in wanted
     ]
+
+
+@given(st.lists(promotions, max_size=15), st.data())
+@examples(max_examples=25)
+def test_the_ledger_answers_as_brute_force_does(
+    factory: Factory, new_version: Callable[..., Version], wanted: Wanted, data: st.DataObject
+) -> None:
+    lines = append_all(factory, new_version, wanted)
     # every boundary, one before, one after; every `at` of the ledger, one before, one after, and no as_of
     instants = sorted({t + d for line in lines for t in (line.start, line.end or 0) for d in (-1, 0, 1)} | {0})
     known = [None, *sorted({line.at + d for line in lines for d in (-1, 0, 1)})]
     for instant in data.draw(st.lists(st.sampled_from(instants), min_size=1, max_size=6)):
         for as_of in data.draw(st.lists(st.sampled_from(known), min_size=1, max_size=4)):
-            with factory.database.read() as stores:
-                answers = stores.ledger.answers(PATHS, instant, as_of)
-            for path in PATHS:
-                said = answers[path]
-                found = (said[-1].number, said[-1].calibration) if said and said[-1].calibration else None
-                assert found == brute_force(lines, path, instant, as_of)
+            check_answers(factory, lines, instant, as_of)
 
 
 @given(st.lists(promotions, max_size=15))
-@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@examples(max_examples=25)
 def test_the_edges_known_at_any_time_are_those_of_the_whole_ledger(
-    factory: Factory, new_version: Callable[..., Version], wanted: list[tuple[Scope, int, int | None, str | None, int]]
+    factory: Factory, new_version: Callable[..., Version], wanted: Wanted
 ) -> None:
-    ids = fill(factory, NAMES, new_version)
-    with factory.database.engine.begin() as connection:
-        connection.exec_driver_sql("DELETE FROM edge")
-        connection.exec_driver_sql("DELETE FROM standing")
-        connection.exec_driver_sql("DELETE FROM promotion")
-    lines = [
-        append(factory, scope, start, None if length is None else start + length, ids.get(str(name)), at)
-        for scope, start, length, name, at in wanted
-    ]
+    lines = append_all(factory, new_version, wanted)
     for as_of in {line.at + d for line in lines for d in (-1, 0)}:
         ends: dict[str | None, set[int]] = {}
         for line in lines:
@@ -132,18 +134,11 @@ def test_the_edges_known_at_any_time_are_those_of_the_whole_ledger(
 
 @pytest.mark.long
 @given(st.lists(promotions, max_size=15), st.integers(-2, 20), st.one_of(st.none(), st.integers(999, 1008)))
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@examples(max_examples=150)
 def test_the_neighbours_of_a_gap_are_those_of_brute_force(
-    factory: Factory,
-    new_version: Callable[..., Version],
-    wanted: list[tuple[Scope, int, int | None, str | None, int]],
-    instant: int,
-    as_of: int | None,
+    factory: Factory, new_version: Callable[..., Version], wanted: Wanted, instant: int, as_of: int | None
 ) -> None:
-    ids = fill(factory, NAMES, new_version)
-    with factory.database.engine.begin() as connection:
-        connection.exec_driver_sql("DELETE FROM standing")
-        connection.exec_driver_sql("DELETE FROM promotion")
+    ids = start_again(factory, new_version)
     made = [
         Promotion(k + 1, scope, start, None if length is None else start + length, ids.get(str(name)), 1000 + k // 2)
         for k, (scope, start, length, name, _) in enumerate(wanted)
@@ -173,6 +168,15 @@ def _plain(found: Neighbours) -> tuple[tuple[int, int, str | None] | None, ...]:
     return tuple(one and (one.instant, one.promotion.number, one.promotion.calibration) for one in found)
 
 
+def check_answers(factory: Factory, lines: list[Line], instant: int, as_of: int | None) -> None:
+    with factory.database.read() as stores:
+        answers = stores.ledger.answers(PATHS, instant, as_of)
+    for path in PATHS:
+        said = answers[path]
+        found = (said[-1].number, said[-1].calibration) if said and said[-1].calibration else None
+        assert found == brute_force(lines, path, instant, as_of)
+
+
 def test_a_long_ledger_answers_as_brute_force_does(factory: Factory, new_version: Callable[..., Version]) -> None:
     rng = np.random.default_rng(20140501)
     ids = list(fill(factory, NAMES, new_version).values())
@@ -192,34 +196,23 @@ def test_a_long_ledger_answers_as_brute_force_does(factory: Factory, new_version
         line = lines[rng.integers(len(lines))]
         instant = int(rng.choice([line.start, line.start - 1, line.end or 5000, (line.end or 5000) - 1]))
         as_of = None if rng.random() < 0.2 else line.at + int(rng.integers(-1, 2))
-        with factory.database.read() as stores:
-            answers = stores.ledger.answers(PATHS, instant, as_of)
-        for path, said in answers.items():
-            found = (said[-1].number, said[-1].calibration) if said and said[-1].calibration else None
-            assert found == brute_force(lines, path, instant, as_of)
+        check_answers(factory, lines, instant, as_of)
 
 
-def test_a_promotion_is_later_than_every_one_before_even_if_the_clock_goes_back(
-    factory: Factory, new_version: Callable[..., Version]
-) -> None:
-    version = fill(factory, ("a",), new_version)["a"]
+def test_a_promotion_is_later_than_every_one_before_even_if_the_clock_goes_back(factory: Factory, version: str) -> None:
     first = append(factory, Scope(), 0, None, version, 5000)
     second = append(factory, Scope(), 0, None, None, 4000)
     assert (first.at, second.at) == (5000, 5001)
 
 
-def test_promotions_at_once_are_ordered_and_never_share_an_instant(
-    factory: Factory, new_version: Callable[..., Version]
-) -> None:
-    version = fill(factory, ("a",), new_version)["a"]
+def test_promotions_at_once_are_ordered_and_never_share_an_instant(factory: Factory, version: str) -> None:
     with ThreadPoolExecutor(4) as pool:
         lines = list(pool.map(lambda k: append(factory, Scope(), 0, k + 1, version, 1000), range(24)))
     assert len({line.at for line in lines}) == 24
     assert [line.number for line in sorted(lines, key=lambda line: line.at)] == sorted(line.number for line in lines)
 
 
-def test_the_promotions_of_one_act_share_their_instant(factory: Factory, new_version: Callable[..., Version]) -> None:
-    version = fill(factory, ("a",), new_version)["a"]
+def test_the_promotions_of_one_act_share_their_instant(factory: Factory, version: str) -> None:
     with factory.database.write() as stores:
         made = stores.ledger.append([Promotion(0, path, 0, None, version, 0) for path in PATHS], lambda: 1000)
     assert {promotion.at for promotion in made} == {1000}
@@ -231,10 +224,7 @@ def test_a_promotion_of_an_unknown_version_is_refused(factory: Factory) -> None:
         append(factory, Scope(), 0, None, "nothing", 1000)
 
 
-def test_a_promotion_that_was_paused_before_its_commit_is_not_made(
-    factory: Factory, new_version: Callable[..., Version]
-) -> None:
-    version = fill(factory, ("a",), new_version)["a"]
+def test_a_promotion_that_was_paused_before_its_commit_is_not_made(factory: Factory, version: str) -> None:
     clock = iter([1_000_000_000, 1_075_000_000])  # 75 s pass between the clock and the commit
     with pytest.raises(UnavailableError, match="took too long"), factory.database.write() as stores:
         stores.ledger.append([Promotion(0, Scope(), 0, None, version, 0)], lambda: next(clock))
@@ -242,10 +232,9 @@ def test_a_promotion_that_was_paused_before_its_commit_is_not_made(
         assert stores.ledger.recent(10) == []
 
 
-def test_a_promoter_that_hangs_loses_its_transaction(factory: Factory, new_version: Callable[..., Version]) -> None:
+def test_a_promoter_that_hangs_loses_its_transaction(factory: Factory, version: str) -> None:
     if factory.settings.is_sqlite:
         pytest.skip("SQLite ends no transaction by itself")
-    version = fill(factory, ("a",), new_version)["a"]
     with factory.database.write() as stores:
         stores.ledger.append([Promotion(0, Scope(), 0, None, version, 0)], lambda: 0)
         shown = stores._connection.exec_driver_sql("SHOW idle_in_transaction_session_timeout").scalar_one()
@@ -253,9 +242,8 @@ def test_a_promoter_that_hangs_loses_its_transaction(factory: Factory, new_versi
 
 
 def test_one_promotion_by_a_clock_that_is_years_ahead_is_told_to_the_next_and_not_followed(
-    factory: Factory, new_version: Callable[..., Version]
+    factory: Factory, version: str
 ) -> None:
-    version = fill(factory, ("a",), new_version)["a"]
     now, second = 1_000_000_000, 1_000_000
     append(factory, Scope(), 0, None, version, now + 59 * second)
     assert append(factory, Scope(), 0, None, None, now).at == now + 59 * second + 1, "clocks differ a little"
@@ -304,23 +292,12 @@ def test_a_clock_ahead_wrote_promotions_that_stopped_all_others_until_their_inst
 
 
 @given(st.lists(promotions, max_size=15), st.integers(0, 20), st.integers(1, 12))
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@examples(max_examples=60)
 def test_what_stands_decides_as_the_whole_ledger_does(
-    factory: Factory,
-    new_version: Callable[..., Version],
-    wanted: list[tuple[Scope, int, int | None, str | None, int]],
-    since: int,
-    length: int,
+    factory: Factory, new_version: Callable[..., Version], wanted: Wanted, since: int, length: int
 ) -> None:
     """The oracle asks the whole ledger at every instant of the interval; some intervals nobody closed."""
-    ids = fill(factory, NAMES, new_version)
-    with factory.database.engine.begin() as connection:
-        connection.exec_driver_sql("DELETE FROM standing")
-        connection.exec_driver_sql("DELETE FROM promotion")
-    lines = [
-        append(factory, scope, start, None if more is None else start + more, ids.get(str(name)), at)
-        for scope, start, more, name, at in wanted
-    ]
+    lines = append_all(factory, new_version, wanted)
     with factory.database.read() as stores:
         stands = stores.ledger.standing(SCOPES, since, since + length)
         all_before = stores.ledger.standing(SCOPES, since, since + length, before=10**9)

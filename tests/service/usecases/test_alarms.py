@@ -1,8 +1,7 @@
 from __future__ import annotations
 
 import re
-import threading
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,20 +13,15 @@ from fastapi.testclient import TestClient
 from lbacal_core.curves.validity import Scope
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.skypower.table import read_sky_power
-from lbacal_core.spectra.spectra import Spectra
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.faults.sky import LstOffset
 from lbacal_twin.settings import TwinSettings
-from service.app import make_app
-from service.config import Settings
 from service.factory import Factory
 from service.scheduler import look_for_due_work
 from service.storage.alarms import CAUSE_STOPPED_PAYING, News
 from service.storage.models import Investigation
 from service.usecases.alarms import STRONGER_SIGMA, tell_news
-from service.worker import Worker
-from tests.service.conftest import MHZ, Clock, instant
-from tests.service.test_worker import work
+from tests.service.conftest import Clock, add_spectra, flat_spectra, instant, like, night, served, work
 
 DAY_S = 86_400.0
 
@@ -39,15 +33,8 @@ PATHS = [(station, antenna, dipole) for station in ("CS001", "CS002") for antenn
 def store(factory: Factory, days: range, silent: Mapping[tuple[str, int, str], int] | None = None) -> None:
     """Store an event a day of all paths, but for those that fall silent on a day."""
     ends = silent or {}
-    rows = [(day, *path) for day in days for path in PATHS if day < ends.get(path, 10**6)]
-    day, station, antenna, dipole = zip(*rows, strict=True)
-    spectra = Spectra(
-        frequency_mhz=np.array(MHZ), power=np.ones((len(rows), len(MHZ))),
-        event_id=np.array([f"e{number}" for number in day]), time_unix=FIRST + DAY_S * np.array(day),
-        station=np.array(station), antenna=np.array(antenna), dipole=np.array(dipole), blocks=np.full(len(rows), 100),
-    )  # fmt: skip
-    with factory.database.write() as stores:
-        stores.spectra.add(spectra)
+    rows = [(f"e{day}", FIRST + DAY_S * day, *path) for day in days for path in PATHS if day < ends.get(path, 10**6)]
+    add_spectra(factory, flat_spectra(*rows))
 
 
 def alarms(client: TestClient, **query: Any) -> list[dict[str, Any]]:
@@ -92,9 +79,8 @@ def test_data_that_stopped_coming_are_stale_unless_nobody_expects_any(
     store(factory, range(40))
     factory.alarms.look()
     assert [one["kind"] for one in alarms(client)] == ["stale_data"]
-    archive = Factory(factory.settings.model_copy(update={"stale_days": 0.0}), clock)
-    archive.alarms.look()
-    archive.database.close()
+    with like(factory, stale_days=0.0) as archive:
+        archive.alarms.look()
     assert alarms(client) == []
 
 
@@ -118,9 +104,6 @@ def test_an_acknowledged_alarm_is_told_no_more_until_its_time_is_over(
     factory.alarms.look()
     number = alarms(client)[0]["alarm"]
     route = f"/v1/alarms/{number}/acknowledgement"
-    assert client.post(route, json={"until": "2014-03-30", "reason": "late"}).status_code == 422
-    assert client.post(route, json={"reason": " "}).status_code == 422
-    assert client.post("/v1/alarms/999/acknowledgement", json={"reason": "x"}).status_code == 404
     known = client.post(route, json={"until": "2014-05-01", "reason": "winter break"})
     assert known.status_code == 201
     assert known.json()["acknowledgement"]["until"] == "2014-05-01T00:00:00Z"
@@ -129,13 +112,6 @@ def test_an_acknowledged_alarm_is_told_no_more_until_its_time_is_over(
     clock.now = instant("2014-05-02")
     factory.alarms.look()
     assert [one["state"] for one in alarms(client, state="open")] == ["open"]
-
-
-def test_who_may_only_read_acknowledges_nothing(factory: Factory) -> None:
-    _, key = factory.keys.create(("read",))
-    with TestClient(make_app(factory), headers={"Authorization": f"Bearer {key}"}) as reader:
-        assert reader.get("/v1/alarms").status_code == 200
-        assert reader.post("/v1/alarms/1/acknowledgement", json={"reason": "x"}).status_code == 403
 
 
 def test_alarms_stand_in_metrics_in_the_status_and_on_top_of_the_overview(
@@ -154,10 +130,8 @@ def test_alarms_stand_in_metrics_in_the_status_and_on_top_of_the_overview(
 
 
 def test_a_step_is_raised_once_and_a_season_not_at_all(station: Factory) -> None:
-    look_for_due_work(station)
-    work(station)
-    _, key = station.keys.create(("admin",))
-    with TestClient(make_app(station), headers={"Authorization": f"Bearer {key}"}) as client:
+    night(station)
+    with served(station) as client:
         (step,) = alarms(client, kind="step")
         assert step["sentence"].startswith("CS002 antenna 2 Y: C changed by -6.")
         assert abs(np.datetime64(step["since"][:10]) - np.datetime64("2015-04-11")) <= np.timedelta64(3, "D")
@@ -241,16 +215,13 @@ ONE_YEAR = TwinSettings(stations=("CS002",), antennas=4, events_per_year=300, ye
 @pytest.mark.long
 @pytest.mark.parametrize("database_url", ["sqlite"], indirect=True)
 def test_a_clock_that_is_off_passed_the_gate_and_only_a_report_said_so(
-    database_url: str, sky_power_file: Path, superterp: Instrument, clock: Any
+    make_service: Callable[..., Factory], sky_power_file: Path, superterp: Instrument
 ) -> None:
     sky, fault = read_sky_power(sky_power_file), LstOffset(size=0.4)
-    factory = Factory(Settings(database_url=database_url, sky_power=sky_power_file, poll_s=0.01), clock)
-    with factory.database.write() as stores:
-        stores.spectra.add(simulate_campaign(ONE_YEAR, superterp, sky, np.random.default_rng(15), [fault]).spectra)
-    _, key = factory.keys.create(("admin",))
-    with TestClient(make_app(factory), headers={"Authorization": f"Bearer {key}"}) as http:
-        look_for_due_work(factory)
-        Worker(factory, "worker").run(threading.Event(), until_idle=True)
+    spectra = simulate_campaign(ONE_YEAR, superterp, sky, np.random.default_rng(15), [fault]).spectra
+    factory = make_service(spectra, nightly_investigations=True)
+    with served(factory) as http:
+        night(factory)
         assert {one["gate"] for one in http.get("/v1/calibrations").json()["calibrations"]} == {None}
         factory.alarms.look()
         (alarm,) = http.get("/v1/alarms", params={"kind": "named_cause"}).json()["alarms"]
@@ -265,4 +236,3 @@ def test_a_clock_that_is_off_passed_the_gate_and_only_a_report_said_so(
         assert answer.status_code == 202, answer.text
         factory.alarms.look()
         assert http.get("/v1/alarms", params={"kind": "named_cause"}).json()["alarms"] == []
-    factory.database.close()

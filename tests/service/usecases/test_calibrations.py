@@ -6,8 +6,7 @@ import csv
 import io
 import json
 import re
-import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -28,30 +27,23 @@ from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.provenance import hash_content
 from lbacal_twin.campaign import Campaign
 from service.app import make_app
-from service.config import Settings
 from service.factory import Factory
 from service.wire.answers import to_json
-from service.worker import Worker
+from tests.service.conftest import like, served, work
 
 ANTENNAS = 12
 AT = "2014-06-01"
 
 
 @pytest.fixture
-def service(database_url: str, sky_power_file: Path, three_cables: Campaign, clock: Any) -> Iterator[Factory]:
-    made = Factory(Settings(database_url=database_url, sky_power=sky_power_file), clock)
-    with made.database.write() as stores:
-        stores.spectra.add(three_cables.spectra)
-    yield made
-    made.database.close()
+def service(make_service: Callable[..., Factory], three_cables: Campaign) -> Factory:
+    return make_service(three_cables.spectra)
 
 
 @pytest.fixture
 def http(service: Factory) -> Iterator[TestClient]:
     """A server whose curves of a station and of the array are in effect, and of no path by itself."""
-    _, key = service.keys.create(("admin",))
-    with TestClient(make_app(service)) as made:
-        made.headers["Authorization"] = f"Bearer {key}"
+    with served(service) as made:
         for scope in ("station", "array"):
             refit(made, service, scope)
         yield made
@@ -60,7 +52,7 @@ def http(service: Factory) -> Iterator[TestClient]:
 def refit(http: TestClient, service: Factory, scope: str, **more: Any) -> Any:
     body = {"scope": scope, "since": "2014-01-01", "until": "2015-01-01", "reason": "test", "promote": True, **more}
     number = http.post("/v1/refits", json=body).json()["job"]
-    Worker(service, "worker").run(threading.Event(), until_idle=True)
+    work(service)
     return http.get(f"/v1/jobs/{number}").json()
 
 
@@ -204,12 +196,8 @@ def test_a_pinned_answer_stays_whatever_the_servers_instrument_file_says_later(
     content = service.instrument.as_dict()
     content["cables"] = {name: [0.5 * loss for loss in losses] for name, losses in content["cables"].items()}
     (tmp_path / "other.json").write_text(json.dumps(content))
-    settings = service.settings.model_copy(update={"instrument": str(tmp_path / "other.json")})
-    other = Factory(settings, clock)
-    with TestClient(make_app(other)) as changed:
-        after = changed.get("/v1/calibrations/effective", params=pinned).content
-    other.database.close()
-    assert after == before
+    with like(service, instrument=str(tmp_path / "other.json")) as other, TestClient(make_app(other)) as changed:
+        assert changed.get("/v1/calibrations/effective", params=pinned).content == before
 
 
 def test_the_overview_counts_only_what_has_data(http: TestClient, service: Factory) -> None:
@@ -220,14 +208,9 @@ def test_the_overview_counts_only_what_has_data(http: TestClient, service: Facto
     )
     assert rows[0] == ("CS002", "24 of 96", "0", "72")
     assert rows[1] == ("CS003", "0 of 96", "0", "96")
+    # one measured path was divided by itself: a step of 0 at no date, and the page answered 500
     refit(http, service, "antenna", antenna=0, dipole="X", station="CS002")
     assert '<td class="number">24 of 96</td><td class="number">1</td>' in http.get("/").text
-
-
-def test_the_overview_of_a_station_with_one_measured_path_is_shown(http: TestClient, service: Factory) -> None:
-    # its path was divided by itself: a step of 0 at no date, and the page answered 500
-    refit(http, service, "antenna", antenna=0, dipole="X", station="CS002")
-    assert http.get("/").status_code == 200
     assert http.get("/v1/drift", params={"station": "CS002"}).json()["steps"] == []
 
 
@@ -313,9 +296,8 @@ def test_what_is_answered_from_memory_is_what_was_told_first_in_all_cables_and_a
     ]  # fmt: skip
     for _ in range(2):
         for question in questions:
-            fresh = Factory(service.settings, service.clock)
-            first = TestClient(make_app(fresh)).get("/v1/calibrations/effective", params=question)
-            fresh.database.close()
+            with like(service) as fresh:
+                first = TestClient(make_app(fresh)).get("/v1/calibrations/effective", params=question)
             found = http.get("/v1/calibrations/effective", params=question)
             assert (found.status_code, found.content) == (200, first.content)
             body = found.json()

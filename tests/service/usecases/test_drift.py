@@ -14,11 +14,10 @@ from fastapi.testclient import TestClient
 from lbacal.instants import parse_instant
 from lbacal_core.curves.curves import Parameter
 from lbacal_core.curves.reference_chain import CableTable, ReferenceChain
-from lbacal_core.curves.validity import Promotion, Scope
+from lbacal_core.curves.validity import Scope
 from lbacal_core.spectra.spectra import Spectra
 from service.app import make_app
 from service.factory import Factory
-from service.scheduler import look_for_due_work
 from service.storage.database import Stores
 from service.storage.drift import DriftSource, MonthlyRatio
 from service.storage.jobs import Order
@@ -35,7 +34,7 @@ from service.usecases.drift import (
     tell_story,
 )
 from service.usecases.drift_measurement import KIND
-from tests.service.test_worker import work
+from tests.service.conftest import add_spectra, flat_spectra, night, work
 
 YEAR = {"station": "CS002", "since": parse_instant("", "2015-01-01"), "until": parse_instant("", "2016-01-01")}
 
@@ -60,17 +59,14 @@ def measure_again(factory: Factory, source: DriftSource) -> None:
 def test_after_one_more_event_drift_reads_it_alone_and_is_that_of_the_whole_year(
     station: Factory, campaign: Spectra
 ) -> None:
-    look_for_due_work(station)
-    work(station)
+    night(station)
     _, before, first = measured(station)
     assert first.screened == first.spectra
     typical = campaign.event_id[campaign.time_unix > YEAR["since"] / 1e6][5]
     one = campaign.select(campaign.event_id == typical)
     later = replace(one, event_id=np.full(len(one), "999999999"), time_unix=one.time_unix + 3600.0)
-    with station.database.write() as stores:
-        stores.spectra.add(later)
-    look_for_due_work(station)
-    work(station)
+    add_spectra(station, later)
+    night(station)
     added, digests, source = measured(station)
     assert (source.spectra, source.screened) == (first.spectra + len(later), first.screened)
     assert len(set(digests) & set(before)) == 2, "the events of the year of the new one are others"
@@ -87,8 +83,7 @@ def test_after_one_more_event_drift_reads_it_alone_and_is_that_of_the_whole_year
 
 @pytest.mark.long
 def test_the_planted_step_is_first_with_its_antenna_and_date(station: Factory, http: TestClient) -> None:
-    look_for_due_work(station)
-    work(station)
+    night(station)
     drift = http.get("/v1/drift", params={"station": "CS002"}).json()
     (first,) = drift["steps"]
     assert (first["antenna"], first["dipole"]) == (2, "Y")
@@ -130,17 +125,9 @@ def _measure(stores: Stores, reference: str, station: str, year: int, seed: int)
 @pytest.fixture
 def measured_of_months(factory: Factory, stored: dict[str, Version]) -> Factory:
     """Two years of two stations, measured, the array not kept yet."""
-    rng = np.random.default_rng(1)
-    rows = [(s, a, d) for s in STATIONS for a in range(3) for d in "XY"]
-    station, antenna, dipole = (np.array(column) for column in zip(*rows, strict=True))
-    count = len(rows)
-    spectra = Spectra(
-        frequency_mhz=factory.instrument.frequency_mhz, power=rng.lognormal(0, 0.1, (count, 4)),
-        event_id=np.full(count, "one"), time_unix=np.full(count, start_of_year(2014) / 1e6 + 1), station=station,
-        antenna=antenna, dipole=dipole, blocks=np.full(count, 100),
-    )  # fmt: skip
+    at = start_of_year(2014) / 1e6 + 1
+    add_spectra(factory, flat_spectra(*[("one", at, s, a, d) for s in STATIONS for a in range(3) for d in "XY"]))
     with factory.database.write() as stores:
-        stores.spectra.add(spectra)
         for k, (name, year) in enumerate((s, y) for s in STATIONS for y in YEARS):
             _measure(stores, stored["path"].id, name, year, k)
     return factory
@@ -191,21 +178,6 @@ def test_a_year_of_the_matrix_holds_every_path_beside_the_median(measured_of_mon
     assert np.median(first["values"], axis=0) == pytest.approx(np.zeros(11), abs=1e-6)
 
 
-def test_a_click_on_a_month_leads_to_the_version_of_the_path_in_effect_then(
-    measured_of_months: Factory, client: TestClient, new_version: Callable[..., Version]
-) -> None:
-    path, year = Scope("CS002", 1, "Y"), (start_of_year(2014), start_of_year(2015))
-    version = new_version(path, "mine")
-    with measured_of_months.database.write() as stores:
-        stores.versions.add([version])
-        stores.ledger.append([Promotion(0, path, *year, version.id, 0, "test", "test")], measured_of_months.clock)
-    found = client.get("/stations/CS002/1/Y/2014-05", follow_redirects=False)
-    assert (found.status_code, found.headers["location"]) == (303, f"/calibrations/{version.id}")
-    assert client.get("/stations/CS002/1/Y/2016-05").status_code == 404
-    assert client.get("/stations/CS002/1/Y/May").status_code == 422
-    assert client.get("/stations/CS002/77/Y/2014-05").status_code in (404, 422)
-
-
 def _made(new_version: Callable[..., Version], name: str, antennas: range, n_lna: float) -> Version:
     version = new_version(Scope("CS001"), name)
     chain = ReferenceChain(tuple(("CS001", a) for a in antennas), np.ones(4), CableTable({}, ()), None)
@@ -235,8 +207,7 @@ def test_the_cables_of_other_antennas_are_told_with_what_they_do(new_version: Ca
 
 
 def test_the_page_of_the_drift_says_why_a_version_differs(station: Factory) -> None:
-    look_for_due_work(station)
-    work(station)
+    night(station)
     with TestClient(make_app(station)) as client:
         page = client.get("/drift").text
     assert "what else is another" in page

@@ -5,15 +5,12 @@ from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from lbacal_core.spectra.spectra import Spectra
-from service.config import Settings
 from service.factory import Factory
 from service.scheduler import look_again
 from service.storage.jobs import PAUSE_US
-from tests.service.conftest import Clock
+from tests.service.conftest import Clock, add_spectra, flat_spectra, like
 
 TIME_UNIX = 1_400_000_000.0
 
@@ -21,19 +18,7 @@ TIME_UNIX = 1_400_000_000.0
 @pytest.fixture
 def filled(factory: Factory) -> Factory:
     """A service with an event of one antenna of each of its two stations."""
-    stations = ["CS001", "CS002"]
-    spectra = Spectra(
-        frequency_mhz=factory.instrument.frequency_mhz,
-        power=np.ones((2, factory.instrument.frequency_mhz.size)),
-        event_id=np.array(["a", "a"]),
-        time_unix=np.full(2, TIME_UNIX),
-        station=np.array(stations),
-        antenna=np.zeros(2, dtype=np.int64),
-        dipole=np.array(["X", "X"]),
-        blocks=np.full(2, 100),
-    )
-    with factory.database.write() as stores:
-        stores.spectra.add(spectra)
+    add_spectra(factory, flat_spectra(*[("a", TIME_UNIX, station, 0, "X") for station in ("CS001", "CS002")]))
     return factory
 
 
@@ -44,10 +29,8 @@ def rewired(filled: Factory, instrument_file: Path, tmp_path: Path) -> Iterator[
     content["cables"]["50m"] = [0.7] * len(content["frequency_mhz"])
     content["antennas"][0]["cable"] = "50m"
     (tmp_path / "rewired.json").write_text(json.dumps(content))
-    settings = Settings(database_url=filled.settings.database_url, instrument=str(tmp_path / "rewired.json"))
-    made = Factory(settings, filled.clock)
-    yield made
-    made.database.close()
+    with like(filled, instrument=str(tmp_path / "rewired.json")) as made:
+        yield made
 
 
 def stations_of(factory: Factory, numbers: list[int]) -> list[str | None]:
@@ -85,18 +68,7 @@ def test_failed_work_is_looked_at_again_by_day_once_its_pause_is_over(filled: Fa
 
 def shift(factory: Factory, years: int) -> list[int]:
     """Store an event so many years after that of the service; the years whose refits are due then."""
-    spectra = Spectra(
-        frequency_mhz=factory.instrument.frequency_mhz,
-        power=np.ones((1, factory.instrument.frequency_mhz.size)),
-        event_id=np.array([f"{years} years"]),
-        time_unix=np.array([TIME_UNIX + years * 365.25 * 86_400]),
-        station=np.array(["CS001"]),
-        antenna=np.zeros(1, dtype=np.int64),
-        dipole=np.array(["X"]),
-        blocks=np.array([100]),
-    )
-    with factory.database.write() as stores:
-        stores.spectra.add(spectra)
+    add_spectra(factory, flat_spectra((f"{years} years", TIME_UNIX + years * 365.25 * 86_400, "CS001", 0, "X")))
     due = [factory.jobs.get(number).request["since"] for number in factory.due.enqueue()]
     with factory.database.engine.begin() as connection:
         connection.exec_driver_sql("UPDATE job_part SET state = 'done', ended_us = 0")

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import threading
-from collections.abc import Iterator
+from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,26 +11,21 @@ import pytest
 from sqlalchemy import update
 
 from lbacal_core.spectra.spectra import Spectra
-from service.config import Settings
 from service.factory import Factory
-from service.scheduler import look_for_due_work
 from service.schema.tables import spectrum
-from service.wire.bodies import PromotionBody, RefitBody
-from service.worker import Worker
-from tests.service.conftest import Clock
+from service.wire.bodies import PromotionBody
+from tests.service.conftest import add_spectra, night, refit
 
 SCOPES = ("antenna", "array", "station")
 
 
 @pytest.fixture
-def year(database_url: str, sky_power_file: Path, campaign: Spectra, clock: Clock) -> Iterator[Factory]:
+def year(make_service: Callable[..., Factory], campaign: Spectra) -> Factory:
     """A service that holds the year 2014 but for its last five events, and has made its versions."""
-    quick = {"poll_s": 0.01, "lease_s": 5.0, "nightly_investigations": False}
-    made = Factory(Settings(database_url=database_url, sky_power=sky_power_file, **quick), clock)
+    made = make_service(lease_s=5.0)
     store(made, campaign, slice(None, -5))
-    night(made)
-    yield made
-    made.database.close()
+    refit_by_night(made)
+    return made
 
 
 def events_of(campaign: Spectra) -> list[str]:
@@ -44,16 +37,13 @@ def events_of(campaign: Spectra) -> list[str]:
 
 def store(factory: Factory, campaign: Spectra, which: slice) -> Spectra:
     some = campaign.select(np.isin(campaign.event_id, events_of(campaign)[which]))
-    with factory.database.write() as stores:
-        stores.spectra.add(some)
+    add_spectra(factory, some)
     return some
 
 
-def night(factory: Factory) -> dict[str, Any]:
+def refit_by_night(factory: Factory) -> dict[str, Any]:
     """The results of the refits of one night, by scope."""
-    numbers = look_for_due_work(factory)
-    Worker(factory, "worker").run(threading.Event(), until_idle=True)
-    jobs = [job for number in numbers if (job := factory.jobs.get(number)).kind == "refit"]
+    jobs = [job for job in night(factory) if job.kind == "refit"]
     assert not any(job.errors for job in jobs)
     return {str(job.request["scope"]): job.results[0] for job in jobs}
 
@@ -72,7 +62,7 @@ def test_a_night_after_one_more_event_reads_that_event_alone(year: Factory, camp
         # a fit from these would not converge
         stores.versions._connection.execute(update(spectrum).values(power=bytes(8 * campaign.frequency_mhz.size)))
     store(year, campaign, slice(-5, -4))
-    results = night(year)
+    results = refit_by_night(year)
     assert {scope: (one["examined"], one["calibrations"]) for scope, one in results.items()} == {
         "antenna": (8, []), "station": (1, []), "array": (1, []),
     }  # fmt: skip
@@ -83,7 +73,7 @@ def test_a_night_after_one_more_event_reads_that_event_alone(year: Factory, camp
 def test_what_was_examined_is_what_a_fit_from_spectra_says(year: Factory, campaign: Spectra) -> None:
     before = kept(year)
     store(year, campaign, slice(-5, -3))
-    night(year)
+    refit_by_night(year)
     assert kept(year) == before
     told = shifts(year)
     with year.database.write() as stores:
@@ -91,7 +81,7 @@ def test_what_was_examined_is_what_a_fit_from_spectra_says(year: Factory, campai
     first = events_of(campaign)[0]
     for flag in ("bad", None):
         year.intake.set_flag(first, flag, reason="test", by="test")
-    night(year)
+    refit_by_night(year)
     fitted = shifts(year)
     assert told.keys() == fitted.keys()
     assert len(told) == 10
@@ -111,12 +101,11 @@ def test_a_late_spectrum_of_an_event_that_was_there_is_fitted_from_spectra(year:
     with year.database.write() as stores:
         stores.spectra.add(new.select(new.antenna != 2))
         stores.versions._connection.exec_driver_sql("DELETE FROM kept_fit")
-    night(year)
+    refit_by_night(year)
     spectra = 8 * (len(events_of(campaign)) - 5)
     assert {count for count, _ in kept(year).values()} == {spectra + 6}
-    with year.database.write() as stores:
-        stores.spectra.add(new.select(new.antenna == 2))
-    night(year)
+    add_spectra(year, new.select(new.antenna == 2))
+    refit_by_night(year)
     assert {count for count, _ in kept(year).values()} == {spectra + 8}
 
 
@@ -127,14 +116,13 @@ def test_a_flag_an_anomalous_event_and_a_promotion_are_left_to_a_fit_from_spectr
     names = events_of(campaign)
     year.intake.set_flag(names[0], "bad", reason="test", by="test")
     before = kept(year)
-    night(year)
+    refit_by_night(year)
     flagged = kept(year)
     assert {scope: flagged[scope][0] - before[scope][0] for scope in SCOPES} == dict.fromkeys(SCOPES, -8)
 
     new = campaign.select(campaign.event_id == names[-5])
-    with year.database.write() as stores:
-        stores.spectra.add(replace(new, power=new.power * np.where(new.antenna == 1, 9.0, 1.0)[:, None]))
-    results = night(year)
+    add_spectra(year, replace(new, power=new.power * np.where(new.antenna == 1, 9.0, 1.0)[:, None]))
+    results = refit_by_night(year)
     assert {scope: kept(year)[scope][0] - flagged[scope][0] for scope in SCOPES} == {
         "antenna": 0, "array": 8, "station": 8,
     }, "one antenna is fitted from its own spectra, and its means from all"  # fmt: skip
@@ -147,7 +135,7 @@ def test_a_flag_an_anomalous_event_and_a_promotion_are_left_to_a_fit_from_spectr
     year.promotions.promote(year.promotions.plan(body, "test"), lambda made, _: made)
     store(year, campaign, slice(-4, -3))
     before = kept(year)
-    night(year)
+    refit_by_night(year)
     assert [scope for scope in SCOPES if kept(year)[scope] != before[scope]] == ["antenna"]
 
 
@@ -155,10 +143,9 @@ def test_a_path_that_moves_is_fitted_by_itself_with_the_budget_of_its_station(ye
     """Of 96 paths about two a night have moved by a quarter of their error since their version was made."""
     new = campaign.select(np.isin(campaign.event_id, events_of(campaign)[-5:]))
     louder = np.where((new.antenna == 3) & (new.dipole == "Y"), 1.15, 1.0)[:, None]
-    with year.database.write() as stores:
-        stores.spectra.add(replace(new, power=new.power * louder))
+    add_spectra(year, replace(new, power=new.power * louder))
     before = kept(year)
-    results = night(year)
+    results = refit_by_night(year)
     (name,) = (one for one in results["antenna"]["promoted"] if year.calibrations.get(one).scope.key == "CS002/3/Y")
     assert len(results["antenna"]["promoted"]) + results["antenna"]["examined"] == 8
     assert kept(year)["antenna"] == before["antenna"]
@@ -166,10 +153,8 @@ def test_a_path_that_moves_is_fitted_by_itself_with_the_budget_of_its_station(ye
     with year.database.read() as stores:
         assert version.inputs["budget"] == version.curves[0].covariance.budget
         assert stores.budgets.get_many([version.inputs["budget"]])
-    asked = RefitBody(scope="antenna", since="2014-01-01", until="2015-01-01", reason="test", promote=False)
-    number = year.refits.request(asked, "test")
-    Worker(year, "worker").run(threading.Event(), until_idle=True)
-    made = [year.calibrations.get(one) for one in year.jobs.get(number).results[0]["calibrations"]]
+    again = refit(year, "antenna", promote=False).results[0]
+    made = [year.calibrations.get(one) for one in again["calibrations"]]
     whole = next(one for one in made if one.scope == version.scope)
     np.testing.assert_allclose(whole.curves[0].c, version.curves[0].c, rtol=1e-9)  # sums in another order
     np.testing.assert_allclose(whole.curves[0].c_sigma_sys, version.curves[0].c_sigma_sys, rtol=0.05)

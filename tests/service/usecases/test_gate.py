@@ -129,15 +129,18 @@ def test_the_predecessor_covers_the_middle_of_the_window_or_is_nearest_in_time(f
     assert predecessor(factory, Scope("CS004", None, None), 50) is None
 
 
-def test_in_a_gap_the_last_version_before_it_is_the_predecessor(factory, stored):
-    """A jump is one from what was in effect earlier, however soon another version begins."""
-    promote(factory, stored, (PATH, 0, 100, "path"), (PATH, 300, 400, "other"))
-    assert predecessor(factory, PATH, 290) == stored["path"].id
-
-
-def test_a_withdrawn_version_is_no_predecessor(factory, stored):
-    promote(factory, stored, (PATH, 0, 100, "path"), (PATH, 100, 200, "other"), (PATH, 100, 200, None))
-    assert predecessor(factory, PATH, 150) == stored["path"].id
+@pytest.mark.parametrize(
+    ("last", "middle"),
+    [
+        # a jump is one from what was in effect earlier, however soon another version begins
+        ([(PATH, 300, 400, "other")], 290),
+        # a withdrawn version is no predecessor
+        ([(PATH, 100, 200, "other"), (PATH, 100, 200, None)], 150),
+    ],
+)
+def test_in_a_gap_the_last_version_before_it_is_the_predecessor(factory, stored, last, middle):
+    promote(factory, stored, (PATH, 0, 100, "path"), *last)
+    assert predecessor(factory, PATH, middle) == stored["path"].id
 
 
 def with_model(one: Version, model: str | None) -> Version:

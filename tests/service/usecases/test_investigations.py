@@ -1,43 +1,31 @@
 from __future__ import annotations
 
-import threading
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 import pytest
-from fastapi.testclient import TestClient
 
 from lbacal_core.calibration.fit import MIN_EVENTS
 from lbacal_core.curves.validity import Scope
 from lbacal_core.spectra.spectra import Spectra
-from service.app import make_app
 from service.factory import Factory
 from service.page.render import format_day
 from service.scheduler import look_for_due_work
 from service.storage.spectra import Window
 from service.usecases.investigations import KIND
-from service.worker import Worker
+from tests.service.conftest import like, night, served
 
 
 @pytest.fixture
 def nightly(station: Factory) -> Iterator[Factory]:
     """The service of two years, which also investigates by night."""
-    made = Factory(station.settings.model_copy(update={"nightly_investigations": True}), station.clock)
-    yield made
-    made.database.close()
-
-
-def night(factory: Factory) -> list[Any]:
-    """One night; the investigations that it enqueued, as jobs."""
-    numbers = look_for_due_work(factory)
-    Worker(factory, "worker").run(threading.Event(), until_idle=True)
-    return [job for number in numbers if (job := factory.jobs.get(number)).kind == KIND]
+    with like(station, nightly_investigations=True) as made:
+        yield made
 
 
 @pytest.mark.long
 def test_the_night_investigates_each_year_once_and_again_when_its_spectra_changed(nightly: Factory) -> None:
-    jobs = night(nightly)
+    jobs = [job for job in night(nightly) if job.kind == KIND]
     assert [(job.state, job.by) for job in jobs] == [("done", "scheduler")] * 2
     assert look_for_due_work(nightly) == []
     first = nightly.investigations.news()[0]
@@ -50,13 +38,12 @@ def test_the_night_investigates_each_year_once_and_again_when_its_spectra_change
     with events.read() as stores:
         last = stores.spectra.events(station=None, since=None, until=None, flag=None, cursor=0, limit=1000)[-1]
     nightly.intake.set_flag(last.event_id, "bad", reason="test", by="test")
-    (again,) = night(nightly)
+    (again,) = [job for job in night(nightly) if job.kind == KIND]
     second = nightly.investigations.news()[0]
     assert second.newest.id == again.results[0]["results"][0]
     assert (second.before, list(second.new), list(second.gone)) == (first.newest.id, [], [])
 
-    _, key = nightly.keys.create(("read",))
-    with TestClient(make_app(nightly), headers={"Authorization": f"Bearer {key}"}) as client:
+    with served(nightly, "read") as client:
         (told,) = client.get("/v1/status").json()["investigations"]
         assert (told["id"], told["before"], told["new"]) == (second.newest.id, first.newest.id, [])
         page = client.get("/").text

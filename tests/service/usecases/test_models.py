@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-import threading
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -20,28 +20,15 @@ from lbacal_twin.faults.fault import Where
 from lbacal_twin.faults.sky import DipoleSwap, LstOffset
 from lbacal_twin.faults.uncatalogued import MainsHum
 from lbacal_twin.settings import TwinSettings
-from service.app import make_app
-from service.config import Settings
 from service.factory import Factory
 from service.page.render import format_day
 from service.scheduler import look_for_due_work
-from service.worker import Worker
+from tests.service.conftest import night, served, work
 from validation.twin import planted_curve
 
 PATH = {"station": "CS002", "antenna": 2, "dipole": "Y"}
 """A path of the antenna whose dipoles record a share of each other's sky."""
 BETWEEN = {"since": "2015-01-01", "until": "2016-01-01", "reason": "test"}
-
-
-def work(factory: Factory) -> None:
-    Worker(factory, "worker").run(threading.Event(), until_idle=True)
-
-
-def night(factory: Factory) -> list[Any]:
-    """One night: what it enqueued, done, as jobs."""
-    numbers = look_for_due_work(factory)
-    work(factory)
-    return [factory.jobs.get(number) for number in numbers]
 
 
 @pytest.fixture(scope="session")
@@ -52,14 +39,6 @@ def campaign(superterp: Instrument, sky_power_file: Path) -> Spectra:
     return simulate_campaign(
         settings, superterp, read_sky_power(sky_power_file), np.random.default_rng(2014), [mixed]
     ).spectra
-
-
-@pytest.fixture
-def http(station: Factory) -> Any:
-    _, key = station.keys.create(("admin",))
-    with TestClient(make_app(station)) as made:
-        made.headers["Authorization"] = f"Bearer {key}"
-        yield made
 
 
 @pytest.fixture
@@ -218,7 +197,7 @@ def test_a_fit_that_began_before_an_adoption_does_not_go_into_effect_after_it(
 
 
 @pytest.mark.long
-def test_what_cannot_be_adopted_is_refused(station: Factory, http: TestClient, found: str) -> None:
+def test_what_cannot_be_adopted_is_refused(http: TestClient, found: str) -> None:
     route = f"/v1/investigations/{found}/adoption"
     good = {"finding": 0, "reason": "test", "promote": False}
     for body, status, words in (
@@ -229,10 +208,6 @@ def test_what_cannot_be_adopted_is_refused(station: Factory, http: TestClient, f
         refused = http.post(route, json=body)
         assert (refused.status_code, words in refused.text) == (status, True), refused.text
     assert http.post(f"/v1/investigations/{'0' * 64}/adoption", json=good).status_code == 404
-    assert http.post(f"/v1/models/{'0' * 64}/withdrawal", json={"reason": "test"}).status_code == 404
-    _, runner = station.keys.create(("refits:run",))
-    headers = {"Authorization": f"Bearer {runner}"}
-    assert http.post(route, json=good, headers=headers).status_code == 403
     assert adopt(http, found, promote=False)["jobs"]
     twice = http.post(route, json=good)
     assert (twice.status_code, "two" in twice.text) == (422, True)
@@ -272,14 +247,10 @@ def pulls(http: TestClient, names: list[str], campaign: Campaign) -> Floats:
 @pytest.mark.long
 @pytest.mark.parametrize("database_url", ["postgresql"], indirect=True)
 def test_the_loop_closes_on_a_fault_that_begins_in_the_second_year(
-    database_url: str, sky_power_file: Path, three_years: Campaign, clock: Any
+    make_service: Callable[..., Factory], three_years: Campaign
 ) -> None:
-    settings = Settings(database_url=database_url, sky_power=sky_power_file, poll_s=0.01)
-    factory = Factory(settings, clock)
-    with factory.database.write() as stores:
-        stores.spectra.add(three_years.spectra)
-    _, key = factory.keys.create(("admin",))
-    with TestClient(make_app(factory), headers={"Authorization": f"Bearer {key}"}) as http:
+    factory = make_service(three_years.spectra, nightly_investigations=True)
+    with served(factory) as http:
         jobs = night(factory)
         assert {job.state for job in jobs} == {"done"}
         listed = http.get("/v1/investigations").json()["investigations"]
@@ -327,23 +298,17 @@ def test_the_loop_closes_on_a_fault_that_begins_in_the_second_year(
 
         http.post(f"/v1/models/{made['model']}/withdrawal", json={"reason": "test"}).raise_for_status()
         assert [[c["c"] for c in year] for year in in_effect()] == [[c["c"] for c in year] for year in before]
-    factory.database.close()
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("database_url", ["sqlite"], indirect=True)
 def test_structure_without_a_name_could_be_adopted_on_files_alone(
-    database_url: str, sky_power_file: Path, superterp: Instrument, clock: Any
+    make_service: Callable[..., Factory], sky_power_file: Path, superterp: Instrument
 ) -> None:
-    settings = Settings(database_url=database_url, sky_power=sky_power_file, nightly_investigations=False)
-    factory, two_years = Factory(settings, clock), replace(LOOP, years=1.99)
-    campaign = simulate_campaign(
-        two_years, superterp, read_sky_power(sky_power_file), np.random.default_rng(3), [MainsHum(size=0.03)]
-    )
-    with factory.database.write() as stores:
-        stores.spectra.add(campaign.spectra)
-    _, key = factory.keys.create(("admin",))
-    with TestClient(make_app(factory), headers={"Authorization": f"Bearer {key}"}) as http:
+    two_years, sky = replace(LOOP, years=1.99), read_sky_power(sky_power_file)
+    campaign = simulate_campaign(two_years, superterp, sky, np.random.default_rng(3), [MainsHum(size=0.03)])
+    factory = make_service(campaign.spectra)
+    with served(factory) as http:
         night(factory)
         job = http.post("/v1/investigations", json={**BETWEEN, "since": "2014-01-01", "until": "2015-01-01"}).json()
         work(factory)
@@ -363,4 +328,3 @@ def test_structure_without_a_name_could_be_adopted_on_files_alone(
         asked = {"station": "CS002", "at": YEARS[1]}
         (curve, *_) = http.get("/v1/calibrations/effective", params=asked).json()["curves"]
         assert http.get(f"/v1/calibrations/{curve['calibration']}").json()["model"] == made.json()["model"]
-    factory.database.close()

@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 
 from lbacal.instants import DAY_US, format_instant
 from lbacal_core.curves.validity import Promotion, Scope
-from lbacal_core.errors import BadInputError
-from service.errors import ConflictError, NotFoundError, UnavailableError
+from service.errors import ConflictError, UnavailableError
 from service.factory import Factory, read_clock
 from service.storage.versions import Version
 from service.usecases.calibrations import LastMade
@@ -96,17 +95,6 @@ def answer(factory: Factory, tag: str) -> str | None:
     return said[-1].calibration if said else None
 
 
-def test_a_tag_keeps_what_was_known_whatever_is_promoted_later(factory: Factory, stored: Stored) -> None:
-    promote(factory, stored["path"])
-    tag, is_new = freeze(factory, "paper")
-    promote(factory, stored["other"])
-    promote(factory, None)
-    assert is_new
-    assert answer(factory, "paper") == stored["path"].id
-    assert factory.tags.read_knowledge(None, "paper").text == format_instant(tag.as_of)
-    assert factory.tags.read_knowledge(None, "paper").is_final
-
-
 def test_a_promotion_by_a_clock_that_is_behind_is_still_later_than_a_tag(
     factory: Factory, stored: Stored, clock: Any
 ) -> None:
@@ -145,16 +133,6 @@ def test_the_same_tag_again_is_the_same_and_another_content_a_conflict(factory: 
     for as_of, reason in ((format_instant(first.at + 1), "test"), (then, "another reason")):
         with pytest.raises(ConflictError, match="v1 exists with another content"):
             freeze(factory, "v1", as_of, reason)
-
-
-def test_what_a_tag_may_not_be(factory: Factory) -> None:
-    with pytest.raises(BadInputError, match="not later than now"):
-        freeze(factory, "v1", "2031-01-01")
-    with pytest.raises(NotFoundError, match="no tag 'v2'"):
-        factory.tags.read_knowledge(None, "v2")
-    with pytest.raises(BadInputError, match="either tag or as_of"):
-        factory.tags.read_knowledge("2014-01-01", "v2")
-    assert factory.tags.after("", 10) == []
 
 
 def test_tags_and_promotions_at_once_never_change_what_was_frozen(factory: Factory, stored: Stored) -> None:

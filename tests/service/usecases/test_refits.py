@@ -1,9 +1,7 @@
 from __future__ import annotations
 
 import json
-import threading
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,11 +14,9 @@ from lbacal_core.spectra.spectra import Spectra
 from service.factory import Factory
 from service.scheduler import look_for_due_work
 from service.schema.tables import calibration
+from service.storage.jobs import Job
 from service.storage.kept_fits import Examined
-from service.wire.bodies import RefitBody
-from service.worker import Worker
-
-YEAR = {"since": "2014-01-01", "until": "2015-01-01"}
+from tests.service.conftest import add_spectra, like, night, refit
 
 
 @pytest.fixture
@@ -30,13 +26,6 @@ def bare(station: Factory) -> Factory:
         connection = stores.spectra._connection
         connection.exec_driver_sql("DELETE FROM spectrum")
     return station
-
-
-def refit(factory: Factory, scope: str, *, promote: bool = True) -> Any:
-    body = RefitBody.model_validate({"scope": scope, **YEAR, "reason": "test", "promote": promote})
-    number = factory.refits.request(body, "test")
-    Worker(factory, "worker").run(threading.Event(), until_idle=True)
-    return factory.jobs.get(number)
 
 
 def spoil(campaign: Spectra, row: int, factor: float) -> Spectra:
@@ -51,8 +40,7 @@ def test_one_bad_spectrum_stopped_array_station_and_path_for_the_year(
     bare: Factory, campaign: Spectra, factor: float
 ) -> None:
     row = int(np.flatnonzero((campaign.antenna == 2) & (campaign.dipole == "X"))[77])
-    with bare.database.write() as stores:
-        stores.spectra.add(spoil(campaign, row, factor))
+    add_spectra(bare, spoil(campaign, row, factor))
     window = campaign.time_unix < np.datetime64("2015-01-01", "s").astype(float)
     for scope, count in (("array", 1), ("station", 1), ("antenna", 8)):
         job = refit(bare, scope)
@@ -76,8 +64,7 @@ def test_the_gate_names_the_events_that_made_it_object(bare: Factory, campaign: 
     of_path = np.flatnonzero((campaign.antenna == 2) & (campaign.dipole == "X"))
     power = campaign.power.copy()
     power[of_path[::12]] *= 1000.0
-    with bare.database.write() as stores:
-        stores.spectra.add(replace(campaign, power=power))
+    add_spectra(bare, replace(campaign, power=power))
     result = refit(bare, "antenna").results[0]
     (objection,) = result["gated"].values()
     assert objection.startswith("CS002 antenna 2 X: ")
@@ -91,8 +78,7 @@ def test_the_gate_names_the_events_that_made_it_object(bare: Factory, campaign: 
 def test_what_was_left_out_is_shown_and_stays_in_the_database(bare: Factory, campaign: Spectra) -> None:
     row = int(np.flatnonzero((campaign.antenna == 1) & (campaign.dipole == "Y"))[5])
     name = str(campaign.event_id[row])
-    with bare.database.write() as stores:
-        stores.spectra.add(spoil(campaign, row, 50.0))
+    add_spectra(bare, spoil(campaign, row, 50.0))
     version = bare.calibrations.get(refit(bare, "station").results[0]["calibrations"][0])
     assert (version.anomalies.left_out, version.anomalies.worst[0].event_id) == (1, name)
     with bare.database.read() as stores:
@@ -100,11 +86,13 @@ def test_what_was_left_out_is_shown_and_stays_in_the_database(bare: Factory, cam
     assert (stored.spectra, stored.flag) == (8, None)
 
 
-def night(factory: Factory) -> list[Any]:
-    """What one night does: the refits it makes, as jobs."""
-    numbers = look_for_due_work(factory)
-    Worker(factory, "worker").run(threading.Event(), until_idle=True)
-    return [job for number in numbers if (job := factory.jobs.get(number)).kind == "refit"]
+def refits_of_night(factory: Factory) -> list[Job]:
+    return [job for job in night(factory) if job.kind == "refit"]
+
+
+def flag_first(station: Factory, campaign: Spectra) -> None:
+    first = campaign.event_id[np.argmin(campaign.time_unix)]
+    station.intake.set_flag(str(first), "bad", reason="test", by="test")
 
 
 def count(factory: Factory, name: str) -> int:
@@ -118,10 +106,9 @@ def test_a_night_that_hardly_moves_c_leaves_no_version_and_is_not_due_again(
 ) -> None:
     """After 365 nights of one station its page was 11 MB: every new event made 576 versions and promotions."""
     night(station)
-    first = campaign.event_id[np.argmin(campaign.time_unix)]
     before = {name: count(station, name) for name in ("calibration", "promotion")}
-    station.intake.set_flag(str(first), "bad", reason="test", by="test")
-    jobs = night(station)
+    flag_first(station, campaign)
+    jobs = refits_of_night(station)
     results = [job.results[0] for job in jobs]
     news = sum(len(result["promoted"]) for result in results)
     examined = sum(result["examined"] for result in results)
@@ -149,9 +136,8 @@ def test_a_channel_without_a_value_made_the_night_fail_on_sqlite_and_was_kept_fo
         curve["flag"][-1], curve["covariance"] = "outside", None
         stored = update(calibration).where(calibration.c.id == in_effect)
         stores.versions._connection.execute(stored.values(curves=json.dumps([curve])))
-    first = str(campaign.event_id[np.argmin(campaign.time_unix)])
-    station.intake.set_flag(first, "bad", reason="test", by="test")
-    jobs = night(station)
+    flag_first(station, campaign)
+    jobs = refits_of_night(station)
     assert [(job.state, job.errors) for job in jobs] == [("done", ())] * 3
     (of_paths,) = (job.results[0] for job in jobs if job.request["scope"] == "antenna")
     assert in_effect not in of_paths["promoted"]
@@ -162,8 +148,7 @@ def test_a_channel_without_a_value_made_the_night_fail_on_sqlite_and_was_kept_fo
 @pytest.mark.long
 def test_what_was_examined_confirms_the_version_in_effect(station: Factory, campaign: Spectra) -> None:
     night(station)
-    first = str(campaign.event_id[np.argmin(campaign.time_unix)])
-    station.intake.set_flag(first, "bad", reason="test", by="test")
+    flag_first(station, campaign)
     night(station)
     with station.database.read() as stores:
         rows = stores.versions._connection.exec_driver_sql("SELECT calibration FROM examined ORDER BY scope").scalars()
@@ -184,8 +169,7 @@ def test_a_refit_that_was_asked_for_stores_its_version_however_little_it_moves(
     station: Factory, campaign: Spectra
 ) -> None:
     night(station)
-    first = str(campaign.event_id[np.argmin(campaign.time_unix)])
-    station.intake.set_flag(first, "bad", reason="test", by="test")
+    flag_first(station, campaign)
     night(station)
     before = count(station, "calibration")
     result = refit(station, "antenna").results[0]
@@ -199,7 +183,7 @@ def test_a_night_with_news_stores_it(station: Factory, campaign: Spectra) -> Non
     of_year = np.unique(campaign.event_id[campaign.time_unix < np.datetime64("2015-01-01", "s").astype(float)])
     for name in of_year[::3]:
         station.intake.set_flag(str(name), "bad", reason="test", by="test")
-    results = [job.results[0] for job in night(station)]
+    results = [job.results[0] for job in refits_of_night(station)]
     assert sum(len(result["promoted"]) for result in results) >= 8
     changed = [v for result in results for v in result["promoted"]]
     with station.database.read() as stores:
@@ -216,16 +200,14 @@ def test_another_model_is_news_even_where_c_stays(station: Factory, monkeypatch:
         made = getattr(__import__(module, fromlist=[owner]), owner)
         defaults = tuple(99 if value == MODEL_VERSION else value for value in made.__init__.__defaults__)
         monkeypatch.setattr(made.__init__, "__defaults__", defaults)
-    later = Factory(station.settings, station.clock)
-    results = [job.results[0] for job in night(later)]
-    later.database.close()
+    with like(station) as later:
+        results = [job.results[0] for job in refits_of_night(later)]
     assert [result["examined"] for result in results] == [0] * 6
     assert count(station, "calibration") == 2 * before
 
 
 def test_spectra_in_volts_fail_the_refit_with_the_reason(bare: Factory, campaign: Spectra) -> None:
-    with bare.database.write() as stores:
-        stores.spectra.add(replace(campaign, power=campaign.power**0.5))
+    add_spectra(bare, replace(campaign, power=campaign.power**0.5))
     job = refit(bare, "station")
     assert job.state == "failed"
     assert "the power is an amplitude (volts), not its square" in job.errors[0]

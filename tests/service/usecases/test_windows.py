@@ -1,11 +1,9 @@
 from __future__ import annotations
 
 import json
-import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -17,25 +15,23 @@ from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.skypower.table import read_sky_power, write_sky_power
 from lbacal_core.spectra.spectra import Spectra
 from service.app import make_app
-from service.config import Settings
 from service.factory import Factory
+from service.storage.jobs import Job
 from service.storage.versions import Version
 from service.usecases.drift import start_of_year
 from service.usecases.fits import Wanted
 from service.usecases.windows import share_misfits
-from service.wire.bodies import InvestigationBody, RefitBody
-from service.worker import Worker
-from tests.service.conftest import Clock
+from service.wire.bodies import InvestigationBody
+from tests.service.conftest import refit, work
 
 YEAR = {"since": "2015-01-01", "until": "2016-01-01"}
 
 
 @pytest.fixture
 def with_change(
-    database_url: str, superterp: Instrument, sky_power_file: Path, campaign: Spectra, clock: Clock, tmp_path: Path
-) -> Iterator[Callable[[str], Factory]]:
+    make_service: Callable[..., Factory], superterp: Instrument, sky_power_file: Path, campaign: Spectra, tmp_path: Path
+) -> Callable[..., Factory]:
     """Makes a service that holds the campaign, with an instrument whose antenna 2 has another cable since a date."""
-    made: list[Factory] = []
 
     def make(date: str, spectra: Spectra = campaign) -> Factory:
         content = superterp.as_dict()
@@ -46,34 +42,22 @@ def with_change(
         instrument, sky = tmp_path / "instrument.json", tmp_path / "sky.json"
         instrument.write_text(json.dumps(content))
         write_sky_power(read_sky_power(sky_power_file), sky)
-        settings = Settings(
-            database_url=database_url, instrument=str(instrument), sky_power=sky, nightly_investigations=False
-        )
-        factory = Factory(settings, clock)
-        with factory.database.write() as stores:
-            stores.spectra.add(spectra)
-        made.append(factory)
-        return factory
+        return make_service(spectra, instrument=str(instrument), sky_power=sky)
 
-    yield make
-    for factory in made:
-        factory.database.close()
+    return make
 
 
-def refit(factory: Factory, scope: str, window: Mapping[str, str] = YEAR) -> Any:
-    body = RefitBody.model_validate({"scope": scope, **window, "reason": "test", "promote": True})
-    number = factory.refits.request(body, "test")
-    Worker(factory, "worker").run(threading.Event(), until_idle=True)
-    job = factory.jobs.get(number)
+def refit_window(factory: Factory, scope: str, **window: str) -> Job:
+    job = refit(factory, scope, **{**YEAR, **window})
     assert job.state == "done", job.errors
     return job
 
 
 def test_a_cable_that_changed_inside_a_year_makes_two_windows_of_its_paths_alone(
-    with_change: Callable[[str], Factory],
+    with_change: Callable[..., Factory],
 ) -> None:
     factory = with_change("2015-04-11")
-    refit(factory, "antenna")
+    refit_window(factory, "antenna")
     with TestClient(make_app(factory)) as client:
         versions = client.get("/v1/calibrations?limit=100").json()["calibrations"]
         windows: dict[int, set[tuple[str, str]]] = {}
@@ -91,10 +75,10 @@ def test_a_cable_that_changed_inside_a_year_makes_two_windows_of_its_paths_alone
 
 
 def test_a_window_too_small_for_a_fit_borrows_from_its_neighbour_and_says_so(
-    with_change: Callable[[str], Factory],
+    with_change: Callable[..., Factory],
 ) -> None:
     factory = with_change("2015-12-01")
-    refit(factory, "antenna")
+    refit_window(factory, "antenna")
     with TestClient(make_app(factory)) as client:
         ask = {"station": "CS002", "antenna": 2, "dipole": "X", "at": "2015-12-15"}
         (curve,) = client.get("/v1/calibrations/effective", params=ask).json()["curves"]
@@ -116,7 +100,7 @@ def test_a_small_window_beside_a_deaf_antenna_borrowed_nothing(
     is_deaf = (campaign.antenna == 2) & (np.abs(campaign.time_unix - 1433894400.0) < 175 * 86400)
     factory = with_change("2015-12-01", campaign.select(~is_deaf))
     assert "of 2014-01-01 to 2015-01-01" not in reason_of_december(factory), "nothing stands there to borrow from"
-    refit(factory, "antenna", {"since": "2014-01-01", "until": "2015-01-01"})
+    refit_window(factory, "antenna", since="2014-01-01", until="2015-01-01")
     assert "too few events for a fit: C is that of 2014-01-01 to 2015-01-01" in reason_of_december(factory)
 
 
@@ -141,27 +125,27 @@ def test_a_piece_borrowed_from_a_window_over_the_change_or_from_the_farthest(
 
 def reason_of_december(factory: Factory) -> str:
     """Why antenna 2 has the version that it gets for December 2015, after its antenna changed."""
-    job = refit(factory, "antenna")
+    job = refit_window(factory, "antenna")
     with factory.database.read() as stores:
         found = stores.versions.get_many(job.results[0]["calibrations"]).values()
     (version,) = [one for one in found if one.scope == Scope("CS002", 2, "X") and one.since > start_of_year(2015)]
     return version.reason
 
 
-def test_a_station_is_fitted_without_the_antenna_whose_cable_changed(with_change: Callable[[str], Factory]) -> None:
+def test_a_station_is_fitted_without_the_antenna_whose_cable_changed(with_change: Callable[..., Factory]) -> None:
     """A cable that was changed inside a year refused the whole station's refit."""
     factory = with_change("2015-06-01")
-    job = refit(factory, "station")
+    job = refit_window(factory, "station")
     with factory.database.read() as stores:
         version = stores.versions.get(job.results[0]["calibrations"][0])
     assert {antenna for _, antenna in version.chains["X"].members} == {0, 1, 3}
 
 
-def test_an_investigation_leaves_out_the_antenna_whose_cable_changed(with_change: Callable[[str], Factory]) -> None:
+def test_an_investigation_leaves_out_the_antenna_whose_cable_changed(with_change: Callable[..., Factory]) -> None:
     factory = with_change("2015-06-01")
     body = InvestigationBody.model_validate({**YEAR, "station": "CS002", "reason": "test"})
     number = factory.investigations.request(body, "test")
-    Worker(factory, "worker").run(threading.Event(), until_idle=True)
+    work(factory)
     job = factory.jobs.get(number)
     assert job.state == "done", job.errors
     report = factory.investigations.get(job.results[0]["results"][0]).report
@@ -171,7 +155,7 @@ def test_an_investigation_leaves_out_the_antenna_whose_cable_changed(with_change
 
 @pytest.mark.long
 def test_a_year_with_an_adopted_cause_is_cut_where_hardware_changed(
-    with_change: Callable[[str], Factory], campaign: Spectra
+    with_change: Callable[..., Factory], campaign: Spectra
 ) -> None:
     """Both windows of the path have the cause, of one size, fitted to the whole year of the station."""
     factory = with_change("2015-04-11")
@@ -197,7 +181,7 @@ def test_a_year_with_an_adopted_cause_is_cut_where_hardware_changed(
 
 
 def test_antennas_whose_windows_are_cut_escaped_what_is_wrong_with_their_station(
-    with_change: Callable[[str], Factory], campaign: Spectra
+    with_change: Callable[..., Factory], campaign: Spectra
 ) -> None:
     """Their pieces are fitted by themselves, and passed the gate while all others were held back as misfits."""
     factory = with_change("2015-04-11")
