@@ -36,18 +36,14 @@ def test_every_setting_is_passed_on(compose: dict[str, Any]) -> None:
     assert passed == {f"LBACAL_{name.upper()}" for name in Settings.model_fields}
 
 
-def test_the_port_is_open_to_this_machine_only(compose: dict[str, Any]) -> None:
-    assert compose["services"]["api"]["ports"] == ["${BIND:-127.0.0.1}:${PORT:-8000}:8000"]
-
-
-def test_every_process_has_a_health_check_and_a_log_that_does_not_grow_for_ever(compose: dict[str, Any]) -> None:
-    for name, service in compose["services"].items():
+def test_services_wait_for_what_they_need_are_looked_after_and_reached_from_this_machine_only(
+    compose: dict[str, Any],
+) -> None:
+    services = compose["services"]
+    assert services["api"]["ports"] == ["${BIND:-127.0.0.1}:${PORT:-8000}:8000"]
+    for name, service in services.items():
         assert service["logging"]["options"] == {"max-size": "10m", "max-file": "5"}
         assert "healthcheck" in service or name == "migrate"
-
-
-def test_services_wait_for_what_they_need(compose: dict[str, Any]) -> None:
-    services = compose["services"]
     assert set(services) == {"db", "migrate", "api", "scheduler", "worker"}
     assert services["migrate"]["depends_on"] == {"db": {"condition": "service_healthy"}}
     for name in ("api", "scheduler", "worker"):

@@ -4,7 +4,9 @@ import itertools
 import json
 import os
 import shutil
+import socket
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
@@ -14,6 +16,7 @@ from typing import Any
 import numpy as np
 import psycopg
 import pytest
+import uvicorn
 from fastapi.testclient import TestClient
 
 from lbacal_core.curves.curves import CONVERGED, CalibrationCurve
@@ -209,7 +212,7 @@ def _curve(scope: Scope, dipole: str, level: float = 1.0, status: str = CONVERGE
     )
 
 
-def _version(scope: Scope, name: str, level: float = 1.0, status: str = CONVERGED, **more: Any) -> Version:
+def new_version(scope: Scope, name: str, level: float = 1.0, status: str = CONVERGED, **more: Any) -> Version:
     """A version whose inputs are just its name."""
     dipoles = [scope.dipole] if scope.dipole else ["X", "Y"]
     content = {
@@ -224,21 +227,15 @@ def _version(scope: Scope, name: str, level: float = 1.0, status: str = CONVERGE
 def stored(factory: Factory) -> dict[str, Version]:
     """One version for the array, one station and one path, none promoted."""
     versions = {
-        "array": _version(Scope(), "array", 1.0),
-        "station": _version(Scope("CS001"), "station", 1.1),
-        "path": _version(Scope("CS001", 0, "X"), "path", 1.2),
-        "other": _version(Scope("CS001", 0, "X"), "other", 1.3),
-        "failed": _version(Scope("CS001", 0, "X"), "failed", status="too_few_events"),
+        "array": new_version(Scope(), "array", 1.0),
+        "station": new_version(Scope("CS001"), "station", 1.1),
+        "path": new_version(Scope("CS001", 0, "X"), "path", 1.2),
+        "other": new_version(Scope("CS001", 0, "X"), "other", 1.3),
+        "failed": new_version(Scope("CS001", 0, "X"), "failed", status="too_few_events"),
     }
     with factory.database.write() as stores:
         stores.versions.add(list(versions.values()))
     return versions
-
-
-@pytest.fixture(scope="session")
-def new_version() -> Callable[..., Version]:
-    """Makes a version for a scope whose inputs are just a name."""
-    return _version
 
 
 STEP = GainStep(size=0.15, date="2015-04-11", where=Where(antennas=(2,), dipoles=("Y",)))
@@ -308,3 +305,17 @@ def promote(client: TestClient, version: Version | None, start: str, end: str | 
     answer = client.post("/v1/promotions", json=body)
     assert answer.status_code == 201, answer.text
     return answer.json()
+
+
+@contextmanager
+def listening(factory: Factory) -> Iterator[str]:
+    """A real server on a port of its own."""
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        server = uvicorn.Server(uvicorn.Config(make_app(factory), log_config=None, access_log=False))
+        thread = threading.Thread(target=server.run, args=([taken],))
+        thread.start()
+        while not server.started:
+            time.sleep(0.01)
+        yield f"http://127.0.0.1:{taken.getsockname()[1]}"
+        server.should_exit = True
+        thread.join()

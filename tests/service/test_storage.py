@@ -16,6 +16,7 @@ from lbacal.instants import DAY_US, parse_instant
 from lbacal_core.curves.validity import Promotion, Scope
 from service.factory import Factory
 from service.storage.versions import Version
+from tests.service.conftest import new_version
 from validation.running.ledger import write_promotions
 
 PATHS = [Scope(station, antenna, dipole) for station in ("CS001", "CS002") for antenna in range(3) for dipole in "XY"]
@@ -103,7 +104,7 @@ def ask_everything(client: TestClient, new: Version) -> dict[str, Reading]:
 
 
 @pytest.fixture
-def versions(factory: Factory, new_version: Callable[..., Version]) -> dict[Scope, list[Version]]:
+def versions(factory: Factory) -> dict[Scope, list[Version]]:
     made = {path: [new_version(path, f"{path.key} {k}", 1.0 + k / 100) for k in range(2)] for path in PATHS}
     with factory.database.write() as stores:
         stores.versions.add([version for of_path in made.values() for version in of_path])
@@ -163,7 +164,7 @@ def test_what_a_promotion_changes_is_worked_out_before_anybody_has_to_wait(
 
 @pytest.mark.long
 def test_the_pages_show_what_is_in_effect_and_not_what_was_replaced_night_by_night(
-    factory: Factory, client: TestClient, new_version: Callable[..., Version]
+    factory: Factory, client: TestClient
 ) -> None:
     """After a year of nights the page of a station was 11 MB: a row for each of 35,000 versions."""
     paths = [path for path in PATHS if path.station == "CS001"]

@@ -4,24 +4,20 @@ from __future__ import annotations
 
 import json
 import socket
-import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
-import uvicorn
 from fastapi.testclient import TestClient
 
 import lbacal
 from lbacal.cache import Cache, CacheError
 from lbacal_core.errors import BadInputError, LbacalError
-from service.app import make_app
 from service.factory import Factory
 from service.storage.versions import Version
-from tests.service.conftest import promote
+from tests.service.conftest import listening, promote
 
 ABSENT = "http://127.0.0.1:9"
 KINDS = ("json", "csv", "ecsv", "fits", "hdf5")
@@ -30,20 +26,6 @@ INSTANTS = (
     "2012-12-31T23:59:59.999999Z", "2013-01-01", "2013-12-31T23:59:59.999999Z", "2014-01-01T00:00:00Z", "2014-03-01",
     "2014-05-31T23:59:59.999999Z", "2014-06-01T00:00:00+00:00", "2014-12-31", "2015-01-01", "2099-01-01",
 )  # fmt: skip
-
-
-@contextmanager
-def listening(factory: Factory) -> Iterator[str]:
-    """A real server on a port of its own."""
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        server = uvicorn.Server(uvicorn.Config(make_app(factory), log_config=None, access_log=False))
-        thread = threading.Thread(target=server.run, args=([taken],))
-        thread.start()
-        while not server.started:
-            time.sleep(0.01)
-        yield f"http://127.0.0.1:{taken.getsockname()[1]}"
-        server.should_exit = True
-        thread.join()
 
 
 @pytest.fixture

@@ -95,20 +95,6 @@ def test_the_gate_keeps_back_a_jump(station: Factory, http: TestClient) -> None:
     assert next(iter(gated.values())).startswith("CS002 antenna 2 Y: mean C differs by -")
 
 
-def test_a_flagged_event_is_left_out(station: Factory, http: TestClient) -> None:
-    number = refit(http)
-    work(station)
-    name = http.get("/v1/events?limit=1").json()["events"][0]["event_id"]
-    http.post(f"/v1/events/{name}/flag", json={"flag": "thunderstorm", "reason": "test"})
-    again = refit(http)
-    work(station)
-    events = [
-        http.get(f"/v1/calibrations/{http.get(f'/v1/jobs/{n}').json()['calibrations'][0]}").json()["events"]
-        for n in (number, again)
-    ]
-    assert events[0] - events[1] == 1
-
-
 @pytest.mark.parametrize(
     ("change", "said"),
     [
@@ -140,14 +126,6 @@ def test_a_cancelled_job_is_not_done(station: Factory, http: TestClient) -> None
     assert http.get("/v1/calibrations").json()["calibrations"] == []
     assert http.get(f"/v1/jobs/{number}").json()["progress"] == 0.0, "nobody worked on it"
     assert http.post(f"/v1/jobs/{number}/cancel").status_code == 200
-
-
-@pytest.mark.parametrize(("body", "why"), [(None, ""), ({"reason": "wrong window"}, ": wrong window")])
-def test_a_cancelled_job_kept_neither_who_nor_why(http: TestClient, body: dict[str, str] | None, why: str) -> None:
-    number = refit(http)
-    stopped = http.post(f"/v1/jobs/{number}/cancel", json=body)
-    assert (stopped.status_code, stopped.json()["error"]) == (200, f"cancelled by key 1{why}")
-    assert http.post(f"/v1/jobs/{number}/cancel", json={"reason": ""}).status_code == 422
 
 
 def claim(station: Factory, worker: str, lease_us: int) -> Part | None:

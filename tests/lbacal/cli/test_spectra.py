@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import uvicorn
 
 from lbacal.cli.trace_batch import TraceBatch, Work
 from lbacal.client import Client
@@ -19,11 +18,11 @@ from lbacal_core.spectra.spectra import read_spectra
 from lbacal_core.traces.background import CleaningSettings
 from lbacal_core.traces.trace import TraceReference, find_files, group_traces, list_traces
 from lbacal_twin.voltages import Transmitter, digitise, draw_noise, write_frames
-from service.app import make_app
 from service.config import Settings
 from service.factory import Factory
 from service.storage.migration import upgrade
 from tests.lbacal.cli.conftest import Lbacal
+from tests.service.conftest import listening
 
 FREQUENCY = np.arange(30.0, 81.0)
 BLOCKS = 60
@@ -142,14 +141,8 @@ def service(tmp_path: Path) -> Iterator[tuple[str, Factory]]:
     """The service itself, with an empty database, on loopback."""
     factory = Factory(Settings(database_url=str(tmp_path / "lbacal.sqlite"), instrument="lofar-superterp"))
     upgrade(factory.database)
-    server = uvicorn.Server(uvicorn.Config(make_app(factory), port=0, log_level="warning", access_log=False))
-    thread = threading.Thread(target=server.run)
-    thread.start()
-    while not server.started and thread.is_alive():
-        time.sleep(0.01)
-    yield f"http://127.0.0.1:{server.servers[0].sockets[0].getsockname()[1]}", factory
-    server.should_exit = True
-    thread.join()
+    with listening(factory) as url:
+        yield url, factory
     factory.database.close()
 
 

@@ -9,7 +9,7 @@ from lbacal_core.instrument.instrument import Instrument
 from lbacal_paper.showers.comparison import compare_calibrations, mean_of_unequal
 from lbacal_paper.showers.recording import record
 from lbacal_paper.showers.signals import band_bins, draw_signals
-from lbacal_paper.showers.slopes import HIGH_MHZ, LOW_MHZ, fit_slopes, robust_covariance
+from lbacal_paper.showers.slopes import fit_slopes, robust_covariance
 
 FREQUENCY = np.arange(30.0, 81.0)
 C = np.array([1e-5 * (1 + np.arange(51) / 30.0)] * 2)
@@ -146,7 +146,3 @@ def test_a_few_weak_signals_do_not_decide_the_covariance() -> None:
     sample = rng.normal(size=(2, 1000))
     sample[:, :20] *= 100
     assert robust_covariance(sample)[0, 0] < 3
-
-
-def test_the_bands_are_those_of_the_paper() -> None:
-    assert (LOW_MHZ, HIGH_MHZ) == ((30.0, 58.0), (62.0, 78.0))

@@ -6,7 +6,6 @@ import json
 import os
 import re
 import shutil
-import socket
 import sqlite3
 import subprocess
 import sys
@@ -124,17 +123,6 @@ def test_a_broken_world_is_one_sentence(world: str, folder: Path, tmp_path: Path
         assert sentence in err.splitlines()[-1], arguments
         assert "Traceback" not in err
         assert "hidden-word" not in err
-
-
-@pytest.mark.long
-def test_a_port_in_use_is_one_sentence(tmp_path: Path) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        port = str(taken.getsockname()[1])
-        said = run(("serve", "--port", port), {"DATABASE_URL": str(tmp_path / "x.sqlite")}, tmp_path)
-    assert (said.returncode, said.stderr) == (
-        1,
-        f"lbacal: 127.0.0.1, port {port}: Address already in use; choose another with --port\n",
-    )
 
 
 @pytest.mark.long

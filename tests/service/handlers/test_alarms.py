@@ -43,7 +43,10 @@ def test_an_acknowledged_alarm_lasts_and_is_not_open(factory: Factory, client: T
     for body in ({"reason": "known", "until": "2019-01-01"}, {"reason": " "}):
         assert client.post(route, json=body).status_code == 422
     known = client.post(route, json={"reason": "the cable is ordered", "until": "2021-01-01"})
-    assert (known.status_code, known.json()["acknowledgement"]["reason"]) == (201, "the cable is ordered")
+    assert known.status_code == 201
+    told = known.json()["acknowledgement"]
+    assert (told["reason"], told["until"]) == ("the cable is ordered", "2021-01-01T00:00:00Z")
+    assert client.get("/v1/status").json()["alarms"]["line"] == "none open, 1 acknowledged; 1 new since yesterday"
     for state, count in (("open", 0), ("acknowledged", 1), ("lasting", 1), ("ended", 0), ("all", 1)):
         assert len(client.get("/v1/alarms", params={"state": state}).json()["alarms"]) == count
     assert client.post("/v1/alarms/99/acknowledgement", json={"reason": "x"}).status_code == 404

@@ -4,7 +4,6 @@ import csv
 import hashlib
 import io
 import math
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +21,7 @@ from lbacal_core.curves.validity import Scope
 from lbacal_core.provenance import canonical_json
 from service.factory import Factory
 from service.storage.versions import Version
-from tests.service.conftest import promote
+from tests.service.conftest import new_version, promote
 
 Stored = dict[str, Version]
 NUMBERS = ("c", "c_sigma_stat", "c_sigma_sys", "factor", "frequency_mhz")
@@ -334,9 +333,7 @@ def test_a_promotion_whose_answer_was_lost_is_not_made_twice(client: TestClient,
     assert client.post("/v1/promotions", json=body).json()["promotion"] != first.json()["promotion"]
 
 
-def test_short_ids_are_taken_where_one_version_has_them(
-    client: TestClient, stored: Stored, factory: Factory, new_version: Callable[..., Version]
-) -> None:
+def test_short_ids_are_taken_where_one_version_has_them(client: TestClient, stored: Stored, factory: Factory) -> None:
     """Pages and commands print ten to twelve digits; the interface wanted 64."""
     first, second = stored["path"], stored["other"]
     for digits in (6, 10, 12, 63):

@@ -6,7 +6,7 @@ import pytest
 from fastapi.testclient import TestClient
 
 from service.factory import Factory
-from tests.service.conftest import add_spectra, flat_spectra, like, served
+from tests.service.conftest import add_spectra, bearer, flat_spectra, like, served
 
 REFIT = {"scope": "antenna", "since": "2014-01-01", "until": "2015-01-01", "reason": "test"}
 
@@ -50,11 +50,14 @@ def test_jobs_are_listed_newest_first_and_stopped_once(filled: Factory, client: 
     assert ([job["job"] for job in rest["jobs"]], rest["next"]) == ([first], None)
     job = client.get(f"/v1/jobs/{first}").json()
     assert (job["kind"], job["state"], job["progress"], job["request"]["scope"]) == ("refit", "queued", 0.0, "antenna")
+    assert client.post(f"/v1/jobs/{first}/cancel", json={"reason": ""}).status_code == 422
     stopped = client.post(f"/v1/jobs/{first}/cancel", json={"reason": "a mistake"}).json()
-    assert (stopped["state"], stopped["error"].endswith(": a mistake")) == ("cancelled", True)
+    # a cancelled job kept neither who nor why
+    assert (stopped["state"], stopped["error"]) == ("cancelled", "cancelled by key 1: a mistake")
     with filled.database.engine.begin() as connection:
         connection.exec_driver_sql("UPDATE job_part SET state = 'done', ended_us = 1")
     refused = client.post(f"/v1/jobs/{second}/cancel")
     assert (refused.status_code, refused.json()["title"]) == (409, "Conflict")
     assert client.get(f"/v1/jobs/{second}").json()["state"] == "done"
     assert client.get("/v1/jobs/99").status_code == 404
+    assert client.post("/v1/refits", json=REFIT, headers=bearer(filled, "refits:run")).status_code == 202

@@ -48,8 +48,8 @@ def test_a_tag_is_made_once_and_asked_for_by_its_name(client: TestClient, stored
     ("name", "body", "said"),
     [
         ("v1", {}, "reason"), ("v1", {"reason": " "}, "reason"), ("v1", {"reason": "x", "as_of": "2014"}, "as_of"),
-        ("v1", {"reason": "x", "as_of": "2031-01-01"}, "not later than now"), ("v 1", {"reason": "x"}, "tag"),
-        ("-v1", {"reason": "x"}, "tag"), ("v" * 81, {"reason": "x"}, "tag"),
+        ("v1", {"reason": "x", "as_of": "2031-01-01"}, "not later than now"), ("v 1", {"reason": "x"}, "name"),
+        ("-v1", {"reason": "x"}, "name"), ("v" * 81, {"reason": "x"}, "name"),
         ("v1", {"reason": "x", "name": "v2"}, "name"),
     ],
 )  # fmt: skip

@@ -25,6 +25,10 @@ def test_a_page_of_an_empty_service_is_whole(client: TestClient, path: str) -> N
     assert (answer.status_code, answer.headers["content-type"]) == (200, "text/html; charset=utf-8")
     assert answer.text.rstrip().endswith("</html>")
     assert "two small stations" in answer.text
+    assert not re.findall(r'(?:src|href)="(?!/)', answer.text), "a page loads nothing from elsewhere"
+    policy = answer.headers["content-security-policy"]
+    assert "default-src 'none'" in policy
+    assert "script-src 'self';" in policy
 
 
 def test_a_version_has_a_page_and_a_month_leads_to_it(

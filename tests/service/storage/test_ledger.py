@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
@@ -15,7 +14,7 @@ from lbacal_core.curves.validity import Promotion, Scope, answer_path
 from service.errors import NotFoundError, UnavailableError
 from service.factory import Factory, read_clock
 from service.storage.ledger import Neighbours
-from service.storage.versions import Version
+from tests.service.conftest import new_version
 from validation.running.ledger import write_promotions
 
 PATHS = tuple(Scope("CS001", a, d) for a in (0, 1) for d in "XY")
@@ -60,7 +59,7 @@ def brute_force_neighbours(
     return before, after
 
 
-def fill(factory: Factory, names: tuple[str, ...], new_version: Callable[..., Version]) -> dict[str, str]:
+def fill(factory: Factory, names: tuple[str, ...]) -> dict[str, str]:
     versions = {name: new_version(Scope(), name) for name in names}
     with factory.database.write() as stores:
         stores.versions.add(list(versions.values()))
@@ -68,8 +67,8 @@ def fill(factory: Factory, names: tuple[str, ...], new_version: Callable[..., Ve
 
 
 @pytest.fixture
-def version(factory: Factory, new_version: Callable[..., Version]) -> str:
-    return fill(factory, ("a",), new_version)["a"]
+def version(factory: Factory) -> str:
+    return fill(factory, ("a",))["a"]
 
 
 def append(factory: Factory, scope: Scope, start: int, end: int | None, version: str | None, at: int) -> Line:
@@ -86,43 +85,27 @@ Wanted = list[tuple[Scope, int, int | None, str | None, int]]
 examples = partial(settings, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
-def start_again(factory: Factory, new_version: Callable[..., Version]) -> dict[str, str]:
+def start_again(factory: Factory) -> dict[str, str]:
     """The versions that promotions name, of a ledger that is empty."""
     with factory.database.engine.begin() as connection:
         for table in ("edge", "standing", "promotion"):
             connection.exec_driver_sql(f"DELETE FROM {table}")  # noqa: S608 - those above
-    return fill(factory, NAMES, new_version)
+    return fill(factory, NAMES)
 
 
-def append_all(factory: Factory, new_version: Callable[..., Version], wanted: Wanted) -> list[Line]:
+def append_all(factory: Factory, wanted: Wanted) -> list[Line]:
     """A ledger of these promotions alone."""
-    ids = start_again(factory, new_version)
+    ids = start_again(factory)
     return [
         append(factory, scope, start, None if length is None else start + length, ids.get(str(name)), at)
         for scope, start, length, name, at in wanted
     ]
 
 
-@given(st.lists(promotions, max_size=15), st.data())
-@examples(max_examples=25)
-def test_the_ledger_answers_as_brute_force_does(
-    factory: Factory, new_version: Callable[..., Version], wanted: Wanted, data: st.DataObject
-) -> None:
-    lines = append_all(factory, new_version, wanted)
-    # every boundary, one before, one after; every `at` of the ledger, one before, one after, and no as_of
-    instants = sorted({t + d for line in lines for t in (line.start, line.end or 0) for d in (-1, 0, 1)} | {0})
-    known = [None, *sorted({line.at + d for line in lines for d in (-1, 0, 1)})]
-    for instant in data.draw(st.lists(st.sampled_from(instants), min_size=1, max_size=6)):
-        for as_of in data.draw(st.lists(st.sampled_from(known), min_size=1, max_size=4)):
-            check_answers(factory, lines, instant, as_of)
-
-
 @given(st.lists(promotions, max_size=15))
 @examples(max_examples=25)
-def test_the_edges_known_at_any_time_are_those_of_the_whole_ledger(
-    factory: Factory, new_version: Callable[..., Version], wanted: Wanted
-) -> None:
-    lines = append_all(factory, new_version, wanted)
+def test_the_edges_known_at_any_time_are_those_of_the_whole_ledger(factory: Factory, wanted: Wanted) -> None:
+    lines = append_all(factory, wanted)
     for as_of in {line.at + d for line in lines for d in (-1, 0)}:
         ends: dict[str | None, set[int]] = {}
         for line in lines:
@@ -136,9 +119,9 @@ def test_the_edges_known_at_any_time_are_those_of_the_whole_ledger(
 @given(st.lists(promotions, max_size=15), st.integers(-2, 20), st.one_of(st.none(), st.integers(999, 1008)))
 @examples(max_examples=150)
 def test_the_neighbours_of_a_gap_are_those_of_brute_force(
-    factory: Factory, new_version: Callable[..., Version], wanted: Wanted, instant: int, as_of: int | None
+    factory: Factory, wanted: Wanted, instant: int, as_of: int | None
 ) -> None:
-    ids = start_again(factory, new_version)
+    ids = start_again(factory)
     made = [
         Promotion(k + 1, scope, start, None if length is None else start + length, ids.get(str(name)), 1000 + k // 2)
         for k, (scope, start, length, name, _) in enumerate(wanted)
@@ -168,18 +151,9 @@ def _plain(found: Neighbours) -> tuple[tuple[int, int, str | None] | None, ...]:
     return tuple(one and (one.instant, one.promotion.number, one.promotion.calibration) for one in found)
 
 
-def check_answers(factory: Factory, lines: list[Line], instant: int, as_of: int | None) -> None:
-    with factory.database.read() as stores:
-        answers = stores.ledger.answers(PATHS, instant, as_of)
-    for path in PATHS:
-        said = answers[path]
-        found = (said[-1].number, said[-1].calibration) if said and said[-1].calibration else None
-        assert found == brute_force(lines, path, instant, as_of)
-
-
-def test_a_long_ledger_answers_as_brute_force_does(factory: Factory, new_version: Callable[..., Version]) -> None:
+def test_a_long_ledger_answers_as_brute_force_does(factory: Factory) -> None:
     rng = np.random.default_rng(20140501)
-    ids = list(fill(factory, NAMES, new_version).values())
+    ids = list(fill(factory, NAMES).values())
     lines = []
     for _ in range(40):
         wanted = []
@@ -196,7 +170,11 @@ def test_a_long_ledger_answers_as_brute_force_does(factory: Factory, new_version
         line = lines[rng.integers(len(lines))]
         instant = int(rng.choice([line.start, line.start - 1, line.end or 5000, (line.end or 5000) - 1]))
         as_of = None if rng.random() < 0.2 else line.at + int(rng.integers(-1, 2))
-        check_answers(factory, lines, instant, as_of)
+        with factory.database.read() as stores:
+            answers = stores.ledger.answers(PATHS, instant, as_of)
+        for path, said in answers.items():
+            found = (said[-1].number, said[-1].calibration) if said and said[-1].calibration else None
+            assert found == brute_force(lines, path, instant, as_of)
 
 
 def test_a_promotion_is_later_than_every_one_before_even_if_the_clock_goes_back(factory: Factory, version: str) -> None:
@@ -252,11 +230,9 @@ def test_one_promotion_by_a_clock_that_is_years_ahead_is_told_to_the_next_and_no
         append(factory, Scope(), 0, None, None, now)
 
 
-def test_a_clock_ahead_wrote_promotions_that_stopped_all_others_until_their_instant(
-    factory: Factory, new_version: Callable[..., Version]
-) -> None:
+def test_a_clock_ahead_wrote_promotions_that_stopped_all_others_until_their_instant(factory: Factory) -> None:
     """It is refused on arrival, and a ledger that has such lines is repaired: in order, and no answer changes."""
-    version, other = fill(factory, ("a", "b"), new_version).values()
+    version, other = fill(factory, ("a", "b")).values()
     now, year = read_clock(), 31_536_000_000_000
     append(factory, Scope(), 0, None, version, now - 10)
     with pytest.raises(UnavailableError, match=r"this server's clock is 15768000.* s ahead of the database's"):
@@ -294,10 +270,10 @@ def test_a_clock_ahead_wrote_promotions_that_stopped_all_others_until_their_inst
 @given(st.lists(promotions, max_size=15), st.integers(0, 20), st.integers(1, 12))
 @examples(max_examples=60)
 def test_what_stands_decides_as_the_whole_ledger_does(
-    factory: Factory, new_version: Callable[..., Version], wanted: Wanted, since: int, length: int
+    factory: Factory, wanted: Wanted, since: int, length: int
 ) -> None:
     """The oracle asks the whole ledger at every instant of the interval; some intervals nobody closed."""
-    lines = append_all(factory, new_version, wanted)
+    lines = append_all(factory, wanted)
     with factory.database.read() as stores:
         stands = stores.ledger.standing(SCOPES, since, since + length)
         all_before = stores.ledger.standing(SCOPES, since, since + length, before=10**9)

@@ -100,7 +100,7 @@ def test_a_cause_that_stops_paying_is_told_until_later_events_say_otherwise(
     assert "No longer pays: In station CS001" in client.get("/").text
     factory.alarms.look()
     (alarm,) = client.get("/v1/alarms", params={"kind": "cause_stopped_paying"}).json()["alarms"]
-    assert "it gained 19.0" in alarm["sentence"]
+    assert ("it gained 19.0" in alarm["sentence"], alarm["station"]) == (True, "CS001")
     later = replace(gain, since=gain.until, until=gain.until + YEAR_S * SECOND, gain=48.0)
     with factory.database.write() as stores:
         stores.models.put_gains([later])

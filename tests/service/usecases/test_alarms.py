@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +9,6 @@ import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 
-from lbacal_core.curves.validity import Scope
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.skypower.table import read_sky_power
 from lbacal_twin.campaign import simulate_campaign
@@ -18,7 +16,6 @@ from lbacal_twin.faults.sky import LstOffset
 from lbacal_twin.settings import TwinSettings
 from service.factory import Factory
 from service.scheduler import look_for_due_work
-from service.storage.alarms import CAUSE_STOPPED_PAYING, News
 from service.storage.models import Investigation
 from service.usecases.alarms import STRONGER_SIGMA, tell_news
 from tests.service.conftest import Clock, add_spectra, flat_spectra, instant, like, night, served, work
@@ -96,24 +93,6 @@ def test_a_job_that_fails_is_an_alarm_at_once_and_its_next_try_the_same(factory:
     assert len(alarms(client, kind="failed_job")) == 1
 
 
-def test_an_acknowledged_alarm_is_told_no_more_until_its_time_is_over(
-    factory: Factory, client: TestClient, clock: Clock
-) -> None:
-    clock.now = instant("2014-03-31")
-    store(factory, range(40))
-    factory.alarms.look()
-    number = alarms(client)[0]["alarm"]
-    route = f"/v1/alarms/{number}/acknowledgement"
-    known = client.post(route, json={"until": "2014-05-01", "reason": "winter break"})
-    assert known.status_code == 201
-    assert known.json()["acknowledgement"]["until"] == "2014-05-01T00:00:00Z"
-    assert alarms(client, state="open") == []
-    assert client.get("/v1/status").json()["alarms"]["line"] == "none open, 1 acknowledged; 1 new since yesterday"
-    clock.now = instant("2014-05-02")
-    factory.alarms.look()
-    assert [one["state"] for one in alarms(client, state="open")] == ["open"]
-
-
 def test_alarms_stand_in_metrics_in_the_status_and_on_top_of_the_overview(
     factory: Factory, client: TestClient, clock: Clock
 ) -> None:
@@ -144,17 +123,6 @@ def test_a_step_is_raised_once_and_a_season_not_at_all(station: Factory) -> None
         page = client.get("/stations/CS002").text
         told = re.findall(r'<td class="number">[+-]\d+\.\d\d ± \d+\.\d\d %</td>', page)
         assert len(told) == page.count("<td>antenna "), "every path has its slope and the error of it"
-
-
-def test_a_cause_that_stopped_paying_is_an_alarm_until_it_pays_or_is_withdrawn(
-    factory: Factory, client: TestClient
-) -> None:
-    news = News(CAUSE_STOPPED_PAYING, Scope("CS001"), "a" * 64, "CS001: lst_offset gained 0.1, expected 8.0 ± 2.0")
-    replace(factory.alarms, stopped=lambda: [news]).look()
-    (alarm,) = alarms(client)
-    assert (alarm["kind"], alarm["station"]) == ("cause_stopped_paying", "CS001")
-    factory.alarms.look()
-    assert alarms(client) == []
 
 
 def finding(cause: str, sigma: float, antennas: tuple[int, ...] = (0, 1)) -> dict[str, Any]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -34,7 +33,7 @@ from service.usecases.drift import (
     tell_story,
 )
 from service.usecases.drift_measurement import KIND
-from tests.service.conftest import add_spectra, flat_spectra, night, work
+from tests.service.conftest import add_spectra, flat_spectra, new_version, night, work
 
 YEAR = {"station": "CS002", "since": parse_instant("", "2015-01-01"), "until": parse_instant("", "2016-01-01")}
 
@@ -178,27 +177,27 @@ def test_a_year_of_the_matrix_holds_every_path_beside_the_median(measured_of_mon
     assert np.median(first["values"], axis=0) == pytest.approx(np.zeros(11), abs=1e-6)
 
 
-def _made(new_version: Callable[..., Version], name: str, antennas: range, n_lna: float) -> Version:
+def _made(name: str, antennas: range, n_lna: float) -> Version:
     version = new_version(Scope("CS001"), name)
     chain = ReferenceChain(tuple(("CS001", a) for a in antennas), np.ones(4), CableTable({}, ()), None)
     curves = tuple(replace(one, parameters={"n_lna": Parameter(n_lna, 0.03 * n_lna)}) for one in version.curves)
     return replace(version, chains={"X": chain, "Y": chain}, curves=curves)
 
 
-def test_other_antennas_and_noise_constants_are_told(new_version: Callable[..., Version]) -> None:
+def test_other_antennas_and_noise_constants_are_told() -> None:
     """A version stood 2 to 4 % beside a flat monthly line, and nothing said why."""
-    first = _made(new_version, "first", range(4), 1.0)
+    first = _made("first", range(4), 1.0)
     assert explain_version(first, first, "X") == "the first"
-    same = _made(new_version, "same", range(4), 1.05)
+    same = _made("same", range(4), 1.05)
     assert explain_version(same, first, "X") == "the same antennas, noise constants within their errors"
-    other = _made(new_version, "other", range(1, 6), 1.3)
+    other = _made("other", range(1, 6), 1.3)
     assert explain_version(other, first, "X") == "other antennas (1 left out, 2 more), N_LNA +30% ± 4%"
 
 
-def test_the_cables_of_other_antennas_are_told_with_what_they_do(new_version: Callable[..., Version]) -> None:
+def test_the_cables_of_other_antennas_are_told_with_what_they_do() -> None:
     """A version that had one antenna more stood 8 % beside its line, and only the number of antennas was told."""
-    first = _made(new_version, "first", range(4), 1.0)
-    other = _made(new_version, "other", range(5), 1.0)
+    first = _made("first", range(4), 1.0)
+    other = _made("other", range(5), 1.0)
     longer = {d: replace(chain, mean_loss=np.full(4, 0.81)) for d, chain in other.chains.items()}
     curves = tuple(replace(one, c=one.c / 0.9) for one in other.curves if one.c is not None)
     told = tell_story(replace(other, chains=longer, curves=curves), first, "X")

@@ -9,6 +9,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -72,20 +73,20 @@ def replace(name: str, make: Callable[[h5py.File], object]) -> Callable[[h5py.Fi
         if name in file:
             del file[name]
         made = make(file)
-        if made is not None:
+        if name not in file:
             file[name] = made
 
     return change
+
+
+def store_power(**how: Any) -> Callable[[h5py.File], None]:
+    return replace("power", lambda file: file.create_dataset("power", **how))
 
 
 def virtual(file: h5py.File) -> None:
     layout = h5py.VirtualLayout(shape=(ROWS, 4), dtype="f8")
     layout[:] = h5py.VirtualSource("/etc/hostname", "power", shape=(ROWS, 4))
     file.create_virtual_dataset("power", layout)
-
-
-def external(file: h5py.File) -> None:
-    file.create_dataset("power", shape=(ROWS, 4), dtype="f8", external=[("/etc/hostname", 0, 8 * ROWS * 4)])
 
 
 def many(file: h5py.File) -> None:
@@ -99,14 +100,6 @@ def many(file: h5py.File) -> None:
     file.create_dataset("power", data=np.ones((rows, channels)), compression="gzip")
 
 
-def filtered(file: h5py.File) -> None:
-    file.create_dataset("power", data=np.ones((ROWS, 4)), compression="lzf")
-
-
-def unwritten(file: h5py.File) -> None:
-    file.create_dataset("power", shape=(ROWS, 4), dtype="f8")
-
-
 MEAN: dict[str, tuple[Callable[[h5py.File], None], str]] = {
     "a link to a file of the server": (
         replace("power", lambda _: h5py.ExternalLink("/etc/hostname", "/")),
@@ -114,10 +107,13 @@ MEAN: dict[str, tuple[Callable[[h5py.File], None], str]] = {
     ),
     "a link inside the file": (replace("power", lambda _: h5py.SoftLink("/blocks")), "found a link"),
     "a virtual dataset": (replace("power", virtual), "found external or virtual storage"),
-    "bytes of a file of the server": (replace("power", external), "found external or virtual storage"),
-    "another filter": (replace("power", filtered), "no filter, gzip or shuffle"),
+    "bytes of a file of the server": (
+        store_power(shape=(ROWS, 4), dtype="f8", external=[("/etc/hostname", 0, 8 * ROWS * 4)]),
+        "found external or virtual storage",
+    ),
+    "another filter": (store_power(data=np.ones((ROWS, 4)), compression="lzf"), "no filter, gzip or shuffle"),
     "320 MB in 400 kB": (many, "power: expected at most 67108864 bytes, found 320000000"),
-    "data never written": (replace("power", unwritten), "too few to hold them"),
+    "data never written": (store_power(shape=(ROWS, 4), dtype="f8"), "too few to hold them"),
     "an unknown dataset": (replace("more", lambda _: np.ones(3)), "unknown more"),
     "the same spectrum twice": (replace("event_id", lambda _: ["e0"] * ROWS), "one spectrum per event"),
     "negative power": (replace("power", lambda _: -np.ones((ROWS, 4))), "row 0: expected finite power > 0, found -1.0"),
