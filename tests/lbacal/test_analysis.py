@@ -118,15 +118,8 @@ def test_without_the_extra_one_sentence_names_it(monkeypatch):
 
 def test_stations_with_sites_of_their_own_are_simulated_and_fitted_where_they_stand() -> None:
     east = lbacal.Site(-30.7 * u.deg, 51.4 * u.deg)
-    instrument = lbacal.Instrument(
-        "two",
-        SITE,
-        ANTENNA,
-        lbacal.Chain(),
-        np.arange(50, 80, 5) * u.MHz,
-        antennas={"S1": 1, "S2": [7]},
-        sites={"S2": east},
-    )
+    nu = np.arange(50, 80, 5) * u.MHz
+    instrument = make(lbacal.Chain(), nu, antennas={"S1": 1, "S2": [7]}, sites={"S2": east})
     spectra = lbacal.simulate(instrument, events=80, stations=["S1", "S2"])
     found = lbacal.fit(spectra, instrument)
     assert {(curve.station, curve.antenna) for curve in found.report.curves} == {("S1", 0), ("S2", 7)}

@@ -65,16 +65,12 @@ def test_one_refit_behind_a_proxy_that_loses_answers_is_asked_for_under_one_name
 
 
 SPECTRA = Spectra(
-    frequency_mhz=np.array([30.0, 31.0]),
-    power=np.arange(1.0, 13.0).reshape(6, 2),
+    frequency_mhz=np.array([30.0, 31.0]), power=np.arange(1.0, 13.0).reshape(6, 2),
     event_id=np.array(["b", "a", "b", "c", "a", "Ä"]),
     time_unix=np.array([1.4e9 + 2, 1.4e9, 1.4e9 + 1, 1.4e9 + 1.5, 1.4e9 + 3, 1.4e9 + 9]),
-    station=np.array(["CS002"] * 6),
-    antenna=np.arange(6),
-    dipole=np.array(list("XYXYXY")),
-    blocks=np.full(6, 100),
+    station=np.array(["CS002"] * 6), antenna=np.arange(6), dipole=np.array(list("XYXYXY")), blocks=np.full(6, 100),
     environment={"rain_mm_h": np.array([1.0, np.nan, 2.0, 3.0, 4.0, 5.0])},
-)
+)  # fmt: skip
 
 
 def test_each_event_is_one_file_in_order_of_time_and_nothing_is_lost(tmp_path: Path) -> None:
@@ -92,6 +88,7 @@ def test_each_event_is_one_file_in_order_of_time_and_nothing_is_lost(tmp_path: P
 def test_a_bundle_takes_whole_events_until_it_holds_enough() -> None:
     assert [(count, rows) for count, rows, _ in files_of_events(SPECTRA, 3)] == [(2, 4), (2, 2)]
     assert [(count, rows) for count, rows, _ in files_of_events(SPECTRA, 100)] == [(4, 6)]
+    assert list(files_of_events(SPECTRA.select(np.zeros(6, dtype=bool)))) == []
 
 
 def test_the_same_spectra_make_the_same_bytes_and_others_do_not() -> None:
@@ -108,10 +105,6 @@ def test_json_says_of_each_event_what_the_file_does() -> None:
         "event_id": "a", "time_utc": "2014-05-13T16:53:20Z", "station": "CS002", "antenna": 1, "dipole": "Y",
         "blocks": 100, "power": [3.0, 4.0],
     }  # fmt: skip
-
-
-def test_no_spectra_are_no_bodies() -> None:
-    assert list(files_of_events(SPECTRA.select(np.zeros(6, dtype=bool)))) == []
 
 
 class Server:

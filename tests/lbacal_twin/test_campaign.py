@@ -16,7 +16,6 @@ from lbacal_core.instrument.sidereal import local_sidereal_time
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra.blocks import split_into_blocks
-from lbacal_core.spectra.spectra import Spectra
 from lbacal_twin.campaign import Campaign, simulate_campaign
 from lbacal_twin.gains import BEHIND, FRONT, NOISES, EventGains, shift_resonance
 from lbacal_twin.nuisances import DEAF_GAIN, NONE, REALISTIC, RESIDUAL_LINE, Nuisances
@@ -195,13 +194,9 @@ def test_in_a_wet_world_the_resonance_jitters_in_rain_alone(simulate: Simulate) 
     settings = replace(STILL, event_gain_common=0, event_gain_path=0)
     campaign = simulate(settings, 3, gains=NOISES["wetness"])
     seen = relative(simulate, NOISES["wetness"], settings)
-    is_wet = rain_of(campaign.spectra) > 0
+    is_wet = campaign.spectra.environment["rain_mm_h"].reshape(12, -1)[0] > 0
     assert np.abs(seen[:, :, ~is_wet]).max() < 1e-9
     assert np.all(np.abs(seen[:, :, is_wet]).max(axis=(0, 1, 3)) > 1e-4)
-
-
-def rain_of(spectra: Spectra) -> np.ndarray:
-    return spectra.environment["rain_mm_h"].reshape(12, -1)[0]
 
 
 def test_a_resonance_that_moves_up_is_the_curve_read_lower() -> None:

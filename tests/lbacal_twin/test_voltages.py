@@ -60,20 +60,13 @@ def test_the_converter_rounds_and_clips_to_twelve_bits() -> None:
 
 def _station(instrument: Instrument, sky_power: SkyPower) -> tuple[Stages, Scene]:
     scene = Scene(
-        station="CS002",
-        latitude_deg=instrument.latitude_deg,
-        longitude_deg=instrument.longitude_deg,
-        frequency_mhz=instrument.frequency_mhz,
-        antennas=np.arange(2),
-        cables=np.array(["50", "80"]),
-        time_unix=np.array([1.4e9]),
-        lst_hours=np.array([18.0]),
-        temperature_c=np.array([10.0]),
-        rain_mm_h=np.array([0.0]),
-        sky_power=sky_power,
+        station="CS002", latitude_deg=instrument.latitude_deg, longitude_deg=instrument.longitude_deg,
+        frequency_mhz=instrument.frequency_mhz, antennas=np.arange(2), cables=np.array(["50", "80"]),
+        time_unix=np.array([1.4e9]), lst_hours=np.array([18.0]), temperature_c=np.array([10.0]),
+        rain_mm_h=np.array([0.0]), sky_power=sky_power,
         weather=draw_weather(np.array([1.4e9]), instrument.longitude_deg, np.random.default_rng(5)),
         view=View(instrument),
-    )
+    )  # fmt: skip
     return build_station(TwinSettings(), instrument, scene, np.random.default_rng(2))[0], scene
 
 

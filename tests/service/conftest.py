@@ -197,19 +197,11 @@ def client(factory: Factory) -> Iterator[TestClient]:
 def _curve(scope: Scope, dipole: str, level: float = 1.0, status: str = CONVERGED) -> CalibrationCurve:
     good = status == CONVERGED
     return CalibrationCurve(
-        station=scope.station,
-        antenna=scope.antenna,
-        dipole=dipole,
-        status=status,
-        events=100,
-        frequency_mhz=np.array(MHZ),
-        c=level * np.array([1.0, 2.0, 3.0, 4.0]) if good else None,
-        c_sigma_stat=np.full(CHANNELS, 0.01) if good else None,
-        c_sigma_sys=None,
-        chi2_per_dof=1.0 if good else None,
-        lst_coverage=1.0,
-        parameters={},
-    )
+        station=scope.station, antenna=scope.antenna, dipole=dipole, status=status, events=100,
+        frequency_mhz=np.array(MHZ), c=level * np.array([1.0, 2.0, 3.0, 4.0]) if good else None,
+        c_sigma_stat=np.full(CHANNELS, 0.01) if good else None, c_sigma_sys=None, chi2_per_dof=1.0 if good else None,
+        lst_coverage=1.0, parameters={},
+    )  # fmt: skip
 
 
 def new_version(scope: Scope, name: str, level: float = 1.0, status: str = CONVERGED, **more: Any) -> Version:
@@ -274,7 +266,7 @@ def make_service(database_url: str, sky_power_file: Path, clock: Clock) -> Itera
     made: list[Factory] = []
 
     def make(spectra: Spectra | None = None, **more: Any) -> Factory:
-        # an investigation of a year takes seconds: tests/service/usecases/test_due.py looks at the nightly ones
+        # an investigation of a year takes seconds: usecases/test_investigations.py looks at the nightly ones
         quick = {"poll_s": 0.01, "nightly_investigations": False, "sky_power": sky_power_file, **more}
         made.append(Factory(Settings(database_url=database_url, **quick), clock))
         if spectra is not None:

@@ -22,21 +22,15 @@ Lbacal = Callable[..., tuple[int, str, str]]
 
 
 def make_instrument() -> Instrument:
-    return parse_instrument(
-        {
-            "name": "one station",
-            "latitude_deg": 52.9,
-            "longitude_deg": 6.9,
-            "height_m": 49.0,
-            "frequency_mhz": FREQUENCY.tolist(),
-            "dipoles": {"X": {"azimuth_deg": 45.0}, "Y": {"azimuth_deg": 135.0}},
-            "antenna_gain": (0.01 + 1.0 / (1.0 + ((FREQUENCY - 58.0) / 5.0) ** 2)).tolist(),
-            "receiver_gain": (1.0 / (1.0 + (FREQUENCY / 78.0) ** 12)).tolist(),
-            "cables": {"80 m": np.linspace(0.5, 0.3, FREQUENCY.size).tolist()},
-            "antennas": [{"station": "CS002", "antenna": k, "cable": "80 m"} for k in range(2)],
-        },
-        "one station",
-    )
+    content = {
+        "name": "one station", "latitude_deg": 52.9, "longitude_deg": 6.9, "height_m": 49.0,
+        "frequency_mhz": FREQUENCY.tolist(), "dipoles": {"X": {"azimuth_deg": 45.0}, "Y": {"azimuth_deg": 135.0}},
+        "antenna_gain": (0.01 + 1.0 / (1.0 + ((FREQUENCY - 58.0) / 5.0) ** 2)).tolist(),
+        "receiver_gain": (1.0 / (1.0 + (FREQUENCY / 78.0) ** 12)).tolist(),
+        "cables": {"80 m": np.linspace(0.5, 0.3, FREQUENCY.size).tolist()},
+        "antennas": [{"station": "CS002", "antenna": k, "cable": "80 m"} for k in range(2)],
+    }  # fmt: skip
+    return parse_instrument(content, "one station")
 
 
 def make_sky_power() -> SkyPower:
@@ -56,15 +50,11 @@ def make_spectra(instrument: Instrument, sky_power: SkyPower, slope: float = 4.0
         for dipole in "XY"
     ]
     return Spectra(
-        frequency_mhz=FREQUENCY,
-        power=np.concatenate(power) * rng.normal(1, 0.02, (4 * EVENTS, FREQUENCY.size)),
-        event_id=np.tile([f"e{k}" for k in range(EVENTS)], 4),
-        time_unix=np.tile(time_unix, 4),
-        station=np.full(4 * EVENTS, "CS002"),
-        antenna=np.repeat([0, 0, 1, 1], EVENTS),
-        dipole=np.repeat(["X", "Y", "X", "Y"], EVENTS),
-        blocks=np.full(4 * EVENTS, 100),
-    )
+        frequency_mhz=FREQUENCY, power=np.concatenate(power) * rng.normal(1, 0.02, (4 * EVENTS, FREQUENCY.size)),
+        event_id=np.tile([f"e{k}" for k in range(EVENTS)], 4), time_unix=np.tile(time_unix, 4),
+        station=np.full(4 * EVENTS, "CS002"), antenna=np.repeat([0, 0, 1, 1], EVENTS),
+        dipole=np.repeat(["X", "Y", "X", "Y"], EVENTS), blocks=np.full(4 * EVENTS, 100),
+    )  # fmt: skip
 
 
 @pytest.fixture

@@ -25,18 +25,6 @@ from tests.lbacal.cli.conftest import Lbacal
 LBACAL = Path(sys.executable).with_name("lbacal")
 
 
-def run_raising(error: Exception, monkeypatch: pytest.MonkeyPatch) -> int:
-    """Exit code of `lbacal` when its work ends in an error."""
-
-    def work() -> None:
-        raise error
-
-    monkeypatch.setattr(command, "app", work)
-    with pytest.raises(SystemExit) as caught:
-        command.run()
-    return int(caught.value.code or 0)
-
-
 @pytest.mark.parametrize(
     ("error", "code"),
     [
@@ -53,7 +41,13 @@ def run_raising(error: Exception, monkeypatch: pytest.MonkeyPatch) -> int:
 def test_bad_input_exits_with_2_and_failed_work_with_1_and_both_with_one_line(
     error: Exception, code: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert run_raising(error, monkeypatch) == code
+    def work() -> None:
+        raise error
+
+    monkeypatch.setattr(command, "app", work)
+    with pytest.raises(SystemExit) as caught:
+        command.run()
+    assert caught.value.code == code
     captured = capsys.readouterr()
     assert captured.out == ""
     assert captured.err.startswith("lbacal: ")

@@ -23,12 +23,10 @@ from lbacal_twin.settings import TwinSettings
 
 def finding(cause, size):
     return {
-        "cause": cause,
-        "size": {"value": size, "sigma": 0.02, "unit": "h"},
-        "parameters": {},
+        "cause": cause, "size": {"value": size, "sigma": 0.02, "unit": "h"}, "parameters": {},
         "where": {"station": "CS002", "dates": ["2014-01-01T00:00:00Z", "2014-12-31T00:00:00Z"]},
         "evidence": {"target": "station"},
-    }
+    }  # fmt: skip
 
 
 @pytest.fixture

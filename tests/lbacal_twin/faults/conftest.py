@@ -51,13 +51,10 @@ def plant(low_band: Instrument, two_waves: SkyPower, view: View) -> Plant:
         shape = (6, 2, 300, 51)
         events = slice(0, 300)
         return Planted(
-            with_faults.power.reshape(shape),
-            without.power.reshape(shape),
-            without.time_unix[events],
+            with_faults.power.reshape(shape), without.power.reshape(shape), without.time_unix[events],
             local_sidereal_time(without.time_unix[events], low_band.longitude_deg),
-            without.environment["temperature_c"][events],
-            without.environment["rain_mm_h"][events],
-        )
+            without.environment["temperature_c"][events], without.environment["rain_mm_h"][events],
+        )  # fmt: skip
 
     return run
 

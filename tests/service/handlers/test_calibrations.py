@@ -100,10 +100,8 @@ def test_withdrawal_uncovers_the_wider_scope(client: TestClient, stored: Stored)
     promote(client, None, "2014-05-01", "2014-07-01", **PATH)
     curve = ask(client, **PATH).json()["curves"][0]
     assert curve["answered_by"] == "array"
-    assert [(step["scope"], step["calibration"]) for step in curve["trace"]] == [
-        ("antenna", None),
-        ("array", stored["array"].id),
-    ]
+    trace = [(step["scope"], step["calibration"]) for step in curve["trace"]]
+    assert trace == [("antenna", None), ("array", stored["array"].id)]
 
 
 def test_a_gap_names_its_neighbours_and_can_be_held(client: TestClient, stored: Stored) -> None:
@@ -298,18 +296,14 @@ def test_withdrawing_where_nothing_was_changes_nothing(client: TestClient) -> No
 @pytest.mark.parametrize(
     ("change", "status"),
     [
-        ({"calibration": "0" * 64}, 404),
-        ({"valid_to": "2014-01-01"}, 422),
-        ({"valid_from": "2014"}, 422),
-        ({"reason": ""}, 422),
-        ({"station": "CS002"}, 422),
-        ({"antenna": 0}, 422),
+        ({"calibration": "0" * 64}, 404), ({"valid_to": "2014-01-01"}, 422), ({"valid_from": "2014"}, 422),
+        ({"reason": ""}, 422), ({"station": "CS002"}, 422), ({"antenna": 0}, 422),
         ({"calibration": None, "scope": "array", "antenna": 0, "dipole": "X"}, 422),
         ({"calibration": None, "scope": "array", "station": "CS009"}, 422),
         ({"calibration": None, "scope": "array", "station": "CS001", "antenna": 99, "dipole": "X"}, 422),
         ({"valid_form": "2014-01-01"}, 422),
     ],
-)
+)  # fmt: skip
 def test_a_bad_promotion_is_refused(client: TestClient, stored: Stored, change: dict[str, Any], status: int) -> None:
     body = {"calibration": stored["array"].id, "valid_from": "2014-01-01", "valid_to": None, "reason": "x", **change}
     answer = client.post("/v1/promotions", json=body)
@@ -346,14 +340,8 @@ def test_short_ids_are_taken_where_one_version_has_them(client: TestClient, stor
     assert (told["first"], told["second"]) == (first.id, second.id)
     body = {"calibration": first.id[:10], "valid_from": "2014-01-01", "reason": "test"}
     assert client.post("/v1/promotions", json=body).json()["calibration"] == first.id
-    for wrong in (
-        first.id[:5],
-        first.id[:10].upper(),
-        first.id[:9] + "%25",
-        "_" * 10,
-        first.id[:63] + "g",
-        first.id + "0",
-    ):
+    wrongs = (first.id[:5], first.id[:10].upper(), first.id[:9] + "%25", "_" * 10, first.id[:63] + "g", first.id + "0")
+    for wrong in wrongs:
         assert client.get(f"/v1/calibrations/{wrong}").status_code == 404, wrong
     alike = [new_version(Scope("CS001", 0, "X"), f"name {k}") for k in (6597, 6634)]
     assert alike[0].id[:6] == alike[1].id[:6], "two names whose hashes begin alike"

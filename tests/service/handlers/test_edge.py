@@ -207,23 +207,15 @@ LOCAL_MIN = "0001-01-01T00:00:00+14:00"
 @pytest.mark.parametrize(
     ("method", "path"),
     [
-        ("GET", "/v1/jobs/9223372036854775808"),
-        ("POST", "/v1/jobs/9223372036854775808/cancel"),
-        ("GET", "/v1/jobs/" + "9" * 5000),
-        ("GET", "/v1/jobs/1.0"),
-        ("GET", "/v1/jobs/-1"),
-        ("GET", "/v1/jobs/1_0"),
-        ("GET", "/v1/jobs/%D9%A1"),
-        ("GET", "/v1/jobs?cursor=1.0"),
-        ("GET", "/v1/events?limit=1_0"),
+        ("GET", "/v1/jobs/9223372036854775808"), ("POST", "/v1/jobs/9223372036854775808/cancel"),
+        ("GET", "/v1/jobs/" + "9" * 5000), ("GET", "/v1/jobs/1.0"), ("GET", "/v1/jobs/-1"), ("GET", "/v1/jobs/1_0"),
+        ("GET", "/v1/jobs/%D9%A1"), ("GET", "/v1/jobs?cursor=1.0"), ("GET", "/v1/events?limit=1_0"),
         ("GET", "/v1/calibrations?antenna=1.0"),
         ("GET", "/v1/calibrations/effective?at=2014-05-01&station=CS001&antenna=9223372036854775808"),
-        ("GET", "/v1/calibrations/%00"),
-        ("GET", "/v1/calibrations/a%00b/diff/c"),
-        ("GET", "/v1/calibrations/a/diff/%00"),
-        ("POST", "/v1/events/%00/flag"),
+        ("GET", "/v1/calibrations/%00"), ("GET", "/v1/calibrations/a%00b/diff/c"),
+        ("GET", "/v1/calibrations/a/diff/%00"), ("POST", "/v1/events/%00/flag"),
     ],
-)
+)  # fmt: skip
 def test_a_number_or_a_name_that_no_database_holds_is_refused_and_not_a_failure(
     client: TestClient, method: str, path: str
 ) -> None:

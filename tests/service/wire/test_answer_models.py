@@ -24,27 +24,7 @@ from service.factory import Factory
 from service.page.render import load_assets
 from service.storage.alarms import News
 from service.storage.versions import Version
-from service.wire.answer_models import (
-    AlarmAnswer,
-    AlarmsAnswer,
-    AliveAnswer,
-    Answer,
-    ChangesAnswer,
-    DiffAnswer,
-    DriftAnswer,
-    EventAnswer,
-    EventsAnswer,
-    InEffectAnswer,
-    JobAnswer,
-    JobsAnswer,
-    PromotionAnswer,
-    ReceiptAnswer,
-    ReceiptsAnswer,
-    RefitAnswer,
-    StatusAnswer,
-    VersionsAnswer,
-    WholeVersionAnswer,
-)
+from service.wire import answer_models as told_by
 from tests.service.conftest import night
 
 ROW = {
@@ -64,28 +44,28 @@ A, B = "{path}", "{other}"
 @pytest.mark.parametrize(
     ("model", "method", "path", "body"),
     [
-        (ReceiptAnswer, "POST", "/v1/spectra", json.loads(BODY)),
-        (ReceiptsAnswer, "GET", f"/v1/spectra/receipts?sha256={hashlib.sha256(BODY).hexdigest()}", None),
-        (EventsAnswer, "GET", "/v1/events?limit=1", None),
-        (EventAnswer, "POST", "/v1/events/e/flag", {"flag": "thunder", "reason": "test"}),
-        (RefitAnswer, "POST", "/v1/refits", REFIT),
-        (JobAnswer, "GET", "/v1/jobs/1", None),
-        (JobsAnswer, "GET", "/v1/jobs?limit=1", None),
-        (JobAnswer, "POST", "/v1/jobs/1/cancel", None),
-        (AliveAnswer, "GET", "/healthz", None),
-        (StatusAnswer, "GET", "/v1/status", None),
-        (InEffectAnswer, "GET", f"/v1/calibrations/effective?at=2014-06-01&{PATH}", None),
-        (InEffectAnswer, "GET", "/v1/calibrations/effective?at=2014-06-01&station=CS001", None),
-        (VersionsAnswer, "GET", "/v1/calibrations?limit=2", None),
-        (WholeVersionAnswer, "GET", f"/v1/calibrations/{A}", None),
-        (DiffAnswer, "GET", f"/v1/calibrations/{A}/diff/{B}", None),
-        (ChangesAnswer, "POST", "/v1/promotions?dry_run=true", PROMOTION),
-        (PromotionAnswer, "POST", "/v1/promotions", PROMOTION),
-        (DriftAnswer, "GET", f"/v1/drift?{PATH}", None),
+        (told_by.ReceiptAnswer, "POST", "/v1/spectra", json.loads(BODY)),
+        (told_by.ReceiptsAnswer, "GET", f"/v1/spectra/receipts?sha256={hashlib.sha256(BODY).hexdigest()}", None),
+        (told_by.EventsAnswer, "GET", "/v1/events?limit=1", None),
+        (told_by.EventAnswer, "POST", "/v1/events/e/flag", {"flag": "thunder", "reason": "test"}),
+        (told_by.RefitAnswer, "POST", "/v1/refits", REFIT),
+        (told_by.JobAnswer, "GET", "/v1/jobs/1", None),
+        (told_by.JobsAnswer, "GET", "/v1/jobs?limit=1", None),
+        (told_by.JobAnswer, "POST", "/v1/jobs/1/cancel", None),
+        (told_by.AliveAnswer, "GET", "/healthz", None),
+        (told_by.StatusAnswer, "GET", "/v1/status", None),
+        (told_by.InEffectAnswer, "GET", f"/v1/calibrations/effective?at=2014-06-01&{PATH}", None),
+        (told_by.InEffectAnswer, "GET", "/v1/calibrations/effective?at=2014-06-01&station=CS001", None),
+        (told_by.VersionsAnswer, "GET", "/v1/calibrations?limit=2", None),
+        (told_by.WholeVersionAnswer, "GET", f"/v1/calibrations/{A}", None),
+        (told_by.DiffAnswer, "GET", f"/v1/calibrations/{A}/diff/{B}", None),
+        (told_by.ChangesAnswer, "POST", "/v1/promotions?dry_run=true", PROMOTION),
+        (told_by.PromotionAnswer, "POST", "/v1/promotions", PROMOTION),
+        (told_by.DriftAnswer, "GET", f"/v1/drift?{PATH}", None),
     ],
 )
 def test_an_answer_has_the_fields_that_the_documentation_tells(
-    client: TestClient, stored: dict[str, Version], model: type[Answer], method: str, path: str, body: Any
+    client: TestClient, stored: dict[str, Version], model: type[told_by.Answer], method: str, path: str, body: Any
 ) -> None:
     client.post("/v1/spectra", content=BODY, headers={"Content-Type": "application/json"})
     client.post("/v1/refits", json=REFIT)
@@ -111,9 +91,9 @@ def test_an_alarm_has_the_fields_that_the_documentation_tells(factory: Factory, 
     news = News("step", Scope("CS001", 0, "X"), "", "it jumped", {"size": 0.03}, 1_400_000_000_000_000, 10**10)
     with factory.database.write() as stores:
         number = stores.alarms.raise_alarm(news, factory.clock())
-    AlarmsAnswer.model_validate_json(client.get("/v1/alarms?limit=1").content)
+    told_by.AlarmsAnswer.model_validate_json(client.get("/v1/alarms?limit=1").content)
     known = client.post(f"/v1/alarms/{number}/acknowledgement", json={"reason": "test"})
-    AlarmAnswer.model_validate_json(known.content)
+    told_by.AlarmAnswer.model_validate_json(known.content)
     told = client.get("/openapi.json").json()["paths"]
     assert told["/v1/alarms"]["get"]["responses"]["200"]["content"]["application/json"]["schema"] == {
         "$ref": "#/components/schemas/AlarmsAnswer"
@@ -124,7 +104,7 @@ def test_drift_has_the_fields_that_the_documentation_tells_when_something_was_fo
     night(station)
     with TestClient(make_app(station)) as client:
         for query in ("", "?station=CS002", "?station=CS002&antenna=2&dipole=Y"):
-            DriftAnswer.model_validate_json(client.get(f"/v1/drift{query}").content)
+            told_by.DriftAnswer.model_validate_json(client.get(f"/v1/drift{query}").content)
 
 
 def test_every_route_tells_what_it_answers_what_it_refuses_and_how_a_key_is_given(client: TestClient) -> None:
@@ -151,11 +131,8 @@ def test_every_route_tells_what_it_answers_what_it_refuses_and_how_a_key_is_give
 EXAMPLES = 5
 """Requests to each route, made up from its schema: 90 to 100 in all."""
 CONFORMANCE = [
-    content_type_conformance,
-    response_headers_conformance,
-    response_schema_conformance,
-    status_code_conformance,
-]
+    content_type_conformance, response_headers_conformance, response_schema_conformance, status_code_conformance,
+]  # fmt: skip
 
 
 def test_a_large_answer_is_compressed_for_those_who_accept_that(client: TestClient) -> None:

@@ -135,19 +135,13 @@ def test_a_reason_is_any_text_that_is_seen(reason: str) -> None:
 @pytest.mark.parametrize(
     ("accept", "kind"),
     [
-        (None, "json"),
-        ("", "json"),
-        ("*/*", "json"),
-        ("application/*", "json"),
-        ("text/*", "csv"),
-        ("application/fits", "fits"),
-        ("APPLICATION/FITS ; q=0.3", "fits"),
+        (None, "json"), ("", "json"), ("*/*", "json"), ("application/*", "json"), ("text/*", "csv"),
+        ("application/fits", "fits"), ("APPLICATION/FITS ; q=0.3", "fits"),
         ("application/x-hdf5, application/json;q=0.5", "hdf5"),
-        ("text/html, application/xhtml+xml, */*;q=0.8", "json"),
-        ("application/json;q=0, */*", "csv"),
+        ("text/html, application/xhtml+xml, */*;q=0.8", "json"), ("application/json;q=0, */*", "csv"),
         ("text/csv;q=0.2, application/fits;q=0.3", "fits"),
     ],
-)
+)  # fmt: skip
 def test_the_header_accept_chooses(accept: str | None, kind: str) -> None:
     assert choose_format(None, accept) == kind
     assert choose_format("csv", accept) == "csv"

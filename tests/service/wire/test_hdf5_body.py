@@ -32,16 +32,11 @@ def reader() -> FileReader:
 @pytest.fixture
 def spectra() -> Spectra:
     return Spectra(
-        frequency_mhz=np.array([30.0, 45.0, 60.0, 80.0]),
-        power=np.arange(1.0, 4 * ROWS + 1).reshape(ROWS, 4),
-        event_id=np.array([f"e{k}" for k in range(ROWS)]),
-        time_unix=1.4e9 + np.arange(float(ROWS)),
-        station=np.full(ROWS, "CS001"),
-        antenna=np.zeros(ROWS, dtype=np.int64),
-        dipole=np.full(ROWS, "X"),
-        blocks=np.full(ROWS, 100),
-        environment={"temperature_c": np.array([1.0, 2.0, np.nan, 4.0, 5.0, 6.0])},
-    )
+        frequency_mhz=np.array([30.0, 45.0, 60.0, 80.0]), power=np.arange(1.0, 4 * ROWS + 1).reshape(ROWS, 4),
+        event_id=np.array([f"e{k}" for k in range(ROWS)]), time_unix=1.4e9 + np.arange(float(ROWS)),
+        station=np.full(ROWS, "CS001"), antenna=np.zeros(ROWS, dtype=np.int64), dipole=np.full(ROWS, "X"),
+        blocks=np.full(ROWS, 100), environment={"temperature_c": np.array([1.0, 2.0, np.nan, 4.0, 5.0, 6.0])},
+    )  # fmt: skip
 
 
 @pytest.fixture
