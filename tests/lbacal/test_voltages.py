@@ -83,6 +83,8 @@ EAST_TO_NORTH = {"X": math.radians(225.0), "Y": math.radians(135.0)}
 
 @dataclass
 class Channel:
+    """As in NuRadioReco's framework (3.1.0), which needs a compiler: the methods that the module calls."""
+
     number: int
     trace: np.ndarray
 

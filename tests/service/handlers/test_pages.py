@@ -88,6 +88,7 @@ def log_in(browser: TestClient, key: str, address: str = "/jobs") -> Any:
 
 
 def test_a_page_asks_for_a_key_and_shows_itself_to_whoever_has_one(browser: TestClient, closed: Factory) -> None:
+    """With `LBACAL_OPEN_READS=false` the pages served nobody: a browser cannot send the header Authorization."""
     number, key = closed.keys.create(("read",))
     asked = browser.get("/jobs")
     assert (asked.status_code, asked.headers["cache-control"]) == (401, "no-store")
