@@ -13,7 +13,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -35,6 +34,7 @@ from validation.anywhere_ideal import ideal_snr
 from validation.hidden.detection import fit_detection
 from validation.machinery.claims import Found, One, exactly, mean_of, rate_of
 from validation.machinery.parts import Part, Row
+from validation.machinery.tables import by
 
 SETTINGS = TwinSettings(events_per_year=250)
 MATCHED_M2 = 4800.0
@@ -91,10 +91,9 @@ def _with_stages(plain: Instrument, shaped: np.ndarray, rng: np.random.Generator
 ANTENNAS, MOST_CHANNELS, STEP, DATE, LATE_H = 4, 40, 0.1, "2014-07-01", 0.5
 """Antennas, of which one has a step; channels at most; size and date of the step, and by how much a clock is off."""
 PLANTED = ("nothing", "gain_step", "nothing", "lst_offset")
-WHAT = {"gain_step": f"A gain step of {STEP:.0%} in one antenna", "lst_offset": f"A clock {LATE_H:g} h off"}
+WHAT = ("gain_step", "lst_offset")
 NAMING_SNR = 10.0
 """Ideal SNR from which an effect must be named: that at which the other proofs of discovery ask for it."""
-SNR_BINS = (0.0, 4.0, 5.0, 6.0, 8.0, 10.0, np.inf)
 
 
 def draw_faulty(rng: np.random.Generator, kind: str) -> tuple[Instrument, list[Fault]]:
@@ -203,18 +202,6 @@ def judge(rows: Sequence[Row]) -> list[Found]:
     return [*claims, exactly("flat_merged", float(len(apart)), n=flat)]
 
 
-def tell(rows: Sequence[Row]) -> list[str]:
-    """By kind of chain and number of arms."""
-    lines = ["| chain | arms | instruments | curves | answered | largest pull of C |", "|---|---|---|---|---|---|"]
-    for chain in ("flat", "shaped", "stages"):
-        for arms in (1, 2, 3):
-            here = [row for row in rows if (row["chain"], row["arms"]) == (chain, arms)]
-            pulls = [abs(pull) for row in here for pull in row["pulls"]]
-            counts = f"{len(here)} | {sum(row['curves'] for row in here)} | {len(pulls)}"
-            lines.append(f"| {chain} | {arms} | {counts} | {max(pulls, default=0.0):.1f} |")
-    return lines
-
-
 def judge_investigations(rows: Sequence[Row]) -> list[Found]:
     """What is planted is named with its size, and nothing else is."""
     clean = [row for row in rows if row["kind"] == "nothing"]
@@ -246,24 +233,7 @@ def _measure(kind: str, of_kind: Sequence[Row]) -> list[Found]:
     return claims
 
 
-def tell_investigations(rows: Sequence[Row]) -> list[str]:
-    """By what is planted and kind of chain, and by ideal SNR."""
-    lines = ["| planted | chain | instruments | named | something else said |", "|---|---|---|---|---|"]
-    for kind in dict.fromkeys(PLANTED):
-        for chain in ("flat", "shaped", "stages"):
-            here = [row for row in rows if (row["kind"], row["chain"]) == (kind, chain)]
-            counts = f"{len(here)} | {sum(row['named'] for row in here)} | {sum(row['others'] > 0 for row in here)}"
-            lines.append(f"| {kind} | {chain} | {counts} |")
-    lines += ["", "| planted | ideal SNR | instruments | named | something else said |", "|---|---|---|---|---|"]
-    for kind in WHAT:
-        for low, high in pairwise(SNR_BINS):
-            here = [row for row in rows if row["kind"] == kind and low <= row["snr"] < high]
-            counts = f"{len(here)} | {sum(row['named'] for row in here)} | {sum(row['others'] > 0 for row in here)}"
-            lines.append(f"| {kind} | {low:g} to {high:g} | {counts} |")
-    return lines
-
-
 PARTS = (
-    Part("chains", calibrate_drawn, judge, 60, tell, ("stages_pulls",)),
-    Part("investigations", investigate_drawn, judge_investigations, 200, tell_investigations, ("gain_step_size",)),
+    Part("chains", calibrate_drawn, judge, 60, by("chain", "arms"), ("stages_pulls",)),
+    Part("investigations", investigate_drawn, judge_investigations, 200, by("kind", "chain"), ("gain_step_size",)),
 )

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -25,6 +26,7 @@ from lbacal_twin.settings import TwinSettings
 from lbacal_twin.world import draw_world
 from validation.machinery.claims import Found, rate_of
 from validation.machinery.parts import Part, Row
+from validation.machinery.tables import by
 
 SKIES, ANTENNAS = ("gsm408", "lfsm", "haslam", "maeda"), ("hamaker", "inverted-v")
 STATION = "CS002"
@@ -185,35 +187,15 @@ def tell_fault(length: str, seed: int, kind: str) -> Row:
     return row | {"said": [line.sentence for line in wrong]}
 
 
-def tell_day(seed: int) -> Row:
-    """A sidereal day."""
-    return tell_audit("day", seed)
-
-
 def tell_letters(seed: int) -> Row:
     """A sidereal day with exchanged letters: of an antenna, a field or all."""
     return tell_fault("day", seed, LETTERS[seed % len(LETTERS)])
-
-
-def tell_arms(seed: int) -> Row:
-    """A sidereal day with turned arms."""
-    return tell_fault("day", seed, "arms")
 
 
 def tell_paths(seed: int) -> Row:
     """A path that does not work, for a sidereal day, an hour and a minute in turn."""
     length = tuple(LENGTHS)[seed % len(LENGTHS)]
     return tell_fault(length, seed, PATHS[seed // len(LENGTHS) % len(PATHS)]) | {"length": length}
-
-
-def tell_hour(seed: int) -> Row:
-    """An hour."""
-    return tell_audit("hour", seed)
-
-
-def tell_minute(seed: int) -> Row:
-    """A minute."""
-    return tell_audit("minute", seed)
 
 
 def _count(rows: Sequence[Row], outcome: str) -> tuple[int, int]:
@@ -263,22 +245,11 @@ def judge_arms(rows: Sequence[Row]) -> list[Found]:
     return [rate_of("arms", len(near), len(rows))]
 
 
-def tell_kinds(rows: Sequence[Row]) -> list[str]:
-    """A table of outcomes by kind."""
-    lines = ["| fault | right | among several | wrong | silent |", "|---|---|---|---|---|"]
-    for kind in ("nothing", *KINDS):
-        of_kind = [row["outcome"] for row in rows if row["kind"] == kind]
-        outcomes = (("right",), ("among",), ("wrong", "false"), ("silent",))
-        counts = [sum(of_kind.count(one) for one in names) for names in outcomes]
-        lines.append(f"| {kind} | " + " | ".join(str(count) for count in counts) + " |")
-    return lines
-
-
 PARTS = (
-    Part("day", tell_day, judge_day, 3000, tell_kinds, ("false",)),
-    Part("letters", tell_letters, judge_letters, 500, tell_kinds),
-    Part("arms", tell_arms, judge_arms, 500, tell_kinds),
-    Part("paths", tell_paths, judge_paths, 1350, tell_kinds),
-    Part("hour", tell_hour, judge_common, 3000, tell_kinds),
-    Part("minute", tell_minute, judge_common, 3000, tell_kinds),
+    Part("day", partial(tell_audit, "day"), judge_day, 3000, by("kind"), ("false",)),
+    Part("letters", tell_letters, judge_letters, 500, by("kind")),
+    Part("arms", partial(tell_fault, "day", kind="arms"), judge_arms, 500, by("kind")),
+    Part("paths", tell_paths, judge_paths, 1350, by("kind")),
+    Part("hour", partial(tell_audit, "hour"), judge_common, 3000, by("kind")),
+    Part("minute", partial(tell_audit, "minute"), judge_common, 3000, by("kind")),
 )

@@ -126,20 +126,7 @@ def judge(rows: Sequence[Row]) -> list[Found]:
     ]
 
 
-def tell(rows: Sequence[Row]) -> list[str]:
-    """By kind of answer; and how often so large a departure is a misfit."""
-    lines = ["| told | within 1 sigma | within 2 sigma | median error | error told |", "|---|---|---|---|---|"]
-    for scope in SCOPES:
-        mean = {name: float(np.mean([row[scope]["all"][name] for row in rows])) for name in rows[0][scope]["all"]}
-        lines.append(
-            f"| {scope} | {mean['within_1']:.3f} | {mean['within_2']:.3f} | {mean['error']:.2%} | {mean['told']:.2%} |"
-        )
-    curves, misfits = (sum(row[name] for row in rows) for name in ("curves", "misfits"))
-    campaigns = sum(row["misfits"] > 0 for row in rows)
-    return [*lines, "", f"- misfits: {misfits} of {curves} curves, in {campaigns} of {len(rows)} campaigns"]
-
-
 PARTS = tuple(
-    Part(name, partial(tell_campaign, name, SETTINGS), judge, count, tell, ("own_2",))
+    Part(name, partial(tell_campaign, name, SETTINGS), judge, count, headlines=("own_2",))
     for name, count in (("models", 400), ("measured", 400))
 )

@@ -139,18 +139,6 @@ def measure_detection(rows: Sequence[Row]) -> list[Found]:
     ]
 
 
-def tell_steps(rows: Sequence[Row]) -> list[str]:
-    """By size."""
-    lines = ["| step | planted | found | error of the date, median | stated |", "|---|---|---|---|---|"]
-    for size in LADDER:
-        of_size = _steps_of(rows, size)
-        seen = [s for s in of_size if s["found"]]
-        off, sigma = (np.median([s[name] for s in seen]) if seen else np.nan for name in ("off_days", "sigma_days"))
-        part = len(seen) / max(len(of_size), 1)
-        lines.append(f"| {size:.1%} | {len(of_size)} | {part:.1%} | {off:.1f} d | {sigma:.1f} d |")
-    return lines
-
-
 def plant_slopes(world: World, seed: int, paths: int = 60) -> Row:
     """Give paths 1 % a year against their stations, and look after the campaign."""
     rng = np.random.default_rng([15, 3, seed])
@@ -238,44 +226,10 @@ def judge_whole(rows: Sequence[Row]) -> list[Found]:
     return [*claims, mean_of("sigma", np.array([row["steps"]["sigma"] for row in rows]), "%")]
 
 
-def tell_whole(rows: Sequence[Row]) -> list[str]:
-    """What seven years can tell."""
-    lines = ["| levels | standard deviation told | 95 % limit told | scatter of a year |", "|---|---|---|---|"]
-    for name in ("steps", "smooth"):
-        sigma, limit, scatter = (np.median([row[name][key] for row in rows]) for key in ("sigma", "limit", "scatter"))
-        lines.append(f"| {name} | {sigma:.2%} a year | {limit:.2%} a year | {scatter:.2%} |")
-    return lines
-
-
-def look_at_nothing(seed: int) -> Row:
-    """Seven years, 576 paths."""
-    return look(WORLD, seed, LOOKS_YEARS)
-
-
-def find_steps(seed: int) -> Row:
-    """Seven years, 576 paths."""
-    return plant_steps(WORLD, seed)
-
-
-def find_slopes(seed: int) -> Row:
-    """Three years, 576 paths."""
-    return plant_slopes(replace(WORLD, years=3.0), seed)
-
-
-def find_in_stations(seed: int) -> Row:
-    """Seven years, 576 paths."""
-    return plant_in_stations(WORLD, seed)
-
-
-def find_trend(seed: int) -> Row:
-    """Seven years of 24 paths, all of which share the same."""
-    return age(SMALL_WORLD, seed)
-
-
 PARTS = (
-    Part("nothing", look_at_nothing, judge_looks, 12),
-    Part("steps", find_steps, judge_steps, 24, tell_steps, ("found",)),
-    Part("slopes", find_slopes, judge_slopes, 8),
-    Part("stations", find_in_stations, judge_stations, 120),
-    Part("whole", find_trend, judge_whole, 400, tell_whole),
+    Part("nothing", partial(look, WORLD, looks=LOOKS_YEARS), judge_looks, 12),
+    Part("steps", partial(plant_steps, WORLD), judge_steps, 24, headlines=("found",)),
+    Part("slopes", partial(plant_slopes, replace(WORLD, years=3.0)), judge_slopes, 8),
+    Part("stations", partial(plant_in_stations, WORLD), judge_stations, 120),
+    Part("whole", partial(age, SMALL_WORLD), judge_whole, 400),
 )

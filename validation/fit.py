@@ -169,17 +169,6 @@ def judge(rows: Sequence[Row]) -> list[Found]:
     ]
 
 
-def tell(rows: Sequence[Row]) -> list[str]:
-    """Channel by channel."""
-    good = [row for row in rows if row["status"] == CONVERGED]
-    ratio, pull = (np.array([row[name] for row in good]) for name in ("error_over_bound", "pull"))
-    lines = ["| | r.m.s. error / bound | mean pull | standard deviation of pulls |", "|---|---|---|---|"]
-    for k, name in enumerate([*(f"C at {mhz:g} MHz" for mhz in AT_MHZ), *(name.upper() for name in NAMES)]):
-        rms = float(np.sqrt(np.mean(ratio[:, k] ** 2)))
-        lines.append(f"| {name} | {rms:.3f} | {pull[:, k].mean():+.3f} | {pull[:, k].std(ddof=1):.3f} |")
-    return lines
-
-
 @cache
 def example_scene() -> Scene:
     """The example beside the project: its instrument, sky power and the noise that a fit of its spectra finds."""
@@ -207,8 +196,8 @@ def fit_published_noise(seed: int) -> Row:
 
 
 PARTS = (
-    Part("published-noise", fit_published_noise, judge, 2000, tell, ("efficiency",), has_figure=True),
-    Part("example", fit_example, judge, 1000, tell, (), needs_shared=True, has_figure=True),
+    Part("published-noise", fit_published_noise, judge, 2000, headlines=("efficiency",), has_figure=True),
+    Part("example", fit_example, judge, 1000, needs_shared=True, has_figure=True),
 )
 IMAGES = {"fit.png": "Error of the fit over the Fisher bound, and spread of its pulls, with 95 % intervals"}
 

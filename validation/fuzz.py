@@ -45,6 +45,7 @@ from service.wire.hdf5_body import FileReader
 from validation.fuzzing import NASTY, change_bytes, change_hdf5, write_json
 from validation.machinery.claims import Found, exactly, rate_of
 from validation.machinery.parts import Part, Row
+from validation.machinery.tables import by
 from validation.running.postgres import run_server
 from validation.running.processes import Process, find_free_port, run_command, running, wait_until
 
@@ -365,24 +366,9 @@ def judge_bombs(rows: Sequence[Row]) -> list[Found]:
     return [exactly("failed", failed, "", len(rows)), exactly("memory", memory, "MB", len(rows))]
 
 
-def tell(rows: Sequence[Row]) -> list[str]:
-    """What came out, and every failure."""
-    total: dict[str, Counter[str]] = {}
-    for row in rows:
-        for name in ("statuses", "read", "outcomes"):
-            total.setdefault(name, Counter()).update(row.get(name, {}))
-    lines = [f"- {name}: {dict(sorted(count.items()))}" for name, count in total.items() if count]
-    lines += [
-        f"- {row['bomb']}: {row['bytes']:,} bytes, {row['statuses']}, {row['slowest_s']} s, {row['memory_mb']} MB"
-        for row in rows
-        if "bomb" in row
-    ]
-    return lines + [f"  NOT SO: {failure}" for row in rows for failure in row["failures"]]
-
-
 PARTS = (
-    Part("routes", ask_routes, judge, 24, tell, ("failed",)),
-    Part("readers", read_documents, judge, 20, tell),
-    Part("files", read_files, judge, 12, tell),
-    Part("bombs", send_bomb, judge_bombs, len(BOMBS), tell, has_chance=False, is_parallel=False),
+    Part("routes", ask_routes, judge, 24, headlines=("failed",)),
+    Part("readers", read_documents, judge, 20),
+    Part("files", read_files, judge, 12),
+    Part("bombs", send_bomb, judge_bombs, len(BOMBS), by("bomb"), has_chance=False, is_parallel=False),
 )

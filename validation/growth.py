@@ -321,21 +321,7 @@ def judge(rows: Sequence[Row]) -> list[Found]:
     return [exactly(key, value, unit, row["turns"]) for key, value, unit in found]
 
 
-def tell(rows: Sequence[Row]) -> list[str]:
-    """Every request before and after."""
-    lines = []
-    for row in rows:
-        sizes = row["megabytes"]
-        lines += [f"- {sizes[0]} MB after a year, {sizes[1]} MB after {row['years']}", ""]
-        lines += ["| request | first year, ms | all years, ms | ratio |", "|---|---|---|---|"]
-        lines += [f"| {n} | {b:.1f} | {a:.1f} | {a / b:.2f} |" for n, (b, a) in row["ms"].items()]
-    return lines
-
-
 PARTS = tuple(
-    Part(
-        kind, partial(compare, kind), judge, 1, tell, ("ratio",),
-        has_chance=False, is_parallel=False,
-    )
+    Part(kind, partial(compare, kind), judge, 1, headlines=("ratio",), has_chance=False, is_parallel=False)
     for kind in ("sqlite", "postgresql")
-)  # fmt: skip
+)

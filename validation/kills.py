@@ -42,7 +42,7 @@ from service.usecases.fits import SMALLEST_SHIFT
 from service.worker import Worker
 from validation.machinery.claims import Found, rate_of
 from validation.machinery.parts import Part, Row
-from validation.running.clients import WRITERS, Clients, Record, ask_pinned
+from validation.running.clients import Clients, Record, ask_pinned
 from validation.running.postgres import run_server
 from validation.running.processes import Process, find_free_port, is_ready, run_command, running, wait_until
 
@@ -117,21 +117,6 @@ def kill_and_compare(kind: str, kills: int, seed: int) -> Row:
 def judge(rows: Sequence[Row]) -> list[Found]:
     """How many kills broke a promise; a run with a broken promise counts as one."""
     return [rate_of("broken", sum(bool(row["broken"]) for row in rows), sum(row["kills"] for row in rows))]
-
-
-def tell(rows: Sequence[Row]) -> list[str]:
-    """What was going on, and every broken promise."""
-    lines = []
-    for row in rows:
-        lines.append(
-            f"- {row['kills']} kills {row['victims']}; {WRITERS} writers, {row['spectra']} spectra, again and again; "
-            f"answers {row['answers']}; acknowledged {row['promotions']} promotions, {row['tags']} tags, "
-            f"{row['refits']} refits; {row['parts_done']} parts in {row['attempts']} attempts; "
-            f"{row['curves_in_effect']} curves in effect"
-        )
-        lines += [f"  NOT SO: {check}" for check in row["broken"]]
-        lines += [f"  UNDONE: {part}" for part in row.get("undone", ())]
-    return lines
 
 
 @dataclass(frozen=True)
@@ -347,13 +332,7 @@ def _read_outcome(
         database.close()
 
 
-def _kill(kind: str, seed: int) -> Row:
-    return kill_and_compare(kind, KILLS, seed)
-
-
 PARTS = tuple(
-    Part(
-        kind, partial(_kill, kind), judge, 13, tell, ("broken",), is_parallel=False,
-    )
+    Part(kind, partial(kill_and_compare, kind, KILLS), judge, 13, headlines=("broken",), is_parallel=False)
     for kind in ("sqlite", "postgresql")
-)  # fmt: skip
+)

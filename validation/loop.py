@@ -47,6 +47,7 @@ from service.worker import Worker
 from validation.kills import open_database
 from validation.machinery.claims import Found, exactly, mean_of, rate_of, root_mean_of, worst_of
 from validation.machinery.parts import Part, Row
+from validation.machinery.tables import by
 from validation.twin import CHANNELS, planted_curve
 
 STATION = Scope("CS002")
@@ -306,27 +307,4 @@ def judge(rows: Sequence[Row]) -> list[Found]:
     ]
 
 
-def tell(rows: Sequence[Row]) -> list[str]:
-    """Fault by fault."""
-    lines = [
-        "| fault | size | adopted | C off without | held back | C off with | gain | should be | promised | left |",
-        "|---|---|---|---|---|---|---|---|---|---|",
-    ]
-    for row in rows:
-        if not row["is_named"]:
-            lines.append(f"| {row['fault']} | {row['size']:.3g} | {row['verdict']} {row['named']} | | | | | | | |")
-            continue
-        (value, sigma), (gain, should, error), (promised, of_promise) = row["adopted"], row["gain"], row["promise"]
-        lines.append(
-            f"| {row['fault']} | {row['size']:.3g} | {value:.4g} ± {sigma:.1g} | {row['moved']:.1f} "
-            f"| {'yes' if row['gate'] else 'no'} | {row['wrong']:.2f} | {gain:.0f} | {should:.0f} ± {error:.0f} "
-            f"| {promised:.0f} ± {of_promise:.0f} | {row['left']} |"
-        )
-    return lines
-
-
-PARTS = (
-    Part(
-        "postgresql", partial(close_loop, "postgresql", SETTINGS), judge, 20, tell, ("pulls",),
-    ),
-)  # fmt: skip
+PARTS = (Part("postgresql", partial(close_loop, "postgresql", SETTINGS), judge, 20, by("fault"), ("pulls",)),)

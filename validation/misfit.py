@@ -37,6 +37,7 @@ from validation.hidden.worlds import OWN, alternatives
 from validation.hidden.worlds import draw as draw_world
 from validation.machinery.claims import Found, mean_of, rate_of
 from validation.machinery.parts import Part, Row
+from validation.machinery.tables import by
 
 CLEAN = TwinSettings(stations=("CS002", "CS003", "CS004"), antennas=4, events_per_year=600)
 WRONG = TwinSettings(stations=("CS002",), antennas=4, events_per_year=600)
@@ -86,18 +87,6 @@ def judge_clean(rows: Sequence[Row]) -> list[Found]:
             curves, misfits = (sum(row[k] for row in here) for k in ("curves", "misfits"))
             claims.append(rate_of(f"{scope}{key}", misfits, curves))
     return claims
-
-
-def tell_clean(rows: Sequence[Row]) -> list[str]:
-    """By what lies outside every model."""
-    lines = ["| outside | worlds | scope | curves | misfits | worst chi2/dof |", "|---|---|---|---|---|---|"]
-    for outside in sorted({row["outside"] for row in rows}):
-        here = [row for row in rows if row["outside"] == outside]
-        for scope in SCOPES:
-            curves, misfits = (sum(row[scope][name] for row in here) for name in ("curves", "misfits"))
-            worst = max(row[scope]["worst"] for row in here)
-            lines.append(f"| {outside or 'nothing'} | {len(here)} | {scope} | {curves} | {misfits} | {worst:.2f} |")
-    return lines
 
 
 def _letters_exchanged(spectra: Spectra) -> Spectra:
@@ -246,15 +235,6 @@ def judge_wrong(rows: Sequence[Row]) -> list[Found]:
     return claims
 
 
-def tell_wrong(rows: Sequence[Row]) -> list[str]:
-    """By kind, those without a claim too."""
-    lines = ["| input | curves | converged |", "|---|---|---|"]
-    for kind in (*KINDS, *TOLD):
-        curves, converged = (sum(row[kind][name] for row in rows) for name in ("curves", "converged"))
-        lines.append(f"| {kind} | {curves} | {converged} |")
-    return lines
-
-
 def judge_pattern(rows: Sequence[Row]) -> list[Found]:
     """Whether another antenna than is believed shows: as a misfit, by flags, or in the error of C."""
     claims = []
@@ -265,28 +245,8 @@ def judge_pattern(rows: Sequence[Row]) -> list[Found]:
     return claims
 
 
-def tell_pattern(rows: Sequence[Row]) -> list[str]:
-    """By antenna, the right one first."""
-    lines = ["| antenna | curves | misfits | no flag | and far off | channels told ok | beyond 1 sigma | beyond 2 |"]
-    lines.append("|---|---|---|---|---|---|---|---|")
-    for antenna in ANTENNAS:
-        total = {name: sum(row[antenna][name] for row in rows) for name in rows[0][antenna]}
-        share = [f"{total[f'beyond_{k}'] / max(total['channels'], 1):.1%}" for k in (1, 2)]
-        cells = [
-            antenna,
-            total["curves"],
-            total["misfits"],
-            total["unflagged"],
-            total["unsaid"],
-            total["channels"],
-            *share,
-        ]
-        lines.append(f"| {' | '.join(map(str, cells))} |")
-    return lines
-
-
 PARTS = (
-    Part("clean", fit_clean, judge_clean, 100, tell_clean, ("antenna",)),
-    Part("wrong", fit_wrong, judge_wrong, 6, tell_wrong, ("X_and_Y_exchanged",)),
-    Part("pattern", fit_pattern, judge_pattern, 20, tell_pattern),
+    Part("clean", fit_clean, judge_clean, 100, by("outside"), ("antenna",)),
+    Part("wrong", fit_wrong, judge_wrong, 6, headlines=("X_and_Y_exchanged",)),
+    Part("pattern", fit_pattern, judge_pattern, 20),
 )

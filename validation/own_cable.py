@@ -9,7 +9,7 @@ An error counts over all paths and channels. The errors of one campaign have muc
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 
@@ -123,26 +123,4 @@ def judge(rows: Sequence[Row]) -> list[Found]:
     ]
 
 
-def tell(rows: Sequence[Row]) -> list[str]:
-    """By kind of answer and cable."""
-    lines = [
-        "| told | cable | paths | within 1 sigma | within 2 sigma | error: median, 95 % | error told |",
-        "|---|---|---|---|---|---|---|",
-    ]
-    for scope in SCOPES:
-        for cable in ("all", *CABLES):
-            mean = {name: float(np.mean([row[scope][cable][name] for row in rows])) for name in rows[0][scope][cable]}
-            paths = sum(row[scope][cable]["paths"] for row in rows)
-            lines.append(
-                f"| {scope} | {cable} | {paths} | {mean['within_1']:.3f} | {mean['within_2']:.3f} "
-                f"| {mean['error']:.2%}, {mean['error_95']:.2%} | {mean['told']:.2%} |"
-            )
-    return lines
-
-
-def tell_superterp(seed: int) -> Row:
-    """A year of the Superterp."""
-    return tell_campaign(SETTINGS, seed)
-
-
-PARTS = (Part("superterp", tell_superterp, judge, 96, tell, ("own_2",)),)
+PARTS = (Part("superterp", partial(tell_campaign, SETTINGS), judge, 96, headlines=("own_2",)),)

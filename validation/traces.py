@@ -190,17 +190,6 @@ def judge_gains(rows: Sequence[Row]) -> list[Found]:
     return [worst_of([mean_of("rounding", one) for one in bias[:, RMS_ADC >= 1.0].T], len(rows), "%")]
 
 
-def tell_gains(rows: Sequence[Row]) -> list[str]:
-    """Gain by gain."""
-    bias = 100 * (np.array([row["ratio"] for row in rows]) - 1)
-    error = bias.std(axis=0, ddof=1) / len(rows) ** 0.5
-    lines = ["| r.m.s. (ADC units) | over the analogue power (%) | over analogue + 1/12 ADC^2 (%) |", "|---|---|---|"]
-    for k, rms in enumerate(RMS_ADC):
-        cells = [f"{bias[:, i, k].mean():+.2f} ± {error[i, k]:.2f}" for i in (0, 1)]
-        lines.append(f"| {rms:g} | {cells[0]} | {cells[1]} |")
-    return lines
-
-
 def try_pulses(seed: int) -> Row:
     """A trace with a pulse of each height."""
     return {"change": np.round(measure_pulses(PEAKS, 400, np.random.default_rng([40, seed])), 6).tolist()}
@@ -213,18 +202,11 @@ def judge_pulses(rows: Sequence[Row]) -> list[Found]:
     return [leak, mean_of("forgotten", change[:, 1, -1], "%")]
 
 
-def tell_pulses(rows: Sequence[Row]) -> list[str]:
-    """Peak by peak."""
-    change = 100 * np.mean([row["change"] for row in rows], axis=0)
-    lines = ["| peak / r.m.s. | change (%) | exclusion forgotten (%) |", "|---|---|---|"]
-    return lines + [f"| {p / 15:.0f} | {change[0, k]:+.3f} | {change[1, k]:+.3f} |" for k, p in enumerate(PEAKS)]
-
-
 PARTS = (
     Part("noise-400", partial(try_noise, 400), judge_noise, 800, headlines=("bias",)),
     Part("noise-100", partial(try_noise, 100), judge_noise, 800),
-    Part("gain", try_gains, judge_gains, 200, tell_gains, (), has_figure=True),
-    Part("pulse", try_pulses, judge_pulses, 40, tell_pulses, has_figure=True),
+    Part("gain", try_gains, judge_gains, 200, has_figure=True),
+    Part("pulse", try_pulses, judge_pulses, 40, has_figure=True),
 )
 IMAGES = {"traces-gain-pulse.png": "Band power by the gain of the converter, and its change by a pulse"}
 

@@ -201,17 +201,6 @@ def judge_lines(claim: LineClaim, rows: Sequence[Row]) -> list[Found]:
     ]
 
 
-def tell_lines(claim: LineClaim, rows: Sequence[Row]) -> list[str]:
-    """Strength by strength."""
-    trial = collect(claim, rows)
-    lines = [f"95 % of the lines are found from {100 * trial.found_from:g} % on.", ""]
-    lines += ["| strength (%) | found | bias of the bin (%) |", "|---|---|---|"]
-    for k, strength in enumerate(trial.strength):
-        bias = f"{100 * trial.bias[k]:+.2f} ± {196 * trial.bias_error[k]:.2f}"
-        lines.append(f"| {100 * strength:g} | {trial.found[k].mean():.3f} | {bias} |")
-    return lines
-
-
 def try_wide(
     strengths: Floats, width_mhz: float, blocks: int, rng: np.random.Generator, antennas: int
 ) -> tuple[Floats, Floats]:
@@ -261,23 +250,16 @@ def judge_bands(antennas: int, rows: Sequence[Row]) -> list[Found]:
     return [worst_of([rate_of("found", round(x * bands), bands) for x in share], len(rows), "%")]
 
 
-def tell_bands(rows: Sequence[Row]) -> list[str]:
-    """Density by density."""
-    found, change = (np.mean([row[name] for row in rows], axis=0) for name in ("found", "change"))
-    lines = ["| density over the noise | found | bias of its bins (%) |", "|---|---|---|"]
-    return lines + [f"| {s:g} | {f:.2f} | {100 * c:+.1f} |" for s, f, c in zip(WIDE, found, change, strict=True)]
-
-
 PARTS = (
     *(
         Part(
             claim.short, partial(try_claim, claim), partial(judge_lines, claim), claim.trials,
-            partial(tell_lines, claim), ("found",) if claim is CLAIMS[0] else (), has_figure=True,
+            headlines=("found",) if claim is CLAIMS[0] else (), has_figure=True,
         )
         for claim in CLAIMS
     ),
-    Part("wide-1", partial(try_bands, 1), partial(judge_bands, 1), 48, tell_bands, (), has_figure=True),
-    Part("wide-12", partial(try_bands, 12), partial(judge_bands, 12), 24, tell_bands, (), has_figure=True),
+    Part("wide-1", partial(try_bands, 1), partial(judge_bands, 1), 48, has_figure=True),
+    Part("wide-12", partial(try_bands, 12), partial(judge_bands, 12), 24, has_figure=True),
 )  # fmt: skip
 
 

@@ -286,20 +286,4 @@ def judge(rows: Sequence[Row]) -> list[Found]:
     return [rate_of("lost", lost, sum(row["acknowledged"] for row in rows))]
 
 
-def tell(rows: Sequence[Row]) -> list[str]:
-    """What was acknowledged and said, and every broken promise."""
-    lines = []
-    for row in rows:
-        lines.append(
-            f"- {row['acknowledged']} acknowledged, {row['lost']} lost; answers {row['answers']}; {row['said']}"
-        )
-        lines += [f"  NOT SO: {check}" for check in row["broken"]]
-    return lines
-
-
-PARTS = tuple(
-    Part(
-        name, partial(endure, name, EVENTS), judge, 10, tell, is_parallel=False,
-    )
-    for name in TROUBLES
-)  # fmt: skip
+PARTS = tuple(Part(name, partial(endure, name, EVENTS), judge, 10, is_parallel=False) for name in TROUBLES)

@@ -72,26 +72,7 @@ def judge(rows: Sequence[Row]) -> list[Found]:
     return claims
 
 
-def tell(rows: Sequence[Row]) -> list[str]:
-    """Channel by channel."""
-    lines = ["| scope | at | curves | mean pull | r.m.s. |", "|---|---|---|---|---|"]
-    for scope in SCOPES:
-        for k, name in enumerate(CHANNELS):
-            mean = np.mean([row[scope]["mean"][k] for row in rows])
-            rms = np.mean([row[scope]["mean_square"][k] for row in rows]) ** 0.5
-            count = sum(row[scope]["curves"] for row in rows)
-            lines.append(f"| {scope} | {name} | {count} | {mean:+.2f} | {rms:.2f} |")
-    return lines
-
-
 PARTS = (
-    Part("clean", partial(fit_campaign, NONE), judge, 300, tell, ()),
-    Part(
-        "nuisances",
-        partial(fit_campaign, REALISTIC),
-        judge,
-        300,
-        tell,
-        ("antenna_spread",),
-    ),
+    Part("clean", partial(fit_campaign, NONE), judge, 300),
+    Part("nuisances", partial(fit_campaign, REALISTIC), judge, 300, headlines=("antenna_spread",)),
 )

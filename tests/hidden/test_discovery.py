@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from validation.hidden.clean import ask_realistic
+from validation.hidden.data_sets import realistic
 from validation.hidden.held_out import hide_in_halves
 from validation.hidden.no_catalogue import hide_unknown
 from validation.hidden.one_effect import Wanted, hide_one
@@ -16,7 +16,7 @@ from validation.hidden.several_effects import hide_several
 
 
 def test_nothing_is_found_where_nothing_is_hidden():
-    answer = ask_realistic(7)
+    answer = realistic(7).ask()
     assert (answer.verdict, answer.named) == ("consistent", [])
 
 

@@ -9,9 +9,9 @@ import pytest
 
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.uncertainty.refit import OTHER_ANTENNA, compute_budget
-from validation.budget import PARTS, SETTINGS, believe, draw_antenna, draw_campaign, tell, tell_campaign
+from validation.budget import SETTINGS, believe, draw_antenna, draw_campaign, tell_campaign
 from validation.machinery.parts import Row
-from validation.machinery.records import claims_of
+from validation.machinery.records import verdicts_of
 from validation.own_cable import SCOPES
 
 SMALL = replace(SETTINGS, stations=SETTINGS.stations[:3], events_per_year=200)
@@ -33,7 +33,6 @@ def test_the_truth_lies_within_the_total_error_when_every_term_is_drawn(rows: li
 
 def test_a_departure_of_one_standard_deviation_is_no_misfit(rows: list[Row]) -> None:
     assert sum(row["misfits"] for row in rows) == 0
-    assert len(tell(rows)) == 2 + len(SCOPES) + 2
 
 
 def test_what_is_drawn_is_in_the_data_and_not_in_what_the_fit_believes() -> None:
@@ -51,9 +50,8 @@ def test_what_is_drawn_is_in_the_data_and_not_in_what_the_fit_believes() -> None
 
 def test_the_judgement_refutes_errors_that_are_too_small(rows: list[Row]) -> None:
     boasting = [{**row, "own": {"all": {**row["own"]["all"], "within_1": 0.1, "within_2": 0.2}}} for row in rows]
-    verdicts = {claim.key: claim.verdict for claim in claims_of("budget", "models", boasting)}
+    verdicts = verdicts_of("budget", "models", boasting)
     assert {verdicts["own_1"], verdicts["own_2"]} == {"refuted"}
-    assert all(set(part.headlines or ()) <= set(verdicts) for part in PARTS)
 
 
 def test_every_term_of_the_budget_is_drawn() -> None:

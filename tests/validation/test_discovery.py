@@ -30,7 +30,9 @@ def test_an_alarm_in_clean_data_counts_and_is_told():
     rows.append({"seed": 3, "verdict": "explained", "named": ["gain_step"], "axis": ""})
     (claim,) = claims_of("discovery", "clean", rows)
     assert claim.found == 0.25
-    assert PARTS["clean"].tell(rows) == ["- seed 3: explained gain_step"]
+    table = PARTS["clean"].tell(rows)
+    assert "| verdict | consistent 3 (seed 0), explained 1 (seed 3) |" in table
+    assert "| named | gain_step 1 (seed 3) |" in table
 
 
 def outcomes_as_rows(count: int) -> list[dict[str, object]]:

@@ -15,7 +15,7 @@ from validation.fit import (
     scene_of_noise_terms,
 )
 from validation.machinery.parts import Row
-from validation.machinery.records import claims_of
+from validation.machinery.records import verdicts_of
 
 DATA_SETS = 40
 
@@ -85,7 +85,7 @@ def test_a_fit_that_is_off_is_refuted_and_one_that_is_not_is_shown(fault: str, k
         pull = (1.2 if fault == "wrong_sigma" else 1.0) * normal + (0.2 if fault == "off" else 0.0)
         row = {"status": "converged", "error_over_bound": [error] * 14, "pull": [pull] * 14}
         rows.append(row | {"chi2_per_dof": 1.0 + 0.01 * normal, "median_error": 0.004 + 1e-4 * normal})
-    verdicts = {claim.key: claim.verdict for claim in claims_of("fit", "published-noise", rows)}
+    verdicts = verdicts_of("fit", "published-noise", rows)
     assert [name for name, verdict in verdicts.items() if verdict == "refuted"] == ([key] if key else [])
     assert fault != "none" or set(verdicts.values()) == {"shown"}
 

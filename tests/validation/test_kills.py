@@ -8,7 +8,7 @@ import pytest
 from validation.growth import compare
 from validation.kill_adoptions import kill_and_count
 from validation.kills import kill_and_compare
-from validation.machinery.records import claims_of
+from validation.machinery.records import verdicts_of
 from validation.troubles import TROUBLES, endure, small_disk
 
 
@@ -23,11 +23,9 @@ def test_four_kills_lose_nothing_and_change_nothing(request: pytest.FixtureReque
 
 
 def test_480_kills_without_a_broken_promise_show_that_fewer_than_one_in_a_hundred_breaks_one() -> None:
-    runs = [{"kills": 40, "broken": []} for _ in range(12)]
-    assert claims_of("kills", "sqlite", runs)[0].verdict == "shown"
-    assert claims_of("kills", "sqlite", runs[:2])[0].verdict == "undecided"
-    broken = [{"kills": 40, "broken": ["a claim"]} for _ in range(10)]
-    assert claims_of("kills", "sqlite", broken)[0].verdict == "refuted"
+    whole, broken = {"kills": 40, "broken": []}, {"kills": 40, "broken": ["a claim"]}
+    for rows, verdict in (([whole] * 12, "shown"), ([whole] * 2, "undecided"), ([broken] * 10, "refuted")):
+        assert verdicts_of("kills", "sqlite", rows) == {"broken": verdict}
 
 
 @pytest.mark.parametrize("kind", ["sqlite", "postgresql"])
@@ -41,12 +39,8 @@ def test_three_kills_leave_no_adoption_half_done(request: pytest.FixtureRequest,
 
 
 def test_a_run_with_a_broken_promise_refutes() -> None:
-    whole = [{"kills": 20, "broken": []} for _ in range(24)]
-    assert claims_of("kill_adoptions", "sqlite", whole)[0].verdict == "shown"
-    assert (
-        claims_of("kill_adoptions", "sqlite", [{"kills": 20, "broken": ["a claim"]} for _ in range(20)])[0].verdict
-        == "refuted"
-    )
+    assert verdicts_of("kill_adoptions", "sqlite", [{"kills": 20, "broken": []}] * 24) == {"broken": "shown"}
+    assert verdicts_of("kill_adoptions", "sqlite", [{"kills": 20, "broken": ["a claim"]}] * 20) == {"broken": "refuted"}
 
 
 @pytest.mark.parametrize("name", TROUBLES)
@@ -67,9 +61,8 @@ def test_what_was_acknowledged_is_there_after_a_trouble(request: pytest.FixtureR
 
 def test_one_loss_in_a_thousand_is_not_what_is_asked() -> None:
     good = {"acknowledged": 500, "lost": 0, "broken": []}
-    assert claims_of("troubles", "sqlite-full", [good] * 10)[0].verdict == "shown"
-    assert claims_of("troubles", "sqlite-full", [good, good])[0].verdict == "undecided"
-    assert claims_of("troubles", "sqlite-full", [{**good, "lost": 4}] * 8)[0].verdict == "refuted"
+    for rows, verdict in (([good] * 10, "shown"), ([good] * 2, "undecided"), ([{**good, "lost": 4}] * 8, "refuted")):
+        assert verdicts_of("troubles", "sqlite-full", rows) == {"lost": verdict}
 
 
 @pytest.mark.parametrize("kind", ["sqlite", "postgresql"])
@@ -85,7 +78,7 @@ def test_every_request_is_answered_after_one_year_and_after_two(request: pytest.
 def found(ms: Mapping[str, Sequence[float]]) -> dict[str, str]:
     steady = {name: [10.0, 10.0] for name in ("gap, one path", "gap, all paths", "promotion of a path")}
     row: dict[str, Any] = {"years": 10, "turns": 9, "ms": {**steady, "promotion of the array": [40.0, 40.0], **ms}}
-    return {claim.key: claim.verdict for claim in claims_of("growth", "sqlite", [row])}
+    return verdicts_of("growth", "sqlite", [row])
 
 
 def test_one_request_that_grows_refutes_the_claim() -> None:

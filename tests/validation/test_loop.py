@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import pytest
 
-from validation.loop import AIMED, MOVED, SETTINGS, close_loop, tell
+from validation.loop import AIMED, MOVED, SETTINGS, close_loop
 from validation.machinery.parts import Row
-from validation.machinery.records import claims_of
+from validation.machinery.records import verdicts_of
 
 
 @pytest.fixture(scope="module")
@@ -42,6 +42,5 @@ def test_the_size_is_that_planted(row: Row) -> None:
 
 def test_the_judgement_refutes_a_loop_that_does_not_close(row: Row) -> None:
     broken = [{**row, "wrong": 4.0, "left": "unexplained", "gain": [0.0, *row["gain"][1:]], "is_restored": False}] * 20
-    verdict = {claim.key: claim.verdict for claim in claims_of("loop", "postgresql", [row, *broken])}
+    verdict = verdicts_of("loop", "postgresql", [row, *broken])
     assert [verdict[key] for key in ("right", "left", "gain", "restored")] == ["refuted"] * 4
-    assert len(tell([row, {**row, "is_named": False}])) == 2 + 2

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from validation.machinery.parts import Row
-from validation.machinery.records import claims_of
-from validation.own_cable import CABLES, SCOPES, SETTINGS, tell, tell_campaign
+from validation.machinery.records import verdicts_of
+from validation.own_cable import CABLES, SCOPES, SETTINGS, tell_campaign
 
 
 @pytest.fixture(scope="module")
@@ -44,10 +44,5 @@ def test_the_judgement_refutes_errors_that_are_too_small_and_curves_of_other_cab
     for row in boasting:
         row["own"]["all"] = {**row["own"]["all"], "within_1": 0.3, "within_2": 0.6}
         row["station"]["50"] = {**row["station"]["50"], "offset": 0.4}
-    verdict = {claim.key: claim.verdict for claim in claims_of("own_cable", "superterp", boasting)}
-    assert {key for key in ("own_1", "own_2", "offset_50") if verdict[key] == "refuted"} == {
-        "own_1",
-        "own_2",
-        "offset_50",
-    }
-    assert len(tell(rows)) == 2 + 4 * 4
+    verdict = verdicts_of("own_cable", "superterp", boasting)
+    assert [verdict[key] for key in ("own_1", "own_2", "offset_50")] == ["refuted"] * 3

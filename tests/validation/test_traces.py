@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from validation.machinery.records import claims_of
+from validation.machinery.records import verdicts_of
 from validation.traces import band_shape, collect_noise, measure_gains, measure_noise, measure_pulses, true_bins
 from validation.traces_lines import CLAIMS, KINDS, PARTS, LineTrial, try_lines, try_wide
 
@@ -92,7 +92,5 @@ def test_lines_that_are_missed_or_leave_a_bias_are_refuted() -> None:
     good = [{"found": [1.0] * size, "change": (1e-3 * rng.standard_normal(size)).tolist()} for _ in range(300)]
     missed = [row | {"found": [0.9] * size} for row in good]
     biased = [row | {"change": [value + 0.005 for value in row["change"]]} for row in good]
-    verdicts = [
-        [one.verdict for one in claims_of("traces_lines", claim.short, rows)] for rows in (good, missed, biased)
-    ]
+    verdicts = [[*verdicts_of("traces_lines", claim.short, rows).values()] for rows in (good, missed, biased)]
     assert verdicts == [["shown", "shown"], ["refuted", "shown"], ["shown", "refuted"]]

@@ -10,7 +10,7 @@ import numpy as np
 from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.lstcurve.curve import AS_RECORDED, LstCurve, band_weights
-from validation.hidden.data_sets import comparable, plain, realistic, sky_power
+from validation.hidden.data_sets import DataSet, comparable, plain, realistic, sky_power
 from validation.hidden.finder import Answer, ask_of_curve
 from validation.machinery.claims import Found, rate_of
 from validation.machinery.parts import Part, Row
@@ -21,26 +21,6 @@ POINTS, POINT_NOISE_DB, SHARED_VARIANCE = 46, 0.05, 0.9
 LEAST_NOISE, MOST_NOISE = 0.2, 0.8
 """Electronic noise over the mean sky power of a band: published as a third to a half of the total, or 0.5 to 1 of a sky
 that is a third too dark (docs/explanation/what-the-simulation-gets-wrong.md)."""
-
-
-def ask_plain(number: int) -> Answer:
-    """A station-year."""
-    return plain(number).ask()
-
-
-def ask_realistic(number: int) -> Answer:
-    """A station-year with every nuisance."""
-    return realistic(number).ask()
-
-
-def ask_comparable(number: int) -> Answer:
-    """A station-year with enough antennas to compare them with each other."""
-    return comparable(number).ask()
-
-
-def ask_own_sky(number: int) -> Answer:
-    """A station-year with every nuisance, the sky power being one of several that could be right."""
-    return realistic(number).ask(is_own_sky=True)
 
 
 def ask_curve(number: int) -> Answer:
@@ -59,6 +39,11 @@ def ask_curve(number: int) -> Answer:
     return ask_of_curve(curve, sky_power(), chain, BAND_MHZ)
 
 
+def ask_data(draw: Callable[[int], DataSet], seed: int, *, is_own_sky: bool = False) -> Answer:
+    """Ask about a station-year; with `is_own_sky` its sky power is one of several that could be right."""
+    return draw(seed).ask(is_own_sky=is_own_sky)
+
+
 def listen(ask: Callable[[int], Answer], seed: int) -> Row:
     """What is said of data with nothing hidden."""
     answer = ask(seed)
@@ -70,25 +55,16 @@ def judge(rows: Sequence[Row]) -> list[Found]:
     return [rate_of("alarms", sum(row["verdict"] != "consistent" for row in rows), len(rows))]
 
 
-def tell(rows: Sequence[Row]) -> list[str]:
-    """The false alarms, one by one."""
-    return [
-        f"- seed {row['seed']}: {row['verdict']} {'+'.join(row['named']) or row['axis']}"
-        for row in rows
-        if row["verdict"] != "consistent"
-    ]
-
-
 KINDS: dict[str, tuple[Callable[[int], Answer], int]] = {
-    "clean": (ask_plain, 500),
-    "nuisances": (ask_realistic, 500),
-    "ten-antennas": (ask_comparable, 200),
-    "own-sky": (ask_own_sky, 200),
+    "clean": (partial(ask_data, plain), 500),
+    "nuisances": (partial(ask_data, realistic), 500),
+    "ten-antennas": (partial(ask_data, comparable), 200),
+    "own-sky": (partial(ask_data, realistic, is_own_sky=True), 200),
     "lst-curves": (ask_curve, 200),
 }
 ROWS = ("nuisances",)
 """The kinds that are rows of the page: those most like real campaigns."""
 PARTS = tuple(
-    Part(name, partial(listen, ask), judge, count, tell, ("alarms",) if name in ROWS else ())
+    Part(name, partial(listen, ask), judge, count, headlines=("alarms",) if name in ROWS else ())
     for name, (ask, count) in KINDS.items()
 )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -83,14 +82,3 @@ def unspanned_sigma(data: DataSet) -> float:
     )
     detector = IdealDetector(truth.station, noise, truth.departure, believed, truth.modes)
     return float(np.sqrt(max(detector.chi_squared(power), 0.0)))
-
-
-def table_by_world(rows: Sequence[Row], columns: dict[str, Callable[[Row], bool]]) -> list[str]:
-    """Counts of what was said, by sky, by way to lie outside, by antenna and by form of the event gains."""
-    lines = [f"| world | data sets | {' | '.join(columns)} |", "|" + "---|" * (2 + len(columns))]
-    for key in ("sky", "outside", "antenna", "noise", "antennas"):
-        for value in sorted({row[key] for row in rows}):
-            here = [row for row in rows if row[key] == value]
-            counts = " | ".join(str(sum(map(is_so, here))) for is_so in columns.values())
-            lines.append(f"| {key}: {value or 'inside'} | {len(here)} | {counts} |")
-    return lines

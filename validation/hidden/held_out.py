@@ -125,12 +125,4 @@ def judge(rows: Sequence[Row]) -> list[Found]:
     return [found, left, rate_of("covered", covered, n), rate_of("kept", kept, n), *means]
 
 
-def tell(rows: Sequence[Row]) -> list[str]:
-    """Data sets in which least was removed."""
-    worst = sorted((row for row in rows if row["cause"]), key=lambda row: -row["after"])[:5]
-    return [
-        f"- seed {row['seed']}: {row['cause']} as {'+'.join(row['named'])}, {row['after']:.0f} left" for row in worst
-    ]
-
-
-PARTS = (Part("held-out", try_held_out, judge, 40, tell, ()),)
+PARTS = (Part("held-out", try_held_out, judge, 40),)

@@ -17,6 +17,7 @@ from validation.hidden.drawn import describe_world, drawn_data
 from validation.hidden.one_effect import Outcome, ask_about, outcomes_of
 from validation.machinery.claims import Found, mean_of
 from validation.machinery.parts import Part, Row
+from validation.machinery.tables import by
 
 ALIKE = (
     ("resonance_shift", "resonance"),
@@ -58,18 +59,4 @@ def judge(rows: Sequence[Row]) -> list[Found]:
     return claims
 
 
-def tell(rows: Sequence[Row]) -> list[str]:
-    """Cause by cause and size by size."""
-    lines = ["| planted | noise | SNR | data sets | named | score / ideal SNR |", "|" + "---|" * 6]
-    outcomes = outcomes_of(rows)
-    for cause, noise in ALIKE:
-        for snr in SNRS:
-            here = [o for o in outcomes if (o.cause, o.snr) == (cause, snr)]
-            if here:
-                share = np.mean([o.score / o.snr for o in here])
-                named = sum(o.is_named for o in here)
-                lines.append(f"| {cause} | {noise} | {snr:g} | {len(here)} | {named} | {share:.2f} |")
-    return lines
-
-
-PARTS = (Part("like-noise", try_like_noise, judge, 90, tell),)
+PARTS = (Part("like-noise", try_like_noise, judge, 90, by("cause", "snr")),)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict
 from functools import partial
@@ -15,6 +14,7 @@ from validation.hidden.one_effect import NAMING_SNR, Outcome, ask_about, detecti
 from validation.hidden.worlds import OWN, Finder
 from validation.machinery.claims import Found, One, rate_of
 from validation.machinery.parts import Part, Row
+from validation.machinery.tables import by
 
 SNRS = (10.0, 10.0, 10.0, 10.0, 4.0, 5.0, 6.0, 7.5)
 """Ideal SNR of one data set after the other: half are as strong as names are judged at."""
@@ -81,43 +81,7 @@ def _judge_names(outcomes: Sequence[Outcome]) -> list[Found]:
     return [rate_of("named", named, len(outcomes)), rate_of("misnamed", wrong, len(outcomes))]
 
 
-def tell(rows: Sequence[Row]) -> list[str]:
-    """Cause by cause, and every effect of SNR 10 that is not named."""
-    lines = ["| planted | SNR | data sets | detected | named | misnamed | score / ideal SNR |", "|" + "---|" * 7]
-    outcomes = outcomes_of(rows)
-    for cause in sorted({o.cause for o in outcomes}):
-        for snr in sorted({o.snr for o in outcomes}):
-            here = [o for o in outcomes if (o.cause, o.snr) == (cause, snr)]
-            counts = [len(here), *(sum(map(f, here)) for f in (_is_detected, _is_named, _is_misnamed))]
-            share = np.mean([o.score / o.snr for o in here]) if here else 0.0
-            lines += [f"| {cause} | {snr:g} | {' | '.join(map(str, counts))} | {share:.2f} |"] * bool(here)
-    lines.append("")
-    for row in rows:
-        for outcome in outcomes_of([row]):
-            if outcome.snr != NAMING_SNR or (outcome.is_named and not outcome.is_misnamed):
-                continue
-            said = "; ".join("/".join(names) for names in outcome.sets)
-            world = f"{row['sky']} {row['outside']} / {row['antenna']} / {row['noise']}"
-            lines.append(
-                f"- seed {row['seed']}: {outcome.cause} ({outcome.label}): {outcome.verdict} {said} in {world}"
-            )
-    absent = Counter(row["cause"] for row in rows if not row["label"])
-    return [*lines, "", f"Not to be shown at this SNR by these data: {dict(absent)}."]
-
-
-def _is_detected(outcome: Outcome) -> bool:
-    return outcome.is_detected
-
-
-def _is_named(outcome: Outcome) -> bool:
-    return outcome.is_named
-
-
-def _is_misnamed(outcome: Outcome) -> bool:
-    return outcome.is_misnamed
-
-
 PARTS = (
-    Part("one", try_one, judge_one, 2000, tell, ("named",)),
-    Part("targets", try_target, judge_targets, 200, tell),
+    Part("one", try_one, judge_one, 2000, by("cause", "snr"), ("named",)),
+    Part("targets", try_target, judge_targets, 200, by("cause", "scope")),
 )

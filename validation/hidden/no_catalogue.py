@@ -9,6 +9,7 @@ from lbacal_twin.faults.uncatalogued import uncatalogued_faults
 from validation.hidden.data_sets import DataSet, Planted
 from validation.machinery.claims import Found, rate_of
 from validation.machinery.parts import Part, Row
+from validation.machinery.tables import by
 
 SNR = 25.0
 FIRST_SEED = 400_000
@@ -71,21 +72,4 @@ def judge(rows: Sequence[Row]) -> list[Found]:
     ]
 
 
-def tell(rows: Sequence[Row]) -> list[str]:
-    """Effect by effect."""
-    lines = ["| effect | lives along | data sets | unexplained | right axis | axes said | name forced |"]
-    lines.append("|" + "---|" * 7)
-    for kind in sorted({row["kind"] for row in rows}):
-        here = [row for row in rows if row["kind"] == kind and row["verdict"]]
-        said = ", ".join(sorted({row["axis"] for row in here if row["axis"]}))
-        names = ", ".join(sorted({name for row in here for name in row["named"]}))
-        counts = [
-            sum(row["verdict"] == "unexplained" for row in here),
-            sum(row["is_right_axis"] for row in here),
-        ]
-        axes = next(row["axes"] for row in rows if row["kind"] == kind)
-        lines.append(f"| {kind} | {axes} | {len(here)} | {counts[0]} | {counts[1]} | {said} | {names} |")
-    return lines
-
-
-PARTS = (Part("unknown", try_unknown, judge, 40, tell, ("unexplained",)),)
+PARTS = (Part("unknown", try_unknown, judge, 40, by("kind"), ("unexplained",)),)

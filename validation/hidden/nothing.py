@@ -6,12 +6,13 @@ Where the resonance moves in rain, a resonance that is named as following rain s
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
-from validation.hidden.drawn import SPANNED_SIGMA, describe_world, drawn_data, table_by_world, unspanned_sigma
+from validation.hidden.drawn import SPANNED_SIGMA, describe_world, drawn_data, unspanned_sigma
 from validation.hidden.worlds import OWN, Finder
 from validation.machinery.claims import Found, rate_of
 from validation.machinery.parts import Part, Row
+from validation.machinery.tables import by
 
 WET, RESONANCE, RAIN = "wetness", ("resonance_shift", "resonance_width"), "wetness"
 """Form of the gains in which the resonance moves in rain, the causes that say so, and what they then follow."""
@@ -66,22 +67,4 @@ def judge(rows: Sequence[Row]) -> list[Found]:
     return claims
 
 
-def tell(rows: Sequence[Row]) -> list[str]:
-    """Counts by world, and every false name."""
-    columns: dict[str, Callable[[Row], bool]] = {
-        "spanned": is_spanned,
-        "said of these": lambda row: is_spanned(row) and not is_silent(row),
-        "said of the others": lambda row: not is_spanned(row) and not is_silent(row),
-        "named": lambda row: bool(row["named"]),
-        "named: the resonance, following rain, which moves it": is_of_rain,
-    }
-    said = [row for row in rows if not is_silent(row)]
-    lines = [
-        f"- seed {row['seed']}: {row['verdict']} {'+'.join(row['named']) or row['axis']} in {row['sky']} "
-        f"{row['outside']} / {row['antenna']} / {row['noise']}, not spanned {row['unspanned']:.1f} sigma"
-        for row in said
-    ]
-    return [*table_by_world(rows, columns), "", *lines]
-
-
-PARTS = (Part("nothing", listen, judge, 3000, tell, ("named",)),)
+PARTS = (Part("nothing", listen, judge, 3000, by("noise", "outside"), ("named",)),)

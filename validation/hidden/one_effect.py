@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
 from functools import partial
@@ -15,6 +14,7 @@ from validation.hidden.detection import DetectionCurve, fit_detection
 from validation.hidden.sizes import size_pull
 from validation.machinery.claims import Found, Interval, One, mean_of, rate_of, worst_of
 from validation.machinery.parts import Part, Row
+from validation.machinery.tables import by
 
 GRID = (4.0, 5.0, 5.5, 6.0, 6.75, 7.5, 10.0)
 NAMING_SNR, EFFICIENCY_SNR = 10.0, 12.0
@@ -204,42 +204,8 @@ def judge_efficiency(rows: Sequence[Row]) -> list[Found]:
     return [*claims, *details]
 
 
-def tell_names(rows: Sequence[Row]) -> list[str]:
-    """Cause by cause, and what was said where the cause was not named."""
-    lines = ["| planted | data sets | named | size within 2 sigma | what was said where it was not named |"]
-    lines.append("|" + "---|" * 5)
-    outcomes = [o for o in outcomes_of(rows) if o.snr == NAMING_SNR]
-    for cause in sorted({o.cause for o in outcomes}):
-        here = [o for o in outcomes if o.cause == cause]
-        pulls = [abs(o.pull) for o in here if o.pull is not None]
-        said = Counter(_saying(o) for o in here if not o.is_named)
-        others = "; ".join(f"{count} x {what}" if count > 1 else what for what, count in said.most_common())
-        close = f"{sum(pull <= 2 for pull in pulls)} of {len(pulls)}"
-        lines.append(f"| {cause} | {len(here)} | {sum(o.is_named for o in here)} | {close} | {others} |")
-    return lines
-
-
-def _saying(outcome: Outcome) -> str:
-    if outcome.sets:
-        return f"{outcome.verdict}: {' or '.join(outcome.sets[0])}"
-    return outcome.verdict
-
-
-def tell_efficiency(rows: Sequence[Row]) -> list[str]:
-    """Cause by cause and by whom it concerns."""
-    lines = ["| cause | law | scope | mean score / ideal SNR | data sets |", "|---|---|---|---|---|"]
-    ratios: dict[tuple[str, str, str], list[float]] = {}
-    for o in outcomes_of(rows):
-        ratios.setdefault((o.cause, "in the family" if o.is_in_family else "beside", o.scope), []).append(
-            o.score / o.snr
-        )
-    lines += [f"| {' | '.join(key)} | {np.mean(v):.2f} | {len(v)} |" for key, v in sorted(ratios.items())]
-    absent = Counter(row["cause"] for row in rows if not row["label"])
-    return [*lines, "", f"Not to be shown at this SNR by these data: {dict(absent)}."]
-
-
 PARTS = (
-    Part("one", try_one, judge_one, 135, tell_names, ("named",), has_figure=True),
-    Part("efficiency", try_efficiency, judge_efficiency, 276, tell_efficiency, ("worst_inside",), has_figure=True),
-    Part("static", try_static, judge_static, 60, tell_names, ()),
+    Part("one", try_one, judge_one, 135, by("cause"), ("named",), has_figure=True),
+    Part("efficiency", try_efficiency, judge_efficiency, 276, by("cause"), ("worst_inside",), has_figure=True),
+    Part("static", try_static, judge_static, 60, by("cause")),
 )

@@ -20,6 +20,7 @@ from validation.hidden.station_year import ANTENNAS, EVENTS, EVERYTHING, STATION
 from validation.hidden.worlds import OWN
 from validation.machinery.claims import Found, root_mean_of, worst_of
 from validation.machinery.parts import Part, Row
+from validation.machinery.tables import by
 
 AT_MHZ = (35.0, 45.0, 55.0, 65.0, 75.0)
 SCOPES = ("antenna", "station")
@@ -74,16 +75,4 @@ def judge(rows: Sequence[Row]) -> list[Found]:
     return claims
 
 
-def tell(rows: Sequence[Row]) -> list[str]:
-    """Channel by channel."""
-    lines = [f"| event gains | scope | campaigns | {' | '.join(f'{mhz:g} MHz' for mhz in AT_MHZ)} | all |"]
-    lines.append("|" + "---|" * (4 + len(AT_MHZ)))
-    for noise in NOISES:
-        here = [row for row in rows if row["noise"] == noise]
-        for scope in SCOPES if here else ():
-            values = np.sqrt(np.mean([[*row[scope]["at"], row[scope]["all"]] for row in here], axis=0))
-            lines.append(f"| {noise} | {scope} | {len(here)} | {' | '.join(f'{value:.2f}' for value in values)} |")
-    return lines
-
-
-PARTS = (Part("pulls", measure_pulls, judge, 400 * len(NOISES), tell),)
+PARTS = (Part("pulls", measure_pulls, judge, 400 * len(NOISES), by("noise")),)

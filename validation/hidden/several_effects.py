@@ -87,16 +87,4 @@ def judge(rows: Sequence[Row]) -> list[Found]:
     return claims
 
 
-def tell(rows: Sequence[Row]) -> list[str]:
-    """Data sets of which not all effects were named."""
-    lines = ["| seed | planted | largest abs(r) | verdict | named |", "|---|---|---|---|---|"]
-    for row in rows:
-        if row["are_all_named"]:
-            continue
-        said = "; ".join(" or ".join(names) for names in row["sets"])
-        what = ", ".join(f"{cause} ({label})" for cause, label in row["planted"])
-        lines.append(f"| {row['seed']} | {what} | {row['correlation']:.2f} | {row['verdict']} | {said} |")
-    return lines
-
-
-PARTS = (Part("several", try_several, judge, 40, tell, ("two",)),)
+PARTS = (Part("several", try_several, judge, 40, headlines=("two",)),)

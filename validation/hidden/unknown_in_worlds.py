@@ -8,10 +8,11 @@ from dataclasses import asdict
 from lbacal_twin.faults.uncatalogued import uncatalogued_faults
 from validation.hidden.data_sets import Planted
 from validation.hidden.drawn import describe_world, drawn_data
-from validation.hidden.no_catalogue import FIRST_SIZE, SNR, Outcome, tell
+from validation.hidden.no_catalogue import FIRST_SIZE, SNR, Outcome
 from validation.hidden.worlds import OWN, Finder
 from validation.machinery.claims import Found, rate_of
 from validation.machinery.parts import Part, Row
+from validation.machinery.tables import by
 
 FIRST_SEED = 800_000_000
 """Seeds of data sets of this part; those of others begin elsewhere."""
@@ -39,4 +40,4 @@ def judge(rows: Sequence[Row]) -> list[Found]:
     return [rate_of("right_axis", right, len(made)), rate_of("forced", forced, len(made))]
 
 
-PARTS = (Part("unknown", try_unknown, judge, 200, tell),)
+PARTS = (Part("unknown", try_unknown, judge, 200, by("kind")),)

@@ -10,14 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from validation.machinery.claims import Found
+from validation.machinery.tables import tabulate
 
 Row = dict[str, Any]
 """Inputs and outcome of one trial, as JSON stores them; `seed` is added to it."""
-
-
-def tell_nothing(rows: Sequence[Row]) -> list[str]:  # noqa: ARG001  (stands where a part has no tables)
-    """No tables."""
-    return []
 
 
 @dataclass(frozen=True)
@@ -56,7 +52,7 @@ class Part:
     trial: Callable[[int], Row]
     judge: Callable[[Sequence[Row]], list[Found]]
     count: int
-    tell: Callable[[Sequence[Row]], list[str]] = tell_nothing
+    tell: Callable[[Sequence[Row]], list[str]] = tabulate
     headlines: tuple[str, ...] = ()
     has_chance: bool = True
     is_parallel: bool = True

@@ -132,6 +132,11 @@ def claims_of(proof: str, part: str, rows: Sequence[Row], look: int = 1) -> tupl
     return decide(parts_of(proof)[part].judge(rows), asked_of(proof, part), look)
 
 
+def verdicts_of(proof: str, part: str, rows: Sequence[Row]) -> dict[str, str]:
+    """The verdict of every claim at a first look."""
+    return {claim.key: claim.verdict for claim in claims_of(proof, part, rows)}
+
+
 def take_in(record: Record, part: Part, rows: Sequence[Row]) -> Record:
     """Write what a block gave: pooled with the trials on record if these hold, else in the place of the record.
 

@@ -1,0 +1,56 @@
+"""The trials of a part as a table, for who runs the proof: a line a field of the rows, a column a group of trials."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
+from typing import Any
+
+MOST_TEXTS = 8
+"""Different texts of a field that are told."""
+
+
+def by(*keys: str) -> Callable[[Sequence[Mapping[str, Any]]], list[str]]:
+    """`tabulate` with these keys."""
+    return partial(tabulate, keys=keys)
+
+
+def tabulate(rows: Sequence[Mapping[str, Any]], keys: Sequence[str] = ()) -> list[str]:
+    """Means of numbers, and counts of texts with the first seed of each, by the values of some fields."""
+    groups: dict[str, list[Mapping[str, Any]]] = {}
+    for row in rows:
+        groups.setdefault(", ".join(f"{row[key]}" for key in keys), []).append(row)
+    names = sorted(groups)
+    found: dict[str, dict[str, list[tuple[int, Any]]]] = {}
+    for name in names:
+        for row in groups[name]:
+            for field, value in _leaves({k: v for k, v in row.items() if k not in ("seed", "seconds", *keys)}):
+                found.setdefault(field, {}).setdefault(name, []).append((row.get("seed", 0), value))
+    lines = [f"| | {' | '.join(names)} |", "|---|" + "---|" * len(names)]
+    lines.append(f"| trials | {' | '.join(str(len(groups[name])) for name in names)} |")
+    for field, of_groups in found.items():
+        lines.append(f"| {field} | {' | '.join(_cell(of_groups.get(name, [])) for name in names)} |")
+    return lines
+
+
+def _leaves(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
+    """Every value that holds no others; numbers of a list by their place, all else of a list together."""
+    if isinstance(value, Mapping):
+        for key, one in value.items():
+            yield from _leaves(one, f"{path}.{key}" if path else str(key))
+    elif isinstance(value, Sequence) and not isinstance(value, str):
+        for k, one in enumerate(value):
+            yield from _leaves(one, f"{path}.{k}" if isinstance(one, int | float) else path)
+    else:
+        yield path, value
+
+
+def _cell(values: Sequence[tuple[int, Any]]) -> str:
+    numbers = [value for _, value in values if isinstance(value, int | float)]
+    texts = [(seed, str(value)) for seed, value in values if value and not isinstance(value, int | float)]
+    counts = Counter(text for _, text in texts)
+    first = {text: seed for seed, text in reversed(texts)}
+    told = [f"{sum(numbers) / len(numbers):.4g}"] if numbers else []
+    told += [f"{text} {count} (seed {first[text]})" for text, count in counts.most_common(MOST_TEXTS)]
+    return ", ".join(told)
