@@ -15,7 +15,7 @@ import time
 import zlib
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -46,8 +46,8 @@ from validation.fuzzing import NASTY, change_bytes, change_hdf5, write_json
 from validation.machinery.claims import Found, exactly, rate_of
 from validation.machinery.parts import Part, Row
 from validation.machinery.tables import by
-from validation.running.postgres import run_server
-from validation.running.processes import Process, find_free_port, run_command, running, wait_until
+from validation.running.postgres import open_databases
+from validation.running.processes import Process, make_key, run_service
 
 EXAMPLES = 16
 """Requests to each route and way of asking in a trial."""
@@ -322,27 +322,13 @@ def send_bomb(number: int) -> Row:
 @contextmanager
 def _server(database: str = "sqlite") -> Iterator[tuple[str, list[Key], Process]]:
     """The address of a server, the headers of an admin and of a reader, and its process."""
-    with ExitStack() as stack:
-        folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="lbacal-fuzz-")))
-        url, port = str(folder / "fuzz.sqlite"), find_free_port()
-        if database == "postgresql":
-            url = stack.enter_context(run_server()).url
-        environment = {"LBACAL_DATABASE_URL": url, "LBACAL_LOG_LEVEL": "error", "LBACAL_MAX_RATE": "1e9"}
-        run_command(environment, "db", "upgrade")
-        made = (run_command(environment, "keys", "create", "--scope", scope) for scope in ("admin", "read"))
-        keys = [{"Authorization": f"Bearer {said.splitlines()[-1]}"} for said in made]
-        process = Process(environment, folder / "log", "serve", "--port", str(port), "--api-only")
-        address = f"http://127.0.0.1:{port}"
-        with running(process):
-            wait_until(lambda: _lives(address), "the server")
-            yield address, keys, process
-
-
-def _lives(address: str) -> bool:
-    try:
-        return bool(httpx2.get(f"{address}/healthz", timeout=5).is_success)
-    except httpx2.TransportError:
-        return False
+    with (
+        tempfile.TemporaryDirectory(prefix="lbacal-fuzz-") as folder,
+        open_databases(database, "fuzz") as (url,),
+        run_service(url, Path(folder), log_level="error", max_rate="1e9") as service,
+    ):
+        keys = [{"Authorization": f"Bearer {key}"} for key in (service.key, make_key(service.environment, "read"))]
+        yield service.address, keys, service.processes[0]
 
 
 def _peak_mb(number: int) -> float:

@@ -8,7 +8,6 @@ requests are put to both in turn, through the whole application; a ratio is that
 
 from __future__ import annotations
 
-import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -18,7 +17,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import psycopg
 from fastapi.testclient import TestClient
 
 from lbacal_core.curves.curves import CONVERGED, CalibrationCurve
@@ -40,7 +38,7 @@ from service.wire.bodies import TagBody
 from validation.machinery.claims import Found, exactly
 from validation.machinery.parts import Part, Row
 from validation.running.ledger import write_promotions
-from validation.running.postgres import run_postgres
+from validation.running.postgres import open_databases
 
 FIRST, YEARS = 2016, 10
 KEPT = 40
@@ -255,7 +253,11 @@ def compare(kind: str, seed: int, years: int = YEARS, kept: int = KEPT, turns: i
     """Put the same requests to a service of one year and to one of many."""
     del seed  # one fixed case
     configure_logs("warning")
-    with _databases(kind) as urls, _service(urls[0], 1, kept) as small, _service(urls[1], years, kept) as large:
+    with (
+        open_databases(kind, "small", "large") as urls,
+        _service(urls[0], 1, kept) as small,
+        _service(urls[1], years, kept) as large,
+    ):
         asked = [requests(1, kept), requests(years, kept)]
         found = {}
         for name in asked[0]:
@@ -282,19 +284,6 @@ def _size(client: TestClient) -> int:
     with factory.database.engine.connect() as connection:
         found = connection.exec_driver_sql("SELECT pg_database_size(current_database())").scalar_one()
     return round(int(found) / 1e6)
-
-
-@contextmanager
-def _databases(kind: str) -> Iterator[tuple[str, str]]:
-    """Two empty databases of a kind."""
-    if kind == "sqlite":
-        with tempfile.TemporaryDirectory(prefix="lbacal-growth-") as folder:
-            yield f"{folder}/small.sqlite", f"{folder}/large.sqlite"
-        return
-    with run_postgres() as server, psycopg.connect(server, autocommit=True) as connection:
-        for name in ("small", "large"):
-            connection.execute(f"CREATE DATABASE {name}")
-        yield (server.replace("/postgres?", "/small?", 1), server.replace("/postgres?", "/large?", 1))
 
 
 @contextmanager

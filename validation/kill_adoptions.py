@@ -12,7 +12,6 @@ import tempfile
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -29,12 +28,12 @@ from lbacal_twin.faults.sky import LstOffset
 from lbacal_twin.settings import TwinSettings
 from service.config import Settings
 from service.storage.database import Database
-from validation.kills import Killable, judge, open_database
+from service.storage.migration import upgrade
+from validation.kills import SETTINGS, Killable, judge, open_database, victims_of
 from validation.machinery.parts import Part, Row
-from validation.running.processes import Process, find_free_port, is_ready, run_command, running, wait_until
+from validation.running.processes import is_ready, run_command, run_service, wait_until
 
 KILLS = 20
-SETTINGS: dict[str, Any] = {"lease_s": 3, "poll_s": 0.1, "gate_error": 0.5, "gate_change": 0.9, "log_level": "warning"}
 CAMPAIGN = TwinSettings(stations=("CS002",), antennas=2, years=0.99, events_per_year=120)
 FAULT = LstOffset(size=2.0)
 WINDOW = {"since": "2014-01-01", "until": "2015-01-01", "reason": "proof"}
@@ -101,25 +100,14 @@ def _run(folder: Path, database: Killable, kills: int, seed: int) -> Row:
     sky = compute_sky_power(instrument, lst_hours=np.arange(24.0))
     write_sky_power(sky, folder / "sky_power.json")
     spectra = simulate_campaign(CAMPAIGN, instrument, sky, np.random.default_rng([23, seed]), [FAULT]).spectra
-    port = find_free_port()
-    address = f"http://127.0.0.1:{port}"
-    environment = {f"LBACAL_{name.upper()}": str(value) for name, value in SETTINGS.items()}
-    environment |= {"LBACAL_DATABASE_URL": database.url, "LBACAL_SKY_POWER": str(folder / "sky_power.json")}
-    run_command(environment, "db", "upgrade")
-    key = run_command(environment, "keys", "create", "--scope", "admin").splitlines()[-1]
     store = Database(Settings(database_url=database.url).sqlalchemy_url)
+    upgrade(store)
     with store.write() as stores:
         stores.spectra.add(spectra)
-    processes = [
-        Process(environment, folder / "log", "serve", "--port", str(port), "--api-only"),
-        Process(environment, folder / "log", "worker"),
-        Process(environment, folder / "log", "scheduler"),
-    ]
-    victims: dict[str, Callable[[], None]] = {process.name: process.kill for process in processes}
-    if database.kill is not None:
-        victims["database"] = database.kill
     rng = np.random.default_rng([24, seed])
-    with running(*processes):
+    sky_power = folder / "sky_power.json"
+    with run_service(database.url, folder, "worker", "scheduler", sky_power=sky_power, **SETTINGS) as service:
+        address, key, victims = service.address, service.key, victims_of(service, database)
         wait_until(lambda: is_ready(address), "the server")
         wait_until(lambda: _is_idle(address, "investigation"), "the night")
         (found,) = httpx2.get(f"{address}/v1/investigations").json()["investigations"]
@@ -135,7 +123,7 @@ def _run(folder: Path, database: Killable, kills: int, seed: int) -> Row:
         adopter.stop()
         wait_until(lambda: not thread.is_alive(), "the last withdrawal")
         wait_until(lambda: is_ready(address), "the server")
-        run_command(environment, "scheduler", "--once")
+        run_command(service.environment, "scheduler", "--once")
         wait_until(lambda: _is_idle(address, "refit"), "the refits")
         after = _read_in_effect(address)
     row = _count(store, adopter, is_restored=before == after)

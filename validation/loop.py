@@ -44,10 +44,10 @@ from service.usecases.calibrations import select_paths
 from service.usecases.drift import start_of_year
 from service.wire.bodies import AdoptionBody, InvestigationBody, ReasonBody, RefitBody
 from service.worker import Worker
-from validation.kills import open_database
 from validation.machinery.claims import Found, exactly, mean_of, rate_of, root_mean_of, worst_of
 from validation.machinery.parts import Part, Row
 from validation.machinery.tables import by
+from validation.running.postgres import open_databases
 from validation.twin import CHANNELS, planted_curve
 
 STATION = Scope("CS002")
@@ -202,10 +202,10 @@ class Service:
 
 def close_loop(kind: str, settings: TwinSettings, seed: int) -> Row:
     """One fault: found in year 2, adopted, and what that does to year 3."""
-    with tempfile.TemporaryDirectory(prefix="lbacal-loop-") as folder, open_database(kind, Path(folder)) as database:
+    with tempfile.TemporaryDirectory(prefix="lbacal-loop-") as folder, open_databases(kind, "loop") as (url,):
         sky = Path(folder) / "sky_power.json"
         write_sky_power(compute_sky_power(Factory(Settings()).instrument), sky)
-        factory = Factory(Settings(database_url=database.url, sky_power=sky, **SERVICE))
+        factory = Factory(Settings(database_url=url, sky_power=sky, **SERVICE))
         configure_logs(factory.settings.log_level)
         try:
             return _close(Service(factory), draw_years(settings, sky, seed))

@@ -10,10 +10,8 @@ for one path, times 576, takes 250 to 280 times as long; both find the same C to
 from __future__ import annotations
 
 import argparse
-import time
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TypeVar
 
 import numpy as np
 from scipy.optimize import OptimizeResult, least_squares
@@ -29,10 +27,10 @@ from lbacal_core.instrument.sidereal import local_sidereal_time
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.spectra.blocks import split_into_blocks
 from lbacal_core.spectra.spectra import Spectra
+from validation.benchmarks.timing import Result, time_once
 from validation.fit import COMMON_GAIN, PATH_GAIN, RADIOMETER, YEAR_S, YEAR_START, Scene, scene_of_noise_terms
 
 REPEATS = 3
-Result = TypeVar("Result")
 
 
 def make_scene(stations: int, antennas: int) -> Scene:
@@ -69,13 +67,9 @@ def make_spectra(scene: Scene, events: int, rng: np.random.Generator) -> Spectra
 
 
 def measure(work: Callable[[], Result], repeats: int = REPEATS) -> tuple[Result, float, float]:
-    """The result, and the smallest wall and processor time of some repeats, s."""
-    times = []
-    for _ in range(repeats):
-        wall, cpu = time.perf_counter(), time.process_time()
-        result = work()
-        times.append((time.perf_counter() - wall, time.process_time() - cpu))
-    return result, min(t[0] for t in times), min(t[1] for t in times)
+    """The result, and the smallest time by the clock and of the processor of some repeats, s."""
+    done = [time_once(work) for _ in range(repeats)]
+    return done[-1][0], min(wall for _, wall, _ in done), min(cpu for _, _, cpu in done)
 
 
 class OnePath:

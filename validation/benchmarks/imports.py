@@ -8,8 +8,6 @@ from __future__ import annotations
 import multiprocessing
 import resource
 import tempfile
-import time
-from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -19,11 +17,11 @@ import numpy as np
 
 from lbacal_core.readers.open import choose_channels, open_source
 from lbacal_core.readers.source import average
+from validation.benchmarks.timing import processor_times
 
 INPUTS, SUB_BANDS, CLOCK_HZ = 96, 512, 200e6
 SHORT_S, LONG_S = 300, 1200
 DAY_S = 86_400
-ROUNDS = 3
 START = datetime(2025, 3, 1, tzinfo=UTC)
 
 
@@ -52,16 +50,6 @@ def average_file(path: Path) -> None:
     average(source, 900.0, choose_channels(source, band_mhz=(30, 80), width_mhz=1.0))
 
 
-def shortest(work: Callable[[Path], None], path: Path) -> float:
-    """Shortest processor time of some rounds, s."""
-    times = []
-    for _ in range(ROUNDS):
-        start = time.process_time()
-        work(path)
-        times.append(time.process_time() - start)
-    return min(times)
-
-
 def peak_mebibytes(path: Path) -> float:
     """Peak memory of this process after it averaged a file."""
     average_file(path)
@@ -73,7 +61,8 @@ def main() -> None:
         short, long = Path(folder) / "short.h5", Path(folder) / "long.h5"
         write_statistics(short, SHORT_S)
         write_statistics(long, LONG_S)
-        read, whole = shortest(read_only, short), shortest(average_file, short)
+        works = {"read": lambda: read_only(short), "whole": lambda: average_file(short)}
+        read, whole = processor_times(works).values()
         print(f"{INPUTS} paths x {SUB_BANDS} sub-bands, one a second: averaging takes {whole / read:.1f} times reading")
         print(f"{SHORT_S / whole:.0f} s of data in a second of one core: a day in {DAY_S * whole / SHORT_S:.0f} s")
         context = multiprocessing.get_context("spawn")

@@ -14,18 +14,14 @@ kinds take turns, so that other work on the machine meets all; rates are medians
 from __future__ import annotations
 
 import json
-import os
-import socket
 import sqlite3
-import subprocess
 import sys
 import tempfile
-import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from functools import partial
 from itertools import chain, count
+from pathlib import Path
 
 import httpx2
 import jiter
@@ -41,8 +37,9 @@ from service.config import Settings
 from service.handlers.request import HDF5
 from service.storage.database import Database
 from service.storage.migration import upgrade
-from validation.running.postgres import run_postgres
-from validation.running.processes import wait_until
+from validation.benchmarks.timing import time_once
+from validation.running.postgres import open_databases
+from validation.running.processes import run_service
 
 TURNS = 6
 LOADS = 4
@@ -129,50 +126,6 @@ class BulkPostgres:
         self._connection.commit()
 
 
-@contextmanager
-def serve(database_url: str) -> Iterator[tuple[str, str]]:
-    """A server on a database, its address and a key."""
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    environment = os.environ | {
-        "LBACAL_DATABASE_URL": database_url,
-        "LBACAL_LOG_LEVEL": "warning",
-        "LBACAL_MAX_RATE": "100000",
-    }
-    command = [sys.executable, "-m", "lbacal"]
-    made = subprocess.run(
-        [*command, "keys", "create", "--scope", "spectra:write"],
-        env=environment,
-        check=True,
-        capture_output=True,
-        text=True,
-    )
-    server = subprocess.Popen(
-        [*command, "serve", "--port", str(port), "--api-only"], env=environment, stdout=subprocess.DEVNULL
-    )
-    url = f"http://127.0.0.1:{port}"
-    try:
-        wait_until(lambda: _answers(url), "the server to answer")
-        yield url, made.stdout.splitlines()[-1]
-    finally:
-        server.terminate()
-        server.wait(30)
-
-
-def _answers(url: str) -> bool:
-    try:
-        return httpx2.get(f"{url}/healthz").is_success
-    except httpx2.TransportError:
-        return False
-
-
-def rate(rows: int, work: Callable[[], object]) -> float:
-    started = time.perf_counter()
-    work()
-    return rows / (time.perf_counter() - started)
-
-
 def read_text(body: bytes) -> Floats:
     """The powers of a JSON body, shape (row, freq)."""
     return np.array([spectrum["power"] for spectrum in jiter.from_json(body)["spectra"]])
@@ -193,12 +146,13 @@ def compare(name: str, database_url: str, bulk: BulkSqlite | BulkPostgres, event
     rates: dict[str, list[float]] = {}
     batches, free = count(), count()
     with (
-        serve(database_url) as (url, key),
-        httpx2.Client(base_url=url, timeout=60.0) as http,
-        Client(url, key) as client,
+        tempfile.TemporaryDirectory() as folder,
+        run_service(database_url, Path(folder), log_level="warning", max_rate=100_000) as service,
+        httpx2.Client(base_url=service.address, timeout=60.0) as http,
+        Client(service.address, service.key) as client,
         ThreadPoolExecutor(CLIENTS) as pool,
     ):
-        http.headers["Authorization"] = f"Bearer {key}"
+        http.headers["Authorization"] = f"Bearer {service.key}"
 
         def send(bodies: Sequence[bytes], media: str) -> None:
             for body in bodies:
@@ -236,7 +190,7 @@ def compare(name: str, database_url: str, bulk: BulkSqlite | BulkPostgres, event
                 "lbacal ingest again": partial(client.ingest, by_client),
             }
             for what, work in works.items():
-                rates.setdefault(what, []).append(rate(rows, work))
+                rates.setdefault(what, []).append(rows / time_once(work)[1])
     median = {what: float(np.median(found[1:])) for what, found in rates.items()}  # the first turn warms up
     print(f"{name}: {TURNS - 1} turns of {events} events x {rows // events} spectra")
     for what, found in median.items():
@@ -246,25 +200,17 @@ def compare(name: str, database_url: str, bulk: BulkSqlite | BulkPostgres, event
 
 
 def main(events: int = 10) -> None:
-    with tempfile.TemporaryDirectory() as folder:
-        ours, bare = f"{folder}/ours.sqlite", f"{folder}/bare.sqlite"
-        prepare(ours, bare)
-        compare("SQLite", ours, BulkSqlite(bare), events)
-    with run_postgres() as server, psycopg.connect(server, autocommit=True) as connection:
-        urls = []
-        for name in ("ours", "bare"):
-            connection.execute(f"CREATE DATABASE {name}")
-            urls.append(server.replace("/postgres?", f"/{name}?", 1))
-        prepare(*urls)
-        compare("PostgreSQL", urls[0], BulkPostgres(urls[1]), events)
+    for kind, bulk in (("sqlite", BulkSqlite), ("postgresql", BulkPostgres)):
+        with open_databases(kind, "ours", "bare") as (ours, bare):
+            prepare(bare)
+            compare(kind, ours, bulk(bare), events)
 
 
-def prepare(*urls: str) -> None:
-    """Make the schema in empty databases."""
-    for url in urls:
-        database = Database(Settings(database_url=url).sqlalchemy_url)
-        upgrade(database)
-        database.close()
+def prepare(url: str) -> None:
+    """Make the schema in an empty database."""
+    database = Database(Settings(database_url=url).sqlalchemy_url)
+    upgrade(database)
+    database.close()
 
 
 if __name__ == "__main__":

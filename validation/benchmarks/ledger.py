@@ -11,13 +11,10 @@ machine meets both; times are medians.
 from __future__ import annotations
 
 import sys
-import tempfile
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 import numpy as np
-import psycopg
 
 from lbacal.instants import parse_instant
 from lbacal_core.curves.covariance import Budget, BudgetTerm, CurveCovariance
@@ -31,8 +28,9 @@ from service.storage.migration import upgrade
 from service.storage.versions import Version
 from service.usecases.calibrations import select_paths
 from service.wire.bodies import PromotionBody
+from validation.benchmarks.timing import median_times
 from validation.running.ledger import write_promotions
-from validation.running.postgres import run_postgres
+from validation.running.postgres import open_databases
 
 TURNS = 9
 SINCE, UNTIL = parse_instant("", "2020-01-01"), parse_instant("", "2021-01-01")
@@ -131,16 +129,9 @@ def compare(name: str, small_url: str, large_url: str, nights: int) -> None:
     with opened(small_url) as small, opened(large_url) as large:
         both = [deeds(small, fill(small, 0)), deeds(large, fill(large, nights))]
         print(f"{name}: {len(PATHS)} and {len(PATHS) * (1 + nights):,} promotions, medians of {TURNS - 1} turns")
-        for what in both[0]:
-            times = np.array([[_time(one[what], turn) for one in both] for turn in range(TURNS)])[1:]
-            before, after = np.median(times, axis=0)
-            print(f"  {what}: {1e3 * before:.1f} ms, {1e3 * after:.1f} ms: {np.median(times[:, 1] / times[:, 0]):.2f}")
-
-
-def _time(deed: Callable[[int], object], turn: int) -> float:
-    started = time.perf_counter()
-    deed(turn)
-    return time.perf_counter() - started
+        for what, small_deed in both[0].items():
+            before, after = median_times({"small": small_deed, "large": both[1][what]}, TURNS).values()
+            print(f"  {what}: {1e3 * before:.1f} ms, {1e3 * after:.1f} ms: {after / before:.2f}")
 
 
 @contextmanager
@@ -155,12 +146,9 @@ def opened(url: str) -> Iterator[Factory]:
 
 
 def main(nights: int = 174) -> None:
-    with tempfile.TemporaryDirectory() as folder:
-        compare("SQLite", f"{folder}/small.sqlite", f"{folder}/large.sqlite", nights)
-    with run_postgres() as server, psycopg.connect(server, autocommit=True) as connection:
-        for name in ("small", "large"):
-            connection.execute(f"CREATE DATABASE {name}")
-        compare("PostgreSQL", *(server.replace("/postgres?", f"/{n}?", 1) for n in ("small", "large")), nights)
+    for kind in ("sqlite", "postgresql"):
+        with open_databases(kind, "small", "large") as urls:
+            compare(kind, *urls, nights)
 
 
 if __name__ == "__main__":

@@ -12,7 +12,6 @@ from __future__ import annotations
 import asyncio
 import json
 import sys
-import tempfile
 import time
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import replace
@@ -20,7 +19,6 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-import psycopg
 from fastapi import Depends, FastAPI, Request, Response
 from sqlalchemy import event
 
@@ -33,7 +31,8 @@ from service.logs import configure_logs
 from service.storage.spectra import Window
 from validation.benchmarks.ingest import make_spectra
 from validation.benchmarks.ledger import INSTRUMENT, PATHS, fill, opened
-from validation.running.postgres import run_postgres
+from validation.benchmarks.timing import median_times
+from validation.running.postgres import open_databases
 
 TURNS, YEAR_TURNS = 41, 11
 SMALL = 100
@@ -151,15 +150,9 @@ def compare_a_year(factory: Factory) -> None:
 
     if fetch() != rows:
         raise RuntimeError("the driver should fetch the same rows")
-    times = np.array([[_time(load), _time(fetch)] for _ in range(YEAR_TURNS)])[1:]
-    ours, bare = 1e3 * np.median(times, axis=0)
+    took = median_times({"ours": lambda _: load(), "bare": lambda _: fetch()}, YEAR_TURNS)
+    ours, bare = 1e3 * took["ours"], 1e3 * took["bare"]
     print(f"  a path's year, {rows} spectra: {ours:.1f} ms, the bare driver {bare:.1f} ms: {ours / bare:.2f}")
-
-
-def _time(work: Callable[[], object]) -> float:
-    started = time.perf_counter()
-    work()
-    return time.perf_counter() - started
 
 
 def compare(name: str, urls: Sequence[str], events: int, nights: int) -> None:
@@ -176,13 +169,9 @@ def compare(name: str, urls: Sequence[str], events: int, nights: int) -> None:
 
 def main(events: int = 6000, nights: int = 174) -> None:
     configure_logs("warning")
-    with tempfile.TemporaryDirectory() as folder:
-        compare("SQLite", [f"{folder}/{size}.sqlite" for size in ("small", "large")], events, nights)
-    with run_postgres() as server, psycopg.connect(server, autocommit=True) as connection:
-        for size in ("small", "large"):
-            connection.execute(f"CREATE DATABASE reads_{size}")
-        urls = [server.replace("/postgres?", f"/reads_{size}?", 1) for size in ("small", "large")]
-        compare("PostgreSQL", urls, events, nights)
+    for kind in ("sqlite", "postgresql"):
+        with open_databases(kind, "small", "large") as urls:
+            compare(kind, urls, events, nights)
 
 
 if __name__ == "__main__":

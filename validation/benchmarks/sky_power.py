@@ -1,13 +1,10 @@
-"""Speed of P_sky(LST, nu), as ratios measured in one run: .venv/bin/python validation/benchmarks/sky_power.py.
+"""Speed of P_sky(LST, nu), as ratios measured in one run: .venv/bin/python -m validation.benchmarks.sky_power.
 
 96 LST x 51 channels, one dipole, embedded sky: the Fourier series against the plain sum over pixels (nside 64), and
 a new beam or a new sky against the full evaluation.
 """
 
 from __future__ import annotations
-
-import time
-from collections.abc import Callable
 
 import numpy as np
 
@@ -18,17 +15,9 @@ from lbacal_core.sky.model import DATA_EPOCH, precess_multipoles
 from lbacal_core.sky.names import load_sky
 from lbacal_core.skypower.direct import sum_over_pixels
 from lbacal_core.skypower.modes import beam_multipoles, combine, sky_power_at, sky_power_modes
+from validation.benchmarks.timing import processor_times, time_once
 
 ARM_DEG = 45.0
-
-
-def shortest(work: Callable[[], object], repeats: int) -> float:
-    durations = []
-    for _ in range(repeats):
-        started = time.perf_counter()
-        work()
-        durations.append(time.perf_counter() - started)
-    return min(durations)
 
 
 def main() -> None:
@@ -52,13 +41,16 @@ def main() -> None:
         changed = precess_multipoles(scaled.temperature(nu), DATA_EPOCH)
         return sky_power_at(combine(changed, beam, ARM_DEG, latitude, nu), lst)
 
-    full = shortest(lambda: sky_power_at(sky_power_modes(sky, antenna, ARM_DEG, latitude, nu), lst), 5)
+    def everything() -> object:
+        return sky_power_at(sky_power_modes(sky, antenna, ARM_DEG, latitude, nu), lst)
+
+    works = {"new beam shape": new_beam, "new azimuth": new_azimuth, "new sky parameters": new_sky}
+    full, *news = processor_times({"everything": everything, **works}, 5).values()
     # Four of the 96 LST: the plain sum does nothing once for all, so its time is proportional.
-    plain = shortest(lambda: sum_over_pixels(sky, antenna, ARM_DEG, latitude, lst[::24], nu), 1) * 24
+    plain = 24 * time_once(lambda: sum_over_pixels(sky, antenna, ARM_DEG, latitude, lst[::24], nu))[2]
     print(f"plain sum, beam evaluated at each LST: {plain:.1f} s (4 of 96 LST measured)")
     print(f"Fourier series, everything: {full * 1e3:.1f} ms, {plain / full:.0f} times faster")
-    for name, work in (("new beam shape", new_beam), ("new azimuth", new_azimuth), ("new sky parameters", new_sky)):
-        duration = shortest(work, 5)
+    for name, duration in zip(works, news, strict=True):
         print(
             f"{name}: {duration * 1e3:.1f} ms, {full / duration:.1f} x everything, {plain / duration:.0f} x plain sum"
         )

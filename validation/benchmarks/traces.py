@@ -6,8 +6,6 @@ Run: OPENBLAS_NUM_THREADS=1 .venv/bin/python -m validation.benchmarks.traces  (o
 from __future__ import annotations
 
 import tempfile
-import time
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -17,23 +15,13 @@ from lbacal_core.traces.background import CleaningSettings, measure_background, 
 from lbacal_core.traces.density import FACTORS, find_segments, transform_segments, transform_trace
 from lbacal_core.traces.trace import BLOCK_SAMPLES, TraceReference, group_traces, list_traces, read_trace
 from lbacal_twin.voltages import SAMPLE_RATE_HZ, Transmitter, digitise, draw_noise, write_frames
+from validation.benchmarks.timing import processor_times
 
 ANTENNAS = 24
 BLOCKS = 410  # 2.1 ms
 ROUNDS = 7
 BAND_MHZ = np.arange(30.0, 81.0)
 CAMPAIGN_BYTES = 3e12
-
-
-def best_of(steps: dict[str, Callable[[], object]]) -> dict[str, float]:
-    """Shortest processor time of every step, s; rounds are interleaved, so that a busy machine treats them alike."""
-    times: dict[str, list[float]] = {step: [] for step in steps}
-    for _ in range(ROUNDS):
-        for step, work in steps.items():
-            start = time.process_time()
-            work()
-            times[step].append(time.process_time() - start)
-    return {step: min(values) for step, values in times.items()}
 
 
 def main() -> None:
@@ -70,7 +58,7 @@ def main() -> None:
             "files to spectra, all of it": lambda: measure_background(event.references, settings),
         }
         megabytes = sum(trace.samples.nbytes for trace in traces) / 1e6
-        seconds = best_of(steps)
+        seconds = processor_times(steps, ROUNDS)
     bare = next(iter(seconds.values()))
     print(f"{ANTENNAS} traces of {BLOCKS} blocks, {megabytes:.1f} MB, one core, processor time, best of {ROUNDS}")
     print("| step | MB/s | speed / bare FFT |\n|---|---|---|")

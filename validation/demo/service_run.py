@@ -27,7 +27,7 @@ from lbacal_core.errors import name_path
 from lbacal_core.spectra.spectra import Spectra
 from lbacal_twin.faults.antenna import GainStep
 from lbacal_twin.faults.fault import Where
-from validation.running.processes import find_free_port
+from validation.running.processes import find_free_port, make_key, run_command
 
 STATION, ANTENNA, DIPOLE = "CS002", 5, "Y"
 STEP = GainStep(size=0.12, date="2015-04-11", where=Where(antennas=(ANTENNA,), dipoles=(DIPOLE,)))
@@ -76,14 +76,6 @@ class Server:
                 raise RuntimeError(f"the server has ended: {self.log} says why")
             time.sleep(0.1)
 
-    def run(self, *arguments: str) -> str:
-        """What a command of `lbacal` prints."""
-        command = [sys.executable, "-m", "lbacal", *arguments]
-        done = subprocess.run(command, env=self.environment, capture_output=True, text=True, check=False)
-        if done.returncode != 0:
-            raise RuntimeError(f"lbacal {' '.join(arguments)} failed: {done.stderr}")
-        return done.stdout
-
 
 @contextmanager
 def running_server(folder: Path, *, searches: bool) -> Iterator[Server]:
@@ -114,11 +106,11 @@ def serve_years(spectra: Spectra, server: Server, tell: Callable[[str], None]) -
     url = server.url
     with Client(url) as client:
         server.wait(lambda: _answers(client))
-    made = server.run("keys", "create", "--scope", "spectra:write")
-    with Client(url, made.splitlines()[-1]) as client:
+    key = make_key(server.environment, "spectra:write")
+    with Client(url, key) as client:
         total = client.ingest(spectra)
         tell(f"lbacal serve: {url}; lbacal ingest: {total['stored']} spectra of two years stored")
-        tell(f"lbacal scheduler: {server.run('scheduler', '--once').strip()}")
+        tell(f"lbacal scheduler: {run_command(server.environment, 'scheduler', '--once').strip()}")
         server.wait(lambda: _is_done(client))
         jobs = client.get("/v1/jobs")["jobs"]
         tell(f"lbacal worker: {sum(len(job['calibrations']) for job in jobs)} calibrations made")

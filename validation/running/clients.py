@@ -36,6 +36,16 @@ class Record:
     answers: Counter[int] = field(default_factory=Counter)
     lock: threading.Lock = field(default_factory=threading.Lock)
 
+    @property
+    def has_answers_as_promised(self) -> bool:
+        """Whether every answer was a success, `nothing stored yet` or `unavailable`."""
+        return set(self.answers) <= {200, 201, 202, 409, 503}
+
+    @property
+    def told_answers(self) -> dict[str, int]:
+        """How often each status was the answer."""
+        return {str(code): count for code, count in sorted(self.answers.items())}
+
 
 @dataclass
 class Clients:

@@ -15,6 +15,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import psycopg
+
 STARTS = 40
 PLACES = ("/usr/lib/postgresql/*/bin", "/usr/local/pgsql/bin", "/opt/homebrew/opt/postgresql*/bin", "/usr/local/bin")
 
@@ -113,6 +115,22 @@ def run_postgres() -> Iterator[str]:
         return
     with run_server() as server:
         yield server.url
+
+
+@contextmanager
+def open_databases(kind: str, *names: str) -> Iterator[list[str]]:
+    """The URLs of empty databases, of `sqlite` or `postgresql`, that are gone after the block."""
+    if kind == "sqlite":
+        with tempfile.TemporaryDirectory(prefix="lbacal-") as folder:
+            yield [f"{folder}/{name}.sqlite" for name in names]
+        return
+    with run_postgres() as server, psycopg.connect(server, autocommit=True) as connection:
+        own = [f"{name}_{os.getpid()}" for name in names]
+        for name in own:
+            connection.execute(f"CREATE DATABASE {name}")
+        yield [server.replace("/postgres?", f"/{name}?", 1) for name in own]
+        for name in own:
+            connection.execute(f"DROP DATABASE {name} WITH (FORCE)")
 
 
 def _owner() -> pwd.struct_passwd | None:

@@ -7,9 +7,11 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import httpx2
 
@@ -47,6 +49,14 @@ def run_command(environment: Mapping[str, str], *arguments: str) -> str:
     if done.returncode != 0:
         raise RuntimeError(f"lbacal {' '.join(arguments)} failed: {done.stderr}")
     return done.stdout
+
+
+def is_alive(url: str) -> bool:
+    """Whether a server answers."""
+    try:
+        return bool(httpx2.get(f"{url}/healthz", timeout=5).is_success)
+    except httpx2.TransportError:
+        return False
 
 
 class Process:
@@ -93,3 +103,34 @@ def running(*processes: Process) -> Iterator[None]:
     finally:
         for process in processes:
             process.stop()
+
+
+def make_key(environment: Mapping[str, str], scope: str) -> str:
+    """A new key of the service of an environment."""
+    return run_command(environment, "keys", "create", "--scope", scope).splitlines()[-1]
+
+
+@dataclass(frozen=True)
+class Service:
+    """A service that runs: where it answers, the key of an admin, the environment of its commands, its processes."""
+
+    address: str
+    key: str
+    environment: Mapping[str, str]
+    processes: Sequence[Process]
+
+
+@contextmanager
+def run_service(database_url: str, folder: Path, *beside: str, **settings: Any) -> Iterator[Service]:
+    """Run a server on an empty database, and other commands beside it, until the block ends; a folder has their log."""
+    port = find_free_port()
+    address = f"http://127.0.0.1:{port}"
+    values = {"database_url": database_url, **settings}
+    environment = {f"LBACAL_{name.upper()}": str(value) for name, value in values.items()}
+    run_command(environment, "db", "upgrade")
+    key = make_key(environment, "admin")
+    serve = ("serve", "--port", str(port), "--api-only")
+    processes = [Process(environment, folder / "log", *command) for command in (serve, *((name,) for name in beside))]
+    with running(*processes):
+        wait_until(lambda: is_alive(address), "the server")
+        yield Service(address, key, environment, processes)

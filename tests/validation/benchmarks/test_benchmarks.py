@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import json
-import os
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
-import psycopg
 import pytest
 from fastapi import FastAPI
 
@@ -24,7 +22,7 @@ from validation.benchmarks.ingest import BulkPostgres, BulkSqlite, prepare
 from validation.benchmarks.ledger import PATHS, deeds, fill, opened
 from validation.benchmarks.reads import ONE, REQUESTS, add_same, compare_a_year, fill_spectra, get
 from validation.fit import Scene
-from validation.running.postgres import run_postgres
+from validation.running.postgres import open_databases
 
 
 @pytest.fixture(scope="module")
@@ -65,29 +63,18 @@ def count(url: str) -> int:
     return found
 
 
-def require_once(bulk: BulkSqlite | BulkPostgres, url: str) -> None:
-    bulk.add_keys(3, 2)
-    for events in (1, 2, 2):
-        bulk.load([(path, event, 0, 100, bytes(8)) for event in range(events) for path in range(3)])
-        assert count(url) == 3 * events
-    bulk.close()
-
-
-def test_the_bulk_load_of_sqlite_stores_each_spectrum_once(tmp_path: Path) -> None:
-    url = str(tmp_path / "bare.sqlite")
-    prepare(url)
-    require_once(BulkSqlite(url), url)
-
-
-@pytest.mark.usefixtures("needs_postgres")
-def test_the_bulk_load_of_postgresql_stores_each_spectrum_once() -> None:
-    name = f"bulk_{os.getpid()}"
-    with run_postgres() as server, psycopg.connect(server, autocommit=True) as connection:
-        connection.execute(f"CREATE DATABASE {name}")
-        url = server.replace("/postgres?", f"/{name}?", 1)
+@pytest.mark.parametrize(("kind", "make"), [("sqlite", BulkSqlite), ("postgresql", BulkPostgres)])
+def test_a_bulk_load_stores_each_spectrum_once(kind: str, make: type, request: pytest.FixtureRequest) -> None:
+    if kind == "postgresql":
+        request.getfixturevalue("needs_postgres")
+    with open_databases(kind, "bulk") as (url,):
         prepare(url)
-        require_once(BulkPostgres(url), url)
-        connection.execute(f"DROP DATABASE {name} WITH (FORCE)")
+        bulk = make(url)
+        bulk.add_keys(3, 2)
+        for events in (1, 2, 2):
+            bulk.load([(path, event, 0, 100, bytes(8)) for event in range(events) for path in range(3)])
+            assert count(url) == 3 * events
+        bulk.close()
 
 
 def test_each_deed_is_done_on_a_ledger_of_two_nights(tmp_path: Path) -> None:
