@@ -60,7 +60,6 @@ def main(arguments: list[str]) -> int:
 
 
 def read_standing() -> dict[str, dict[str, int]]:
-    """Trials of the standing validation, by proof and part."""
     return tomllib.loads(STANDING.read_text(encoding="utf-8"))
 
 
@@ -72,7 +71,6 @@ def _list_proofs() -> int:
 
 
 def _prove(chosen: argparse.Namespace, verdicts: list[str]) -> None:
-    """Run the parts and note every verdict."""
     if chosen.name not in proof_names():
         raise RefusedError(f"no proof {chosen.name}; there are {', '.join(proof_names())}")
     parts = parts_of(chosen.name)

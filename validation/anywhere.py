@@ -42,7 +42,6 @@ MATCHED_M2 = 4800.0
 
 
 def draw_instrument(rng: np.random.Generator) -> Instrument:
-    """An instrument with one to three antennas of one station."""
     low = float(rng.uniform(10.0, 200.0))
     high = min(float(rng.uniform(1.5, 4.0)) * low, 400.0)
     nu = np.sort(rng.uniform(low, high, int(rng.integers(8, 201))))
@@ -189,7 +188,6 @@ def _pulls_of_constants(curve: CalibrationCurve, truth: Truth) -> list[float]:
 
 
 def judge(rows: Sequence[Row]) -> list[Found]:
-    """Curves with an answer, and truths inside the errors, for each kind of chain."""
     statuses = [status for row in rows for status in row["statuses"]]
     claims = [rate_of("answered", statuses.count(CONVERGED), len(statuses))]
     for chain in ("flat", "shaped", "stages"):
@@ -203,7 +201,6 @@ def judge(rows: Sequence[Row]) -> list[Found]:
 
 
 def judge_investigations(rows: Sequence[Row]) -> list[Found]:
-    """What is planted is named with its size, and nothing else is."""
     clean = [row for row in rows if row["kind"] == "nothing"]
     claims = [rate_of("false", sum(row["others"] > 0 for row in clean), len(clean))]
     for kind in WHAT:

@@ -127,7 +127,6 @@ def hide(kind: str, spectra: Spectra, instrument: Instrument, rng: np.random.Gen
 
 
 def _exchange_cable(instrument: Instrument, antenna: int, rng: np.random.Generator) -> Instrument:
-    """A record that gives one antenna another cable."""
     records = []
     for record in instrument.antennas:
         others = [name for name in instrument.cables if name != record.cable]
@@ -137,7 +136,6 @@ def _exchange_cable(instrument: Instrument, antenna: int, rng: np.random.Generat
 
 
 def _break(kind: str, spectra: Spectra, rows: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Powers in which one path does not work."""
     power = spectra.power.copy()
     shape = power[rows].shape
     if kind == "oscillating":
@@ -164,7 +162,6 @@ def tell_audit(length: str, seed: int) -> Row:
 
 
 def tell_fault(length: str, seed: int, kind: str) -> Row:
-    """Draw a station, hide a fault or nothing, and audit it."""
     rng = np.random.default_rng([20261122, seed])
     station = draw_station(rng, length)
     spectra, instrument = station.spectra, station.instrument
@@ -203,7 +200,6 @@ def _count(rows: Sequence[Row], outcome: str) -> tuple[int, int]:
 
 
 def judge_common(rows: Sequence[Row]) -> list[Found]:
-    """Nothing is named where nothing is wrong; no wrong name where something is; paths that do not work are."""
     clean = [row for row in rows if row["kind"] == "nothing"]
     faulty = [row for row in rows if row["kind"] != "nothing"]
     return [
@@ -214,12 +210,10 @@ def judge_common(rows: Sequence[Row]) -> list[Found]:
 
 
 def judge_paths(rows: Sequence[Row]) -> list[Found]:
-    """Each length decides paths that do not work."""
     return [rate_of(length, *_count([row for row in rows if row["length"] == length], "right")) for length in LENGTHS]
 
 
 def judge_day(rows: Sequence[Row]) -> list[Found]:
-    """A day decides letters, clock, arms, place and unit."""
     others = [row for row in rows if row["kind"] in ("latitude", "longitude", "decibels", "volts", "cable")]
     clocks = [row for row in rows if row["kind"] == "clock"]
     close = [row for row in clocks if abs(row.get("off", np.inf)) <= CLOCK_WITHIN_MIN]
@@ -235,12 +229,10 @@ def judge_day(rows: Sequence[Row]) -> list[Found]:
 
 
 def judge_letters(rows: Sequence[Row]) -> list[Found]:
-    """A day decides letters."""
     return [rate_of("letters", *_count(rows, "right"))]
 
 
 def judge_arms(rows: Sequence[Row]) -> list[Found]:
-    """A day decides arms."""
     near = [row for row in rows if abs(row.get("off", np.inf)) <= ARMS_WITHIN_DEG]
     return [rate_of("arms", len(near), len(rows))]
 

@@ -118,7 +118,6 @@ def tell_campaign(sky_budget: str, settings: TwinSettings, seed: int) -> Row:
 
 
 def judge(rows: Sequence[Row]) -> list[Found]:
-    """Whether the truth lies within the total error as often as it should, for every kind of answer."""
     return [
         mean_of(f"{scope}_{k}", np.array([row[scope]["all"][f"within_{k}"] for row in rows]), "%")
         for scope in SCOPES

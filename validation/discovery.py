@@ -22,7 +22,6 @@ IMAGES = {
 
 
 def draw(rows: Mapping[str, Sequence[Row]]) -> dict[str, Figure]:
-    """The curve of detection and the efficiencies, where both were measured."""
     if not {"one", "efficiency"} <= set(rows):
         return {}
     return {"discovery.png": draw_detection(rows["one"], rows["efficiency"])}

@@ -61,7 +61,6 @@ def look(world: World, seed: int, looks: Sequence[float]) -> Row:
 
 
 def judge_looks(rows: Sequence[Row]) -> list[Found]:
-    """At most a twentieth of the series and one alarm a month."""
     return [
         mean_of("series", np.array([row["alarmed"] for row in rows]), "%"),
         mean_of("month", np.array([row["alarms_a_month"] for row in rows])),
@@ -106,7 +105,6 @@ def _steps_of(rows: Sequence[Row], size: float | None = None) -> list[Row]:
 
 
 def judge_steps(rows: Sequence[Row]) -> list[Found]:
-    """Found, dated within the stated errors, sized within theirs, and none in other paths."""
     large, small = _steps_of(rows, LADDER[0]), _steps_of(rows, LADDER[1])
     seen = [s for s in _steps_of(rows) if s["found"]]
     dated = [s for s in large if s["found"]]
@@ -163,7 +161,6 @@ def plant_slopes(world: World, seed: int, paths: int = 60) -> Row:
 
 
 def judge_slopes(rows: Sequence[Row]) -> list[Found]:
-    """Found, and the errors of slopes are right."""
     keys = ("found", "within_2", "others_within_2")
     return [mean_of(key, np.array([row[key] for row in rows]), "%") for key in keys]
 
@@ -195,7 +192,6 @@ def _step(history: History, paths: np.ndarray, date: float, size: float) -> None
 
 
 def judge_stations(rows: Sequence[Row]) -> list[Found]:
-    """Each once."""
     return [rate_of(key, sum(row[f"{key}_once"] for row in rows), len(rows)) for key in ("station", "board")]
 
 
@@ -216,7 +212,6 @@ def age(world: World, seed: int) -> Row:
 
 
 def judge_whole(rows: Sequence[Row]) -> list[Found]:
-    """The error covers, and the limit is what years that scatter by 5 % allow."""
     claims = []
     for name in ("steps", "smooth"):
         off = np.array([abs(row[name]["slope"] - row["trend"]) for row in rows])

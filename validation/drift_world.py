@@ -58,7 +58,6 @@ class World:
 
 
 def draw_history(world: World, rng: np.random.Generator) -> History:
-    """Draw a campaign in which nothing breaks."""
     time_unix = np.sort(START + rng.uniform(0.0, world.years * YEAR, rng.poisson(world.years * world.events_per_year)))
     station = np.repeat(world.names, 2 * world.antennas)
     antenna = np.tile(np.repeat(np.arange(world.antennas), 2), world.stations)
@@ -96,7 +95,6 @@ def _draw_years(world: World, time_unix: Floats, rng: np.random.Generator) -> Fl
 
 
 def cut_short(history: History, years: float) -> History:
-    """What was known of a campaign after some years."""
     events = int(np.searchsorted(history.time_unix, START + years * YEAR))
     return History(
         history.station, history.antenna, history.dipole, history.time_unix[:events], history.ln_c[:, :events],

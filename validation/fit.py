@@ -155,7 +155,6 @@ def fit_one(scene: Scene, rng: np.random.Generator) -> Row:
 
 
 def judge(rows: Sequence[Row]) -> list[Found]:
-    """What the data sets show of a fit, at each of its numbers."""
     good = [row for row in rows if row["status"] == CONVERGED]
     ratio, pull = (np.array([row[name] for row in good]) for name in ("error_over_bound", "pull"))
     rms, n = np.sqrt(np.mean(ratio**2, axis=0)), len(good)
@@ -180,18 +179,15 @@ def example_scene() -> Scene:
 
 @cache
 def published_noise_scene() -> Scene:
-    """The Superterp with the package's own sky and the published noise."""
     instrument = load_instrument("lofar-superterp")
     return scene_of_noise_terms(instrument, compute_sky_power(instrument))
 
 
 def fit_example(seed: int) -> Row:
-    """A data set with the noise of the example."""
     return fit_one(example_scene(), np.random.default_rng([20_141_101, seed]))
 
 
 def fit_published_noise(seed: int) -> Row:
-    """A data set with the published noise."""
     return fit_one(published_noise_scene(), np.random.default_rng([20_141_102, seed]))
 
 

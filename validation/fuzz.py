@@ -134,7 +134,6 @@ def _ask_route(operation: Any, key: Key | None, number: int, statuses: Counter[i
 
 
 def read_documents(number: int) -> Row:
-    """Give changed documents to their readers."""
     rng = np.random.default_rng([31, number])
     failures: list[str] = []
     read: Counter[str] = Counter()
@@ -214,7 +213,6 @@ def _changed(document: Any, rng: np.random.Generator) -> bytes:
 
 
 def read_files(number: int) -> Row:
-    """Send changed spectra files to the processes that read them."""
     rng = np.random.default_rng([32, number])
     content = _write_file()
     reader, failures, outcomes = FileReader(), [], Counter[str]()
@@ -342,12 +340,10 @@ def _row(cases: int, failures: Sequence[str], **counts: Counter[Any]) -> Row:
 
 
 def judge(rows: Sequence[Row]) -> list[Found]:
-    """How many cases failed."""
     return [rate_of("failed", sum(row["failed"] for row in rows), sum(row["cases"] for row in rows))]
 
 
 def judge_bombs(rows: Sequence[Row]) -> list[Found]:
-    """Whether all are refused, and in how much memory."""
     failed, memory = sum(row["failed"] for row in rows), max(row["memory_mb"] for row in rows)
     return [exactly("failed", failed, "", len(rows)), exactly("memory", memory, "MB", len(rows))]
 

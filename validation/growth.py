@@ -71,7 +71,6 @@ def make_version(scope: Scope, year: int, number: int, rng: np.random.Generator)
 
 
 def fill(factory: Factory, years: int, kept: int) -> None:
-    """Write what some years of nights leave."""
     rng = np.random.default_rng(years)
     scopes = [*PATHS, *(Scope(station) for station in STATIONS), Scope()]
     promotions: list[Promotion] = []
@@ -298,7 +297,6 @@ def _service(url: str, years: int, kept: int) -> Iterator[TestClient]:
 
 
 def judge(rows: Sequence[Row]) -> list[Found]:
-    """The largest ratio, and the times in a gap and of promotions after all years."""
     (row,) = rows
     after = {name: ms[1] for name, ms in row["ms"].items()}
     found = (

@@ -114,7 +114,6 @@ def kill_and_compare(kind: str, kills: int, seed: int) -> Row:
 
 
 def judge(rows: Sequence[Row]) -> list[Found]:
-    """How many kills broke a promise; a run with a broken promise counts as one."""
     return [rate_of("broken", sum(bool(row["broken"]) for row in rows), sum(row["kills"] for row in rows))]
 
 

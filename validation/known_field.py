@@ -106,7 +106,6 @@ def calibrate_by_source(seed: int) -> Row:
 
 
 def judge_source(rows: Sequence[Row]) -> list[Found]:
-    """Coverage of C by a reference source, and of the trend against the Galactic C."""
     chi2 = mean_of("chi2", np.array([row["chi2"] for row in rows]))
     return [*coverage(rows, "c"), chi2, *coverage(rows, "trend"), *coverage(rows, "both")]
 
@@ -180,7 +179,6 @@ def _voltages(
 
 
 def judge_field(rows: Sequence[Row]) -> list[Found]:
-    """Coverage of the amplitudes of both components."""
     unflagged = sum(row["same_arm_unflagged"] > 0 for row in rows)
     return [
         *coverage([row for row in rows if row["is_used"]], "field"),

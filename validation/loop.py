@@ -284,7 +284,6 @@ def _largest(curves: Sequence[CalibrationCurve], clean: Sequence[CalibrationCurv
 
 
 def judge(rows: Sequence[Row]) -> list[Found]:
-    """Whether the fault is named, C is right with it and wrong without, and the gain is that promised."""
     closed = [row for row in rows if row["is_named"]]
     square = np.mean(np.array([row["pulls"] for row in closed]) ** 2, axis=1)
     of_gain = np.array([(g - e) / s for g, e, s in (row["gain"] for row in closed)])

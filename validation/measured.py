@@ -127,7 +127,6 @@ def variants(main: Question, others: Iterable[Question] = ()) -> list[Question]:
 
 
 def describe(fit: CurveFit) -> str:
-    """The causes of a set with sizes and errors."""
     cells = [
         f"{name} ± {sigma * np.sqrt(fit.scale):.2f}" if sigma else name
         for name, sigma in zip(name_hypothesis(fit), fit.sigmas.tolist(), strict=True)
@@ -219,7 +218,6 @@ def _instrument() -> Instrument:
 
 @cache
 def own_questions() -> list[Question]:
-    """The measured curve against our sky, and every choice made otherwise."""
     own, _ = main_questions(_instrument())
     return variants(own, _other_skies(own, _instrument()))
 
@@ -235,7 +233,6 @@ def tables_questions() -> list[Question]:
 
 @cache
 def other_questions() -> list[Question]:
-    """Published curves and simulations against each other."""
     own, tables = main_questions(_instrument())
     return witnesses(_instrument(), own.sky, tables.sky)
 
@@ -272,7 +269,6 @@ def ask_one(questions: Callable[[], list[Question]], case: int) -> Row:
 
 
 def judge_variants(rows: Sequence[Row]) -> list[Found]:
-    """Whether the exchange of the letters depends on a choice."""
     named = sum("dipole_swap" in row["sizes"] for row in rows) / len(rows)
     noise, sigma, *_ = rows[0]["noise_of_sky"]
     # a size whose sigma is 0 is a statement, which has no size
@@ -284,7 +280,6 @@ def judge_variants(rows: Sequence[Row]) -> list[Found]:
 
 
 def judge_others(rows: Sequence[Row]) -> list[Found]:
-    """The simulation drawn in the figure, and the tables against our sky."""
     named = sum("dipole_swap" in row["sizes"] for row in rows[:2]) / 2
     zenith, sigma = rows[3]["sizes"].get("zenith_weighting", [0.0, 1.0])
     noise, noise_sigma = rows[1]["noise_of_sky"][:2]

@@ -79,7 +79,6 @@ def fit_clean(seed: int) -> Row:
 
 
 def judge_clean(rows: Sequence[Row]) -> list[Found]:
-    """Misfits among clean curves, where the sky is one of a model and where it is none's."""
     claims = []
     for scope in SCOPES:
         for key, is_odd in (("", False), ("_lst", True)):
@@ -227,7 +226,6 @@ def _total_error(curve: CalibrationCurve) -> Floats:
 
 
 def judge_wrong(rows: Sequence[Row]) -> list[Found]:
-    """Curves of wrong inputs that converged, kind by kind."""
     claims = []
     for kind in KINDS:
         curves, converged = (sum(row[kind][name] for row in rows) for name in ("curves", "converged"))
@@ -236,7 +234,6 @@ def judge_wrong(rows: Sequence[Row]) -> list[Found]:
 
 
 def judge_pattern(rows: Sequence[Row]) -> list[Found]:
-    """Whether another antenna than is believed shows: as a misfit, by flags, or in the error of C."""
     claims = []
     for antenna in ANTENNAS[1:]:
         unsaid, curves = (sum(row[antenna][name] for row in rows) for name in ("unsaid", "curves"))

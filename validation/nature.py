@@ -11,6 +11,6 @@ sizes (like-noise).
 
 from __future__ import annotations
 
-from validation.hidden import like_noise, named_in_worlds, nothing, pulls, unknown_in_worlds
+from validation.hidden import like_noise, named_in_worlds, no_catalogue, nothing, pulls
 
-PARTS = (*nothing.PARTS, *pulls.PARTS, *named_in_worlds.PARTS, *unknown_in_worlds.PARTS, *like_noise.PARTS)
+PARTS = (*nothing.PARTS, *pulls.PARTS, *named_in_worlds.PARTS, *no_catalogue.PARTS_IN_WORLDS, *like_noise.PARTS)

@@ -110,7 +110,6 @@ def _tell(report: FitReport, campaign: Campaign, stations: Sequence[str]) -> Ite
 
 
 def judge(rows: Sequence[Row]) -> list[Found]:
-    """Whether the errors told are those made, for every kind of answer, and no cable is told the curve of another."""
 
     def of(scope: str, cable: str, name: str) -> np.ndarray:
         return np.array([row[scope][cable][name] for row in rows])

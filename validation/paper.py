@@ -148,7 +148,6 @@ def _factor(curve: CalibrationCurve) -> Floats:
 
 
 def judge_pulses(rows: Sequence[Row]) -> list[Found]:
-    """Whether the right C stays on the diagonal, the budget covers how far another moves, and a wrong one leaves it."""
     within = [figure for name in ("right", "fit", "all") for figure in coverage(rows, name)]
     return [*within, rate_of("source", sum(row["is_source_off"] for row in rows), len(rows))]
 
@@ -186,7 +185,6 @@ def calibrate_traces(seed: int) -> Row:
 
 
 def judge_traces(rows: Sequence[Row]) -> list[Found]:
-    """Coverage of the energy of a calibrated trace."""
     return coverage(rows, "energy") + coverage(rows, "total")
 
 
@@ -222,7 +220,6 @@ def predict_noise(seed: int) -> Row:
 
 
 def judge_noise(rows: Sequence[Row]) -> list[Found]:
-    """Coverage of the electronics, size of the error of the background, and moments of the realisations."""
 
     def of(name: str) -> Floats:
         return np.array([row[name] for row in rows])

@@ -204,7 +204,6 @@ def compare_all(_case: int) -> Row:
 
 
 def judge(rows: Sequence[Row]) -> list[Found]:
-    """What must agree: our beam, our integral, and the embedded sky with the map it was made from."""
     (row,) = rows
     shape = {(sky, against): largest for sky, against, largest, _ in row["shapes"]}
     return [

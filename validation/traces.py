@@ -45,14 +45,12 @@ def true_bins(density: Floats) -> Floats:
 
 
 def trace_of(voltage: Floats, rcu: int, disturbances: Sequence[Transmitter | Shower] = ()) -> Trace:
-    """Digitise a voltage into a trace."""
     blocks = digitise(voltage, disturbances).reshape(-1, BLOCK_SAMPLES)
     reference = TraceReference(Path("simulated"), str(rcu), "CS011", rcu, 1_311_073_541, 7_283_712, 200e6)
     return Trace(reference, blocks, 7113 + np.arange(len(blocks)), np.ones(len(blocks), dtype=bool), {})
 
 
 def measure(trace: Trace, settings: CleaningSettings = SETTINGS) -> PathBackground:
-    """Measure one trace by itself."""
     return measure_traces([trace], settings, is_station=False)[0]
 
 
@@ -112,7 +110,6 @@ def measure_noise(blocks: int, rng: np.random.Generator, rms_adc: float = 15.0) 
 
 
 def collect_noise(rows: Sequence[Row]) -> NoiseTrial:
-    """Traces of noise together."""
     theory = np.full(BINS.size, rows[-1]["theory"])
     return NoiseTrial(np.array([row["ratio"] for row in rows]), theory, sum(row["false_lines"] for row in rows))
 
@@ -161,12 +158,10 @@ PEAKS = np.array([0.0, 50.0, 100.0, 200.0, 500.0, 1000.0, 2000.0])
 
 
 def try_noise(blocks: int, seed: int) -> Row:
-    """A trace of noise alone."""
     return measure_noise(blocks, np.random.default_rng([1, blocks, seed]))
 
 
 def judge_noise(rows: Sequence[Row]) -> list[Found]:
-    """Bias of the band power and of every bin, noise over theory, lines found where there are none."""
     trial, n = collect_noise(rows), len(rows)
     bias = trial.ratio - 1
     # Neighbouring bins share channels: half of the 51 are counted as independent.
@@ -180,23 +175,19 @@ def judge_noise(rows: Sequence[Row]) -> list[Found]:
 
 
 def try_gains(seed: int) -> Row:
-    """A trace of each gain."""
     return {"ratio": np.round(measure_gains(RMS_ADC, 400, np.random.default_rng([30, seed])), 5).tolist()}
 
 
 def judge_gains(rows: Sequence[Row]) -> list[Found]:
-    """Rounding adds 1/12 ADC^2 where the gain is not too low."""
     bias = np.array([row["ratio"][1] for row in rows]) - 1
     return [worst_of([mean_of("rounding", one) for one in bias[:, RMS_ADC >= 1.0].T], len(rows), "%")]
 
 
 def try_pulses(seed: int) -> Row:
-    """A trace with a pulse of each height."""
     return {"change": np.round(measure_pulses(PEAKS, 400, np.random.default_rng([40, seed])), 6).tolist()}
 
 
 def judge_pulses(rows: Sequence[Row]) -> list[Found]:
-    """A pulse does not leak, and would if nobody excluded it."""
     change = np.array([row["change"] for row in rows])
     leak = worst_of([mean_of("leak", one) for one in change[:, 0, 1:].T], len(rows), "%")
     return [leak, mean_of("forgotten", change[:, 1, -1], "%")]

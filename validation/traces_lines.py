@@ -177,7 +177,6 @@ CLAIMS = (
 
 
 def try_claim(claim: LineClaim, seed: int) -> Row:
-    """Lines of every strength in one trace (of every antenna)."""
     strengths = np.array(claim.below + claim.above)
     rng = np.random.default_rng([10, CLAIMS.index(claim), seed])
     found, change = try_lines(KINDS[claim.kind], strengths, claim.blocks, rng, claim.antennas)
@@ -185,13 +184,11 @@ def try_claim(claim: LineClaim, seed: int) -> Row:
 
 
 def collect(claim: LineClaim, rows: Sequence[Row]) -> LineTrial:
-    """Traces with lines together."""
     found, change = (np.array([row[name] for row in rows]).T for name in ("found", "change"))
     return LineTrial(np.array(claim.below + claim.above), found, change)
 
 
 def judge_lines(claim: LineClaim, rows: Sequence[Row]) -> list[Found]:
-    """Lines from the limit on are found, and leave no more bias than is stated."""
     trial, lines = collect(claim, rows), len(rows) * LINES_MHZ.size
     above = trial.strength >= claim.limit
     shares = trial.found[above].mean(axis=1)
@@ -238,13 +235,11 @@ WIDE_LIMITS = {1: 1.0, 12: 0.3}
 
 
 def try_bands(antennas: int, seed: int) -> Row:
-    """Bands of noise of every strength in one trace."""
     found, change = try_wide(WIDE, 0.8, 400, np.random.default_rng([50, antennas, seed]), antennas)
     return {"found": np.round(found, 4).tolist(), "change": np.round(change, 6).tolist()}
 
 
 def judge_bands(antennas: int, rows: Sequence[Row]) -> list[Found]:
-    """Wide interference from a density on is found."""
     share = np.array([row["found"] for row in rows]).mean(axis=0)[WIDE_LIMITS[antennas] <= WIDE]
     bands = len(rows) * LINES_MHZ[1::2].size
     return [worst_of([rate_of("found", round(x * bands), bands) for x in share], len(rows), "%")]

@@ -93,7 +93,6 @@ def small_disk(owner: str | None = None) -> Iterator[Path]:
 
 
 def fill(disk: Path) -> None:
-    """Leave no room on a disk."""
     with (disk / "balloon").open("wb") as balloon:
         while (free := shutil.disk_usage(disk).free) > 0:
             with suppress(OSError):  # somebody else took some of it: look again
@@ -144,7 +143,6 @@ def prepare(name: str, clock: Clock) -> Iterator[Trouble]:
 
 
 def make_bodies(events: int, rng: np.random.Generator) -> list[dict[str, Any]]:
-    """Events of one station, one a body."""
     mhz = load_instrument("lofar-superterp").frequency_mhz
     return [
         {
@@ -179,7 +177,6 @@ def endure(name: str, events: int, seed: int) -> Row:
 
 @contextmanager
 def serving(factory: Factory) -> Iterator[str]:
-    """The server of a factory in a thread, and its address."""
     listening = listen("127.0.0.1", 0)
     server = uvicorn.Server(configure_server(make_app(factory), 100))
     thread = threading.Thread(target=server.run, args=([listening],))
@@ -237,13 +234,11 @@ def _run(factory: Factory, trouble: Trouble, clients: Clients) -> Row:
 
 
 def promote(http: httpx2.Client) -> httpx2.Response:
-    """Withdraw what the array had in a year long gone."""
     body = {"calibration": None, "scope": "array", "valid_from": "2010-01-01", "valid_to": "2011-01-01"}
     return http.post("/v1/promotions", json={**body, "reason": "proof"})
 
 
 def send_another(body: dict[str, Any], http: httpx2.Client) -> httpx2.Response:
-    """Send an event that nobody has sent."""
     name = f"another at {time.time_ns()}"
     return http.post("/v1/spectra", json={**body, "spectra": [{**one, "event_id": name} for one in body["spectra"]]})
 
@@ -280,7 +275,6 @@ def _is_whole(factory: Factory) -> bool:
 
 
 def judge(rows: Sequence[Row]) -> list[Found]:
-    """Whether what was acknowledged is there and every promise was kept; a trial with a broken one counts as a loss."""
     lost = sum(row["lost"] + bool(row["broken"]) for row in rows)
     return [rate_of("lost", lost, sum(row["acknowledged"] for row in rows))]
 

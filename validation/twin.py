@@ -63,7 +63,7 @@ def fit_campaign(nuisances: Nuisances, seed: int) -> Row:
 
 
 def judge(rows: Sequence[Row]) -> list[Found]:
-    """Mean and spread of the pulls of paths and stations; curves of a campaign share events and sky: it is one draw."""
+    """Curves of a campaign share events and sky: it is one draw."""
     claims = []
     for scope in SCOPES:
         mean, square = (np.array([row[scope][name] for row in rows]) for name in ("mean", "mean_square"))

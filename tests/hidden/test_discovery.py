@@ -8,10 +8,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from validation.hidden.data_sets import realistic
+from validation.hidden.data_sets import DataSet, realistic
 from validation.hidden.held_out import hide_in_halves
-from validation.hidden.no_catalogue import hide_unknown
-from validation.hidden.one_effect import Wanted, hide_one
+from validation.hidden.no_catalogue import FIRST_SEED, hide_unknown
+from validation.hidden.one_effect import hide_one
 from validation.hidden.several_effects import hide_several
 
 
@@ -21,7 +21,7 @@ def test_nothing_is_found_where_nothing_is_hidden():
 
 
 def test_a_strong_drift_is_detected_named_and_measured():
-    outcome = hide_one(Wanted(3, 12.0, "gain_drift"))
+    outcome = hide_one(3, 12.0, "gain_drift")
     assert outcome.is_detected
     assert outcome.is_named
     # The score of 12 ideal standard deviations scatters by one; a tenth of it may be lost.
@@ -38,8 +38,7 @@ def test_two_effects_at_once_come_out_one_after_the_other():
 @pytest.mark.parametrize("axes", ["temperature", pytest.param("frequency, lst", marks=pytest.mark.long)])
 def test_effects_of_no_catalogue_are_called_unexplained_along_their_axes_and_get_no_name(axes):
     """Gain over temperature squared; a band that saturates, first taken for a line."""
-    outcome = hide_unknown((axes, 1))
-    assert outcome is not None
+    outcome = hide_unknown(DataSet(FIRST_SEED + 1), axes)
     assert outcome.verdict == "unexplained", outcome
     assert outcome.is_right_axis, outcome
     assert outcome.named == [], outcome
@@ -48,8 +47,8 @@ def test_effects_of_no_catalogue_are_called_unexplained_along_their_axes_and_get
 @pytest.mark.long
 def test_bursts_of_lightning_and_of_jupiter_are_called_unexplained_and_get_no_name():
     """The noise that events share took them in: "consistent", or broad-band interference."""
-    for outcome in (hide_unknown((axes, 1)) for axes in ("event, frequency", "frequency, lst, date")):
-        assert outcome is not None
+    for axes in ("event, frequency", "frequency, lst, date"):
+        outcome = hide_unknown(DataSet(FIRST_SEED + 1), axes)
         assert outcome.verdict == "unexplained", outcome
         assert outcome.named == [], outcome
 

@@ -26,7 +26,6 @@ START = datetime(2025, 3, 1, tzinfo=UTC)
 
 
 def write_statistics(path: Path, seconds: int, inputs: int = INPUTS) -> None:
-    """Statistics of LOFAR 2.0, one dataset a second."""
     sums = np.random.default_rng(1).uniform(1e6, 2e6, (inputs, SUB_BANDS)).astype(np.float32)
     with h5py.File(path, "w") as file:
         file.attrs.update({"data_type": "SST", "writer_version": "1.0.8", "station_name": "CS001"})
@@ -38,7 +37,6 @@ def write_statistics(path: Path, seconds: int, inputs: int = INPUTS) -> None:
 
 
 def read_only(path: Path) -> None:
-    """Read every dataset and do nothing with it."""
     with h5py.File(path, "r") as file:
         for dataset in file.values():
             dataset[()]

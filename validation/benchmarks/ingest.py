@@ -127,17 +127,14 @@ class BulkPostgres:
 
 
 def read_text(body: bytes) -> Floats:
-    """The powers of a JSON body, shape (row, freq)."""
     return np.array([spectrum["power"] for spectrum in jiter.from_json(body)["spectra"]])
 
 
 def read_file(body: bytes) -> Floats:
-    """The powers of a spectra file, shape (row, freq)."""
     return np.asarray(read_columns(body, "body", 1 << 26)["power"])
 
 
 def make_rows(powers: Floats, event: int) -> list[Row]:
-    """An event as rows that are ready for the driver."""
     return [(k, event, 0, 100, power.tobytes()) for k, power in enumerate(powers)]
 
 
@@ -207,7 +204,6 @@ def main(events: int = 10) -> None:
 
 
 def prepare(url: str) -> None:
-    """Make the schema in an empty database."""
     database = Database(Settings(database_url=url).sqlalchemy_url)
     upgrade(database)
     database.close()

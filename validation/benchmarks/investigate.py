@@ -39,7 +39,6 @@ SIZE = 0.01
 
 
 def simulate(events: int, antennas: int, chain: Instrument, sky: SkyPower, size: float = 0.0) -> Spectra:
-    """One year of one station."""
     settings = TwinSettings(stations=("CS002",), antennas=antennas, events_per_year=events)
     faults = [GainTemperature(size=size)] if size else []
     return simulate_campaign(settings, chain, sky, np.random.default_rng(1), faults).spectra
@@ -58,7 +57,6 @@ def question(events: int, antennas: int, size: float, *, is_own_sky: bool) -> st
 
 
 def ask(events: int, antennas: int, size: float = 0.0, *, is_own_sky: bool = False) -> None:
-    """Print what one question costs, in a process of its own."""
     with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
         told = pool.submit(question, events, antennas, size, is_own_sky=is_own_sky).result()
     hidden = ", a gain that follows temperature" if size else ""

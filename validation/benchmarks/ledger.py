@@ -40,7 +40,6 @@ PATHS = select_paths(INSTRUMENT, None, None, None)
 
 
 def make_budget() -> Budget:
-    """A budget of as many vectors as those of fits have."""
     rng = np.random.default_rng(1)
     size = INSTRUMENT.frequency_mhz.size
     vectors = (5, 3, 2, 1, 1)
@@ -96,7 +95,6 @@ def fill(factory: Factory, nights: int) -> dict[Scope, list[str]]:
 
 
 def deeds(factory: Factory, ids: dict[Scope, list[str]]) -> dict[str, Callable[[int], object]]:
-    """What is timed; each takes the number of the turn."""
     path, use = PATHS[0], factory.calibrations
 
     def ask_gap(paths: list[Scope]) -> None:
@@ -125,7 +123,6 @@ def deeds(factory: Factory, ids: dict[Scope, list[str]]) -> dict[str, Callable[[
 
 
 def compare(name: str, small_url: str, large_url: str, nights: int) -> None:
-    """Print the times of both."""
     with opened(small_url) as small, opened(large_url) as large:
         both = [deeds(small, fill(small, 0)), deeds(large, fill(large, nights))]
         print(f"{name}: {len(PATHS)} and {len(PATHS) * (1 + nights):,} promotions, medians of {TURNS - 1} turns")
@@ -136,7 +133,6 @@ def compare(name: str, small_url: str, large_url: str, nights: int) -> None:
 
 @contextmanager
 def opened(url: str) -> Iterator[Factory]:
-    """A service on a new database."""
     factory = Factory(Settings(database_url=url))
     upgrade(factory.database)
     try:

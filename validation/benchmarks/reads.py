@@ -156,7 +156,6 @@ def compare_a_year(factory: Factory) -> None:
 
 
 def compare(name: str, urls: Sequence[str], events: int, nights: int) -> None:
-    """Fill both stores and compare them."""
     with opened(urls[0]) as small, opened(urls[1]) as large:
         ids = fill(small, 0)
         fill(large, nights)

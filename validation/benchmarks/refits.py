@@ -48,7 +48,6 @@ Seconds = Counter[str]
 
 
 def open_service(folder: Path) -> Factory:
-    """A service of the Superterp."""
     settings = Settings(
         database_url=str(folder / "refits.sqlite"), sky_power=folder / "sky_power.json", nightly_investigations=False
     )
@@ -56,7 +55,6 @@ def open_service(folder: Path) -> Factory:
 
 
 def work(folder: Path, _: int = 0) -> Seconds:
-    """Do all parts that are open."""
     factory, spent = open_service(folder), Counter[str]()
     deeds = {
         REFIT: factory.refits.run, DRIFT: factory.drift_measurement.run, WATCH: factory.watch.run,
@@ -91,7 +89,6 @@ def _timed(method: Any, spent: Seconds) -> Any:
 
 
 def night(folder: Path, workers: int) -> tuple[Seconds, float]:
-    """Find what is due and do it."""
     factory = open_service(folder)
     factory.due.enqueue()
     factory.database.close()
@@ -117,14 +114,12 @@ def share(folder: Path, workers: int) -> tuple[Seconds, float]:
 
 
 def tell(what: str, spent: Seconds, wall: float, bare: float) -> None:
-    """One line; `bare` is the time of the bare fits."""
     own = ", ".join(f"{kind} {seconds:.2f} s" for kind, seconds in sorted(spent.items()))
     beyond = sum(spent.values()) - spent[READING]
     print(f"{what}: {own}; {beyond / bare:.2f} of the bare fits beyond reading; {wall:.1f} s of wall time", flush=True)
 
 
 def run(folder: Path, stations: int, antennas: int, events: int) -> None:
-    """Fill, and time the nights."""
     factory = open_service(folder)
     shipped = Factory(Settings())
     write_sky_power(shipped.sky_power, folder / "sky_power.json")
@@ -158,13 +153,11 @@ def run(folder: Path, stations: int, antennas: int, events: int) -> None:
 
 
 def store(factory: Factory, spectra: Spectra) -> None:
-    """Write spectra."""
     with factory.database.write() as stores:
         stores.spectra.add(spectra)
 
 
 def main(arguments: Any) -> None:
-    """With the sizes of the command line."""
     stations, antennas, events = [*map(int, arguments), *(1, 48, 900)[len(arguments) :]]
     with tempfile.TemporaryDirectory(prefix="lbacal-refits-") as name:
         run(Path(name), stations, antennas, events)

@@ -20,13 +20,11 @@ CODE = re.compile(r"^```python\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
 
 def processor_s() -> float:
-    """Processor time of all children that have ended, s."""
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     return used.ru_utime + used.ru_stime
 
 
 def run(path: str) -> None:
-    """Run a script as a user does, where it lies."""
     os.chdir(Path(path).parent)
     runpy.run_path(path)
 

@@ -159,7 +159,6 @@ def describe_hidden(shown: Demonstration) -> list[str]:
 
 
 def describe_measured(shown: Demonstration) -> list[str]:
-    """What the measured LOFAR curve says of the simulation."""
     before, after = (fit.chi2_drawn / fit.points for fit in (shown.curve.first, shown.curve.last))
     named = [finding["sentence"] for finding in shown.measured["findings"]] or [shown.measured["verdict"]]
     return [*named, f"chi² per point with the drawn error bars: {before:.1f} before, {after:.1f} after."]

@@ -121,7 +121,6 @@ def serve_years(spectra: Spectra, server: Server, tell: Callable[[str], None]) -
 
 
 def describe_served(run: ServedRun) -> str:
-    """What the service found, in a sentence."""
     step, planted = run.step, (1.0 + STEP.size) ** -0.5 - 1.0
     path = name_path(step["station"], step["antenna"], step["dipole"])
     return (

@@ -42,7 +42,6 @@ class Run:
 
 
 def main(arguments: list[str]) -> int:
-    """Do what the command line asks."""
     parser = argparse.ArgumentParser(prog="python -m validation.frozen", description=__doc__.partition("\n")[0])
     action = parser.add_mutually_exclusive_group(required=True)
     action.add_argument("--compare", action="store_true", help="exit 1 if anything differs")

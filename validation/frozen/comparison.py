@@ -85,7 +85,6 @@ def write_numbers(path: Path, numbers: Mapping[str, Any]) -> None:
 
 
 def read_numbers(path: Path) -> dict[str, Any]:
-    """Values as they were stored."""
     numbers: dict[str, Any] = json.loads(gzip.decompress(path.read_bytes()))
     return numbers
 

@@ -128,13 +128,11 @@ DataSet = StationSpectra | BandCurve
 
 @cache
 def superterp() -> Instrument:
-    """The instrument that ships with the package."""
     return load_instrument("lofar-superterp")
 
 
 @cache
 def sky_power() -> SkyPower:
-    """P_sky of the Superterp by the package's own sky and antenna."""
     return compute_sky_power(superterp())
 
 

@@ -31,7 +31,6 @@ def frozen_numbers(data: DataSet) -> dict[str, Any]:
 
 
 def _of_curve(data: BandCurve) -> dict[str, Any]:
-    """As `lbacal investigate --lst-curve` asks."""
     curve = data.curve()
     found = investigate_curve(curve, sky_power(), data.instrument, BAND_MHZ, is_own_sky=data.is_own_sky)
     points = np.concatenate(list(curve.variation_db.values()))
@@ -97,7 +96,6 @@ def _of_structure(model: LinearModel) -> dict[str, Any]:
 
 
 def _all_scores(model: LinearModel) -> list[Any]:
-    """Scores of every cause, template and target."""
     families, targets = list_families(model.station.conditions, CAUSES), list_targets(model.station)
     return [one for known, alike in by_known_events(model, families) for one in score_families(known, alike, targets)]
 

@@ -24,7 +24,6 @@ that is a third too dark (docs/explanation/what-the-simulation-gets-wrong.md).""
 
 
 def ask_curve(number: int) -> Answer:
-    """A band-averaged LST curve."""
     chain, rng = load_instrument("lofar-superterp"), np.random.default_rng([20261122, number])
     lst_hours = 24.0 * (np.arange(POINTS) + 0.5) / POINTS
     weights = band_weights(chain, AS_RECORDED, BAND_MHZ)
@@ -45,13 +44,11 @@ def ask_data(draw: Callable[[int], DataSet], seed: int, *, is_own_sky: bool = Fa
 
 
 def listen(ask: Callable[[int], Answer], seed: int) -> Row:
-    """What is said of data with nothing hidden."""
     answer = ask(seed)
     return {"verdict": answer.verdict, "named": answer.named, "axis": answer.axis}
 
 
 def judge(rows: Sequence[Row]) -> list[Found]:
-    """The rate of false alarms in data of a kind."""
     return [rate_of("alarms", sum(row["verdict"] != "consistent" for row in rows), len(rows))]
 
 

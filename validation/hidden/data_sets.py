@@ -335,7 +335,6 @@ def _board_of(antenna: int) -> str:
 
 
 def sky_power() -> SkyPower:
-    """P_sky of the Superterp as the finder has it."""
     return OWN.power()
 
 

@@ -12,7 +12,7 @@ from validation.hidden.data_sets import DataSet
 from validation.hidden.ideal import IdealDetector, PathChains
 from validation.hidden.noise import count_blocks, noise_of
 from validation.hidden.station_year import EVENTS, EVERYTHING, STATION, draw_antennas
-from validation.hidden.worlds import OWN, Finder, draw
+from validation.hidden.worlds import OWN, draw
 from validation.machinery.parts import Row
 
 SPANNED_SIGMA = 5.0
@@ -20,15 +20,14 @@ SPANNED_SIGMA = 5.0
 detector needs that knows the template."""
 
 
-def drawn_data(seed: int, finder: Finder = OWN) -> DataSet:
+def drawn_data(seed: int) -> DataSet:
     """A data set of a drawn world, with nothing hidden; in every third the station has more noise."""
     noisy = STATION if seed % 3 == 0 else "CS003"
     nuisances = replace(EVERYTHING, noisy_stations=(noisy,))
-    return DataSet(seed, draw_antennas(seed), nuisances, EVENTS, world=draw(seed, finder), finder=finder)
+    return DataSet(seed, draw_antennas(seed), nuisances, EVENTS, world=draw(seed, OWN))
 
 
 def describe_world(data: DataSet) -> Row:
-    """The world as a row keeps it."""
     world = data.world
     if world is None:
         raise ValueError(f"data set {data.seed} has no world of its own")

@@ -109,7 +109,6 @@ def try_held_out(seed: int) -> Row:
 
 
 def judge(rows: Sequence[Row]) -> list[Found]:
-    """What is left in unseen events, and whether the gain that is claimed is the gain that they confirm."""
     names = [field.name for field in fields(Outcome)]
     outcomes = [Outcome(**{name: row[name] for name in names}) for row in rows if row["cause"]]
     n, found = len(outcomes), rate_of("found", len(outcomes), len(rows))

@@ -12,9 +12,8 @@ from dataclasses import asdict, replace
 
 import numpy as np
 
-from validation.hidden.data_sets import DataSet
 from validation.hidden.drawn import describe_world, drawn_data
-from validation.hidden.one_effect import Outcome, ask_about, outcomes_of
+from validation.hidden.one_effect import hide_in, outcomes_of
 from validation.machinery.claims import Found, mean_of
 from validation.machinery.parts import Part, Row
 from validation.machinery.tables import by
@@ -26,7 +25,7 @@ ALIKE = (
 )
 """Causes, and the form of the noise that looks like each along frequency."""
 SNRS = (10.0, 30.0, 100.0)
-TRIES, FEWEST = 10, 3
+FEWEST = 3
 FIRST_SEED = 900_000_000
 """Seeds of data sets of this part; those of others begin elsewhere."""
 
@@ -35,22 +34,14 @@ def try_like_noise(seed: int) -> Row:
     """A drawn world with such noise and such an effect on the station; causes and sizes take turns."""
     cause, noise = ALIKE[seed % len(ALIKE)]
     snr = SNRS[seed // len(ALIKE) % len(SNRS)]
-    data = _with_noise(drawn_data(FIRST_SEED + seed), noise)
-    rng = np.random.default_rng([1, seed])
-    tried = (data.with_snr(data.draw(cause, rng, ("station",)), snr) for _ in range(TRIES))
-    planted = next((sized for sized in tried if sized is not None), None)
-    outcome = Outcome(snr, cause) if planted is None else ask_about(data, planted, snr)
-    return {**describe_world(data), **asdict(outcome)}
-
-
-def _with_noise(data: DataSet, noise: str) -> DataSet:
+    data = drawn_data(FIRST_SEED + seed)
     if data.world is None:
         raise ValueError(f"data set {data.seed} has no world of its own")
-    return replace(data, world=replace(data.world, noise=noise))
+    data = replace(data, world=replace(data.world, noise=noise))
+    return {**describe_world(data), **asdict(hide_in(data, cause, snr, np.random.default_rng([1, seed]), ("station",)))}
 
 
 def judge(rows: Sequence[Row]) -> list[Found]:
-    """The mean efficiency at each size."""
     claims = []
     for snr in SNRS:
         kept = np.array([o.score / o.snr for o in outcomes_of(rows) if o.snr == snr])

@@ -10,15 +10,13 @@ import numpy as np
 
 from validation.hidden.data_sets import STATIC, moving_causes
 from validation.hidden.drawn import describe_world, drawn_data
-from validation.hidden.one_effect import NAMING_SNR, Outcome, ask_about, detection_curve, outcomes_of
-from validation.hidden.worlds import OWN, Finder
+from validation.hidden.one_effect import NAMING_SNR, Outcome, detection_curve, hide_in, outcomes_of
 from validation.machinery.claims import Found, One, rate_of
 from validation.machinery.parts import Part, Row
 from validation.machinery.tables import by
 
 SNRS = (10.0, 10.0, 10.0, 10.0, 4.0, 5.0, 6.0, 7.5)
 """Ideal SNR of one data set after the other: half are as strong as names are judged at."""
-TRIES = 10
 ONE_FROM, TARGETS_FROM = 600_000_000, 700_000_000
 """Seeds of data sets of these parts; those of others begin elsewhere."""
 TARGETS = tuple(
@@ -28,18 +26,13 @@ FEWEST = 20
 """Weaker data sets from which on a curve of detection is fitted: one SNR, seen almost always, tells no 50 %."""
 
 
-def hide(seed: int, cause: str, snr: float, scopes: tuple[str, ...] = (), finder: Finder = OWN) -> Row:
+def hide(seed: int, cause: str, snr: float, scopes: tuple[str, ...] = ()) -> Row:
     """A drawn world with an effect of an ideal SNR, and what is said of it."""
-    data = drawn_data(seed, finder)
-    rng = np.random.default_rng([1, seed])
-    tried = (data.with_snr(data.draw(cause, rng, scopes), snr) for _ in range(TRIES))
-    planted = next((sized for sized in tried if sized is not None), None)
-    outcome = Outcome(snr, cause) if planted is None else ask_about(data, planted, snr)
-    return {**describe_world(data), **asdict(outcome)}
+    data = drawn_data(seed)
+    return {**describe_world(data), **asdict(hide_in(data, cause, snr, np.random.default_rng([1, seed]), scopes))}
 
 
 def try_one(seed: int) -> Row:
-    """A data set with one effect; the causes take turns."""
     causes = [*moving_causes(), *STATIC]
     return hide(ONE_FROM + seed, causes[seed % len(causes)], SNRS[seed // len(causes) % len(SNRS)])
 
@@ -51,7 +44,6 @@ def try_target(seed: int) -> Row:
 
 
 def judge_one(rows: Sequence[Row]) -> list[Found]:
-    """Names at SNR 10, wrong names, sizes, and the SNR of detection; what a name leaves out is measured beside it."""
     outcomes = outcomes_of(rows)
     strong = [o for o in outcomes if o.snr == NAMING_SNR]
     wanted = [row for row in rows if row["snr"] == NAMING_SNR]
@@ -70,7 +62,6 @@ def judge_one(rows: Sequence[Row]) -> list[Found]:
 
 
 def judge_targets(rows: Sequence[Row]) -> list[Found]:
-    """Names, and whom they are said to concern."""
     outcomes = outcomes_of(rows)
     right = sum(o.said_of == o.label for o in outcomes if o.is_named)
     return [*_judge_names(outcomes), rate_of("target", right, sum(o.is_named for o in outcomes))]

@@ -7,25 +7,27 @@ from dataclasses import asdict, dataclass
 
 from lbacal_twin.faults.uncatalogued import uncatalogued_faults
 from validation.hidden.data_sets import DataSet, Planted
+from validation.hidden.drawn import describe_world, drawn_data
 from validation.machinery.claims import Found, rate_of
 from validation.machinery.parts import Part, Row
 from validation.machinery.tables import by
 
 SNR = 25.0
-FIRST_SEED = 400_000
+FIRST_SEED, FIRST_IN_WORLDS = 400_000, 800_000_000
+"""Seeds of data sets of these parts; those of others begin elsewhere."""
 FIRST_SIZE = 0.02
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What was said of one data set with an effect of no catalogue."""
+    """What was said of one data set with an effect of no catalogue; without a verdict no size has the SNR."""
 
     kind: str
     axes: str
-    verdict: str
-    axis: str
-    target: str
-    named: Sequence[str]
+    verdict: str = ""
+    axis: str = ""
+    target: str = ""
+    named: Sequence[str] = ()
 
     @property
     def is_right_axis(self) -> bool:
@@ -39,37 +41,48 @@ class Outcome:
         is_right_target = "antenna" not in accepted or self.target != "station"
         return self.axis.split(",")[0] in accepted and is_right_target
 
+    @property
+    def row(self) -> Row:
+        """As it is stored."""
+        return {**asdict(self), "is_right_axis": self.is_right_axis}
 
-def hide_unknown(task: tuple[str, int]) -> Outcome | None:
-    """Make one data set with an effect of no catalogue and ask the finder."""
-    axes, number = task
+
+def hide_unknown(data: DataSet, axes: str) -> Outcome:
+    """Hide an effect of no catalogue that lives along some axes, and ask the finder."""
     kind = uncatalogued_faults()[axes]
-    data = DataSet(FIRST_SEED + number)
     planted = data.with_snr(Planted(kind.__name__, kind(size=FIRST_SIZE), "station", "station"), SNR)
     if planted is None:
-        return None
+        return Outcome(kind.__name__, axes)
     answer = data.ask([planted.fault])
     return Outcome(kind.__name__, axes, answer.verdict, answer.axis, answer.target, answer.named)
 
 
-def try_unknown(seed: int) -> Row:
-    """A data set with an effect of no catalogue; the effects take turns."""
+def _axes_of(seed: int) -> str:
+    """The effects take turns."""
     kinds = list(uncatalogued_faults())
-    axes = kinds[seed % len(kinds)]
-    outcome = hide_unknown((axes, seed))
-    if outcome is None:
-        return {"kind": uncatalogued_faults()[axes].__name__, "axes": axes, "verdict": ""}
-    return {**asdict(outcome), "is_right_axis": outcome.is_right_axis}
+    return kinds[seed % len(kinds)]
+
+
+def try_unknown(seed: int) -> Row:
+    return hide_unknown(DataSet(FIRST_SEED + seed), _axes_of(seed)).row
+
+
+def try_in_world(seed: int) -> Row:
+    data = drawn_data(FIRST_IN_WORLDS + seed)
+    return {**describe_world(data), **hide_unknown(data, _axes_of(seed)).row}
+
+
+def judge_in_worlds(rows: Sequence[Row]) -> list[Found]:
+    made = [row for row in rows if row["verdict"]]
+    right, forced = sum(row["is_right_axis"] for row in made), sum(bool(row["named"]) for row in made)
+    return [rate_of("right_axis", right, len(made)), rate_of("forced", forced, len(made))]
 
 
 def judge(rows: Sequence[Row]) -> list[Found]:
-    """Rates of what should be said, and of names that should not be given."""
     made = [row for row in rows if row["verdict"]]
-    return [
-        rate_of("unexplained", sum(row["verdict"] == "unexplained" for row in made), len(made)),
-        rate_of("right_axis", sum(row["is_right_axis"] for row in made), len(made)),
-        rate_of("forced", sum(bool(row["named"]) for row in made), len(made)),
-    ]
+    unexplained = sum(row["verdict"] == "unexplained" for row in made)
+    return [rate_of("unexplained", unexplained, len(made)), *judge_in_worlds(rows)]
 
 
 PARTS = (Part("unknown", try_unknown, judge, 40, by("kind"), ("unexplained",)),)
+PARTS_IN_WORLDS = (Part("unknown", try_in_world, judge_in_worlds, 200, by("kind")),)

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from validation.hidden.drawn import SPANNED_SIGMA, describe_world, drawn_data, unspanned_sigma
-from validation.hidden.worlds import OWN, Finder
 from validation.machinery.claims import Found, rate_of
 from validation.machinery.parts import Part, Row
 from validation.machinery.tables import by
@@ -20,9 +19,8 @@ FIRST_SEED = 500_000_000
 """Seeds of data sets of this part; those of other parts begin elsewhere."""
 
 
-def listen(seed: int, finder: Finder = OWN) -> Row:
-    """What is said of a drawn world with nothing hidden."""
-    data = drawn_data(FIRST_SEED + seed, finder)
+def listen(seed: int) -> Row:
+    data = drawn_data(FIRST_SEED + seed)
     answer = data.ask()
     return {
         **describe_world(data),
@@ -46,12 +44,10 @@ def is_of_rain(row: Row) -> bool:
 
 
 def is_silent(row: Row) -> bool:
-    """Whether nothing is said."""
     return bool(row["verdict"] == "consistent")
 
 
 def judge(rows: Sequence[Row]) -> list[Found]:
-    """Names, and alarms where the models span the difference and where they do not; wet worlds also by themselves."""
     inside, outside = [r for r in rows if is_spanned(r)], [r for r in rows if not is_spanned(r)]
     honest = sum(is_silent(row) or (not row["named"] and row["axis"] == "lst") for row in outside)
     dry, wet = [r for r in rows if r["noise"] != WET], [r for r in rows if r["noise"] == WET]

@@ -20,7 +20,7 @@ GRID = (4.0, 5.0, 5.5, 6.0, 6.75, 7.5, 10.0)
 NAMING_SNR, EFFICIENCY_SNR = 10.0, 12.0
 CYCLE = (*GRID, NAMING_SNR, NAMING_SNR)
 """Ideal SNR of one data set after the other: names and sizes are judged at SNR 10."""
-LARGEST_SET = 3
+LARGEST_SET, TRIES = 3, 10
 FIRST_SEED = 100_000
 """Seeds of data sets with one effect; those of other parts begin elsewhere."""
 EFFICIENCY_FROM, STATIC_FROM = 100_000_000, 200_000_000
@@ -31,15 +31,6 @@ FEWEST_OF_CURVE, LARGEST_SNR = 50, 30.0
 """Data sets from which on the curve of detection has an interval of its own: fewer may separate without an overlap."""
 FEWEST = 3
 """Data sets behind the mean efficiency of a cause."""
-
-
-@dataclass(frozen=True)
-class Wanted:
-    """One data set to be made: its number, the ideal SNR, and the cause, drawn if None."""
-
-    number: int
-    snr: float
-    cause: str | None = None
 
 
 @dataclass(frozen=True)
@@ -95,16 +86,21 @@ class Outcome:
         return any(self.cause not in names for names in self.sets)
 
 
-def hide_one(wanted: Wanted) -> Outcome:
-    """Make one data set with one effect and ask the finder."""
-    rng = np.random.default_rng([1, wanted.number])
-    drawn = str(rng.choice([*moving_causes(), *STATIC])) if wanted.cause is None else wanted.cause
-    data = DataSet(FIRST_SEED + wanted.number, ALIKE if drawn in STATIC else SMALL)
-    if wanted.cause is None and drawn not in STATIC:
-        planted: Planted | None = draw_one(data, wanted.snr, rng, moving_causes())
-    else:
-        planted = next((sized for _ in range(10) if (sized := data.with_snr(data.draw(drawn, rng), wanted.snr))), None)
-    return Outcome(wanted.snr, drawn) if planted is None else ask_about(data, planted, wanted.snr)
+def hide_one(number: int, snr: float, cause: str | None = None) -> Outcome:
+    """Make one data set with one effect, of a drawn cause unless it is given, and ask the finder."""
+    rng = np.random.default_rng([1, number])
+    drawn = str(rng.choice([*moving_causes(), *STATIC])) if cause is None else cause
+    data = DataSet(FIRST_SEED + number, ALIKE if drawn in STATIC else SMALL)
+    if cause is None and drawn not in STATIC:
+        return ask_about(data, draw_one(data, snr, rng, moving_causes()), snr)
+    return hide_in(data, drawn, snr, rng)
+
+
+def hide_in(data: DataSet, cause: str, snr: float, rng: np.random.Generator, scopes: tuple[str, ...] = ()) -> Outcome:
+    """Hide an effect of a cause in a data set, at the first of some draws that it can show, and ask the finder."""
+    tried = (data.with_snr(data.draw(cause, rng, scopes), snr) for _ in range(TRIES))
+    planted = next((sized for sized in tried if sized is not None), None)
+    return Outcome(snr, cause) if planted is None else ask_about(data, planted, snr)
 
 
 def ask_about(data: DataSet, planted: Planted, snr: float) -> Outcome:
@@ -126,19 +122,18 @@ def ask_about(data: DataSet, planted: Planted, snr: float) -> Outcome:
 
 
 def try_one(seed: int) -> Row:
-    """A data set with an effect of a drawn cause."""
-    return asdict(hide_one(Wanted(seed, CYCLE[seed % len(CYCLE)])))
+    return asdict(hide_one(seed, CYCLE[seed % len(CYCLE)]))
 
 
 def try_efficiency(seed: int) -> Row:
     """A data set with an effect of SNR 12; the causes take turns."""
     causes = moving_causes()
-    return asdict(hide_one(Wanted(EFFICIENCY_FROM + seed, EFFICIENCY_SNR, causes[seed % len(causes)])))
+    return asdict(hide_one(EFFICIENCY_FROM + seed, EFFICIENCY_SNR, causes[seed % len(causes)]))
 
 
 def try_static(seed: int) -> Row:
     """A data set with a static cause of one antenna; the causes take turns."""
-    return asdict(hide_one(Wanted(STATIC_FROM + seed, NAMING_SNR, STATIC[seed % len(STATIC)])))
+    return asdict(hide_one(STATIC_FROM + seed, NAMING_SNR, STATIC[seed % len(STATIC)]))
 
 
 def outcomes_of(rows: Sequence[Row]) -> list[Outcome]:
@@ -149,13 +144,11 @@ def outcomes_of(rows: Sequence[Row]) -> list[Outcome]:
 
 
 def detection_curve(outcomes: Sequence[Outcome]) -> DetectionCurve:
-    """The fitted curve of detection."""
     snr = np.array([o.snr for o in outcomes])
     return fit_detection(snr, np.array([float(o.is_detected) for o in outcomes]))
 
 
 def judge_one(rows: Sequence[Row]) -> list[Found]:
-    """Detection against the ideal SNR, names and sizes."""
     outcomes = outcomes_of(rows)
     curve = detection_curve(outcomes)
 
@@ -169,7 +162,6 @@ def judge_one(rows: Sequence[Row]) -> list[Found]:
 
 
 def judge_names(outcomes: Sequence[Outcome]) -> list[Found]:
-    """Names and sizes."""
     claims = [rate_of("named", sum(o.is_named for o in outcomes), len(outcomes))]
     for key, inside in (("", None), ("_inside", True), ("_beside", False)):
         pulls = [abs(o.pull) for o in outcomes if o.pull is not None and inside in (None, o.is_in_family)]
@@ -179,7 +171,6 @@ def judge_names(outcomes: Sequence[Outcome]) -> list[Found]:
 
 
 def judge_static(rows: Sequence[Row]) -> list[Found]:
-    """Names and sizes of static causes."""
     return judge_names(outcomes_of(rows))
 
 
@@ -192,7 +183,6 @@ def ratios_of(rows: Sequence[Row]) -> dict[tuple[str, bool], Floats]:
 
 
 def judge_efficiency(rows: Sequence[Row]) -> list[Found]:
-    """The worst cause, and every cause."""
     ratios = {key: values for key, values in ratios_of(rows).items() if values.size >= FEWEST}
     claims, details = [], []
     for is_inside, where in ((True, "inside"), (False, "beside")):

@@ -64,7 +64,6 @@ def _planted(curve: CalibrationCurve, chain: ReferenceChain, truth: StationTruth
 
 
 def judge(rows: Sequence[Row]) -> list[Found]:
-    """R.m.s. of the pulls in every form of the gains, at five channels and over all."""
     claims = []
     for noise in NOISES:
         here = [row for row in rows if row["noise"] == noise]

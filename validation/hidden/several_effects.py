@@ -67,7 +67,6 @@ def hide_several(task: tuple[int, int]) -> Outcome:
 
 
 def try_several(seed: int) -> Row:
-    """A data set with two effects (even seeds) or three."""
     outcome = hide_several((seed, 2 + seed % 2))
     return {
         "planted": [[one.cause, one.label] for one in outcome.planted],
@@ -79,7 +78,6 @@ def try_several(seed: int) -> Row:
 
 
 def judge(rows: Sequence[Row]) -> list[Found]:
-    """Rates of data sets of which all effects are named."""
     claims = []
     for key, count in (("two", 2), ("three", 3)):
         here = [row for row in rows if len(row["planted"]) == count]

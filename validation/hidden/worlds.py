@@ -107,7 +107,6 @@ def _with_isotropic(sky: str, antenna: str) -> SkyPower:
 
 @cache
 def power_of(sky: str, antenna: str) -> SkyPower:
-    """P_sky of the Superterp by the names of models."""
     return compute_sky_power(_superterp(), sky, antenna)
 
 

@@ -152,12 +152,10 @@ def spread_interval(spread: float, n: int, confidence: float = CONFIDENCE) -> In
 
 
 def rate_of(key: str, hits: int, n: int) -> Found:
-    """A rate."""
     return One(key, hits / max(n, 1), partial(rate_interval, hits, n), n, "%")
 
 
 def mean_of(key: str, values: Floats, unit: str = "") -> Found:
-    """A mean over data sets."""
     return One(key, float(values.mean()), partial(mean_interval, values), values.size, unit)
 
 
@@ -172,7 +170,6 @@ def root_mean_of(key: str, squares: Floats) -> Found:
 
 
 def spread_of(key: str, spread: float, n: int) -> Found:
-    """A standard deviation, or an r.m.s."""
     return One(key, spread, partial(spread_interval, spread, n), n)
 
 
@@ -192,7 +189,6 @@ def exactly(key: str, found: float, unit: str = "", n: int = 1) -> Found:
 
 
 def worst_of(figures: Iterable[Found], n: int, unit: str = "") -> Found:
-    """The worst of figures that share a key."""
     each = tuple(figures)
     return Worst(each[0].key, each, n, unit)
 

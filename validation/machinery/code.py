@@ -20,7 +20,6 @@ def git(*arguments: str) -> str:
 
 
 def commit() -> str:
-    """The commit of the checkout, in short."""
     return git("rev-parse", "--short=7", "HEAD").strip()
 
 

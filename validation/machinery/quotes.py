@@ -56,7 +56,6 @@ class Quote:
 
 
 def read_quotes(file: Path = QUOTES) -> list[Quote]:
-    """The phrases of all pages."""
     return [Quote(**quote) for quote in tomllib.loads(file.read_text(encoding="utf-8"))["quote"]]
 
 

@@ -85,12 +85,10 @@ class Record:
 
 
 def name_of(proof: str, part: str) -> str:
-    """Proof and part in one word."""
     return proof if part == proof else f"{proof}-{part}"
 
 
 def path_of(proof: str, part: str) -> Path:
-    """The file of a part's record."""
     return RECORDS / f"{name_of(proof, part)}.json"
 
 
@@ -101,7 +99,6 @@ def _from_dict(stored: dict[str, Any]) -> Record:
 
 
 def read_record(path: Path) -> Record:
-    """Read a file."""
     return _from_dict(json.loads(path.read_text(encoding="utf-8")))
 
 

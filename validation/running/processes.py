@@ -19,14 +19,12 @@ PATIENCE_S = 120.0
 
 
 def find_free_port() -> int:
-    """A port that nobody listens on."""
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         return int(free.getsockname()[1])
 
 
 def wait_until(is_so: Callable[[], bool], what: str) -> None:
-    """Wait for something, not for ever."""
     end = time.monotonic() + PATIENCE_S
     while not is_so():
         if time.monotonic() > end:
@@ -52,7 +50,6 @@ def run_command(environment: Mapping[str, str], *arguments: str) -> str:
 
 
 def is_alive(url: str) -> bool:
-    """Whether a server answers."""
     try:
         return bool(httpx2.get(f"{url}/healthz", timeout=5).is_success)
     except httpx2.TransportError:
@@ -97,7 +94,6 @@ class Process:
 
 @contextmanager
 def running(*processes: Process) -> Iterator[None]:
-    """Stop the processes at the end of the block."""
     try:
         yield
     finally:
@@ -106,7 +102,6 @@ def running(*processes: Process) -> Iterator[None]:
 
 
 def make_key(environment: Mapping[str, str], scope: str) -> str:
-    """A new key of the service of an environment."""
     return run_command(environment, "keys", "create", "--scope", scope).splitlines()[-1]
 
 

@@ -31,7 +31,6 @@ def levels(imports: dict[str, set[str]]) -> dict[str, int]:
 
 
 def main() -> None:
-    """Draw the graph and say how large it is."""
     graph = grimp.build_graph("lbacal_core", include_external_packages=False)
     house = [name for name in graph.modules if name.startswith(HOUSE) and name.count(".") == 2]
     imports = {name: set(graph.find_modules_directly_imported_by(name)) & set(house) for name in house}

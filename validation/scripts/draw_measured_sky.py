@@ -100,7 +100,6 @@ def fit_both(instrument: Instrument, settings: TwinSettings, scope: str) -> tupl
 
 
 def tabulate_curves(curves: Rows, sigmas: Rows, frequency_mhz: np.ndarray) -> str:
-    """C in µV per ADC unit."""
     at = np.isin(frequency_mhz, SHOWN_MHZ)
     lines = [HEAD]
     for name, values in curves.items():

@@ -51,7 +51,6 @@ def make_instrument(name: str, place_deg: tuple[float, float], spectra: Spectra,
 
 
 def read_hera(data: Path) -> tuple[Spectra, Instrument]:
-    """HERA's autocorrelations, averaged to 1 MHz."""
     source = open_source(data / "other" / "hera_2459122.25108_autos.uvh5")
     spectra = average(source, 60.0, choose_channels(source, band_mhz=(50, 225), width_mhz=1.0)).spectra
     return spectra, make_instrument("HERA", HERA_DEG, spectra, {"X": EAST_DEG, "Y": 0.0})
@@ -68,7 +67,6 @@ def _one_integration(station: str, mhz: float, time_unix: float, powers: dict[tu
 
 
 def read_eda2(data: Path) -> tuple[Spectra, Instrument]:
-    """EDA2's autocorrelations at one channel and one instant."""
     lines = (data / "other" / "eda2_autos_78mhz.csv").read_text().splitlines()
     rows = csv.DictReader(line for line in lines if not line.startswith("#"))
     powers = {(int(row["antenna"]), letter.upper()): float(row[letter]) for row in rows for letter in "xy"}
@@ -89,7 +87,6 @@ def read_rs509(data: Path) -> tuple[Spectra, Instrument, Floats]:
 
 
 def tabulate_audit(report: AuditReport) -> str:
-    """The lines of an audit as a table."""
     lines = ["| verdict | check | what is said |", "|---|---|---|"]
     lines += [f"| {line.verdict} | {line.check} | {_shorten(line.sentence)} |" for line in report.lines]
     return "\n".join(lines)
@@ -103,7 +100,6 @@ def _shorten(sentence: str) -> str:
 
 
 def read_edges(data: Path) -> dict[str, Floats]:
-    """EDGES' table by column."""
     lines = (data / "anchor" / "edges_sky_temperature.csv").read_text().splitlines()
     rows = list(csv.DictReader(line for line in lines if not line.startswith("#")))
     return {name: np.array([float(row[name]) for row in rows]) for name in rows[0]}
@@ -172,7 +168,6 @@ def draw_hera(report: AuditReport, axes: Any) -> None:
 
 
 def draw_levels(station: AuditedStation, report: AuditReport, axis: Any) -> None:
-    """Level of every path against the median of its polarisation."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "All-NaN|Mean of empty|Degrees of freedom", RuntimeWarning)
         level = 10 / np.log(10) * compare_paths(station).level
@@ -203,7 +198,6 @@ def draw_coherence(coherence: Floats, axis: Any) -> None:
 
 
 def draw_edges(data: Path, axes: Any) -> None:
-    """Measured temperature against LST over the span of the assumed beams."""
     read = read_edges(data)
     for axis, mhz in zip(axes, HEIGHTS_M, strict=True):
         expected = expect_edges(mhz, read["lst_h"])
@@ -219,7 +213,6 @@ def draw_edges(data: Path, axes: Any) -> None:
 
 
 def make_tables(data: Path) -> dict[str, str]:
-    """Every table of the page, by the name of its markers."""
     hera, eda2, (spectra, instrument, _) = read_hera(data), read_eda2(data), read_rs509(data)
     return {
         "hera": tabulate_audit(audit_quietly(*hera)),

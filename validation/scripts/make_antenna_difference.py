@@ -27,7 +27,6 @@ ANTENNA = "antenna/lba_vout.npz"
 
 
 def numbers(values: np.ndarray) -> list[float]:
-    """Values with the digits that matter."""
     return [float(f"{value:.6g}") for value in values]
 
 

@@ -54,7 +54,6 @@ TRACE_TIME = datetime(2011, 7, 19, 11, 5, 41, tzinfo=UTC)
 
 
 def table(path: Path) -> dict[str, np.ndarray]:
-    """Columns of a CSV file below its # lines."""
     lines = [line for line in path.read_text().splitlines() if not line.startswith("#")]
     values = np.array([[float(value) for value in line.split(",")] for line in lines[1:]])
     return dict(zip(lines[0].split(","), values.T, strict=True))

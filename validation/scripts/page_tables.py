@@ -4,7 +4,6 @@ from __future__ import annotations
 
 
 def replace_tables(page: str, tables: dict[str, str]) -> str:
-    """The page with each table put between its two markers."""
     for name, table in tables.items():
         start, end = f"<!-- {name} -->\n", f"<!-- end of {name} -->"
         before, rest = page.split(start)
