@@ -29,15 +29,12 @@ def test_withdrawal_restores_what_was_told_bit_by_bit(row: Row) -> None:
     assert row["is_restored"]
 
 
-def test_the_gain_on_the_next_year_is_what_was_promised(row: Row) -> None:
+def test_the_size_is_that_planted_and_the_gain_on_the_next_year_what_was_promised(row: Row) -> None:
+    value, error = row["adopted"]
+    assert abs(value - row["size"]) < 4 * error
     gain, expected, sigma = row["gain"]
     assert abs(gain - expected) < 3 * sigma
     assert abs(gain - row["promise"][0]) < 3 * row["promise"][1]
-
-
-def test_the_size_is_that_planted(row: Row) -> None:
-    value, sigma = row["adopted"]
-    assert abs(value - row["size"]) < 4 * sigma
 
 
 def test_the_judgement_refutes_a_loop_that_does_not_close(row: Row) -> None:

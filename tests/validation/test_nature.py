@@ -88,15 +88,8 @@ def test_jitter_that_changes_half_of_the_power_is_weaker_than_to_first_order() -
 
 
 def outcome_row(seed: int, snr: float, sets: list[list[str]], said_of: str = "station") -> dict:
-    outcome = Outcome(
-        snr,
-        "gain_step",
-        "station",
-        "station",
-        verdict="explained" if sets else "consistent",
-        sets=sets,
-        said_of=said_of,
-    )
+    verdict = "explained" if sets else "consistent"
+    outcome = Outcome(snr, "gain_step", "station", "station", verdict=verdict, sets=sets, said_of=said_of)
     return {"seed": seed, **asdict(outcome), "sky": "lfsm", "outside": "", "antenna": "inverted-v", "noise": "front"}
 
 

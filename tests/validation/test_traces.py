@@ -77,13 +77,10 @@ def test_several_antennas_find_wide_weak_interference_by_its_phase() -> None:
     assert abs(left) < bias / 2
 
 
-def test_what_is_claimed_is_tried_below_and_above_its_limit() -> None:
+def test_every_claim_about_lines_has_a_part_and_is_tried_below_and_above_its_limit() -> None:
+    assert len({part.name for part in PARTS}) == len(CLAIMS) + 2
     for claim in CLAIMS:
         assert max(claim.below) < claim.limit == min(claim.above)
-
-
-def test_every_claim_about_lines_has_a_part_of_its_own() -> None:
-    assert len({part.name for part in PARTS}) == len(CLAIMS) + 2
 
 
 def test_lines_that_are_missed_or_leave_a_bias_are_refuted() -> None:

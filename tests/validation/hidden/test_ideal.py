@@ -48,13 +48,21 @@ def _detector(
     instrument: Instrument,
     sky: SkyPower,
     nuisances: Nuisances = NONE,
-    seed: int = 3,
     gains: EventGains = BEHIND_EVERYTHING,
     modes: np.ndarray | None = None,
+    settings: TwinSettings = SETTINGS,
 ) -> IdealDetector:
-    spectra = simulate_campaign(SETTINGS, instrument, sky, np.random.default_rng(seed), (), nuisances).spectra
-    (station,), _ = draw_stations(SETTINGS, instrument, sky, np.random.default_rng(seed), nuisances)
-    return ideal_detector(SETTINGS, nuisances, station, spectra, gains, modes)
+    spectra = simulate_campaign(settings, instrument, sky, np.random.default_rng(3), (), nuisances).spectra
+    (station,), _ = draw_stations(settings, instrument, sky, np.random.default_rng(3), nuisances)
+    return ideal_detector(settings, nuisances, station, spectra, gains, modes)
+
+
+SIX = TwinSettings(stations=("CS002",), antennas=6, events_per_year=200)
+
+
+@pytest.fixture
+def alike(low_band: Instrument) -> Instrument:
+    return replace(low_band, antennas=[AntennaRecord("CS002", a, "80") for a in range(6)])
 
 
 @pytest.mark.parametrize(
@@ -146,12 +154,8 @@ def test_a_gain_step_of_one_path_has_the_textbook_signal_to_noise(low_band: Inst
     assert detector.snr([step]) == pytest.approx(textbook, rel=0.01)
 
 
-def test_a_static_gain_is_absorbed_but_shows_against_other_antennas(low_band: Instrument, two_waves: SkyPower) -> None:
-    settings = TwinSettings(stations=("CS002",), antennas=6, events_per_year=200)
-    alike = replace(low_band, antennas=[AntennaRecord("CS002", a, "80") for a in range(6)])
-    spectra = simulate_campaign(settings, alike, two_waves, np.random.default_rng(1)).spectra
-    (station,), _ = draw_stations(settings, alike, two_waves, np.random.default_rng(1))
-    detector = ideal_detector(settings, NONE, station, spectra)
+def test_a_static_gain_is_absorbed_but_shows_against_other_antennas(alike: Instrument, two_waves: SkyPower) -> None:
+    detector = _detector(alike, two_waves, settings=SIX)
     longer = CableLength(size=5.0, where=Where(antennas=(2,)))
     assert detector.snr([longer]) < 1e-3
     snr = detector.snr_against_others(longer)
@@ -166,28 +170,19 @@ def test_a_static_gain_is_absorbed_but_shows_against_other_antennas(low_band: In
 def test_a_cable_name_shows_against_the_others_and_a_free_sky_hides_some_of_it(
     low_band: Instrument, two_waves: SkyPower
 ) -> None:
-    settings = TwinSettings(stations=("CS002",), antennas=6, events_per_year=200)
-    records = [AntennaRecord("CS002", a, "80" if a % 2 else "50") for a in range(6)]
-    named = replace(low_band, antennas=records)
-    spectra = simulate_campaign(settings, named, two_waves, np.random.default_rng(1)).spectra
-    (station,), _ = draw_stations(settings, named, two_waves, np.random.default_rng(1))
+    named = replace(low_band, antennas=[AntennaRecord("CS002", a, "80" if a % 2 else "50") for a in range(6)])
     bend = np.linspace(-0.1, 0.1, 51) * np.ones((1, 2, 200, 1))
-    told, free = (ideal_detector(settings, NONE, station, spectra, modes=modes) for modes in (None, bend))
+    told, free = (_detector(named, two_waves, modes=modes, settings=SIX) for modes in (None, bend))
     longer = CableLength(size=5.0, where=Where(cables=("50",)))
     assert told.snr_against_others(longer) > free.snr_against_others(longer) > 0.1
     shorter = CableLength(size=-5.0, where=Where(cables=("80",)))
     assert told.snr_against_others(shorter) == pytest.approx(told.snr_against_others(longer), rel=1e-6)
 
 
-def test_what_paths_depart_by_hides_a_static_fault_and_no_other(low_band: Instrument, two_waves: SkyPower) -> None:
-    settings = TwinSettings(stations=("CS002",), antennas=6, events_per_year=200)
-    alike = replace(low_band, antennas=[AntennaRecord("CS002", a, "80") for a in range(6)])
+def test_what_paths_depart_by_hides_a_static_fault_and_no_other(alike: Instrument, two_waves: SkyPower) -> None:
     snr = {}
     for size in (0.0, 0.02):
-        nuisances = replace(NONE, departures=size)
-        spectra = simulate_campaign(settings, alike, two_waves, np.random.default_rng(1), (), nuisances).spectra
-        (station,), _ = draw_stations(settings, alike, two_waves, np.random.default_rng(1), nuisances)
-        detector = ideal_detector(settings, nuisances, station, spectra)
+        detector = _detector(alike, two_waves, replace(NONE, departures=size), settings=SIX)
         longer = CableLength(size=5.0, where=Where(antennas=(2,)))
         snr[size] = detector.snr_against_others(longer), detector.snr([GainTemperature(size=0.01)])
     assert snr[0.02][0] < 0.7 * snr[0.0][0]

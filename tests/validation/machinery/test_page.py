@@ -54,11 +54,7 @@ def test_an_undecided_detail_is_no_row_and_is_not_hidden() -> None:
     rows, _, below = page_of(record(claim("station_mean", "A detail", 0.5, (0.4, 0.6)))).partition("## What is not")
     assert "A detail" not in rows
     assert "- twin-nuisances: undecided, asked >= 50 %: `station_mean` 50 %" in below
-
-
-def test_a_part_may_have_no_row_at_all() -> None:
-    """Two kinds of noise are alike: one of them is the row."""
-    assert "It is found" not in page_of(record(SHOWN, part="clean"))
+    assert "It is found" not in page_of(record(SHOWN, part="clean")), "a part may have no row at all"
 
 
 def test_proofs_without_trials_on_record_draw_no_figure(tmp_path: Path) -> None:
@@ -85,13 +81,10 @@ def test_a_phrase_is_renewed_where_its_lines_break_otherwise():
     assert QUOTE.renewed(renewed, figures_of(alarms(5, 3000))) == renewed
 
 
-def test_a_phrase_that_is_not_there_or_twice_is_an_error():
+def test_a_phrase_that_is_not_there_or_twice_or_quotes_what_no_record_holds_is_an_error():
     for text in ("nothing", "something was said of 4 of 20 data sets; something was said of 4 of 20 data sets"):
         with pytest.raises(ValueError, match=r"holds [02] times"):
             QUOTE.renewed(text, figures_of(alarms(5, 3000)))
-
-
-def test_a_figure_that_no_record_holds_is_named():
     quote = Quote("page.md", "{fit.example.bias.n} data sets")
     with pytest.raises(ValueError, match=r"page.md quotes \{fit.example.bias.n\}, which no record holds"):
         quote.renewed("3 data sets", figures_of(alarms(0, 1)))
