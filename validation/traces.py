@@ -6,7 +6,7 @@ Voltages are simulated, digitised and measured back. The suite runs small instan
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
 
@@ -59,85 +59,6 @@ def power_of(background: PathBackground) -> Floats:
     return background.power * SETTINGS.resistance_ohm
 
 
-@dataclass(frozen=True)
-class NoiseTrial:
-    """What `trials` traces of pure noise gave.
-
-    Attributes
-    ----------
-    ratio
-        Shape (trial, freq), measured over true power.
-    theory
-        Shape (freq,), expected relative noise.
-    false_lines
-        Lines found in the band, of all trials.
-    """
-
-    ratio: Floats
-    theory: Floats
-    false_lines: int
-
-    @property
-    def bias(self) -> tuple[float, float]:
-        """Mean of measured over true minus 1, over the band, and its error."""
-        band = self.ratio.mean(axis=1)
-        return float(band.mean() - 1), float(band.std(ddof=1) / np.sqrt(len(band)))
-
-    @property
-    def worst_bin(self) -> tuple[float, float]:
-        """The bin furthest from 1: its bias, and the error of one bin."""
-        bias = self.ratio.mean(axis=0) - 1
-        error = self.ratio.std(axis=0, ddof=1) / np.sqrt(len(self.ratio))
-        return float(bias[np.argmax(np.abs(bias))]), float(error.mean())
-
-    @property
-    def noise_over_theory(self) -> float:
-        """Measured scatter over the expected one, r.m.s. over the bins."""
-        scatter = self.ratio.std(axis=0, ddof=1) / self.ratio.mean(axis=0)
-        return float(np.sqrt(np.mean((scatter / self.theory) ** 2)))
-
-
-def measure_noise(blocks: int, rng: np.random.Generator, rms_adc: float = 15.0) -> Row:
-    """Measure a trace of noise alone: measured over true power of every bin, its theoretical noise, lines found."""
-    density = band_shape(rms_adc)
-    found = measure(trace_of(draw_noise(density, GRID_MHZ, blocks * BLOCK_SAMPLES, rng), 10))
-    theory = 1 / np.sqrt(found.blocks * effective_channels(bin_weights(found.channel_mhz, BINS, 1.0)))
-    return {
-        "ratio": np.round(power_of(found) / true_bins(density), 4).tolist(),
-        "theory": round(float(np.sqrt(np.mean(theory**2))), 5),
-        "false_lines": int(np.sum(np.abs(found.line_mhz - 55) < 25.5)),
-    }
-
-
-def collect_noise(rows: Sequence[Row]) -> NoiseTrial:
-    theory = np.full(BINS.size, rows[-1]["theory"])
-    return NoiseTrial(np.array([row["ratio"] for row in rows]), theory, sum(row["false_lines"] for row in rows))
-
-
-def measure_gains(rms_adc: Floats, blocks: int, rng: np.random.Generator) -> Floats:
-    """Band power over true, without and with 1/12 ADC^2 of rounding noise in the truth; shape (2, gain)."""
-    ratios = np.zeros((2, rms_adc.size))
-    for row, rms in enumerate(rms_adc):
-        density = band_shape(float(rms))
-        truth = true_bins(density)
-        power = power_of(measure(trace_of(draw_noise(density, GRID_MHZ, blocks * BLOCK_SAMPLES, rng), 10)))
-        ratios[:, row] = power.sum() / np.array([np.sum(truth - ROUNDING), np.sum(truth)])
-    return ratios
-
-
-def measure_pulses(peaks: Floats, blocks: int, rng: np.random.Generator) -> Floats:
-    """Change of the band power by a pulse, measured as we do and with the exclusion forgotten; shape (2, peak)."""
-    change = np.zeros((2, peaks.size))
-    voltage = draw_noise(band_shape(), GRID_MHZ, blocks * BLOCK_SAMPLES, rng)
-    sample = int(rng.integers(10 * BLOCK_SAMPLES, (blocks - 10) * BLOCK_SAMPLES))
-    clean = power_of(measure(trace_of(voltage, 10))).sum()
-    for row, peak in enumerate(peaks):
-        trace = trace_of(voltage, 10, [Shower(sample, float(peak))])
-        change[0, row] = power_of(measure(trace)).sum() / clean - 1
-        change[1, row] = power_of(_measure_everything(trace)).sum() / clean - 1
-    return change
-
-
 def _measure_everything(trace: Trace) -> PathBackground:
     """Measure a trace as if nobody had thought of pulses or of anything else that comes and goes."""
     from unittest.mock import patch
@@ -158,14 +79,27 @@ PEAKS = np.array([0.0, 50.0, 100.0, 200.0, 500.0, 1000.0, 2000.0])
 
 
 def try_noise(blocks: int, seed: int) -> Row:
-    return measure_noise(blocks, np.random.default_rng([1, blocks, seed]))
+    """A trace of noise alone: measured over true power of every bin, its theoretical noise, lines found in the band."""
+    density, rng = band_shape(), np.random.default_rng([1, blocks, seed])
+    found = measure(trace_of(draw_noise(density, GRID_MHZ, blocks * BLOCK_SAMPLES, rng), 10))
+    theory = 1 / np.sqrt(found.blocks * effective_channels(bin_weights(found.channel_mhz, BINS, 1.0)))
+    return {
+        "ratio": np.round(power_of(found) / true_bins(density), 4).tolist(),
+        "theory": round(float(np.sqrt(np.mean(theory**2))), 5),
+        "false_lines": int(np.sum(np.abs(found.line_mhz - 55) < 25.5)),
+    }
+
+
+def noise_over_theory(rows: Sequence[Row]) -> float:
+    """Measured scatter over the expected one, r.m.s. over the bins."""
+    ratio = np.array([row["ratio"] for row in rows])
+    return float(np.sqrt(np.mean((ratio.std(axis=0, ddof=1) / ratio.mean(axis=0) / rows[-1]["theory"]) ** 2)))
 
 
 def judge_noise(rows: Sequence[Row]) -> list[Found]:
-    trial, n = collect_noise(rows), len(rows)
-    bias = trial.ratio - 1
+    bias, n = np.array([row["ratio"] for row in rows]) - 1, len(rows)
     # Neighbouring bins share channels: half of the 51 are counted as independent.
-    ratio, draws = trial.noise_over_theory, n * BINS.size // 2
+    ratio, draws = noise_over_theory(rows), n * BINS.size // 2
     return [
         mean_of("bias", bias.mean(axis=1), "%"),
         worst_of([mean_of("bin", one) for one in bias.T], n, "%"),
@@ -174,8 +108,15 @@ def judge_noise(rows: Sequence[Row]) -> list[Found]:
     ]
 
 
-def try_gains(seed: int) -> Row:
-    return {"ratio": np.round(measure_gains(RMS_ADC, 400, np.random.default_rng([30, seed])), 5).tolist()}
+def try_gains(seed: int, rms_adc: Floats = RMS_ADC, blocks: int = 400) -> Row:
+    """Band power over true, without and with 1/12 ADC^2 of rounding noise in the truth, of a trace of each gain."""
+    ratios, rng = np.zeros((2, rms_adc.size)), np.random.default_rng([30, seed])
+    for row, rms in enumerate(rms_adc):
+        density = band_shape(float(rms))
+        truth = true_bins(density)
+        power = power_of(measure(trace_of(draw_noise(density, GRID_MHZ, blocks * BLOCK_SAMPLES, rng), 10)))
+        ratios[:, row] = power.sum() / np.array([np.sum(truth - ROUNDING), np.sum(truth)])
+    return {"ratio": np.round(ratios, 5).tolist()}
 
 
 def judge_gains(rows: Sequence[Row]) -> list[Found]:
@@ -183,8 +124,17 @@ def judge_gains(rows: Sequence[Row]) -> list[Found]:
     return [worst_of([mean_of("rounding", one) for one in bias[:, RMS_ADC >= 1.0].T], len(rows), "%")]
 
 
-def try_pulses(seed: int) -> Row:
-    return {"change": np.round(measure_pulses(PEAKS, 400, np.random.default_rng([40, seed])), 6).tolist()}
+def try_pulses(seed: int, peaks: Floats = PEAKS, blocks: int = 400) -> Row:
+    """Change of the band power by a pulse of each height, measured as we do and with the exclusion forgotten."""
+    change, rng = np.zeros((2, peaks.size)), np.random.default_rng([40, seed])
+    voltage = draw_noise(band_shape(), GRID_MHZ, blocks * BLOCK_SAMPLES, rng)
+    sample = int(rng.integers(10 * BLOCK_SAMPLES, (blocks - 10) * BLOCK_SAMPLES))
+    clean = power_of(measure(trace_of(voltage, 10))).sum()
+    for row, peak in enumerate(peaks):
+        trace = trace_of(voltage, 10, [Shower(sample, float(peak))])
+        change[0, row] = power_of(measure(trace)).sum() / clean - 1
+        change[1, row] = power_of(_measure_everything(trace)).sum() / clean - 1
+    return {"change": np.round(change, 6).tolist()}
 
 
 def judge_pulses(rows: Sequence[Row]) -> list[Found]:

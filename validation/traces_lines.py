@@ -198,22 +198,25 @@ def judge_lines(claim: LineClaim, rows: Sequence[Row]) -> list[Found]:
     ]
 
 
-def try_wide(
-    strengths: Floats, width_mhz: float, blocks: int, rng: np.random.Generator, antennas: int
-) -> tuple[Floats, Floats]:
-    """Add bands of noise from one far transmitter (the same in all antennas, delayed) and measure.
+WIDE = np.array([0.05, 0.1, 0.2, 0.3, 0.5, 1.0])
+"""Density of noise-like interference over that of the noise."""
+WIDTH_MHZ, WIDE_BLOCKS = 0.8, 400
+WIDE_LIMITS = {1: 1.0, 12: 0.3}
+"""Density from which on it is found, by the number of antennas."""
 
-    Returns
-    -------
-    Share of the bands of which something is flagged, and bias of their bins, shape (strength,).
+
+def try_bands(antennas: int, seed: int, strengths: Floats = WIDE) -> Row:
+    """Add bands of noise from one far transmitter (the same in all antennas, delayed) to one trace, and measure.
+
+    The share of the bands of which something is flagged, and the bias of their bins, strength by strength.
     """
-    density = band_shape()
-    samples = blocks * BLOCK_SAMPLES
+    density, rng = band_shape(), np.random.default_rng([50, antennas, seed])
+    samples = WIDE_BLOCKS * BLOCK_SAMPLES
     found, change = np.zeros(strengths.size), np.zeros(strengths.size)
     centres = LINES_MHZ[1::2]
     bins = (centres - BINS[0]).astype(int)
     fine_mhz = np.arange(GRID_MHZ[0], GRID_MHZ[-1], 0.02)
-    is_in = np.any(np.abs(fine_mhz[:, None] - centres) < width_mhz / 2, axis=1)
+    is_in = np.any(np.abs(fine_mhz[:, None] - centres) < WIDTH_MHZ / 2, axis=1)
     shape = np.exp(np.interp(fine_mhz, GRID_MHZ, np.log(density))) * np.where(is_in, 1.0, 1e-12)
     band = draw_noise(shape, fine_mhz, samples, rng)
     voltages = [draw_noise(density, GRID_MHZ, samples, rng) for _ in range(antennas)]
@@ -221,21 +224,10 @@ def try_wide(
     clean = measure_together(voltages)
     for row, strength in enumerate(strengths):
         results = measure_together([v + np.sqrt(strength) * b for v, b in zip(voltages, bands, strict=True)])
-        near = [np.any(np.abs(r.line_mhz[:, None] - centres) < width_mhz / 2 + 0.1, axis=0) for r in results]
+        near = [np.any(np.abs(r.line_mhz[:, None] - centres) < WIDTH_MHZ / 2 + 0.1, axis=0) for r in results]
         found[row] = np.mean(near)
         ratios = [power_of(r)[bins] / power_of(c)[bins] for r, c in zip(results, clean, strict=True)]
         change[row] = np.mean(ratios) - 1.0
-    return found, change
-
-
-WIDE = np.array([0.05, 0.1, 0.2, 0.3, 0.5, 1.0])
-"""Density of noise-like interference 0.8 MHz wide over that of the noise."""
-WIDE_LIMITS = {1: 1.0, 12: 0.3}
-"""Density from which on it is found, by the number of antennas."""
-
-
-def try_bands(antennas: int, seed: int) -> Row:
-    found, change = try_wide(WIDE, 0.8, 400, np.random.default_rng([50, antennas, seed]), antennas)
     return {"found": np.round(found, 4).tolist(), "change": np.round(change, 6).tolist()}
 
 

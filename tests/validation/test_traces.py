@@ -6,22 +6,23 @@ import numpy as np
 import pytest
 
 from validation.machinery.records import verdicts_of
-from validation.traces import band_shape, collect_noise, measure_gains, measure_noise, measure_pulses, true_bins
-from validation.traces_lines import CLAIMS, KINDS, PARTS, LineTrial, try_lines, try_wide
+from validation.traces import band_shape, noise_over_theory, true_bins, try_gains, try_noise, try_pulses
+from validation.traces_lines import CLAIMS, KINDS, PARTS, LineTrial, try_bands, try_lines
 
 
 def test_noise_is_measured_without_bias_and_with_the_noise_of_theory() -> None:
-    trial = collect_noise([measure_noise(200, np.random.default_rng([1, k])) for k in range(60)])
-    bias, error = trial.bias
+    rows = [try_noise(200, seed) for seed in range(60)]
+    band = np.array([row["ratio"] for row in rows]).mean(axis=1)
+    error = band.std(ddof=1) / np.sqrt(len(band))
     assert error < 0.001
-    assert abs(bias) < 0.002 + 2 * error
+    assert abs(band.mean() - 1) < 0.002 + 2 * error
     # 60 x 51 values: the scatter is known to 1.3 %; neighbouring bins share channels.
-    assert abs(trial.noise_over_theory - 1) < 0.03 + 0.013
-    assert trial.false_lines <= 8  # 0.03 a trace expected
+    assert abs(noise_over_theory(rows) - 1) < 0.03 + 0.013
+    assert sum(row["false_lines"] for row in rows) <= 8  # 0.03 a trace expected
 
 
 def test_rounding_adds_a_twelfth_unless_the_gain_is_too_low() -> None:
-    each = [measure_gains(np.array([0.4, 1.0, 5.0]), 200, np.random.default_rng([5, k])) for k in range(4)]
+    each = [try_gains(seed, np.array([0.4, 1.0, 5.0]), 200)["ratio"] for seed in range(4)]
     ratios, errors = np.mean(each, axis=0), np.std(each, axis=0, ddof=1) / 2
     assert ratios[0, 1] == pytest.approx(1 + 0.51 / 12 / 0.9, abs=0.01)  # 51 of 100 MHz, 90 % of the power
     assert np.all(np.abs(ratios[1, 1:] - 1) < 0.002 + 3 * errors[1, 1:])
@@ -29,8 +30,7 @@ def test_rounding_adds_a_twelfth_unless_the_gain_is_too_low() -> None:
 
 
 def test_a_pulse_does_not_leak_and_forgetting_the_exclusion_matters() -> None:
-    each = [measure_pulses(np.array([300.0, 2000.0]), 200, np.random.default_rng([6, k])) for k in range(3)]
-    ours, forgotten = np.mean(each, axis=0)
+    ours, forgotten = np.mean([try_pulses(k, np.array([300.0, 2000.0]), 200)["change"] for k in range(3)], axis=0)
     assert np.all(np.abs(ours) < 0.002)
     assert forgotten[1] > 0.05
 
@@ -71,10 +71,10 @@ def test_several_antennas_find_weaker_lines() -> None:
 
 def test_several_antennas_find_wide_weak_interference_by_its_phase() -> None:
     strength = np.array([0.5])
-    _, (bias,) = try_wide(strength, 0.8, 400, np.random.default_rng([5, 0]), antennas=1)
-    (found,), (left,) = try_wide(strength, 0.8, 400, np.random.default_rng([5, 0]), antennas=8)
-    assert found == 1.0
-    assert abs(left) < bias / 2
+    (bias,) = try_bands(1, 0, strength)["change"]
+    together = try_bands(8, 0, strength)
+    assert together["found"] == [1.0]
+    assert abs(together["change"][0]) < bias / 2
 
 
 def test_every_claim_about_lines_has_a_part_and_is_tried_below_and_above_its_limit() -> None:

@@ -12,11 +12,9 @@ from __future__ import annotations
 
 import argparse
 import multiprocessing
-import resource
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -30,17 +28,6 @@ from validation.frozen.surface import frozen_numbers
 NUMBERS = Path(__file__).parent / "numbers"
 
 
-@dataclass(frozen=True)
-class Run:
-    """The numbers of one data set and what they cost: seconds on the clock and of the processor, peak memory."""
-
-    name: str
-    numbers: dict[str, Any]
-    seconds: float
-    processor_s: float
-    peak_mib: float
-
-
 def main(arguments: list[str]) -> int:
     parser = argparse.ArgumentParser(prog="python -m validation.frozen", description=__doc__.partition("\n")[0])
     action = parser.add_mutually_exclusive_group(required=True)
@@ -49,7 +36,6 @@ def main(arguments: list[str]) -> int:
     action.add_argument("--list", action="store_true", help="name the data sets")
     parser.add_argument("names", nargs="*", metavar="NAME", help="data sets; all of them unless given")
     parser.add_argument("--workers", type=int, default=2, help="data sets at once (2)")
-    parser.add_argument("--threads", type=int, default=1, help="threads of the linear algebra in each (1)")
     chosen = parser.parse_args(arguments)
     unknown = sorted(set(chosen.names) - set(DATA_SETS))
     if unknown:
@@ -59,23 +45,15 @@ def main(arguments: list[str]) -> int:
         return 0
     started = time.monotonic()
     names, differences = chosen.names or list(DATA_SETS), list[Difference]()
-    processor_s = peak_mib = 0.0
-    for run in _runs(names, chosen.workers, chosen.threads):
-        found = compare_with_stored(run.name, run.numbers)
-        cost = f"{run.seconds:.1f} s, {run.processor_s:.1f} s of processor, {run.peak_mib:.0f} MiB"
-        print(f"{run.name}: {cost}; {len(found)} differences", flush=True)
-        for one in found:
-            print(f"  {one}")
+    for name, numbers in _numbers_of(names, chosen.workers):
+        found = compare_with_stored(name, numbers)
+        print(f"{name}: {len(found)} differences", *found, sep="\n  ", flush=True)
         differences += found
-        processor_s, peak_mib = processor_s + run.processor_s, max(peak_mib, run.peak_mib)
         if chosen.write:
-            write_numbers(NUMBERS / f"{run.name}.json.gz", run.numbers)
+            write_numbers(NUMBERS / f"{name}.json.gz", numbers)
     if differences:
         print("\nBy place:", *summarise(differences), sep="\n  ")
-    print(
-        f"\n{len(names)} data sets, {len(differences)} differences; {time.monotonic() - started:.0f} s with "
-        f"{chosen.workers} workers, {processor_s:.0f} s of processor, at most {peak_mib:.0f} MiB"
-    )
+    print(f"\n{len(names)} data sets, {len(differences)} differences; {time.monotonic() - started:.0f} s")
     return 1 if differences and chosen.compare else 0
 
 
@@ -85,22 +63,19 @@ def compare_with_stored(name: str, numbers: dict[str, Any]) -> list[Difference]:
     return list_differences(name, read_numbers(path) if path.is_file() else {}, numbers)
 
 
-def _runs(names: Sequence[str], workers: int, threads: int) -> Iterator[Run]:
-    """Each data set in a process of its own, whose peak memory is that of the data set; one alone in this process."""
+def _numbers_of(names: Sequence[str], workers: int) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Each data set in a process of its own; one alone in this process."""
     if len(names) == 1:
-        with threadpool_limits(threads):
-            yield _run(names[0])
+        with threadpool_limits(1):
+            yield _take(names[0])
         return
     sky_power()  # once, before the processes are forked
-    with multiprocessing.get_context("fork").Pool(workers, threadpool_limits, (threads,), maxtasksperchild=1) as pool:
-        yield from pool.imap(_run, names, chunksize=1)
+    with multiprocessing.get_context("fork").Pool(workers, threadpool_limits, (1,), maxtasksperchild=1) as pool:
+        yield from pool.imap(_take, names, chunksize=1)
 
 
-def _run(name: str) -> Run:
-    started, processor = time.monotonic(), time.process_time()
-    numbers = frozen_numbers(DATA_SETS[name])
-    peak_kib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return Run(name, numbers, time.monotonic() - started, time.process_time() - processor, peak_kib / 1024)
+def _take(name: str) -> tuple[str, dict[str, Any]]:
+    return name, frozen_numbers(DATA_SETS[name])
 
 
 if __name__ == "__main__":
