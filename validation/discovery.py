@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from matplotlib.figure import Figure
 
 from validation.hidden import clean, held_out, no_catalogue, one_effect, several_effects
-from validation.hidden.figure import draw_detection
+from validation.hidden.one_effect import draw_detection
 from validation.machinery.parts import Row
 
 PARTS = (*clean.PARTS, *one_effect.PARTS, *several_effects.PARTS, *no_catalogue.PARTS, *held_out.PARTS)

@@ -31,8 +31,7 @@ from lbacal_paper.reference_source import (
     near_field_factor,
 )
 from lbacal_paper.stand_in_source import HEIGHT_M, LABORATORY_M, LEFT_OF_FLOOR, STATED, true_field
-from validation.machinery.claims import Found, mean_of, rate_of
-from validation.machinery.coverage import count_within, coverage
+from validation.machinery.claims import Found, count_within, coverage, mean_of, rate_of
 from validation.machinery.parts import Part, Row
 
 POWER_SIGMA, DISTANCE_SIGMA_M, PATTERN_SIGMA = 0.01, 0.1, 0.05

@@ -37,6 +37,7 @@ from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.table import SkyPower
 from validation.machinery.claims import Found, exactly, measured
 from validation.machinery.parts import Part, Row
+from validation.machinery.tables import by
 from validation.sky_models import DATA, MAPS, TABLES, WIPL, fourier_series_curve, published_tables
 
 BAND = (30.0, 80.0)
@@ -139,30 +140,6 @@ def per_point(fit: CurveFit) -> str:
     return "{estimated:.2f} ({drawn_bars:.2f})".format(**fit.per_point)
 
 
-def hypotheses_table(found: CurveInvestigation) -> list[str]:
-    """What the report says of every hypothesis: chi^2, whether it is excluded, and what it would do to C."""
-    lines = [
-        "| hypothesis | chi2 per point (drawn bars) | standing | C of X at 30, 55, 80 MHz | C of Y |",
-        "|---|---|---|---|---|",
-    ]
-    decide: dict[str, str] = {}
-    for one in describe_curve(found, Provenance({}))["hypotheses"]:
-        names = [
-            f"{cause['cause']} {cause['parameters'].get('source', '')} "
-            f"{cause['parameters'].get('fraction_of_mean_sky_power', cause['size']['value']):.2f}"
-            for cause in one["causes"]
-        ]
-        change = [
-            ", ".join(f"{100 * one['calibration_change'][d]['at_mhz'][nu]:+.1f} %" for nu in ("30", "55", "80"))
-            for d in DIPOLES
-        ]
-        decide |= {cause["cause"]: cause["would_decide"] for cause in one["causes"]}
-        points = one["chi2_per_point"]
-        cells = [", ".join(names), f"{points['estimated']:.2f} ({points['drawn_bars']:.2f})", one["standing"]]
-        lines.append("| " + " | ".join([*cells, *change]).replace("  ", " ") + " |")
-    return [*lines, "", "What would decide: " + "; ".join(f"{name}: {what}" for name, what in decide.items()) + "."]
-
-
 def witnesses(instrument: Instrument, own: SkyPower, tables: SkyPower) -> list[Question]:
     """Published curves and simulations against each other, none of them the measured points."""
     known = PointNoise(dict.fromkeys(DIPOLES, DIGITISED_DB), 0.0, 60)
@@ -238,7 +215,6 @@ def other_questions() -> list[Question]:
 
 
 def ask_one(questions: Callable[[], list[Question]], case: int) -> Row:
-    """What is found for one question; of the first also every hypothesis."""
     question = questions()[case]
     found = question.ask(_instrument())
     report, prior = describe_curve(found, Provenance({})), found.fitter.station.prior
@@ -264,7 +240,6 @@ def ask_one(questions: Callable[[], list[Question]], case: int) -> Row:
         noise = found.fitter.noise
         row["noise_db"] = {dipole: round(noise.sigma_db[dipole], 4) for dipole in DIPOLES}
         row["correlation"], row["points"] = round(noise.correlation, 3), found.first.points
-        row["hypotheses"] = hypotheses_table(found)
     return row
 
 
@@ -290,24 +265,11 @@ def judge_others(rows: Sequence[Row]) -> list[Found]:
     ]
 
 
-def tell(rows: Sequence[Row]) -> list[str]:
-    """One row a question, and the hypotheses of the first."""
-    lines = [
-        "| choice | named | noise over mean sky | chi2 per point before | after | best without an exchange | verdict |",
-        "|" + "---|" * 7,
-    ]
-    names = ("words", "named", "noise", "chi2_before", "chi2_after", "best_without_exchange", "verdict")
-    noise = ("{:.2f} ± {:.2f}".format(*row["noise_of_sky"]) for row in rows)
-    told = ({**row, "noise": words} for row, words in zip(rows, noise, strict=True))
-    lines += [f"| {' | '.join(str(row.get(name, '')) for name in names)} |" for row in told]
-    return [*lines, "", *rows[0].get("hypotheses", [])]
-
-
 FIXED: dict[str, Any] = {"has_chance": False, "needs_shared": True}
 PARTS = (
-    Part("own", partial(ask_one, own_questions), judge_variants, 16, tell, ("exchange",), **FIXED),
-    Part("tables", partial(ask_one, tables_questions), judge_variants, 13, tell, (), **FIXED),
-    Part("others", partial(ask_one, other_questions), judge_others, 5, tell, **FIXED),
+    Part("own", partial(ask_one, own_questions), judge_variants, 16, by("words"), ("exchange",), **FIXED),
+    Part("tables", partial(ask_one, tables_questions), judge_variants, 13, by("words"), **FIXED),
+    Part("others", partial(ask_one, other_questions), judge_others, 5, by("words"), **FIXED),
 )
 IMAGES = {
     "measured-own.png": "Measured LOFAR curve, X, Y and their difference, with the simulation before and after",

@@ -32,8 +32,7 @@ from lbacal_core.uncertainty.refit import add_budget, compute_budget, list_chang
 from lbacal_twin.campaign import Campaign, simulate_campaign
 from lbacal_twin.gains import NOISES
 from lbacal_twin.settings import TwinSettings
-from validation.hidden.station_year import EVERYTHING
-from validation.hidden.worlds import OWN, alternatives
+from validation.hidden.worlds import EVERYTHING, OWN, alternatives
 from validation.hidden.worlds import draw as draw_world
 from validation.machinery.claims import Found, mean_of, rate_of
 from validation.machinery.parts import Part, Row

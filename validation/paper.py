@@ -38,8 +38,7 @@ from lbacal_paper.showers.signals import SIGNALS, draw_signals
 from lbacal_paper.stand_in_source import HEIGHT_M, LABORATORY_M, LEFT_OF_FLOOR
 from lbacal_twin.campaign import Campaign, simulate_campaign
 from lbacal_twin.settings import TwinSettings
-from validation.machinery.claims import Found, mean_of, rate_of
-from validation.machinery.coverage import count_within, coverage
+from validation.machinery.claims import Found, count_within, coverage, mean_of, rate_of
 from validation.machinery.parts import Part, Row
 
 RATE_MHZ, SAMPLES = 200.0, 4096

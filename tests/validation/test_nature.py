@@ -14,8 +14,7 @@ from validation.hidden.like_noise import ALIKE, SNRS
 from validation.hidden.no_catalogue import Outcome as Unknown
 from validation.hidden.one_effect import Outcome
 from validation.hidden.pulls import SCOPES, measure_pulls
-from validation.hidden.station_year import draw_antennas
-from validation.hidden.worlds import OWN, Finder, alternatives, draw
+from validation.hidden.worlds import OWN, Finder, alternatives, draw, draw_antennas
 from validation.machinery.records import claims_of
 
 

@@ -89,9 +89,8 @@ def compute(instrument: Instrument, sky_power: SkyPower, campaign: Campaign, hid
     return Demonstration(campaign, first_year, paths, station, hidden, found, of_station, measured, curve)
 
 
-def planted_curve(campaign: Campaign, curve: CalibrationCurve) -> Floats:
-    """C that the twin planted in a path or a station, V per ADC unit, shape (freq,)."""
-    return np.asarray(campaign.truth.curve(curve.dipole or DIPOLES[0], curve.station, curve.antenna))
+def _planted(shown: Demonstration, curve: CalibrationCurve) -> Floats:
+    return shown.campaign.truth.curve(str(curve.dipole), curve.station, curve.antenna)
 
 
 def tabulate(shown: Demonstration) -> list[list[str]]:
@@ -105,7 +104,7 @@ def tabulate(shown: Demonstration) -> list[list[str]]:
             continue
         c, sigma, has_value = 1e6 * curve.c, 1e6 * curve.c_sigma_stat, curve.has_value
         rows.append([curve.name, *[f"{c[k]:.2f} ± {sigma[k]:.2f}" if has_value[k] else "outside" for k in at]])
-        rows.append(["  planted", *[f"{1e6 * planted_curve(shown.campaign, curve)[k]:.2f}" for k in at]])
+        rows.append(["  planted", *[f"{1e6 * _planted(shown, curve)[k]:.2f}" for k in at]])
         if curve.antenna is None and curve.c_sigma_sys is not None:
             systematic = 100 * curve.c_sigma_sys / curve.c
             rows.append(["  systematic error", *[f"{systematic[k]:.1f} %" if has_value[k] else "" for k in at]])
@@ -119,7 +118,7 @@ def describe_recovery(shown: Demonstration) -> str:
     fitted = [curve for curve in shown.paths.curves if curve.c is not None]
     if not fitted:
         return f"No path converged: {shown.paths.status}."
-    error = np.concatenate([(np.asarray(c.c) / planted_curve(shown.campaign, c) - 1.0)[c.has_value] for c in fitted])
+    error = np.concatenate([(np.asarray(c.c) / _planted(shown, c) - 1.0)[c.has_value] for c in fitted])
     sigma = np.concatenate([(np.asarray(c.c_sigma_stat) / np.asarray(c.c))[c.has_value] for c in fitted])
     return (
         f"{len(fitted)} of {len(shown.paths.curves)} paths converged; fitted and planted C differ by "

@@ -27,8 +27,7 @@ from lbacal_twin.view import View
 from lbacal_twin.world import World
 from validation.hidden.finder import Answer, FittedModel, ask_finder
 from validation.hidden.ideal import IdealDetector, ideal_detector
-from validation.hidden.station_year import STATION
-from validation.hidden.worlds import OWN, Finder, alternatives, free_modes, view_of
+from validation.hidden.worlds import OWN, STATION, Finder, alternatives, free_modes, view_of
 
 SMALL = (0, 1, 3, 4, 10, 11)
 """Antennas of three cable lengths, two of each."""

@@ -11,8 +11,7 @@ from lbacal_core.grids import Floats
 from validation.hidden.data_sets import DataSet
 from validation.hidden.ideal import IdealDetector, PathChains
 from validation.hidden.noise import count_blocks, noise_of
-from validation.hidden.station_year import EVENTS, EVERYTHING, STATION, draw_antennas
-from validation.hidden.worlds import OWN, draw
+from validation.hidden.worlds import EVENTS, EVERYTHING, OWN, STATION, draw, draw_antennas
 from validation.machinery.parts import Row
 
 SPANNED_SIGMA = 5.0

@@ -16,8 +16,7 @@ from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.gains import NOISES
 from lbacal_twin.settings import TwinSettings
 from lbacal_twin.truth import StationTruth
-from validation.hidden.station_year import ANTENNAS, EVENTS, EVERYTHING, STATION
-from validation.hidden.worlds import OWN
+from validation.hidden.worlds import EVENTS, EVERYTHING, OWN, STATION, TWELVE
 from validation.machinery.claims import Found, root_mean_of, worst_of
 from validation.machinery.parts import Part, Row
 from validation.machinery.tables import by
@@ -33,7 +32,7 @@ def measure_pulls(seed: int) -> Row:
     names = list(NOISES)
     noise = names[seed % len(names)]
     instrument, sky_power = load_instrument("lofar-superterp"), OWN.power()
-    settings = TwinSettings(stations=(STATION,), antennas=len(ANTENNAS), events_per_year=EVENTS)
+    settings = TwinSettings(stations=(STATION,), antennas=len(TWELVE), events_per_year=EVENTS)
     nuisances = replace(EVERYTHING, noisy_stations=(STATION,) if seed % 3 == 0 else ())
     campaign = simulate_campaign(
         settings, instrument, sky_power, np.random.default_rng([2026, seed]), nuisances=nuisances, gains=NOISES[noise]

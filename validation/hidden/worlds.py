@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 
 import numpy as np
@@ -17,6 +17,7 @@ from lbacal_core.skypower.differences import SIMULATED_LBA as SIMULATED_NAME
 from lbacal_core.skypower.differences import DifferenceModels, waves_at
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.table import SkyPower
+from lbacal_twin.nuisances import REALISTIC
 from lbacal_twin.view import View
 from lbacal_twin.world import ANTENNAS, MADE_OF, SKIES, World, draw_world
 from validation.machinery.parts import SHARED
@@ -25,6 +26,21 @@ SIMULATED_LBA = SHARED / "data" / "antenna" / "lba_vout.npz"
 """A simulated antenna that may not ship: it joins the antennas that are drawn where the folder ../shared is present."""
 LEVEL_DEGREE, LEVEL_PRIOR = 3, 0.1
 """Degree of the Legendre polynomials in ln nu of a level that is free, and the standard deviation of each."""
+
+
+STATION = "CS002"
+TWELVE, WHOLE_STATION = tuple(range(12)), tuple(range(48))
+WHOLE_SHARE = 0.1
+"""Share of the data sets in which all antennas of the station are there."""
+EVENTS = 900
+EVERYTHING = replace(REALISTIC, dead_antennas=1, deaf_antennas=1, clustered=0.6, interference=0.2)
+"""5 % of the spectra missing, one dead and one deaf antenna, events in runs, lines that were left, unequal antennas."""
+
+
+def draw_antennas(seed: int) -> tuple[int, ...]:
+    """The antennas of a data set: twelve, or the whole station."""
+    is_whole = np.random.default_rng([20261122, 48, seed]).random() < WHOLE_SHARE
+    return WHOLE_STATION if is_whole else TWELVE
 
 
 @dataclass(frozen=True)

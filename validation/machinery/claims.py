@@ -12,7 +12,7 @@ whenever they stop (a union bound; spending of the error, Lan and DeMets 1983).
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cache, partial
 from pathlib import Path
@@ -191,6 +191,24 @@ def exactly(key: str, found: float, unit: str = "", n: int = 1) -> Found:
 def worst_of(figures: Iterable[Found], n: int, unit: str = "") -> Found:
     each = tuple(figures)
     return Worst(each[0].key, each, n, unit)
+
+
+SIGMAS = (1, 2)
+
+
+def count_within(name: str, pull: Floats) -> dict[str, Any]:
+    """Shares of some numbers within one and two of their standard deviations: how often an error holds the truth."""
+    return {f"{name}_{k}": float(np.mean(np.abs(pull) < k)) for k in SIGMAS}
+
+
+def coverage(rows: Sequence[Mapping[str, Any]], name: str) -> list[Found]:
+    """Means of `count_within` over trials; where a trial has one number, which is within or not, rates."""
+    figures: list[Found] = []
+    for key in (f"{name}_{k}" for k in SIGMAS):
+        values = np.array([row[key] for row in rows])
+        is_rate = bool(np.all(np.isin(values, (0.0, 1.0))))
+        figures.append(rate_of(key, int(values.sum()), values.size) if is_rate else mean_of(key, values, "%"))
+    return figures
 
 
 @dataclass(frozen=True)

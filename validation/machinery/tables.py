@@ -20,7 +20,7 @@ def tabulate(rows: Sequence[Mapping[str, Any]], keys: Sequence[str] = ()) -> lis
     """Means of numbers, and counts of texts with the first seed of each, by the values of some fields."""
     groups: dict[str, list[Mapping[str, Any]]] = {}
     for row in rows:
-        groups.setdefault(", ".join(f"{row[key]}" for key in keys), []).append(row)
+        groups.setdefault(", ".join(str(row[key]) for key in keys) or "all", []).append(row)
     names = sorted(groups)
     found: dict[str, dict[str, list[tuple[int, Any]]]] = {}
     for name in names:

@@ -1,8 +1,9 @@
-"""Draw docs/images/investigation-*.png: what `lbacal investigate` shows of two simulated stations.
+"""Draw docs/images/investigation-*.png and measured-*.png: what `lbacal investigate` shows of spectra and of a curve.
 
-    .venv/bin/python validation/scripts/draw_investigation.py
+    .venv/bin/python -m validation.scripts.draw_investigation
 
-One station has a daytime ionosphere and a gain step of one path, the other follows the working week.
+One simulated station has a daytime ionosphere and a gain step of one path, the other follows the working week. The
+measured LOFAR curve needs the folder ../shared beside the project.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from lbacal.cli.curve_page import draw_change, draw_curve, draw_ranking
 from lbacal.cli.investigation_page import draw_finding, draw_residual_maps, draw_structure
 from lbacal_core.causes.axes import axis_named
 from lbacal_core.discovery.report import investigate
@@ -23,6 +25,8 @@ from lbacal_twin.faults.fault import Fault, Where
 from lbacal_twin.faults.sky import IonosphericAbsorption
 from lbacal_twin.faults.uncatalogued import WorkingWeek
 from lbacal_twin.settings import TwinSettings
+from validation.machinery.parts import SHARED
+from validation.measured import main_questions
 
 IMAGES = Path(__file__).parents[2] / "docs/images"
 SETTINGS = TwinSettings(stations=("CS002",), antennas=12, events_per_year=400)
@@ -38,7 +42,22 @@ def ask(faults: list[Fault]) -> StationReport:
     return report
 
 
+def draw_measured() -> None:
+    instrument = load_instrument("lofar-superterp")
+    own, tables = (question.ask(instrument) for question in main_questions(instrument))
+    figures = {
+        "own": draw_curve(own, "Measured LOFAR curve against our sky"),
+        "tables": draw_curve(tables, "Measured LOFAR curve against the published tables"),
+        "ranking": draw_ranking(own),
+        "change": draw_change(own),
+    }
+    for name, figure in figures.items():
+        figure.savefig(IMAGES / f"measured-{name}.png", dpi=110)
+
+
 def main() -> None:
+    if SHARED.is_dir():
+        draw_measured()
     spoiled = ask([IonosphericAbsorption(size=0.02), STEP])
     for finding in spoiled.findings:
         draw_finding(spoiled, finding).savefig(

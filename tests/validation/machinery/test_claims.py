@@ -15,6 +15,8 @@ from validation.machinery.claims import (
     Claim,
     One,
     confidence_of_look,
+    count_within,
+    coverage,
     decide,
     mean_interval,
     median_interval,
@@ -24,7 +26,6 @@ from validation.machinery.claims import (
     spread_interval,
     worst_of,
 )
-from validation.machinery.coverage import count_within, coverage
 from validation.machinery.parts import parts_of
 
 
