@@ -38,6 +38,8 @@ from lbacal_core.spectra.spectra import read_spectra as read_core_spectra
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from lbacal_core.simulation.simulation import Simulation
+
 SHOWN_ROWS = 12
 STATION, CABLE = "S1", "all"
 
@@ -207,9 +209,13 @@ class Calibration:
     """
 
     report: FitReport
-    instrument: CoreInstrument
+    simulation: Simulation = field(repr=False)
     spectra: Spectra = field(repr=False)
-    sky_power: SkyPower = field(repr=False)
+
+    @property
+    def instrument(self) -> CoreInstrument:
+        """What was calibrated."""
+        return self.simulation.instrument
 
     def __getitem__(self, key: tuple[Any, ...]) -> QTable:
         """C of one curve: (station, antenna, dipole), (station, dipole) or (dipole,) by what was fitted."""
@@ -230,8 +236,8 @@ class Calibration:
         """C with its errors, residuals, noise terms and chi^2 of every dipole; written to a file if one is named."""
         from lbacal.cli.fit_page import average_residuals, draw_fit
 
-        maps = average_residuals(self.spectra, self.report.curves, self.instrument, self.sky_power)
-        figure = draw_fit(self.report, maps, self.instrument, self.sky_power)
+        maps = average_residuals(self.spectra, self.report.curves, self.simulation)
+        figure = draw_fit(self.report, maps, self.simulation)
         if path is not None:
             figure.savefig(path)
         return figure
@@ -316,11 +322,10 @@ def fit(
     """
     from lbacal_core.audit.audit import audit_quickly
     from lbacal_core.pipeline import calibrate
-    from lbacal_core.skypower.model import compute_sky_power
+    from lbacal_core.simulation.simulation import Simulation
 
-    core = _core(instrument)
+    simulation = Simulation(_core(instrument), sky_power)
     measured = spectra if isinstance(spectra, Spectra) else read_spectra(spectra)
-    audited = audit_quickly(measured, core)
+    audited = audit_quickly(measured, simulation.instrument)
     audited.require_power(measured.origin)
-    report = audited.mark(calibrate(measured, core, sky_power, scope))
-    return Calibration(report, core, measured, sky_power or compute_sky_power(core))
+    return Calibration(audited.mark(calibrate(measured, simulation, scope)), simulation, measured)

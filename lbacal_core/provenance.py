@@ -101,3 +101,7 @@ class Remembered(Generic[Key, Value]):
                 while len(self._kept) > self.most:
                     self._kept.popitem(last=False)
         return found
+
+    def get(self, key: Key, make: Callable[[], Value]) -> Value:
+        """The value of a key, made where it is not here."""
+        return self.get_many([key], lambda _: {key: make()})[key]

@@ -16,13 +16,15 @@ from lbacal_core.curves import covariance
 from lbacal_core.curves.curves import CalibrationCurve
 from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.grids import Floats
+from lbacal_core.simulation.prior import PAPER_BUDGET, PATTERN
+from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.sky.names import DEFAULT_SKY, MEASURED_SKY, list_skies, load_sky
+from lbacal_core.skypower.differences import ZENITH_GAIN
 from lbacal_core.skypower.model import compute_sky_power, vary_sky_power
 from lbacal_core.skypower.sky_terms import PAPER
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra.spectra import Spectra
 from lbacal_core.uncertainty import refit as uncertainty
-from lbacal_core.uncertainty.refit import PAPER_BUDGET, PATTERN, ZENITH_GAIN
 from lbacal_paper.study import SEED, STATION, Study
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.settings import TwinSettings
@@ -96,7 +98,7 @@ def compute_budget(study: Study) -> Budget:
         return {dipole: exchanged[dipole] - base[dipole] for dipole in DIPOLES}
 
     base = log_c(sky_power)
-    systematic = uncertainty.compute_budget(station, instrument, sky_power, PAPER_BUDGET)
+    systematic = uncertainty.compute_budget(station, study.simulation, PAPER_BUDGET)
 
     of_sky = [term for term in systematic.terms if term.name in PAPER]
     (pattern,) = [term for term in systematic.terms if term.name == PATTERN]
@@ -116,12 +118,12 @@ def compute_budget(study: Study) -> Budget:
         },
     }
     fraction = float(np.sqrt(sum(size**2 for size in PAPER.values())))
-    today = {name: uncertainty.compute_budget(study.campaign.spectra, instrument, sky_power, name) for name in TODAY}
+    today = {name: uncertainty.compute_budget(study.campaign.spectra, study.simulation, name) for name in TODAY}
     return Budget(study.frequency_mhz, terms, fraction, today)
 
 
 def _log_c(spectra: Spectra, study: Study, power: SkyPower) -> dict[str, Floats]:
-    report = fit_calibration(spectra, study.instrument, power, "station")
+    report = fit_calibration(spectra, Simulation(study.instrument, power), "station")
     return {str(curve.dipole): np.log(np.asarray(curve.c)) for curve in report.curves if curve.c is not None}
 
 

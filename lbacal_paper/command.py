@@ -38,8 +38,7 @@ def paper(
     Every statement is judged: agree, disagree, undecided, or cannot be tested here, with what is missing; what follows
     by construction is called that and not counted.
     """
-    from lbacal_paper.everything import redo_paper
-    from lbacal_paper.report import write_page
+    from lbacal_paper.everything import redo_paper, write_page
     from lbacal_paper.statements import describe_verdicts
 
     if data is not None and not data.is_dir():
@@ -73,7 +72,7 @@ def _write_table(table: Any, path: Path) -> None:
 
 def _write_figure(figure: Any, output: Path) -> bytes:
     """Write one figure as PDF, PNG and CSV; returns the PNG."""
-    from lbacal_paper.drawing import draw
+    from lbacal_paper.figures import draw
 
     name = output / f"figure-{figure.number}"
     drawn = draw(figure)

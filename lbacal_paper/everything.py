@@ -1,23 +1,28 @@
-"""The whole paper redone: the one call behind `lbacal paper`."""
+"""The claims as Markdown, for the documentation."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import base64
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from threadpoolctl import threadpool_limits
 
+from lbacal.cli.report_pages import fill_report
+from lbacal.files import written_beside
 from lbacal_core.data.lofar import DIPOLES
 from lbacal_paper.budget import Budget, compute_budget
-from lbacal_paper.calibration_results import find_about_calibration
-from lbacal_paper.chain_figures import make_chain_figures
-from lbacal_paper.chain_results import find_about_chain
-from lbacal_paper.figures import PaperFigure
-from lbacal_paper.noise_results import find_about_noise
-from lbacal_paper.shower_figures import make_shower_figures
-from lbacal_paper.shower_results import find_about_showers
+from lbacal_paper.figures import PaperFigure, make_chain_figures, make_shower_figures
+from lbacal_paper.results import (
+    find_about_calibration,
+    find_about_chain,
+    find_about_noise,
+    find_about_showers,
+    find_about_sky,
+    find_skies,
+)
 from lbacal_paper.shower_study import (
     describe_displacements,
     describe_measured_sky,
@@ -25,9 +30,60 @@ from lbacal_paper.shower_study import (
     study_showers,
 )
 from lbacal_paper.showers.coreas import Shower, read_coreas
-from lbacal_paper.sky_results import find_about_sky, find_skies
-from lbacal_paper.statements import load_statements, make_claims
+from lbacal_paper.statements import (
+    BY_CONSTRUCTION,
+    DISAGREE,
+    UNDECIDED,
+    UNTESTED,
+    describe_verdicts,
+    load_statements,
+    make_claims,
+)
 from lbacal_paper.study import make_study
+
+TITLES = {
+    DISAGREE: "Where we disagree",
+    UNDECIDED: "What our numbers leave undecided",
+    UNTESTED: "What cannot be tested here",
+    BY_CONSTRUCTION: "What follows by construction",
+}
+BEGIN, END = "<!-- claims: written by validation/scripts/write_paper_page.py -->", "<!-- end of claims -->"
+
+
+def describe_claims(claims: Sequence[Mapping[str, Any]]) -> str:
+    """The table of all claims, then what stands behind those that do not simply agree."""
+    rows = [
+        f"| `{one['id']}` | {one['section']} | {one['claim']} | {_published(one)} | {_ours(one)} | {one['verdict']} |"
+        for one in claims
+    ]
+    head = ["| id | section | statement | published | ours | verdict |", "|---|---|---|---|---|---|"]
+    parts = [f"**{describe_verdicts(claims)}.**", "\n".join([*head, *rows])]
+    for verdict, title in TITLES.items():
+        chosen = [f"- `{one['id']}`: {one['how'].rstrip('.')}." for one in claims if one["verdict"] == verdict]
+        if chosen:
+            parts.append(f"## {title}\n" + "\n".join(chosen))
+    return "\n\n".join(parts) + "\n"
+
+
+def insert_claims(page: str, claims: Sequence[Mapping[str, Any]]) -> str:
+    """A page with the claims between its two marks written anew."""
+    before, rest = page.split(BEGIN)
+    return f"{before}{BEGIN}\n{describe_claims(claims)}{END}{rest.split(END)[1]}"
+
+
+def _published(one: Mapping[str, Any]) -> str:
+    relation = "" if one["relation"] == "equal" else f"{one['relation']} "
+    return f"{relation}{one['published']:g} {one['unit']}".strip()
+
+
+def _ours(one: Mapping[str, Any]) -> str:
+    if one["ours"] is None:
+        return "-"
+    error = f" ± {one['sigma']:g}" if one["sigma"] else ""
+    return f"{one['ours']:g}{error} {one['unit']}".strip()
+
+
+# The whole paper redone: the one call behind `lbacal paper`.
 
 WITHOUT_DATA = (
     "Run without --data: the comparison of sky models is that of those that ship, the spread of the receivers' gains "
@@ -147,3 +203,24 @@ def tabulate_budget(budget: Budget) -> Table:
     total = [100 * budget.total(dipole)[budget.below_edge()].mean() for dipole in DIPOLES]
     rows.append(["total (sky, antenna, electronics)", "13 below 77 MHz", f"{max(total):.1f} on average", ""])
     return Table("Table 1: uncertainty of C", BUDGET_HEADER, rows)
+
+
+# The report of `lbacal paper`: one HTML file with its figures inside.
+
+
+def write_page(redone: RedonePaper, images: Mapping[int, bytes], path: Path) -> None:
+    """Write the report; `images` are the figures as PNG."""
+    figures = [
+        {"content": figure, "png": base64.b64encode(images[figure.number]).decode()} for figure in redone.figures
+    ]
+    page = fill_report(
+        "paper.html",
+        "lbacal_paper",
+        claims=redone.claims,
+        figures=figures,
+        verdicts=describe_verdicts(redone.claims),
+        notes=redone.notes,
+        tables=redone.tables,
+    )
+    with written_beside(path) as beside:
+        beside.write_text(page, encoding="utf-8")

@@ -235,3 +235,34 @@ def floor_factor(
     reflected = np.hypot(distance_m, height_m + receiver_m)
     k = 2 * np.pi * 1e6 * frequency_mhz / speed_of_light
     return np.asarray(np.abs(1.0 + reflection * direct / reflected * np.exp(-1j * k * (reflected - direct))))
+
+
+# A stand-in for the reference source of the paper: two characterisations that disagree.
+
+LABORATORY_M, HEIGHT_M = 3.0, 1.5
+"""Distance and height of the characterisation in the chamber (appendix A)."""
+SCALED_M = 10.0
+"""The distance to which both tables are scaled (appendix A)."""
+FIELD_MV_M = 1.0
+"""Field of the stand-in at 10 m, mV/m/MHz^1/2: an arbitrary level."""
+STATED = 0.18
+"""Stated error of the field: the scale uncertainty quoted for Tunka-Rex with the VSQ 1000 (arXiv 1508.06210)."""
+LEFT_OF_FLOOR = 0.15
+"""Amplitude of the floor's reflection that the chamber's procedure does not take out, of a perfect reflection."""
+CHAMBER, CELL = "stand-in, chamber", "stand-in, GTEM cell"
+
+
+def true_field(frequency_mhz: Floats) -> Floats:
+    """Field of the stand-in at 10 m in free space, shape (freq,), V/m/MHz^1/2: a comb whose level falls slowly."""
+    return np.asarray(1e-3 * FIELD_MV_M * (frequency_mhz / 55.0) ** -0.5)
+
+
+def stand_in_tables(frequency_mhz: Floats) -> tuple[SourceTable, SourceTable]:
+    """What the two laboratories would state: chamber with a floor, and GTEM cell."""
+    field, sigma = true_field(frequency_mhz), np.full_like(frequency_mhz, STATED)
+    near = near_field_factor(frequency_mhz, LABORATORY_M)
+    floor = floor_factor(frequency_mhz, LABORATORY_M, HEIGHT_M, HEIGHT_M, -LEFT_OF_FLOOR)
+    return (
+        SourceTable(CHAMBER, frequency_mhz, field * near * floor, sigma, SCALED_M),
+        SourceTable(CELL, frequency_mhz, field * near, sigma, SCALED_M),
+    )

@@ -8,22 +8,23 @@ from dataclasses import dataclass
 import numpy as np
 
 from lbacal_core.antenna.names import DEFAULT_ANTENNA, load_antenna
-from lbacal_core.calibration.antenna_noise import recorded_background
 from lbacal_core.curves import covariance
 from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.grids import Floats
 from lbacal_paper.budget import MEASURED, OTHER_SKY, TIED, Budget
 from lbacal_paper.reference_source import (
+    SCALED_M,
     Geometry,
     SourceCalibration,
     calibrate_with_source,
     expected_power,
+    stand_in_tables,
+    true_field,
 )
 from lbacal_paper.showers.comparison import Displacement, compare_calibrations
 from lbacal_paper.showers.coreas import Shower
 from lbacal_paper.showers.recording import Recording, field_power, record, true_power
 from lbacal_paper.showers.signals import draw_signals, signals_of_showers
-from lbacal_paper.stand_in_source import SCALED_M, stand_in_tables, true_field
 from lbacal_paper.study import SEED, Study
 
 TOTAL = "all together"
@@ -75,12 +76,8 @@ def study_showers(study: Study, budget: Budget, showers: Sequence[Shower] = ()) 
     instrument, channels = study.instrument, study.frequency_mhz
     antenna = load_antenna(DEFAULT_ANTENNA)
     truth = np.array([study.campaign.truth.curve(dipole) for dipole in DIPOLES])
-    background = np.array(
-        [
-            recorded_background(study.mean_curve(dipole), instrument, study.sky_power, np.array([0.0]))[0]
-            for dipole in DIPOLES
-        ]
-    )
+    midnight = np.zeros(1)
+    background = np.array([study.simulation.background(study.mean_curve(d), midnight)[0] for d in DIPOLES])
     signals = signals_of_showers(showers) if showers else draw_signals(rng)
     strong = record(signals, instrument, antenna, truth, background, rng, STRONG)
     faint = record(draw_signals(rng), instrument, antenna, truth, background, rng, WEAK)

@@ -20,6 +20,7 @@ from lbacal_core.data.tables import read_table
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument, load_instrument
 from lbacal_core.lstcurve.curve import Comparison, LstCurve, compare_lst_curve, measured_curve, read_lst_curve
+from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.table import SkyPower
 from lbacal_twin.campaign import Campaign, simulate_campaign
@@ -44,14 +45,23 @@ class Study:
         The measured LST curve with its dipoles as named, and with the letters exchanged, beside our sky.
     """
 
-    instrument: Instrument
-    sky_power: SkyPower
+    simulation: Simulation
     campaign: Campaign
     paths: FitReport
     array: FitReport
     curve: LstCurve
     comparison: Comparison
     exchanged: Comparison
+
+    @property
+    def instrument(self) -> Instrument:
+        """The Superterp."""
+        return self.simulation.instrument
+
+    @property
+    def sky_power(self) -> SkyPower:
+        """P_sky of the embedded Galaxy."""
+        return self.simulation.sky_power
 
     @property
     def frequency_mhz(self) -> Floats:
@@ -82,18 +92,18 @@ def make_study(tell: Callable[[str], None], antennas: int | None = None, seed: i
     tell("sky power of the embedded Galaxy over lofar-superterp")
     instrument = load_instrument("lofar-superterp")
     sky_power = compute_sky_power(instrument)
+    simulation = Simulation(instrument, sky_power)
     tell("simulate a year of the Superterp")
     settings = TwinSettings(antennas=antennas)
     campaign = simulate_campaign(settings, instrument, sky_power, np.random.default_rng(seed))
     tell("fit every path, and the array")
-    paths = fit_calibration(campaign.spectra, instrument, sky_power, "antenna")
-    array = fit_calibration(campaign.spectra, instrument, sky_power, "array")
+    paths = fit_calibration(campaign.spectra, simulation, "antenna")
+    array = fit_calibration(campaign.spectra, simulation, "array")
     tell("compare the measured LST curve")
     curve = read_lst_curve(measured_curve())
     swapped = replace(curve, variation_db={dipole: curve.variation_db[EXCHANGE[dipole]] for dipole in DIPOLES})
     return Study(
-        instrument,
-        sky_power,
+        simulation,
         campaign,
         paths,
         array,

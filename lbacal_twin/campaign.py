@@ -15,13 +15,10 @@ from lbacal_core.instrument.sidereal import local_sidereal_time
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra.spectra import Spectra
 from lbacal_twin.faults.fault import Fault
-from lbacal_twin.gains import BEHIND_EVERYTHING, EventGains
-from lbacal_twin.hardware import build_station, path_calibration
+from lbacal_twin.gains import BEHIND_EVERYTHING, EventGains, draw_scatter
+from lbacal_twin.hardware import Scene, Stages, build_station, path_calibration
 from lbacal_twin.nuisances import NONE, Nuisances, add_interference, deafen, depart, lose_spectra
-from lbacal_twin.scatter import draw_scatter
-from lbacal_twin.settings import TwinSettings
-from lbacal_twin.stages import Scene, Stages
-from lbacal_twin.truth import StationTruth, Truth
+from lbacal_twin.settings import StationTruth, Truth, TwinSettings
 from lbacal_twin.view import View
 from lbacal_twin.weather import draw_event_times, draw_weather
 

@@ -11,7 +11,7 @@ from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.sidereal import local_sidereal_time
 from lbacal_core.spectra.spectra import Spectra
-from lbacal_twin.stages import Stages
+from lbacal_twin.hardware import Stages
 
 
 @dataclass(frozen=True)

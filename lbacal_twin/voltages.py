@@ -23,7 +23,7 @@ from lbacal_core.traces.trace import (
     header_checksums,
     sample_checksums,
 )
-from lbacal_twin.stages import Stages
+from lbacal_twin.hardware import Stages
 
 SAMPLE_RATE_HZ = 200e6
 EDGE_MHZ = 3.0

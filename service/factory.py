@@ -6,18 +6,18 @@ What computes is imported where it is asked for: an API that only answers loads 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from lbacal_core.curves.validity import Instant
 from lbacal_core.instrument.instrument import Instrument, load_instrument
 from lbacal_core.provenance import Remembered
-from lbacal_core.skypower.table import SkyPower, read_sky_power
+from lbacal_core.skypower.table import read_sky_power
 from service.config import Settings
 from service.storage.database import Database
 from service.usecases.alarms import Alarms
-from service.usecases.calibrations import Calibrations, LastMade
+from service.usecases.calibrations import Calibrations
 from service.usecases.cuts import Cuts
 from service.usecases.drift import Drift
 from service.usecases.intake import Intake
@@ -28,8 +28,7 @@ from service.usecases.status import Status
 from service.wire.hdf5_body import FileReader
 
 if TYPE_CHECKING:
-    from lbacal_core.calibration.chain_test import SkyFreedom
-    from lbacal_core.skypower.sky_terms import SkyTerm
+    from lbacal_core.simulation.simulation import Simulation
     from service.usecases.drift_measurement import DriftMeasurement
     from service.usecases.due import DueWork
     from service.usecases.fits import Fits
@@ -87,38 +86,20 @@ class Factory:
         return Tags(self.database, self.clock)
 
     @cached_property
-    def sky_power(self) -> SkyPower:
-        """P_sky of the settings' file, or the package's own."""
-        if self.settings.sky_power is not None:
-            read = read_sky_power(self.settings.sky_power)
-            read.require_made_for(self.instrument)
-            return read
-        from lbacal_core.skypower.model import compute_sky_power  # a second to import, and only fits need it
+    def simulation(self) -> Simulation:
+        """The instrument under the package's own sky, or the P_sky of the settings' file."""
+        from lbacal_core.simulation.simulation import Simulation  # a second to import, and only fits need it
 
-        return compute_sky_power(self.instrument)
-
-    @cached_property
-    def freedom(self) -> SkyFreedom | None:
-        """What the package's own P_sky may be wrong by; a file is taken at its word."""
-        if self.settings.sky_power is not None:
-            return None
-        from lbacal_core.calibration.chain_test import free_own_sky
-
-        return free_own_sky(self.instrument)
-
-    @cached_property
-    def changes(self) -> Sequence[SkyTerm]:
-        """What sky, pattern and ground may be wrong by, for the budget of C."""
-        from lbacal_core.uncertainty.refit import list_changes
-
-        return list_changes(self.instrument)
+        given = self.settings.sky_power
+        made = Remembered[Any, Any](BLOCKS_REMEMBERED)
+        return Simulation(self.instrument, None if given is None else read_sky_power(given), made=made)
 
     @cached_property
     def inputs(self) -> Inputs:
         """What fits are made with here, besides spectra."""
         from service.usecases.orders import name_inputs
 
-        return name_inputs(self.instrument, self.sky_power)
+        return name_inputs(self.simulation)
 
     @cached_property
     def refits(self) -> Refits:
@@ -129,60 +110,50 @@ class Factory:
 
         limits_of_gate = ("gate_change", "gate_error", "gate_coverage", "gate_band")
         gate = Gate(*(getattr(self.settings, name) for name in limits_of_gate))
-        sky = self._get_sky_power
-        is_own_sky, resistance = self.settings.sky_power is None, self.settings.resistance_ohm
-        examination = Examination(self.instrument, sky, is_own_sky, resistance, self.clock)
+        examination = Examination(self.simulation, self.settings.resistance_ohm, self.clock)
         return Refits(
-            self.database, self.instrument, sky, self.fits, examination, self.payoff, gate, self._limits, self.clock
+            self.database, self.simulation, self.fits, examination, self.payoff, gate, self._limits, self.clock
         )
 
     @cached_property
     def fits(self) -> Fits:
         """Versions from stored spectra."""
-        from lbacal_core.calibration.singles import RememberedSingles
         from service.usecases.fits import Fits
 
-        is_own_sky, resistance = self.settings.sky_power is None, self.settings.resistance_ohm
-        sky, freedom = self._get_sky_power, self._get_freedom
-        singles = RememberedSingles(Remembered(BLOCKS_REMEMBERED))
-        return Fits(self.instrument, sky, freedom, is_own_sky, resistance, self.clock, self._get_changes, singles)
+        return Fits(self.simulation, self.settings.resistance_ohm, self.clock)
 
     @cached_property
     def payoff(self) -> Payoff:
         """What adopted causes gain on later events."""
         from service.usecases.payoff import Payoff
 
-        return Payoff(self.instrument, self._get_sky_power, self.settings.sky_power is None, self.clock)
+        return Payoff(self.simulation, self.clock)
 
     @cached_property
     def models(self) -> Models:
         """What is adopted into the models of stations."""
         from service.usecases.models import Models
 
-        return Models(self.database, self.fits, self.promotions, self.due, LastMade(), self.clock)
+        return Models(self.database, self.fits, self.promotions, self.due, Remembered(1), self.clock)
 
     @cached_property
     def investigations(self) -> Investigations:
         """What the simulation gets wrong in stored spectra."""
         from service.usecases.investigations import Investigations
 
-        is_own_sky, resistance = self.settings.sky_power is None, self.settings.resistance_ohm
-        return Investigations(
-            self.database, self.instrument, self._get_sky_power, is_own_sky, resistance, self._limits, self.clock
-        )
+        return Investigations(self.database, self.simulation, self.settings.resistance_ohm, self._limits, self.clock)
 
     @cached_property
     def drift(self) -> Drift:
         """C over time."""
-        return Drift(self.database, self.instrument, LastMade())
+        return Drift(self.database, self.instrument, Remembered(1))
 
     @cached_property
     def drift_measurement(self) -> DriftMeasurement:
         """The measurement of C over time."""
         from service.usecases.drift_measurement import DriftMeasurement
 
-        sky, resistance = self._get_sky_power, self.settings.resistance_ohm
-        return DriftMeasurement(self.database, self.instrument, sky, resistance, self.fits, self.clock)
+        return DriftMeasurement(self.database, self.simulation, self.settings.resistance_ohm, self.fits, self.clock)
 
     @cached_property
     def cuts(self) -> Cuts:
@@ -212,7 +183,7 @@ class Factory:
         from service.usecases.due import DueWork
 
         searches = self.investigations if self.settings.nightly_investigations else None
-        return DueWork(self.database, self.instrument, self._get_sky_power, self.clock, searches, self.watch)
+        return DueWork(self.database, self.simulation, self.clock, searches, self.watch)
 
     @cached_property
     def jobs(self) -> Jobs:
@@ -234,15 +205,6 @@ class Factory:
     @property
     def _limits(self) -> Limits:
         return Limits(self.settings.max_open_parts, self.settings.max_window_days)
-
-    def _get_sky_power(self) -> SkyPower:
-        return self.sky_power
-
-    def _get_changes(self) -> Sequence[SkyTerm]:
-        return self.changes
-
-    def _get_freedom(self) -> SkyFreedom | None:
-        return self.freedom
 
     @cached_property
     def keys(self) -> Keys:

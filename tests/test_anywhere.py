@@ -23,7 +23,7 @@ PIVOTS = {
     "causes/cause.py": "levels at 55 MHz by the definition of their causes",
     "causes/sky.py": "levels at 55 MHz, tau at 30 MHz by their definitions",
     "skypower/sky_terms.py": "an error that is stated from 50 to 30 MHz",
-    "uncertainty/refit.py": "an error that is stated at 30, 55 and 80 MHz",
+    "simulation/prior.py": "an error that is stated at 30, 55 and 80 MHz",
     "sky/maps.py": "nodes of a power law",
     "instrument/instrument.py": "a longitude",
     "drift/model.py": "months",

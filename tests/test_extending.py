@@ -18,7 +18,7 @@ from lbacal_core.discovery.report import investigate
 from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_twin.campaign import simulate_campaign
-from lbacal_twin.faults.antenna import GainTemperature
+from lbacal_twin.faults.hardware import GainTemperature
 from lbacal_twin.settings import TwinSettings
 from service.cli.reference import describe_causes
 

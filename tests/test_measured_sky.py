@@ -9,6 +9,7 @@ import pytest
 
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.instrument.instrument import load_instrument
+from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.sky.names import read_sky_level
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_twin.campaign import simulate_campaign
@@ -39,7 +40,9 @@ def test_the_measured_sky_raises_c_by_half_of_its_level() -> None:
     gsm, measured = (compute_sky_power(instrument, name) for name in ("gsm", "measured"))
     settings = TwinSettings(stations=("CS002",), antennas=6, events_per_year=300)
     spectra = simulate_campaign(settings, instrument, gsm, np.random.default_rng(7)).spectra
-    low, high = (fit_calibration(spectra, instrument, power, "station").curves[0] for power in (gsm, measured))
+    low, high = (
+        fit_calibration(spectra, Simulation(instrument, power), "station").curves[0] for power in (gsm, measured)
+    )
     assert low.c is not None
     assert high.c is not None
     half = np.exp(read_sky_level().ln_ratio(instrument.frequency_mhz) / 2)

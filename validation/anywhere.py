@@ -23,13 +23,13 @@ from lbacal_core.discovery.report import investigate
 from lbacal_core.instrument.antennas import AntennaRecord, GainProvenance
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.instrument.stages import Stage, gain_behind
+from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_twin.campaign import draw_stations, simulate_campaign
-from lbacal_twin.faults.antenna import GainStep
 from lbacal_twin.faults.fault import Fault, Where
+from lbacal_twin.faults.hardware import GainStep
 from lbacal_twin.faults.sky import LstOffset
-from lbacal_twin.settings import TwinSettings
-from lbacal_twin.truth import Truth
+from lbacal_twin.settings import Truth, TwinSettings
 from validation.anywhere_ideal import ideal_snr
 from validation.hidden.detection import fit_detection
 from validation.machinery.claims import Found, One, exactly, mean_of, rate_of
@@ -118,11 +118,11 @@ def investigate_drawn(seed: int) -> Row:
     draw_faulty(again, kind)
     ((station,), _) = draw_stations(SETTINGS, instrument, sky, again)
     spectra = simulate_campaign(SETTINGS, instrument, sky, rng, faults).spectra
-    report, _ = investigate(spectra, instrument, sky)
+    report, _ = investigate(spectra, Simulation(instrument, sky))
     findings = report["findings"]
     hits = [one for one in findings if kind in (one["cause"], *one["indistinguishable"]) and _is_there(one, faults)]
     sizes = [one["size"] for one in hits if one["cause"] == kind]
-    curves = fit_calibration(spectra, instrument, sky, "station").curves
+    curves = fit_calibration(spectra, Simulation(instrument, sky), "station").curves
     return {
         "kind": kind,
         "arms": len(instrument.dipoles),
@@ -150,7 +150,7 @@ def calibrate_drawn(seed: int) -> Row:
     instrument = draw_instrument(rng)
     sky = compute_sky_power(instrument)
     campaign = simulate_campaign(SETTINGS, instrument, sky, rng)
-    curves = fit_calibration(campaign.spectra, instrument, sky).curves
+    curves = fit_calibration(campaign.spectra, Simulation(instrument, sky)).curves
     found = [curve for curve in curves if curve.status == CONVERGED]
     return {
         "arms": len(instrument.dipoles),

@@ -17,16 +17,16 @@ from functools import cache, partial
 import numpy as np
 from scipy.special import expit
 
-from lbacal_core.calibration.chain_test import OtherAntenna, SkyFreedom, free_own_sky
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.curves.curves import MISFIT
 from lbacal_core.instrument.antennas import AntennaRecord
-from lbacal_core.instrument.instrument import Instrument, load_instrument
-from lbacal_core.skypower.model import compute_sky_power
+from lbacal_core.instrument.instrument import load_instrument
+from lbacal_core.simulation.prior import OtherAntenna, SkyPrior, sky_prior
+from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.skypower.sky_terms import SkyTerm
-from lbacal_core.skypower.table import SkyPower, read_at
+from lbacal_core.skypower.table import read_at
 from lbacal_core.spectra.spectra import Spectra
-from lbacal_core.uncertainty.refit import INTERFERENCE, RARE_MISTAKE, add_budget, compute_budget, list_changes
+from lbacal_core.uncertainty.refit import INTERFERENCE, RARE_MISTAKE, add_budget, compute_budget
 from lbacal_twin.campaign import Campaign, simulate_campaign
 from lbacal_twin.settings import TwinSettings
 from validation.machinery.claims import Found, mean_of
@@ -44,10 +44,9 @@ SKY_OF = {"measured": "measured"}
 class Believed:
     """What the fit is made with, and how far it may be wrong."""
 
-    instrument: Instrument
-    sky_power: SkyPower
-    changes: tuple[SkyTerm, ...]
-    freedom: SkyFreedom
+    simulation: Simulation
+    changes: Sequence[SkyTerm]
+    prior: SkyPrior
 
 
 @cache
@@ -59,16 +58,16 @@ def believe(sky_budget: str) -> Believed:
         classes.setdefault((record.station, record.cable), []).append(record)
     few = [record for members in classes.values() for record in members[:OF_EACH_CABLE]]
     instrument = replace(superterp, antennas=tuple(few), sky=SKY_OF.get(sky_budget, superterp.sky))
-    changes = tuple(list_changes(instrument, sky_budget))
-    return Believed(instrument, compute_sky_power(instrument), changes, free_own_sky(instrument))
+    simulation = Simulation(instrument)
+    return Believed(simulation, simulation.changes(sky_budget), sky_prior(instrument))
 
 
 def draw_campaign(believed: Believed, settings: TwinSettings, rng: np.random.Generator) -> Campaign:
     """A campaign that departs from what is believed by a draw of each term."""
     of_sky, of_gain, of_lines = (rng.standard_normal(len(believed.changes)), *rng.standard_normal(2))
-    sky_power, instrument = believed.sky_power, believed.instrument
+    sky_power, instrument = believed.simulation.sky_power, believed.simulation.instrument
     change = dict.fromkeys(sky_power.power, np.zeros(1))
-    if (other := draw_antenna(believed.freedom, rng)) is not None:
+    if (other := draw_antenna(believed.prior, rng)) is not None:
         change = {dipole: read_at(one, sky_power.lst_hours) for dipole, one in other.change.items()}
     moved = {
         dipole: values
@@ -82,11 +81,11 @@ def draw_campaign(believed: Believed, settings: TwinSettings, rng: np.random.Gen
     return replace(campaign, spectra=_with_power(campaign.spectra, of_lines * INTERFERENCE))
 
 
-def draw_antenna(freedom: SkyFreedom, rng: np.random.Generator) -> OtherAntenna | None:
+def draw_antenna(prior: SkyPrior, rng: np.random.Generator) -> OtherAntenna | None:
     """Another antenna than the believed one, as often as the budget expects before it asks the data; else None."""
     is_other, which = rng.random() < expit(-RARE_MISTAKE), rng.random()
-    at = int(np.searchsorted(np.cumsum([one.share for one in freedom.antennas]), which))
-    return freedom.antennas[min(at, len(freedom.antennas) - 1)] if is_other else None
+    at = int(np.searchsorted(np.cumsum([one.share for one in prior.antennas]), which))
+    return prior.antennas[min(at, len(prior.antennas) - 1)] if is_other else None
 
 
 def _with_power(spectra: Spectra, fraction: float) -> Spectra:
@@ -104,9 +103,8 @@ def tell_campaign(sky_budget: str, settings: TwinSettings, seed: int) -> Row:
     campaign = draw_campaign(believed, settings, np.random.default_rng([13_05, seed]))
     silent = settings.stations[seed % len(settings.stations)]
     spectra = campaign.spectra.select(campaign.spectra.station != silent)
-    inputs = believed.instrument, believed.sky_power
-    budget = compute_budget(spectra, *inputs, sky_budget, believed.changes, believed.freedom)
-    fitted = {name: fit_calibration(spectra, *inputs, name, believed.freedom) for name in FITTED}
+    budget = compute_budget(spectra, believed.simulation, sky_budget)
+    fitted = {name: fit_calibration(spectra, believed.simulation, name) for name in FITTED}
     reports = {name: add_budget(report, budget) for name, report in fitted.items()}
     curves = [curve for report in reports.values() for curve in report.curves]
     return {

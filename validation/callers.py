@@ -11,7 +11,7 @@ from pathlib import Path
 
 from validation.code_changes import find
 
-LOG = "LBACAL_CALLS"
+LOG = "CALLERS_LOG"
 """Variable of the environment: the file in which a call is noted."""
 _noted: set[str] = set()
 
@@ -63,7 +63,10 @@ def find_callers(places: Iterable[tuple[Path, str, str]], run: Callable[[], obje
             noted = log.with_suffix(".calls")
             noted.write_text("")
             os.environ[LOG] = str(noted)
-            run()
+            try:
+                run()
+            finally:
+                del os.environ[LOG]
             for place, test in dict.fromkeys(map(tuple, _read(noted))):
                 called[place].append(test)
             log.write_text(json.dumps(called))

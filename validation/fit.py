@@ -20,6 +20,7 @@ from lbacal_core.data.tables import read_table
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument, load_instrument
 from lbacal_core.instrument.sidereal import local_sidereal_time
+from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.table import SkyPower, read_sky_power
 from lbacal_core.spectra.spectra import Spectra, read_spectra
@@ -113,7 +114,7 @@ class Scene:
 
 def scene_of_example(instrument: Instrument, sky_power: SkyPower, spectra: Spectra) -> Scene:
     """The slope and the noise constants that a fit of example spectra finds for their mean X dipole."""
-    curve = fit_calibration(spectra, instrument, sky_power, "array").curves[0]
+    curve = fit_calibration(spectra, Simulation(instrument, sky_power), "array").curves[0]
     assert curve.c is not None, f"the example gave no curve: {curve.status}"  # noqa: S101
     n_lna, n_rcu, n_adc = (curve.parameters[name].value for name in NAMES)
     return Scene("example", instrument, sky_power, instrument.antenna_gain / curve.c**2, (n_lna, n_rcu, n_adc))
@@ -135,7 +136,7 @@ def scene_of_noise_terms(instrument: Instrument, sky_power: SkyPower) -> Scene:
 def fit_one(scene: Scene, rng: np.random.Generator) -> Row:
     """Draw and fit a data set: errors over the Fisher bound and pulls of C at `AT_MHZ` and of the noise constants."""
     spectra, sky = scene.draw(rng)
-    curve = fit_calibration(spectra, scene.instrument, scene.sky_power).curves[0]
+    curve = fit_calibration(spectra, Simulation(scene.instrument, scene.sky_power)).curves[0]
     if curve.status != CONVERGED or curve.c is None or curve.c_sigma_stat is None or curve.chi2_per_dof is None:
         return {"status": curve.status}
     fitted = [curve.parameters[name] for name in NAMES]

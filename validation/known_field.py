@@ -22,6 +22,10 @@ from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument, load_instrument
 from lbacal_core.skypower.power import RESISTANCE_OHM
 from lbacal_paper.reference_source import (
+    HEIGHT_M,
+    LABORATORY_M,
+    LEFT_OF_FLOOR,
+    STATED,
     Geometry,
     SourceTable,
     add_disagreement,
@@ -29,8 +33,8 @@ from lbacal_paper.reference_source import (
     compare_with_source,
     floor_factor,
     near_field_factor,
+    true_field,
 )
-from lbacal_paper.stand_in_source import HEIGHT_M, LABORATORY_M, LEFT_OF_FLOOR, STATED, true_field
 from validation.machinery.claims import Found, count_within, coverage, mean_of, rate_of
 from validation.machinery.parts import Part, Row
 

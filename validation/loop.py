@@ -28,10 +28,9 @@ from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.table import write_sky_power
 from lbacal_core.spectra.spectra import Spectra
 from lbacal_twin.campaign import Campaign, simulate_campaign
-from lbacal_twin.faults.antenna import GainTemperature
 from lbacal_twin.faults.fault import Fault
-from lbacal_twin.faults.interference import RfiBroadband
-from lbacal_twin.faults.sky import DipoleSwap, IonosphericAbsorption, LstOffset
+from lbacal_twin.faults.hardware import GainTemperature
+from lbacal_twin.faults.sky import DipoleSwap, IonosphericAbsorption, LstOffset, RfiBroadband
 from lbacal_twin.settings import TwinSettings
 from service.config import Settings
 from service.errors import NotInEffectError
@@ -106,12 +105,12 @@ class Years:
 
     def _simulate(self, faults: Sequence[Fault]) -> Campaign:
         rng = np.random.default_rng([15, self.seed])
-        return simulate_campaign(self.settings, self.factory.instrument, self.factory.sky_power, rng, faults)
+        return simulate_campaign(self.settings, self.factory.instrument, self.factory.simulation.sky_power, rng, faults)
 
     def fit_judged(self, spectra: Spectra) -> Sequence[CalibrationCurve]:
         """C of the station in the part that is judged, fitted to some spectra outside the service."""
         judged = spectra.select(self.is_judged(spectra))
-        return fit_calibration(judged, self.factory.instrument, self.factory.sky_power, "station").curves
+        return fit_calibration(judged, self.factory.simulation.at_its_word(), "station").curves
 
     def is_judged(self, spectra: Spectra) -> Any:
         """Whether spectra lie in the part that is judged."""

@@ -33,6 +33,7 @@ from lbacal_core.lstcurve.curve import (
     read_lst_curve,
 )
 from lbacal_core.provenance import Provenance
+from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.table import SkyPower
 from validation.machinery.claims import Found, exactly, measured
@@ -88,10 +89,8 @@ class Question:
         """Investigate as the command does."""
         return investigate_curve(
             self.curve,
-            self.sky,
-            instrument,
+            Simulation(instrument, self.sky, is_own_sky=self.is_own_sky),
             BAND,
-            is_own_sky=self.is_own_sky,
             weights=self.weights,
             noise=self.noise,
             prior=self.prior,

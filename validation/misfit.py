@@ -8,7 +8,7 @@ mistaken in a way that users have mistaken it; such curves converged without a w
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import datetime, timedelta
 from functools import lru_cache
 from zoneinfo import ZoneInfo
@@ -17,18 +17,16 @@ import numpy as np
 
 from lbacal_core.antenna.ideal import ShortDipole
 from lbacal_core.antenna.model import AntennaModel
-from lbacal_core.calibration.chain_test import SkyFreedom, free_own_sky
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.curves.curves import CONVERGED, MISFIT, OK, CalibrationCurve, FitReport
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument, load_instrument
+from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.skypower.differences import DifferenceModels
 from lbacal_core.skypower.model import compute_sky_power
-from lbacal_core.skypower.sky_terms import SkyTerm
-from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra.spectra import Spectra
-from lbacal_core.uncertainty.refit import add_budget, compute_budget, list_changes
+from lbacal_core.uncertainty.refit import add_budget, compute_budget
 from lbacal_twin.campaign import Campaign, simulate_campaign
 from lbacal_twin.gains import NOISES
 from lbacal_twin.settings import TwinSettings
@@ -52,8 +50,8 @@ FIRST_SEED = 600_000_000
 
 
 @lru_cache(maxsize=64)
-def _freedom(known: DifferenceModels) -> SkyFreedom:
-    return free_own_sky(load_instrument("lofar-superterp"), known)
+def _simulation(known: DifferenceModels) -> Simulation:
+    return Simulation(load_instrument("lofar-superterp"), OWN.power(), is_own_sky=True, models=known)
 
 
 def fit_clean(seed: int) -> Row:
@@ -64,10 +62,10 @@ def fit_clean(seed: int) -> Row:
     spectra = simulate_campaign(
         CLEAN, instrument, world.sky_power(instrument), rng, nuisances=nuisances, gains=world.gains
     ).spectra
-    freedom = _freedom(alternatives(world, OWN))
+    simulation = _simulation(alternatives(world, OWN))
     row: Row = {"sky": world.sky, "noise": world.noise, "outside": world.outside}
     for scope in SCOPES:
-        curves = fit_calibration(spectra, instrument, OWN.power(), scope, freedom).curves
+        curves = fit_calibration(spectra, simulation, scope).curves
         tested = [curve for curve in curves if curve.chi2_per_dof_profiled is not None]
         row[scope] = {
             "curves": len(tested),
@@ -135,39 +133,23 @@ CURVES = 20
 """Curves of each kind: four antennas and their station, two dipoles, own sky and a file; what is an error has none."""
 
 
-@dataclass(frozen=True)
-class Believed:
-    """Instrument, sky power and its freedom as somebody believes them, and what they may be wrong by."""
-
-    instrument: Instrument
-    sky_power: SkyPower
-    freedom: SkyFreedom
-    changes: Sequence[SkyTerm]
-
-    def fit(self, spectra: Spectra, scope: str) -> FitReport:
-        """Curves with their total error."""
-        inputs = spectra, self.instrument, self.sky_power
-        budget = compute_budget(*inputs, changes=self.changes, freedom=self.freedom)
-        return add_budget(fit_calibration(*inputs, scope, self.freedom), budget)
+def _fit(spectra: Spectra, simulation: Simulation, scope: str) -> FitReport:
+    """Curves with their total error."""
+    return add_budget(fit_calibration(spectra, simulation, scope), compute_budget(spectra, simulation))
 
 
 @lru_cache(maxsize=16)
-def _believe(kind: str) -> Believed | None:
+def _believe(kind: str) -> Simulation | None:
     """What somebody believes who made a mistake; None where it is an error."""
     try:
-        instrument = OF_INSTRUMENT.get(kind, _as_it_is)(load_instrument("lofar-superterp"))
+        return Simulation(OF_INSTRUMENT.get(kind, _as_it_is)(load_instrument("lofar-superterp")))
     except BadInputError:
         return None
-    return _own(instrument)
-
-
-def _own(instrument: Instrument) -> Believed:
-    return Believed(instrument, compute_sky_power(instrument), free_own_sky(instrument), list_changes(instrument))
 
 
 @lru_cache(maxsize=1)
-def _right() -> Believed:
-    return _own(load_instrument("lofar-superterp"))
+def _right() -> Simulation:
+    return Simulation.load("lofar-superterp")
 
 
 def _simulate(antenna: str | AntennaModel, seed: int) -> Campaign:
@@ -186,8 +168,7 @@ def fit_wrong(seed: int) -> Row:
             row[kind] = {"curves": CURVES, "converged": 0}
             continue
         wrong = {**OF_SPECTRA, **TOLD}.get(kind, _as_they_are)(spectra)
-        inputs = wrong, believed.instrument, believed.sky_power
-        fits = [fit_calibration(*inputs, scope, free) for scope in SCOPES for free in (believed.freedom, None)]
+        fits = [fit_calibration(wrong, one, scope) for scope in SCOPES for one in (believed, believed.at_its_word())]
         curves = [curve for report in fits for curve in report.curves]
         row[kind] = {"curves": len(curves), "converged": sum(curve.status == CONVERGED for curve in curves)}
     return row
@@ -202,7 +183,7 @@ def fit_pattern(seed: int) -> Row:
     for name, antenna in antennas.items():
         campaign = _simulate(antenna, seed)
         told: Row = dict.fromkeys(("curves", "misfits", "unflagged", "unsaid", "channels", "beyond_1", "beyond_2"), 0)
-        for curve in _right().fit(campaign.spectra, "antenna").curves:
+        for curve in _fit(campaign.spectra, _right(), "antenna").curves:
             told["curves"] += 1
             told["misfits"] += int(curve.status == MISFIT)
             if curve.status != CONVERGED or curve.c is None:

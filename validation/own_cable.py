@@ -18,6 +18,7 @@ from lbacal_core.calibration.spreads import ToldCurve, carry_to_path
 from lbacal_core.curves.curves import UNCERTAIN, FitReport
 from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.instrument.instrument import Instrument, load_instrument
+from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.table import SkyPower
 from lbacal_twin.campaign import Campaign, simulate_campaign
@@ -51,7 +52,7 @@ def tell_campaign(settings: TwinSettings, seed: int) -> Row:
     campaign = simulate_campaign(settings, instrument, sky_power, rng, nuisances=NUISANCES)
     silent = settings.stations[seed % len(settings.stations)]
     spectra = campaign.spectra.select(campaign.spectra.station != silent)
-    reports = {name: fit_calibration(spectra, instrument, sky_power, name) for name in FITTED}
+    reports = {name: fit_calibration(spectra, Simulation(instrument, sky_power), name) for name in FITTED}
     return compare_scopes(reports, campaign, silent)
 
 

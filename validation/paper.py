@@ -15,27 +15,23 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from lbacal_core.antenna.names import load_antenna
-from lbacal_core.calibration.antenna_noise import (
-    draw_noise,
-    recorded_background,
-    recorded_electronics,
-)
+from lbacal_core.calibration.antenna_noise import draw_noise
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.curves.covariance import Budget
 from lbacal_core.curves.curves import CalibrationCurve
 from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument, load_instrument
+from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.power import RESISTANCE_OHM
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.traces.voltage import calibrate_trace
 from lbacal_core.uncertainty.refit import compute_budget, electronics_sigma
-from lbacal_paper.reference_source import floor_factor, near_field_factor
+from lbacal_paper.reference_source import HEIGHT_M, LABORATORY_M, LEFT_OF_FLOOR, floor_factor, near_field_factor
 from lbacal_paper.showers.comparison import Displacement, compare_calibrations
 from lbacal_paper.showers.recording import record
 from lbacal_paper.showers.signals import SIGNALS, draw_signals
-from lbacal_paper.stand_in_source import HEIGHT_M, LABORATORY_M, LEFT_OF_FLOOR
 from lbacal_twin.campaign import Campaign, simulate_campaign
 from lbacal_twin.settings import TwinSettings
 from validation.machinery.claims import Found, count_within, coverage, mean_of, rate_of
@@ -71,14 +67,14 @@ def _known_budget() -> Budget:
     """The budget of one campaign, which stands for all: its refits are of the same instrument and sky."""
     instrument, sky_power = _inputs()
     campaign = simulate_campaign(SETTINGS, instrument, sky_power, np.random.default_rng(3))
-    budget = compute_budget(campaign.spectra, instrument, sky_power)
+    budget = compute_budget(campaign.spectra, Simulation(instrument, sky_power))
     return replace(budget, terms=[term for term in budget.terms if not term.is_of_gain])
 
 
 def _fit_campaign(rng: np.random.Generator, scope: str) -> _Fitted:
     instrument, sky_power = _inputs()
     campaign = simulate_campaign(SETTINGS, instrument, sky_power, rng)
-    report = fit_calibration(campaign.spectra, instrument, sky_power, scope)
+    report = fit_calibration(campaign.spectra, Simulation(instrument, sky_power), scope)
     budget = _known_budget()
     drawn = {dipole: np.zeros_like(instrument.frequency_mhz) for dipole in DIPOLES}
     for term in budget.terms:
@@ -113,7 +109,7 @@ def calibrate_pulses(seed: int) -> Row:
     vectors = [v for term in fitted.budget.terms for v in np.stack([term.vectors[d] for d in DIPOLES], axis=1)]
     statistical = [np.where(np.array(DIPOLES)[:, None] == d, v, 0.0) for d in DIPOLES for v in _factor(by[d])]
     stat, sys = (np.einsum("k,kdf->df", rng.standard_normal(len(v)), np.array(v)) for v in (statistical, vectors))
-    background = np.array([recorded_background(by[d], instrument, sky_power, np.zeros(1))[0] for d in DIPOLES])
+    background = np.array([Simulation(instrument, sky_power).background(by[d], np.zeros(1))[0] for d in DIPOLES])
     few, recording = (
         record(draw_signals(rng, signals=n), instrument, load_antenna("hamaker"), c, background, rng)
         for n in (SIGNALS_OF_STEPS, SIGNALS)
@@ -192,7 +188,8 @@ def predict_noise(seed: int) -> Row:
     rng = np.random.default_rng([5, seed])
     instrument, sky_power = _inputs()
     campaign = simulate_campaign(SETTINGS, instrument, sky_power, rng)
-    curves = fit_calibration(campaign.spectra, instrument, sky_power, "antenna").curves
+    simulation = Simulation(instrument, sky_power)
+    curves = fit_calibration(campaign.spectra, simulation, "antenna").curves
     (planted,) = campaign.truth.stations
     lst = rng.uniform(0, 24, 4)
     pull, off = [], []
@@ -200,10 +197,10 @@ def predict_noise(seed: int) -> Row:
         dipole = str(curve.dipole)
         slope = instrument.antenna_gain / campaign.truth.curve(dipole, "CS002", curve.antenna) ** 2
         electronics = slope * planted.n_lna + planted.n_rcu * instrument.receiver_gain + planted.n_adc
-        sigma = electronics_sigma(curve, instrument, sky_power)
-        pull.append((recorded_electronics(curve, instrument) - electronics) / sigma)
+        sigma = electronics_sigma(curve, simulation)
+        pull.append((simulation.electronics(curve) - electronics) / sigma)
         whole = slope * sky_power.at(dipole, lst) + electronics
-        off.append(recorded_background(curve, instrument, sky_power, lst) / whole - 1.0)
+        off.append(simulation.background(curve, lst) / whole - 1.0)
     drawn = draw_noise(whole[0], instrument.frequency_mhz, SAMPLES, RATE_MHZ, rng, realisations=40)
     expected = whole[0].sum() * RESISTANCE_OHM
     channel = int(rng.integers(1, whole.shape[1] - 1))

@@ -16,6 +16,7 @@ from lbacal_core.calibration.singles import MIN_EVENTS
 from lbacal_core.curves.curves import CalibrationCurve
 from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.instrument.instrument import load_instrument
+from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.table import SkyPower
 from lbacal_twin.campaign import Campaign, simulate_campaign
@@ -51,7 +52,7 @@ def fit_campaign(nuisances: Nuisances, seed: int) -> Row:
     campaign = simulate_campaign(settings, instrument, _sky_power(), rng, nuisances=nuisances)
     row: Row = {}
     for scope in SCOPES:
-        fitted = fit_calibration(campaign.spectra, instrument, _sky_power(), scope).curves
+        fitted = fit_calibration(campaign.spectra, Simulation(instrument, _sky_power()), scope).curves
         pulls = np.array([(c.c - planted_curve(campaign, c)) / c.c_sigma_stat for c in fitted if c.c is not None])
         at = pulls[:, list(CHANNELS.values())]
         row[scope] = {

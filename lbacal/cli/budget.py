@@ -49,10 +49,7 @@ def budget(
 
     Example: lbacal budget spectra.h5 --instrument lofar-superterp --sky measured --plot budget.png
     """
-    from lbacal_core.calibration.chain_test import free_own_sky
-    from lbacal_core.instrument.instrument import load_instrument
-    from lbacal_core.skypower.model import compute_sky_power
-    from lbacal_core.skypower.table import read_sky_power
+    from lbacal_core.simulation.simulation import Simulation
     from lbacal_core.uncertainty.refit import compute_budget, measure_electronics
 
     selection = parse_selection(since, until, year, station)
@@ -60,12 +57,9 @@ def budget(
     inputs = {"--instrument": instrument, "--sky-power": sky_power}
     require_outputs({"--report": report, "--plot": plot}, {**inputs, **{f"SPECTRA {file}": file for file in files}})
     require_image(plot)
-    chain = load_instrument(instrument)
+    simulation = Simulation.load(instrument, sky_power)
     measured = read_selected(files, selection, time.time())
-    power = compute_sky_power(chain) if sky_power is None else read_sky_power(sky_power)
-    freedom = free_own_sky(chain) if sky_power is None else None
-    shared = compute_budget(measured, chain, power, sky, freedom=freedom)
-    of_antennas = measure_electronics(measured, chain, power)
+    shared, of_antennas = compute_budget(measured, simulation, sky), measure_electronics(measured, simulation)
     terms = [*shared.terms, *([] if of_antennas is None else [of_antennas])]
     if left_open is not None:
         members = sorted(set(zip(measured.station.tolist(), measured.antenna.tolist(), strict=True)))

@@ -20,8 +20,7 @@ from lbacal_core.curves.reference_chain import ReferenceChain
 
 if TYPE_CHECKING:
     from lbacal_core.curves.curves import FitReport
-    from lbacal_core.instrument.instrument import Instrument
-    from lbacal_core.skypower.table import SkyPower
+    from lbacal_core.simulation.simulation import Simulation
     from lbacal_core.spectra.spectra import Spectra
 
 STEPS_OF_FIT = 2
@@ -95,10 +94,8 @@ def fit(
     from lbacal.cli.fit_summary import align, describe_error, explain_chi2, tabulate_curves
     from lbacal_core.audit.audit import audit_quickly
     from lbacal_core.curves.curves import CONVERGED, write_fit_report
-    from lbacal_core.instrument.instrument import load_instrument
     from lbacal_core.pipeline import calibrate
-    from lbacal_core.skypower.model import compute_sky_power
-    from lbacal_core.skypower.table import read_sky_power
+    from lbacal_core.simulation.simulation import Simulation
     from lbacal_core.uncertainty.left_open import widen_by_open_terms
     from lbacal_core.uncertainty.one_event import measure_error
 
@@ -113,24 +110,22 @@ def fit(
     require_image(plot)
     model, left_open = read_model(with_), read_open_terms(with_)
     model.require_one_c(f"--with {with_}")
-    chain = load_instrument(instrument)
-    sky = None if sky_power is None else read_sky_power(sky_power)
+    simulation = Simulation.load(instrument, sky_power, model)
     with progress(len(files) + STEPS_OF_FIT + (html is not None or plot is not None)) as tell:
         measured = read_selected(files, selection, time.time(), tell)
-        audited = audit_quickly(measured, chain)
+        audited = audit_quickly(measured, simulation.instrument)
         audited.require_power(measured.origin)
         tell(f"fit {len(measured)} spectra")
-        result = audited.mark(widen_by_open_terms(calibrate(measured, chain, sky, scope.value, model=model), left_open))
+        result = audited.mark(widen_by_open_terms(calibrate(measured, simulation, scope.value), left_open))
         tell("error of one event")
-        power = sky or compute_sky_power(chain)
-        error = measure_error(result, measured, chain, power)
+        error = measure_error(result, measured, simulation)
         with written_beside(report) as beside:
             write_fit_report(result, beside)
-        _write_table(result, chain, power, output, kind)
+        _write_table(result, simulation, output, kind)
         numbers = [] if error is None else [describe_error(error)]
         if html is not None or plot is not None:
             tell("draw")
-            _draw(result, measured, chain, power, html, plot, numbers)
+            _draw(result, measured, simulation, html, plot, numbers)
     converged = [curve for curve in result.curves if curve.status == CONVERGED]
     written = " and ".join(str(path) for path in (output, report, html, plot) if path is not None)
     explained = [explain_chi2(result.curves)] if any(curve.c is not None for curve in result.curves) else []
@@ -174,12 +169,13 @@ def describe_rest(report: FitReport, spectra: int, command: str, sky_power: Path
             yield f"{curve.name}: {describe_chain(reference)}"
 
 
-def _write_table(result: FitReport, chain: Instrument, power: SkyPower, output: Path, kind: str) -> None:
+def _write_table(result: FitReport, simulation: Simulation, output: Path, kind: str) -> None:
     from lbacal.calibration_files import complete_curves, write_calibrations
     from lbacal_core.curves.galcal import describe_made_with
 
-    models = None if power.made_for is None else power.made_for.as_dict()
-    content = complete_curves(result.as_dict() | describe_made_with(chain, models), output)
+    made_for = simulation.sky_power.made_for
+    made_with = describe_made_with(simulation.instrument, None if made_for is None else made_for.as_dict())
+    content = complete_curves(result.as_dict() | made_with, output)
     with written_beside(output) as beside:
         write_calibrations(content, beside, kind)
 
@@ -187,8 +183,7 @@ def _write_table(result: FitReport, chain: Instrument, power: SkyPower, output: 
 def _draw(
     result: FitReport,
     measured: Spectra,
-    chain: Instrument,
-    power: SkyPower,
+    simulation: Simulation,
     html: Path | None,
     plot: Path | None,
     sentences: Sequence[str],
@@ -196,7 +191,7 @@ def _draw(
     """Draw the figure once, for both outputs."""
     from lbacal.cli.fit_page import average_residuals, draw_fit, draw_page
 
-    figure = draw_fit(result, average_residuals(measured, result.curves, chain, power), chain, power)
+    figure = draw_fit(result, average_residuals(measured, result.curves, simulation), simulation)
     if plot is not None:
         figure.savefig(plot, dpi=150)
     if html is not None:

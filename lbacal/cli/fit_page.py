@@ -11,12 +11,11 @@ from matplotlib.figure import Figure
 
 from lbacal.cli.fit_summary import MOST_ROWS, explain_chi2, tabulate_curves
 from lbacal.cli.report_pages import COLOURS, DIPOLE_COLOURS, GREY, embed, fill_report
-from lbacal_core.calibration.antenna_noise import noise_at_input
 from lbacal_core.curves.covariance import Budget
 from lbacal_core.curves.curves import MISFIT, OK, CalibrationCurve, FitReport
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
-from lbacal_core.skypower.table import SkyPower
+from lbacal_core.simulation.simulation import Simulation, noise_at_input
 from lbacal_core.spectra.blocks import iterate_blocks
 from lbacal_core.spectra.spectra import Spectra
 from lbacal_core.uncertainty.one_event import map_departures
@@ -72,12 +71,12 @@ STYLES = ("--", "-.", ":", (0, (5, 1)), (0, (1, 3)), (0, (3, 1, 1, 1)), (0, (7, 
 
 
 def average_residuals(
-    spectra: Spectra, curves: Sequence[CalibrationCurve], instrument: Instrument, sky_power: SkyPower
+    spectra: Spectra, curves: Sequence[CalibrationCurve], simulation: Simulation
 ) -> dict[str, Floats]:
     """Residual maps of each polarisation, the mean over stations, shape (lst, freq); NaN where nothing was measured."""
     maps: dict[str, list[Floats]] = {}
     for block in iterate_blocks(spectra):
-        maps.setdefault(block.dipole, []).append(map_departures(block, curves, instrument, sky_power))
+        maps.setdefault(block.dipole, []).append(map_departures(block, curves, simulation))
     means = {}
     for dipole, found in sorted(maps.items()):
         known = np.isfinite(found)
@@ -86,7 +85,7 @@ def average_residuals(
     return means
 
 
-def draw_fit(report: FitReport, maps: Mapping[str, Floats], instrument: Instrument, sky_power: SkyPower) -> Figure:
+def draw_fit(report: FitReport, maps: Mapping[str, Floats], simulation: Simulation) -> Figure:
     """All of a fit on one page.
 
     Parameters
@@ -102,8 +101,8 @@ def draw_fit(report: FitReport, maps: Mapping[str, Floats], instrument: Instrume
     for column, dipole in zip(axes.T, dipoles, strict=True):
         own = [curve for curve in curves if curve.dipole == dipole]
         _draw_c(column[0], own, dipole)
-        image = _draw_map(column[1], maps, dipole, instrument.frequency_mhz) or image
-        _draw_noise(column[2], own, instrument, sky_power.power[dipole].mean(axis=0))
+        image = _draw_map(column[1], maps, dipole, simulation.instrument.frequency_mhz) or image
+        _draw_noise(column[2], own, simulation.instrument, simulation.sky_power.power[dipole].mean(axis=0))
         _draw_chi2(column[3], own)
     if image is not None:
         figure.colorbar(image, ax=axes[1], label="measured / predicted - 1 (%)")

@@ -16,6 +16,7 @@ from lbacal.files import written_beside
 from lbacal_core.errors import write_chance
 
 if TYPE_CHECKING:
+    from lbacal_core.simulation.simulation import Simulation
     from lbacal_core.spectra.spectra import Spectra
 
 
@@ -73,9 +74,7 @@ def investigate(
     if report is None:
         raise typer.BadParameter("name the report to write with --report")
     from lbacal.cli.outputs import require_outputs
-    from lbacal_core.instrument.instrument import load_instrument
-    from lbacal_core.skypower.model import compute_sky_power
-    from lbacal_core.skypower.table import read_sky_power
+    from lbacal_core.simulation.simulation import Simulation
 
     if (not spectra) == (lst_curve is None):
         raise typer.BadParameter("name spectra files or --lst-curve, one of the two")
@@ -90,15 +89,12 @@ def investigate(
     inputs |= {"--lst-curve": lst_curve, "--sky-power": sky_power}
     inputs["--with"] = None if with_ is None else report_path(with_)
     require_outputs({"--report": report, "--html": html}, {**inputs, "--instrument": instrument})
-    model = read_model(with_)
-    chain = load_instrument(instrument or "lofar-superterp")
-    sky = compute_sky_power(chain) if sky_power is None else read_sky_power(sky_power)
-    sky.require_made_for(chain)
+    simulation = Simulation.load(instrument or "lofar-superterp", sky_power, read_model(with_))
     if files:
         measured = read_selected(files, selection, time.time(), _say)
-        content = _ask_spectra(measured, chain, sky, sky_power is None, html, model)
+        content = _ask_spectra(measured, simulation, html)
     else:
-        content = _ask_curve(lst_curve, chain, sky, sky_power is None, band, html)
+        content = _ask_curve(lst_curve, simulation, band, html)
     with written_beside(report) as beside:
         beside.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n")
     print(f"{content['verdict']}; wrote {report}{f' and {html}' if html else ''}")
@@ -120,17 +116,15 @@ def _tell(content: dict[str, Any]) -> None:
             print(f"    similar to: {finding['sentence']}")
 
 
-def _ask_spectra(
-    measured: Spectra, chain: Any, sky: Any, is_own_sky: bool, html: Path | None, model: Any
-) -> dict[str, Any]:
+def _ask_spectra(measured: Spectra, simulation: Simulation, html: Path | None) -> dict[str, Any]:
     from lbacal_core.audit.audit import audit_quickly
     from lbacal_core.discovery.left_open import add_left_open
     from lbacal_core.discovery.report import investigate as ask
 
-    audited = audit_quickly(measured, chain)
+    audited = audit_quickly(measured, simulation.instrument)
     audited.require_power(measured.origin)
     print(f"audit: {audited.sentence}")
-    content, stations = ask(measured, chain, sky, is_own_sky=is_own_sky, progress=_say, model=model)
+    content, stations = ask(measured, simulation, progress=_say)
     if html is not None:
         from lbacal.cli.investigation_page import write_investigation_page
 
@@ -140,16 +134,17 @@ def _ask_spectra(
 
 
 def _ask_curve(
-    path: Path | None, chain: Any, sky: Any, is_own_sky: bool, band: tuple[float, float], html: Path | None
+    path: Path | None, simulation: Simulation, band: tuple[float, float], html: Path | None
 ) -> dict[str, Any]:
     from lbacal_core.discovery.curve_search import describe_curve, investigate_curve
     from lbacal_core.lstcurve.curve import measured_curve, read_lst_curve
     from lbacal_core.provenance import Provenance
 
     curve = read_lst_curve(path or measured_curve())
-    found = investigate_curve(curve, sky, chain, band, is_own_sky=is_own_sky)
-    inputs = {"lst_curve": curve.digest(), "sky_power": sky.digest(), "instrument": chain.digest()}
-    settings = {"band_mhz": list(band), "own_sky": is_own_sky, "policy": found.policy.as_dict()}
+    found = investigate_curve(curve, simulation, band)
+    sky, chain = simulation.sky_power.digest(), simulation.instrument.digest()
+    inputs = {"lst_curve": curve.digest(), "sky_power": sky, "instrument": chain}
+    settings = {"band_mhz": list(band), "own_sky": simulation.is_own_sky, "policy": found.policy.as_dict()}
     content = describe_curve(found, Provenance(inputs, settings))
     if html is not None:
         from lbacal.cli.curve_page import write_curve_page

@@ -18,98 +18,19 @@ off by one standard deviation in each mode costs one for each, a wrong clock hun
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from itertools import combinations
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.constants import speed_of_light
 from scipy.special import chdtrc
-from threadpoolctl import threadpool_limits
 
-from lbacal_core.antenna.ideal import QuarterWaveDipole, ShortDipole
-from lbacal_core.antenna.model import AntennaModel
-from lbacal_core.antenna.names import load_antenna
-from lbacal_core.calibration.lines import (
-    SKY_HARMONICS,
-    Lines,
-    Look,
-    PathLines,
-    harmonics_at,
-    look_beside,
-    move_lines,
-    move_lines_by,
-)
+from lbacal_core.calibration.lines import Lines, Look, PathLines, harmonics_at, look_beside, move_lines, move_lines_by
 from lbacal_core.chain.model import Intercepts
 from lbacal_core.curves.curves import CalibrationCurve
-from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
-from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.linear import find_whitener, invert_symmetric, solve_symmetric
-from lbacal_core.provenance import hash_content
-from lbacal_core.skypower.antenna_of import antenna_of
-from lbacal_core.skypower.differences import LST_HOURS, DifferenceModels, compute_model_differences
-from lbacal_core.skypower.model import compute_sky_power, vary_sky_power
-
-# What P_sky would be with other antennas than the one that an instrument names.
-#
-# What they change most is the level of P_sky, by a factor of 2 and more where a dipole stands half a wavelength above
-# the ground. The fit absorbs a level in A(nu), which is free, so that C is wrong by its root where the antenna is
-# another.
-
-PHASES = np.linspace(1.0, 3.0, 11)
-"""Heights of short dipoles, k h at the highest channel: 0.6 to 1.8 m at 80 MHz. At pi the zenith is dark."""
-SAME = 0.01
-"""An antenna that changes P_sky by less, r.m.s., is the same."""
-
-
-@dataclass(frozen=True)
-class OtherAntenna:
-    """Another antenna.
-
-    Attributes
-    ----------
-    change
-        By dipole, ln of P_sky with it over P_sky, shape (lst, freq), on a regular grid of the sidereal day from 0 h.
-    share
-        Its probability among the others before the data are asked: kinds are alike, and so are heights of one kind.
-    """
-
-    name: str
-    change: Mapping[str, Floats]
-    share: float = 1.0
-
-
-def exchange_antennas(
-    instrument: Instrument, power: Mapping[str, Floats], lst_hours: Floats, antennas: Mapping[str, str | AntennaModel]
-) -> Iterator[OtherAntenna]:
-    """What antennas make of P_sky, by dipole, shape (lst, freq); those that change nothing are left out."""
-    own = load_antenna(antenna_of(instrument)).name
-    for name, antenna in antennas.items():
-        try:
-            other = compute_sky_power(instrument, antenna=antenna, lst_hours=lst_hours).power
-        except BadInputError:
-            # a pattern that is not known at these channels or for a tilted arm
-            continue
-        change = {dipole: np.log(other[dipole] / one) for dipole, one in power.items()}
-        if name != own and max(float(np.sqrt(np.mean(one**2))) for one in change.values()) > SAME:
-            yield OtherAntenna(name, change)
-
-
-def list_other_antennas(instrument: Instrument, power: Mapping[str, Floats], lst_hours: Floats) -> list[OtherAntenna]:
-    """Dipoles over lossy ground and over a conducting plane, at heights between which data cannot tell."""
-    wavenumber = 2.0 * np.pi * 1e6 * float(instrument.frequency_mhz.max()) / speed_of_light
-    heights = (PHASES / wavenumber).tolist()
-    kinds: list[dict[str, str | AntennaModel]] = [
-        {"hamaker": "hamaker"},
-        {"quarter-wave": QuarterWaveDipole()},
-        {f"a short dipole at {height:.2f} m": ShortDipole(height_m=height) for height in heights},
-    ]
-    found = [list(exchange_antennas(instrument, power, lst_hours, kind)) for kind in kinds]
-    count = sum(len(kind) > 0 for kind in found)
-    return [replace(one, share=1.0 / count / len(kind)) for kind in found for one in kind]
-
+from lbacal_core.simulation.prior import SKY_HARMONICS, Mistake, SkyPrior
 
 # Mistakes that users have made, as changes of P_sky: the data say whether one describes them better.
 #
@@ -122,57 +43,8 @@ LARGEST_GAIN = 10.0
 """Both polarisations together; 24 antennas of clean drawn worlds reach -0.4, exchanged letters 15 and more."""
 LIKELY_MISTAKE = "likely mistake"
 """Under this name the notes of a report hold them."""
-CLOCK_HOURS = (-2, -1, 1, 2)
-OTHER_ANTENNAS = ("hamaker", "short-dipole", "quarter-wave")
-"""A dipole over lossy ground, a short one over a conducting plane, and one whose height grows with the wavelength."""
 Owner = tuple[str | None, int | None]
 """Station and antenna of a curve."""
-
-
-@dataclass(frozen=True)
-class Mistake:
-    """What P_sky would be without a mistake.
-
-    Attributes
-    ----------
-    name
-        What is wrong, in words.
-    change
-        By dipole, ln of P_sky without the mistake over P_sky, shape (lst, freq), on the grid of the freedom of the sky.
-    antenna
-        The antenna that it is, where the antenna is wrong. The fit absorbs its level in A(nu), which is free, so that
-        only its form along LST shows, and the level is what makes C wrong.
-    """
-
-    name: str
-    change: Mapping[str, Floats]
-    antenna: str | None = None
-
-    def shown(self, dipole: str) -> Floats:
-        """What data can show of the change, shape (lst, freq)."""
-        change = self.change[dipole]
-        return change if self.antenna is None else change - change.mean(axis=0)
-
-
-def list_mistakes(instrument: Instrument, power: Mapping[str, Floats], lst_hours: Floats) -> list[Mistake]:
-    """Letters exchanged, times in another zone, the pattern of another antenna.
-
-    Parameters
-    ----------
-    power
-        P_sky by dipole, shape (lst, freq), on `lst_hours`, a regular grid of the sidereal day.
-    """
-    mistakes = []
-    for one, other in combinations(sorted(power), 2):
-        exchanged = {one: other, other: one}
-        change = {dipole: np.log(power[exchanged.get(dipole, dipole)] / power[dipole]) for dipole in power}
-        mistakes.append(Mistake(f"dipoles {one} and {other} exchanged", change))
-    steps = lst_hours.size / 24.0
-    for hours in CLOCK_HOURS:
-        late = {dipole: np.log(np.roll(one, round(-hours * steps), axis=0) / one) for dipole, one in power.items()}
-        mistakes.append(Mistake(f"times {abs(hours)} h too {'late' if hours < 0 else 'early'}", late))
-    others = exchange_antennas(instrument, power, lst_hours, {name: name for name in OTHER_ANTENNAS})
-    return [*mistakes, *(Mistake(f"the antenna is like {one.name}", one.change, one.name) for one in others)]
 
 
 def name_mistakes(found: Sequence[tuple[CalibrationCurve, Floats]], mistakes: Sequence[Mistake]) -> dict[Owner, str]:
@@ -213,43 +85,6 @@ def _more(number: int) -> str:
 
 MISFIT_PROBABILITY = 1e-6
 """A curve whose chi^2 is less probable than this is a misfit: of 2000 good ones 0.002 are."""
-
-
-@dataclass(frozen=True)
-class SkyFreedom:
-    """How far P_sky may differ from the one that is given.
-
-    Attributes
-    ----------
-    modes
-        By dipole, shape (mode, lst, freq), on a regular grid of the sidereal day that begins at 0 h: independent
-        changes of ln P_sky, one standard deviation each.
-    digest
-        Hash of what they were made from.
-    mistakes
-        Named changes of P_sky that would put a mistaken input right, on the same grid.
-    antennas
-        What P_sky would be with other antennas.
-    """
-
-    modes: Mapping[str, Floats]
-    digest: str
-    mistakes: Sequence[Mistake] = ()
-    antennas: Sequence[OtherAntenna] = ()
-
-    def series(self, dipole: str) -> Floats:
-        """Coefficients of `harmonics_at` of the modes, shape (mode, harmonic, freq)."""
-        return _series_of(self.modes[dipole])
-
-    def mistake_series(self, dipole: str) -> Floats:
-        """Coefficients of `harmonics_at` of what data show of each mistake, shape (mistake, harmonic, freq)."""
-        shown = [one.shown(dipole) for one in self.mistakes]
-        return _series_of(np.reshape(shown, (-1, *self.modes[dipole].shape[1:])))
-
-
-def _series_of(changes: Floats) -> Floats:
-    terms = np.fft.rfft(changes, axis=1)[:, : SKY_HARMONICS + 1] / changes.shape[1]
-    return np.concatenate([terms[:, :1].real, 2.0 * terms[:, 1:].real, -2.0 * terms[:, 1:].imag], axis=1)
 
 
 @dataclass(frozen=True)
@@ -294,7 +129,7 @@ def run_chain_test(
     slope: Floats,
     terms: Intercepts,
     is_free: NDArray[np.bool_],
-    freedom: SkyFreedom | None,
+    freedom: SkyPrior | None,
     dipole: str,
 ) -> ChainTest:
     """Test fitted paths, each by itself.
@@ -344,7 +179,7 @@ def compare_predictions(
     slope: Floats,
     terms: Intercepts,
     is_free: NDArray[np.bool_],
-    freedom: SkyFreedom | None,
+    freedom: SkyPrior | None,
     dipole: str,
     predictions: Floats,
 ) -> Floats:
@@ -466,53 +301,3 @@ class _Seen:
         beside = np.einsum("ej,kef,fd->kjd", self.look.directions, change - of_lines, self.look.features, optimize=True)
         of_intercepts = self.value[: self.scale.size] + moved @ self.to_residual.T / self.scale
         return np.concatenate([of_intercepts, beside.reshape(len(change), -1)], axis=1)
-
-
-# What the package's own sky power may be wrong by: other models of sky and antenna, and smooth departures of both.
-
-LEVEL = (0.2, 0.03, 0.02, 0.01)
-"""Spread of ln P_sky along the Legendre polynomials in ln nu: 20 % is the scale error of the paper, the others what
-models differ by."""
-ZENITH_GAIN = 0.1
-"""Change of the pattern's gain at zenith with its total fixed (section 4.2 of the paper)."""
-SHAPE = (0.01, 0.003)
-"""Changes along LST that no model at hand makes, of each of the first harmonics: the same at all frequencies, and along
-ln nu. A sky that is off by 3 % r.m.s. along LST is 1.7 standard deviations of each away; mistakes that this could hide
-are asked for by name."""
-SHAPE_HARMONICS = 3
-
-
-def free_own_sky(instrument: Instrument, models: DifferenceModels | None = None) -> SkyFreedom:
-    """The freedom of `compute_sky_power` for an instrument; by all other models that ship unless named."""
-    with threadpool_limits(1):
-        return _free_own_sky(instrument, models or DifferenceModels())
-
-
-def _free_own_sky(instrument: Instrument, models: DifferenceModels) -> SkyFreedom:
-    own = compute_sky_power(instrument, lst_hours=LST_HOURS)
-    wider = vary_sky_power(instrument, lst_hours=LST_HOURS, zenith_gain_fraction=ZENITH_GAIN)
-    differences = compute_model_differences(instrument, models)
-    smooth = _smooth_modes(instrument.frequency_mhz, LST_HOURS)
-    modes = {}
-    for dipole, values in own.power.items():
-        levels = differences.level[dipole][:, None, :] * np.ones((LST_HOURS.size, 1))
-        pattern = np.log(wider.power[dipole] / values)[None]
-        modes[dipole] = np.concatenate([levels, differences.shape[dipole], pattern, smooth])
-    made_of = {"own": own.digest(), "level": LEVEL, "zenith_gain": ZENITH_GAIN, "shape": [SHAPE, SHAPE_HARMONICS]}
-    mistakes = list_mistakes(instrument, own.power, LST_HOURS)
-    others = list_other_antennas(instrument, own.power, LST_HOURS)
-    names = {"mistakes": [one.name for one in mistakes], "other_antennas": [one.name for one in others]}
-    digest = hash_content({**made_of, "skies": models.skies, "antennas": models.antennas, **names})
-    return SkyFreedom(modes, digest, tuple(mistakes), tuple(others))
-
-
-def _smooth_modes(frequency_mhz: Floats, lst_hours: Floats) -> Floats:
-    """Departures of level and shape that are smooth in ln nu and LST, shape (mode, lst, freq)."""
-    log = np.log(frequency_mhz)
-    x = 2.0 * (log - log[0]) / max(float(np.ptp(log)), 1e-300) - 1.0
-    polynomials = np.polynomial.legendre.legvander(x, len(LEVEL) - 1).T
-    angle = 2.0 * np.pi / 24.0 * np.outer(np.arange(1, SHAPE_HARMONICS + 1), lst_hours)
-    waves: Sequence[Floats] = [*np.cos(angle), *np.sin(angle)]
-    levels = [size * np.tile(p, (lst_hours.size, 1)) for size, p in zip(LEVEL, polynomials, strict=True)]
-    shapes = [size * np.outer(wave, p) for wave in waves for size, p in zip(SHAPE, polynomials, strict=False)]
-    return np.array([*levels, *shapes])

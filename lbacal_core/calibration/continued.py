@@ -18,13 +18,11 @@ from lbacal_core.calibration.channels import solve_without_interference
 from lbacal_core.calibration.lines import Lines, NoiseLevels, SharedNoise, continue_lines
 from lbacal_core.calibration.paths import MeanOfEvents, Paths
 from lbacal_core.calibration.singles import MIN_EVENTS, relative_variance_of
-from lbacal_core.chain.model import calibration_factor, noise_constants
+from lbacal_core.chain.model import calibration_factor
 from lbacal_core.curves.curves import CalibrationCurve
 from lbacal_core.curves.kept_lines import KeptLines, MemberLines
 from lbacal_core.grids import Floats
-from lbacal_core.instrument.instrument import Instrument
-from lbacal_core.instrument.sidereal import local_sidereal_time
-from lbacal_core.skypower.table import SkyPower
+from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.spectra.blocks import SpectraBlock, split_into_blocks
 from lbacal_core.spectra.screening import CUT_SIGMA, SMALLEST_DEPARTURE, SMALLEST_OF_CHANNEL
 from lbacal_core.spectra.spectra import Spectra
@@ -77,7 +75,7 @@ def keep_lines(paths: Paths, lines: Lines, curves: Sequence[CalibrationCurve]) -
     )
 
 
-def continue_fit(kept: Sequence[KeptLines], new: Spectra, instrument: Instrument, sky_power: SkyPower) -> Continued:
+def continue_fit(kept: Sequence[KeptLines], new: Spectra, simulation: Simulation) -> Continued:
     """C of the paths of a fit with some events more.
 
     Parameters
@@ -90,11 +88,9 @@ def continue_fit(kept: Sequence[KeptLines], new: Spectra, instrument: Instrument
     blocks, curves, undecided = split_into_blocks(new), dict[Owner, tuple[Floats, Floats, float]](), set[Owner]()
     for one in kept:
         if one.members is None:
-            found = _continue_paths(one, _read_paths(one, blocks, instrument, sky_power), instrument, sky_power)
+            found = _continue_paths(one, _read_paths(one, blocks, simulation), simulation)
         else:
-            found = _continue_paths(
-                one, _read_mean(one, one.members, blocks, instrument, sky_power), instrument, sky_power
-            )
+            found = _continue_paths(one, _read_mean(one, one.members, blocks, simulation), simulation)
         curves |= found.curves
         undecided |= found.undecided
     return Continued(curves, frozenset(undecided))
@@ -113,9 +109,7 @@ class _Events:
     is_odd: NDArray[np.bool_]
 
 
-def _read_paths(
-    kept: KeptLines, blocks: Sequence[SpectraBlock], instrument: Instrument, sky_power: SkyPower
-) -> _Events:
+def _read_paths(kept: KeptLines, blocks: Sequence[SpectraBlock], simulation: Simulation) -> _Events:
     """The new events of single paths, on one grid."""
     station, _, dipole = kept.owners[0]
     block = next((b for b in blocks if (b.station, b.dipole) == (station, dipole)), None)
@@ -128,8 +122,8 @@ def _read_paths(
     power = np.ones((paths, block.time_unix.size, channels))
     variance = np.full(power.shape[:2], np.inf)
     power[at], variance[at] = block.power[is_known], relative_variance_of(block, kept.typical_blocks)[is_known]
-    lst_hours = local_sidereal_time(block.time_unix, instrument.at_station(station).longitude_deg)
-    sky = sky_power.of_station(station).at(dipole, lst_hours)
+    lst_hours = simulation.sidereal_time(station, block.time_unix)
+    sky = simulation.sky_power.of_station(station).at(dipole, lst_hours)
     expected = kept.slope[:, None] * sky + kept.intercept[:, None]
     return _Events(lst_hours, power, variance, _is_odd(power, expected, variance, kept.scatter))
 
@@ -138,8 +132,7 @@ def _read_mean(
     kept: KeptLines,
     members: MemberLines,
     blocks: Sequence[SpectraBlock],
-    instrument: Instrument,
-    sky_power: SkyPower,
+    simulation: Simulation,
 ) -> _Events:
     """The new events of a mean over its members."""
     station, _, dipole = kept.owners[0]
@@ -148,9 +141,8 @@ def _read_mean(
     mean, lst_hours, is_odd = MeanOfEvents(events.size, kept.slope.shape[1]), np.zeros(events.size), False
     for block in own:
         at = np.searchsorted(events, block.event_id)
-        lst_hours[at] = local_sidereal_time(block.time_unix, instrument.at_station(station).longitude_deg)
-        of_block = local_sidereal_time(block.time_unix, instrument.at_station(block.station).longitude_deg)
-        sky = sky_power.of_station(block.station).at(dipole, of_block)
+        lst_hours[at] = simulation.sidereal_time(station, block.time_unix)
+        sky = simulation.sky_at(block.station, dipole, block.time_unix)
         of_station = np.flatnonzero(members.stations == block.station)
         is_member = np.isin(block.antennas, members.antennas[of_station])
         place = of_station[np.searchsorted(members.antennas[of_station], block.antennas[is_member])]
@@ -158,7 +150,7 @@ def _read_mean(
         power, variance = block.power[is_member], relative_variance_of(block, kept.typical_blocks)[is_member]
         is_odd = is_odd or bool(np.any(_is_odd(power, expected, variance, members.scatter[place])))
         mean.add(at, power, sky, members.slope[place], members.intercept[place], members.level[place], variance)
-    power, variance = mean.take(sky_power.of_station(station).at(dipole, lst_hours), members)
+    power, variance = mean.take(simulation.sky_power.of_station(station).at(dipole, lst_hours), members)
     return _Events(lst_hours, power[None], variance[None] / kept.variance_unit, np.array([is_odd]))
 
 
@@ -175,7 +167,7 @@ def _is_odd(power: Floats, expected: Floats, variance: Floats, scatter: Floats) 
     return np.asarray(np.any(is_off | (~is_positive & np.isfinite(variance)), axis=1))
 
 
-def _continue_paths(kept: KeptLines, new: _Events, instrument: Instrument, sky_power: SkyPower) -> Continued:
+def _continue_paths(kept: KeptLines, new: _Events, simulation: Simulation) -> Continued:
     """C of paths, or of a mean, with some events more."""
     more = np.isfinite(new.relative_variance).sum(axis=1)
     share = more / np.maximum(kept.events, 1)
@@ -184,15 +176,15 @@ def _continue_paths(kept: KeptLines, new: _Events, instrument: Instrument, sky_p
     at = np.flatnonzero(kept.has_c & ~is_undecided)
     curves = {}
     if at.size:
-        sky = sky_power.of_station(kept.owners[0][0]).at(kept.owners[0][2], new.lst_hours)
+        sky = simulation.sky_power.of_station(kept.owners[0][0]).at(kept.owners[0][2], new.lst_hours)
         lines = _lines_of(kept, at)
         if new.lst_hours.size:
             lines = continue_lines(lines, new.power[at], sky, new.relative_variance[at])
-        terms, channels = noise_constants(instrument), instrument.frequency_mhz.size
+        terms, channels = simulation.noise, simulation.instrument.frequency_mhz.size
         solution, _ = solve_without_interference(lines.slope, lines.intercept, lines.information, terms)
         is_undecided[at] = ~(solution.is_converged & solution.is_identifiable)
         with np.errstate(invalid="ignore", divide="ignore"):
-            c = calibration_factor(solution.x, instrument.antenna_gain)
+            c = calibration_factor(solution.x, simulation.instrument.antenna_gain)
             sigma = c * np.sqrt(np.einsum("pii->pi", solution.covariance)[:, :channels]) / (2.0 * solution.x)
         curves = {
             kept.owners[k]: (c[j], sigma[j], float(LARGEST_ERROR * (share[k] / LARGEST_SHARE) ** 0.5))

@@ -16,7 +16,6 @@ from threadpoolctl import threadpool_limits
 
 from lbacal_core.calibration.chain_test import (
     LIKELY_MISTAKE,
-    SkyFreedom,
     describe_mistakes,
     is_improbable,
     name_mistakes,
@@ -34,9 +33,9 @@ from lbacal_core.calibration.paths import (
     require_one_cable_each,
 )
 from lbacal_core.calibration.separable import SeparableSolution
-from lbacal_core.calibration.singles import MIN_EVENTS, FitSingles, chain_forms, fit_singles
+from lbacal_core.calibration.singles import MIN_EVENTS, chain_forms
 from lbacal_core.calibration.spreads import measure_spreads
-from lbacal_core.chain.model import calibration_factor, noise_constants
+from lbacal_core.chain.model import calibration_factor
 from lbacal_core.curves.covariance import CurveCovariance, compress_covariance
 from lbacal_core.curves.curves import (
     CONVERGED,
@@ -58,7 +57,7 @@ from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats, require_same_grid
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.provenance import Provenance
-from lbacal_core.skypower.table import SkyPower
+from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.spectra.spectra import Spectra
 
 SCOPES = ("array", "station", "antenna")
@@ -73,11 +72,8 @@ SHARE_OF_MISFITS = 0.5
 
 def fit_calibration(
     spectra: Spectra,
-    instrument: Instrument,
-    sky_power: SkyPower,
+    simulation: Simulation,
     scope: str = "antenna",
-    freedom: SkyFreedom | None = None,
-    singles: FitSingles = fit_singles,
 ) -> FitReport:
     """Calibrate every antenna, every station or the whole array.
 
@@ -85,14 +81,10 @@ def fit_calibration(
     ----------
     spectra
         The spectra of the window to be calibrated: one fit uses them all.
-    instrument, sky_power
-        On the same channels as the spectra.
+    simulation
+        On the same channels as the spectra. Data that its prior of P_sky does not allow for are a misfit.
     scope
         ``antenna`` (one curve a path), ``station`` or ``array`` (one curve a polarisation).
-    freedom
-        By how much P_sky may differ from the one given before a curve is a misfit; None takes it at its word.
-    singles
-        What fits the paths of a block by themselves.
 
     Returns
     -------
@@ -102,11 +94,8 @@ def fit_calibration(
     """
     if scope not in SCOPES:
         raise BadInputError("scope", ", ".join(SCOPES), repr(scope))
+    instrument, prior = simulation.instrument, simulation.prior
     require_same_grid(spectra.origin, spectra.frequency_mhz, instrument.frequency_mhz, f"instrument {instrument.name}")
-    require_same_grid(
-        sky_power.origin, sky_power.frequency_mhz, instrument.frequency_mhz, f"instrument {instrument.name}"
-    )
-    sky_power.require_made_for(instrument)
     if len(spectra) == 0:
         raise BadInputError(spectra.origin, "at least one spectrum", "none")
     cable_of = require_one_cable_each(spectra, instrument)
@@ -115,8 +104,8 @@ def fit_calibration(
     def fit_paths(read: Callable[[], Paths]) -> _Fitted:
         paths = read()
         station, _, letter = paths.owners[0]
-        sky = sky_power.of_station(station).at(letter, paths.lst_hours)
-        curves, lines = _fit_paths(paths, sky, instrument, freedom)
+        sky = simulation.sky_power.of_station(station).at(letter, paths.lst_hours)
+        curves, lines = _fit_paths(paths, sky, simulation)
         chains = [_chain_of(curve, paths, instrument, table, cable_of) for curve, _ in curves]
         of_paths = [(*curve, chain) for curve, chain in zip(curves, chains, strict=True)]
         return of_paths, paths.anomalies, keep_lines(paths, lines, [curve for curve, _ in curves])
@@ -125,25 +114,25 @@ def fit_calibration(
     # BLAS would start within each cost twice the time.
     with threadpool_limits(1), ThreadPoolExecutor(os.cpu_count()) as pool:
         digest = pool.submit(spectra.digest)
-        batches = list(pool.map(fit_paths, paths_of_scope(spectra, instrument, sky_power, scope, cable_of, singles)))
+        batches = list(pool.map(fit_paths, paths_of_scope(spectra, simulation, scope, cable_of)))
     fitted = [one for curves, *_ in batches for one in curves]
     fitted.sort(key=lambda c: (c[0].station or "", -1 if c[0].antenna is None else c[0].antenna, c[0].dipole or ""))
-    mistaken = {} if freedom is None else name_mistakes([(curve, gain) for curve, gain, _ in fitted], freedom.mistakes)
+    mistaken = {} if prior is None else name_mistakes([(curve, gain) for curve, gain, _ in fitted], prior.mistakes)
     curves = [curve.as_misfit() if curve.owner in mistaken and curve.c is not None else curve for curve, *_ in fitted]
     provenance = Provenance(
         inputs={
             "spectra": digest.result(),
             "instrument": _digest_of(instrument, spectra, scope),
-            "sky_power": sky_power.digest(),
+            "sky_power": simulation.sky_power.digest(),
         },
         settings={
             "scope": scope,
             "min_events": MIN_EVENTS,
             "min_lst_bins": MIN_LST_BINS,
-            "sky_freedom": None if freedom is None else freedom.digest,
+            "sky_freedom": None if prior is None else prior.digest,
         },
-        notes={"antenna_gain": instrument.antenna_gain_note, "sky_power": sky_power.note_for(instrument)}
-        | ({"noise_constants": noise_constants(instrument).describe()} if instrument.stages else {})
+        notes={"antenna_gain": instrument.antenna_gain_note, "sky_power": simulation.sky_power.note_for(instrument)}
+        | ({"noise_constants": simulation.noise.describe()} if instrument.stages else {})
         | ({LIKELY_MISTAKE: describe_mistakes(mistaken)} if mistaken else {}),
     )
     return FitReport(
@@ -183,10 +172,10 @@ def _chain_of(
 
 
 def _fit_paths(
-    paths: Paths, sky: Floats, instrument: Instrument, freedom: SkyFreedom | None
+    paths: Paths, sky: Floats, simulation: Simulation
 ) -> tuple[list[tuple[CalibrationCurve, Floats]], Lines]:
     """The chain fitted to the lines of a batch of paths, with the status of each and the gain of each mistake."""
-    known, terms = paths.fits, noise_constants(instrument)
+    instrument, known, terms = simulation.instrument, paths.fits, simulation.noise
     lines = (
         fit_lines(paths.power, sky, paths.relative_variance, chain_forms(instrument)) if known is None else known.lines
     )
@@ -218,7 +207,7 @@ def _fit_paths(
     of_good = np.searchsorted(at, good)
     tested = run_chain_test(
         paths.power[good], sky, paths.relative_variance[good], paths.lst_hours, lines.select(good), solution.n[of_good],
-        solution.x[of_good], terms, is_free[of_good], freedom, paths.owners[0][2],
+        solution.x[of_good], terms, is_free[of_good], simulation.prior, paths.owners[0][2],
     )  # fmt: skip
     scatter = np.median(lines.levels.radiometer, axis=1) if paths.scatter is None else paths.scatter
     is_odd = scatter[good] < SMALLEST_OF_LIMIT * paths.smallest_scatter

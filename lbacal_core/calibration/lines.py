@@ -17,6 +17,7 @@ from scipy.interpolate import CubicSpline
 
 from lbacal_core.grids import Floats
 from lbacal_core.linear import find_whitener, solve_symmetric
+from lbacal_core.simulation.prior import SKY_HARMONICS
 
 # The noise of background spectra: independent in each channel, plus a few vectors that an event shares along nu.
 #
@@ -409,8 +410,6 @@ def _sum_events(weight: Floats, values: Floats) -> Floats:
 # Both answers are those of the fit with its weights held: a change of the power of every event moves slopes and
 # intercepts by one step, and what the lines do not take is left beside them.
 
-SKY_HARMONICS = 8
-"""P_sky and its changes have no more, to 0.005 %."""
 HARMONICS = 3
 """Harmonics of the sidereal day that are looked for beside the lines."""
 DEGREES = 3

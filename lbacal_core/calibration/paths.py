@@ -9,15 +9,14 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from lbacal_core.calibration.singles import MIN_EVENTS, FitSingles, SingleFits, fit_singles, relative_variance_of
+from lbacal_core.calibration.singles import MIN_EVENTS, SingleFits, fit_singles, relative_variance_of
 from lbacal_core.calibration.spreads import SinglePaths, join_paths
 from lbacal_core.curves.curves import Anomaly
 from lbacal_core.curves.kept_lines import MemberLines, join_members
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
-from lbacal_core.instrument.sidereal import local_sidereal_time
-from lbacal_core.skypower.table import SkyPower
+from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.spectra.blocks import SpectraBlock, iterate_blocks, split_into_blocks
 from lbacal_core.spectra.screening import leave_out
 from lbacal_core.spectra.spectra import Spectra
@@ -95,27 +94,25 @@ def require_one_cable_each(spectra: Spectra, instrument: Instrument) -> Cables:
 
 def paths_of_scope(
     spectra: Spectra,
-    instrument: Instrument,
-    sky_power: SkyPower,
+    simulation: Simulation,
     scope: str,
     cable_of: Cables,
-    singles: FitSingles = fit_singles,
 ) -> Iterator[Callable[[], Paths]]:
     """The paths of a scope, a batch at a time, each batch to be read by whoever has a core for it."""
     typical, smallest = float(np.median(spectra.blocks)), radiometer_limit(spectra)
 
     def fit(block: SpectraBlock) -> SingleFits:
-        return singles(block, instrument, sky_power, typical)
+        return fit_singles(block, simulation, typical)
 
     if scope == "antenna":
         for block in iterate_blocks(spectra):
-            yield partial(_paths_of_block, block, instrument, typical, smallest, fit)
+            yield partial(_paths_of_block, block, simulation, typical, smallest, fit)
         return
     blocks = split_into_blocks(spectra)
     groups = {(block.station if scope == "station" else None, block.dipole) for block in blocks}
     for station, dipole in sorted(groups, key=lambda key: (key[0] or "", key[1])):
         members = [b for b in blocks if b.dipole == dipole and station in (None, b.station)]
-        yield partial(_mean_path, members, instrument, sky_power, station, cable_of, typical, smallest, fit)
+        yield partial(_mean_path, members, simulation, station, cable_of, typical, smallest, fit)
 
 
 def radiometer_limit(spectra: Spectra) -> float:
@@ -133,7 +130,7 @@ def radiometer_limit(spectra: Spectra) -> float:
 
 def _paths_of_block(
     block: SpectraBlock,
-    instrument: Instrument,
+    simulation: Simulation,
     typical_blocks: float,
     smallest_scatter: float,
     fit: Callable[[SpectraBlock], SingleFits],
@@ -145,7 +142,7 @@ def _paths_of_block(
         owners=[(block.station, int(antenna), block.dipole) for antenna in block.antennas],
         power=screened.power,
         relative_variance=relative_variance_of(screened, typical_blocks),
-        lst_hours=local_sidereal_time(block.time_unix, instrument.at_station(block.station).longitude_deg),
+        lst_hours=simulation.sidereal_time(block.station, block.time_unix),
         anomalies=fitted.anomalies,
         smallest_scatter=smallest_scatter,
         typical_blocks=typical_blocks,
@@ -155,8 +152,7 @@ def _paths_of_block(
 
 def _mean_path(
     blocks: list[SpectraBlock],
-    instrument: Instrument,
-    sky_power: SkyPower,
+    simulation: Simulation,
     station: str | None,
     cable_of: Cables,
     typical_blocks: float,
@@ -185,12 +181,11 @@ def _mean_path(
     found: list[MemberLines] = []
     singles: list[SinglePaths] = []
     scatters: list[Floats] = []
-    place = instrument.at_station(station)
     for block in blocks:
         fitted = fit(block)
         anomalies += fitted.anomalies
         at = np.searchsorted(events, block.event_id)
-        lst_hours[at] = local_sidereal_time(block.time_unix, place.longitude_deg)
+        lst_hours[at] = simulation.sidereal_time(station, block.time_unix)
         screened = leave_out(block, fitted.is_left_out)
         is_member = screened.is_present.sum(axis=1) >= MIN_EVENTS
         if np.mean(fitted.is_steady) > SHARE_OF_STEADY_PATHS:
@@ -198,8 +193,7 @@ def _mean_path(
         if not np.any(is_member):
             continue
         power, variance = screened.power[is_member], relative_variance_of(screened, typical_blocks)[is_member]
-        seen = instrument.at_station(block.station).longitude_deg
-        sky = sky_power.of_station(block.station).at(dipole, local_sidereal_time(block.time_unix, seen))
+        sky = simulation.sky_at(block.station, dipole, block.time_unix)
         lines = fitted.lines.select(np.flatnonzero(is_member))
         level = (lines.slope * sky.mean(axis=0) + lines.intercept).mean(axis=1)
         mean.add(at, power, sky, lines.slope, lines.intercept, level, variance)
@@ -209,9 +203,9 @@ def _mean_path(
         averaged = [(block.station, int(antenna)) for antenna in antennas]
         members += averaged
         scatters.append(np.median(lines.levels.radiometer, axis=1))
-        singles.append(_single_paths(averaged, fitted, is_member, instrument, cable_of))
+        singles.append(_single_paths(averaged, fitted, is_member, simulation.instrument, cable_of))
     member_lines = join_members(found) if found else None
-    power, relative_variance = mean.take(sky_power.of_station(station).at(dipole, lst_hours), member_lines)
+    power, relative_variance = mean.take(simulation.sky_power.of_station(station).at(dipole, lst_hours), member_lines)
     has_data = np.isfinite(relative_variance)
     unit = float(np.median(relative_variance[has_data])) if np.any(has_data) else 1.0
     relative_variance /= unit

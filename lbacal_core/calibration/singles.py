@@ -6,7 +6,7 @@ and so has the budget. Whoever fits several scopes of the same spectra need not 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,13 +14,10 @@ from numpy.typing import NDArray
 
 from lbacal_core.calibration.lines import ChainForms, Lines, fit_lines
 from lbacal_core.calibration.separable import SeparableSolution, solve_separable
-from lbacal_core.chain.model import noise_constants
 from lbacal_core.curves.curves import Anomaly
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
-from lbacal_core.instrument.sidereal import local_sidereal_time
-from lbacal_core.provenance import Remembered
-from lbacal_core.skypower.table import SkyPower
+from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.spectra.blocks import SpectraBlock
 from lbacal_core.spectra.screening import screen_block
 
@@ -61,11 +58,7 @@ class SingleFits:
         return np.where(is_good, found.x, np.nan), np.sqrt(np.where(is_good, variance, np.nan))
 
 
-FitSingles = Callable[[SpectraBlock, Instrument, SkyPower, float], SingleFits]
-"""`fit_singles`, or what remembers its results."""
-
-
-def fit_singles(block: SpectraBlock, instrument: Instrument, sky_power: SkyPower, typical_blocks: float) -> SingleFits:
+def fit_singles(block: SpectraBlock, simulation: Simulation, typical_blocks: float) -> SingleFits:
     """Screen the spectra of a block, and fit the lines and the chain of each of its paths.
 
     Parameters
@@ -73,13 +66,19 @@ def fit_singles(block: SpectraBlock, instrument: Instrument, sky_power: SkyPower
     typical_blocks
         The number of blocks whose radiometer noise the noise levels are.
     """
-    longitude_deg = instrument.at_station(block.station).longitude_deg
+    key = "single paths", block.digest(), typical_blocks
+    found: SingleFits = simulation.made.get(key, lambda: _fit_singles(block, simulation, typical_blocks))
+    return found
+
+
+def _fit_singles(block: SpectraBlock, simulation: Simulation, typical_blocks: float) -> SingleFits:
+    longitude_deg = simulation.instrument.at_station(block.station).longitude_deg
     screened = screen_block(block, longitude_deg)
     kept = screened.block
-    sky = sky_power.of_station(block.station).at(block.dipole, local_sidereal_time(block.time_unix, longitude_deg))
-    lines = fit_lines(kept.power, sky, relative_variance_of(kept, typical_blocks), chain_forms(instrument))
+    sky = simulation.sky_at(block.station, block.dipole, block.time_unix)
+    lines = fit_lines(kept.power, sky, relative_variance_of(kept, typical_blocks), chain_forms(simulation.instrument))
     at = np.flatnonzero(kept.is_present.sum(axis=1) >= MIN_EVENTS)
-    terms = noise_constants(instrument)
+    terms = simulation.noise
     return SingleFits(
         is_left_out=block.is_present & ~kept.is_present,
         anomalies=screened.anomalies,
@@ -88,24 +87,6 @@ def fit_singles(block: SpectraBlock, instrument: Instrument, sky_power: SkyPower
         solved=at,
         solution=solve_separable(lines.slope[at], lines.intercept[at], lines.information[at], terms),
     )
-
-
-@dataclass(frozen=True)
-class RememberedSingles:
-    """`fit_singles` for one instrument and sky power, remembered by what was recorded in a block.
-
-    The paths of 48 antennas take 9 MB.
-    """
-
-    kept: Remembered[tuple[str, float], SingleFits]
-
-    def __call__(
-        self, block: SpectraBlock, instrument: Instrument, sky_power: SkyPower, typical_blocks: float
-    ) -> SingleFits:
-        """Fit the paths of a block, unless they are at hand."""
-        key = block.digest(), typical_blocks
-        found = self.kept.get_many([key], lambda _: {key: fit_singles(block, instrument, sky_power, typical_blocks)})
-        return found[key]
 
 
 def relative_variance_of(block: SpectraBlock, typical_blocks: float) -> Floats:

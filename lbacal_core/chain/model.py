@@ -1,7 +1,6 @@
 """The signal chain, from sky power to recorded power and to the calibration factor.
 
-`chain_power` is eq. full_chain of Mulrey et al. 2019 written out, the oracle of `chain.terms.ChainTerms.power` and of
-every fast path. At one frequency it is a straight line in P_sky, which is what the fit works with:
+At one frequency eq. full_chain of Mulrey et al. 2019 is a straight line in P_sky, which is what the fit works with:
 
     P = s P_sky + b,    s = G_ant A L_coax G_RCU S,    b = N_LNA s + N_RCU S G_RCU + N_ADC.
 """
@@ -21,39 +20,6 @@ from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.instrument.stages import FREE, SEEN, Stage, multiply_gains, split_stages
 from lbacal_core.skypower.power import power_per_kelvin_sr
-
-
-def chain_power(
-    sky_power: Floats,
-    *,
-    antenna_gain: Floats,
-    correction: Floats,
-    cable_loss: Floats,
-    receiver_gain: Floats,
-    scale: float,
-    n_lna: float,
-    n_rcu: float,
-    n_adc: float,
-) -> Floats:
-    """Simulated recorded power P_sim,3 (eq. full_chain).
-
-    Parameters
-    ----------
-    sky_power
-        P_sky, shape (..., freq), W m^-2 MHz^-1 for D = 1 at zenith.
-    antenna_gain, correction, cable_loss, receiver_gain
-        G_ant (m^2), A, L_coax, G_RCU, shape (freq,), linear power.
-    scale
-        S, ADC^2/Ohm per W.
-    n_lna, n_rcu, n_adc
-        The noise constants, each in the unit of the point where it enters: that of P_sky, W/MHz, ADC^2/Ohm/MHz.
-
-    Returns
-    -------
-    Shape (..., freq), ADC^2/Ohm/MHz.
-    """
-    behind_cable = (sky_power + n_lna) * antenna_gain * correction * cable_loss
-    return np.asarray((behind_cable + n_rcu) * receiver_gain * scale + n_adc)
 
 
 def calibration_factor(slope: Floats, antenna_gain: Floats) -> Floats:

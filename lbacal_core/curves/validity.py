@@ -9,7 +9,7 @@ interval of validity. Instants are whole microseconds since 1970 (UTC), so that 
 from __future__ import annotations
 
 import heapq
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 from lbacal_core.errors import BadInputError
@@ -102,21 +102,6 @@ class Stretch:
     def calibration(self) -> str | None:
         """The version that answers, if any."""
         return self.promotion.calibration if self.promotion else None
-
-
-def newest_covering(promotions: Iterable[Promotion], instant: Instant) -> Promotion | None:
-    """The promotion of one scope that decides at an instant."""
-    covering = (promotion for promotion in promotions if promotion.covers(instant))
-    return max(covering, key=lambda promotion: (promotion.at, promotion.number), default=None)
-
-
-def answer_path(promotions: Sequence[Promotion], path: Scope, instant: Instant) -> Promotion | None:
-    """The promotion that answers for a path at an instant: the narrowest scope with a version in effect."""
-    for scope in path.widening:
-        decisive = newest_covering((p for p in promotions if p.scope == scope), instant)
-        if decisive is not None and decisive.calibration is not None:
-            return decisive
-    return None
 
 
 def timeline(promotions: Iterable[Promotion], path: Scope) -> list[Stretch]:

@@ -30,10 +30,8 @@ from lbacal_core.discovery.station import SkyModes, Station, gather_stations, mo
 from lbacal_core.discovery.view import SMALLEST_SHARE
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
-from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.linear import invert_symmetric
-from lbacal_core.skypower.differences import compute_model_differences
-from lbacal_core.skypower.table import SkyPower
+from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.spectra.spectra import Spectra
 
 REFERENCE_C = 10.0
@@ -196,14 +194,14 @@ def at_reference(station: Station) -> Station:
     return replace(station, conditions=replace(station.conditions, reference_c=REFERENCE_C))
 
 
-def gather_adopted(spectra: Spectra, instrument: Instrument, sky_power: SkyPower, model: Model) -> list[Station]:
+def gather_adopted(spectra: Spectra, simulation: Simulation) -> list[Station]:
     """Lay out the spectra of the stations that have adopted causes, if a path of theirs has enough events for a fit."""
     found = []
-    for name in sorted({one.station for one in model.causes}):
+    for name in sorted({one.station for one in simulation.causes.causes}):
         rows = np.flatnonzero(spectra.station == name)
         paths = np.stack([spectra.antenna[rows], spectra.dipole[rows] == spectra.dipole[rows[:1]]])
         if rows.size and np.unique(paths, axis=1, return_counts=True)[1].max() >= MIN_EVENTS:
-            found += gather_stations(spectra.select(rows), instrument, sky_power)
+            found += gather_stations(spectra.select(rows), simulation)
     return found
 
 
@@ -349,13 +347,7 @@ class Promise:
 
 
 def measure_gains(
-    spectra: Spectra,
-    instrument: Instrument,
-    sky_power: SkyPower,
-    model: Model,
-    *,
-    is_own_sky: bool,
-    is_new: NDArray[np.bool_] | None = None,
+    spectra: Spectra, simulation: Simulation, is_new: NDArray[np.bool_] | None = None
 ) -> list[MeasuredGain]:
     """Measure what every adopted cause gains on new events, its size as it was adopted.
 
@@ -363,9 +355,8 @@ def measure_gains(
     ----------
     spectra
         A window of whole stations, with which the chain is fitted: old events and new ones.
-    is_own_sky
-        Whether `sky_power` is the package's own, so that the differences between sky and antenna models are profiled
-        out. A sky power from a file is taken as exact.
+    simulation
+        Where its sky is its own, the differences between sky and antenna models are profiled out.
     is_new
         Spectra whose events count, shape (row,); None for all.
     """
@@ -375,15 +366,15 @@ def measure_gains(
     }
     found: list[MeasuredGain] = []
     with threadpool_limits(1):
-        stations = gather_adopted(spectra, instrument, sky_power, model)
-        known = compute_model_differences(instrument) if is_own_sky and stations else None
+        stations = gather_adopted(spectra, simulation)
+        known = simulation.differences if stations else None
         for gathered in stations:
             station = leave_out_deaf(gathered)[0]
             modes = None if known is None else model_modes(station, known)
-            fitted = fit_adopted(station, model, modes, are_sizes_kept=True)
+            fitted = fit_adopted(station, simulation.causes, modes, are_sizes_kept=True)
             events = fitted.model.station.event_id.tolist()
             is_new = np.array([(station.name, event) in new for event in events], dtype=bool)
-            found += _gains_of(station, model, fitted, modes, is_new)
+            found += _gains_of(station, simulation.causes, fitted, modes, is_new)
     return sorted(found, key=lambda one: one.number)
 
 

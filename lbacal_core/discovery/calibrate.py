@@ -20,9 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from lbacal_core.calibration.chain_test import SkyFreedom
 from lbacal_core.calibration.fit import fit_calibration
-from lbacal_core.calibration.singles import FitSingles, fit_singles
 from lbacal_core.causes.model import Model
 from lbacal_core.chain.model import ChainTerms
 from lbacal_core.curves.covariance import compress_covariance
@@ -43,10 +41,8 @@ from lbacal_core.discovery.refit import power_ratio
 from lbacal_core.discovery.station import Station, model_modes
 from lbacal_core.drift.windows import set_apart
 from lbacal_core.grids import Floats
-from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.linear import root_of
-from lbacal_core.skypower.differences import compute_model_differences
-from lbacal_core.skypower.table import SkyPower
+from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.spectra.spectra import Spectra
 
 
@@ -108,10 +104,13 @@ class FittedCauses:
     """
 
     recorded: Spectra
-    instrument: Instrument
-    sky_power: SkyPower
-    model: Model
+    simulation: Simulation
     stations: Sequence[_OfStation]
+
+    @property
+    def model(self) -> Model:
+        """The adopted causes."""
+        return self.simulation.causes
 
     @property
     def sizes(self) -> list[FittedSize]:
@@ -151,9 +150,7 @@ class FittedCauses:
     def fit(
         self,
         scope: str,
-        freedom: SkyFreedom | None = None,
         without: Sequence[CalibrationCurve] = (),
-        singles: FitSingles = fit_singles,
     ) -> FitReport:
         """Calibrate with the model; parameters as in `fit_calibration`, which it is where no cause acts.
 
@@ -165,7 +162,7 @@ class FittedCauses:
             Where the model has one size, curves of these spectra without its cause, if they are at hand: what the error
             of the size does to C is then taken in proportion to what the size does, which saves a fit.
         """
-        report = fit_calibration(self.spectra, self.instrument, self.sky_power, scope, freedom, singles)
+        report = fit_calibration(self.spectra, self.simulation, scope)
         if self.model.is_plain:
             return report
         curves = list(report.curves)
@@ -173,11 +170,9 @@ class FittedCauses:
             if without:
                 changes: list[Sequence[CalibrationCurve]] = [_move_in_proportion(report.curves, without, one.sizes[0])]
             else:
+                plain = self.simulation.at_its_word()
                 changes = [
-                    fit_calibration(
-                        self._divide_out((number, k)), self.instrument, self.sky_power, scope, singles=singles
-                    ).curves
-                    for k in range(len(one.sizes))
+                    fit_calibration(self._divide_out((number, k)), plain, scope).curves for k in range(len(one.sizes))
                 ]
             if changes:
                 curves = self._add_errors(curves, list(report.curves), changes, one)
@@ -275,25 +270,16 @@ def promise_of_structure(gain: Mapping[str, Any]) -> Promise:
     return Promise(0.5 * share**2 * found, share * found**0.5)
 
 
-def fit_causes(
-    spectra: Spectra,
-    instrument: Instrument,
-    sky_power: SkyPower,
-    model: Model,
-    *,
-    is_own_sky: bool,
-    are_sizes_known: bool = False,
-) -> FittedCauses:
-    """Fit the sizes of the adopted causes of a model, each to all paths of its target in the spectra.
+def fit_causes(spectra: Spectra, simulation: Simulation, *, are_sizes_known: bool = False) -> FittedCauses:
+    """Fit the sizes of the causes of a simulation, each to all paths of its target in the spectra.
 
     Parameters
     ----------
     spectra
         All spectra of the stations in a window: `FittedCauses.select` takes some of them afterwards. An antenna whose
         hardware changed in it is fitted as several (`drift.windows.set_apart`).
-    is_own_sky
-        Whether `sky_power` is the package's own, so that the differences between sky and antenna models are profiled
-        out. A sky power from a file is taken as exact.
+    simulation
+        Where its sky is its own, the differences between sky and antenna models are profiled out.
     are_sizes_known
         Whether all sizes are those of the model, found in these same spectra, so that none is fitted again.
     """
@@ -301,20 +287,19 @@ def fit_causes(
     sizes: Sequence[FittedSize]
     # The products are small: threads of the linear algebra would wait for each other.
     with threadpool_limits(1):
-        apart, parts = set_apart(spectra, instrument)
-        stations = gather_adopted(apart, parts, sky_power, model)
-        is_free = is_own_sky and bool(stations) and not are_sizes_known
-        known = compute_model_differences(instrument) if is_free else None
+        apart, parts = set_apart(spectra, simulation.instrument)
+        stations = gather_adopted(apart, replace(simulation, instrument=parts, given=simulation.sky_power))
+        known = simulation.differences if stations and not are_sizes_known else None
         for station in stations:
             if are_sizes_known:
-                terms, sizes, covariance = take_adopted(station, model)
+                terms, sizes, covariance = take_adopted(station, simulation.causes)
             else:
                 modes = None if known is None else model_modes(station, known)
-                fitted = fit_adopted(leave_out_deaf(station)[0], model, modes)
+                fitted = fit_adopted(leave_out_deaf(station)[0], simulation.causes, modes)
                 terms, sizes, covariance = fitted.model.baseline.terms, fitted.sizes, fitted.covariance
             if sizes:
                 found.append(_OfStation(at_reference(station), terms, sizes, covariance, *_places(apart, station)))
-    return FittedCauses(spectra, instrument, sky_power, model, found)
+    return FittedCauses(spectra, simulation, found)
 
 
 def _places(spectra: Spectra, station: Station) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:

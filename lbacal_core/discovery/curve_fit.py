@@ -25,13 +25,12 @@ from lbacal_core.causes.axes import axes_of
 from lbacal_core.causes.catalogue import CAUSES, DESCRIPTIONS
 from lbacal_core.causes.cause import Cause, Conditions, SizeRange, Template
 from lbacal_core.causes.sky import sky_ratios
-from lbacal_core.chain.model import ChainTerms, Intercepts, noise_constants
+from lbacal_core.chain.model import ChainTerms, Intercepts
 from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.grids import Floats
-from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.linear import find_whitener, fit_least_squares, invert_symmetric
 from lbacal_core.lstcurve.curve import LARGEST_RATIO, LstCurve, NoisePrior, PointNoise
-from lbacal_core.skypower.table import SkyPower
+from lbacal_core.simulation.simulation import Simulation
 
 # What causes found in an LST curve do to C: the chain fitted to a station-year of data that contain them.
 #
@@ -160,7 +159,7 @@ class CurveStation:
         return terms
 
 
-def gather_curve(instrument: Instrument, sky_power: SkyPower, weights: Floats, prior: NoisePrior) -> CurveStation:
+def gather_curve(simulation: Simulation, weights: Floats, prior: NoisePrior) -> CurveStation:
     """Lay out the simulation of an LST curve.
 
     Parameters
@@ -168,11 +167,11 @@ def gather_curve(instrument: Instrument, sky_power: SkyPower, weights: Floats, p
     weights
         Weight of every channel in the band power, shape (freq,).
     """
-    sky = np.stack([sky_power.at(d, GRID_HOURS) for d in DIPOLES])
+    sky = np.stack([simulation.sky_power.at(d, GRID_HOURS) for d in DIPOLES])
     sky = np.maximum(sky, SMALLEST_SKY * sky.max(axis=(1, 2), keepdims=True))
     unknown = np.full(GRID_HOURS.size, np.nan)
     conditions = Conditions(
-        frequency_mhz=instrument.frequency_mhz,
+        frequency_mhz=simulation.instrument.frequency_mhz,
         time_unix=unknown,
         lst_hours=GRID_HOURS,
         utc_hours=unknown,
@@ -181,13 +180,13 @@ def gather_curve(instrument: Instrument, sky_power: SkyPower, weights: Floats, p
         dipoles=DIPOLES,
         cables=["all"] * len(DIPOLES),
         mean_sky=sky.mean(axis=1),
-        sky_of={d: sky_power.at(d, GRID_HOURS) for d in DIPOLES},
-        sky_at=lambda hours: np.stack([sky_power.at(d, hours) for d in DIPOLES]),
-        antenna_gain=instrument.antenna_gain,
-        receiver_gain=instrument.receiver_gain,
-        noise=noise_constants(instrument),
-        cable_log_loss=np.zeros((len(DIPOLES), instrument.frequency_mhz.size)),
-        sky_ratio={name: ratio.at(DIPOLES, GRID_HOURS) for name, ratio in sky_ratios(instrument).items()},
+        sky_of={d: simulation.sky_power.at(d, GRID_HOURS) for d in DIPOLES},
+        sky_at=lambda hours: np.stack([simulation.sky_power.at(d, hours) for d in DIPOLES]),
+        antenna_gain=simulation.instrument.antenna_gain,
+        receiver_gain=simulation.instrument.receiver_gain,
+        noise=simulation.noise,
+        cable_log_loss=np.zeros((len(DIPOLES), simulation.instrument.frequency_mhz.size)),
+        sky_ratio={name: ratio.at(DIPOLES, GRID_HOURS) for name, ratio in sky_ratios(simulation.instrument).items()},
         known_noise=prior.mean if prior.is_known else None,
     )
     level = float((sky @ weights).mean() / prior.stages.sum())

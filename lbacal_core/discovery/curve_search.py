@@ -28,8 +28,7 @@ from lbacal_core.discovery.growth import grow
 from lbacal_core.discovery.hypothesis import p_of, sigma_of
 from lbacal_core.discovery.policy import CURVE_POLICY, Policy
 from lbacal_core.discovery.report import BY_RATIO, CONSISTENT, EXPLAINED, UNEXPLAINED, tell_finding, tell_gain
-from lbacal_core.grids import Floats, require_same_grid
-from lbacal_core.instrument.instrument import Instrument
+from lbacal_core.grids import Floats
 from lbacal_core.lstcurve.curve import (
     AS_RECORDED,
     LstCurve,
@@ -40,8 +39,8 @@ from lbacal_core.lstcurve.curve import (
     noise_prior,
 )
 from lbacal_core.provenance import Provenance
+from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.skypower.differences import FULL_MAPS, model_difference_modes
-from lbacal_core.skypower.table import SkyPower
 
 
 @dataclass(frozen=True)
@@ -125,11 +124,9 @@ class CurveInvestigation:
 
 def investigate_curve(
     curve: LstCurve,
-    sky_power: SkyPower,
-    instrument: Instrument,
+    simulation: Simulation,
     band_mhz: tuple[float, float],
     *,
-    is_own_sky: bool,
     weights: str = AS_RECORDED,
     noise: PointNoise | None = None,
     prior: NoisePrior | None = None,
@@ -139,8 +136,8 @@ def investigate_curve(
 
     Parameters
     ----------
-    is_own_sky
-        Whether the spread of sky and antenna models counts as noise. A sky power from a file is taken as exact.
+    simulation
+        Where its sky is its own, the spread of sky and antenna models counts as noise.
     weights
         How channels weigh in the band: one of `lstcurve.compare.WEIGHTS`.
     noise
@@ -151,14 +148,13 @@ def investigate_curve(
         A kind of cause that is left out: a finding of that kind must fit better than all others.
     """
     policy = CURVE_POLICY
-    require_same_grid(sky_power.origin, sky_power.frequency_mhz, instrument.frequency_mhz, instrument.name)
-    of_channels = band_weights(instrument, weights, band_mhz)
-    modes = model_difference_modes(instrument, GRID_HOURS, FULL_MAPS)
+    of_channels = band_weights(simulation.instrument, weights, band_mhz)
+    modes = model_difference_modes(simulation.instrument, GRID_HOURS, FULL_MAPS)
     with threadpool_limits(1):  # the arrays are small: threads cost ten times what they gain
         station = gather_curve(
-            instrument, sky_power, of_channels, prior or noise_prior(instrument, band_mhz, of_channels)
+            simulation, of_channels, prior or noise_prior(simulation.instrument, band_mhz, of_channels)
         )
-        fitter = CurveFitter(curve, station, noise or estimate_noise(curve), modes if is_own_sky else None)
+        fitter = CurveFitter(curve, station, noise or estimate_noise(curve), modes if simulation.is_own_sky else None)
         choices = list_choices(station)
         search = _Search(fitter, [choice for choice in choices if without not in choice.kinds], policy)
         first = fitter.fit([])

@@ -62,11 +62,6 @@ class Policy:
         """Probability of a false alarm of the comparison of antennas, and as much of that of cable names."""
         return self.antenna_alpha / 2
 
-    @property
-    def false_alarm_rate(self) -> float:
-        """Probability of anything but `consistent` where nothing is hidden."""
-        return self.catalogue_alpha + self.antenna_alpha + self.structure_alpha
-
     def as_dict(self) -> dict[str, Any]:
         """The thresholds by name, for the provenance of a report."""
         return asdict(self)

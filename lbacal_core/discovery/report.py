@@ -12,7 +12,6 @@ from threadpoolctl import threadpool_limits
 
 from lbacal_core.causes.axes import describe_term
 from lbacal_core.causes.cause import Description
-from lbacal_core.causes.model import PLAIN, Model
 from lbacal_core.discovery.adopted import describe_size
 from lbacal_core.discovery.antennas import AntennaScore
 from lbacal_core.discovery.findings import Finding
@@ -23,10 +22,8 @@ from lbacal_core.discovery.scan import Score
 from lbacal_core.discovery.search import StationReport, search_station
 from lbacal_core.discovery.station import gather_stations, model_modes
 from lbacal_core.grids import Floats, require_same_grid
-from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.provenance import Provenance
-from lbacal_core.skypower.differences import DifferenceModels, compute_model_differences
-from lbacal_core.skypower.table import SkyPower
+from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.spectra.spectra import Spectra
 
 VERDICTS = CONSISTENT, EXPLAINED, UNEXPLAINED = "consistent", "explained", "unexplained"
@@ -348,43 +345,34 @@ def plain_parameters(parameters: Mapping[str, Any]) -> dict[str, Any]:
 
 def investigate(
     spectra: Spectra,
-    instrument: Instrument,
-    sky_power: SkyPower,
+    simulation: Simulation,
     *,
-    is_own_sky: bool = False,
-    models: DifferenceModels | None = None,
     seed: int = 0,
     progress: Callable[[str], None] = lambda _: None,
-    model: Model = PLAIN,
 ) -> tuple[dict[str, Any], list[StationReport]]:
     """Find what the simulation gets wrong in the spectra of every station.
 
     Parameters
     ----------
-    is_own_sky
-        Whether `sky_power` is the package's own, so that the differences between sky and antenna models are profiled
-        out. A sky power from a file is taken as exact.
-    models
-        Names of the models whose differences these are; all that ship unless given.
+    simulation
+        Where its sky is its own, the differences between sky and antenna models are profiled out. Its causes belong to
+        the baseline, with sizes fitted again: what is looked for is what they leave.
     seed
         Seed of the simulated trials factors.
     progress
         Called with a sentence before each step.
-    model
-        Its adopted causes belong to the baseline, with sizes fitted again: what is looked for is what they leave.
 
     Returns
     -------
     The report as JSON values, and the values of each station from which it was made.
     """
-    name = f"instrument {instrument.name}"
-    require_same_grid(spectra.origin, spectra.frequency_mhz, instrument.frequency_mhz, name)
-    require_same_grid(sky_power.origin, sky_power.frequency_mhz, instrument.frequency_mhz, name)
+    name = f"instrument {simulation.instrument.name}"
+    require_same_grid(spectra.origin, spectra.frequency_mhz, simulation.instrument.frequency_mhz, name)
     policy = Policy()
-    known = compute_model_differences(instrument, models) if is_own_sky else None
+    known, model = simulation.differences, simulation.causes
     # The products are small: threads of the linear algebra would wait for each other.
     with threadpool_limits(1):
-        stations = gather_stations(spectra, instrument, sky_power)
+        stations = gather_stations(spectra, simulation)
         reports = [
             search_station(
                 station,
@@ -398,8 +386,12 @@ def investigate(
             for station in stations
         ]
     provenance = Provenance(
-        inputs={"spectra": spectra.digest(), "instrument": instrument.digest(), "sky_power": sky_power.digest()},
-        settings={"policy": policy.as_dict(), "seed": seed, "own_sky": is_own_sky},
+        inputs={
+            "spectra": spectra.digest(),
+            "instrument": simulation.instrument.digest(),
+            "sky_power": simulation.sky_power.digest(),
+        },
+        settings={"policy": policy.as_dict(), "seed": seed, "own_sky": simulation.is_own_sky},
     )
     if model.is_plain:
         return describe(reports, provenance), reports

@@ -12,11 +12,10 @@ from lbacal_core.calibration.paths import Cables, require_one_cable_each
 from lbacal_core.calibration.singles import MIN_EVENTS
 from lbacal_core.causes.cause import Conditions
 from lbacal_core.causes.sky import SkyRatio, sky_ratios
-from lbacal_core.chain.model import noise_constants
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
-from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.instrument.sidereal import local_sidereal_time, sun_position
+from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.skypower.differences import ModelDifferences, Waves, waves_at
 from lbacal_core.skypower.sources import response_towards
 from lbacal_core.skypower.table import SkyPower
@@ -76,7 +75,7 @@ class Station:
         return replace(self, relative_variance=np.where(is_known, self.relative_variance, np.inf))
 
 
-def gather_stations(spectra: Spectra, instrument: Instrument, sky_power: SkyPower) -> list[Station]:
+def gather_stations(spectra: Spectra, simulation: Simulation) -> list[Station]:
     """Lay out the spectra of each station.
 
     Raises
@@ -84,25 +83,26 @@ def gather_stations(spectra: Spectra, instrument: Instrument, sky_power: SkyPowe
     BadInputError
         Where a station has too few events, or where an antenna changes its cable within the data.
     """
-    cable_of = require_one_cable_each(spectra, instrument)
+    cable_of = require_one_cable_each(spectra, simulation.instrument)
     blocks = split_into_blocks(spectra)
-    ratios = sky_ratios(instrument)
+    ratios = sky_ratios(simulation.instrument)
     typical = float(np.median(spectra.blocks))
 
     def gather(name: str) -> Station:
-        own = instrument.at_station(name)
-        of_place = ratios if own.latitude_deg == instrument.latitude_deg else sky_ratios(own)
+        own = simulation.at_station(name)
+        of_place = (
+            ratios if own.instrument.latitude_deg == simulation.instrument.latitude_deg else sky_ratios(own.instrument)
+        )
         of_station = [block for block in blocks if block.station == name]
-        return _gather(of_station, own, cable_of, sky_power.of_station(name), typical, of_place)
+        return _gather(of_station, own, cable_of, typical, of_place)
 
     return [gather(str(name)) for name in np.unique(spectra.station)]
 
 
 def _gather(
     blocks: Sequence[SpectraBlock],
-    instrument: Instrument,
+    simulation: Simulation,
     cable_of: Cables,
-    sky_power: SkyPower,
     typical_blocks: float,
     ratios: Mapping[str, SkyRatio],
 ) -> Station:
@@ -114,7 +114,7 @@ def _gather(
     time_unix = np.array([times[event] for event in events.tolist()])
     place = {event: k for k, event in enumerate(events.tolist())}
     paths = sum(block.antennas.size for block in blocks)
-    power = np.ones((paths, events.size, instrument.frequency_mhz.size))
+    power = np.ones((paths, events.size, simulation.instrument.frequency_mhz.size))
     variance = np.full((paths, events.size), np.inf)
     antenna, dipole, cable = [], [], []
     row = 0
@@ -139,8 +139,8 @@ def _gather(
     labels = [(dipole[k], cable[k]) for k in kept]
     classes = sorted(set(labels))
     span = float(time_unix.min()), float(time_unix.max())
-    groups = {number: instrument.group_between(name, number, *span) or "" for number in set(antenna)}
-    conditions = _conditions(classes, instrument, sky_power, time_unix, covariates, ratios)
+    groups = {number: simulation.instrument.group_between(name, number, *span) or "" for number in set(antenna)}
+    conditions = _conditions(classes, simulation, time_unix, covariates, ratios)
     return Station(
         name=name,
         antenna=np.array(antenna)[kept],
@@ -150,21 +150,20 @@ def _gather(
         power=power[kept],
         relative_variance=variance[kept],
         event_id=events,
-        sky=np.stack([sky_power.at(letter, conditions.lst_hours) for letter, _ in classes]),
+        sky=np.stack([simulation.sky_power.at(letter, conditions.lst_hours) for letter, _ in classes]),
         conditions=conditions,
     )
 
 
 def _conditions(
     classes: Sequence[tuple[str, str]],
-    instrument: Instrument,
-    sky_power: SkyPower,
+    simulation: Simulation,
     time_unix: Floats,
     covariates: Mapping[str, Floats],
     ratios: Mapping[str, SkyRatio],
 ) -> Conditions:
-    lst = local_sidereal_time(time_unix, instrument.longitude_deg)
-    altitude, azimuth = sun_position(time_unix, instrument.latitude_deg, instrument.longitude_deg)
+    lst = local_sidereal_time(time_unix, simulation.instrument.longitude_deg)
+    altitude, azimuth = sun_position(time_unix, simulation.instrument.latitude_deg, simulation.instrument.longitude_deg)
     letters = [letter for letter, _ in classes]
 
     def at(table: SkyPower, hours: Floats) -> Floats:
@@ -173,11 +172,12 @@ def _conditions(
     sun_response = None
     if ratios:
         towards = {
-            letter: response_towards(instrument, letter, np.pi / 2 - altitude, azimuth) for letter in set(letters)
+            letter: response_towards(simulation.instrument, letter, np.pi / 2 - altitude, azimuth)
+            for letter in set(letters)
         }
         sun_response = np.stack([towards[letter] for letter in letters])
     return Conditions(
-        frequency_mhz=instrument.frequency_mhz,
+        frequency_mhz=simulation.instrument.frequency_mhz,
         time_unix=time_unix,
         lst_hours=lst,
         utc_hours=(time_unix / 3600.0) % 24.0,
@@ -185,13 +185,13 @@ def _conditions(
         sun_azimuth=azimuth,
         dipoles=letters,
         cables=[cable for _, cable in classes],
-        mean_sky=np.stack([sky_power.power[letter].mean(axis=0) for letter in letters]),
-        sky_of={letter: sky_power.at(letter, lst) for letter in instrument.dipoles},
-        sky_at=lambda hours: at(sky_power, hours),
-        antenna_gain=instrument.antenna_gain,
-        receiver_gain=instrument.receiver_gain,
-        noise=noise_constants(instrument),
-        cable_log_loss=np.stack([np.log(instrument.cables[cable]) for _, cable in classes]),
+        mean_sky=np.stack([simulation.sky_power.power[letter].mean(axis=0) for letter in letters]),
+        sky_of={letter: simulation.sky_power.at(letter, lst) for letter in simulation.instrument.dipoles},
+        sky_at=lambda hours: at(simulation.sky_power, hours),
+        antenna_gain=simulation.instrument.antenna_gain,
+        receiver_gain=simulation.instrument.receiver_gain,
+        noise=simulation.noise,
+        cable_log_loss=np.stack([np.log(simulation.instrument.cables[cable]) for _, cable in classes]),
         covariates=covariates,
         sky_ratio={name: ratio.at(letters, lst) for name, ratio in ratios.items()},
         sun_response=sun_response,

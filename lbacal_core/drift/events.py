@@ -13,7 +13,7 @@ taken less their weighted mean so that they leave the gain alone.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,13 +21,10 @@ from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
 from lbacal_core.calibration.continued import NEARER
-from lbacal_core.chain.model import noise_constants
 from lbacal_core.curves.curves import CalibrationCurve
 from lbacal_core.grids import Floats
-from lbacal_core.instrument.instrument import Instrument
-from lbacal_core.instrument.sidereal import local_sidereal_time
 from lbacal_core.linear import solve_symmetric
-from lbacal_core.skypower.table import SkyPower
+from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.spectra.blocks import SpectraBlock
 from lbacal_core.spectra.screening import (
     CUT_SIGMA,
@@ -71,7 +68,7 @@ def frequency_modes(frequency_mhz: Floats) -> Floats:
 
 
 def measure_event_modes(
-    block: SpectraBlock, references: Mapping[int, CalibrationCurve], instrument: Instrument, sky_power: SkyPower
+    block: SpectraBlock, references: Mapping[int, CalibrationCurve], simulation: Simulation
 ) -> EventModes:
     """Measure every event against converged reference curves, by antenna number."""
     rows = np.flatnonzero(np.isin(block.antennas, [a for a, curve in references.items() if curve.c is not None]))
@@ -81,7 +78,8 @@ def measure_event_modes(
         empty = np.empty((0, block.time_unix.size, len(MODES)))
         return EventModes(block.antennas[rows], block.time_unix, empty, np.empty((0, 2)))
     has_value = np.array([curve.has_value for curve in curves])
-    signal, behind = _predict(block, curves, instrument, sky_power)
+    sky = simulation.sky_at(block.station, block.dipole, block.time_unix)
+    signal, behind = simulation.split_power(curves, sky)
     weight = (signal / (signal + behind)) ** 2 * has_value[:, None, :]
     ratio = (block.power[rows] - behind) / signal
     total = weight.sum(axis=2)
@@ -99,8 +97,7 @@ def measure_event_modes(
 def predict_power(
     block: SpectraBlock,
     references: Mapping[int, CalibrationCurve],
-    instrument: Instrument,
-    sky_power: SkyPower,
+    simulation: Simulation,
     antennas: NDArray[np.int64],
     ln_gain: Floats,
 ) -> Floats:
@@ -108,22 +105,9 @@ def predict_power(
     curves = [references[int(antenna)] for antenna in antennas]
     if not curves:
         return np.empty((0, block.time_unix.size, block.frequency_mhz.size))
-    signal, behind = _predict(block, curves, instrument, sky_power)
+    sky = simulation.sky_at(block.station, block.dipole, block.time_unix)
+    signal, behind = simulation.split_power(curves, sky)
     return np.asarray(np.exp(ln_gain)[:, None, None] * signal + behind)
-
-
-def _predict(
-    block: SpectraBlock, curves: Sequence[CalibrationCurve], instrument: Instrument, sky_power: SkyPower
-) -> tuple[Floats, Floats]:
-    """S of the curves in the events of a block, shape (curve, event, freq), and B, shape (curve, 1, freq)."""
-    c = np.array([curve.filled(np.asarray(curve.c)) for curve in curves])
-    noise = noise_constants(instrument)
-    level = np.array([[curve.parameters[name].value for name in noise.names] for curve in curves])
-    front, behind = len(noise.front), (level[:, len(noise.front) :] @ noise.behind)[:, None, :]
-    lst_hours = local_sidereal_time(block.time_unix, instrument.at_station(block.station).longitude_deg)
-    sky = sky_power.of_station(block.station).at(block.dipole, lst_hours)
-    signal = (sky + noise.before(level[:, :front])[:, None, :]) * (instrument.antenna_gain / c**2)[:, None, :]
-    return signal, behind
 
 
 def _fit_modes(ratio: Floats, weight: Floats, modes: Floats) -> Floats:
@@ -218,8 +202,7 @@ def add_events(
     kept: EventModes,
     new: SpectraBlock,
     references: Mapping[int, CalibrationCurve],
-    instrument: Instrument,
-    sky_power: SkyPower,
+    simulation: Simulation,
 ) -> EventModes | None:
     """Events of one polarisation of a station, and some more; None where the whole year is to be read.
 
@@ -229,7 +212,7 @@ def add_events(
         Those that were measured.
     """
     antennas, time_unix, ln_c = kept.antennas, kept.time_unix, kept.ln_c
-    found = measure_event_modes(new, references, instrument, sky_power)
+    found = measure_event_modes(new, references, simulation)
     at = np.searchsorted(antennas, found.antennas)
     if found.antennas.size == 0 or at.max() >= antennas.size or np.any(antennas[at] != found.antennas):
         return None
@@ -240,9 +223,7 @@ def add_events(
         return None
     judged = before >= FEWEST_EVENTS
     ln_gain = -2.0 * old[judged, :, 0]
-    expected = predict_power(
-        new, references, instrument, sky_power, found.antennas[judged], np.nanmedian(ln_gain, axis=1)
-    )
+    expected = predict_power(new, references, simulation, found.antennas[judged], np.nanmedian(ln_gain, axis=1))
     departure = np.log(new.power[rows][judged] / expected)
     departure[~new.is_present[rows][judged]] = 0.0
     centred = ln_gain - np.nanmedian(ln_gain, axis=1, keepdims=True)

@@ -17,7 +17,7 @@ from lbacal_core.curves.covariance import CurveCovariance, compress_covariance
 from lbacal_core.curves.curves import CONVERGED, CalibrationCurve
 from lbacal_core.drift.events import measure_event_modes
 from lbacal_core.instrument.instrument import Instrument
-from lbacal_core.skypower.table import SkyPower
+from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.spectra.blocks import SpectraBlock
 from lbacal_core.spectra.screening import screen_block
 from lbacal_core.spectra.spectra import Spectra
@@ -188,8 +188,7 @@ class Borrowed:
 def borrow_curve(
     neighbour: CalibrationCurve,
     block: SpectraBlock,
-    instrument: Instrument,
-    sky_power: SkyPower,
+    simulation: Simulation,
     cables: tuple[str, str],
 ) -> Borrowed | None:
     """Make the curve of a path from that of its neighbour window; None where it has too few events for one gain.
@@ -205,10 +204,10 @@ def borrow_curve(
     """
     if neighbour.c is None or neighbour.antenna is None or neighbour.c_sigma_stat is None:
         raise ValueError(f"{neighbour.name} has no values to borrow")
-    before, now = (instrument.cables[name] for name in cables)
+    before, now = (simulation.instrument.cables[name] for name in cables)
     through = neighbour.c * np.sqrt(before / now)
-    block = screen_block(block, instrument.at_station(block.station).longitude_deg).block
-    modes = measure_event_modes(block, {neighbour.antenna: replace(neighbour, c=through)}, instrument, sky_power)
+    block = screen_block(block, simulation.instrument.at_station(block.station).longitude_deg).block
+    modes = measure_event_modes(block, {neighbour.antenna: replace(neighbour, c=through)}, simulation)
     known = modes.ln_c[0, :, 0][np.isfinite(modes.ln_c[0, :, 0])]
     if known.size < FEWEST_EVENTS:
         return None

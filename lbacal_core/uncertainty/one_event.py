@@ -11,12 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lbacal_core.calibration.antenna_noise import predict_power
 from lbacal_core.curves.curves import OK, CalibrationCurve, FitReport
 from lbacal_core.grids import Floats
-from lbacal_core.instrument.instrument import Instrument
-from lbacal_core.instrument.sidereal import local_sidereal_time
-from lbacal_core.skypower.table import SkyPower
+from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.spectra.blocks import SpectraBlock, iterate_blocks
 from lbacal_core.spectra.spectra import Spectra
 
@@ -26,7 +23,7 @@ LST_BINS = 48
 
 
 def compare_paths(
-    block: SpectraBlock, curves: Iterable[CalibrationCurve], instrument: Instrument, sky_power: SkyPower
+    block: SpectraBlock, curves: Iterable[CalibrationCurve], simulation: Simulation
 ) -> Iterator[tuple[int, CalibrationCurve, Floats]]:
     """Measured over predicted power of every path of a block that a curve answers for.
 
@@ -35,19 +32,16 @@ def compare_paths(
     The row of the path in the block, its curve, and the ratio, shape (event that the path has, freq).
     """
     known = {(curve.station, curve.antenna, curve.dipole): curve for curve in curves if curve.c is not None}
-    lst_hours = local_sidereal_time(block.time_unix, instrument.at_station(block.station).longitude_deg)
-    sky = sky_power.of_station(block.station).at(block.dipole, lst_hours)
+    sky = simulation.sky_at(block.station, block.dipole, block.time_unix)
     for row, antenna in enumerate(block.antennas.tolist()):
         owners = ((block.station, antenna), (block.station, None), (None, None))
         curve = next((known[(*owner, block.dipole)] for owner in owners if (*owner, block.dipole) in known), None)
         is_present = block.is_present[row]
         if curve is not None and np.any(is_present):
-            yield row, curve, block.power[row, is_present] / predict_power(curve, instrument, sky[is_present])
+            yield row, curve, block.power[row, is_present] / simulation.power(curve, sky[is_present])
 
 
-def map_departures(
-    block: SpectraBlock, curves: Iterable[CalibrationCurve], instrument: Instrument, sky_power: SkyPower
-) -> Floats:
+def map_departures(block: SpectraBlock, curves: Iterable[CalibrationCurve], simulation: Simulation) -> Floats:
     """Measured over predicted power minus 1, the mean over a station's antennas and the events of each LST bin.
 
     A path without a curve of its own counts less its mean departure in each channel, which is its own gain.
@@ -56,11 +50,11 @@ def map_departures(
     -------
     Shape (LST_BINS, freq); NaN in a bin without events.
     """
-    lst_hours = local_sidereal_time(block.time_unix, instrument.at_station(block.station).longitude_deg)
+    lst_hours = simulation.sidereal_time(block.station, block.time_unix)
     bins = np.minimum((lst_hours / 24.0 * LST_BINS).astype(int), LST_BINS - 1)
     total = np.zeros((LST_BINS, block.frequency_mhz.size))
     count = np.zeros((LST_BINS, 1))
-    for row, curve, ratio in compare_paths(block, curves, instrument, sky_power):
+    for row, curve, ratio in compare_paths(block, curves, simulation):
         own = ratio if curve.antenna is not None else ratio / ratio.mean(axis=0)
         at = bins[block.is_present[row]]
         np.add.at(total, at, own - 1.0)
@@ -104,7 +98,7 @@ class ErrorOfC:
         return float(np.linalg.norm([self.of_mean, self.antenna, self.event]))
 
 
-def measure_error(report: FitReport, spectra: Spectra, instrument: Instrument, sky_power: SkyPower) -> ErrorOfC | None:
+def measure_error(report: FitReport, spectra: Spectra, simulation: Simulation) -> ErrorOfC | None:
     """The error of C for the mean and for one event on one antenna; None where no curve has values."""
     fitted = [curve for curve in report.curves if curve.c is not None and np.any(curve.flags == OK)]
     if not fitted:
@@ -124,7 +118,7 @@ def measure_error(report: FitReport, spectra: Spectra, instrument: Instrument, s
         for curve, chain in zip(report.curves, report.chains, strict=True)
         if curve.c is not None and curve.antenna is None
     ]
-    gains = list(measure_event_gains(fitted, spectra, instrument, sky_power).values())
+    gains = list(measure_event_gains(fitted, spectra, simulation).values())
     typical = {name: float(np.median(np.concatenate(values))) if values else 0.0 for name, values in relative.items()}
     return ErrorOfC(
         statistical=typical["c_sigma_stat"],
@@ -135,7 +129,7 @@ def measure_error(report: FitReport, spectra: Spectra, instrument: Instrument, s
 
 
 def measure_event_gains(
-    curves: Iterable[CalibrationCurve], spectra: Spectra, instrument: Instrument, sky_power: SkyPower
+    curves: Iterable[CalibrationCurve], spectra: Spectra, simulation: Simulation
 ) -> dict[tuple[str, int, str], float]:
     """Standard deviation of ln of the recorded power of each path from event to event, without radiometer noise.
 
@@ -145,7 +139,7 @@ def measure_event_gains(
     fitted = list(curves)
     found = {}
     for block in iterate_blocks(spectra):
-        for row, curve, ratio in compare_paths(block, fitted, instrument, sky_power):
+        for row, curve, ratio in compare_paths(block, fitted, simulation):
             good = curve.flags == OK
             if ratio.shape[0] >= FEWEST_EVENTS and np.any(good):
                 name = (block.station, int(block.antennas[row]), block.dipole)

@@ -16,73 +16,25 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 from threadpoolctl import threadpool_limits
 
-from lbacal_core.calibration.chain_test import SkyFreedom, compare_predictions
+from lbacal_core.calibration.chain_test import compare_predictions
 from lbacal_core.calibration.channels import LARGEST_GOOD_ERROR, solve_without_interference
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.calibration.lines import ChainForms, Lines, fit_lines
 from lbacal_core.calibration.paths import MIN_LST_BINS, Paths, paths_of_scope, require_one_cable_each
 from lbacal_core.calibration.separable import SeparableSolution
-from lbacal_core.calibration.singles import FitSingles, chain_forms, fit_singles
-from lbacal_core.chain.model import Intercepts, noise_constants
+from lbacal_core.calibration.singles import chain_forms
+from lbacal_core.chain.model import Intercepts
 from lbacal_core.curves.covariance import Budget, BudgetTerm
 from lbacal_core.curves.curves import OK, UNCERTAIN, CalibrationCurve, FitReport
 from lbacal_core.curves.reference_chain import ReferenceChain
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
-from lbacal_core.skypower.model import compute_sky_power, vary_sky_power
-from lbacal_core.skypower.sky_terms import PAPER, SKY_BUDGETS, SkyTerm, sky_terms
-from lbacal_core.skypower.table import SkyPower, read_at
+from lbacal_core.simulation.prior import DEFAULT_SKY_BUDGET, PAPER_BUDGET, SkyPrior
+from lbacal_core.simulation.simulation import Simulation
+from lbacal_core.skypower.sky_terms import SkyTerm
+from lbacal_core.skypower.table import read_at
 from lbacal_core.spectra.spectra import Spectra
-
-# What may be wrong with sky, pattern and ground: changes of P_sky, one standard deviation each.
-
-DEFAULT_SKY_BUDGET = "models"
-PAPER_BUDGET = "paper"
-PATTERN = "antenna pattern"
-ZENITH_GAIN = 0.10
-"""Change of the pattern's gain at zenith with its total fixed (section 4.2 of the paper)."""
-GROUND = {30.0: 0.004, 55.0: 0.017, 80.0: 0.041}
-"""Power from the ground over that of the sky by frequency, MHz: 75 K, a quarter of 300 K."""
-
-
-def list_changes(instrument: Instrument, sky_budget: str = DEFAULT_SKY_BUDGET) -> list[SkyTerm]:
-    """How far sky, pattern and ground may be from what C is made with; terms alike up to a bracket are one.
-
-    Where no sky or antenna model reaches the instrument's channels, the level of the sky alone.
-    """
-    if sky_budget not in SKY_BUDGETS:
-        raise BadInputError("sky budget", ", ".join(SKY_BUDGETS), repr(sky_budget))
-    try:
-        changes = [*sky_terms(instrument, sky_budget, instrument.sky or "gsm"), _pattern(instrument)]
-        return changes if sky_budget == PAPER_BUDGET else [*changes, _ground(instrument)]
-    except BadInputError:
-        return [_level(instrument)]
-
-
-def _level(instrument: Instrument) -> SkyTerm:
-    """The error of the level that the paper gives."""
-    hours = np.arange(24.0)
-    size = np.full((hours.size, instrument.frequency_mhz.size), np.sqrt(sum(one**2 for one in PAPER.values())))
-    change = dict.fromkeys(instrument.dipole_azimuth_deg, size)
-    return SkyTerm("level of the sky", "Mulrey et al. 2019: no model reaches these channels", hours, change)
-
-
-def _pattern(instrument: Instrument) -> SkyTerm:
-    """The antenna pattern, wider or narrower."""
-    own, wider = (vary_sky_power(instrument, zenith_gain_fraction=size) for size in (0.0, ZENITH_GAIN))
-    change = {dipole: np.log(wider.power[dipole] / power) for dipole, power in own.power.items()}
-    source = "gain at zenith +-10 % with the total fixed (Mulrey et al. 2019, section 4.2)"
-    return SkyTerm(PATTERN, source, own.lst_hours, change)
-
-
-def _ground(instrument: Instrument) -> SkyTerm:
-    """Power that the antenna receives from the ground, the same at all LST."""
-    own = compute_sky_power(instrument)
-    share = np.interp(instrument.frequency_mhz, list(GROUND), list(GROUND.values()))
-    change = {dipole: np.log1p(share * power.mean(axis=0) / power) for dipole, power in own.power.items()}
-    return SkyTerm("ground and losses", "75 K of 300 K through the ground", own.lst_hours, change)
-
 
 INTERFERENCE = 0.002
 """Interference left after narrow lines are removed, fraction of the mean power."""
@@ -140,7 +92,7 @@ class _Refit:
         log_c = _log_c(solution.x).reshape(len(changed), 2, -1)
         return np.asarray((log_c[:, 0] - log_c[:, 1]) / 2.0)
 
-    def try_antennas(self, freedom: SkyFreedom) -> tuple[Floats, Floats]:
+    def try_antennas(self, prior: SkyPrior) -> tuple[Floats, Floats]:
         """Other antennas fitted to the same data.
 
         Returns
@@ -149,7 +101,7 @@ class _Refit:
         change of ln C, shape (antenna, freq).
         """
         paths, dipole = self.paths, self.paths.owners[0][2]
-        others = [self.sky * np.exp(read_at(one.change[dipole], paths.lst_hours)) for one in freedom.antennas]
+        others = [self.sky * np.exp(read_at(one.change[dipole], paths.lst_hours)) for one in prior.antennas]
         lines = [self._fit_lines(paths.power, sky) for sky in (*others, self.sky)]
         solution, is_free = self._solve(lines)
         predictions, own = [], slice(-1, None)
@@ -159,7 +111,7 @@ class _Refit:
             predictions.append(slope * sky + intercept)
         gain = compare_predictions(
             paths.power, self.sky, paths.relative_variance, paths.lst_hours, lines[-1], solution.n[own],
-            solution.x[own], self.terms, is_free[own], freedom, dipole, np.array(predictions),
+            solution.x[own], self.terms, is_free[own], prior, dipole, np.array(predictions),
         )  # fmt: skip
         return np.nan_to_num(gain, nan=-np.inf), _log_c(solution.x[:-1]) - self.log_c
 
@@ -172,12 +124,8 @@ class _Refit:
 
 def compute_budget(
     spectra: Spectra,
-    instrument: Instrument,
-    sky_power: SkyPower,
+    simulation: Simulation,
     sky_budget: str = DEFAULT_SKY_BUDGET,
-    changes: Sequence[SkyTerm] | None = None,
-    freedom: SkyFreedom | None = None,
-    singles: FitSingles = fit_singles,
 ) -> Budget:
     """The systematic terms of C that all curves of these data share.
 
@@ -185,21 +133,19 @@ def compute_budget(
     ----------
     sky_budget
         Where the error of the sky is taken from: a name of `SKY_BUDGETS`.
-    changes
-        What `list_changes` gives for the instrument and this name, if it is at hand: it takes longer than the refits.
-    freedom
-        That of the package's own sky: whether the antenna may be another is then asked of the data. None where sky and
-        antenna are taken at their word.
     """
-    cables = require_one_cable_each(spectra, instrument)
-    noise, forms = noise_constants(instrument), chain_forms(instrument)
+    cables = require_one_cable_each(spectra, simulation.instrument)
+    noise, forms = simulation.noise, chain_forms(simulation.instrument)
     # threads of BLAS cost more than they give for matrices as small as these
     with threadpool_limits(1), ThreadPoolExecutor(os.cpu_count()) as pool:
-        changes = list_changes(instrument, sky_budget) if changes is None else changes
-        means = pool.map(lambda read: read(), paths_of_scope(spectra, instrument, sky_power, "array", cables, singles))
+        changes, prior = simulation.changes(sky_budget), simulation.prior
+        means = pool.map(lambda read: read(), paths_of_scope(spectra, simulation, "array", cables))
         refits = {
-            paths.owners[0][2]: _Refit.of(paths, sky_power.at(paths.owners[0][2], paths.lst_hours), noise, forms)
+            paths.owners[0][2]: _Refit.of(
+                paths, simulation.sky_power.at(paths.owners[0][2], paths.lst_hours), noise, forms
+            )
             for paths in means
+            for letter in [paths.owners[0][2]]
             if paths.members and paths.count_lst_bins()[0] >= MIN_LST_BINS  # else no curve has values
         }
         found = {
@@ -214,31 +160,31 @@ def compute_budget(
         if sky_budget != PAPER_BUDGET:
             left = {p: _finite(refit.add_power(INTERFERENCE))[None] for p, refit in refits.items()}
             terms.append(BudgetTerm("interference left", "0.2 % of the mean power", left))
-            terms += _gain_terms(instrument, list(refits))
+            terms += _gain_terms(simulation.instrument, list(refits))
         unsure: Mapping[str, NDArray[np.bool_]] = {}
-        if freedom is not None and freedom.antennas and refits:
-            of_antennas, unsure = _doubt_antenna(refits, freedom)
+        if prior is not None and prior.antennas and refits:
+            of_antennas, unsure = _doubt_antenna(refits, prior)
             terms += of_antennas
-        return Budget(instrument.frequency_mhz, tuple(_gather(terms)), unsure)
+        return Budget(simulation.instrument.frequency_mhz, tuple(_gather(terms)), unsure)
 
 
 def _doubt_antenna(
-    refits: Mapping[str, _Refit], freedom: SkyFreedom
+    refits: Mapping[str, _Refit], prior: SkyPrior
 ) -> tuple[list[BudgetTerm], dict[str, NDArray[np.bool_]]]:
     """What C would be with other antennas, each by the root of the probability that it is that one.
 
     And the channels that one which the data do not exclude moves by more than C of a good channel may be off.
     """
-    tried = {p: refit.try_antennas(freedom) for p, refit in refits.items()}
+    tried = {p: refit.try_antennas(prior) for p, refit in refits.items()}
     gain = np.sum([one for one, _ in tried.values()], axis=0)
-    log_odds = gain + np.log([one.share for one in freedom.antennas]) - RARE_MISTAKE
+    log_odds = gain + np.log([one.share for one in prior.antennas]) - RARE_MISTAKE
     probability = np.exp(log_odds - np.logaddexp(0.0, logsumexp(log_odds)))
     changes = {p: np.array([_finite(one) for one in found]) for p, (_, found) in tried.items()}
     unsure = {p: np.any(np.abs(one[gain > -EXCLUDED]) > LARGEST_GOOD_ERROR, axis=0) for p, one in changes.items()}
     vectors = {p: np.sqrt(probability)[:, None] * one for p, one in changes.items()}
     if max(float(np.max(np.sum(one**2, axis=0))) for one in vectors.values()) < SMALLEST_DOUBT**2:
         return [], unsure
-    likely = freedom.antennas[int(np.argmax(probability))].name
+    likely = prior.antennas[int(np.argmax(probability))].name
     source = f"probability {probability.sum():.1g} by these data, most likely {likely}"
     return [BudgetTerm(OTHER_ANTENNA, source, vectors)], unsure
 
@@ -337,13 +283,13 @@ def _finite(vector: Floats) -> Floats:
     return np.asarray(np.interp(channel, channel[at], vector[at])) if np.any(at) else np.zeros(vector.size)
 
 
-def measure_electronics(spectra: Spectra, instrument: Instrument, sky_power: SkyPower) -> BudgetTerm | None:
+def measure_electronics(spectra: Spectra, simulation: Simulation) -> BudgetTerm | None:
     """The departure of single antennas from their mean, each through its own cable; None for fewer than three paths.
 
     What a curve of a station or of the array has beside the shared terms when it is used for one antenna; the curve of
     a path by itself has its statistical error instead.
     """
-    chains = zip(*_fit_mean(spectra, instrument, sky_power), strict=True)
+    chains = zip(*_fit_mean(spectra, simulation), strict=True)
     found = {curve.dipole: chain.spreads for curve, chain in chains if chain is not None and chain.spreads is not None}
     if not found:
         return None
@@ -353,17 +299,17 @@ def measure_electronics(spectra: Spectra, instrument: Instrument, sky_power: Sky
 
 
 def _fit_mean(
-    spectra: Spectra, instrument: Instrument, sky_power: SkyPower
+    spectra: Spectra, simulation: Simulation
 ) -> tuple[Sequence[CalibrationCurve], Sequence[ReferenceChain | None]]:
-    report = fit_calibration(spectra, instrument, sky_power, "array")
+    report = fit_calibration(spectra, simulation, "array")
     return report.curves, report.chains
 
 
 # How well a fit knows what an antenna records without the sky.
 
 
-def electronics_sigma(curve: CalibrationCurve, instrument: Instrument, sky_power: SkyPower) -> Floats:
-    """Standard deviation of `calibration.antenna_noise.recorded_electronics`, shape (freq,), ADC^2/Ohm/MHz.
+def electronics_sigma(curve: CalibrationCurve, simulation: Simulation) -> Floats:
+    """Standard deviation of `Simulation.electronics`, shape (freq,), ADC^2/Ohm/MHz.
 
     The mean recorded power is known far better than its split: what the sky is given too much, the electronics get too
     little. With s = G_ant/C^2 the sky's part is s P_sky, and an error of ln C changes it by -2 s P_sky. A sky that is
@@ -371,5 +317,5 @@ def electronics_sigma(curve: CalibrationCurve, instrument: Instrument, sky_power
     """
     if curve.c is None or curve.c_sigma_stat is None or curve.dipole is None:
         raise BadInputError(curve.name, "a curve of one polarisation with its statistical error", curve.status)
-    slope, sky = instrument.antenna_gain / curve.c**2, sky_power.of_station(curve.station)
+    slope, sky = simulation.instrument.antenna_gain / curve.c**2, simulation.sky_power.of_station(curve.station)
     return np.asarray(2.0 * curve.c_sigma_stat / curve.c * slope * sky.power[curve.dipole].mean(axis=0))

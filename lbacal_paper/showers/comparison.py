@@ -13,7 +13,7 @@ from scipy.stats import t as student_t
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
 from lbacal_paper.showers.recording import Recording, field_power, true_power
-from lbacal_paper.showers.slopes import Slopes, fit_slopes
+from lbacal_paper.showers.signals import Slopes, fit_slopes
 
 FEWEST_EVENTS = 3
 """Fewer leave the scatter of events unknown."""

@@ -11,8 +11,8 @@ from lbacal_core.grids import Floats
 from lbacal_twin.bodies import horizontal, jupiter_position, sun_position
 from lbacal_twin.faults.fault import Fault
 from lbacal_twin.faults.sky import SkyFault
+from lbacal_twin.hardware import Scene, Stages
 from lbacal_twin.settings import DAY_S, YEAR_S
-from lbacal_twin.stages import Scene, Stages
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -23,7 +23,7 @@ def open_factory() -> Factory:
     configure_logs(settings.log_level)
     factory = Factory(settings)
     # an instrument or sky file that is missing or wrong is noticed before anything is promised
-    _ = factory.instrument if settings.sky_power is None else factory.sky_power
+    _ = factory.instrument if settings.sky_power is None else factory.simulation.sky_power
     wait_for_database(factory.database, settings.wait_s)
     return factory
 

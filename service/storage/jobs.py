@@ -296,7 +296,7 @@ class JobStore:
                 row.id, row.kind, json.loads(row.request), row.reason, row.by, row.created_us, row.is_cancelled,
                 tuple(part.state for part in parts[row.id]),
                 tuple(json.loads(part.result) for part in parts[row.id] if part.result),
-                tuple(part.error for part in parts[row.id] if part.error),
+                tuple(dict.fromkeys(part.error for part in parts[row.id] if part.error)),
             )
             for row in self._connection.execute(select(job).where(job.c.id.in_(numbers)))
         }  # fmt: skip

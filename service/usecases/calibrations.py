@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Generic, TypeVar
+from typing import Any
 
 from lbacal.instants import format_instant
 from lbacal_core.calibration.spreads import ToldCurve, tell_reference
@@ -293,24 +293,3 @@ def _explain_gap(missing: Sequence[Scope], neighbours: Neighbours, at: Instant) 
     if after is not None:
         named.append(f"{after.promotion.calibration} is from {format_instant(after.instant)}")
     return f"{sentence}: {' and '.join(named)}; gap=hold answers with the nearest"
-
-
-# What takes long to put together, kept in the process with the state of the database that it was made from.
-
-Content = TypeVar("Content")
-
-
-@dataclass(frozen=True)
-class LastMade(Generic[Content]):
-    """The content that was made last. Whoever asks in another state makes it anew: it is never stale."""
-
-    kept: list[tuple[str, Content]] = field(default_factory=list)
-
-    def get(self, state: str, make: Callable[[], Content]) -> Content:
-        """The content of a state, read before it is made: what comes between makes it newer than its name."""
-        for name, content in self.kept[:1]:
-            if name == state:
-                return content
-        made = make()
-        self.kept[:] = [(state, made)]
-        return made

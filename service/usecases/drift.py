@@ -20,12 +20,12 @@ from lbacal_core.drift.model import SLOPE, smooth_columns
 from lbacal_core.errors import name_path, write_percent
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
-from lbacal_core.provenance import hash_content
+from lbacal_core.provenance import Remembered, hash_content
 from service.errors import NotFoundError
 from service.storage.database import Database, Stores
 from service.storage.drift import MonthlyRatio, StoredYear
 from service.storage.versions import MeanC, Version
-from service.usecases.calibrations import LastMade, select_paths
+from service.usecases.calibrations import select_paths
 from service.usecases.gate import find_change_of_mean
 
 # Calendar years: the windows of the scheduled fits.
@@ -328,7 +328,7 @@ class Drift:
 
     database: Database
     instrument: Instrument
-    shown: LastMade[Any]
+    shown: Remembered[str, Any]
     """What the page of the drift shows."""
 
     def matrix(self, station: str) -> list[str]:

@@ -14,7 +14,7 @@ from lbacal_core.drift.events import LARGEST_SHARE, EventModes, add_events, aver
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.provenance import MODEL_VERSION, hash_content
-from lbacal_core.skypower.table import SkyPower
+from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.spectra.blocks import SpectraBlock, split_into_blocks
 from lbacal_core.spectra.screening import screen_block
 from service.storage.database import Database, Stores
@@ -55,8 +55,7 @@ class DriftMeasurement:
     """Measures the drift of a station's year."""
 
     database: Database
-    instrument: Instrument
-    sky_power: Callable[[], SkyPower]
+    simulation: Simulation
     resistance_ohm: float
     fits: Fits
     clock: Callable[[], Instant]
@@ -69,7 +68,7 @@ class DriftMeasurement:
         station, since, until = part.request["station"], part.request["since"], part.request["until"]
         window = Window(since, until, Scope(station))
         with self.database.read() as stores:
-            references = find_references(stores, self.instrument, station)
+            references = find_references(stores, self.simulation.instrument, station)
             versions = stores.versions.get_many(references.values())
             model = stores.models.during(station, since, until)
             source = self._name_source(stores, window, references, model)
@@ -80,7 +79,10 @@ class DriftMeasurement:
             source = replace(source, screened=source.spectra)
             with self.database.read() as stores:
                 spectra = stores.spectra.load(
-                    window, self.instrument.frequency_mhz, self.resistance_ohm, with_covariates=not model.is_plain
+                    window,
+                    self.simulation.instrument.frequency_mhz,
+                    self.resistance_ohm,
+                    with_covariates=not model.is_plain,
                 )
             if spectra is not None:  # what an adopted cause does is no drift
                 spectra = self.fits.fit_causes(spectra, model).spectra
@@ -100,7 +102,12 @@ class DriftMeasurement:
     ) -> DriftSource:
         """What a station's year is measured from now; `screened` as it was when the whole year was read last."""
         station, ends = str(window.scope.station), (window.since / SECOND_US, window.until / SECOND_US)
-        known = [self.instrument.digest_of(*ends, station), self.sky_power().digest(), MODEL_VERSION, model.id]
+        known = [
+            self.simulation.instrument.digest_of(*ends, station),
+            self.simulation.sky_power.digest(),
+            MODEL_VERSION,
+            model.id,
+        ]
         inputs = hash_content([sorted((path.key, name) for path, name in references.items()), *known])
         content, before = stores.spectra.content(window), stores.drift.source(station, window.since)
         screened = 0 if before is None else before.screened
@@ -115,7 +122,7 @@ class DriftMeasurement:
             return None
         if source.spectra > (1.0 + LARGEST_SHARE) * source.screened:
             return None
-        channels, resistance = self.instrument.frequency_mhz, self.resistance_ohm
+        channels, resistance = self.simulation.instrument.frequency_mhz, self.resistance_ohm
         spectra = stores.spectra.load_after(window, before.event, channels, resistance)
         count = 0 if spectra is None else len(spectra)
         if before.spectra + count != source.spectra:
@@ -136,7 +143,7 @@ class DriftMeasurement:
         for block in blocks:
             before = events.get(block.dipole)
             curves = _curves_of(block.dipole, references)
-            more = before and add_events(before, block, curves, self.instrument, self.sky_power())
+            more = before and add_events(before, block, curves, self.simulation)
             if more is None:
                 return None
             events[block.dipole] = replace(more, ln_c=_as_kept(more.ln_c))
@@ -146,9 +153,9 @@ class DriftMeasurement:
         """The events of the paths of whole blocks that have a reference, by dipole."""
         events = {}
         for block in blocks:
-            screened = screen_block(block, self.instrument.at_station(block.station).longitude_deg).block
+            screened = screen_block(block, self.simulation.instrument.at_station(block.station).longitude_deg).block
             curves = _curves_of(block.dipole, references)
-            modes = measure_event_modes(screened, curves, self.instrument, self.sky_power())
+            modes = measure_event_modes(screened, curves, self.simulation)
             times = np.round(modes.time_unix * SECOND_US) / SECOND_US
             events[block.dipole] = replace(modes, ln_c=_as_kept(modes.ln_c), time_unix=times)
         return events

@@ -22,9 +22,8 @@ import numpy as np
 
 from lbacal.instants import DAY_US
 from lbacal_core.curves.validity import Instant, Scope
-from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.provenance import hash_content
-from lbacal_core.skypower.table import SkyPower
+from lbacal_core.simulation.simulation import Simulation
 from service.storage.database import Database, Stores
 from service.storage.jobs import Order
 from service.storage.models import ModelChange
@@ -51,8 +50,7 @@ class DueWork:
     """Finds and enqueues due work."""
 
     database: Database
-    instrument: Instrument
-    sky_power: Callable[[], SkyPower]
+    simulation: Simulation
     clock: Callable[[], Instant]
     investigations: Investigations | None
     """None where nobody wants them by schedule."""
@@ -148,7 +146,7 @@ class DueWork:
 
     def _drift(self, stores: Stores, stations: list[str]) -> Iterator[Order]:
         for station in stations:
-            references = find_references(stores, self.instrument, station)
+            references = find_references(stores, self.simulation.instrument, station)
             if not references:
                 continue
             for since, until in find_years(stores):
@@ -171,13 +169,13 @@ class DueWork:
         own = self._inputs
         # a cable of another antenna, or of another year, calls for nothing
         since, until = (part[name] / SECOND_US if name in part else at for name, at in ALWAYS.items())
-        of_instrument = self.instrument.digest_of(since, until, part.get("station"))
+        of_instrument = self.simulation.instrument.digest_of(since, until, part.get("station"))
         due_name = hash_content([kind, part, *called_for_by, [of_instrument, own.sky_power, own.model_version]])
         return Order(kind, part, [part], reason, BY, due_name, own.text)
 
     @cached_property
     def _inputs(self) -> Inputs:
-        return name_inputs(self.instrument, self.sky_power())
+        return name_inputs(self.simulation)
 
 
 def _name_change(stores: Stores, station: str | None, since: Instant, until: Instant) -> list[int]:

@@ -15,9 +15,8 @@ from threadpoolctl import threadpool_limits
 
 from lbacal.instants import format_instant
 from lbacal_core.audit.audit import audit_quickly
-from lbacal_core.calibration.chain_test import SkyFreedom
 from lbacal_core.calibration.continued import Continued, continue_fit
-from lbacal_core.calibration.singles import MIN_EVENTS, FitSingles
+from lbacal_core.calibration.singles import MIN_EVENTS
 from lbacal_core.causes.model import Model
 from lbacal_core.curves.covariance import Budget
 from lbacal_core.curves.curves import Anomalies, CalibrationCurve, FitReport
@@ -30,8 +29,7 @@ from lbacal_core.errors import name_path
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.provenance import MODEL_VERSION, Remembered, hash_content
-from lbacal_core.skypower.sky_terms import SkyTerm
-from lbacal_core.skypower.table import SkyPower
+from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.spectra.spectra import Spectra
 from lbacal_core.uncertainty.refit import add_budget, compute_budget
 from service.errors import ConflictError
@@ -44,7 +42,6 @@ from service.usecases.orders import hash_covariates
 from service.usecases.windows import SECOND_US, FindLenders, lend_to_small, share_misfits
 
 GAIN_STEP = "gain_step"
-BUDGETS_REMEMBERED = 8
 Read = tuple[Window, tuple[int, int]]
 """A window, and what it held when it was read: `SpectraStore.content`."""
 
@@ -93,15 +90,9 @@ def _find_none(_: Collection[Scope]) -> Sequence[Version]:
 class Fits:
     """Makes versions from stored spectra."""
 
-    instrument: Instrument
-    sky_power: Callable[[], SkyPower]
-    freedom: Callable[[], SkyFreedom | None]
-    is_own_sky: bool
+    simulation: Simulation
     resistance_ohm: float
     clock: Callable[[], Instant]
-    changes: Callable[[], Sequence[SkyTerm]]
-    singles: FitSingles
-    budgets: Remembered[str, Budget] = field(default_factory=lambda: Remembered(BUDGETS_REMEMBERED))
     read: Remembered[Read, Spectra] = field(default_factory=lambda: Remembered(1))
 
     def load(self, stores: Stores, wanted: Wanted) -> Spectra:
@@ -114,7 +105,10 @@ class Fits:
 
         def read(_: list[Read]) -> dict[Read, Spectra]:
             found = stores.spectra.load(
-                window, self.instrument.frequency_mhz, self.resistance_ohm, with_covariates=not wanted.model.is_plain
+                window,
+                self.simulation.instrument.frequency_mhz,
+                self.resistance_ohm,
+                with_covariates=not wanted.model.is_plain,
             )
             return {} if found is None else {key: found}
 
@@ -132,10 +126,7 @@ class Fits:
         """Fit the sizes of the adopted causes to all spectra of their stations, where these are enough for any fit."""
         stations = [] if model.is_plain else np.unique(spectra.station).tolist()
         enough = model.of_stations([name for name in stations if _has_enough(spectra, name)])
-        return fit_causes(
-            spectra, self.instrument, self.sky_power(), enough, is_own_sky=self.is_own_sky,
-            are_sizes_known=are_sizes_known,
-        )  # fmt: skip
+        return fit_causes(spectra, self.simulation.with_causes(enough), are_sizes_known=are_sizes_known)
 
     def foresee(self, whole: FittedCauses, wanted: Wanted, before: Sequence[Version], budget: Budget) -> list[Version]:
         """The versions that `make` will make with a cause more, from those before, whose budget their errors have.
@@ -146,8 +137,10 @@ class Fits:
         made, versions = self.clock(), list[Version]()
         for of_piece, recorded, during in self._cut(whole, wanted):
             plain = [curve for one in before if one.window == (during.since, during.until) for curve in one.curves]
-            report = add_budget(of_piece.fit(wanted.scope, self.freedom(), plain, self.singles), budget)
-            versions += _versions(recorded, report, during, made, _name_beside(whole, wanted), self.instrument)
+            report = add_budget(of_piece.fit(wanted.scope, plain), budget)
+            versions += _versions(
+                recorded, report, during, made, _name_beside(whole, wanted), self.simulation.instrument
+            )
         return versions
 
     def make(
@@ -164,8 +157,8 @@ class Fits:
         pieces, versions, budgets, lines = [], list[Version](), dict[str, Budget](), []
         for of_piece, recorded, during in self._cut(whole, wanted):
             of_data = budget or self._audit_and_budget(of_piece, wanted)
-            report = add_budget(of_piece.fit(wanted.scope, self.freedom(), singles=self.singles), of_data)
-            versions += _versions(recorded, report, during, made, beside, self.instrument)
+            report = add_budget(of_piece.fit(wanted.scope), of_data)
+            versions += _versions(recorded, report, during, made, beside, self.simulation.instrument)
             budgets |= report.budgets
             if report.lines:
                 lines.append((during.since, during.until, report.lines))
@@ -173,20 +166,19 @@ class Fits:
         if len(pieces) > 1:
             versions = share_misfits(versions)
         window = wanted.since, wanted.until
-        lent = lend_to_small(versions, window, pieces, self.instrument, self.sky_power(), find_lenders)
+        lent = lend_to_small(versions, window, pieces, self.simulation, find_lenders)
         return Made(lent, budgets, lines)
 
     def _audit_and_budget(self, fitted: FittedCauses, wanted: Wanted) -> Budget:
         """The budget of spectra whose unit is that of power: one for all scopes that are fitted to them."""
-        key = fitted.spectra.digest()
 
-        def compute(_: list[str]) -> dict[str, Budget]:
-            audit_quickly(fitted.recorded, self.instrument).require_power(f"spectra of {name_path(*wanted.of.parts)}")
-            inputs = fitted.spectra, self.instrument, self.sky_power()
-            budget = compute_budget(*inputs, changes=self.changes(), freedom=self.freedom(), singles=self.singles)
-            return {key: budget}
+        def compute() -> Budget:
+            audited = audit_quickly(fitted.recorded, self.simulation.instrument)
+            audited.require_power(f"spectra of {name_path(*wanted.of.parts)}")
+            return compute_budget(fitted.spectra, self.simulation)
 
-        return self.budgets.get_many([key], compute)[key]
+        budget: Budget = self.simulation.made.get(("budget", fitted.spectra.digest()), compute)
+        return budget
 
     def _cut(self, whole: FittedCauses, wanted: Wanted) -> Iterator[tuple[FittedCauses, Spectra, Wanted]]:
         """The pieces of the window of a fit: what is fitted, the spectra by which it is named, and when it lies."""
@@ -194,7 +186,7 @@ class Fits:
         is_part = wanted.window.scope != wanted.of
         fitted = whole.select(_rows_of(spectra, wanted.of)) if is_part else whole
         ends = wanted.since / SECOND_US, wanted.until / SECOND_US
-        for rows in cut_window(fitted.recorded, self.instrument, wanted.scope, *ends, _list_cuts(wanted)):
+        for rows in cut_window(fitted.recorded, self.simulation.instrument, wanted.scope, *ends, _list_cuts(wanted)):
             of_piece = fitted if np.all(rows.rows) else fitted.select(rows.rows)
             during = replace(wanted, since=round(rows.since_unix * SECOND_US), until=round(rows.until_unix * SECOND_US))
             yield of_piece, spectra if np.all(rows.rows) else of_piece.recorded, during
@@ -336,9 +328,7 @@ class Outcome:
 class Examination:
     """Continues kept fits."""
 
-    instrument: Instrument
-    sky_power: Callable[[], SkyPower]
-    is_own_sky: bool
+    simulation: Simulation
     resistance_ohm: float
     clock: Callable[[], Instant]
 
@@ -354,7 +344,7 @@ class Examination:
         fit = stores.kept_fits.get(wanted.scope, wanted.of, wanted.since, wanted.until)
         if fit is None or (fit.inputs, fit.flag) != (self._name_inputs(wanted), content.flag):
             return None
-        channels, resistance = self.instrument.frequency_mhz, self.resistance_ohm
+        channels, resistance = self.simulation.instrument.frequency_mhz, self.resistance_ohm
         spectra = stores.spectra.load_after(wanted.window, fit.event, channels, resistance)
         is_all = spectra is not None and fit.spectra + len(spectra) == content.spectra
         return Later(fit, spectra) if spectra is not None and is_all else None
@@ -369,7 +359,7 @@ class Examination:
             if not np.any(rows):
                 continue
             with threadpool_limits(1):
-                continued = continue_fit(piece.lines, later.spectra.select(rows), self.instrument, self.sky_power())
+                continued = continue_fit(piece.lines, later.spectra.select(rows), self.simulation)
             for told in piece.told:
                 shift = _find_shift(told, continued)
                 if shift is None and not told.curves:
@@ -417,9 +407,11 @@ class Examination:
     def _name_inputs(self, wanted: Wanted) -> str:
         """The hash of all inputs of a fit but its spectra."""
         ends = wanted.since / SECOND_US, wanted.until / SECOND_US
-        instrument = self.instrument.digest_of(*ends, wanted.of.station, wanted.of.antenna)
+        instrument = self.simulation.instrument.digest_of(*ends, wanted.of.station, wanted.of.antenna)
         cuts = [[one.station, one.antenna, one.date] for one in wanted.cuts]
-        return hash_content([instrument, self.sky_power().digest(), self.is_own_sky, MODEL_VERSION, cuts])
+        return hash_content(
+            [instrument, self.simulation.sky_power.digest(), self.simulation.is_own_sky, MODEL_VERSION, cuts]
+        )
 
 
 def find_standing(stores: Stores, scopes: Sequence[Scope], since: Instant, until: Instant) -> dict[Scope, str]:

@@ -16,9 +16,8 @@ from lbacal_core.causes.model import Model
 from lbacal_core.curves.validity import Instant, Scope
 from lbacal_core.discovery.policy import Policy
 from lbacal_core.drift.windows import leave_out_changed
-from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.provenance import MODEL_VERSION, hash_content
-from lbacal_core.skypower.table import SkyPower
+from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.spectra.spectra import Spectra
 from service.errors import ConflictError
 from service.storage.database import Database, Stores
@@ -40,9 +39,7 @@ class Investigations:
     """Makes reports from stored spectra, and reads them."""
 
     database: Database
-    instrument: Instrument
-    sky_power: Callable[[], SkyPower]
-    is_own_sky: bool
+    simulation: Simulation
     resistance_ohm: float
     limits: Limits
     clock: Callable[[], Instant]
@@ -50,8 +47,8 @@ class Investigations:
     def request(self, body: InvestigationBody, by: str) -> int:
         """Enqueue one part a station and calendar year that hold spectra in the window."""
         since, until = read_window(body.since, body.until)
-        select_paths(self.instrument, body.station, None, None)
-        inputs = name_inputs(self.instrument, self.sky_power()).text
+        select_paths(self.simulation.instrument, body.station, None, None)
+        inputs = name_inputs(self.simulation).text
         with self.database.write() as stores:
             stations = [body.station] if body.station else stores.spectra.stations()
             parts = [
@@ -70,7 +67,7 @@ class Investigations:
 
         A station's year with too few events for any fit is not yet due.
         """
-        search = [self.is_own_sky, Policy().as_dict()]
+        search = [self.simulation.is_own_sky, Policy().as_dict()]
         for since, until in find_years(stores):
             for station in stores.spectra.stations():
                 window = Window(since, until, Scope(station))
@@ -82,14 +79,14 @@ class Investigations:
         station, since, until = (part.request[name] for name in ("station", "since", "until"))
         with self.database.read() as stores:
             spectra = stores.spectra.load(
-                Window(since, until, Scope(station)), self.instrument.frequency_mhz, self.resistance_ohm,
+                Window(since, until, Scope(station)), self.simulation.instrument.frequency_mhz, self.resistance_ohm,
                 with_covariates=True,
             )  # fmt: skip
             model = stores.models.during(station, since, until)
         if spectra is None:
             between = f"{format_instant(since)} and {format_instant(until)}"
             raise ConflictError(f"no usable spectra of {station} between {between}")
-        whole = leave_out_changed(spectra, self.instrument)
+        whole = leave_out_changed(spectra, self.simulation.instrument)
         if whole is None:
             raise ConflictError(f"every antenna of {station} changed in this window: ask for shorter ones")
         spectra = whole
@@ -108,11 +105,11 @@ class Investigations:
         return {
             "spectra": spectra.digest(),
             "environment": hash_covariates(spectra),
-            "instrument": self.instrument.digest_of(
+            "instrument": self.simulation.instrument.digest_of(
                 request["since"] / SECOND_US, request["until"] / SECOND_US, request["station"]
             ),
-            "sky_power": self.sky_power().digest(),
-            "own_sky": self.is_own_sky,
+            "sky_power": self.simulation.sky_power.digest(),
+            "own_sky": self.simulation.is_own_sky,
             "policy": Policy().as_dict(),
             "model_version": MODEL_VERSION,
             **({} if model.is_plain else {"model": model.id}),
@@ -122,8 +119,7 @@ class Investigations:
         from lbacal_core.discovery.left_open import add_left_open
         from lbacal_core.discovery.report import investigate  # a second to import, and only workers need it
 
-        sky = self.sky_power()
-        return add_left_open(*investigate(spectra, self.instrument, sky, is_own_sky=self.is_own_sky, model=model))
+        return add_left_open(*investigate(spectra, self.simulation.with_causes(model)))
 
     def get(self, name: str) -> Investigation:
         """One investigation, by its id or by as many of its first digits as no other begins with."""

@@ -18,7 +18,7 @@ from lbacal_core.causes.model import UNEXPLAINED, AdoptedCause, Model
 from lbacal_core.curves.covariance import Budget, parse_budget
 from lbacal_core.curves.validity import Instant, Promotion, Scope, timeline
 from lbacal_core.errors import BadInputError
-from lbacal_core.provenance import canonical_json, hash_content
+from lbacal_core.provenance import Remembered, canonical_json, hash_content
 from lbacal_core.spectra.spectra import Spectra
 from service.errors import ConflictError
 from service.storage.alarms import CAUSE_STOPPED_PAYING, News
@@ -26,7 +26,6 @@ from service.storage.database import Database, Stores
 from service.storage.models import ADOPTED, WITHDRAWN, Announced, Gain, Investigation, ModelChange
 from service.storage.spectra import Window
 from service.storage.versions import Version, mean_over_band
-from service.usecases.calibrations import LastMade
 from service.usecases.drift import start_of_year
 from service.usecases.gate import find_change_of_mean
 from service.usecases.promotions import LAST, Change, Promotions, undo
@@ -87,7 +86,7 @@ class Models:
     fits: Fits
     promotions: Promotions
     due: DueWork
-    planned: LastMade[Adoption]
+    planned: Remembered[str, Adoption]
     clock: Callable[[], Instant]
 
     def plan_adoption(self, name: str, body: AdoptionBody, by: str) -> Adoption:

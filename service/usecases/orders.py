@@ -6,18 +6,20 @@ import hashlib
 import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING
 
 from lbacal.instants import parse_instant
 from lbacal_core.curves.validity import Instant
 from lbacal_core.errors import BadInputError
-from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.provenance import MODEL_VERSION, canonical_json, hash_arrays
-from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra.spectra import Spectra
 from service.errors import ConflictError, TooLargeError, TooManyError
 from service.storage.database import Database, Stores
 from service.storage.jobs import Order
 from service.storage.keys import Deed
+
+if TYPE_CHECKING:
+    from lbacal_core.simulation.simulation import Simulation
 
 RETRY_S = 60.0
 
@@ -80,9 +82,9 @@ class Inputs:
         return canonical_json(asdict(self))
 
 
-def name_inputs(instrument: Instrument, sky_power: SkyPower) -> Inputs:
+def name_inputs(simulation: Simulation) -> Inputs:
     """The inputs of this process."""
-    return Inputs(instrument.digest(), sky_power.digest())
+    return Inputs(simulation.instrument.digest(), simulation.sky_power.digest())
 
 
 def hash_covariates(spectra: Spectra) -> str:

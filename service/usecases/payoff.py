@@ -10,8 +10,7 @@ from lbacal_core.curves.validity import Instant
 from lbacal_core.discovery.adopted import measure_gains
 from lbacal_core.discovery.calibrate import FittedCauses
 from lbacal_core.drift.windows import leave_out_changed
-from lbacal_core.instrument.instrument import Instrument
-from lbacal_core.skypower.table import SkyPower
+from lbacal_core.simulation.simulation import Simulation
 from service.storage.database import Stores
 from service.storage.models import ADOPTED, MICROSECONDS, Gain
 from service.usecases.fits import Wanted
@@ -21,9 +20,7 @@ from service.usecases.fits import Wanted
 class Payoff:
     """Measures gains in the refits of a whole station, with the sizes as they were adopted."""
 
-    instrument: Instrument
-    sky_power: Callable[[], SkyPower]
-    is_own_sky: bool
+    simulation: Simulation
     clock: Callable[[], Instant]
 
     def known_until(self, stores: Stores, wanted: Wanted) -> dict[str, Instant]:
@@ -36,7 +33,7 @@ class Payoff:
     def measure(self, whole: FittedCauses, wanted: Wanted, known_until: Mapping[str, Instant]) -> list[Gain]:
         """The gain of every adopted cause on the events of a window that are new to it."""
         found = list[Gain]()
-        spectra = leave_out_changed(whole.recorded, self.instrument) if known_until else None
+        spectra = leave_out_changed(whole.recorded, self.simulation.instrument) if known_until else None
         if spectra is None:
             return found
         names = [Model((cause,)).id for cause in whole.model.causes]
@@ -44,9 +41,7 @@ class Payoff:
             is_new = spectra.time_unix > last / MICROSECONDS
             if not (is_new.any() and whole.stations):
                 continue
-            measured = measure_gains(
-                spectra, self.instrument, self.sky_power(), whole.model, is_new=is_new, is_own_sky=self.is_own_sky
-            )
+            measured = measure_gains(spectra, self.simulation.with_causes(whole.model), is_new)
             found += [
                 Gain(
                     names[one.number], str(wanted.of.station), wanted.since, wanted.until, one.events, one.gain,

@@ -12,8 +12,7 @@ from lbacal_core.causes.model import Model
 from lbacal_core.curves.covariance import parse_budget
 from lbacal_core.curves.validity import Instant, Promotion, Scope, timeline
 from lbacal_core.errors import BadInputError
-from lbacal_core.instrument.instrument import Instrument
-from lbacal_core.skypower.table import SkyPower
+from lbacal_core.simulation.simulation import Simulation
 from service.errors import ConflictError
 from service.storage.database import Database, Stores
 from service.storage.jobs import Job, Order, Part
@@ -45,8 +44,7 @@ class Refits:
     """Makes versions from stored spectra."""
 
     database: Database
-    instrument: Instrument
-    sky_power: Callable[[], SkyPower]
+    simulation: Simulation
     fits: Fits
     examination: Examination
     payoff: Payoff
@@ -61,11 +59,11 @@ class Refits:
             most = f"a window of at most {self.limits.window_days:g} days (LBACAL_MAX_WINDOW_DAYS)"
             raise BadInputError("body.until", most, f"{(until - since) / DAY_US:.0f} days")
         scope = Scope(body.station, body.antenna, body.dipole)
-        select_paths(self.instrument, scope.station, scope.antenna, scope.dipole)
+        select_paths(self.simulation.instrument, scope.station, scope.antenna, scope.dipole)
         is_too_narrow = {"array": scope != Scope(), "station": scope.antenna is not None, "antenna": False}
         if is_too_narrow[body.scope]:
             raise BadInputError("body", f"nothing narrower than the scope {body.scope}", scope.key)
-        inputs = name_inputs(self.instrument, self.sky_power()).text
+        inputs = name_inputs(self.simulation).text
         with self.database.write() as stores:
             stations = [scope.station] if scope.station else stores.spectra.stations()
             if not stations:

@@ -13,8 +13,7 @@ from lbacal_core.curves.curves import CONVERGED, MISFIT, TOO_FEW_EVENTS, TOO_FEW
 from lbacal_core.curves.reference_chain import CableTable, ReferenceChain
 from lbacal_core.curves.validity import Instant, Scope, timeline
 from lbacal_core.drift.windows import Borrowed, borrow_curve
-from lbacal_core.instrument.instrument import Instrument
-from lbacal_core.skypower.table import SkyPower
+from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.spectra.blocks import split_into_blocks
 from lbacal_core.spectra.spectra import Spectra
 from service.storage.database import Database
@@ -33,8 +32,7 @@ def lend_to_small(
     versions: Sequence[Version],
     window: tuple[Instant, Instant],
     pieces: Sequence[tuple[Instant, Spectra]],
-    instrument: Instrument,
-    sky_power: SkyPower,
+    simulation: Simulation,
     find_lenders: FindLenders,
 ) -> list[Version]:
     """Give versions of paths whose piece is too small for a fit the curve of the nearest window, with a free gain.
@@ -54,7 +52,7 @@ def lend_to_small(
     if not small:
         return list(versions)
     lenders = [*versions, *find_lenders({one.scope for one in small})]
-    lent = {one.id: _lend(one, lenders, pieces, instrument, sky_power) for one in small}
+    lent = {one.id: _lend(one, lenders, pieces, simulation) for one in small}
     return [lent.get(one.id, one) for one in versions]
 
 
@@ -91,8 +89,7 @@ def _lend(
     version: Version,
     lenders: Sequence[Version],
     pieces: Sequence[tuple[Instant, Spectra]],
-    instrument: Instrument,
-    sky_power: SkyPower,
+    simulation: Simulation,
 ) -> Version:
     fitted = [
         other
@@ -108,15 +105,18 @@ def _lend(
     spectra = next(of_piece for since, of_piece in pieces if since == version.since and _holds(of_piece, version.scope))
     own = (spectra.station == station) & (spectra.antenna == antenna) & (spectra.dipole == dipole)
     before, now = (
-        instrument.cable_of(str(station), int(str(antenna)), (one.since + one.until) / 2 / SECOND_US)
+        simulation.instrument.cable_of(str(station), int(str(antenna)), (one.since + one.until) / 2 / SECOND_US)
         for one in (neighbour, version)
     )
     block = split_into_blocks(spectra.select(own))[0]
-    borrowed = borrow_curve(neighbour.curves[0], block, instrument, sky_power, (before, now))
+    borrowed = borrow_curve(neighbour.curves[0], block, simulation, (before, now))
     if borrowed is None:
         return version
     chain = ReferenceChain(
-        ((str(station), int(str(antenna))),), instrument.cables[now], CableTable.of(instrument), None
+        ((str(station), int(str(antenna))),),
+        simulation.instrument.cables[now],
+        CableTable.of(simulation.instrument),
+        None,
     )
     return replace(
         version,

@@ -10,6 +10,7 @@ import pytest
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.curves.curves import CONVERGED
 from lbacal_core.instrument.instrument import Instrument
+from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.skypower.table import SkyPower
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.settings import TwinSettings
@@ -22,7 +23,7 @@ def test_almost_without_scatter_the_fit_finds_the_planted_curve_and_noise(
     campaign = simulate_campaign(still, low_band, two_waves, np.random.default_rng(1))
     truth = campaign.truth.stations[0]
     for scope in ("antenna", "station"):
-        for curve in fit_calibration(campaign.spectra, low_band, two_waves, scope).curves:
+        for curve in fit_calibration(campaign.spectra, Simulation(low_band, two_waves), scope).curves:
             assert curve.status == CONVERGED
             planted = campaign.truth.curve(curve.dipole or "", curve.station, curve.antenna)
             # Noise of 1e-5 for 4.4e-2: errors 4400 times smaller than the 1 % of a real year.
@@ -39,7 +40,7 @@ def test_errors_claimed_are_errors_made_for_paths_and_stations(low_band: Instrum
     for seed in range(25):
         campaign = simulate_campaign(settings, low_band, two_waves, np.random.default_rng(1000 + seed))
         for scope, values in pulls.items():
-            for curve in fit_calibration(campaign.spectra, low_band, two_waves, scope).curves:
+            for curve in fit_calibration(campaign.spectra, Simulation(low_band, two_waves), scope).curves:
                 assert curve.c is not None
                 assert curve.c_sigma_stat is not None
                 planted = campaign.truth.curve(curve.dipole or "", curve.station, curve.antenna)

@@ -22,13 +22,14 @@ from lbacal_core.instrument.antennas import AntennaRecord, Site, parse_sites
 from lbacal_core.instrument.instrument import Instrument, load_instrument, parse_instrument
 from lbacal_core.instrument.sidereal import local_sidereal_time
 from lbacal_core.pipeline import calibrate
+from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.table import SkyPower, read_sky_power, write_sky_power
 from lbacal_core.spectra.blocks import split_into_blocks
 from lbacal_core.spectra.spectra import Spectra
 from lbacal_twin.campaign import Campaign, simulate_campaign
-from lbacal_twin.faults.antenna import GainStep
 from lbacal_twin.faults.fault import Where
+from lbacal_twin.faults.hardware import GainStep
 from lbacal_twin.settings import TwinSettings
 from tests import short_dipole
 from validation.anywhere import draw_instrument
@@ -74,11 +75,11 @@ def test_one_arm_in_the_south_is_calibrated_and_found_consistent():
     """EDGES and MIST have one dipole: an instrument had to have X and Y."""
     sky = compute_sky_power(ONE_ARM)
     campaign = simulate_campaign(SETTINGS, ONE_ARM, sky, np.random.default_rng(1))
-    report = calibrate(campaign.spectra, ONE_ARM)
+    report = calibrate(campaign.spectra, Simulation(ONE_ARM))
     assert [(curve.dipole, curve.status) for curve in report.curves] == [("A", "converged")]
     # one curve, whose channels move together
     assert np.sqrt(np.nanmean(pulls_of(report, campaign.truth) ** 2)) < 3.0
-    found, _ = investigate(campaign.spectra, ONE_ARM, sky)
+    found, _ = investigate(campaign.spectra, Simulation(ONE_ARM, sky))
     assert found["verdict"] == "consistent"
     why = {one["cause"]: one["why"] for one in found["unidentifiable"]}
     assert why["dipole_swap"] == "the instrument has one dipole"
@@ -91,13 +92,13 @@ def test_three_arms_one_upright_are_calibrated_and_a_step_of_one_is_named():
     sky = compute_sky_power(THREE_ARMS)
     step = GainStep(size=0.1, where=Where(antennas=(2,), dipoles=("UP",)), date="2014-08-07")
     clean = simulate_campaign(SETTINGS, THREE_ARMS, sky, np.random.default_rng(2))
-    report = calibrate(clean.spectra, THREE_ARMS)
+    report = calibrate(clean.spectra, Simulation(THREE_ARMS))
     assert [curve.dipole for curve in report.curves[:3]] == ["EW", "NS", "UP"]
     assert {curve.status for curve in report.curves} == {"converged"}
     # 12 curves of one station, which share its gain of events
     assert np.sqrt(np.nanmean(pulls_of(report, clean.truth) ** 2)) < 1.8
     spoiled = simulate_campaign(SETTINGS, THREE_ARMS, sky, np.random.default_rng(2), [step])
-    found, _ = investigate(spoiled.spectra, THREE_ARMS, sky)
+    found, _ = investigate(spoiled.spectra, Simulation(THREE_ARMS, sky))
     assert [one["cause"] for one in found["findings"]] == ["gain_step"]
     assert found["findings"][0]["where"]["dipoles"] == ["UP"]
     assert found["findings"][0]["where"]["antennas"] == [2]
@@ -109,7 +110,7 @@ def test_a_letter_that_the_instrument_does_not_have_is_named():
     spectra = simulate_campaign(SETTINGS, ONE_ARM, sky, np.random.default_rng(1)).spectra
     other = replace(spectra, dipole=np.full(len(spectra), "B"))
     with pytest.raises(BadInputError, match=r"row 0: expected a dipole of instrument somewhere \(A\), found 'B'"):
-        calibrate(other, ONE_ARM)
+        calibrate(other, Simulation(ONE_ARM))
     with pytest.raises(BadInputError, match=r"P_sky of each dipole of instrument somewhere .*found no EW, NS, UP"):
         sky.require_made_for(THREE_ARMS)
 
@@ -132,7 +133,7 @@ def test_an_instrument_drawn_anywhere_is_investigated_and_found_consistent(seed)
     )
     sky = compute_sky_power(drawn)
     spectra = simulate_campaign(TwinSettings(events_per_year=200), drawn, sky, rng).spectra
-    report, _ = investigate(spectra, drawn, sky)
+    report, _ = investigate(spectra, Simulation(drawn, sky))
     assert report["verdict"] == "consistent"
     json.dumps(report, allow_nan=False)
 
@@ -140,7 +141,7 @@ def test_an_instrument_drawn_anywhere_is_investigated_and_found_consistent(seed)
 def test_daily_means_at_one_sidereal_time_are_not_identifiable_and_no_traceback() -> None:
     """82 days of one dipole ended in `cannot reshape array of size 0`: no table and no report."""
     instrument = short_dipole.make_instrument(79.4, -90.8)
-    report = calibrate(short_dipole.daily_means(instrument, np.random.default_rng(1)), instrument)
+    report = calibrate(short_dipole.daily_means(instrument, np.random.default_rng(1)), Simulation(instrument))
     (curve,) = report.curves
     assert (curve.status, curve.events, curve.lst_coverage) == ("not_identifiable", 82, 4 / 96)
     assert '"status": "not_identifiable"' in json.dumps(report.as_dict(), allow_nan=False)
@@ -202,7 +203,7 @@ def test_a_station_sees_the_sky_of_its_own_latitude_at_its_own_sidereal_time(
 def test_a_fit_of_two_places_finds_the_truth_of_both(
     scope: str, instrument: Instrument, sky: SkyPower, campaign: Campaign
 ) -> None:
-    report = fit_calibration(campaign.spectra, instrument, sky, scope)
+    report = fit_calibration(campaign.spectra, Simulation(instrument, sky), scope)
     assert {curve.status for curve in report.curves} == {"converged"}
     for curve in report.curves:
         assert curve.c is not None
@@ -224,7 +225,7 @@ def test_a_fit_that_forgets_the_sites_is_refused_by_the_chain_test_of_the_far_st
     instrument: Instrument, spectra: Spectra
 ) -> None:
     forgetful = replace(instrument, sites={})
-    curves = fit_calibration(spectra, forgetful, compute_sky_power(forgetful), "station").curves
+    curves = fit_calibration(spectra, Simulation(forgetful, compute_sky_power(forgetful)), "station").curves
     assert {curve.station for curve in curves if curve.status == "converged"} == {WEST}
 
 
@@ -232,22 +233,22 @@ def test_a_fit_that_forgets_the_sites_is_refused_by_the_chain_test_of_the_far_st
 def test_an_investigation_of_two_places_finds_nothing_and_one_that_forgets_them_does(
     instrument: Instrument, sky: SkyPower, spectra: Spectra
 ) -> None:
-    stations = {station.name: station for station in gather_stations(spectra, instrument, sky)}
+    stations = {station.name: station for station in gather_stations(spectra, Simulation(instrument, sky))}
     time_unix = stations[FAR].conditions.time_unix
     assert np.array_equal(stations[FAR].conditions.lst_hours, local_sidereal_time(time_unix, 22.5))
     assert np.array_equal(stations[WEST].conditions.lst_hours, local_sidereal_time(time_unix, 0.0))
-    told, _ = investigate(spectra, instrument, sky)
+    told, _ = investigate(spectra, Simulation(instrument, sky))
     assert [(one["station"], one["verdict"]) for one in told["stations"]] == [(FAR, "consistent"), (WEST, "consistent")]
 
 
 def test_drift_of_a_far_station_is_measured_against_its_own_sky(
     instrument: Instrument, sky: SkyPower, spectra: Spectra
 ) -> None:
-    curves = fit_calibration(spectra, instrument, sky).curves
+    curves = fit_calibration(spectra, Simulation(instrument, sky)).curves
     blocks = [block for block in split_into_blocks(spectra) if (block.station, block.dipole) == (FAR, "E")]
     own = {int(c.antenna or 0): c for c in curves if (c.station, c.dipole) == (FAR, "E")}
     with_site, without = (
-        np.nanstd(measure_event_modes(blocks[0], own, one, sky).ln_c[..., 0])
+        np.nanstd(measure_event_modes(blocks[0], own, Simulation(one)).ln_c[..., 0])
         for one in (instrument, replace(instrument, sites={}))
     )
     assert with_site < 0.8 * without
@@ -332,7 +333,7 @@ def test_a_sky_that_is_brighter_than_the_model_is_measured_and_c_is_known():
     campaign = simulate_campaign(TwinSettings(events_per_year=300), instrument, brighter, np.random.default_rng(8))
     kelvin = campaign.spectra.power
     assert 300 < np.median(kelvin[:, 0]) < 50_000, "temperatures, at 50 MHz"
-    report = fit_calibration(campaign.spectra, instrument, sky)
+    report = fit_calibration(campaign.spectra, Simulation(instrument, sky))
     levels = [curve.sky_over_model for curve in report.curves]
     pulls = [(one.mean / 1.1 - 1.0) / np.hypot(one.mean_sigma_stat / one.mean, one.sigma_laboratory) for one in levels]
     assert np.sqrt(np.mean(np.square(pulls))) < 2.0

@@ -10,8 +10,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lbacal_paper.everything import WITHOUT_DATA, WITHOUT_SHOWERS, redo_paper
-from lbacal_paper.page import BEGIN, END, describe_claims, insert_claims
+from lbacal_paper.everything import (
+    BEGIN,
+    END,
+    WITHOUT_DATA,
+    WITHOUT_SHOWERS,
+    describe_claims,
+    insert_claims,
+    redo_paper,
+)
 from lbacal_paper.statements import VERDICTS, load_statements
 
 MOST_BYTES = 10_000_000

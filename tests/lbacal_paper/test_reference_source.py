@@ -6,6 +6,7 @@ import pytest
 from lbacal_core.antenna.unfolding import IMPEDANCE_OF_FREE_SPACE
 from lbacal_core.errors import BadInputError
 from lbacal_paper.reference_source import (
+    SCALED_M,
     Geometry,
     SourceTable,
     add_disagreement,
@@ -15,8 +16,9 @@ from lbacal_paper.reference_source import (
     field_at,
     floor_factor,
     near_field_factor,
+    stand_in_tables,
+    true_field,
 )
-from lbacal_paper.stand_in_source import SCALED_M, stand_in_tables, true_field
 
 FREQUENCY = np.arange(30.0, 81.0)
 GAIN = 0.1 + 3.0 / (1.0 + ((FREQUENCY - 58.0) / 4.0) ** 2)

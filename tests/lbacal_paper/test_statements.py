@@ -17,12 +17,20 @@ from lbacal_core.lstcurve.curve import (
 )
 from lbacal_core.sky.names import load_sky
 from lbacal_paper.budget import Budget
-from lbacal_paper.calibration_results import find_about_calibration
-from lbacal_paper.chain_results import edge_of_pass_band, find_about_chain, find_peak
-from lbacal_paper.noise_results import crossings, find_noise_share, smooth_swing
-from lbacal_paper.shower_results import find_about_showers
+from lbacal_paper.results import (
+    crossings,
+    edge_of_pass_band,
+    find_about_calibration,
+    find_about_chain,
+    find_about_showers,
+    find_about_sky,
+    find_noise_share,
+    find_peak,
+    isotropic_temperature,
+    mean_temperature,
+    smooth_swing,
+)
 from lbacal_paper.shower_study import ShowerStudy
-from lbacal_paper.sky_results import find_about_sky, isotropic_temperature, mean_temperature
 from lbacal_paper.statements import (
     AGREE,
     BY_CONSTRUCTION,

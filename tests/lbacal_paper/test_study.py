@@ -11,13 +11,10 @@ from matplotlib.figure import Figure
 from lbacal.cli.report_pages import COLOURS, MARKERS
 from lbacal_core.data.lofar import DIPOLES
 from lbacal_paper.budget import Budget, measure_electronics, spread_with_cables
-from lbacal_paper.chain_figures import make_chain_figures
-from lbacal_paper.drawing import draw
 from lbacal_paper.everything import redo_paper
-from lbacal_paper.figures import Panel, PaperFigure, Series
-from lbacal_paper.shower_figures import make_shower_figures
+from lbacal_paper.figures import Panel, PaperFigure, Series, draw, make_chain_figures, make_shower_figures
+from lbacal_paper.reference_source import CELL, CHAMBER
 from lbacal_paper.shower_study import FITTED, RIGHT, TOTAL, ShowerStudy, describe_terms
-from lbacal_paper.stand_in_source import CELL, CHAMBER
 from lbacal_paper.study import Study
 
 

@@ -13,6 +13,7 @@ from lbacal_core.errors import BadInputError, UnknownNameError
 from lbacal_core.instrument.antennas import AntennaRecord
 from lbacal_core.instrument.instrument import Instrument, parse_instrument
 from lbacal_core.instrument.sidereal import local_sidereal_time
+from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra.blocks import split_into_blocks
@@ -307,7 +308,7 @@ def test_interference_that_was_left_is_in_single_channels_of_all_paths(simulate:
 
 def test_a_realistic_campaign_still_calibrates(simulate: Simulate, low_band: Instrument, two_waves: SkyPower) -> None:
     campaign = simulate(TwinSettings(stations=("CS002",)), nuisances=REALISTIC)
-    report = fit_calibration(campaign.spectra, low_band, two_waves)
+    report = fit_calibration(campaign.spectra, Simulation(low_band, two_waves))
     deviations = [
         np.abs(curve.c / campaign.truth.curve(curve.dipole or "", "CS002", curve.antenna) - 1)
         for curve in report.curves
@@ -349,7 +350,7 @@ def fit_staged(instrument, seed):
     sky = compute_sky_power(instrument)
     settings = TwinSettings(events_per_year=300)
     campaign = simulate_campaign(settings, instrument, sky, np.random.default_rng([190, seed]))
-    report = fit_calibration(campaign.spectra, instrument, sky)
+    report = fit_calibration(campaign.spectra, Simulation(instrument, sky))
     assert {curve.status for curve in report.curves} == {"converged"}
     truth = campaign.truth
     pulls = [
@@ -394,7 +395,9 @@ def test_a_temperature_that_is_wrong_in_the_file_moves_c_and_fails_the_chain_tes
     planted = make_instrument(GROUND, KNOWN_LNA)
     sky = compute_sky_power(planted)
     spectra = simulate_campaign(TwinSettings(events_per_year=300), planted, sky, np.random.default_rng(5)).spectra
-    right = fit_calibration(spectra, planted, sky).curves[0]
-    wrong = fit_calibration(spectra, make_instrument(GROUND, KNOWN_LNA | {"noise_temperature_k": 2000}), sky).curves[0]
+    right = fit_calibration(spectra, Simulation(planted, sky)).curves[0]
+    wrong = fit_calibration(
+        spectra, Simulation(make_instrument(GROUND, KNOWN_LNA | {"noise_temperature_k": 2000}), sky)
+    ).curves[0]
     assert right.chi2_per_dof < 2.0 < wrong.chi2_per_dof
     assert np.median(np.abs(wrong.c - right.c) / right.c_sigma_stat) > 2.0

@@ -13,10 +13,9 @@ from lbacal_core.traces.background import CleaningSettings, measure_traces
 from lbacal_core.traces.density import bin_weights, effective_channels
 from lbacal_core.traces.trace import BLOCK_SAMPLES, Trace, TraceReference
 from lbacal_twin.campaign import expected_power
-from lbacal_twin.hardware import build_station
-from lbacal_twin.scatter import draw_scatter
+from lbacal_twin.gains import draw_scatter
+from lbacal_twin.hardware import Scene, Stages, build_station
 from lbacal_twin.settings import TwinSettings
-from lbacal_twin.stages import Scene, Stages
 from lbacal_twin.view import View
 from lbacal_twin.voltages import Shower, Transmitter, digitise, draw_chain_voltage, draw_noise
 from lbacal_twin.weather import draw_weather

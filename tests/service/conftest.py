@@ -26,8 +26,8 @@ from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.table import read_sky_power, write_sky_power
 from lbacal_core.spectra.spectra import Spectra
 from lbacal_twin.campaign import Campaign, simulate_campaign
-from lbacal_twin.faults.antenna import GainStep
 from lbacal_twin.faults.fault import Where
+from lbacal_twin.faults.hardware import GainStep
 from lbacal_twin.settings import TwinSettings
 from service.app import make_app
 from service.config import Settings

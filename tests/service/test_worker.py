@@ -36,7 +36,7 @@ def test_a_refit_makes_the_versions_that_the_fit_alone_makes(
     JobAnswer.model_validate(job)
     assert len(job["calibrations"]) == len(job["promoted"]) == 8
     window = campaign.select(campaign.time_unix < np.datetime64("2015-01-01", "s").astype(float))
-    expected = {c.name: c for c in fit_calibration(window, station.instrument, station.sky_power, "antenna").curves}
+    expected = {c.name: c for c in fit_calibration(window, station.simulation, "antenna").curves}
     answer = http.get("/v1/calibrations/effective", params={"at": "2014-07-01", "station": "CS002"}).json()
     assert len(answer["curves"]) == 8
     for curve in answer["curves"]:

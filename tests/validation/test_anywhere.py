@@ -10,8 +10,8 @@ import pytest
 from lbacal_core.instrument.antennas import AntennaRecord
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_twin.campaign import DrawnStation, draw_stations, expected_power
-from lbacal_twin.faults.antenna import GainStep
 from lbacal_twin.faults.fault import Where
+from lbacal_twin.faults.hardware import GainStep
 from lbacal_twin.settings import TwinSettings
 from validation.anywhere import WHAT, calibrate_drawn, draw_instrument, investigate_drawn
 from validation.anywhere_ideal import ideal_snr

@@ -59,15 +59,14 @@ def test_every_term_of_the_budget_is_drawn() -> None:
     for sky_budget in ("models", "measured"):
         believed = believe(sky_budget)
         campaign = draw_campaign(believed, SMALL, np.random.default_rng(1))
-        inputs = campaign.spectra, believed.instrument, believed.sky_power
-        terms = {term.name for term in compute_budget(*inputs, sky_budget, believed.changes, believed.freedom).terms}
+        terms = {term.name for term in compute_budget(campaign.spectra, believed.simulation, sky_budget).terms}
         drawn = {change.name.partition(" (")[0] for change in believed.changes}
         assert terms <= drawn | {"interference left", "shape of the antenna gain", OTHER_ANTENNA}
         assert {"antenna pattern", "ground and losses"} < drawn
     rng = np.random.default_rng(2)
-    others = [one for one in (draw_antenna(believed.freedom, rng) for _ in range(4000)) if one is not None]
+    others = [one for one in (draw_antenna(believed.prior, rng) for _ in range(4000)) if one is not None]
     # 4.7 % of campaigns, half of them the quarter-wave dipole
     assert len(others) == pytest.approx(190, abs=45)
     assert sum(one.name == "quarter-wave" for one in others) == pytest.approx(len(others) / 2, abs=25)
     assert len({one.name for one in others}) == 12
-    assert believe("measured").instrument.sky == "measured"
+    assert believe("measured").simulation.instrument.sky == "measured"

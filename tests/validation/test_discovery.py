@@ -7,7 +7,7 @@ from dataclasses import asdict
 import numpy as np
 import pytest
 
-from lbacal_twin.faults.antenna import GainDrift
+from lbacal_twin.faults.hardware import GainDrift
 from validation import discovery
 from validation.hidden.data_sets import DataSet, draw_one, moving_causes, realistic
 from validation.hidden.one_effect import CYCLE, Outcome

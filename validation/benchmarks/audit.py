@@ -10,6 +10,7 @@ import numpy as np
 from lbacal_core.audit.audit import audit, audit_quickly
 from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.pipeline import calibrate
+from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.settings import TwinSettings
@@ -28,7 +29,7 @@ def main() -> None:
     works = {
         "whole": lambda: audit(spectra, instrument),
         "quick": lambda: audit_quickly(spectra, instrument),
-        "fit": lambda: calibrate(spectra, instrument, sky_power),
+        "fit": lambda: calibrate(spectra, Simulation(instrument, sky_power)),
     }
     whole, quick, fit = processor_times(works).values()
     print(f"{2 * ANTENNAS} paths, a day in {INSTANTS} instants: audit {whole:.2f} s, its quick part {quick:.2f} s")

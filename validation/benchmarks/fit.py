@@ -24,6 +24,7 @@ from lbacal_core.grids import Floats
 from lbacal_core.instrument.antennas import AntennaRecord
 from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.instrument.sidereal import local_sidereal_time
+from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.spectra.blocks import split_into_blocks
 from lbacal_core.spectra.spectra import Spectra
@@ -133,7 +134,7 @@ def main() -> None:
     spectra = make_spectra(scene, options.events, np.random.default_rng(1))
     paths = 2 * options.stations * options.antennas
 
-    report, wall, cpu = measure(lambda: fit_calibration(spectra, scene.instrument, scene.sky_power))
+    report, wall, cpu = measure(lambda: fit_calibration(spectra, Simulation(scene.instrument, scene.sky_power)))
     print(f"{paths} paths x {options.events} events, one fit: {wall:.2f} s (processor {cpu:.2f} s), {report.status}")
     with threadpool_limits(1):
         _, part_wall, part_cpu = measure(spectra.digest)

@@ -26,11 +26,12 @@ from lbacal_core.discovery.report import investigate
 from lbacal_core.discovery.scan import scan
 from lbacal_core.discovery.station import gather_stations
 from lbacal_core.instrument.instrument import Instrument, load_instrument
+from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra.spectra import Spectra
 from lbacal_twin.campaign import simulate_campaign
-from lbacal_twin.faults.antenna import GainTemperature
+from lbacal_twin.faults.hardware import GainTemperature
 from lbacal_twin.settings import TwinSettings
 
 SIZES = ((900, 48), (450, 48), (900, 24), (450, 24), (900, 12))
@@ -50,7 +51,7 @@ def question(events: int, antennas: int, size: float, *, is_own_sky: bool) -> st
     sky = compute_sky_power(chain)
     spectra = simulate(events, antennas, chain, sky, size)
     started, processor = time.perf_counter(), time.process_time()
-    report, _ = investigate(spectra, chain, sky, is_own_sky=is_own_sky)
+    report, _ = investigate(spectra, Simulation(chain, sky, is_own_sky=is_own_sky))
     wall, processor = time.perf_counter() - started, time.process_time() - processor
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
     return f"{wall:.1f} s ({processor:.1f} s of processor time), {memory:.2f} GiB, {report['verdict']}"
@@ -75,7 +76,7 @@ def main() -> None:
     sky = compute_sky_power(chain)
     spectra = simulate(900, 48, chain, sky, SIZE)
     with threadpool_limits(1):
-        (station,) = gather_stations(spectra, chain, sky)
+        (station,) = gather_stations(spectra, Simulation(chain, sky))
         plain, targets = fit_chain(station), list_targets(station)
         started = time.perf_counter()
         found = scan(plain.linear, CAUSES, targets)

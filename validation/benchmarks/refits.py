@@ -63,7 +63,7 @@ def work(folder: Path, _: int = 0) -> Seconds:
     for store, name in ((SpectraStore, "load"), (SpectraStore, "load_after"), (KeptFitStore, "get")):
         setattr(store, name, _timed(getattr(store, name), spent))
     with threadpool_limits(1):
-        _ = factory.sky_power, factory.freedom
+        _ = factory.simulation.sky_power, factory.simulation.prior
         while True:
             with factory.database.write() as stores:
                 part = stores.jobs.claim("benchmark", lease_us=10**9, inputs=factory.inputs.text)
@@ -122,18 +122,20 @@ def tell(what: str, spent: Seconds, wall: float, bare: float) -> None:
 def run(folder: Path, stations: int, antennas: int, events: int) -> None:
     factory = open_service(folder)
     shipped = Factory(Settings())
-    write_sky_power(shipped.sky_power, folder / "sky_power.json")
+    write_sky_power(shipped.simulation.sky_power, folder / "sky_power.json")
     settings = TwinSettings(
         stations=STATIONS[:stations], antennas=antennas, events_per_year=events + 1, years=0.999
     )  # fmt: skip
-    spectra = simulate_campaign(settings, factory.instrument, factory.sky_power, np.random.default_rng(1)).spectra
+    spectra = simulate_campaign(
+        settings, factory.instrument, factory.simulation.sky_power, np.random.default_rng(1)
+    ).spectra
     last = spectra.event_id == spectra.event_id[np.argmax(spectra.time_unix)]
     upgrade(factory.database)
     store(factory, spectra.select(~last))
     with threadpool_limits(1):
         begin = time.process_time()
         for scope in ("antenna", "station", "array"):
-            fit_calibration(spectra, factory.instrument, factory.sky_power, scope)
+            fit_calibration(spectra, factory.simulation, scope)
         bare = time.process_time() - begin
     curves = 2 * (stations * antennas + stations + 1)
     print(f"{curves} curves of {events} events: bare fits {bare:.2f} s, {1e3 * bare / curves:.1f} ms a curve")

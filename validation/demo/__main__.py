@@ -16,7 +16,6 @@ import numpy as np
 from lbacal.cli.curve_page import draw_curve
 from lbacal.cli.investigation_page import axes_of, draw_finding, draw_residual_maps
 from lbacal.cli.report_pages import embed, fill_report
-from lbacal_core.calibration.chain_test import free_own_sky
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.curves.curves import CalibrationCurve, FitReport
 from lbacal_core.data.lofar import DIPOLES
@@ -25,11 +24,9 @@ from lbacal_core.discovery.curve_search import CurveInvestigation, describe_curv
 from lbacal_core.discovery.report import investigate
 from lbacal_core.discovery.search import StationReport
 from lbacal_core.grids import Floats
-from lbacal_core.instrument.instrument import Instrument, load_instrument
 from lbacal_core.lstcurve.curve import BAND_MHZ, measured_curve, read_lst_curve
 from lbacal_core.provenance import Provenance
-from lbacal_core.skypower.model import compute_sky_power
-from lbacal_core.skypower.table import SkyPower
+from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.spectra.spectra import Spectra, write_spectra
 from lbacal_core.uncertainty.refit import add_budget, compute_budget
 from lbacal_twin.campaign import Campaign, simulate_campaign
@@ -70,21 +67,25 @@ class Demonstration:
     curve: CurveInvestigation
 
 
-def simulate(instrument: Instrument, sky_power: SkyPower) -> tuple[Campaign, Spectra]:
+def simulate(simulation: Simulation) -> tuple[Campaign, Spectra]:
     """Simulate two years with a gain step in one path, and a year in which the Sun shines."""
-    campaign = simulate_campaign(SETTINGS, instrument, sky_power, np.random.default_rng(SEED), [STEP])
-    hidden = simulate_campaign(SETTINGS, instrument, sky_power, np.random.default_rng(SEED + 1), [SUN]).spectra
+    campaign = simulate_campaign(
+        SETTINGS, simulation.instrument, simulation.sky_power, np.random.default_rng(SEED), [STEP]
+    )
+    hidden = simulate_campaign(
+        SETTINGS, simulation.instrument, simulation.sky_power, np.random.default_rng(SEED + 1), [SUN]
+    ).spectra
     return campaign, hidden.select(hidden.time_unix < NEW_YEAR_2015)
 
 
-def compute(instrument: Instrument, sky_power: SkyPower, campaign: Campaign, hidden: Spectra) -> Demonstration:
+def compute(simulation: Simulation, campaign: Campaign, hidden: Spectra) -> Demonstration:
     """Fit the first year, ask what the simulation of the other year gets wrong, and ask the measured curve the same."""
     first_year = campaign.spectra.select(campaign.spectra.time_unix < NEW_YEAR_2015)
-    inputs, freedom = (first_year, instrument, sky_power), free_own_sky(instrument)
-    budget = compute_budget(*inputs, freedom=freedom)
-    paths, station = (add_budget(fit_calibration(*inputs, scope, freedom), budget) for scope in ("antenna", "station"))
-    found, (of_station,) = investigate(hidden, instrument, sky_power, is_own_sky=True, seed=1)
-    curve = investigate_curve(read_lst_curve(measured_curve()), sky_power, instrument, BAND_MHZ, is_own_sky=True)
+    budget = compute_budget(first_year, simulation)
+    scopes = "antenna", "station"
+    paths, station = (add_budget(fit_calibration(first_year, simulation, scope), budget) for scope in scopes)
+    found, (of_station,) = investigate(hidden, simulation, seed=1)
+    curve = investigate_curve(read_lst_curve(measured_curve()), simulation, BAND_MHZ)
     measured = describe_curve(curve, Provenance({}, {}))
     return Demonstration(campaign, first_year, paths, station, hidden, found, of_station, measured, curve)
 
@@ -207,12 +208,11 @@ def main(arguments: Sequence[str] = (), output: Path = Path("var/report.html")) 
     # the service works in processes of its own, beside the fits and the search of this one
     stays = "--serve" in arguments
     with running_server(output.parent / "demo", searches=stays) as server, ThreadPoolExecutor(1) as beside:
-        instrument = load_instrument("lofar-superterp")
-        sky_power = compute_sky_power(instrument)
-        campaign, hidden = simulate(instrument, sky_power)
+        simulation = Simulation.load("lofar-superterp")
+        campaign, hidden = simulate(simulation)
         lines: list[str] = []
         serving = beside.submit(serve_years, campaign.spectra, server, lines.append)
-        shown = compute(instrument, sky_power, campaign, hidden)
+        shown = compute(simulation, campaign, hidden)
         head = ["C in µV per ADC unit", *[f"{mhz} MHz" for mhz in SHOWN_MHZ]]
         print(f"1. The calibration C of {STATION}: {len(shown.paths.curves)} paths, a simulated year")
         _print_rows([head, *tabulate(shown)])

@@ -25,8 +25,8 @@ from lbacal.client import Client
 from lbacal.transport import UnreachableError
 from lbacal_core.errors import name_path
 from lbacal_core.spectra.spectra import Spectra
-from lbacal_twin.faults.antenna import GainStep
 from lbacal_twin.faults.fault import Where
+from lbacal_twin.faults.hardware import GainStep
 from validation.running.processes import find_free_port, make_key, run_command
 
 STATION, ANTENNA, DIPOLE = "CS002", 5, "Y"

@@ -10,19 +10,24 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from lbacal_twin.faults.antenna import (
+from lbacal_twin.faults.fault import Where
+from lbacal_twin.faults.hardware import (
+    AdcJitter,
+    AdcNoiseStep,
+    CableLength,
+    CableReflection,
+    CableTemperature,
+    Compression,
+    FilterShift,
     GainDrift,
     GainStep,
     GainTemperature,
     LnaNoiseSlope,
     LnaNoiseTemperature,
+    MissingNoise,
     ResonanceShift,
     ResonanceWidth,
 )
-from lbacal_twin.faults.cable import CableLength, CableReflection, CableTemperature
-from lbacal_twin.faults.fault import Where
-from lbacal_twin.faults.interference import RfiBroadband, RfiLine
-from lbacal_twin.faults.receiver import AdcJitter, AdcNoiseStep, Compression, FilterShift, MissingNoise
 from lbacal_twin.faults.sky import (
     DipoleAzimuth,
     DipoleSwap,
@@ -31,6 +36,8 @@ from lbacal_twin.faults.sky import (
     IsotropicLevel,
     LstOffset,
     PatternWidth,
+    RfiBroadband,
+    RfiLine,
     SolarEmission,
     ZenithWeighting,
 )

@@ -21,6 +21,7 @@ from lbacal_core.discovery.scan import by_known_events, list_families, score_fam
 from lbacal_core.discovery.search import StationReport
 from lbacal_core.lstcurve.curve import BAND_MHZ
 from lbacal_core.provenance import Provenance
+from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.spectra.spectra import Spectra
 from validation.frozen.data_sets import BandCurve, DataSet, StationSpectra, sky_power
 
@@ -32,7 +33,7 @@ def frozen_numbers(data: DataSet) -> dict[str, Any]:
 
 def _of_curve(data: BandCurve) -> dict[str, Any]:
     curve = data.curve()
-    found = investigate_curve(curve, sky_power(), data.instrument, BAND_MHZ, is_own_sky=data.is_own_sky)
+    found = investigate_curve(curve, Simulation(data.instrument, sky_power(), is_own_sky=data.is_own_sky), BAND_MHZ)
     points = np.concatenate(list(curve.variation_db.values()))
     return {
         "data": {"points": int(np.isfinite(points).sum()), "square_db2": float(np.nansum(points**2))},
@@ -43,7 +44,9 @@ def _of_curve(data: BandCurve) -> dict[str, Any]:
 def _of_spectra(data: StationSpectra) -> dict[str, Any]:
     """As `lbacal investigate` asks, with the seed of the data set."""
     spectra = data.spectra()
-    report, stations = investigate(spectra, data.instrument, sky_power(), is_own_sky=data.is_own_sky, seed=data.seed)
+    report, stations = investigate(
+        spectra, Simulation(data.instrument, sky_power(), is_own_sky=data.is_own_sky), seed=data.seed
+    )
     numbers = _without_provenance(report)
     numbers["scores"] = {
         station.station.name: _of_scores(report["scores"][station.station.name], station) for station in stations

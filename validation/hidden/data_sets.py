@@ -14,15 +14,14 @@ from lbacal_core.instrument.instrument import Instrument, load_instrument
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra.spectra import Spectra
 from lbacal_twin.campaign import draw_stations, simulate_campaign
-from lbacal_twin.faults.antenna import ResonanceFault
 from lbacal_twin.faults.catalogue import catalogue_faults, draw_fault
 from lbacal_twin.faults.fault import EVERYWHERE, Fault, Where
-from lbacal_twin.faults.interference import RfiBroadband, RfiLine
-from lbacal_twin.faults.sky import PatternWidth
+from lbacal_twin.faults.hardware import ResonanceFault
+from lbacal_twin.faults.sky import PatternWidth, RfiBroadband, RfiLine
 from lbacal_twin.gains import BEHIND_EVERYTHING, EventGains
+from lbacal_twin.hardware import Scene
 from lbacal_twin.nuisances import NONE, REALISTIC, Nuisances
 from lbacal_twin.settings import TwinSettings
-from lbacal_twin.stages import Scene
 from lbacal_twin.view import View
 from lbacal_twin.world import World
 from validation.hidden.finder import Answer, FittedModel, ask_finder

@@ -17,6 +17,7 @@ from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.lstcurve.curve import LstCurve
 from lbacal_core.provenance import Provenance
+from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.skypower.differences import DifferenceModels
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra.spectra import Spectra
@@ -94,7 +95,7 @@ class FittedModel:
         searched = zip(self._station.station.antenna, self._station.station.dipole, strict=True)
         names = [f"{antenna} {dipole}" for antenna, dipole in searched]
         paths_of_rows = [f"{antenna} {dipole}" for antenna, dipole in zip(spectra.antenna, spectra.dipole, strict=True)]
-        (other,) = gather_stations(spectra.select(np.isin(paths_of_rows, names)), instrument, sky_power)
+        (other,) = gather_stations(spectra.select(np.isin(paths_of_rows, names)), Simulation(instrument, sky_power))
         terms = replace(self._station.last.baseline.terms, sky=other.sky)
         ratio = power_ratio(other, terms, self._station.last.hypotheses)
         paths = [(int(antenna), str(dipole)) for antenna, dipole in zip(other.antenna, other.dipole, strict=True)]
@@ -119,7 +120,9 @@ def ask_finder(
     A finder that breaks down on the data is recorded, and never counts as right.
     """
     try:
-        report, stations = investigate(spectra, instrument, sky_power, is_own_sky=is_own_sky, models=models, seed=seed)
+        report, stations = investigate(
+            spectra, Simulation(instrument, sky_power, is_own_sky=is_own_sky, models=models), seed=seed
+        )
     except (ArithmeticError, LookupError, ValueError) as error:
         return Answer(f"failed: {error}", [], None, []), None
     scores = [
@@ -130,6 +133,6 @@ def ask_finder(
 
 def ask_of_curve(curve: LstCurve, sky_power: SkyPower, instrument: Instrument, band_mhz: tuple[float, float]) -> Answer:
     """Ask what is hidden in a band-averaged LST curve; the sky power is given and taken at its word."""
-    found = investigate_curve(curve, sky_power, instrument, band_mhz, is_own_sky=False)
+    found = investigate_curve(curve, Simulation(instrument, sky_power, is_own_sky=False), band_mhz)
     report = describe_curve(found, Provenance({}))
     return Answer(report["verdict"], report["findings"], report["unexplained"], [])

@@ -32,9 +32,9 @@ from lbacal_core.spectra.spectra import Spectra
 from lbacal_twin.campaign import DrawnStation, expected_power
 from lbacal_twin.faults.fault import Fault
 from lbacal_twin.gains import BEHIND_EVERYTHING, EventGains
+from lbacal_twin.hardware import Scene, Stages
 from lbacal_twin.nuisances import Nuisances
 from lbacal_twin.settings import TwinSettings
-from lbacal_twin.stages import Scene, Stages
 from validation.hidden.noise import Noise, count_blocks, noise_of, slope_of_resonance
 
 TINY_RIDGE = 1e-13

@@ -19,9 +19,9 @@ from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.grids import Floats
 from lbacal_core.spectra.spectra import Spectra
 from lbacal_twin.gains import BEHIND_EVERYTHING, EventGains
+from lbacal_twin.hardware import Scene, Stages
 from lbacal_twin.nuisances import Nuisances
 from lbacal_twin.settings import TwinSettings
-from lbacal_twin.stages import Scene, Stages
 
 EVENTS_TOGETHER = 128
 """Events whose projections are in memory at the same time."""

@@ -12,10 +12,10 @@ from lbacal_core.curves.curves import CalibrationCurve
 from lbacal_core.curves.reference_chain import ReferenceChain
 from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.instrument.instrument import load_instrument
+from lbacal_core.simulation.simulation import Simulation
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.gains import NOISES
-from lbacal_twin.settings import TwinSettings
-from lbacal_twin.truth import StationTruth
+from lbacal_twin.settings import StationTruth, TwinSettings
 from validation.hidden.worlds import EVENTS, EVERYTHING, OWN, STATION, TWELVE
 from validation.machinery.claims import Found, root_mean_of, worst_of
 from validation.machinery.parts import Part, Row
@@ -40,7 +40,7 @@ def measure_pulls(seed: int) -> Row:
     at = np.searchsorted(instrument.frequency_mhz, AT_MHZ)
     row: Row = {"noise": noise}
     for scope in SCOPES:
-        report = fit_calibration(campaign.spectra, instrument, sky_power, scope)
+        report = fit_calibration(campaign.spectra, Simulation(instrument, sky_power), scope)
         pulls = [
             (curve.c - _planted(curve, chain, campaign.truth.stations[0])) / curve.c_sigma_stat
             for curve, chain in zip(report.curves, report.chains, strict=True)

@@ -10,10 +10,9 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from lbacal_core.grids import Floats
-from lbacal_twin.faults.antenna import ResonanceFault, ResonanceShift
-from lbacal_twin.faults.cable import CableReflection
-from lbacal_twin.faults.drivers import driver
-from lbacal_twin.faults.interference import RfiLine
+from lbacal_twin.faults.fault import driver
+from lbacal_twin.faults.hardware import CableReflection, ResonanceFault, ResonanceShift
+from lbacal_twin.faults.sky import RfiLine
 from validation.hidden.data_sets import DataSet, Planted
 
 

@@ -18,10 +18,11 @@ from lbacal_core.causes.axes import axis_named
 from lbacal_core.discovery.report import investigate
 from lbacal_core.discovery.search import StationReport
 from lbacal_core.instrument.instrument import load_instrument
+from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_twin.campaign import simulate_campaign
-from lbacal_twin.faults.antenna import GainStep
 from lbacal_twin.faults.fault import Fault, Where
+from lbacal_twin.faults.hardware import GainStep
 from lbacal_twin.faults.sky import IonosphericAbsorption
 from lbacal_twin.faults.uncatalogued import WorkingWeek
 from lbacal_twin.settings import TwinSettings
@@ -37,7 +38,7 @@ def ask(faults: list[Fault]) -> StationReport:
     instrument = load_instrument("lofar-superterp")
     sky = compute_sky_power(instrument)
     spectra = simulate_campaign(SETTINGS, instrument, sky, np.random.default_rng(5), faults).spectra
-    content, (report,) = investigate(spectra, instrument, sky, is_own_sky=True)
+    content, (report,) = investigate(spectra, Simulation(instrument, sky, is_own_sky=True))
     print(content["verdict"], [finding["sentence"] for finding in content["findings"]])
     return report
 

@@ -15,6 +15,7 @@ from lbacal_core.antenna.ideal import ShortDipole
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.data.tables import read_table
 from lbacal_core.instrument.instrument import Instrument, load_instrument
+from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.sky.names import load_sky, read_sky_level
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.sky_terms import (
@@ -91,7 +92,9 @@ def fit_both(instrument: Instrument, settings: TwinSettings, scope: str) -> tupl
     sigma: Rows = {}
     for name, power in powers.items():
         curve = next(
-            one for one in fit_calibration(campaign.spectra, instrument, power, scope).curves if one.dipole == "X"
+            one
+            for one in fit_calibration(campaign.spectra, Simulation(instrument, power), scope).curves
+            if one.dipole == "X"
         )
         if curve.c is None or curve.c_sigma_stat is None:
             raise SystemExit(f"{scope}, sky {name}: {curve.status}")

@@ -10,7 +10,7 @@ import json
 import sys
 from pathlib import Path
 
-from lbacal_paper.page import insert_claims
+from lbacal_paper.everything import insert_claims
 
 PAGE = Path(__file__).parents[2] / "docs/explanation/the-paper-redone.md"
 

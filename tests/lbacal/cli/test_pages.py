@@ -23,14 +23,14 @@ from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.lstcurve.curve import measured_curve
 from lbacal_core.pipeline import calibrate
 from lbacal_core.provenance import Provenance
+from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra.spectra import Spectra, write_spectra
 from lbacal_core.uncertainty.one_event import ErrorOfC
 from lbacal_twin.campaign import simulate_campaign
-from lbacal_twin.faults.antenna import GainStep
-from lbacal_twin.faults.cable import CableReflection
 from lbacal_twin.faults.fault import Where
+from lbacal_twin.faults.hardware import CableReflection, GainStep
 from lbacal_twin.faults.uncatalogued import FieldGradient, FrostAndHeat
 from lbacal_twin.settings import TwinSettings
 from tests.lbacal.cli.conftest import Lbacal
@@ -147,14 +147,14 @@ def spectra(sky: SkyPower) -> Spectra:
 def test_residuals_of_every_scope_are_small_where_the_chain_is_right(
     spectra: Spectra, sky: SkyPower, scope: str
 ) -> None:
-    report = calibrate(spectra, INSTRUMENT, None, scope)
-    maps = average_residuals(spectra, report.curves, INSTRUMENT, sky)
+    report = calibrate(spectra, Simulation(INSTRUMENT), scope)
+    maps = average_residuals(spectra, report.curves, Simulation(INSTRUMENT, sky))
     assert sorted(maps) == ["X", "Y"]
     for one in maps.values():
         assert one.shape == (48, 51)
         # gains of events of 5 % in bins of a few events
         assert np.nanmedian(np.abs(one)) < 0.04
-    figure = draw_fit(report, maps, INSTRUMENT, sky)
+    figure = draw_fit(report, maps, Simulation(INSTRUMENT, sky))
     labels = [set(axes.get_legend_handles_labels()[1]) for axes in figure.axes]
     assert {"total error", "statistical error"} <= labels[0]
     assert {"N_LNA", "N_RCU", "N_ADC", "sky, mean over LST"} <= labels[4]
@@ -165,9 +165,11 @@ def test_residuals_of_every_scope_are_small_where_the_chain_is_right(
 
 def test_a_fit_without_any_curve_is_drawn_empty(spectra: Spectra, sky: SkyPower) -> None:
     few = spectra.select(np.isin(spectra.event_id, np.unique(spectra.event_id)[:10]))
-    report = calibrate(few, INSTRUMENT, None, "antenna")
+    report = calibrate(few, Simulation(INSTRUMENT), "antenna")
     assert all(curve.c is None for curve in report.curves)
-    draw_fit(report, average_residuals(few, report.curves, INSTRUMENT, sky), INSTRUMENT, sky).canvas.draw()
+    draw_fit(
+        report, average_residuals(few, report.curves, Simulation(INSTRUMENT, sky)), Simulation(INSTRUMENT, sky)
+    ).canvas.draw()
 
 
 FREQUENCY_OF_BUDGET = np.array([30.0, 55.0, 80.0])
@@ -235,7 +237,7 @@ def written(tmp_path_factory):
         FrostAndHeat(size=0.09),
     ]
     spectra = simulate_campaign(SETTINGS, chain, sky, np.random.default_rng(8), faults).spectra
-    content, reports = investigate(spectra, chain, sky)
+    content, reports = investigate(spectra, Simulation(chain, sky))
     path = tmp_path_factory.mktemp("page") / "r.html"
     write_investigation_page(content, reports, path)
     return content, path.read_text(), reports
@@ -279,7 +281,7 @@ def test_a_static_cause_is_drawn_as_an_antenna_against_the_others(tmp_path):
     settings = TwinSettings(stations=("CS002",), antennas=10, events_per_year=150)
     reflection = CableReflection(size=0.1, delay_us=0.62, phase_rad=2.2, where=Where(antennas=(7,)))
     spectra = simulate_campaign(settings, chain, sky, np.random.default_rng(8), [reflection]).spectra
-    content, reports = investigate(spectra, chain, sky)
+    content, reports = investigate(spectra, Simulation(chain, sky))
     (finding,) = content["findings"]
     assert (finding["cause"], finding["where"]["antennas"]) == ("cable_reflection", [7])
     # The delay is known modulo 1 us, and channels of 1 MHz damp it.
@@ -304,7 +306,7 @@ def test_what_all_paths_show_together_is_told_path_by_path(tmp_path):
     # One antenna died after a third of the year: it is compared with the others and has no amount.
     died = (spectra.antenna == 4) & (spectra.time_unix > np.quantile(spectra.time_unix, 1 / 3))
     spectra = spectra.select(~died)
-    content, reports = investigate(spectra, chain, sky)
+    content, reports = investigate(spectra, Simulation(chain, sky))
     told = content["unexplained"]
     assert (told["where"]["axis"], content["findings"]) == ("lst", [])
     assert " in 18 paths of CS002 together, each by its own amount and most in antenna" in told["description"]

@@ -16,6 +16,7 @@ from lbacal_core.pipeline import calibrate
 from lbacal_core.provenance import Provenance
 from lbacal_core.readers.open import choose_channels, open_source
 from lbacal_core.readers.source import average
+from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.spectra.spectra import Spectra, join_spectra
 from lbacal_twin.campaign import simulate_campaign
@@ -186,7 +187,7 @@ def test_power_times_four_in_the_first_half_of_the_year_is_a_misfit_and_two_chai
     stepped = replace(year, power=np.where(first, 4.0, 1.0) * year.power)
     found = audit_quickly(stepped, superterp)
     assert "the power of all paths steps by -6.1 dB about 2014-07-01" in found.sentence
-    assert {curve.status for curve in found.mark(calibrate(stepped, superterp)).curves} == {"misfit"}
+    assert {curve.status for curve in found.mark(calibrate(stepped, Simulation(superterp))).curves} == {"misfit"}
     assert audit_quickly(year, superterp).sentence.startswith("nothing wrong")
 
 

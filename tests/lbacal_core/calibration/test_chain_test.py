@@ -5,10 +5,11 @@ import pytest
 from scipy.stats import chi2 as chi2_distribution
 from scipy.stats import kstest
 
-from lbacal_core.calibration.chain_test import Mistake, SkyFreedom, compare_predictions, is_improbable, run_chain_test
+from lbacal_core.calibration.chain_test import compare_predictions, is_improbable, run_chain_test
 from lbacal_core.calibration.lines import fit_lines
 from lbacal_core.calibration.separable import solve_separable
 from lbacal_core.chain.model import three_constants
+from lbacal_core.simulation.prior import Mistake, SkyPrior
 
 
 def run_test(scene, paths, events, seed, freedom=None, change=None):
@@ -48,7 +49,7 @@ def compare_hotter(scene, size, events=600, seed=8):
         behind = solution.q[0] @ terms.behind
         fits.append((lines, solution, slope * one + terms.before(solution.n[0]) * slope + behind))
     (lines, solution, own), (*_, other) = fits
-    is_free, freedom = np.zeros(lines.slope.shape, dtype=bool), SkyFreedom({"X": tilt(scene, 0.05)[None]}, "")
+    is_free, freedom = np.zeros(lines.slope.shape, dtype=bool), SkyPrior({"X": tilt(scene, 0.05)[None]}, "")
     return compare_predictions(
         power, sky, variance, lst, lines, solution.n, solution.x, terms, is_free, freedom, "X", np.array([own, other])
     )
@@ -82,7 +83,7 @@ def test_clean_paths_follow_the_chi2_distribution(scene, events):
 
 def test_a_sky_within_its_freedom_is_no_misfit_and_one_taken_at_its_word_is(scene):
     size = 0.3
-    freedom = SkyFreedom({"X": tilt(scene, size)[None]}, "")
+    freedom = SkyPrior({"X": tilt(scene, size)[None]}, "")
 
     def tilted(lst):
         return np.tile(tilt(scene, size)[0], (lst.size, 1))
@@ -97,7 +98,7 @@ def test_a_sky_within_its_freedom_is_no_misfit_and_one_taken_at_its_word_is(scen
 
 
 def test_freedom_costs_clean_paths_nothing(scene):
-    freedom = SkyFreedom({"X": tilt(scene, 0.15)[None]}, "")
+    freedom = SkyPrior({"X": tilt(scene, 0.15)[None]}, "")
     found = run_test(scene, 10, 400, 5, freedom)
     assert np.mean(found.per_dof) == pytest.approx(1.0, abs=0.25)
 
@@ -119,7 +120,7 @@ def test_a_mistake_gains_where_it_was_made_and_loses_where_it_was_not(scene):
     waves = np.stack(
         [0.01 * np.tile(f(2 * np.pi * np.arange(48) / 48.0)[:, None], change.shape[1]) for f in (np.cos, np.sin)]
     )
-    freedom = SkyFreedom({"X": waves}, "", (Mistake("late", {"X": change}),))
+    freedom = SkyPrior({"X": waves}, "", (Mistake("late", {"X": change}),))
     clean, wrong = (run_test(scene, 10, 900, 4, freedom, one) for one in (None, late))
     assert clean.gain.shape == (10, 1)
     assert clean.gain.max() < 0.0

@@ -5,18 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lbacal_core.calibration.chain_test import SkyFreedom
-from lbacal_core.calibration.lines import (
-    SKY_HARMONICS,
-    PathLines,
-    fit_lines,
-    harmonics_at,
-    move_lines,
-    move_lines_by,
-)
+from lbacal_core.calibration.lines import PathLines, fit_lines, harmonics_at, move_lines, move_lines_by
 from lbacal_core.calibration.paths import paths_of_scope, radiometer_limit, require_one_cable_each
 from lbacal_core.calibration.singles import chain_forms
 from lbacal_core.grids import Floats
+from lbacal_core.simulation.prior import SKY_HARMONICS, SkyPrior
+from lbacal_core.simulation.simulation import Simulation
 
 
 def slow_lines(power: Floats, sky: Floats, model: Floats, covariances: list[Floats]) -> tuple[Floats, Floats]:
@@ -149,7 +143,7 @@ def test_the_freedom_of_the_sky_moves_the_lines_as_a_fit_with_shared_noise_does(
     lines = fit_lines(power, sky, variance, forms)
     assert np.count_nonzero(np.any(lines.levels.vectors[0] != 0, axis=1)) >= 2
     change = 0.01 * np.linspace(-1.0, 1.0, sky.shape[1])[None] * np.cos(2 * np.pi * (np.arange(48)[:, None] - 9) / 48)
-    series = SkyFreedom({"X": change[None]}, "").series("X")
+    series = SkyPrior({"X": change[None]}, "").series("X")
     basis = harmonics_at(lst, SKY_HARMONICS)
     path = PathLines.of(power[0], sky, variance[0], lines.select(np.array([0])))
     moved = move_lines(path, basis, series)[0]
@@ -168,7 +162,7 @@ def test_an_event_that_one_antenna_of_four_recorded_has_the_noise_of_its_power_a
     is_lonely = np.isin(one_station.event_id, np.unique(one_station.event_id)[::4])
     some = one_station.select(~is_lonely | (one_station.antenna == 0))
     cables = require_one_cable_each(some, scene.instrument)
-    (read,) = paths_of_scope(some, scene.instrument, scene.sky_power, "station", cables)
+    (read,) = paths_of_scope(some, Simulation(scene.instrument, scene.sky_power), "station", cables)
     mean = read()
     level = np.array([np.mean(one_station.power[one_station.antenna == antenna]) for antenna in range(4)])
     # of equal cables it would be 4; 1 % because the level is that of noisy spectra
@@ -185,7 +179,7 @@ def test_radiometer_noise_is_that_of_the_samples_of_a_channel(spectra):
 
 def test_a_mean_knows_the_scatter_of_the_single_spectra(scene, spectra):
     cables = require_one_cable_each(spectra, scene.instrument)
-    for read in paths_of_scope(spectra, scene.instrument, scene.sky_power, "station", cables):
+    for read in paths_of_scope(spectra, Simulation(scene.instrument, scene.sky_power), "station", cables):
         paths = read()
         assert paths.scatter == pytest.approx(0.045, rel=0.03)
         assert paths.smallest_scatter == pytest.approx(1280**-0.5)

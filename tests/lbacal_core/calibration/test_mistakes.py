@@ -6,17 +6,10 @@ import numpy as np
 import pytest
 
 from lbacal_core.antenna.ideal import ShortDipole
-from lbacal_core.calibration.chain_test import (
-    LARGEST_GAIN,
-    Mistake,
-    describe_mistakes,
-    free_own_sky,
-    list_mistakes,
-    list_other_antennas,
-    name_mistakes,
-)
+from lbacal_core.calibration.chain_test import LARGEST_GAIN, describe_mistakes, name_mistakes
 from lbacal_core.curves.curves import CalibrationCurve
 from lbacal_core.instrument.instrument import load_instrument
+from lbacal_core.simulation.prior import Mistake, list_mistakes, list_other_antennas, sky_prior
 from lbacal_core.skypower.differences import LST_HOURS
 from lbacal_core.skypower.model import compute_sky_power
 
@@ -127,7 +120,7 @@ def test_heights_follow_the_band():
 @pytest.mark.parametrize("name", ["gsm408", "lfsm", "haslam", "maeda"])
 def test_another_sky_is_about_one_standard_deviation_away(name):
     instrument = load_instrument("lofar-superterp")
-    freedom, own = free_own_sky(instrument), compute_sky_power(instrument, lst_hours=LST_HOURS)
+    freedom, own = sky_prior(instrument), compute_sky_power(instrument, lst_hours=LST_HOURS)
     other = compute_sky_power(instrument, sky=name, lst_hours=LST_HOURS)
     for dipole, modes in freedom.modes.items():
         change = np.log(other.power[dipole] / own.power[dipole]).ravel()
@@ -141,5 +134,5 @@ def test_another_sky_is_about_one_standard_deviation_away(name):
 def test_the_digest_names_what_it_was_made_from():
     instrument = load_instrument("lofar-superterp")
     elsewhere = replace(instrument, latitude_deg=40.0)
-    assert free_own_sky(instrument).digest == free_own_sky(instrument).digest
-    assert free_own_sky(instrument).digest != free_own_sky(elsewhere).digest
+    assert sky_prior(instrument).digest == sky_prior(instrument).digest
+    assert sky_prior(instrument).digest != sky_prior(elsewhere).digest

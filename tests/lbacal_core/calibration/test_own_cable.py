@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lbacal_core.calibration.antenna_noise import noise_at_input
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.calibration.spreads import (
     SinglePaths,
@@ -16,6 +15,7 @@ from lbacal_core.calibration.spreads import (
 from lbacal_core.chain.model import calibration_factor
 from lbacal_core.curves.reference_chain import CableTable, ReferenceChain
 from lbacal_core.instrument.antennas import AntennaRecord
+from lbacal_core.simulation.simulation import Simulation, noise_at_input
 
 AT = 1_400_000_000.0
 
@@ -23,7 +23,7 @@ AT = 1_400_000_000.0
 @pytest.fixture(scope="module")
 def report(scene):
     spectra = scene.spectra(np.random.default_rng(12), events=400)
-    return fit_calibration(spectra, scene.instrument, scene.sky_power, "station")
+    return fit_calibration(spectra, Simulation(scene.instrument, scene.sky_power), "station")
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +34,7 @@ def answer(report):
 def test_the_reference_chain_is_the_mean_of_exactly_the_paths_with_enough_events(scene):
     spectra = scene.spectra(np.random.default_rng(13), events=200)
     is_lost = (spectra.antenna == 0) & (spectra.dipole == "X") & (np.arange(len(spectra)) % 5 > 0)
-    curves = fit_calibration(spectra.select(~is_lost), scene.instrument, scene.sky_power, "station")
+    curves = fit_calibration(spectra.select(~is_lost), Simulation(scene.instrument, scene.sky_power), "station")
     of_x, of_y = curves.chains
     assert [antenna for _, antenna in of_x.members] == [1, 2, 3], "antenna 0 X has 40 events"
     assert [antenna for _, antenna in of_y.members] == [0, 1, 2, 3]
@@ -85,7 +85,7 @@ def test_a_station_without_data_is_told_a_larger_error_by_an_array_of_two(scene)
     records = tuple(AntennaRecord("CS004", antenna, "50") for antenna in range(4))
     wider = replace(scene.instrument, antennas=(*scene.instrument.antennas, *records))
     spectra = scene.spectra(np.random.default_rng(14), events=200, stations=2)
-    array = fit_calibration(spectra, wider, scene.sky_power, "array")
+    array = fit_calibration(spectra, Simulation(wider, scene.sky_power), "array")
     near, far = (carry_to_path(array.curves[0], array.chains[0], s, 0, "X", AT) for s in ("CS003", "CS004"))
     assert (near.flag, far.flag) == ("ok", "uncertain")
     assert far.reason == "there are no data of CS004: this is the mean of other stations"

@@ -3,17 +3,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lbacal_core.calibration.antenna_noise import (
-    draw_noise,
-    noise_at_input,
-    predict_power,
-    recorded_background,
-    recorded_electronics,
-)
+from lbacal_core.calibration.antenna_noise import draw_noise
 from lbacal_core.curves.curves import CONVERGED, CalibrationCurve, Parameter
 from lbacal_core.errors import BadInputError
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.instrument.sidereal import local_sidereal_time
+from lbacal_core.simulation.simulation import Simulation, noise_at_input
 from lbacal_core.skypower.power import RESISTANCE_OHM
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra.blocks import split_into_blocks
@@ -43,7 +38,7 @@ def test_the_planted_curve_predicts_the_spectra_within_their_scatter(
     block = split_into_blocks(campaign.spectra)[0]
     curve = _planted_curve(campaign, 1, "X")
     sky = two_waves.at("X", local_sidereal_time(block.time_unix, low_band.longitude_deg))
-    deviation = block.power[1] / predict_power(curve, low_band, sky) - 1.0
+    deviation = block.power[1] / Simulation(low_band, two_waves).power(curve, sky) - 1.0
     # Event gain 5 % and radiometer noise 4.4 % in squares; 300 events, so the mean is known to 0.3 %.
     assert abs(deviation.mean()) < 0.01
     assert deviation.std() == pytest.approx((0.05**2 + 0.0442**2) ** 0.5, rel=0.1)
@@ -54,7 +49,7 @@ def test_noise_terms_at_the_input_add_up_to_the_predicted_power(campaign: Campai
     assert curve.c is not None
     terms = noise_at_input(curve, low_band)
     assert set(terms) == {"lna", "rcu", "adc"}
-    silent = predict_power(curve, low_band, np.zeros((1, low_band.frequency_mhz.size)))[0]
+    silent = Simulation(low_band).electronics(curve)
     np.testing.assert_allclose(sum(terms.values()) * low_band.antenna_gain / curve.c**2, silent)
     assert terms["adc"] == pytest.approx(curve.parameters["n_adc"].value * curve.c**2 / low_band.antenna_gain)
 
@@ -89,11 +84,11 @@ def test_background_is_the_chain_and_electronics_is_what_is_left_without_the_sky
     parameters = {name: Parameter(value, 0.0) for name, value in (("n_lna", 0.3), ("n_rcu", 0.7), ("n_adc", 0.1))}
     c = np.sqrt(low_band.antenna_gain / slope)
     curve = CalibrationCurve("CS002", 0, "X", "converged", 900, FREQUENCY, c, 0.01 * c, None, 1.0, 1.0, parameters)
-    lst = np.array([3.0, 17.0])
+    lst, simulation = np.array([3.0, 17.0]), Simulation(low_band, two_waves)
     electronics = 0.3 * slope + 0.7 * low_band.receiver_gain + 0.1
-    assert recorded_electronics(curve, low_band) == pytest.approx(electronics)
+    assert simulation.electronics(curve) == pytest.approx(electronics)
     expected = two_waves.at("X", lst) * slope + electronics
-    assert recorded_background(curve, low_band, two_waves, lst) == pytest.approx(expected)
+    assert simulation.background(curve, lst) == pytest.approx(expected)
 
 
 def test_too_slow_sampling_and_negative_densities_are_refused() -> None:

@@ -7,8 +7,8 @@ import pytest
 
 from lbacal_core.calibration import singles
 from lbacal_core.calibration.fit import fit_calibration
-from lbacal_core.calibration.singles import MIN_EVENTS, RememberedSingles, fit_singles
-from lbacal_core.provenance import Remembered
+from lbacal_core.calibration.singles import MIN_EVENTS, fit_singles
+from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.spectra.blocks import split_into_blocks
 from lbacal_core.uncertainty.refit import compute_budget
 
@@ -19,30 +19,27 @@ def spectra(scene):
 
 
 def test_scopes_and_budget_of_the_same_spectra_look_at_each_block_once(scene, spectra, monkeypatch):
-    inputs, scopes = (spectra, scene.instrument, scene.sky_power), ("antenna", "station", "array")
-    alone = [fit_calibration(*inputs, scope) for scope in scopes]
-    budget = compute_budget(*inputs, changes=())
-    fitted = []
+    scopes, fitted = ("antenna", "station", "array"), []
 
-    def watch(block, *others):
-        fitted.append((block.station, block.dipole))
-        return fit_singles(block, *others)
+    def ask(*simulations):
+        reports = [fit_calibration(spectra, one, scope) for one, scope in zip(simulations, scopes, strict=True)]
+        return reports, compute_budget(spectra, simulations[0], "paper")
 
-    monkeypatch.setattr(singles, "fit_singles", watch)
-    kept = RememberedSingles(Remembered(4))
-    together = [fit_calibration(*inputs, scope, singles=kept) for scope in scopes]
-    assert compute_budget(*inputs, changes=(), singles=kept).digest == budget.digest
-    assert sorted(fitted) == [("CS002", "X"), ("CS002", "Y"), ("CS003", "X"), ("CS003", "Y")]
+    alone, budget = ask(*(Simulation(scene.instrument, scene.sky_power) for _ in scopes))
+    fit_lines = singles.fit_lines
+    monkeypatch.setattr(singles, "fit_lines", lambda *given: fitted.append(given) or fit_lines(*given))
+    together, same = ask(*[Simulation(scene.instrument, scene.sky_power)] * 3)
+    assert same.digest == budget.digest
+    assert len(fitted) == len(split_into_blocks(spectra)) == 4
     for one, other in zip(alone, together, strict=True):
         assert [curve.c.tolist() for curve in one.curves] == [curve.c.tolist() for curve in other.curves]
 
 
 def test_another_power_of_a_single_event_is_another_block(scene, spectra):
-    kept = RememberedSingles(Remembered(4))
-    power = spectra.power.copy()
+    simulation, power = Simulation(scene.instrument, scene.sky_power), spectra.power.copy()
     power[7] *= 1.01
     blocks = [split_into_blocks(one)[0] for one in (spectra, replace(spectra, power=power))]
-    found = [kept(block, scene.instrument, scene.sky_power, 100.0) for block in blocks]
+    found = [fit_singles(block, simulation, 100.0) for block in blocks]
     assert not np.array_equal(found[0].lines.slope, found[1].lines.slope)
 
 
@@ -51,6 +48,6 @@ def test_paths_with_too_few_events_have_lines_and_no_chain(scene, spectra):
     is_present = block.is_present.copy()
     is_present[1, MIN_EVENTS - 1 :] = False
     block = replace(block, is_present=is_present, blocks=np.where(is_present, block.blocks, 0))
-    found = fit_singles(block, scene.instrument, scene.sky_power, 100.0)
+    found = fit_singles(block, Simulation(scene.instrument, scene.sky_power), 100.0)
     assert len(found.lines.slope) == len(block.antennas)
     assert found.solved.tolist() == [0, 2, 3]

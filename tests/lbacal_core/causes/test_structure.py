@@ -16,6 +16,7 @@ from lbacal_core.discovery.residual_structure import find_structure
 from lbacal_core.discovery.search import search_station
 from lbacal_core.discovery.station import gather_stations
 from lbacal_core.errors import BadInputError
+from lbacal_core.simulation.simulation import Simulation
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.faults.uncatalogued import MainsHum
 from lbacal_twin.settings import YEAR_S, TwinSettings
@@ -34,7 +35,7 @@ def years(chain, sky):
 
 @pytest.fixture(scope="module")
 def station(years, chain, sky):
-    return gather_stations(years[0], chain, sky)[0]
+    return gather_stations(years[0], Simulation(chain, sky))[0]
 
 
 @pytest.fixture(scope="module")
@@ -72,10 +73,10 @@ def test_structure_without_a_name_is_adopted_as_what_it_is(report, years, chain,
     (adopted,) = model.causes
     assert adopted.cause == "residual_structure"
     assert adopted.size < 1.0
-    (gain,) = measure_gains(years[1], chain, sky, model, is_own_sky=False)
+    (gain,) = measure_gains(years[1], Simulation(chain, sky, causes=model))
     assert gain.gain > 10
     assert abs(gain.gain - gain.expected) < 4 * gain.expected_sigma
-    (station,) = gather_stations(years[1], chain, sky)
+    (station,) = gather_stations(years[1], Simulation(chain, sky))
     (size,) = fit_adopted(station, model).sizes
     assert size.value == pytest.approx(adopted.size, abs=4 * np.hypot(size.sigma, adopted.sigma))
 

@@ -29,10 +29,11 @@ from lbacal_core.curves.reference_chain import (
     parse_cable_table,
     parse_spreads,
 )
-from lbacal_core.curves.validity import Promotion, Scope, answer_path, timeline
+from lbacal_core.curves.validity import Promotion, Scope, timeline
 from lbacal_core.errors import BadInputError
 from lbacal_core.instrument.antennas import AntennaRecord
 from lbacal_core.provenance import hash_content
+from tests.oracles import answer_path
 
 FREQUENCY = np.linspace(30.0, 80.0, 6)
 LEVEL = BudgetTerm("level", "a paper", {"X": np.full((1, 6), 0.1), "Y": np.full((1, 6), 0.1)})

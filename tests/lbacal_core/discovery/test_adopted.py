@@ -13,7 +13,8 @@ from lbacal_core.discovery.baseline import fit_baseline
 from lbacal_core.discovery.refit import power_ratio
 from lbacal_core.discovery.station import gather_stations
 from lbacal_core.errors import BadInputError
-from lbacal_twin.faults.antenna import GainTemperature
+from lbacal_core.simulation.simulation import Simulation
+from lbacal_twin.faults.hardware import GainTemperature
 from lbacal_twin.faults.sky import IonosphericAbsorption, LstOffset
 
 DAY = 86_400
@@ -24,7 +25,7 @@ ABSORBS = AdoptedCause("ionospheric_absorption", "CS002", "station", 0.05, 0.01,
 
 @pytest.fixture(scope="module")
 def late(spoil, chain, sky):
-    (station,) = gather_stations(spoil(LstOffset(size=0.3)), chain, sky)
+    (station,) = gather_stations(spoil(LstOffset(size=0.3)), Simulation(chain, sky))
     return station
 
 
@@ -130,7 +131,7 @@ FOLLOWS = AdoptedCause("gain_temperature", "CS002", "station", 0.05, 0.01, {"del
 
 def test_temperatures_count_from_the_reference(warm, chain, sky):
     """C belongs to one temperature, whatever the mean of the window was."""
-    (station,) = gather_stations(warm, chain, sky)
+    (station,) = gather_stations(warm, Simulation(chain, sky))
     fitted = fit_adopted(station, Model((FOLLOWS,)))
     warmth = fitted.model.station.conditions.warmth()[:, 0]
     np.testing.assert_allclose(warmth * 10.0 + REFERENCE_C, station.conditions.covariates["temperature_c"])
@@ -141,13 +142,13 @@ def test_events_whose_temperature_is_unknown_are_left_out(warm, chain, sky):
     values = warm.environment["temperature_c"].copy()
     lost = np.isin(warm.event_id, np.unique(warm.event_id)[::3])
     values[lost] = np.nan
-    (station,) = gather_stations(replace(warm, environment={"temperature_c": values}), chain, sky)
+    (station,) = gather_stations(replace(warm, environment={"temperature_c": values}), Simulation(chain, sky))
     used = fit_adopted(station, Model((FOLLOWS,))).model.station.is_used
     assert used.sum() == np.unique(warm.event_id[~lost]).size
 
 
 def test_data_without_the_covariate_are_refused(warm, chain, sky):
-    (station,) = gather_stations(replace(warm, environment={}), chain, sky)
+    (station,) = gather_stations(replace(warm, environment={}), Simulation(chain, sky))
     with pytest.raises(BadInputError, match="temperature_c"):
         fit_adopted(station, Model((FOLLOWS,)))
 
@@ -160,7 +161,7 @@ def test_causes_that_the_data_cannot_tell_apart_are_refused(late):
 
 def test_two_sizes_are_fitted_together(chain, sky, spoil):
     spectra = spoil(IonosphericAbsorption(size=0.08))
-    (station,) = gather_stations(spectra, chain, sky)
+    (station,) = gather_stations(spectra, Simulation(chain, sky))
     fitted = fit_adopted(station, Model((LATE, ABSORBS)))
     clock, absorption = fitted.sizes
     assert clock.value == pytest.approx(0.0, abs=4 * clock.sigma)

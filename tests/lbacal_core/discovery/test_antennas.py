@@ -8,10 +8,11 @@ import pytest
 from lbacal_core.causes.cable import AntennaTemplate
 from lbacal_core.discovery.antennas import Comparison, smooth_departures, typical_amounts
 from lbacal_core.discovery.report import investigate
+from lbacal_core.simulation.simulation import Simulation
 from lbacal_twin.campaign import simulate_campaign
-from lbacal_twin.faults.cable import CableLength, CableReflection
 from lbacal_twin.faults.fault import Where
-from lbacal_twin.faults.interference import RfiLine
+from lbacal_twin.faults.hardware import CableLength, CableReflection
+from lbacal_twin.faults.sky import RfiLine
 from lbacal_twin.gains import NOISES
 from lbacal_twin.nuisances import Nuisances
 from tests.lbacal_core.discovery.worlds import look_at, p_of_score
@@ -246,7 +247,7 @@ def test_a_wrong_cable_table_is_a_finding_for_all_antennas_of_the_name(three_nam
     spectra = simulate_campaign(
         three_names.settings, three_names.instrument, three_names.sky, np.random.default_rng(1), [fault]
     ).spectra
-    report, _ = investigate(spectra, three_names.instrument, three_names.sky)
+    report, _ = investigate(spectra, Simulation(three_names.instrument, three_names.sky))
     (finding,) = report["findings"]
     assert finding["cause"] == "cable_length"
     members = sorted(r.antenna for r in three_names.instrument.antennas if r.cable == "115")

@@ -16,6 +16,7 @@ from lbacal_core.discovery.curve_fit import (
     why_not,
 )
 from lbacal_core.lstcurve.curve import AS_RECORDED, LstCurve, band_weights, estimate_noise, noise_prior
+from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.skypower.differences import model_difference_modes
 from lbacal_core.skypower.model import vary_sky_power
 
@@ -27,7 +28,7 @@ NOISE_DB = 0.03
 @pytest.fixture(scope="module")
 def station(chain, sky):
     weights = band_weights(chain, AS_RECORDED, BAND)
-    return gather_curve(chain, sky, weights, noise_prior(chain, BAND, weights))
+    return gather_curve(Simulation(chain, sky), weights, noise_prior(chain, BAND, weights))
 
 
 @pytest.fixture(scope="module")
@@ -236,7 +237,7 @@ def test_a_power_too_many_in_the_simulation_is_taken_out_exactly(chain, causes):
     """own(0)/own(1) at -1; own(-1)/own(0), which is not the inverse, needed -0.77 for a whole cosine too many."""
     weights = band_weights(chain, AS_RECORDED, BAND)
     wrong = vary_sky_power(chain, zenith_exponent=1.0)
-    station = gather_curve(chain, wrong, weights, noise_prior(chain, BAND, weights))
+    station = gather_curve(Simulation(chain, wrong), weights, noise_prior(chain, BAND, weights))
     found = station.terms_with([causes["zenith_weighting"]], np.array([-1.0]), 0.0).power()
     right = np.stack([vary_sky_power(chain).at(d, GRID_HOURS) for d in "XY"]) * weights
     assert relative(found) == pytest.approx(relative(right), rel=1e-4)
@@ -274,7 +275,7 @@ def test_every_cause_of_the_catalogue_is_asked_or_has_a_reason_that_follows_from
 def test_channels_that_the_own_models_do_not_cover_leave_the_causes_that_need_no_direction(chain, sky, monkeypatch):
     monkeypatch.setattr("lbacal_core.discovery.curve_fit.sky_ratios", lambda _: {})
     weights = band_weights(chain, AS_RECORDED, BAND)
-    station = gather_curve(chain, sky, weights, noise_prior(chain, BAND, weights))
+    station = gather_curve(Simulation(chain, sky), weights, noise_prior(chain, BAND, weights))
     asked = {choice.label for choice in list_choices(station)}
     assert asked == {"dipole_swap", "lst_offset", "missing_noise", "isotropic_level", "compression"}
     assert "do not cover" in why_not(station, list_choices(station))["zenith_weighting"]

@@ -16,8 +16,9 @@ from lbacal_core.discovery.left_open import add_left_open, weigh_alternatives
 from lbacal_core.discovery.refit import fit_chain, refit
 from lbacal_core.discovery.report import investigate
 from lbacal_core.discovery.station import gather_stations
-from lbacal_twin.faults.antenna import GainStep
+from lbacal_core.simulation.simulation import Simulation
 from lbacal_twin.faults.fault import Where
+from lbacal_twin.faults.hardware import GainStep
 from lbacal_twin.faults.sky import LstOffset, ZenithWeighting
 from tests.lbacal_core.discovery.worlds import look_at
 
@@ -31,7 +32,7 @@ def late(spoil):
 
 @pytest.fixture(scope="module")
 def gain(late, chain, sky):
-    (found,) = measure_gains(late, chain, sky, Model((LATE,)), is_own_sky=False)
+    (found,) = measure_gains(late, Simulation(chain, sky, causes=Model((LATE,))))
     return found
 
 
@@ -58,7 +59,7 @@ def test_the_gain_is_the_difference_of_two_log_likelihoods(gain, late, chain, sk
 def test_the_gain_of_a_large_offset_was_that_of_a_straight_line(spoil, chain, sky):
     """A clock that is 2 h off: the derivative at half the size, times the size, was 6 % beside the two likelihoods."""
     late = spoil(LstOffset(size=2.0))
-    (gain,) = measure_gains(late, chain, sky, Model((replace(LATE, size=2.0),)), is_own_sky=False)
+    (gain,) = measure_gains(late, Simulation(chain, sky, causes=Model((replace(LATE, size=2.0),))))
     look = look_at(late, chain, sky)
     fitted = look.fit_as_is("lst_offset", look.template("lst_offset"))
     right, wrong = (look.with_effect(fitted, size).model.linear for size in (2.0, 0.0))
@@ -69,36 +70,36 @@ def test_the_gain_of_a_large_offset_was_that_of_a_straight_line(spoil, chain, sk
 @pytest.mark.long
 def test_gains_of_disjoint_events_add_up(gain, late, chain, sky):
     new = np.isin(late.event_id, np.unique(late.event_id)[::4])
-    parts = [measure_gains(late, chain, sky, Model((LATE,)), is_own_sky=False, is_new=at)[0] for at in (new, ~new)]
+    parts = [measure_gains(late, Simulation(chain, sky, causes=Model((LATE,))), is_new=at)[0] for at in (new, ~new)]
     assert [part.events for part in parts] == [75, 225]
     assert sum(part.gain for part in parts) == pytest.approx(gain.gain)
     assert sum(part.expected for part in parts) == pytest.approx(gain.expected)
 
 
 def test_a_cause_that_has_gone_costs(clean, chain, sky):
-    (gain,) = measure_gains(clean, chain, sky, Model((LATE,)), is_own_sky=False)
+    (gain,) = measure_gains(clean, Simulation(chain, sky, causes=Model((LATE,))))
     assert gain.gain < gain.expected - 5 * gain.expected_sigma
     assert gain.gain == pytest.approx(-gain.expected, abs=4 * np.sqrt(2 * gain.expected))
 
 
 def test_a_step_before_the_data_gains_nothing(clean, chain, sky):
     step = AdoptedCause("gain_step", "CS002", "antenna 1", 0.05, 0.01, {"date_unix": clean.time_unix.min() - 9e6})
-    (gain,) = measure_gains(clean, chain, sky, Model((step,)), is_own_sky=False)
+    (gain,) = measure_gains(clean, Simulation(chain, sky, causes=Model((step,))))
     assert (gain.events, gain.gain, gain.expected, gain.expected_sigma) == (0, 0.0, 0.0, 0.0)
 
 
 def test_each_cause_has_a_gain_of_its_own_beside_the_other(late, chain, sky):
     """The second cause is not there: it costs about what it would gain, and takes nothing from the first."""
     absent = AdoptedCause("ionospheric_absorption", "CS002", "station", 0.05, 0.004, {"exponent": 0.75})
-    first, second = measure_gains(late, chain, sky, Model((absent, LATE)), is_own_sky=False)
+    first, second = measure_gains(late, Simulation(chain, sky, causes=Model((absent, LATE))))
     assert (first.number, second.number) == (0, 1)
     assert first.gain > 100
     assert second.gain < 0
 
 
 def test_nothing_is_measured_without_causes_or_without_their_station(clean, chain, sky):
-    assert measure_gains(clean, chain, sky, PLAIN, is_own_sky=False) == []
-    assert measure_gains(clean, chain, sky, Model((replace(LATE, station="CS003"),)), is_own_sky=False) == []
+    assert measure_gains(clean, Simulation(chain, sky, causes=PLAIN)) == []
+    assert measure_gains(clean, Simulation(chain, sky, causes=Model((replace(LATE, station="CS003"),)))) == []
 
 
 FINDING = {
@@ -139,7 +140,7 @@ def test_the_true_score_is_unbiased_above_the_threshold():
 def weighted(spoil, chain, sky):
     """A year whose sky is weighted with another power of the cosine, and the hypothesis that it is."""
     spectra = spoil(ZenithWeighting(size=1.0))
-    (station,) = gather_stations(spectra, chain, sky)
+    (station,) = gather_stations(spectra, Simulation(chain, sky))
     first = fit_chain(station)
     cause = next(one for one in CAUSES if one.identifier == "zenith_weighting")
     target = Target("station", "station", np.ones(len(station.antenna), dtype=bool))
@@ -153,7 +154,7 @@ def test_the_finding_itself_moves_c_by_what_it_was_off(weighted, chain, sky, cle
     assert found.weight == 1.0
     assert found.delta_chi2 == 0.0
     # the same hardware with and without the fault
-    before, after = (fit_calibration(one, chain, sky, "antenna").curves for one in (spectra, clean))
+    before, after = (fit_calibration(one, Simulation(chain, sky), "antenna").curves for one in (spectra, clean))
     for letter in "XY":
         paths = [(a, b) for a, b in zip(before, after, strict=True) if a.dipole == letter]
         off = np.mean([np.log(a.c / b.c) for a, b in paths], axis=0)
@@ -175,7 +176,7 @@ def test_what_fits_nearly_as_well_keeps_its_likelihood_and_its_own_change_of_c(w
 @pytest.mark.long
 def test_a_finding_of_a_report_says_what_it_does_to_c_of_its_paths(spoil, chain, sky):
     step = GainStep(size=0.05, where=Where(antennas=(2,), dipoles=("Y",)), date="2014-08-07")
-    report = add_left_open(*investigate(spoil(step), chain, sky))
+    report = add_left_open(*investigate(spoil(step), Simulation(chain, sky)))
     (finding,) = report["findings"]
     itself, *_ = finding["left_open"]
     assert itself["cause"] == "gain_step"

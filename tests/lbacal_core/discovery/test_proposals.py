@@ -13,12 +13,12 @@ from lbacal_core.discovery.policy import Policy
 from lbacal_core.discovery.refit import fit_chain, refit
 from lbacal_core.discovery.scan import Score, scan
 from lbacal_core.discovery.station import gather_stations
+from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_twin.campaign import simulate_campaign
-from lbacal_twin.faults.antenna import GainStep, GainTemperature
 from lbacal_twin.faults.fault import Where
-from lbacal_twin.faults.interference import RfiBroadband
-from lbacal_twin.faults.sky import DipoleSwap
+from lbacal_twin.faults.hardware import GainStep, GainTemperature
+from lbacal_twin.faults.sky import DipoleSwap, RfiBroadband
 from lbacal_twin.gains import EventGains
 from tests.lbacal_core.discovery.worlds import look_at
 from validation.anywhere import SETTINGS, draw_faulty
@@ -27,7 +27,7 @@ NAMED = {cause.identifier: cause for cause in CAUSES}
 
 
 def best_of(spectra, chain, sky, cause):
-    model = fit_chain(gather_stations(spectra, chain, sky)[0]).linear
+    model = fit_chain(gather_stations(spectra, Simulation(chain, sky))[0]).linear
     (score,) = scan(model, [NAMED[cause]], list_targets(model.station))
     return model, score
 
@@ -84,7 +84,7 @@ def test_the_scatter_of_the_size_is_that_of_the_likelihood_over_the_templates(sp
 
 
 def test_a_cause_of_one_template_keeps_it(clean, chain, sky):
-    model = fit_chain(gather_stations(clean, chain, sky)[0]).linear
+    model = fit_chain(gather_stations(clean, Simulation(chain, sky))[0]).linear
     drift = NAMED["gain_drift"]
     score = Score(drift, Template(), list_targets(model.station)[0], 5.0, 0.1, events=300)
     found = refine(model, score, Policy())

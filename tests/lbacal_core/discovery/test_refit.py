@@ -7,10 +7,9 @@ import pytest
 
 from lbacal_core.causes.cause import Template
 from lbacal_core.discovery.refit import average_size, open_noise
-from lbacal_twin.faults.antenna import GainDrift, GainStep, LnaNoiseSlope
 from lbacal_twin.faults.fault import Where
-from lbacal_twin.faults.interference import RfiBroadband
-from lbacal_twin.faults.sky import LstOffset
+from lbacal_twin.faults.hardware import GainDrift, GainStep, LnaNoiseSlope
+from lbacal_twin.faults.sky import LstOffset, RfiBroadband
 from tests.lbacal_core.discovery.worlds import CALM, FOLD_COUNT, CannotBeFittedError, look_at
 from validation.anywhere import STEP, investigate_drawn
 

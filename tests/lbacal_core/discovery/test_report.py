@@ -9,27 +9,27 @@ import pytest
 from lbacal_core.discovery.policy import Policy
 from lbacal_core.discovery.report import investigate
 from lbacal_core.errors import LbacalError
+from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.skypower.differences import model_difference_modes
-from lbacal_twin.faults.antenna import GainStep, GainTemperature
 from lbacal_twin.faults.fault import Where
-from lbacal_twin.faults.interference import RfiBroadband
+from lbacal_twin.faults.hardware import GainStep, GainTemperature
+from lbacal_twin.faults.sky import RfiBroadband
 from lbacal_twin.faults.uncatalogued import MainsHum
 from tests.lbacal_core.discovery.worlds import MOVING, STATIC
 
 
 def thresholds():
-    """Probabilities by chance below which each question has an answer, and their sum as stated."""
+    """Probabilities by chance below which each question has an answer."""
     policy = Policy()
     return {
         "catalogue": policy.catalogue_alpha,
         "static": policy.antenna_alpha,
         "structure": policy.structure_alpha,
-        "stated": policy.false_alarm_rate,
     }
 
 
 def ask(world, *faults, **options):
-    return investigate(world.spectra(*faults), world.instrument, world.sky, **options)
+    return investigate(world.spectra(*faults), Simulation(world.instrument, world.sky), **options)
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +58,7 @@ def test_every_station_has_its_verdict_its_structure_and_what_it_can_never_show(
     spectra = two.spectra(MainsHum(size=0.03))
     bare = np.where(spectra.station == "CS003", np.nan, spectra.environment["temperature_c"])
     spectra = replace(spectra, environment={**spectra.environment, "temperature_c": bare})
-    report, _ = investigate(spectra, two.instrument, two.sky)
+    report, _ = investigate(spectra, Simulation(two.instrument, two.sky))
     first, second = report["stations"]
     assert [one["station"] for one in (first, second)] == ["CS002", "CS003"]
     assert [one["verdict"] for one in (first, second)] == ["unexplained", "unexplained"]
@@ -111,12 +111,8 @@ def test_the_false_alarm_rate_is_shared_by_all_stations(world):
     assert look.investigate(stations=int(1.1 * enough) + 1).findings == []
 
 
-def test_the_thresholds_of_the_questions_add_up_to_the_rate_that_is_stated():
-    alpha = thresholds()
-    stated = alpha.pop("stated")
-    assert sum(alpha.values()) == pytest.approx(stated)
-    assert stated <= 0.01, "at most one data set in a hundred"
-    assert min(alpha.values()) > 0
+def test_the_thresholds_of_the_questions_add_up_to_at_most_one_data_set_in_a_hundred():
+    assert sum(thresholds().values()) <= 0.01
 
 
 @pytest.fixture(scope="module")
@@ -129,14 +125,14 @@ def wrong_sky(world):
 
 @pytest.mark.long
 def test_a_sky_like_another_model_is_seen_and_not_misnamed_where_the_sky_is_taken_at_its_word(wrong_sky, world):
-    report, _ = investigate(wrong_sky, world.instrument, world.sky)
+    report, _ = investigate(wrong_sky, Simulation(world.instrument, world.sky))
     assert report["verdict"] == "unexplained"
     assert report["findings"] == []
     assert report["unexplained"]["p_value"] < 1e-6
 
 
 def test_a_sky_like_another_model_is_consistent_where_models_may_differ(wrong_sky, world):
-    report, _ = investigate(wrong_sky, world.instrument, world.sky, is_own_sky=True)
+    report, _ = investigate(wrong_sky, Simulation(world.instrument, world.sky, is_own_sky=True))
     assert report["verdict"] == "consistent"
     assert report["provenance"]["settings"]["own_sky"] is True
 
@@ -186,4 +182,4 @@ def test_a_finding_says_where_when_and_what_it_gains(found):
 def test_channels_that_differ_are_refused(world):
     other = replace(world.instrument, frequency_mhz=world.instrument.frequency_mhz + 0.5)
     with pytest.raises(LbacalError):
-        investigate(world.spectra(), other, world.sky)
+        investigate(world.spectra(), Simulation(other, world.sky))

@@ -22,7 +22,8 @@ from lbacal_core.discovery.residual_structure import (
 )
 from lbacal_core.discovery.single_events import _chance_together, _largest_of_noise, find_in_events, share_of_channels
 from lbacal_core.discovery.station import gather_stations
-from lbacal_twin.faults.interference import RfiBroadband
+from lbacal_core.simulation.simulation import Simulation
+from lbacal_twin.faults.sky import RfiBroadband
 from lbacal_twin.faults.uncatalogued import AuroralAbsorption, MainsHum
 from tests.lbacal_core.discovery.worlds import Look, look_with_residual
 
@@ -46,7 +47,7 @@ def test_the_largest_structure_of_noise_predicts_nothing_of_events_not_used(mode
 
 
 def test_a_wave_over_the_day_is_left_along_utc_and_predicts_events_not_used(spoil, chain, sky):
-    spoilt = fit_chain(gather_stations(spoil(MainsHum(size=0.01)), chain, sky)[0]).linear
+    spoilt = fit_chain(gather_stations(spoil(MainsHum(size=0.01)), Simulation(chain, sky))[0]).linear
     found = find_structure(spoilt, np.random.default_rng(1), SIGNIFICANT)
     assert found is not None
     assert (found.axis_name, found.target) == ("utc", "station")

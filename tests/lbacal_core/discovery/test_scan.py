@@ -12,6 +12,7 @@ from lbacal_core.discovery.hypothesis import list_targets, p_of, sigma_of, trial
 from lbacal_core.discovery.refit import fit_chain
 from lbacal_core.discovery.scan import list_families, scan, score_families
 from lbacal_core.discovery.station import gather_stations
+from lbacal_core.simulation.simulation import Simulation
 from tests.lbacal_core.discovery.worlds import MOVING, p_of_score, p_value_of
 from validation.anywhere import investigate_drawn
 
@@ -171,7 +172,7 @@ def test_the_last_spectrum_of_an_antenna_before_it_dies_is_no_step(clean, chain,
     events, event = np.unique(clean.time_unix, return_inverse=True)
     from_last = events.size - event
     is_gone = (clean.antenna == 2) & (from_last <= 18) & (from_last != 9)
-    model = fit_chain(gather_stations(clean.select(~is_gone), chain, sky)[0]).linear
+    model = fit_chain(gather_stations(clean.select(~is_gone), Simulation(chain, sky))[0]).linear
     targets = [target for target in list_targets(model.station) if target.label.startswith("antenna 2")]
     steps = [cause for cause in CAUSES if cause.identifier in {"gain_step", "adc_noise_step"}]
     assert min(score.p_value for score in scan(model, steps, targets)) > 0.1

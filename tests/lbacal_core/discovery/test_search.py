@@ -18,11 +18,11 @@ from lbacal_core.discovery.refit import refit
 from lbacal_core.discovery.residual_structure import ResidualStructure
 from lbacal_core.discovery.search import _lives_there, _seen_beside, _standing, _structure_beside, search_station
 from lbacal_core.discovery.station import gather_stations
+from lbacal_core.simulation.simulation import Simulation
 from lbacal_twin.campaign import simulate_campaign
-from lbacal_twin.faults.antenna import GainStep, GainTemperature
 from lbacal_twin.faults.fault import Where
-from lbacal_twin.faults.interference import RfiBroadband
-from lbacal_twin.faults.sky import DipoleAzimuth, LstOffset
+from lbacal_twin.faults.hardware import GainStep, GainTemperature
+from lbacal_twin.faults.sky import DipoleAzimuth, LstOffset, RfiBroadband
 from lbacal_twin.faults.uncatalogued import FieldGradient
 from tests.lbacal_core.discovery.conftest import SEED, SETTINGS
 
@@ -32,7 +32,7 @@ def test_every_number_of_a_finding_is_of_the_last_model(chain, sky):
     """Two effects: what each gains is against the model with the other alone, not against that of its step."""
     faults = [GainStep(size=0.03, where=Where(antennas=(2,)), date="2014-08-07"), LstOffset(size=0.1)]
     spectra = simulate_campaign(SETTINGS, chain, sky, np.random.default_rng(SEED), faults).spectra
-    report = search_station(gather_stations(spectra, chain, sky)[0])
+    report = search_station(gather_stations(spectra, Simulation(chain, sky))[0])
     assert {one.hypothesis.cause.identifier for one in report.findings} == {"gain_step", "lst_offset"}
     chi2, dof = report.last.linear.chi_squared()
     for finding in report.findings:

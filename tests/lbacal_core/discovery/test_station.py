@@ -10,10 +10,10 @@ from lbacal_core.discovery.baseline import SMALLEST_SHARE, leave_out_deaf, sky_s
 from lbacal_core.discovery.report import investigate
 from lbacal_core.discovery.station import gather_stations
 from lbacal_core.errors import BadInputError
+from lbacal_core.simulation.simulation import Simulation
 from lbacal_twin.campaign import simulate_campaign
-from lbacal_twin.faults.antenna import GainTemperature
 from lbacal_twin.faults.fault import Where
-from lbacal_twin.faults.receiver import Compression
+from lbacal_twin.faults.hardware import Compression, GainTemperature
 from lbacal_twin.nuisances import Nuisances
 from lbacal_twin.world import World
 from tests.lbacal_core.discovery.conftest import SEED, SETTINGS
@@ -66,7 +66,7 @@ def test_a_cable_that_changes_within_the_data_is_refused_as_the_fit_refuses_it(w
     with pytest.raises(BadInputError, match=r"antenna 1.*one cable over the window"):
         look_at(spectra, instrument, world.sky)
     with pytest.raises(BadInputError, match=r"antenna 1.*one cable over the window"):
-        fit_calibration(spectra, instrument, world.sky)
+        fit_calibration(spectra, Simulation(instrument, world.sky))
 
 
 @pytest.mark.long
@@ -112,7 +112,7 @@ def broken(chain):
 
 
 def test_an_antenna_that_hardly_hears_the_sky_is_left_out_and_no_other(broken, chain, sky):
-    (station,) = gather_stations(broken, chain, sky)
+    (station,) = gather_stations(broken, Simulation(chain, sky))
     without, names = leave_out_deaf(station)
     assert len(names) == 2
     assert names[0].removesuffix(" X") == names[1].removesuffix(" Y")
@@ -142,19 +142,19 @@ def test_a_path_that_compresses_is_not_deaf(world):
 
 
 def test_the_last_path_of_a_class_stays(broken, chain, sky):
-    (station,) = gather_stations(broken, chain, sky)
+    (station,) = gather_stations(broken, Simulation(chain, sky))
     number = int(leave_out_deaf(station)[1][0].split()[1])
     cable = chain.cable_of("CS002", number, station.conditions.time_unix[0])
     others = [r.antenna for r in chain.antennas if r.station == "CS002" and r.cable == cable and r.antenna != number]
     alone = broken.select(~np.isin(broken.antenna, others))
-    (station,) = gather_stations(alone, chain, sky)
+    (station,) = gather_stations(alone, Simulation(chain, sky))
     assert leave_out_deaf(station)[1] == []
 
 
 @pytest.mark.long
 def test_a_deaf_antenna_under_a_wrong_sky_is_named_deaf_and_nothing_else(broken, chain, sky):
     """It was `adc_jitter` and `compression` of that antenna at 5 sigma."""
-    report, _ = investigate(broken, chain, sky, is_own_sky=True)
+    report, _ = investigate(broken, Simulation(chain, sky, is_own_sky=True))
     assert report["findings"] == []
     assert len(report["stations"][0]["deaf"]) == 2
 

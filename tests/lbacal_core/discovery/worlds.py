@@ -34,6 +34,7 @@ from lbacal_core.discovery.view import SMALLEST_INFORMATION
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.provenance import Provenance
+from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.skypower.differences import compute_model_differences
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra.spectra import Spectra
@@ -90,7 +91,7 @@ class World:
 
     @cached_property
     def _plain(self) -> Station:
-        (data,) = gather_stations(self.spectra(), self.instrument, self.sky)
+        (data,) = gather_stations(self.spectra(), Simulation(self.instrument, self.sky))
         return data
 
     def look(self, *faults: Fault) -> Look:
@@ -104,7 +105,7 @@ class World:
 
 def look_at(spectra: Spectra, instrument: Instrument, sky: SkyPower, *, with_modes: bool = False) -> Look:
     """One station's spectra with their chains fitted."""
-    (data,) = gather_stations(spectra, instrument, sky)
+    (data,) = gather_stations(spectra, Simulation(instrument, sky))
     modes = model_modes(data, compute_model_differences(instrument)) if with_modes else None
     return Look(data, fit_chain(data, modes), modes)
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lbacal_core.chain.model import calibration_factor, chain_power
+from lbacal_core.chain.model import calibration_factor
 from lbacal_core.curves.curves import CalibrationCurve, Parameter
 from lbacal_core.drift.events import (
     EventModes,
@@ -20,8 +20,10 @@ from lbacal_core.grids import Floats
 from lbacal_core.instrument.antennas import AntennaRecord
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.instrument.sidereal import local_sidereal_time
+from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra.blocks import SpectraBlock
+from tests.oracles import chain_power
 
 MHZ = np.array([30.0, 40.0, 55.0, 70.0])
 GAIN = np.array([0.1, 0.3, 1.0, 0.2])
@@ -67,7 +69,7 @@ def make_case(
 def measure_monthly_ratios(
     block: SpectraBlock, curves: dict[int, CalibrationCurve], instrument: Instrument, sky: SkyPower
 ) -> MonthlyRatios:
-    return average_months(measure_event_modes(block, curves, instrument, sky))
+    return average_months(measure_event_modes(block, curves, Simulation(instrument, sky)))
 
 
 def test_a_gain_of_the_chain_is_measured_exactly_without_noise() -> None:
@@ -118,7 +120,7 @@ def test_a_borrowed_curve_is_the_neighbours_through_its_own_cable_times_the_gain
     """The power gain rose to 1.21, and of that the cables explain what they do."""
     block, curve, instrument, sky = make_case(np.full(30, 1.21), np.random.default_rng(1), noise=0.01)
     with_cables = replace(instrument, cables={"c": CABLE, "old": CABLE})
-    found = borrow_curve(curve, block, with_cables, sky, ("old", "c"))
+    found = borrow_curve(curve, block, Simulation(with_cables, sky), ("old", "c"))
     assert found is not None
     assert curve.c is not None
     assert found.curve.c is not None
@@ -130,7 +132,7 @@ def test_a_borrowed_curve_is_the_neighbours_through_its_own_cable_times_the_gain
     assert found.curve.c_sigma_stat / found.curve.c == pytest.approx(np.hypot(neighbours_error, found.sigma))
 
     shorter = replace(instrument, cables={"c": CABLE * 1.21, "old": CABLE})
-    explained = borrow_curve(curve, block, shorter, sky, ("old", "c"))
+    explained = borrow_curve(curve, block, Simulation(shorter, sky), ("old", "c"))
     assert explained is not None
     assert explained.gain == pytest.approx(1.0, abs=4 * explained.sigma)
     assert explained.curve.c == pytest.approx(found.curve.c)
@@ -138,7 +140,7 @@ def test_a_borrowed_curve_is_the_neighbours_through_its_own_cable_times_the_gain
 
 def test_too_few_events_borrow_nothing() -> None:
     block, curve, instrument, sky = make_case(np.ones(4), np.random.default_rng(1), noise=0.01)
-    assert borrow_curve(curve, block, instrument, sky, ("c", "c")) is None
+    assert borrow_curve(curve, block, Simulation(instrument, sky), ("c", "c")) is None
 
 
 def test_a_tilt_in_front_of_the_receiver_is_measured_as_such() -> None:
@@ -147,7 +149,7 @@ def test_a_tilt_in_front_of_the_receiver_is_measured_as_such() -> None:
     tilt = 1.0 + 0.02 * modes[0] - 0.01 * modes[1]
     behind = N_RCU * RECEIVER * SCALE + N_ADC
     block.power[:] = (block.power - behind) * tilt + behind
-    found = measure_event_modes(block, {7: curve}, instrument, sky)
+    found = measure_event_modes(block, {7: curve}, Simulation(instrument, sky))
     # ln g = ln of the weighted mean, which is 1 + 0.02 <L1> - 0.01 <L2>; modes are relative to it, and half in C
     level = 1.0 + 0.02 * found.centre[0, 0] - 0.01 * found.centre[0, 1]
     # the weights, and with them the mean of a tilt, follow the sky: by a hundredth of the tilt over these 40 days
@@ -158,7 +160,7 @@ def test_a_tilt_in_front_of_the_receiver_is_measured_as_such() -> None:
 
 def test_a_gain_of_all_channels_has_neither_tilt_nor_curvature() -> None:
     block, curve, instrument, sky = make_case(np.full(40, 1.3), np.random.default_rng(1), noise=0.0)
-    found = measure_event_modes(block, {7: curve}, instrument, sky)
+    found = measure_event_modes(block, {7: curve}, Simulation(instrument, sky))
     assert found.ln_c[0, :, 0] == pytest.approx(-0.5 * np.log(1.3), rel=1e-9)
     assert np.abs(found.ln_c[0, :, 1:]).max() < 1e-9
 
@@ -166,7 +168,7 @@ def test_a_gain_of_all_channels_has_neither_tilt_nor_curvature() -> None:
 def test_an_event_with_less_power_than_the_noise_of_the_receiver_has_no_value() -> None:
     block, curve, instrument, sky = make_case(np.ones(10), np.random.default_rng(1), noise=0.0)
     block.power[0, 3] = 0.5 * (N_RCU * RECEIVER * SCALE + N_ADC)
-    found = measure_event_modes(block, {7: curve}, instrument, sky)
+    found = measure_event_modes(block, {7: curve}, Simulation(instrument, sky))
     assert np.isnan(found.ln_c[0, :, 0]).tolist() == [k == 3 for k in range(10)]
 
 
@@ -187,7 +189,7 @@ def case():
     block, curve, *rest = make_case(
         np.random.default_rng(3).normal(1.0, 0.05, 58), np.random.default_rng(2), noise=0.04
     )
-    return block, {7: curve}, *rest
+    return block, {7: curve}, Simulation(*rest)
 
 
 @pytest.fixture

@@ -8,6 +8,7 @@ import pytest
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.errors import BadInputError
 from lbacal_core.instrument.instrument import load_instrument
+from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.uncertainty.left_open import list_open_terms, widen_by_open_terms
 from lbacal_twin.campaign import simulate_campaign
@@ -41,7 +42,9 @@ def fitted():
     sky = compute_sky_power(instrument)
     settings = TwinSettings(stations=("CS002", "CS003"), antennas=4, events_per_year=200)
     spectra = simulate_campaign(settings, instrument, sky, np.random.default_rng(4)).spectra
-    return {scope: fit_calibration(spectra, instrument, sky, scope) for scope in ("antenna", "station", "array")}
+    return {
+        scope: fit_calibration(spectra, Simulation(instrument, sky), scope) for scope in ("antenna", "station", "array")
+    }
 
 
 def relative(report, station, dipole, antenna=None):

@@ -10,6 +10,8 @@ from lbacal_core.curves.curves import CalibrationCurve, Parameter
 from lbacal_core.errors import BadInputError
 from lbacal_core.instrument.instrument import Instrument, load_instrument
 from lbacal_core.instrument.sidereal import local_sidereal_time
+from lbacal_core.simulation.prior import list_changes
+from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra.blocks import SpectraBlock
@@ -20,7 +22,7 @@ from lbacal_core.uncertainty.one_event import (
     measure_error,
     measure_event_gains,
 )
-from lbacal_core.uncertainty.refit import electronics_sigma, list_changes
+from lbacal_core.uncertainty.refit import electronics_sigma
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.settings import TwinSettings
 
@@ -35,8 +37,8 @@ def test_the_gain_of_events_is_the_planted_one(scope: str, common: float, own: f
         stations=("CS002",), antennas=6, events_per_year=600, event_gain_common=common, event_gain_path=own
     )
     spectra = simulate_campaign(settings, INSTRUMENT, SKY, np.random.default_rng(2)).spectra
-    curves = fit_calibration(spectra, INSTRUMENT, SKY, scope).curves
-    gains = np.array(list(measure_event_gains(curves, spectra, INSTRUMENT, SKY).values()))
+    curves = fit_calibration(spectra, Simulation(INSTRUMENT, SKY), scope).curves
+    gains = np.array(list(measure_event_gains(curves, spectra, Simulation(INSTRUMENT, SKY)).values()))
     assert gains.size == 12
     # 600 events know a spread to 3 %, and twelve paths share the common part. A path whose cable differs from the
     # mean's has another share of the sky, so that its ratio to the mean's prediction varies with LST by a per cent
@@ -48,8 +50,12 @@ def test_the_gain_of_events_is_the_planted_one(scope: str, common: float, own: f
 def test_one_event_on_one_antenna_is_worse_known_than_the_mean() -> None:
     settings = TwinSettings(stations=("CS002",), antennas=8, events_per_year=500)
     spectra = simulate_campaign(settings, INSTRUMENT, SKY, np.random.default_rng(4)).spectra
-    own = measure_error(fit_calibration(spectra, INSTRUMENT, SKY, "antenna"), spectra, INSTRUMENT, SKY)
-    mean = measure_error(fit_calibration(spectra, INSTRUMENT, SKY, "station"), spectra, INSTRUMENT, SKY)
+    own = measure_error(
+        fit_calibration(spectra, Simulation(INSTRUMENT, SKY), "antenna"), spectra, Simulation(INSTRUMENT, SKY)
+    )
+    mean = measure_error(
+        fit_calibration(spectra, Simulation(INSTRUMENT, SKY), "station"), spectra, Simulation(INSTRUMENT, SKY)
+    )
     assert own is not None
     assert mean is not None
     assert own.antenna == 0.0
@@ -67,8 +73,8 @@ def test_one_event_on_one_antenna_is_worse_known_than_the_mean() -> None:
 def test_without_a_curve_there_is_no_error() -> None:
     settings = TwinSettings(stations=("CS002",), antennas=2, events_per_year=30)
     spectra = simulate_campaign(settings, INSTRUMENT, SKY, np.random.default_rng(4)).spectra
-    report = fit_calibration(spectra, INSTRUMENT, SKY, "antenna")
-    assert measure_error(report, spectra, INSTRUMENT, SKY) is None
+    report = fit_calibration(spectra, Simulation(INSTRUMENT, SKY), "antenna")
+    assert measure_error(report, spectra, Simulation(INSTRUMENT, SKY)) is None
 
 
 def test_what_is_not_known_is_not_taken_for_zero() -> None:
@@ -143,11 +149,13 @@ def block(instrument: Instrument, sky_power: SkyPower, gains: tuple[float, float
 def test_a_path_is_compared_with_the_narrowest_curve_that_answers(low_band: Instrument, two_waves: SkyPower) -> None:
     seen = block(low_band, two_waves, (1.0, 1.1))
     curves = [curve(4), curve(None), curve(None, station=None), curve(9, dipole="Y"), curve(4, station="CS003")]
-    found = {row: (one.antenna, ratio) for row, one, ratio in compare_paths(seen, curves, low_band, two_waves)}
+    found = {
+        row: (one.antenna, ratio) for row, one, ratio in compare_paths(seen, curves, Simulation(low_band, two_waves))
+    }
     assert {row: antenna for row, (antenna, _) in found.items()} == {0: 4, 1: None}
     assert found[0][1] == pytest.approx(np.ones((EVENTS, 51)))
     assert found[1][1] == pytest.approx(np.full((EVENTS // 2, 51), 1.1))
-    assert list(compare_paths(seen, [curve(9, dipole="Y")], low_band, two_waves)) == []
+    assert list(compare_paths(seen, [curve(9, dipole="Y")], Simulation(low_band, two_waves))) == []
 
 
 def test_the_map_shows_what_was_added_and_nothing_else(low_band: Instrument, two_waves: SkyPower) -> None:
@@ -155,7 +163,9 @@ def test_the_map_shows_what_was_added_and_nothing_else(low_band: Instrument, two
     lst = local_sidereal_time(plain.time_unix, low_band.longitude_deg)
     power = plain.power.copy()
     power[:, (lst >= 6.0) & (lst < 6.5), 20] *= 1.3
-    before, after = (map_departures(one, curves, low_band, two_waves) for one in (plain, replace(plain, power=power)))
+    before, after = (
+        map_departures(one, curves, Simulation(low_band, two_waves)) for one in (plain, replace(plain, power=power))
+    )
     assert before.shape == (48, 51)
     assert np.nanmean(before) == pytest.approx((0.02 * 2 + 0.1) / 3, abs=0.005)
     difference = after - before
@@ -166,7 +176,7 @@ def test_the_map_shows_what_was_added_and_nothing_else(low_band: Instrument, two
 
 def test_the_gain_of_a_path_is_no_departure_from_its_stations_curve(low_band: Instrument, two_waves: SkyPower) -> None:
     seen = block(low_band, two_waves, (0.9, 1.1))
-    found = map_departures(seen, [curve(None)], low_band, two_waves)
+    found = map_departures(seen, [curve(None)], Simulation(low_band, two_waves))
     assert np.nanmax(np.abs(found)) < 1e-12
     assert found.shape == (48, 51)
 
@@ -180,6 +190,6 @@ def test_what_the_sky_is_given_too_much_the_electronics_get_too_little(
     curve = CalibrationCurve("CS002", 0, "X", "converged", 900, frequency, c, 0.01 * c, None, 1.0, 1.0, {})
     # C is 1 % larger, so the sky's part is 2 % smaller, and the mean recorded power is as it was
     sky = two_waves.power["X"].mean(axis=0)
-    assert electronics_sigma(curve, low_band, two_waves) == pytest.approx(0.02 * slope * sky)
+    assert electronics_sigma(curve, Simulation(low_band, two_waves)) == pytest.approx(0.02 * slope * sky)
     with pytest.raises(BadInputError, match="statistical"):
-        electronics_sigma(replace(curve, c_sigma_stat=None), low_band, two_waves)
+        electronics_sigma(replace(curve, c_sigma_stat=None), Simulation(low_band, two_waves))

@@ -7,11 +7,12 @@ import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from lbacal_core.antenna.ideal import ShortDipole
-from lbacal_core.calibration.chain_test import free_own_sky
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.instrument.instrument import load_instrument
+from lbacal_core.simulation.prior import list_changes
+from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.skypower.model import compute_sky_power
-from lbacal_core.uncertainty.refit import OTHER_ANTENNA, add_budget, compute_budget, list_changes, measure_electronics
+from lbacal_core.uncertainty.refit import OTHER_ANTENNA, add_budget, compute_budget, measure_electronics
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.settings import TwinSettings
 
@@ -21,7 +22,7 @@ def study():
     instrument = load_instrument("lofar-superterp")
     sky = compute_sky_power(instrument)
     settings = TwinSettings(stations=("CS002",), antennas=12)
-    return simulate_campaign(settings, instrument, sky, np.random.default_rng(3)).spectra, instrument, sky
+    return simulate_campaign(settings, instrument, sky, np.random.default_rng(3)).spectra, Simulation(instrument, sky)
 
 
 @pytest.fixture(scope="module")
@@ -46,17 +47,18 @@ def test_fed_the_inputs_of_the_paper_the_budget_is_the_papers_13_per_cent_below_
 
 
 def test_a_term_is_what_a_fit_with_the_changed_input_gives(study, paper):
-    spectra, instrument, sky = study
+    spectra, simulation = study
+    instrument, sky = simulation.instrument, simulation.sky_power
     brighter = replace(sky, power={p: values * np.exp(0.2) for p, values in sky.power.items()})
-    before, after = (fit_calibration(spectra, instrument, one, "array").curves for one in (sky, brighter))
+    before, after = (fit_calibration(spectra, Simulation(instrument, one), "array").curves for one in (sky, brighter))
     expected = np.log(after[0].c / before[0].c)
     scale = next(term for term in paper.terms if term.name == "scale of the sky maps")
     np.testing.assert_allclose(np.abs(scale.vectors["X"][0]), np.abs(expected), rtol=1e-3)
 
 
 def test_curves_get_the_error_of_their_polarisation_and_name_the_budget(study, paper):
-    spectra, instrument, sky = study
-    report = add_budget(fit_calibration(spectra, instrument, sky, "station"), paper)
+    spectra, simulation = study
+    report = add_budget(fit_calibration(spectra, simulation, "station"), paper)
     assert list(report.budgets) == [paper.digest]
     for curve in report.curves:
         own = np.sum(curve.covariance.own**2, axis=0)
@@ -68,8 +70,8 @@ def test_curves_get_the_error_of_their_polarisation_and_name_the_budget(study, p
 
 
 def test_a_curve_whose_first_number_is_high_has_a_wider_error(study, paper):
-    spectra, instrument, sky = study
-    report = fit_calibration(spectra, instrument, sky, "station")
+    spectra, simulation = study
+    report = fit_calibration(spectra, simulation, "station")
     odd = replace(report, curves=tuple(replace(curve, chi2_per_dof=5.0) for curve in report.curves))
     for before, after in zip(report.curves, add_budget(odd, paper).curves, strict=True):
         wider = np.sqrt(paper.variance(before.dipole) + 4.0 * (before.c_sigma_stat / before.c) ** 2)
@@ -85,7 +87,8 @@ def test_the_shape_of_a_relative_antenna_gain_is_an_error_and_its_level_is_a_con
 
 @pytest.mark.long
 def test_the_vectors_of_x_and_y_that_were_compressed_apart_no_longer_lose_what_both_share(study):
-    spectra, instrument, sky = study
+    spectra, simulation = study
+    instrument, sky = simulation.instrument, simulation.sky_power
     shape = next(term for term in compute_budget(*study, "models").terms if term.name == "spectrum and LST shape")
     # the same change of the sky in full fits, one for each other sky
     changes = [one for one in list_changes(instrument, "models") if one.name.startswith("spectrum and LST shape")]
@@ -95,7 +98,7 @@ def test_the_vectors_of_x_and_y_that_were_compressed_apart_no_longer_lose_what_b
         ends = []
         for sign in (1.0, -1.0):
             power = {p: sky.power[p] * np.exp(sign * one.d_ln_p[p]) for p in sky.power}
-            curves = fit_calibration(spectra, instrument, replace(sky, power=power), "array").curves
+            curves = fit_calibration(spectra, Simulation(instrument, replace(sky, power=power)), "array").curves
             ends.append(np.array([np.log(curve.c) for curve in curves]))
         moved.append((ends[0] - ends[1]) / 2)
     x, y = np.array(moved).swapaxes(0, 1)
@@ -107,14 +110,15 @@ def test_the_vectors_of_x_and_y_that_were_compressed_apart_no_longer_lose_what_b
 @pytest.mark.long
 def test_the_budget_covers_what_a_wrong_antenna_does_to_c(study):
     """A short dipole taken for LOFAR's moved ln C by 0.5 at 80 MHz, four times the error told."""
-    spectra, instrument, sky = study
-    freedom = free_own_sky(instrument)
-    right = compute_budget(spectra, instrument, sky, "models", freedom=freedom)
+    spectra, given = study
+    instrument, sky = given.instrument, given.sky_power
+    simulation = Simulation(instrument, sky, is_own_sky=True)
+    right = compute_budget(spectra, simulation, "models")
     settings = TwinSettings(stations=("CS002",), antennas=12)
     other = compute_sky_power(instrument, antenna="short-dipole")
     campaign = simulate_campaign(settings, instrument, other, np.random.default_rng(4))
-    wrong = compute_budget(campaign.spectra, instrument, sky, "models", freedom=freedom)
-    report = add_budget(fit_calibration(campaign.spectra, instrument, sky, "antenna", freedom), wrong)
+    wrong = compute_budget(campaign.spectra, simulation, "models")
+    report = add_budget(fit_calibration(campaign.spectra, simulation, "antenna"), wrong)
     for polarisation in "XY":
         assert not right.unsure[polarisation].any()
         assert np.sqrt(right.variance(polarisation, OTHER_ANTENNA)).max() < 0.03
@@ -130,11 +134,11 @@ def test_the_budget_covers_what_a_wrong_antenna_does_to_c(study):
 @pytest.mark.parametrize("height_m", [1.27, 1.36])
 def test_a_dipole_between_two_antennas_of_the_list_is_found_by_its_neighbours(study, height_m):
     """At 1.27 and 1.36 m it was neither LOFAR's nor at 1.5 m, and C was off by 0.2 to 0.5 with an error of 0.15."""
-    _, instrument, sky = study
+    instrument, sky = study[1].instrument, study[1].sky_power
     settings = TwinSettings(stations=("CS002",), antennas=4, events_per_year=600)
     true = compute_sky_power(instrument, antenna=ShortDipole(height_m))
     spectra = simulate_campaign(settings, instrument, true, np.random.default_rng(9)).spectra
-    budget = compute_budget(spectra, instrument, sky, "models", freedom=free_own_sky(instrument))
+    budget = compute_budget(spectra, Simulation(instrument, sky, is_own_sky=True), "models")
     term = next(one for one in budget.terms if one.name == OTHER_ANTENNA)
     assert "short dipole at 1." in term.source
     for polarisation in "XY":
@@ -152,10 +156,13 @@ class Watched(dict):
 
 def test_other_antennas_are_fitted_with_one_thread_of_blas_each(study):
     """They were outside the limit: on a busy machine the budget of a station-year took 40 s of waiting threads."""
-    spectra, instrument, sky = study
-    own = free_own_sky(instrument)
+    spectra, given = study
+    instrument, sky = given.instrument, given.sky_power
+    simulation = Simulation(instrument, sky, is_own_sky=True)
+    own = simulation.prior
     change = Watched(own.antennas[0].change)
     watched = replace(own, antennas=(replace(own.antennas[0], change=change, share=1.0),))
+    vars(simulation)["prior"] = watched
     with threadpool_limits(2):
-        compute_budget(spectra, instrument, sky, "models", changes=(), freedom=watched)
+        compute_budget(spectra, simulation, "models")
     assert change.threads == {1}

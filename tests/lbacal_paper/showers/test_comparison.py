@@ -8,8 +8,7 @@ from lbacal_core.errors import BadInputError
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_paper.showers.comparison import compare_calibrations, mean_of_unequal
 from lbacal_paper.showers.recording import record
-from lbacal_paper.showers.signals import band_bins, draw_signals
-from lbacal_paper.showers.slopes import fit_slopes, robust_covariance
+from lbacal_paper.showers.signals import band_bins, draw_signals, fit_slopes, robust_covariance
 
 FREQUENCY = np.arange(30.0, 81.0)
 C = np.array([1e-5 * (1 + np.arange(51) / 30.0)] * 2)

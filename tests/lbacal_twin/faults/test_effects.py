@@ -13,18 +13,29 @@ from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.skypower.table import SkyPower
 from lbacal_twin.campaign import draw_stations, expected_power
-from lbacal_twin.faults.antenna import GainStep, GainTemperature, LnaNoiseSlope, ResonanceShift, circuit_response
-from lbacal_twin.faults.cable import CableLength, CableReflection, CableTemperature
 from lbacal_twin.faults.catalogue import catalogue_faults, draw_fault
 from lbacal_twin.faults.fault import Where
-from lbacal_twin.faults.interference import RfiBroadband, RfiLine
-from lbacal_twin.faults.receiver import AdcJitter, Compression, FilterShift
+from lbacal_twin.faults.hardware import (
+    AdcJitter,
+    CableLength,
+    CableReflection,
+    CableTemperature,
+    Compression,
+    FilterShift,
+    GainStep,
+    GainTemperature,
+    LnaNoiseSlope,
+    ResonanceShift,
+    circuit_response,
+)
 from lbacal_twin.faults.sky import (
     DipoleSwap,
     ExtraSource,
     IonosphericAbsorption,
     IsotropicLevel,
     LstOffset,
+    RfiBroadband,
+    RfiLine,
     SolarEmission,
 )
 from lbacal_twin.faults.uncatalogued import (

@@ -14,7 +14,6 @@ from lbacal_core.curves.validity import Promotion, Scope
 from service.errors import ConflictError, UnavailableError
 from service.factory import Factory, read_clock
 from service.storage.versions import Version
-from service.usecases.calibrations import LastMade
 from service.wire.bodies import PromotionBody, TagBody
 
 
@@ -185,15 +184,3 @@ def test_tags_are_what_brute_force_remembers(
             standing = promote(factory, stored.get(deed)).calibration
         clock.now += behind
     assert {name: answer(factory, name) for name in remembered} == remembered
-
-
-def test_another_state_is_made_anew_and_the_same_is_not() -> None:
-    made: list[str] = []
-    last = LastMade[str]()
-
-    def make() -> str:
-        made.append("one")
-        return f"content {len(made)}"
-
-    told = [last.get(state, make) for state in ("a", "a", "b", "a")]
-    assert told == ["content 1", "content 1", "content 2", "content 3"]

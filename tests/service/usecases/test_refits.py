@@ -50,7 +50,7 @@ def test_one_bad_spectrum_stopped_array_station_and_path_for_the_year(
         result = job.results[0]
         assert (len(result["promoted"]), result["gated"]) == (count, {}), scope
         clean = {c.name: c for c in fit_calibration(
-            campaign.select(window), bare.instrument, bare.sky_power, scope).curves}  # fmt: skip
+            campaign.select(window), bare.simulation, scope).curves}  # fmt: skip
         for name in result["calibrations"]:
             version = bare.calibrations.get(name)
             of_path = version.scope.key in ("array", "CS002", "CS002/2/X")

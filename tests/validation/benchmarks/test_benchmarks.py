@@ -13,6 +13,7 @@ from fastapi import FastAPI
 
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.instrument.sidereal import local_sidereal_time
+from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.spectra.blocks import split_into_blocks
 from service.app import make_app
 from service.config import Settings
@@ -39,7 +40,7 @@ def path(scene: Scene) -> OnePath:
 
 def test_the_fit_finds_the_minimum_that_scipy_finds_with_all_spectra(scene: Scene, path: OnePath):
     spectra = make_spectra(scene, 300, np.random.default_rng(1))
-    report = fit_calibration(spectra, scene.instrument, scene.sky_power)
+    report = fit_calibration(spectra, Simulation(scene.instrument, scene.sky_power))
     # SciPy stops when chi^2 changes by 1e-8 of itself, 1e-4 in chi^2 = 0.01 sigma
     assert farthest(report, scene, path.minimise(path.jacobian), path) < 0.01
 

@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lbacal_core.instrument.instrument import load_instrument
-from lbacal_core.skypower.model import compute_sky_power
+from lbacal_core.simulation.simulation import Simulation
 from validation.demo.__main__ import (
     SHOWN_MHZ,
     SUN,
@@ -22,9 +21,8 @@ from validation.demo.__main__ import (
 
 @pytest.fixture(scope="module")
 def shown() -> Demonstration:
-    instrument = load_instrument("lofar-superterp")
-    sky_power = compute_sky_power(instrument)
-    return compute(instrument, sky_power, *simulate(instrument, sky_power))
+    simulation = Simulation.load("lofar-superterp")
+    return compute(simulation, *simulate(simulation))
 
 
 def test_the_fit_finds_the_calibration_that_was_planted(shown: Demonstration) -> None:

@@ -10,10 +10,8 @@ from lbacal_core.instrument.antennas import AntennaRecord
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.skypower.table import SkyPower
 from lbacal_twin.campaign import draw_stations, expected_power, simulate_campaign
-from lbacal_twin.faults.antenna import GainStep, GainTemperature
-from lbacal_twin.faults.cable import CableLength, CableReflection
 from lbacal_twin.faults.fault import Fault, Where
-from lbacal_twin.faults.receiver import AdcJitter, Compression
+from lbacal_twin.faults.hardware import AdcJitter, CableLength, CableReflection, Compression, GainStep, GainTemperature
 from lbacal_twin.gains import BEHIND_EVERYTHING, NOISES, EventGains, shift_resonance
 from lbacal_twin.nuisances import NONE, Nuisances
 from lbacal_twin.settings import TwinSettings

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from lbacal_twin.faults.antenna import ResonanceShift, ResonanceWidth
 from lbacal_twin.faults.fault import Where
-from lbacal_twin.faults.interference import RfiLine
-from lbacal_twin.faults.sky import LstOffset, PatternWidth
+from lbacal_twin.faults.hardware import ResonanceShift, ResonanceWidth
+from lbacal_twin.faults.sky import LstOffset, PatternWidth, RfiLine
 from validation.hidden.data_sets import DataSet, Planted, is_in_family
 from validation.hidden.detection import fit_detection
 from validation.hidden.held_out import hide_in_halves

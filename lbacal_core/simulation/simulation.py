@@ -1,0 +1,180 @@
+"""The simulation: what is believed of an instrument under a sky, and the power that follows (eq. full_chain).
+
+    P = (P_sky + N) s + B,    s = G_ant / C^2 = G_ant A L_coax G_RCU S,
+
+with the noise N that enters in front of A(nu), N_LNA in the published chain, and B, what is recorded of the noise
+behind it, N_RCU S G_RCU + N_ADC there (`chain.model.Intercepts`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from copy import copy
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lbacal_core.causes.model import PLAIN, Model
+from lbacal_core.chain.model import Intercepts, noise_constants
+from lbacal_core.curves.curves import CalibrationCurve
+from lbacal_core.errors import BadInputError
+from lbacal_core.grids import Floats, require_same_grid
+from lbacal_core.instrument.instrument import Instrument, load_instrument
+from lbacal_core.instrument.sidereal import local_sidereal_time
+from lbacal_core.provenance import Remembered, hash_content
+from lbacal_core.simulation.prior import DEFAULT_SKY_BUDGET, SkyPrior, list_changes, sky_prior
+from lbacal_core.skypower.differences import DifferenceModels, ModelDifferences, compute_model_differences
+from lbacal_core.skypower.model import compute_sky_power
+from lbacal_core.skypower.sky_terms import SkyTerm
+from lbacal_core.skypower.table import SkyPower, read_sky_power
+
+MOST_REMEMBERED = 64
+"""Fits of single paths of a station's year and polarisation take 9 MB."""
+
+
+@dataclass(frozen=True, eq=False)
+class Simulation:
+    """An instrument under a sky.
+
+    Attributes
+    ----------
+    given
+        P_sky of its dipoles; None for the package's own, which is computed when it is first asked for.
+    is_own_sky
+        Whether P_sky may be wrong as models of sky and antenna differ. Unless said otherwise the package's own may,
+        and one that is given is taken at its word.
+    models
+        Names of the models whose differences these are; all that ship unless given.
+    causes
+        What the chain has besides, with sizes that are fitted together with C.
+    made
+        What was computed with it, by the content that it was computed from.
+    """
+
+    instrument: Instrument
+    given: SkyPower | None = None
+    is_own_sky: bool | None = None
+    models: DifferenceModels | None = None
+    causes: Model = PLAIN
+    made: Remembered[tuple[Any, ...], Any] = field(default_factory=lambda: Remembered(MOST_REMEMBERED), repr=False)
+
+    def __post_init__(self) -> None:
+        if self.is_own_sky is None:
+            object.__setattr__(self, "is_own_sky", self.given is None)
+        if self.given is not None:
+            name, frequency_mhz = f"instrument {self.instrument.name}", self.instrument.frequency_mhz
+            require_same_grid(self.given.origin, self.given.frequency_mhz, frequency_mhz, name)
+            self.given.require_made_for(self.instrument)
+
+    @classmethod
+    def load(cls, instrument: str, sky_power: Path | None = None, causes: Model = PLAIN) -> Simulation:
+        """An instrument by its name or file, under its own sky or the P_sky of a file."""
+        return cls(load_instrument(instrument), None if sky_power is None else read_sky_power(sky_power), causes=causes)
+
+    @cached_property
+    def sky_power(self) -> SkyPower:
+        """P_sky(LST, nu) of each dipole and station."""
+        return compute_sky_power(self.instrument) if self.given is None else self.given
+
+    @cached_property
+    def noise(self) -> Intercepts:
+        """The noise constants of the chain, and what each adds along frequency."""
+        return noise_constants(self.instrument)
+
+    @cached_property
+    def differences(self) -> ModelDifferences | None:
+        """What other models of sky and antenna make of P_sky; None where it is taken at its word."""
+        return compute_model_differences(self.instrument, self.models) if self.is_own_sky else None
+
+    @cached_property
+    def prior(self) -> SkyPrior | None:
+        """By how much P_sky may differ from the one here before data are a misfit; None where it may not."""
+        return sky_prior(self.instrument, self.models) if self.is_own_sky else None
+
+    @property
+    def digest(self) -> str:
+        """Hash of all that predicts power."""
+        return hash_content([self.instrument.digest(), self.sky_power.digest(), self.is_own_sky, self.causes.id])
+
+    def changes(self, sky_budget: str = DEFAULT_SKY_BUDGET) -> Sequence[SkyTerm]:
+        """What sky, pattern and ground may be wrong by, for the error of C (`simulation.prior.list_changes`)."""
+        found: Sequence[SkyTerm]
+        found = self.made.get(("changes", sky_budget), lambda: list_changes(self.instrument, sky_budget))
+        return found
+
+    def with_causes(self, causes: Model) -> Simulation:
+        """The same with other causes; what was computed is kept."""
+        other = copy(self)
+        object.__setattr__(other, "causes", causes)
+        return other
+
+    def at_station(self, station: str) -> Simulation:
+        """The same where a station of the instrument stands."""
+        return replace(self, instrument=self.instrument.at_station(station), given=self.sky_power.of_station(station))
+
+    def at_its_word(self) -> Simulation:
+        """The same with a P_sky that cannot be wrong."""
+        return replace(self, given=self.sky_power, is_own_sky=False)
+
+    def sidereal_time(self, station: str | None, time_unix: Floats) -> Floats:
+        """Sidereal time where a station stands, hours, of instants in s UTC; shape (event,)."""
+        return local_sidereal_time(time_unix, self.instrument.at_station(station).longitude_deg)
+
+    def sky_at(self, station: str | None, dipole: str, time_unix: Floats) -> Floats:
+        """P_sky of a station's dipole at instants in s UTC, shape (event, freq)."""
+        return self.sky_power.of_station(station).at(dipole, self.sidereal_time(station, time_unix))
+
+    def split_power(self, curves: Sequence[CalibrationCurve], sky: Floats) -> tuple[Floats, Floats]:
+        """What fitted curves record: (P_sky + N) s, shape (curve, event, freq), and B, shape (curve, 1, freq).
+
+        Parameters
+        ----------
+        sky
+            P_sky, shape (event, freq).
+        """
+        if any(curve.c is None for curve in curves):
+            raise ValueError(f"{next(one.name for one in curves if one.c is None)} has no curve")
+        slope = self.instrument.antenna_gain / np.array([curve.filled(np.asarray(curve.c)) for curve in curves]) ** 2
+        level = np.array([[curve.parameters[name].value for name in self.noise.names] for curve in curves])
+        front = len(self.noise.front)
+        signal = (sky + self.noise.before(level[:, :front])[:, None]) * slope[:, None]
+        return signal, (level[:, front:] @ self.noise.behind)[:, None]
+
+    def power(self, curve: CalibrationCurve, sky: Floats) -> Floats:
+        """What a fitted path records of a P_sky of shape (event, freq); the same shape, NaN in channels without C."""
+        signal, behind = self.split_power([curve], sky)
+        return np.where(curve.has_value, (signal + behind)[0], np.nan)
+
+    def background(self, curve: CalibrationCurve, lst_hours: Floats) -> Floats:
+        """What a fitted path records at sidereal times, sky and electronics, shape (event, freq), ADC^2/Ohm/MHz."""
+        if curve.dipole is None:
+            raise BadInputError(curve.name, "a curve of one polarisation", "one for both")
+        sky = self.sky_power.of_station(curve.station)
+        return self.power(curve, sky.at(curve.dipole, np.asarray(lst_hours, dtype=float)))
+
+    def electronics(self, curve: CalibrationCurve) -> Floats:
+        """What a fitted path records without the sky, shape (freq,), ADC^2/Ohm/MHz."""
+        return np.asarray(self.power(curve, np.zeros((1, self.instrument.frequency_mhz.size)))[0])
+
+
+def noise_at_input(curve: CalibrationCurve, instrument: Instrument) -> dict[str, Floats]:
+    """The noise terms of a fitted curve referred to the start of the chain (Fig. 5 of the paper).
+
+    Each constant divided by what amplifies the sky up to the point where it was fitted: those behind A by
+    G_ant / C^2.
+
+    Returns
+    -------
+    By name of the stage (`lna`, `rcu` and `adc` of a chain without stages), each shape (freq,), in the unit of P_sky;
+    `known` is what the instrument states without an error.
+    """
+    if curve.c is None:
+        raise ValueError(f"{curve.name} has no curve")
+    slope, noise = instrument.antenna_gain / curve.c**2, noise_constants(instrument)
+    value = np.array([curve.parameters[name].value for name in noise.names])
+    forms = np.concatenate([noise.front, noise.behind / slope])
+    terms = {name.removeprefix("n_"): one for name, one in zip(noise.names, value[:, None] * forms, strict=True)}
+    return terms | ({"known": noise.known} if np.any(noise.known) else {})

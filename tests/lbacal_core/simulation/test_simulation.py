@@ -1,0 +1,107 @@
+from __future__ import annotations
+
+import ast
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lbacal_core.causes.model import PLAIN, AdoptedCause, Model
+from lbacal_core.curves.curves import CalibrationCurve, Parameter
+from lbacal_core.errors import BadInputError
+from lbacal_core.instrument.instrument import Instrument
+from lbacal_core.simulation.simulation import Simulation
+from lbacal_core.skypower.table import SkyPower
+from tests.oracles import chain_power
+
+A, SCALE, N_LNA, N_RCU, N_ADC = 0.7, 3.0e9, 0.3, 2.0e-10, 0.1
+WARM = AdoptedCause("gain_temperature", "CS002", "station", 0.1, 0.01)
+
+
+@pytest.fixture
+def simulation(low_band: Instrument, two_waves: SkyPower) -> Simulation:
+    return Simulation(low_band, two_waves)
+
+
+@pytest.fixture
+def curve(low_band: Instrument) -> CalibrationCurve:
+    """A path whose constants are known, by eq. cal_equation."""
+    c = (A * low_band.cables["80"] * low_band.receiver_gain * SCALE) ** -0.5
+    levels = {"n_lna": N_LNA, "n_rcu": N_RCU * SCALE, "n_adc": N_ADC}
+    parameters = {name: Parameter(value, 0.0) for name, value in levels.items()}
+    nu = low_band.frequency_mhz
+    return CalibrationCurve("CS002", 1, "X", "converged", 900, nu, c, 0.01 * c, None, 1.0, 1.0, parameters)
+
+
+def test_power_is_that_of_the_chain_written_out(simulation: Simulation, curve: CalibrationCurve) -> None:
+    lst, instrument = np.array([2.0, 19.5]), simulation.instrument
+    sky = simulation.sky_power.at("X", lst)
+    known = {
+        "antenna_gain": instrument.antenna_gain,
+        "correction": np.full(instrument.frequency_mhz.size, A),
+        "cable_loss": instrument.cables["80"],
+        "receiver_gain": instrument.receiver_gain,
+        "scale": SCALE,
+        "n_lna": N_LNA,
+        "n_rcu": N_RCU,
+        "n_adc": N_ADC,
+    }
+    expected = chain_power(sky, **known)
+    np.testing.assert_allclose(simulation.background(curve, lst), expected, rtol=1e-12)
+    np.testing.assert_allclose(simulation.electronics(curve), chain_power(0.0 * sky, **known)[0], rtol=1e-12)
+    signal, behind = simulation.split_power([curve, curve], sky)
+    np.testing.assert_allclose(signal[1] + behind[1], expected, rtol=1e-12)
+    with pytest.raises(BadInputError, match="one polarisation"):
+        simulation.background(replace(curve, dipole=None, antenna=None), lst)
+    with pytest.raises(ValueError, match="no curve"):
+        simulation.power(replace(curve, status="too_few_events", c=None, c_sigma_stat=None), sky)
+
+
+def test_the_own_sky_may_be_wrong_and_one_that_is_given_is_taken_at_its_word(simulation: Simulation) -> None:
+    assert not simulation.is_own_sky
+    assert simulation.prior is None
+    assert simulation.differences is None
+    own = Simulation.load("lofar-superterp")
+    assert own.is_own_sky
+    assert set(own.prior.modes) == set(own.differences.shape) == {"X", "Y"}
+    assert own.at_its_word().prior is None
+    assert own.at_its_word().sky_power is own.sky_power
+
+
+def test_other_causes_keep_what_was_computed_and_have_another_digest(simulation: Simulation) -> None:
+    noise, changed = simulation.noise, simulation.with_causes(Model((WARM,)))
+    assert changed.noise is noise
+    assert changed.made is simulation.made
+    assert (simulation.causes, changed.causes) == (PLAIN, Model((WARM,)))
+    trusted = replace(simulation, is_own_sky=True)
+    assert len({one.digest for one in (simulation, changed, trusted)}) == 3
+    assert replace(simulation).digest == simulation.digest
+
+
+def test_a_sky_power_on_other_channels_or_of_another_instrument_is_refused(simulation: Simulation) -> None:
+    some = simulation.instrument
+    fewer = replace(
+        simulation.sky_power, frequency_mhz=some.frequency_mhz[1:],
+        power={dipole: power[:, 1:] for dipole, power in simulation.sky_power.power.items()},
+    )  # fmt: skip
+    with pytest.raises(BadInputError, match="frequency_mhz"):
+        Simulation(some, fewer)
+    with pytest.raises(BadInputError, match="that of the fit"):
+        Simulation(replace(some, name="another"), Simulation.load("lofar-superterp").sky_power)
+
+
+def test_instrument_and_sky_power_travel_as_one(repository: Path) -> None:
+    """They stood side by side in 57 files."""
+    below = ("skypower", "lstcurve", "simulation")
+    together = []
+    for room in ("lbacal_core", "service/usecases"):
+        for path in sorted((repository / room).rglob("*.py")):
+            if set(path.parts) & set(below):
+                continue
+            for node in ast.walk(ast.parse(path.read_text())):
+                if isinstance(node, ast.FunctionDef | ast.ClassDef):
+                    names = {one.arg for one in ast.walk(node) if isinstance(one, ast.arg)}
+                    if {"instrument", "sky_power"} <= names:
+                        together.append(f"{path}:{node.name}")
+    assert together == []
