@@ -163,7 +163,8 @@ def run_tests(tree: Path, tests: Sequence[str], limit_s: float, marker: str = ""
         )
     except subprocess.TimeoutExpired:
         return None, ""
-    failed = [line.split(" ")[1] for line in done.stdout.splitlines() if line.startswith(("FAILED ", "ERROR "))]
+    told = [line for line in done.stdout.splitlines() if line.startswith(("FAILED ", "ERROR "))]
+    failed = [line.partition(" ")[2].partition(" - ")[0] for line in told]
     return done.returncode, failed[0] if failed else ""
 
 

@@ -23,7 +23,15 @@ from validation.planted_faults import (
 
 FAULTS = read_faults()
 CODE = "def double(x):\n    return 2 * x  # twice\n\n\ndef half(x):\n    return x / 2 if x else 0\n"
-TEST = "from room.sums import double\n\n\ndef test_two_is_doubled():\n    assert double(2) == 4\n"
+TEST = """from pytest import mark
+from room.sums import double
+
+
+@mark.parametrize("kind", ["a name of two words"])
+def test_two_is_doubled(kind):
+    assert double(2) == 4
+"""
+DOUBLED = "tests/room/test_sums.py::test_two_is_doubled[a name of two words]"
 
 
 def test_every_fault_fits_the_code_and_none_is_listed_twice(repository: Path) -> None:
@@ -72,7 +80,7 @@ def tree(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_a_fault_is_seen_where_a_test_fails_and_the_tree_is_as_before(tree: Path) -> None:
     fault = PlantedFault("room.sums:double", ("2 -> 3",))
     assert fault.tests(tree) == ["tests/room/test_sums.py"]
-    assert find_seen(tree, fault) == (FIRST_TIER, "tests/room/test_sums.py::test_two_is_doubled")
+    assert find_seen(tree, fault) == (FIRST_TIER, DOUBLED)
     assert (tree / "room/sums.py").read_text() == CODE
     assert rooms_of([fault], tree) == ["tests/room"]
     assert run_tests(tree, ["tests/room"], 60) == (0, "")
@@ -80,7 +88,7 @@ def test_a_fault_is_seen_where_a_test_fails_and_the_tree_is_as_before(tree: Path
 
 def test_a_fault_that_only_the_second_tier_looks_at_is_its_and_one_that_nobody_looks_at_is_unseen(tree: Path) -> None:
     test = tree / "tests/room/test_sums.py"
-    test.write_text(f"import pytest\n{TEST}".replace("def test_two", "@pytest.mark.slow\ndef test_two"))
+    test.write_text(f"import pytest\n{TEST}".replace("@mark", "@pytest.mark.slow\n@mark"))
     assert find_seen(tree, PlantedFault("room.sums:double", ("2 -> 3",)))[0] == SECOND_TIER
     assert find_seen(tree, PlantedFault("room.sums:half", ("2 -> 3",))) == (UNSEEN, "")
 
@@ -92,7 +100,7 @@ def test_the_tests_that_call_a_function_are_found_once_and_meet_its_fault_first(
     places = [(tree / "room/sums.py", name, f"room.sums:{name}") for name in ("double", "half")]
     for _ in range(2):
         callers = find_callers(places, lambda: runs.append(run_tests(tree, [], 60)), log)
-    assert callers == {"room.sums:double": ["tests/room/test_sums.py::test_two_is_doubled"], "room.sums:half": []}
+    assert callers == {"room.sums:double": [DOUBLED], "room.sums:half": []}
     assert runs == [(0, "")]
     (tree / "room/sums.py").write_text(CODE)
     fault = PlantedFault("room.sums:double", ("2 -> 3",))
