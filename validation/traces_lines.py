@@ -19,6 +19,7 @@ from lbacal_core.traces.trace import BLOCK_SAMPLES
 from lbacal_twin.voltages import SAMPLE_RATE_HZ, Transmitter, draw_noise
 from validation.machinery.claims import Found, mean_of, rate_of, worst_of
 from validation.machinery.parts import Part, Row
+from validation.machinery.tables import write_table
 from validation.traces import BINS, GRID_MHZ, ROUNDING, SETTINGS, band_shape, power_of, trace_of, true_bins
 
 LINES_MHZ = np.arange(33.0, 80.0, 6.0)
@@ -254,8 +255,7 @@ def table_of_lines(rows: Mapping[str, Sequence[Row]]) -> list[str]:
     """What was found of every kind of line, for the page on traces."""
     if not {claim.short for claim in CLAIMS} <= set(rows):
         return []
-    lines = ["| line | 95 % found from | stated limit | bias at the limit | largest bias above | largest bias below |"]
-    lines.append("|" + "---|" * 6)
+    table = []
     for claim in CLAIMS:
         trial = collect(claim, rows[claim.short])
         words = [f"{100 * b:+.2f} ± {196 * e:.2f} %" for b, e in zip(trial.bias, trial.bias_error, strict=True)]
@@ -269,20 +269,21 @@ def table_of_lines(rows: Mapping[str, Sequence[Row]]) -> list[str]:
             words[above],
             f"{100 * np.max(trial.bias[:at]):.1f} %",
         )
-        lines.append(f"| {' | '.join(cells)} |")
-    return lines
+        table.append(cells)
+    head = ("line", "95 % found from", "stated limit", "bias at the limit", "largest bias above", "largest bias below")
+    return write_table(head, table)
 
 
 def table_of_bands(rows: Mapping[str, Sequence[Row]]) -> list[str]:
     """What was found of wide interference, for the page on traces."""
     if not {"wide-1", "wide-12"} <= set(rows):
         return []
-    lines = ["| antennas | " + " | ".join(f"{density:g}" for density in WIDE) + " |", "|---|" + "---|" * WIDE.size]
+    table = []
     for name in ("wide-1", "wide-12"):
         found, change = (np.mean([row[key] for row in rows[name]], axis=0) for key in ("found", "change"))
         cells = [f"{100 * f:.0f} %, {100 * c:+.1f} %" for f, c in zip(found, change, strict=True)]
-        lines.append(f"| {name.removeprefix('wide-')} | {' | '.join(cells)} |")
-    return lines
+        table.append([name.removeprefix("wide-"), *cells])
+    return write_table(["antennas", *(f"{density:g}" for density in WIDE)], table)
 
 
 TABLES = {"lines": table_of_lines, "bands": table_of_bands}

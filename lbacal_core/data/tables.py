@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 from importlib.resources import files
+from importlib.resources.abc import Traversable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,11 @@ SHIPPED = files("lbacal_core") / "data"
 
 def read_table(name: str) -> dict[str, NDArray[np.float64]]:
     """Columns of a shipped table by name; NaN where a cell is empty."""
-    lines = (SHIPPED / f"{name}.csv").read_text().splitlines()
+    return read_columns(SHIPPED / f"{name}.csv")
+
+
+def read_columns(path: Traversable) -> dict[str, NDArray[np.float64]]:
+    """Columns of a table by name; lines that begin with # are left out, and a cell that is empty is NaN."""
+    lines = path.read_text().splitlines()
     rows = list(csv.DictReader(line for line in lines if not line.startswith("#")))
     return {column: np.array([float(row[column] or "nan") for row in rows]) for column in rows[0]}

@@ -82,7 +82,7 @@ DEFAULT_TO_MHZ = 120.0
 """End of the default sky."""
 WIDE_SKY = "gsm-wide"
 WIDE_SKIES = ("gsm-wide", "haslam-wide", "lfsm-wide")
-"""Skies from 10 to 408 MHz (validation/scripts/make_wide_skies.py)."""
+"""Skies from 10 to 408 MHz (validation/scripts/make_skies.py)."""
 
 
 def default_sky(frequency_mhz: Floats) -> str:

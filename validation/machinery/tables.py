@@ -1,9 +1,9 @@
-"""The trials of a part as a table, for who runs the proof: a line a field of the rows, a column a group of trials."""
+"""Tables in Markdown: of the trials of a part, a line a field of the rows, a column a group of trials; and of pages."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -27,11 +27,24 @@ def tabulate(rows: Sequence[Mapping[str, Any]], keys: Sequence[str] = ()) -> lis
         for row in groups[name]:
             for field, value in _leaves({k: v for k, v in row.items() if k not in ("seed", "seconds", *keys)}):
                 found.setdefault(field, {}).setdefault(name, []).append((row.get("seed", 0), value))
-    lines = [f"| | {' | '.join(names)} |", "|---|" + "---|" * len(names)]
-    lines.append(f"| trials | {' | '.join(str(len(groups[name])) for name in names)} |")
-    for field, of_groups in found.items():
-        lines.append(f"| {field} | {' | '.join(_cell(of_groups.get(name, [])) for name in names)} |")
-    return lines
+    table = [["trials", *(str(len(groups[name])) for name in names)]]
+    table += [[field, *(_cell(of.get(name, [])) for name in names)] for field, of in found.items()]
+    return write_table(["", *names], table)
+
+
+def write_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
+    """The lines of a table in Markdown."""
+    first, *rest = (f"| {' | '.join(cells)} |" for cells in (head, *rows))
+    return [first.replace("|  |", "| |"), "|" + "---|" * len(head), *rest]
+
+
+def replace_tables(page: str, tables: Mapping[str, Sequence[str]]) -> str:
+    """A page with its tables, each between two markers."""
+    for name, lines in tables.items():
+        start, end = f"<!-- {name} -->\n", f"<!-- end of {name} -->"
+        before, rest = page.split(start)
+        page = before + start + "\n".join([*lines, end]) + rest.split(end)[1]
+    return page
 
 
 def _leaves(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:

@@ -60,17 +60,13 @@ def main() -> None:
     if SHARED.is_dir():
         draw_measured()
     spoiled = ask([IonosphericAbsorption(size=0.02), STEP])
-    for finding in spoiled.findings:
-        draw_finding(spoiled, finding).savefig(
-            IMAGES / f"investigation-{finding.hypothesis.cause.identifier}.png", dpi=100
-        )
-    step = spoiled.findings[0]
-    draw_residual_maps(spoiled, step.hypothesis.target, [axis_named("date")]).savefig(
-        IMAGES / "investigation-maps.png", dpi=100
-    )
+    figures = {one.hypothesis.cause.identifier: draw_finding(spoiled, one) for one in spoiled.findings}
+    figures["maps"] = draw_residual_maps(spoiled, spoiled.findings[0].hypothesis.target, [axis_named("date")])
     odd = ask([WorkingWeek(size=0.05)])
     if odd.structure is not None:
-        draw_structure(odd, odd.structure).savefig(IMAGES / "investigation-unexplained.png", dpi=100)
+        figures["unexplained"] = draw_structure(odd, odd.structure)
+    for name, figure in figures.items():
+        figure.savefig(IMAGES / f"investigation-{name}.png", dpi=100)
 
 
 if __name__ == "__main__":

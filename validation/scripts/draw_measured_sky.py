@@ -5,15 +5,18 @@
 
 from __future__ import annotations
 
-import csv
 import sys
 from pathlib import Path
 
 import numpy as np
+from matplotlib import rc_context
+from matplotlib.figure import Figure
 
+from lbacal.cli.report_pages import COLOURS, MARKERS, SETTINGS
 from lbacal_core.antenna.ideal import ShortDipole
 from lbacal_core.calibration.fit import fit_calibration
-from lbacal_core.data.tables import read_table
+from lbacal_core.data.tables import read_columns, read_table
+from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument, load_instrument
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.sky.names import load_sky, read_sky_level
@@ -30,58 +33,57 @@ from lbacal_core.skypower.sky_terms import (
 )
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.settings import TwinSettings
-from validation.scripts.page_tables import replace_tables
+from validation.machinery.tables import replace_tables, write_table
 
 DOCS = Path(__file__).parents[2] / "docs"
 PAGE = DOCS / "explanation" / "measured-sky.md"
 SHOWN_MHZ = (30, 40, 50, 58, 70, 80)
-HEAD = "| | " + " | ".join(f"{mhz} MHz" for mhz in SHOWN_MHZ) + " |\n|---|" + "---|" * len(SHOWN_MHZ)
+HEAD = ["", *(f"{mhz} MHz" for mhz in SHOWN_MHZ)]
 SEED = 2019  # that of `lbacal paper`
 
 Rows = dict[str, np.ndarray]
 
 
-def tabulate_families() -> str:
+def tabulate_families() -> list[str]:
     """What each family of experiments says, and what the others say of it, in percent of the brightness of gsm."""
     anchors = read_anchors()
-    lines = ["| left out | it measures | the others predict | pull |", "|---|---|---|---|"]
+    rows = []
     for line in predict_left_out(anchors, load_sky("gsm")):
         names = "; ".join(one.experiment for one in anchors if one.family == line.family)
         measured, predicted, sigma = (100 * value for value in (line.measured, line.predicted, line.sigma))
-        lines.append(f"| {names} | {measured:+.1f} | {predicted:+.1f} ± {sigma:.1f} | {line.pull:+.1f} |")
-    return "\n".join(lines)
+        rows.append([names, f"{measured:+.1f}", f"{predicted:+.1f} ± {sigma:.1f}", f"{line.pull:+.1f}"])
+    return write_table(["left out", "it measures", "the others predict", "pull"], rows)
 
 
-def tabulate_budgets(instrument: Instrument) -> str:
-    """Error of C from the sky, in percent: half the root of the summed squares of the terms' means over LST."""
+def sky_error(instrument: Instrument, budget: str) -> Floats:
+    """Error of C from the sky: half the root of the summed squares of the terms' means over LST, shape (freq,)."""
+    terms = sky_terms(instrument, budget)
+    means = [np.mean([v.mean(axis=0) for v in term.d_ln_p.values()], axis=0) for term in terms]
+    return np.asarray(0.5 * np.sqrt(np.sum(np.square(means), axis=0)))
+
+
+def tabulate_budgets(instrument: Instrument) -> list[str]:
+    """Error of C from the sky, in percent."""
     at = np.isin(instrument.frequency_mhz, SHOWN_MHZ)
-    lines = [HEAD]
-    for budget in SKY_BUDGETS:
-        terms = [
-            np.mean([v.mean(axis=0) for v in term.d_ln_p.values()], axis=0) for term in sky_terms(instrument, budget)
-        ]
-        total = 50 * np.sqrt(np.sum(np.square(terms), axis=0))[at]
-        lines.append(f"| `{budget}` | " + " | ".join(f"{value:.1f}" for value in total) + " |")
-    return "\n".join(lines)
+    totals = {budget: 100 * sky_error(instrument, budget)[at] for budget in SKY_BUDGETS}
+    return write_table(HEAD, ([f"`{budget}`", *(f"{value:.1f}" for value in of)] for budget, of in totals.items()))
 
 
-def tabulate_edges(table: Path) -> str:
+def tabulate_edges(table: Path) -> list[str]:
     """EDGES against gsm at the level that all other families give: mean and rms over LST, in percent."""
-    rows = list(csv.DictReader(line for line in table.read_text().splitlines() if not line.startswith("#")))
-    lst, at_75, index = (np.array([float(row[name]) for row in rows]) for name in ("lst_h", "t75_k", "beta_low"))
+    read = read_columns(table)
     nu = np.array([50.0, 60.0, 70.0, 80.0, 100.0])
     others = combine_anchors([one for one in read_anchors() if one.family != "EDGES"], load_sky("gsm"))
-    seen = dipole_temperature(load_sky("gsm"), ShortDipole(EDGES_HEIGHT_M), nu, EDGES_DEG, lst)
-    left = 100 * (np.log(at_75[:, None] * (nu / 75.0) ** index[:, None] / seen) - others.ln_ratio(nu))
+    seen = dipole_temperature(load_sky("gsm"), ShortDipole(EDGES_HEIGHT_M), nu, EDGES_DEG, read["lst_h"])
+    measured = read["t75_k"][:, None] * (nu / 75.0) ** read["beta_low"][:, None]
+    left = 100 * (np.log(measured / seen) - others.ln_ratio(nu))
     error = 100 * np.hypot(others.sigma(nu), others.scatter)
-    cells = {
-        "measured less predicted, mean over LST": [
-            f"{a:+.1f} ± {b:.1f}" for a, b in zip(left.mean(0), error, strict=True)
-        ],
-        "rms over LST": [f"{value:.1f}" for value in left.std(axis=0)],
-    }
-    head = "| | " + " | ".join(f"{mhz:g} MHz" for mhz in nu) + " |\n|---|" + "---|" * nu.size
-    return "\n".join([head, *(f"| {name} | " + " | ".join(values) + " |" for name, values in cells.items())])
+    means = [f"{a:+.1f} ± {b:.1f}" for a, b in zip(left.mean(0), error, strict=True)]
+    rows = [
+        ["measured less predicted, mean over LST", *means],
+        ["rms over LST", *(f"{value:.1f}" for value in left.std(axis=0))],
+    ]
+    return write_table(["", *(f"{mhz:g} MHz" for mhz in nu)], rows)
 
 
 def fit_both(instrument: Instrument, settings: TwinSettings, scope: str) -> tuple[Rows, Rows]:
@@ -91,36 +93,27 @@ def fit_both(instrument: Instrument, settings: TwinSettings, scope: str) -> tupl
     c: Rows = {}
     sigma: Rows = {}
     for name, power in powers.items():
-        curve = next(
-            one
-            for one in fit_calibration(campaign.spectra, Simulation(instrument, power), scope).curves
-            if one.dipole == "X"
-        )
+        report = fit_calibration(campaign.spectra, Simulation(instrument, power), scope)
+        curve = next(one for one in report.curves if one.dipole == "X")
         if curve.c is None or curve.c_sigma_stat is None:
             raise SystemExit(f"{scope}, sky {name}: {curve.status}")
         c[name], sigma[name] = curve.c, curve.c_sigma_stat
     return c, sigma
 
 
-def tabulate_curves(curves: Rows, sigmas: Rows, frequency_mhz: np.ndarray) -> str:
+def tabulate_curves(curves: Rows, sigmas: Rows, frequency_mhz: np.ndarray) -> list[str]:
     at = np.isin(frequency_mhz, SHOWN_MHZ)
-    lines = [HEAD]
+    rows = []
     for name, values in curves.items():
         errors = [f" ± {1e6 * value:.2f}" for value in sigmas[name][at]] if name in sigmas else [""] * len(SHOWN_MHZ)
-        cells = [f"{1e6 * value:.2f}{error}" for value, error in zip(values[at], errors, strict=True)]
-        lines.append(f"| {name} | " + " | ".join(cells) + " |")
-    return "\n".join(lines)
+        rows.append([name, *(f"{1e6 * value:.2f}{error}" for value, error in zip(values[at], errors, strict=True))])
+    return write_table(HEAD, rows)
 
 
 def draw(curves: Rows, instrument: Instrument, path: Path) -> None:
     """Experiments with the level that they give, and C with the bands of the sky's error."""
-    import matplotlib as mpl
-    from matplotlib.figure import Figure
-
-    from lbacal.cli.report_pages import COLOURS, MARKERS, SETTINGS
-
     nu, level = instrument.frequency_mhz, read_sky_level()
-    with mpl.rc_context(SETTINGS):
+    with rc_context(SETTINGS):
         figure = Figure(figsize=(7.2, 3.2), layout="constrained")
         left, right = figure.subplots(1, 2)
         wide = np.geomspace(30.0, 150.0, 60)
@@ -139,24 +132,11 @@ def draw(curves: Rows, instrument: Instrument, path: Path) -> None:
         left.minorticks_off()
         left.legend(loc="upper left", ncols=2, fontsize=5.5, columnspacing=0.8, handlelength=1.5)
         published = curves["published"]
-        for k, (name, values) in enumerate(curves.items()):
-            if name == "published":
-                continue
+        for k, (name, values) in enumerate(list(curves.items())[1:], 1):
             right.plot(nu, values / published, color=COLOURS[k], ls="-" if "gsm" in name else (0, (5, 2)), label=name)
-        terms = [
-            np.mean([v.mean(axis=0) for v in term.d_ln_p.values()], axis=0)
-            for term in sky_terms(instrument, "measured")
-        ]
-        total = 0.5 * np.sqrt(np.sum(np.square(terms), axis=0))
-        centre = np.exp(level.ln_ratio(nu) / 2)
-        right.fill_between(
-            nu,
-            centre * (1 - total),
-            centre * (1 + total),
-            color="0.85",
-            lw=0,
-            label="measured sky, one standard deviation",
-        )
+        total, centre = sky_error(instrument, "measured"), np.exp(level.ln_ratio(nu) / 2)
+        label = "measured sky, one standard deviation"
+        right.fill_between(nu, centre * (1 - total), centre * (1 + total), color="0.85", lw=0, label=label)
         right.axhline(1.0, color="0.5", lw=0.6)
         right.set(xlabel="frequency (MHz)", ylabel="C over the published C", ylim=(0.88, 1.24))
         right.legend(loc="upper left")

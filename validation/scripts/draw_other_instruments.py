@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import csv
 import sys
 import warnings
 from pathlib import Path
@@ -20,7 +19,7 @@ from lbacal_core.antenna.ideal import ShortDipole
 from lbacal_core.antenna.model import AntennaModel
 from lbacal_core.audit.antennas import compare_paths
 from lbacal_core.audit.audit import AuditReport, audit
-from lbacal_core.audit.station import AuditedStation
+from lbacal_core.data.tables import read_columns
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import AntennaRecord, Instrument
 from lbacal_core.readers.open import choose_channels, open_source
@@ -28,7 +27,7 @@ from lbacal_core.readers.source import average
 from lbacal_core.sky.names import load_sky
 from lbacal_core.skypower.sky_terms import dipole_temperature
 from lbacal_core.spectra.spectra import Spectra
-from validation.scripts.page_tables import replace_tables
+from validation.machinery.tables import replace_tables, write_table
 
 DOCS = Path(__file__).parents[2] / "docs"
 PAGE = DOCS / "explanation" / "other-instruments.md"
@@ -67,9 +66,12 @@ def _one_integration(station: str, mhz: float, time_unix: float, powers: dict[tu
 
 
 def read_eda2(data: Path) -> tuple[Spectra, Instrument]:
-    lines = (data / "other" / "eda2_autos_78mhz.csv").read_text().splitlines()
-    rows = csv.DictReader(line for line in lines if not line.startswith("#"))
-    powers = {(int(row["antenna"]), letter.upper()): float(row[letter]) for row in rows for letter in "xy"}
+    read = read_columns(data / "other" / "eda2_autos_78mhz.csv")
+    powers = {
+        (int(antenna), letter.upper()): float(power)
+        for letter in "xy"
+        for antenna, power in zip(read["antenna"], read[letter], strict=True)
+    }
     spectra = _one_integration("EDA2", 78.125, 1_639_180_800.0, powers)
     return spectra, make_instrument("EDA2", EDA2_DEG, spectra, {"X": EAST_DEG, "Y": 0.0})
 
@@ -86,10 +88,9 @@ def read_rs509(data: Path) -> tuple[Spectra, Instrument, Floats]:
     return spectra, make_instrument("RS509", RS509_DEG, spectra, {"X": 45.0, "Y": 135.0}), coherence
 
 
-def tabulate_audit(report: AuditReport) -> str:
-    lines = ["| verdict | check | what is said |", "|---|---|---|"]
-    lines += [f"| {line.verdict} | {line.check} | {_shorten(line.sentence)} |" for line in report.lines]
-    return "\n".join(lines)
+def tabulate_audit(report: AuditReport) -> list[str]:
+    rows = ((line.verdict, line.check, _shorten(line.sentence)) for line in report.lines)
+    return write_table(["verdict", "check", "what is said"], rows)
 
 
 def _shorten(sentence: str) -> str:
@@ -100,9 +101,7 @@ def _shorten(sentence: str) -> str:
 
 
 def read_edges(data: Path) -> dict[str, Floats]:
-    lines = (data / "anchor" / "edges_sky_temperature.csv").read_text().splitlines()
-    rows = list(csv.DictReader(line for line in lines if not line.startswith("#")))
-    return {name: np.array([float(row[name]) for row in rows]) for name in rows[0]}
+    return read_columns(data / "anchor" / "edges_sky_temperature.csv")
 
 
 def expect_edges(mhz: float, lst: Floats) -> dict[tuple[float, float], Floats]:
@@ -115,35 +114,27 @@ def expect_edges(mhz: float, lst: Floats) -> dict[tuple[float, float], Floats]:
     return {(height, arm): seen(ShortDipole(height), arm) for height in HEIGHTS_M[mhz] for arm in DIRECTIONS}
 
 
-def tabulate_edges(data: Path) -> str:
+def tabulate_edges(data: Path) -> list[str]:
     """Level and shape of what EDGES measured over what our sky gives assumed dipoles, in percent."""
     read = read_edges(data)
-    lines = [
-        "| | 75 MHz | 150 MHz |",
-        "|---|---|---|",
-    ]
-    cells: dict[str, list[str]] = {}
+    columns = []
     for mhz in HEIGHTS_M:
         measured = read[f"t{mhz:.0f}_k"]
         expected = expect_edges(mhz, read["lst_h"])
         level = {one: 100 * (measured.mean() / values.mean() - 1) for one, values in expected.items()}
-        shape = {
-            one: 100 * float(np.std(np.log(measured / values) - np.mean(np.log(measured / values))))
-            for one, values in expected.items()
-        }
+        shape = {one: 100 * float(np.std(np.log(measured / values))) for one, values in expected.items()}
         largest = {one: float(values.max() / values.min()) for one, values in expected.items()}
         own = (HEIGHTS_M[mhz][1], DIRECTIONS[0])
-        cells.setdefault("measured over ours, mean over LST (%): own height, north-south; all beams", []).append(
-            f"{level[own]:+.1f}; {min(level.values()):+.1f} to {max(level.values()):+.1f}"
-        )
-        cells.setdefault("r.m.s. of the rest over LST (%)", []).append(
-            f"{shape[own]:.1f}; {min(shape.values()):.1f} to {max(shape.values()):.1f}"
-        )
-        cells.setdefault("highest over lowest temperature: measured; own height; all beams", []).append(
-            f"{measured.max() / measured.min():.2f}; {largest[own]:.2f}; "
-            f"{min(largest.values()):.2f} to {max(largest.values()):.2f}"
-        )
-    return "\n".join([*lines, *(f"| {name} | {' | '.join(values)} |" for name, values in cells.items())])
+        levels = f"{level[own]:+.1f}; {min(level.values()):+.1f} to {max(level.values()):+.1f}"
+        shapes = f"{shape[own]:.1f}; {min(shape.values()):.1f} to {max(shape.values()):.1f}"
+        ours = f"{largest[own]:.2f}; {min(largest.values()):.2f} to {max(largest.values()):.2f}"
+        columns.append((levels, shapes, f"{measured.max() / measured.min():.2f}; {ours}"))
+    names = (
+        "measured over ours, mean over LST (%): own height, north-south; all beams",
+        "r.m.s. of the rest over LST (%)",
+        "highest over lowest temperature: measured; own height; all beams",
+    )
+    return write_table(["", "75 MHz", "150 MHz"], zip(names, *columns, strict=True))
 
 
 def audit_quietly(spectra: Spectra, instrument: Instrument) -> AuditReport:
@@ -167,7 +158,8 @@ def draw_hera(report: AuditReport, axes: Any) -> None:
     axes[0].set_ylabel("power (dB, correlator's unit)")
 
 
-def draw_levels(station: AuditedStation, report: AuditReport, axis: Any) -> None:
+def draw_levels(report: AuditReport, axis: Any) -> None:
+    station = report.stations[0]
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "All-NaN|Mean of empty|Degrees of freedom", RuntimeWarning)
         level = 10 / np.log(10) * compare_paths(station).level
@@ -212,7 +204,7 @@ def draw_edges(data: Path, axes: Any) -> None:
         axis.legend()
 
 
-def make_tables(data: Path) -> dict[str, str]:
+def make_tables(data: Path) -> dict[str, list[str]]:
     hera, eda2, (spectra, instrument, _) = read_hera(data), read_eda2(data), read_rs509(data)
     return {
         "hera": tabulate_audit(audit_quietly(*hera)),
@@ -224,25 +216,17 @@ def make_tables(data: Path) -> dict[str, str]:
 
 def main(folder: str) -> None:
     data = Path(folder)
-    images = DOCS / "images"
+    spectra, instrument, coherence = read_rs509(data)
     with rc_context(SETTINGS | {"xtick.top": False}):
-        figure = Figure(figsize=(7, 3), layout="constrained")
-        draw_hera(audit_quietly(*read_hera(data)), figure.subplots(1, 2, sharey=True))
-        figure.savefig(images / "other-hera.png", dpi=130)
-        figure = Figure(figsize=(7, 3), layout="constrained")
-        report = audit_quietly(*read_eda2(data))
-        draw_levels(report.stations[0], report, figure.subplots())
-        figure.savefig(images / "other-eda2.png", dpi=130)
-        spectra, instrument, coherence = read_rs509(data)
-        report = audit_quietly(spectra, instrument)
-        figure = Figure(figsize=(7, 3), layout="constrained")
-        left, right = figure.subplots(1, 2)
-        draw_levels(report.stations[0], report, left)
+        figures = {name: Figure(figsize=(7, 3), layout="constrained") for name in ("hera", "eda2", "rs509", "edges")}
+        draw_hera(audit_quietly(*read_hera(data)), figures["hera"].subplots(1, 2, sharey=True))
+        draw_levels(audit_quietly(*read_eda2(data)), figures["eda2"].subplots())
+        left, right = figures["rs509"].subplots(1, 2)
+        draw_levels(audit_quietly(spectra, instrument), left)
         draw_coherence(coherence, right)
-        figure.savefig(images / "other-rs509.png", dpi=130)
-        figure = Figure(figsize=(7, 3), layout="constrained")
-        draw_edges(data, figure.subplots(1, 2))
-        figure.savefig(images / "other-edges.png", dpi=130)
+        draw_edges(data, figures["edges"].subplots(1, 2))
+        for name, figure in figures.items():
+            figure.savefig(DOCS / "images" / f"other-{name}.png", dpi=130)
     PAGE.write_text(replace_tables(PAGE.read_text(), make_tables(data)))
 
 

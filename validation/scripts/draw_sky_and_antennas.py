@@ -6,12 +6,14 @@
 from __future__ import annotations
 
 import sys
+from itertools import product
 from pathlib import Path
 
 import healpy as hp
 import numpy as np
 from matplotlib.figure import Figure
 
+from lbacal.cli.report_pages import COLOURS
 from lbacal_core.antenna.model import directional_response
 from lbacal_core.antenna.names import load_antenna
 from lbacal_core.instrument.instrument import load_instrument
@@ -22,8 +24,6 @@ from lbacal_core.skypower.model import compute_sky_power
 TARGET = Path(__file__).parents[2] / "docs" / "images"
 INSTRUMENT = load_instrument("lofar-superterp")
 LST_H = (0.0, 6.0, 12.0, 18.0)
-# One colour a model, told apart by lightness as well (Okabe & Ito).
-COLOURS = ("#000000", "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00")
 
 
 def draw_skies(data: Path) -> Figure:
@@ -53,14 +53,9 @@ def draw_skies(data: Path) -> Figure:
             right_ascension = lst * np.pi / 12 - hour_angle
             values = hp.get_interp_val(pixels, np.pi / 2 - declination, right_ascension)
             image = axis.imshow(
-                np.where(seen, values / 1e3, np.nan),
-                origin="lower",
-                extent=(-1, 1, -1, 1),
-                cmap="inferno",
-                norm="log",
-                vmin=2,
-                vmax=30,
-            )
+                np.where(seen, values / 1e3, np.nan), origin="lower", extent=(-1, 1, -1, 1), cmap="inferno", norm="log",
+                vmin=2, vmax=30,
+            )  # fmt: skip
             for arm, style in ((45.0, "solid"), (135.0, "dashed")):
                 axis.contour(x, y, np.where(seen, response[arm], np.nan), [0.5], colors="white", linestyles=style)
             axis.set_axis_off()
@@ -95,16 +90,11 @@ def draw_beams(data: Path) -> Figure:
 
 def draw_sky_power(data: Path) -> Figure:
     """P_sky against LST for every model, and their ratio to the default with the prior of the modes."""
-    skies = {
-        "embedded": "gsm",
-        "GSM 408": str(data / "sky/gsm-408locked.npz"),
-        "LFSM": str(data / "sky/lfsm-5.1deg.npz"),
-    }
-    antennas = {"Hamaker": "hamaker", "WIPL-D": str(data / "antenna/lba_vout.npz")}
+    skies = {"embedded": "gsm", "GSM 408": f"{data}/sky/gsm-408locked.npz", "LFSM": f"{data}/sky/lfsm-5.1deg.npz"}
+    antennas = {"Hamaker": "hamaker", "WIPL-D": f"{data}/antenna/lba_vout.npz"}
     powers = {
         f"{sky}, {antenna}": compute_sky_power(INSTRUMENT, skies[sky], antennas[antenna])
-        for sky in skies
-        for antenna in antennas
+        for sky, antenna in product(skies, antennas)
     }
     default = powers["embedded, Hamaker"]
     channel = int(np.argmin(np.abs(INSTRUMENT.frequency_mhz - 55.0)))
@@ -113,7 +103,7 @@ def draw_sky_power(data: Path) -> Figure:
     figure = Figure(figsize=(11, 6.4), layout="constrained")
     axes = figure.subplots(2, 2, sharex=True)
     for column, dipole in enumerate("XY"):
-        for (name, power), colour in zip(powers.items(), COLOURS, strict=True):
+        for (name, power), colour in zip(powers.items(), COLOURS, strict=False):
             curve = power.power[dipole][:, channel]
             axes[0, column].plot(lst, curve * 1e14, color=colour, label=name)
             ratio = curve / default.power[dipole][:, channel]
@@ -123,10 +113,10 @@ def draw_sky_power(data: Path) -> Figure:
         arm = INSTRUMENT.dipole_azimuth_deg[dipole]
         axes[0, column].set(title=f"{dipole}, arm at {arm:.0f}° azimuth", ylabel="P_sky at 55 MHz (10⁻¹⁴ W m⁻² MHz⁻¹)")
         axes[1, column].set(xlabel="local sidereal time (h)", ylabel="shape against the default (%)", xlim=(0, 24))
-        axes[0, column].grid(alpha=0.3)
-        axes[1, column].grid(alpha=0.3)
-    axes[0, 0].legend(fontsize=8)
-    axes[1, 0].legend(fontsize=8)
+    for axis in axes.flat:
+        axis.grid(alpha=0.3)
+    for axis in axes[:, 0]:
+        axis.legend(fontsize=8)
     return figure
 
 

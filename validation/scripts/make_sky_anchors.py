@@ -9,13 +9,13 @@ the other numbers there are those of the abstracts of the papers that it cites. 
 
 from __future__ import annotations
 
-import csv
 import json
 import sys
 from pathlib import Path
 
 import numpy as np
 
+from lbacal_core.data.tables import read_columns
 from lbacal_core.sky.names import BASE_SKY, load_sky
 from lbacal_core.skypower.sky_terms import combine_anchors, predict_left_out, read_anchors
 
@@ -24,9 +24,8 @@ DATA = Path(__file__).parents[2] / "lbacal_core" / "data"
 
 def edges_means(path: Path, frequency_mhz: list[float]) -> list[float]:
     """Mean over the sidereal day of the temperature seen by EDGES, K."""
-    rows = list(csv.DictReader(line for line in path.read_text().splitlines() if not line.startswith("#")))
-    at_75, index = (np.array([float(row[name]) for row in rows]) for name in ("t75_k", "beta_low"))
-    return [round(float(np.mean(at_75 * (nu / 75.0) ** index)), 1) for nu in frequency_mhz]
+    read = read_columns(path)
+    return [round(float(np.mean(read["t75_k"] * (nu / 75.0) ** read["beta_low"])), 1) for nu in frequency_mhz]
 
 
 def main(table: str) -> None:

@@ -35,6 +35,7 @@ from astropy import units
 from astropy.coordinates import EarthLocation
 
 from lbacal_core.antenna.names import load_antenna
+from lbacal_core.data.tables import read_columns
 from lbacal_core.instrument.sidereal import local_sidereal_time
 from lbacal_core.sky.names import load_sky
 from lbacal_core.skypower.modes import sky_power_at, sky_power_modes
@@ -51,12 +52,6 @@ SHAPE_ERROR = ((30.0, 40.0, 70.0, 80.0), (0.10, 0.02, 0.02, 0.17))
 SCALE_ERROR = 0.39
 """G_ant is 0.68 of that of the simulated antenna at 40-65 MHz, |ln 0.68|; the traces alone fix it within 0.2."""
 TRACE_TIME = datetime(2011, 7, 19, 11, 5, 41, tzinfo=UTC)
-
-
-def table(path: Path) -> dict[str, np.ndarray]:
-    lines = [line for line in path.read_text().splitlines() if not line.startswith("#")]
-    values = np.array([[float(value) for value in line.split(",")] for line in lines[1:]])
-    return dict(zip(lines[0].split(","), values.T, strict=True))
 
 
 def residual_delay_ns(data: Path, station: str, rcu: int) -> float:
@@ -104,8 +99,8 @@ def main(folder: str) -> None:
     data = Path(folder)
     place = EarthLocation.from_geocentric(3826577.462, 461022.624, 5064892.526, unit=units.m).to_geodetic("GRS80")
     latitude, longitude = round(place.lat.deg, 5), round(place.lon.deg, 5)
-    receiver, noise = table(data / "receiver_gain.csv"), table(data / "noise_terms.csv")
-    published, coax = table(data / "published_calibration.csv"), table(data / "cable_attenuation.csv")
+    names = ("receiver_gain", "noise_terms", "published_calibration", "cable_attenuation")
+    receiver, noise, published, coax = (read_columns(data / f"{name}.csv") for name in names)
     frequency_mhz = receiver["mhz"]
     shape = published["c"] ** 2 / noise["adc"]
 
