@@ -8,7 +8,6 @@ requests are put to both in turn, through the whole application; a ratio is that
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
@@ -25,19 +24,18 @@ from lbacal_core.drift.follow import FEWEST_YEARS
 from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.spectra.spectra import Spectra
 from service.app import make_app
-from service.config import Settings
 from service.factory import Factory
 from service.logs import configure_logs
 from service.schema.tables import job, job_part
 from service.storage.drift import MonthlyRatio
-from service.storage.migration import upgrade
 from service.storage.versions import Version
 from service.usecases.calibrations import select_paths
 from service.usecases.drift import keep_missing, keep_months, start_of_year
 from service.wire.bodies import TagBody
+from validation.benchmarks.timing import median_times
 from validation.machinery.claims import Found, exactly
 from validation.machinery.parts import Part, Row
-from validation.running.ledger import write_promotions
+from validation.running.ledger import open_factory, write_promotions
 from validation.running.postgres import open_databases
 
 FIRST, YEARS = 2016, 10
@@ -257,23 +255,13 @@ def compare(kind: str, seed: int, years: int = YEARS, kept: int = KEPT, turns: i
         _service(urls[0], 1, kept) as small,
         _service(urls[1], years, kept) as large,
     ):
-        asked = [requests(1, kept), requests(years, kept)]
+        of_large = requests(years, kept)
         found = {}
-        for name in asked[0]:
-            times = [
-                [_time(partial(one[name], client, turn)) for one, client in zip(asked, (small, large), strict=True)]
-                for turn in range(turns + 1)
-            ]
-            before, after = np.median(np.array(times)[1:], axis=0)  # the first turn warms up
-            found[name] = [round(1e3 * float(before), 2), round(1e3 * float(after), 2)]
+        for name, ask in requests(1, kept).items():
+            works = {"small": partial(ask, small), "large": partial(of_large[name], large)}
+            found[name] = [round(1e3 * median, 2) for median in median_times(works, turns + 1).values()]
         sizes = [_size(client) for client in (small, large)]
     return {"years": years, "kept": kept, "turns": turns, "ms": found, "megabytes": sizes}
-
-
-def _time(deed: Callable[[], object]) -> float:
-    started = time.perf_counter()
-    deed()
-    return time.perf_counter() - started
 
 
 def _size(client: TestClient) -> int:
@@ -287,13 +275,11 @@ def _size(client: TestClient) -> int:
 
 @contextmanager
 def _service(url: str, years: int, kept: int) -> Iterator[TestClient]:
-    factory = Factory(Settings(database_url=url, max_rate=1e9))
-    upgrade(factory.database)
-    fill(factory, years, kept)
-    _, key = factory.keys.create(("admin",))
-    with TestClient(make_app(factory), headers={"Authorization": f"Bearer {key}"}) as client:
-        yield client
-    factory.database.close()
+    with open_factory(url) as factory:
+        fill(factory, years, kept)
+        _, key = factory.keys.create(("admin",))
+        with TestClient(make_app(factory), headers={"Authorization": f"Bearer {key}"}) as client:
+            yield client
 
 
 def judge(rows: Sequence[Row]) -> list[Found]:

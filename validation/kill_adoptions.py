@@ -20,18 +20,25 @@ from typing import Any
 import httpx2
 import numpy as np
 
-from lbacal_core.instrument.instrument import load_instrument
-from lbacal_core.skypower.model import compute_sky_power
-from lbacal_core.skypower.table import write_sky_power
-from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.faults.sky import LstOffset
 from lbacal_twin.settings import TwinSettings
 from service.config import Settings
 from service.storage.database import Database
 from service.storage.migration import upgrade
-from validation.kills import SETTINGS, Killable, judge, open_database, victims_of
+from validation.kills import (
+    SETTINGS,
+    SKY,
+    Killable,
+    broken_of,
+    end_the_night,
+    is_idle,
+    judge,
+    open_database,
+    simulate,
+    victims_of,
+)  # fmt: skip
 from validation.machinery.parts import Part, Row
-from validation.running.processes import is_ready, run_command, run_service, wait_until
+from validation.running.processes import is_ready, run_service, wait_until
 
 KILLS = 20
 CAMPAIGN = TwinSettings(stations=("CS002",), antennas=2, years=0.99, events_per_year=120)
@@ -96,20 +103,16 @@ def kill_and_count(kind: str, kills: int, seed: int) -> Row:
 
 
 def _run(folder: Path, database: Killable, kills: int, seed: int) -> Row:
-    instrument = load_instrument("lofar-superterp")
-    sky = compute_sky_power(instrument, lst_hours=np.arange(24.0))
-    write_sky_power(sky, folder / "sky_power.json")
-    spectra = simulate_campaign(CAMPAIGN, instrument, sky, np.random.default_rng([23, seed]), [FAULT]).spectra
+    spectra = simulate(folder, CAMPAIGN, np.random.default_rng([23, seed]), [FAULT])
     store = Database(Settings(database_url=database.url).sqlalchemy_url)
     upgrade(store)
     with store.write() as stores:
         stores.spectra.add(spectra)
     rng = np.random.default_rng([24, seed])
-    sky_power = folder / "sky_power.json"
-    with run_service(database.url, folder, "worker", "scheduler", sky_power=sky_power, **SETTINGS) as service:
+    with run_service(database.url, folder, "worker", "scheduler", sky_power=folder / SKY, **SETTINGS) as service:
         address, key, victims = service.address, service.key, victims_of(service, database)
         wait_until(lambda: is_ready(address), "the server")
-        wait_until(lambda: _is_idle(address, "investigation"), "the night")
+        wait_until(lambda: is_idle(address, "investigation"), "the night")
         (found,) = httpx2.get(f"{address}/v1/investigations").json()["investigations"]
         before = _read_in_effect(address)
         adopter = Adopter(address, key, found["id"])
@@ -122,9 +125,7 @@ def _run(folder: Path, database: Killable, kills: int, seed: int) -> Row:
             _ask_for_investigation(address, key)
         adopter.stop()
         wait_until(lambda: not thread.is_alive(), "the last withdrawal")
-        wait_until(lambda: is_ready(address), "the server")
-        run_command(service.environment, "scheduler", "--once")
-        wait_until(lambda: _is_idle(address, "refit"), "the refits")
+        end_the_night(service, lambda: is_idle(address, "refit"))
         after = _read_in_effect(address)
     row = _count(store, adopter, is_restored=before == after)
     store.close()
@@ -146,7 +147,7 @@ def _count(store: Database, adopter: Adopter, *, is_restored: bool) -> Row:
     return {
         "acts": adopter.acts,
         "answers": {str(code): count for code, count in sorted(adopter.answers.items())},
-        "broken": [check for check, holds in checks.items() if not holds],
+        "broken": broken_of(checks),
     }
 
 
@@ -156,11 +157,6 @@ def _ask_for_investigation(address: str, key: str) -> None:
         httpx2.post(f"{address}/v1/investigations", json=WINDOW, headers={"Authorization": f"Bearer {key}"}, timeout=5)
     except httpx2.TransportError:
         return
-
-
-def _is_idle(address: str, kind: str) -> bool:
-    jobs = httpx2.get(f"{address}/v1/jobs", params={"limit": 1000}, timeout=30).json()["jobs"]
-    return any(job["kind"] == kind for job in jobs) and all(job["state"] in ("done", "failed") for job in jobs)
 
 
 def _read_in_effect(address: str) -> Any:

@@ -12,7 +12,7 @@ import tempfile
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -27,24 +27,22 @@ from lbacal.instants import parse_instant
 from lbacal.transport import bodies_of_events
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import load_instrument
-from lbacal_core.skypower.model import compute_sky_power
-from lbacal_core.skypower.table import write_sky_power
 from lbacal_core.spectra.spectra import Spectra
 from lbacal_twin.campaign import simulate_campaign
+from lbacal_twin.faults.fault import Fault
 from lbacal_twin.settings import TwinSettings
 from service.config import Settings
-from service.factory import Factory
 from service.logs import configure_logs
 from service.storage.database import Database
-from service.storage.migration import upgrade
 from service.usecases.calibrations import select_paths
 from service.usecases.fits import SMALLEST_SHIFT
 from service.worker import Worker
 from validation.machinery.claims import Found, rate_of
 from validation.machinery.parts import Part, Row
 from validation.running.clients import Clients, Record, ask_pinned
+from validation.running.ledger import open_factory
 from validation.running.postgres import run_server
-from validation.running.processes import Service, is_ready, run_command, run_service, wait_until
+from validation.running.processes import Service, is_ready, run_command, run_service, wait_until, write_coarse_sky
 
 KILLS = 40
 DONE = "SELECT job FROM job_part WHERE state = 'done' OR substr(error, 1, 9) = 'no usable'"
@@ -78,7 +76,8 @@ def kill_and_compare(kind: str, kills: int, seed: int) -> Row:
     configure_logs("warning")
     with tempfile.TemporaryDirectory(prefix="lbacal-kills-") as name, open_database(kind, Path(name)) as database:
         folder = Path(name)
-        spectra = _simulate(folder, seed)
+        settings = TwinSettings(stations=("CS002",), antennas=2, years=1.99, events_per_year=100)
+        spectra = simulate(folder, settings, np.random.default_rng([20, seed]))
         calm = _fit_calmly(folder, spectra)
         record, in_effect, tags, victims = _run(folder, database, list(bodies_of_events(spectra)), kills, seed)
         left = _read_database(database.url)
@@ -100,7 +99,7 @@ def kill_and_compare(kind: str, kills: int, seed: int) -> Row:
     return {
         "kills": kills,
         "victims": dict(sorted(victims.items())),
-        "broken": [check for check, holds in checks.items() if not holds],
+        "broken": broken_of(checks),
         "spectra": len(spectra),
         "answers": record.told_answers,
         "promotions": len(record.promotions),
@@ -111,6 +110,11 @@ def kill_and_compare(kind: str, kills: int, seed: int) -> Row:
         "curves_in_effect": len(in_effect),
         **({"undone": left.undone} if left.undone else {}),
     }
+
+
+def broken_of(checks: Mapping[str, bool]) -> list[str]:
+    """The promises that were not kept."""
+    return [check for check, holds in checks.items() if not holds]
 
 
 def judge(rows: Sequence[Row]) -> list[Found]:
@@ -137,31 +141,26 @@ def open_database(kind: str, folder: Path) -> Iterator[Killable]:
         yield Killable(server.url.replace("/postgres?", "/kills?"), server.kill)
 
 
-def _simulate(folder: Path, seed: int) -> Spectra:
-    """Two years of two antennas, 100 events each."""
+def simulate(folder: Path, settings: TwinSettings, rng: np.random.Generator, faults: Sequence[Fault] = ()) -> Spectra:
+    """Write a sky power of few LST for the service, and simulate a campaign with it."""
     instrument = load_instrument("lofar-superterp")
-    sky = compute_sky_power(instrument, lst_hours=np.arange(24.0))
-    write_sky_power(sky, folder / SKY)
-    settings = TwinSettings(stations=("CS002",), antennas=2, years=1.99, events_per_year=100)
-    return simulate_campaign(settings, instrument, sky, np.random.default_rng([20, seed])).spectra
+    return simulate_campaign(settings, instrument, write_coarse_sky(folder / SKY), rng, faults).spectra
 
 
 def _fit_calmly(folder: Path, spectra: Spectra) -> InEffect:
     """The calibrations in effect after one undisturbed night in one process."""
-    factory = Factory(Settings(database_url=str(folder / "calm.sqlite"), **SETTINGS, sky_power=folder / SKY))
-    upgrade(factory.database)
-    with factory.database.write() as stores:
-        stores.spectra.add(spectra)
-    factory.due.enqueue()
-    Worker(factory).run(threading.Event(), until_idle=True)
-    paths = select_paths(factory.instrument, None, None, None)
     found: InEffect = {}
-    for date in DATES:
-        for curve in factory.calibrations.in_effect(parse_instant("date", date), paths).curves:
-            path = curve.told.curve
-            key = (date, str(path.station), str(path.antenna), str(path.dipole))
-            found[key] = Told(str(curve.promotion.calibration), _floats(path.c), _floats(path.c_sigma_stat))
-    factory.database.close()
+    with open_factory(str(folder / "calm.sqlite"), **SETTINGS, sky_power=folder / SKY) as factory:
+        with factory.database.write() as stores:
+            stores.spectra.add(spectra)
+        factory.due.enqueue()
+        Worker(factory).run(threading.Event(), until_idle=True)
+        paths = select_paths(factory.instrument, None, None, None)
+        for date in DATES:
+            for curve in factory.calibrations.in_effect(parse_instant("date", date), paths).curves:
+                path = curve.told.curve
+                key = (date, str(path.station), str(path.antenna), str(path.dipole))
+                found[key] = Told(str(curve.promotion.calibration), _floats(path.c), _floats(path.c_sigma_stat))
     return found
 
 
@@ -207,9 +206,7 @@ def _run(
         record = clients.record
         wait_until(lambda: len(record.acknowledged) == len(bodies), "every event to be acknowledged")
         clients.stop()
-        wait_until(lambda: is_ready(address), "the server")
-        run_command(service.environment, "scheduler", "--once")
-        wait_until(lambda: _stays_idle(address), "the refits and the drift")
+        end_the_night(service, lambda: _stays_idle(address))
         return record, _read_in_effect(address), _compare_tags(address, record), Counter(turns)
 
 
@@ -227,15 +224,23 @@ def _is_at_work(address: str) -> bool:
     return any(job["state"] == "running" for job in jobs)
 
 
-def _is_idle(address: str) -> bool:
+def end_the_night(service: Service, is_over: Callable[[], bool]) -> None:
+    """Enqueue what is due, once the server is there again, and wait for it."""
+    wait_until(lambda: is_ready(service.address), "the server")
+    run_command(service.environment, "scheduler", "--once")
+    wait_until(is_over, "the refits and what follows them")
+
+
+def is_idle(address: str, kind: str = "") -> bool:
+    """Whether every job has ended, and there was one of a kind."""
     jobs = httpx2.get(f"{address}/v1/jobs", params={"limit": 1000}, timeout=30).json()["jobs"]
-    return all(job["state"] in ("done", "failed") for job in jobs)
+    return all(job["state"] in ("done", "failed") for job in jobs) and kind in ["", *(job["kind"] for job in jobs)]
 
 
 def _stays_idle(address: str) -> bool:
     """Whether nothing is left to do, and no part that ended makes further work."""
     end = time.monotonic() + IDLE_S
-    while _is_idle(address):
+    while is_idle(address):
         if time.monotonic() > end:
             return True
         time.sleep(0.2)

@@ -28,8 +28,6 @@ import uvicorn
 
 from lbacal_core.curves.validity import Instant
 from lbacal_core.instrument.instrument import load_instrument
-from lbacal_core.skypower.model import compute_sky_power
-from lbacal_core.skypower.table import write_sky_power
 from service.app import make_app
 from service.cli.connections import configure_server, listen
 from service.config import Settings
@@ -39,11 +37,12 @@ from service.storage.database import FULL, READ_ONLY
 from service.storage.migration import upgrade
 from service.storage.processes import WORKER
 from service.usecases.status import Pulse
+from validation.kills import broken_of
 from validation.machinery.claims import Found, rate_of
 from validation.machinery.parts import Part, Row
 from validation.running.clients import Clients, Record, ask_pinned
 from validation.running.postgres import run_server
-from validation.running.processes import is_ready, wait_until
+from validation.running.processes import is_ready, wait_until, write_coarse_sky
 
 EVENTS, PATHS = 400, 8
 ROOM = "64m"
@@ -62,6 +61,10 @@ class Clock:
     def __call__(self) -> Instant:
         """Now, as the server sees it."""
         return read_clock() + self.off
+
+    def turn(self, off: int) -> None:
+        """Let it be off by some microseconds."""
+        self.off = off
 
 
 @dataclass(frozen=True)
@@ -88,8 +91,7 @@ def small_disk(owner: str | None = None) -> Iterator[Path]:
                 os.chown(name, user.pw_uid, user.pw_gid)
             yield Path(name)
         finally:
-            end = ["umount", "--lazy", name]
-            subprocess.run(end, check=True)
+            subprocess.run(["umount", "--lazy", name], check=True)  # noqa: S607
 
 
 def fill(disk: Path) -> None:
@@ -99,25 +101,20 @@ def fill(disk: Path) -> None:
                 os.posix_fallocate(balloon.fileno(), os.fstat(balloon.fileno()).st_size, free)
 
 
+def filled(url: str, disk: Path) -> Trouble:
+    return Trouble(url, partial(fill, disk), (disk / "balloon").unlink, FULL)
+
+
 @contextmanager
 def prepare(name: str, clock: Clock) -> Iterator[Trouble]:
     """An empty database, and a trouble that can be made for it."""
     kind, _, what = name.partition("-")
-
-    def turn_back() -> None:
-        clock.off = -BACK_US
-
-    def turn_right() -> None:
-        clock.off = 0
-
+    turned = partial(Trouble, begin=partial(clock.turn, -BACK_US), end=partial(clock.turn, 0), words=AHEAD)
     if kind == "sqlite":
         with small_disk() if what == "full" else tempfile.TemporaryDirectory() as folder:
             disk = Path(folder)
             url = str(disk / "lbacal.sqlite")
-            if what == "full":
-                yield Trouble(url, lambda: fill(disk), (disk / "balloon").unlink, FULL)
-            else:
-                yield Trouble(url, turn_back, turn_right, AHEAD)
+            yield filled(url, disk) if what == "full" else turned(url)
         return
     with run_server() as server, psycopg.connect(server.url, autocommit=True) as connection:
         url = server.url.replace("/postgres?", "/troubles?")
@@ -128,7 +125,7 @@ def prepare(name: str, clock: Clock) -> Iterator[Trouble]:
                 shutil.chown(place, server.folder.owner())
                 connection.execute(f"CREATE TABLESPACE small LOCATION '{place}'")
                 connection.execute("CREATE DATABASE troubles TABLESPACE small")
-                yield Trouble(url, lambda: fill(disk), (disk / "balloon").unlink, FULL)
+                yield filled(url, disk)
             return
         connection.execute("CREATE DATABASE troubles")
 
@@ -136,10 +133,8 @@ def prepare(name: str, clock: Clock) -> Iterator[Trouble]:
             connection.execute(f"ALTER SYSTEM SET default_transaction_read_only = {value}")
             connection.execute("SELECT pg_reload_conf()")
 
-        if what == "clock":
-            yield Trouble(url, turn_back, turn_right, AHEAD)
-        else:
-            yield Trouble(url, lambda: set_read_only("on"), lambda: set_read_only("off"), READ_ONLY)
+        read_only = Trouble(url, partial(set_read_only, "on"), partial(set_read_only, "off"), READ_ONLY)
+        yield turned(url) if what == "clock" else read_only
 
 
 def make_bodies(events: int, rng: np.random.Generator) -> list[dict[str, Any]]:
@@ -166,7 +161,7 @@ def endure(name: str, events: int, seed: int) -> Row:
     clock = Clock()
     with tempfile.TemporaryDirectory() as folder, prepare(name, clock) as trouble:
         sky = Path(folder) / "sky_power.json"
-        write_sky_power(compute_sky_power(load_instrument("lofar-superterp"), lst_hours=np.arange(24.0)), sky)
+        write_coarse_sky(sky)
         factory = Factory(Settings(database_url=trouble.url, sky_power=sky, max_rate=1e5), clock)
         upgrade(factory.database)
         _, key = factory.keys.create(("admin",))
@@ -227,7 +222,7 @@ def _run(factory: Factory, trouble: Trouble, clients: Clients) -> Row:
     return {
         "acknowledged": len(record.acknowledged) + len(record.promotions) + len(record.tags),
         "lost": lost,
-        "broken": [check for check, holds in checks.items() if not holds],
+        "broken": broken_of(checks),
         "answers": record.told_answers,
         "said": said[-1],
     }

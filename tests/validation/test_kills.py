@@ -12,11 +12,16 @@ from validation.machinery.records import verdicts_of
 from validation.troubles import TROUBLES, endure, small_disk
 
 
-@pytest.mark.parametrize("kind", ["sqlite", "postgresql"])
-def test_four_kills_lose_nothing_and_change_nothing(request: pytest.FixtureRequest, kind: str) -> None:
-    """The suite's small instance of `./dev prove kills`."""
-    if kind == "postgresql":
+@pytest.fixture(params=["sqlite", "postgresql"])
+def kind(request: pytest.FixtureRequest) -> str:
+    """A kind of database."""
+    if request.param == "postgresql":
         request.getfixturevalue("needs_postgres")
+    return request.param
+
+
+def test_four_kills_lose_nothing_and_change_nothing(kind: str) -> None:
+    """The suite's small instance of `./dev prove kills`."""
     row = kill_and_compare(kind, kills=4, seed=0)
     assert row["broken"] == [], row
     assert row["tags"] > 0
@@ -28,11 +33,8 @@ def test_480_kills_without_a_broken_promise_show_that_fewer_than_one_in_a_hundre
         assert verdicts_of("kills", "sqlite", rows) == {"broken": verdict}
 
 
-@pytest.mark.parametrize("kind", ["sqlite", "postgresql"])
-def test_three_kills_leave_no_adoption_half_done(request: pytest.FixtureRequest, kind: str) -> None:
+def test_three_kills_leave_no_adoption_half_done(kind: str) -> None:
     """The suite's small instance of `./dev prove kill_adoptions`."""
-    if kind == "postgresql":
-        request.getfixturevalue("needs_postgres")
     row = kill_and_count(kind, kills=3, seed=0)
     assert row["broken"] == []
     assert row["acts"] >= 2
@@ -65,11 +67,8 @@ def test_one_loss_in_a_thousand_is_not_what_is_asked() -> None:
         assert verdicts_of("troubles", "sqlite-full", rows) == {"lost": verdict}
 
 
-@pytest.mark.parametrize("kind", ["sqlite", "postgresql"])
-def test_every_request_is_answered_after_one_year_and_after_two(request: pytest.FixtureRequest, kind: str) -> None:
+def test_every_request_is_answered_after_one_year_and_after_two(kind: str) -> None:
     """The suite's small instance of `./dev prove growth`."""
-    if kind == "postgresql":
-        request.getfixturevalue("needs_postgres")
     row = compare(kind, 0, years=2, kept=1, turns=1)
     assert all(before > 0.0 and after > 0.0 for before, after in row["ms"].values())
     assert row["megabytes"][0] < row["megabytes"][1]

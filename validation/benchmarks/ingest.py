@@ -33,11 +33,9 @@ from lbacal.transport import bodies_of_events, files_of_events
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.spectra.spectra import Spectra, read_columns
-from service.config import Settings
 from service.handlers.request import HDF5
-from service.storage.database import Database
-from service.storage.migration import upgrade
 from validation.benchmarks.timing import time_once
+from validation.running.ledger import open_factory
 from validation.running.postgres import open_databases
 from validation.running.processes import run_service
 
@@ -198,15 +196,8 @@ def compare(name: str, database_url: str, bulk: BulkSqlite | BulkPostgres, event
 
 def main(events: int = 10) -> None:
     for kind, bulk in (("sqlite", BulkSqlite), ("postgresql", BulkPostgres)):
-        with open_databases(kind, "ours", "bare") as (ours, bare):
-            prepare(bare)
+        with open_databases(kind, "ours", "bare") as (ours, bare), open_factory(bare):
             compare(kind, ours, bulk(bare), events)
-
-
-def prepare(url: str) -> None:
-    database = Database(Settings(database_url=url).sqlalchemy_url)
-    upgrade(database)
-    database.close()
 
 
 if __name__ == "__main__":

@@ -1,10 +1,9 @@
-"""Speed of reading, as ratios measured in one run: .venv/bin/python -m validation.benchmarks.reads [EVENTS [NIGHTS]].
+"""Speed of reading, as ratios measured in one run: .venv/bin/python -m validation.benchmarks.reads [EVENTS].
 
-A large store (6000 events of 576 spectra; 174 nights that made 100,224 promotions besides the first 576) is compared
-with a small one (100 events, the first 576 promotions): the same requests to both in turn, through the whole
-application but no socket. The answer about one path is compared with a route that returns the same object, as JSON and
-through the same middleware, and all 576 paths with 576 requests. A year of a path, read into arrays, is compared with
-the bare driver that fetches the rows of the same statement. Times are medians.
+The answer about one path, asked of the whole application but through no socket, is compared with a route that returns
+the same object, as JSON and through the same middleware, and all 576 paths with 576 requests. A year of a path, read
+into arrays from 6000 events of 576 spectra, is compared with the bare driver that fetches the rows of the same
+statement. Times are medians. How requests grow with what is stored `./dev prove growth` says.
 """
 
 from __future__ import annotations
@@ -13,7 +12,7 @@ import asyncio
 import json
 import sys
 import time
-from collections.abc import Awaitable, Callable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -23,37 +22,51 @@ from fastapi import Depends, FastAPI, Request, Response
 from sqlalchemy import event
 
 from lbacal.instants import parse_instant
-from lbacal_core.curves.validity import Scope
+from lbacal_core.curves.covariance import Budget, BudgetTerm, CurveCovariance
+from lbacal_core.curves.curves import Parameter
+from lbacal_core.curves.validity import Promotion, Scope
 from service.app import make_app
 from service.factory import Factory
 from service.handlers.request import answer, require_read
 from service.logs import configure_logs
 from service.storage.spectra import Window
 from validation.benchmarks.ingest import make_spectra
-from validation.benchmarks.ledger import INSTRUMENT, PATHS, fill, opened
 from validation.benchmarks.timing import median_times
+from validation.growth import FIRST, INSTRUMENT, PATHS, make_version
+from validation.running.ledger import open_factory, write_promotions
 from validation.running.postgres import open_databases
 
 TURNS, YEAR_TURNS = 41, 11
-SMALL = 100
 EVENTS_AT_ONCE = 20
 EVENT_SPACING_S = 365.25 * 86_400 / 900
-ONE = "/v1/calibrations/effective?at=2020-06-01&station=CS002&antenna=17&dipole=X"
-ALL = "/v1/calibrations/effective?at=2020-06-01"
-REQUESTS = {
-    "effective, one path": ONE,
-    "effective, one path as of an instant": f"{ONE}&as_of=2020-01-02",
-    "effective, all paths": ALL,
-    "a version": "/v1/calibrations/{version}",
-    "versions": "/v1/calibrations?limit=100",
-    "events": "/v1/events?limit=100",
-}
+ALL = f"/v1/calibrations/effective?at={FIRST}-06-01"
+ONE = f"{ALL}&station=CS002&antenna=17&dipole=X"
 PATH_YEAR = Window(parse_instant("", "2014-05-13"), parse_instant("", "2015-05-13"), Scope("CS002", 17, "X"))
 
 
-def fill_spectra(factory: Factory, events: int) -> None:
-    """Store events of the whole array, 900 a year from May 2014 on."""
-    rng = np.random.default_rng(0)
+def fill(factory: Factory, events: int) -> None:
+    """Store a version of every path, with all that curves of fits carry, and events of the array, 900 a year."""
+    rng, size = np.random.default_rng(0), INSTRUMENT.frequency_mhz.size
+    terms = [
+        BudgetTerm(f"term {k}", "benchmark", {dipole: rng.normal(0.0, 0.05, (count, size)) for dipole in "XY"})
+        for k, count in enumerate((5, 3, 2, 1, 1))
+    ]
+    budget = Budget(INSTRUMENT.frequency_mhz, tuple(terms))
+    more: dict[str, Any] = {
+        "c_sigma_sys": np.full(size, 2e-6),
+        "parameters": {name: Parameter(*rng.lognormal(size=2)) for name in ("n_lna", "n_rcu", "n_adc")},
+        "antenna_gain": INSTRUMENT.antenna_gain,
+        "chi2_per_dof_profiled": 1.0,
+        "covariance": CurveCovariance(
+            rng.normal(0.0, 0.01, (4, size)), np.full(size, 1e-5), budget.digest, rng.normal(0.0, 0.01, (1, size))
+        ),
+    }
+    plain = [make_version(path, FIRST, 0, rng) for path in PATHS]
+    versions = [replace(one, curves=tuple(replace(curve, **more) for curve in one.curves)) for one in plain]
+    with factory.database.write() as stores:
+        stores.budgets.add({budget.digest: budget})
+        stores.versions.add(versions)
+    write_promotions(factory, (Promotion(0, v.scope, *v.window, v.id, v.made, "benchmark", "night") for v in versions))
     for first in range(0, events, EVENTS_AT_ONCE):
         spectra = make_spectra(min(EVENTS_AT_ONCE, events - first), first, rng)
         times = 1.4e9 + EVENT_SPACING_S * spectra.event_id.astype(float)
@@ -107,19 +120,13 @@ async def in_turn(works: Mapping[str, Callable[[], Awaitable[object]]], turns: i
     return {name: float(np.median(found[1:])) for name, found in times.items()}
 
 
-async def compare_requests(small: Factory, large: Factory, version: str) -> None:
-    """Print what requests cost in a large store beside a small one, and what an answer costs beside its object."""
-    apps = {"small": make_app(small), "large": make_app(large)}
-    add_same(apps["large"], json.loads(await get(apps["large"], ONE)))
-    for what, request in REQUESTS.items():
-        address = request.format(version=version)
-        took = await in_turn({size: partial(get, app, address) for size, app in apps.items()}, TURNS)
-        print(
-            f"  {what}: {1e3 * took['small']:.1f} ms, {1e3 * took['large']:.1f} ms: {took['large'] / took['small']:.2f}"
-        )
-    took = await in_turn({address: partial(get, apps["large"], address) for address in (ONE, "/same")}, TURNS)
+async def compare_answers(factory: Factory) -> None:
+    """Print what an answer costs beside its object."""
+    app = make_app(factory)
+    add_same(app, json.loads(await get(app, ONE)))
+    took = await in_turn({address: partial(get, app, address) for address in (ONE, "/same")}, TURNS)
     # by itself: what comes after two megabytes pays for their memory
-    took |= await in_turn({ALL: partial(get, apps["large"], ALL)}, TURNS)
+    took |= await in_turn({ALL: partial(get, app, ALL)}, TURNS)
     one, same, every = (1e3 * took[address] for address in (ONE, "/same", ALL))
     print(f"  one path {one:.2f} ms, the same object {same:.2f} ms: {same / one:.2f} of its speed")
     print(f"  all {len(PATHS)} paths {every:.0f} ms: 1/{len(PATHS) * one / every:.0f} of so many requests")
@@ -155,22 +162,14 @@ def compare_a_year(factory: Factory) -> None:
     print(f"  a path's year, {rows} spectra: {ours:.1f} ms, the bare driver {bare:.1f} ms: {ours / bare:.2f}")
 
 
-def compare(name: str, urls: Sequence[str], events: int, nights: int) -> None:
-    with opened(urls[0]) as small, opened(urls[1]) as large:
-        ids = fill(small, 0)
-        fill(large, nights)
-        fill_spectra(small, min(SMALL, events))
-        fill_spectra(large, events)
-        print(f"{name}: {576 * min(SMALL, events):,} and {576 * events:,} spectra, medians of {TURNS - 1} turns")
-        asyncio.run(compare_requests(small, large, ids[PATHS[0]][0]))
-        compare_a_year(large)
-
-
-def main(events: int = 6000, nights: int = 174) -> None:
+def main(events: int = 6000) -> None:
     configure_logs("warning")
     for kind in ("sqlite", "postgresql"):
-        with open_databases(kind, "small", "large") as urls:
-            compare(kind, urls, events, nights)
+        with open_databases(kind, "reads") as (url,), open_factory(url) as factory:
+            fill(factory, events)
+            print(f"{kind}: {576 * events:,} spectra, medians of {TURNS - 1} turns")
+            asyncio.run(compare_answers(factory))
+            compare_a_year(factory)
 
 
 if __name__ == "__main__":

@@ -1,13 +1,17 @@
-"""A ledger as years of nights leave it, written at once."""
+"""An empty service to fill, and a ledger as years of nights leave it, written at once."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from itertools import islice
+from typing import Any
 
 from lbacal_core.curves.validity import Promotion
+from service.config import Settings
 from service.factory import Factory
 from service.schema.tables import promotion
+from service.storage.migration import upgrade
 
 BATCH = 20_000
 STAND = """
@@ -22,6 +26,17 @@ SELECT station, at_us, min(known_us) FROM (
     UNION ALL SELECT coalesce(station, ''), valid_to_us, at_us FROM promotion WHERE valid_to_us IS NOT NULL
 ) AS ends GROUP BY station, at_us
 """
+
+
+@contextmanager
+def open_factory(url: str, **settings: Any) -> Iterator[Factory]:
+    """What makes stores and use cases on an empty database, until the block ends."""
+    factory = Factory(Settings(database_url=url, **{"max_rate": 1e9} | settings))
+    upgrade(factory.database)
+    try:
+        yield factory
+    finally:
+        factory.database.close()
 
 
 def write_promotions(factory: Factory, made: Iterable[Promotion]) -> None:

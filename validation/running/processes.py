@@ -14,6 +14,11 @@ from pathlib import Path
 from typing import Any
 
 import httpx2
+import numpy as np
+
+from lbacal_core.instrument.instrument import load_instrument
+from lbacal_core.skypower.model import compute_sky_power
+from lbacal_core.skypower.table import SkyPower, write_sky_power
 
 PATIENCE_S = 120.0
 
@@ -90,6 +95,13 @@ class Process:
     def wait(self) -> int:
         """Wait for it to end by itself, and return its exit code."""
         return self._running.wait(60)
+
+
+def write_coarse_sky(path: Path) -> SkyPower:
+    """Write the sky power of the Superterp at 24 LST, which a service reads faster than it computes the whole."""
+    sky = compute_sky_power(load_instrument("lofar-superterp"), lst_hours=np.arange(24.0))
+    write_sky_power(sky, path)
+    return sky
 
 
 @contextmanager

@@ -16,13 +16,13 @@ from lbacal_core.instrument.sidereal import local_sidereal_time
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.spectra.blocks import split_into_blocks
 from service.app import make_app
-from service.config import Settings
 from service.factory import Factory
 from validation.benchmarks.fit import OnePath, farthest, make_scene, make_spectra
-from validation.benchmarks.ingest import BulkPostgres, BulkSqlite, prepare
-from validation.benchmarks.ledger import PATHS, deeds, fill, opened
-from validation.benchmarks.reads import ONE, REQUESTS, add_same, compare_a_year, fill_spectra, get
+from validation.benchmarks.ingest import BulkPostgres, BulkSqlite
+from validation.benchmarks.reads import ALL, ONE, add_same, compare_a_year, fill, get
 from validation.fit import Scene
+from validation.growth import PATHS
+from validation.running.ledger import open_factory
 from validation.running.postgres import open_databases
 
 
@@ -55,37 +55,23 @@ def test_the_analytic_derivatives_are_those_of_finite_differences(path: OnePath)
         np.testing.assert_allclose(path.jacobian(at)[:, k], slope, rtol=1e-6, atol=1e-6)
 
 
-def count(url: str) -> int:
-    factory = Factory(Settings(database_url=url))
+def count(factory: Factory) -> int:
     everything = {"station": None, "since": None, "until": None, "flag": None, "cursor": -1, "limit": 10}
     with factory.database.read() as stores:
-        found = sum(event.spectra for event in stores.spectra.events(**everything))
-    factory.database.close()
-    return found
+        return sum(event.spectra for event in stores.spectra.events(**everything))
 
 
 @pytest.mark.parametrize(("kind", "make"), [("sqlite", BulkSqlite), ("postgresql", BulkPostgres)])
 def test_a_bulk_load_stores_each_spectrum_once(kind: str, make: type, request: pytest.FixtureRequest) -> None:
     if kind == "postgresql":
         request.getfixturevalue("needs_postgres")
-    with open_databases(kind, "bulk") as (url,):
-        prepare(url)
+    with open_databases(kind, "bulk") as (url,), open_factory(url) as factory:
         bulk = make(url)
         bulk.add_keys(3, 2)
         for events in (1, 2, 2):
             bulk.load([(path, event, 0, 100, bytes(8)) for event in range(events) for path in range(3)])
-            assert count(url) == 3 * events
+            assert count(factory) == 3 * events
         bulk.close()
-
-
-def test_each_deed_is_done_on_a_ledger_of_two_nights(tmp_path: Path) -> None:
-    with opened(str(tmp_path / "lbacal.sqlite")) as factory:
-        every = deeds(factory, fill(factory, 2))
-        for deed in every.values():
-            deed(0)
-        with factory.database.read() as stores:
-            newest = stores.ledger.newest_number()
-    assert newest == 3 * len(PATHS) + sum(name.startswith("promotion") for name in every)
 
 
 def read(app: FastAPI, address: str) -> bytes:
@@ -94,14 +80,12 @@ def read(app: FastAPI, address: str) -> bytes:
         return pool.submit(asyncio.run, get(app, address)).result()
 
 
-def test_each_request_is_answered_and_a_path_s_year_is_read(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    with opened(str(tmp_path / "lbacal.sqlite")) as factory:
-        version = fill(factory, 1)[PATHS[0]][0]
-        fill_spectra(factory, 30)
+def test_each_path_is_answered_and_a_path_s_year_is_read(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with open_factory(str(tmp_path / "lbacal.sqlite")) as factory:
+        fill(factory, 30)
         app = make_app(factory)
-        bodies = {what: read(app, address.format(version=version)) for what, address in REQUESTS.items()}
-        assert len(json.loads(bodies["effective, all paths"])["curves"]) == len(PATHS)
-        add_same(app, json.loads(bodies["effective, one path"]))
+        assert len(json.loads(read(app, ALL))["curves"]) == len(PATHS)
+        add_same(app, json.loads(read(app, ONE)))
         assert read(app, "/same") == read(app, ONE)
         compare_a_year(factory)
     assert "a path's year, " in capsys.readouterr().out
