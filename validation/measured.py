@@ -5,7 +5,6 @@ Needs ../shared. Nothing is tuned: the search of `lbacal investigate --lst-curve
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
@@ -16,6 +15,7 @@ import numpy as np
 
 from lbacal.cli.curve_page import name_hypothesis
 from lbacal_core.data.lofar import DIPOLES
+from lbacal_core.data.tables import read_columns
 from lbacal_core.discovery.curve_fit import CurveFit
 from lbacal_core.discovery.curve_search import CurveInvestigation, describe_curve, investigate_curve
 from lbacal_core.grids import Floats
@@ -66,10 +66,8 @@ def tables_as_sky_power(path: Path, instrument: Instrument, *, one_gain: bool = 
 
 def drawn_simulation(path: Path, words: str) -> LstCurve:
     """The curves drawn beside the measured points in the same figure: `no_noise` or `noise`."""
-    with path.open() as file:
-        rows = list(csv.DictReader(line for line in file if not line.startswith("#")))
-    lst = np.array([float(row["lst_h"]) for row in rows])
-    values = {d: np.array([float(row[f"sim_{d.lower()}_{words}_db"] or "nan") for row in rows]) for d in DIPOLES}
+    read = read_columns(path)
+    values, lst = {d: read[f"sim_{d.lower()}_{words}_db"] for d in DIPOLES}, read["lst_h"]
     return LstCurve(lst, values, np.full(lst.size, 0.11), 0.5, is_centre_stated=True, origin="drawn simulation")
 
 

@@ -18,9 +18,8 @@ import numpy as np
 from lbacal_core.antenna.ideal import ShortDipole
 from lbacal_core.antenna.model import AntennaModel
 from lbacal_core.calibration.fit import fit_calibration
-from lbacal_core.curves.curves import CONVERGED, MISFIT, OK, CalibrationCurve, FitReport
+from lbacal_core.curves.curves import CONVERGED, MISFIT, OK
 from lbacal_core.errors import BadInputError
-from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument, load_instrument
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.skypower.differences import DifferenceModels
@@ -35,6 +34,7 @@ from validation.hidden.worlds import draw as draw_world
 from validation.machinery.claims import Found, mean_of, rate_of
 from validation.machinery.parts import Part, Row
 from validation.machinery.tables import by
+from validation.own_cable import total_error
 
 CLEAN = TwinSettings(stations=("CS002", "CS003", "CS004"), antennas=4, events_per_year=600)
 WRONG = TwinSettings(stations=("CS002",), antennas=4, events_per_year=600)
@@ -85,18 +85,6 @@ def judge_clean(rows: Sequence[Row]) -> list[Found]:
     return claims
 
 
-def _letters_exchanged(spectra: Spectra) -> Spectra:
-    return replace(spectra, dipole=np.where(spectra.dipole == "X", "Y", "X"))
-
-
-def _as_they_are(spectra: Spectra) -> Spectra:
-    return spectra
-
-
-def _as_it_is(instrument: Instrument) -> Instrument:
-    return instrument
-
-
 def _in_local_time(spectra: Spectra) -> Spectra:
     """Times as a clock on the wall shows them in the Netherlands: one hour late in winter, two in summer."""
     time_unix, event = np.unique(spectra.time_unix, return_inverse=True)
@@ -109,7 +97,7 @@ OF_SPECTRA: Mapping[str, Callable[[Spectra], Spectra]] = {
     "decibels above -200": lambda s: replace(s, power=200.0 + 10.0 * np.log10(s.power)),
     "decibels above -400": lambda s: replace(s, power=400.0 + 10.0 * np.log10(s.power)),
     "voltage for power": lambda s: replace(s, power=np.sqrt(s.power)),
-    "X and Y exchanged": _letters_exchanged,
+    "X and Y exchanged": lambda s: replace(s, dipole=np.where(s.dipole == "X", "Y", "X")),
     "channels reversed": lambda s: replace(s, power=s.power[:, ::-1].copy()),
     "local time": lambda s: replace(s, time_unix=s.time_unix + 7200.0),
     "local time, summer and winter": _in_local_time,
@@ -133,23 +121,11 @@ CURVES = 20
 """Curves of each kind: four antennas and their station, two dipoles, own sky and a file; what is an error has none."""
 
 
-def _fit(spectra: Spectra, simulation: Simulation, scope: str) -> FitReport:
-    """Curves with their total error."""
-    return add_budget(fit_calibration(spectra, simulation, scope), compute_budget(spectra, simulation))
-
-
 @lru_cache(maxsize=16)
-def _believe(kind: str) -> Simulation | None:
-    """What somebody believes who made a mistake; None where it is an error."""
-    try:
-        return Simulation(OF_INSTRUMENT.get(kind, _as_it_is)(load_instrument("lofar-superterp")))
-    except BadInputError:
-        return None
-
-
-@lru_cache(maxsize=1)
-def _right() -> Simulation:
-    return Simulation.load("lofar-superterp")
+def _believe(kind: str) -> Simulation:
+    """What somebody believes who made a mistake, or none; raises BadInputError where it is an error."""
+    instrument = load_instrument("lofar-superterp")
+    return Simulation(OF_INSTRUMENT[kind](instrument) if kind in OF_INSTRUMENT else instrument)
 
 
 def _simulate(antenna: str | AntennaModel, seed: int) -> Campaign:
@@ -163,11 +139,12 @@ def fit_wrong(seed: int) -> Row:
     """Each mistake in turn on a campaign of the own world: how many curves converged all the same."""
     spectra, row = _simulate(OWN.antenna, seed).spectra, Row()
     for kind in (*KINDS, *TOLD):
-        believed = _believe(kind if kind in OF_INSTRUMENT else "")
-        if believed is None:
+        try:
+            believed = _believe(kind if kind in OF_INSTRUMENT else "")
+        except BadInputError:
             row[kind] = {"curves": CURVES, "converged": 0}
             continue
-        wrong = {**OF_SPECTRA, **TOLD}.get(kind, _as_they_are)(spectra)
+        wrong = spectra if kind in OF_INSTRUMENT else {**OF_SPECTRA, **TOLD}[kind](spectra)
         fits = [fit_calibration(wrong, one, scope) for scope in SCOPES for one in (believed, believed.at_its_word())]
         curves = [curve for report in fits for curve in report.curves]
         row[kind] = {"curves": len(curves), "converged": sum(curve.status == CONVERGED for curve in curves)}
@@ -181,16 +158,17 @@ def fit_pattern(seed: int) -> Row:
     antennas["short-dipole"] = ShortDipole(height_m=float(height))
     row: Row = {"height_m": round(float(height), 3)}
     for name, antenna in antennas.items():
-        campaign = _simulate(antenna, seed)
+        campaign, right = _simulate(antenna, seed), _believe("")
         told: Row = dict.fromkeys(("curves", "misfits", "unflagged", "unsaid", "channels", "beyond_1", "beyond_2"), 0)
-        for curve in _fit(campaign.spectra, _right(), "antenna").curves:
+        report = fit_calibration(campaign.spectra, right, "antenna")
+        for curve in add_budget(report, compute_budget(campaign.spectra, right)).curves:
             told["curves"] += 1
             told["misfits"] += int(curve.status == MISFIT)
             if curve.status != CONVERGED or curve.c is None:
                 continue
             is_ok = curve.flags == OK
             truth = campaign.truth.curve(str(curve.dipole), str(curve.station), curve.antenna)
-            beyond = (np.abs(curve.c - truth) / _total_error(curve))[is_ok]
+            beyond = (np.abs(curve.c - truth) / total_error(curve))[is_ok]
             told["unflagged"] += int(np.all(is_ok))
             told["unsaid"] += int(np.all(is_ok) and np.any(beyond > FAR))
             told["channels"] += int(is_ok.sum())
@@ -198,11 +176,6 @@ def fit_pattern(seed: int) -> Row:
                 told[f"beyond_{k}"] += int(np.count_nonzero(beyond > k))
         row[name] = told
     return row
-
-
-def _total_error(curve: CalibrationCurve) -> Floats:
-    errors = [one for one in (curve.c_sigma_stat, curve.c_sigma_sys) if one is not None]
-    return np.asarray(np.sqrt(np.sum(np.square(errors), axis=0)))
 
 
 def judge_wrong(rows: Sequence[Row]) -> list[Found]:

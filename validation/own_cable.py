@@ -15,7 +15,7 @@ import numpy as np
 
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.calibration.spreads import ToldCurve, carry_to_path
-from lbacal_core.curves.curves import UNCERTAIN, FitReport
+from lbacal_core.curves.curves import UNCERTAIN, CalibrationCurve, FitReport
 from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.instrument.instrument import Instrument, load_instrument
 from lbacal_core.simulation.simulation import Simulation
@@ -40,14 +40,14 @@ SCOPES = {
 
 
 @cache
-def _inputs() -> tuple[Instrument, SkyPower]:
+def superterp() -> tuple[Instrument, SkyPower]:
     instrument = load_instrument("lofar-superterp")
     return instrument, compute_sky_power(instrument)
 
 
 def tell_campaign(settings: TwinSettings, seed: int) -> Row:
     """Simulate a campaign, fit it without one station, and compare what every path is told with the truth."""
-    instrument, sky_power = _inputs()
+    instrument, sky_power = superterp()
     rng = np.random.default_rng([50_80_115, seed])
     campaign = simulate_campaign(settings, instrument, sky_power, rng, nuisances=NUISANCES)
     silent = settings.stations[seed % len(settings.stations)]
@@ -71,9 +71,7 @@ def _compare(report: FitReport, campaign: Campaign, stations: Sequence[str]) -> 
     """How often the truth lies within the error told, by cable and altogether."""
     told, truths = zip(*_tell(report, campaign, stations), strict=True)
     c = np.array([one.curve.c for one in told])
-    sigma = np.array(
-        [np.hypot(one.curve.c_sigma_stat, 0.0 if (s := one.curve.c_sigma_sys) is None else s) for one in told]
-    )
+    sigma = np.array([total_error(one.curve) for one in told])
     fraction, told_error = c / np.array(truths) - 1.0, sigma / c
     pull = np.abs(c - np.array(truths)) / sigma
     has_value = np.isfinite(pull)
@@ -91,6 +89,12 @@ def _compare(report: FitReport, campaign: Campaign, stations: Sequence[str]) -> 
             "told": round(float(np.median(told_error[at])), 5),
         }
     return row
+
+
+def total_error(curve: CalibrationCurve) -> np.ndarray:
+    """Statistical and systematic error of C, where it has both."""
+    errors = [one for one in (curve.c_sigma_stat, curve.c_sigma_sys) if one is not None]
+    return np.asarray(np.sqrt(np.sum(np.square(errors), axis=0)))
 
 
 def _tell(report: FitReport, campaign: Campaign, stations: Sequence[str]) -> Iterator[tuple[ToldCurve, np.ndarray]]:

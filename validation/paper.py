@@ -21,11 +21,8 @@ from lbacal_core.curves.covariance import Budget
 from lbacal_core.curves.curves import CalibrationCurve
 from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.grids import Floats
-from lbacal_core.instrument.instrument import Instrument, load_instrument
 from lbacal_core.simulation.simulation import Simulation
-from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.power import RESISTANCE_OHM
-from lbacal_core.skypower.table import SkyPower
 from lbacal_core.traces.voltage import calibrate_trace
 from lbacal_core.uncertainty.refit import compute_budget, electronics_sigma
 from lbacal_paper.reference_source import HEIGHT_M, LABORATORY_M, LEFT_OF_FLOOR, floor_factor, near_field_factor
@@ -36,17 +33,12 @@ from lbacal_twin.campaign import Campaign, simulate_campaign
 from lbacal_twin.settings import TwinSettings
 from validation.machinery.claims import Found, count_within, coverage, mean_of, rate_of
 from validation.machinery.parts import Part, Row
+from validation.own_cable import superterp
 
 RATE_MHZ, SAMPLES = 200.0, 4096
 SETTINGS = TwinSettings(stations=("CS002",), antennas=6, events_per_year=600)
 OFF_SIGMA = 5.0
 SIGNALS_OF_STEPS = 200
-
-
-@cache
-def _inputs() -> tuple[Instrument, SkyPower]:
-    instrument = load_instrument("lofar-superterp")
-    return instrument, compute_sky_power(instrument)
 
 
 @dataclass(frozen=True)
@@ -65,14 +57,14 @@ class _Fitted:
 @cache
 def _known_budget() -> Budget:
     """The budget of one campaign, which stands for all: its refits are of the same instrument and sky."""
-    instrument, sky_power = _inputs()
+    instrument, sky_power = superterp()
     campaign = simulate_campaign(SETTINGS, instrument, sky_power, np.random.default_rng(3))
     budget = compute_budget(campaign.spectra, Simulation(instrument, sky_power))
     return replace(budget, terms=[term for term in budget.terms if not term.is_of_gain])
 
 
 def _fit_campaign(rng: np.random.Generator, scope: str) -> _Fitted:
-    instrument, sky_power = _inputs()
+    instrument, sky_power = superterp()
     campaign = simulate_campaign(SETTINGS, instrument, sky_power, rng)
     report = fit_calibration(campaign.spectra, Simulation(instrument, sky_power), scope)
     budget = _known_budget()
@@ -102,7 +94,7 @@ def calibrate_pulses(seed: int) -> Row:
     together.
     """
     rng = np.random.default_rng([3, seed])
-    instrument, sky_power = _inputs()
+    instrument, sky_power = superterp()
     channels, fitted = instrument.frequency_mhz, _known_fit()
     by = {str(curve.dipole): curve for curve in fitted.curves}
     c = np.array([by[dipole].c for dipole in DIPOLES])
@@ -151,7 +143,7 @@ def calibrate_traces(seed: int) -> Row:
     """Pulses of known energy, recorded by paths of known C, calibrated with the C fitted to their background."""
     rng = np.random.default_rng([4, seed])
     fitted = _fit_campaign(rng, "antenna")
-    channels = _inputs()[0].frequency_mhz
+    channels = superterp()[0].frequency_mhz
     bins = np.fft.rfftfreq(SAMPLES, 1 / RATE_MHZ)
     inside = (bins >= channels[0]) & (bins <= channels[-1])
     pull, total, alike = [], [], []
@@ -186,7 +178,7 @@ def judge_traces(rows: Sequence[Row]) -> list[Found]:
 def predict_noise(seed: int) -> Row:
     """The background and electronics of fitted chains against the planted ones, and realisations of it."""
     rng = np.random.default_rng([5, seed])
-    instrument, sky_power = _inputs()
+    instrument, sky_power = superterp()
     campaign = simulate_campaign(SETTINGS, instrument, sky_power, rng)
     simulation = Simulation(instrument, sky_power)
     curves = fit_calibration(campaign.spectra, simulation, "antenna").curves

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 from collections.abc import Sequence
 from dataclasses import replace
@@ -12,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from lbacal_core.antenna.lofar import load_hamaker
+from lbacal_core.data.tables import read_columns
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument, load_instrument
 from lbacal_core.lstcurve.curve import (
@@ -83,12 +83,9 @@ def fourier_series_curve(path: Path) -> LstCurve:
 
 def published_tables(path: Path, instrument: Instrument) -> tuple[LstCurve, dict[str, Floats], Floats]:
     """The published sky-power tables: band curve, tables (lst, freq) and their LSTs."""
-    with path.open() as file:
-        rows = list(csv.DictReader(line for line in file if not line.startswith("#")))
-    lst = np.unique([float(row["lst_h"]) for row in rows])
-    tables = {
-        letter: np.array([float(row[letter]) for row in rows]).reshape(-1, lst.size).T for letter in ("X", "Y", "bare")
-    }
+    read = read_columns(path)
+    lst = np.unique(read["lst_h"])
+    tables = {letter: read[letter].reshape(-1, lst.size).T for letter in ("X", "Y", "bare")}
     weights = band_weights(instrument, AS_RECORDED, BAND_MHZ) / instrument.antenna_gain
     decibel = {letter: 10 * np.log10(tables[letter] @ weights) for letter in "XY"}
     curve = LstCurve(lst, decibel, np.full(lst.size, DRAWN_BAR_DB), 1.0, is_centre_stated=True, origin=path.name)

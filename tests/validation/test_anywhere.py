@@ -13,8 +13,7 @@ from lbacal_twin.campaign import DrawnStation, draw_stations, expected_power
 from lbacal_twin.faults.fault import Where
 from lbacal_twin.faults.hardware import GainStep
 from lbacal_twin.settings import TwinSettings
-from validation.anywhere import WHAT, calibrate_drawn, draw_instrument, investigate_drawn
-from validation.anywhere_ideal import ideal_snr
+from validation.anywhere import WHAT, calibrate_drawn, draw_instrument, ideal_snr, investigate_drawn
 from validation.machinery.parts import Row
 from validation.machinery.records import claims_of, verdicts_of
 

@@ -10,12 +10,12 @@ import pytest
 from lbacal_twin.gains import NOISES
 from lbacal_twin.world import MADE_OF, World
 from validation.hidden.drawn import SPANNED_SIGMA, describe_world, drawn_data, unspanned_sigma
-from validation.hidden.like_noise import ALIKE, SNRS
-from validation.hidden.no_catalogue import Outcome as Unknown
+from validation.hidden.no_catalogue import is_right_axis
 from validation.hidden.one_effect import Outcome
 from validation.hidden.pulls import SCOPES, measure_pulls
 from validation.hidden.worlds import OWN, Finder, alternatives, draw, draw_antennas
 from validation.machinery.records import claims_of
+from validation.nature import ALIKE, NOISE_SNRS
 
 
 def test_a_drawn_sky_or_antenna_is_neither_the_finders_nor_among_the_models_it_knows() -> None:
@@ -116,8 +116,7 @@ def test_a_curve_of_detection_needs_effects_that_are_not_always_seen() -> None:
 
 @pytest.mark.parametrize(("axis", "named", "right"), [("utc", [], 1), ("lst", [], 0), ("utc", ["gain_step"], 1)])
 def test_the_axis_and_silence_about_names_are_judged_in_drawn_worlds(axis: str, named: list[str], right: int) -> None:
-    row = {"kind": "MainsHum", "axes": "utc", "verdict": "unexplained", "axis": axis, "named": named}
-    row["is_right_axis"] = Unknown("MainsHum", "utc", "unexplained", axis, "station", named).is_right_axis
+    row = {"verdict": "unexplained", "named": named, "is_right_axis": is_right_axis("utc", axis, "station")}
     claims = {claim.key: claim.found for claim in claims_of("nature", "unknown", [row])}
     assert claims == {"right_axis": right, "forced": len(named)}
 
@@ -178,6 +177,6 @@ def test_efficiencies_are_judged_at_every_size_of_an_effect_that_looks_like_nois
     def row(cause: str, snr: float, share: float) -> dict:
         return asdict(Outcome(snr, cause, "station", "station", verdict="explained", sets=[[cause]], score=share * snr))
 
-    rows = [row(cause, snr, 0.9 if snr < 100 else 0.5) for cause, _ in ALIKE for snr in SNRS]
+    rows = [row(cause, snr, 0.9 if snr < 100 else 0.5) for cause, _ in ALIKE for snr in NOISE_SNRS]
     claims = {claim.key: (claim.found, claim.n) for claim in claims_of("nature", "like-noise", rows)}
     assert claims == {"kept_10": (pytest.approx(0.9), 3), "kept_30": (pytest.approx(0.9), 3), "kept_100": (0.5, 3)}

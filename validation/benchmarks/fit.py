@@ -1,6 +1,6 @@
 """A year of the whole array in one fit, against SciPy's general minimiser on one path of it.
 
-Run: .venv/bin/python -m validation.benchmarks.fit [--events 900] [--stations 6] [--antennas 48]
+Run: .venv/bin/python -m validation.benchmarks.fit
 
 On two idle cores (three runs, commit 8f50095): 576 paths x 900 events x 51 channels in one call after loading in 0.93
 to 1.00 s by the clock, 1.7 to 1.8 s of processor time, of it the digest of the input 0.21 s. SciPy's `least_squares`
@@ -9,7 +9,6 @@ for one path, times 576, takes 250 to 280 times as long; both find the same C to
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -31,6 +30,7 @@ from lbacal_core.spectra.spectra import Spectra
 from validation.benchmarks.timing import Result, time_once
 from validation.fit import COMMON_GAIN, PATH_GAIN, RADIOMETER, YEAR_S, YEAR_START, Scene, scene_of_noise_terms
 
+STATIONS, ANTENNAS, EVENTS = 6, 48, 900
 REPEATS = 3
 
 
@@ -125,17 +125,12 @@ def farthest(report: FitReport, scene: Scene, found: OptimizeResult, path: OnePa
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--events", type=int, default=900)
-    parser.add_argument("--stations", type=int, default=6)
-    parser.add_argument("--antennas", type=int, default=48)
-    options = parser.parse_args()
-    scene = make_scene(options.stations, options.antennas)
-    spectra = make_spectra(scene, options.events, np.random.default_rng(1))
-    paths = 2 * options.stations * options.antennas
+    scene = make_scene(STATIONS, ANTENNAS)
+    spectra = make_spectra(scene, EVENTS, np.random.default_rng(1))
+    paths = 2 * STATIONS * ANTENNAS
 
     report, wall, cpu = measure(lambda: fit_calibration(spectra, Simulation(scene.instrument, scene.sky_power)))
-    print(f"{paths} paths x {options.events} events, one fit: {wall:.2f} s (processor {cpu:.2f} s), {report.status}")
+    print(f"{paths} paths x {EVENTS} events, one fit: {wall:.2f} s (processor {cpu:.2f} s), {report.status}")
     with threadpool_limits(1):
         _, part_wall, part_cpu = measure(spectra.digest)
         print(f"  of it the digest of the spectra alone: {part_wall:.2f} s (processor {part_cpu:.2f} s)")

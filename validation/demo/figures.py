@@ -37,8 +37,8 @@ def draw_calibration(
         below.fill_between(frequency, 100 * (ratio - error), 100 * (ratio + error), color=colour, alpha=0.25, lw=0)
         below.plot(frequency, 100 * ratio, color=colour, lw=1.3, label="fitted / planted - 1, 1 standard deviation")
         below.axhline(0.0, color="black", lw=0.8)
-        top.legend(fontsize=8, frameon=False)
-        below.legend(fontsize=8, frameon=False)
+        for panel in (top, below):
+            panel.legend(fontsize=8, frameon=False)
         below.set_xlabel("frequency (MHz)")
     axes[0, 0].set_ylabel("C (µV per ADC unit)")
     axes[1, 0].set_ylabel("error of the fit (%)")
@@ -64,15 +64,8 @@ def draw_drift(station: dict[str, Any], path: dict[str, Any]) -> Figure:
 
     band, one = station["months"], path["months"]
     label = f"{station['station']}, {band[0]['paths']} paths: "
-    axes.fill_between(
-        month(band),
-        values(band, "low"),
-        values(band, "high"),
-        color=GREY,
-        alpha=0.25,
-        lw=0,
-        label=label + "middle 68 %",
-    )
+    low, high = values(band, "low"), values(band, "high")
+    axes.fill_between(month(band), low, high, color=GREY, alpha=0.25, lw=0, label=label + "middle 68 %")
     axes.plot(month(band), values(band, "c_ratio"), color=GREY, label=label + "median")
     c_ratio = values(one, "c_ratio")
     name = f"antenna {path['antenna']} {path['dipole']}"

@@ -15,17 +15,14 @@ import multiprocessing
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import Any
 
 from threadpoolctl import threadpool_limits
 
-from validation.frozen.comparison import Difference, list_differences, read_numbers, summarise, write_numbers
+from validation.frozen.comparison import NUMBERS, Difference, list_differences, read_numbers, summarise, write_numbers
 from validation.frozen.data_sets import sky_power
 from validation.frozen.listing import DATA_SETS
 from validation.frozen.surface import frozen_numbers
-
-NUMBERS = Path(__file__).parent / "numbers"
 
 
 def main(arguments: list[str]) -> int:

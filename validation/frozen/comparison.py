@@ -1,16 +1,22 @@
-"""Differences between two sets of frozen numbers, by JSON path."""
+"""Frozen numbers: how they are stored, their differences by JSON path, and what they say in one word.
+
+Records hold while the finder says of the frozen data sets what it said when they were made: while that word stays.
+"""
 
 from __future__ import annotations
 
 import gzip
+import hashlib
 import json
 import re
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
+NUMBERS = Path(__file__).parent / "numbers"
 RELATIVE = 1e-4
 """Largest difference of two numbers over the larger of them: kernels of linear algebra move some by 2e-5."""
 OF_SIGMA = 1e-3
@@ -131,3 +137,20 @@ def _is_number(value: Any) -> bool:
 def _short(value: Any) -> str:
     text = f"{value:.10g}" if _is_number(value) else str(value)
     return text if len(text) <= 100 else text[:97] + "..."
+
+
+def verdict_of(numbers: Mapping[str, Any]) -> list[Any]:
+    """Verdict, and the sets of names of the findings in their order."""
+    report = numbers["report"]
+    return [report["verdict"], [sorted([one["cause"], *one["indistinguishable"]]) for one in report["findings"]]]
+
+
+def digest_of(verdicts: Mapping[str, list[Any]]) -> str:
+    """Twelve digits of the SHA-256 of the verdict of every data set."""
+    return hashlib.sha256(json.dumps(verdicts, sort_keys=True).encode()).hexdigest()[:12]
+
+
+@cache
+def frozen_digest(folder: Path = NUMBERS) -> str:
+    """The digest of the numbers that are stored, which the suite compares with what the code gives."""
+    return digest_of({path.name: verdict_of(read_numbers(path)) for path in folder.glob("*.json.gz")})

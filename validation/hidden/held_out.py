@@ -7,7 +7,7 @@ others. Chi^2 is the ideal detector's: exact covariance, and everything that the
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import replace
 from functools import partial
 from itertools import product
 
@@ -27,55 +27,30 @@ FEWEST = 5
 """Data sets behind a median."""
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """What was found in one half of the events, and what it does to the other.
+def hide_in_halves(number: int) -> Row:
+    """Find an effect in one half of the events, and divide it out of the other; no cause where nothing is named.
 
-    Attributes
-    ----------
-    claimed
-        Held-out gain in log-likelihood that the report states, of all findings.
-    before, after
-        Chi^2 of the other half less that of the same data without the effect, before and after what was found is
-        divided out.
+    `claimed` is the held-out gain in log-likelihood that the report states, of all findings; `before` and `after` are
+    chi^2 of the other half less that of the same data without the effect, before and after what was found is divided
+    out.
     """
-
-    cause: str
-    named: Sequence[str]
-    claimed: float
-    before: float
-    after: float
-
-    @property
-    def confirmed(self) -> float:
-        """Gain in log-likelihood of the other half."""
-        return 0.5 * (self.before - self.after)
-
-    @property
-    def pull(self) -> float:
-        """(Claimed - confirmed) / its error: either scatters by the SNR, the root of twice the gain."""
-        return (self.claimed - self.confirmed) / float(np.sqrt(4 * max(self.claimed, self.confirmed, 1.0)))
-
-
-def hide_in_halves(number: int) -> Outcome | None:
-    """Find an effect in one half of the events, and divide it out of the other; None where nothing is named."""
     rng = np.random.default_rng([7, number])
     seen = DataSet(FIRST_SEED + number, events=2 * EVENTS, half=0)
     unseen = replace(seen, half=1)
     planted = draw_one(seen, SNR, rng, moving_causes())
     answer, model = seen.ask_and_fit([planted.fault])
     if model is None or not answer.findings:
-        return None
+        return {"cause": ""}
     with_effect, clean = unseen.spectra([planted.fault]), unseen.spectra()
     ratio = found_ratio(model, unseen, with_effect)
     nothing = chi_squared(unseen, clean)
-    return Outcome(
-        planted.cause,
-        answer.named,
-        answer.claimed_gain,
-        chi_squared(unseen, with_effect) - nothing,
-        chi_squared(unseen, with_effect, ratio) - nothing,
-    )
+    return {
+        "cause": planted.cause,
+        "named": answer.named,
+        "claimed": round(answer.claimed_gain, 3),
+        "before": round(chi_squared(unseen, with_effect) - nothing, 3),
+        "after": round(chi_squared(unseen, with_effect, ratio) - nothing, 3),
+    }
 
 
 def found_ratio(model: FittedModel, data: DataSet, spectra: Spectra) -> Floats:
@@ -99,29 +74,29 @@ def chi_squared(data: DataSet, spectra: Spectra, ratio: Floats | None = None) ->
     return data.detector.chi_squared(power)
 
 
-def try_held_out(seed: int) -> Row:
-    """A data set with one effect in both halves of its events."""
-    outcome = hide_in_halves(seed)
-    if outcome is None:
-        return {"cause": ""}
-    row = asdict(outcome)
-    return {name: round(value, 3) if isinstance(value, float) else value for name, value in row.items()}
+def gains_of(rows: Sequence[Row]) -> tuple[Floats, Floats, Floats]:
+    """Gain in log-likelihood claimed and confirmed by the other half, and its pull.
+
+    The pull is (claimed - confirmed) / its error: either scatters by the SNR, the root of twice the gain.
+    """
+    claimed = np.array([row["claimed"] for row in rows])
+    confirmed = np.array([0.5 * (row["before"] - row["after"]) for row in rows])
+    return claimed, confirmed, (claimed - confirmed) / np.sqrt(4 * np.maximum(np.maximum(claimed, confirmed), 1.0))
 
 
 def judge(rows: Sequence[Row]) -> list[Found]:
-    names = [field.name for field in fields(Outcome)]
-    outcomes = [Outcome(**{name: row[name] for name in names}) for row in rows if row["cause"]]
-    n, found = len(outcomes), rate_of("found", len(outcomes), len(rows))
+    made = [row for row in rows if row["cause"]]
+    n, found = len(made), rate_of("found", len(made), len(rows))
     if n < FEWEST:
         return [found]
-    means = [
-        mean_of(name, np.array([getattr(o, name) for o in outcomes]))
-        for name in ("before", "after", "claimed", "confirmed")
-    ]
-    scale, after = float(np.median([o.before for o in outcomes])), np.array([o.after for o in outcomes])
+    claimed, confirmed, pull = gains_of(made)
+    before, after = (np.array([row[name] for row in made]) for name in ("before", "after"))
+    of_names = {"before": before, "after": after, "claimed": claimed, "confirmed": confirmed}
+    scale = float(np.median(before))
     left = One("left", float(np.median(after)) / scale, partial(median_interval, after / scale), n, "%")
-    covered, kept = sum(abs(o.pull) < 1.96 for o in outcomes), sum(o.confirmed > 0 for o in outcomes)
+    covered, kept = int(np.sum(np.abs(pull) < 1.96)), int(np.sum(confirmed > 0))
+    means = [mean_of(name, values) for name, values in of_names.items()]
     return [found, left, rate_of("covered", covered, n), rate_of("kept", kept, n), *means]
 
 
-PARTS = (Part("held-out", try_held_out, judge, 40),)
+PARTS = (Part("held-out", hide_in_halves, judge, 40),)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
 
 from lbacal_twin.faults.uncatalogued import uncatalogued_faults
 from validation.hidden.data_sets import DataSet, Planted
 from validation.hidden.drawn import describe_world, drawn_data
+from validation.hidden.finder import Answer
 from validation.machinery.claims import Found, rate_of
 from validation.machinery.parts import Part, Row
 from validation.machinery.tables import by
@@ -18,43 +18,27 @@ FIRST_SEED, FIRST_IN_WORLDS = 400_000, 800_000_000
 FIRST_SIZE = 0.02
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """What was said of one data set with an effect of no catalogue; without a verdict no size has the SNR."""
+def is_right_axis(axes: str, axis: str, target: str) -> bool:
+    """Whether structure is reported along an axis on which the effect lives.
 
-    kind: str
-    axes: str
-    verdict: str = ""
-    axis: str = ""
-    target: str = ""
-    named: Sequence[str] = ()
-
-    @property
-    def is_right_axis(self) -> bool:
-        """Whether structure is reported along an axis on which the effect lives.
-
-        Date and event count as one. An effect that differs from antenna to antenna has to be seen in a path.
-        """
-        accepted = {part.strip() for part in self.axes.split(",")}
-        if accepted & {"date", "event"}:
-            accepted |= {"date", "event"}
-        is_right_target = "antenna" not in accepted or self.target != "station"
-        return self.axis.split(",")[0] in accepted and is_right_target
-
-    @property
-    def row(self) -> Row:
-        """As it is stored."""
-        return {**asdict(self), "is_right_axis": self.is_right_axis}
+    Date and event count as one. An effect that differs from antenna to antenna has to be seen in a path.
+    """
+    accepted = {part.strip() for part in axes.split(",")}
+    if accepted & {"date", "event"}:
+        accepted |= {"date", "event"}
+    is_right_target = "antenna" not in accepted or target != "station"
+    return axis.split(",", maxsplit=1)[0] in accepted and is_right_target
 
 
-def hide_unknown(data: DataSet, axes: str) -> Outcome:
-    """Hide an effect of no catalogue that lives along some axes, and ask the finder."""
+def hide_unknown(data: DataSet, axes: str) -> Row:
+    """Hide an effect of no catalogue that lives along some axes, and ask; without a verdict no size has the SNR."""
     kind = uncatalogued_faults()[axes]
     planted = data.with_snr(Planted(kind.__name__, kind(size=FIRST_SIZE), "station", "station"), SNR)
-    if planted is None:
-        return Outcome(kind.__name__, axes)
-    answer = data.ask([planted.fault])
-    return Outcome(kind.__name__, axes, answer.verdict, answer.axis, answer.target, answer.named)
+    answer = Answer("", (), None, ()) if planted is None else data.ask([planted.fault])
+    return {
+        "kind": kind.__name__, "axes": axes, "verdict": answer.verdict, "axis": answer.axis, "target": answer.target,
+        "named": answer.named, "is_right_axis": is_right_axis(axes, answer.axis, answer.target),
+    }  # fmt: skip
 
 
 def _axes_of(seed: int) -> str:
@@ -64,12 +48,12 @@ def _axes_of(seed: int) -> str:
 
 
 def try_unknown(seed: int) -> Row:
-    return hide_unknown(DataSet(FIRST_SEED + seed), _axes_of(seed)).row
+    return hide_unknown(DataSet(FIRST_SEED + seed), _axes_of(seed))
 
 
 def try_in_world(seed: int) -> Row:
     data = drawn_data(FIRST_IN_WORLDS + seed)
-    return {**describe_world(data), **hide_unknown(data, _axes_of(seed)).row}
+    return {**describe_world(data), **hide_unknown(data, _axes_of(seed))}
 
 
 def judge_in_worlds(rows: Sequence[Row]) -> list[Found]:

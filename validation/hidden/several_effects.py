@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import permutations
 
 import numpy as np
@@ -17,23 +16,12 @@ LARGEST_CORRELATION = 0.9
 FIRST_SEED = 300_000
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """What was planted, and what was said."""
-
-    planted: Sequence[Planted]
-    correlation: float
-    verdict: str
-    sets: Sequence[Sequence[str]]
-
-    @property
-    def are_all_named(self) -> bool:
-        """Whether each effect is in the set of a finding of its own."""
-        causes = [one.cause for one in self.planted]
-        return any(
-            all(cause in named for cause, named in zip(causes, chosen, strict=True))
-            for chosen in permutations(self.sets, len(causes))
-        )
+def are_all_named(causes: Sequence[str], sets: Sequence[Sequence[str]]) -> bool:
+    """Whether each effect is in the set of a finding of its own."""
+    return any(
+        all(cause in named for cause, named in zip(causes, chosen, strict=True))
+        for chosen in permutations(sets, len(causes))
+    )
 
 
 def draw_several(data: DataSet, count: int, rng: np.random.Generator) -> tuple[list[Planted], float] | None:
@@ -56,25 +44,23 @@ def draw_several(data: DataSet, count: int, rng: np.random.Generator) -> tuple[l
     return sized, largest
 
 
-def hide_several(task: tuple[int, int]) -> Outcome:
+def hide_several(number: int, count: int) -> Row:
     """Make data set `number` with `count` effects and ask the finder."""
-    number, count = task
     rng = np.random.default_rng([count, number])
     data = DataSet(FIRST_SEED + 10_000 * count + number)
-    planted = next(found for _ in range(500) if (found := draw_several(data, count, rng)))
-    answer = data.ask([one.fault for one in planted[0]])
-    return Outcome(planted[0], planted[1], answer.verdict, answer.sets)
+    planted, correlation = next(found for _ in range(500) if (found := draw_several(data, count, rng)))
+    answer = data.ask([one.fault for one in planted])
+    return {
+        "planted": [[one.cause, one.label] for one in planted],
+        "correlation": round(correlation, 4),
+        "verdict": answer.verdict,
+        "sets": answer.sets,
+        "are_all_named": are_all_named([one.cause for one in planted], answer.sets),
+    }
 
 
 def try_several(seed: int) -> Row:
-    outcome = hide_several((seed, 2 + seed % 2))
-    return {
-        "planted": [[one.cause, one.label] for one in outcome.planted],
-        "correlation": round(outcome.correlation, 4),
-        "verdict": outcome.verdict,
-        "sets": outcome.sets,
-        "are_all_named": outcome.are_all_named,
-    }
+    return hide_several(seed, 2 + seed % 2)
 
 
 def judge(rows: Sequence[Row]) -> list[Found]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from validation.frozen.verdicts import frozen_digest
+from validation.frozen.comparison import frozen_digest
 from validation.machinery.claims import Asked, Claim, decide, read_claims
 from validation.machinery.ledger import Block, Entry, joined
 from validation.machinery.parts import Part, Row, parts_of

@@ -6,7 +6,7 @@ import sys
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
-from validation.frozen.verdicts import frozen_digest
+from validation.frozen.comparison import frozen_digest
 from validation.machinery import code
 from validation.machinery.claims import decide
 from validation.machinery.ledger import DEBUG_BELOW, Block, Entry, enter, first_unspent, read_ledger

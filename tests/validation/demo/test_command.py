@@ -16,14 +16,8 @@ from lbacal_core.spectra.spectra import read_spectra
 
 
 def test_the_demo_finds_what_it_planted_and_ends_by_itself(tmp_path: Path) -> None:
-    done = subprocess.run(
-        [sys.executable, "-m", "validation.demo"],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=900,
-    )
+    command = [sys.executable, "-m", "validation.demo"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False, timeout=900)
     assert done.returncode == 0, done.stdout + done.stderr
     for sentence in (
         "In station CS002, the Sun adds power by day",
