@@ -17,9 +17,10 @@ from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.lstcurve.curve import AS_RECORDED, LstCurve, band_weights
 from validation.hidden import held_out, no_catalogue, one_effect, several_effects
-from validation.hidden.data_sets import DataSet, comparable, plain, realistic, sky_power
+from validation.hidden.data_sets import DataSet, comparable, plain, realistic
 from validation.hidden.finder import Answer, ask_of_curve
 from validation.hidden.one_effect import draw_detection
+from validation.hidden.worlds import OWN
 from validation.machinery.claims import Found, rate_of
 from validation.machinery.parts import Part, Row
 
@@ -39,11 +40,11 @@ def ask_curve(number: int) -> Answer:
     shared = SHARED_VARIANCE**0.5 * rng.standard_normal(POINTS)
     variation = {}
     for dipole in DIPOLES:
-        band = sky_power().at(dipole, lst_hours) @ weights
+        band = OWN.power().at(dipole, lst_hours) @ weights
         noise = shared + (1 - SHARED_VARIANCE) ** 0.5 * rng.standard_normal(POINTS)
         variation[dipole] = 10 * np.log10(band / band.mean() + electronic) + POINT_NOISE_DB * noise
     curve = LstCurve(lst_hours, variation, np.full(POINTS, 0.11), 0.5, is_centre_stated=True, origin="simulated")
-    return ask_of_curve(curve, sky_power(), chain, BAND_MHZ)
+    return ask_of_curve(curve, OWN.power(), chain, BAND_MHZ)
 
 
 def ask_data(draw: Callable[[int], DataSet], seed: int, *, is_own_sky: bool = False) -> Answer:

@@ -21,11 +21,11 @@ from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument, load_instrument
 from lbacal_core.instrument.sidereal import local_sidereal_time
 from lbacal_core.simulation.simulation import Simulation
-from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.table import SkyPower, read_sky_power
 from lbacal_core.spectra.spectra import Spectra, read_spectra
 from validation.machinery.claims import Found, mean_of, rate_of, spread_interval, spread_of, worst_of
 from validation.machinery.parts import SHARED, Part, Row
+from validation.superterp import power_of, superterp
 
 EXAMPLES = SHARED / "examples"
 EVENTS = 900
@@ -180,8 +180,7 @@ def example_scene() -> Scene:
 
 @cache
 def published_noise_scene() -> Scene:
-    instrument = load_instrument("lofar-superterp")
-    return scene_of_noise_terms(instrument, compute_sky_power(instrument))
+    return scene_of_noise_terms(superterp(), power_of())
 
 
 def fit_example(seed: int) -> Row:

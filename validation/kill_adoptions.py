@@ -12,6 +12,7 @@ import tempfile
 import threading
 import time
 from collections import Counter
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -153,10 +154,8 @@ def _count(store: Database, adopter: Adopter, *, is_restored: bool) -> Row:
 
 def _ask_for_investigation(address: str, key: str) -> None:
     """Ask, and be content with no answer: the process that would give it may be dead."""
-    try:
+    with suppress(httpx2.TransportError):
         httpx2.post(f"{address}/v1/investigations", json=WINDOW, headers={"Authorization": f"Bearer {key}"}, timeout=5)
-    except httpx2.TransportError:
-        return
 
 
 def _read_in_effect(address: str) -> Any:

@@ -19,7 +19,7 @@ from lbacal_core.antenna.unfolding import jones_matrix, unfold_field
 from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.data.tables import read_table
 from lbacal_core.grids import Floats
-from lbacal_core.instrument.instrument import Instrument, load_instrument
+from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.skypower.power import RESISTANCE_OHM
 from lbacal_paper.reference_source import (
     HEIGHT_M,
@@ -37,6 +37,7 @@ from lbacal_paper.reference_source import (
 )
 from validation.machinery.claims import Found, count_within, coverage, mean_of, rate_of
 from validation.machinery.parts import Part, Row
+from validation.superterp import superterp
 
 POWER_SIGMA, DISTANCE_SIGMA_M, PATTERN_SIGMA = 0.01, 0.1, 0.05
 OF_DIPOLE, OF_BOTH = 0.02, 0.12
@@ -45,20 +46,15 @@ FARTHEST_DEG = 85.0
 
 
 @cache
-def _instrument() -> Instrument:
-    return load_instrument("lofar-superterp")
-
-
-@cache
 def _published_c() -> Floats:
     table = read_table("published_calibration")
-    return np.interp(_instrument().frequency_mhz, table["mhz"], table["c"])
+    return np.interp(superterp().frequency_mhz, table["mhz"], table["c"])
 
 
 def calibrate_by_source(seed: int) -> Row:
     """C from a source whose field, place and direction are off by their stated errors, and by two laboratories."""
     rng = np.random.default_rng([1, seed])
-    instrument = _instrument()
+    instrument = superterp()
     frequency, gain = instrument.frequency_mhz, instrument.antenna_gain
     c = _published_c() * np.exp(0.05 * rng.standard_normal() * np.cos(frequency / 10.0 + rng.uniform(0, 6)))
     field_3m = true_field(frequency) * 10.0 / LABORATORY_M
@@ -116,7 +112,7 @@ def judge_source(rows: Sequence[Row]) -> list[Found]:
 def unfold_one(seed: int) -> Row:
     """A field seen by two dipoles, with noise and errors of C, unfolded again."""
     rng = np.random.default_rng([2, seed])
-    instrument = _instrument()
+    instrument = superterp()
     frequency, arms = instrument.frequency_mhz, instrument.dipole_azimuth_deg
     antenna: AntennaModel = ShortDipole(1.7) if seed % 2 else load_antenna("hamaker")
     zenith, azimuth = (

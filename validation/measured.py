@@ -19,7 +19,7 @@ from lbacal_core.data.tables import read_columns
 from lbacal_core.discovery.curve_fit import CurveFit
 from lbacal_core.discovery.curve_search import CurveInvestigation, describe_curve, investigate_curve
 from lbacal_core.grids import Floats
-from lbacal_core.instrument.instrument import Instrument, load_instrument
+from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.lstcurve.curve import (
     AS_RECORDED,
     FLAT,
@@ -40,6 +40,7 @@ from validation.machinery.claims import Found, exactly, measured
 from validation.machinery.parts import Part, Row
 from validation.machinery.tables import by
 from validation.sky_models import DATA, MAPS, TABLES, WIPL, fourier_series_curve, published_tables
+from validation.superterp import superterp
 
 BAND = (30.0, 80.0)
 HARMONICS = 8
@@ -186,34 +187,29 @@ def _other_skies(main: Question, instrument: Instrument) -> list[Question]:
 
 
 @cache
-def _instrument() -> Instrument:
-    return load_instrument("lofar-superterp")
-
-
-@cache
 def own_questions() -> list[Question]:
-    own, _ = main_questions(_instrument())
-    return variants(own, _other_skies(own, _instrument()))
+    own, _ = main_questions(superterp())
+    return variants(own, _other_skies(own, superterp()))
 
 
 @cache
 def tables_questions() -> list[Question]:
     """The measured curve against the published tables, and every choice made otherwise."""
-    _, tables = main_questions(_instrument())
-    one_gain = tables_as_sky_power(TABLES, _instrument(), one_gain=True)
+    _, tables = main_questions(superterp())
+    one_gain = tables_as_sky_power(TABLES, superterp(), one_gain=True)
     spread = replace(tables, words="spread of models added", is_own_sky=True)
     return variants(tables, [spread, replace(tables, words="one gain for X and Y", sky=one_gain)])
 
 
 @cache
 def other_questions() -> list[Question]:
-    own, tables = main_questions(_instrument())
-    return witnesses(_instrument(), own.sky, tables.sky)
+    own, tables = main_questions(superterp())
+    return witnesses(superterp(), own.sky, tables.sky)
 
 
 def ask_one(questions: Callable[[], list[Question]], case: int) -> Row:
     question = questions()[case]
-    found = question.ask(_instrument())
+    found = question.ask(superterp())
     report, prior = describe_curve(found, Provenance({})), found.fitter.station.prior
     row: Row = {
         "words": question.words,
@@ -232,7 +228,7 @@ def ask_one(questions: Callable[[], list[Question]], case: int) -> Row:
         "verdict": report["verdict"],
     }
     if questions is not other_questions:
-        row["best_without_exchange"] = per_point(question.ask(_instrument(), "dipole_swap").last)
+        row["best_without_exchange"] = per_point(question.ask(superterp(), "dipole_swap").last)
     if case == 0 and questions is not other_questions:
         noise = found.fitter.noise
         row["noise_db"] = {dipole: round(noise.sigma_db[dipole], 4) for dipole in DIPOLES}

@@ -9,7 +9,7 @@ An error counts over all paths and channels. The errors of one campaign have muc
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from functools import cache, partial
+from functools import partial
 
 import numpy as np
 
@@ -17,37 +17,25 @@ from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.calibration.spreads import ToldCurve, carry_to_path
 from lbacal_core.curves.curves import UNCERTAIN, CalibrationCurve, FitReport
 from lbacal_core.data.lofar import DIPOLES
-from lbacal_core.instrument.instrument import Instrument, load_instrument
 from lbacal_core.simulation.simulation import Simulation
-from lbacal_core.skypower.model import compute_sky_power
-from lbacal_core.skypower.table import SkyPower
 from lbacal_twin.campaign import Campaign, simulate_campaign
 from lbacal_twin.nuisances import Nuisances
 from lbacal_twin.settings import TwinSettings
 from validation.machinery.claims import Found, mean_of
 from validation.machinery.parts import Part, Row
+from validation.superterp import power_of, superterp
 
 SETTINGS = TwinSettings(stations=("CS002", "CS003", "CS004", "CS005", "CS006", "CS007"), events_per_year=300)
 NUISANCES = Nuisances(missing=0.05, departures=0.01)
 CABLES = ("50", "80", "115")
 FITTED = ("antenna", "station", "array")
-SCOPES = {
-    "own": "its own curve",
-    "station": "its station's curve",
-    "array": "the array's curve",
-    "silent": "the curve of an array without data of its station",
-}
-
-
-@cache
-def superterp() -> tuple[Instrument, SkyPower]:
-    instrument = load_instrument("lofar-superterp")
-    return instrument, compute_sky_power(instrument)
+SCOPES = ("own", "station", "array", "silent")
+"""Whose curve a path is told; `silent` is that of an array without data of its station."""
 
 
 def tell_campaign(settings: TwinSettings, seed: int) -> Row:
     """Simulate a campaign, fit it without one station, and compare what every path is told with the truth."""
-    instrument, sky_power = superterp()
+    instrument, sky_power = superterp(), power_of()
     rng = np.random.default_rng([50_80_115, seed])
     campaign = simulate_campaign(settings, instrument, sky_power, rng, nuisances=NUISANCES)
     silent = settings.stations[seed % len(settings.stations)]

@@ -33,7 +33,7 @@ from lbacal_twin.campaign import Campaign, simulate_campaign
 from lbacal_twin.settings import TwinSettings
 from validation.machinery.claims import Found, count_within, coverage, mean_of, rate_of
 from validation.machinery.parts import Part, Row
-from validation.own_cable import superterp
+from validation.superterp import power_of, superterp
 
 RATE_MHZ, SAMPLES = 200.0, 4096
 SETTINGS = TwinSettings(stations=("CS002",), antennas=6, events_per_year=600)
@@ -57,14 +57,14 @@ class _Fitted:
 @cache
 def _known_budget() -> Budget:
     """The budget of one campaign, which stands for all: its refits are of the same instrument and sky."""
-    instrument, sky_power = superterp()
+    instrument, sky_power = superterp(), power_of()
     campaign = simulate_campaign(SETTINGS, instrument, sky_power, np.random.default_rng(3))
     budget = compute_budget(campaign.spectra, Simulation(instrument, sky_power))
     return replace(budget, terms=[term for term in budget.terms if not term.is_of_gain])
 
 
 def _fit_campaign(rng: np.random.Generator, scope: str) -> _Fitted:
-    instrument, sky_power = superterp()
+    instrument, sky_power = superterp(), power_of()
     campaign = simulate_campaign(SETTINGS, instrument, sky_power, rng)
     report = fit_calibration(campaign.spectra, Simulation(instrument, sky_power), scope)
     budget = _known_budget()
@@ -94,7 +94,7 @@ def calibrate_pulses(seed: int) -> Row:
     together.
     """
     rng = np.random.default_rng([3, seed])
-    instrument, sky_power = superterp()
+    instrument, sky_power = superterp(), power_of()
     channels, fitted = instrument.frequency_mhz, _known_fit()
     by = {str(curve.dipole): curve for curve in fitted.curves}
     c = np.array([by[dipole].c for dipole in DIPOLES])
@@ -143,7 +143,7 @@ def calibrate_traces(seed: int) -> Row:
     """Pulses of known energy, recorded by paths of known C, calibrated with the C fitted to their background."""
     rng = np.random.default_rng([4, seed])
     fitted = _fit_campaign(rng, "antenna")
-    channels = superterp()[0].frequency_mhz
+    channels = superterp().frequency_mhz
     bins = np.fft.rfftfreq(SAMPLES, 1 / RATE_MHZ)
     inside = (bins >= channels[0]) & (bins <= channels[-1])
     pull, total, alike = [], [], []
@@ -178,7 +178,7 @@ def judge_traces(rows: Sequence[Row]) -> list[Found]:
 def predict_noise(seed: int) -> Row:
     """The background and electronics of fitted chains against the planted ones, and realisations of it."""
     rng = np.random.default_rng([5, seed])
-    instrument, sky_power = superterp()
+    instrument, sky_power = superterp(), power_of()
     campaign = simulate_campaign(SETTINGS, instrument, sky_power, rng)
     simulation = Simulation(instrument, sky_power)
     curves = fit_calibration(campaign.spectra, simulation, "antenna").curves

@@ -263,10 +263,9 @@ def _compare(factory: Factory, record: Record) -> tuple[int, bool]:
 
 
 def _is_whole(factory: Factory) -> bool:
-    if not factory.settings.is_sqlite:
-        return True
     with factory.database.engine.connect() as connection:
-        return bool(connection.exec_driver_sql("PRAGMA integrity_check").scalar_one() == "ok")
+        is_sqlite = factory.settings.is_sqlite
+        return not is_sqlite or bool(connection.exec_driver_sql("PRAGMA integrity_check").scalar_one() == "ok")
 
 
 def judge(rows: Sequence[Row]) -> list[Found]:

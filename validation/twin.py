@@ -7,7 +7,7 @@ noise, because their cables differ.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cache, partial
+from functools import partial
 
 import numpy as np
 
@@ -15,15 +15,13 @@ from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.calibration.singles import MIN_EVENTS
 from lbacal_core.curves.curves import CalibrationCurve
 from lbacal_core.data.lofar import DIPOLES
-from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.simulation.simulation import Simulation
-from lbacal_core.skypower.model import compute_sky_power
-from lbacal_core.skypower.table import SkyPower
 from lbacal_twin.campaign import Campaign, simulate_campaign
 from lbacal_twin.nuisances import NONE, REALISTIC, Nuisances
 from lbacal_twin.settings import TwinSettings
 from validation.machinery.claims import Found, mean_of, root_mean_of, worst_of
 from validation.machinery.parts import Part, Row
+from validation.superterp import power_of, superterp
 
 CHANNELS = {"35 MHz": 5, "55 MHz": 25, "75 MHz": 45}
 SCOPES = ("antenna", "station")
@@ -39,20 +37,15 @@ def planted_curve(campaign: Campaign, curve: CalibrationCurve) -> np.ndarray:
     return np.asarray(gains.mean(axis=0) ** -0.5)
 
 
-@cache
-def _sky_power() -> SkyPower:
-    return compute_sky_power(load_instrument("lofar-superterp"))
-
-
 def fit_campaign(nuisances: Nuisances, seed: int) -> Row:
     """A station-year of 12 antennas: mean, mean square and number of the pulls of its curves, at three channels."""
-    instrument = load_instrument("lofar-superterp")
+    instrument, sky_power = superterp(), power_of()
     settings = TwinSettings(stations=("CS002",), antennas=12)
     rng = np.random.default_rng([2019, seed])
-    campaign = simulate_campaign(settings, instrument, _sky_power(), rng, nuisances=nuisances)
+    campaign = simulate_campaign(settings, instrument, sky_power, rng, nuisances=nuisances)
     row: Row = {}
     for scope in SCOPES:
-        fitted = fit_calibration(campaign.spectra, Simulation(instrument, _sky_power()), scope).curves
+        fitted = fit_calibration(campaign.spectra, Simulation(instrument, sky_power), scope).curves
         pulls = np.array([(c.c - planted_curve(campaign, c)) / c.c_sigma_stat for c in fitted if c.c is not None])
         at = pulls[:, list(CHANNELS.values())]
         row[scope] = {

@@ -8,23 +8,21 @@ from __future__ import annotations
 import numpy as np
 
 from lbacal_core.audit.audit import audit, audit_quickly
-from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.pipeline import calibrate
 from lbacal_core.simulation.simulation import Simulation
-from lbacal_core.skypower.model import compute_sky_power
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.settings import TwinSettings
 from validation.benchmarks.timing import processor_times
+from validation.superterp import power_of, superterp
 
 ANTENNAS, INSTANTS = 48, 96
 
 
 def main() -> None:
-    instrument = load_instrument("lofar-superterp")
+    instrument, sky_power = superterp(), power_of()
     settings = TwinSettings(
         years=1 / 365.25, events_per_year=round(INSTANTS * 365.25), stations=("CS002",), antennas=ANTENNAS
     )
-    sky_power = compute_sky_power(instrument)
     spectra = simulate_campaign(settings, instrument, sky_power, np.random.default_rng(1)).spectra
     works = {
         "whole": lambda: audit(spectra, instrument),

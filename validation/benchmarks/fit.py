@@ -21,7 +21,6 @@ from lbacal_core.calibration.lines import ChainForms, fit_lines
 from lbacal_core.curves.curves import FitReport
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.antennas import AntennaRecord
-from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.instrument.sidereal import local_sidereal_time
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.skypower.model import compute_sky_power
@@ -29,6 +28,7 @@ from lbacal_core.spectra.blocks import split_into_blocks
 from lbacal_core.spectra.spectra import Spectra
 from validation.benchmarks.timing import Result, time_once
 from validation.fit import COMMON_GAIN, PATH_GAIN, RADIOMETER, YEAR_S, YEAR_START, Scene, scene_of_noise_terms
+from validation.superterp import superterp
 
 STATIONS, ANTENNAS, EVENTS = 6, 48, 900
 REPEATS = 3
@@ -36,7 +36,7 @@ REPEATS = 3
 
 def make_scene(stations: int, antennas: int) -> Scene:
     """The Superterp's chain with any number of stations and antennas on one cable."""
-    instrument = load_instrument("lofar-superterp")
+    instrument = superterp()
     cable = instrument.antennas[0].cable
     records = [AntennaRecord(f"CS{k + 2:03d}", a, cable) for k in range(stations) for a in range(antennas)]
     instrument = replace(instrument, antennas=tuple(records))

@@ -24,33 +24,29 @@ from lbacal_core.discovery.refit import fit_chain, refit
 from lbacal_core.discovery.report import investigate
 from lbacal_core.discovery.scan import scan
 from lbacal_core.discovery.station import gather_stations
-from lbacal_core.instrument.instrument import Instrument, load_instrument
 from lbacal_core.simulation.simulation import Simulation
-from lbacal_core.skypower.model import compute_sky_power
-from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra.spectra import Spectra
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.faults.hardware import GainTemperature
 from lbacal_twin.settings import TwinSettings
 from validation.benchmarks.timing import time_once
+from validation.superterp import power_of, superterp
 
 SIZES = ((900, 48), (450, 48), (900, 24), (450, 24), (900, 12))
 SIZE = 0.01
 """Fraction of a gain that follows temperature, per 10 K."""
 
 
-def simulate(events: int, antennas: int, chain: Instrument, sky: SkyPower, size: float = 0.0) -> Spectra:
+def simulate(events: int, antennas: int, size: float) -> Spectra:
     settings = TwinSettings(stations=("CS002",), antennas=antennas, events_per_year=events)
     faults = [GainTemperature(size=size)] if size else []
-    return simulate_campaign(settings, chain, sky, np.random.default_rng(1), faults).spectra
+    return simulate_campaign(settings, superterp(), power_of(), np.random.default_rng(1), faults).spectra
 
 
 def question(events: int, antennas: int, size: float, *, is_own_sky: bool) -> str:
     """Simulate and investigate, and say how long the investigation took and the largest memory of the process."""
-    chain = load_instrument("lofar-superterp")
-    sky = compute_sky_power(chain)
-    spectra = simulate(events, antennas, chain, sky, size)
-    simulation = Simulation(chain, sky, is_own_sky=is_own_sky)
+    spectra = simulate(events, antennas, size)
+    simulation = Simulation(superterp(), power_of(), is_own_sky=is_own_sky)
     (report, _), wall, processor = time_once(lambda: investigate(spectra, simulation))
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
     return f"{wall:.1f} s ({processor:.1f} s of processor time), {memory:.2f} GiB, {report['verdict']}"
@@ -71,11 +67,9 @@ def main() -> None:
         ask(900, antennas, SIZE)
     for size in (0.0, SIZE):
         ask(900, 12, size, is_own_sky=True)
-    chain = load_instrument("lofar-superterp")
-    sky = compute_sky_power(chain)
-    spectra = simulate(900, 48, chain, sky, SIZE)
+    spectra = simulate(900, 48, SIZE)
     with threadpool_limits(1):
-        (station,) = gather_stations(spectra, Simulation(chain, sky))
+        (station,) = gather_stations(spectra, Simulation(superterp(), power_of()))
         plain, targets = fit_chain(station), list_targets(station)
         found, scanned, _ = time_once(lambda: scan(plain.linear, CAUSES, targets))
         best = Hypothesis(found[0].cause, found[0].template, found[0].target, 0.0)

@@ -123,9 +123,7 @@ def run(folder: Path, stations: int, antennas: int, events: int) -> None:
     factory = open_service(folder)
     shipped = Factory(Settings())
     write_sky_power(shipped.simulation.sky_power, folder / "sky_power.json")
-    settings = TwinSettings(
-        stations=STATIONS[:stations], antennas=antennas, events_per_year=events + 1, years=0.999
-    )  # fmt: skip
+    settings = TwinSettings(stations=STATIONS[:stations], antennas=antennas, events_per_year=events + 1, years=0.999)
     spectra = simulate_campaign(
         settings, factory.instrument, factory.simulation.sky_power, np.random.default_rng(1)
     ).spectra

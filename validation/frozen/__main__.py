@@ -20,9 +20,9 @@ from typing import Any
 from threadpoolctl import threadpool_limits
 
 from validation.frozen.comparison import NUMBERS, Difference, list_differences, read_numbers, summarise, write_numbers
-from validation.frozen.data_sets import sky_power
 from validation.frozen.listing import DATA_SETS
 from validation.frozen.surface import frozen_numbers
+from validation.superterp import power_of
 
 
 def main(arguments: list[str]) -> int:
@@ -66,7 +66,7 @@ def _numbers_of(names: Sequence[str], workers: int) -> Iterator[tuple[str, dict[
         with threadpool_limits(1):
             yield _take(names[0])
         return
-    sky_power()  # once, before the processes are forked
+    power_of()  # once, before the processes are forked
     with multiprocessing.get_context("fork").Pool(workers, threadpool_limits, (1,), maxtasksperchild=1) as pool:
         yield from pool.imap(_take, names, chunksize=1)
 

@@ -7,16 +7,15 @@ from functools import cache
 
 import numpy as np
 
-from lbacal_core.instrument.instrument import Instrument, load_instrument
+from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.lstcurve.curve import AS_RECORDED, BAND_MHZ, LstCurve, band_weights, measured_curve, read_lst_curve
-from lbacal_core.skypower.model import compute_sky_power
-from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra.spectra import Spectra
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.faults.fault import Fault
 from lbacal_twin.nuisances import NONE, Nuisances
 from lbacal_twin.settings import TwinSettings
 from lbacal_twin.view import View
+from validation.superterp import power_of, superterp
 
 SIX = (0, 1, 3, 4, 10, 11)
 """Antennas of three cable names, two of each."""
@@ -57,17 +56,15 @@ class StationSpectra:
     @property
     def instrument(self) -> Instrument:
         """The Superterp with only the antennas used."""
-        whole = superterp()
-        return replace(
-            whole, antennas=[r for r in whole.antennas if r.station in self.stations and r.antenna in self.antennas]
-        )
+        used = [r for r in superterp().antennas if r.station in self.stations and r.antenna in self.antennas]
+        return replace(superterp(), antennas=used)
 
     def spectra(self) -> Spectra:
         """The same spectra at every call."""
         spectra = simulate_campaign(
             TwinSettings(stations=self.stations, events_per_year=self.events),
             self.instrument,
-            sky_power(),
+            power_of(),
             np.random.default_rng([20261121, self.seed]),
             self.faults,
             self.nuisances,
@@ -117,23 +114,13 @@ class BandCurve:
         lst_hours = np.arange(POINTS) * 24.0 / POINTS
         variation = {}
         for shown, dipole in zip("XY", "YX" if self.is_exchanged else "XY", strict=True):
-            band = sky_power().at(dipole, (lst_hours - self.late_h) % 24.0) @ weights
+            band = power_of().at(dipole, (lst_hours - self.late_h) % 24.0) @ weights
             band = band / band.mean() + self.noise_of_sky
             variation[shown] = 10 * np.log10(band / band[0]) + POINT_NOISE_DB * rng.standard_normal(POINTS)
         return LstCurve(lst_hours, variation, np.full(POINTS, 2 * POINT_NOISE_DB), 24.0 / POINTS, is_centre_stated=True)
 
 
 DataSet = StationSpectra | BandCurve
-
-
-@cache
-def superterp() -> Instrument:
-    return load_instrument("lofar-superterp")
-
-
-@cache
-def sky_power() -> SkyPower:
-    return compute_sky_power(superterp())
 
 
 @cache

@@ -23,7 +23,8 @@ from lbacal_core.lstcurve.curve import BAND_MHZ
 from lbacal_core.provenance import Provenance
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.spectra.spectra import Spectra
-from validation.frozen.data_sets import BandCurve, DataSet, StationSpectra, sky_power
+from validation.frozen.data_sets import BandCurve, DataSet, StationSpectra
+from validation.superterp import power_of
 
 
 def frozen_numbers(data: DataSet) -> dict[str, Any]:
@@ -33,7 +34,7 @@ def frozen_numbers(data: DataSet) -> dict[str, Any]:
 
 def _of_curve(data: BandCurve) -> dict[str, Any]:
     curve = data.curve()
-    found = investigate_curve(curve, Simulation(data.instrument, sky_power(), is_own_sky=data.is_own_sky), BAND_MHZ)
+    found = investigate_curve(curve, Simulation(data.instrument, power_of(), is_own_sky=data.is_own_sky), BAND_MHZ)
     points = np.concatenate(list(curve.variation_db.values()))
     return {
         "data": {"points": int(np.isfinite(points).sum()), "square_db2": float(np.nansum(points**2))},
@@ -45,7 +46,7 @@ def _of_spectra(data: StationSpectra) -> dict[str, Any]:
     """As `lbacal investigate` asks, with the seed of the data set."""
     spectra = data.spectra()
     report, stations = investigate(
-        spectra, Simulation(data.instrument, sky_power(), is_own_sky=data.is_own_sky), seed=data.seed
+        spectra, Simulation(data.instrument, power_of(), is_own_sky=data.is_own_sky), seed=data.seed
     )
     numbers = _without_provenance(report)
     numbers["scores"] = {

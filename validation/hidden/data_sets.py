@@ -332,10 +332,6 @@ def _board_of(antenna: int) -> str:
     return f"board {antenna // BOARD}"
 
 
-def sky_power() -> SkyPower:
-    return OWN.power()
-
-
 def correlations(information: Floats) -> Floats:
     """Correlations of signatures from their inner products."""
     scale = np.sqrt(np.diag(information))

@@ -16,8 +16,9 @@ import numpy as np
 from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.grids import Floats
 from lbacal_core.spectra.spectra import Spectra
-from validation.hidden.data_sets import EVENTS, DataSet, draw_one, moving_causes, sky_power
+from validation.hidden.data_sets import EVENTS, DataSet, draw_one, moving_causes
 from validation.hidden.finder import FittedModel
+from validation.hidden.worlds import OWN
 from validation.machinery.claims import Found, One, mean_of, median_interval, rate_of
 from validation.machinery.parts import Part, Row
 
@@ -55,7 +56,7 @@ def hide_in_halves(number: int) -> Row:
 
 def found_ratio(model: FittedModel, data: DataSet, spectra: Spectra) -> Floats:
     """Power with what was found over power without, in other spectra; shape (path, event, freq) of the twin."""
-    ratio, paths, times = model.ratio(spectra, data.instrument, sky_power())
+    ratio, paths, times = model.ratio(spectra, data.instrument, OWN.power())
     row = {(int(antenna), dipole): k for k, (antenna, dipole) in enumerate(product(data.scene.antennas, DIPOLES))}
     whole = np.ones((len(row), len(data.scene.time_unix), len(data.scene.frequency_mhz)))
     event = np.searchsorted(data.scene.time_unix, times)

@@ -11,7 +11,6 @@ import numpy as np
 from lbacal_core.antenna.names import DEFAULT_ANTENNA
 from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.grids import Floats
-from lbacal_core.instrument.instrument import Instrument, load_instrument
 from lbacal_core.sky.names import DEFAULT_SKY, load_sky
 from lbacal_core.skypower.differences import SIMULATED_LBA as SIMULATED_NAME
 from lbacal_core.skypower.differences import DifferenceModels, waves_at
@@ -21,6 +20,7 @@ from lbacal_twin.nuisances import REALISTIC
 from lbacal_twin.view import View
 from lbacal_twin.world import ANTENNAS, MADE_OF, SKIES, World, draw_world
 from validation.machinery.parts import SHARED
+from validation.superterp import power_of, superterp
 
 SIMULATED_LBA = SHARED / "data" / "antenna" / "lba_vout.npz"
 """A simulated antenna that may not ship: it joins the antennas that are drawn where the folder ../shared is present."""
@@ -88,7 +88,7 @@ def free_modes(finder: Finder, known: DifferenceModels, lst_hours: Floats) -> Fl
     -------
     Shape (mode, dipole, event, freq).
     """
-    frequency = _superterp().frequency_mhz
+    frequency = superterp().frequency_mhz
     x = np.log(frequency)
     polynomials = np.polynomial.legendre.legvander(2 * (x - x[0]) / (x[-1] - x[0]) - 1, LEVEL_DEGREE).T
     shape = (len(polynomials), len(DIPOLES), lst_hours.size, frequency.size)
@@ -118,23 +118,13 @@ def _at(power: SkyPower, lst_hours: Floats) -> Floats:
 
 @cache
 def _with_isotropic(sky: str, antenna: str) -> SkyPower:
-    return compute_sky_power(_superterp(), load_sky(sky).changed(extra_isotropic=1.0), antenna)
-
-
-@cache
-def power_of(sky: str, antenna: str) -> SkyPower:
-    return compute_sky_power(_superterp(), sky, antenna)
+    return compute_sky_power(superterp(), load_sky(sky).changed(extra_isotropic=1.0), antenna)
 
 
 @lru_cache(maxsize=8)
 def view_of(sky: str, antenna: str) -> View:
     """The sky by direction; made once in each process, because the first fault with a direction takes seconds."""
-    return World(sky, antenna, "behind").view(_superterp())
-
-
-@cache
-def _superterp() -> Instrument:
-    return load_instrument("lofar-superterp")
+    return World(sky, antenna, "behind").view(superterp())
 
 
 def _without(names: Sequence[str], own: str) -> list[str]:

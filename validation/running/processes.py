@@ -37,10 +37,10 @@ def wait_until(is_so: Callable[[], bool], what: str) -> None:
         time.sleep(0.05)
 
 
-def is_ready(url: str) -> bool:
-    """Whether a server answers and has its database."""
+def is_ready(url: str, page: str = "readyz") -> bool:
+    """Whether a server answers and has its database; by the page `healthz`, whether it answers."""
     try:
-        return bool(httpx2.get(f"{url}/readyz", timeout=5).is_success)
+        return bool(httpx2.get(f"{url}/{page}", timeout=5).is_success)
     except httpx2.TransportError:
         return False
 
@@ -52,13 +52,6 @@ def run_command(environment: Mapping[str, str], *arguments: str) -> str:
     if done.returncode != 0:
         raise RuntimeError(f"lbacal {' '.join(arguments)} failed: {done.stderr}")
     return done.stdout
-
-
-def is_alive(url: str) -> bool:
-    try:
-        return bool(httpx2.get(f"{url}/healthz", timeout=5).is_success)
-    except httpx2.TransportError:
-        return False
 
 
 class Process:
@@ -139,5 +132,5 @@ def run_service(database_url: str, folder: Path, *beside: str, **settings: Any) 
     serve = ("serve", "--port", str(port), "--api-only")
     processes = [Process(environment, folder / "log", *command) for command in (serve, *((name,) for name in beside))]
     with running(*processes):
-        wait_until(lambda: is_alive(address), "the server")
+        wait_until(lambda: is_ready(address, "healthz"), "the server")
         yield Service(address, key, environment, processes)

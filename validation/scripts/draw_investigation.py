@@ -17,9 +17,7 @@ from lbacal.cli.investigation_page import draw_finding, draw_residual_maps, draw
 from lbacal_core.causes.axes import axis_named
 from lbacal_core.discovery.report import investigate
 from lbacal_core.discovery.search import StationReport
-from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.simulation.simulation import Simulation
-from lbacal_core.skypower.model import compute_sky_power
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.faults.fault import Fault, Where
 from lbacal_twin.faults.hardware import GainStep
@@ -28,6 +26,7 @@ from lbacal_twin.faults.uncatalogued import WorkingWeek
 from lbacal_twin.settings import TwinSettings
 from validation.machinery.parts import SHARED
 from validation.measured import main_questions
+from validation.superterp import power_of, superterp
 
 IMAGES = Path(__file__).parents[2] / "docs/images"
 SETTINGS = TwinSettings(stations=("CS002",), antennas=12, events_per_year=400)
@@ -35,8 +34,7 @@ STEP = GainStep(size=0.05, where=Where(antennas=(2,), dipoles=("Y",)), date="201
 
 
 def ask(faults: list[Fault]) -> StationReport:
-    instrument = load_instrument("lofar-superterp")
-    sky = compute_sky_power(instrument)
+    instrument, sky = superterp(), power_of()
     spectra = simulate_campaign(SETTINGS, instrument, sky, np.random.default_rng(5), faults).spectra
     content, (report,) = investigate(spectra, Simulation(instrument, sky, is_own_sky=True))
     print(content["verdict"], [finding["sentence"] for finding in content["findings"]])
@@ -44,8 +42,7 @@ def ask(faults: list[Fault]) -> StationReport:
 
 
 def draw_measured() -> None:
-    instrument = load_instrument("lofar-superterp")
-    own, tables = (question.ask(instrument) for question in main_questions(instrument))
+    own, tables = (question.ask(superterp()) for question in main_questions(superterp()))
     figures = {
         "own": draw_curve(own, "Measured LOFAR curve against our sky"),
         "tables": draw_curve(tables, "Measured LOFAR curve against the published tables"),
