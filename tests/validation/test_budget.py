@@ -44,8 +44,8 @@ def test_what_is_drawn_is_in_the_data_and_not_in_what_the_fit_believes() -> None
     )
     change = np.log(drawn.power / plain.power).mean(axis=0)
     assert np.ptp(change) > 0.02
-    assert believed.sky_power.digest() == compute_sky_power(believed.instrument).digest()
-    assert {record.cable for record in believed.instrument.antennas} == {"50", "80", "115"}
+    assert believed.simulation.sky_power.digest() == compute_sky_power(believed.simulation.instrument).digest()
+    assert {record.cable for record in believed.simulation.instrument.antennas} == {"50", "80", "115"}
 
 
 def test_the_judgement_refutes_errors_that_are_too_small(rows: list[Row]) -> None:
