@@ -51,7 +51,7 @@ def eliminate(matrix: np.ndarray, target: np.ndarray) -> np.ndarray:
     return rows[:, len(matrix) :]
 
 
-def test_well_determined_answers_are_those_of_nineteen_digits() -> None:
+def test_well_determined_answers_are_those_of_nineteen_digits():
     matrix, target = matrices([1e-7, 1e-4, 0.1, 1.0, 2.0]), np.random.default_rng(3).normal(size=(4, 5, 2))
     found = solve_symmetric(matrix, target)
     for one, right, answer in zip(matrix, target, found, strict=True):
@@ -62,7 +62,7 @@ def test_well_determined_answers_are_those_of_nineteen_digits() -> None:
 
 
 @pytest.mark.parametrize("smallest", [0.0, 1e-15, 1e-12, 1e-10, 1e-6])
-def test_a_direction_below_the_share_is_not_there_and_one_above_it_is(smallest: float) -> None:
+def test_a_direction_below_the_share_is_not_there_and_one_above_it_is(smallest):
     matrix = matrices([smallest, 0.3, 1.0, 2.0])
     found = invert_symmetric(matrix)
     # the smallest eigenvalue is known to some roundings of the largest
@@ -72,7 +72,7 @@ def test_a_direction_below_the_share_is_not_there_and_one_above_it_is(smallest: 
         assert np.abs(answer - expected).max() < precision * np.abs(expected).max()
 
 
-def test_units_of_the_parameters_do_not_matter() -> None:
+def test_units_of_the_parameters_do_not_matter():
     units = np.array([1e-120, 1.0, 1e15, 1e130])
     for smallest in (0.3, 0.0):
         plain = matrices([smallest, 0.5, 1.0, 2.0])
@@ -83,25 +83,25 @@ def test_units_of_the_parameters_do_not_matter() -> None:
     np.testing.assert_allclose(scaled / unit[:, :, None] / unit[:, None, :], plain, atol=1e-15)
 
 
-def test_parameters_that_cannot_be_told_apart_share_what_they_are_together() -> None:
+def test_parameters_that_cannot_be_told_apart_share_what_they_are_together():
     assert solve_symmetric(np.full((2, 2), 4.0), np.full((2, 1), 4.0)).ravel() == pytest.approx([0.5, 0.5], rel=1e-12)
 
 
-def test_a_parameter_of_which_the_data_say_nothing_is_zero() -> None:
+def test_a_parameter_of_which_the_data_say_nothing_is_zero():
     matrix = np.diag([4.0, 0.0, -1e-30])
     assert solve_symmetric(matrix, np.array([[8.0], [0.0], [1.0]])).ravel().tolist() == [2.0, 0.0, 0.0]
     assert np.diag(invert_symmetric(matrix)).tolist() == [0.25, 0.0, 0.0]
     assert np.diag(root_of_inverse(matrix)).tolist() == [0.5, 0.0, 0.0]
 
 
-def test_what_rounding_makes_singular_is_solved_and_not_raised() -> None:
+def test_what_rounding_makes_singular_is_solved_and_not_raised():
     """A sky that does not vary ended as LinAlgError where the processor rounded the other way."""
     for off in (1.0, 1.0 + 1e-14, 1.0 - 1e-14):
         answer = solve_symmetric(np.array([[[1.0, off], [off, 1.0]]]), np.ones((1, 2, 1)))
         assert answer.ravel() == pytest.approx([0.5, 0.5], rel=1e-12)
 
 
-def test_one_matrix_of_a_batch_changes_no_other() -> None:
+def test_one_matrix_of_a_batch_changes_no_other():
     batch = matrices([0.3, 0.5, 1.0, 2.0], 6).reshape(2, 3, 4, 4)
     alone = invert_symmetric(batch)
     batch[0, 1], batch[1, 0], batch[1, 1] = matrices([0.0, 0.5, 1.0, 2.0], 1)[0], np.nan, 0.0
@@ -113,14 +113,14 @@ def test_one_matrix_of_a_batch_changes_no_other() -> None:
         np.testing.assert_allclose(found[at], alone[at], rtol=1e-12)
 
 
-def test_a_prior_is_information_in_units_of_the_parameters_own() -> None:
+def test_a_prior_is_information_in_units_of_the_parameters_own():
     matrix, target = matrices([0.0, 1.0, 2.0], 1)[0], np.arange(3.0)[:, None]
     expected = np.linalg.inv(matrix + 1e-4 * np.diag(np.diag(matrix))) @ target
     np.testing.assert_allclose(solve_symmetric(matrix, target, prior=1e-4), expected, rtol=1e-9)
 
 
 @pytest.mark.parametrize("smallest", [0.3, 1e-6, 0.0])
-def test_roots_give_back_the_covariance_and_its_inverse(smallest: float) -> None:
+def test_roots_give_back_the_covariance_and_its_inverse(smallest):
     units = np.array([1.0, 10.0, 100.0, 1.0])
     covariance = matrices([smallest, 0.5, 1.0, 2.0]) * units[:, None] * units
     root, inverse, whitener = root_of(covariance), root_of_inverse(covariance), find_whitener(covariance)
@@ -134,14 +134,14 @@ def test_roots_give_back_the_covariance_and_its_inverse(smallest: float) -> None
 
 
 @pytest.mark.parametrize("share", [1e-6, 1e-3])
-def test_a_share_of_the_callers_own_is_that_of_the_largest_eigenvalue(share: float) -> None:
+def test_a_share_of_the_callers_own_is_that_of_the_largest_eigenvalue(share):
     matrix = np.array([[1.0, 1.0 - share], [1.0 - share, 1.0]])  # eigenvalues 2 - share and share
     assert invert_symmetric(matrix, share).ravel() == pytest.approx([0.25] * 4, rel=2 * share)
     np.testing.assert_allclose(invert_symmetric(matrix, share / 4), np.linalg.inv(matrix), rtol=1e-9)
     np.testing.assert_allclose(pseudo_invert(matrix, share), np.linalg.pinv(matrix, rcond=share), rtol=1e-9)
 
 
-def test_least_squares_are_those_of_numpy_whatever_the_units_of_the_columns() -> None:
+def test_least_squares_are_those_of_numpy_whatever_the_units_of_the_columns():
     rng = np.random.default_rng(4)
     design, values = rng.normal(size=(30, 4)), rng.normal(size=(5, 30, 3))
     for units in (np.ones(4), np.array([1e-20, 1.0, 1e12, 1.0])):
@@ -155,7 +155,7 @@ def test_least_squares_are_those_of_numpy_whatever_the_units_of_the_columns() ->
     assert amounts[5] == 0.0
 
 
-def test_nothing_is_solved_inverted_and_whitened() -> None:
+def test_nothing_is_solved_inverted_and_whitened():
     assert solve_symmetric(np.zeros((0, 3, 3)), np.zeros((0, 3, 2))).shape == (0, 3, 2)
     for empty in (np.zeros((0, 0)), np.zeros((2, 0, 0)), np.zeros((0, 3, 3))):
         for act in (invert_symmetric, root_of, root_of_inverse, find_whitener):
@@ -164,7 +164,7 @@ def test_nothing_is_solved_inverted_and_whitened() -> None:
     assert fit_least_squares(np.zeros((4, 0)), np.ones(4)).shape == (0,)
 
 
-def test_the_core_solves_and_inverts_in_one_place() -> None:
+def test_the_core_solves_and_inverts_in_one_place():
     core = Path(lbacal_core.__file__).parent
     solves = re.compile(r"\b(linalg\.(solve|inv|cholesky|pinv|lstsq)\b|cho_factor|cho_solve|solve_triangular)")
     found = [path.name for path in core.rglob("*.py") if solves.search(path.read_text())]

@@ -1,7 +1,5 @@
 """The model as a value: its text is canonical, its id is the hash of the text, and it is made from a report."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

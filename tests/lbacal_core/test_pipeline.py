@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -138,7 +137,7 @@ def test_an_instrument_drawn_anywhere_is_investigated_and_found_consistent(seed)
     json.dumps(report, allow_nan=False)
 
 
-def test_daily_means_at_one_sidereal_time_are_not_identifiable_and_no_traceback() -> None:
+def test_daily_means_at_one_sidereal_time_are_not_identifiable_and_no_traceback():
     """82 days of one dipole ended in `cannot reshape array of size 0`: no table and no report."""
     instrument = short_dipole.make_instrument(79.4, -90.8)
     report = calibrate(short_dipole.daily_means(instrument, np.random.default_rng(1)), Simulation(instrument))
@@ -187,9 +186,7 @@ def spectra(campaign: Campaign) -> Spectra:
     return campaign.spectra
 
 
-def test_a_station_sees_the_sky_of_its_own_latitude_at_its_own_sidereal_time(
-    instrument: Instrument, sky: SkyPower
-) -> None:
+def test_a_station_sees_the_sky_of_its_own_latitude_at_its_own_sidereal_time(instrument, sky):
     there = replace(instrument, latitude_deg=36.0, longitude_deg=22.5, height_m=100.0, sites={})
     assert instrument.at_station(FAR) == there
     assert instrument.at_station(WEST) is instrument
@@ -200,9 +197,7 @@ def test_a_station_sees_the_sky_of_its_own_latitude_at_its_own_sidereal_time(
 
 
 @pytest.mark.parametrize("scope", ["antenna", "station", "array"])
-def test_a_fit_of_two_places_finds_the_truth_of_both(
-    scope: str, instrument: Instrument, sky: SkyPower, campaign: Campaign
-) -> None:
+def test_a_fit_of_two_places_finds_the_truth_of_both(scope, instrument, sky, campaign):
     report = fit_calibration(campaign.spectra, Simulation(instrument, sky), scope)
     assert {curve.status for curve in report.curves} == {"converged"}
     for curve in report.curves:
@@ -221,18 +216,14 @@ def _members(curve: CalibrationCurve) -> list[tuple[str, int]]:
     return [(station, antenna) for station in stations for antenna in antennas]
 
 
-def test_a_fit_that_forgets_the_sites_is_refused_by_the_chain_test_of_the_far_station_alone(
-    instrument: Instrument, spectra: Spectra
-) -> None:
+def test_a_fit_that_forgets_the_sites_is_refused_by_the_chain_test_of_the_far_station_alone(instrument, spectra):
     forgetful = replace(instrument, sites={})
     curves = fit_calibration(spectra, Simulation(forgetful, compute_sky_power(forgetful)), "station").curves
     assert {curve.station for curve in curves if curve.status == "converged"} == {WEST}
 
 
 @pytest.mark.long
-def test_an_investigation_of_two_places_finds_nothing_and_one_that_forgets_them_does(
-    instrument: Instrument, sky: SkyPower, spectra: Spectra
-) -> None:
+def test_an_investigation_of_two_places_finds_nothing_and_one_that_forgets_them_does(instrument, sky, spectra):
     stations = {station.name: station for station in gather_stations(spectra, Simulation(instrument, sky))}
     time_unix = stations[FAR].conditions.time_unix
     assert np.array_equal(stations[FAR].conditions.lst_hours, local_sidereal_time(time_unix, 22.5))
@@ -241,9 +232,7 @@ def test_an_investigation_of_two_places_finds_nothing_and_one_that_forgets_them_
     assert [(one["station"], one["verdict"]) for one in told["stations"]] == [(FAR, "consistent"), (WEST, "consistent")]
 
 
-def test_drift_of_a_far_station_is_measured_against_its_own_sky(
-    instrument: Instrument, sky: SkyPower, spectra: Spectra
-) -> None:
+def test_drift_of_a_far_station_is_measured_against_its_own_sky(instrument, sky, spectra):
     curves = fit_calibration(spectra, Simulation(instrument, sky)).curves
     blocks = [block for block in split_into_blocks(spectra) if (block.station, block.dipole) == (FAR, "E")]
     own = {int(c.antenna or 0): c for c in curves if (c.station, c.dipole) == (FAR, "E")}
@@ -255,15 +244,13 @@ def test_drift_of_a_far_station_is_measured_against_its_own_sky(
 
 
 @pytest.mark.long
-def test_the_audit_takes_each_station_where_it_stands(instrument: Instrument, spectra: Spectra) -> None:
+def test_the_audit_takes_each_station_where_it_stands(instrument, spectra):
     assert [(line.station, line.sentence) for line in audit(spectra, instrument).lines if line.verdict == "wrong"] == []
     forgetful = audit(spectra, replace(instrument, sites={}))
     assert {line.station for line in forgetful.lines if line.verdict == "wrong"} == {FAR}
 
 
-def test_files_of_instrument_and_sky_power_keep_the_sites(
-    instrument: Instrument, sky: SkyPower, tmp_path: Path
-) -> None:
+def test_files_of_instrument_and_sky_power_keep_the_sites(instrument, sky, tmp_path):
     (tmp_path / "I.json").write_text(json.dumps(instrument.as_dict()))
     read = load_instrument(str(tmp_path / "I.json"))
     assert read.sites == instrument.sites
@@ -277,7 +264,7 @@ def test_files_of_instrument_and_sky_power_keep_the_sites(
         again.require_made_for(moved)
 
 
-def test_a_refit_of_a_station_hashes_its_own_site_and_no_other(instrument: Instrument, sky: SkyPower) -> None:
+def test_a_refit_of_a_station_hashes_its_own_site_and_no_other(instrument, sky):
     moved = replace(instrument, sites={FAR: Site(36.0, 23.0, 100.0)})
     assert moved.digest_of(0.0, 1.0, WEST) == instrument.digest_of(0.0, 1.0, WEST)
     assert moved.digest_of(0.0, 1.0, FAR) != instrument.digest_of(0.0, 1.0, FAR)
@@ -286,7 +273,7 @@ def test_a_refit_of_a_station_hashes_its_own_site_and_no_other(instrument: Instr
     assert sky.of_station(WEST).digest() == sky.digest() != compute_sky_power(replace(instrument, sites={})).digest()
 
 
-def test_a_sky_power_without_the_latitude_of_a_station_is_told(instrument: Instrument, sky: SkyPower) -> None:
+def test_a_sky_power_without_the_latitude_of_a_station_is_told(instrument, sky):
     assert "stands for that of FAR" in replace(sky, stations={}, made_for=None).note_for(instrument)
     assert "stands for" not in sky.note_for(instrument)
     near = replace(instrument, sites={FAR: Site(20.0, 22.5, 0.0)})
@@ -303,12 +290,12 @@ def test_a_sky_power_without_the_latitude_of_a_station_is_told(instrument: Instr
         ([1.0, 2.0], "an object of latitude_deg and longitude_deg by station"),
     ],
 )
-def test_a_site_that_is_none_is_refused_by_name(instrument: Instrument, sites: object, words: str) -> None:
+def test_a_site_that_is_none_is_refused_by_name(instrument, sites, words):
     with pytest.raises(BadInputError, match=words):
         parse_instrument(instrument.as_dict() | {"sites": sites}, "I.json")
 
 
-def test_a_site_without_height_is_as_high_as_the_instrument() -> None:
+def test_a_site_without_height_is_as_high_as_the_instrument():
     assert parse_sites({FAR: {"latitude_deg": 1, "longitude_deg": 2}}, "I.json", 40.0)[FAR].height_m == 40.0
 
 

@@ -46,7 +46,7 @@ def screened(factor: np.ndarray) -> Screened:
     return screen_block(year(factor), LONGITUDE)
 
 
-def test_a_clean_year_keeps_every_spectrum() -> None:
+def test_a_clean_year_keeps_every_spectrum():
     for seed in range(10):
         found = screen_block(year(seed=seed), LONGITUDE)
         assert found.anomalies == ()
@@ -54,7 +54,7 @@ def test_a_clean_year_keeps_every_spectrum() -> None:
 
 
 @pytest.mark.parametrize("size", [1000.0, 30.0, 3.0, 1.6, 0.4, 1e-3])
-def test_one_spectrum_that_is_off_is_left_out_and_named(size: float) -> None:
+def test_one_spectrum_that_is_off_is_left_out_and_named(size):
     factor = ones()
     factor[2, 70] = size
     found = screened(factor)
@@ -68,13 +68,13 @@ def test_one_spectrum_that_is_off_is_left_out_and_named(size: float) -> None:
 
 
 @pytest.mark.parametrize("size", [1e-300, 1e300])
-def test_powers_at_the_end_of_the_numbers_are_left_out_without_a_warning(size: float) -> None:
+def test_powers_at_the_end_of_the_numbers_are_left_out_without_a_warning(size):
     factor = ones()
     factor[0, 3] = size
     assert [anomaly.event_id for anomaly in screened(factor).anomalies] == ["e3"]
 
 
-def test_one_channel_that_is_off_by_far_takes_its_spectrum_and_names_the_channel() -> None:
+def test_one_channel_that_is_off_by_far_takes_its_spectrum_and_names_the_channel():
     factor = ones()
     factor[1, 9, 20] = 12.0
     (anomaly,) = screened(factor).anomalies
@@ -83,7 +83,7 @@ def test_one_channel_that_is_off_by_far_takes_its_spectrum_and_names_the_channel
     assert anomaly.reason.endswith("times the usual at 50 MHz")
 
 
-def test_a_thunderstorm_takes_every_path_of_the_station() -> None:
+def test_a_thunderstorm_takes_every_path_of_the_station():
     factor = ones()
     factor[:, 40:43] = 1.8
     found = screened(factor)
@@ -92,7 +92,7 @@ def test_a_thunderstorm_takes_every_path_of_the_station() -> None:
     }
 
 
-def test_a_path_is_judged_by_its_own_spectra_alone() -> None:
+def test_a_path_is_judged_by_its_own_spectra_alone():
     factor = ones()
     factor[1, 50] = 4.0
     block = year(factor)
@@ -110,7 +110,7 @@ def test_a_path_is_judged_by_its_own_spectra_alone() -> None:
 
 
 @pytest.mark.parametrize(("begins", "size"), [(200, 1.3), (200, 0.5), (350, 1.3), (385, 1.7), (EVENTS - 12, 1.7)])
-def test_a_gain_step_is_left_to_those_who_look_for_it(begins: int, size: float) -> None:
+def test_a_gain_step_is_left_to_those_who_look_for_it(begins, size):
     factor = ones()
     factor[0, begins:] = size
     found = screened(factor)
@@ -118,7 +118,7 @@ def test_a_gain_step_is_left_to_those_who_look_for_it(begins: int, size: float) 
     assert all(anomaly.kept for anomaly in found.anomalies)
 
 
-def test_what_lasts_is_fitted_and_said() -> None:
+def test_what_lasts_is_fitted_and_said():
     factor = ones()
     factor[0, 100 : 100 + LASTING_EVENTS] = 1.7
     found = screened(factor)
@@ -126,7 +126,7 @@ def test_what_lasts_is_fitted_and_said() -> None:
     assert np.all(found.block.is_present)
 
 
-def test_a_receiver_that_is_dead_for_a_week_is_left_out_however_long_it_lasts() -> None:
+def test_a_receiver_that_is_dead_for_a_week_is_left_out_however_long_it_lasts():
     factor = ones()
     factor[0, 100:118] = 0.01
     found = screened(factor)
@@ -134,7 +134,7 @@ def test_a_receiver_that_is_dead_for_a_week_is_left_out_however_long_it_lasts() 
     assert not np.any(found.block.is_present[0, 100:118])
 
 
-def test_a_path_with_too_many_keeps_them_all_and_is_no_member_of_a_mean() -> None:
+def test_a_path_with_too_many_keeps_them_all_and_is_no_member_of_a_mean():
     factor = ones()
     factor[3, ::12] = 5.0
     found = screened(factor)
@@ -143,7 +143,7 @@ def test_a_path_with_too_many_keeps_them_all_and_is_no_member_of_a_mean() -> Non
     assert {anomaly.kept for anomaly in found.anomalies} == {"34 of the 400 spectra of this path are like this"}
 
 
-def test_a_receiver_that_is_dead_for_five_months_and_returns_is_fitted_by_what_it_saw() -> None:
+def test_a_receiver_that_is_dead_for_five_months_and_returns_is_fitted_by_what_it_saw():
     """43 % of a path's spectra were dead and therefore fitted: C had an error of 8 %, and nothing took effect."""
     factor = ones()
     factor[1, 60:232] = 1e-4
@@ -153,7 +153,7 @@ def test_a_receiver_that_is_dead_for_five_months_and_returns_is_fitted_by_what_i
     assert np.all(found.is_steady)
 
 
-def test_spectra_of_few_blocks_may_scatter_more() -> None:
+def test_spectra_of_few_blocks_may_scatter_more():
     rng = np.random.default_rng(4)
     block = year()
     noisy = block.power[:, ::10] * rng.normal(1, 0.4, block.power[:, ::10].shape).clip(0.05)
@@ -162,7 +162,7 @@ def test_spectra_of_few_blocks_may_scatter_more() -> None:
     assert screen_block(replace(block, power=power, blocks=blocks), LONGITUDE).anomalies == ()
 
 
-def test_spectra_that_are_absent_are_not_looked_at() -> None:
+def test_spectra_that_are_absent_are_not_looked_at():
     block = year()
     is_present = block.is_present.copy()
     is_present[0, 5:300], is_present[1] = False, False
@@ -173,14 +173,14 @@ def test_spectra_that_are_absent_are_not_looked_at() -> None:
 
 
 @pytest.mark.parametrize("events", [FEWEST_EVENTS - 1, FEWEST_EVENTS, 61, 95])
-def test_few_events_are_left_alone_and_some_are_judged(events: int) -> None:
+def test_few_events_are_left_alone_and_some_are_judged(events):
     factor = ones(events)
     factor[0, 3] = 10.0
     found = screen_block(year(factor, events), LONGITUDE)
     assert [anomaly.event_id for anomaly in found.anomalies] == (["e3"] if events >= FEWEST_EVENTS else [])
 
 
-def test_the_scatter_of_clean_years_stays_far_from_the_cut() -> None:
+def test_the_scatter_of_clean_years_stays_far_from_the_cut():
     """At 60 events the daily variation takes up the most of the scatter, and the spread is least known."""
     left_out = sum(len(screen_block(year(events=60, seed=seed), LONGITUDE).anomalies) for seed in range(50))
     assert left_out <= 2, f"{left_out} of {50 * PATHS * 60}: a Gaussian scatter has 2e-9 beyond {CUT_SIGMA} sigma"

@@ -30,12 +30,12 @@ def seconds_apart(ours: Floats, theirs: Floats) -> Floats:
 
 
 @pytest.mark.parametrize("longitude", [-69.5, 0.0, LONGITUDE, 180.0])
-def test_sidereal_time_is_within_two_seconds_of_the_apparent_one(longitude: float) -> None:
+def test_sidereal_time_is_within_two_seconds_of_the_apparent_one(longitude):
     apparent = Time(INSTANTS, format="unix").sidereal_time("apparent", longitude * u.deg).to_value(u.hourangle)
     assert np.abs(seconds_apart(local_sidereal_time(INSTANTS, longitude), apparent)).max() < 2.0
 
 
-def test_what_separates_it_from_the_mean_one_is_ut1_alone() -> None:
+def test_what_separates_it_from_the_mean_one_is_ut1_alone():
     time = Time(INSTANTS, format="unix")
     mean = time.sidereal_time("mean", LONGITUDE * u.deg).to_value(u.hourangle)
     behind = seconds_apart(local_sidereal_time(INSTANTS, LONGITUDE), mean)
@@ -44,7 +44,7 @@ def test_what_separates_it_from_the_mean_one_is_ut1_alone() -> None:
     assert np.abs(behind).max() < 0.9
 
 
-def test_it_is_the_rotation_and_the_precession_of_the_paper() -> None:
+def test_it_is_the_rotation_and_the_precession_of_the_paper():
     # Capitaine, Wallace & Chapront 2003, eq. 42, by hand, with UTC for UT1 and TT and without the terms below 1 us
     days = (INSTANTS - 946_728_000.0) / 86_400.0
     rotation = 0.779_057_273_264_0 + 0.002_737_811_911_354_48 * days + days % 1.0
@@ -55,12 +55,12 @@ def test_it_is_the_rotation_and_the_precession_of_the_paper() -> None:
     np.testing.assert_allclose(seconds_apart(local_sidereal_time(INSTANTS, LONGITUDE), by_hand), 0.0, atol=1e-6)
 
 
-def test_a_sidereal_day_later_the_sky_is_the_same() -> None:
+def test_a_sidereal_day_later_the_sky_is_the_same():
     one, other = (local_sidereal_time(INSTANTS + shift, LONGITUDE) for shift in (0.0, SIDEREAL_DAY_S))
     assert np.abs(seconds_apart(one, other)).max() < 1e-3
 
 
-def test_hours_stay_below_24_and_keep_the_shape() -> None:
+def test_hours_stay_below_24_and_keep_the_shape():
     lst = local_sidereal_time(INSTANTS.reshape(20, 20), LONGITUDE)
     assert lst.shape == (20, 20)
     assert lst.min() >= 0.0

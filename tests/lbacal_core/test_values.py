@@ -20,7 +20,6 @@ from lbacal_core.foreign import parse_name, parse_number, parse_numbers, parse_o
 from lbacal_core.grids import guess_widths, require_channels, require_same_grid
 from lbacal_core.instrument.antennas import are_dipole_names, is_dipole_name, look_like_radians
 from lbacal_core.provenance import Remembered, canonical_json, hash_arrays, hash_content
-from lbacal_core.spectra.spectra import Spectra
 
 
 @pytest.mark.parametrize("name", ["X", "y", "EW", "arm-2", "Z_up", "45deg"])
@@ -51,13 +50,13 @@ def test_one_arm_and_parallel_arms_may_point_near_the_north(azimuth_deg):
     assert not look_like_radians(azimuth_deg)
 
 
-def test_a_refusal_says_where_what_was_expected_and_what_was_found() -> None:
+def test_a_refusal_says_where_what_was_expected_and_what_was_found():
     error = BadInputError("s.h5: power, row 17", "finite power > 0", "nan at 32 MHz")
     assert str(error) == "s.h5: power, row 17: expected finite power > 0, found nan at 32 MHz"
     assert (error.place, error.expected, error.found) == ("s.h5: power, row 17", "finite power > 0", "nan at 32 MHz")
 
 
-def test_a_message_is_one_line_of_readable_length_whatever_was_found() -> None:
+def test_a_message_is_one_line_of_readable_length_whatever_was_found():
     sentence = str(BadInputError("file", "a number", "1\n2 " * 100_000))
     assert "\n" not in sentence
     assert len(sentence) < 200
@@ -68,34 +67,34 @@ def every_error() -> list[type[LbacalError]]:
     return [kind for kind in vars(errors).values() if isinstance(kind, type) and issubclass(kind, LbacalError)]
 
 
-def test_every_error_has_a_code_of_its_own() -> None:
+def test_every_error_has_a_code_of_its_own():
     codes = [kind.code for kind in every_error()]
     assert len(codes) == len(set(codes)) >= 4
 
 
 @pytest.mark.parametrize("kind", every_error())
-def test_every_error_has_an_http_status_of_a_failure(kind: type[LbacalError]) -> None:
+def test_every_error_has_an_http_status_of_a_failure(kind):
     assert 400 <= kind.status < 600
 
 
-def test_what_a_file_holds_never_steers_the_terminal() -> None:
+def test_what_a_file_holds_never_steers_the_terminal():
     assert str(BadInputError("file", "a name", "\x1b[2Jgone\x00")) == "file: expected a name, found ?[2Jgone?"
 
 
 GRID = np.arange(30.0, 81.0)
 
 
-def test_the_same_grid_passes_with_the_rounding_of_a_file() -> None:
+def test_the_same_grid_passes_with_the_rounding_of_a_file():
     require_same_grid("s.h5", GRID + 4e-7, GRID, "instrument a")
 
 
-def test_another_number_of_channels_is_named() -> None:
+def test_another_number_of_channels_is_named():
     sentence = r"s\.h5: frequency_mhz: expected the 51 channels of instrument a, found 50 channels"
     with pytest.raises(BadInputError, match=sentence):
         require_same_grid("s.h5", GRID[1:], GRID, "instrument a")
 
 
-def test_the_first_channel_off_the_grid_is_named() -> None:
+def test_the_first_channel_off_the_grid_is_named():
     off = GRID.copy()
     off[7:] += 0.5
     sentence = r"s\.h5: frequency_mhz, channel 7: expected 37 MHz as in instrument a, found 37\.5 MHz"
@@ -103,7 +102,7 @@ def test_the_first_channel_off_the_grid_is_named() -> None:
         require_same_grid("s.h5", off, GRID, "instrument a")
 
 
-def test_a_channel_that_is_no_number_is_off_every_grid() -> None:
+def test_a_channel_that_is_no_number_is_off_every_grid():
     """51 channels of NaN were stored."""
     with pytest.raises(BadInputError, match="channel 0: expected 30 MHz as in instrument a, found nan MHz"):
         require_same_grid("body", np.full(51, np.nan), GRID, "instrument a")
@@ -120,26 +119,26 @@ def test_a_channel_that_is_no_number_is_off_every_grid() -> None:
         ([30.0, 31.0, 31.0], r"channel 2: expected more than 31 MHz \(channels rise\), found 31 MHz"),
     ],
 )
-def test_channels_are_finite_positive_and_rising(frequency: list[float], sentence: str) -> None:
+def test_channels_are_finite_positive_and_rising(frequency, sentence):
     with pytest.raises(BadInputError, match=sentence):
         require_channels("a file", np.array(frequency))
     require_channels("a file", GRID)
 
 
-def test_channels_without_widths_are_as_wide_as_the_nearer_neighbour_is_away(two_stations: Spectra) -> None:
+def test_channels_without_widths_are_as_wide_as_the_nearer_neighbour_is_away(two_stations):
     assert two_stations.channel_widths().tolist() == [1.0] * two_stations.frequency_mhz.size
     np.testing.assert_allclose(guess_widths(np.array([10.0, 10.4, 11.4])), [0.4, 0.4, 1.0])
     assert guess_widths(np.array([78.0])).tolist() == [1.0]
 
 
-def test_a_path_a_polarisation_a_station_and_the_array_have_one_name_each() -> None:
+def test_a_path_a_polarisation_a_station_and_the_array_have_one_name_each():
     assert name_path("CS002", 17, "X") == "CS002 antenna 17 X"
     assert [name_path("CS002", None, "X"), name_path("CS002", 0), name_path("CS002"), name_path(None)] == [
         "CS002 X", "CS002 antenna 0", "CS002", "array",
     ]  # fmt: skip
 
 
-def test_a_chance_below_what_double_precision_holds_was_written_as_zero() -> None:
+def test_a_chance_below_what_double_precision_holds_was_written_as_zero():
     assert [write_chance(p) for p in (0.0, 1e-310, 2.5e-300, 0.031)] == [
         "p < 1e-300", "p < 1e-300", "p = 2.5e-300", "p = 3.1e-02",
     ]  # fmt: skip
@@ -164,7 +163,7 @@ def test_a_name_is_printable_and_may_be_absent_where_that_is_allowed():
             parse_name(value, "here")
 
 
-def test_a_value_is_made_once_and_what_was_asked_for_last_stays_longest() -> None:
+def test_a_value_is_made_once_and_what_was_asked_for_last_stays_longest():
     made: list[int] = []
 
     def make(keys: list[int]) -> dict[int, int]:
@@ -190,21 +189,21 @@ JSON = st.recursive(
 
 @pytest.mark.long
 @given(content=st.dictionaries(st.text(), JSON, min_size=2, max_size=5))
-def test_the_order_of_fields_does_not_change_a_hash(content: dict[str, object]) -> None:
+def test_the_order_of_fields_does_not_change_a_hash(content):
     assert hash_content(dict(reversed(content.items()))) == hash_content(content)
 
 
-def test_the_hash_of_content_is_that_of_its_canonical_json() -> None:
+def test_the_hash_of_content_is_that_of_its_canonical_json():
     assert canonical_json({"b": [1, 2.5], "a": "é"}) == '{"a":"é","b":[1,2.5]}'
     assert hash_content({"a": 1}) == hashlib.sha256(b'{"a":1}').hexdigest()
 
 
-def test_nan_has_no_hash() -> None:
+def test_nan_has_no_hash():
     with pytest.raises(ValueError, match="JSON compliant"):
         hash_content({"a": float("nan")})
 
 
-def test_arrays_hash_alike_whatever_their_byte_order_and_memory_layout() -> None:
+def test_arrays_hash_alike_whatever_their_byte_order_and_memory_layout():
     values = np.arange(12.0).reshape(3, 4)
     expected = hash_arrays(values)
     assert hash_arrays(values.astype(">f8")) == expected
@@ -212,7 +211,7 @@ def test_arrays_hash_alike_whatever_their_byte_order_and_memory_layout() -> None
     assert hash_arrays(np.array(["a", "bc"])) == hash_arrays(np.array(["a", "bc"], dtype="U20"))
 
 
-def test_arrays_that_differ_in_value_shape_type_or_division_hash_differently() -> None:
+def test_arrays_that_differ_in_value_shape_type_or_division_hash_differently():
     values = np.arange(12.0)
     others = [
         (np.nextafter(values, 99),),
@@ -233,24 +232,24 @@ def path(tmp_path: Path) -> Path:
     return tmp_path / "a.npz"
 
 
-def test_missing_arrays_are_named(path: Path) -> None:
+def test_missing_arrays_are_named(path):
     with pytest.raises(BadInputError, match=r"a\.npz: expected the arrays a, c, d, found no c, d"):
         read_npz(path, ("a", "c", "d"), "numbers")
 
 
-def test_a_single_array_is_no_set_of_arrays(tmp_path: Path) -> None:
+def test_a_single_array_is_no_set_of_arrays(tmp_path):
     np.save(tmp_path / "a.npy", np.ones(3))
     with pytest.raises(BadInputError, match="found no a"):
         read_npz(tmp_path / "a.npy", ("a",), "numbers")
 
 
-def test_pickled_objects_are_refused_unopened(tmp_path: Path) -> None:
+def test_pickled_objects_are_refused_unopened(tmp_path):
     np.savez(tmp_path / "a.npz", a=np.array([{}], dtype=object))
     with pytest.raises(UnreadableFileError, match="file of numbers, found a broken one"):
         read_npz(tmp_path / "a.npz", ("a",), "numbers")
 
 
-def test_every_truncation_is_a_sentence(path: Path) -> None:
+def test_every_truncation_is_a_sentence(path):
     content = path.read_bytes()
     for length in range(0, len(content), 7):
         path.write_bytes(content[:length])
@@ -258,7 +257,7 @@ def test_every_truncation_is_a_sentence(path: Path) -> None:
             read_npz(path, ("a",), "numbers")
 
 
-def test_changed_bytes_give_a_sentence_or_arrays(path: Path) -> None:
+def test_changed_bytes_give_a_sentence_or_arrays(path):
     content = np.frombuffer(path.read_bytes(), dtype=np.uint8)
     rng = np.random.default_rng(1)
     refused = 0

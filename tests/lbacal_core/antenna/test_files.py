@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import os
 import pickle
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -101,9 +100,7 @@ def write_wipl(path: Path) -> Path:
     ("writer", "name"),
     [(write_npz, "a.npz"), (write_text, "a.csv"), (write_feko, "a.ffe"), (write_nec, "a.out"), (write_wipl, "a.ra1")],
 )
-def test_every_kind_of_file_gives_the_antenna_that_was_written(
-    tmp_path: Path, writer: Callable[[Path], Path], name: str
-) -> None:
+def test_every_kind_of_file_gives_the_antenna_that_was_written(tmp_path, writer, name):
     antenna = load_antenna(str(writer(tmp_path / name)))
     zenith, azimuth = np.radians([3.0, 22.0, 41.0, 77.0]), np.radians([14.0, 133.0, 222.0, 355.0])
     expected = directional_response(ANTENNA, NU, zenith, azimuth)
@@ -113,13 +110,13 @@ def test_every_kind_of_file_gives_the_antenna_that_was_written(
     assert np.abs(directional_response(ANTENNA, NU, zenith, -azimuth) - expected).max() > 0.02
 
 
-def test_the_gain_at_zenith_comes_with_the_table(tmp_path: Path) -> None:
+def test_the_gain_at_zenith_comes_with_the_table(tmp_path):
     antenna = load_antenna(str(write_npz(tmp_path / "a.npz")))
     between = np.array([50.0])
     assert zenith_gain(antenna, between) == pytest.approx(zenith_gain(ANTENNA, between), rel=0.01)
 
 
-def test_a_missing_direction_is_named(tmp_path: Path) -> None:
+def test_a_missing_direction_is_named(tmp_path):
     path = write_text(tmp_path / "a.csv")
     lines = path.read_text().splitlines()
     path.write_text("\n".join(lines[:500] + lines[501:]))
@@ -127,14 +124,14 @@ def test_a_missing_direction_is_named(tmp_path: Path) -> None:
         load_antenna(str(path))
 
 
-def test_a_bad_number_is_named_by_its_line(tmp_path: Path) -> None:
+def test_a_bad_number_is_named_by_its_line(tmp_path):
     path = write_text(tmp_path / "a.csv")
     path.write_text(path.read_text().replace("30.0,0.0,20.0,", "30.0,0.0,20.0,x", 1))
     with pytest.raises(BadInputError, match="line 5: expected numbers"):
         load_antenna(str(path))
 
 
-def test_a_file_of_another_kind_is_refused(tmp_path: Path) -> None:
+def test_a_file_of_another_kind_is_refused(tmp_path):
     path = tmp_path / "a.txt"
     path.write_text("hello\n")
     with pytest.raises(UnreadableFileError, match=r"FEKO \.ffe"):
@@ -143,14 +140,14 @@ def test_a_file_of_another_kind_is_refused(tmp_path: Path) -> None:
         load_antenna("yagi")
 
 
-def test_frequencies_outside_the_table_are_refused(tmp_path: Path) -> None:
+def test_frequencies_outside_the_table_are_refused(tmp_path):
     antenna = load_antenna(str(write_npz(tmp_path / "a.npz")))
     with pytest.raises(BadInputError, match="30 to 80 MHz"):
         zenith_gain(antenna, np.array([90.0]))
 
 
 @pytest.mark.shared
-def test_the_simulated_lba_agrees_with_the_element_beam_about_arm_and_width(shared: Path) -> None:
+def test_the_simulated_lba_agrees_with_the_element_beam_about_arm_and_width(shared):
     simulated = load_antenna(str(shared / "data/antenna/lba_vout.npz"))
     element = load_hamaker()
     nu = np.array([35.0, 50.0, 65.0])

@@ -36,7 +36,7 @@ def table(tmp_path: Path) -> str:
     return str(path)
 
 
-def test_g_ant_of_a_dipole_over_a_plane_is_that_of_the_textbook(table: str) -> None:
+def test_g_ant_of_a_dipole_over_a_plane_is_that_of_the_textbook(table):
     made = take_antenna_gain(CONTENT, "i.json", table, "textbook", is_absolute=True, scale_error=0.01)
     instrument = parse_instrument(made, "i.json")
     # H at zenith is l 2 sin(k h), with the image: G_ant = |H|^2
@@ -47,18 +47,18 @@ def test_g_ant_of_a_dipole_over_a_plane_is_that_of_the_textbook(table: str) -> N
     assert (instrument.gain_provenance.kind, instrument.gain_provenance.scale_error) == ("absolute", 0.01)
 
 
-def test_a_table_that_is_right_up_to_a_factor_is_relative(table: str) -> None:
+def test_a_table_that_is_right_up_to_a_factor_is_relative(table):
     made = take_antenna_gain(CONTENT, "i.json", table, "somebody", is_absolute=False)
     assert made["antenna_gain_provenance"]["kind"] == "relative"
 
 
 @pytest.mark.parametrize("name", ["hamaker", "short-dipole", "isotropic"])
-def test_a_pattern_without_a_level_gives_no_g_ant(name: str) -> None:
+def test_a_pattern_without_a_level_gives_no_g_ant(name):
     with pytest.raises(BadInputError, match="a pattern that does not give the level"):
         take_antenna_gain(CONTENT, "i.json", name, "x", is_absolute=True)
 
 
-def test_an_export_of_a_transmitting_simulation_gives_no_g_ant(tmp_path: Path) -> None:
+def test_an_export_of_a_transmitting_simulation_gives_no_g_ant(tmp_path):
     path = tmp_path / "far.ra1"
     rows = [f"{phi} {theta} 0.1 0.2 0.3 0.4" for phi in range(0, 360, 30) for theta in range(0, 91, 30)]
     path.write_text("\n".join(["> 0 0 0 0.06", *rows]))
@@ -66,7 +66,7 @@ def test_an_export_of_a_transmitting_simulation_gives_no_g_ant(tmp_path: Path) -
         take_antenna_gain(CONTENT, "i.json", str(path), "x", is_absolute=True)
 
 
-def test_a_matched_short_dipole_in_free_space_has_three_eighths_of_lambda_squared_over_pi() -> None:
+def test_a_matched_short_dipole_in_free_space_has_three_eighths_of_lambda_squared_over_pi():
     wavelength, length = 5.0, 0.1
     # Radiation resistance of a short dipole; the matched load sees half of the open-circuit height.
     resistance = 2 * np.pi / 3 * IMPEDANCE_OF_FREE_SPACE * (length / wavelength) ** 2
@@ -74,7 +74,7 @@ def test_a_matched_short_dipole_in_free_space_has_three_eighths_of_lambda_square
     assert area == pytest.approx(3 / (8 * np.pi) * wavelength**2, rel=1e-12)
 
 
-def test_the_square_of_the_height_is_gain_times_response() -> None:
+def test_the_square_of_the_height_is_gain_times_response():
     nu, gain = np.array([40.0, 60.0]), np.array([0.2, 3.0])
     height = effective_heights(load_hamaker(), gain, nu, 0.8, 2.5)
     response = directional_response(load_hamaker(), nu, np.array([0.8]), np.array([2.5]))[:, 0]

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -19,7 +17,7 @@ from lbacal_core.instrument.instrument import load_instrument
 FREQUENCY_MHZ = np.array([30.0, 55.0, 80.0])
 
 
-def test_the_response_is_symmetric_about_the_arm() -> None:
+def test_the_response_is_symmetric_about_the_arm():
     azimuth = np.linspace(0, np.pi / 2, 7)
     zenith = np.full(7, 0.9)
     response = directional_response(load_hamaker(), FREQUENCY_MHZ, zenith, azimuth)
@@ -27,24 +25,24 @@ def test_the_response_is_symmetric_about_the_arm() -> None:
         assert directional_response(load_hamaker(), FREQUENCY_MHZ, zenith, mirrored) == pytest.approx(response)
 
 
-def test_a_dipole_sees_low_directions_better_across_its_arm_than_along_it() -> None:
+def test_a_dipole_sees_low_directions_better_across_its_arm_than_along_it():
     low = np.full(2, np.radians(60.0))
     response = directional_response(load_hamaker(), FREQUENCY_MHZ, low, np.array([0.0, np.pi / 2]))
     assert np.all(response[:, 1] > 1.5 * response[:, 0])
 
 
-def test_the_response_is_one_at_zenith_and_nothing_below_the_horizon() -> None:
+def test_the_response_is_one_at_zenith_and_nothing_below_the_horizon():
     zenith, azimuth = np.array([0.0, 1.7, 3.0]), np.array([np.pi / 4, 0.0, 0.0])
     response = directional_response(load_hamaker(), FREQUENCY_MHZ, zenith, azimuth)
     assert response[:, 0] == pytest.approx(1.0, abs=3e-3)  # theta and phi parts of the fit differ by 0.2 %
     assert np.all(response[:, 1:] == 0)
 
 
-def test_the_element_beam_has_no_resonance() -> None:
+def test_the_element_beam_has_no_resonance():
     assert zenith_gain(load_hamaker(), np.arange(30.0, 81.0)) == pytest.approx(1.0, abs=0.02)
 
 
-def test_both_dipoles_agree_with_everybeam() -> None:
+def test_both_dipoles_agree_with_everybeam():
     content = json.loads((Path(__file__).parent / "everybeam_values.json").read_text())
     antenna = load_hamaker()
     assert len(content["rows"]) == 20
@@ -59,7 +57,7 @@ def test_both_dipoles_agree_with_everybeam() -> None:
 DIRECTIONS = np.array([0.2, 0.9, 1.3]), np.array([0.1, 2.0, 4.0])
 
 
-def test_zenith_gain_changes_the_zenith_and_not_the_total_power() -> None:
+def test_zenith_gain_changes_the_zenith_and_not_the_total_power():
     base = load_hamaker()
     varied = VariedAntenna(base, zenith_gain=0.1)
     gain = zenith_gain(varied, FREQUENCY_MHZ) / zenith_gain(base, FREQUENCY_MHZ)
@@ -67,14 +65,14 @@ def test_zenith_gain_changes_the_zenith_and_not_the_total_power() -> None:
     assert gain * beam_solid_angle(varied, FREQUENCY_MHZ) == pytest.approx(beam_solid_angle(base, FREQUENCY_MHZ))
 
 
-def test_a_turned_arm_sees_what_the_arm_saw_further_on() -> None:
+def test_a_turned_arm_sees_what_the_arm_saw_further_on():
     base = load_hamaker()
     zenith, azimuth = DIRECTIONS
     turned = directional_response(VariedAntenna(base, azimuth_deg=7.0), FREQUENCY_MHZ, zenith, azimuth)
     assert turned == pytest.approx(directional_response(base, FREQUENCY_MHZ, zenith, azimuth - np.radians(7.0)))
 
 
-def test_zenith_weighting_multiplies_by_a_power_of_the_cosine() -> None:
+def test_zenith_weighting_multiplies_by_a_power_of_the_cosine():
     base = load_hamaker()
     zenith, azimuth = DIRECTIONS
     ratio = directional_response(
@@ -83,7 +81,7 @@ def test_zenith_weighting_multiplies_by_a_power_of_the_cosine() -> None:
     assert ratio == pytest.approx(np.broadcast_to(np.cos(zenith) ** 0.3, (3, 3)))
 
 
-def test_a_tilted_antenna_looks_where_it_leans() -> None:
+def test_a_tilted_antenna_looks_where_it_leans():
     base = load_hamaker()
     tilted = VariedAntenna(base, tilt_deg=5.0, tilt_towards_deg=90.0)
     leaning = power_pattern(tilted, FREQUENCY_MHZ, np.radians([5.0]), np.radians([90.0]))
@@ -92,11 +90,11 @@ def test_a_tilted_antenna_looks_where_it_leans() -> None:
     assert away == pytest.approx(power_pattern(base, FREQUENCY_MHZ, np.radians([55.0]), np.radians([270.0])))
 
 
-def test_the_mean_cosine_of_an_isotropic_antenna_is_one_half() -> None:
+def test_the_mean_cosine_of_an_isotropic_antenna_is_one_half():
     assert mean_cosine(IsotropicAntenna(), FREQUENCY_MHZ) == pytest.approx(0.5)
 
 
-def test_a_pattern_that_would_turn_negative_is_refused() -> None:
+def test_a_pattern_that_would_turn_negative_is_refused():
     with pytest.raises(BadInputError, match=r"zenith_gain: expected -0\.4 to 0\.4"):
         VariedAntenna(load_hamaker(), zenith_gain=0.6)
 
@@ -105,14 +103,14 @@ FREQUENCY = np.array([30.0, 55.0, 80.0])
 ZENITH, AZIMUTH = np.meshgrid(np.linspace(0.0, 1.5, 7), np.linspace(0.0, 2 * np.pi, 9), indexing="ij")
 
 
-def test_short_level_arms_over_a_conductor_are_the_short_dipole() -> None:
+def test_short_level_arms_over_a_conductor_are_the_short_dipole():
     short = InvertedV(arm_m=1e-3, feed_m=1.5, droop_deg=0.0, conductivity=np.inf)
     expected = directional_response(ShortDipole(1.5), FREQUENCY, ZENITH, AZIMUTH)
     # Arms of a millimetre differ from points by (k l)^2 ~ 1e-6.
     np.testing.assert_allclose(directional_response(short, FREQUENCY, ZENITH, AZIMUTH), expected, atol=1e-5)
 
 
-def test_level_arms_in_free_space_have_the_pattern_of_the_textbook() -> None:
+def test_level_arms_in_free_space_have_the_pattern_of_the_textbook():
     """Balanis, eq. 4-62: [cos(k l cos psi) - cos(k l)] / sin(psi), psi the angle from the arms."""
     free = InvertedV(droop_deg=0.0, permittivity=1.0, conductivity=0.0)
     electrical = 2e6 * np.pi * FREQUENCY[:, None, None] / speed_of_light * free.arm_m
@@ -122,7 +120,7 @@ def test_level_arms_in_free_space_have_the_pattern_of_the_textbook() -> None:
     np.testing.assert_allclose(directional_response(free, FREQUENCY, ZENITH, AZIMUTH), expected, rtol=1e-6)
 
 
-def test_an_upright_v_sees_vertical_waves_at_the_horizon_of_a_conductor() -> None:
+def test_an_upright_v_sees_vertical_waves_at_the_horizon_of_a_conductor():
     """Level arms see nothing there; the arms that slope down have a vertical moment, which the ground doubles."""
     low = np.full(1, np.pi / 2 - 1e-6)
     level = InvertedV(droop_deg=0.0, conductivity=np.inf)
@@ -135,7 +133,7 @@ def test_an_upright_v_sees_vertical_waves_at_the_horizon_of_a_conductor() -> Non
 
 
 @pytest.mark.parametrize("name", ["inverted-v", "inverted-v-wet"])
-def test_shipped_antennas_resemble_the_element_beam_and_are_not_it(name: str) -> None:
+def test_shipped_antennas_resemble_the_element_beam_and_are_not_it(name):
     own = directional_response(load_antenna(name), FREQUENCY, ZENITH, AZIMUTH)
     beam = directional_response(load_antenna("hamaker"), FREQUENCY, ZENITH, AZIMUTH)
     difference = np.abs(own - beam)[:, :5]  # to a zenith angle of 57 degrees
@@ -145,7 +143,7 @@ def test_shipped_antennas_resemble_the_element_beam_and_are_not_it(name: str) ->
     assert load_antenna(name).digest() != load_antenna("hamaker").digest()
 
 
-def test_arms_in_the_ground_are_refused() -> None:
+def test_arms_in_the_ground_are_refused():
     with pytest.raises(BadInputError, match="above the ground"):
         InvertedV(feed_m=0.5)
     with pytest.raises(BadInputError, match="permittivity"):
@@ -155,19 +153,19 @@ def test_arms_in_the_ground_are_refused() -> None:
 NU = np.arange(30.0, 81.0)
 
 
-def test_the_default_circuit_follows_the_antenna_gain_of_the_superterp() -> None:
+def test_the_default_circuit_follows_the_antenna_gain_of_the_superterp():
     ratio = np.log(ResonanceCircuit().gain(NU) / load_instrument("lofar-superterp").antenna_gain)
     assert np.std(ratio) < 0.06  # 5 % as its docstring says
 
 
-def test_a_longer_arm_and_a_larger_capacitance_resonate_lower() -> None:
+def test_a_longer_arm_and_a_larger_capacitance_resonate_lower():
     plain = ResonanceCircuit()
     peak = NU[plain.gain(NU).argmax()]
     assert NU[replace(plain, arm_m=1.6).gain(NU).argmax()] < peak
     assert NU[replace(plain, lna_farad=20e-12).gain(NU).argmax()] < peak
 
 
-def test_the_circuit_changes_the_gain_and_not_the_response() -> None:
+def test_the_circuit_changes_the_gain_and_not_the_response():
     plain, resonant = load_antenna("hamaker"), load_antenna("hamaker-resonant")
     directions = np.array([0.3, 1.0]), np.array([0.0, 2.0])
     assert directional_response(resonant, NU, *directions) == pytest.approx(
@@ -177,6 +175,6 @@ def test_the_circuit_changes_the_gain_and_not_the_response() -> None:
     assert zenith_gain(resonant, NU) == pytest.approx(expected)
 
 
-def test_a_circuit_without_resistance_is_refused() -> None:
+def test_a_circuit_without_resistance_is_refused():
     with pytest.raises(BadInputError, match="lna_ohm"):
         ResonanceCircuit(lna_ohm=0.0)

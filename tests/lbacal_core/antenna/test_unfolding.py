@@ -25,7 +25,7 @@ def fields(rng: np.random.Generator, *shape: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("zenith_deg", "azimuth_deg"), DIRECTIONS)
-def test_a_field_folded_and_unfolded_is_the_field(zenith_deg: float, azimuth_deg: float) -> None:
+def test_a_field_folded_and_unfolded_is_the_field(zenith_deg, azimuth_deg):
     jones, field = matrix(zenith_deg, azimuth_deg), fields(np.random.default_rng(1))
     voltage = np.einsum("fij,jf->if", jones, field)
     found = unfold_field(FREQUENCY, voltage, jones)
@@ -34,7 +34,7 @@ def test_a_field_folded_and_unfolded_is_the_field(zenith_deg: float, azimuth_deg
     assert np.all(found.covariance == 0)
 
 
-def test_at_the_zenith_a_field_along_an_arm_is_seen_by_that_dipole_alone() -> None:
+def test_at_the_zenith_a_field_along_an_arm_is_seen_by_that_dipole_alone():
     # from the zenith at azimuth 45 deg, increasing zenith angle points along the X arm and increasing azimuth along Y's
     jones = matrix(0.0, 45.0)
     assert np.abs(jones[:, 0, 0]) ** 2 == pytest.approx(GAIN, rel=0.01)
@@ -43,26 +43,26 @@ def test_at_the_zenith_a_field_along_an_arm_is_seen_by_that_dipole_alone() -> No
     assert np.abs(jones[:, 1, 1]) ** 2 == pytest.approx(GAIN, rel=0.01)
 
 
-def test_turning_antenna_and_wave_together_changes_nothing() -> None:
+def test_turning_antenna_and_wave_together_changes_nothing():
     turned = jones_matrix(load_hamaker(), GAIN, {"X": 75.0, "Y": 165.0}, FREQUENCY, 40.0, 130.0)
     assert turned == pytest.approx(matrix(40.0, 100.0), rel=1e-12)
 
 
-def test_four_times_the_gain_halves_the_field() -> None:
+def test_four_times_the_gain_halves_the_field():
     jones, voltage = matrix(30.0, 10.0), fields(np.random.default_rng(2))
     doubled = jones_matrix(load_hamaker(), 4 * GAIN, ARMS, FREQUENCY, 30.0, 10.0)
     once, twice = (unfold_field(FREQUENCY, voltage, one).field for one in (jones, doubled))
     assert twice == pytest.approx(once / 2)
 
 
-def test_parallel_dipoles_do_not_determine_the_field_and_say_so() -> None:
+def test_parallel_dipoles_do_not_determine_the_field_and_say_so():
     parallel = jones_matrix(load_hamaker(), GAIN, {"X": 45.0, "Y": 45.0}, FREQUENCY, 30.0, 10.0)
     found = unfold_field(FREQUENCY, fields(np.random.default_rng(3)), parallel)
     assert np.all(found.is_degenerate)
     assert np.all(np.isinf(found.condition) | (found.condition > 1e8))
 
 
-def test_nearly_horizontal_waves_are_nearly_degenerate() -> None:
+def test_nearly_horizontal_waves_are_nearly_degenerate():
     dipole = ShortDipole(height_m=1.5)
     # over a conducting plane the response to E_theta falls as cos(zenith angle) against that to E_phi
     for zenith_deg, is_degenerate in ((60.0, False), (87.0, True)):
@@ -72,7 +72,7 @@ def test_nearly_horizontal_waves_are_nearly_degenerate() -> None:
 
 
 @pytest.mark.parametrize(("zenith_deg", "azimuth_deg"), DIRECTIONS)
-def test_errors_cover_the_truth(zenith_deg: float, azimuth_deg: float) -> None:
+def test_errors_cover_the_truth(zenith_deg, azimuth_deg):
     rng = np.random.default_rng(6)
     jones = matrix(zenith_deg, azimuth_deg)
     truth = fields(rng) * np.array([[1.0], [0.4]])
@@ -96,14 +96,14 @@ def test_errors_cover_the_truth(zenith_deg: float, azimuth_deg: float) -> None:
     assert np.mean(shared) == pytest.approx(2.0, abs=0.2)
 
 
-def test_a_direction_below_the_horizon_and_unequal_shapes_are_refused() -> None:
+def test_a_direction_below_the_horizon_and_unequal_shapes_are_refused():
     with pytest.raises(BadInputError, match="horizon"):
         matrix(90.0, 0.0)
     with pytest.raises(BadInputError, match="voltage"):
         unfold_field(FREQUENCY, np.zeros((2, 50), dtype=complex), matrix(0.0, 0.0))
 
 
-def test_two_dipoles_on_one_arm_are_degenerate_in_every_direction_and_raise_nothing() -> None:
+def test_two_dipoles_on_one_arm_are_degenerate_in_every_direction_and_raise_nothing():
     # zenith 52.4, azimuth 80.2 deg was a LinAlgError: rounding left a smallest singular value of a few 1e-16
     voltage = np.ones((2, FREQUENCY.size), dtype=complex)
     gain = load_instrument("lofar-superterp").antenna_gain

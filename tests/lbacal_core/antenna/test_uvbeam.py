@@ -1,7 +1,5 @@
 """Antenna models of pyuvdata."""
 
-from __future__ import annotations
-
 import warnings
 
 import numpy as np

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -24,7 +23,7 @@ from lbacal_twin.settings import TwinSettings
 from tests import short_dipole
 
 
-def test_a_healthy_station_is_healthy(spectra: Spectra, low_band: Instrument) -> None:
+def test_a_healthy_station_is_healthy(spectra, low_band):
     report = audit(spectra, low_band, antenna="hamaker")
     assert report.is_healthy
     assert report.as_dict()["stations"] == [
@@ -32,7 +31,7 @@ def test_a_healthy_station_is_healthy(spectra: Spectra, low_band: Instrument) ->
     ]
 
 
-def test_two_faults_are_both_named(spectra: Spectra, low_band: Instrument) -> None:
+def test_two_faults_are_both_named(spectra, low_band):
     rows = spectra.antenna == 1
     dipole = np.where(rows, np.where(spectra.dipole == "X", "Y", "X"), spectra.dipole)
     power = spectra.power.copy()
@@ -44,7 +43,7 @@ def test_two_faults_are_both_named(spectra: Spectra, low_band: Instrument) -> No
     }
 
 
-def test_one_antenna_is_asked_what_it_saw_of_the_sky(spectra: Spectra, low_band: Instrument) -> None:
+def test_one_antenna_is_asked_what_it_saw_of_the_sky(spectra, low_band):
     """A single dipole, as EDGES or MIST, was refused whole: nothing is there to compare it with, but a sky is."""
     one = spectra.select(spectra.antenna == 2)
     healthy = {line.check: line.verdict for line in audit(one, low_band).lines}
@@ -55,9 +54,7 @@ def test_one_antenna_is_asked_what_it_saw_of_the_sky(spectra: Spectra, low_band:
 
 @pytest.mark.parametrize("place", [(52.9, 6.9), (79.4, -90.8), (-26.7, 116.6)])
 @pytest.mark.parametrize("seed", [1, 2])
-def test_daily_means_at_one_sidereal_time_say_nothing_of_clock_place_and_arms(
-    place: tuple[float, float], seed: int
-) -> None:
+def test_daily_means_at_one_sidereal_time_say_nothing_of_clock_place_and_arms(place, seed):
     """82 days counted as 1940 hours: a clock off by 4-8 h was called wrong, or right, at one sidereal time."""
     instrument = short_dipole.make_instrument(*place)
     means = short_dipole.daily_means(instrument, np.random.default_rng(seed))
@@ -69,7 +66,7 @@ def test_daily_means_at_one_sidereal_time_say_nothing_of_clock_place_and_arms(
 
 @pytest.mark.parametrize("place", [(52.9, 6.9), (79.4, -90.8), (-26.7, 116.6)])
 @pytest.mark.parametrize("antenna", ["short-dipole", "quarter-wave", "inverted-v"])
-def test_a_receiver_that_follows_the_hour_is_no_wrong_clock(place: tuple[float, float], antenna: str) -> None:
+def test_a_receiver_that_follows_the_hour_is_no_wrong_clock(place, antenna):
     """3 % of colour in 24 h, one antenna: another wrong clock with each antenna model, at ln odds of 67 to 248."""
     instrument = short_dipole.make_instrument(*place)
     day = short_dipole.one_day(instrument, np.random.default_rng(9))
@@ -79,9 +76,7 @@ def test_a_receiver_that_follows_the_hour_is_no_wrong_clock(place: tuple[float, 
     assert not [line.sentence for line in report.lines if line.verdict == "wrong"]
 
 
-def test_two_hours_in_which_no_other_unit_describes_the_cables_are_audited(
-    spectra: Spectra, low_band: Instrument
-) -> None:
+def test_two_hours_in_which_no_other_unit_describes_the_cables_are_audited(spectra, low_band):
     lossy = replace(low_band, cables={name: loss**4 for name, loss in low_band.cables.items()})
     loss = np.array([low_band.cables[low_band.cable_of("CS002", int(a), 1.4e9)] for a in spectra.antenna])
     some = spectra.time_unix < np.sort(np.unique(spectra.time_unix))[3]
@@ -89,7 +84,7 @@ def test_two_hours_in_which_no_other_unit_describes_the_cables_are_audited(
     assert {line.verdict for line in audit(short, lossy, antenna="hamaker").lines} == {"undecided"}
 
 
-def test_a_clock_that_is_off_is_named_by_one_dipole_of_a_day() -> None:
+def test_a_clock_that_is_off_is_named_by_one_dipole_of_a_day():
     instrument = short_dipole.make_instrument()
     day = short_dipole.one_day(instrument, np.random.default_rng(9))
     late = audit(replace(day, time_unix=day.time_unix - 5 * 3600.0), instrument)
@@ -97,7 +92,7 @@ def test_a_clock_that_is_off_is_named_by_one_dipole_of_a_day() -> None:
     assert (check, value) == ("clock", pytest.approx(5.0, abs=1.0))
 
 
-def test_half_a_station_exchanged_is_the_half_that_the_sky_contradicts(spectra: Spectra, low_band: Instrument) -> None:
+def test_half_a_station_exchanged_is_the_half_that_the_sky_contradicts(spectra, low_band):
     rows = spectra.antenna % 2 == 0
     dipole = np.where(rows, np.where(spectra.dipole == "X", "Y", "X"), spectra.dipole)
     report = audit(replace(spectra, dipole=dipole), low_band, antenna="hamaker")
@@ -107,7 +102,7 @@ def test_half_a_station_exchanged_is_the_half_that_the_sky_contradicts(spectra: 
 @pytest.mark.long
 @pytest.mark.shared
 @pytest.mark.filterwarnings("ignore")  # pyuvdata's own, about the header of the file
-def test_hera_antennas_of_one_snapshot_are_compared_and_no_clock_is_claimed(shared: Path) -> None:
+def test_hera_antennas_of_one_snapshot_are_compared_and_no_clock_is_claimed(shared):
     source = open_source(shared / "data" / "other" / "hera_2459122.25108_autos.uvh5")
     spectra = average(source, 60.0, choose_channels(source, band_mhz=(50, 110), width_mhz=1.0)).spectra
     flat = np.ones(spectra.frequency_mhz.size)
@@ -122,7 +117,7 @@ def test_hera_antennas_of_one_snapshot_are_compared_and_no_clock_is_claimed(shar
 
 
 @pytest.mark.shared
-def test_eda2_at_one_frequency_shows_three_antennas_that_hardly_receive(shared: Path) -> None:
+def test_eda2_at_one_frequency_shows_three_antennas_that_hardly_receive(shared):
     table = (shared / "data" / "other" / "eda2_autos_78mhz.csv").read_text().splitlines()
     values = [line.split(",") for line in table if line[0].isdigit()]
     paths = [(int(a), d, float(p)) for a, *both in values for d, p in zip("XY", both, strict=True) if float(p) > 0]
@@ -141,15 +136,13 @@ def test_eda2_at_one_frequency_shows_three_antennas_that_hardly_receive(shared: 
     assert {line.verdict for line in lines if line.check in ("clock", "arms", "unit", "exchange")} == {"undecided"}
 
 
-def test_a_healthy_station_is_said_to_be_healthy_and_its_power_is_accepted(
-    spectra: Spectra, low_band: Instrument
-) -> None:
+def test_a_healthy_station_is_said_to_be_healthy_and_its_power_is_accepted(spectra, low_band):
     found = audit_quickly(spectra, low_band)
     assert found.sentence == "nothing wrong between 6 antennas (paths, cables, letters of single antennas, steps, unit)"
     found.require_power("s.h5")
 
 
-def test_a_dead_path_is_named_and_does_not_stop_the_work(spectra: Spectra, low_band: Instrument) -> None:
+def test_a_dead_path_is_named_and_does_not_stop_the_work(spectra, low_band):
     power = spectra.power.copy()
     power[(spectra.antenna == 4) & (spectra.dipole == "X")] *= 1e-3
     found = audit_quickly(replace(spectra, power=power), low_band)
@@ -157,7 +150,7 @@ def test_a_dead_path_is_named_and_does_not_stop_the_work(spectra: Spectra, low_b
     found.require_power("s.h5")
 
 
-def test_decibels_are_refused(spectra: Spectra, low_band: Instrument) -> None:
+def test_decibels_are_refused(spectra, low_band):
     lossy = replace(low_band, cables={name: loss**4 for name, loss in low_band.cables.items()})
     loss = np.array([low_band.cables[low_band.cable_of("CS002", int(a), 1.4e9)] for a in spectra.antenna])
     found = audit_quickly(replace(spectra, power=200.0 + 10 * np.log10(spectra.power * loss**3)), lossy)
@@ -172,7 +165,7 @@ def year() -> Spectra:
     return simulate_campaign(settings, superterp, compute_sky_power(superterp), np.random.default_rng(3)).spectra
 
 
-def test_half_of_the_antennas_by_6_db_are_no_decibels(year: Spectra) -> None:
+def test_half_of_the_antennas_by_6_db_are_no_decibels(year):
     """`fit` refused the file as decibels, ln odds 10; decibels described it no better than power did."""
     louder = replace(year, power=np.where(year.antenna[:, None] < 3, 4.0, 1.0) * year.power)
     found = audit_quickly(louder, load_instrument("lofar-superterp"))
@@ -180,7 +173,7 @@ def test_half_of_the_antennas_by_6_db_are_no_decibels(year: Spectra) -> None:
     assert "antennas with the cable 115 lie -4.8 dB from what loss and others say" in found.sentence
 
 
-def test_power_times_four_in_the_first_half_of_the_year_is_a_misfit_and_two_chains(year: Spectra) -> None:
+def test_power_times_four_in_the_first_half_of_the_year_is_a_misfit_and_two_chains(year):
     """It was `converged`, and nothing was wrong: C stood for neither half."""
     superterp, middle = load_instrument("lofar-superterp"), np.median(year.time_unix)
     first = year.time_unix[:, None] < middle
@@ -191,7 +184,7 @@ def test_power_times_four_in_the_first_half_of_the_year_is_a_misfit_and_two_chai
     assert audit_quickly(year, superterp).sentence.startswith("nothing wrong")
 
 
-def test_nothing_is_not_wrong_under_a_fit_that_names_a_mistake(spectra: Spectra, low_band: Instrument) -> None:
+def test_nothing_is_not_wrong_under_a_fit_that_names_a_mistake(spectra, low_band):
     """`likely mistake: dipoles X and Y exchanged`, then `audit: nothing wrong (... exchanged letters ...)`."""
     found = audit_quickly(spectra, low_band)
     fitted = FitReport((), Provenance({}))
@@ -203,7 +196,7 @@ def test_nothing_is_not_wrong_under_a_fit_that_names_a_mistake(spectra: Spectra,
     assert "antenna 4 X is dead" in dead.mark(named).provenance.notes["audit"]
 
 
-def test_volts_of_five_antennas_passed_where_cables_alone_do_not_tell() -> None:
+def test_volts_of_five_antennas_passed_where_cables_alone_do_not_tell():
     superterp = load_instrument("lofar-superterp")
     settings = TwinSettings(stations=("CS002",), antennas=5, events_per_year=60)
     recorded = simulate_campaign(settings, superterp, compute_sky_power(superterp), np.random.default_rng(2)).spectra
@@ -212,17 +205,17 @@ def test_volts_of_five_antennas_passed_where_cables_alone_do_not_tell() -> None:
         audit_quickly(replace(recorded, power=recorded.power**0.5), superterp).require_power("s.h5")
 
 
-def test_no_spectra_are_left_to_what_comes_after(spectra: Spectra, low_band: Instrument) -> None:
+def test_no_spectra_are_left_to_what_comes_after(spectra, low_band):
     assert audit_quickly(spectra.select(np.zeros(0, dtype=np.int64)), low_band).report is None
 
 
-def test_three_antennas_are_not_compared(spectra: Spectra, low_band: Instrument) -> None:
+def test_three_antennas_are_not_compared(spectra, low_band):
     found = audit_quickly(spectra.select(spectra.antenna < 3), low_band)
     assert found.sentence == "none: no station has 4 antennas to compare"
     found.require_power("s.h5")
 
 
-def test_a_long_campaign_costs_no_more_than_a_hundred_events(spectra: Spectra, low_band: Instrument) -> None:
+def test_a_long_campaign_costs_no_more_than_a_hundred_events(spectra, low_band):
     copies = 3 * EVENTS // 24
     copied = [
         replace(spectra, event_id=np.char.add(spectra.event_id, f"-{k}"), time_unix=spectra.time_unix + 86_400.0 * k)
@@ -234,7 +227,7 @@ def test_a_long_campaign_costs_no_more_than_a_hundred_events(spectra: Spectra, l
     assert report.stations[0].time_unix.size == EVENTS
 
 
-def test_one_channel_is_refused_before_a_fit_of_it_ends_in_a_traceback(spectra: Spectra, low_band: Instrument) -> None:
+def test_one_channel_is_refused_before_a_fit_of_it_ends_in_a_traceback(spectra, low_band):
     one = replace(spectra, frequency_mhz=spectra.frequency_mhz[:1], power=spectra.power[:, :1])
     with pytest.raises(BadInputError, match=r"channels: expected at least 5 to fit a chain .*found 1"):
         audit_quickly(one, low_band)

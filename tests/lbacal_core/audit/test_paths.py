@@ -16,14 +16,10 @@ from lbacal_core.audit.antennas import (
 )
 from lbacal_core.audit.audit import audit
 from lbacal_core.audit.station import AuditedStation
-from lbacal_core.instrument.instrument import Instrument
-from lbacal_core.spectra.spectra import Spectra
 
 
 @pytest.mark.parametrize(("antenna", "recorded"), [(0, "115"), (5, "50")])
-def test_a_cable_on_record_that_is_not_there_is_named(
-    station: AuditedStation, low_band: Instrument, antenna: int, recorded: str
-) -> None:
+def test_a_cable_on_record_that_is_not_there_is_named(station, low_band, antenna, recorded):
     true = str(station.cables[antenna])
     claimed = station.with_cables({antenna: recorded}, low_band)
     lines, found = find_wrong_cables(claimed, compare_paths(claimed), low_band)
@@ -31,7 +27,7 @@ def test_a_cable_on_record_that_is_not_there_is_named(
     assert f"antenna {antenna} has the cable {true}, not {recorded}" in lines[0].sentence
 
 
-def test_of_one_cable_only_the_spectrum_tells_the_unit(station: AuditedStation, low_band: Instrument) -> None:
+def test_of_one_cable_only_the_spectrum_tells_the_unit(station, low_band):
     one = station.with_cables(dict.fromkeys(range(6), "80"), low_band)
     seen = replace(one, power=one.power.mean() * np.exp(0.02 * np.log(one.power / one.power.mean())))
     power, volt = (log_likelihood_of_unit(one, np.arange(6), unit, low_band) for unit in ("power", "volt"))
@@ -40,7 +36,7 @@ def test_of_one_cable_only_the_spectrum_tells_the_unit(station: AuditedStation, 
 
 
 @pytest.mark.parametrize("unit", ["power", "dB", "volt"])
-def test_cables_tell_power_from_decibels_and_volts(station: AuditedStation, low_band: Instrument, unit: str) -> None:
+def test_cables_tell_power_from_decibels_and_volts(station, low_band, unit):
     recorded = {
         "power": station.power,
         "dB": 10 * np.log10(station.power) + 200,
@@ -62,21 +58,21 @@ def exchange(station: AuditedStation, *rows: int) -> AuditedStation:
     return replace(station, power=power)
 
 
-def test_an_exchanged_antenna_is_named_with_odds(station: AuditedStation) -> None:
+def test_an_exchanged_antenna_is_named_with_odds(station):
     changed = exchange(station, 2)
     lines = tell_exchanged(changed, compare_polarisations(changed, EVERYBODY))
     assert [(line.verdict, line.antennas) for line in lines] == [("wrong", (2,))]
     assert (lines[0].log_odds or 0.0) > 7
 
 
-def test_a_field_is_told_from_single_antennas(station: AuditedStation) -> None:
+def test_a_field_is_told_from_single_antennas(station):
     changed = exchange(station, 1, 3, 5)
     letters = compare_polarisations(changed, EVERYBODY)
     letters = letters if set(letters.exchanged()) == {1, 3, 5} else letters.flipped()
     assert "all odd antennas" in tell_exchanged(changed, letters)[0].sentence
 
 
-def test_one_instant_says_what_it_cannot(station: AuditedStation) -> None:
+def test_one_instant_says_what_it_cannot(station):
     ratio = np.log(station.power[:, 0] / station.power[:, 1]).mean(axis=(0, 2))
     quiet = int(np.argmin(np.abs(ratio)))
     one = replace(
@@ -88,11 +84,11 @@ def test_one_instant_says_what_it_cannot(station: AuditedStation) -> None:
     assert "some hours would" in lines[0].sentence
 
 
-def test_antennas_that_do_not_work_are_not_compared(station: AuditedStation) -> None:
+def test_antennas_that_do_not_work_are_not_compared(station):
     assert compare_polarisations(station, np.zeros(6, dtype=bool)).rows.size == 0
 
 
-def test_an_odd_gain_in_one_instant_is_no_exchange(station: AuditedStation) -> None:
+def test_an_odd_gain_in_one_instant_is_no_exchange(station):
     """A drawn station of which one antenna's gains were off by 14 % was said to be exchanged there."""
     power = np.repeat(station.power[:, :1, :1], 2, axis=1)
     power[:, 0] *= np.exp(0.1 + np.array([0.01, -0.01, 0.02, -0.135, 0.0, -0.02]))[:, None, None]
@@ -123,7 +119,7 @@ def spoil(station: AuditedStation, kind: str) -> AuditedStation:
 
 
 @pytest.mark.parametrize("kind", ["dead", "deaf", "oscillating", "clipped", "outlying"])
-def test_a_path_that_does_not_work_is_named_and_no_other(station: AuditedStation, kind: str) -> None:
+def test_a_path_that_does_not_work_is_named_and_no_other(station, kind):
     spoilt = spoil(replace(station, cables=np.full(6, "80"), loss=station.loss[[1] * 6]), kind)
     spoilt = replace(spoilt, power=spoilt.power / (station.loss / spoilt.loss)[:, None, None, :])
     lines, is_ill = find_ill_paths(spoilt, compare_paths(spoilt))
@@ -131,7 +127,7 @@ def test_a_path_that_does_not_work_is_named_and_no_other(station: AuditedStation
     assert np.argwhere(is_ill).tolist() == [[ANTENNA, DIPOLE]]
 
 
-def test_a_working_path_follows_the_others_wholly(station: AuditedStation) -> None:
+def test_a_working_path_follows_the_others_wholly(station):
     comparison = compare_paths(station)
     np.testing.assert_allclose(comparison.follows, 1.0, atol=1e-6)
     np.testing.assert_allclose(comparison.shares, 1.0, atol=0.05)
@@ -147,24 +143,24 @@ def step(station: AuditedStation, factor: float, rows: np.ndarray = ALL) -> Audi
 
 
 @pytest.mark.parametrize("factor", [2.0, 0.25])
-def test_a_step_is_found_with_size_and_date(station: AuditedStation, factor: float) -> None:
+def test_a_step_is_found_with_size_and_date(station, factor):
     (line,) = find_steps(step(station, factor), ALL)
     assert (line.check, line.verdict) == ("stepped", "wrong")
     assert line.value == pytest.approx(10 * np.log10(factor), abs=0.3)
     assert "about 2014-05-14 02:2" in line.sentence
 
 
-def test_a_small_step_and_that_of_a_few_antennas_are_left_to_others(station: AuditedStation) -> None:
+def test_a_small_step_and_that_of_a_few_antennas_are_left_to_others(station):
     assert find_steps(step(station, 1.2), ALL) == []
     assert find_steps(step(station, 4.0, np.array([0, 1])), ALL) == []
 
 
-def test_a_slope_in_time_is_no_step(station: AuditedStation) -> None:
+def test_a_slope_in_time_is_no_step(station):
     rising = replace(station, power=station.power * np.linspace(1.0, 4.0, 24)[:, None])
     assert find_steps(rising, ALL) == []
 
 
-def test_the_sky_is_not_asked_of_two_chains(spectra: Spectra, low_band: Instrument) -> None:
+def test_the_sky_is_not_asked_of_two_chains(spectra, low_band):
     late = spectra.time_unix[:, None] > np.median(spectra.time_unix)
     report = audit(replace(spectra, power=np.where(late, 4.0, 1.0) * spectra.power), low_band, antenna="hamaker")
     assert [line.check for line in report.lines] == ["stepped"]

@@ -24,7 +24,6 @@ from lbacal_core.errors import BadInputError
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.skypower.differences import DifferenceModels
 from lbacal_core.skypower.model import compute_sky_power
-from lbacal_core.spectra.spectra import Spectra
 
 ALL = np.arange(6)
 
@@ -39,22 +38,20 @@ def tell(station: AuditedStation, instrument: Instrument) -> dict[str, tuple[str
     return {line.check: (line.verdict, line.value) for line in lines}
 
 
-def test_a_true_record_is_confirmed(station: AuditedStation, low_band: Instrument) -> None:
+def test_a_true_record_is_confirmed(station, low_band):
     said = tell(station, low_band)
     assert {check: verdict for check, (verdict, _) in said.items()} == {"clock": "right", "arms": "right"}
 
 
 @pytest.mark.parametrize("hours", [-3.0, 1.75, 9.0])
-def test_a_clock_that_is_off_is_measured(station: AuditedStation, low_band: Instrument, hours: float) -> None:
+def test_a_clock_that_is_off_is_measured(station, low_band, hours):
     late = replace(station, lst_hours=(station.lst_hours + hours) % 24)
     verdict, value = tell(late, low_band)["clock"]
     assert verdict == "wrong"
     assert value == pytest.approx(-hours, abs=1 / 60)
 
 
-def test_turned_arms_are_measured_and_a_right_angle_is_an_exchange(
-    station: AuditedStation, low_band: Instrument
-) -> None:
+def test_turned_arms_are_measured_and_a_right_angle_is_an_exchange(station, low_band):
     turned = replace(low_band, dipole_azimuth_deg={"X": 85.0, "Y": 175.0})
     verdict, value = tell(station, turned)["arms"]
     assert (verdict, value) == ("wrong", pytest.approx(-40.0, abs=1.0))
@@ -62,25 +59,25 @@ def test_turned_arms_are_measured_and_a_right_angle_is_an_exchange(
     assert tell(station, exchanged)["exchange"][0] == "wrong"
 
 
-def test_a_latitude_of_the_other_hemisphere_is_named(station: AuditedStation, low_band: Instrument) -> None:
+def test_a_latitude_of_the_other_hemisphere_is_named(station, low_band):
     assert tell(station, replace(low_band, latitude_deg=-low_band.latitude_deg))["place"][0] == "wrong"
 
 
-def test_minutes_determine_no_clock(station: AuditedStation, low_band: Instrument) -> None:
+def test_minutes_determine_no_clock(station, low_band):
     short = replace(
         station, power=station.power[:, :, :1], time_unix=station.time_unix[:1], lst_hours=station.lst_hours[:1]
     )
     assert {verdict for verdict, _ in tell(short, low_band).values()} == {"undecided"}
 
 
-def test_exchanged_letters_fit_better_exchanged(station: AuditedStation, low_band: Instrument) -> None:
+def test_exchanged_letters_fit_better_exchanged(station, low_band):
     match = match_of(replace(station, power=station.power[:, ::-1]), low_band)
     assert match.gain_of_exchange(ALL) > 20
 
 
 def test_a_longitude_beyond_90_deg_was_never_a_latitude_and_its_sign_is_a_shift_of_less_than_half_a_day(
-    station: AuditedStation, low_band: Instrument
-) -> None:
+    station, low_band
+):
     """Decibels in Western Australia were told as an exchange of the two: at the pole that this gave no sky changes."""
     there = replace(low_band, longitude_deg=-116.6)
     shifted = replace(station, lst_hours=(station.lst_hours + 2 * -116.6 / 15) % 24)
@@ -93,7 +90,7 @@ def test_a_longitude_beyond_90_deg_was_never_a_latitude_and_its_sign_is_a_shift_
 FREQUENCY, LST = np.array([40.0, 60.0]), np.arange(24.0)
 
 
-def test_what_is_seen_is_the_sky_power_over_its_mean(low_band: Instrument) -> None:
+def test_what_is_seen_is_the_sky_power_over_its_mean(low_band):
     seen = load_models(low_band, FREQUENCY, "gsm", "hamaker").seen(LST, low_band.latitude_deg)
     power = compute_sky_power(low_band, antenna="hamaker")
     at = np.searchsorted(low_band.frequency_mhz, FREQUENCY)
@@ -102,7 +99,7 @@ def test_what_is_seen_is_the_sky_power_over_its_mean(low_band: Instrument) -> No
         np.testing.assert_allclose(seen.change[d], expected / expected.mean(axis=1, keepdims=True) - 1.0, atol=1e-6)
 
 
-def test_a_difference_is_the_exchange_of_one_model(low_band: Instrument) -> None:
+def test_a_difference_is_the_exchange_of_one_model(low_band):
     others = DifferenceModels(skies=("gsm", "lfsm"), antennas=("inverted-v",))
     known = load_models(low_band, FREQUENCY, "gsm", "hamaker", others)
     seen = known.seen(LST, low_band.latitude_deg)
@@ -111,19 +108,19 @@ def test_a_difference_is_the_exchange_of_one_model(low_band: Instrument) -> None
     np.testing.assert_allclose(seen.differences[0], of_lfsm.change - seen.change, atol=1e-9)
 
 
-def test_arms_turned_by_a_right_angle_see_what_the_other_arm_saw(low_band: Instrument) -> None:
+def test_arms_turned_by_a_right_angle_see_what_the_other_arm_saw(low_band):
     models = load_models(low_band, FREQUENCY, "gsm", "hamaker")
     plain, turned = (models.seen(LST, low_band.latitude_deg, angle).change for angle in (0.0, 90.0))
     np.testing.assert_allclose(turned, plain[::-1], atol=1e-9)
 
 
-def test_spectra_are_laid_out_by_antenna_dipole_and_time(spectra: Spectra, station: AuditedStation) -> None:
+def test_spectra_are_laid_out_by_antenna_dipole_and_time(spectra, station):
     row = np.flatnonzero((spectra.antenna == 4) & (spectra.dipole == "Y"))[7]
     np.testing.assert_array_equal(station.power[4, 1, 7], spectra.power[row])
     assert station.hours == pytest.approx(24.0)
 
 
-def test_hours_are_those_of_sidereal_time_that_is_covered(station: AuditedStation) -> None:
+def test_hours_are_those_of_sidereal_time_that_is_covered(station):
     days = np.arange(24) * 86_164.09
     once = replace(station, time_unix=days, lst_hours=np.linspace(23.6, 24.4, 24) % 24)
     assert once.hours == pytest.approx(0.8)
@@ -132,14 +129,14 @@ def test_hours_are_those_of_sidereal_time_that_is_covered(station: AuditedStatio
     assert twice.hours < 2.0
 
 
-def test_missing_spectra_are_nan_and_nothing_else_is(spectra: Spectra, low_band: Instrument) -> None:
+def test_missing_spectra_are_nan_and_nothing_else_is(spectra, low_band):
     kept = np.ones(len(spectra), dtype=bool)
     kept[np.flatnonzero((spectra.antenna == 2) & (spectra.dipole == "X"))[3]] = False
     station = next(split_stations(spectra.select(kept), low_band))
     assert np.argwhere(np.isnan(station.power[..., 0])).tolist() == [[2, 0, 3]]
 
 
-def test_other_cables_change_what_is_before_them(station: AuditedStation, low_band: Instrument) -> None:
+def test_other_cables_change_what_is_before_them(station, low_band):
     changed = station.with_cables({1: "50"}, low_band)
     assert changed.cables[1] == "50"
     difference = changed.before_cable() - station.before_cable()
@@ -147,20 +144,18 @@ def test_other_cables_change_what_is_before_them(station: AuditedStation, low_ba
     assert not difference[[0, 2, 3, 4, 5]].any()
 
 
-def test_spread_is_that_of_a_normal_distribution_and_ignores_outliers() -> None:
+def test_spread_is_that_of_a_normal_distribution_and_ignores_outliers():
     values = np.random.default_rng(1).normal(0.0, 2.0, 4001)
     values[:100] = 1e6
     assert spread(values) == pytest.approx(2.0, rel=0.1)
 
 
-def test_other_channels_than_the_instruments_are_refused(spectra: Spectra, low_band: Instrument) -> None:
+def test_other_channels_than_the_instruments_are_refused(spectra, low_band):
     with pytest.raises(BadInputError, match="frequency_mhz"):
         list(split_stations(replace(spectra, frequency_mhz=spectra.frequency_mhz + 0.5), low_band))
 
 
-def test_clocks_of_antennas_that_differ_within_an_event_do_not_tear_it_apart(
-    spectra: Spectra, low_band: Instrument
-) -> None:
+def test_clocks_of_antennas_that_differ_within_an_event_do_not_tear_it_apart(spectra, low_band):
     late = replace(spectra, time_unix=spectra.time_unix + 0.01 * spectra.antenna)
     station = next(split_stations(late, low_band))
     assert station.time_unix.size == 24
@@ -176,13 +171,13 @@ def draw_sky(likelihood: SeriesLikelihood, seed: int) -> Seen:
     return Seen(change, 0.02 * np.cos(angle - rng.uniform(0, 6, (3, *shape, 1))))
 
 
-def test_series_has_mean_one_and_keeps_the_order_of_instants(station: AuditedStation) -> None:
+def test_series_has_mean_one_and_keeps_the_order_of_instants(station):
     series = make_series(station, np.arange(6))
     np.testing.assert_allclose(series.power.mean(axis=-1), 1.0)
     np.testing.assert_allclose(series.lst_hours, station.lst_hours)
 
 
-def test_likelihood_is_that_of_the_dense_normal_distribution(station: AuditedStation) -> None:
+def test_likelihood_is_that_of_the_dense_normal_distribution(station):
     likelihood = SeriesLikelihood(make_series(station, np.arange(6)))
     covariance = likelihood.covariance
     values = likelihood.series.power.ravel() - 1.0
@@ -203,7 +198,7 @@ def test_likelihood_is_that_of_the_dense_normal_distribution(station: AuditedSta
     assert likelihood.log_likelihood(one) - likelihood.log_likelihood(other) == pytest.approx(expected, rel=1e-6)
 
 
-def test_bands_follow_the_common_change_by_their_share_of_the_sky(station: AuditedStation) -> None:
+def test_bands_follow_the_common_change_by_their_share_of_the_sky(station):
     series = make_series(station, np.arange(6))
     power = series.power.copy()
     power[:, 3] = 1.0 + 0.5 * (power[:, 0] - 1.0)
@@ -211,7 +206,7 @@ def test_bands_follow_the_common_change_by_their_share_of_the_sky(station: Audit
     np.testing.assert_allclose(follows[:, 3], 0.5 * follows[:, 0])
 
 
-def test_share_of_the_sky_is_found_beside_what_models_differ_by(station: AuditedStation) -> None:
+def test_share_of_the_sky_is_found_beside_what_models_differ_by(station):
     likelihood = SeriesLikelihood(make_series(station, np.arange(6)))
     sky = draw_sky(likelihood, 3)
     seen = 0.4 * sky.change + SHARE * sky.differences[1] * likelihood.follows.reshape(2, 4, 1)
@@ -219,7 +214,7 @@ def test_share_of_the_sky_is_found_beside_what_models_differ_by(station: Audited
     assert likelihood.share(sky)[0] == pytest.approx(0.4, abs=0.01)
 
 
-def test_an_instant_in_which_one_band_departs_is_noise(station: AuditedStation) -> None:
+def test_an_instant_in_which_one_band_departs_is_noise(station):
     quiet = make_series(station, np.arange(6)).noise
     power = station.power.copy()
     power[..., :13] *= np.random.default_rng(1).normal(1.0, 0.03, (station.power.shape[2], 1))
@@ -227,7 +222,7 @@ def test_an_instant_in_which_one_band_departs_is_noise(station: AuditedStation) 
     assert noise[:, 0].min() > 0.01 > quiet.max()
 
 
-def test_a_receiver_whose_colour_changes_is_described_and_another_sky_is_not(station: AuditedStation) -> None:
+def test_a_receiver_whose_colour_changes_is_described_and_another_sky_is_not(station):
     series = make_series(station, np.arange(6))
     sky = draw_sky(SeriesLikelihood(series), 4)
     drift = 0.03 * np.cos(4 * np.pi / 24 * series.lst_hours) * np.array([-1.0, -0.3, 0.3, 1.0])[:, None]
@@ -239,23 +234,23 @@ def test_a_receiver_whose_colour_changes_is_described_and_another_sky_is_not(sta
     assert not AnyReceiver(noisy, 6).fits(sky)
 
 
-def test_a_record_that_nothing_beats_is_confirmed_where_the_data_determine_it() -> None:
+def test_a_record_that_nothing_beats_is_confirmed_where_the_data_determine_it():
     lines = conclude("CS002", 0.0, [Possibility("clock", -3.0, 0.01, 0.02), Possibility("arms", -3.0, 1.0, 30.0)])
     assert [(line.check, line.verdict) for line in lines] == [("clock", "right"), ("arms", "undecided")]
 
 
-def test_possibilities_that_are_as_likely_are_all_named_and_none_is_chosen() -> None:
+def test_possibilities_that_are_as_likely_are_all_named_and_none_is_chosen():
     (line,) = conclude("CS002", 0.0, [Possibility("clock", 40.0, 6.2, 0.3), Possibility("exchange", 38.0)])
     assert (line.check, line.verdict, line.candidates) == ("record", "wrong", ("clock", "exchange"))
     assert "a sidereal day would" in line.sentence
 
 
-def test_arms_turned_by_about_a_right_angle_are_an_exchange_of_letters() -> None:
+def test_arms_turned_by_about_a_right_angle_are_an_exchange_of_letters():
     (line,) = conclude("CS002", 0.0, [Possibility("arms", 41.0, -80.0, 6.0), Possibility("exchange", 40.0)])
     assert line.check == "exchange"
 
 
-def test_a_shift_of_just_what_a_wrong_sign_of_the_longitude_makes_is_this_sign_or_a_clock_in_one_statement() -> None:
+def test_a_shift_of_just_what_a_wrong_sign_of_the_longitude_makes_is_this_sign_or_a_clock_in_one_statement():
     (line,) = conclude(
         "CS002", 0.0, [Possibility("clock", 41.0, -0.92, 0.02), Possibility("longitude sign", 44.0, -0.916)]
     )
@@ -263,7 +258,7 @@ def test_a_shift_of_just_what_a_wrong_sign_of_the_longitude_makes_is_this_sign_o
     assert "the longitude has the wrong sign (-55 min); or a clock that is 55 min ahead" in line.sentence
 
 
-def test_an_hour_late_is_no_longitude_of_the_wrong_sign_where_that_is_five_minutes_less() -> None:
+def test_an_hour_late_is_no_longitude_of_the_wrong_sign_where_that_is_five_minutes_less():
     """At 6.9 deg a wrong sign shifts sidereal time by 55 min: a year of local winter time was told as this sign."""
     (line,) = conclude(
         "CS002", 0.0, [Possibility("clock", 90.0, -1.0, 0.03), Possibility("longitude sign", 92.0, -0.916)]
@@ -272,7 +267,7 @@ def test_an_hour_late_is_no_longitude_of_the_wrong_sign_where_that_is_five_minut
     assert "UTC+1 instead of UTC (-60 min); or the longitude has the wrong sign (-55 min)" in line.sentence
 
 
-def test_a_shift_that_is_no_whole_hour_is_a_clock_or_a_longitude_and_what_decides_is_said() -> None:
+def test_a_shift_that_is_no_whole_hour_is_a_clock_or_a_longitude_and_what_decides_is_said():
     (line,) = conclude(
         "CS002", 0.0, [Possibility("clock", 90.0, 1.4, 0.03), Possibility("longitude sign", 9.0, -0.916)]
     )
@@ -281,42 +276,42 @@ def test_a_shift_that_is_no_whole_hour_is_a_clock_or_a_longitude_and_what_decide
     assert "UTC" not in line.sentence
 
 
-def test_a_clock_that_is_off_by_a_whole_hour_is_that_of_a_time_zone() -> None:
+def test_a_clock_that_is_off_by_a_whole_hour_is_that_of_a_time_zone():
     (line,) = conclude("CS002", 0.0, [Possibility("clock", 90.0, -2.01, 0.02)])
     assert "the times are of UTC+2 instead of UTC (-120 min); or a clock" in line.sentence
     assert line.unit == "h"
 
 
-def test_a_unit_that_is_likelier_but_not_certain_is_said_beside_what_is_confirmed() -> None:
+def test_a_unit_that_is_likelier_but_not_certain_is_said_beside_what_is_confirmed():
     lines = conclude("S1", 0.0, [Possibility("clock", -3.0, 0.01, 0.02), Possibility("dB", 7.0)])
     assert [(line.check, line.verdict) for line in lines] == [("clock", "right"), ("unit", "undecided")]
     assert "perhaps the power is in decibels" in lines[1].sentence
 
 
-def test_an_hour_lists_what_a_day_would_leave_out() -> None:
+def test_an_hour_lists_what_a_day_would_leave_out():
     """In drawn hours the truth was up to 6 below the best: an hour named a latitude where arms were turned."""
     told = [Possibility("latitude sign", 40.0, 0.0), Possibility("arms", 34.0, -57.0, 9.0)]
     assert [conclude("S1", 0.0, told, hours)[0].check for hours in (1.0, 23.9)] == ["record", "place"]
 
 
-def test_a_clock_that_fits_better_than_a_place_of_the_same_shift_is_not_left_out() -> None:
+def test_a_clock_that_fits_better_than_a_place_of_the_same_shift_is_not_left_out():
     told = [Possibility("clock", 40.0, 3.47, 0.185), Possibility("latitude for longitude", 36.0, 3.07)]
     assert conclude("S1", 0.0, told)[0].candidates == ("clock", "place")
 
 
-def test_a_possibility_that_does_not_describe_the_data_either_is_not_named() -> None:
+def test_a_possibility_that_does_not_describe_the_data_either_is_not_named():
     told = [Possibility("clock", 400.0, 7.1, 0.1, fits=False), Possibility("arms", 3.0, 4.0, 2.0)]
     lines = conclude("S1", 0.0, told, base_fits=False)
     assert [(line.check, line.verdict) for line in lines] == [("clock", "undecided"), ("arms", "undecided")]
     assert "neither the record nor anything else" in lines[0].sentence
 
 
-def test_a_record_that_does_not_describe_the_data_is_not_confirmed() -> None:
+def test_a_record_that_does_not_describe_the_data_is_not_confirmed():
     (line,) = conclude("S1", 0.0, [Possibility("clock", -3.0, 0.01, 0.02)], base_fits=False)
     assert line.verdict == "undecided"
 
 
-def test_a_clock_far_from_the_record_confirms_nothing() -> None:
+def test_a_clock_far_from_the_record_confirms_nothing():
     """`right clock: +460 +- 44 min` stood in a report."""
     (line,) = conclude("S1", 0.0, [Possibility("clock", 1.1, 460 / 60, 0.73)])
     assert line.verdict == "undecided"

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -34,9 +32,7 @@ def owner(curve):
 
 @pytest.mark.parametrize("scope", ["antenna", "station", "array"])
 @pytest.mark.parametrize("more", [1, 15])
-def test_a_continued_fit_equals_the_fit_from_all_spectra_within_a_tenth_of_sigma_or_less(
-    scene, spectra, scope, more
-) -> None:
+def test_a_continued_fit_equals_the_fit_from_all_spectra_within_a_tenth_of_sigma_or_less(scene, spectra, scope, more):
     kept = kept_of(scene, part(spectra, 0, EVENTS - more), scope)
     found = continue_fit(kept, part(spectra, EVENTS - more, EVENTS), Simulation(scene.instrument, scene.sky_power))
     whole = fit_calibration(spectra, Simulation(scene.instrument, scene.sky_power), scope)
@@ -50,7 +46,7 @@ def test_a_continued_fit_equals_the_fit_from_all_spectra_within_a_tenth_of_sigma
 
 
 @pytest.mark.parametrize("scope", ["antenna", "array"])
-def test_events_that_move_c_move_it_alike_in_both(scene, spectra, scope) -> None:
+def test_events_that_move_c_move_it_alike_in_both(scene, spectra, scope):
     """Fifteen events that are brighter by 2.5 % in all channels: C moves by more than a tenth of sigma, and alike."""
     new = part(spectra, EVENTS - 15, EVENTS)
     brighter = replace(
@@ -69,7 +65,7 @@ def test_events_that_move_c_move_it_alike_in_both(scene, spectra, scope) -> None
     assert np.max(np.abs(moved - told)) < 0.1
 
 
-def test_an_anomalous_spectrum_is_left_to_the_fit_from_spectra(scene, spectra) -> None:
+def test_an_anomalous_spectrum_is_left_to_the_fit_from_spectra(scene, spectra):
     new = part(spectra, EVENTS - 1, EVENTS)
     for scope in ("antenna", "station"):
         kept = kept_of(scene, part(spectra, 0, EVENTS - 1), scope)
@@ -82,7 +78,7 @@ def test_an_anomalous_spectrum_is_left_to_the_fit_from_spectra(scene, spectra) -
             assert len(found.curves) == {"antenna": 12, "station": 4}[scope] - 1
 
 
-def test_more_events_than_a_twentieth_are_left_to_the_fit_from_spectra(scene, spectra) -> None:
+def test_more_events_than_a_twentieth_are_left_to_the_fit_from_spectra(scene, spectra):
     most = int(LARGEST_SHARE * (EVENTS - 20))
     kept = kept_of(scene, part(spectra, 0, EVENTS - most - 1), "antenna")
     few, many = (part(spectra, EVENTS - count, EVENTS) for count in (most, most + 1))
@@ -90,7 +86,7 @@ def test_more_events_than_a_twentieth_are_left_to_the_fit_from_spectra(scene, sp
     assert len(continue_fit(kept, many, Simulation(scene.instrument, scene.sky_power)).undecided) == 12
 
 
-def test_a_path_without_enough_events_waits_until_it_has_them(scene, spectra) -> None:
+def test_a_path_without_enough_events_waits_until_it_has_them(scene, spectra):
     """An antenna that was dead for most of the year has 58 events: two more, and a fit from spectra gives it C."""
     number = np.array([int(name[1:]) for name in spectra.event_id])
     alive = spectra.select((spectra.antenna != 1) | (number >= EVENTS - 60))

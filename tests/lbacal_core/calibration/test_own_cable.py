@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -152,7 +150,7 @@ def measure(paths):
     return measure_spreads(paths, mean_loss, mean_loss)
 
 
-def test_offset_and_spread_by_cable_are_those_planted_and_noise_is_not_counted() -> None:
+def test_offset_and_spread_by_cable_are_those_planted_and_noise_is_not_counted():
     # 200 paths a cable: the spread is known to 5 % and a little more because of the noise
     found = measure(draw_paths(np.random.default_rng(1), offset=0.1, noise=0.05))
     assert set(found.by_cable) == {"50", "80"}
@@ -163,7 +161,7 @@ def test_offset_and_spread_by_cable_are_those_planted_and_noise_is_not_counted()
     np.testing.assert_allclose(found.all_paths.spread, np.hypot(0.05, 0.05), rtol=0.2)
 
 
-def test_a_channel_without_sight_of_the_spread_has_that_of_the_band() -> None:
+def test_a_channel_without_sight_of_the_spread_has_that_of_the_band():
     paths = draw_paths(np.random.default_rng(2))
     sigma = paths.sigma.copy()
     sigma[:, -1] *= 100.0
@@ -173,7 +171,7 @@ def test_a_channel_without_sight_of_the_spread_has_that_of_the_band() -> None:
     assert np.all(found > 0.03)
 
 
-def test_two_paths_say_nothing_and_a_cable_with_two_has_the_spread_of_all() -> None:
+def test_two_paths_say_nothing_and_a_cable_with_two_has_the_spread_of_all():
     rng = np.random.default_rng(3)
     assert measure(draw_paths(rng, paths=2)) is None
     few = measure(draw_paths(rng, paths=4))
@@ -181,7 +179,7 @@ def test_two_paths_say_nothing_and_a_cable_with_two_has_the_spread_of_all() -> N
     assert few.all_paths.paths == 4
 
 
-def test_a_channel_that_was_not_determined_counts_for_nothing() -> None:
+def test_a_channel_that_was_not_determined_counts_for_nothing():
     paths = draw_paths(np.random.default_rng(4))
     slope = paths.slope.copy()
     slope[::4] = np.nan
@@ -189,7 +187,7 @@ def test_a_channel_that_was_not_determined_counts_for_nothing() -> None:
     np.testing.assert_allclose(found.spread, 0.05, rtol=0.3)
 
 
-def test_stations_that_differ_are_seen_to_differ() -> None:
+def test_stations_that_differ_are_seen_to_differ():
     names = tuple(f"CS{k:03d}" for k in range(40))
     alike = measure(draw_paths(np.random.default_rng(5), stations=names, paths=1600))
     unlike = measure(draw_paths(np.random.default_rng(5), stations=names, paths=1600, between=0.06))
@@ -200,7 +198,7 @@ def test_stations_that_differ_are_seen_to_differ() -> None:
     assert measure(draw_paths(np.random.default_rng(5))).between_stations is None
 
 
-def test_stations_of_few_paths_that_are_alike_do_not_seem_to_differ() -> None:
+def test_stations_of_few_paths_that_are_alike_do_not_seem_to_differ():
     """The mean of four paths is off by 3 % by the spread of single paths alone."""
     names = tuple(f"CS{k:03d}" for k in range(100))
     alike = measure(draw_paths(np.random.default_rng(8), stations=names, paths=400))
@@ -209,7 +207,7 @@ def test_stations_of_few_paths_that_are_alike_do_not_seem_to_differ() -> None:
 
 
 @pytest.mark.parametrize("noise", [0.0001, 0.05, 1.0])
-def test_a_random_effect_solves_its_equation(noise: float) -> None:
+def test_a_random_effect_solves_its_equation(noise):
     rng = np.random.default_rng(7)
     sigma = noise * rng.uniform(0.5, 2.0, (12, 3))
     values = 0.05 * rng.standard_normal((12, 3)) + sigma * rng.standard_normal((12, 3))

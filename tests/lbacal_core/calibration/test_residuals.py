@@ -32,9 +32,7 @@ def _planted_curve(campaign: Campaign, antenna: int, dipole: str) -> Calibration
     )  # fmt: skip
 
 
-def test_the_planted_curve_predicts_the_spectra_within_their_scatter(
-    campaign: Campaign, low_band: Instrument, two_waves: SkyPower
-) -> None:
+def test_the_planted_curve_predicts_the_spectra_within_their_scatter(campaign, low_band, two_waves):
     block = split_into_blocks(campaign.spectra)[0]
     curve = _planted_curve(campaign, 1, "X")
     sky = two_waves.at("X", local_sidereal_time(block.time_unix, low_band.longitude_deg))
@@ -44,7 +42,7 @@ def test_the_planted_curve_predicts_the_spectra_within_their_scatter(
     assert deviation.std() == pytest.approx((0.05**2 + 0.0442**2) ** 0.5, rel=0.1)
 
 
-def test_noise_terms_at_the_input_add_up_to_the_predicted_power(campaign: Campaign, low_band: Instrument) -> None:
+def test_noise_terms_at_the_input_add_up_to_the_predicted_power(campaign, low_band):
     curve = _planted_curve(campaign, 0, "Y")
     assert curve.c is not None
     terms = noise_at_input(curve, low_band)
@@ -58,7 +56,7 @@ FREQUENCY = np.arange(30.0, 81.0)
 RATE = 200.0
 
 
-def test_noise_has_the_density_that_was_asked_for() -> None:
+def test_noise_has_the_density_that_was_asked_for():
     power = 1.0 + 3.0 * np.exp(-(((FREQUENCY - 58.0) / 5.0) ** 2))
     samples, trials = 2000, 1500
     traces = draw_noise(power, FREQUENCY, samples, RATE, np.random.default_rng(3), trials)
@@ -71,15 +69,13 @@ def test_noise_has_the_density_that_was_asked_for() -> None:
     assert np.all(density[(bins < 29) | (bins > 81)] < 1e-20)
 
 
-def test_the_mean_square_is_the_sum_of_the_spectrum() -> None:
+def test_the_mean_square_is_the_sum_of_the_spectrum():
     power = np.linspace(2.0, 5.0, 51)
     traces = draw_noise(power, FREQUENCY, 20_000, RATE, np.random.default_rng(4), 50)
     assert np.mean(traces**2) == pytest.approx(power.sum() * 1.0 * RESISTANCE_OHM, rel=0.01)
 
 
-def test_background_is_the_chain_and_electronics_is_what_is_left_without_the_sky(
-    low_band: Instrument, two_waves: SkyPower
-) -> None:
+def test_background_is_the_chain_and_electronics_is_what_is_left_without_the_sky(low_band, two_waves):
     slope = 2.0 * low_band.antenna_gain
     parameters = {name: Parameter(value, 0.0) for name, value in (("n_lna", 0.3), ("n_rcu", 0.7), ("n_adc", 0.1))}
     c = np.sqrt(low_band.antenna_gain / slope)
@@ -91,7 +87,7 @@ def test_background_is_the_chain_and_electronics_is_what_is_left_without_the_sky
     assert simulation.background(curve, lst) == pytest.approx(expected)
 
 
-def test_too_slow_sampling_and_negative_densities_are_refused() -> None:
+def test_too_slow_sampling_and_negative_densities_are_refused():
     with pytest.raises(BadInputError, match="161"):
         draw_noise(np.ones(51), FREQUENCY, 100, 150.0, np.random.default_rng(0))
     with pytest.raises(BadInputError, match="densities"):

@@ -1,7 +1,5 @@
 """Every cause against the twin's own fault, which shares no code with it: shape, sign, unit and size."""
 
-from __future__ import annotations
-
 from datetime import datetime
 
 import numpy as np

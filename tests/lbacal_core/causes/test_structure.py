@@ -1,7 +1,5 @@
 """The empirical term: read from a report it is the structure that was found, and it carries over to other events."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -129,7 +127,7 @@ def test_kelvin_beside_a_gain_that_is_not_in_square_metres_are_refused(low_band)
         replace(low_band, stages=stages, receiver_gain=ones, gain_provenance=None)
 
 
-def test_the_power_of_the_terms_is_the_chain_equation_written_out() -> None:
+def test_the_power_of_the_terms_is_the_chain_equation_written_out():
     rng = np.random.default_rng(11)
     classes, events, channels = 2, 5, 7
     sky = rng.uniform(1.0, 3.0, (classes, events, channels))

@@ -3,7 +3,6 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -52,7 +51,7 @@ REPORT = FitReport((GOOD, FAILED, STATION), Provenance({"spectra": "ab"}))
 
 
 @pytest.mark.parametrize("curve", [GOOD, FAILED, STATION, HOLED])
-def test_a_curve_returns_from_json_bit_by_bit(curve: CalibrationCurve) -> None:
+def test_a_curve_returns_from_json_bit_by_bit(curve):
     content = json.loads(json.dumps(curve.as_dict(), allow_nan=False))
     assert parse_curve(content).as_dict() == curve.as_dict()
 
@@ -72,12 +71,12 @@ def test_a_curve_returns_from_json_bit_by_bit(curve: CalibrationCurve) -> None:
         {"flag": ("ok", "ok", "fine")},
     ],
 )
-def test_a_curve_refuses_values_that_contradict_its_status_or_its_channels(change: dict[str, object]) -> None:
+def test_a_curve_refuses_values_that_contradict_its_status_or_its_channels(change):
     with pytest.raises(ValueError, match=r"status|values|finite|channels"):
         replace(GOOD, **change)
 
 
-def test_a_channel_outside_has_no_value_and_json_says_null() -> None:
+def test_a_channel_outside_has_no_value_and_json_says_null():
     content = HOLED.as_dict()
     assert content["c"] == [1.0, None, 3.0]
     assert content["flag"] == ["ok", "outside", "uncertain"]
@@ -85,12 +84,12 @@ def test_a_channel_outside_has_no_value_and_json_says_null() -> None:
     assert HOLED.filled(HOLED.c).tolist() == [1.0, 2.0, 3.0]
 
 
-def test_a_curve_from_before_flags_keeps_its_content() -> None:
+def test_a_curve_from_before_flags_keeps_its_content():
     assert "flag" not in GOOD.as_dict()
     assert GOOD.flags.tolist() == ["ok"] * 3
 
 
-def test_c_over_h_does_not_depend_on_g_ant() -> None:
+def test_c_over_h_does_not_depend_on_g_ant():
     # C^2 = G_ant / s: what a fit determines is s, so C/|H| is its root whatever G_ant was
     slope = np.array([4.0, 9.0, 16.0])
     for gain in (np.ones(3), np.array([3.5, 310.0, 19.0])):
@@ -99,25 +98,25 @@ def test_c_over_h_does_not_depend_on_g_ant() -> None:
     assert replace(FAILED, antenna_gain=np.ones(3)).c_over_h is None
 
 
-def test_g_ant_has_one_hash_for_the_same_numbers_and_another_for_others() -> None:
+def test_g_ant_has_one_hash_for_the_same_numbers_and_another_for_others():
     one, same, other = (replace(GOOD, antenna_gain=np.full(3, value)) for value in (2.0, 2.0, 2.1))
     assert one.antenna_gain_sha256 == same.antenna_gain_sha256 != other.antenna_gain_sha256
     assert one.as_dict()["antenna_gain_sha256"] == one.antenna_gain_sha256
     assert parse_curve(one.as_dict()).as_dict() == one.as_dict()
 
 
-def test_the_payload_of_a_version_made_before_g_ant_was_kept_is_what_it_was() -> None:
+def test_the_payload_of_a_version_made_before_g_ant_was_kept_is_what_it_was():
     # payload_sha256 is the hash of these values: a null more, and every pinned answer would change
     assert not {"antenna_gain", "antenna_gain_sha256", "c_over_h"} & set(GOOD.as_dict())
 
 
-def test_the_status_of_a_report_is_that_of_its_worst_curve() -> None:
+def test_the_status_of_a_report_is_that_of_its_worst_curve():
     assert REPORT.status == TOO_FEW_EVENTS
     assert replace(REPORT, curves=(GOOD, STATION)).status == CONVERGED
     assert STATUSES[0] == CONVERGED
 
 
-def test_the_report_file_holds_every_curve_and_no_nan(tmp_path: Path) -> None:
+def test_the_report_file_holds_every_curve_and_no_nan(tmp_path):
     write_fit_report(REPORT, tmp_path / "fit.json")
     text = (tmp_path / "fit.json").read_text()
     assert "NaN" not in text
@@ -129,7 +128,7 @@ def test_the_report_file_holds_every_curve_and_no_nan(tmp_path: Path) -> None:
     assert content["provenance"]["inputs"] == {"spectra": "ab"}
 
 
-def test_a_head_holds_every_covariance_by_its_path_and_the_budgets(calibrations: dict[str, Any]) -> None:
+def test_a_head_holds_every_covariance_by_its_path_and_the_budgets(calibrations):
     head = make_head(calibrations | {"provenance": {"inputs": {}}})
     assert head["format"] == FORMAT
     assert list(head["covariances"]) == ["CS002 4 X", "CS002 4 Y", "CS002 17 X", "CS002 17 Y"]
@@ -141,7 +140,7 @@ def test_a_head_holds_every_covariance_by_its_path_and_the_budgets(calibrations:
     )
 
 
-def test_a_head_says_where_the_antennas_stand_how_their_arms_point_and_which_models_were_used() -> None:
+def test_a_head_says_where_the_antennas_stand_how_their_arms_point_and_which_models_were_used():
     instrument = load_instrument("lofar-superterp")
     made = describe_made_with(instrument, {"sky": "gsm", "antenna": "hamaker", "dipoles": {}})
     assert made["instrument"]["dipoles"] == {"X": {"azimuth_deg": 45.0}, "Y": {"azimuth_deg": 135.0}}
@@ -151,7 +150,7 @@ def test_a_head_says_where_the_antennas_stand_how_their_arms_point_and_which_mod
     assert "models" not in describe_made_with(instrument, None)
 
 
-def test_what_agrees_with_itself_has_no_problem(calibrations: dict[str, Any]) -> None:
+def test_what_agrees_with_itself_has_no_problem(calibrations):
     assert find_problems(calibrations) == []
     arms = {"dipoles": {"X": {"azimuth_deg": 45.0}, "Y": {"azimuth_deg": 135.0}}}
     assert find_problems(calibrations | {"instrument": arms}) == []
@@ -196,22 +195,20 @@ def spoil(path: str, value: Any) -> Callable[[dict[str, Any]], None]:
         (spoil("curves.0.dipole", "Z"), "no vectors for the dipole Z"),
     ],
 )
-def test_each_contradiction_is_one_sentence(
-    calibrations: dict[str, Any], change: Callable[[dict[str, Any]], None], said: str
-) -> None:
+def test_each_contradiction_is_one_sentence(calibrations, change, said):
     change(calibrations)
     problems = find_problems(calibrations)
     assert any(said in problem for problem in problems), problems
 
 
-def test_a_budget_whose_content_was_changed_has_another_hash(calibrations: dict[str, Any]) -> None:
+def test_a_budget_whose_content_was_changed_has_another_hash(calibrations):
     (budget,) = calibrations["budgets"].values()
     budget["terms"][0]["source"] = "elsewhere"
     (problem,) = find_problems(calibrations)
     assert "its content has another hash" in problem
 
 
-def test_versions_from_before_covariances_follow_the_format(calibrations: dict[str, Any]) -> None:
+def test_versions_from_before_covariances_follow_the_format(calibrations):
     for curve in calibrations["curves"]:
         curve["covariance"] = curve["c_sigma_sys"] = None
     assert find_problems(calibrations | {"budgets": {}}) == []

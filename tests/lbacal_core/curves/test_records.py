@@ -88,7 +88,7 @@ DEAD = Anomaly("e2", "CS003", 6, "Y", 1e-4, 45.0)
 KEPT = Anomaly("e3", "CS003", 5, "X", 1.7, kept="it lasts for 12 events")
 
 
-def test_a_summary_counts_and_names_the_worst_first() -> None:
+def test_a_summary_counts_and_names_the_worst_first():
     found = Anomalies.of([KEPT, HUGE, DEAD])
     assert (found.left_out, found.fitted) == (2, 1)
     assert found.worst == (DEAD, HUGE, KEPT)
@@ -98,7 +98,7 @@ def test_a_summary_counts_and_names_the_worst_first() -> None:
     assert KEPT.reason == "power 1.7 times the usual; fitted: it lasts for 12 events"
 
 
-def test_a_summary_survives_json_and_names_a_limited_number() -> None:
+def test_a_summary_survives_json_and_names_a_limited_number():
     many = Anomalies.of([HUGE] * (MOST_NAMED + 7))
     assert (many.left_out, len(many.worst)) == (MOST_NAMED + 7, MOST_NAMED)
     for summary in (many, Anomalies.of([KEPT, DEAD]), NONE):
@@ -116,7 +116,7 @@ def draw(rng: np.random.Generator, members: MemberLines | None) -> KeptLines:
 
 
 @pytest.mark.parametrize("is_mean", [False, True])
-def test_lines_are_read_as_they_were_written_but_for_the_rounding_of_the_information(is_mean: bool) -> None:
+def test_lines_are_read_as_they_were_written_but_for_the_rounding_of_the_information(is_mean):
     rng = np.random.default_rng(1)
     members = MemberLines(
         np.array(["CS002", "CS003"]), np.array([3, 4]), rng.random((2, 4)), rng.random((2, 4)), rng.random(2),
@@ -148,32 +148,32 @@ SPREADS = GainSpreads(
 @pytest.mark.parametrize(
     ("instant", "cable"), [(-1e12, "50"), (999.0, "50"), (1000.0, None), (1999.9, None), (2000.0, "80"), (1e12, "80")]
 )
-def test_the_cable_is_that_of_the_instant_and_none_in_a_gap(instant: float, cable: str | None) -> None:
+def test_the_cable_is_that_of_the_instant_and_none_in_a_gap(instant, cable):
     assert TABLE.cable_of("CS002", 0, instant) == cable
 
 
-def test_an_antenna_that_is_not_in_the_table_has_no_cable() -> None:
+def test_an_antenna_that_is_not_in_the_table_has_no_cable():
     assert TABLE.cable_of("CS002", 1, 0.0) is None
 
 
-def test_tables_and_spreads_keep_their_hash_through_json() -> None:
+def test_tables_and_spreads_keep_their_hash_through_json():
     for value, parse in ((TABLE, parse_cable_table), (SPREADS, parse_spreads)):
         again = parse(json.loads(json.dumps(value.as_dict())))
         assert again.digest == value.digest == hash_content(value.as_dict())
 
 
-def test_a_cable_that_was_not_measured_has_the_departures_of_all_paths() -> None:
+def test_a_cable_that_was_not_measured_has_the_departures_of_all_paths():
     np.testing.assert_allclose(SPREADS.variance_of("50", has_station=True), [0.03**2 + 0.04**2, 0.04**2])
     np.testing.assert_allclose(SPREADS.variance_of("80", has_station=True), [0.04**2, 0.01**2 + 0.05**2])
 
 
-def test_another_station_departs_further_and_from_one_station_nobody_knows_how_far() -> None:
+def test_another_station_departs_further_and_from_one_station_nobody_knows_how_far():
     near, far = SPREADS.variance_of("80", has_station=True), SPREADS.variance_of("80", has_station=False)
     np.testing.assert_allclose(far - near, 2 / 3 * SPREADS.between_stations**2)
     assert GainSpreads({}, ALL, 1, None).variance_of("80", has_station=False) is None
 
 
-def test_jensens_term_is_three_eighths_of_the_variance_of_power_gains() -> None:
+def test_jensens_term_is_three_eighths_of_the_variance_of_power_gains():
     chain = ReferenceChain((("CS002", 0),), TABLE.cables["50"], TABLE, SPREADS)
     np.testing.assert_allclose(chain.jensen, 3 / 8 * ALL.spread**2)
     gains = 1 + 0.05 * np.random.default_rng(1).standard_normal(1_000_000)
@@ -202,7 +202,7 @@ def ledgers(draw: st.DrawFn) -> list[Promotion]:
 
 
 @given(ledgers(), st.integers(-1, 20))
-def test_the_timeline_agrees_with_asking_at_each_instant(ledger: list[Promotion], instant: int) -> None:
+def test_the_timeline_agrees_with_asking_at_each_instant(ledger, instant):
     stretches = timeline(ledger, PATH)
     assert stretches[0].start is None
     assert stretches[-1].end is None
@@ -212,7 +212,7 @@ def test_the_timeline_agrees_with_asking_at_each_instant(ledger: list[Promotion]
     assert holding[0].promotion == answer_path(ledger, PATH, instant)
 
 
-def test_the_narrowest_scope_with_a_version_answers() -> None:
+def test_the_narrowest_scope_with_a_version_answers():
     ledger = [
         Promotion(1, Scope(), 0, None, "array", 1),
         Promotion(2, Scope("CS001"), 10, 20, "station", 2),
@@ -224,11 +224,11 @@ def test_the_narrowest_scope_with_a_version_answers() -> None:
 
 
 @pytest.mark.parametrize("parts", [(None, 1, "X"), ("CS001", 1, None), ("CS001", None, "X"), ("CS001", 1, "?")])
-def test_a_scope_is_the_array_a_station_or_one_path(parts: tuple[str | None, int | None, str | None]) -> None:
+def test_a_scope_is_the_array_a_station_or_one_path(parts):
     with pytest.raises(BadInputError):
         Scope(*parts)
 
 
-def test_an_interval_of_validity_is_not_empty() -> None:
+def test_an_interval_of_validity_is_not_empty():
     with pytest.raises(BadInputError, match="valid_to"):
         Promotion(1, Scope(), 5, 5, "a", 1)

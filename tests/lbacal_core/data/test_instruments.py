@@ -1,7 +1,4 @@
-from __future__ import annotations
-
 from collections import Counter
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,23 +7,23 @@ from lbacal_core.data.lofar import DIPOLES, LOFAR_DEG, LOFAR_RADIUS_DEG
 from lbacal_core.instrument.instrument import load_instrument
 
 
-def test_the_superterp_has_six_stations_of_48_antennas() -> None:
+def test_the_superterp_has_six_stations_of_48_antennas():
     instrument = load_instrument("lofar-superterp")
     assert Counter(record.station for record in instrument.antennas) == {f"CS00{n}": 48 for n in range(2, 8)}
     assert {record.cable for record in instrument.antennas} == {"50", "80", "115"}
 
 
-def test_the_doubtful_cable_of_cs002_is_the_one_that_the_gain_table_shows() -> None:
+def test_the_doubtful_cable_of_cs002_is_the_one_that_the_gain_table_shows():
     assert load_instrument("lofar-superterp").cable_of("CS002", 42, 1.4e9) == "115"
 
 
-def test_the_antenna_resonates_near_58_mhz() -> None:
+def test_the_antenna_resonates_near_58_mhz():
     instrument = load_instrument("lofar-superterp")
     assert 57 <= instrument.frequency_mhz[instrument.antenna_gain.argmax()] <= 60
 
 
 @pytest.mark.shared
-def test_g_ant_is_the_simulated_one_within_its_documented_error(shared: Path) -> None:
+def test_g_ant_is_the_simulated_one_within_its_documented_error(shared):
     table = np.load(shared / "data/antenna/lba_vout.npz")
     simulated = (np.abs(table["v_theta"]) ** 2 + np.abs(table["v_phi"]) ** 2)[20:71, 0].mean(axis=1)
     instrument = load_instrument("lofar-superterp")

@@ -1,7 +1,5 @@
 """Adopted causes in one station's data: which of them act, and the joint fit of their sizes."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What an adopted cause gains on new data: measured, expected, and promised beforehand."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

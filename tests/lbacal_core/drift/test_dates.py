@@ -9,7 +9,7 @@ from lbacal_core.drift.model import find_dates
 DAY = 86_400.0
 
 
-def test_a_step_without_noise_lies_between_the_two_events_that_it_separates() -> None:
+def test_a_step_without_noise_lies_between_the_two_events_that_it_separates():
     time_unix = np.arange(100) * DAY
     residual = np.where(np.arange(100) >= 40, 20.0, 0.0)[None, :, None]
     found = find_dates(time_unix, residual, np.array([[20.0]]), np.array([43 * DAY]))
@@ -18,7 +18,7 @@ def test_a_step_without_noise_lies_between_the_two_events_that_it_separates() ->
     assert (found.earliest[0], found.latest[0]) == pytest.approx((39.025 * DAY, 39.975 * DAY))
 
 
-def test_in_a_gap_the_date_is_known_to_the_gap() -> None:
+def test_in_a_gap_the_date_is_known_to_the_gap():
     number = np.arange(100)
     time_unix = (number + np.where(number >= 40, 100, 0)) * DAY
     residual = np.where(number >= 40, 20.0, 0.0)[None, :, None]
@@ -27,7 +27,7 @@ def test_in_a_gap_the_date_is_known_to_the_gap() -> None:
     assert found.sigma[0] == pytest.approx(101 * DAY / 12**0.5)
 
 
-def test_stated_errors_of_dates_hold_in_noise() -> None:
+def test_stated_errors_of_dates_hold_in_noise():
     rng = np.random.default_rng(3)
     steps, events = 600, 240
     time_unix = np.sort(rng.uniform(0, 120 * DAY, events))
@@ -40,7 +40,7 @@ def test_stated_errors_of_dates_hold_in_noise() -> None:
     assert np.mean(np.abs(found.date - truth) < found.sigma) > 0.65
 
 
-def test_events_that_are_unknown_say_nothing() -> None:
+def test_events_that_are_unknown_say_nothing():
     time_unix = np.arange(100) * DAY
     residual = np.where(np.arange(100) >= 40, 20.0, 0.0)[None, :, None]
     residual[:, 35:45] = np.nan
@@ -62,7 +62,7 @@ def _years(levels: np.ndarray, trend: float, rng: np.random.Generator) -> tuple[
 
 
 @pytest.mark.parametrize("correlation", ["independent", "smooth"])
-def test_the_error_of_a_trend_covers_where_levels_change_at_any_date(correlation: str) -> None:
+def test_the_error_of_a_trend_covers_where_levels_change_at_any_date(correlation):
     """The means of years whose levels change smoothly are correlated: 57 % instead of 68.3 % lay within the error."""
     rng = np.random.default_rng(7)
     inside = []
@@ -78,7 +78,7 @@ def test_the_error_of_a_trend_covers_where_levels_change_at_any_date(correlation
     assert two > 0.91
 
 
-def test_without_scatter_the_trend_is_exact_in_every_mode() -> None:
+def test_without_scatter_the_trend_is_exact_in_every_mode():
     found = measure_whole(*_years(np.zeros(5), 0.02, np.random.default_rng(1)))
     assert found is not None
     assert found.years == 5
@@ -86,6 +86,6 @@ def test_without_scatter_the_trend_is_exact_in_every_mode() -> None:
     assert found.p_value < 1e-4
 
 
-def test_two_years_tell_no_trend() -> None:
+def test_two_years_tell_no_trend():
     assert measure_whole(*_years(np.zeros(2), 0.02, np.random.default_rng(1))) is None
     assert measure_whole(np.arange(3.0), np.full((3, 3), np.nan)) is None

@@ -13,7 +13,7 @@ from validation.drift_world import DAY, START, YEAR, World, draw_history
 WORLD = World(years=3.0, stations=3, antennas=4, events_per_year=400)
 
 
-def test_a_trend_of_all_is_of_the_whole_and_of_no_path() -> None:
+def test_a_trend_of_all_is_of_the_whole_and_of_no_path():
     found = follow(draw_history(replace(WORLD, trend=0.03, yearly=0.0), np.random.default_rng(1)))
     assert found.whole is not None
     assert found.stations is not None
@@ -22,7 +22,7 @@ def test_a_trend_of_all_is_of_the_whole_and_of_no_path() -> None:
     assert found.stations.slope_significance.max() < found.stations.threshold
 
 
-def test_a_slope_of_a_station_is_of_no_path_of_it() -> None:
+def test_a_slope_of_a_station_is_of_no_path_of_it():
     history = draw_history(WORLD, np.random.default_rng(2))
     rows = np.flatnonzero(history.station == "CS003")
     history.ln_c[rows, :, 0] += (0.02 * (history.time_unix - START) / YEAR).astype(np.float32)
@@ -33,14 +33,14 @@ def test_a_slope_of_a_station_is_of_no_path_of_it() -> None:
     assert found.paths.slope_significance.max() < found.paths.threshold
 
 
-def test_two_stations_are_not_compared_and_still_have_a_whole() -> None:
+def test_two_stations_are_not_compared_and_still_have_a_whole():
     found = follow(draw_history(replace(WORLD, stations=2), np.random.default_rng(3)))
     assert found.stations is None
     assert found.whole is not None
     assert found.whole.years == 3
 
 
-def test_two_antennas_are_compared_over_both_polarisations_and_one_with_nothing() -> None:
+def test_two_antennas_are_compared_over_both_polarisations_and_one_with_nothing():
     """A station of two antennas has no three paths of one polarisation, and its steps were not looked for."""
     history = draw_history(replace(WORLD, stations=1, antennas=2), np.random.default_rng(4))
     history.ln_c[1, np.flatnonzero(history.time_unix >= START + 1.5 * YEAR), 0] += 0.06
@@ -56,7 +56,7 @@ def test_two_antennas_are_compared_over_both_polarisations_and_one_with_nothing(
 MHZ = np.arange(30.0, 81.0)
 
 
-def test_a_report_tells_changes_slopes_and_the_trend_in_frequency() -> None:
+def test_a_report_tells_changes_slopes_and_the_trend_in_frequency():
     world = World(years=3.0, stations=3, antennas=4, events_per_year=400, yearly=0.01)
     history = draw_history(replace(world, trend=0.05), np.random.default_rng(1))
     after = np.flatnonzero(history.time_unix >= START + 1.5 * YEAR)
@@ -85,7 +85,7 @@ def _history(seed: int) -> History:
     return draw_history(TWO_YEARS, np.random.default_rng(seed))
 
 
-def test_paths_that_step_together_are_one_change_with_its_members() -> None:
+def test_paths_that_step_together_are_one_change_with_its_members():
     history = _history(1)
     after = np.flatnonzero(history.time_unix >= START + 0.9 * YEAR)
     for path in (2, 3, 8):
@@ -97,7 +97,7 @@ def test_paths_that_step_together_are_one_change_with_its_members() -> None:
     assert changes[0].size[0] == pytest.approx(0.04, abs=4 * changes[0].size_sigma[0])
 
 
-def test_steps_at_two_dates_are_two_changes() -> None:
+def test_steps_at_two_dates_are_two_changes():
     history = _history(2)
     for path, year in ((2, 0.7), (9, 1.3)):
         history.ln_c[path, np.flatnonzero(history.time_unix >= START + year * YEAR), 0] += 0.04
@@ -105,7 +105,7 @@ def test_steps_at_two_dates_are_two_changes() -> None:
     assert sorted(len(change.members) for change in changes) == [1, 1]
 
 
-def test_a_known_change_says_so_and_has_no_error_of_its_date() -> None:
+def test_a_known_change_says_so_and_has_no_error_of_its_date():
     history = _history(3)
     known = np.full((24, 1), np.inf)
     known[5] = START + 1.1 * YEAR

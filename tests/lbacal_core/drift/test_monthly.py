@@ -72,7 +72,7 @@ def measure_monthly_ratios(
     return average_months(measure_event_modes(block, curves, Simulation(instrument, sky)))
 
 
-def test_a_gain_of_the_chain_is_measured_exactly_without_noise() -> None:
+def test_a_gain_of_the_chain_is_measured_exactly_without_noise():
     gain = np.where(np.arange(365) < 181, 1.0, 1.21)
     block, curve, instrument, sky = make_case(gain, np.random.default_rng(1), noise=0.0)
     found = measure_monthly_ratios(block, {7: curve}, instrument, sky)
@@ -82,7 +82,7 @@ def test_a_gain_of_the_chain_is_measured_exactly_without_noise() -> None:
     assert found.events.sum() == 365
 
 
-def test_the_error_of_a_month_is_its_scatter() -> None:
+def test_the_error_of_a_month_is_its_scatter():
     block, curve, instrument, sky = make_case(np.ones(730), np.random.default_rng(2), noise=0.05)
     found = measure_monthly_ratios(block, {7: curve}, instrument, sky)
     pull = (found.c_ratio[0] - 1.0) / found.c_ratio_sigma[0]
@@ -97,7 +97,7 @@ def test_the_error_of_a_month_is_its_scatter() -> None:
     assert np.median(found.c_ratio_sigma) == pytest.approx(0.5 * of_gain / np.sqrt(30), rel=0.1)
 
 
-def test_a_path_with_four_times_the_gain_has_the_error_of_its_own_scatter() -> None:
+def test_a_path_with_four_times_the_gain_has_the_error_of_its_own_scatter():
     block, curve, instrument, sky = make_case(np.full(730, 4.0), np.random.default_rng(2), noise=0.05)
     found = measure_monthly_ratios(block, {7: curve}, instrument, sky)
     assert np.median(found.c_ratio) == pytest.approx(0.5, rel=0.01)
@@ -109,14 +109,14 @@ def test_a_path_with_four_times_the_gain_has_the_error_of_its_own_scatter() -> N
     assert np.median(found.c_ratio_sigma) == pytest.approx(0.5 * of_gain * 4.0**-1.5 / np.sqrt(30), rel=0.1)
 
 
-def test_a_month_with_few_events_has_no_value_and_an_antenna_without_reference_no_row() -> None:
+def test_a_month_with_few_events_has_no_value_and_an_antenna_without_reference_no_row():
     block, curve, instrument, sky = make_case(np.ones(34), np.random.default_rng(3), noise=0.01)
     found = measure_monthly_ratios(block, {7: curve}, instrument, sky)
     assert np.isfinite(found.c_ratio[0]).tolist() == [True, False]
     assert measure_monthly_ratios(block, {}, instrument, sky).c_ratio.shape == (0, 2)
 
 
-def test_a_borrowed_curve_is_the_neighbours_through_its_own_cable_times_the_gain_of_its_events() -> None:
+def test_a_borrowed_curve_is_the_neighbours_through_its_own_cable_times_the_gain_of_its_events():
     """The power gain rose to 1.21, and of that the cables explain what they do."""
     block, curve, instrument, sky = make_case(np.full(30, 1.21), np.random.default_rng(1), noise=0.01)
     with_cables = replace(instrument, cables={"c": CABLE, "old": CABLE})
@@ -138,12 +138,12 @@ def test_a_borrowed_curve_is_the_neighbours_through_its_own_cable_times_the_gain
     assert explained.curve.c == pytest.approx(found.curve.c)
 
 
-def test_too_few_events_borrow_nothing() -> None:
+def test_too_few_events_borrow_nothing():
     block, curve, instrument, sky = make_case(np.ones(4), np.random.default_rng(1), noise=0.01)
     assert borrow_curve(curve, block, Simulation(instrument, sky), ("c", "c")) is None
 
 
-def test_a_tilt_in_front_of_the_receiver_is_measured_as_such() -> None:
+def test_a_tilt_in_front_of_the_receiver_is_measured_as_such():
     block, curve, instrument, sky = make_case(np.ones(40), np.random.default_rng(1), noise=0.0)
     modes = frequency_modes(MHZ)
     tilt = 1.0 + 0.02 * modes[0] - 0.01 * modes[1]
@@ -158,14 +158,14 @@ def test_a_tilt_in_front_of_the_receiver_is_measured_as_such() -> None:
     assert found.ln_c[0, :, 2] == pytest.approx(0.5 * 0.01 / level, abs=2e-5)
 
 
-def test_a_gain_of_all_channels_has_neither_tilt_nor_curvature() -> None:
+def test_a_gain_of_all_channels_has_neither_tilt_nor_curvature():
     block, curve, instrument, sky = make_case(np.full(40, 1.3), np.random.default_rng(1), noise=0.0)
     found = measure_event_modes(block, {7: curve}, Simulation(instrument, sky))
     assert found.ln_c[0, :, 0] == pytest.approx(-0.5 * np.log(1.3), rel=1e-9)
     assert np.abs(found.ln_c[0, :, 1:]).max() < 1e-9
 
 
-def test_an_event_with_less_power_than_the_noise_of_the_receiver_has_no_value() -> None:
+def test_an_event_with_less_power_than_the_noise_of_the_receiver_has_no_value():
     block, curve, instrument, sky = make_case(np.ones(10), np.random.default_rng(1), noise=0.0)
     block.power[0, 3] = 0.5 * (N_RCU * RECEIVER * SCALE + N_ADC)
     found = measure_event_modes(block, {7: curve}, Simulation(instrument, sky))
@@ -198,7 +198,7 @@ def kept(case) -> EventModes:
     return measure_event_modes(pick(block, np.setdiff1d(np.arange(58), LAST)), *others)
 
 
-def test_a_year_with_two_events_more_is_the_whole_year(case, kept) -> None:
+def test_a_year_with_two_events_more_is_the_whole_year(case, kept):
     block, *others = case
     whole, found = measure_event_modes(block, *others), add_events(kept, pick(block, LAST), *others)
     assert np.array_equal(found.antennas, whole.antennas)
@@ -207,26 +207,26 @@ def test_a_year_with_two_events_more_is_the_whole_year(case, kept) -> None:
 
 
 @pytest.mark.parametrize("factor", [2.0, 0.5])
-def test_a_spectrum_that_may_be_left_out_is_left_to_the_whole_year(case, kept, factor) -> None:
+def test_a_spectrum_that_may_be_left_out_is_left_to_the_whole_year(case, kept, factor):
     block, *others = case
     odd = pick(block, LAST)
     odd.power[:, 1] *= factor
     assert add_events(kept, odd, *others) is None
 
 
-def test_a_channel_with_three_times_its_power_is_left_to_the_whole_year(case, kept) -> None:
+def test_a_channel_with_three_times_its_power_is_left_to_the_whole_year(case, kept):
     block, *others = case
     odd = pick(block, LAST)
     odd.power[0, 1, 2] *= 3.0
     assert add_events(kept, odd, *others) is None
 
 
-def test_a_path_that_becomes_known_well_enough_to_be_screened_is_left_to_the_whole_year(case) -> None:
+def test_a_path_that_becomes_known_well_enough_to_be_screened_is_left_to_the_whole_year(case):
     block, *others = case
     few = measure_event_modes(pick(block, np.arange(19)), *others)
     assert add_events(few, pick(block, LAST), *others) is None
 
 
-def test_an_antenna_without_events_before_is_left_to_the_whole_year(case, kept) -> None:
+def test_an_antenna_without_events_before_is_left_to_the_whole_year(case, kept):
     block, *others = case
     assert add_events(replace(kept, antennas=kept.antennas + 1), pick(block, LAST), *others) is None

@@ -26,13 +26,13 @@ def _dates(found: Found, k: int) -> np.ndarray:
     return np.sort(found.terms.dates[k][np.isfinite(found.terms.dates[k])])
 
 
-def test_seasons_and_common_years_alone_are_nothing() -> None:
+def test_seasons_and_common_years_alone_are_nothing():
     found = search_series(_draw(np.random.default_rng(1)))
     assert not np.any(np.isfinite(found.terms.dates))
     assert found.slope_significance.max() < found.threshold
 
 
-def test_several_steps_of_one_path_are_found_with_their_dates() -> None:
+def test_several_steps_of_one_path_are_found_with_their_dates():
     """A path with two steps once showed the larger one only."""
     series = _draw(np.random.default_rng(2))
     planted = np.array([1.13, 2.4, 3.2]) * YEAR_S
@@ -47,7 +47,7 @@ def test_several_steps_of_one_path_are_found_with_their_dates() -> None:
     assert not np.any(np.isfinite(np.delete(found.terms.dates, 5, axis=0)))
 
 
-def test_a_step_of_the_shape_alone_is_found() -> None:
+def test_a_step_of_the_shape_alone_is_found():
     series = _draw(np.random.default_rng(3))
     series.values[5, series.time_unix >= 2.3 * YEAR_S, 1] += 0.01
     found = search_series(series)
@@ -55,7 +55,7 @@ def test_a_step_of_the_shape_alone_is_found() -> None:
     assert found.step_size[5, 0] == pytest.approx([0.0, 0.01, 0.0], abs=0.004)
 
 
-def test_a_slope_is_a_slope_and_no_staircase() -> None:
+def test_a_slope_is_a_slope_and_no_staircase():
     series = _draw(np.random.default_rng(4))
     series.values[7, :, 0] += 0.01 * series.time_unix / YEAR_S
     found = search_series(series)
@@ -64,7 +64,7 @@ def test_a_slope_is_a_slope_and_no_staircase() -> None:
     assert _dates(found, 7).size == 0
 
 
-def test_a_step_in_one_of_four_does_not_appear_in_the_others() -> None:
+def test_a_step_in_one_of_four_does_not_appear_in_the_others():
     """The median of four moves when one of them does."""
     series = _draw(np.random.default_rng(5), series=4, years=3)
     series.values[2, series.time_unix >= 1.5 * YEAR_S, 0] += 0.08
@@ -72,7 +72,7 @@ def test_a_step_in_one_of_four_does_not_appear_in_the_others() -> None:
     assert np.isfinite(found.terms.dates).sum(axis=1).tolist() == [0, 0, 1, 0]
 
 
-def test_a_known_change_of_hardware_is_in_the_model_and_dated_by_who_knows() -> None:
+def test_a_known_change_of_hardware_is_in_the_model_and_dated_by_who_knows():
     series = _draw(np.random.default_rng(6))
     known = np.full((24, 1), np.inf)
     known[3] = 1.7 * YEAR_S
@@ -83,7 +83,7 @@ def test_a_known_change_of_hardware_is_in_the_model_and_dated_by_who_knows() -> 
     assert found.step_size[3, 0, 0] == pytest.approx(-0.3, abs=0.006)
 
 
-def test_a_path_that_was_silent_for_a_year_and_one_without_any_event_do_no_harm() -> None:
+def test_a_path_that_was_silent_for_a_year_and_one_without_any_event_do_no_harm():
     series = _draw(np.random.default_rng(8))
     series.values[3, (series.time_unix > YEAR_S) & (series.time_unix < 2 * YEAR_S)] = np.nan
     series.values[4] = np.nan
@@ -92,7 +92,7 @@ def test_a_path_that_was_silent_for_a_year_and_one_without_any_event_do_no_harm(
     assert found.slope_sigma[4, 0] > found.slope_sigma[5, 0]
 
 
-def test_noise_that_lasts_for_months_raises_no_alarm() -> None:
+def test_noise_that_lasts_for_months_raises_no_alarm():
     """Only what lasts is estimated from all series: white noise of events would make each of these many steps."""
     rng = np.random.default_rng(9)
     series = _draw(rng, series=40)
@@ -105,13 +105,13 @@ def test_noise_that_lasts_for_months_raises_no_alarm() -> None:
     assert np.isfinite(found.terms.dates).any(axis=1).sum() <= 1
 
 
-def test_the_errors_of_slopes_hold() -> None:
+def test_the_errors_of_slopes_hold():
     found = search_series(_draw(np.random.default_rng(10), series=96))
     pull = found.slope[:, 0] / found.slope_sigma[:, 0]
     assert np.std(pull) == pytest.approx(1.0, abs=0.22)  # 3 standard deviations of 96 draws
 
 
-def test_slopes_of_a_few_paths_do_not_move_those_of_all_others() -> None:
+def test_slopes_of_a_few_paths_do_not_move_those_of_all_others():
     """Six of 40 paths that fall moved the median by a seventh of it: the others rose, twice their error too often."""
     series = _draw(np.random.default_rng(12), series=40, years=3)
     series.values[:6, :, 0] -= (0.015 * series.time_unix / YEAR_S).astype(np.float32)
@@ -122,14 +122,14 @@ def test_slopes_of_a_few_paths_do_not_move_those_of_all_others() -> None:
     assert np.std(pull) == pytest.approx(1.0, abs=0.34)  # 3 standard deviations of 40 draws
 
 
-def test_fewer_months_than_a_year_still_show_a_step() -> None:
+def test_fewer_months_than_a_year_still_show_a_step():
     series = _draw(np.random.default_rng(11), years=0.5)
     series.values[2, series.time_unix >= 0.3 * YEAR_S, 0] += 0.06
     found = search_series(series)
     assert np.isfinite(found.terms.dates).sum(axis=1).tolist() == [int(k == 2) for k in range(24)]
 
 
-def test_the_noise_of_events_does_not_contain_the_season() -> None:
+def test_the_noise_of_events_does_not_contain_the_season():
     """With the season in it the noise was a fifth too large, and steps of 0.4 % were missed."""
     model = SeriesModel(_draw(np.random.default_rng(1)), None, 0.05)
     model.fit()
@@ -138,7 +138,7 @@ def test_the_noise_of_events_does_not_contain_the_season() -> None:
     assert np.median(model.scale[0]) == pytest.approx(NOISE, rel=0.04)
 
 
-def test_the_model_of_some_series_is_that_of_all() -> None:
+def test_the_model_of_some_series_is_that_of_all():
     series = _draw(np.random.default_rng(2), series=6)
     one, other = SeriesModel(series, None, 0.05), SeriesModel(series, None, 0.05)
     one.fit()
@@ -149,7 +149,7 @@ def test_the_model_of_some_series_is_that_of_all() -> None:
     assert one.scores(np.array([1, 4]))[0] == pytest.approx(one.scores(one.all)[0][[1, 4]])
 
 
-def test_the_median_is_that_of_the_known_values() -> None:
+def test_the_median_is_that_of_the_known_values():
     rng = np.random.default_rng(1)
     values = rng.standard_normal((7, 40, 3)).astype(np.float32)
     values[rng.uniform(size=(7, 40)) < 0.2] = np.nan
@@ -157,7 +157,7 @@ def test_the_median_is_that_of_the_known_values() -> None:
     assert median_over(values, axis=1) == pytest.approx(np.nanmedian(values, axis=1), nan_ok=True)
 
 
-def test_two_known_series_have_no_median() -> None:
+def test_two_known_series_have_no_median():
     values = np.ones((5, 2, 3), dtype=np.float32)
     values[:3, 0] = np.nan
     assert np.isnan(median_of_members(values)[:, 0]).tolist() == [True, False]

@@ -37,7 +37,7 @@ def _columns(terms: Terms) -> np.ndarray:
     return month_columns(smooth_columns(TIME, TIME.mean()), terms, TIME, known, np.arange(MONTHS))
 
 
-def test_terms_are_recovered_exactly_without_noise() -> None:
+def test_terms_are_recovered_exactly_without_noise():
     columns = _columns(_terms([[TIME[20] - 1.0, np.inf], [TIME[10] - 1.0, TIME[40] - 1.0]]))
     truth = np.array([[0.1, 0.02, -0.01, 0.003, 0.0, 0.01, 0.05, 0.0], [0.0, 0.0, 0.01, 0.0, 0.0, -0.02, 0.03, -0.04]])
     y = (columns @ truth[..., None])[..., 0][None]
@@ -46,7 +46,7 @@ def test_terms_are_recovered_exactly_without_noise() -> None:
     assert fit.theta[0] == pytest.approx(truth, abs=1e-6)
 
 
-def test_the_fit_is_generalised_least_squares() -> None:
+def test_the_fit_is_generalised_least_squares():
     rng = np.random.default_rng(1)
     columns = _columns(_terms([[TIME[20] - 1.0]]))
     root = rng.standard_normal((MONTHS, MONTHS)) / 8 + np.eye(MONTHS)
@@ -58,7 +58,7 @@ def test_the_fit_is_generalised_least_squares() -> None:
     assert fit.theta[0, 0] == pytest.approx(oracle, abs=1e-6)
 
 
-def test_a_step_within_a_month_has_the_part_of_its_events() -> None:
+def test_a_step_within_a_month_has_the_part_of_its_events():
     time_unix = np.arange(20.0)
     known = np.ones((1, 20), dtype=bool)
     known[0, 12:14] = False
@@ -79,20 +79,20 @@ def _draw(lasting: Lasting, rng: np.random.Generator) -> np.ndarray:
 
 
 @pytest.mark.parametrize("length", [0.3, 8.0])
-def test_what_lasts_is_estimated_from_many_series(length: float) -> None:
+def test_what_lasts_is_estimated_from_many_series(length):
     y = _draw(Lasting(1.0 / 70.0, length), np.random.default_rng(1))
     found = estimate_lasting(y, EVENTS, SMOOTH, np.full(100, 0.0175), SEVEN_YEARS, np.zeros((100, 84)))
     assert found.length_months == length
     assert found.variance * 70.0 == pytest.approx(1.0)
 
 
-def test_white_noise_has_nothing_that_lasts() -> None:
+def test_white_noise_has_nothing_that_lasts():
     y = _draw(Lasting(0.0, 1.0), np.random.default_rng(2))
     found = estimate_lasting(y, EVENTS, SMOOTH, np.full(100, 0.0175), SEVEN_YEARS, np.zeros((100, 84)))
     assert found.variance * 70.0 <= 0.03
 
 
-def test_a_month_without_events_has_no_weight() -> None:
+def test_a_month_without_events_has_no_weight():
     events = np.full((1, 84), 70.0)
     events[0, 10] = 0.0
     inverse = invert_covariance(events, Lasting(1.0 / 70.0, 2.0), SEVEN_YEARS)
@@ -100,7 +100,7 @@ def test_a_month_without_events_has_no_weight() -> None:
     assert inverse[0, 11, 11] > 30.0
 
 
-def test_the_correlation_of_modes_is_theirs() -> None:
+def test_the_correlation_of_modes_is_theirs():
     rng = np.random.default_rng(3)
     first, second = rng.standard_normal((2, 100, 84)) / 70**0.5
     found = correlate_modes(np.stack([first, 0.6 * first + 0.8 * second]), EVENTS)
@@ -128,7 +128,7 @@ def _oracle(y: np.ndarray, inverse: np.ndarray, columns: np.ndarray, column: np.
     return fit.theta[0, :, -1] ** 2 / fit.covariance[0, :, -1, -1]
 
 
-def test_a_score_is_what_a_fit_with_the_step_would_give() -> None:
+def test_a_score_is_what_a_fit_with_the_step_would_give():
     y, inverse, columns = _case()
     scores = score_steps(inverse, columns, fit_terms(y, inverse, columns, SCALE), np.eye(1))
     for month in (1, 7, 20, 35):
@@ -136,18 +136,18 @@ def test_a_score_is_what_a_fit_with_the_step_would_give() -> None:
         assert scores[:, month] == pytest.approx(_oracle(y, inverse, columns, step), rel=1e-4)
 
 
-def test_the_score_of_a_slope_is_what_a_fit_with_it_would_give() -> None:
+def test_the_score_of_a_slope_is_what_a_fit_with_it_would_give():
     y, inverse, columns = _case()
     slope = smooth_columns(MONTHLY, MONTHLY.mean())[:, SLOPE]
     found = score_slope(inverse, columns, fit_terms(y, inverse, columns, SCALE), np.eye(1), slope)
     assert found == pytest.approx(_oracle(y, inverse, columns, slope), rel=1e-4)
 
 
-def test_the_threshold_is_exceeded_as_often_as_allowed() -> None:
+def test_the_threshold_is_exceeded_as_often_as_allowed():
     cut = find_threshold(0.05, 1000, 3)
     assert 1000 * stats.chi2.sf(cut, 3) == pytest.approx(0.05)
 
 
-def test_significance_is_that_of_a_normal() -> None:
+def test_significance_is_that_of_a_normal():
     assert find_significance(np.array([9.0]), 1) == pytest.approx([3.0])
     assert find_significance(np.array([4e4]), 3) == pytest.approx([200.0])

@@ -40,37 +40,37 @@ def spectra() -> Spectra:
     )  # fmt: skip
 
 
-def test_without_changes_a_window_is_whole(spectra: Spectra) -> None:
+def test_without_changes_a_window_is_whole(spectra):
     for scope in ("antenna", "station", "array"):
         (piece,) = cut_window(spectra, make_instrument({}), scope, ZERO, ZERO + 100.0)
         assert np.all(piece.rows)
 
 
-def test_paths_are_cut_where_their_own_antenna_changed(spectra: Spectra) -> None:
+def test_paths_are_cut_where_their_own_antenna_changed(spectra):
     pieces = cut_window(spectra, make_instrument({2: 30.0, 3: 60.0}), "antenna", ZERO, ZERO + 100.0)
     told = [(p.since_unix - ZERO, p.until_unix - ZERO, sorted(set(spectra.antenna[p.rows].tolist()))) for p in pieces]
     assert told == [(0, 100, [0, 1]), (0, 30, [2]), (30, 100, [2]), (0, 60, [3]), (60, 100, [3])]
     assert sum(piece.rows.sum() for piece in pieces) == len(spectra)
 
 
-def test_a_mean_leaves_out_the_few_that_changed(spectra: Spectra) -> None:
+def test_a_mean_leaves_out_the_few_that_changed(spectra):
     """A cable that was changed inside a year refused the whole station's refit."""
     (piece,) = cut_window(spectra, make_instrument({2: 30.0}), "station", ZERO, ZERO + 100.0)
     assert sorted(set(spectra.antenna[piece.rows].tolist())) == [0, 1, 3]
     assert (piece.since_unix, piece.until_unix) == (ZERO, ZERO + 100.0)
 
 
-def test_where_most_changed_the_mean_is_cut(spectra: Spectra) -> None:
+def test_where_most_changed_the_mean_is_cut(spectra):
     pieces = cut_window(spectra, make_instrument({0: 30.0, 1: 30.0, 2: 60.0}), "station", ZERO, ZERO + 100.0)
     assert [(p.since_unix - ZERO, p.until_unix - ZERO) for p in pieces] == [(0, 30), (30, 60), (60, 100)]
 
 
-def test_changes_outside_the_window_cut_nothing(spectra: Spectra) -> None:
+def test_changes_outside_the_window_cut_nothing(spectra):
     for day in (-5.0, 0.0, 100.0, 200.0):
         assert len(cut_window(spectra, make_instrument({2: day}), "antenna", ZERO, ZERO + 100.0)) == 1
 
 
-def test_what_changed_while_it_was_recorded_is_left_out(spectra: Spectra) -> None:
+def test_what_changed_while_it_was_recorded_is_left_out(spectra):
     kept = leave_out_changed(spectra, make_instrument({1: 30.0}))
     assert kept is not None
     assert 1 not in kept.antenna
@@ -78,7 +78,7 @@ def test_what_changed_while_it_was_recorded_is_left_out(spectra: Spectra) -> Non
     assert leave_out_changed(spectra, make_instrument(dict.fromkeys(range(4), 50.0))) is None
 
 
-def test_an_antenna_that_changed_is_set_apart_as_one_a_stretch(spectra: Spectra) -> None:
+def test_an_antenna_that_changed_is_set_apart_as_one_a_stretch(spectra):
     instrument = make_instrument({2: 30.0, 3: 60.0})
     apart, parts = set_apart(spectra, instrument)
     day = spectra.time_unix - ZERO
@@ -92,7 +92,7 @@ def test_an_antenna_that_changed_is_set_apart_as_one_a_stretch(spectra: Spectra)
     assert set_apart(spectra, make_instrument({}))[0] is spectra
 
 
-def test_changes_are_those_of_the_records() -> None:
+def test_changes_are_those_of_the_records():
     instrument = make_instrument({2: 30.0})
     assert find_hardware_changes(instrument) == {("CS001", 2): (ZERO + 30.0,)}
     assert find_hardware_changes(replace(instrument, antennas=instrument.antennas[:2])) == {}

@@ -3,7 +3,6 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from datetime import UTC, datetime
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -107,7 +106,7 @@ WRONG_CONTENT: dict[str, tuple[Callable[[dict[str, Any]], None], str]] = {
 
 
 @pytest.mark.parametrize("case", WRONG_CONTENT)
-def test_wrong_content_is_named_with_field_and_row(tmp_path: Path, case: str) -> None:
+def test_wrong_content_is_named_with_field_and_row(tmp_path, case):
     change, sentence = WRONG_CONTENT[case]
     content = make_content()
     change(content)
@@ -120,7 +119,7 @@ def test_wrong_content_is_named_with_field_and_row(tmp_path: Path, case: str) ->
 
 
 @pytest.mark.parametrize("content", [[], 3, "text", None])
-def test_json_of_another_kind_is_refused(content: object) -> None:
+def test_json_of_another_kind_is_refused(content):
     with pytest.raises(BadInputError, match=r"i\.json: expected a JSON object, found"):
         parse_instrument(content, "i.json")
 
@@ -138,7 +137,7 @@ def test_json_of_another_kind_is_refused(content: object) -> None:
         (b'{"name": "a", "name": "b"}', "the field 'name' twice in one object"),
     ],
 )
-def test_a_file_that_is_not_json_is_one_sentence(tmp_path: Path, content: bytes, found: str) -> None:
+def test_a_file_that_is_not_json_is_one_sentence(tmp_path, content, found):
     path = tmp_path / "i.json"
     path.write_bytes(content)
     with pytest.raises(UnreadableFileError, match=found) as caught:
@@ -147,17 +146,17 @@ def test_a_file_that_is_not_json_is_one_sentence(tmp_path: Path, content: bytes,
     assert "\n" not in str(caught.value)
 
 
-def test_a_folder_is_named_as_such(tmp_path: Path) -> None:
+def test_a_folder_is_named_as_such(tmp_path):
     with pytest.raises(UnreadableFileError, match=r"cannot be read \(Is a directory\)"):
         load_instrument(str(tmp_path))
 
 
-def test_a_name_that_nothing_answers_to_is_answered_with_the_names_that_exist() -> None:
+def test_a_name_that_nothing_answers_to_is_answered_with_the_names_that_exist():
     with pytest.raises(UnknownNameError, match=r"unknown instrument 'lofar'; known: .*or the path of a file"):
         load_instrument("lofar")
 
 
-def test_every_truncation_is_a_sentence(tmp_path: Path) -> None:
+def test_every_truncation_is_a_sentence(tmp_path):
     text = json.dumps(make_content())
     path = tmp_path / "i.json"
     for length in range(len(text)):
@@ -166,21 +165,21 @@ def test_every_truncation_is_a_sentence(tmp_path: Path) -> None:
             load_instrument(str(path))
 
 
-def test_an_instrument_returns_as_the_file_it_came_from() -> None:
+def test_an_instrument_returns_as_the_file_it_came_from():
     instrument = parse_instrument(make_content(), "i.json")
     again = parse_instrument(json.loads(json.dumps(instrument.as_dict())), "i.json")
     assert again.digest() == instrument.digest()
     assert again.as_dict() == instrument.as_dict()
 
 
-def test_fields_of_others_are_left_alone_and_not_part_of_the_digest() -> None:
+def test_fields_of_others_are_left_alone_and_not_part_of_the_digest():
     content = make_content()
     content["remark"] = {"anything": [1, 2]}
     content["antennas"][0]["x_m"] = 12.5
     assert parse_instrument(content, "i.json").digest() == parse_instrument(make_content(), "i.json").digest()
 
 
-def test_a_cable_of_another_antenna_or_another_year_renamed_every_calibration() -> None:
+def test_a_cable_of_another_antenna_or_another_year_renamed_every_calibration():
     """The digest of a fit holds what the fit uses: its antennas' records while they last, and their cables."""
     content = make_content()
     old, begin, change = parse_instrument(content, "i.json"), unix("2013-01-01"), unix("2013-05-01")
@@ -200,7 +199,7 @@ def test_a_cable_of_another_antenna_or_another_year_renamed_every_calibration() 
     assert parse_instrument(content, "i.json").digest_of(begin, 2e9) != old.digest_of(begin, 2e9)
 
 
-def test_the_cable_changes_at_the_instant_of_the_record() -> None:
+def test_the_cable_changes_at_the_instant_of_the_record():
     instrument = parse_instrument(make_content(), "i.json")
     change = unix("2013-05-01")
     assert instrument.cable_of("CS002", 0, change - 1e-6) == "50 m"
@@ -210,7 +209,7 @@ def test_the_cable_changes_at_the_instant_of_the_record() -> None:
     assert instrument.cables_between("CS002", 1, 0.0, 2e9) == ["80 m"]
 
 
-def test_an_antenna_or_a_date_without_a_record_is_named() -> None:
+def test_an_antenna_or_a_date_without_a_record_is_named():
     content = make_content()
     content["antennas"][1]["until"] = "2014-01-01"
     instrument = parse_instrument(content, "i.json")
@@ -220,7 +219,7 @@ def test_an_antenna_or_a_date_without_a_record_is_named() -> None:
         instrument.cable_of("CS002", 0, unix("2014-01-01"))
 
 
-def test_a_group_is_kept_and_changes_with_the_record() -> None:
+def test_a_group_is_kept_and_changes_with_the_record():
     content = make_content()
     content["antennas"][0]["group"], content["antennas"][1]["group"] = "board 1", "board 2"
     instrument = parse_instrument(content, "i.json")
@@ -236,28 +235,28 @@ def test_a_group_is_kept_and_changes_with_the_record() -> None:
         parse_instrument(content, "i.json")
 
 
-def test_a_longitude_may_be_counted_to_either_side() -> None:
+def test_a_longitude_may_be_counted_to_either_side():
     for longitude in (-173.1, 186.9):
         content = make_content()
         content["longitude_deg"] = longitude
         assert parse_instrument(content, "i.json").longitude_deg == longitude
 
 
-def test_a_name_longer_than_any_files_was_an_error_of_the_system(tmp_path: Path) -> None:
+def test_a_name_longer_than_any_files_was_an_error_of_the_system(tmp_path):
     (tmp_path / "i.json").write_text(json.dumps(make_content() | {"antenna": "a" * 300}))
     assert load_instrument(str(tmp_path / "i.json")).antenna == "a" * 300
     with pytest.raises(UnknownNameError):
         load_instrument("b" * 5000)
 
 
-def test_an_antenna_file_is_found_beside_the_instrument_file(tmp_path: Path) -> None:
+def test_an_antenna_file_is_found_beside_the_instrument_file(tmp_path):
     (tmp_path / "lba.npz").touch()
     (tmp_path / "i.json").write_text(json.dumps(make_content() | {"antenna": "lba.npz", "sky": "gsm"}))
     instrument = load_instrument(str(tmp_path / "i.json"))
     assert (instrument.antenna, instrument.sky) == (str(tmp_path / "lba.npz"), "gsm")
 
 
-def test_the_superterp_says_that_its_antenna_gain_is_made_from_the_published_c() -> None:
+def test_the_superterp_says_that_its_antenna_gain_is_made_from_the_published_c():
     gain = load_instrument("lofar-superterp").gain_provenance
     assert gain is not None
     assert gain.kind == "relative"
@@ -265,7 +264,7 @@ def test_the_superterp_says_that_its_antenna_gain_is_made_from_the_published_c()
     assert gain.scale_error == pytest.approx(0.39)
 
 
-def test_an_antenna_that_is_not_on_record_is_told_what_is() -> None:
+def test_an_antenna_that_is_not_on_record_is_told_what_is():
     """Data of station HERA and an instrument whose antennas stand at S1: "no such antenna" did not help."""
     instrument = parse_instrument(make_content(), "i.json")
     with pytest.raises(BadInputError, match=r"found antennas 0 to \d+ there"):
@@ -277,7 +276,7 @@ def test_an_antenna_that_is_not_on_record_is_told_what_is() -> None:
 PROVENANCE = {"kind": "absolute", "source": "NEC", "shape_error": [0.1, 0.02, 0.2], "scale_error": 0.05}
 
 
-def test_an_instrument_says_what_its_antenna_gain_is() -> None:
+def test_an_instrument_says_what_its_antenna_gain_is():
     content = make_content() | {"antenna": "hamaker", "sky": "gsm", "antenna_gain_provenance": PROVENANCE}
     instrument = parse_instrument(content, "i.json")
     assert (instrument.antenna, instrument.sky) == ("hamaker", "gsm")
@@ -287,7 +286,7 @@ def test_an_instrument_says_what_its_antenna_gain_is() -> None:
     assert parse_instrument(json.loads(json.dumps(instrument.as_dict())), "i.json").as_dict() == instrument.as_dict()
 
 
-def test_an_error_of_one_number_holds_in_every_channel() -> None:
+def test_an_error_of_one_number_holds_in_every_channel():
     content = make_content() | {"antenna_gain_provenance": {"kind": "relative", "source": "x", "shape_error": 0.1}}
     gain = parse_instrument(content, "i.json").gain_provenance
     assert gain is not None
@@ -295,7 +294,7 @@ def test_an_error_of_one_number_holds_in_every_channel() -> None:
     assert gain.shape_error.tolist() == [0.1, 0.1, 0.1]
 
 
-def test_words_about_the_antenna_gain_do_not_change_the_digest() -> None:
+def test_words_about_the_antenna_gain_do_not_change_the_digest():
     content = make_content() | {"antenna": "hamaker", "antenna_gain_provenance": PROVENANCE}
     assert parse_instrument(content, "i.json").digest() == parse_instrument(make_content(), "i.json").digest()
 
@@ -310,11 +309,11 @@ def test_words_about_the_antenna_gain_do_not_change_the_digest() -> None:
         ({"scale_error": -0.1}, "expected errors >= 0"),
     ],
 )
-def test_a_provenance_that_says_nothing_sensible_is_refused(change: dict[str, Any], said: str) -> None:
+def test_a_provenance_that_says_nothing_sensible_is_refused(change, said):
     with pytest.raises(BadInputError, match=said):
         parse_instrument(make_content() | {"antenna_gain_provenance": PROVENANCE | change}, "i.json")
 
 
-def test_a_record_covers_its_first_instant_and_not_its_last() -> None:
+def test_a_record_covers_its_first_instant_and_not_its_last():
     record = AntennaRecord("CS002", 0, "50 m", since=10.0, until=20.0)
     assert [record.covers(instant) for instant in (9.9, 10.0, 19.9, 20.0)] == [False, True, True, False]

@@ -1,7 +1,5 @@
 """What is a chain, and what follows from the list of its stages."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

@@ -52,9 +52,7 @@ def lst_sky(lst_instrument: Instrument) -> SkyPower:
     return SkyPower(lst_instrument.frequency_mhz, lst, {d: shape[d][:, None] * steeper for d in "XY"})
 
 
-def test_noise_share_and_offset_are_recovered_exactly(
-    noiseless: LstCurve, lst_sky: SkyPower, lst_instrument: Instrument
-) -> None:
+def test_noise_share_and_offset_are_recovered_exactly(noiseless, lst_sky, lst_instrument):
     comparison = compare_lst_curve(noiseless, lst_sky, lst_instrument)
     for dipole, share in SHARES.items():
         fit = comparison.of(dipole, has_noise=True)
@@ -64,9 +62,7 @@ def test_noise_share_and_offset_are_recovered_exactly(
         assert comparison.of(dipole, has_noise=False).chi2 / fit.points > 1
 
 
-def test_the_stated_error_of_the_share_is_its_scatter(
-    noiseless: LstCurve, lst_sky: SkyPower, lst_instrument: Instrument
-) -> None:
+def test_the_stated_error_of_the_share_is_its_scatter(noiseless, lst_sky, lst_instrument):
     rng = np.random.default_rng(1)
     shares = []
     for _ in range(300):
@@ -78,18 +74,14 @@ def test_the_stated_error_of_the_share_is_its_scatter(
     assert np.mean(shares) == pytest.approx(0.2, abs=3 * np.std(shares) / 300**0.5 + 1e-3)
 
 
-def test_the_share_stays_between_nothing_and_everything(
-    noiseless: LstCurve, lst_sky: SkyPower, lst_instrument: Instrument
-) -> None:
+def test_the_share_stays_between_nothing_and_everything(noiseless, lst_sky, lst_instrument):
     for stretch, bound in ((3.0, 0.0), (-1.0, 1.0)):
         stretched = {d: stretch * noiseless.variation_db[d] for d in "XY"}
         comparison = compare_lst_curve(replace(noiseless, variation_db=stretched), lst_sky, lst_instrument)
         assert comparison.of("X", has_noise=True).noise_share == bound
 
 
-def test_points_that_are_absent_change_nothing(
-    noiseless: LstCurve, lst_sky: SkyPower, lst_instrument: Instrument
-) -> None:
+def test_points_that_are_absent_change_nothing(noiseless, lst_sky, lst_instrument):
     variation = {d: noiseless.variation_db[d].copy() for d in "XY"}
     variation["X"][5:9] = np.nan
     fit = compare_lst_curve(replace(noiseless, variation_db=variation), lst_sky, lst_instrument).of("X", has_noise=True)
@@ -98,7 +90,7 @@ def test_points_that_are_absent_change_nothing(
     assert np.isnan(fit.residual_db[5:9]).all()
 
 
-def test_weights_follow_c_and_the_antenna_and_stay_inside_the_band(lst_instrument: Instrument) -> None:
+def test_weights_follow_c_and_the_antenna_and_stay_inside_the_band(lst_instrument):
     lst_instrument = replace(lst_instrument, name="lofar-superterp")
     c = read_table("published_calibration")["c"]
     weights = band_weights(lst_instrument, AS_RECORDED, (40.0, 60.0))
@@ -110,19 +102,19 @@ def test_weights_follow_c_and_the_antenna_and_stay_inside_the_band(lst_instrumen
 
 
 @pytest.mark.parametrize("band", [(60.0, 40.0), (10.0, 20.0), (55.0, 55.0)])
-def test_a_band_without_channels_is_refused(lst_instrument: Instrument, band: tuple[float, float]) -> None:
+def test_a_band_without_channels_is_refused(lst_instrument, band):
     with pytest.raises(BadInputError, match="band"):
         band_weights(lst_instrument, AS_RECORDED, band)
 
 
-def test_the_published_terms_make_a_third_to_a_half_of_the_band_noise() -> None:
+def test_the_published_terms_make_a_third_to_a_half_of_the_band_noise():
     """Fig. 5: the sky dominates at 40-65 MHz, where the weight is, and the LNA alone has 0.35-0.5 of the sky."""
     share = published_noise_share(BAND)
     assert share is not None
     assert 0.3 < share < 0.5
 
 
-def test_the_band_of_another_instrument_was_weighed_with_lofars_calibration_and_ended_at_80_mhz() -> None:
+def test_the_band_of_another_instrument_was_weighed_with_lofars_calibration_and_ended_at_80_mhz():
     lofar = load_instrument("lofar-superterp")
     nu = np.arange(60.0, 190.0, 10.0)
     other = replace(

@@ -18,21 +18,21 @@ def _write(folder: Path, *lines: str) -> Path:
     return path
 
 
-def test_the_shipped_curve_has_the_91_points_of_the_figure() -> None:
+def test_the_shipped_curve_has_the_91_points_of_the_figure():
     curve = read_lst_curve(measured_curve())
     assert [int(curve.has_point(dipole).sum()) for dipole in "XY"] == [44, 47]
     assert curve.bin_hours == 0.5
     assert set(np.unique(curve.error_db)) == {0.11}
 
 
-def test_lst_is_the_left_edge_of_the_bin_unless_the_file_says_centre(tmp_path: Path) -> None:
+def test_lst_is_the_left_edge_of_the_bin_unless_the_file_says_centre(tmp_path):
     edge = read_lst_curve(_write(tmp_path, "# a comment", HEADER, *ROWS))
     centre = read_lst_curve(_write(tmp_path, "# lst: centre", HEADER, *ROWS))
     np.testing.assert_allclose(edge.lst_hours - centre.lst_hours, 1.0)
     assert (edge.is_centre_stated, centre.is_centre_stated) == (False, True)
 
 
-def test_further_columns_and_lines_are_ignored_and_an_empty_cell_is_no_point(tmp_path: Path) -> None:
+def test_further_columns_and_lines_are_ignored_and_an_empty_cell_is_no_point(tmp_path):
     rows = [f"7,{row}" for row in ROWS]
     rows[3] = "7,6.0,,-0.6,0.1"
     curve = read_lst_curve(_write(tmp_path, "# anything", "", f"other,{HEADER}", *rows, ""))
@@ -58,13 +58,13 @@ def test_further_columns_and_lines_are_ignored_and_an_empty_cell_is_no_point(tmp
         ([HEADER, *[f"{k},,0.1,0.1" for k in range(12)]], "x_db: expected at least 4 points, found 0"),
     ],
 )
-def test_what_is_wrong_in_a_file_is_named_with_its_line(tmp_path: Path, lines: list[str], message: str) -> None:
+def test_what_is_wrong_in_a_file_is_named_with_its_line(tmp_path, lines, message):
     with pytest.raises(BadInputError, match=message):
         read_lst_curve(_write(tmp_path, *lines))
 
 
 @pytest.mark.parametrize("content", [b"", b"# only a comment\n", bytes(range(128, 256))])
-def test_a_file_that_is_no_table_is_unreadable(tmp_path: Path, content: bytes) -> None:
+def test_a_file_that_is_no_table_is_unreadable(tmp_path, content):
     path = tmp_path / "curve.csv"
     path.write_bytes(content)
     with pytest.raises(UnreadableFileError):
@@ -83,12 +83,12 @@ def curve_with(noise):
     return LstCurve(LST, values, np.full(240, 0.11), 0.1, is_centre_stated=True)
 
 
-def test_the_point_noise_is_found_about_a_smooth_curve() -> None:
+def test_the_point_noise_is_found_about_a_smooth_curve():
     curve = curve_with(np.random.default_rng(2).normal(scale=0.05, size=(2, 240)))
     assert estimate_point_noise(curve, "X") == pytest.approx(0.05, rel=0.15)  # 227 degrees of freedom: 5 %
 
 
-def test_what_the_dipoles_share_is_found_as_their_correlation() -> None:
+def test_what_the_dipoles_share_is_found_as_their_correlation():
     rng = np.random.default_rng(3)
     shared, own = 0.045 * rng.standard_normal(240), 0.015 * rng.standard_normal((2, 240))
     noise = estimate_noise(curve_with(shared + own))
@@ -97,12 +97,12 @@ def test_what_the_dipoles_share_is_found_as_their_correlation() -> None:
     assert noise.free == 2 * (240 - 13)
 
 
-def test_independent_dipoles_are_not_correlated() -> None:
+def test_independent_dipoles_are_not_correlated():
     noise = estimate_noise(curve_with(0.05 * np.random.default_rng(4).standard_normal((2, 240))))
     assert abs(noise.correlation) < 0.2  # 0.066 one sigma
 
 
-def test_the_covariance_links_only_the_two_points_of_one_lst() -> None:
+def test_the_covariance_links_only_the_two_points_of_one_lst():
     curve = read_lst_curve(measured_curve())
     noise = estimate_noise(curve)
     covariance = noise.covariance(curve)
@@ -112,13 +112,13 @@ def test_the_covariance_links_only_the_two_points_of_one_lst() -> None:
     assert np.count_nonzero(covariance[:points, points:]) == int((curve.has_point("X") & curve.has_point("Y")).sum())
 
 
-def test_the_measured_dipoles_share_most_of_their_noise() -> None:
+def test_the_measured_dipoles_share_most_of_their_noise():
     noise = estimate_noise(read_lst_curve(measured_curve()))
     assert noise.correlation > 0.85
     assert all(0.04 < sigma < 0.06 for sigma in noise.sigma_db.values())  # less than half of the drawn 0.11 dB
 
 
-def test_too_few_points_are_refused_with_the_number_needed() -> None:
+def test_too_few_points_are_refused_with_the_number_needed():
     few = np.arange(0, 24, 2.0)
     values = {d: np.cos(few) for d in "XY"}
     with pytest.raises(BadInputError, match="18 points or more"):

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,7 +8,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lbacal_core.errors import BadInputError, UnreadableFileError
-from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.readers.open import choose_channels, open_source
 from lbacal_core.readers.source import Channels, Integrations, Source, average
 
@@ -30,7 +28,7 @@ def make_source(power: np.ndarray, time_unix: np.ndarray, duration_s: np.ndarray
 
 
 @given(st.integers(0, 10_000), st.integers(1, 40), st.integers(1, 7))
-def test_average_is_the_plain_sum_over_every_sample_that_is_not_flagged(seed: int, rows: int, at_once: int) -> None:
+def test_average_is_the_plain_sum_over_every_sample_that_is_not_flagged(seed, rows, at_once):
     rng = np.random.default_rng(seed)
     duration = rng.uniform(1.0, 5.0, rows)
     time = 1.4e9 + np.cumsum(duration) - duration / 2
@@ -52,7 +50,7 @@ def test_average_is_the_plain_sum_over_every_sample_that_is_not_flagged(seed: in
             assert spectra.power[row, j] == pytest.approx(total / weight, rel=1e-12)
 
 
-def test_a_channel_that_is_always_flagged_is_left_out_and_a_spectrum_that_lacks_another_one_too() -> None:
+def test_a_channel_that_is_always_flagged_is_left_out_and_a_spectrum_that_lacks_another_one_too():
     power = np.ones((6, PATHS, FREQUENCY.size))
     power[:, :, 2] = np.nan
     power[:2, 1, 5] = 0.0
@@ -64,7 +62,7 @@ def test_a_channel_that_is_always_flagged_is_left_out_and_a_spectrum_that_lacks_
     assert found.spectra.environment["flagged_fraction"].min() == pytest.approx(1 / 16)
 
 
-def test_durations_and_widths_are_kept_and_blocks_count_the_same_time() -> None:
+def test_durations_and_widths_are_kept_and_blocks_count_the_same_time():
     time = 1.4e9 + np.arange(6.0)
     spectra = average(make_source(np.ones((6, PATHS, 16)), time, np.ones(6)), 3.0).spectra
     assert spectra.duration_s is not None
@@ -73,13 +71,13 @@ def test_durations_and_widths_are_kept_and_blocks_count_the_same_time() -> None:
     np.testing.assert_allclose(spectra.channel_widths(), 0.25)
 
 
-def test_source_in_which_everything_is_flagged_is_refused() -> None:
+def test_source_in_which_everything_is_flagged_is_refused():
     source = make_source(np.full((2, PATHS, 16), np.nan), 1.4e9 + np.arange(2.0), np.ones(2))
     with pytest.raises(BadInputError, match="everything flagged"):
         average(source, 10.0)
 
 
-def test_channel_outside_the_source_is_refused() -> None:
+def test_channel_outside_the_source_is_refused():
     source = make_source(np.ones((1, PATHS, 16)), np.array([1.4e9]), np.ones(1))
     with pytest.raises(BadInputError, match=r"within 0.5 MHz of 50 MHz"):
         average(source, 10.0, Channels(np.array([50.0]), np.array([1.0])))
@@ -94,23 +92,23 @@ def source() -> Source:
     )
 
 
-def test_channels_of_one_width_lie_at_its_multiples_and_within_the_band(source: Source) -> None:
+def test_channels_of_one_width_lie_at_its_multiples_and_within_the_band(source):
     assert choose_channels(source, width_mhz=1.0).frequency_mhz.tolist() == [41.0, 42.0, 43.0]
     assert choose_channels(source, width_mhz=1.0, band_mhz=(42, 60)).frequency_mhz.tolist() == [42.0, 43.0]
     with pytest.raises(BadInputError, match=r"some between 40 and 43.75 MHz"):
         choose_channels(source, band_mhz=(60, 70))
 
 
-def test_channels_of_an_instrument_are_its_own(source: Source, low_band: Instrument) -> None:
+def test_channels_of_an_instrument_are_its_own(source, low_band):
     assert choose_channels(source, low_band).frequency_mhz.tolist() == low_band.frequency_mhz.tolist()
 
 
-def test_folder_without_data_says_what_could_be_in_it(tmp_path: Path) -> None:
+def test_folder_without_data_says_what_could_be_in_it(tmp_path):
     with pytest.raises(BadInputError, match="sst_rcuNNN"):
         open_source(tmp_path)
 
 
-def test_file_of_an_unknown_kind_says_what_is_known(tmp_path: Path) -> None:
+def test_file_of_an_unknown_kind_says_what_is_known(tmp_path):
     (tmp_path / "a.txt").write_text("1 2 3")
     with pytest.raises(BadInputError, match=r"uvh5.*a file \.txt"):
         open_source(tmp_path / "a.txt")
@@ -122,9 +120,7 @@ def test_file_of_an_unknown_kind_says_what_is_known(tmp_path: Path) -> None:
     ("antennas", "dipoles", "message"),
     [([], [], "at least one path"), ([1], ["?"], "a letter or name"), ([1, 1], ["X", "X"], "A antenna 1 X twice")],
 )
-def test_paths_that_no_spectra_file_could_hold_are_refused(
-    antennas: list[int], dipoles: list[str], message: str
-) -> None:
+def test_paths_that_no_spectra_file_could_hold_are_refused(antennas, dipoles, message):
     frequency = np.array([40.0, 41.0])
     with pytest.raises(BadInputError, match=message):
         Source(

@@ -43,7 +43,7 @@ def write_statistics(path: Path, **attributes: object) -> np.ndarray:
     return sums
 
 
-def test_station_statistics_become_spectra_of_the_antennas_in_use(tmp_path: Path) -> None:
+def test_station_statistics_become_spectra_of_the_antennas_in_use(tmp_path):
     sums = write_statistics(tmp_path / "sst.h5")
     source = open_source(tmp_path / "sst.h5")
     spectra = average(source, 60.0).spectra
@@ -57,7 +57,7 @@ def test_station_statistics_become_spectra_of_the_antennas_in_use(tmp_path: Path
     np.testing.assert_allclose(spectra.width_mhz, 0.1953125)
 
 
-def test_usage_mask_and_mapping_decide_which_input_is_which_antenna(tmp_path: Path) -> None:
+def test_usage_mask_and_mapping_decide_which_input_is_which_antenna(tmp_path):
     sums = write_statistics(
         tmp_path / "sst.h5",
         antenna_status=["OK"] * ANTENNAS,
@@ -70,13 +70,13 @@ def test_usage_mask_and_mapping_decide_which_input_is_which_antenna(tmp_path: Pa
     np.testing.assert_allclose(spectra.power[row], sums[:, 4, 1:].mean(axis=0), rtol=1e-6)
 
 
-def test_statistics_of_beamlets_are_refused(tmp_path: Path) -> None:
+def test_statistics_of_beamlets_are_refused(tmp_path):
     write_statistics(tmp_path / "bst.h5", data_type="BST")
     with pytest.raises(BadInputError, match="SST"):
         open_source(tmp_path / "bst.h5")
 
 
-def test_a_second_without_its_timestamp_is_refused_by_name(tmp_path: Path) -> None:
+def test_a_second_without_its_timestamp_is_refused_by_name(tmp_path):
     write_statistics(tmp_path / "sst.h5")
     with h5py.File(tmp_path / "sst.h5", "a") as file:
         del file["SST_2025-03-01T12:00:02.000"].attrs["timestamp"]
@@ -84,7 +84,7 @@ def test_a_second_without_its_timestamp_is_refused_by_name(tmp_path: Path) -> No
         average(open_source(tmp_path / "sst.h5"), 60.0)
 
 
-def test_receiver_files_of_the_first_lofar_are_one_source(tmp_path: Path) -> None:
+def test_receiver_files_of_the_first_lofar_are_one_source(tmp_path):
     rng = np.random.default_rng(2)
     power = rng.uniform(1.0, 2.0, (4, 90, 512))
     for rcu in range(4):
@@ -96,7 +96,7 @@ def test_receiver_files_of_the_first_lofar_are_one_source(tmp_path: Path) -> Non
     assert spectra.frequency_mhz[0] == pytest.approx(100 / 512)
 
 
-def test_memory_does_not_grow_with_the_seconds_of_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_memory_does_not_grow_with_the_seconds_of_a_file(tmp_path, monkeypatch):
     """HDF5 kept 5 KiB of every second until the file was closed: it is closed between blocks, and can be written to."""
     monkeypatch.setattr(statistics, "AT_ONCE", 2)
     sums = write_statistics(tmp_path / "sst.h5")
@@ -138,7 +138,7 @@ def power() -> np.ndarray:
     return np.random.default_rng(3).uniform(1.0, 2.0, (INSTANTS, MINI_ARRAYS.size, 2, SUB_BANDS))
 
 
-def test_mini_arrays_are_antennas_and_keep_the_names_of_their_polarisations(tmp_path: Path, power: np.ndarray) -> None:
+def test_mini_arrays_are_antennas_and_keep_the_names_of_their_polarisations(tmp_path, power):
     write_mini_arrays(tmp_path / "a_SST.fits", power, START_JD + np.arange(INSTANTS) / 86_400)
     source = open_source(tmp_path / "a_SST.fits")
     spectra = average(source, 60.0).spectra
@@ -151,7 +151,7 @@ def test_mini_arrays_are_antennas_and_keep_the_names_of_their_polarisations(tmp_
     assert any("mini-array of 19" in note for note in source.notes)
 
 
-def test_instants_that_go_back_and_files_of_another_layout_are_refused(tmp_path: Path, power: np.ndarray) -> None:
+def test_instants_that_go_back_and_files_of_another_layout_are_refused(tmp_path, power):
     write_mini_arrays(tmp_path / "a.fits", power, START_JD - np.arange(INSTANTS) / 86_400)
     with pytest.raises(BadInputError, match="JD: expected instants in order of time"):
         open_source(tmp_path / "a.fits")

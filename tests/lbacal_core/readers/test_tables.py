@@ -26,7 +26,7 @@ def table(tmp_path: Path) -> Path:
     return path
 
 
-def test_every_row_is_a_spectrum_of_its_event_with_flag_and_covariates(table: Path) -> None:
+def test_every_row_is_a_spectrum_of_its_event_with_flag_and_covariates(table):
     found = average(open_source(table, "MIST"), None)
     spectra = found.spectra
     assert list(zip(spectra.event_id.tolist(), spectra.antenna.tolist(), strict=True)) == [
@@ -42,7 +42,7 @@ def test_every_row_is_a_spectrum_of_its_event_with_flag_and_covariates(table: Pa
     assert set(spectra.station.tolist()) == {"MIST"}
 
 
-def test_a_flagged_integration_does_not_count_in_the_mean_of_its_interval(table: Path) -> None:
+def test_a_flagged_integration_does_not_count_in_the_mean_of_its_interval(table):
     found = average(open_source(table), 300.0)
     spectra = found.spectra
     assert found.flags == {}
@@ -64,9 +64,7 @@ def test_a_flagged_integration_does_not_count_in_the_mean_of_its_interval(table:
         (", 50.0, 50.4, 51.2", "", "at least one column that is a frequency"),
     ],
 )
-def test_a_table_that_does_not_follow_the_format_is_refused_with_its_place(
-    table: Path, before: str, after: str, message: str
-) -> None:
+def test_a_table_that_does_not_follow_the_format_is_refused_with_its_place(table, before, after, message):
     table.write_text(TABLE.replace(before, after))
     with pytest.raises(BadInputError, match=message):
         average(open_source(table), None)
@@ -78,7 +76,7 @@ def write_table(path: Path, time: str, factor: float) -> None:
     path.write_text("\n".join(lines))
 
 
-def test_folder_of_tables_is_read_in_order_of_time(tmp_path: Path) -> None:
+def test_folder_of_tables_is_read_in_order_of_time(tmp_path):
     write_table(tmp_path / "b.csv", "2014-05-01T03:00:00Z", 1.0)
     write_table(tmp_path / "a.csv", "2014-05-01T04:00:00Z", 2.0)
     spectra = average(open_source(tmp_path), 60.0).spectra
@@ -88,7 +86,7 @@ def test_folder_of_tables_is_read_in_order_of_time(tmp_path: Path) -> None:
     assert set(spectra.station.tolist()) == {"ST001"}
 
 
-def test_archives_hold_the_same_as_tables(tmp_path: Path) -> None:
+def test_archives_hold_the_same_as_tables(tmp_path):
     np.savez(
         tmp_path / "a.npz", frequency_mhz=np.arange(40.0, 43.0), power=np.ones((2, 3)), antenna=[7, 7],
         dipole=["X", "Y"], time_unix=1.4e9, duration_s=10.0,
@@ -109,9 +107,7 @@ def test_archives_hold_the_same_as_tables(tmp_path: Path) -> None:
         ("frequency_mhz", "MHz", "frequency_mhz and one column a path, or time,antenna"),
     ],
 )
-def test_table_that_does_not_follow_the_format_is_refused(
-    tmp_path: Path, before: str, after: str, message: str
-) -> None:
+def test_table_that_does_not_follow_the_format_is_refused(tmp_path, before, after, message):
     path = tmp_path / "a.csv"
     write_table(path, "2014-05-01T03:00:00Z", 1.0)
     path.write_text(path.read_text().replace(before, after))
@@ -119,7 +115,7 @@ def test_table_that_does_not_follow_the_format_is_refused(
         average(open_source(path), 60.0)
 
 
-def test_file_with_other_channels_is_refused_by_name(tmp_path: Path) -> None:
+def test_file_with_other_channels_is_refused_by_name(tmp_path):
     write_table(tmp_path / "a.csv", "2014-05-01T03:00:00Z", 1.0)
     write_table(tmp_path / "b.csv", "2014-05-01T04:00:00Z", 1.0)
     (tmp_path / "b.csv").write_text((tmp_path / "b.csv").read_text().replace("\n42,", "\n43,"))

@@ -1,7 +1,3 @@
-from __future__ import annotations
-
-from pathlib import Path
-
 import h5py
 import numpy as np
 import pytest
@@ -16,7 +12,7 @@ pytestmark = pytest.mark.filterwarnings("ignore")  # pyuvdata's own, about heade
 
 @pytest.mark.long
 @pytest.mark.shared
-def test_hera_autocorrelations_are_read_as_the_file_has_them(shared: Path) -> None:
+def test_hera_autocorrelations_are_read_as_the_file_has_them(shared):
     path = shared / "data" / "other" / "hera_2459122.25108_autos.uvh5"
     source = open_source(path)
     assert source.frequency_mhz.size == 1536
@@ -34,14 +30,14 @@ def test_hera_autocorrelations_are_read_as_the_file_has_them(shared: Path) -> No
         assert spectra.power[0, k] == pytest.approx(np.nanmean(power[:, inside]), rel=1e-6)
 
 
-def test_file_that_is_no_visibilities_is_refused(tmp_path: Path) -> None:
+def test_file_that_is_no_visibilities_is_refused(tmp_path):
     (tmp_path / "a.uvh5").write_bytes(b"no")
     with pytest.raises(UnreadableFileError, match=r"a\.uvh5"):
         open_source(tmp_path / "a.uvh5")
 
 
 @pytest.mark.parametrize("suffix", ["uvh5", "uvfits"])
-def test_autocorrelations_of_both_formats_are_read_with_their_flags(tmp_path: Path, suffix: str) -> None:
+def test_autocorrelations_of_both_formats_are_read_with_their_flags(tmp_path, suffix):
     from pyuvdata import Telescope, UVData
 
     location = EarthLocation.from_geodetic(21.4, -30.7, 1050.0)

@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import ast
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -34,7 +33,7 @@ def curve(low_band: Instrument) -> CalibrationCurve:
     return CalibrationCurve("CS002", 1, "X", "converged", 900, nu, c, 0.01 * c, None, 1.0, 1.0, parameters)
 
 
-def test_power_is_that_of_the_chain_written_out(simulation: Simulation, curve: CalibrationCurve) -> None:
+def test_power_is_that_of_the_chain_written_out(simulation, curve):
     lst, instrument = np.array([2.0, 19.5]), simulation.instrument
     sky = simulation.sky_power.at("X", lst)
     known = {
@@ -58,7 +57,7 @@ def test_power_is_that_of_the_chain_written_out(simulation: Simulation, curve: C
         simulation.power(replace(curve, status="too_few_events", c=None, c_sigma_stat=None), sky)
 
 
-def test_the_own_sky_may_be_wrong_and_one_that_is_given_is_taken_at_its_word(simulation: Simulation) -> None:
+def test_the_own_sky_may_be_wrong_and_one_that_is_given_is_taken_at_its_word(simulation):
     assert not simulation.is_own_sky
     assert simulation.prior is None
     assert simulation.differences is None
@@ -69,7 +68,7 @@ def test_the_own_sky_may_be_wrong_and_one_that_is_given_is_taken_at_its_word(sim
     assert own.at_its_word().sky_power is own.sky_power
 
 
-def test_other_causes_keep_what_was_computed_and_have_another_digest(simulation: Simulation) -> None:
+def test_other_causes_keep_what_was_computed_and_have_another_digest(simulation):
     noise, changed = simulation.noise, simulation.with_causes(Model((WARM,)))
     assert changed.noise is noise
     assert changed.made is simulation.made
@@ -79,7 +78,7 @@ def test_other_causes_keep_what_was_computed_and_have_another_digest(simulation:
     assert replace(simulation).digest == simulation.digest
 
 
-def test_a_sky_power_on_other_channels_or_of_another_instrument_is_refused(simulation: Simulation) -> None:
+def test_a_sky_power_on_other_channels_or_of_another_instrument_is_refused(simulation):
     some = simulation.instrument
     fewer = replace(
         simulation.sky_power, frequency_mhz=some.frequency_mhz[1:],
@@ -91,7 +90,7 @@ def test_a_sky_power_on_other_channels_or_of_another_instrument_is_refused(simul
         Simulation(replace(some, name="another"), Simulation.load("lofar-superterp").sky_power)
 
 
-def test_instrument_and_sky_power_travel_as_one(repository: Path) -> None:
+def test_instrument_and_sky_power_travel_as_one(repository):
     """They stood side by side in 57 files."""
     below = ("skypower", "lstcurve", "simulation")
     together = []

@@ -30,7 +30,7 @@ def write_components(blob, path: Path, frame: str, **more: object) -> Path:
 
 
 @pytest.mark.parametrize("frame", ["G", "C"])
-def test_component_maps_are_brought_to_icrs_from_either_frame(tmp_path: Path, frame: str, blob, brightness_at) -> None:
+def test_component_maps_are_brought_to_icrs_from_either_frame(tmp_path, frame, blob, brightness_at):
     sky = load_sky(str(write_components(blob, tmp_path / "sky.npz", frame)))
     # 2 %: what pixels of 3.7 degrees and l <= 47 leave of a blob 10 degrees wide.
     assert brightness_at(sky, *blob.centre_deg) == pytest.approx(5000.0, rel=0.02)
@@ -38,20 +38,20 @@ def test_component_maps_are_brought_to_icrs_from_either_frame(tmp_path: Path, fr
     assert brightness_at(sky, 86.4, 28.9, nu=25.0) == pytest.approx(1000.0 * 2**2.5, rel=0.02)
 
 
-def test_component_maps_that_do_not_say_what_they_contain_are_refused(tmp_path: Path, blob) -> None:
+def test_component_maps_that_do_not_say_what_they_contain_are_refused(tmp_path, blob):
     path = write_components(blob, tmp_path / "sky.npz", "C", has_cmb=None)
     with pytest.raises(BadInputError, match="has_cmb and has_isotropic"):
         load_sky(str(path))
 
 
-def test_component_maps_in_another_order_are_refused(tmp_path: Path, blob) -> None:
+def test_component_maps_in_another_order_are_refused(tmp_path, blob):
     ra, dec = blob.directions("C")
     path = write_components(blob, tmp_path / "sky.npz", "C", ra=ra[::-1], dec=dec)
     with pytest.raises(BadInputError, match="HEALPix pixels in ring order"):
         load_sky(str(path))
 
 
-def test_pygdsm_models_are_read_in_galactic_coordinates(monkeypatch: pytest.MonkeyPatch, blob, brightness_at) -> None:
+def test_pygdsm_models_are_read_in_galactic_coordinates(monkeypatch, blob, brightness_at):
     class FakeGlobalSkyModel:
         def __init__(self, **settings: object) -> None:
             assert settings == {"freq_unit": "MHz", "include_cmb": False}
@@ -67,7 +67,7 @@ def test_pygdsm_models_are_read_in_galactic_coordinates(monkeypatch: pytest.Monk
     assert brightness_at(sky, *blob.centre_deg) == pytest.approx(5000.0, rel=0.02)
 
 
-def test_pygdsm_without_its_data_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pygdsm_without_its_data_says_so(monkeypatch):
     def refuse(**_: object) -> None:
         raise OSError("no network")
 
@@ -78,13 +78,13 @@ def test_pygdsm_without_its_data_says_so(monkeypatch: pytest.MonkeyPatch) -> Non
         load_sky("pygdsm-gsm2008")
 
 
-def test_without_pygdsm_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_pygdsm_the_extra_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "pygdsm", None)
     with pytest.raises(MissingExtraError, match=r"lbacal\[maps\]"):
         load_sky("pygdsm-gsm2008")
 
 
-def test_maps_with_holes_are_refused(blob) -> None:
+def test_maps_with_holes_are_refused(blob):
     holes = blob.as_map("C")
     holes[17] = np.nan
     with pytest.raises(BadInputError, match="pixel 17"):
@@ -101,16 +101,14 @@ def write_healpix(blob, path: Path, frame: str, nu: float | None, factor: float 
     return path
 
 
-def test_one_healpix_fits_map_is_carried_to_other_frequencies_by_a_power_law(
-    tmp_path: Path, blob, brightness_at
-) -> None:
+def test_one_healpix_fits_map_is_carried_to_other_frequencies_by_a_power_law(tmp_path, blob, brightness_at):
     sky = load_sky(str(write_healpix(blob, tmp_path / "map.fits", "G", 50e6)))
     assert brightness_at(sky, *blob.centre_deg) == pytest.approx(5000.0, rel=0.02)
     assert brightness_at(sky, 86.4, 28.9, nu=25.0) == pytest.approx(1000.0 * 2**2.55, rel=0.02)
     assert "nu^-2.55" in sky.origin
 
 
-def test_fits_maps_at_several_frequencies_are_interpolated(tmp_path: Path, blob, brightness_at) -> None:
+def test_fits_maps_at_several_frequencies_are_interpolated(tmp_path, blob, brightness_at):
     for nu in (30.0, 50.0, 80.0):
         write_healpix(blob, tmp_path / f"map{nu:g}.fits", "C", nu, (nu / 50.0) ** -2.5)
     sky = load_sky(str(tmp_path))
@@ -119,12 +117,12 @@ def test_fits_maps_at_several_frequencies_are_interpolated(tmp_path: Path, blob,
         sky.temperature(np.array([20.0]))
 
 
-def test_a_fits_map_without_frequency_is_refused(tmp_path: Path, blob) -> None:
+def test_a_fits_map_without_frequency_is_refused(tmp_path, blob):
     with pytest.raises(BadInputError, match="FREQ"):
         load_sky(str(write_healpix(blob, tmp_path / "map.fits", "G", None)))
 
 
-def test_a_plate_carree_fits_map_is_read_right_way_round(tmp_path: Path, blob, brightness_at) -> None:
+def test_a_plate_carree_fits_map_is_read_right_way_round(tmp_path, blob, brightness_at):
     width, height = 360, 181
     right_ascension = 180.0 - np.arange(width)  # rises to the left, as on the sky
     declination = np.arange(height) - 90.0
@@ -140,13 +138,13 @@ def test_a_plate_carree_fits_map_is_read_right_way_round(tmp_path: Path, blob, b
     assert brightness_at(sky, 180.5, 0.0) == pytest.approx(1000.0, rel=0.02)
 
 
-def test_a_truncated_fits_map_is_unreadable(tmp_path: Path, blob) -> None:
+def test_a_truncated_fits_map_is_unreadable(tmp_path, blob):
     path = write_healpix(blob, tmp_path / "map.fits", "G", 50.0)
     path.write_bytes(path.read_bytes()[:-4000])
     with pytest.raises(UnreadableFileError, match=r"map\.fits: expected a FITS map, found a broken one"):
         load_sky(str(path))
 
 
-def test_an_empty_folder_is_no_sky(tmp_path: Path) -> None:
+def test_an_empty_folder_is_no_sky(tmp_path):
     with pytest.raises(UnreadableFileError, match="found none"):
         load_sky(str(tmp_path))

@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import csv
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -39,9 +38,7 @@ def uniform(kelvin: float) -> SkyModel:
 
 @pytest.mark.parametrize("antenna", [IsotropicAntenna(), ShortDipole(1.04)])
 @pytest.mark.parametrize("latitude_deg", [-26.7, 52.9])
-def test_a_uniform_sky_has_its_temperature_in_every_beam(
-    antenna: IsotropicAntenna | ShortDipole, latitude_deg: float
-) -> None:
+def test_a_uniform_sky_has_its_temperature_in_every_beam(antenna, latitude_deg):
     seen = dipole_temperature(uniform(1234.0), antenna, NU, latitude_deg, np.arange(24.0))
     np.testing.assert_allclose(seen, 1234.0, rtol=1e-9)
 
@@ -53,14 +50,14 @@ def anchor(family: str, ln_ratio: float, error: float, nu: float = 65.0) -> Anch
     )  # fmt: skip
 
 
-def test_two_experiments_that_agree_weigh_by_their_errors() -> None:
+def test_two_experiments_that_agree_weigh_by_their_errors():
     level = combine_anchors([anchor("a", 0.1, 0.03), anchor("b", 0.1, 0.04)], uniform(1000.0))
     assert level.level == pytest.approx(0.1, abs=1e-9)
     # 1 / (1/9 + 1/16) of a hundredth is 2.4 %; scatter that two cannot exclude adds to it
     assert 0.024 < np.sqrt(level.covariance[0, 0]) < 0.05
 
 
-def test_experiments_that_disagree_beyond_their_errors_widen_the_error() -> None:
+def test_experiments_that_disagree_beyond_their_errors_widen_the_error():
     sky = uniform(1000.0)
     close = combine_anchors([anchor(n, 0.1, 0.01) for n in "abc"], sky)
     apart = combine_anchors([anchor(n, x, 0.01) for n, x in zip("abc", (0.0, 0.1, 0.2), strict=True)], sky)
@@ -68,7 +65,7 @@ def test_experiments_that_disagree_beyond_their_errors_widen_the_error() -> None
     assert apart.covariance[0, 0] > 4 * close.covariance[0, 0]
 
 
-def test_the_slope_of_one_experiment_is_found() -> None:
+def test_the_slope_of_one_experiment_is_found():
     one = replace(
         anchor("a", 0.0, 0.03), frequency_mhz=NU, temperature_k=1000.0 * np.exp(0.1 - 0.07 * np.log(NU / 65.0)),
         channel_error=0.005,
@@ -77,25 +74,25 @@ def test_the_slope_of_one_experiment_is_found() -> None:
     assert (level.level, level.slope) == (pytest.approx(0.1, abs=1e-3), pytest.approx(-0.07, abs=1e-3))
 
 
-def test_members_of_a_family_do_not_count_twice() -> None:
+def test_members_of_a_family_do_not_count_twice():
     sky = uniform(1000.0)
     alone = combine_anchors([anchor("a", 0.1, 0.03), anchor("b", 0.0, 0.03)], sky)
     doubled = combine_anchors([anchor("a", 0.1, 0.03), anchor("a", 0.1, 0.03), anchor("b", 0.0, 0.03)], sky)
     assert doubled.level == pytest.approx(alone.level, abs=1e-4)
 
 
-def test_a_map_correction_is_a_factor_and_an_offset() -> None:
+def test_a_map_correction_is_a_factor_and_an_offset():
     one = replace(anchor("a", 0.0, 0.03), kind="map", temperature_k=None, scale=1.2, offset_k=-120.0)
     np.testing.assert_allclose(one.ln_ratio(uniform(1000.0)), np.log(1.08))
 
 
-def test_the_shipped_level_is_that_of_the_shipped_experiments() -> None:
+def test_the_shipped_level_is_that_of_the_shipped_experiments():
     level, shipped = combine_anchors(read_anchors(), load_sky("gsm")), read_sky_level()
     np.testing.assert_allclose([level.level, level.slope], [shipped.level, shipped.slope], atol=1e-4)
     np.testing.assert_allclose(level.covariance, shipped.covariance, atol=1e-6)
 
 
-def test_every_experiment_left_out_is_predicted_by_the_others_within_the_error() -> None:
+def test_every_experiment_left_out_is_predicted_by_the_others_within_the_error():
     lines = {line.family: line for line in predict_left_out(read_anchors(), load_sky("gsm"))}
     assert set(lines) == {"EDGES", "SARAS", "SKALA4.1", "LWA1", "surveys"}
     assert all(abs(line.pull) < 2 for line in lines.values())
@@ -104,7 +101,7 @@ def test_every_experiment_left_out_is_predicted_by_the_others_within_the_error()
 
 
 @pytest.mark.shared
-def test_edges_left_out_is_predicted_at_every_lst(shared: Path) -> None:
+def test_edges_left_out_is_predicted_at_every_lst(shared):
     text = (shared / "data/anchor/edges_sky_temperature.csv").read_text().splitlines()
     rows = list(csv.DictReader(line for line in text if not line.startswith("#")))
     lst, at_75, index = (np.array([float(row[name]) for row in rows]) for name in ("lst_h", "t75_k", "beta_low"))
@@ -121,7 +118,7 @@ def test_edges_left_out_is_predicted_at_every_lst(shared: Path) -> None:
     assert np.all(left.std(axis=0) < 0.08)
 
 
-def test_above_the_range_of_a_sky_model_its_index_goes_on() -> None:
+def test_above_the_range_of_a_sky_model_its_index_goes_on():
     sky = load_sky("gsm")
     mean = mean_temperature(sky, ShortDipole(0.5), np.array([110.0, 120.0, 150.0]), 0.0)
     before, after = np.diff(np.log(mean)) / np.log([120 / 110, 150 / 120])
@@ -129,7 +126,7 @@ def test_above_the_range_of_a_sky_model_its_index_goes_on() -> None:
 
 
 @pytest.mark.shared
-def test_edges_confirms_the_wide_sky_through_any_of_three_dipoles(shared: Path) -> None:
+def test_edges_confirms_the_wide_sky_through_any_of_three_dipoles(shared):
     """LST mean and modulation at 75, 150 and 190 MHz; the antenna that EDGES used is not public."""
     lines = (shared / "data/anchor/edges_sky_temperature.csv").read_text().splitlines()
     rows = list(csv.DictReader(line for line in lines if not line.startswith("#")))
@@ -171,32 +168,32 @@ def rms_level(terms: tuple[SkyTerm, ...]) -> np.ndarray:
     return np.asarray(np.sqrt(np.sum(np.square(means), axis=0)))
 
 
-def test_the_budget_of_the_paper_is_23_percent_in_power(few_channels: Instrument) -> None:
+def test_the_budget_of_the_paper_is_23_percent_in_power(few_channels):
     terms = sky_terms(few_channels, "paper")
     np.testing.assert_allclose(rms_level(terms), np.sqrt(0.2**2 + 0.1**2 + 0.05**2))
     assert all(term.d_ln_p[dipole].shape == (96, 4) for term in terms for dipole in "XY")
 
 
-def test_seven_models_have_one_level_of_12_percent_and_what_is_left_has_none(few_channels: Instrument) -> None:
+def test_seven_models_have_one_level_of_12_percent_and_what_is_left_has_none(few_channels):
     first, *others = sky_terms(few_channels, "models")
     assert np.all(first.d_ln_p["X"] == 0.12)
     for term in others:
         assert np.mean([values.mean() for values in term.d_ln_p.values()]) == pytest.approx(0.0, abs=1e-12)
 
 
-def test_the_measured_sky_is_known_to_a_quarter_of_the_paper(few_channels: Instrument) -> None:
+def test_the_measured_sky_is_known_to_a_quarter_of_the_paper(few_channels):
     total = rms_level(sky_terms(few_channels, "measured"))
     assert np.all(total[1:] < 0.25 * 0.23)
     assert total[0] > total[1], "below 50 MHz the embedded sky is an extrapolation"
 
 
-def test_level_and_slope_are_those_of_the_measurements(few_channels: Instrument) -> None:
+def test_level_and_slope_are_those_of_the_measurements(few_channels):
     level, slope = sky_terms(few_channels, "measured")[:2]
     together = np.hypot(level.d_ln_p["X"][0], slope.d_ln_p["X"][0])
     np.testing.assert_allclose(together, read_sky_level().sigma(few_channels.frequency_mhz))
 
 
-def test_a_zero_level_is_what_an_isotropic_brightness_does(few_channels: Instrument) -> None:
+def test_a_zero_level_is_what_an_isotropic_brightness_does(few_channels):
     term = next(one for one in sky_terms(few_channels, "measured") if one.name == "zero level of the sky")
     step = 1e-3
     plain = compute_sky_power(few_channels, "gsm")
@@ -210,18 +207,18 @@ def test_a_zero_level_is_what_an_isotropic_brightness_does(few_channels: Instrum
     assert np.all(np.abs(term.d_ln_p["X"].mean(axis=0)) < 0.02)
 
 
-def test_the_transfer_to_the_north_is_what_models_tied_in_the_south_differ_by(few_channels: Instrument) -> None:
+def test_the_transfer_to_the_north_is_what_models_tied_in_the_south_differ_by(few_channels):
     terms = [one for one in sky_terms(few_channels, "measured") if one.name.startswith("transfer")]
     assert {term.source.split()[1] for term in terms} == {"gsm408", "haslam", "lfsm", "maeda"}
     assert np.all(rms_level(tuple(terms)) < 0.04)
 
 
-def test_c_made_with_gsm_carries_the_measured_difference_in_full(few_channels: Instrument) -> None:
+def test_c_made_with_gsm_carries_the_measured_difference_in_full(few_channels):
     *others, bias = sky_terms(few_channels, "measured", sky="gsm")
     assert len(others) == len(sky_terms(few_channels, "measured"))
     np.testing.assert_allclose(bias.d_ln_p["Y"][7], read_sky_level().ln_ratio(few_channels.frequency_mhz))
 
 
-def test_an_unknown_budget_is_refused_with_those_there_are(few_channels: Instrument) -> None:
+def test_an_unknown_budget_is_refused_with_those_there_are(few_channels):
     with pytest.raises(BadInputError, match=", ".join(SKY_BUDGETS)):
         sky_terms(few_channels, "hope")

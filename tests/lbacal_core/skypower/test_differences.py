@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -30,53 +29,53 @@ def left_by(basis: np.ndarray, change: np.ndarray) -> tuple[float, np.ndarray]:
     return float(np.std(change.ravel() - columns @ amount)), amount
 
 
-def test_the_mean_of_a_shape_over_lst_vanishes(differences: ModelDifferences) -> None:
+def test_the_mean_of_a_shape_over_lst_vanishes(differences):
     for shape in differences.shape.values():
         assert shape.mean(axis=1) == pytest.approx(0.0, abs=1e-15)
 
 
-def test_the_shapes_come_strongest_first_and_are_a_few_percent(differences: ModelDifferences) -> None:
+def test_the_shapes_come_strongest_first_and_are_a_few_percent(differences):
     for shape in differences.shape.values():
         size = shape.std(axis=(1, 2))
         assert np.all(np.diff(size) < 0)
         assert 0.02 < size[0] < 0.05
 
 
-def test_the_shapes_may_be_asked_at_single_events(differences: ModelDifferences) -> None:
+def test_the_shapes_may_be_asked_at_single_events(differences):
     shapes = differences.changes_at("Y", np.array([3.3, 3.3, 17.0]))
     assert shapes[:, 0] == pytest.approx(shapes[:, 1])
     assert shapes[:, 2] == pytest.approx(differences.shape["Y"][:, 34])
 
 
 def test_levels_of_real_models_differ_by_ten_to_thirty_percent_alike_in_both_dipoles(
-    differences: ModelDifferences,
-) -> None:
+    differences,
+):
     for spread in differences.level_spread().values():
         assert np.all((spread > 0.08) & (spread < 0.5))
     assert differences.level["X"] == pytest.approx(differences.level["Y"], abs=0.015)
 
 
-def test_the_level_modes_describe_every_exchange_within_their_prior(differences: ModelDifferences) -> None:
+def test_the_level_modes_describe_every_exchange_within_their_prior(differences):
     for level in differences.level["X"]:
         left, amount = left_by(differences.level_modes(), level)
         assert left < 0.007, "0.6 % of power, of the Low Frequency Sky Model"
         assert np.all(np.abs(amount) < 1.1)
 
 
-def test_frequencies_beyond_the_models_have_the_differences_of_their_edge(chain: Instrument) -> None:
+def test_frequencies_beyond_the_models_have_the_differences_of_their_edge(chain):
     wide = replace(chain, frequency_mhz=np.linspace(5.0, 125.0, 51))
     shape = compute_model_differences(wide).shape["X"]
     assert shape[..., 0] == pytest.approx(shape[..., 1], abs=1e-9)  # 5 and 7.4 MHz, both below 10
 
 
-def test_an_arm_and_not_a_letter_has_a_shape(chain: Instrument, differences: ModelDifferences) -> None:
+def test_an_arm_and_not_a_letter_has_a_shape(chain, differences):
     exchanged = compute_model_differences(replace(chain, dipole_azimuth_deg={"X": 315.0, "Y": 225.0}))
     for one, other in ("XY", "YX"):
         for shape in exchanged.shape[one]:
             assert left_by(differences.shape[other], shape)[0] < 2e-4, "the modes left out; of 0.04"
 
 
-def test_each_dipole_has_the_shapes_of_its_own_arm(chain: Instrument, differences: ModelDifferences) -> None:
+def test_each_dipole_has_the_shapes_of_its_own_arm(chain, differences):
     other, default = compute_sky_power(chain, "lfsm"), compute_sky_power(chain)
     for own, across in ("XY", "YX"):
         change = np.log(other.power[own] / default.power[own])
@@ -85,7 +84,7 @@ def test_each_dipole_has_the_shapes_of_its_own_arm(chain: Instrument, difference
         assert left_by(differences.changes_at(across, other.lst_hours), change)[0] > 1e-3
 
 
-def test_an_instrument_elsewhere_gets_the_differences_of_its_own_site(chain: Instrument) -> None:
+def test_an_instrument_elsewhere_gets_the_differences_of_its_own_site(chain):
     """They were those of the Superterp everywhere."""
     south = replace(chain, latitude_deg=-35.2)
     other, default = compute_sky_power(south, "lfsm"), compute_sky_power(south)
@@ -95,7 +94,7 @@ def test_an_instrument_elsewhere_gets_the_differences_of_its_own_site(chain: Ins
     assert left_by(model_difference_modes(chain, other.lst_hours)["X"], change)[0] > 5e-3
 
 
-def test_waves_are_a_few_percent_and_smaller_at_higher_harmonics_and_degrees(chain: Instrument) -> None:
+def test_waves_are_a_few_percent_and_smaller_at_higher_harmonics_and_degrees(chain):
     together, own = waves_at(chain.frequency_mhz, LST_HOURS)
     assert together.changes.std(axis=(1, 2)) == pytest.approx(0.02 / 2**0.5)
     size = np.abs(np.fft.rfft(own.changes, axis=1)).max(axis=2) / 24
@@ -106,7 +105,7 @@ def test_waves_are_a_few_percent_and_smaller_at_higher_harmonics_and_degrees(cha
     assert strongest[0] == pytest.approx(0.008)
 
 
-def test_waves_describe_what_the_other_models_leave_of_one(chain: Instrument) -> None:
+def test_waves_describe_what_the_other_models_leave_of_one(chain):
     """What a model leaves of another is some tenths of a percent; with the waves within three of their sigma, less."""
     true, default = compute_sky_power(chain, "lfsm", "inverted-v-wet"), compute_sky_power(chain)
     change = np.log(true.at("X", LST_HOURS) / default.at("X", LST_HOURS))
@@ -120,7 +119,7 @@ def test_waves_describe_what_the_other_models_leave_of_one(chain: Instrument) ->
     assert np.sqrt(np.mean(amount[len(known) :] ** 2)) < 3
 
 
-def test_models_left_out_do_not_count(chain: Instrument) -> None:
+def test_models_left_out_do_not_count(chain):
     other, default = compute_sky_power(chain, "lfsm"), compute_sky_power(chain)
     change = np.log(other.at("X", LST_HOURS) / default.at("X", LST_HOURS))
     change -= change.mean(axis=0)
@@ -129,7 +128,7 @@ def test_models_left_out_do_not_count(chain: Instrument) -> None:
     assert len(without.level["X"]) == 3 + 4
 
 
-def test_isotropic_brightness_changes_the_minimum_of_the_sky_most(differences: ModelDifferences) -> None:
+def test_isotropic_brightness_changes_the_minimum_of_the_sky_most(differences):
     sky = compute_sky_power(load_instrument("lofar-superterp")).at("X", LST_HOURS)
     order = np.argsort(sky[:, 25])
     assert np.all(np.diff(differences.isotropic["X"][order, 25]) < 0)
@@ -139,9 +138,7 @@ def test_isotropic_brightness_changes_the_minimum_of_the_sky_most(differences: M
 @pytest.mark.shared
 @pytest.mark.parametrize("sky", ["gsm-408locked", "lfsm-5.1deg"])
 @pytest.mark.parametrize("antenna", ["hamaker", "lba_vout"])
-def test_the_shapes_span_every_exchange_of_the_full_models(
-    shared: Path, differences: ModelDifferences, chain: Instrument, sky: str, antenna: str
-) -> None:
+def test_the_shapes_span_every_exchange_of_the_full_models(shared, differences, chain, sky, antenna):
     beam = antenna if antenna == "hamaker" else str(shared / "data/antenna/lba_vout.npz")
     other = compute_sky_power(chain, str(shared / f"data/sky/{sky}.npz"), beam)
     default = compute_sky_power(chain)

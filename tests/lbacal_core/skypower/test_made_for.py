@@ -35,9 +35,7 @@ def check(content: dict[str, Any], instrument: Instrument, folder: Path) -> str:
     return sky_power.note_for(instrument)
 
 
-def test_a_file_says_instrument_sky_antenna_and_arms_and_passes(
-    content: dict[str, Any], chain: Instrument, tmp_path: Path
-) -> None:
+def test_a_file_says_instrument_sky_antenna_and_arms_and_passes(content, chain, tmp_path):
     assert (content["instrument"], content["sky"], content["antenna"]) == ("lofar-superterp", "gsm", "hamaker")
     assert content["dipoles"] == {"X": {"azimuth_deg": 45.0}, "Y": {"azimuth_deg": 135.0}}
     assert set(content["hashes"]) == {"instrument", "sky", "antenna"}
@@ -59,31 +57,23 @@ def test_a_file_says_instrument_sky_antenna_and_arms_and_passes(
         ({"sky": 3}, "sky: expected a name"),
     ],
 )
-def test_a_mismatch_of_what_is_there_is_an_error(
-    content: dict[str, Any], chain: Instrument, tmp_path: Path, change: dict[str, Any], said: str
-) -> None:
+def test_a_mismatch_of_what_is_there_is_an_error(content, chain, tmp_path, change, said):
     with pytest.raises(BadInputError, match=said):
         check(content | change, chain, tmp_path)
 
 
-def test_a_file_that_says_nothing_is_accepted_and_said_to_be_unchecked(
-    content: dict[str, Any], chain: Instrument, tmp_path: Path
-) -> None:
+def test_a_file_that_says_nothing_is_accepted_and_said_to_be_unchecked(content, chain, tmp_path):
     bare = {name: content[name] for name in ("frequency_mhz", "lst_hours", "X", "Y")}
     assert check(bare, chain, tmp_path).startswith("unchecked")
 
 
-def test_other_cables_are_no_mismatch_but_another_place_is(
-    content: dict[str, Any], chain: Instrument, tmp_path: Path
-) -> None:
+def test_other_cables_are_no_mismatch_but_another_place_is(content, chain, tmp_path):
     check(content, replace(chain, receiver_gain=chain.receiver_gain / 2), tmp_path)
     with pytest.raises(BadInputError, match=r"hashes\.instrument"):
         check(content, replace(chain, latitude_deg=50.0), tmp_path)
 
 
-def test_d_of_one_antenna_is_not_joined_with_the_absolute_gain_of_another(
-    content: dict[str, Any], chain: Instrument, tmp_path: Path
-) -> None:
+def test_d_of_one_antenna_is_not_joined_with_the_absolute_gain_of_another(content, chain, tmp_path):
     gain = GainProvenance("absolute", "a table", antenna_sha256="0" * 64)
     with pytest.raises(BadInputError, match="antenna: expected the antenna of which"):
         check(content, replace(chain, gain_provenance=gain), tmp_path)
@@ -91,19 +81,19 @@ def test_d_of_one_antenna_is_not_joined_with_the_absolute_gain_of_another(
     check(content, replace(chain, gain_provenance=own), tmp_path)
 
 
-def test_another_antenna_than_the_named_one_is_told(chain: Instrument) -> None:
+def test_another_antenna_than_the_named_one_is_told(chain):
     sky_power = compute_sky_power(chain, antenna="short-dipole", lst_hours=LST)
     assert sky_power.note_for(chain).endswith("instrument lofar-superterp names the antenna hamaker")
 
 
-def test_a_sky_with_a_source_added_is_not_called_by_the_name_of_the_model(chain: Instrument) -> None:
+def test_a_sky_with_a_source_added_is_not_called_by_the_name_of_the_model(chain):
     added = add_sources(compute_sky_power(chain, lst_hours=LST), chain, find_sources(["cas-a"]), 2015.0)
     assert added.made_for is not None
     assert added.made_for.sky == "gsm + cas-a 2015"
     assert "sky" not in added.made_for.hashes
 
 
-def test_an_instrument_elsewhere_does_not_get_the_pattern_of_lofar(chain: Instrument) -> None:
+def test_an_instrument_elsewhere_does_not_get_the_pattern_of_lofar(chain):
     """Before, the LBA's pattern on another antenna put C wrong by 24-51 % and nobody was told."""
     auger = replace(chain, name="AERA", latitude_deg=-35.2, longitude_deg=-69.3, antenna=None)
     with pytest.raises(BadInputError, match=r"hamaker, hamaker-resonant, .*short-dipole"):
@@ -112,11 +102,11 @@ def test_an_instrument_elsewhere_does_not_get_the_pattern_of_lofar(chain: Instru
     assert named.origin == "sky gsm, antenna short-dipole"
 
 
-def test_a_file_of_a_lofar_station_that_names_no_antenna_gets_that_of_lofar(chain: Instrument) -> None:
+def test_a_file_of_a_lofar_station_that_names_no_antenna_gets_that_of_lofar(chain):
     assert antenna_of(replace(chain, name="RS509", latitude_deg=53.41, longitude_deg=6.79, antenna=None)) == "hamaker"
 
 
-def test_changes_of_the_beam_are_those_of_the_antenna_that_the_instrument_names(chain: Instrument) -> None:
+def test_changes_of_the_beam_are_those_of_the_antenna_that_the_instrument_names(chain):
     """Before, sources and beam variations of any instrument were seen by the pattern of LOFAR."""
     named = replace(chain, antenna="short-dipole")
     zenith, azimuth = np.array([0.9]), np.array([1.0])
@@ -129,6 +119,6 @@ def test_changes_of_the_beam_are_those_of_the_antenna_that_the_instrument_names(
     )
 
 
-def test_an_instrument_elsewhere_without_a_name_can_still_be_asked_for_ratios(chain: Instrument) -> None:
+def test_an_instrument_elsewhere_without_a_name_can_still_be_asked_for_ratios(chain):
     auger = replace(chain, name="AERA", latitude_deg=-35.2, longitude_deg=-69.3, antenna=None)
     assert vary_sky_power(auger, lst_hours=LST, zenith_exponent=1.0).power["X"].shape == (24, 51)

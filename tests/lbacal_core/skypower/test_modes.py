@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -42,29 +41,29 @@ def solid_angle(antenna: AntennaModel) -> np.ndarray:
     return sky_power_at(modes, LST) / power_per_kelvin_sr(FREQUENCY_MHZ)
 
 
-def test_a_uniform_sky_seen_isotropically_is_two_pi_steradian() -> None:
+def test_a_uniform_sky_seen_isotropically_is_two_pi_steradian():
     assert solid_angle(IsotropicAntenna()) == pytest.approx(2 * np.pi, rel=1e-12)
 
 
-def test_the_plain_sum_of_a_uniform_sky_seen_isotropically_is_two_pi_steradian() -> None:
+def test_the_plain_sum_of_a_uniform_sky_seen_isotropically_is_two_pi_steradian():
     power = sum_over_pixels(uniform_sky(1.0), IsotropicAntenna(), 45.0, LATITUDE, LST, FREQUENCY_MHZ)
     # 1e-3: a pixel of nside 64 counts wholly or not at all at the horizon.
     assert power / power_per_kelvin_sr(FREQUENCY_MHZ) == pytest.approx(2 * np.pi, rel=1e-3)
 
 
-def test_a_short_dipole_over_a_perfect_plane_has_its_closed_form() -> None:
+def test_a_short_dipole_over_a_perfect_plane_has_its_closed_form():
     dipole = ShortDipole(height_m=1.5)
     expected = np.broadcast_to(dipole.solid_angle(FREQUENCY_MHZ), (LST.size, 3))
     assert solid_angle(dipole) == pytest.approx(expected, rel=1e-12)
 
 
-def test_a_short_dipole_close_to_the_plane_has_8_pi_over_15() -> None:
+def test_a_short_dipole_close_to_the_plane_has_8_pi_over_15():
     # s -> cos(theta): the integral of (cos^2 cos^2(phi) + sin^2(phi)) cos^2 is pi (1/3 + 1/5).
     assert ShortDipole(height_m=1e-3).solid_angle(FREQUENCY_MHZ) == pytest.approx(np.pi * 8 / 15, rel=1e-4)
 
 
 @pytest.mark.parametrize("arm", [45.0, 135.0, 20.0])
-def test_the_fourier_series_agrees_with_the_plain_sum(arm: float) -> None:
+def test_the_fourier_series_agrees_with_the_plain_sum(arm):
     sky, antenna = load_sky("gsm"), load_hamaker()
     series = sky_power_at(sky_power_modes(sky, antenna, arm, LATITUDE, FREQUENCY_MHZ), LST)
     plain = sum_over_pixels(sky, antenna, arm, LATITUDE, LST, FREQUENCY_MHZ)
@@ -72,14 +71,14 @@ def test_the_fourier_series_agrees_with_the_plain_sum(arm: float) -> None:
 
 
 @pytest.mark.parametrize("latitude", [-35.2, 0.0, 78.9])
-def test_the_fourier_series_agrees_with_the_plain_sum_from_other_sites(latitude: float) -> None:
+def test_the_fourier_series_agrees_with_the_plain_sum_from_other_sites(latitude):
     sky, antenna = load_sky("gsm"), load_hamaker()
     series = sky_power_at(sky_power_modes(sky, antenna, 0.0, latitude, FREQUENCY_MHZ), LST[:3])
     plain = sum_over_pixels(sky, antenna, 0.0, latitude, LST[:3], FREQUENCY_MHZ)
     assert series == pytest.approx(plain, rel=1e-4)
 
 
-def test_a_tilted_antenna_agrees_with_the_plain_sum() -> None:
+def test_a_tilted_antenna_agrees_with_the_plain_sum():
     # The tilt breaks every symmetry of the pattern: odd azimuthal orders, and a cut at the horizon.
     sky, antenna = load_sky("gsm"), VariedAntenna(load_hamaker(), tilt_deg=6.0, tilt_towards_deg=30.0)
     series = sky_power_at(sky_power_modes(sky, antenna, 45.0, LATITUDE, FREQUENCY_MHZ), LST)
@@ -97,7 +96,7 @@ def point_source(right_ascension: float, declination: float, lmax: int) -> SkyMo
 
 
 @pytest.mark.parametrize("source", [(350.866, 58.812), (299.868, 40.734), (83.633, 22.014)])
-def test_a_point_source_is_seen_with_the_response_of_its_direction(source: tuple[float, float]) -> None:
+def test_a_point_source_is_seen_with_the_response_of_its_direction(source):
     ra, dec = np.radians(source)
     lmax = 90
     # A dipole just above the plane: a smooth response, of which l <= 90 keeps all but 1e-3 of its maximum.
@@ -109,13 +108,13 @@ def test_a_point_source_is_seen_with_the_response_of_its_direction(source: tuple
     assert seen == pytest.approx(expected, abs=1e-3)
 
 
-def test_turning_the_arm_by_180_degrees_changes_nothing() -> None:
+def test_turning_the_arm_by_180_degrees_changes_nothing():
     sky = load_sky("gsm")
     one, other = (sky_power_modes(sky, load_hamaker(), arm, LATITUDE, FREQUENCY_MHZ) for arm in (45.0, 225.0))
     assert one == pytest.approx(other, rel=1e-12)
 
 
-def test_the_beam_has_no_multipole_beyond_its_azimuthal_orders() -> None:
+def test_the_beam_has_no_multipole_beyond_its_azimuthal_orders():
     beam = beam_multipoles(load_hamaker(), FREQUENCY_MHZ, 12)
     assert np.abs(beam[..., 7:]).max() < 1e-12
     assert np.abs(beam[..., 1::2]).max() < 1e-12
@@ -133,7 +132,7 @@ def test_a_quarter_wave_dipole_is_a_short_one_at_that_height_at_every_frequency(
             np.testing.assert_allclose(one, other, rtol=1e-12)
 
 
-def test_the_sky_of_the_superterp_has_a_physical_size() -> None:
+def test_the_sky_of_the_superterp_has_a_physical_size():
     power = compute_sky_power(load_instrument("lofar-superterp"))
     mean = np.mean([power.power[dipole].mean(axis=0) for dipole in "XY"], axis=0)
     # k_B Z_0 nu^2 / (c^2 R_r) T Omega with T = 3999 K at 60 MHz (all-sky mean) and Omega between pi/2 and pi.
@@ -141,7 +140,7 @@ def test_the_sky_of_the_superterp_has_a_physical_size() -> None:
     assert per_kelvin * 3999 * np.pi / 2 < mean[30] < per_kelvin * 3999 * np.pi
 
 
-def test_the_galactic_centre_passes_first_over_the_ne_sw_dipole() -> None:
+def test_the_galactic_centre_passes_first_over_the_ne_sw_dipole():
     power = compute_sky_power(load_instrument("lofar-superterp"))
     peak = {dipole: power.lst_hours[power.power[dipole].sum(axis=1).argmax()] for dipole in "XY"}
     assert 17 < peak["X"] < 19
@@ -149,7 +148,7 @@ def test_the_galactic_centre_passes_first_over_the_ne_sw_dipole() -> None:
 
 
 @pytest.mark.shared
-def test_the_embedded_sky_has_the_lst_shape_of_the_map_it_stands_for(shared: Path) -> None:
+def test_the_embedded_sky_has_the_lst_shape_of_the_map_it_stands_for(shared):
     instrument = load_instrument("lofar-superterp")
     own = compute_sky_power(instrument)
     full = compute_sky_power(instrument, str(shared / "data/sky/gsm-408locked.npz"))
@@ -161,7 +160,7 @@ def test_the_embedded_sky_has_the_lst_shape_of_the_map_it_stands_for(shared: Pat
         assert np.abs(shape[:, 10:] - 1).max() < 0.006
 
 
-def test_the_grid_does_not_matter_between_its_points() -> None:
+def test_the_grid_does_not_matter_between_its_points():
     instrument = load_instrument("lofar-superterp")
     coarse = compute_sky_power(instrument, lst_hours=np.arange(48) / 2 + 0.1)
     fine = compute_sky_power(instrument)
@@ -169,7 +168,7 @@ def test_the_grid_does_not_matter_between_its_points() -> None:
     assert coarse.at("X", lst) == pytest.approx(fine.at("X", lst), rel=1e-9)
 
 
-def test_the_digest_of_a_computed_table_is_that_of_its_inputs() -> None:
+def test_the_digest_of_a_computed_table_is_that_of_its_inputs():
     instrument = load_instrument("lofar-superterp")
     one, again = compute_sky_power(instrument), compute_sky_power(instrument)
     rounded = replace(one, power={dipole: values * (1 + 1e-15) for dipole, values in one.power.items()})
@@ -179,7 +178,7 @@ def test_the_digest_of_a_computed_table_is_that_of_its_inputs() -> None:
     assert rounded.of_inputs(one.digest()).digest() == one.digest()
 
 
-def test_another_sky_antenna_arm_or_place_is_another_digest() -> None:
+def test_another_sky_antenna_arm_or_place_is_another_digest():
     instrument = load_instrument("lofar-superterp")
     turned = replace(instrument, dipole_azimuth_deg={"X": 46.0, "Y": 136.0})
     moved = replace(instrument, latitude_deg=50.0)
@@ -195,7 +194,7 @@ def test_another_sky_antenna_arm_or_place_is_another_digest() -> None:
     assert len({table.digest() for table in tables}) == len(tables)
 
 
-def test_another_gain_of_the_same_antenna_is_the_same_sky_power() -> None:
+def test_another_gain_of_the_same_antenna_is_the_same_sky_power():
     # The gain is the instrument's; a fit names that input by itself.
     instrument = load_instrument("lofar-superterp")
     louder = replace(instrument, antenna_gain=2 * instrument.antenna_gain)
@@ -205,18 +204,18 @@ def test_another_gain_of_the_same_antenna_is_the_same_sky_power() -> None:
 INSTRUMENT = load_instrument("lofar-superterp")
 
 
-def test_no_variation_is_the_plain_sky_power() -> None:
+def test_no_variation_is_the_plain_sky_power():
     plain = compute_sky_power(INSTRUMENT)
     assert vary_sky_power(INSTRUMENT).power["Y"] == pytest.approx(plain.power["Y"], rel=1e-12)
 
 
-def test_turned_arms_are_another_instrument() -> None:
+def test_turned_arms_are_another_instrument():
     arms = {name: azimuth + 10.0 for name, azimuth in INSTRUMENT.dipole_azimuth_deg.items()}
     turned = compute_sky_power(replace(INSTRUMENT, dipole_azimuth_deg=arms))
     assert vary_sky_power(INSTRUMENT, azimuth_deg=10.0).power["X"] == pytest.approx(turned.power["X"], rel=1e-9)
 
 
-def test_ten_percent_of_zenith_gain_at_fixed_total_changes_the_power_by_a_few_percent() -> None:
+def test_ten_percent_of_zenith_gain_at_fixed_total_changes_the_power_by_a_few_percent():
     # The paper propagates this variation to 2.5 % in power; a uniform sky would not change at all.
     plain, varied = compute_sky_power(INSTRUMENT), vary_sky_power(INSTRUMENT, zenith_gain_fraction=0.1)
     change = np.abs(varied.power["X"] / plain.power["X"] - 1)
@@ -224,7 +223,7 @@ def test_ten_percent_of_zenith_gain_at_fixed_total_changes_the_power_by_a_few_pe
     assert change.mean() < 0.03
 
 
-def test_a_point_source_is_a_very_small_piece_of_sky() -> None:
+def test_a_point_source_is_a_very_small_piece_of_sky():
     nu = np.array([55.0])
     wavelength = 299.792458 / nu
     # 1 K over 1e-4 sr has the flux 2 k T dOmega / lambda^2.
@@ -232,7 +231,7 @@ def test_a_point_source_is_a_very_small_piece_of_sky() -> None:
     assert point_source_power(flux_jy, np.ones((1, 1)))[0] == pytest.approx(1e-4 * power_per_kelvin_sr(nu), rel=1e-9)
 
 
-def test_cassiopeia_a_is_a_percent_of_the_sky_and_cygnus_a_culminates_at_its_right_ascension() -> None:
+def test_cassiopeia_a_is_a_percent_of_the_sky_and_cygnus_a_culminates_at_its_right_ascension():
     lst = np.arange(96) / 4
     plain = compute_sky_power(INSTRUMENT)
     cas = source_sky_power(INSTRUMENT, SOURCES["cas-a"], "X", lst)
@@ -242,7 +241,7 @@ def test_cassiopeia_a_is_a_percent_of_the_sky_and_cygnus_a_culminates_at_its_rig
     assert lst[cyg[:, 25].argmax()] == pytest.approx(299.868 / 15, abs=1.0)
 
 
-def test_sources_are_added_by_name() -> None:
+def test_sources_are_added_by_name():
     plain = compute_sky_power(INSTRUMENT)
     bright = add_sources(plain, INSTRUMENT, find_sources(["cas-a", "cyg-a"]), year=2012.0)
     expected = sum(

@@ -3,7 +3,6 @@ from __future__ import annotations
 import csv
 import json
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -31,7 +30,7 @@ def make_sky_power(size: int = 24, first: float = 0.125) -> SkyPower:
 
 @pytest.mark.parametrize("size", [3, 8, 9, 96])
 @pytest.mark.parametrize("first", [0.0, 0.125, 7.3])
-def test_sky_power_between_instants_is_the_direct_fourier_sum(size: int, first: float) -> None:
+def test_sky_power_between_instants_is_the_direct_fourier_sum(size, first):
     table = make_sky_power(size, first)
     expected = np.zeros((ANYWHERE.size, 3))
     highest = (size - 1) // 2
@@ -46,7 +45,7 @@ def test_sky_power_between_instants_is_the_direct_fourier_sum(size: int, first: 
 
 
 @pytest.mark.parametrize("order", [0, 1, 8, 47])
-def test_a_single_harmonic_is_exact_between_the_instants(order: int) -> None:
+def test_a_single_harmonic_is_exact_between_the_instants(order):
     lst = np.arange(96) * 0.25 + 0.125
 
     def wave(hours: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
@@ -57,14 +56,14 @@ def test_a_single_harmonic_is_exact_between_the_instants(order: int) -> None:
     np.testing.assert_allclose(table.at("Y", ANYWHERE), 2 * wave(ANYWHERE), rtol=1e-12)
 
 
-def test_a_file_returns_what_was_written(tmp_path: Path) -> None:
+def test_a_file_returns_what_was_written(tmp_path):
     write_sky_power(make_sky_power(), tmp_path / "p.json")
     read = read_sky_power(tmp_path / "p.json")
     assert read.digest() == make_sky_power().digest()
     assert read.origin.endswith("p.json")
 
 
-def test_the_digest_sees_every_number() -> None:
+def test_the_digest_sees_every_number():
     table = make_sky_power()
     changed = {**table.power, "Y": table.power["Y"] * (1 + 1e-15)}
     assert SkyPower(FREQUENCY, table.lst_hours, changed).digest() != table.digest()
@@ -79,7 +78,7 @@ def smooth(lst_hours: np.ndarray[Any, Any], harmonics: int = 5) -> np.ndarray[An
 
 
 @pytest.mark.parametrize("even", [False, True])
-def test_uneven_instants_give_the_same_sky_as_even_ones(tmp_path: Path, even: bool) -> None:
+def test_uneven_instants_give_the_same_sky_as_even_ones(tmp_path, even):
     jitter = 0.0 if even else np.random.default_rng(4).uniform(-0.2, 0.2, 24)
     lst = np.arange(24) + 0.5 + jitter
     content = {"frequency_mhz": FREQUENCY.tolist(), "lst_hours": lst.tolist()}
@@ -97,7 +96,7 @@ def test_uneven_instants_give_the_same_sky_as_even_ones(tmp_path: Path, even: bo
         assert "8 harmonics fitted to 24 uneven instants, residual 0.00% r.m.s." in read.origin
 
 
-def test_uneven_instants_are_named_by_the_numbers_given(tmp_path: Path) -> None:
+def test_uneven_instants_are_named_by_the_numbers_given(tmp_path):
     lst = np.arange(24) + np.where(np.arange(24) == 7, 0.1, 0.0)
     digests = set()
     for factor in (1.0, 1.0, 1.0 + 1e-15):
@@ -153,7 +152,7 @@ WRONG_CONTENT: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
 
 
 @pytest.mark.parametrize("case", WRONG_CONTENT)
-def test_wrong_content_is_named_with_field_and_row(tmp_path: Path, case: str) -> None:
+def test_wrong_content_is_named_with_field_and_row(tmp_path, case):
     change, sentence = WRONG_CONTENT[case]
     content = make_sky_power().as_dict()
     change(content)
@@ -165,7 +164,7 @@ def test_wrong_content_is_named_with_field_and_row(tmp_path: Path, case: str) ->
 
 
 @pytest.mark.parametrize("content", [[], 3, "text", None, True])
-def test_json_of_another_kind_is_refused(tmp_path: Path, content: object) -> None:
+def test_json_of_another_kind_is_refused(tmp_path, content):
     (tmp_path / "p.json").write_text(json.dumps(content))
     with pytest.raises(BadInputError, match="a JSON object with the fields frequency_mhz, lst_hours and P_sky"):
         read_sky_power(tmp_path / "p.json")
@@ -228,7 +227,7 @@ def test_a_hole_is_refused_with_its_place(hole):
 
 
 @pytest.mark.shared
-def test_the_published_hourly_tables_were_refused_for_their_uneven_steps(shared: Path, tmp_path: Path):
+def test_the_published_hourly_tables_were_refused_for_their_uneven_steps(shared, tmp_path):
     text = (shared / "data/published_sky_power.csv").read_text()
     rows = list(csv.DictReader(line for line in text.splitlines() if not line.startswith("#")))
     lst, mhz = (sorted({float(row[name]) for row in rows}) for name in ("lst_h", "mhz"))

@@ -34,7 +34,7 @@ def spectra() -> Spectra:
     )
 
 
-def test_quarters_begin_in_january_april_july_and_october() -> None:
+def test_quarters_begin_in_january_april_july_and_october():
     begins = [at(f"2014-{month:02}-01") for month in (1, 4, 7, 10)]
     numbers = number_quarters(np.array(begins))
     assert np.diff(numbers).tolist() == [1, 1, 1]
@@ -42,30 +42,30 @@ def test_quarters_begin_in_january_april_july_and_october() -> None:
     assert number_quarters(np.array([at("1969-12-31")])).tolist() == [-1]
 
 
-def test_a_late_spectrum_changes_the_hash_of_one_quarter_of_one_path(spectra: Spectra) -> None:
+def test_a_late_spectrum_changes_the_hash_of_one_quarter_of_one_path(spectra):
     before, after = spectra.select(np.array([0, 1, 2])).quarter_hashes, spectra.quarter_hashes
     assert len(after) == 4
     new = ("CS002", 1, "X", int(number_quarters(spectra.time_unix)[3]))
     assert {key: value for key, value in after.items() if key != new} == before
 
 
-def test_the_order_of_rows_does_not_count(spectra: Spectra) -> None:
+def test_the_order_of_rows_does_not_count(spectra):
     assert spectra.select(np.array([3, 1, 0, 2])).digest() == spectra.digest()
 
 
 @pytest.mark.parametrize("field", ["power", "time_unix", "blocks", "event_id", "antenna", "frequency_mhz"])
-def test_every_value_that_a_fit_sees_counts(spectra: Spectra, field: str) -> None:
+def test_every_value_that_a_fit_sees_counts(spectra, field):
     changed = getattr(spectra, field).copy()
     changed[-1] = "c" if field == "event_id" else changed[-1] + 1
     assert replace(spectra, **{field: changed}).digest() != spectra.digest()
 
 
-def test_what_is_said_of_the_whole_counts(spectra: Spectra) -> None:
+def test_what_is_said_of_the_whole_counts(spectra):
     for change in ({"resistance_ohm": 75.0}, {"width_mhz": np.ones(3)}, {"duration_s": np.ones(4)}):
         assert replace(spectra, **change).digest() != spectra.digest()
 
 
-def test_the_digest_of_a_path_is_that_of_its_spectra_alone(spectra: Spectra) -> None:
+def test_the_digest_of_a_path_is_that_of_its_spectra_alone(spectra):
     """A year of the array was hashed once for every path, each time from a copy of its rows."""
     for antenna in (0, 1):
         own = spectra.select(spectra.antenna == antenna)
@@ -73,13 +73,13 @@ def test_the_digest_of_a_path_is_that_of_its_spectra_alone(spectra: Spectra) -> 
     assert spectra.digest("CS002") == spectra.digest()
 
 
-def test_the_same_spectra_in_another_path_or_quarter_are_others(spectra: Spectra) -> None:
+def test_the_same_spectra_in_another_path_or_quarter_are_others(spectra):
     one = spectra.select(np.array([0]))
     assert replace(one, antenna=np.array([7])).digest() != one.digest()
     assert replace(one, dipole=np.array(["Y"])).digest() != one.digest()
 
 
-def test_blocks_hold_every_spectrum_in_its_place(two_stations: Spectra) -> None:
+def test_blocks_hold_every_spectrum_in_its_place(two_stations):
     kept = np.delete(np.arange(len(two_stations)), [0, 9])
     # events in the file in the reverse order of time, and not all antennas in each
     partial = two_stations.select(kept[::-1])
@@ -104,7 +104,7 @@ def test_blocks_hold_every_spectrum_in_its_place(two_stations: Spectra) -> None:
         np.testing.assert_array_equal(block.environment["temperature_c"], 10 + hours)
 
 
-def test_an_event_that_one_dipole_lacks_altogether_is_not_in_its_block(two_stations: Spectra) -> None:
+def test_an_event_that_one_dipole_lacks_altogether_is_not_in_its_block(two_stations):
     lost = (two_stations.event_id == "event 2") & (two_stations.dipole == "X")
     blocks = {block.dipole: block for block in split_into_blocks(two_stations.select(~lost))}
     assert blocks["X"].power.shape[1] == len(blocks["X"].event_id) == 2
@@ -128,7 +128,7 @@ def part(events: range, **changes: Any) -> Spectra:
     return Spectra(**(values | changes))
 
 
-def test_files_make_one_set_in_their_order() -> None:
+def test_files_make_one_set_in_their_order():
     joined = join_spectra([part(range(3)), part(range(3, 5))])
     assert joined.event_id.tolist() == ["E000", "E001", "E002", "E003", "E004"]
     assert joined.power[:, 0].tolist() == [1.0, 2.0, 3.0, 4.0, 5.0]
@@ -137,13 +137,13 @@ def test_files_make_one_set_in_their_order() -> None:
     assert join_spectra([one]) is one
 
 
-def test_a_spectrum_in_three_files_counts_once() -> None:
+def test_a_spectrum_in_three_files_counts_once():
     joined = join_spectra([part(range(3)), part(range(2, 5)), part(range(4))])
     assert joined.event_id.tolist() == ["E000", "E001", "E002", "E003", "E004"]
     assert joined.digest() == part(range(5)).digest()
 
 
-def test_two_spectra_of_one_path_in_one_event_that_differ_are_refused() -> None:
+def test_two_spectra_of_one_path_in_one_event_that_differ_are_refused():
     other = part(range(2, 4))
     other = replace(other, power=2.0 * other.power)
     with pytest.raises(BadInputError, match=r"2\.h5: row 0: .*E002, CS002 antenna 0 X as in 0\.h5, row 2"):
@@ -159,12 +159,12 @@ def test_two_spectra_of_one_path_in_one_event_that_differ_are_refused() -> None:
         ({"duration_s": np.full(2, 1.0)}, "0.h5: duration_s"),
     ],
 )
-def test_files_of_another_kind_are_refused(changes: dict[str, object], message: str) -> None:
+def test_files_of_another_kind_are_refused(changes, message):
     with pytest.raises(BadInputError, match=message):
         join_spectra([part(range(3)), part(range(5, 7), **changes)])
 
 
-def test_a_covariate_is_unknown_where_a_file_lacks_it() -> None:
+def test_a_covariate_is_unknown_where_a_file_lacks_it():
     warm = part(range(2), environment={"temperature_c": np.array([7.0, 8.0])}, duration_s=np.ones(2))
     joined = join_spectra([warm, part(range(2, 3), duration_s=np.full(1, 2.0))])
     assert joined.environment["temperature_c"].tolist()[:2] == [7.0, 8.0]

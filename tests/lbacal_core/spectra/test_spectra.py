@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from lbacal_core.errors import BadInputError, LbacalError, UnreadableFileError
-from lbacal_core.hdf5 import FLOATS, INTEGERS, NUMBERS, STRINGS, Kind, is_in_file, open_dataset, read_values
+from lbacal_core.hdf5 import FLOATS, INTEGERS, NUMBERS, STRINGS, is_in_file, open_dataset, read_values
 from lbacal_core.spectra.spectra import Spectra, read_columns, read_spectra, write_spectra
 
 NOW = 1_500_000_000.0
@@ -179,7 +179,7 @@ WRONG_CONTENT: dict[str, tuple[Callable[[h5py.File], None], str]] = {
 
 
 @pytest.mark.parametrize("case", WRONG_CONTENT)
-def test_wrong_content_is_named_with_field_and_row(path: Path, case: str) -> None:
+def test_wrong_content_is_named_with_field_and_row(path, case):
     change, sentence = WRONG_CONTENT[case]
     with h5py.File(path, "a") as file:
         change(file)
@@ -188,7 +188,7 @@ def test_wrong_content_is_named_with_field_and_row(path: Path, case: str) -> Non
     assert refusal(path).startswith("s.h5")
 
 
-def test_a_missing_empty_or_other_file_is_named(tmp_path: Path) -> None:
+def test_a_missing_empty_or_other_file_is_named(tmp_path):
     assert refusal(tmp_path / "none.h5").endswith("none.h5: expected a spectra file, found no file")
     assert refusal(tmp_path).endswith("expected a spectra file, found a folder")
     empty = tmp_path / "empty.h5"
@@ -199,7 +199,7 @@ def test_a_missing_empty_or_other_file_is_named(tmp_path: Path) -> None:
     assert "expected a spectra file (HDF5), found something unreadable" in refusal(text)
 
 
-def test_every_truncation_is_a_sentence(path: Path) -> None:
+def test_every_truncation_is_a_sentence(path):
     content = path.read_bytes()
     cut = path.with_name("cut.h5")
     for length in [*range(1, 64), *range(64, len(content), 331), len(content) - 1]:
@@ -209,7 +209,7 @@ def test_every_truncation_is_a_sentence(path: Path) -> None:
 
 @given(content=st.binary(max_size=4096))
 @settings(max_examples=50, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_random_bytes_are_a_sentence(tmp_path: Path, content: bytes) -> None:
+def test_random_bytes_are_a_sentence(tmp_path, content):
     (tmp_path / "random.h5").write_bytes(b"\x89HDF\r\n\x1a\n" + content)
     with pytest.raises(UnreadableFileError):
         read_spectra(tmp_path / "random.h5")
@@ -217,9 +217,7 @@ def test_random_bytes_are_a_sentence(tmp_path: Path, content: bytes) -> None:
 
 @pytest.mark.long
 @pytest.mark.parametrize("storage", ["contiguous", "gzip"])
-def test_flipped_bytes_give_a_sentence_or_numbers_unless_the_hdf5_library_itself_dies(
-    path: Path, storage: str, flip_bytes: Callable[..., list[str]]
-) -> None:
+def test_flipped_bytes_give_a_sentence_or_numbers_unless_the_hdf5_library_itself_dies(path, storage, flip_bytes):
     if storage == "gzip":
         with h5py.File(path, "a") as file:
             put("power", file["power"][()], compression="gzip", shuffle=True)(file)
@@ -231,7 +229,7 @@ def test_flipped_bytes_give_a_sentence_or_numbers_unless_the_hdf5_library_itself
     assert outcomes.count("died") < 12  # 1 % of 2000 in a longer run
 
 
-def test_a_file_returns_what_was_written(two_stations: Spectra, path: Path) -> None:
+def test_a_file_returns_what_was_written(two_stations, path):
     read = read_spectra(path)
     assert read.digest() == two_stations.digest()
     for name in ("power", "time_unix", "station", "antenna", "dipole", "blocks", "event_id"):
@@ -242,7 +240,7 @@ def test_a_file_returns_what_was_written(two_stations: Spectra, path: Path) -> N
 
 
 @pytest.mark.parametrize("change", ["fixed strings", "big endian", "gzip", "int32", "no env", "no resistance"])
-def test_storage_that_changes_no_value_is_welcome(path: Path, change: str) -> None:
+def test_storage_that_changes_no_value_is_welcome(path, change):
     before = read_spectra(path).digest()
     with h5py.File(path, "a") as file:
         if change == "fixed strings":
@@ -263,7 +261,7 @@ def test_storage_that_changes_no_value_is_welcome(path: Path, change: str) -> No
     assert read_spectra(path).digest() == before
 
 
-def test_a_highly_compressible_file_is_not_taken_for_an_unwritten_one(two_stations: Spectra, tmp_path: Path) -> None:
+def test_a_highly_compressible_file_is_not_taken_for_an_unwritten_one(two_stations, tmp_path):
     rows = 20_000
     many = Spectra(
         two_stations.frequency_mhz,
@@ -281,14 +279,14 @@ def test_a_highly_compressible_file_is_not_taken_for_an_unwritten_one(two_statio
     assert read_spectra(tmp_path / "s.h5").digest() == many.digest() != two_stations.digest()
 
 
-def test_a_time_within_the_next_day_is_welcome(two_stations: Spectra, path: Path) -> None:
+def test_a_time_within_the_next_day_is_welcome(two_stations, path):
     last = two_stations.time_unix[16]
     assert len(read_spectra(path, now_unix=last - 86_400)) == ROWS
     with pytest.raises(BadInputError, match="row 16"):
         read_spectra(path, now_unix=last - 86_401)
 
 
-def test_the_digest_sees_every_value_but_not_the_order_of_rows(two_stations: Spectra) -> None:
+def test_the_digest_sees_every_value_but_not_the_order_of_rows(two_stations):
     shuffled = two_stations.select(np.random.default_rng(2).permutation(ROWS))
     assert shuffled.digest() == two_stations.digest()
     power = two_stations.power.copy()
@@ -304,13 +302,13 @@ def test_the_digest_sees_every_value_but_not_the_order_of_rows(two_stations: Spe
 
 
 @pytest.mark.shared
-def test_the_example_data_set_is_readable(shared: Path) -> None:
+def test_the_example_data_set_is_readable(shared):
     spectra = read_spectra(shared / "examples" / "spectra.h5", NOW)
     assert len(np.unique(spectra.event_id)) == 400
     assert spectra.frequency_mhz.size == 51
 
 
-def test_widths_and_durations_survive_the_file_and_a_selection(two_stations: Spectra, tmp_path: Path) -> None:
+def test_widths_and_durations_survive_the_file_and_a_selection(two_stations, tmp_path):
     rows, channels = len(two_stations), two_stations.frequency_mhz.size
     given = replace(two_stations, width_mhz=np.full(channels, 0.2), duration_s=np.arange(1.0, rows + 1))
     write_spectra(given, tmp_path / "s.h5")
@@ -322,7 +320,7 @@ def test_widths_and_durations_survive_the_file_and_a_selection(two_stations: Spe
 
 
 @pytest.mark.parametrize(("name", "values"), [("width_mhz", [0.0]), ("duration_s", [np.nan]), ("width_mhz", [])])
-def test_widths_and_durations_that_are_none_are_refused(two_stations: Spectra, name: str, values: list[float]) -> None:
+def test_widths_and_durations_that_are_none_are_refused(two_stations, name, values):
     with pytest.raises(BadInputError, match=name):
         replace(two_stations, **{name: np.array(values)})
 
@@ -336,7 +334,7 @@ def test_widths_and_durations_that_are_none_are_refused(two_stations: Spectra, n
         (FLOATS, np.array([0.1, np.nan, np.inf])),
     ],
 )
-def test_values_are_read_as_their_kind_says(tmp_path: Path, kind: Kind, values: object) -> None:
+def test_values_are_read_as_their_kind_says(tmp_path, kind, values):
     with h5py.File(tmp_path / "a.h5", "w") as file:
         file["a"] = values
         read = read_values(open_dataset(file, "a", kind, "a"), kind, "a")
@@ -344,14 +342,14 @@ def test_values_are_read_as_their_kind_says(tmp_path: Path, kind: Kind, values: 
     assert np.issubdtype(read.dtype, kind.read_as)
 
 
-def test_the_first_row_of_a_text_that_is_none_is_named(tmp_path: Path) -> None:
+def test_the_first_row_of_a_text_that_is_none_is_named(tmp_path):
     with h5py.File(tmp_path / "a.h5", "w") as file:
         file["a"] = np.array([b"good", b"\xff", b"good", b"\xff"])
         with pytest.raises(BadInputError, match="a, row 1: expected UTF-8 text"):
             read_values(open_dataset(file, "a", STRINGS, "a"), STRINGS, "a")
 
 
-def test_a_link_is_seen_without_being_followed(tmp_path: Path) -> None:
+def test_a_link_is_seen_without_being_followed(tmp_path):
     with h5py.File(tmp_path / "a.h5", "w") as file:
         file["here"] = 1.0
         file["elsewhere"] = h5py.ExternalLink("none.h5", "/a")
@@ -359,7 +357,7 @@ def test_a_link_is_seen_without_being_followed(tmp_path: Path) -> None:
         assert [is_in_file(file, name) for name in ("here", "elsewhere", "nowhere")] == [True, False, False]
 
 
-def test_powers_of_four_bytes_are_read_as_the_numbers_that_they_are(two_stations: Spectra, tmp_path: Path) -> None:
+def test_powers_of_four_bytes_are_read_as_the_numbers_that_they_are(two_stations, tmp_path):
     write_spectra(two_stations, tmp_path / "s.h5")
     with h5py.File(tmp_path / "s.h5", "a") as file:
         del file["power"]
@@ -367,7 +365,7 @@ def test_powers_of_four_bytes_are_read_as_the_numbers_that_they_are(two_stations
     assert np.array_equal(read_spectra(tmp_path / "s.h5").power, two_stations.power.astype("f4").astype("f8"))
 
 
-def test_flagged_spectra_stay_in_the_file_and_are_left_out_when_read(two_stations: Spectra, tmp_path: Path) -> None:
+def test_flagged_spectra_stay_in_the_file_and_are_left_out_when_read(two_stations, tmp_path):
     rows = len(two_stations)
     flag = np.full(rows, "", dtype="U5")
     flag[[2, 5]] = "storm"

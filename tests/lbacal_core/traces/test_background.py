@@ -2,7 +2,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,7 +22,7 @@ SETTINGS = CleaningSettings()
 CHANNELS = channel_frequencies(1024, 200e6)
 
 
-def test_white_noise_gives_its_density_over_the_resistance(make_trace: MakeTrace) -> None:
+def test_white_noise_gives_its_density_over_the_resistance(make_trace):
     (found,) = measure_traces([make_trace(1)], SETTINGS, is_station=False)
     assert found.blocks == 400
     assert found.excluded == ""
@@ -32,7 +31,7 @@ def test_white_noise_gives_its_density_over_the_resistance(make_trace: MakeTrace
     assert np.allclose(2 * half.power, found.power)
 
 
-def test_a_carrier_of_blocks_that_are_in_no_segment_is_left_out(make_trace: MakeTrace) -> None:
+def test_a_carrier_of_blocks_that_are_in_no_segment_is_left_out(make_trace):
     """The fine search sees consecutive blocks only; the last 80 of these 400 stand alone."""
     noise, spoilt = make_trace(3), make_trace(3)
     time = np.arange(80 * 1024) / 200e6
@@ -52,7 +51,7 @@ def test_a_carrier_of_blocks_that_are_in_no_segment_is_left_out(make_trace: Make
     assert found.power[15] == pytest.approx(alone.power[15], rel=0.03)  # some channels less: 2 % of noise
 
 
-def test_what_a_carrier_leaks_into_far_bins_is_subtracted(make_trace: MakeTrace) -> None:
+def test_what_a_carrier_leaks_into_far_bins_is_subtracted(make_trace):
     """The same noise with a carrier and without: its feet three bins away are 0.4 % of the noise there."""
     change = []
     for seed in range(8):
@@ -65,7 +64,7 @@ def test_what_a_carrier_leaks_into_far_bins_is_subtracted(make_trace: MakeTrace)
     assert np.mean(change) == pytest.approx(0.0, abs=0.0015)  # 0.04 % of noise: other roundings to 12 bits
 
 
-def test_bins_on_a_slope_are_unbiased_whatever_is_flagged() -> None:
+def test_bins_on_a_slope_are_unbiased_whatever_is_flagged():
     shape = (CHANNELS + 1.0) ** -2.5
     rng = np.random.default_rng(2)
     for _ in range(20):
@@ -76,7 +75,7 @@ def test_bins_on_a_slope_are_unbiased_whatever_is_flagged() -> None:
         assert np.allclose(power[is_filled] * 3, expected[is_filled], rtol=1e-9)  # the shape itself, filled
 
 
-def test_without_flags_a_bin_is_the_plain_weighted_mean() -> None:
+def test_without_flags_a_bin_is_the_plain_weighted_mean():
     density = np.random.default_rng(3).gamma(50, 1 / 50, CHANNELS.size)
     power, is_filled = bin_spectrum(density, np.exp(-CHANNELS / 9), np.zeros(CHANNELS.size, bool), CHANNELS, SETTINGS)
     low, high = 44.5 * 1024 / 200 + 0.5, 45.5 * 1024 / 200 + 0.5  # in channels, edges at integers
@@ -86,7 +85,7 @@ def test_without_flags_a_bin_is_the_plain_weighted_mean() -> None:
     assert power[15] * 50 == pytest.approx(np.sum(overlap * density[edges]) / 5.12, rel=1e-9)
 
 
-def test_a_number_of_blocks_is_spread_over_the_trace(make_trace: MakeTrace) -> None:
+def test_a_number_of_blocks_is_spread_over_the_trace(make_trace):
     trace = make_trace(4)
     (found,) = measure_traces([trace], CleaningSettings(blocks=100), is_station=False)
     rows = (np.arange(100) * 400) // 100
@@ -99,7 +98,7 @@ def test_a_number_of_blocks_is_spread_over_the_trace(make_trace: MakeTrace) -> N
     assert np.allclose(found.power, same.power, rtol=1e-5)
 
 
-def test_gaps_are_bridged_without_segments_across_them(make_trace: MakeTrace) -> None:
+def test_gaps_are_bridged_without_segments_across_them(make_trace):
     trace = make_trace(5, disturbances=[Transmitter(45.0, 2.0)])
     keep = np.ones(400, dtype=bool)
     keep[37::41] = False
@@ -110,7 +109,7 @@ def test_gaps_are_bridged_without_segments_across_them(make_trace: MakeTrace) ->
     assert np.any(np.abs(found.line_mhz - 45.0) < 0.1)
 
 
-def test_unusable_traces_say_why(make_trace: MakeTrace) -> None:
+def test_unusable_traces_say_why(make_trace):
     trace = make_trace(6)
     short = Trace(trace.reference, trace.samples[:10], trace.position[:10], trace.is_intact[:10], {})
     dead = replace(trace, samples=np.zeros_like(trace.samples))
@@ -120,13 +119,13 @@ def test_unusable_traces_say_why(make_trace: MakeTrace) -> None:
     assert good.excluded == ""
 
 
-def test_a_band_full_of_interference_is_excluded(make_trace: MakeTrace) -> None:
+def test_a_band_full_of_interference_is_excluded(make_trace):
     lines = [Transmitter(f, 40.0, phase=f**2) for f in np.arange(31.0, 80.0, 1.0)]
     (found,) = measure_traces([make_trace(7, disturbances=lines)], SETTINGS, is_station=False)
     assert found.excluded.startswith("interference")
 
 
-def test_settings_check_themselves() -> None:
+def test_settings_check_themselves():
     with pytest.raises(BadInputError, match="evenly"):
         CleaningSettings(frequency_mhz=np.array([30.0, 31.0, 33.0]))
     with pytest.raises(BadInputError, match="blocks"):
@@ -138,7 +137,7 @@ def test_settings_check_themselves() -> None:
 
 
 @pytest.mark.shared
-def test_the_real_dumps_show_the_resonance_and_known_transmitters(shared: Path) -> None:
+def test_the_real_dumps_show_the_resonance_and_known_transmitters(shared):
     files = sorted((shared / "data/tbb").glob("*.dat"))
     (event,) = group_traces([reference for file in files for reference in list_traces(file)])
     found = measure_background(event.references, SETTINGS)
@@ -154,7 +153,7 @@ def test_the_real_dumps_show_the_resonance_and_known_transmitters(shared: Path) 
 
 
 @pytest.mark.shared
-def test_the_dump_of_2008_shows_its_glitches_and_its_band(shared: Path) -> None:
+def test_the_dump_of_2008_shows_its_glitches_and_its_band(shared):
     (reference,) = list_traces(shared / "data/tbb/rw_20080701_162002_0109.h5")
     (found,) = measure_background([reference], SETTINGS)
     assert found.dropped == {"pulse": 22}  # two samples of 2000 ADC units in a noise of 141
@@ -163,13 +162,13 @@ def test_the_dump_of_2008_shows_its_glitches_and_its_band(shared: Path) -> None:
     assert np.sum(found.is_filled) == 0
 
 
-def test_noise_loses_no_block(make_trace: MakeTrace) -> None:
+def test_noise_loses_no_block(make_trace):
     selection = select_background(make_trace(1))
     assert np.all(selection.is_background)
     assert selection.dropped == {}
 
 
-def test_a_pulse_takes_five_blocks_on_either_side(make_trace: MakeTrace) -> None:
+def test_a_pulse_takes_five_blocks_on_either_side(make_trace):
     trace = make_trace(2, disturbances=[Shower(sample=200 * 1024 + 500, peak=400.0)])
     selection = select_background(trace)
     assert selection.dropped == {"pulse": 11}
@@ -178,7 +177,7 @@ def test_a_pulse_takes_five_blocks_on_either_side(make_trace: MakeTrace) -> None
 
 
 @pytest.mark.parametrize("sign", [1, -1])
-def test_a_spike_above_or_below_the_noise_is_a_pulse(make_trace: MakeTrace, sign: int) -> None:
+def test_a_spike_above_or_below_the_noise_is_a_pulse(make_trace, sign):
     trace = make_trace(2)
     samples = trace.samples.copy()
     samples[200, 500] = sign * 400
@@ -187,14 +186,14 @@ def test_a_spike_above_or_below_the_noise_is_a_pulse(make_trace: MakeTrace, sign
     assert selection.dropped == {"pulse": 11}
 
 
-def test_a_known_pulse_is_left_out_even_when_it_cannot_be_seen(make_trace: MakeTrace) -> None:
+def test_a_known_pulse_is_left_out_even_when_it_cannot_be_seen(make_trace):
     trace = make_trace(3)
     instant = trace.reference.time_unix + (50 * 1024 + 500) / 200e6
     selection = select_background(trace, instant)
     assert np.flatnonzero(~selection.is_background).tolist() == list(range(45, 56))
 
 
-def test_saturated_damaged_and_burst_blocks_are_dropped_for_their_own_reason(make_trace: MakeTrace) -> None:
+def test_saturated_damaged_and_burst_blocks_are_dropped_for_their_own_reason(make_trace):
     trace = make_trace(4)
     samples = trace.samples.copy()
     samples[30] *= 3
@@ -210,7 +209,7 @@ def test_saturated_damaged_and_burst_blocks_are_dropped_for_their_own_reason(mak
     assert np.sum(selection.is_background) >= 400 - 4 - 3 * 10
 
 
-def test_a_weak_burst_without_a_peak_is_a_burst(make_trace: MakeTrace) -> None:
+def test_a_weak_burst_without_a_peak_is_a_burst(make_trace):
     trace = make_trace(5)
     samples = trace.samples.copy()
     samples[30] = np.rint(samples[30] * 1.4)
@@ -219,9 +218,7 @@ def test_a_weak_burst_without_a_peak_is_a_burst(make_trace: MakeTrace) -> None:
 
 
 @pytest.mark.parametrize(("duty", "is_keyed"), [(0.2, True), (1.0, False), (0.9, False)])
-def test_only_a_transmitter_that_is_mostly_silent_costs_blocks(
-    make_trace: MakeTrace, duty: float, is_keyed: bool
-) -> None:
+def test_only_a_transmitter_that_is_mostly_silent_costs_blocks(make_trace, duty, is_keyed):
     line = Transmitter(45.0, mean_square=60.0, duty=duty, period_s=4e-4)
     trace = make_trace(6, disturbances=[line])
     strength = np.zeros(513)
@@ -260,12 +257,12 @@ def campaign(factor: np.ndarray, events: int = EVENTS) -> Spectra:
     )
 
 
-def test_ordinary_scatter_and_the_turning_sky_are_not_anomalous() -> None:
+def test_ordinary_scatter_and_the_turning_sky_are_not_anomalous():
     assert find_anomalous_spectra(campaign(np.ones((ANTENNAS, EVENTS))), LONGITUDE) == {}
 
 
 @pytest.mark.parametrize("factor", [0.5, 1.6, 30.0])
-def test_a_thunderstorm_takes_the_station_and_a_bad_receiver_its_path(factor: float) -> None:
+def test_a_thunderstorm_takes_the_station_and_a_bad_receiver_its_path(factor):
     change = np.ones((ANTENNAS, EVENTS))
     change[:, 40] = factor
     change[2, 70] = factor
@@ -277,14 +274,14 @@ def test_a_thunderstorm_takes_the_station_and_a_bad_receiver_its_path(factor: fl
     assert float(words.split(" is ")[1].split(" times")[0]) == pytest.approx(factor, rel=0.2)
 
 
-def test_a_bad_receiver_is_seen_where_the_gain_of_the_whole_station_scatters() -> None:
+def test_a_bad_receiver_is_seen_where_the_gain_of_the_whole_station_scatters():
     """What all paths share is taken out before one of them is compared with the others."""
     change = np.exp(0.12 * np.random.default_rng(2).standard_normal((1, EVENTS))) * np.ones((ANTENNAS, 1))
     change[2, 70] *= 1.6
     assert set(find_anomalous_spectra(campaign(change), LONGITUDE)) == {("e70", "CS002", 2, "X")}
 
 
-def test_few_events_are_left_alone() -> None:
+def test_few_events_are_left_alone():
     change = np.ones((ANTENNAS, EVENTS))
     change[:, 3] = 10.0
     assert find_anomalous_spectra(campaign(change, FEWEST_EVENTS - 1), LONGITUDE) == {}

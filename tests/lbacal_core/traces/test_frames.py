@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -54,7 +53,7 @@ def _crc(data: bytes, polynomial: int, width: int) -> int:
     return register
 
 
-def test_fast_checksums_equal_the_textbook(dump: Path) -> None:
+def test_fast_checksums_equal_the_textbook(dump):
     frame = _frames(dump)[3:4]
     header = bytearray(frame.tobytes()[:86])
     header[4:8] = bytes(4)
@@ -64,7 +63,7 @@ def test_fast_checksums_equal_the_textbook(dump: Path) -> None:
     assert sample_checksums(frame["samples"])[0] == _crc(payload, 0x04C11DB7, 32)
 
 
-def test_a_perfect_dump_has_no_faults(dump: Path) -> None:
+def test_a_perfect_dump_has_no_faults(dump):
     trace = _read(dump)
     assert trace.faults == {}
     assert np.all(trace.is_intact)
@@ -72,7 +71,7 @@ def test_a_perfect_dump_has_no_faults(dump: Path) -> None:
     assert np.array_equal(trace.position, 7113 + np.arange(COUNT))
 
 
-def test_lost_repeated_and_shuffled_frames_are_put_in_order_and_counted(dump: Path) -> None:
+def test_lost_repeated_and_shuffled_frames_are_put_in_order_and_counted(dump):
     frames = _frames(dump)
     order = [0, 2, 1, 3, 4, 4, 4, *range(8, COUNT)]
     dump.write_bytes(frames[order].tobytes())
@@ -83,7 +82,7 @@ def test_lost_repeated_and_shuffled_frames_are_put_in_order_and_counted(dump: Pa
     assert np.array_equal(trace.samples, frames["samples"][kept])
 
 
-def test_damage_is_seen_by_the_checksums_and_a_good_copy_is_preferred(dump: Path) -> None:
+def test_damage_is_seen_by_the_checksums_and_a_good_copy_is_preferred(dump):
     frames = _frames(dump)
     damaged = frames.copy()
     damaged["samples"][5, 100] ^= 1
@@ -95,7 +94,7 @@ def test_damage_is_seen_by_the_checksums_and_a_good_copy_is_preferred(dump: Path
     assert trace.position[~trace.is_intact] - 7113 == [5]
 
 
-def test_wrong_sample_counts_and_trailing_bytes_are_reported(dump: Path) -> None:
+def test_wrong_sample_counts_and_trailing_bytes_are_reported(dump):
     frames = _frames(dump)
     frames["samples_per_frame"][4] = 512
     frames["header_crc"] = header_checksums(frames)
@@ -105,7 +104,7 @@ def test_wrong_sample_counts_and_trailing_bytes_are_reported(dump: Path) -> None
     assert np.sum(~trace.is_intact) == 1
 
 
-def test_a_trace_may_cross_a_second(tmp_path: Path) -> None:
+def test_a_trace_may_cross_a_second(tmp_path):
     path = tmp_path / "late.dat"
     samples = np.arange(COUNT * 1024, dtype=np.int64).astype(np.int16)
     start = 200_000_000 - 20 * 1024
@@ -116,7 +115,7 @@ def test_a_trace_may_cross_a_second(tmp_path: Path) -> None:
     assert np.array_equal(trace.samples.ravel(), samples)
 
 
-def test_several_receivers_in_one_file_are_several_traces(dump: Path) -> None:
+def test_several_receivers_in_one_file_are_several_traces(dump):
     other = _frames(dump)
     other["rcu"] = 33
     other["header_crc"] = header_checksums(other)
@@ -126,7 +125,7 @@ def test_several_receivers_in_one_file_are_several_traces(dump: Path) -> None:
     assert read_frame_trace(second).faults == {}
 
 
-def test_other_files_and_subband_frames_are_refused_in_one_sentence(dump: Path, tmp_path: Path) -> None:
+def test_other_files_and_subband_frames_are_refused_in_one_sentence(dump, tmp_path):
     noise = tmp_path / "noise.dat"
     noise.write_bytes(np.random.default_rng(2).bytes(3 * FRAME.itemsize))
     with pytest.raises(UnreadableFileError, match="no valid frame header"):
@@ -143,7 +142,7 @@ def test_other_files_and_subband_frames_are_refused_in_one_sentence(dump: Path, 
 
 
 @pytest.mark.shared
-def test_every_checksum_of_the_real_dumps_agrees(shared: Path) -> None:
+def test_every_checksum_of_the_real_dumps_agrees(shared):
     files = sorted((shared / "data/tbb").glob("*.dat"))
     assert len(files) == 4
     starts = []
@@ -206,7 +205,7 @@ def _write_documented(path: Path, samples: NDArray[np.int16], **changes: Any) ->
         group.create_dataset("NOT_A_DIPOLE", data=samples)
 
 
-def test_the_layout_of_2008_is_read(tmp_path: Path, samples: NDArray[np.int16]) -> None:
+def test_the_layout_of_2008_is_read(tmp_path, samples):
     path = tmp_path / "early.h5"
     _write_early(path, samples)
     (reference,) = list_hdf5_traces(path)
@@ -218,7 +217,7 @@ def test_the_layout_of_2008_is_read(tmp_path: Path, samples: NDArray[np.int16]) 
     assert trace.position[0] == 123_621
 
 
-def test_the_documented_layout_is_read_with_its_antenna_set(tmp_path: Path, samples: NDArray[np.int16]) -> None:
+def test_the_documented_layout_is_read_with_its_antenna_set(tmp_path, samples):
     path = tmp_path / "documented.h5"
     _write_documented(path, samples)
     even, odd = list_hdf5_traces(path)
@@ -227,7 +226,7 @@ def test_the_documented_layout_is_read_with_its_antenna_set(tmp_path: Path, samp
     assert list_hdf5_traces(path, "LBA_INNER")[0].dipole == "X"
 
 
-def test_lost_flagged_and_miscounted_samples_are_reported(tmp_path: Path, samples: NDArray[np.int16]) -> None:
+def test_lost_flagged_and_miscounted_samples_are_reported(tmp_path, samples):
     holed = samples.copy()
     holed[5 * 1024 : 7 * 1024] = 0
     path = tmp_path / "holed.h5"
@@ -242,7 +241,7 @@ def test_lost_flagged_and_miscounted_samples_are_reported(tmp_path: Path, sample
     assert np.flatnonzero(~trace.is_intact).tolist() == [5, 6, 10, 12, 13]
 
 
-def test_missing_attributes_and_strange_content_are_named(tmp_path: Path, samples: NDArray[np.int16]) -> None:
+def test_missing_attributes_and_strange_content_are_named(tmp_path, samples):
     path = tmp_path / "bad.h5"
     _write_documented(path, samples, TIME=None)
     with pytest.raises(BadInputError, match="TIME"):
@@ -259,7 +258,7 @@ def test_missing_attributes_and_strange_content_are_named(tmp_path: Path, sample
         list_hdf5_traces(path)
 
 
-def test_links_out_of_the_file_are_not_followed(tmp_path: Path, samples: NDArray[np.int16]) -> None:
+def test_links_out_of_the_file_are_not_followed(tmp_path, samples):
     secret = tmp_path / "secret.h5"
     _write_early(secret, samples)
     path = tmp_path / "linked.h5"
@@ -270,7 +269,7 @@ def test_links_out_of_the_file_are_not_followed(tmp_path: Path, samples: NDArray
 
 
 @pytest.mark.shared
-def test_the_real_file_of_2008_says_what_it_is(shared: Path) -> None:
+def test_the_real_file_of_2008_says_what_it_is(shared):
     (reference,) = list_hdf5_traces(shared / "data/tbb/rw_20080701_162002_0109.h5")
     assert (reference.station, reference.rcu, reference.start_s) == ("CS001", 9, 1_214_929_202)  # 2008-07-01 16:20:02
     trace = read_hdf5_trace(reference)
@@ -279,9 +278,7 @@ def test_the_real_file_of_2008_says_what_it_is(shared: Path) -> None:
 
 
 @pytest.mark.long
-def test_flipped_bytes_give_a_sentence_or_samples(
-    tmp_path: Path, samples: NDArray[np.int16], flip_bytes: Callable[..., list[str]]
-) -> None:
+def test_flipped_bytes_give_a_sentence_or_samples(tmp_path, samples, flip_bytes):
     path = tmp_path / "early.h5"
     _write_early(path, samples)
     structure = slice(0, 1500)  # the samples follow it: any bytes are samples

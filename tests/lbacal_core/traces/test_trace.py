@@ -40,17 +40,17 @@ REFERENCE = TraceReference(Path("a.dat"), "10", "CS011", 10, 1_311_073_541, 7_28
         (208, "UK608"),
     ],
 )
-def test_packed_station_numbers_give_the_stations_names(number: int, name: str) -> None:
+def test_packed_station_numbers_give_the_stations_names(number, name):
     assert name_station(number) == name
 
 
-def test_the_outer_set_exchanges_the_letters_of_even_and_odd_receivers() -> None:
+def test_the_outer_set_exchanges_the_letters_of_even_and_odd_receivers():
     assert [name_dipole(rcu, "UNDEFINED") for rcu in (10, 11)] == ["X", "Y"]
     assert [name_dipole(rcu, "LBA_INNER") for rcu in (10, 11)] == ["X", "Y"]
     assert [name_dipole(rcu, "LBA_OUTER") for rcu in (10, 11)] == ["Y", "X"]
 
 
-def test_mixed_sets_have_the_letters_of_the_field_of_each_antenna() -> None:
+def test_mixed_sets_have_the_letters_of_the_field_of_each_antenna():
     """Antenna 4 (receivers 8 and 9) and antenna 5 (10 and 11): once inner and outer, once the reverse."""
     assert [name_dipole(rcu, "LBA_SPARSE_EVEN") for rcu in (8, 9, 10, 11)] == ["X", "Y", "Y", "X"]
     assert [name_dipole(rcu, "LBA_SPARSE_ODD") for rcu in (8, 9, 10, 11)] == ["Y", "X", "X", "Y"]
@@ -58,26 +58,26 @@ def test_mixed_sets_have_the_letters_of_the_field_of_each_antenna() -> None:
     assert {name_dipole(rcu, "LBA_Y") for rcu in range(96)} == {"Y"}
 
 
-def test_a_set_that_nobody_knows_is_refused_instead_of_named_by_parity() -> None:
+def test_a_set_that_nobody_knows_is_refused_instead_of_named_by_parity():
     require_antenna_set(None)
     require_antenna_set("LBA_SPARSE_ODD")
     with pytest.raises(BadInputError, match="LBA_SPARSE_EVEN"):
         require_antenna_set("LBA_OUTTER")
 
 
-def test_a_reference_knows_its_instant_and_antenna() -> None:
+def test_a_reference_knows_its_instant_and_antenna():
     assert REFERENCE.time_unix == pytest.approx(1_311_073_541.03641856, abs=1e-6)
     assert REFERENCE.antenna == 5
 
 
-def test_impossible_receivers_and_rates_are_refused() -> None:
+def test_impossible_receivers_and_rates_are_refused():
     with pytest.raises(BadInputError, match="RCU"):
         replace(REFERENCE, rcu=192)
     with pytest.raises(BadInputError, match="sample rate"):
         replace(REFERENCE, sample_rate_hz=200.0)
 
 
-def test_blocks_must_rise_in_time() -> None:
+def test_blocks_must_rise_in_time():
     samples = np.zeros((2, 1024), dtype=np.int16)
     with pytest.raises(BadInputError, match="rising"):
         Trace(REFERENCE, samples, np.array([3, 3]), np.ones(2, dtype=bool), {})
@@ -88,7 +88,7 @@ def test_blocks_must_rise_in_time() -> None:
 ONE = TraceReference(Path("a.dat"), "10", "CS011", 10, 1_311_073_541, 199_999_000, 200e6)
 
 
-def test_traces_either_side_of_a_second_are_one_event() -> None:
+def test_traces_either_side_of_a_second_are_one_event():
     later = replace(ONE, rcu=11, start_s=ONE.start_s + 1, start_sample=24)
     other_station = replace(ONE, station="CS002")
     next_event = replace(ONE, start_s=ONE.start_s + 60)
@@ -100,13 +100,13 @@ def test_traces_either_side_of_a_second_are_one_event() -> None:
     ]
 
 
-def test_a_given_name_holds_and_two_traces_of_one_path_are_refused() -> None:
+def test_a_given_name_holds_and_two_traces_of_one_path_are_refused():
     assert group_traces([ONE], "E7")[0].event_id == "E7"
     with pytest.raises(BadInputError, match="RCU 10"):
         group_traces([ONE, replace(ONE, path=Path("b.dat"))])
 
 
-def test_folders_are_searched_and_bad_paths_named(tmp_path: Path) -> None:
+def test_folders_are_searched_and_bad_paths_named(tmp_path):
     (tmp_path / "deep").mkdir()
     for name in ("deep/b.dat", "a.h5", "notes.txt"):
         (tmp_path / name).write_bytes(b"x")
@@ -135,7 +135,7 @@ def record(event: str, rcu: int, time_unix: float, excluded: str = "") -> dict[s
     }
 
 
-def test_records_become_spectra_in_order_of_time_without_the_excluded() -> None:
+def test_records_become_spectra_in_order_of_time_without_the_excluded():
     records = [record("B", 3, 1.5e9), record("A", 4, 1.4e9), record("A", 2, 1.4e9), record("A", 5, 1.4e9, "dead")]
     facts = EventFacts(environment={"A": {"temperature_c": 4.0}})
     found = assemble_spectra(records, SETTINGS, facts)
@@ -146,7 +146,7 @@ def test_records_become_spectra_in_order_of_time_without_the_excluded() -> None:
     assert np.isnan(found.environment["temperature_c"][2])
 
 
-def test_event_facts_are_read_and_holes_are_unknown(tmp_path: Path) -> None:
+def test_event_facts_are_read_and_holes_are_unknown(tmp_path):
     path = tmp_path / "events.csv"
     path.write_text("# station log\nevent_id,temperature_c,rain_mm_h,pulse_unix\nA,3.5,,1400000000.25\nB,,0.2,\n")
     facts = read_event_facts(path)
@@ -164,7 +164,7 @@ def test_event_facts_are_read_and_holes_are_unknown(tmp_path: Path) -> None:
         ("event_id,rain_mm_h\nA,inf\n", "finite"),
     ],
 )
-def test_bad_event_facts_are_named(tmp_path: Path, text: str, words: str) -> None:
+def test_bad_event_facts_are_named(tmp_path, text, words):
     path = tmp_path / "events.csv"
     path.write_text(text)
     with pytest.raises(BadInputError, match=words):

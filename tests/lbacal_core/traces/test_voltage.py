@@ -38,7 +38,7 @@ def noise(seed: int = 1) -> np.ndarray:
     return np.random.default_rng(seed).normal(0, 20, SAMPLES)
 
 
-def test_a_line_between_two_channels_gets_the_mean_of_their_c() -> None:
+def test_a_line_between_two_channels_gets_the_mean_of_their_c():
     time = np.arange(SAMPLES) / RATE
     found = calibrate_trace(7.0 * np.cos(2 * np.pi * 50.048828125 * time), RATE, curve())
     at = int(np.argmax(np.abs(found.spectrum)))
@@ -47,7 +47,7 @@ def test_a_line_between_two_channels_gets_the_mean_of_their_c() -> None:
     assert found.c[at] == pytest.approx(1e-5 * (1 + 20.048828125 / 20))
 
 
-def test_what_lies_outside_the_band_is_zero_and_flagged() -> None:
+def test_what_lies_outside_the_band_is_zero_and_flagged():
     found = calibrate_trace(noise(), RATE, curve())
     outside = (found.frequency_mhz < 30) | (found.frequency_mhz > 80)
     assert np.array_equal(found.is_inside, ~outside)
@@ -56,7 +56,7 @@ def test_what_lies_outside_the_band_is_zero_and_flagged() -> None:
     assert np.all(found.c_sigma[outside] == 0)
 
 
-def test_inside_the_band_it_is_what_nuradioreco_does() -> None:
+def test_inside_the_band_it_is_what_nuradioreco_does():
     # NuRadioReco: interp1d over 101 values at 0, 1, ... 100 MHz, zeros outside 30-80, times the Fourier transform
     file = np.zeros(101)
     file[30:81] = C
@@ -68,7 +68,7 @@ def test_inside_the_band_it_is_what_nuradioreco_does() -> None:
     assert np.all((found.frequency_mhz[beyond] > 29) & (found.frequency_mhz[beyond] < 81))
 
 
-def test_a_trace_comes_out_as_nuradioreco_3_1_0_gave_it() -> None:
+def test_a_trace_comes_out_as_nuradioreco_3_1_0_gave_it():
     # Recorded: NuRadioMC 3.1.0 (PyPI), stationGalacticCalibrator._calibrate_channel on the trace below at 200 MHz with
     # its own curve for LOFAR_LBA, its relative calibration set to 1; V at samples 0 to 63, eight digits. Its bins are
     # 3.125 MHz wide, so none lies in the channel beyond the edge where its curve falls to 0.
@@ -79,7 +79,7 @@ def test_a_trace_comes_out_as_nuradioreco_3_1_0_gave_it() -> None:
     assert np.max(np.abs(ours.samples - RECORDED_V)) < 1e-6 * np.max(np.abs(RECORDED_V))
 
 
-def test_nuradioreco_itself_gives_the_same_inside_the_band() -> None:
+def test_nuradioreco_itself_gives_the_same_inside_the_band():
     module = pytest.importorskip("NuRadioReco.modules.LOFAR.stationGalacticCalibrator")
     theirs = module.stationGalacticCalibrator()
     theirs.begin()
@@ -90,7 +90,7 @@ def test_nuradioreco_itself_gives_the_same_inside_the_band() -> None:
 
 
 @pytest.mark.long
-def test_errors_are_interpolated_and_fully_correlated_along_frequency() -> None:
+def test_errors_are_interpolated_and_fully_correlated_along_frequency():
     found = calibrate_trace(noise(), RATE, curve(stat=0.03, sys=0.04))
     inside = found.is_inside
     assert found.c_sigma[inside] == pytest.approx(0.05 * found.c[inside])
@@ -101,7 +101,7 @@ def test_errors_are_interpolated_and_fully_correlated_along_frequency() -> None:
     assert found.sigma_of_energy() == pytest.approx(0.10)
 
 
-def test_the_error_of_the_energy_covers_wrong_calibrations() -> None:
+def test_the_error_of_the_energy_covers_wrong_calibrations():
     rng = np.random.default_rng(8)
     right = calibrate_trace(noise(), RATE, curve(stat=0.02, sys=0.03))
     energies = []
@@ -128,7 +128,7 @@ def known_to(slope: float, alone: float) -> tuple[CalibrationCurve, Budget]:
     return replace(curve(), c_sigma_stat=stat, c_sigma_sys=sys, covariance=covariance), budget
 
 
-def test_with_its_budget_a_curve_has_the_covariance_of_the_budget_along_frequency() -> None:
+def test_with_its_budget_a_curve_has_the_covariance_of_the_budget_along_frequency():
     one, budget = known_to(slope=0.1, alone=0.004)
     found = calibrate_trace(noise(), RATE, one, budget)
     (low,), (high,) = (np.flatnonzero(found.frequency_mhz == mhz) for mhz in (31.25, 78.125))
@@ -140,7 +140,7 @@ def test_with_its_budget_a_curve_has_the_covariance_of_the_budget_along_frequenc
     assert found.sigma_of_energy() < calibrate_trace(noise(), RATE, one).sigma_of_energy()
 
 
-def test_at_the_channels_a_covariance_gives_the_standard_deviations_of_the_curve() -> None:
+def test_at_the_channels_a_covariance_gives_the_standard_deviations_of_the_curve():
     one, budget = known_to(slope=0.05, alone=0.004)
     expected = np.hypot(one.c_sigma_stat, one.c_sigma_sys) / one.c
     for named in (budget, None):
@@ -157,18 +157,18 @@ def test_at_the_channels_a_covariance_gives_the_standard_deviations_of_the_curve
         (np.zeros(64), 0.0, "sample_rate_mhz"),
     ],
 )
-def test_unusable_traces_are_refused(samples: np.ndarray, rate: float, message: str) -> None:
+def test_unusable_traces_are_refused(samples, rate, message):
     with pytest.raises(BadInputError, match=message):
         calibrate_trace(samples, rate, curve())
 
 
-def test_a_curve_that_did_not_converge_is_refused() -> None:
+def test_a_curve_that_did_not_converge_is_refused():
     failed = replace(curve(), status="not_converged", c=None, c_sigma_stat=None, c_sigma_sys=None)
     with pytest.raises(BadInputError, match="converged"):
         calibrate_trace(noise(), RATE, failed)
 
 
-def test_a_channel_without_a_value_is_not_calibrated_through() -> None:
+def test_a_channel_without_a_value_is_not_calibrated_through():
     c, stat = C.copy(), 0.01 * C
     c[20] = stat[20] = np.nan
     flag = ("ok",) * 20 + ("outside",) + ("ok",) * 30

@@ -32,7 +32,7 @@ SKY = compute_sky_power(INSTRUMENT)
 
 @pytest.mark.parametrize("scope", ["antenna", "station", "array"])
 @pytest.mark.parametrize(("common", "own"), [(0.03, 0.04), (0.0, 0.01)])
-def test_the_gain_of_events_is_the_planted_one(scope: str, common: float, own: float) -> None:
+def test_the_gain_of_events_is_the_planted_one(scope, common, own):
     settings = TwinSettings(
         stations=("CS002",), antennas=6, events_per_year=600, event_gain_common=common, event_gain_path=own
     )
@@ -47,7 +47,7 @@ def test_the_gain_of_events_is_the_planted_one(scope: str, common: float, own: f
     assert 0.88 * planted < np.median(gains) < 1.12 * np.hypot(planted, beside)
 
 
-def test_one_event_on_one_antenna_is_worse_known_than_the_mean() -> None:
+def test_one_event_on_one_antenna_is_worse_known_than_the_mean():
     settings = TwinSettings(stations=("CS002",), antennas=8, events_per_year=500)
     spectra = simulate_campaign(settings, INSTRUMENT, SKY, np.random.default_rng(4)).spectra
     own = measure_error(
@@ -70,14 +70,14 @@ def test_one_event_on_one_antenna_is_worse_known_than_the_mean() -> None:
         assert error.of_one_event > error.of_mean
 
 
-def test_without_a_curve_there_is_no_error() -> None:
+def test_without_a_curve_there_is_no_error():
     settings = TwinSettings(stations=("CS002",), antennas=2, events_per_year=30)
     spectra = simulate_campaign(settings, INSTRUMENT, SKY, np.random.default_rng(4)).spectra
     report = fit_calibration(spectra, Simulation(INSTRUMENT, SKY), "antenna")
     assert measure_error(report, spectra, Simulation(INSTRUMENT, SKY)) is None
 
 
-def test_what_is_not_known_is_not_taken_for_zero() -> None:
+def test_what_is_not_known_is_not_taken_for_zero():
     assert np.isnan(ErrorOfC(0.01, 0.1, 0.0, np.nan).of_one_event)
     assert np.isnan(ErrorOfC(0.01, 0.1, np.nan, 0.02).of_one_event)
     assert ErrorOfC(0.03, 0.04, 0.0, np.nan).of_mean == pytest.approx(0.05)
@@ -146,7 +146,7 @@ def block(instrument: Instrument, sky_power: SkyPower, gains: tuple[float, float
     )  # fmt: skip
 
 
-def test_a_path_is_compared_with_the_narrowest_curve_that_answers(low_band: Instrument, two_waves: SkyPower) -> None:
+def test_a_path_is_compared_with_the_narrowest_curve_that_answers(low_band, two_waves):
     seen = block(low_band, two_waves, (1.0, 1.1))
     curves = [curve(4), curve(None), curve(None, station=None), curve(9, dipole="Y"), curve(4, station="CS003")]
     found = {
@@ -158,7 +158,7 @@ def test_a_path_is_compared_with_the_narrowest_curve_that_answers(low_band: Inst
     assert list(compare_paths(seen, [curve(9, dipole="Y")], Simulation(low_band, two_waves))) == []
 
 
-def test_the_map_shows_what_was_added_and_nothing_else(low_band: Instrument, two_waves: SkyPower) -> None:
+def test_the_map_shows_what_was_added_and_nothing_else(low_band, two_waves):
     plain, curves = block(low_band, two_waves, (1.02, 1.1)), [curve(4), curve(9)]
     lst = local_sidereal_time(plain.time_unix, low_band.longitude_deg)
     power = plain.power.copy()
@@ -174,16 +174,14 @@ def test_the_map_shows_what_was_added_and_nothing_else(low_band: Instrument, two
     assert np.nanmax(np.abs(difference)) == 0.0
 
 
-def test_the_gain_of_a_path_is_no_departure_from_its_stations_curve(low_band: Instrument, two_waves: SkyPower) -> None:
+def test_the_gain_of_a_path_is_no_departure_from_its_stations_curve(low_band, two_waves):
     seen = block(low_band, two_waves, (0.9, 1.1))
     found = map_departures(seen, [curve(None)], Simulation(low_band, two_waves))
     assert np.nanmax(np.abs(found)) < 1e-12
     assert found.shape == (48, 51)
 
 
-def test_what_the_sky_is_given_too_much_the_electronics_get_too_little(
-    low_band: Instrument, two_waves: SkyPower
-) -> None:
+def test_what_the_sky_is_given_too_much_the_electronics_get_too_little(low_band, two_waves):
     slope = 2.0 * low_band.antenna_gain
     c = np.sqrt(low_band.antenna_gain / slope)
     frequency = low_band.frequency_mhz
