@@ -9,13 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lbacal_core import errors
-from lbacal_core.errors import (
-    BadInputError,
-    LbacalError,
-    UnreadableFileError,
-    name_path,
-    write_chance,
-)
+from lbacal_core.errors import BadInputError, LbacalError, UnreadableFileError, name_path, write_chance
 from lbacal_core.foreign import parse_name, parse_number, parse_numbers, parse_optional_name, read_npz
 from lbacal_core.grids import guess_widths, require_channels, require_same_grid
 from lbacal_core.instrument.antennas import are_dipole_names, is_dipole_name, look_like_radians

@@ -37,11 +37,7 @@ def test_of_one_cable_only_the_spectrum_tells_the_unit(station, low_band):
 
 @pytest.mark.parametrize("unit", ["power", "dB", "volt"])
 def test_cables_tell_power_from_decibels_and_volts(station, low_band, unit):
-    recorded = {
-        "power": station.power,
-        "dB": 10 * np.log10(station.power) + 200,
-        "volt": station.power**0.5,
-    }[unit]
+    recorded = {"power": station.power, "dB": 10 * np.log10(station.power) + 200, "volt": station.power**0.5}[unit]
     seen = replace(station, power=recorded)
     could_be = ("power", "volt", "dB") if unit == "dB" else ("power", "volt")
     likelihood = {name: log_likelihood_of_unit(seen, np.arange(6), name, low_band) for name in could_be}

@@ -16,8 +16,7 @@ def seconds(date):
 
 
 @pytest.mark.parametrize(
-    ("phase_deg", "warmest"),
-    [(0.0, "2014-01-01"), (90.0, "2014-04-02"), (180.0, "2014-07-02"), (270.0, "2014-10-01")],
+    ("phase_deg", "warmest"), [(0.0, "2014-01-01"), (90.0, "2014-04-02"), (180.0, "2014-07-02"), (270.0, "2014-10-01")]
 )
 def test_a_season_is_highest_when_its_phase_says(phase_deg, warmest, world):
     conditions = world.look().data.conditions

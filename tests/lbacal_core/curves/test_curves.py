@@ -38,10 +38,7 @@ GOOD = CalibrationCurve(
     parameters={"n_lna": Parameter(0.5, 0.01), "n_rcu": Parameter(0.1, 0.002), "n_adc": Parameter(0.01, 0.001)},
 )
 HOLED = replace(
-    GOOD,
-    c=np.array([1.0, np.nan, 3.0]),
-    c_sigma_stat=np.array([0.1, np.nan, 0.3]),
-    flag=("ok", "outside", "uncertain"),
+    GOOD, c=np.array([1.0, np.nan, 3.0]), c_sigma_stat=np.array([0.1, np.nan, 0.3]), flag=("ok", "outside", "uncertain")
 )
 FAILED = replace(
     GOOD, antenna=3, status=TOO_FEW_EVENTS, c=None, c_sigma_stat=None, chi2_per_dof=None, events=5, parameters={}

@@ -8,14 +8,7 @@ from lbacal_core.causes.cause import Template, signature, spectral_signature
 from lbacal_core.discovery.baseline import fit_baseline
 from lbacal_core.discovery.hypothesis import list_targets
 from lbacal_core.discovery.refit import fit_chain
-from lbacal_core.discovery.scan import (
-    FamilySpectra,
-    batch_families,
-    correlate,
-    group_templates,
-    list_families,
-    overlap,
-)
+from lbacal_core.discovery.scan import FamilySpectra, batch_families, correlate, group_templates, list_families, overlap
 from lbacal_core.discovery.station import model_modes
 from lbacal_core.discovery.view import ChannelTemplates
 from lbacal_core.skypower.differences import compute_model_differences

@@ -19,11 +19,7 @@ from tests.lbacal_core.discovery.worlds import MOVING, STATIC
 def thresholds():
     """Probabilities by chance below which each question has an answer."""
     policy = Policy()
-    return {
-        "catalogue": policy.catalogue_alpha,
-        "static": policy.antenna_alpha,
-        "structure": policy.structure_alpha,
-    }
+    return {"catalogue": policy.catalogue_alpha, "static": policy.antenna_alpha, "structure": policy.structure_alpha}
 
 
 def ask(world, *faults, **options):

@@ -20,18 +20,11 @@ def hypothesis(weight, change, dipoles="XY"):
 
 
 def finding(antennas, *hypotheses):
-    return {
-        "cause": "gain_step",
-        "where": {"station": "CS002", "antennas": antennas},
-        "left_open": list(hypotheses),
-    }
+    return {"cause": "gain_step", "where": {"station": "CS002", "antennas": antennas}, "left_open": list(hypotheses)}
 
 
 def report_of(*findings, unexplained=None):
-    return {
-        "findings": list(findings),
-        "stations": [{"station": "CS002", "findings": [], "unexplained": unexplained}],
-    }
+    return {"findings": list(findings), "stations": [{"station": "CS002", "findings": [], "unexplained": unexplained}]}
 
 
 @pytest.fixture(scope="module")
