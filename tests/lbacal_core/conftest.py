@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from lbacal_core.instrument.instrument import Instrument, load_instrument
+from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra.spectra import Spectra
@@ -20,6 +21,11 @@ def chain() -> Instrument:
 @pytest.fixture(scope="session")
 def sky(chain: Instrument) -> SkyPower:
     return compute_sky_power(chain)
+
+
+@pytest.fixture(scope="session")
+def simulation(chain: Instrument, sky: SkyPower) -> Simulation:
+    return Simulation(chain, sky)
 
 
 @pytest.fixture(scope="session")

@@ -11,7 +11,6 @@ from lbacal_core.causes.model import PLAIN, AdoptedCause, Model
 from lbacal_core.curves.curves import CONVERGED, NOT_CONVERGED, TOO_FEW_EVENTS, parse_curve
 from lbacal_core.discovery.calibrate import fit_causes
 from lbacal_core.errors import BadInputError
-from lbacal_core.simulation.simulation import Simulation
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.faults.fault import Where
 from lbacal_twin.faults.hardware import GainTemperature
@@ -176,8 +175,8 @@ def late(record):
 
 
 @pytest.fixture(scope="module")
-def fitted(late, chain, sky):
-    return fit_causes(late, Simulation(chain, sky, causes=Model((LATE,))))
+def fitted(late, simulation):
+    return fit_causes(late, simulation.with_causes(Model((LATE,))))
 
 
 @pytest.fixture(scope="module")
@@ -185,17 +184,17 @@ def report(fitted):
     return fitted.fit("station")
 
 
-def test_a_plain_model_gives_the_bytes_of_the_plain_fit(late, chain, sky):
-    plain = fit_causes(late, Simulation(chain, sky, causes=PLAIN))
+def test_a_plain_model_gives_the_bytes_of_the_plain_fit(late, simulation):
+    plain = fit_causes(late, simulation.with_causes(PLAIN))
     assert plain.spectra is late
-    ours, theirs = plain.fit("antenna"), fit_calibration(late, Simulation(chain, sky), "antenna")
+    ours, theirs = plain.fit("antenna"), fit_calibration(late, simulation, "antenna")
     assert json.dumps(ours.as_dict()) == json.dumps(theirs.as_dict())
 
 
 @pytest.mark.long
-def test_c_is_that_of_the_same_data_without_the_fault(report, record, late, chain, sky):
-    healthy = fit_calibration(record(), Simulation(chain, sky), "station").curves
-    without = fit_calibration(late, Simulation(chain, sky), "station").curves
+def test_c_is_that_of_the_same_data_without_the_fault(report, record, late, simulation):
+    healthy = fit_calibration(record(), simulation, "station").curves
+    without = fit_calibration(late, simulation, "station").curves
     for curve, right, wrong in zip(report.curves[:2], healthy[:2], without[:2], strict=True):
         assert curve.status == CONVERGED
         # The size is right to 4 %, and with it what the fault did to C.
@@ -203,8 +202,8 @@ def test_c_is_that_of_the_same_data_without_the_fault(report, record, late, chai
         assert np.abs(wrong.c - right.c).max() > 2.0 * right.c_sigma_stat.min()
 
 
-def test_a_station_without_the_cause_keeps_its_numbers(report, late, chain, sky):
-    plain = fit_calibration(late, Simulation(chain, sky), "station").curves
+def test_a_station_without_the_cause_keeps_its_numbers(report, late, simulation):
+    plain = fit_calibration(late, simulation, "station").curves
     for ours, theirs in zip(report.curves[2:], plain[2:], strict=True):
         assert ours.station == "CS003"
         np.testing.assert_array_equal(ours.c, theirs.c)
@@ -213,13 +212,13 @@ def test_a_station_without_the_cause_keeps_its_numbers(report, late, chain, sky)
 
 
 @pytest.mark.long
-def test_the_error_of_the_size_is_in_the_covariance_of_c(late, chain, sky):
+def test_the_error_of_the_size_is_in_the_covariance_of_c(late, simulation):
     """Moved by its sigma, a fixed size changes ln C by the vector that its error adds."""
     fixed = replace(LATE, size=0.3, sigma=0.1, is_free=False)
-    curves = fit_causes(late, Simulation(chain, sky, causes=Model((fixed,)))).fit("station").curves
-    moved = fit_causes(late, Simulation(chain, sky, causes=Model((replace(fixed, size=0.4),)))).fit("station").curves
+    curves = fit_causes(late, simulation.with_causes(Model((fixed,)))).fit("station").curves
+    moved = fit_causes(late, simulation.with_causes(Model((replace(fixed, size=0.4),)))).fit("station").curves
     known = replace(fixed, sigma=1e-6)
-    alone = fit_causes(late, Simulation(chain, sky, causes=Model((known,)))).fit("station").curves
+    alone = fit_causes(late, simulation.with_causes(Model((known,)))).fit("station").curves
     for curve, other, without in zip(curves[:2], moved[:2], alone[:2], strict=True):
         change = np.log(other.c / curve.c)
         assert np.abs(change).max() > 1e-3
@@ -231,7 +230,7 @@ def test_the_error_of_the_size_is_in_the_covariance_of_c(late, chain, sky):
         np.testing.assert_allclose(of_parts, (curve.c_sigma_stat / curve.c) ** 2, rtol=1e-9)
 
 
-def test_one_path_takes_the_size_of_its_station(fitted, late, chain, sky):
+def test_one_path_takes_the_size_of_its_station(fitted, late, simulation):
     """A size belongs to its target: fitted to all its paths, and the same for each of them."""
     whole = {curve.name: curve for curve in fitted.fit("antenna").curves}
     rows = (late.station == "CS002") & (late.antenna == 1) & (late.dipole == "Y")
@@ -240,7 +239,7 @@ def test_one_path_takes_the_size_of_its_station(fitted, late, chain, sky):
     (curve,) = part.fit("antenna").curves
     np.testing.assert_allclose(curve.c, whole[curve.name].c, rtol=1e-12)
     assert part.fit("antenna").provenance.inputs["spectra"] == late.select(rows).digest()
-    (alone,) = fit_causes(late.select(rows), Simulation(chain, sky, causes=Model((LATE,)))).sizes
+    (alone,) = fit_causes(late.select(rows), simulation.with_causes(Model((LATE,)))).sizes
     assert alone.sigma > 1.2 * fitted.sizes[0].sigma
 
 
@@ -262,14 +261,14 @@ def test_a_curve_with_the_error_of_a_size_is_read_back(report):
     assert len(content["covariance"]["statistical"]["common"]) == 1
 
 
-def test_spectra_without_the_covariate_of_their_cause_are_left_out(record, chain, sky):
+def test_spectra_without_the_covariate_of_their_cause_are_left_out(record, simulation):
     spectra = record(GainTemperature(size=0.05, where=HERE))
     values = spectra.environment["temperature_c"].copy()
     lost = np.isin(spectra.event_id, np.unique(spectra.event_id)[::4])
     values[lost] = np.nan
     spectra = replace(spectra, environment={"temperature_c": values})
     one = AdoptedCause("gain_temperature", "CS002", "antenna 2", 0.05, 0.01, {"delay_h": 0})
-    fitted = fit_causes(spectra, Simulation(chain, sky, causes=Model((one,))))
+    fitted = fit_causes(spectra, simulation.with_causes(Model((one,))))
     left_out = lost & (spectra.station == "CS002") & (spectra.antenna == 2)
     assert len(spectra) - len(fitted.spectra) == left_out.sum()
     curves = {curve.name: curve.events for curve in fitted.fit("antenna").curves}
@@ -277,10 +276,10 @@ def test_spectra_without_the_covariate_of_their_cause_are_left_out(record, chain
     assert curves["CS002 antenna 1 X"] == 300
 
 
-def test_a_station_with_too_few_events_has_no_size(late, chain, sky):
+def test_a_station_with_too_few_events_has_no_size(late, simulation):
     """The first weeks of a year with an inherited model: its curves say why they are none, and nothing is refused."""
     few = late.select(np.isin(late.event_id, np.unique(late.event_id)[:40]))
-    fitted = fit_causes(few, Simulation(chain, sky, causes=Model((LATE,))))
+    fitted = fit_causes(few, simulation.with_causes(Model((LATE,))))
     assert fitted.sizes == []
     assert {curve.status for curve in fitted.fit("antenna").curves} == {TOO_FEW_EVENTS}
 

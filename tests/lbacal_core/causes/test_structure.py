@@ -14,7 +14,6 @@ from lbacal_core.discovery.residual_structure import find_structure
 from lbacal_core.discovery.search import search_station
 from lbacal_core.discovery.station import gather_stations
 from lbacal_core.errors import BadInputError
-from lbacal_core.simulation.simulation import Simulation
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.faults.uncatalogued import MainsHum
 from lbacal_twin.settings import YEAR_S, TwinSettings
@@ -32,8 +31,8 @@ def years(chain, sky):
 
 
 @pytest.fixture(scope="module")
-def station(years, chain, sky):
-    return gather_stations(years[0], Simulation(chain, sky))[0]
+def station(years, simulation):
+    return gather_stations(years[0], simulation)[0]
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +62,7 @@ def test_functions_of_other_data_are_the_same_functions(station):
 
 
 @pytest.mark.long
-def test_structure_without_a_name_is_adopted_as_what_it_is(report, years, chain, sky):
+def test_structure_without_a_name_is_adopted_as_what_it_is(report, years, simulation):
     """It gains on the next year, and its size there is the one adopted."""
     assert report["verdict"] == "unexplained"
     model = Model.from_report(report, "unexplained")
@@ -71,10 +70,10 @@ def test_structure_without_a_name_is_adopted_as_what_it_is(report, years, chain,
     (adopted,) = model.causes
     assert adopted.cause == "residual_structure"
     assert adopted.size < 1.0
-    (gain,) = measure_gains(years[1], Simulation(chain, sky, causes=model))
+    (gain,) = measure_gains(years[1], simulation.with_causes(model))
     assert gain.gain > 10
     assert abs(gain.gain - gain.expected) < 4 * gain.expected_sigma
-    (station,) = gather_stations(years[1], Simulation(chain, sky))
+    (station,) = gather_stations(years[1], simulation)
     (size,) = fit_adopted(station, model).sizes
     assert size.value == pytest.approx(adopted.size, abs=4 * np.hypot(size.sigma, adopted.sigma))
 

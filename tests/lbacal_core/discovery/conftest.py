@@ -12,7 +12,6 @@ from lbacal_core.discovery.project import LinearModel
 from lbacal_core.discovery.refit import fit_chain
 from lbacal_core.discovery.station import Station, gather_stations
 from lbacal_core.grids import Floats
-from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.spectra.spectra import Spectra
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.faults.fault import Fault
@@ -35,8 +34,8 @@ def spoil(chain, sky) -> Callable[[Fault], Spectra]:
 
 
 @pytest.fixture(scope="session")
-def station(clean, chain, sky) -> Station:
-    return gather_stations(clean, Simulation(chain, sky))[0]
+def station(clean, simulation) -> Station:
+    return gather_stations(clean, simulation)[0]
 
 
 @pytest.fixture(scope="session")

@@ -11,7 +11,6 @@ from lbacal_core.discovery.baseline import fit_baseline
 from lbacal_core.discovery.refit import power_ratio
 from lbacal_core.discovery.station import gather_stations
 from lbacal_core.errors import BadInputError
-from lbacal_core.simulation.simulation import Simulation
 from lbacal_twin.faults.hardware import GainTemperature
 from lbacal_twin.faults.sky import IonosphericAbsorption, LstOffset
 
@@ -22,8 +21,8 @@ ABSORBS = AdoptedCause("ionospheric_absorption", "CS002", "station", 0.05, 0.01,
 
 
 @pytest.fixture(scope="module")
-def late(spoil, chain, sky):
-    (station,) = gather_stations(spoil(LstOffset(size=0.3)), Simulation(chain, sky))
+def late(spoil, simulation):
+    (station,) = gather_stations(spoil(LstOffset(size=0.3)), simulation)
     return station
 
 
@@ -37,13 +36,9 @@ def test_a_free_size_becomes_that_of_the_data(late):
     assert size.adopted is LATE
 
 
-def test_a_fixed_size_keeps_its_value_and_its_error(late):
-    fitted = fit_adopted(late, Model((replace(LATE, is_free=False),)))
-    (size,) = fitted.sizes
+def test_a_fixed_size_and_one_that_is_kept_stay_as_they_were_adopted(late):
+    (size,) = fit_adopted(late, Model((replace(LATE, is_free=False),))).sizes
     assert (size.value, size.sigma, size.is_fitted) == (0.15, pytest.approx(0.02), False)
-
-
-def test_sizes_that_are_kept_stay_as_they_were_adopted(late):
     (size,) = fit_adopted(late, Model((LATE,)), are_sizes_kept=True).sizes
     assert size.value == 0.15
 
@@ -114,9 +109,8 @@ def test_targets_are_found_by_their_names(late):
     assert find_members(late, "antenna 1").sum() == 2
     assert late.dipole[find_members(late, "antenna 1 X")].tolist() == ["X"]
     cable = late.conditions.cables[late.class_of[0]]
-    assert (
-        np.array(late.conditions.cables)[late.class_of][find_members(late, f"cable {cable}")].tolist().count(cable) > 0
-    )
+    of_cable = find_members(late, f"cable {cable}")
+    assert set(np.array(late.conditions.cables)[late.class_of][of_cable]) == {cable}
 
 
 @pytest.fixture(scope="module")
@@ -127,26 +121,26 @@ def warm(spoil):
 FOLLOWS = AdoptedCause("gain_temperature", "CS002", "station", 0.05, 0.01, {"delay_h": 0.0})
 
 
-def test_temperatures_count_from_the_reference(warm, chain, sky):
+def test_temperatures_count_from_the_reference(warm, simulation):
     """C belongs to one temperature, whatever the mean of the window was."""
-    (station,) = gather_stations(warm, Simulation(chain, sky))
+    (station,) = gather_stations(warm, simulation)
     fitted = fit_adopted(station, Model((FOLLOWS,)))
     warmth = fitted.model.station.conditions.warmth()[:, 0]
     np.testing.assert_allclose(warmth * 10.0 + REFERENCE_C, station.conditions.covariates["temperature_c"])
     assert fitted.sizes[0].value == pytest.approx(0.06, abs=4 * fitted.sizes[0].sigma)
 
 
-def test_events_whose_temperature_is_unknown_are_left_out(warm, chain, sky):
+def test_events_whose_temperature_is_unknown_are_left_out(warm, simulation):
     values = warm.environment["temperature_c"].copy()
     lost = np.isin(warm.event_id, np.unique(warm.event_id)[::3])
     values[lost] = np.nan
-    (station,) = gather_stations(replace(warm, environment={"temperature_c": values}), Simulation(chain, sky))
+    (station,) = gather_stations(replace(warm, environment={"temperature_c": values}), simulation)
     used = fit_adopted(station, Model((FOLLOWS,))).model.station.is_used
     assert used.sum() == np.unique(warm.event_id[~lost]).size
 
 
-def test_data_without_the_covariate_are_refused(warm, chain, sky):
-    (station,) = gather_stations(replace(warm, environment={}), Simulation(chain, sky))
+def test_data_without_the_covariate_are_refused(warm, simulation):
+    (station,) = gather_stations(replace(warm, environment={}), simulation)
     with pytest.raises(BadInputError, match="temperature_c"):
         fit_adopted(station, Model((FOLLOWS,)))
 
@@ -157,9 +151,9 @@ def test_causes_that_the_data_cannot_tell_apart_are_refused(late):
         fit_adopted(late, Model(twice))
 
 
-def test_two_sizes_are_fitted_together(chain, sky, spoil):
+def test_two_sizes_are_fitted_together(spoil, simulation):
     spectra = spoil(IonosphericAbsorption(size=0.08))
-    (station,) = gather_stations(spectra, Simulation(chain, sky))
+    (station,) = gather_stations(spectra, simulation)
     fitted = fit_adopted(station, Model((LATE, ABSORBS)))
     clock, absorption = fitted.sizes
     assert clock.value == pytest.approx(0.0, abs=4 * clock.sigma)

@@ -23,10 +23,14 @@ LST = np.arange(48) / 2.0 + 0.25
 NOISE_DB = 0.03
 
 
-@pytest.fixture(scope="module")
-def station(chain, sky):
+def gather(chain, simulation):
     weights = band_weights(chain, AS_RECORDED, BAND)
-    return gather_curve(Simulation(chain, sky), weights, noise_prior(chain, BAND, weights))
+    return gather_curve(simulation, weights, noise_prior(chain, BAND, weights))
+
+
+@pytest.fixture(scope="module")
+def station(chain, simulation):
+    return gather(chain, simulation)
 
 
 @pytest.fixture(scope="module")
@@ -193,8 +197,7 @@ def relative(power):
 
 
 def test_the_band_power_is_that_of_the_sky_weighed_with_the_channels(station, sky, chain):
-    weights = band_weights(chain, AS_RECORDED, BAND)
-    expected = np.stack([sky.at(d, GRID_HOURS) @ weights for d in "XY"])
+    expected = np.stack([sky.at(d, GRID_HOURS) @ band_weights(chain, AS_RECORDED, BAND) for d in "XY"])
     quiet = station.terms_with([], np.zeros(0), 0.0).power().sum(axis=-1)
     np.testing.assert_allclose(quiet, expected, rtol=1e-12)
     # The noise is the same in both polarisations, and 0.5 of their mean sky.
@@ -206,11 +209,6 @@ def test_no_cause_of_size_zero_changes_anything(station, causes):
     for choice in causes.values():
         unchanged = station.terms_with([choice], np.zeros(1), 1.0).power()
         np.testing.assert_allclose(unchanged, station.terms.power(), rtol=1e-9)
-
-
-def test_a_turn_by_a_right_angle_exchanges_the_dipoles(with_causes):
-    turned, exchanged = with_causes(dipole_azimuth_near_90=90.0), with_causes(dipole_swap=1.0)
-    assert relative(turned) == pytest.approx(relative(exchanged), rel=1e-6)
 
 
 def test_an_exchange_carries_the_beam_of_the_other_dipole_with_it(with_causes):
@@ -233,11 +231,9 @@ def test_a_power_of_the_cosine_is_the_exact_one(with_causes, chain, station):
 
 def test_a_power_too_many_in_the_simulation_is_taken_out_exactly(chain, causes):
     """own(0)/own(1) at -1; own(-1)/own(0), which is not the inverse, needed -0.77 for a whole cosine too many."""
-    weights = band_weights(chain, AS_RECORDED, BAND)
-    wrong = vary_sky_power(chain, zenith_exponent=1.0)
-    station = gather_curve(Simulation(chain, wrong), weights, noise_prior(chain, BAND, weights))
+    station = gather(chain, Simulation(chain, vary_sky_power(chain, zenith_exponent=1.0)))
     found = station.terms_with([causes["zenith_weighting"]], np.array([-1.0]), 0.0).power()
-    right = np.stack([vary_sky_power(chain).at(d, GRID_HOURS) for d in "XY"]) * weights
+    right = np.stack([vary_sky_power(chain).at(d, GRID_HOURS) for d in "XY"]) * station.weights
     assert relative(found) == pytest.approx(relative(right), rel=1e-4)
 
 
@@ -251,7 +247,9 @@ def test_noise_and_an_isotropic_level_flatten_a_channel_alike_and_are_never_fitt
     assert flat.mean() == pytest.approx(1.5 * with_causes().sum(axis=-1).mean(), rel=1e-12)
 
 
-def test_a_turn_by_a_right_angle_is_an_alias_of_an_exchange(causes):
+def test_a_turn_by_a_right_angle_exchanges_the_dipoles_and_is_an_alias_of_an_exchange(causes, with_causes):
+    turned, exchanged = with_causes(dipole_azimuth_near_90=90.0), with_causes(dipole_swap=1.0)
+    assert relative(turned) == pytest.approx(relative(exchanged), rel=1e-6)
     turn = causes["dipole_azimuth 90 deg"]
     assert turn.is_alias
     assert turn.kinds > causes["dipole_swap"].kinds
@@ -270,10 +268,11 @@ def test_every_cause_of_the_catalogue_is_asked_or_has_a_reason_that_follows_from
     assert "missing_noise" in asked
 
 
-def test_channels_that_the_own_models_do_not_cover_leave_the_causes_that_need_no_direction(chain, sky, monkeypatch):
+def test_channels_that_the_own_models_do_not_cover_leave_the_causes_that_need_no_direction(
+    chain, monkeypatch, simulation
+):
     monkeypatch.setattr("lbacal_core.discovery.curve_fit.sky_ratios", lambda _: {})
-    weights = band_weights(chain, AS_RECORDED, BAND)
-    station = gather_curve(Simulation(chain, sky), weights, noise_prior(chain, BAND, weights))
+    station = gather(chain, simulation)
     asked = {choice.label for choice in list_choices(station)}
     assert asked == {"dipole_swap", "lst_offset", "missing_noise", "isotropic_level", "compression"}
     assert "do not cover" in why_not(station, list_choices(station))["zenith_weighting"]

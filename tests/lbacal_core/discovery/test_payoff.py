@@ -14,7 +14,6 @@ from lbacal_core.discovery.left_open import add_left_open, weigh_alternatives
 from lbacal_core.discovery.refit import fit_chain, refit
 from lbacal_core.discovery.report import investigate
 from lbacal_core.discovery.station import gather_stations
-from lbacal_core.simulation.simulation import Simulation
 from lbacal_twin.faults.fault import Where
 from lbacal_twin.faults.hardware import GainStep
 from lbacal_twin.faults.sky import LstOffset, ZenithWeighting
@@ -29,8 +28,8 @@ def late(spoil):
 
 
 @pytest.fixture(scope="module")
-def gain(late, chain, sky):
-    (found,) = measure_gains(late, Simulation(chain, sky, causes=Model((LATE,))))
+def gain(late, simulation):
+    (found,) = measure_gains(late, simulation.with_causes(Model((LATE,))))
     return found
 
 
@@ -43,61 +42,54 @@ def test_a_cause_that_is_there_gains_what_is_expected(gain):
     assert gain.expected_sigma == pytest.approx(snr * np.sqrt(1 + (snr * 0.012 / 0.3) ** 2))
 
 
-def test_the_gain_is_the_difference_of_two_log_likelihoods(gain, late, chain, sky):
-    """Against chi^2 of the chain fitted with the cause and without it, each with all its parameters."""
-    with_cause = look_at(late, chain, sky)
-    fitted = with_cause.fit_as_is("lst_offset", with_cause.template("lst_offset"))
-    right, wrong = (with_cause.with_effect(fitted, size) for size in (0.3, 0.0))
-    levels = right.model.linear.residuals.levels
-    chi2 = [look.model.linear.with_levels(levels).chi_squared()[0] for look in (right, wrong)]
+@pytest.mark.parametrize("size", [0.3, pytest.param(2.0, marks=pytest.mark.long)])
+def test_the_gain_is_the_difference_of_two_log_likelihoods(size, spoil, simulation):
+    """Against chi^2 of the chain fitted with the cause and without it, each with all its parameters.
+
+    A clock that is 2 h off: the derivative at half the size, times the size, was 6 % beside the two likelihoods.
+    """
+    late = spoil(LstOffset(size=size))
+    (gain,) = measure_gains(late, simulation.with_causes(Model((replace(LATE, size=size),))))
+    look = look_at(late, simulation)
+    fitted = look.fit_as_is("lst_offset", look.template("lst_offset"))
+    right, wrong = (look.with_effect(fitted, one).model.linear for one in (size, 0.0))
+    chi2 = [one.with_levels(right.residuals.levels).chi_squared()[0] for one in (right, wrong)]
     assert gain.gain == pytest.approx(0.5 * (chi2[1] - chi2[0]), rel=0.005)  # free vectors of either fit
 
 
 @pytest.mark.long
-def test_the_gain_of_a_large_offset_was_that_of_a_straight_line(spoil, chain, sky):
-    """A clock that is 2 h off: the derivative at half the size, times the size, was 6 % beside the two likelihoods."""
-    late = spoil(LstOffset(size=2.0))
-    (gain,) = measure_gains(late, Simulation(chain, sky, causes=Model((replace(LATE, size=2.0),))))
-    look = look_at(late, chain, sky)
-    fitted = look.fit_as_is("lst_offset", look.template("lst_offset"))
-    right, wrong = (look.with_effect(fitted, size).model.linear for size in (2.0, 0.0))
-    chi2 = [one.with_levels(right.residuals.levels).chi_squared()[0] for one in (right, wrong)]
-    assert gain.gain == pytest.approx(0.5 * (chi2[1] - chi2[0]), rel=0.005)
-
-
-@pytest.mark.long
-def test_gains_of_disjoint_events_add_up(gain, late, chain, sky):
+def test_gains_of_disjoint_events_add_up(gain, late, simulation):
     new = np.isin(late.event_id, np.unique(late.event_id)[::4])
-    parts = [measure_gains(late, Simulation(chain, sky, causes=Model((LATE,))), is_new=at)[0] for at in (new, ~new)]
+    parts = [measure_gains(late, simulation.with_causes(Model((LATE,))), is_new=at)[0] for at in (new, ~new)]
     assert [part.events for part in parts] == [75, 225]
     assert sum(part.gain for part in parts) == pytest.approx(gain.gain)
     assert sum(part.expected for part in parts) == pytest.approx(gain.expected)
 
 
-def test_a_cause_that_has_gone_costs(clean, chain, sky):
-    (gain,) = measure_gains(clean, Simulation(chain, sky, causes=Model((LATE,))))
+def test_a_cause_that_has_gone_costs(clean, simulation):
+    (gain,) = measure_gains(clean, simulation.with_causes(Model((LATE,))))
     assert gain.gain < gain.expected - 5 * gain.expected_sigma
     assert gain.gain == pytest.approx(-gain.expected, abs=4 * np.sqrt(2 * gain.expected))
 
 
-def test_a_step_before_the_data_gains_nothing(clean, chain, sky):
+def test_a_step_before_the_data_gains_nothing(clean, simulation):
     step = AdoptedCause("gain_step", "CS002", "antenna 1", 0.05, 0.01, {"date_unix": clean.time_unix.min() - 9e6})
-    (gain,) = measure_gains(clean, Simulation(chain, sky, causes=Model((step,))))
+    (gain,) = measure_gains(clean, simulation.with_causes(Model((step,))))
     assert (gain.events, gain.gain, gain.expected, gain.expected_sigma) == (0, 0.0, 0.0, 0.0)
 
 
-def test_each_cause_has_a_gain_of_its_own_beside_the_other(late, chain, sky):
+def test_each_cause_has_a_gain_of_its_own_beside_the_other(late, simulation):
     """The second cause is not there: it costs about what it would gain, and takes nothing from the first."""
     absent = AdoptedCause("ionospheric_absorption", "CS002", "station", 0.05, 0.004, {"exponent": 0.75})
-    first, second = measure_gains(late, Simulation(chain, sky, causes=Model((absent, LATE))))
+    first, second = measure_gains(late, simulation.with_causes(Model((absent, LATE))))
     assert (first.number, second.number) == (0, 1)
     assert first.gain > 100
     assert second.gain < 0
 
 
-def test_nothing_is_measured_without_causes_or_without_their_station(clean, chain, sky):
-    assert measure_gains(clean, Simulation(chain, sky, causes=PLAIN)) == []
-    assert measure_gains(clean, Simulation(chain, sky, causes=Model((replace(LATE, station="CS003"),)))) == []
+def test_nothing_is_measured_without_causes_or_without_their_station(clean, simulation):
+    assert measure_gains(clean, simulation.with_causes(PLAIN)) == []
+    assert measure_gains(clean, simulation.with_causes(Model((replace(LATE, station="CS003"),)))) == []
 
 
 FINDING = {
@@ -135,10 +127,10 @@ def test_the_true_score_is_unbiased_above_the_threshold():
 
 
 @pytest.fixture(scope="module")
-def weighted(spoil, chain, sky):
+def weighted(spoil, simulation):
     """A year whose sky is weighted with another power of the cosine, and the hypothesis that it is."""
     spectra = spoil(ZenithWeighting(size=1.0))
-    (station,) = gather_stations(spectra, Simulation(chain, sky))
+    (station,) = gather_stations(spectra, simulation)
     first = fit_chain(station)
     cause = next(one for one in CAUSES if one.identifier == "zenith_weighting")
     target = Target("station", "station", np.ones(len(station.antenna), dtype=bool))
@@ -146,13 +138,13 @@ def weighted(spoil, chain, sky):
     return spectra, first, last
 
 
-def test_the_finding_itself_moves_c_by_what_it_was_off(weighted, chain, sky, clean):
+def test_the_finding_itself_moves_c_by_what_it_was_off(weighted, clean, simulation):
     spectra, first, last = weighted
     (found,) = weigh_alternatives(first, last, last.hypotheses[0], [])
     assert found.weight == 1.0
     assert found.delta_chi2 == 0.0
     # the same hardware with and without the fault
-    before, after = (fit_calibration(one, Simulation(chain, sky), "antenna").curves for one in (spectra, clean))
+    before, after = (fit_calibration(one, simulation, "antenna").curves for one in (spectra, clean))
     for letter in "XY":
         paths = [(a, b) for a, b in zip(before, after, strict=True) if a.dipole == letter]
         off = np.mean([np.log(a.c / b.c) for a, b in paths], axis=0)
@@ -172,9 +164,9 @@ def test_what_fits_nearly_as_well_keeps_its_likelihood_and_its_own_change_of_c(w
 
 
 @pytest.mark.long
-def test_a_finding_of_a_report_says_what_it_does_to_c_of_its_paths(spoil, chain, sky):
+def test_a_finding_of_a_report_says_what_it_does_to_c_of_its_paths(spoil, simulation):
     step = GainStep(size=0.05, where=Where(antennas=(2,), dipoles=("Y",)), date="2014-08-07")
-    report = add_left_open(*investigate(spoil(step), Simulation(chain, sky)))
+    report = add_left_open(*investigate(spoil(step), simulation))
     (finding,) = report["findings"]
     itself, *_ = finding["left_open"]
     assert itself["cause"] == "gain_step"

@@ -12,7 +12,6 @@ from lbacal_core.discovery.project import LinearModel
 from lbacal_core.discovery.refit import fit_chain, held_out_fold
 from lbacal_core.discovery.scan import group_templates, scan, score_families
 from lbacal_core.discovery.station import gather_stations, model_modes
-from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.skypower.differences import DifferenceModels, compute_model_differences
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.nuisances import Nuisances
@@ -23,12 +22,12 @@ CHOSEN = ("gain_step", "lst_offset", "rfi_line", "gain_temperature", "cable_temp
 
 
 @pytest.fixture(scope="module")
-def model(chain, sky):
+def model(chain, sky, simulation):
     """A small station with gaps and a dead antenna."""
     settings = TwinSettings(stations=("CS002",), antennas=6, events_per_year=90)
     rough = Nuisances(missing=0.05, dead_antennas=1)
     spectra = simulate_campaign(settings, chain, sky, np.random.default_rng(5), nuisances=rough).spectra
-    return fit_chain(gather_stations(spectra, Simulation(chain, sky))[0]).linear
+    return fit_chain(gather_stations(spectra, simulation)[0]).linear
 
 
 def slow_product(covariance, absorbed, left, right):

@@ -24,8 +24,8 @@ from validation.anywhere import SETTINGS, draw_faulty
 NAMED = {cause.identifier: cause for cause in CAUSES}
 
 
-def best_of(spectra, chain, sky, cause):
-    model = fit_chain(gather_stations(spectra, Simulation(chain, sky))[0]).linear
+def best_of(spectra, simulation, cause):
+    model = fit_chain(gather_stations(spectra, simulation)[0]).linear
     (score,) = scan(model, [NAMED[cause]], list_targets(model.station))
     return model, score
 
@@ -40,8 +40,8 @@ def test_the_templates_about_one_contain_it_or_its_like(cause, station):
         assert nearest <= 1e-9 * np.abs(profile).sum() + 1.0  # a step between two events moves one event
 
 
-def test_hours_between_those_of_the_scan_are_found_and_power_is_not_missing(spoil, chain, sky):
-    model, score = best_of(spoil(RfiBroadband(size=0.05, index=0.0, hours=(17.0, 2.0))), chain, sky, "rfi_broadband")
+def test_hours_between_those_of_the_scan_are_found_and_power_is_not_missing(spoil, simulation):
+    model, score = best_of(spoil(RfiBroadband(size=0.05, index=0.0, hours=(17.0, 2.0))), simulation, "rfi_broadband")
     template = refine(model, score, Policy()).template
     assert template.parameters["utc_h"] == [17, 2]
     # As if the scan had preferred what is missing at all other hours.
@@ -50,9 +50,9 @@ def test_hours_between_those_of_the_scan_are_found_and_power_is_not_missing(spoi
     assert template.parameters["utc_h"] == [17, 2]
 
 
-def test_the_date_of_a_strong_step_is_that_of_an_event(spoil, chain, sky):
+def test_the_date_of_a_strong_step_is_that_of_an_event(spoil, simulation):
     step = GainStep(size=0.2, where=Where(antennas=(2,)), date="2014-08-07")
-    model, score = best_of(spoil(step), chain, sky, "gain_step")
+    model, score = best_of(spoil(step), simulation, "gain_step")
     found = refine(model, score, Policy())
     date = np.datetime64("2014-08-07").astype("datetime64[s]").astype(float)
     times = model.station.conditions.time_unix
@@ -61,9 +61,9 @@ def test_the_date_of_a_strong_step_is_that_of_an_event(spoil, chain, sky):
 
 
 @pytest.mark.long
-def test_the_scatter_of_the_size_is_that_of_the_likelihood_over_the_templates(spoil, chain, sky):
+def test_the_scatter_of_the_size_is_that_of_the_likelihood_over_the_templates(spoil, simulation):
     """Against the plain sum over templates one by one, each with its own score and size."""
-    model, score = best_of(spoil(RfiBroadband(size=0.004, index=-2.0, hours=(6.0, 18.0))), chain, sky, "rfi_broadband")
+    model, score = best_of(spoil(RfiBroadband(size=0.004, index=-2.0, hours=(6.0, 18.0))), simulation, "rfi_broadband")
     found = refine(model, score, Policy())
     conditions = model.station.conditions
     chi2, sizes, chosen = [], [], None
@@ -81,8 +81,8 @@ def test_the_scatter_of_the_size_is_that_of_the_likelihood_over_the_templates(sp
     assert found.template_sigma > 0.01
 
 
-def test_a_cause_of_one_template_keeps_it(clean, chain, sky):
-    model = fit_chain(gather_stations(clean, Simulation(chain, sky))[0]).linear
+def test_a_cause_of_one_template_keeps_it(clean, simulation):
+    model = fit_chain(gather_stations(clean, simulation)[0]).linear
     drift = NAMED["gain_drift"]
     score = Score(drift, Template(), list_targets(model.station)[0], 5.0, 0.1, events=300)
     found = refine(model, score, Policy())
@@ -103,7 +103,7 @@ def test_noise_times_effect_is_no_gain_in_chi_squared():
     instrument, faults = draw_faulty(rng, "gain_step")
     sky = compute_sky_power(instrument)
     spectra = simulate_campaign(SETTINGS, instrument, sky, rng, faults).spectra
-    model, score = best_of(spectra, instrument, sky, "gain_drift")
+    model, score = best_of(spectra, Simulation(instrument, sky), "gain_drift")
     before = fit_chain(model.station)
     fitted = refit(before, refine(model, score, Policy()))
     assert gain_in_chi_squared(before, fitted) == pytest.approx(score.z**2, rel=0.02)
@@ -115,12 +115,9 @@ def test_a_cause_that_the_means_alone_show_gains_what_they_show(world):
 
     Of two causes with 8.5 sigma one lost 85 of chi^2 in the deviations and a third, of 6.2 sigma, was chosen.
     """
-    settings, place = replace(world.settings, antennas=12, events_per_year=400), EventGains(common_place="front")
-    rng, faults = np.random.default_rng(20), [GainTemperature(size=0.03)]
-    spectra = simulate_campaign(
-        settings, world.instrument, world.sky, rng, faults, view=world.view, gains=place
-    ).spectra
-    look = look_at(spectra, world.instrument, world.sky, with_modes=True)
+    busy = replace(world, seed=20).with_settings(antennas=12, events_per_year=400)
+    spectra = busy.spectra(GainTemperature(size=0.03), gains=EventGains(common_place="front"))
+    look = look_at(spectra, world.simulation, with_modes=True)
     everyone = list_targets(look.data)[-1:]
     (score,) = scan(look.model.linear, [NAMED["gain_temperature"]], everyone)
     assert score.z > 6

@@ -16,7 +16,6 @@ from lbacal_core.discovery.refit import refit
 from lbacal_core.discovery.residual_structure import ResidualStructure
 from lbacal_core.discovery.search import _lives_there, _seen_beside, _standing, _structure_beside, search_station
 from lbacal_core.discovery.station import gather_stations
-from lbacal_core.simulation.simulation import Simulation
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.faults.fault import Where
 from lbacal_twin.faults.hardware import GainStep, GainTemperature
@@ -26,11 +25,11 @@ from tests.lbacal_core.discovery.conftest import SEED, SETTINGS
 
 
 @pytest.mark.long
-def test_every_number_of_a_finding_is_of_the_last_model(chain, sky):
+def test_every_number_of_a_finding_is_of_the_last_model(chain, sky, simulation):
     """Two effects: what each gains is against the model with the other alone, not against that of its step."""
     faults = [GainStep(size=0.03, where=Where(antennas=(2,)), date="2014-08-07"), LstOffset(size=0.1)]
     spectra = simulate_campaign(SETTINGS, chain, sky, np.random.default_rng(SEED), faults).spectra
-    report = search_station(gather_stations(spectra, Simulation(chain, sky))[0])
+    report = search_station(gather_stations(spectra, simulation)[0])
     assert {one.hypothesis.cause.identifier for one in report.findings} == {"gain_step", "lst_offset"}
     chi2, dof = report.last.linear.chi_squared()
     for finding in report.findings:
@@ -60,16 +59,15 @@ def test_beside_an_adopted_cause_only_what_is_left_is_found(world):
     adopted = AdoptedCause("lst_offset", "CS002", "station", 0.3, 0.02)
     look = world.look(GainTemperature(size=0.02), LstOffset(size=0.4))
     report = look.investigate(model=Model((adopted,)))
-    assert [one.hypothesis.cause.identifier for one in report.findings] == ["gain_temperature"]
-    assert report.findings[0].hypothesis.size == pytest.approx(0.02, abs=3 * report.findings[0].hypothesis.uncertainty)
+    (found,) = report.findings
+    assert found.hypothesis.cause.identifier == "gain_temperature"
+    assert found.hypothesis.size == pytest.approx(0.02, abs=3 * found.hypothesis.uncertainty)
     assert [one.cause.identifier for one in report.first.hypotheses] == ["lst_offset"]
     assert [one.cause.identifier for one in report.last.hypotheses] == ["lst_offset", "gain_temperature"]
     (size,) = report.adopted
     assert size.value == pytest.approx(0.4, abs=4 * size.sigma)
-    gain = report.findings[0]
-    assert gain.chi2_before - gain.chi2_after == pytest.approx(
-        (gain.hypothesis.size / gain.hypothesis.sigma) ** 2, rel=0.15
-    )
+    expected = (found.hypothesis.size / found.hypothesis.sigma) ** 2
+    assert found.chi2_before - found.chi2_after == pytest.approx(expected, rel=0.15)
 
 
 @pytest.mark.long
@@ -129,17 +127,20 @@ def test_findings_on_several_parts_with_structure_left_in_paths_are_one_effect(w
         assert all(_lives_there(one, left, look.data.conditions) for one in both.hypotheses)
 
 
+def finding_of(look, target):
+    found = look.fit_as_is("gain_temperature", look.template("gain_temperature"), target)
+    return SimpleNamespace(hypothesis=found.effect, score=SimpleNamespace(trials=20.0, causes=26))
+
+
 @pytest.mark.parametrize(("size", "stands"), [(0.006, False), (0.02, True)])
 def test_a_name_beside_structure_in_single_events_needs_what_a_name_beside_an_axis_needs(world, size, stands):
     """Storms in summer were `cable_temperature` of 4.7 standard deviations beside structure in single events."""
     look = world.look(GainTemperature(size=size))
-    found = look.fit_as_is("gain_temperature", look.template("gain_temperature"))
-    score = SimpleNamespace(trials=20.0, causes=26)
+    finding = finding_of(look, "station")
     events = np.zeros_like(look.model.linear.residuals.mean)[None]
     events[..., ::7, :10] = 1.0
     left = ResidualStructure(None, "station", 1e-9, 60.0, 351, None, np.ones(1), events)
-    finding = SimpleNamespace(hypothesis=found.effect, score=score)
-    assert abs(found.effect.size / found.effect.sigma) > 4
+    assert abs(finding.hypothesis.size / finding.hypothesis.sigma) > 4
     assert _seen_beside(look.model.linear, [finding], left, Policy()) == [stands]
     in_paths = replace(left, target="antenna 2 X", vectors=None)
     assert _seen_beside(look.model.linear, [finding], in_paths, Policy()) == [True]
@@ -149,8 +150,7 @@ def test_a_name_beside_structure_in_single_events_needs_what_a_name_beside_an_ax
 def test_a_name_on_an_antenna_beside_structure_in_paths_needs_as_much(world, size, stands):
     """A gain step of 5.7 standard deviations was named in one path beside a gradient over the field."""
     look = world.look(GainTemperature(size=size, where=Where(antennas=(1,))))
-    found = look.fit_as_is("gain_temperature", look.template("gain_temperature"), "antenna 1")
-    finding = SimpleNamespace(hypothesis=found.effect, score=SimpleNamespace(trials=20.0, causes=26))
+    finding = finding_of(look, "antenna 1")
     left = ResidualStructure(axis_named("lst"), "antenna 2 X", 1e-9, 60.0, 16, 20.0, np.ones(1), None)
     assert _seen_beside(look.model.linear, [finding], left, Policy()) == [stands]
 

@@ -21,11 +21,11 @@ from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.discovery import search
 from lbacal_core.discovery.antennas import AntennaScore, compare_antennas, compare_cable_names
 from lbacal_core.discovery.findings import _calibration_change, find_indistinguishable, refine
-from lbacal_core.discovery.hypothesis import Hypothesis, Target, list_targets, p_of
+from lbacal_core.discovery.hypothesis import Hypothesis, Target, list_targets
 from lbacal_core.discovery.noise import split_residuals
 from lbacal_core.discovery.policy import Policy
 from lbacal_core.discovery.project import LinearModel
-from lbacal_core.discovery.refit import FOLDS, FittedModel, fit_chain, held_out_fold, held_out_gain, power_ratio, refit
+from lbacal_core.discovery.refit import FittedModel, fit_chain, held_out_fold, held_out_gain, power_ratio, refit
 from lbacal_core.discovery.report import describe
 from lbacal_core.discovery.residual_structure import ResidualStructure, find_structure, strongest_structure
 from lbacal_core.discovery.scan import Score, group_templates, scan, score_families
@@ -52,7 +52,6 @@ QUIET = {"radiometer": 512**-0.5 / 300, "event_gain_common": 1e-4, "event_gain_p
 CALM = {"radiometer": 512**-0.5 / 30, "event_gain_common": 1e-3, "event_gain_path": 1e-3}
 """A thirtieth of it, where a fault a thousand times above the noise would itself be the noise that events share."""
 SILENT = dict.fromkeys(QUIET, 0.0)
-FOLD_COUNT = FOLDS
 _NAMED: dict[str, Any] = {cause.identifier: cause for cause in (*CAUSES, *ANTENNA_CAUSES)}
 
 
@@ -70,10 +69,17 @@ class World:
         """The same station-year under other settings."""
         return replace(self, settings=replace(self.settings, **changed))
 
-    def spectra(self, *faults: Fault) -> Spectra:
-        """What is recorded."""
+    @cached_property
+    def simulation(self) -> Simulation:
+        """What the finder believes, which is right."""
+        return Simulation(self.instrument, self.sky)
+
+    def spectra(self, *faults: Fault, **options: Any) -> Spectra:
+        """What is recorded; `nuisances` and `gains` are options of the twin."""
         rng = np.random.default_rng(self.seed)
-        return simulate_campaign(self.settings, self.instrument, self.sky, rng, faults, view=self.view).spectra
+        return simulate_campaign(
+            self.settings, self.instrument, self.sky, rng, faults, view=self.view, **options
+        ).spectra
 
     @cached_property
     def station(self) -> DrawnStation:
@@ -91,7 +97,7 @@ class World:
 
     @cached_property
     def _plain(self) -> Station:
-        (data,) = gather_stations(self.spectra(), Simulation(self.instrument, self.sky))
+        (data,) = gather_stations(self.spectra(), self.simulation)
         return data
 
     def look(self, *faults: Fault) -> Look:
@@ -103,10 +109,10 @@ class World:
         return Look(data, fit_chain(data), None)
 
 
-def look_at(spectra: Spectra, instrument: Instrument, sky: SkyPower, *, with_modes: bool = False) -> Look:
+def look_at(spectra: Spectra, simulation: Simulation, *, with_modes: bool = False) -> Look:
     """One station's spectra with their chains fitted."""
-    (data,) = gather_stations(spectra, Simulation(instrument, sky))
-    modes = model_modes(data, compute_model_differences(instrument)) if with_modes else None
+    (data,) = gather_stations(spectra, simulation)
+    modes = model_modes(data, compute_model_differences(simulation.instrument)) if with_modes else None
     return Look(data, fit_chain(data, modes), modes)
 
 
@@ -141,7 +147,6 @@ class Fitted:
     sigma: float
     template_sigma: float
     uncertainty: float
-    parameters: Mapping[str, Any]
     effect: Hypothesis
     model: FittedModel
 
@@ -262,9 +267,7 @@ class Look:
         if model is None:
             raise CannotBeFittedError
         found = model.hypotheses[-1]
-        return Fitted(
-            found.size, found.sigma, found.template_sigma, found.uncertainty, found.template.parameters, found, model
-        )
+        return Fitted(found.size, found.sigma, found.template_sigma, found.uncertainty, found, model)
 
     def still_to_move(self, fitted: Fitted) -> Floats:
         """Newton's step from the sizes of a model fitted to this one, in standard deviations, shape (effect,)."""
@@ -360,10 +363,6 @@ class Look:
         """Slope of power against sky power, C^-2 up to a constant of the path, shape (path, freq)."""
         return self.model.baseline.solution.x
 
-    def chi_squared(self) -> tuple[float, int]:
-        """Chi^2 of what the model leaves, and its degrees of freedom."""
-        return self.model.linear.chi_squared()
-
 
 def static_templates(cause: str, look: Look) -> list[tuple[Mapping[str, float], Floats]]:
     """Parameters of static templates and the change of ln slope that each makes per unit of size, shape (freq,)."""
@@ -381,8 +380,3 @@ def report_of(*reports: search.StationReport) -> dict[str, Any]:
 def p_value_of(score: Score, z: float) -> float:
     """Probability by chance that a cause's best score reaches z, corrected as the scan corrected `score`."""
     return replace(score, z=z).p_value
-
-
-def p_of_score(z: float, trials: float) -> float:
-    """Probability that the largest of so many independent scores exceeds z."""
-    return p_of(z, trials)
