@@ -23,24 +23,38 @@ from lbacal_twin.settings import TwinSettings
 from tests import short_dipole
 
 
-def test_a_healthy_station_is_healthy(spectra, low_band):
+def test_a_healthy_station_is_said_to_be_healthy_and_its_power_is_accepted(spectra, low_band):
     report = audit(spectra, low_band, antenna="hamaker")
     assert report.is_healthy
     assert report.as_dict()["stations"] == [
         {"station": "CS002", "antennas": 6, "spectra": 6 * 2 * 24, "hours": pytest.approx(24.0)}
     ]
+    found = audit_quickly(spectra, low_band)
+    assert found.sentence == "nothing wrong between 6 antennas (paths, cables, letters of single antennas, steps, unit)"
+    found.require_power("s.h5")
+
+
+def exchange(spectra, rows):
+    return replace(spectra, dipole=np.where(rows, np.where(spectra.dipole == "X", "Y", "X"), spectra.dipole))
+
+
+def kill(spectra, rows):
+    return replace(spectra, power=np.where(rows[:, None], 1e-3, 1.0) * spectra.power)
+
+
+def in_long_cables(spectra, low_band):
+    """Cables of four times the length on record, and the power that they leave."""
+    lossy = replace(low_band, cables={name: loss**4 for name, loss in low_band.cables.items()})
+    loss = np.array([low_band.cables[low_band.cable_of("CS002", int(a), 1.4e9)] for a in spectra.antenna])
+    return lossy, spectra.power * loss**3
 
 
 def test_two_faults_are_both_named(spectra, low_band):
-    rows = spectra.antenna == 1
-    dipole = np.where(rows, np.where(spectra.dipole == "X", "Y", "X"), spectra.dipole)
-    power = spectra.power.copy()
-    power[(spectra.antenna == 4) & (spectra.dipole == "X")] *= 1e-3
-    report = audit(replace(spectra, dipole=dipole, power=power), low_band, antenna="hamaker")
-    assert {(line.check, line.antennas) for line in report.lines if line.verdict == "wrong"} == {
-        ("exchange", (1,)),
-        ("dead", (4,)),
-    }
+    exchanged = exchange(spectra, spectra.antenna == 1)
+    dead = kill(exchanged, (spectra.antenna == 4) & (exchanged.dipole == "X"))
+    report = audit(dead, low_band, antenna="hamaker")
+    wrong = {(line.check, line.antennas) for line in report.lines if line.verdict == "wrong"}
+    assert wrong == {("exchange", (1,)), ("dead", (4,))}
 
 
 def test_one_antenna_is_asked_what_it_saw_of_the_sky(spectra, low_band):
@@ -77,10 +91,9 @@ def test_a_receiver_that_follows_the_hour_is_no_wrong_clock(place, antenna):
 
 
 def test_two_hours_in_which_no_other_unit_describes_the_cables_are_audited(spectra, low_band):
-    lossy = replace(low_band, cables={name: loss**4 for name, loss in low_band.cables.items()})
-    loss = np.array([low_band.cables[low_band.cable_of("CS002", int(a), 1.4e9)] for a in spectra.antenna])
+    lossy, power = in_long_cables(spectra, low_band)
     some = spectra.time_unix < np.sort(np.unique(spectra.time_unix))[3]
-    short = replace(spectra, power=1e6 * spectra.power * loss**3).select(some)
+    short = replace(spectra, power=1e6 * power).select(some)
     assert {line.verdict for line in audit(short, lossy, antenna="hamaker").lines} == {"undecided"}
 
 
@@ -93,9 +106,7 @@ def test_a_clock_that_is_off_is_named_by_one_dipole_of_a_day():
 
 
 def test_half_a_station_exchanged_is_the_half_that_the_sky_contradicts(spectra, low_band):
-    rows = spectra.antenna % 2 == 0
-    dipole = np.where(rows, np.where(spectra.dipole == "X", "Y", "X"), spectra.dipole)
-    report = audit(replace(spectra, dipole=dipole), low_band, antenna="hamaker")
+    report = audit(exchange(spectra, spectra.antenna % 2 == 0), low_band, antenna="hamaker")
     assert [line.antennas for line in report.lines if line.check == "exchange"] == [(0, 2, 4)]
 
 
@@ -136,52 +147,48 @@ def test_eda2_at_one_frequency_shows_three_antennas_that_hardly_receive(shared):
     assert {line.verdict for line in lines if line.check in ("clock", "arms", "unit", "exchange")} == {"undecided"}
 
 
-def test_a_healthy_station_is_said_to_be_healthy_and_its_power_is_accepted(spectra, low_band):
-    found = audit_quickly(spectra, low_band)
-    assert found.sentence == "nothing wrong between 6 antennas (paths, cables, letters of single antennas, steps, unit)"
-    found.require_power("s.h5")
-
-
 def test_a_dead_path_is_named_and_does_not_stop_the_work(spectra, low_band):
-    power = spectra.power.copy()
-    power[(spectra.antenna == 4) & (spectra.dipole == "X")] *= 1e-3
-    found = audit_quickly(replace(spectra, power=power), low_band)
+    found = audit_quickly(kill(spectra, (spectra.antenna == 4) & (spectra.dipole == "X")), low_band)
     assert found.sentence.startswith("1 wrong in 6 antennas (lbacal audit tells more): CS002: antenna 4 X is dead")
     found.require_power("s.h5")
 
 
 def test_decibels_are_refused(spectra, low_band):
-    lossy = replace(low_band, cables={name: loss**4 for name, loss in low_band.cables.items()})
-    loss = np.array([low_band.cables[low_band.cable_of("CS002", int(a), 1.4e9)] for a in spectra.antenna])
-    found = audit_quickly(replace(spectra, power=200.0 + 10 * np.log10(spectra.power * loss**3)), lossy)
+    lossy, power = in_long_cables(spectra, low_band)
+    found = audit_quickly(replace(spectra, power=200.0 + 10 * np.log10(power)), lossy)
     with pytest.raises(BadInputError, match=r"s.h5: power: expected power per MHz .*the power is in decibels"):
         found.require_power("s.h5")
 
 
+SUPERTERP = load_instrument("lofar-superterp")
+
+
+def draw(antennas, events, seed):
+    settings = TwinSettings(stations=("CS002",), antennas=antennas, events_per_year=events)
+    return simulate_campaign(settings, SUPERTERP, compute_sky_power(SUPERTERP), np.random.default_rng(seed)).spectra
+
+
 @pytest.fixture(scope="module")
 def year() -> Spectra:
-    superterp = load_instrument("lofar-superterp")
-    settings = TwinSettings(stations=("CS002",), antennas=6, events_per_year=200)
-    return simulate_campaign(settings, superterp, compute_sky_power(superterp), np.random.default_rng(3)).spectra
+    return draw(6, 200, 3)
 
 
 def test_half_of_the_antennas_by_6_db_are_no_decibels(year):
     """`fit` refused the file as decibels, ln odds 10; decibels described it no better than power did."""
     louder = replace(year, power=np.where(year.antenna[:, None] < 3, 4.0, 1.0) * year.power)
-    found = audit_quickly(louder, load_instrument("lofar-superterp"))
+    found = audit_quickly(louder, SUPERTERP)
     found.require_power("s.h5")
     assert "antennas with the cable 115 lie -4.8 dB from what loss and others say" in found.sentence
 
 
 def test_power_times_four_in_the_first_half_of_the_year_is_a_misfit_and_two_chains(year):
     """It was `converged`, and nothing was wrong: C stood for neither half."""
-    superterp, middle = load_instrument("lofar-superterp"), np.median(year.time_unix)
-    first = year.time_unix[:, None] < middle
+    first = year.time_unix[:, None] < np.median(year.time_unix)
     stepped = replace(year, power=np.where(first, 4.0, 1.0) * year.power)
-    found = audit_quickly(stepped, superterp)
+    found = audit_quickly(stepped, SUPERTERP)
     assert "the power of all paths steps by -6.1 dB about 2014-07-01" in found.sentence
-    assert {curve.status for curve in found.mark(calibrate(stepped, Simulation(superterp))).curves} == {"misfit"}
-    assert audit_quickly(year, superterp).sentence.startswith("nothing wrong")
+    assert {curve.status for curve in found.mark(calibrate(stepped, Simulation(SUPERTERP))).curves} == {"misfit"}
+    assert audit_quickly(year, SUPERTERP).sentence.startswith("nothing wrong")
 
 
 def test_nothing_is_not_wrong_under_a_fit_that_names_a_mistake(spectra, low_band):
@@ -191,18 +198,15 @@ def test_nothing_is_not_wrong_under_a_fit_that_names_a_mistake(spectra, low_band
     assert found.mark(fitted).provenance.notes["audit"] == found.sentence
     named = replace(fitted, provenance=fitted.provenance.with_note(LIKELY_MISTAKE, "dipoles X and Y exchanged"))
     assert "audit" not in found.mark(named).provenance.notes
-    power = np.where((spectra.antenna == 4)[:, None], 1e-3, 1.0) * spectra.power
-    dead = audit_quickly(replace(spectra, power=power), low_band)
+    dead = audit_quickly(kill(spectra, spectra.antenna == 4), low_band)
     assert "antenna 4 X is dead" in dead.mark(named).provenance.notes["audit"]
 
 
 def test_volts_of_five_antennas_passed_where_cables_alone_do_not_tell():
-    superterp = load_instrument("lofar-superterp")
-    settings = TwinSettings(stations=("CS002",), antennas=5, events_per_year=60)
-    recorded = simulate_campaign(settings, superterp, compute_sky_power(superterp), np.random.default_rng(2)).spectra
-    audit_quickly(recorded, superterp).require_power("s.h5")
+    recorded = draw(5, 60, 2)
+    audit_quickly(recorded, SUPERTERP).require_power("s.h5")
     with pytest.raises(BadInputError, match=r"an amplitude \(volts\), not its square"):
-        audit_quickly(replace(recorded, power=recorded.power**0.5), superterp).require_power("s.h5")
+        audit_quickly(replace(recorded, power=recorded.power**0.5), SUPERTERP).require_power("s.h5")
 
 
 def test_no_spectra_are_left_to_what_comes_after(spectra, low_band):
