@@ -1,7 +1,5 @@
 """Oracles are NumPy's pseudo-inverse of one matrix at a time, eigenvalues written out, and long doubles."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Instruments that are not LOFAR, through the whole path: simulated by the twin, fitted, investigated."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

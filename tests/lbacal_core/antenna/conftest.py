@@ -1,7 +1,5 @@
 """An analytic dipole as other programs tabulate it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

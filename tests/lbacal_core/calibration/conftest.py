@@ -1,7 +1,5 @@
 """A small sky, chain and campaign written out in plain NumPy, independent of the code under test."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A small station simulated by the twin, which shares no code with what is tested here."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -9,14 +7,12 @@ from lbacal_core.chain.model import calibration_factor
 from lbacal_core.curves.curves import CalibrationCurve, Parameter
 from lbacal_core.drift.events import (
     EventModes,
-    MonthlyRatios,
     add_events,
     average_months,
     frequency_modes,
     measure_event_modes,
 )
 from lbacal_core.drift.windows import borrow_curve
-from lbacal_core.grids import Floats
 from lbacal_core.instrument.antennas import AntennaRecord
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.instrument.sidereal import local_sidereal_time
@@ -32,9 +28,7 @@ CABLE = np.array([0.8, 0.75, 0.7, 0.65])
 N_LNA, N_RCU, N_ADC, SCALE = 2e-19, 1.5e-19, 0.02, 3e17
 
 
-def make_case(
-    gain_of_event: Floats, rng: np.random.Generator, noise: float
-) -> tuple[SpectraBlock, CalibrationCurve, Instrument, SkyPower]:
+def make_case(gain_of_event, rng, noise):
     lst = np.arange(24.0)
     shape = 1.0 + 0.4 * np.cos(2 * np.pi / 24 * (lst[:, None] - 18.0))
     power = 1e-18 * shape * (MHZ / 50.0) ** -2.5
@@ -66,9 +60,7 @@ def make_case(
     return block, curve, instrument, sky
 
 
-def measure_monthly_ratios(
-    block: SpectraBlock, curves: dict[int, CalibrationCurve], instrument: Instrument, sky: SkyPower
-) -> MonthlyRatios:
+def measure_monthly_ratios(block, curves, instrument, sky):
     return average_months(measure_event_modes(block, curves, Simulation(instrument, sky)))
 
 

@@ -1,7 +1,5 @@
 """A sky that is known in every direction, and how bright a sky model is in one."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

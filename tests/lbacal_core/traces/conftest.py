@@ -1,7 +1,5 @@
 """Simulated traces: white or sloping noise, with what disturbs it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
