@@ -1,6 +1,7 @@
 """A small sky, chain and campaign written out in plain NumPy, independent of the code under test."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from lbacal_core.grids import Floats
 from lbacal_core.instrument.antennas import AntennaRecord
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.instrument.sidereal import local_sidereal_time
+from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra.spectra import Spectra
 
@@ -25,6 +27,10 @@ class Scene:
     n_lna: float = N_LNA
     n_rcu: float = N_RCU
     n_adc: float = N_ADC
+
+    @cached_property
+    def simulation(self) -> Simulation:
+        return Simulation(self.instrument, self.sky_power)
 
     def slope(self, cable: str = "80") -> Floats:
         """s = G_ant L_coax G_RCU S with S = 1e4."""

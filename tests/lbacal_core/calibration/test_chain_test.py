@@ -101,19 +101,17 @@ def test_freedom_costs_clean_paths_nothing(scene):
     assert np.mean(found.per_dof) == pytest.approx(1.0, abs=0.25)
 
 
-def test_what_follows_the_sidereal_day_beside_the_lines_is_a_misfit(scene):
-    def late(lst):
-        return np.outer(0.05 * np.sin(2 * np.pi * (lst - 3.0) / 24.0), np.ones(scene.instrument.frequency_mhz.size))
+def late(lst):
+    """What follows the sidereal day alike in all 26 channels."""
+    return np.outer(0.05 * np.sin(2 * np.pi * (lst - 3.0) / 24.0), np.ones(26))
 
+
+def test_what_follows_the_sidereal_day_beside_the_lines_is_a_misfit(scene):
     assert run_test(scene, 10, 900, 4, None, late).is_misfit.mean() > 0.5
 
 
 def test_a_mistake_gains_where_it_was_made_and_loses_where_it_was_not(scene):
     """Where nothing is wrong, a gain of g has a probability of at most exp(-g)."""
-
-    def late(lst):
-        return np.outer(0.05 * np.sin(2 * np.pi * (lst - 3.0) / 24.0), np.ones(scene.instrument.frequency_mhz.size))
-
     change = late(np.arange(48) / 2.0)
     waves = np.stack(
         [0.01 * np.tile(f(2 * np.pi * np.arange(48) / 48.0)[:, None], change.shape[1]) for f in (np.cos, np.sin)]

@@ -6,7 +6,6 @@ import pytest
 from lbacal_core.calibration.continued import LARGEST_SHARE, continue_fit
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.curves.kept_lines import read_lines, write_lines
-from lbacal_core.simulation.simulation import Simulation
 
 EVENTS = 400
 
@@ -22,7 +21,7 @@ def part(spectra, first, last):
 
 
 def kept_of(scene, spectra, scope):
-    report = fit_calibration(spectra, Simulation(scene.instrument, scene.sky_power), scope)
+    report = fit_calibration(spectra, scene.simulation, scope)
     return read_lines(write_lines(report.lines))
 
 
@@ -34,8 +33,8 @@ def owner(curve):
 @pytest.mark.parametrize("more", [1, 15])
 def test_a_continued_fit_equals_the_fit_from_all_spectra_within_a_tenth_of_sigma_or_less(scene, spectra, scope, more):
     kept = kept_of(scene, part(spectra, 0, EVENTS - more), scope)
-    found = continue_fit(kept, part(spectra, EVENTS - more, EVENTS), Simulation(scene.instrument, scene.sky_power))
-    whole = fit_calibration(spectra, Simulation(scene.instrument, scene.sky_power), scope)
+    found = continue_fit(kept, part(spectra, EVENTS - more, EVENTS), scene.simulation)
+    whole = fit_calibration(spectra, scene.simulation, scope)
     off = [np.max(np.abs(found.curves[owner(curve)][0] - curve.c) / curve.c_sigma_stat) for curve in whole.curves]
     assert len(off) == {"antenna": 12, "station": 4, "array": 2}[scope]
     assert found.undecided == frozenset()
@@ -52,10 +51,10 @@ def test_events_that_move_c_move_it_alike_in_both(scene, spectra, scope):
     brighter = replace(
         spectra, power=np.where(np.isin(spectra.event_id, new.event_id)[:, None], 1.025, 1) * spectra.power
     )
-    before = fit_calibration(part(spectra, 0, EVENTS - 15), Simulation(scene.instrument, scene.sky_power), scope)
+    before = fit_calibration(part(spectra, 0, EVENTS - 15), scene.simulation, scope)
     kept = read_lines(write_lines(before.lines))
-    found = continue_fit(kept, part(brighter, EVENTS - 15, EVENTS), Simulation(scene.instrument, scene.sky_power))
-    whole = fit_calibration(brighter, Simulation(scene.instrument, scene.sky_power), scope)
+    found = continue_fit(kept, part(brighter, EVENTS - 15, EVENTS), scene.simulation)
+    whole = fit_calibration(brighter, scene.simulation, scope)
     moved = np.array([(new.c - old.c) / new.c_sigma_stat for new, old in zip(whole.curves, before.curves, strict=True)])
     told = np.array(
         [(found.curves[owner(new)][0] - old.c) / new.c_sigma_stat
@@ -72,7 +71,7 @@ def test_an_anomalous_spectrum_is_left_to_the_fit_from_spectra(scene, spectra):
         for row, factor, channels in ((0, 1.6, slice(None)), (7, 0.6, slice(None)), (3, 4.0, 5)):
             power = new.power.copy()
             power[row, channels] *= factor
-            found = continue_fit(kept, replace(new, power=power), Simulation(scene.instrument, scene.sky_power))
+            found = continue_fit(kept, replace(new, power=power), scene.simulation)
             path = str(new.station[row]), int(new.antenna[row]), str(new.dipole[row])
             assert found.undecided == {path if scope == "antenna" else (path[0], None, path[2])}
             assert len(found.curves) == {"antenna": 12, "station": 4}[scope] - 1
@@ -82,8 +81,8 @@ def test_more_events_than_a_twentieth_are_left_to_the_fit_from_spectra(scene, sp
     most = int(LARGEST_SHARE * (EVENTS - 20))
     kept = kept_of(scene, part(spectra, 0, EVENTS - most - 1), "antenna")
     few, many = (part(spectra, EVENTS - count, EVENTS) for count in (most, most + 1))
-    assert continue_fit(kept, few, Simulation(scene.instrument, scene.sky_power)).undecided == frozenset()
-    assert len(continue_fit(kept, many, Simulation(scene.instrument, scene.sky_power)).undecided) == 12
+    assert continue_fit(kept, few, scene.simulation).undecided == frozenset()
+    assert len(continue_fit(kept, many, scene.simulation).undecided) == 12
 
 
 def test_a_path_without_enough_events_waits_until_it_has_them(scene, spectra):
@@ -92,7 +91,7 @@ def test_a_path_without_enough_events_waits_until_it_has_them(scene, spectra):
     alive = spectra.select((spectra.antenna != 1) | (number >= EVENTS - 60))
     kept = kept_of(scene, part(alive, 0, EVENTS - 2), "antenna")
     one, two = (part(alive, EVENTS - 2, EVENTS - 2 + count) for count in (1, 2))
-    found = continue_fit(kept, one, Simulation(scene.instrument, scene.sky_power))
+    found = continue_fit(kept, one, scene.simulation)
     assert (len(found.curves), found.undecided) == (8, frozenset())
-    found = continue_fit(kept, two, Simulation(scene.instrument, scene.sky_power))
+    found = continue_fit(kept, two, scene.simulation)
     assert found.undecided == {(station, 1, dipole) for station in ("CS002", "CS003") for dipole in "XY"}

@@ -18,7 +18,7 @@ from lbacal_twin.settings import TwinSettings
 
 
 def test_antenna_curves_and_noise_constants_lie_within_their_errors(scene, spectra):
-    report = fit_calibration(spectra, Simulation(scene.instrument, scene.sky_power), "antenna")
+    report = fit_calibration(spectra, scene.simulation, "antenna")
     assert report.status == "converged"
     assert [(c.station, c.antenna, c.dipole) for c in report.curves][:3] == [
         ("CS002", 0, "X"), ("CS002", 0, "Y"), ("CS002", 1, "X"),
@@ -44,7 +44,7 @@ def test_the_error_of_c_is_its_scatter_and_no_more(scene):
     pulls = []
     for seed in range(20):
         campaign = scene.spectra(np.random.default_rng([7, seed]), events=300, antennas=1)
-        for curve in fit_calibration(campaign, Simulation(scene.instrument, scene.sky_power), "antenna").curves:
+        for curve in fit_calibration(campaign, scene.simulation, "antenna").curves:
             truth = calibration_factor(scene.slope("50"), scene.instrument.antenna_gain)
             pulls.append((curve.c - truth) / curve.c_sigma_stat)
     # 40 curves, whose channels move together: 1.0 +- 0.11 in each.
@@ -60,7 +60,7 @@ def test_what_hardly_hears_has_the_error_of_its_slope(scene):
     curves = []
     for seed in range(60):
         campaign = deaf.spectra(np.random.default_rng([8, seed]), events=300, antennas=1)
-        curves += fit_calibration(campaign, Simulation(scene.instrument, scene.sky_power), "antenna").curves
+        curves += fit_calibration(campaign, scene.simulation, "antenna").curves
     c, sigma = (np.stack(values) for values in zip(*((one.c, one.c_sigma_stat) for one in curves), strict=True))
     # the two channels at the end of the band, where the receiver's filter leaves the least
     is_uncertain = np.nanmedian(sigma / c, axis=0) > 0.13
@@ -73,7 +73,7 @@ def test_what_hardly_hears_has_the_error_of_its_slope(scene):
 
 
 def test_station_curve_is_that_of_the_mean_power_gain(scene, spectra):
-    report = fit_calibration(spectra, Simulation(scene.instrument, scene.sky_power), "station")
+    report = fit_calibration(spectra, scene.simulation, "station")
     mean_slope = (scene.slope("50") + scene.slope("80")) / 2
     truth = calibration_factor(mean_slope, scene.instrument.antenna_gain)
     assert [(c.station, c.antenna, c.dipole) for c in report.curves] == [
@@ -86,8 +86,8 @@ def test_station_curve_is_that_of_the_mean_power_gain(scene, spectra):
 
 
 def test_array_curve_averages_all_stations_with_a_smaller_error(scene, spectra):
-    array = fit_calibration(spectra, Simulation(scene.instrument, scene.sky_power), "array").curves
-    antenna = fit_calibration(spectra, Simulation(scene.instrument, scene.sky_power), "antenna").curves
+    array = fit_calibration(spectra, scene.simulation, "array").curves
+    antenna = fit_calibration(spectra, scene.simulation, "antenna").curves
     assert [(c.station, c.antenna, c.dipole) for c in array] == [(None, None, "X"), (None, None, "Y")]
     assert np.mean(array[0].c_sigma_stat / array[0].c) < 0.6 * np.mean(antenna[0].c_sigma_stat / antenna[0].c)
 
@@ -96,9 +96,7 @@ def test_an_antenna_missing_from_many_events_does_not_bias_the_station(scene, sp
     one_station = spectra.select(spectra.station == "CS002")
     rng = np.random.default_rng(5)
     is_lost = (one_station.antenna == 0) & (rng.random(len(one_station)) < 0.6)
-    curve = fit_calibration(
-        one_station.select(~is_lost), Simulation(scene.instrument, scene.sky_power), "station"
-    ).curves[0]
+    curve = fit_calibration(one_station.select(~is_lost), scene.simulation, "station").curves[0]
     truth = calibration_factor((scene.slope("50") + scene.slope("80")) / 2, scene.instrument.antenna_gain)
     # a plain mean over the antennas present would be off by 4 % and more: antenna 0 has a short cable
     assert np.max(np.abs(curve.c - truth) / curve.c_sigma_stat) < 4
@@ -106,16 +104,15 @@ def test_an_antenna_missing_from_many_events_does_not_bias_the_station(scene, sp
 
 def test_same_spectra_in_another_order_give_the_same_digest_and_curve(scene, spectra):
     shuffled = spectra.select(np.random.default_rng(1).permutation(len(spectra)))
-    first = fit_calibration(spectra, Simulation(scene.instrument, scene.sky_power), "station")
-    second = fit_calibration(shuffled, Simulation(scene.instrument, scene.sky_power), "station")
+    apart = (Simulation(scene.instrument, scene.sky_power) for _ in range(2))
+    first, second = (fit_calibration(one, next(apart), "station") for one in (spectra, shuffled))
     assert first.provenance == second.provenance
     np.testing.assert_allclose(second.curves[0].c, first.curves[0].c, rtol=1e-10)
 
 
 def test_scaling_the_recorded_power_scales_c_by_the_inverse_root(scene, spectra):
     louder = replace(spectra, power=4 * spectra.power)
-    first = fit_calibration(spectra, Simulation(scene.instrument, scene.sky_power), "station").curves[0]
-    second = fit_calibration(louder, Simulation(scene.instrument, scene.sky_power), "station").curves[0]
+    first, second = (fit_calibration(one, scene.simulation, "station").curves[0] for one in (spectra, louder))
     np.testing.assert_allclose(second.c, first.c / 2, rtol=1e-9)
 
 
@@ -125,7 +122,7 @@ def test_cables_of_different_length_do_not_make_the_station_look_more_certain_th
     chi2 = []
     for seed in range(50):
         campaign = scene.spectra(np.random.default_rng([23, seed]), events=200)
-        station = fit_calibration(campaign, Simulation(scene.instrument, scene.sky_power), "station")
+        station = fit_calibration(campaign, scene.simulation, "station")
         chi2 += [curve.chi2_per_dof for curve in station.curves]
     # 100 curves of 23 degrees of freedom know it to 0.03; with two lengths of cable it was 1.13
     assert np.mean(chi2) == pytest.approx(1.0, abs=0.08)
@@ -135,8 +132,8 @@ def test_one_channel_with_interference_is_flagged_and_leaves_the_other_channels_
     one = spectra.select(spectra.antenna == 0)
     bad = replace(one, power=one.power.copy())
     bad.power[:, 9] += 0.3 * one.power[:, 9].mean()
-    clean = fit_calibration(one, Simulation(scene.instrument, scene.sky_power), "antenna").curves
-    curves = fit_calibration(bad, Simulation(scene.instrument, scene.sky_power), "antenna").curves
+    clean = fit_calibration(one, scene.simulation, "antenna").curves
+    curves = fit_calibration(bad, scene.simulation, "antenna").curves
     for before, after in zip(clean, curves, strict=True):
         assert after.status == "converged"
         assert np.flatnonzero(after.flags == "interference").tolist() == [9]
@@ -148,9 +145,8 @@ def test_one_channel_with_interference_is_flagged_and_leaves_the_other_channels_
 
 def test_interference_that_comes_and_goes_is_flagged_by_its_scatter(scene, spectra):
     one = spectra.select(spectra.antenna == 0)
-    bad = replace(one, power=one.power.copy())
-    bad.power[:, 5] *= 1.0 + 0.3 * np.random.default_rng(1).random(len(one))
-    for curve in fit_calibration(bad, Simulation(scene.instrument, scene.sky_power), "antenna").curves:
+    one.power[:, 5] *= 1.0 + 0.3 * np.random.default_rng(1).random(len(one))
+    for curve in fit_calibration(one, scene.simulation, "antenna").curves:
         assert curve.flags[5] == "interference"
 
 
@@ -160,7 +156,7 @@ def test_a_channel_that_determines_nothing_does_not_cost_the_others(scene):
     # the filter lets nothing of the sky through
     level = scene.n_rcu * scene.instrument.receiver_gain[-1] + scene.n_adc
     noisy.power[:, -1] = level * np.random.default_rng(3).gamma(500.0, 1 / 500.0, len(noisy))
-    for curve in fit_calibration(noisy, Simulation(scene.instrument, scene.sky_power), "antenna").curves:
+    for curve in fit_calibration(noisy, scene.simulation, "antenna").curves:
         assert curve.status == "converged"
         assert curve.flags[-1] == "outside"
         assert np.isnan(curve.c[-1])
@@ -171,22 +167,20 @@ def test_a_channel_that_determines_nothing_does_not_cost_the_others(scene):
 def test_too_few_events_are_a_status_and_no_curve(scene):
     spectra = scene.spectra(np.random.default_rng(2), events=59, antennas=1)
     for scope in ("antenna", "station", "array"):
-        curve = fit_calibration(spectra, Simulation(scene.instrument, scene.sky_power), scope).curves[0]
+        curve = fit_calibration(spectra, scene.simulation, scope).curves[0]
         assert (curve.status, curve.c, curve.events) == ("too_few_events", None, 59 if scope == "antenna" else 0)
 
 
 def test_events_of_a_few_sidereal_hours_are_too_few_lst_bins(scene):
     spectra = scene.spectra(np.random.default_rng(2), events=100, antennas=1, days=0.2)
-    report = fit_calibration(spectra, Simulation(scene.instrument, scene.sky_power), "antenna")
+    report = fit_calibration(spectra, scene.simulation, "antenna")
     assert report.status == "too_few_lst_bins"
 
 
 def test_a_flat_receiver_was_refused_and_is_fitted_with_its_two_noise_constants_merged(scene):
     """All ones, a laboratory-calibrated chain: every path was `not_identifiable` although C is determined."""
     flat = replace(scene, instrument=replace(scene.instrument, receiver_gain=np.ones(26)))
-    report = fit_calibration(
-        flat.spectra(np.random.default_rng(3), events=300), Simulation(flat.instrument, scene.sky_power), "antenna"
-    )
+    report = fit_calibration(flat.spectra(np.random.default_rng(3), events=300), flat.simulation, "antenna")
     pulls = []
     for curve in report.curves:
         assert curve.status == "converged"
@@ -210,9 +204,7 @@ def test_a_chain_flat_from_antenna_to_output_has_one_noise(scene):
         cables={name: np.full(26, loss.mean()) for name, loss in scene.instrument.cables.items()},
     )
     flat = replace(scene, instrument=instrument)
-    report = fit_calibration(
-        flat.spectra(np.random.default_rng(3), events=300), Simulation(instrument, scene.sky_power), "antenna"
-    )
+    report = fit_calibration(flat.spectra(np.random.default_rng(3), events=300), flat.simulation, "antenna")
     for curve in report.curves:
         assert curve.status == "converged"
         assert curve.merged.constants == ("n_lna", "n_rcu", "n_adc")
@@ -238,7 +230,7 @@ def test_a_cable_change_inside_the_window_is_refused(scene, spectra):
 def test_another_frequency_grid_is_named(scene, spectra):
     shifted = replace(spectra, frequency_mhz=spectra.frequency_mhz + 0.5)
     with pytest.raises(BadInputError, match=r"frequency_mhz, channel 0: expected 30 MHz .* found 30.5 MHz"):
-        fit_calibration(shifted, Simulation(scene.instrument, scene.sky_power))
+        fit_calibration(shifted, scene.simulation)
 
 
 @pytest.mark.shared
@@ -252,25 +244,19 @@ def test_the_example_data_set_converges(shared):
     assert all(0.4 < curve.chi2_per_dof < 1.8 for curve in report.curves)  # 48 degrees of freedom: 4 sigma
 
 
+SETTINGS = TwinSettings(stations=("CS002",), antennas=6)
+
+
 @pytest.fixture(scope="module")
 def superterp_campaign():
     own = Simulation.load("lofar-superterp")
-    settings = TwinSettings(stations=("CS002",), antennas=6)
-    return own, simulate_campaign(settings, own.instrument, own.sky_power, _seeded(5)).spectra
-
-
-def _seeded(seed):
-    return np.random.default_rng(seed)
-
-
-def _exchanged(spectra):
-    return replace(spectra, dipole=np.where(spectra.dipole == "X", "Y", "X"))
+    return own, simulate_campaign(SETTINGS, own.instrument, own.sky_power, np.random.default_rng(5)).spectra
 
 
 WRONG_SPECTRA = {
     "decibel over something": lambda s: replace(s, power=200.0 + 10.0 * np.log10(s.power)),
     "amplitude for power": lambda s: replace(s, power=np.sqrt(s.power)),
-    "X and Y exchanged": _exchanged,
+    "X and Y exchanged": lambda s: replace(s, dipole=np.where(s.dipole == "X", "Y", "X")),
     "summer time": lambda s: replace(s, time_unix=s.time_unix + 7200.0),
     "channels reversed": lambda s: replace(s, power=s.power[:, ::-1].copy()),
 }
@@ -313,9 +299,8 @@ def test_a_wrong_place_is_a_misfit(superterp_campaign, change):
 def test_another_sky_converges_with_a_high_first_number(superterp_campaign, name):
     """A real sky gives 1.6 to 21 and must not starve the service."""
     own, _ = superterp_campaign
-    instrument = own.instrument
-    sky = compute_sky_power(instrument, sky=name)
-    spectra = simulate_campaign(TwinSettings(stations=("CS002",), antennas=6), instrument, sky, _seeded(6)).spectra
+    sky = compute_sky_power(own.instrument, sky=name)
+    spectra = simulate_campaign(SETTINGS, own.instrument, sky, np.random.default_rng(6)).spectra
     curves = fit_calibration(spectra, own, "station").curves
     assert {curve.status for curve in curves} == {"converged"}
     assert max(curve.chi2_per_dof for curve in curves) > 1.5
@@ -326,12 +311,10 @@ def test_waves_along_lst_that_no_model_has_are_no_misfit_any_more(superterp_camp
     """Of 72 station curves of skies that are off along LST by 3 % r.m.s., 16 were misfits."""
     own, _ = superterp_campaign
     hour = 2.0 * np.pi * own.sky_power.lst_hours / 24.0
-    factor = (
-        1.0 + 0.03 * (np.sin(hour + 1.0) + np.cos(2 * hour) * 2.0**0.5 + np.sin(3 * hour - 2.0))[:, None] / 2.0**0.5
-    )
+    wave = np.sin(hour + 1.0) + np.cos(2 * hour) * 2.0**0.5 + np.sin(3 * hour - 2.0)
+    factor = 1.0 + 0.03 * wave[:, None] / 2.0**0.5
     sky = replace(own.sky_power, power={dipole: values * factor for dipole, values in own.sky_power.power.items()})
-    settings = TwinSettings(stations=("CS002",), antennas=6)
-    spectra = simulate_campaign(settings, own.instrument, sky, _seeded(8)).spectra
+    spectra = simulate_campaign(SETTINGS, own.instrument, sky, np.random.default_rng(8)).spectra
     for scope in ("station", "antenna"):
         report = fit_calibration(spectra, own, scope)
         assert "misfit" not in {curve.status for curve in report.curves}

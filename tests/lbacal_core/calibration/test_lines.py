@@ -8,7 +8,6 @@ from lbacal_core.calibration.paths import paths_of_scope, radiometer_limit, requ
 from lbacal_core.calibration.singles import chain_forms
 from lbacal_core.grids import Floats
 from lbacal_core.simulation.prior import SKY_HARMONICS, SkyPrior
-from lbacal_core.simulation.simulation import Simulation
 
 
 def slow_lines(power: Floats, sky: Floats, model: Floats, covariances: list[Floats]) -> tuple[Floats, Floats]:
@@ -160,7 +159,7 @@ def test_an_event_that_one_antenna_of_four_recorded_has_the_noise_of_its_power_a
     is_lonely = np.isin(one_station.event_id, np.unique(one_station.event_id)[::4])
     some = one_station.select(~is_lonely | (one_station.antenna == 0))
     cables = require_one_cable_each(some, scene.instrument)
-    (read,) = paths_of_scope(some, Simulation(scene.instrument, scene.sky_power), "station", cables)
+    (read,) = paths_of_scope(some, scene.simulation, "station", cables)
     mean = read()
     level = np.array([np.mean(one_station.power[one_station.antenna == antenna]) for antenna in range(4)])
     # of equal cables it would be 4; 1 % because the level is that of noisy spectra
@@ -177,7 +176,7 @@ def test_radiometer_noise_is_that_of_the_samples_of_a_channel(spectra):
 
 def test_a_mean_knows_the_scatter_of_the_single_spectra(scene, spectra):
     cables = require_one_cable_each(spectra, scene.instrument)
-    for read in paths_of_scope(spectra, Simulation(scene.instrument, scene.sky_power), "station", cables):
+    for read in paths_of_scope(spectra, scene.simulation, "station", cables):
         paths = read()
         assert paths.scatter == pytest.approx(0.045, rel=0.03)
         assert paths.smallest_scatter == pytest.approx(1280**-0.5)

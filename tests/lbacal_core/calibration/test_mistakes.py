@@ -11,17 +11,18 @@ from lbacal_core.simulation.prior import Mistake, list_mistakes, list_other_ante
 from lbacal_core.skypower.differences import LST_HOURS
 from lbacal_core.skypower.model import compute_sky_power
 
+LOFAR = load_instrument("lofar-superterp")
 HALF_HOURS = np.arange(48) / 2.0
 
 
 @pytest.fixture(scope="module")
 def power():
-    return compute_sky_power(load_instrument("lofar-superterp"), lst_hours=HALF_HOURS).power
+    return compute_sky_power(LOFAR, lst_hours=HALF_HOURS).power
 
 
 @pytest.fixture(scope="module")
 def mistakes(power):
-    return {one.name: one for one in list_mistakes(load_instrument("lofar-superterp"), power, HALF_HOURS)}
+    return {one.name: one for one in list_mistakes(LOFAR, power, HALF_HOURS)}
 
 
 def test_each_mistake_leads_to_what_p_sky_would_be_without_it(power, mistakes):
@@ -41,8 +42,7 @@ def test_of_another_antenna_the_data_show_its_form_along_lst_and_not_its_level(m
 
 
 def test_an_instrument_with_one_arm_has_no_letters_to_exchange():
-    lofar = load_instrument("lofar-superterp")
-    one_arm = replace(lofar, dipole_azimuth_deg={"A": 20.0}, antenna="short-dipole", gain_provenance=None)
+    one_arm = replace(LOFAR, dipole_azimuth_deg={"A": 20.0}, antenna="short-dipole", gain_provenance=None)
     power = compute_sky_power(one_arm, lst_hours=HALF_HOURS).power
     names = [one.name for one in list_mistakes(one_arm, power, HALF_HOURS)]
     assert not any("exchanged" in name for name in names)
@@ -67,9 +67,8 @@ def test_the_dipoles_of_an_antenna_share_a_mistake():
 
 def test_dipoles_of_all_heights_are_tried_and_not_one():
     """One height stood for all: a dipole 0.1 m lower passed for LOFAR's antenna, and C was off by 0.35."""
-    instrument = load_instrument("lofar-superterp")
-    own = compute_sky_power(instrument, lst_hours=LST_HOURS).power
-    others = {one.name: one.change for one in list_other_antennas(instrument, own, LST_HOURS)}
+    own = compute_sky_power(LOFAR, lst_hours=LST_HOURS).power
+    others = {one.name: one.change for one in list_other_antennas(LOFAR, own, LST_HOURS)}
     assert "hamaker" not in others
     assert "quarter-wave" in others
     of_dipoles = [change["X"] for name, change in others.items() if name.startswith("a short dipole")]
@@ -80,16 +79,13 @@ def test_dipoles_of_all_heights_are_tried_and_not_one():
     assert np.all(np.diff(levels) > 0.0)
     # any height between 0.6 and 1.7 m is near one of them
     for height in (0.66, 1.01, 1.37, 1.61):
-        true = np.log(
-            compute_sky_power(instrument, antenna=ShortDipole(height), lst_hours=LST_HOURS).power["X"] / own["X"]
-        )
-        assert (
-            min(np.abs(true - change).max() for change in of_dipoles) < 0.4
-        )  # between neighbours that differ by 0.8 at 80 MHz
+        true = compute_sky_power(LOFAR, antenna=ShortDipole(height), lst_hours=LST_HOURS).power["X"] / own["X"]
+        # between neighbours that differ by 0.8 at 80 MHz
+        assert min(np.abs(np.log(true) - change).max() for change in of_dipoles) < 0.4
 
 
 def test_an_instrument_elsewhere_is_asked_for_other_heights_and_for_the_lba():
-    dipole = replace(load_instrument("lofar-superterp"), antenna="short-dipole", gain_provenance=None)
+    dipole = replace(LOFAR, antenna="short-dipole", gain_provenance=None)
     own = compute_sky_power(dipole, lst_hours=LST_HOURS).power
     others = list_other_antennas(dipole, own, LST_HOURS)
     names = [one.name for one in others]
@@ -101,12 +97,11 @@ def test_an_instrument_elsewhere_is_asked_for_other_heights_and_for_the_lba():
 
 
 def test_heights_follow_the_band():
-    lofar = load_instrument("lofar-superterp")
     low = replace(
-        lofar,
-        frequency_mhz=lofar.frequency_mhz[:20],
-        **{name: getattr(lofar, name)[:20] for name in ("antenna_gain", "receiver_gain")},
-        cables={name: loss[:20] for name, loss in lofar.cables.items()},
+        LOFAR,
+        frequency_mhz=LOFAR.frequency_mhz[:20],
+        **{name: getattr(LOFAR, name)[:20] for name in ("antenna_gain", "receiver_gain")},
+        cables={name: loss[:20] for name, loss in LOFAR.cables.items()},
         gain_provenance=None,
     )
     own = compute_sky_power(low, lst_hours=LST_HOURS).power
@@ -117,9 +112,8 @@ def test_heights_follow_the_band():
 
 @pytest.mark.parametrize("name", ["gsm408", "lfsm", "haslam", "maeda"])
 def test_another_sky_is_about_one_standard_deviation_away(name):
-    instrument = load_instrument("lofar-superterp")
-    freedom, own = sky_prior(instrument), compute_sky_power(instrument, lst_hours=LST_HOURS)
-    other = compute_sky_power(instrument, sky=name, lst_hours=LST_HOURS)
+    freedom, own = sky_prior(LOFAR), compute_sky_power(LOFAR, lst_hours=LST_HOURS)
+    other = compute_sky_power(LOFAR, sky=name, lst_hours=LST_HOURS)
     for dipole, modes in freedom.modes.items():
         change = np.log(other.power[dipole] / own.power[dipole]).ravel()
         flat = modes.reshape(len(modes), -1)
@@ -130,7 +124,6 @@ def test_another_sky_is_about_one_standard_deviation_away(name):
 
 
 def test_the_digest_names_what_it_was_made_from():
-    instrument = load_instrument("lofar-superterp")
-    elsewhere = replace(instrument, latitude_deg=40.0)
-    assert sky_prior(instrument).digest == sky_prior(instrument).digest
-    assert sky_prior(instrument).digest != sky_prior(elsewhere).digest
+    elsewhere = replace(LOFAR, latitude_deg=40.0)
+    assert sky_prior(LOFAR).digest == sky_prior(LOFAR).digest
+    assert sky_prior(LOFAR).digest != sky_prior(elsewhere).digest

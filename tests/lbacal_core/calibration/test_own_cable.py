@@ -16,7 +16,7 @@ AT = 1_400_000_000.0
 @pytest.fixture(scope="module")
 def report(scene):
     spectra = scene.spectra(np.random.default_rng(12), events=400)
-    return fit_calibration(spectra, Simulation(scene.instrument, scene.sky_power), "station")
+    return fit_calibration(spectra, scene.simulation, "station")
 
 
 @pytest.fixture(scope="module")
@@ -27,7 +27,7 @@ def answer(report):
 def test_the_reference_chain_is_the_mean_of_exactly_the_paths_with_enough_events(scene):
     spectra = scene.spectra(np.random.default_rng(13), events=200)
     is_lost = (spectra.antenna == 0) & (spectra.dipole == "X") & (np.arange(len(spectra)) % 5 > 0)
-    curves = fit_calibration(spectra.select(~is_lost), Simulation(scene.instrument, scene.sky_power), "station")
+    curves = fit_calibration(spectra.select(~is_lost), scene.simulation, "station")
     of_x, of_y = curves.chains
     assert [antenna for _, antenna in of_x.members] == [1, 2, 3], "antenna 0 X has 40 events"
     assert [antenna for _, antenna in of_y.members] == [0, 1, 2, 3]
@@ -102,22 +102,22 @@ def test_without_a_known_chain_or_cable_the_stored_curve_is_told_with_a_flag(ans
     assert carry_to_path(*answer, "CS002", 77, "X", -1e11).reason.endswith("-1199-02-15")
 
 
+CHANGE = AT + 1000.0
+CHANGED = (AntennaRecord("CS002", 0, "50", None, CHANGE), AntennaRecord("CS002", 0, "80", CHANGE, None))
+
+
 def test_the_cable_is_that_of_the_instant(scene, answer):
-    change = AT + 1000.0
-    records = (AntennaRecord("CS002", 0, "50", None, change), AntennaRecord("CS002", 0, "80", change, None))
-    chain = replace(answer[1], cables=CableTable(scene.instrument.cables, records))
-    before, after = (carry_to_path(answer[0], chain, "CS002", 0, "X", t) for t in (AT, AT + 1000.0))
     cables = scene.instrument.cables
+    chain = replace(answer[1], cables=CableTable(cables, CHANGED))
+    before, after = (carry_to_path(answer[0], chain, "CS002", 0, "X", t) for t in (AT, CHANGE))
     np.testing.assert_allclose((after.curve.c / before.curve.c) ** 2, cables["50"] / cables["80"])
 
 
 def test_a_paths_own_curve_stays_until_its_cable_is_exchanged(scene, answer):
     own = replace(answer[0], antenna=0)
-    change = AT + 1000.0
-    records = (AntennaRecord("CS002", 0, "50", None, change), AntennaRecord("CS002", 0, "80", change, None))
     cables = scene.instrument.cables
-    chain = ReferenceChain((("CS002", 0),), cables["50"], CableTable(cables, records), None)
-    same, other = (carry_to_path(own, chain, "CS002", 0, "X", t) for t in (AT, change))
+    chain = ReferenceChain((("CS002", 0),), cables["50"], CableTable(cables, CHANGED), None)
+    same, other = (carry_to_path(own, chain, "CS002", 0, "X", t) for t in (AT, CHANGE))
     assert (same.flag, same.curve) == ("ok", own)
     assert other.reason == "fitted with another cable than the 80 that the path has then"
     np.testing.assert_allclose((other.curve.c / own.c) ** 2, cables["50"] / cables["80"])
@@ -160,8 +160,7 @@ def test_a_channel_without_sight_of_the_spread_has_that_of_the_band():
     paths = draw_paths(np.random.default_rng(2))
     sigma = paths.sigma.copy()
     sigma[:, -1] *= 100.0
-    blind = SinglePaths(paths.stations, paths.cables, paths.slope, sigma, paths.loss)
-    found = measure(blind).all_paths.spread
+    found = measure(replace(paths, sigma=sigma)).all_paths.spread
     assert found[-1] == pytest.approx(found[0], rel=0.3)
     assert np.all(found > 0.03)
 
@@ -178,11 +177,11 @@ def test_a_channel_that_was_not_determined_counts_for_nothing():
     paths = draw_paths(np.random.default_rng(4))
     slope = paths.slope.copy()
     slope[::4] = np.nan
-    found = measure(SinglePaths(paths.stations, paths.cables, slope, paths.sigma, paths.loss)).all_paths
+    found = measure(replace(paths, slope=slope)).all_paths
     np.testing.assert_allclose(found.spread, 0.05, rtol=0.3)
 
 
-def test_stations_that_differ_are_seen_to_differ():
+def test_stations_that_differ_are_seen_to_differ_and_those_of_few_paths_that_are_alike_are_not():
     names = tuple(f"CS{k:03d}" for k in range(40))
     alike = measure(draw_paths(np.random.default_rng(5), stations=names, paths=1600))
     unlike = measure(draw_paths(np.random.default_rng(5), stations=names, paths=1600, between=0.06))
@@ -190,15 +189,11 @@ def test_stations_that_differ_are_seen_to_differ():
     # 40 stations know their spread to 11 %
     np.testing.assert_allclose(unlike.between_stations, 0.06, rtol=0.35)
     assert np.all(alike.between_stations < 0.01)
+    # The mean of four paths is off by 3 % by the spread of single paths alone; 100 stations leave 1 % of it.
+    hundred = tuple(f"CS{k:03d}" for k in range(100))
+    few_each = measure(draw_paths(np.random.default_rng(8), stations=hundred, paths=400))
+    assert np.all(few_each.between_stations < 0.02)
     assert measure(draw_paths(np.random.default_rng(5))).between_stations is None
-
-
-def test_stations_of_few_paths_that_are_alike_do_not_seem_to_differ():
-    """The mean of four paths is off by 3 % by the spread of single paths alone."""
-    names = tuple(f"CS{k:03d}" for k in range(100))
-    alike = measure(draw_paths(np.random.default_rng(8), stations=names, paths=400))
-    # 100 stations leave 1 % of it.
-    assert np.all(alike.between_stations < 0.02)
 
 
 @pytest.mark.parametrize("noise", [0.0001, 0.05, 1.0])

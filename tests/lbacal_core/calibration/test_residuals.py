@@ -73,18 +73,6 @@ def test_the_mean_square_is_the_sum_of_the_spectrum():
     assert np.mean(traces**2) == pytest.approx(power.sum() * 1.0 * RESISTANCE_OHM, rel=0.01)
 
 
-def test_background_is_the_chain_and_electronics_is_what_is_left_without_the_sky(low_band, two_waves):
-    slope = 2.0 * low_band.antenna_gain
-    parameters = {name: Parameter(value, 0.0) for name, value in (("n_lna", 0.3), ("n_rcu", 0.7), ("n_adc", 0.1))}
-    c = np.sqrt(low_band.antenna_gain / slope)
-    curve = CalibrationCurve("CS002", 0, "X", "converged", 900, FREQUENCY, c, 0.01 * c, None, 1.0, 1.0, parameters)
-    lst, simulation = np.array([3.0, 17.0]), Simulation(low_band, two_waves)
-    electronics = 0.3 * slope + 0.7 * low_band.receiver_gain + 0.1
-    assert simulation.electronics(curve) == pytest.approx(electronics)
-    expected = two_waves.at("X", lst) * slope + electronics
-    assert simulation.background(curve, lst) == pytest.approx(expected)
-
-
 def test_too_slow_sampling_and_negative_densities_are_refused():
     with pytest.raises(BadInputError, match="161"):
         draw_noise(np.ones(51), FREQUENCY, 100, 150.0, np.random.default_rng(0))

@@ -9,6 +9,8 @@ from lbacal_core.causes.cause import SCOPES, Conditions, SizeRange, Template, si
 from lbacal_core.chain.model import ChainTerms
 from lbacal_twin.faults.catalogue import catalogue_faults
 
+NAMED = {cause.identifier: cause for cause in CAUSES}
+
 
 @pytest.fixture(scope="module")
 def conditions() -> Conditions:
@@ -70,7 +72,7 @@ def test_the_catalogue_is_what_the_twin_can_plant():
 
 
 def test_noise_is_missing_only_where_it_is_known_beforehand(terms, conditions):
-    cause = next(one for one in CAUSES if one.identifier == "missing_noise")
+    cause = NAMED["missing_noise"]
     assert cause.templates(replace(conditions, known_noise=None)) == []
     assert "LST curve" in cause.needs
     (template,) = cause.templates(conditions)
@@ -83,21 +85,18 @@ def test_noise_is_missing_only_where_it_is_known_beforehand(terms, conditions):
 
 
 def test_an_exchange_acts_on_what_earlier_causes_made_of_the_other_polarisation(terms, conditions):
-    causes = {cause.identifier: cause for cause in CAUSES}
-    brighter = causes["isotropic_level"].apply(terms, conditions, Template(), 0.5)
-    swapped = causes["dipole_swap"].apply(brighter, conditions, Template(), 1.0)
+    brighter = NAMED["isotropic_level"].apply(terms, conditions, Template(), 0.5)
+    swapped = NAMED["dipole_swap"].apply(brighter, conditions, Template(), 1.0)
     np.testing.assert_allclose(swapped.sky, brighter.sky[::-1])
     # A cable of which only X is here knows the other polarisation as the simulation has it.
     alone = replace(conditions, cables=["80", "50"])
-    np.testing.assert_allclose(causes["dipole_swap"].apply(brighter, alone, Template(), 1.0).sky, terms.sky[::-1])
+    np.testing.assert_allclose(NAMED["dipole_swap"].apply(brighter, alone, Template(), 1.0).sky, terms.sky[::-1])
 
 
 def test_only_the_end_of_what_is_believed_counts_as_an_edge():
-    sizes = {cause.identifier: cause.sizes for cause in CAUSES}
-    assert sizes["pattern_width"].is_at_edge(0.35)
-    assert not sizes["pattern_width"].is_at_edge(0.34)
-    assert not sizes["dipole_swap"].is_at_edge(1.0)
-    assert sizes["dipole_swap"].is_at_edge(0.0)
+    width, swap = NAMED["pattern_width"].sizes, NAMED["dipole_swap"].sizes
+    assert [width.is_at_edge(0.35), width.is_at_edge(0.34)] == [True, False]
+    assert [swap.is_at_edge(1.0), swap.is_at_edge(0.0)] == [False, True]
     assert not SizeRange().is_at_edge(1e9)
 
 
@@ -119,24 +118,22 @@ def test_a_cause_of_size_zero_changes_nothing_and_a_small_one_acts_in_proportion
 
 
 def test_signatures_of_gain_and_noise_are_their_shares_of_the_power(terms, conditions):
-    causes = {cause.identifier: cause for cause in CAUSES}
     power = terms.power()
     template = Template({"date_unix": float(np.median(conditions.time_unix))})
     after = conditions.after(template.parameters["date_unix"])
     front_share = (terms.sky + terms.n_lna) * terms.front / power
-    step = signature(causes["gain_step"], terms, conditions, template)
+    step = signature(NAMED["gain_step"], terms, conditions, template)
     np.testing.assert_allclose(step, after * front_share, atol=1e-9)
-    adc = signature(causes["adc_noise_step"], terms, conditions, template)
+    adc = signature(NAMED["adc_noise_step"], terms, conditions, template)
     np.testing.assert_allclose(adc, after * terms.adc_noise / power, atol=1e-9)
     warmth = conditions.warmth()
-    lna = signature(causes["lna_noise_temperature"], terms, conditions, Template())
+    lna = signature(NAMED["lna_noise_temperature"], terms, conditions, Template())
     np.testing.assert_allclose(lna, warmth * terms.n_lna * terms.front / power, atol=1e-9)
 
 
 @pytest.mark.parametrize("cause", CAUSES, ids=lambda cause: cause.identifier)
 def test_causes_act_one_after_the_other(cause, terms, conditions):
-    drift = next(one for one in CAUSES if one.identifier == "gain_drift")
-    moved = drift.apply(terms, conditions, Template(), 0.02)
+    moved = NAMED["gain_drift"].apply(terms, conditions, Template(), 0.02)
     both = cause.apply(moved, conditions, cause.templates(conditions)[0], cause.step).power()
     alone = cause.apply(terms, conditions, cause.templates(conditions)[0], cause.step).power()
     # the drift is 1 % at the ends of the year, so what the cause does changes by about as much
@@ -155,18 +152,19 @@ def test_without_temperature_and_rain_their_causes_say_what_is_missing(condition
             assert "static" in cause.needs
 
 
-def test_a_size_outside_its_physical_range_is_not_allowed():
-    """Negative powers of interference and slopes of N_LNA of -11.8 per 25 MHz were named."""
-    sizes = {cause.identifier: cause.sizes for cause in CAUSES}
-    assert not sizes["rfi_broadband"].allows(-0.016, 0.019)
-    assert not sizes["lna_noise_slope"].allows(-11.8, 1.0)
-    assert sizes["rfi_broadband"].allows(0.016, 0.003)
-    assert sizes["gain_step"].allows(-0.01, 0.001)
-
-
-def test_an_error_may_carry_a_size_beyond_a_physical_end():
-    """An exchange of dipoles is 1, and is measured as a little more as often as a little less."""
-    swap = next(cause.sizes for cause in CAUSES if cause.identifier == "dipole_swap")
-    assert swap.allows(1.02, 0.01)
-    assert not swap.allows(1.05, 0.01)
-    assert not swap.allows(-0.26, 0.05)
+@pytest.mark.parametrize(
+    ("cause", "size", "sigma", "is_allowed"),
+    [
+        # Negative powers of interference and slopes of N_LNA of -11.8 per 25 MHz were named.
+        ("rfi_broadband", -0.016, 0.019, False),
+        ("lna_noise_slope", -11.8, 1.0, False),
+        ("rfi_broadband", 0.016, 0.003, True),
+        ("gain_step", -0.01, 0.001, True),
+        # An exchange of dipoles is 1, and is measured as a little more as often as a little less.
+        ("dipole_swap", 1.02, 0.01, True),
+        ("dipole_swap", 1.05, 0.01, False),
+        ("dipole_swap", -0.26, 0.05, False),
+    ],
+)
+def test_a_size_is_within_its_physical_range_or_beyond_it_by_its_error(cause, size, sigma, is_allowed):
+    assert NAMED[cause].sizes.allows(size, sigma) == is_allowed

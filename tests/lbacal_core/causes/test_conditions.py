@@ -15,11 +15,15 @@ def seconds(date):
     return datetime.fromisoformat(date).replace(tzinfo=UTC).timestamp()
 
 
+@pytest.fixture(scope="module")
+def conditions(world):
+    return world.look().data.conditions
+
+
 @pytest.mark.parametrize(
     ("phase_deg", "warmest"), [(0.0, "2014-01-01"), (90.0, "2014-04-02"), (180.0, "2014-07-02"), (270.0, "2014-10-01")]
 )
-def test_a_season_is_highest_when_its_phase_says(phase_deg, warmest, world):
-    conditions = world.look().data.conditions
+def test_a_season_is_highest_when_its_phase_says(phase_deg, warmest, conditions):
     days = seconds("2014-01-01") + 86_400.0 * np.arange(-90, 275)
     season = replace(conditions, time_unix=days).season(phase_deg)[:, 0]
     highest = days[np.argmax(season)]
@@ -28,8 +32,7 @@ def test_a_season_is_highest_when_its_phase_says(phase_deg, warmest, world):
     assert season.min() == pytest.approx(-1.0, abs=1e-3)
 
 
-def test_of_three_dipoles_each_pair_of_letters_may_be_exchanged_and_the_third_keeps_its_sky(world):
-    conditions = world.look().data.conditions
+def test_of_three_dipoles_each_pair_of_letters_may_be_exchanged_and_the_third_keeps_its_sky(conditions):
     sky = np.stack([np.full((1, 1), level) for level in (1.0, 2.0, 3.0)])
     three = replace(conditions, dipoles=["A", "B", "C"], cables=["80"] * 3, sky_of=dict(zip("ABC", sky, strict=True)))
     assert three.dipole_pairs == [("A", "B"), ("A", "C"), ("B", "C")]
@@ -39,17 +42,8 @@ def test_of_three_dipoles_each_pair_of_letters_may_be_exchanged_and_the_third_ke
     lonely = replace(three, dipoles=["B"], cables=["80"])
     assert lonely.dipole_pairs == [("A", "B"), ("B", "C")]
     assert lonely.across(sky[1:2], ("A", "B"))[:, 0, 0].tolist() == [1.0]
-
-
-def test_one_dipole_has_no_letter_to_be_exchanged_with(world):
-    conditions = world.look().data.conditions
-    one = replace(conditions, dipoles=["A"], cables=["80"], sky_of={"A": np.ones((1, 1))})
-    assert DipoleSwap().templates(one) == []
-
-
-@pytest.fixture(scope="module")
-def conditions(world):
-    return world.look().data.conditions
+    one = replace(three, dipoles=["A"], cables=["80"], sky_of={"A": np.ones((1, 1))})
+    assert DipoleSwap().templates(one) == [], "it has no letter to be exchanged with"
 
 
 def left_of(wave, basis):
@@ -59,27 +53,22 @@ def left_of(wave, basis):
     return np.mean(rest**2) / np.var(wave)
 
 
-def test_a_drift_whose_ends_differ_is_a_smooth_function_of_the_date(conditions):
-    """Waves of whole periods alone would bend it back at both ends, and leave 6 % of it."""
+def test_drifts_and_structure_of_five_weeks_are_smooth_functions_of_the_date_and_of_a_fortnight_are_not(conditions):
+    """Waves of whole periods alone would bend a drift back at both ends, and leave 6 % of it."""
     date = axis_named("date")
     days = date.values(conditions)
     assert left_of(days, date.basis(conditions)) < 1e-3
-
-
-def test_structure_of_five_weeks_is_a_smooth_function_of_the_date_and_of_a_fortnight_is_not(conditions):
-    date = axis_named("date")
-    days = date.values(conditions)
     # Maxima 73 days apart: five weeks up and five weeks down.
     assert left_of(np.cos(2 * np.pi * days / 73.0), date.basis(conditions)) < 0.01
     assert left_of(np.cos(2 * np.pi * days / 28.0), date.basis(conditions)) > 0.5
 
 
-@pytest.mark.parametrize(("name", "period_h"), [("lst", 24.0), ("utc", 24.0)])
-def test_a_day_has_five_harmonics_and_no_more(name, period_h, conditions):
+@pytest.mark.parametrize("name", ["lst", "utc"])
+def test_a_day_has_five_harmonics_and_no_more(name, conditions):
     axis = axis_named(name)
     hours, basis = axis.values(conditions), axis.basis(conditions)
-    assert left_of(np.cos(2 * np.pi * 5 * hours / period_h + 1.0), basis) < 1e-6
-    assert left_of(np.cos(2 * np.pi * 7 * hours / period_h + 1.0), basis) > 0.5
+    assert left_of(np.cos(2 * np.pi * 5 * hours / 24 + 1.0), basis) < 1e-6
+    assert left_of(np.cos(2 * np.pi * 7 * hours / 24 + 1.0), basis) > 0.5
 
 
 def test_every_column_of_env_that_varies_is_an_axis_by_its_name(conditions):

@@ -7,10 +7,15 @@ from lbacal_core.drift.model import find_dates
 DAY = 86_400.0
 
 
-def test_a_step_without_noise_lies_between_the_two_events_that_it_separates():
-    time_unix = np.arange(100) * DAY
+def find_step(time_unix, day, unknown=slice(0, 0)):
+    """The date of a step before the 41st of 100 events, looked for about a day."""
     residual = np.where(np.arange(100) >= 40, 20.0, 0.0)[None, :, None]
-    found = find_dates(time_unix, residual, np.array([[20.0]]), np.array([43 * DAY]))
+    residual[:, unknown] = np.nan
+    return find_dates(time_unix, residual, np.array([[20.0]]), np.array([day * DAY]))
+
+
+def test_a_step_without_noise_lies_between_the_two_events_that_it_separates():
+    found = find_step(np.arange(100) * DAY, 43)
     assert found.date[0] == pytest.approx(39.5 * DAY)
     assert found.sigma[0] == pytest.approx(DAY / 12**0.5)
     assert (found.earliest[0], found.latest[0]) == pytest.approx((39.025 * DAY, 39.975 * DAY))
@@ -18,11 +23,16 @@ def test_a_step_without_noise_lies_between_the_two_events_that_it_separates():
 
 def test_in_a_gap_the_date_is_known_to_the_gap():
     number = np.arange(100)
-    time_unix = (number + np.where(number >= 40, 100, 0)) * DAY
-    residual = np.where(number >= 40, 20.0, 0.0)[None, :, None]
-    found = find_dates(time_unix, residual, np.array([[20.0]]), np.array([140 * DAY]))
+    found = find_step((number + np.where(number >= 40, 100, 0)) * DAY, 140)
     assert found.date[0] == pytest.approx((39 + 101 / 2) * DAY)
     assert found.sigma[0] == pytest.approx(101 * DAY / 12**0.5)
+
+
+def test_events_that_are_unknown_say_nothing():
+    found = find_step(np.arange(100) * DAY, 43, slice(35, 45))
+    assert found.earliest[0] > 34 * DAY
+    assert found.latest[0] < 45 * DAY
+    assert found.sigma[0] == pytest.approx(11 * DAY / 12**0.5)
 
 
 def test_stated_errors_of_dates_hold_in_noise():
@@ -36,16 +46,6 @@ def test_stated_errors_of_dates_hold_in_noise():
     within = np.mean((found.earliest <= truth) & (truth <= found.latest))
     assert within == pytest.approx(0.95, abs=0.03)  # 3 standard deviations of 600 draws
     assert np.mean(np.abs(found.date - truth) < found.sigma) > 0.65
-
-
-def test_events_that_are_unknown_say_nothing():
-    time_unix = np.arange(100) * DAY
-    residual = np.where(np.arange(100) >= 40, 20.0, 0.0)[None, :, None]
-    residual[:, 35:45] = np.nan
-    found = find_dates(time_unix, residual, np.array([[20.0]]), np.array([43 * DAY]))
-    assert found.earliest[0] > 34 * DAY
-    assert found.latest[0] < 45 * DAY
-    assert found.sigma[0] == pytest.approx(11 * DAY / 12**0.5)
 
 
 YEAR = 365.25 * 86_400.0

@@ -141,11 +141,7 @@ def test_the_score_of_a_slope_is_what_a_fit_with_it_would_give():
     assert found == pytest.approx(_oracle(y, inverse, columns, slope), rel=1e-4)
 
 
-def test_the_threshold_is_exceeded_as_often_as_allowed():
-    cut = find_threshold(0.05, 1000, 3)
-    assert 1000 * stats.chi2.sf(cut, 3) == pytest.approx(0.05)
-
-
-def test_significance_is_that_of_a_normal():
+def test_the_threshold_is_exceeded_as_often_as_allowed_and_significance_is_that_of_a_normal():
+    assert 1000 * stats.chi2.sf(find_threshold(0.05, 1000, 3), 3) == pytest.approx(0.05)
     assert find_significance(np.array([9.0]), 1) == pytest.approx([3.0])
     assert find_significance(np.array([4e4]), 3) == pytest.approx([200.0])

@@ -69,44 +69,28 @@ def test_durations_and_widths_are_kept_and_blocks_count_the_same_time():
     np.testing.assert_allclose(spectra.channel_widths(), 0.25)
 
 
-def test_source_in_which_everything_is_flagged_is_refused():
+def test_source_in_which_everything_is_flagged_and_a_channel_outside_it_are_refused():
     source = make_source(np.full((2, PATHS, 16), np.nan), 1.4e9 + np.arange(2.0), np.ones(2))
     with pytest.raises(BadInputError, match="everything flagged"):
         average(source, 10.0)
-
-
-def test_channel_outside_the_source_is_refused():
-    source = make_source(np.ones((1, PATHS, 16)), np.array([1.4e9]), np.ones(1))
     with pytest.raises(BadInputError, match=r"within 0.5 MHz of 50 MHz"):
         average(source, 10.0, Channels(np.array([50.0]), np.array([1.0])))
 
 
-@pytest.fixture
-def source() -> Source:
-    """Sixteen channels of 0.25 MHz from 40 MHz, of which nothing is read."""
-    frequency = np.arange(40.0, 44.0, 0.25)
-    return Source(
-        "made", frequency, np.full(16, 0.25), np.array(["A"]), np.array([0]), np.array(["X"]), lambda: iter(())
-    )
-
-
-def test_channels_of_one_width_lie_at_its_multiples_and_within_the_band(source):
+def test_channels_of_one_width_lie_at_its_multiples_and_within_the_band_and_those_of_an_instrument_are_its_own(
+    low_band,
+):
+    source = make_source(np.empty((0, PATHS, 16)), np.empty(0), np.empty(0))
     assert choose_channels(source, width_mhz=1.0).frequency_mhz.tolist() == [41.0, 42.0, 43.0]
     assert choose_channels(source, width_mhz=1.0, band_mhz=(42, 60)).frequency_mhz.tolist() == [42.0, 43.0]
     with pytest.raises(BadInputError, match=r"some between 40 and 43.75 MHz"):
         choose_channels(source, band_mhz=(60, 70))
-
-
-def test_channels_of_an_instrument_are_its_own(source, low_band):
     assert choose_channels(source, low_band).frequency_mhz.tolist() == low_band.frequency_mhz.tolist()
 
 
-def test_folder_without_data_says_what_could_be_in_it(tmp_path):
+def test_a_folder_without_data_and_a_file_of_an_unknown_kind_say_what_is_known(tmp_path):
     with pytest.raises(BadInputError, match="sst_rcuNNN"):
         open_source(tmp_path)
-
-
-def test_file_of_an_unknown_kind_says_what_is_known(tmp_path):
     (tmp_path / "a.txt").write_text("1 2 3")
     with pytest.raises(BadInputError, match=r"uvh5.*a file \.txt"):
         open_source(tmp_path / "a.txt")

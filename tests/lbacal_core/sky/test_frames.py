@@ -82,17 +82,11 @@ def test_precession_agrees_with_the_matrix_of_erfa():
     assert moved_dec == pytest.approx(np.arcsin(vector[2]), abs=2e-7)
 
 
-def test_a_source_is_on_the_meridian_when_lst_equals_its_right_ascension():
-    ra, dec = np.radians([120.0]), np.radians([20.0])
-    zenith, azimuth = local_direction(np.array([8.0]), ra, dec, LATITUDE)
-    assert np.degrees(zenith) == pytest.approx(LATITUDE - 20.0)
-    assert np.degrees(azimuth) == pytest.approx(180.0)
-
-
-def test_a_source_is_in_the_east_before_its_transit():
-    _, azimuth = local_direction(np.array([5.0, 11.0]), np.radians(120.0), np.radians(20.0), LATITUDE)
+def test_a_source_is_in_the_east_before_it_is_on_the_meridian_when_lst_equals_its_right_ascension():
+    zenith, azimuth = local_direction(np.array([5.0, 8.0, 11.0]), np.radians(120.0), np.radians(20.0), LATITUDE)
+    assert np.degrees([zenith[1], azimuth[1]]) == pytest.approx([LATITUDE - 20.0, 180.0])
     assert 0 < azimuth[0] < np.pi
-    assert np.pi < azimuth[1] < 2 * np.pi
+    assert np.pi < azimuth[2] < 2 * np.pi
 
 
 def test_cassiopeia_a_never_sets_at_the_superterp():

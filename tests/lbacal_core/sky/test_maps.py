@@ -36,42 +36,44 @@ def test_component_maps_are_brought_to_icrs_from_either_frame(tmp_path, frame, b
     assert brightness_at(sky, 86.4, 28.9, nu=25.0) == pytest.approx(1000.0 * 2**2.5, rel=0.02)
 
 
-def test_component_maps_that_do_not_say_what_they_contain_are_refused(tmp_path, blob):
-    path = write_components(blob, tmp_path / "sky.npz", "C", has_cmb=None)
-    with pytest.raises(BadInputError, match="has_cmb and has_isotropic"):
-        load_sky(str(path))
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda _: {"has_cmb": None}, "has_cmb and has_isotropic"),
+        (lambda blob: {"ra": blob.directions("C")[0][::-1]}, "HEALPix pixels in ring order"),
+    ],
+    ids=["that do not say what they contain", "in another order"],
+)
+def test_component_maps_of_another_kind_are_refused(tmp_path, blob, change, said):
+    with pytest.raises(BadInputError, match=said):
+        load_sky(str(write_components(blob, tmp_path / "sky.npz", "C", **change(blob))))
 
 
-def test_component_maps_in_another_order_are_refused(tmp_path, blob):
-    ra, dec = blob.directions("C")
-    path = write_components(blob, tmp_path / "sky.npz", "C", ra=ra[::-1], dec=dec)
-    with pytest.raises(BadInputError, match="HEALPix pixels in ring order"):
-        load_sky(str(path))
+def give_pygdsm(monkeypatch, model):
+    module = type(sys)("pygdsm")
+    module.GlobalSkyModel = model  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "pygdsm", module)
 
 
 def test_pygdsm_models_are_read_in_galactic_coordinates(monkeypatch, blob, brightness_at):
     class FakeGlobalSkyModel:
-        def __init__(self, **settings: object) -> None:
+        def __init__(self, **settings):
             assert settings == {"freq_unit": "MHz", "include_cmb": False}
 
-        def generate(self, nu: float) -> np.ndarray:
+        def generate(self, nu):
             return blob.as_map("G") * (nu / 50.0) ** -2.5
 
-    module = type(sys)("pygdsm")
-    module.GlobalSkyModel = FakeGlobalSkyModel  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "pygdsm", module)
+    give_pygdsm(monkeypatch, FakeGlobalSkyModel)
     sky = load_sky("pygdsm-gsm2008")
     assert not sky.has_cmb
     assert brightness_at(sky, *blob.centre_deg) == pytest.approx(5000.0, rel=0.02)
 
 
 def test_pygdsm_without_its_data_says_so(monkeypatch):
-    def refuse(**_: object) -> None:
+    def refuse(**_):
         raise OSError("no network")
 
-    module = type(sys)("pygdsm")
-    module.GlobalSkyModel = refuse  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "pygdsm", module)
+    give_pygdsm(monkeypatch, refuse)
     with pytest.raises(UnreadableFileError, match="could not get its data"):
         load_sky("pygdsm-gsm2008")
 
@@ -136,13 +138,10 @@ def test_a_plate_carree_fits_map_is_read_right_way_round(tmp_path, blob, brightn
     assert brightness_at(sky, 180.5, 0.0) == pytest.approx(1000.0, rel=0.02)
 
 
-def test_a_truncated_fits_map_is_unreadable(tmp_path, blob):
+def test_a_truncated_fits_map_and_an_empty_folder_are_no_sky(tmp_path, blob):
+    with pytest.raises(UnreadableFileError, match="found none"):
+        load_sky(str(tmp_path))
     path = write_healpix(blob, tmp_path / "map.fits", "G", 50.0)
     path.write_bytes(path.read_bytes()[:-4000])
     with pytest.raises(UnreadableFileError, match=r"map\.fits: expected a FITS map, found a broken one"):
         load_sky(str(path))
-
-
-def test_an_empty_folder_is_no_sky(tmp_path):
-    with pytest.raises(UnreadableFileError, match="found none"):
-        load_sky(str(tmp_path))

@@ -20,6 +20,12 @@ def differences(chain: Instrument) -> ModelDifferences:
     return compute_model_differences(chain)
 
 
+def change_of(dipole, other, default):
+    """Ln of the power of another sky power over that of the default one, less its mean over LST."""
+    change = np.log(other.power[dipole] / default.power[dipole])
+    return change - change.mean(axis=0)
+
+
 def left_by(basis: np.ndarray, change: np.ndarray) -> tuple[float, np.ndarray]:
     """Rms that vectors leave of a change, and their amounts."""
     columns = basis.reshape(len(basis), -1).T
@@ -27,13 +33,9 @@ def left_by(basis: np.ndarray, change: np.ndarray) -> tuple[float, np.ndarray]:
     return float(np.std(change.ravel() - columns @ amount)), amount
 
 
-def test_the_mean_of_a_shape_over_lst_vanishes(differences):
+def test_shapes_come_strongest_first_are_a_few_percent_and_have_no_mean_over_lst(differences):
     for shape in differences.shape.values():
         assert shape.mean(axis=1) == pytest.approx(0.0, abs=1e-15)
-
-
-def test_the_shapes_come_strongest_first_and_are_a_few_percent(differences):
-    for shape in differences.shape.values():
         size = shape.std(axis=(1, 2))
         assert np.all(np.diff(size) < 0)
         assert 0.02 < size[0] < 0.05
@@ -74,8 +76,7 @@ def test_an_arm_and_not_a_letter_has_a_shape(chain, differences):
 def test_each_dipole_has_the_shapes_of_its_own_arm(chain, differences):
     other, default = compute_sky_power(chain, "lfsm"), compute_sky_power(chain)
     for own, across in ("XY", "YX"):
-        change = np.log(other.power[own] / default.power[own])
-        change -= change.mean(axis=0)
+        change = change_of(own, other, default)
         assert left_by(differences.changes_at(own, other.lst_hours), change)[0] < 3e-4
         assert left_by(differences.changes_at(across, other.lst_hours), change)[0] > 1e-3
 
@@ -84,8 +85,7 @@ def test_an_instrument_elsewhere_gets_the_differences_of_its_own_site(chain):
     """They were those of the Superterp everywhere."""
     south = replace(chain, latitude_deg=-35.2)
     other, default = compute_sky_power(south, "lfsm"), compute_sky_power(south)
-    change = np.log(other.power["X"] / default.power["X"])
-    change -= change.mean(axis=0)
+    change = change_of("X", other, default)
     assert left_by(model_difference_modes(south, other.lst_hours)["X"], change)[0] < 3e-4
     assert left_by(model_difference_modes(chain, other.lst_hours)["X"], change)[0] > 5e-3
 
@@ -139,9 +139,8 @@ def test_the_shapes_span_every_exchange_of_the_full_models(shared, differences, 
     other = compute_sky_power(chain, str(shared / f"data/sky/{sky}.npz"), beam)
     default = compute_sky_power(chain)
     for dipole in "XY":
-        change = np.log(other.power[dipole] / default.power[dipole])
-        change -= change.mean(axis=0)
-        left, amount = left_by(differences.changes_at(dipole, other.lst_hours), change)
+        shapes = differences.changes_at(dipole, other.lst_hours)
+        left, amount = left_by(shapes, change_of(dipole, other, default))
         # 3e-4: the modes left out, and the nodes of the table; 3 % to begin with.
         assert left < 3e-4
         assert np.all(np.abs(amount) < 2.0), "within the prior"
