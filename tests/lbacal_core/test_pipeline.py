@@ -60,18 +60,19 @@ THREE_ARMS = make_instrument(
 
 
 def pulls_of(report, truth):
-    return np.array(
-        [
-            (curve.c - truth.curve(curve.dipole, curve.station, curve.antenna)) / curve.c_sigma_stat
-            for curve in report.curves
-        ]
-    )
+    of_curves = ((curve, truth.curve(curve.dipole, curve.station, curve.antenna)) for curve in report.curves)
+    return np.array([(curve.c - c) / curve.c_sigma_stat for curve, c in of_curves])
 
 
-def test_one_arm_in_the_south_is_calibrated_and_found_consistent():
-    """EDGES and MIST have one dipole: an instrument had to have X and Y."""
+@pytest.fixture(scope="module")
+def one_arm():
     sky = compute_sky_power(ONE_ARM)
-    campaign = simulate_campaign(SETTINGS, ONE_ARM, sky, np.random.default_rng(1))
+    return sky, simulate_campaign(SETTINGS, ONE_ARM, sky, np.random.default_rng(1))
+
+
+def test_one_arm_in_the_south_is_calibrated_and_found_consistent(one_arm):
+    """EDGES and MIST have one dipole: an instrument had to have X and Y."""
+    sky, campaign = one_arm
     report = calibrate(campaign.spectra, Simulation(ONE_ARM))
     assert [(curve.dipole, curve.status) for curve in report.curves] == [("A", "converged")]
     # one curve, whose channels move together
@@ -102,10 +103,9 @@ def test_three_arms_one_upright_are_calibrated_and_a_step_of_one_is_named():
     json.dumps(found, allow_nan=False)
 
 
-def test_a_letter_that_the_instrument_does_not_have_is_named():
-    sky = compute_sky_power(ONE_ARM)
-    spectra = simulate_campaign(SETTINGS, ONE_ARM, sky, np.random.default_rng(1)).spectra
-    other = replace(spectra, dipole=np.full(len(spectra), "B"))
+def test_a_letter_that_the_instrument_does_not_have_is_named(one_arm):
+    sky, campaign = one_arm
+    other = replace(campaign.spectra, dipole=np.full(len(campaign.spectra), "B"))
     with pytest.raises(BadInputError, match=r"row 0: expected a dipole of instrument somewhere \(A\), found 'B'"):
         calibrate(other, Simulation(ONE_ARM))
     with pytest.raises(BadInputError, match=r"P_sky of each dipole of instrument somewhere .*found no EW, NS, UP"):
@@ -291,10 +291,8 @@ def test_a_sky_power_without_the_latitude_of_a_station_is_told(instrument, sky):
 def test_a_site_that_is_none_is_refused_by_name(instrument, sites, words):
     with pytest.raises(BadInputError, match=words):
         parse_instrument(instrument.as_dict() | {"sites": sites}, "I.json")
-
-
-def test_a_site_without_height_is_as_high_as_the_instrument():
-    assert parse_sites({FAR: {"latitude_deg": 1, "longitude_deg": 2}}, "I.json", 40.0)[FAR].height_m == 40.0
+    no_height = parse_sites({FAR: {"latitude_deg": 1, "longitude_deg": 2}}, "I.json", 40.0)
+    assert no_height[FAR].height_m == 40.0, "it is as high as the instrument"
 
 
 NU = np.arange(50.0, 90.0, 2.0)

@@ -94,13 +94,8 @@ def test_a_path_is_judged_by_its_own_spectra_alone():
     factor = ones()
     factor[1, 50] = 4.0
     block = year(factor)
-    alone = replace(
-        block,
-        antennas=block.antennas[1:2],
-        power=block.power[1:2],
-        is_present=block.is_present[1:2],
-        blocks=block.blocks[1:2],
-    )
+    rows = {name: getattr(block, name)[1:2] for name in ("antennas", "power", "is_present", "blocks")}
+    alone = replace(block, **rows)
     found, of_all = screen_block(alone, LONGITUDE), screen_block(block, LONGITUDE)
     np.testing.assert_array_equal(found.block.is_present[0], of_all.block.is_present[1])
     # sums over other numbers of paths may differ in the last digit

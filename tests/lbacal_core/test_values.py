@@ -53,6 +53,8 @@ def test_a_message_is_one_line_of_readable_length_whatever_was_found():
     assert "\n" not in sentence
     assert len(sentence) < 200
     assert "\n" not in str(LbacalError("two\nlines"))
+    steering = BadInputError("file", "a name", "\x1b[2Jgone\x00")
+    assert str(steering) == "file: expected a name, found ?[2Jgone?", "what a file holds never steers the terminal"
 
 
 def every_error() -> list[type[LbacalError]]:
@@ -69,10 +71,6 @@ def test_every_error_has_an_http_status_of_a_failure(kind):
     assert 400 <= kind.status < 600
 
 
-def test_what_a_file_holds_never_steers_the_terminal():
-    assert str(BadInputError("file", "a name", "\x1b[2Jgone\x00")) == "file: expected a name, found ?[2Jgone?"
-
-
 GRID = np.arange(30.0, 81.0)
 
 
@@ -80,24 +78,18 @@ def test_the_same_grid_passes_with_the_rounding_of_a_file():
     require_same_grid("s.h5", GRID + 4e-7, GRID, "instrument a")
 
 
-def test_another_number_of_channels_is_named():
-    sentence = r"s\.h5: frequency_mhz: expected the 51 channels of instrument a, found 50 channels"
+@pytest.mark.parametrize(
+    ("frequency", "sentence"),
+    [
+        (GRID[1:], r"s\.h5: frequency_mhz: expected the 51 channels of instrument a, found 50 channels"),
+        (GRID + 0.5 * (GRID > 36.0), r"s\.h5: frequency_mhz, channel 7: expected 37 MHz as in .* a, found 37\.5 MHz"),
+        # 51 channels of NaN were stored.
+        (np.full(51, np.nan), "channel 0: expected 30 MHz as in instrument a, found nan MHz"),
+    ],
+)
+def test_another_number_of_channels_and_the_first_off_the_grid_are_named(frequency, sentence):
     with pytest.raises(BadInputError, match=sentence):
-        require_same_grid("s.h5", GRID[1:], GRID, "instrument a")
-
-
-def test_the_first_channel_off_the_grid_is_named():
-    off = GRID.copy()
-    off[7:] += 0.5
-    sentence = r"s\.h5: frequency_mhz, channel 7: expected 37 MHz as in instrument a, found 37\.5 MHz"
-    with pytest.raises(BadInputError, match=sentence):
-        require_same_grid("s.h5", off, GRID, "instrument a")
-
-
-def test_a_channel_that_is_no_number_is_off_every_grid():
-    """51 channels of NaN were stored."""
-    with pytest.raises(BadInputError, match="channel 0: expected 30 MHz as in instrument a, found nan MHz"):
-        require_same_grid("body", np.full(51, np.nan), GRID, "instrument a")
+        require_same_grid("s.h5", frequency, GRID, "instrument a")
 
 
 @pytest.mark.parametrize(
@@ -188,9 +180,6 @@ def test_the_order_of_fields_does_not_change_a_hash(content):
 def test_the_hash_of_content_is_that_of_its_canonical_json():
     assert canonical_json({"b": [1, 2.5], "a": "é"}) == '{"a":"é","b":[1,2.5]}'
     assert hash_content({"a": 1}) == hashlib.sha256(b'{"a":1}').hexdigest()
-
-
-def test_nan_has_no_hash():
     with pytest.raises(ValueError, match="JSON compliant"):
         hash_content({"a": float("nan")})
 
@@ -224,18 +213,12 @@ def path(tmp_path: Path) -> Path:
     return tmp_path / "a.npz"
 
 
-def test_missing_arrays_are_named(path):
+def test_missing_arrays_a_single_array_and_pickled_objects_are_refused(path, tmp_path):
     with pytest.raises(BadInputError, match=r"a\.npz: expected the arrays a, c, d, found no c, d"):
         read_npz(path, ("a", "c", "d"), "numbers")
-
-
-def test_a_single_array_is_no_set_of_arrays(tmp_path):
     np.save(tmp_path / "a.npy", np.ones(3))
     with pytest.raises(BadInputError, match="found no a"):
         read_npz(tmp_path / "a.npy", ("a",), "numbers")
-
-
-def test_pickled_objects_are_refused_unopened(tmp_path):
     np.savez(tmp_path / "a.npz", a=np.array([{}], dtype=object))
     with pytest.raises(UnreadableFileError, match="file of numbers, found a broken one"):
         read_npz(tmp_path / "a.npz", ("a",), "numbers")

@@ -15,6 +15,8 @@ from lbacal_core.audit.antennas import (
 from lbacal_core.audit.audit import audit
 from lbacal_core.audit.station import AuditedStation
 
+ALL, EVERYBODY = np.arange(6), np.ones(6, dtype=bool)
+
 
 @pytest.mark.parametrize(("antenna", "recorded"), [(0, "115"), (5, "50")])
 def test_a_cable_on_record_that_is_not_there_is_named(station, low_band, antenna, recorded):
@@ -28,9 +30,9 @@ def test_a_cable_on_record_that_is_not_there_is_named(station, low_band, antenna
 def test_of_one_cable_only_the_spectrum_tells_the_unit(station, low_band):
     one = station.with_cables(dict.fromkeys(range(6), "80"), low_band)
     seen = replace(one, power=one.power.mean() * np.exp(0.02 * np.log(one.power / one.power.mean())))
-    power, volt = (log_likelihood_of_unit(one, np.arange(6), unit, low_band) for unit in ("power", "volt"))
+    power, volt = (log_likelihood_of_unit(one, ALL, unit, low_band) for unit in ("power", "volt"))
     assert power > volt
-    assert log_likelihood_of_unit(seen, np.arange(6), "power", low_band) < power
+    assert log_likelihood_of_unit(seen, ALL, "power", low_band) < power
 
 
 @pytest.mark.parametrize("unit", ["power", "dB", "volt"])
@@ -38,11 +40,8 @@ def test_cables_tell_power_from_decibels_and_volts(station, low_band, unit):
     recorded = {"power": station.power, "dB": 10 * np.log10(station.power) + 200, "volt": station.power**0.5}[unit]
     seen = replace(station, power=recorded)
     could_be = ("power", "volt", "dB") if unit == "dB" else ("power", "volt")
-    likelihood = {name: log_likelihood_of_unit(seen, np.arange(6), name, low_band) for name in could_be}
+    likelihood = {name: log_likelihood_of_unit(seen, ALL, name, low_band) for name in could_be}
     assert max(likelihood, key=lambda name: likelihood[name]) == unit
-
-
-EVERYBODY = np.ones(6, dtype=bool)
 
 
 def exchange(station: AuditedStation, *rows: int) -> AuditedStation:
@@ -127,9 +126,6 @@ def test_a_working_path_follows_the_others_wholly(station):
     np.testing.assert_allclose(comparison.shares, 1.0, atol=0.05)
 
 
-ALL = np.arange(6)
-
-
 def step(station: AuditedStation, factor: float, rows: np.ndarray = ALL) -> AuditedStation:
     power = station.power.copy()
     power[rows, :, 10:] *= factor
@@ -144,14 +140,10 @@ def test_a_step_is_found_with_size_and_date(station, factor):
     assert "about 2014-05-14 02:2" in line.sentence
 
 
-def test_a_small_step_and_that_of_a_few_antennas_are_left_to_others(station):
-    assert find_steps(step(station, 1.2), ALL) == []
-    assert find_steps(step(station, 4.0, np.array([0, 1])), ALL) == []
-
-
-def test_a_slope_in_time_is_no_step(station):
+def test_a_small_step_that_of_a_few_antennas_and_a_slope_in_time_are_left_to_others(station):
     rising = replace(station, power=station.power * np.linspace(1.0, 4.0, 24)[:, None])
-    assert find_steps(rising, ALL) == []
+    for other in (step(station, 1.2), step(station, 4.0, np.array([0, 1])), rising):
+        assert find_steps(other, ALL) == []
 
 
 def test_the_sky_is_not_asked_of_two_chains(spectra, low_band):

@@ -141,18 +141,7 @@ def test_the_power_of_the_terms_is_the_chain_equation_written_out():
         receiver_noise=n_rcu * scale * receiver_gain,
         adc_noise=np.array(n_adc),
     )
-    written_out = [
-        chain_power(
-            sky[path],
-            antenna_gain=antenna_gain,
-            correction=correction,
-            cable_loss=cable_loss[path],
-            receiver_gain=receiver_gain,
-            scale=scale,
-            n_lna=n_lna,
-            n_rcu=n_rcu,
-            n_adc=n_adc,
-        )
-        for path in range(classes)
-    ]
+    rest = {"antenna_gain": antenna_gain, "correction": correction, "receiver_gain": receiver_gain, "scale": scale}
+    rest |= {"n_lna": n_lna, "n_rcu": n_rcu, "n_adc": n_adc}
+    written_out = [chain_power(sky[path], cable_loss=cable_loss[path], **rest) for path in range(classes)]
     np.testing.assert_allclose(terms.power(), written_out, rtol=1e-13)

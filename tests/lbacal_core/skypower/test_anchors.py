@@ -98,11 +98,16 @@ def test_every_experiment_left_out_is_predicted_by_the_others_within_the_error()
     assert lines["EDGES"].sigma < 0.1
 
 
+def read_edges(shared, *columns):
+    """Columns of what EDGES measured at every LST."""
+    lines = (shared / "data/anchor/edges_sky_temperature.csv").read_text().splitlines()
+    rows = list(csv.DictReader(line for line in lines if not line.startswith("#")))
+    return [np.array([float(row[name]) for row in rows]) for name in columns]
+
+
 @pytest.mark.shared
 def test_edges_left_out_is_predicted_at_every_lst(shared):
-    text = (shared / "data/anchor/edges_sky_temperature.csv").read_text().splitlines()
-    rows = list(csv.DictReader(line for line in text if not line.startswith("#")))
-    lst, at_75, index = (np.array([float(row[name]) for row in rows]) for name in ("lst_h", "t75_k", "beta_low"))
+    lst, at_75, index = read_edges(shared, "lst_h", "t75_k", "beta_low")
     nu = np.array([50.0, 60.0, 70.0, 80.0, 100.0])
     measured = at_75[:, None] * (nu / 75.0) ** index[:, None]
     shipped = next(one for one in read_anchors() if one.experiment == "EDGES")
@@ -126,10 +131,7 @@ def test_above_the_range_of_a_sky_model_its_index_goes_on():
 @pytest.mark.shared
 def test_edges_confirms_the_wide_sky_through_any_of_three_dipoles(shared):
     """LST mean and modulation at 75, 150 and 190 MHz; the antenna that EDGES used is not public."""
-    lines = (shared / "data/anchor/edges_sky_temperature.csv").read_text().splitlines()
-    rows = list(csv.DictReader(line for line in lines if not line.startswith("#")))
-    columns = ("lst_h", "t75_k", "t150_k", "beta_high")
-    lst, t75, t150, index = (np.array([float(row[name]) for row in rows]) for name in columns)
+    lst, t75, t150, index = read_edges(shared, "lst_h", "t75_k", "t150_k", "beta_high")
     measured = np.stack([t75, t150, t150 * (190 / 150) ** index], axis=1)
     frequency_mhz, sky = np.array([75.0, 150.0, 190.0]), load_sky("gsm-wide")
     means = []
@@ -180,14 +182,12 @@ def test_seven_models_have_one_level_of_12_percent_and_what_is_left_has_none(few
 
 
 def test_the_measured_sky_is_known_to_a_quarter_of_the_paper(few_channels):
-    total = rms_level(sky_terms(few_channels, "measured"))
+    terms = sky_terms(few_channels, "measured")
+    total = rms_level(terms)
     assert np.all(total[1:] < 0.25 * 0.23)
     assert total[0] > total[1], "below 50 MHz the embedded sky is an extrapolation"
-
-
-def test_level_and_slope_are_those_of_the_measurements(few_channels):
-    level, slope = sky_terms(few_channels, "measured")[:2]
-    together = np.hypot(level.d_ln_p["X"][0], slope.d_ln_p["X"][0])
+    # level and slope are those of the measurements
+    together = np.hypot(*(term.d_ln_p["X"][0] for term in terms[:2]))
     np.testing.assert_allclose(together, read_sky_level().sigma(few_channels.frequency_mhz))
 
 

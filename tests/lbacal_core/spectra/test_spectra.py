@@ -284,12 +284,13 @@ def test_a_time_within_the_next_day_is_welcome(two_stations, path):
         read_spectra(path, now_unix=last - 86_401)
 
 
-def test_the_digest_sees_the_last_bit_of_a_power_but_not_the_order_of_rows(two_stations):
+def test_the_digest_sees_the_last_bit_of_a_power_and_a_millisecond_but_not_the_order_of_rows(two_stations):
     shuffled = two_stations.select(np.random.default_rng(2).permutation(ROWS))
     assert shuffled.digest() == two_stations.digest()
     power = two_stations.power.copy()
     power[3, 1] = np.nextafter(power[3, 1], 2)
-    assert replace(two_stations, power=power).digest() != two_stations.digest()
+    for change in ({"power": power}, {"time_unix": two_stations.time_unix + 1e-3}):
+        assert replace(two_stations, **change).digest() != two_stations.digest()
 
 
 @pytest.mark.shared

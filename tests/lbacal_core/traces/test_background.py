@@ -20,12 +20,16 @@ SETTINGS = CleaningSettings()
 CHANNELS = channel_frequencies(1024, 200e6)
 
 
+def measure_one(trace, settings=SETTINGS):
+    (found,) = measure_traces([trace], settings, is_station=False)
+    return found
+
+
 def test_white_noise_gives_its_density_over_the_resistance(make_trace):
-    (found,) = measure_traces([make_trace(1)], SETTINGS, is_station=False)
+    found, half = (measure_one(make_trace(1), one) for one in (SETTINGS, CleaningSettings(resistance_ohm=100.0)))
     assert found.blocks == 400
     assert found.excluded == ""
     assert np.mean(found.power) == pytest.approx((4.0 + 1 / 1200) / 50, rel=0.015)  # 2.9 % / sqrt(51), 3 sigma
-    (half,) = measure_traces([make_trace(1)], CleaningSettings(resistance_ohm=100.0), is_station=False)
     assert np.allclose(2 * half.power, found.power)
 
 
@@ -37,10 +41,7 @@ def test_a_carrier_of_blocks_that_are_in_no_segment_is_left_out(make_trace):
     samples = np.concatenate([spoilt.samples[:320], spoilt.samples[320:] + carrier])
     position = noise.position.copy()
     position[320:] += 2 * np.arange(80)
-    alone, found = (
-        measure_traces([replace(noise, samples=s, position=position)], SETTINGS, is_station=False)[0]
-        for s in (noise.samples, samples)
-    )
+    alone, found = (measure_one(replace(noise, samples=s, position=position)) for s in (noise.samples, samples))
     near = np.abs(found.channel_mhz - 45.03) < 0.3
     assert found.blocks == alone.blocks == 400
     assert np.any(found.is_flagged[near])
@@ -57,7 +58,7 @@ def test_what_a_carrier_leaks_into_far_bins_is_subtracted(make_trace):
         time = np.arange(noise.samples.size) / 200e6
         carrier = np.rint(1000.0 * np.cos(2 * np.pi * 45.03e6 * time)).astype(np.int16)
         spoilt = replace(noise, samples=noise.samples + carrier.reshape(noise.samples.shape))
-        alone, found = (measure_traces([one], SETTINGS, is_station=False)[0] for one in (noise, spoilt))
+        alone, found = (measure_one(one) for one in (noise, spoilt))
         change.append((found.power / alone.power - 1.0)[[12, 18]])
     assert np.mean(change) == pytest.approx(0.0, abs=0.0015)  # 0.04 % of noise: other roundings to 12 bits
 
@@ -85,12 +86,10 @@ def test_without_flags_a_bin_is_the_plain_weighted_mean():
 
 def test_a_number_of_blocks_is_spread_over_the_trace(make_trace):
     trace = make_trace(4)
-    (found,) = measure_traces([trace], CleaningSettings(blocks=100), is_station=False)
+    found = measure_one(trace, CleaningSettings(blocks=100))
     rows = (np.arange(100) * 400) // 100
-    (same,) = measure_traces(
-        [replace(trace, samples=trace.samples[rows], position=trace.position[:100], is_intact=trace.is_intact[rows])],
-        SETTINGS,
-        is_station=False,
+    same = measure_one(
+        replace(trace, samples=trace.samples[rows], position=trace.position[:100], is_intact=trace.is_intact[rows])
     )
     assert found.blocks == 100
     assert np.allclose(found.power, same.power, rtol=1e-5)
@@ -101,7 +100,7 @@ def test_gaps_are_bridged_without_segments_across_them(make_trace):
     keep = np.ones(400, dtype=bool)
     keep[37::41] = False
     holed = Trace(trace.reference, trace.samples[keep], trace.position[keep], trace.is_intact[keep], {"lost_frames": 9})
-    (found,) = measure_traces([holed], SETTINGS, is_station=False)
+    found = measure_one(holed)
     assert found.blocks == np.sum(keep)
     assert found.faults == {"lost_frames": 9}
     assert np.any(np.abs(found.line_mhz - 45.0) < 0.1)
@@ -119,7 +118,7 @@ def test_unusable_traces_say_why(make_trace):
 
 def test_a_band_full_of_interference_is_excluded(make_trace):
     lines = [Transmitter(f, 40.0, phase=f**2) for f in np.arange(31.0, 80.0, 1.0)]
-    (found,) = measure_traces([make_trace(7, disturbances=lines)], SETTINGS, is_station=False)
+    found = measure_one(make_trace(7, disturbances=lines))
     assert found.excluded.startswith("interference")
 
 
@@ -166,22 +165,15 @@ def test_noise_loses_no_block(make_trace):
     assert selection.dropped == {}
 
 
-def test_a_pulse_takes_five_blocks_on_either_side(make_trace):
-    trace = make_trace(2, disturbances=[Shower(sample=200 * 1024 + 500, peak=400.0)])
+@pytest.mark.parametrize("spike", [None, 400, -400])
+def test_a_pulse_above_or_below_the_noise_takes_five_blocks_on_either_side(make_trace, spike):
+    trace = make_trace(2, disturbances=[Shower(sample=200 * 1024 + 500, peak=400.0)] if spike is None else [])
+    if spike is not None:
+        trace.samples[200, 500] = spike
     selection = select_background(trace)
     assert selection.dropped == {"pulse": 11}
     assert np.flatnonzero(~selection.is_background).tolist() == list(range(195, 206))
     assert selection.pulses == (trace.position[200],)
-
-
-@pytest.mark.parametrize("sign", [1, -1])
-def test_a_spike_above_or_below_the_noise_is_a_pulse(make_trace, sign):
-    trace = make_trace(2)
-    samples = trace.samples.copy()
-    samples[200, 500] = sign * 400
-    selection = select_background(replace(trace, samples=samples))
-    assert selection.pulses == (trace.position[200],)
-    assert selection.dropped == {"pulse": 11}
 
 
 def test_a_known_pulse_is_left_out_even_when_it_cannot_be_seen(make_trace):

@@ -113,10 +113,16 @@ def test_a_trace_may_cross_a_second(tmp_path):
     assert np.array_equal(trace.samples.ravel(), samples)
 
 
+def rewrite(frames, **changes):
+    """Frames of other headers, whose checksums are right."""
+    for name, value in changes.items():
+        frames[name] = value
+    frames["header_crc"] = header_checksums(frames)
+    return frames
+
+
 def test_several_receivers_in_one_file_are_several_traces(dump):
-    other = _frames(dump)
-    other["rcu"] = 33
-    other["header_crc"] = header_checksums(other)
+    other = rewrite(_frames(dump), rcu=33)
     dump.write_bytes(np.stack([_frames(dump), other], axis=1).tobytes())
     first, second = list_frame_traces(dump)
     assert (first.rcu, second.rcu) == (10, 33)
@@ -131,10 +137,7 @@ def test_other_files_and_subband_frames_are_refused_in_one_sentence(dump, tmp_pa
     noise.write_bytes(b"short")
     with pytest.raises(UnreadableFileError, match="5 bytes"):
         list_frame_traces(noise)
-    frames = _frames(dump)
-    frames["bands_per_frame"] = 3
-    frames["header_crc"] = header_checksums(frames)
-    dump.write_bytes(frames.tobytes())
+    dump.write_bytes(rewrite(_frames(dump), bands_per_frame=3).tobytes())
     with pytest.raises(BadInputError, match="3 bands"):
         list_frame_traces(dump)
 

@@ -42,16 +42,19 @@ def test_packed_station_numbers_give_the_stations_names(number, name):
     assert name_station(number) == name
 
 
-def test_the_outer_set_exchanges_the_letters_of_even_and_odd_receivers():
-    assert [name_dipole(rcu, "UNDEFINED") for rcu in (10, 11)] == ["X", "Y"]
-    assert [name_dipole(rcu, "LBA_INNER") for rcu in (10, 11)] == ["X", "Y"]
-    assert [name_dipole(rcu, "LBA_OUTER") for rcu in (10, 11)] == ["Y", "X"]
-
-
-def test_mixed_sets_have_the_letters_of_the_field_of_each_antenna():
-    """Antenna 4 (receivers 8 and 9) and antenna 5 (10 and 11): once inner and outer, once the reverse."""
-    assert [name_dipole(rcu, "LBA_SPARSE_EVEN") for rcu in (8, 9, 10, 11)] == ["X", "Y", "Y", "X"]
-    assert [name_dipole(rcu, "LBA_SPARSE_ODD") for rcu in (8, 9, 10, 11)] == ["Y", "X", "X", "Y"]
+@pytest.mark.parametrize(
+    ("antenna_set", "letters"),
+    [
+        ("UNDEFINED", "XYXY"),
+        ("LBA_INNER", "XYXY"),
+        ("LBA_OUTER", "YXYX"),
+        # Antenna 4 (receivers 8 and 9) and antenna 5 (10 and 11): once inner and outer, once the reverse.
+        ("LBA_SPARSE_EVEN", "XYYX"),
+        ("LBA_SPARSE_ODD", "YXXY"),
+    ],
+)
+def test_letters_are_those_of_the_field_of_each_antenna_and_exchanged_in_the_outer_one(antenna_set, letters):
+    assert "".join(name_dipole(rcu, antenna_set) for rcu in (8, 9, 10, 11)) == letters
     assert {name_dipole(rcu, "LBA_X") for rcu in range(96)} == {"X"}
     assert {name_dipole(rcu, "LBA_Y") for rcu in range(96)} == {"Y"}
 
@@ -68,14 +71,11 @@ def test_a_reference_knows_its_instant_and_antenna():
     assert REFERENCE.antenna == 5
 
 
-def test_impossible_receivers_and_rates_are_refused():
+def test_impossible_receivers_rates_and_blocks_that_do_not_rise_in_time_are_refused():
     with pytest.raises(BadInputError, match="RCU"):
         replace(REFERENCE, rcu=192)
     with pytest.raises(BadInputError, match="sample rate"):
         replace(REFERENCE, sample_rate_hz=200.0)
-
-
-def test_blocks_must_rise_in_time():
     samples = np.zeros((2, 1024), dtype=np.int16)
     with pytest.raises(BadInputError, match="rising"):
         Trace(REFERENCE, samples, np.array([3, 3]), np.ones(2, dtype=bool), {})
@@ -83,7 +83,7 @@ def test_blocks_must_rise_in_time():
         Trace(REFERENCE, samples[:, :100], np.array([3, 4]), np.ones(2, dtype=bool), {})
 
 
-ONE = TraceReference(Path("a.dat"), "10", "CS011", 10, 1_311_073_541, 199_999_000, 200e6)
+ONE = replace(REFERENCE, start_sample=199_999_000)
 
 
 def test_traces_either_side_of_a_second_are_one_event():

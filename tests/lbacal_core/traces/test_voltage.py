@@ -158,9 +158,6 @@ def test_at_the_channels_a_covariance_gives_the_standard_deviations_of_the_curve
 def test_unusable_traces_are_refused(samples, rate, message):
     with pytest.raises(BadInputError, match=message):
         calibrate_trace(samples, rate, curve())
-
-
-def test_a_curve_that_did_not_converge_is_refused():
     failed = replace(curve(), status="not_converged", c=None, c_sigma_stat=None, c_sigma_sys=None)
     with pytest.raises(BadInputError, match="converged"):
         calibrate_trace(noise(), RATE, failed)

@@ -5,9 +5,6 @@ import pytest
 
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.errors import BadInputError
-from lbacal_core.instrument.instrument import load_instrument
-from lbacal_core.simulation.simulation import Simulation
-from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.uncertainty.left_open import list_open_terms, widen_by_open_terms
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.settings import TwinSettings
@@ -28,14 +25,10 @@ def report_of(*findings, unexplained=None):
 
 
 @pytest.fixture(scope="module")
-def fitted():
-    instrument = load_instrument("lofar-superterp")
-    sky = compute_sky_power(instrument)
+def fitted(chain, sky, simulation):
     settings = TwinSettings(stations=("CS002", "CS003"), antennas=4, events_per_year=200)
-    spectra = simulate_campaign(settings, instrument, sky, np.random.default_rng(4)).spectra
-    return {
-        scope: fit_calibration(spectra, Simulation(instrument, sky), scope) for scope in ("antenna", "station", "array")
-    }
+    spectra = simulate_campaign(settings, chain, sky, np.random.default_rng(4)).spectra
+    return {scope: fit_calibration(spectra, simulation, scope) for scope in ("antenna", "station", "array")}
 
 
 def relative(report, station, dipole, antenna=None):

@@ -6,12 +6,11 @@ import pytest
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.curves.curves import CalibrationCurve, Parameter
 from lbacal_core.errors import BadInputError
-from lbacal_core.instrument.instrument import Instrument, load_instrument
+from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.instrument.sidereal import local_sidereal_time
 from lbacal_core.simulation.prior import list_changes
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.skypower.model import compute_sky_power
-from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra.blocks import SpectraBlock
 from lbacal_core.uncertainty.one_event import (
     ErrorOfC,
@@ -26,17 +25,20 @@ from lbacal_twin.settings import TwinSettings
 
 INSTRUMENT = load_instrument("lofar-superterp")
 SKY = compute_sky_power(INSTRUMENT)
+OWN = Simulation(INSTRUMENT, SKY)
+
+
+def draw(seed, **settings):
+    drawn = TwinSettings(stations=("CS002",), **settings)
+    return simulate_campaign(drawn, INSTRUMENT, SKY, np.random.default_rng(seed)).spectra
 
 
 @pytest.mark.parametrize("scope", ["antenna", "station", "array"])
 @pytest.mark.parametrize(("common", "own"), [(0.03, 0.04), (0.0, 0.01)])
 def test_the_gain_of_events_is_the_planted_one(scope, common, own):
-    settings = TwinSettings(
-        stations=("CS002",), antennas=6, events_per_year=600, event_gain_common=common, event_gain_path=own
-    )
-    spectra = simulate_campaign(settings, INSTRUMENT, SKY, np.random.default_rng(2)).spectra
-    curves = fit_calibration(spectra, Simulation(INSTRUMENT, SKY), scope).curves
-    gains = np.array(list(measure_event_gains(curves, spectra, Simulation(INSTRUMENT, SKY)).values()))
+    spectra = draw(2, antennas=6, events_per_year=600, event_gain_common=common, event_gain_path=own)
+    curves = fit_calibration(spectra, OWN, scope).curves
+    gains = np.array(list(measure_event_gains(curves, spectra, OWN).values()))
     assert gains.size == 12
     # 600 events know a spread to 3 %, and twelve paths share the common part. A path whose cable differs from the
     # mean's has another share of the sky, so that its ratio to the mean's prediction varies with LST by a per cent
@@ -46,16 +48,8 @@ def test_the_gain_of_events_is_the_planted_one(scope, common, own):
 
 
 def test_one_event_on_one_antenna_is_worse_known_than_the_mean():
-    settings = TwinSettings(stations=("CS002",), antennas=8, events_per_year=500)
-    spectra = simulate_campaign(settings, INSTRUMENT, SKY, np.random.default_rng(4)).spectra
-    own = measure_error(
-        fit_calibration(spectra, Simulation(INSTRUMENT, SKY), "antenna"), spectra, Simulation(INSTRUMENT, SKY)
-    )
-    mean = measure_error(
-        fit_calibration(spectra, Simulation(INSTRUMENT, SKY), "station"), spectra, Simulation(INSTRUMENT, SKY)
-    )
-    assert own is not None
-    assert mean is not None
+    spectra = draw(4, antennas=8, events_per_year=500)
+    own, mean = (measure_error(fit_calibration(spectra, OWN, one), spectra, OWN) for one in ("antenna", "station"))
     assert own.antenna == 0.0
     assert 0.005 < mean.antenna < 0.05
     assert mean.statistical < own.statistical
@@ -69,10 +63,8 @@ def test_one_event_on_one_antenna_is_worse_known_than_the_mean():
 
 
 def test_without_a_curve_there_is_no_error():
-    settings = TwinSettings(stations=("CS002",), antennas=2, events_per_year=30)
-    spectra = simulate_campaign(settings, INSTRUMENT, SKY, np.random.default_rng(4)).spectra
-    report = fit_calibration(spectra, Simulation(INSTRUMENT, SKY), "antenna")
-    assert measure_error(report, spectra, Simulation(INSTRUMENT, SKY)) is None
+    spectra = draw(4, antennas=2, events_per_year=30)
+    assert measure_error(fit_calibration(spectra, OWN, "antenna"), spectra, OWN) is None
 
 
 def test_what_is_not_known_is_not_taken_for_zero():
@@ -130,10 +122,10 @@ def curve(antenna: int | None, station: str | None = "CS002", dipole: str = "X")
     return CalibrationCurve(station, antenna, dipole, "converged", 900, FREQUENCY, c, 0.01 * c, None, 1, 1, parameters)
 
 
-def block(instrument: Instrument, sky_power: SkyPower, gains: tuple[float, float]) -> SpectraBlock:
+def block(simulation: Simulation, gains: tuple[float, float]) -> SpectraBlock:
     """Two antennas whose power is that of the curve times a gain; the second lacks every other event."""
     time_unix = 1.4e9 + np.sort(np.random.default_rng(1).uniform(0, 3e7, EVENTS))
-    sky = sky_power.at("X", local_sidereal_time(time_unix, instrument.longitude_deg))
+    instrument, sky = simulation.instrument, simulation.sky_at("CS002", "X", time_unix)
     slope = instrument.antenna_gain / 0.25
     power = (sky + 0.3) * slope + 0.7 * instrument.receiver_gain + 0.1
     is_present = np.ones((2, EVENTS), dtype=bool)
@@ -144,26 +136,27 @@ def block(instrument: Instrument, sky_power: SkyPower, gains: tuple[float, float
     )  # fmt: skip
 
 
-def test_a_path_is_compared_with_the_narrowest_curve_that_answers(low_band, two_waves):
-    seen = block(low_band, two_waves, (1.0, 1.1))
+@pytest.fixture
+def simulation(low_band, two_waves):
+    return Simulation(low_band, two_waves)
+
+
+def test_a_path_is_compared_with_the_narrowest_curve_that_answers(simulation):
+    seen = block(simulation, (1.0, 1.1))
     curves = [curve(4), curve(None), curve(None, station=None), curve(9, dipole="Y"), curve(4, station="CS003")]
-    found = {
-        row: (one.antenna, ratio) for row, one, ratio in compare_paths(seen, curves, Simulation(low_band, two_waves))
-    }
+    found = {row: (one.antenna, ratio) for row, one, ratio in compare_paths(seen, curves, simulation)}
     assert {row: antenna for row, (antenna, _) in found.items()} == {0: 4, 1: None}
     assert found[0][1] == pytest.approx(np.ones((EVENTS, 51)))
     assert found[1][1] == pytest.approx(np.full((EVENTS // 2, 51), 1.1))
-    assert list(compare_paths(seen, [curve(9, dipole="Y")], Simulation(low_band, two_waves))) == []
+    assert list(compare_paths(seen, [curve(9, dipole="Y")], simulation)) == []
 
 
-def test_the_map_shows_what_was_added_and_nothing_else(low_band, two_waves):
-    plain, curves = block(low_band, two_waves, (1.02, 1.1)), [curve(4), curve(9)]
-    lst = local_sidereal_time(plain.time_unix, low_band.longitude_deg)
+def test_the_map_shows_what_was_added_and_nothing_else(simulation):
+    plain, curves = block(simulation, (1.02, 1.1)), [curve(4), curve(9)]
+    lst = local_sidereal_time(plain.time_unix, simulation.instrument.longitude_deg)
     power = plain.power.copy()
     power[:, (lst >= 6.0) & (lst < 6.5), 20] *= 1.3
-    before, after = (
-        map_departures(one, curves, Simulation(low_band, two_waves)) for one in (plain, replace(plain, power=power))
-    )
+    before, after = (map_departures(one, curves, simulation) for one in (plain, replace(plain, power=power)))
     assert before.shape == (48, 51)
     assert np.nanmean(before) == pytest.approx((0.02 * 2 + 0.1) / 3, abs=0.005)
     difference = after - before
@@ -172,20 +165,20 @@ def test_the_map_shows_what_was_added_and_nothing_else(low_band, two_waves):
     assert np.nanmax(np.abs(difference)) == 0.0
 
 
-def test_the_gain_of_a_path_is_no_departure_from_its_stations_curve(low_band, two_waves):
-    seen = block(low_band, two_waves, (0.9, 1.1))
-    found = map_departures(seen, [curve(None)], Simulation(low_band, two_waves))
+def test_the_gain_of_a_path_is_no_departure_from_its_stations_curve(simulation):
+    seen = block(simulation, (0.9, 1.1))
+    found = map_departures(seen, [curve(None)], simulation)
     assert np.nanmax(np.abs(found)) < 1e-12
     assert found.shape == (48, 51)
 
 
-def test_what_the_sky_is_given_too_much_the_electronics_get_too_little(low_band, two_waves):
+def test_what_the_sky_is_given_too_much_the_electronics_get_too_little(simulation, low_band, two_waves):
     slope = 2.0 * low_band.antenna_gain
     c = np.sqrt(low_band.antenna_gain / slope)
     frequency = low_band.frequency_mhz
     curve = CalibrationCurve("CS002", 0, "X", "converged", 900, frequency, c, 0.01 * c, None, 1.0, 1.0, {})
     # C is 1 % larger, so the sky's part is 2 % smaller, and the mean recorded power is as it was
     sky = two_waves.power["X"].mean(axis=0)
-    assert electronics_sigma(curve, Simulation(low_band, two_waves)) == pytest.approx(0.02 * slope * sky)
+    assert electronics_sigma(curve, simulation) == pytest.approx(0.02 * slope * sky)
     with pytest.raises(BadInputError, match="statistical"):
-        electronics_sigma(replace(curve, c_sigma_stat=None), Simulation(low_band, two_waves))
+        electronics_sigma(replace(curve, c_sigma_stat=None), simulation)

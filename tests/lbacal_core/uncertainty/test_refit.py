@@ -6,7 +6,6 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 from lbacal_core.antenna.ideal import ShortDipole
 from lbacal_core.calibration.fit import fit_calibration
-from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.simulation.prior import list_changes
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.skypower.model import compute_sky_power
@@ -16,11 +15,9 @@ from lbacal_twin.settings import TwinSettings
 
 
 @pytest.fixture(scope="module")
-def study():
-    instrument = load_instrument("lofar-superterp")
-    sky = compute_sky_power(instrument)
+def study(chain, sky):
     settings = TwinSettings(stations=("CS002",), antennas=12)
-    return simulate_campaign(settings, instrument, sky, np.random.default_rng(3)).spectra, Simulation(instrument, sky)
+    return simulate_campaign(settings, chain, sky, np.random.default_rng(3)).spectra, Simulation(chain, sky)
 
 
 @pytest.fixture(scope="module")
@@ -46,9 +43,9 @@ def test_fed_the_inputs_of_the_paper_the_budget_is_the_papers_13_per_cent_below_
 
 def test_a_term_is_what_a_fit_with_the_changed_input_gives(study, paper):
     spectra, simulation = study
-    instrument, sky = simulation.instrument, simulation.sky_power
-    brighter = replace(sky, power={p: values * np.exp(0.2) for p, values in sky.power.items()})
-    before, after = (fit_calibration(spectra, Simulation(instrument, one), "array").curves for one in (sky, brighter))
+    power = {p: values * np.exp(0.2) for p, values in simulation.sky_power.power.items()}
+    brighter = Simulation(simulation.instrument, replace(simulation.sky_power, power=power))
+    before, after = (fit_calibration(spectra, one, "array").curves for one in (simulation, brighter))
     expected = np.log(after[0].c / before[0].c)
     scale = next(term for term in paper.terms if term.name == "scale of the sky maps")
     np.testing.assert_allclose(np.abs(scale.vectors["X"][0]), np.abs(expected), rtol=1e-3)
