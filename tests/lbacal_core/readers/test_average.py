@@ -77,9 +77,7 @@ def test_source_in_which_everything_is_flagged_and_a_channel_outside_it_are_refu
         average(source, 10.0, Channels(np.array([50.0]), np.array([1.0])))
 
 
-def test_channels_of_one_width_lie_at_its_multiples_and_within_the_band_and_those_of_an_instrument_are_its_own(
-    low_band,
-):
+def test_channels_of_one_width_lie_at_its_multiples_and_those_of_an_instrument_are_its_own(low_band):
     source = make_source(np.empty((0, PATHS, 16)), np.empty(0), np.empty(0))
     assert choose_channels(source, width_mhz=1.0).frequency_mhz.tolist() == [41.0, 42.0, 43.0]
     assert choose_channels(source, width_mhz=1.0, band_mhz=(42, 60)).frequency_mhz.tolist() == [42.0, 43.0]
