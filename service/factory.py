@@ -8,7 +8,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from lbacal_core.curves.validity import Instant
 from lbacal_core.instrument.instrument import Instrument, load_instrument
@@ -91,8 +91,8 @@ class Factory:
         from lbacal_core.simulation.simulation import Simulation  # a second to import, and only fits need it
 
         given = self.settings.sky_power
-        made = Remembered[Any, Any](BLOCKS_REMEMBERED)
-        return Simulation(self.instrument, None if given is None else read_sky_power(given), made=made)
+        read = None if given is None else read_sky_power(given)
+        return Simulation(self.instrument, read, most_remembered=BLOCKS_REMEMBERED)
 
     @cached_property
     def inputs(self) -> Inputs:

@@ -50,6 +50,8 @@ class Simulation:
         Names of the models whose differences these are; all that ship unless given.
     causes
         What the chain has besides, with sizes that are fitted together with C.
+    most_remembered
+        How much of what was computed is kept.
     made
         What was computed with it, by the content that it was computed from.
     """
@@ -59,9 +61,12 @@ class Simulation:
     is_own_sky: bool | None = None
     models: DifferenceModels | None = None
     causes: Model = PLAIN
-    made: Remembered[tuple[Any, ...], Any] = field(default_factory=lambda: Remembered(MOST_REMEMBERED), repr=False)
+    most_remembered: int = MOST_REMEMBERED
+    made: Remembered[tuple[Any, ...], Any] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        # Not an argument: `dataclasses.replace` would hand it to another instrument or sky.
+        object.__setattr__(self, "made", Remembered(self.most_remembered))
         if self.is_own_sky is None:
             object.__setattr__(self, "is_own_sky", self.given is None)
         if self.given is not None:

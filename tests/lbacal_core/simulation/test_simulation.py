@@ -76,6 +76,15 @@ def test_other_causes_keep_what_was_computed_and_have_another_digest(simulation)
     assert replace(simulation).digest == simulation.digest
 
 
+def test_another_instrument_or_sky_does_not_take_over_what_was_computed(simulation):
+    """Fits of single paths are kept by their spectra alone: a replaced sky would have had those of the first."""
+    simulation.made.get(("single paths", "spectra", 1.0), lambda: "of the first")
+    brighter = {dipole: 2.0 * power for dipole, power in simulation.sky_power.power.items()}
+    other = replace(simulation, given=replace(simulation.sky_power, power=brighter))
+    assert other.made.get(("single paths", "spectra", 1.0), lambda: "of the other") == "of the other"
+    assert other.at_station("CS002").made is not other.made
+
+
 def test_a_sky_power_on_other_channels_or_of_another_instrument_is_refused(simulation):
     some = simulation.instrument
     fewer = replace(
