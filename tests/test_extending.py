@@ -16,6 +16,7 @@ import numpy as np
 from dataclasses import replace
 from lbacal_core.discovery.report import investigate
 from lbacal_core.instrument.instrument import load_instrument
+from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.faults.hardware import GainTemperature
@@ -31,7 +32,7 @@ for faults, amount in ((follows, 0.0), ([], 0.02)):
     wind = spectra.environment["temperature_c"]  # by the name of a column that nobody knows yet
     unknown = amount * np.outer(np.cos(wind / 3.0), np.linspace(0.0, 2.0, 51))
     blown = replace(spectra, power=spectra.power * (1.0 + unknown), environment={"wind_m_s": wind})
-    report, _ = investigate(blown, chain, sky)
+    report, _ = investigate(blown, Simulation(chain, sky))
     left = report["unexplained"]
     print(report["verdict"], [f["cause"] for f in report["findings"]], left and left["where"]["axis"])
 print("gain_wind" in describe_causes())

@@ -11,11 +11,10 @@ from functools import partial
 from pathlib import Path
 
 from validation.machinery.claims import REFUTED
-from validation.machinery.ledger import read_ledger
-from validation.machinery.page import PAGE, draw_figures, write_page
+from validation.machinery.page import draw_figures, renew_page
 from validation.machinery.parts import SHARED, parts_of, proof_names
 from validation.machinery.quotes import read_quotes, renew_pages
-from validation.machinery.records import Record, read_history, read_records
+from validation.machinery.records import Record, read_records
 from validation.machinery.run import Order, RefusedError, run_and_record
 
 STANDING = Path(__file__).with_name("standing.toml")
@@ -102,7 +101,7 @@ def _told(record: Record, is_scratch: bool) -> list[str]:
 def _write_pages() -> None:
     records = read_records()
     draw_figures(records)
-    PAGE.write_text(write_page(records, read_history(), read_ledger()), encoding="utf-8")
+    renew_page()
     for path, text in renew_pages(read_quotes(), records).items():
         path.write_text(text, encoding="utf-8")
 

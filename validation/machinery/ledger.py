@@ -8,7 +8,7 @@ again, whatever became of the run. What became of it is not stored here: a block
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -93,13 +93,14 @@ def first_unspent(entries: Sequence[Entry]) -> int:
     return max([DEBUG_BELOW, *(entry.block.end for entry in entries)])
 
 
-def enter(entry: Entry) -> None:
-    """Write a line and commit the ledger alone; raises RuntimeError where the commit does not hold the line."""
+def enter(entry: Entry, write_page: Callable[[], Path]) -> None:
+    """Write a line and the page that tells it, and commit both; RuntimeError where the commit lacks the line."""
     path: Path = code.ROOT / LEDGER
     with path.open("a", encoding="utf-8") as file:
         file.write(entry.line + "\n")
     name = entry.proof if entry.part == entry.proof else f"{entry.proof} {entry.part}"
-    code.git("add", LEDGER)
-    code.git("commit", "-q", "-m", f"Entered: {name}, seeds {entry.first} to {entry.block.end - 1}", "--", LEDGER)
+    files = [LEDGER, str(write_page())]
+    code.git("add", *files)
+    code.git("commit", "-q", "-m", f"Entered: {name}, seeds {entry.first} to {entry.block.end - 1}", "--", *files)
     if entry not in _entries(code.git("show", f"HEAD:{LEDGER}")):
         raise RuntimeError(f"{LEDGER} is not committed with its line: commit it, then start the proof again")

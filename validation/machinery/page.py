@@ -8,14 +8,14 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
+from validation.machinery import code
 from validation.machinery.claims import MEASURED, REFUTED, SHOWN, UNDECIDED, Claim
-from validation.machinery.code import ROOT
-from validation.machinery.ledger import Entry
+from validation.machinery.ledger import Entry, read_ledger
 from validation.machinery.parts import parts_of, proof_names
-from validation.machinery.records import Record, name_of, without_result
+from validation.machinery.records import Record, name_of, read_history, read_records, without_result
 
-PAGE = ROOT / "docs" / "validation.md"
-IMAGES = ROOT / "docs" / "images"
+PAGE = "docs/validation.md"
+IMAGES = code.ROOT / "docs" / "images"
 
 INTRODUCTION = """\
 # Validation
@@ -70,6 +70,14 @@ def write_page(records: Iterable[Record], history: Sequence[Record], entries: Se
     lines += ["## What is not shown", "", LIMITS.rstrip(), "", TOLD_BELOW, *_open_claims(by_proof), ""]
     lines += ["## Entered, no result", "", *map(_tell_entry, without_result([*records, *history], entries)), ""]
     return "\n".join(lines)
+
+
+def renew_page() -> Path:
+    """Write the page anew, from the records and the ledger as they are now; its path."""
+    path: Path = code.ROOT / PAGE
+    path.parent.mkdir(exist_ok=True)
+    path.write_text(write_page(read_records(), read_history(), read_ledger()), encoding="utf-8")
+    return path
 
 
 def _tell_entry(entry: Entry) -> str:

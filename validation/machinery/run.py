@@ -10,6 +10,7 @@ from validation.frozen.comparison import frozen_digest
 from validation.machinery import code
 from validation.machinery.claims import decide
 from validation.machinery.ledger import DEBUG_BELOW, Block, Entry, enter, first_unspent, read_ledger
+from validation.machinery.page import renew_page
 from validation.machinery.parts import SHARED, Part
 from validation.machinery.records import Record, asked_of, name_of, read_history, read_records, take_in, without_result
 from validation.machinery.trials import run_part
@@ -91,7 +92,7 @@ def _entered(proof: str, part: Part, order: Order, entries: list[Entry], now: st
     first, count = (first_unspent(entries), order.count or part.count) if part.has_chance else (0, part.count)
     entry = Entry(proof, part.name, first, count, now, code.commit())
     try:
-        enter(entry)
+        enter(entry, renew_page)
     except RuntimeError as error:
         raise RefusedError(str(error)) from error
     return entry
