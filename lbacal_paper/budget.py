@@ -15,6 +15,7 @@ from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.curves import covariance
 from lbacal_core.curves.curves import CalibrationCurve
 from lbacal_core.data.lofar import DIPOLES
+from lbacal_core.data.prior import read_prior
 from lbacal_core.grids import Floats
 from lbacal_core.simulation.prior import PAPER_BUDGET, PATTERN
 from lbacal_core.simulation.simulation import Simulation
@@ -100,7 +101,7 @@ def compute_budget(study: Study) -> Budget:
     base = log_c(sky_power)
     systematic = uncertainty.compute_budget(station, study.simulation, PAPER_BUDGET)
 
-    of_sky = [term for term in systematic.terms if term.name in PAPER]
+    of_sky = [term for term in systematic.terms if term.name in PAPER.values()]
     (pattern,) = [term for term in systematic.terms if term.name == PATTERN]
     zenith = {sign: vary_sky_power(instrument, zenith_gain_fraction=sign * ZENITH_GAIN) for sign in (-1, 1)}
     tilted = load_sky(DEFAULT_SKY).changed(spectral_index=STATIC_INDEX)
@@ -117,7 +118,7 @@ def compute_budget(study: Study) -> Budget:
             if name != DEFAULT_SKY
         },
     }
-    fraction = float(np.sqrt(sum(size**2 for size in PAPER.values())))
+    fraction = float(np.sqrt(sum(read_prior()[row].size ** 2 for row in PAPER)))
     today = {name: uncertainty.compute_budget(study.campaign.spectra, study.simulation, name) for name in TODAY}
     return Budget(study.frequency_mhz, terms, fraction, today)
 

@@ -15,10 +15,10 @@ from dataclasses import dataclass, replace
 from functools import cache, partial
 
 import numpy as np
-from scipy.special import expit
 
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.curves.curves import MISFIT
+from lbacal_core.data.prior import read_prior
 from lbacal_core.instrument.antennas import AntennaRecord
 from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.simulation.prior import OtherAntenna, SkyPrior, sky_prior
@@ -26,7 +26,7 @@ from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.skypower.sky_terms import SkyTerm
 from lbacal_core.skypower.table import read_at
 from lbacal_core.spectra.spectra import Spectra
-from lbacal_core.uncertainty.refit import INTERFERENCE, RARE_MISTAKE, add_budget, compute_budget
+from lbacal_core.uncertainty.refit import add_budget, compute_budget
 from lbacal_twin.campaign import Campaign, simulate_campaign
 from lbacal_twin.settings import TwinSettings
 from validation.machinery.claims import Found, mean_of
@@ -78,12 +78,12 @@ def draw_campaign(believed: Believed, settings: TwinSettings, rng: np.random.Gen
     shape = 0.0 if gain is None or gain.shape_error is None else gain.shape_error
     true = replace(instrument, antenna_gain=instrument.antenna_gain * np.exp(of_gain * shape))
     campaign = simulate_campaign(settings, true, replace(sky_power, power=moved), rng, nuisances=NUISANCES)
-    return replace(campaign, spectra=_with_power(campaign.spectra, of_lines * INTERFERENCE))
+    return replace(campaign, spectra=_with_power(campaign.spectra, of_lines * read_prior()["interference"].size))
 
 
 def draw_antenna(prior: SkyPrior, rng: np.random.Generator) -> OtherAntenna | None:
     """Another antenna than the believed one, as often as the budget expects before it asks the data; else None."""
-    is_other, which = rng.random() < expit(-RARE_MISTAKE), rng.random()
+    is_other, which = rng.random() < read_prior()["other_antenna"].size, rng.random()
     at = int(np.searchsorted(np.cumsum([one.share for one in prior.antennas]), which))
     return prior.antennas[min(at, len(prior.antennas) - 1)] if is_other else None
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lbacal_core.calibration.paths import radiometer_limit
+from lbacal_core.data.prior import read_prior
 from lbacal_core.grids import Floats, require_same_grid
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.instrument.sidereal import SIDEREAL_DAY_S, local_sidereal_time
@@ -155,14 +156,14 @@ def spread(values: Floats, axis: int = 0) -> Floats:
 BANDS = 4
 LONGEST = 96
 """Instants; more are averaged: a quarter of an hour of a day."""
-SHARE, SHARE_SPREAD, BAND_SPREAD = 0.7, 0.2, 0.15
+SHARE, SHARE_SPREAD, BAND_SPREAD = 0.7, read_prior()["electronics_share"].size, 0.15
 """Share of the sky in the recorded power, how well it is known, and its spread from band to band: electronic noise is
 15-50 % of the power in the published noise terms."""
-GAIN = 0.03
-"""Gain of an instant, common to all antennas and channels: 3 % of 5 % from event to event (Mulrey et al. 2019)."""
-SKY_COMMON, SKY_POLARISATION, SKY_BAND, SKY_HOURS = 0.03, 0.002, 0.0015, 3.0
-"""Departures of the LST shape from all models, and how long they last: of everything, of a polarisation and of a
-band by itself. Where each model is predicted from the others, 0.1-0.3 % is left of polarisations and bands."""
+GAIN = read_prior()["event_gain"].size
+"""Gain of an instant, common to all antennas and channels."""
+SKY_COMMON, SKY_POLARISATION, SKY_BAND = read_prior()["sky_for_hours"].sizes
+SKY_HOURS = 3.0
+"""How long departures of the LST shape from all models last."""
 UNUSUAL = {1.0: 0.0, 3.0: 1.5, 8.0: 3.0, 20.0: 4.5}
 """Departures of polarisations and bands over those of the sky, and ln of the odds against them before the data are
 asked: gains of receivers change their colour with the hour, by a per cent or a few."""

@@ -27,6 +27,7 @@ from lbacal_core.causes.cause import Cause, Conditions, SizeRange, Template
 from lbacal_core.causes.sky import sky_ratios
 from lbacal_core.chain.model import ChainTerms, Intercepts
 from lbacal_core.data.lofar import DIPOLES
+from lbacal_core.data.prior import read_prior
 from lbacal_core.grids import Floats
 from lbacal_core.linear import find_whitener, fit_least_squares, invert_symmetric
 from lbacal_core.lstcurve.curve import LARGEST_RATIO, LstCurve, NoisePrior, PointNoise
@@ -39,7 +40,7 @@ from lbacal_core.simulation.simulation import Simulation
 # mean of a station's 48 antennas in a year of 900 events. A single path, whose radiometer noise is larger, changes by
 # more.
 
-RADIOMETER, EVENT_GAIN = 0.044 / 48**0.5, 0.03
+RADIOMETER, EVENT_GAIN = 0.044 / 48**0.5, read_prior()["event_gain"].size
 """Noise per MHz of the mean of a station's paths, and the event gain that they share (docs/explanation/the-fit.md)."""
 DRAWS = 14
 """Pairs of events at each of 32 LSTs: 896 events. The two of a pair scatter oppositely, so that the slopes do not."""

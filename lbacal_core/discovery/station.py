@@ -230,7 +230,7 @@ def model_modes(station: Station, differences: ModelDifferences) -> SkyModes:
     return SkyModes(
         common=np.concatenate([np.broadcast_to(level, (len(level), *brighter.shape)), isotropic]),
         own=_stack_modes([differences.changes_at(letter, lst) for letter in dipoles]),
-        waves=waves_at(conditions.frequency_mhz, lst),
+        waves=waves_at(conditions.frequency_mhz, lst, is_search=True),
     )
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc, chdtri, ndtri
 
+from lbacal_core.data.prior import read_prior
 from lbacal_core.drift.events import find_months
 from lbacal_core.grids import Floats
 from lbacal_core.linear import find_whitener, invert_symmetric, solve_symmetric
@@ -19,7 +20,7 @@ from lbacal_core.linear import find_whitener, invert_symmetric, solve_symmetric
 # annual term that nobody models drives every detector of steps from 5 % to 30-80 % false alarms in seven years.
 
 YEAR_S = 365.25 * 86_400.0
-SEASON_PRIOR = (0.03, 0.03, 0.01, 0.01)
+SEASON_PRIOR = read_prior()["season"].sizes
 """Standard deviations of ln C of the annual term (cosine, sine) and of the half-annual one, before any data: in a
 series that is shorter than a year they keep the season from describing a step."""
 OFFSET, SLOPE, STEPS = 0, 5, 6

@@ -17,6 +17,7 @@ from threadpoolctl import threadpool_limits
 from lbacal_core.antenna.ideal import QuarterWaveDipole, ShortDipole
 from lbacal_core.antenna.model import AntennaModel
 from lbacal_core.antenna.names import load_antenna
+from lbacal_core.data.prior import read_prior
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
@@ -142,14 +143,6 @@ def list_mistakes(instrument: Instrument, power: Mapping[str, Floats], lst_hours
 
 SKY_HARMONICS = 8
 """P_sky and its changes have no more, to 0.005 %."""
-LEVEL = (0.2, 0.03, 0.02, 0.01)
-"""Spread of ln P_sky along the Legendre polynomials in ln nu: 20 % is the scale error of the paper, the others what
-models differ by."""
-SHAPE = (0.01, 0.003)
-"""Changes along LST that no model at hand makes, of each of the first harmonics: the same at all frequencies, and along
-ln nu. A sky that is off by 3 % r.m.s. along LST is 1.7 standard deviations of each away; mistakes that this could hide
-are asked for by name."""
-SHAPE_HARMONICS = 3
 
 
 def sky_prior(instrument: Instrument, models: DifferenceModels | None = None) -> SkyPrior:
@@ -162,30 +155,16 @@ def _sky_prior(instrument: Instrument, models: DifferenceModels) -> SkyPrior:
     own = compute_sky_power(instrument, lst_hours=LST_HOURS)
     wider = vary_sky_power(instrument, lst_hours=LST_HOURS, zenith_gain_fraction=ZENITH_GAIN)
     differences = compute_model_differences(instrument, models)
-    smooth = _smooth_modes(instrument.frequency_mhz, LST_HOURS)
     modes = {}
     for dipole, values in own.power.items():
-        levels = differences.level[dipole][:, None, :] * np.ones((LST_HOURS.size, 1))
         pattern = np.log(wider.power[dipole] / values)[None]
-        modes[dipole] = np.concatenate([levels, differences.shape[dipole], pattern, smooth])
-    made_of = {"own": own.digest(), "level": LEVEL, "zenith_gain": ZENITH_GAIN, "shape": [SHAPE, SHAPE_HARMONICS]}
+        modes[dipole] = np.concatenate([differences.list_modes(dipole), pattern])
+    made_of = {"own": own.digest(), "sizes": {name: row.sizes for name, row in read_prior().items()}}
     mistakes = list_mistakes(instrument, own.power, LST_HOURS)
     others = list_other_antennas(instrument, own.power, LST_HOURS)
     names = {"mistakes": [one.name for one in mistakes], "other_antennas": [one.name for one in others]}
     digest = hash_content({**made_of, "skies": models.skies, "antennas": models.antennas, **names})
     return SkyPrior(modes, digest, tuple(mistakes), tuple(others))
-
-
-def _smooth_modes(frequency_mhz: Floats, lst_hours: Floats) -> Floats:
-    """Departures of level and shape that are smooth in ln nu and LST, shape (mode, lst, freq)."""
-    log = np.log(frequency_mhz)
-    x = 2.0 * (log - log[0]) / max(float(np.ptp(log)), 1e-300) - 1.0
-    polynomials = np.polynomial.legendre.legvander(x, len(LEVEL) - 1).T
-    angle = 2.0 * np.pi / 24.0 * np.outer(np.arange(1, SHAPE_HARMONICS + 1), lst_hours)
-    waves: Sequence[Floats] = [*np.cos(angle), *np.sin(angle)]
-    levels = [size * np.tile(p, (lst_hours.size, 1)) for size, p in zip(LEVEL, polynomials, strict=True)]
-    shapes = [size * np.outer(wave, p) for wave in waves for size, p in zip(SHAPE, polynomials, strict=False)]
-    return np.array([*levels, *shapes])
 
 
 @dataclass(frozen=True)
@@ -230,8 +209,8 @@ def _series_of(changes: Floats) -> Floats:
 DEFAULT_SKY_BUDGET = "models"
 PAPER_BUDGET = "paper"
 PATTERN = "antenna pattern"
-GROUND = {30.0: 0.004, 55.0: 0.017, 80.0: 0.041}
-"""Power from the ground over that of the sky by frequency, MHz: 75 K, a quarter of 300 K."""
+GROUND_MHZ = (30.0, 55.0, 80.0)
+"""Channels for which the prior knows the ground."""
 
 
 def list_changes(instrument: Instrument, sky_budget: str = DEFAULT_SKY_BUDGET) -> list[SkyTerm]:
@@ -251,8 +230,8 @@ def list_changes(instrument: Instrument, sky_budget: str = DEFAULT_SKY_BUDGET) -
 def _level(instrument: Instrument) -> SkyTerm:
     """The error of the level that the paper gives."""
     hours = np.arange(24.0)
-    size = np.full((hours.size, instrument.frequency_mhz.size), np.sqrt(sum(one**2 for one in PAPER.values())))
-    change = dict.fromkeys(instrument.dipole_azimuth_deg, size)
+    total = np.sqrt(sum(read_prior()[name].size ** 2 for name in PAPER))
+    change = dict.fromkeys(instrument.dipole_azimuth_deg, np.full((hours.size, instrument.frequency_mhz.size), total))
     return SkyTerm("level of the sky", "Mulrey et al. 2019: no model reaches these channels", hours, change)
 
 
@@ -267,6 +246,6 @@ def _pattern(instrument: Instrument) -> SkyTerm:
 def _ground(instrument: Instrument) -> SkyTerm:
     """Power that the antenna receives from the ground, the same at all LST."""
     own = compute_sky_power(instrument)
-    share = np.interp(instrument.frequency_mhz, list(GROUND), list(GROUND.values()))
+    share = np.interp(instrument.frequency_mhz, GROUND_MHZ, read_prior()["ground"].sizes)
     change = {dipole: np.log1p(share * power.mean(axis=0) / power) for dipole, power in own.power.items()}
     return SkyTerm("ground and losses", "75 K of 300 K through the ground", own.lst_hours, change)

@@ -19,6 +19,7 @@ from scipy.interpolate import CubicSpline
 
 from lbacal_core.antenna.names import DEFAULT_ANTENNA, load_antenna
 from lbacal_core.antenna.varied import VariedAntenna
+from lbacal_core.data.prior import read_prior
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.linear import fit_least_squares
@@ -32,13 +33,8 @@ LST_HOURS = np.arange(48) / 2.0
 """P_sky of multipoles to l = 16 is exact between these points."""
 LEVEL_DEGREE = 3
 """Degree of the Legendre polynomials in ln nu by which levels differ: between models they leave 0.6 % of power."""
-WAVE_SIZES = (0.008, 0.006, 0.004, 0.002, 0.0007)
-"""Waves along LST in ln P_sky that no model has, harmonics 1 to 5 of the sidereal day, one standard deviation each, for
-each Legendre polynomial in ln nu. Where each model is predicted from the others, they leave about half as much."""
 FULL_WAVES, SMALLEST_WAVE = 3, 3e-4
 """Degree of the polynomials above which each has half the size of the one before; and the smallest wave that counts."""
-FLAT_WAVE, FLAT_HARMONICS = 0.02, 3
-"""Size of a wave that is alike at all frequencies and in both polarisations, and the number of its harmonics."""
 SIMULATED_LBA = "wipl-d"
 SMALLEST = 2e-4
 """Modes below this rms in ln P are left out: no station-year can see them."""
@@ -58,8 +54,8 @@ class DifferenceModels:
 WIDE_MODELS = DifferenceModels(skies=("lfsm-wide", "haslam-wide"), antennas=())
 """For channels beyond the default sky."""
 LOFAR_ANTENNAS = ("hamaker", "hamaker-resonant")
-ZENITH_GAIN = 0.1
-"""How far the gain of another antenna than LOFAR's at zenith is known, at fixed total power (Table 1 of the paper)."""
+ZENITH_GAIN = read_prior()["zenith_gain"].size
+"""How far the gain of another antenna than LOFAR's at zenith is known, at fixed total power."""
 FULL_MAPS = DifferenceModels(skies=("gsm408", "lfsm"), antennas=(SIMULATED_LBA,))
 """Models of several maps each, and the simulated LBA: their spread is the covariance of an LST curve's points."""
 
@@ -131,19 +127,40 @@ class ModelDifferences:
         x = _unit_range(np.log(self.frequency_mhz))
         return np.asarray(np.polynomial.legendre.legvander(x, min(LEVEL_DEGREE, x.size - 1)).T)
 
+    def list_modes(self, dipole: str) -> Floats:
+        """Every change of ln P_sky of a dipole that is free, on `LST_HOURS`, shape (mode, lst, freq).
+
+        Level, isotropic brightness, exchanges of models along LST, waves that no model has: what
+        `discovery.station.model_modes` frees at the events of a station. And what a level has beside its polynomials.
+        """
+        smooth = self.smooth_spectra()
+        rest = self.level[dipole] - fit_least_squares(smooth.T, self.level[dipole].T).T @ smooth
+        levels = np.concatenate([self.level_modes(), rest])[:, None] * np.ones((LST_HOURS.size, 1))
+        waves = [one.changes for one in waves_at(self.frequency_mhz, LST_HOURS)]
+        return np.concatenate([levels, self.isotropic[dipole] * smooth[:, None], self.shape[dipole], *waves])
+
     def level_spread(self) -> dict[str, Floats]:
         """Spread of the LST mean of ln P_sky between the models, shape (freq,) a dipole: half of it goes into ln C."""
         return {dipole: np.sqrt(np.sum(values**2, axis=0)) for dipole, values in self.level.items()}
 
 
-def waves_at(frequency_mhz: Floats, lst_hours: Floats) -> tuple[Waves, Waves]:
-    """Smooth waves along LST that no model need have: of both polarisations together, and of each by itself."""
+def waves_at(frequency_mhz: Floats, lst_hours: Floats, is_search: bool = False) -> tuple[Waves, Waves]:
+    """Smooth waves along LST that no model need have: of both polarisations together, and of each by itself.
+
+    Parameters
+    ----------
+    is_search
+        Whether a cause is looked for, whose name must not come by chance from a sky that is more wrong than models are.
+    """
     x = _unit_range(np.log(frequency_mhz))
-    sizes = np.outer(WAVE_SIZES, 0.5 ** np.maximum(np.arange(x.size) - FULL_WAVES, 0))
+    prior = read_prior()
+    widening = prior["widening"].size if is_search else 1.0
+    sizes = widening * np.outer(prior["waves"].sizes, 0.5 ** np.maximum(np.arange(x.size) - FULL_WAVES, 0))
     number, degree = np.nonzero(sizes >= SMALLEST_WAVE)
     angle = 2.0 * np.pi / 24.0 * np.outer(np.arange(1, len(sizes) + 1), lst_hours)
     waves = np.stack([np.cos(angle), np.sin(angle)])
-    flat = FLAT_WAVE * waves[:, :FLAT_HARMONICS].reshape(-1, lst_hours.size)
+    flat_sizes = widening * np.array(prior["flat_waves"].sizes)
+    flat = (flat_sizes[:, None] * waves[:, : flat_sizes.size]).reshape(-1, lst_hours.size)
     own = (sizes[number, degree, None] * waves[:, number]).reshape(-1, lst_hours.size)
     polynomials = np.asarray(np.polynomial.legendre.legvander(x, int(degree.max())).T, dtype=float)
     return (

@@ -19,6 +19,7 @@ from scipy.linalg import block_diag
 from lbacal_core.antenna.ideal import ShortDipole
 from lbacal_core.antenna.model import AntennaModel
 from lbacal_core.antenna.names import load_antenna
+from lbacal_core.data.prior import read_prior
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
@@ -46,10 +47,8 @@ from lbacal_core.skypower.table import SkyPower
 
 SCATTERS = np.linspace(0.0, 0.3, 121)
 """Scatter between families in ln T, beyond the stated errors, over which the result is averaged."""
-SCATTER_PRIOR = 0.06
-"""Its half-normal prior: half of the 12 % by which seven sky models differ (Buesken et al. 2023, arXiv 2211.03086)."""
-SLOPE_PRIOR = 0.3
-"""Spectral indices of sky models differ by less than 0.3; keeps single-frequency experiments from being degenerate."""
+SHARE_OF_SCATTER = 0.5
+"""Its half-normal prior, as a share of the error of the sky's level."""
 
 
 @dataclass(frozen=True)
@@ -140,11 +139,11 @@ def extended_temperature(sky: SkyModel, frequency_mhz: Floats) -> Any:
 def combine_anchors(anchors: Sequence[Anchor], base: SkyModel) -> SkyLevel:
     """Level and slope of the sky by generalised least squares, averaged over the scatter between families."""
     ratio, design, stated, between = _system(anchors, base)
-    found, weights = [], []
+    prior, found, weights = read_prior(), [], []
     for scatter in SCATTERS:
         mean, covariance, ln_likelihood = _solve(ratio, design, stated + scatter**2 * between)
         found.append((mean, covariance))
-        weights.append(ln_likelihood - 0.5 * (scatter / SCATTER_PRIOR) ** 2)
+        weights.append(ln_likelihood - 0.5 * (scatter / (SHARE_OF_SCATTER * prior["sky_level"].size)) ** 2)
     weight = np.exp(np.array(weights) - max(weights))
     weight /= weight.sum()
     means = np.array([mean for mean, _ in found])
@@ -212,11 +211,12 @@ def _system(anchors: Sequence[Anchor], base: SkyModel) -> tuple[Floats, Floats, 
 def _solve(ratio: Floats, design: Floats, covariance: Floats) -> tuple[Floats, Floats, float]:
     """Level and slope, their covariance, and ln of the likelihood with both integrated out."""
     weight = invert_symmetric(covariance)
-    precision = design.T @ weight @ design + np.diag([0.0, SLOPE_PRIOR**-2])
+    slope_prior = read_prior()["sky_slope"].size
+    precision = design.T @ weight @ design + np.diag([0.0, slope_prior**-2])
     inverse = invert_symmetric(precision)
     mean = inverse @ (design.T @ weight @ ratio)
     left = ratio - design @ mean
-    chi2 = left @ weight @ left + (mean[1] / SLOPE_PRIOR) ** 2
+    chi2 = left @ weight @ left + (mean[1] / slope_prior) ** 2
     log_determinants = np.linalg.slogdet(covariance)[1] + np.linalg.slogdet(precision)[1]
     return mean, inverse, float(-0.5 * (chi2 + log_determinants))
 
@@ -226,10 +226,10 @@ EDGES_HEIGHT_M = 1.04
 """Where the sky was measured absolutely, and the height of the dipole that stands for the antenna there."""
 OFFSET_MHZ, OFFSET_INDEX = 75.0, 2.55
 EXTRAPOLATED_BELOW_MHZ = 50.0
-EXTRAPOLATION_PER_E = 0.05 / np.log(50.0 / 30.0)
-"""The embedded sky is an extrapolation below 50 MHz: 5 % off at 30 MHz against the map at nside 64."""
-PAPER = {"scale of the sky maps": 0.20, "fit of the maps": 0.10, "choice of the map": 0.05}
-SEVEN_MODELS = 0.12
+EXTRAPOLATED_TO_MHZ = 30.0
+"""The embedded sky is an extrapolation between the two."""
+PAPER = {"sky_scale": "scale of the sky maps", "sky_fit": "fit of the maps", "sky_choice": "choice of the map"}
+"""Rows of the prior, and the names of their terms."""
 
 
 @dataclass(frozen=True)
@@ -271,14 +271,16 @@ def sky_terms(instrument: Instrument, budget: str = "measured", sky: str = MEASU
 
 def _paper_terms(instrument: Instrument) -> list[SkyTerm]:
     own = compute_sky_power(instrument, default_sky(instrument.frequency_mhz))
-    source = "Mulrey et al. 2019, appendix on the sky"
-    return [_common(name, source, own, np.full_like(own.frequency_mhz, size)) for name, size in PAPER.items()]
+    return [
+        _common(name, row.source, own, np.full_like(own.frequency_mhz, row.size))
+        for row, name in ((read_prior()[key], name) for key, name in PAPER.items())
+    ]
 
 
 def _model_terms(instrument: Instrument) -> list[SkyTerm]:
     own = compute_sky_power(instrument, default_sky(instrument.frequency_mhz))
-    source = "spread of seven sky models, 30-408 MHz (Buesken et al. 2023, arXiv 2211.03086)"
-    level = _common("level of the sky", source, own, np.full_like(own.frequency_mhz, SEVEN_MODELS))
+    row = read_prior()["sky_level"]
+    level = _common("level of the sky", row.source, own, np.full_like(own.frequency_mhz, row.size))
 
     def without_mean(change: Mapping[str, Floats], _: str) -> dict[str, Floats]:
         mean = np.mean([values.mean() for values in change.values()])
@@ -297,7 +299,8 @@ def _measured_terms(instrument: Instrument) -> list[SkyTerm]:
         _common(name, source, own, root[0, k] + root[1, k] * x)
         for k, name in enumerate(("level of the sky", "slope of the sky"))
     ]
-    below = EXTRAPOLATION_PER_E * np.log(np.maximum(EXTRAPOLATED_BELOW_MHZ / frequency_mhz, 1.0))
+    per_e = read_prior()["sky_extrapolation"].size / np.log(EXTRAPOLATED_BELOW_MHZ / EXTRAPOLATED_TO_MHZ)
+    below = per_e * np.log(np.maximum(EXTRAPOLATED_BELOW_MHZ / frequency_mhz, 1.0))
     if np.any(below):
         terms.append(_common("embedded sky below 50 MHz", "against the map at nside 64", own, below))
     terms.append(_zero_level_term(instrument, own))

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp
+from scipy.special import logit, logsumexp
 from threadpoolctl import threadpool_limits
 
 from lbacal_core.calibration.chain_test import compare_predictions
@@ -27,6 +27,7 @@ from lbacal_core.chain.model import Intercepts
 from lbacal_core.curves.covariance import Budget, BudgetTerm
 from lbacal_core.curves.curves import OK, UNCERTAIN, CalibrationCurve, FitReport
 from lbacal_core.curves.reference_chain import ReferenceChain
+from lbacal_core.data.prior import read_prior
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
@@ -36,10 +37,6 @@ from lbacal_core.skypower.sky_terms import SkyTerm
 from lbacal_core.skypower.table import read_at
 from lbacal_core.spectra.spectra import Spectra
 
-INTERFERENCE = 0.002
-"""Interference left after narrow lines are removed, fraction of the mean power."""
-RARE_MISTAKE = 3.0
-"""Ln of the odds that an instrument names its antenna rightly, before the data are asked: 20 to 1."""
 EXCLUDED = 2.0
 """Data that are less probable with an antenna than with the instrument's own by exp of this exclude it."""
 OTHER_ANTENNA = "another antenna"
@@ -158,8 +155,9 @@ def compute_budget(
             for k, change in enumerate(changes)
         ]
         if sky_budget != PAPER_BUDGET:
-            left = {p: _finite(refit.add_power(INTERFERENCE))[None] for p, refit in refits.items()}
-            terms.append(BudgetTerm("interference left", "0.2 % of the mean power", left))
+            interference = read_prior()["interference"]
+            left = {p: _finite(refit.add_power(interference.size))[None] for p, refit in refits.items()}
+            terms.append(BudgetTerm("interference left", interference.source, left))
             terms += _gain_terms(simulation.instrument, list(refits))
         unsure: Mapping[str, NDArray[np.bool_]] = {}
         if prior is not None and prior.antennas and refits:
@@ -177,7 +175,7 @@ def _doubt_antenna(
     """
     tried = {p: refit.try_antennas(prior) for p, refit in refits.items()}
     gain = np.sum([one for one, _ in tried.values()], axis=0)
-    log_odds = gain + np.log([one.share for one in prior.antennas]) - RARE_MISTAKE
+    log_odds = gain + np.log([one.share for one in prior.antennas]) + logit(read_prior()["other_antenna"].size)
     probability = np.exp(log_odds - np.logaddexp(0.0, logsumexp(log_odds)))
     changes = {p: np.array([_finite(one) for one in found]) for p, (_, found) in tried.items()}
     unsure = {p: np.any(np.abs(one[gain > -EXCLUDED]) > LARGEST_GOOD_ERROR, axis=0) for p, one in changes.items()}

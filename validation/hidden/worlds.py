@@ -106,7 +106,7 @@ def free_modes(finder: Finder, known: DifferenceModels, lst_hours: Floats) -> Fl
         change = np.log(_at(power_of(*pair), lst_hours) / base)
         change -= change.mean(axis=1, keepdims=True)
         modes.append(change * of_each)
-    together, own = waves_at(frequency, lst_hours)
+    together, own = waves_at(frequency, lst_hours, is_search=True)
     modes.append(np.broadcast_to(together.changes[:, None], (len(together.profile), *shape[1:])))
     modes.append((own.changes[:, None, None] * of_each).reshape(-1, *shape[1:]))
     return np.concatenate(modes)

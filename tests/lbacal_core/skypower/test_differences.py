@@ -92,13 +92,16 @@ def test_an_instrument_elsewhere_gets_the_differences_of_its_own_site(chain):
 
 def test_waves_are_a_few_percent_and_smaller_at_higher_harmonics_and_degrees(chain):
     together, own = waves_at(chain.frequency_mhz, LST_HOURS)
-    assert together.changes.std(axis=(1, 2)) == pytest.approx(0.02 / 2**0.5)
+    assert together.changes.std(axis=(1, 2)) == pytest.approx(0.01 / 2**0.5)
     size = np.abs(np.fft.rfft(own.changes, axis=1)).max(axis=2) / 24
     harmonic = size.argmax(axis=1)
     assert set(harmonic.tolist()) == {1, 2, 3, 4, 5}
     strongest = [size[harmonic == k].max() for k in range(1, 6)]
     assert np.all(np.diff(strongest) < 0)
-    assert strongest[0] == pytest.approx(0.008)
+    assert strongest[0] == pytest.approx(0.004)
+    wide, wider = waves_at(chain.frequency_mhz, LST_HOURS, is_search=True)
+    np.testing.assert_allclose(wide.changes, 2.0 * together.changes)
+    assert np.abs(wider.changes).max() == pytest.approx(2.0 * np.abs(own.changes).max())
 
 
 def test_waves_describe_what_the_other_models_leave_of_one(chain):
@@ -107,7 +110,7 @@ def test_waves_describe_what_the_other_models_leave_of_one(chain):
     change = np.log(true.at("X", LST_HOURS) / default.at("X", LST_HOURS))
     change -= change.mean(axis=0)
     known = compute_model_differences(chain, DifferenceModels(("gsm408",), ("inverted-v",))).shape["X"]
-    _, waves = waves_at(chain.frequency_mhz, LST_HOURS)
+    _, waves = waves_at(chain.frequency_mhz, LST_HOURS, is_search=True)
     left, _ = left_by(known, change)
     beside, amount = left_by(np.concatenate([known, waves.changes]), change)
     assert left > 3e-3

@@ -1,0 +1,43 @@
+"""The one prior of nature: by how much each thing may be other than it is simulated, with its source."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+
+from lbacal_core.data.tables import SHIPPED
+
+
+@dataclass(frozen=True)
+class Departure:
+    """One standard deviation of what may be wrong.
+
+    Attributes
+    ----------
+    sizes
+        One number, or one for each order of a series.
+    of
+        What departs, in words.
+    source
+        Where the numbers come from.
+    """
+
+    sizes: tuple[float, ...]
+    of: str
+    source: str
+
+    @property
+    def size(self) -> float:
+        """The number where there is one."""
+        (size,) = self.sizes
+        return size
+
+
+@cache
+def read_prior() -> dict[str, Departure]:
+    """The table by name (`lbacal_core/data/prior.toml`)."""
+    rows = tomllib.loads((SHIPPED / "prior.toml").read_text(encoding="utf-8"))
+    return {name: Departure(tuple(np.atleast_1d(row.pop("size")).tolist()), **row) for name, row in rows.items()}
