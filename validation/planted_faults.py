@@ -1,14 +1,15 @@
 """Faults are planted in the code one by one, and the tests have to see them, most of them the tests of `./dev test`.
 
-A fault is a line of `planted_faults.toml`: a function, and what changes in it. Each is applied to a copy of the tree,
-never to the tree itself, and meets the first tier of the suite, first the tests that call its function (the nearest of
-them first), until one fails. Whatever survives meets the second tier. What a session's fixture calls is noted for one
-test, so that a tier may see more than is counted here, and not less. Faults that nothing sees show where a test is
-missing.
+A fault is a line of `planted_faults.toml`: a function, and what changes in it. One run of a tier over a copy of the
+tree meets every test with the faults of what it calls (`planted_run`); whatever survives meets the second tier. What
+changes a constant, and no function, is written into a copy and meets the tests near it and then the tier. Faults that
+nothing sees show where a test is missing.
 """
 
 from __future__ import annotations
 
+import fcntl
+import json
 import os
 import shutil
 import subprocess
@@ -16,16 +17,17 @@ import sys
 import tempfile
 import tomllib
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 
-from validation.callers import find_callers
 from validation.code_changes import Change, StaleChangeError, changed
 from validation.machinery.claims import Found, exactly
 from validation.machinery.parts import Part, Row
+from validation.planted_run import LOG, function_of
 
 ROOT = Path(__file__).parents[1]
 FAULTS = Path(__file__).with_suffix(".toml")
@@ -71,6 +73,11 @@ class PlantedFault:
         return f"{self.where}: {', '.join(self.change)}"
 
     @property
+    def is_function(self) -> bool:
+        """Whether it changes the code of a function."""
+        return function_of(self.where) is not None
+
+    @property
     def file(self) -> str:
         """Path from the root of the tree."""
         return f"{self.where.partition(':')[0].replace('.', '/')}.py"
@@ -82,17 +89,13 @@ class PlantedFault:
         except StaleChangeError as error:
             raise StaleChangeError(f"{self.where} {error}; write the fault of {FAULTS.name} anew") from error
 
-    def tests(self, root: Path, callers: Sequence[str] | None = None) -> list[str]:
-        """Tests that call it, or, where those are unknown, files: of its own file, room, discovery; nearest first."""
+    def tests(self, root: Path) -> list[str]:
+        """Files of tests: of its own file, room, discovery; nearest first."""
         path = Path(self.file)
         places = [path.with_name(f"test_{path.name}"), path.parent, *(Path("lbacal_core") / one for one in MEET_ALL)]
         # Files, not folders: where arguments overlap pytest puts them into its own order.
         files = [file for place in places for file in _test_files(root / "tests" / place)]
-        near = list(dict.fromkeys(str(file.relative_to(root)) for file in files))
-        if callers is None:
-            return near
-        place_of = {file: number for number, file in enumerate(near)}
-        return sorted(callers, key=lambda test: place_of.get(test.partition("::")[0], len(near)))
+        return list(dict.fromkeys(str(file.relative_to(root)) for file in files))
 
 
 def _test_files(place: Path) -> list[Path]:
@@ -127,23 +130,36 @@ def _git(folder: Path, *arguments: str) -> str:
     return subprocess.run(command, capture_output=True, text=True, check=True).stdout
 
 
-def callers_in(tree: Path, marker: str) -> dict[str, list[str]]:
-    """Tests of a tier by the faulty place that they call; found once for a state of the tree."""
-    faults = {fault.where: fault for fault in read_faults()}
+def list_planted(root: Path) -> list[tuple[str, str, str, str]]:
+    """Every fault as its name and place, and the text of its module without and with it."""
+    texts = ((fault, (root / fault.file).read_text()) for fault in read_faults() if (root / fault.file).is_file())
+    return [(fault.name, fault.where, text, fault.planted(text)) for fault, text in texts]
+
+
+def seen_in_one_run(tree: Path, marker: str) -> dict[str, str]:
+    """The first test of a tier that sees a fault, by its name; one run for a state of the tree, others wait for it."""
     state = _git(tree, "rev-parse", "HEAD^{tree}").strip()[:12]
+    log = ROOT / "var" / "planted" / f"{state}-{marker.replace(' ', '-')}.jsonl"
+    log.parent.mkdir(parents=True, exist_ok=True)
+    with log.with_suffix(".lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not log.exists():
+            noted = log.with_suffix(".running")
+            noted.write_text("")
+            plugin = ["-p", "validation.planted_run", "-n", "2", "--dist", "loadfile", "--maxfail", "1000"]
+            code, test = run_tests(tree, plugin, TIER_S, marker, {LOG: str(noted)})
+            if code:
+                raise RuntimeError(f"without a fault pytest ends with {code}: {test}")
+            noted.rename(log)
+    return dict(reversed([json.loads(line) for line in log.read_text().splitlines()]))
 
-    def run() -> None:
-        run_tests(noting, ["-n", "2", "--dist", "loadfile", "--maxfail", "1000"], TIER_S, marker)
 
-    with copy_of_tree(tree) as noting:
-        places = [(noting / one.file, one.where.partition(":")[2], one.where) for one in faults.values()]
-        log = ROOT / "var" / "callers" / f"{state}-{marker.replace(' ', '-')}.json"
-        return find_callers(places, run, log)
-
-
-def run_tests(tree: Path, tests: Sequence[str], limit_s: float, marker: str = "") -> tuple[int | None, str]:
+def run_tests(
+    tree: Path, tests: Sequence[str], limit_s: float, marker: str = "", more: Mapping[str, str] = MappingProxyType({})
+) -> tuple[int | None, str]:
     """Exit code of pytest on some tests of a tree, None where they last too long, and the first test that failed."""
-    environment = os.environ | {"PYTHONPATH": str(tree), "OPENBLAS_NUM_THREADS": "1", "PYTHONDONTWRITEBYTECODE": "1"}
+    own = {"PYTHONPATH": str(tree), "OPENBLAS_NUM_THREADS": "1", "PYTHONDONTWRITEBYTECODE": "1"}
+    environment = {**os.environ, **own, **more}
     command = [
         sys.executable,
         "-m",
@@ -168,53 +184,43 @@ def run_tests(tree: Path, tests: Sequence[str], limit_s: float, marker: str = ""
     return done.returncode, failed[0] if failed else ""
 
 
-def find_seen(
-    tree: Path, fault: PlantedFault, callers_of: Callable[[str], dict[str, list[str]]] = lambda _marker: {}
-) -> tuple[str, str]:
+def find_seen(tree: Path, fault: PlantedFault, seen_by: Callable[[str], dict[str, str]]) -> tuple[str, str]:
     """The tier that sees a fault of a tree, and the first test that does; the tree is as before afterwards.
 
-    `callers_of` gives the tests of a tier by the place that they call, from the tree without the fault.
+    `seen_by` gives what the one run of a tier has seen, by its marker.
     """
-    place = tree / fault.file
-    healthy = place.read_text()
-    planted = fault.planted(healthy)
-    try:
-        for tier, marker in TIERS.items():
-            callers = callers_of(marker).get(fault.where)
-            place.write_text(planted)
-            for tests, limit_s in _in_turn(fault, tree, callers):
-                code, test = run_tests(tree, tests, limit_s, marker)
-                if code not in (0, FAILED, BROKEN, NONE_CHOSEN, None):
-                    raise RuntimeError(f"pytest ends with {code}: {' '.join(tests)}")
-                # A test that fails by chance on a busy machine sees nothing: it has to fail again by itself.
-                if code in (FAILED, BROKEN) and run_tests(tree, [test] if test else tests, NEAR_S)[0] == code:
-                    return tier, test
-            place.write_text(healthy)
-    finally:
-        place.write_text(healthy)
+    for tier, marker in TIERS.items():
+        if fault.is_function:
+            if test := seen_by(marker).get(fault.name):
+                return tier, test
+        elif test := _find_failing(tree, fault, marker):
+            return tier, test
     return UNSEEN, ""
 
 
-def _in_turn(fault: PlantedFault, tree: Path, callers: Sequence[str] | None) -> Iterator[tuple[Sequence[str], float]]:
-    """The tests of a tier that can see a fault, the nearest first.
-
-    The tests that call its function, then their files whole, because what a fixture calls is noted for one test alone;
-    a tier whose tests never call it cannot see it. Where callers are not known, what is near and then the whole tier.
-    """
-    tests = fault.tests(tree, callers)
-    if callers is None:
-        yield tests, NEAR_S
-        yield (), TIER_S
-    elif callers:
-        yield tests, NEAR_S
-        yield list(dict.fromkeys(test.partition("::")[0] for test in tests)), NEAR_S
+def _find_failing(tree: Path, fault: PlantedFault, marker: str) -> str:
+    """A test that fails with a fault written into the tree: of those near it, then of the whole tier."""
+    place = tree / fault.file
+    healthy = place.read_text()
+    try:
+        place.write_text(fault.planted(healthy))
+        for tests, limit_s in ((fault.tests(tree), NEAR_S), ((), TIER_S)):
+            code, test = run_tests(tree, tests, limit_s, marker)
+            if code not in (0, FAILED, BROKEN, NONE_CHOSEN, None):
+                raise RuntimeError(f"pytest ends with {code}: {' '.join(tests)}")
+            # A test that fails by chance on a busy machine sees nothing: it has to fail again by itself.
+            if code in (FAILED, BROKEN) and run_tests(tree, [test] if test else tests, NEAR_S)[0] == code:
+                return test or fault.file
+    finally:
+        place.write_text(healthy)
+    return ""
 
 
 def plant(number: int) -> Row:
     """Plant one fault of the list in a copy of the tree: who sees it, and which test first."""
     fault = read_faults()[number]
     with copy_of_tree() as tree:
-        by, test = find_seen(tree, fault, partial(callers_in, tree))
+        by, test = find_seen(tree, fault, partial(seen_in_one_run, tree))
     return {"name": fault.name, "blind": fault.blind, "by": by, "test": test}
 
 

@@ -1,11 +1,12 @@
 from __future__ import annotations
 
+import json
+import sys
 from pathlib import Path
 
 import pytest
 
 from validation import planted_faults
-from validation.callers import find_callers
 from validation.code_changes import Change, StaleChangeError, changed
 from validation.machinery.records import claims_of
 from validation.planted_faults import (
@@ -20,9 +21,12 @@ from validation.planted_faults import (
     run_tests,
     tell,
 )
+from validation.planted_run import PlantedRun, function_of
+
+pytest_plugins = ["pytester"]
 
 FAULTS = read_faults()
-CODE = "def double(x):\n    return 2 * x  # twice\n\n\ndef half(x):\n    return x / 2 if x else 0\n"
+CODE = "FACTOR = 2\n\n\ndef double(x):\n    return 2 * x  # twice\n\n\ndef half(x):\n    return x / 2 if x else 0\n"
 TEST = """from pytest import mark
 from room.sums import double
 
@@ -74,38 +78,51 @@ def tree(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (tmp_path / "room/sums.py").write_text(CODE)
     (tmp_path / "tests/room").mkdir(parents=True)
     (tmp_path / "tests/room/test_sums.py").write_text(TEST)
+    monkeypatch.syspath_prepend(tmp_path)
+    for name in ("room", "room.sums"):
+        monkeypatch.delitem(sys.modules, name, raising=False)
     return tmp_path
 
 
-def test_a_fault_is_seen_where_a_test_fails_and_the_tree_is_as_before(tree: Path) -> None:
-    fault = PlantedFault("room.sums:double", ("2 -> 3",))
+def test_a_test_runs_again_with_the_faults_of_what_it_calls(pytester: pytest.Pytester, tree: Path) -> None:
+    log, path = tree / "log", pytester.makepyfile(TEST)
+    log.touch()
+    changes = {"doubled": ("double", "2 -> 3"), "halved": ("half", "2 -> 3"), "same": ("double", "* -> +")}
+    faults = [
+        (name, f"room.sums:{place}", CODE, changed(CODE, place, [Change.read(change)]))
+        for name, (place, change) in changes.items()
+    ]
+    pytester.inline_run("-p", "no:cacheprovider", plugins=[PlantedRun(faults, log)]).assertoutcome(passed=1)
+    seen = [json.loads(line) for line in log.read_text().splitlines()]
+    assert seen == [["doubled", f"{path.name}::{DOUBLED.partition('::')[2]}"]], "2 + 2 is 4, and half is not called"
+    assert function_of("room.sums:FACTOR") is None
+    double = function_of("room.sums:double")
+    assert double is not None
+    assert double(4) == 8
+
+
+def test_a_fault_of_a_constant_is_written_into_the_tree_which_is_as_before(tree: Path) -> None:
+    fault = PlantedFault("room.sums:FACTOR", ("2 -> 3",))
+    assert not fault.is_function
     assert fault.tests(tree) == ["tests/room/test_sums.py"]
-    assert find_seen(tree, fault) == (FIRST_TIER, DOUBLED)
+    assert find_seen(tree, fault, lambda _marker: {}) == (UNSEEN, "")
+    test = tree / "tests/room/test_sums.py"
+    test.write_text(TEST.replace("import double", "import FACTOR, double").replace("(2) == 4", "(FACTOR) == 4"))
+    assert find_seen(tree, fault, lambda _marker: {}) == (FIRST_TIER, DOUBLED)
+    test.write_text(f"import pytest\n{test.read_text()}".replace("@mark", "@pytest.mark.slow\n@mark"))
+    assert find_seen(tree, fault, lambda _marker: {})[0] == SECOND_TIER
     assert (tree / "room/sums.py").read_text() == CODE
     assert rooms_of([fault], tree) == ["tests/room"]
     assert run_tests(tree, ["tests/room"], 60) == (0, "")
 
 
-def test_a_fault_that_only_the_second_tier_looks_at_is_its_and_one_that_nobody_looks_at_is_unseen(tree: Path) -> None:
-    test = tree / "tests/room/test_sums.py"
-    test.write_text(f"import pytest\n{TEST}".replace("@mark", "@pytest.mark.slow\n@mark"))
-    assert find_seen(tree, PlantedFault("room.sums:double", ("2 -> 3",)))[0] == SECOND_TIER
-    assert find_seen(tree, PlantedFault("room.sums:half", ("2 -> 3",))) == (UNSEEN, "")
-
-
-def test_the_tests_that_call_a_function_are_found_once_and_meet_its_fault_first(tree: Path) -> None:
-    test = tree / "tests/room/test_sums.py"
-    test.write_text(f"{TEST}\n\ndef test_nothing():\n    pass\n")
-    runs, log = [], tree / "var/callers.json"
-    places = [(tree / "room/sums.py", name, f"room.sums:{name}") for name in ("double", "half")]
-    for _ in range(2):
-        callers = find_callers(places, lambda: runs.append(run_tests(tree, [], 60)), log)
-    assert callers == {"room.sums:double": [DOUBLED], "room.sums:half": []}
-    assert runs == [(0, "")]
-    (tree / "room/sums.py").write_text(CODE)
-    fault = PlantedFault("room.sums:double", ("2 -> 3",))
-    assert fault.tests(tree, callers[fault.where]) == callers[fault.where]
-    assert find_seen(tree, fault, lambda _marker: callers)[0] == FIRST_TIER
+def test_a_fault_of_a_function_is_seen_by_the_tier_whose_run_says_so() -> None:
+    fault = PlantedFault("validation.planted_faults:find_seen", ("2 -> 3",))
+    assert find_seen(Path(), fault, lambda marker: {fault.name: "a test"} if marker == "long" else {}) == (
+        SECOND_TIER,
+        "a test",
+    )
+    assert find_seen(Path(), fault, lambda _marker: {}) == (UNSEEN, "")
 
 
 def test_the_tests_nearest_to_a_fault_come_first(repository: Path) -> None:
