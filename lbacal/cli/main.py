@@ -122,7 +122,7 @@ def main() -> None:
 def add_commands() -> None:
     """Add the commands of the other wheels; those of a wheel that is not installed say what to install."""
     wheels = entry_points(group=ENTRY_POINTS)
-    for wheel in wheels:
+    for wheel in sorted(wheels, key=lambda one: one.name):  # not as folders of packages happen to be listed
         wheel.load()
     for extra in ADDED.keys() - wheels.names:
         for name in ADDED[extra]:
