@@ -159,12 +159,17 @@ def test_the_strongest_path_of_a_clean_station_is_nothing_rare(model):
     assert found.target.startswith("antenna ")
 
 
+def along_utc(station, model, residual):
+    """Structure of the paths along UTC, of residuals of a station."""
+    linear = LinearModel(station, split_residuals(station, residual, model.residuals.seeds), model.terms, None)
+    return _in_paths(linear, _see_in_paths(linear), NAMED["utc"], NAMED["utc"].basis(station.conditions))
+
+
 def test_the_path_that_shows_most_is_judged_as_one_of_16_in_one_of_two_tests(station, model, noise):
     wave = np.cos(2 * np.pi * station.conditions.utc_hours / 24)
-    shown = noise.copy()
-    shown[3] += 0.02 * wave[:, None] * np.linspace(-1, 1, noise.shape[2])
-    linear = LinearModel(station, split_residuals(station, shown, model.residuals.seeds), model.terms, None)
-    axis = NAMED["utc"]
-    found = _in_paths(linear, _see_in_paths(linear), axis, axis.basis(station.conditions))
-    assert found.target == f"antenna {station.antenna[3]} {station.dipole[3]}"
-    assert found.p_value == pytest.approx(2 * len(noise) * chi2.sf(found.gain, found.dof), rel=0.01)
+    tilt = 0.012 * wave[:, None] * np.linspace(-1, 1, noise.shape[2])
+    one = along_utc(station, model, noise + tilt * (np.arange(16) == 3)[:, None, None])
+    assert one.target == f"antenna {station.antenna[3]} {station.dipole[3]}"
+    assert one.p_value == pytest.approx(2 * 16 * chi2.sf(one.gain, one.dof), rel=0.05, abs=0.0)
+    together = along_utc(station, model, noise + 0.25 * tilt * np.linspace(-1, 1, 16)[:, None, None])
+    assert len(together.places) == 16, "no path shows it alone"
