@@ -64,7 +64,8 @@ class ChainForm:
     Attributes
     ----------
     probability
-        Of each form that they could tell from the published one; the published one alone where they say nothing.
+        Probability of each form that they can tell from the published one; the published one alone where they say
+        nothing.
     """
 
     probability: Mapping[str, float]
