@@ -2,6 +2,7 @@
 
 P_sky(LST, nu)      lbacal_core.skypower                the Galaxy, seen by the antenna
 P = s P_sky + b     lbacal_core.calibration.lines       a straight line per channel and path
+N_LNA, N / G_ant    lbacal_core.calibration.chain_form  where noise enters, by the odds that the data give
 b = N_LNA s + ...   lbacal_core.calibration.separable   the chain ties the intercepts together
 C = (G_ant / s)^1/2 lbacal_core.chain                   the calibration factor
 P / P(causes)       lbacal_core.discovery.calibrate     what the simulation's causes do, their sizes fitted with C
@@ -40,4 +41,4 @@ def calibrate(
     """
     fitted = fit_causes(spectra, simulation)
     report = fitted.fit(scope)
-    return add_budget(report, compute_budget(fitted.spectra, simulation, sky_budget))
+    return add_budget(report, compute_budget(fitted.spectra, fitted.simulation, sky_budget))

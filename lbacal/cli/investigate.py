@@ -125,11 +125,13 @@ def _ask_spectra(measured: Spectra, simulation: Simulation, html: Path | None) -
     audited.require_power(measured.origin)
     print(f"audit: {audited.sentence}")
     content, stations = ask(measured, simulation, progress=_say)
+    for name, note in content["provenance"]["notes"].items():
+        print(f"{name}: {note}")
     if html is not None:
         from lbacal.cli.investigation_page import write_investigation_page
 
         write_investigation_page(content, stations, html)
-    content["provenance"].setdefault("notes", {})["audit"] = audited.sentence
+    content["provenance"]["notes"]["audit"] = audited.sentence
     return add_left_open(content, stations)
 
 

@@ -56,7 +56,7 @@ class Continued:
     undecided: frozenset[Owner]
 
 
-def keep_lines(paths: Paths, lines: Lines, curves: Sequence[CalibrationCurve]) -> KeptLines:
+def keep_lines(paths: Paths, lines: Lines, curves: Sequence[CalibrationCurve], form: str) -> KeptLines:
     """Take from a fit what it can be continued with."""
     return KeptLines(
         owners=tuple(paths.owners),
@@ -72,6 +72,7 @@ def keep_lines(paths: Paths, lines: Lines, curves: Sequence[CalibrationCurve]) -
         typical_blocks=paths.typical_blocks,
         variance_unit=paths.variance_unit,
         members=paths.member_lines,
+        form=form,
     )
 
 
@@ -180,7 +181,7 @@ def _continue_paths(kept: KeptLines, new: _Events, simulation: Simulation) -> Co
         lines = _lines_of(kept, at)
         if new.lst_hours.size:
             lines = continue_lines(lines, new.power[at], sky, new.relative_variance[at])
-        terms, channels = simulation.noise, simulation.instrument.frequency_mhz.size
+        terms, channels = simulation.with_form(kept.form).noise, simulation.instrument.frequency_mhz.size
         solution, _ = solve_without_interference(lines.slope, lines.intercept, lines.information, terms)
         is_undecided[at] = ~(solution.is_converged & solution.is_identifiable)
         with np.errstate(invalid="ignore", divide="ignore"):

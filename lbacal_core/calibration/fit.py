@@ -108,7 +108,7 @@ def fit_calibration(
         curves, lines = _fit_paths(paths, sky, simulation)
         chains = [_chain_of(curve, paths, instrument, table, cable_of) for curve, _ in curves]
         of_paths = [(*curve, chain) for curve, chain in zip(curves, chains, strict=True)]
-        return of_paths, paths.anomalies, keep_lines(paths, lines, [curve for curve, _ in curves])
+        return of_paths, paths.anomalies, keep_lines(paths, lines, [curve for curve, _ in curves], simulation.form)
 
     # NumPy leaves the interpreter's lock in its loops, so blocks of paths share the cores as threads; the threads that
     # BLAS would start within each cost twice the time.

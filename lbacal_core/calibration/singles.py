@@ -66,7 +66,7 @@ def fit_singles(block: SpectraBlock, simulation: Simulation, typical_blocks: flo
     typical_blocks
         The number of blocks whose radiometer noise the noise levels are.
     """
-    key = "single paths", block.digest(), typical_blocks
+    key = "single paths", block.digest(), typical_blocks, simulation.form
     found: SingleFits = simulation.made.get(key, lambda: _fit_singles(block, simulation, typical_blocks))
     return found
 

@@ -7,8 +7,8 @@ At one frequency eq. full_chain of Mulrey et al. 2019 is a straight line in P_sk
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -168,18 +168,50 @@ def three_constants(receiver_gain: Floats) -> Intercepts:
     )
 
 
+PUBLISHED, BEHIND, SLOPED = "published", "behind", "sloped"
+FORMS: Mapping[str, Sequence[str]] = {
+    PUBLISHED: ("n_lna",),
+    BEHIND: ("n_lna", "n_amplifier"),
+    SLOPED: ("n_lna", "n_lna_slope"),
+}
+"""The constants in front of A(nu) in each form of the chain. The published one has N_LNA alone, flat in units of P_sky.
+An amplifier's voltage noise enters behind the antenna's resonance, (P_sky G_ant + N) A L: it adds N / G_ant to P_sky.
+Beside it N_LNA stays, as which a sky whose zero level is off appears. Or N_LNA has a slope, (nu - 55 MHz) / 25 MHz."""
+FRONT_CONSTANTS: Sequence[str] = tuple(dict.fromkeys(name for names in FORMS.values() for name in names))
+
+
+def constants_of_form(instrument: Instrument, names: Sequence[str]) -> Intercepts:
+    """The noise constants of eq. full_chain with other ones in front of A(nu), by their names."""
+    flat = np.ones(instrument.frequency_mhz.size)
+    forms = {
+        "n_lna": (flat, SKY_UNIT),
+        "n_amplifier": (flat / instrument.antenna_gain, f"{SKY_UNIT} m^2"),
+        "n_lna_slope": ((instrument.frequency_mhz - 55.0) / 25.0, f"{SKY_UNIT}/25 MHz"),
+    }
+    front, units = zip(*(forms[name] for name in names), strict=True)
+    plain = three_constants(instrument.receiver_gain)
+    return replace(
+        plain,
+        names=(*names, *plain.names[1:]),
+        front=np.array(front),
+        mean=np.zeros(len(names)),
+        precision=np.zeros(len(names)),
+        units=(*units, *plain.units[1:]),
+    )
+
+
 WATT_PER_MHZ = 1e6 * Boltzmann
 """Noise power of 1 K, W/MHz."""
 
 
-def noise_constants(instrument: Instrument) -> Intercepts:
-    """The noise constants of an instrument: those of its stages, or N_LNA, N_RCU and N_ADC of eq. full_chain.
+def noise_constants(instrument: Instrument, form: str = PUBLISHED) -> Intercepts:
+    """The noise constants of an instrument: those of its stages, or of a form of eq. full_chain where it lists none.
 
     A temperature that is known at the input of a stage is referred to the sky through the tables of what stands in
     front of it: N G_ant g_1 ... = k_B T.
     """
     if not instrument.stages:
-        return three_constants(instrument.receiver_gain)
+        return constants_of_form(instrument, FORMS[form])
     front, behind = split_stages(instrument.stages)
     channels = instrument.frequency_mhz.size
     names, units, forms, means, errors = [], [], [], [], []
@@ -187,14 +219,14 @@ def noise_constants(instrument: Instrument) -> Intercepts:
     for k, stage in enumerate((*front, *behind)):
         if not stage.has_noise or (k >= len(front) and stage.is_free):
             continue
-        form = _refer_to_sky(instrument, [*front, *behind], k, is_behind=k >= len(front))
+        added = _refer_to_sky(instrument, [*front, *behind], k, is_behind=k >= len(front))
         if stage.noise_k is not None and not stage.error_k:
-            known += stage.noise_k * form
+            known += stage.noise_k * added
             continue
         level = 0.0 if stage.noise_k is None else float(stage.noise_k.mean())
         names.append(f"n_{stage.name}")
         units.append(_unit_of(stage))
-        forms.append(form if stage.noise_k is None else form * stage.noise_k / level)
+        forms.append(added if stage.noise_k is None else added * stage.noise_k / level)
         means.append(level)
         errors.append(np.inf if stage.noise_k is None else stage.error_k)
     free = [k for k, stage in enumerate(behind) if stage.is_free]

@@ -69,6 +69,8 @@ class KeptLines:
         The number of blocks, and the relative variance, of the spectrum that the radiometer noise is that of.
     members
         The paths of a mean; None where the paths are single ones.
+    form
+        The form of the chain that was fitted to them.
     """
 
     owners: Sequence[tuple[str | None, int | None, str]]
@@ -84,6 +86,7 @@ class KeptLines:
     typical_blocks: float
     variance_unit: float = 1.0
     members: MemberLines | None = None
+    form: str = "published"
 
 
 def write_lines(kept: Sequence[KeptLines]) -> bytes:
@@ -92,7 +95,9 @@ def write_lines(kept: Sequence[KeptLines]) -> bytes:
     for k, one in enumerate(kept):
         upper = np.triu_indices(one.information.shape[1])
         half = one.information[:, upper[0], upper[1]].astype(np.float32)
-        head.append([list(map(list, one.owners)), one.typical_blocks, one.variance_unit, one.members is not None])
+        head.append(
+            [list(map(list, one.owners)), one.typical_blocks, one.variance_unit, one.members is not None, one.form]
+        )
         of_paths = {name: getattr(one, name) for name in _ARRAYS} | {"information": half}
         arrays |= {f"{k}.{name}": values for name, values in of_paths.items()}
         if one.members is not None:
@@ -113,10 +118,11 @@ def read_lines(content: bytes) -> list[KeptLines]:
                 members=MemberLines(**{f.name: arrays[f"{k}.member_{f.name}"] for f in fields(MemberLines)})
                 if is_mean
                 else None,
+                form=form[0] if form else KeptLines.form,  # one kept before there were forms has none
                 **{name: arrays[f"{k}.{name}"] for name in _ARRAYS if name != "information"},
                 information=_whole(arrays[f"{k}.information"], 2 * arrays[f"{k}.slope"].shape[1]),
             )
-            for k, (owners, blocks, unit, is_mean) in enumerate(json.loads(str(arrays[HEAD])))
+            for k, (owners, blocks, unit, is_mean, *form) in enumerate(json.loads(str(arrays[HEAD])))
         ]
 
 

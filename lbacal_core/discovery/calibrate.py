@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from lbacal_core.calibration.chain_form import FORM_OF_CHAIN, ChainForm, with_likely_form
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.causes.model import Model
 from lbacal_core.chain.model import ChainTerms
@@ -101,10 +102,13 @@ class FittedCauses:
     ----------
     recorded
         The spectra as they were recorded.
+    simulation
+        With the form of the chain that they prefer, which `form` gives the odds of.
     """
 
     recorded: Spectra
     simulation: Simulation
+    form: ChainForm
     stations: Sequence[_OfStation]
 
     @property
@@ -163,6 +167,7 @@ class FittedCauses:
             of the size does to C is then taken in proportion to what the size does, which saves a fit.
         """
         report = fit_calibration(self.spectra, self.simulation, scope)
+        report = replace(report, provenance=report.provenance.with_note(FORM_OF_CHAIN, str(self.form)))
         if self.model.is_plain:
             return report
         curves = list(report.curves)
@@ -271,7 +276,7 @@ def promise_of_structure(gain: Mapping[str, Any]) -> Promise:
 
 
 def fit_causes(spectra: Spectra, simulation: Simulation, *, are_sizes_known: bool = False) -> FittedCauses:
-    """Fit the sizes of the causes of a simulation, each to all paths of its target in the spectra.
+    """Choose the form of the chain, and fit the sizes of causes, each to all paths of its target in the spectra.
 
     Parameters
     ----------
@@ -287,6 +292,7 @@ def fit_causes(spectra: Spectra, simulation: Simulation, *, are_sizes_known: boo
     sizes: Sequence[FittedSize]
     # The products are small: threads of the linear algebra would wait for each other.
     with threadpool_limits(1):
+        simulation, form = with_likely_form(simulation, spectra)
         apart, parts = set_apart(spectra, simulation.instrument)
         stations = gather_adopted(apart, replace(simulation, instrument=parts, given=simulation.sky_power))
         known = simulation.differences if stations and not are_sizes_known else None
@@ -299,7 +305,7 @@ def fit_causes(spectra: Spectra, simulation: Simulation, *, are_sizes_known: boo
                 terms, sizes, covariance = fitted.model.baseline.terms, fitted.sizes, fitted.covariance
             if sizes:
                 found.append(_OfStation(at_reference(station), terms, sizes, covariance, *_places(apart, station)))
-    return FittedCauses(spectra, simulation, found)
+    return FittedCauses(spectra, simulation, form, found)
 
 
 def _places(spectra: Spectra, station: Station) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:

@@ -10,8 +10,10 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from lbacal_core.calibration.chain_form import FORM_OF_CHAIN, compare_forms
 from lbacal_core.causes.axes import describe_term
 from lbacal_core.causes.cause import Description
+from lbacal_core.chain.model import BEHIND, PUBLISHED
 from lbacal_core.discovery.adopted import describe_size
 from lbacal_core.discovery.antennas import AntennaScore
 from lbacal_core.discovery.findings import Finding
@@ -355,8 +357,9 @@ def investigate(
     Parameters
     ----------
     simulation
-        Where its sky is its own, the differences between sky and antenna models are profiled out. Its causes belong to
-        the baseline, with sizes fitted again: what is looked for is what they leave.
+        Where its sky is its own, the differences between sky and antenna models are profiled out. Noise behind the
+        resonance is free in the baseline where the data leave it open; a slope of N_LNA is a cause. The simulation's
+        causes belong to the baseline, with sizes fitted again: what is looked for is what they leave.
     seed
         Seed of the simulated trials factors.
     progress
@@ -369,6 +372,8 @@ def investigate(
     name = f"instrument {simulation.instrument.name}"
     require_same_grid(spectra.origin, spectra.frequency_mhz, simulation.instrument.frequency_mhz, name)
     policy = Policy()
+    form = compare_forms(spectra, simulation)
+    simulation = simulation.with_form(BEHIND if form.is_open(BEHIND) else PUBLISHED)
     known, model = simulation.differences, simulation.causes
     # The products are small: threads of the linear algebra would wait for each other.
     with threadpool_limits(1):
@@ -392,6 +397,7 @@ def investigate(
             "sky_power": simulation.sky_power.digest(),
         },
         settings={"policy": policy.as_dict(), "seed": seed, "own_sky": simulation.is_own_sky},
+        notes={FORM_OF_CHAIN: str(form)},
     )
     if model.is_plain:
         return describe(reports, provenance), reports

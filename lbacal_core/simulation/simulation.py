@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from lbacal_core.causes.model import PLAIN, Model
-from lbacal_core.chain.model import Intercepts, noise_constants
+from lbacal_core.chain.model import FRONT_CONSTANTS, PUBLISHED, Intercepts, constants_of_form, noise_constants
 from lbacal_core.curves.curves import CalibrationCurve
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats, require_same_grid
@@ -50,6 +50,8 @@ class Simulation:
         Names of the models whose differences these are; all that ship unless given.
     causes
         What the chain has besides, with sizes that are fitted together with C.
+    form
+        The form of the chain, one of `chain.model.FORMS`, where the instrument does not list its stages.
     most_remembered
         How much of what was computed is kept.
     made
@@ -61,6 +63,7 @@ class Simulation:
     is_own_sky: bool | None = None
     models: DifferenceModels | None = None
     causes: Model = PLAIN
+    form: str = PUBLISHED
     most_remembered: int = MOST_REMEMBERED
     made: Remembered[tuple[Any, ...], Any] = field(init=False, repr=False)
 
@@ -87,7 +90,7 @@ class Simulation:
     @cached_property
     def noise(self) -> Intercepts:
         """The noise constants of the chain, and what each adds along frequency."""
-        return noise_constants(self.instrument)
+        return noise_constants(self.instrument, self.form)
 
     @cached_property
     def differences(self) -> ModelDifferences | None:
@@ -102,7 +105,9 @@ class Simulation:
     @property
     def digest(self) -> str:
         """Hash of all that predicts power."""
-        return hash_content([self.instrument.digest(), self.sky_power.digest(), self.is_own_sky, self.causes.id])
+        return hash_content(
+            [self.instrument.digest(), self.sky_power.digest(), self.is_own_sky, self.causes.id, self.form]
+        )
 
     def changes(self, sky_budget: str = DEFAULT_SKY_BUDGET) -> Sequence[SkyTerm]:
         """What sky, pattern and ground may be wrong by, for the error of C (`simulation.prior.list_changes`)."""
@@ -112,8 +117,17 @@ class Simulation:
 
     def with_causes(self, causes: Model) -> Simulation:
         """The same with other causes; what was computed is kept."""
+        return self._exchange("causes", causes)
+
+    def with_form(self, form: str) -> Simulation:
+        """The same with another form of the chain; what was computed is kept but for the noise constants."""
+        other = self._exchange("form", form)
+        vars(other).pop("noise", None)
+        return other
+
+    def _exchange(self, name: str, value: object) -> Simulation:
         other = copy(self)
-        object.__setattr__(other, "causes", causes)
+        object.__setattr__(other, name, value)
         return other
 
     def at_station(self, station: str) -> Simulation:
@@ -143,10 +157,10 @@ class Simulation:
         if any(curve.c is None for curve in curves):
             raise ValueError(f"{next(one.name for one in curves if one.c is None)} has no curve")
         slope = self.instrument.antenna_gain / np.array([curve.filled(np.asarray(curve.c)) for curve in curves]) ** 2
-        level = np.array([[curve.parameters[name].value for name in self.noise.names] for curve in curves])
-        front = len(self.noise.front)
-        signal = (sky + self.noise.before(level[:, :front])[:, None]) * slope[:, None]
-        return signal, (level[:, front:] @ self.noise.behind)[:, None]
+        parts = [(noise, _levels_of(curve, noise)) for curve in curves for noise in [noise_of(curve, self.instrument)]]
+        before = np.array([noise.before(level[: len(noise.front)]) for noise, level in parts])
+        behind = np.array([level[len(noise.front) :] @ noise.behind for noise, level in parts])
+        return (sky + before[:, None]) * slope[:, None], behind[:, None]
 
     def power(self, curve: CalibrationCurve, sky: Floats) -> Floats:
         """What a fitted path records of a P_sky of shape (event, freq); the same shape, NaN in channels without C."""
@@ -165,6 +179,17 @@ class Simulation:
         return np.asarray(self.power(curve, np.zeros((1, self.instrument.frequency_mhz.size)))[0])
 
 
+def noise_of(curve: CalibrationCurve, instrument: Instrument) -> Intercepts:
+    """The noise constants with which a curve was fitted: its parameters name the form of the chain."""
+    if instrument.stages:
+        return noise_constants(instrument)
+    return constants_of_form(instrument, [name for name in FRONT_CONSTANTS if name in curve.parameters])
+
+
+def _levels_of(curve: CalibrationCurve, noise: Intercepts) -> Floats:
+    return np.array([curve.parameters[name].value for name in noise.names])
+
+
 def noise_at_input(curve: CalibrationCurve, instrument: Instrument) -> dict[str, Floats]:
     """The noise terms of a fitted curve referred to the start of the chain (Fig. 5 of the paper).
 
@@ -178,8 +203,8 @@ def noise_at_input(curve: CalibrationCurve, instrument: Instrument) -> dict[str,
     """
     if curve.c is None:
         raise ValueError(f"{curve.name} has no curve")
-    slope, noise = instrument.antenna_gain / curve.c**2, noise_constants(instrument)
-    value = np.array([curve.parameters[name].value for name in noise.names])
+    slope, noise = instrument.antenna_gain / curve.c**2, noise_of(curve, instrument)
+    value = _levels_of(curve, noise)
     forms = np.concatenate([noise.front, noise.behind / slope])
     terms = {name.removeprefix("n_"): one for name, one in zip(noise.names, value[:, None] * forms, strict=True)}
     return terms | ({"known": noise.known} if np.any(noise.known) else {})

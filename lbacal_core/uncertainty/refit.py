@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.special import logit, logsumexp
 from threadpoolctl import threadpool_limits
 
+from lbacal_core.calibration.chain_form import FORM_OF_CHAIN, ChainForm, compare_forms, list_forms
 from lbacal_core.calibration.chain_test import compare_predictions
 from lbacal_core.calibration.channels import LARGEST_GOOD_ERROR, solve_without_interference
 from lbacal_core.calibration.fit import fit_calibration
@@ -112,6 +113,10 @@ class _Refit:
         )  # fmt: skip
         return np.nan_to_num(gain, nan=-np.inf), _log_c(solution.x[:-1]) - self.log_c
 
+    def exchange_form(self, terms: Intercepts) -> Floats:
+        """Change of ln C by other noise constants."""
+        return replace(self, terms=terms).fit(self.paths.power, self.sky) - self.log_c
+
     def add_power(self, fraction: float) -> Floats:
         """Change of ln C by power that is recorded at all times, a fraction of the mean."""
         is_present = np.isfinite(self.paths.relative_variance[0])
@@ -163,6 +168,8 @@ def compute_budget(
         if prior is not None and prior.antennas and refits:
             of_antennas, unsure = _doubt_antenna(refits, prior)
             terms += of_antennas
+        if refits:
+            terms += _doubt_form(refits, simulation, compare_forms(spectra, simulation))
         return Budget(simulation.instrument.frequency_mhz, tuple(_gather(terms)), unsure)
 
 
@@ -185,6 +192,22 @@ def _doubt_antenna(
     likely = prior.antennas[int(np.argmax(probability))].name
     source = f"probability {probability.sum():.1g} by these data, most likely {likely}"
     return [BudgetTerm(OTHER_ANTENNA, source, vectors)], unsure
+
+
+def _doubt_form(refits: Mapping[str, _Refit], simulation: Simulation, found: ChainForm) -> list[BudgetTerm]:
+    """What C would be in the other forms of the chain, each by the root of its probability.
+
+    Their squares add to the variance of ln C between the forms, about the form that C is of.
+    """
+    forms = list_forms(simulation)
+    rivals = {form: p for form, p in found.probability.items() if form != simulation.form}
+    vectors = {
+        dipole: np.array([p**0.5 * _finite(refit.exchange_form(forms[form])) for form, p in rivals.items()])
+        for dipole, refit in refits.items()
+    }
+    if not rivals or max(float(np.max(np.sum(one**2, axis=0))) for one in vectors.values()) < SMALLEST_DOUBT**2:
+        return []
+    return [BudgetTerm(FORM_OF_CHAIN, str(found), vectors)]
 
 
 def add_budget(report: FitReport, budget: Budget) -> FitReport:

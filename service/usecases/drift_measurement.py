@@ -84,7 +84,7 @@ class DriftMeasurement:
                     self.resistance_ohm,
                     with_covariates=not model.is_plain,
                 )
-            if spectra is not None:  # what an adopted cause does is no drift
+            if spectra is not None and not model.is_plain:  # what an adopted cause does is no drift
                 spectra = self.fits.fit_causes(spectra, model).spectra
             events = self._measure([] if spectra is None else split_into_blocks(spectra), by_path)
         measured = [

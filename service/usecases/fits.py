@@ -175,7 +175,7 @@ class Fits:
         def compute() -> Budget:
             audited = audit_quickly(fitted.recorded, self.simulation.instrument)
             audited.require_power(f"spectra of {name_path(*wanted.of.parts)}")
-            return compute_budget(fitted.spectra, self.simulation)
+            return compute_budget(fitted.spectra, fitted.simulation)
 
         budget: Budget = self.simulation.made.get(("budget", fitted.spectra.digest()), compute)
         return budget
