@@ -23,6 +23,9 @@ from lbacal_core.grids import Floats
 from service.schema.tables import sums
 from service.storage.rows import Store, from_row, put_rows, to_row
 
+DRIFT = "drift"
+"""The kind of the blocks of drift."""
+
 
 @dataclass(frozen=True)
 class Sums:

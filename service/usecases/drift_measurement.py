@@ -19,11 +19,11 @@ from service.storage.database import Database, Stores
 from service.storage.drift import NUMBERS, PathMonths
 from service.storage.jobs import Part
 from service.storage.spectra import Window
-from service.storage.sums import Sums
+from service.storage.sums import DRIFT, Sums
 from service.usecases.drift import SECOND_US, find_years, keep_months
 from service.usecases.fits import Fits, Later, read_block
 
-KIND = "drift"
+KIND = DRIFT
 
 
 def find_references(stores: Stores, instrument: Instrument, station: str) -> dict[Scope, str]:

@@ -16,7 +16,6 @@ import numpy as np
 
 from lbacal.instants import DAY_US, format_instant
 from lbacal_core.curves.validity import Instant, Scope
-from lbacal_core.drift.events import MODES
 from lbacal_core.errors import name_path, write_change
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
@@ -25,9 +24,7 @@ from service.storage.alarms import SLOPE, STEP, News
 from service.storage.database import Database, Stores
 from service.storage.drift import Cut
 from service.storage.jobs import Part
-from service.storage.sums import Sums
-from service.usecases.drift_measurement import KIND as DRIFT
-from service.usecases.drift_measurement import read_events
+from service.storage.sums import DRIFT, Sums
 from service.usecases.gate import drop_noise, name_members, tell_change
 
 if TYPE_CHECKING:
@@ -96,7 +93,9 @@ def assemble_history(years: Sequence[Sums], changes: Mapping[str, Sequence[float
     changes
         Dates of hardware changes, s UTC, by station and antenna (``CS002/17``).
     """
+    from lbacal_core.drift.events import MODES
     from lbacal_core.drift.follow import History
+    from service.usecases.drift_measurement import read_events
 
     modes = [(str(one.scope.station), *of) for one in years for of in read_events(one.arrays).items()]
     keys = sorted({(name, antenna, letter) for name, letter, one in modes for antenna in one.antennas.tolist()})
