@@ -125,18 +125,6 @@ def write_station_table(content: Mapping[str, Any], path: Path, station: str | N
             root.require_group(f"LBA{curve['antenna']:02d}")[str(curve["dipole"]).lower()] = value.astype(complex)
 
 
-def read_station_table(path: Path) -> dict[tuple[int, str], Floats]:
-    """C of the 512 sub-bands by (antenna, dipole), V per ADC unit, of a table that `write_station_table` made."""
-    with h5py.File(path, "r") as root:
-        unit = float(root.attrs["lbacal_unit_v"])
-        return {
-            (int(name.removeprefix("LBA")), letter): unit * np.abs(root[name][letter.lower()][()])
-            for name in root
-            for letter in JONES
-            if letter.lower() in root[name]
-        }
-
-
 def _of_one_station(content: Mapping[str, Any], station: str | None) -> tuple[list[dict[str, Any]], str]:
     """The curves of single paths of one station, on the same channels."""
     found = sorted({curve["station"] for curve in content["curves"] if curve["antenna"] is not None})

@@ -12,7 +12,6 @@ import time
 import uuid
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from datetime import UTC, datetime, timedelta
 from itertools import chain
 from typing import Any
 
@@ -129,9 +128,7 @@ def _problem(answer: httpx2.Response) -> tuple[str, str]:
         return "failed", f"{answer.status_code} {answer.reason_phrase}"
 
 
-# What a client sends: the spectra of whole events as a request body, a spectra file or JSON.
-
-EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+# What a client sends: the spectra of whole events as a request body, a spectra file.
 
 
 def files_of_events(spectra: Spectra, at_least: int = 1) -> Iterator[tuple[int, int, bytes]]:
@@ -153,16 +150,6 @@ def files_of_events(spectra: Spectra, at_least: int = 1) -> Iterator[tuple[int, 
             bundle.append(rows)
 
 
-def bodies_of_events(spectra: Spectra) -> Iterator[dict[str, Any]]:
-    """The spectra of each event as JSON values, for clients without HDF5."""
-    for rows in _rows_of_events(spectra):
-        yield {
-            "frequency_mhz": spectra.frequency_mhz.tolist(),
-            "resistance_ohm": spectra.resistance_ohm,
-            "spectra": [_describe(spectra, k) for k in rows.tolist()],
-        }
-
-
 def _rows_of_events(spectra: Spectra) -> Iterator[NDArray[np.int64]]:
     """The rows of each event, in order of the events' first times."""
     if len(spectra) == 0:
@@ -173,13 +160,3 @@ def _rows_of_events(spectra: Spectra) -> Iterator[NDArray[np.int64]]:
     order = np.lexsort((code, first[code]))
     edges = np.flatnonzero(np.diff(code[order])) + 1
     yield from np.split(order, edges)
-
-
-def _describe(spectra: Spectra, k: int) -> dict[str, Any]:
-    env = {name: float(values[k]) for name, values in spectra.environment.items() if np.isfinite(values[k])}
-    time_utc = EPOCH + timedelta(microseconds=round(float(spectra.time_unix[k]) * 1e6))
-    return {
-        "event_id": str(spectra.event_id[k]), "time_utc": time_utc.isoformat().replace("+00:00", "Z"),
-        "station": str(spectra.station[k]), "antenna": int(spectra.antenna[k]), "dipole": str(spectra.dipole[k]),
-        "blocks": int(spectra.blocks[k]), "power": spectra.power[k].tolist(), **({"env": env} if env else {}),
-    }  # fmt: skip

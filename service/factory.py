@@ -104,16 +104,12 @@ class Factory:
     @cached_property
     def refits(self) -> Refits:
         """New versions."""
-        from service.usecases.fits import Examination
         from service.usecases.gate import Gate
         from service.usecases.refits import Refits
 
         limits_of_gate = ("gate_change", "gate_error", "gate_coverage", "gate_band")
         gate = Gate(*(getattr(self.settings, name) for name in limits_of_gate))
-        examination = Examination(self.simulation, self.settings.resistance_ohm, self.clock)
-        return Refits(
-            self.database, self.simulation, self.fits, examination, self.payoff, gate, self._limits, self.clock
-        )
+        return Refits(self.database, self.simulation, self.fits, self.payoff, gate, self._limits, self.clock)
 
     @cached_property
     def fits(self) -> Fits:
@@ -141,7 +137,7 @@ class Factory:
         """What the simulation gets wrong in stored spectra."""
         from service.usecases.investigations import Investigations
 
-        return Investigations(self.database, self.simulation, self.settings.resistance_ohm, self._limits, self.clock)
+        return Investigations(self.database, self.simulation, self.fits, self._limits, self.clock)
 
     @cached_property
     def drift(self) -> Drift:
@@ -153,7 +149,7 @@ class Factory:
         """The measurement of C over time."""
         from service.usecases.drift_measurement import DriftMeasurement
 
-        return DriftMeasurement(self.database, self.simulation, self.settings.resistance_ohm, self.fits, self.clock)
+        return DriftMeasurement(self.database, self.fits, self.clock)
 
     @cached_property
     def cuts(self) -> Cuts:

@@ -6,6 +6,8 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
+from lbacal_core.antenna.model import AntennaModel
+from lbacal_core.antenna.varied import on_hemisphere
 from lbacal_core.curves.validity import Instant, Promotion, Scope
 from lbacal_core.grids import Floats
 
@@ -41,6 +43,12 @@ def chain_power(
     """
     behind_cable = (sky_power + n_lna) * antenna_gain * correction * cable_loss
     return np.asarray((behind_cable + n_rcu) * receiver_gain * scale + n_adc)
+
+
+def beam_solid_angle(antenna: AntennaModel, frequency_mhz: Floats) -> Floats:
+    """Integral of D over the hemisphere, shape (freq,), sr."""
+    response, weight, _ = on_hemisphere(antenna, frequency_mhz)
+    return np.asarray((response * weight).sum(axis=(1, 2)))
 
 
 def newest_covering(promotions: Iterable[Promotion], instant: Instant) -> Promotion | None:

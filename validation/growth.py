@@ -27,10 +27,10 @@ from service.app import make_app
 from service.factory import Factory
 from service.logs import configure_logs
 from service.schema.tables import job, job_part
-from service.storage.drift import MonthlyRatio
+from service.storage.drift import NUMBERS, PathMonths
 from service.storage.versions import Version
 from service.usecases.calibrations import select_paths
-from service.usecases.drift import keep_missing, keep_months, start_of_year
+from service.usecases.drift import keep_months, start_of_year
 from service.wire.bodies import TagBody
 from validation.benchmarks.timing import median_times
 from validation.machinery.claims import Found, exactly
@@ -84,7 +84,7 @@ def fill(factory: Factory, years: int, kept: int) -> None:
                 for v in some
             ]
         _fill_events(factory, year, rng)
-        _fill_months(factory, year, {p.scope: str(p.calibration) for p in promotions[-len(scopes) :]}, rng)
+        _fill_months(factory, year, rng)
         _fill_jobs(factory, year)
     write_promotions(factory, promotions)
     with factory.database.write() as stores:
@@ -115,21 +115,16 @@ def _fill_events(factory: Factory, year: int, rng: np.random.Generator) -> None:
         )
 
 
-def _fill_months(factory: Factory, year: int, versions: dict[Scope, str], rng: np.random.Generator) -> None:
+def _fill_months(factory: Factory, year: int, rng: np.random.Generator) -> None:
     """Twelve monthly ratios of every path."""
-    since, until = start_of_year(year), start_of_year(year + 1)
+    since = start_of_year(year)
     months = np.arange(f"{year}-01", f"{year + 1}-01", dtype="datetime64[M]").astype("datetime64[us]").astype(np.int64)
     with factory.database.write() as stores:
         for station in STATIONS:
-            ratios = [
-                MonthlyRatio(path, int(month), versions[path], float(rng.normal(1.0, 0.01)), 0.006, 30)
-                for path in PATHS
-                if path.station == station
-                for month in months
-            ]
-            stores.drift.replace(station, since, until, ratios)
-            keep_months(stores, station, since, ratios)
-        keep_missing(stores)
+            paths = [path for path in PATHS if path.station == station]
+            ratios = np.full((len(paths), months.size, len(NUMBERS)), (1.0, 0.006, 0.0, 0.0, 30.0))
+            ratios[..., 0] = rng.normal(1.0, 0.01, ratios.shape[:2])
+            keep_months(stores, station, since, PathMonths(paths, months, ratios))
 
 
 def make_report(years: int, rng: np.random.Generator) -> dict[str, Any]:

@@ -24,7 +24,6 @@ import numpy as np
 import psycopg
 
 from lbacal.instants import parse_instant
-from lbacal.transport import bodies_of_events
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.spectra.spectra import Spectra
@@ -39,7 +38,7 @@ from service.usecases.fits import SMALLEST_SHIFT
 from service.worker import Worker
 from validation.machinery.claims import Found, rate_of
 from validation.machinery.parts import Part, Row
-from validation.running.clients import Clients, Record, ask_pinned
+from validation.running.clients import Clients, Record, ask_pinned, bodies_of_events
 from validation.running.ledger import open_factory
 from validation.running.postgres import run_server
 from validation.running.processes import Service, is_ready, run_command, run_service, wait_until, write_coarse_sky

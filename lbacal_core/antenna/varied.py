@@ -97,12 +97,6 @@ def mean_cosine(antenna: AntennaModel, frequency_mhz: Floats) -> Floats:
     return np.asarray((response * weight * cosine).sum(axis=(1, 2)) / (response * weight).sum(axis=(1, 2)))
 
 
-def beam_solid_angle(antenna: AntennaModel, frequency_mhz: Floats) -> Floats:
-    """Integral of D over the hemisphere, shape (freq,), sr."""
-    response, weight, _ = on_hemisphere(antenna, frequency_mhz)
-    return np.asarray((response * weight).sum(axis=(1, 2)))
-
-
 def on_hemisphere(antenna: AntennaModel, frequency_mhz: Floats) -> tuple[Floats, Floats, Floats]:
     """D on a Gauss-Legendre x uniform grid: response (freq, zenith, azimuth), weights in sr and cos(zenith)."""
     nodes, weights = np.polynomial.legendre.leggauss(32)

@@ -24,16 +24,12 @@ from lbacal_core.curves.kept_lines import KeptLines, MemberLines
 from lbacal_core.grids import Floats
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.spectra.blocks import SpectraBlock, split_into_blocks
-from lbacal_core.spectra.screening import CUT_SIGMA, SMALLEST_DEPARTURE, SMALLEST_OF_CHANNEL
+from lbacal_core.spectra.screening import LARGEST_SHARE_OF_LATER, may_be_left_out
 from lbacal_core.spectra.spectra import Spectra
 
-LARGEST_SHARE = 0.05
-"""Events that a fit may be continued by, over those that it was made from: noise levels of 900 events move by 1 %."""
 LARGEST_ERROR = 0.1
 """Standard deviations by which C may then differ from that of a fit from all spectra; with fewer events, by less
 (`tests/lbacal_core/calibration/test_continued.py`)."""
-NEARER = 0.8
-"""Share of the limits of the screening from which on a fit from spectra decides whether it leaves an event out."""
 
 Owner = tuple[str | None, int | None, str]
 """Station, antenna and dipole; station and antenna are None where it is a mean."""
@@ -162,17 +158,14 @@ def _is_odd(power: Floats, expected: Floats, variance: Floats, scatter: Floats) 
     """
     is_positive = np.all(expected > 0, axis=2) & np.isfinite(variance)
     departure = np.log(np.where(is_positive[:, :, None], power / expected, 1.0))
-    cut = NEARER * np.maximum(CUT_SIGMA * scatter, SMALLEST_DEPARTURE)[:, None]
-    is_off = np.abs(departure.mean(axis=2)) > cut
-    is_off |= np.any(np.abs(departure) > NEARER * SMALLEST_OF_CHANNEL, axis=2)
-    return np.asarray(np.any(is_off | (~is_positive & np.isfinite(variance)), axis=1))
+    return np.asarray(may_be_left_out(departure, scatter) | np.any(~is_positive & np.isfinite(variance), axis=1))
 
 
 def _continue_paths(kept: KeptLines, new: _Events, simulation: Simulation) -> Continued:
     """C of paths, or of a mean, with some events more."""
     more = np.isfinite(new.relative_variance).sum(axis=1)
     share = more / np.maximum(kept.events, 1)
-    is_undecided = np.where(kept.has_c, share > LARGEST_SHARE, kept.events + more >= MIN_EVENTS)
+    is_undecided = np.where(kept.has_c, share > LARGEST_SHARE_OF_LATER, kept.events + more >= MIN_EVENTS)
     is_undecided = (is_undecided & (more > 0)) | (new.is_odd & kept.has_c)
     at = np.flatnonzero(kept.has_c & ~is_undecided)
     curves = {}
@@ -188,7 +181,7 @@ def _continue_paths(kept: KeptLines, new: _Events, simulation: Simulation) -> Co
             c = calibration_factor(solution.x, simulation.instrument.antenna_gain)
             sigma = c * np.sqrt(np.einsum("pii->pi", solution.covariance)[:, :channels]) / (2.0 * solution.x)
         curves = {
-            kept.owners[k]: (c[j], sigma[j], float(LARGEST_ERROR * (share[k] / LARGEST_SHARE) ** 0.5))
+            kept.owners[k]: (c[j], sigma[j], float(LARGEST_ERROR * (share[k] / LARGEST_SHARE_OF_LATER) ** 0.5))
             for j, k in enumerate(at.tolist())
             if not is_undecided[k]
         }

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import io
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -89,8 +88,8 @@ class KeptLines:
     form: str = "published"
 
 
-def write_lines(kept: Sequence[KeptLines]) -> bytes:
-    """Write lines as bytes; of the information matrices one half, in single precision."""
+def write_lines(kept: Sequence[KeptLines]) -> dict[str, Any]:
+    """Write lines as arrays by name; of the information matrices one half, in single precision."""
     head, arrays = [], dict[str, Any]()
     for k, one in enumerate(kept):
         upper = np.triu_indices(one.information.shape[1])
@@ -98,37 +97,31 @@ def write_lines(kept: Sequence[KeptLines]) -> bytes:
         head.append(
             [list(map(list, one.owners)), one.typical_blocks, one.variance_unit, one.members is not None, one.form]
         )
-        of_paths = {name: getattr(one, name) for name in _ARRAYS} | {"information": half}
-        arrays |= {f"{k}.{name}": values for name, values in of_paths.items()}
+        arrays |= {f"{k}.{name}": getattr(one, name) for name in _ARRAYS} | {f"{k}.information": half}
         if one.members is not None:
             arrays |= {f"{k}.member_{name}": values for name, values in vars(one.members).items()}
-    file = io.BytesIO()
-    np.savez(file, allow_pickle=False, **{HEAD: np.array(json.dumps(head)), **arrays})
-    return file.getvalue()
+    return {HEAD: np.array(json.dumps(head)), **arrays}
 
 
-def read_lines(content: bytes) -> list[KeptLines]:
+def read_lines(arrays: Mapping[str, Any]) -> list[KeptLines]:
     """Read what `write_lines` wrote."""
-    with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
-        return [
-            KeptLines(
-                owners=[(station, antenna, dipole) for station, antenna, dipole in owners],
-                typical_blocks=blocks,
-                variance_unit=unit,
-                members=MemberLines(**{f.name: arrays[f"{k}.member_{f.name}"] for f in fields(MemberLines)})
-                if is_mean
-                else None,
-                form=form[0] if form else KeptLines.form,  # one kept before there were forms has none
-                **{name: arrays[f"{k}.{name}"] for name in _ARRAYS if name != "information"},
-                information=_whole(arrays[f"{k}.information"], 2 * arrays[f"{k}.slope"].shape[1]),
-            )
-            for k, (owners, blocks, unit, is_mean, *form) in enumerate(json.loads(str(arrays[HEAD])))
-        ]
+    return [
+        KeptLines(
+            owners=[(station, antenna, dipole) for station, antenna, dipole in owners],
+            typical_blocks=blocks,
+            variance_unit=unit,
+            members=MemberLines(**{f.name: arrays[f"{k}.member_{f.name}"] for f in fields(MemberLines)})
+            if is_mean
+            else None,
+            form=form,
+            **{name: arrays[f"{k}.{name}"] for name in _ARRAYS},
+            information=_whole(arrays[f"{k}.information"], 2 * arrays[f"{k}.slope"].shape[1]),
+        )
+        for k, (owners, blocks, unit, is_mean, form) in enumerate(json.loads(str(arrays[HEAD])))
+    ]
 
 
-_ARRAYS = (
-    "events", "has_c", "slope", "intercept", "information", "radiometer", "constant", "behind", "scatter",
-)  # fmt: skip
+_ARRAYS = ("events", "has_c", "slope", "intercept", "radiometer", "constant", "behind", "scatter")
 
 
 def _whole(half: Any, size: int) -> Floats:

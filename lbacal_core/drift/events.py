@@ -20,19 +20,12 @@ import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
-from lbacal_core.calibration.continued import NEARER
 from lbacal_core.curves.curves import CalibrationCurve
 from lbacal_core.grids import Floats
 from lbacal_core.linear import solve_symmetric
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.spectra.blocks import SpectraBlock
-from lbacal_core.spectra.screening import (
-    CUT_SIGMA,
-    FEWEST_EVENTS,
-    SMALLEST_DEPARTURE,
-    SMALLEST_OF_CHANNEL,
-    robust_sigma,
-)
+from lbacal_core.spectra.screening import FEWEST_EVENTS, may_be_left_out, robust_sigma
 
 MODES = ("gain", "tilt", "curvature")
 """What is followed: ln C in the mean over the band, and the coefficients of the Legendre polynomials 1 and 2 in it."""
@@ -50,14 +43,11 @@ class EventModes:
         Shape (event,), rising.
     ln_c
         Shape (antenna, event, mode), NaN where nothing was measured.
-    centre
-        Weighted means of the Legendre polynomials 1 and 2, shape (antenna, 2): a mode is its polynomial less this.
     """
 
     antennas: NDArray[np.int64]
     time_unix: Floats
     ln_c: Floats
-    centre: Floats
 
 
 def frequency_modes(frequency_mhz: Floats) -> Floats:
@@ -76,7 +66,7 @@ def measure_event_modes(
     modes = frequency_modes(block.frequency_mhz)
     if not curves:
         empty = np.empty((0, block.time_unix.size, len(MODES)))
-        return EventModes(block.antennas[rows], block.time_unix, empty, np.empty((0, 2)))
+        return EventModes(block.antennas[rows], block.time_unix, empty)
     has_value = np.array([curve.has_value for curve in curves])
     sky = simulation.sky_at(block.station, block.dipole, block.time_unix)
     signal, behind = simulation.split_power(curves, sky)
@@ -86,12 +76,10 @@ def measure_event_modes(
     gain = (weight * ratio).sum(axis=2) / total
     is_known = block.is_present[rows] & (gain > 0)
 
-    typical = weight.mean(axis=1)
-    centre = typical @ modes.T / typical.sum(axis=1)[:, None]
     ln_c = np.full((*gain.shape, len(MODES)), np.nan)
     ln_c[is_known, 0] = -0.5 * np.log(gain[is_known])
     ln_c[is_known, 1:] = -0.5 * _fit_modes(ratio / np.where(is_known, gain, 1.0)[:, :, None], weight, modes)[is_known]
-    return EventModes(block.antennas[rows], block.time_unix, ln_c, centre)
+    return EventModes(block.antennas[rows], block.time_unix, ln_c)
 
 
 def predict_power(
@@ -194,9 +182,6 @@ def find_months(time_unix: Floats) -> tuple[NDArray[np.datetime64], NDArray[np.i
 # screening: a spectrum that may be left out, and a path that gets so many events that it is screened, are left to a
 # reading of the whole year.
 
-LARGEST_SHARE = 0.05
-"""Events of a year that may be added to those that were screened together, over these."""
-
 
 def add_events(
     kept: EventModes,
@@ -227,14 +212,11 @@ def add_events(
     departure = np.log(new.power[rows][judged] / expected)
     departure[~new.is_present[rows][judged]] = 0.0
     centred = ln_gain - np.nanmedian(ln_gain, axis=1, keepdims=True)
-    cut = NEARER * np.maximum(CUT_SIGMA * robust_sigma(centred), SMALLEST_DEPARTURE)
-    if np.any(np.abs(departure.mean(axis=2)) > cut[:, None]) or np.any(
-        np.abs(departure) > NEARER * SMALLEST_OF_CHANNEL
-    ):
+    if np.any(may_be_left_out(departure, robust_sigma(centred))):
         return None
     times = np.concatenate([time_unix, found.time_unix])
     whole = np.full((antennas.size, times.size, ln_c.shape[2]), np.nan)
     whole[:, : time_unix.size] = ln_c
     whole[at, time_unix.size :] = found.ln_c
     order = np.argsort(times, kind="stable")
-    return EventModes(antennas, times[order], whole[:, order], kept.centre)
+    return EventModes(antennas, times[order], whole[:, order])

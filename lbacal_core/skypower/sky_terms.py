@@ -138,7 +138,7 @@ def extended_temperature(sky: SkyModel, frequency_mhz: Floats) -> Any:
 
 def combine_anchors(anchors: Sequence[Anchor], base: SkyModel) -> SkyLevel:
     """Level and slope of the sky by generalised least squares, averaged over the scatter between families."""
-    ratio, design, stated, between = _system(anchors, base)
+    ratio, design, stated, between = stack_anchors(anchors, base)
     prior, found, weights = read_prior(), [], []
     for scatter in SCATTERS:
         mean, covariance, ln_likelihood = _solve(ratio, design, stated + scatter**2 * between)
@@ -156,42 +156,7 @@ def combine_anchors(anchors: Sequence[Anchor], base: SkyModel) -> SkyLevel:
     return SkyLevel(float(centre[0]), float(centre[1]), covariance, scatter)
 
 
-@dataclass(frozen=True)
-class LeftOut:
-    """A family, and what the others say of it: ln T over that of the sky model, weighted mean of its frequencies."""
-
-    family: str
-    measured: float
-    predicted: float
-    sigma: float
-
-    @property
-    def pull(self) -> float:
-        """Measured less predicted over the standard deviation of the difference."""
-        return (self.measured - self.predicted) / self.sigma
-
-    def __str__(self) -> str:
-        """One line of the table."""
-        return f"{self.family}: {self.measured:+.3f}, predicted {self.predicted:+.3f} +- {self.sigma:.3f}"
-
-
-def predict_left_out(anchors: Sequence[Anchor], base: SkyModel) -> list[LeftOut]:
-    """Each family predicted by all others; sigma holds its own error, that of the prediction and the scatter."""
-    lines = []
-    for family in dict.fromkeys(anchor.family for anchor in anchors):
-        own = [anchor for anchor in anchors if anchor.family == family]
-        level = combine_anchors([anchor for anchor in anchors if anchor.family != family], base)
-        ratio, design, stated, _ = _system(own, base)
-        weight = invert_symmetric(stated).sum(axis=1)
-        weight /= weight.sum()
-        row = weight @ design
-        variance = weight @ stated @ weight + row @ level.covariance @ row + level.scatter**2
-        predicted = float(row @ [level.level, level.slope])
-        lines.append(LeftOut(family, float(weight @ ratio), predicted, float(np.sqrt(variance))))
-    return lines
-
-
-def _system(anchors: Sequence[Anchor], base: SkyModel) -> tuple[Floats, Floats, Floats, Floats]:
+def stack_anchors(anchors: Sequence[Anchor], base: SkyModel) -> tuple[Floats, Floats, Floats, Floats]:
     """Ln ratios, design (level, slope), stated covariance, and which of them share a family."""
     ratio = np.concatenate([anchor.ln_ratio(base) for anchor in anchors])
     frequency_mhz = np.concatenate([anchor.frequency_mhz for anchor in anchors])

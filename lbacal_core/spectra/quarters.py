@@ -16,8 +16,8 @@ from lbacal_core.provenance import hash_arrays, hash_content
 
 Path = tuple[str, int, str]
 """Station, antenna and dipole."""
-PathQuarter = tuple[str, int, str, int]
-"""A path, and the number of a quarter."""
+Quarters = Mapping[Path, Mapping[int, str]]
+"""The hash of what each path recorded in each quarter, by the number of the quarter."""
 MONTHS = 3
 
 
@@ -33,7 +33,7 @@ def hash_quarters(
     order: NDArray[np.int64],
     time_unix: Floats,
     columns: Sequence[Any],
-) -> dict[PathQuarter, str]:
+) -> Quarters:
     """The hash of what each path recorded in each quarter.
 
     Parameters
@@ -48,32 +48,23 @@ def hash_quarters(
     quarter = number_quarters(time_unix)
     order = order[np.lexsort((quarter[order], path_of[order]))]
     ends = np.flatnonzero(np.diff(path_of[order]) | np.diff(quarter[order])) + 1
-    found = {}
+    found: dict[Path, dict[int, str]] = {}
     for rows in np.split(order, ends) if order.size else []:
         station, antenna, dipole = paths[path_of[rows[0]]]
         number = int(quarter[rows[0]])
         of_rows = hash_arrays(*(column[rows] for column in columns))
-        found[station, antenna, dipole, number] = hash_content([station, antenna, dipole, number, of_rows])
+        of_path = found.setdefault((station, antenna, dipole), {})
+        of_path[number] = hash_content([station, antenna, dipole, number, of_rows])
     return found
 
 
-def group_by_path(hashes: Mapping[PathQuarter, str]) -> dict[Path, list[str]]:
-    """The hashes of the quarters of each path."""
-    found: dict[Path, list[str]] = {}
-    for (station, antenna, dipole, _), value in hashes.items():
-        found.setdefault((station, antenna, dipole), []).append(value)
-    return found
-
-
-def pick_hashes(
-    of_paths: Mapping[Path, Sequence[str]], station: str | None, antenna: int | None, dipole: str | None
-) -> list[str]:
+def pick_hashes(quarters: Quarters, station: str | None, antenna: int | None, dipole: str | None) -> list[str]:
     """The hashes of one path, or of all paths with what of the name is given."""
     if station is not None and antenna is not None and dipole is not None:
-        return list(of_paths.get((station, antenna, dipole), ()))
+        return list(quarters.get((station, antenna, dipole), {}).values())
     asked = (station, antenna, dipole)
-    named = [path for path in of_paths if all(want in (None, have) for want, have in zip(asked, path, strict=True))]
-    return [value for path in named for value in of_paths[path]]
+    named = [path for path in quarters if all(want in (None, have) for want, have in zip(asked, path, strict=True))]
+    return [value for path in named for value in quarters[path].values()]
 
 
 def hash_window(frequency_mhz: Floats, resistance_ohm: float, width_mhz: Floats | None, hashes: Iterable[str]) -> str:

@@ -38,6 +38,11 @@ LARGEST_SHARE = 0.05
 """A path with a larger share of anomalous spectra has no usual power to compare with, and keeps them all."""
 FEWEST_EVENTS = 20
 """With fewer events the usual power of a path is not known, and nothing is left out."""
+NEARER = 0.8
+"""Share of the limits from which on a spectrum that is judged by itself may be one that is left out."""
+LARGEST_SHARE_OF_LATER = 0.05
+"""Events over those that were screened together, which may be judged by themselves: noise levels of 900 events move by
+1 %."""
 
 PATHS_AT_ONCE = 6
 """Paths that are compared together: 6 x 900 x 51 numbers are 2.2 MB."""
@@ -63,6 +68,22 @@ class Screened:
     block: SpectraBlock
     anomalies: tuple[Anomaly, ...]
     is_steady: NDArray[np.bool_]
+
+
+def may_be_left_out(departure: Floats, scatter: Floats) -> NDArray[np.bool_]:
+    """Whether a screening of all events may leave out one of some events of a path, shape (path,).
+
+    Parameters
+    ----------
+    departure
+        Logarithm of the power over the expected one, shape (path, event, freq); 0 where there is no spectrum.
+    scatter
+        Standard deviation of the band power of an event, relative, shape (path,).
+    """
+    cut = NEARER * np.maximum(CUT_SIGMA * scatter, SMALLEST_DEPARTURE)[:, None]
+    is_off = np.abs(departure.mean(axis=2)) > cut
+    is_off |= np.any(np.abs(departure) > NEARER * SMALLEST_OF_CHANNEL, axis=2)
+    return np.asarray(np.any(is_off, axis=1))
 
 
 def screen_block(block: SpectraBlock, longitude_deg: float) -> Screened:

@@ -29,8 +29,7 @@ from lbacal_core.hdf5 import (
     read_values,
 )
 from lbacal_core.instrument.antennas import EXPECTED, are_dipole_names
-from lbacal_core.spectra.quarters import Path as PathName
-from lbacal_core.spectra.quarters import PathQuarter, group_by_path, hash_quarters, hash_window, pick_hashes
+from lbacal_core.spectra.quarters import Quarters, hash_quarters, hash_window, pick_hashes
 
 FORMAT = "lbacal-spectra-1"
 EARLIEST_UNIX = datetime(2009, 1, 1, tzinfo=UTC).timestamp()
@@ -238,15 +237,11 @@ class Spectra:
 
         It is the hash of the sorted hashes of its quarters.
         """
-        hashes = pick_hashes(self._hashes_of_paths, station, antenna, dipole)
+        hashes = pick_hashes(self.quarter_hashes, station, antenna, dipole)
         return hash_window(self.frequency_mhz, self.resistance_ohm, self.width_mhz, hashes)
 
     @cached_property
-    def _hashes_of_paths(self) -> Mapping[PathName, list[str]]:
-        return group_by_path(self.quarter_hashes)
-
-    @cached_property
-    def quarter_hashes(self) -> Mapping[PathQuarter, str]:
+    def quarter_hashes(self) -> Quarters:
         """The hash of what each path recorded in each quarter."""
         numbers, path_of = np.unique(self._keys // self.key_codes["event_id"][0].size, return_inverse=True)
         first = np.empty(numbers.size, dtype=np.int64)

@@ -10,7 +10,7 @@ from fastapi import APIRouter, Depends, Query, Request, Response
 from lbacal.instants import format_instant, format_optional, parse_at, parse_instant
 from lbacal.tables import write_format
 from lbacal_core.calibration.spreads import ToldCurve
-from lbacal_core.curves.curves import STATUSES, list_numbers
+from lbacal_core.curves.curves import STATUSES
 from lbacal_core.curves.validity import Promotion, Scope
 from service.factory import Factory
 from service.handlers.problems import document
@@ -39,9 +39,11 @@ from service.wire.answer_models import (
     BudgetAnswer,
     ChangesAnswer,
     DiffAnswer,
+    DiffCurve,
     EdgesAnswer,
     InEffectAnswer,
     PromotionAnswer,
+    VersionAnswer,
     VersionsAnswer,
     WholeVersionAnswer,
 )
@@ -53,6 +55,7 @@ from service.wire.answers import (
     describe_in_effect,
     describe_promotion,
     describe_scope,
+    fill_answer,
     to_json,
     write_in_effect,
 )
@@ -162,7 +165,9 @@ def list_versions(
     wanted = None if is_everything else Scope(station, antenna, dipole)
     versions = use.calibrations.search(wanted, status, cursor, limit)
     following = versions[-1].id if len(versions) == limit else None
-    return answer(request, {"calibrations": [describe_version(version) for version in versions], "next": following})
+    return answer(
+        request, {"calibrations": [fill_answer(VersionAnswer, version) for version in versions], "next": following}
+    )
 
 
 @router.get(
@@ -184,7 +189,7 @@ def get_version(
     version = use.calibrations.get(version_id)
     chains = {dipole: chain.as_dict() for dipole, chain in version.chains.items()}
     more = {"reference": chains or None, "anomalies": version.anomalies.as_dict()}
-    content = {**describe_version(version), "curves": version.payload, **more}
+    content = {**fill_answer(VersionAnswer, version), "curves": version.payload, **more}
     body = content if kind == "json" else write_format(kind, describe_version_rows(version))
     return answer(request, body, media_type=FORMATS[kind], cache=_keeping(version_id))
 
@@ -267,26 +272,6 @@ def _keeping(*ids: str) -> str:
     return IMMUTABLE if all(len(one) == ID_DIGITS for one in ids) else REVALIDATE
 
 
-def describe_version(version: Version) -> dict[str, Any]:
-    """A version as JSON values, without its curves."""
-    return {
-        "id": version.id,
-        "scope": version.scope.level,
-        **describe_scope(version.scope),
-        "since": format_instant(version.since),
-        "until": format_instant(version.until),
-        "status": version.status,
-        "events": version.events,
-        "gate": version.gate,
-        "model": version.model,
-        "made_at": format_instant(version.made),
-        "made_by": version.made_by,
-        "reason": version.reason,
-        "payload_sha256": version.payload_sha256,
-        "inputs": dict(version.inputs),
-    }
-
-
 def describe_version_rows(version: Version) -> dict[str, Any]:
     """The converged curves of a version in the shape of an answer to "in effect at"."""
     window = {"from": format_instant(version.since), "to": format_instant(version.until)}
@@ -301,17 +286,7 @@ def describe_version_rows(version: Version) -> dict[str, Any]:
 
 def describe_diff(first: Version, second: Version) -> dict[str, Any]:
     """The difference of two versions: their curves by dipole, and the inputs that are not the same."""
-    curves = [
-        {
-            "dipole": dipole,
-            "frequency_mhz": change.frequency_mhz.tolist(),
-            "fraction": list_numbers(change.fraction),
-            "sigma": list_numbers(change.sigma),
-            "max_fraction": change.max_fraction,
-            "max_sigma": change.max_sigma,
-        }
-        for dipole, change in compare_versions(first, second)
-    ]
+    curves = [fill_answer(DiffCurve, change, dipole=dipole) for dipole, change in compare_versions(first, second)]
     names = sorted({*first.inputs, *second.inputs})
     inputs = {
         name: {"first": first.inputs.get(name), "second": second.inputs.get(name)}

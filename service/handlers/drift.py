@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Depends, Query, Request, Response
 
-from lbacal.instants import DAY_US, format_instant, format_optional
+from lbacal.instants import DAY_US, format_instant
 from lbacal_core.curves.validity import Instant, Scope
 from lbacal_core.errors import BadInputError
 from service.handlers.problems import document
@@ -25,13 +25,24 @@ from service.handlers.request import (
     describes,
     require_read,
 )
-from service.storage.alarms import ACKNOWLEDGED, OPEN, STATES, Acknowledgement, Alarm
+from service.storage.alarms import ACKNOWLEDGED, OPEN, STATES, Alarm
 from service.storage.drift import KeptCut
 from service.usecases.calibrations import select_paths
-from service.usecases.drift import SECOND_US, DriftSeries, Step
+from service.usecases.drift import SECOND_US, DriftSeries, MonthPoint, Step
 from service.usecases.keys import Caller
-from service.wire.answer_models import AlarmAnswer, AlarmKind, AlarmsAnswer, CutAnswer, CutsAnswer, DriftAnswer
-from service.wire.answers import describe_scope
+from service.wire.answer_models import (
+    AcknowledgementAnswer,
+    AlarmAnswer,
+    AlarmKind,
+    AlarmsAnswer,
+    CutAnswer,
+    CutDecision,
+    CutsAnswer,
+    DriftAnswer,
+    DriftMonth,
+    DriftVersion,
+)
+from service.wire.answers import describe_scope, fill_answer
 from service.wire.bodies import AcknowledgementBody, ReasonBody, parse_body
 
 # Drift of C with time.
@@ -65,40 +76,20 @@ def get_drift(
 
 def describe_series(series: DriftSeries) -> dict[str, Any]:
     """Drift as JSON values."""
-    return {
-        "scope": series.scope.level,
-        **describe_scope(series.scope),
-        "versions": [
-            {
-                "calibration": version.calibration,
-                "dipole": version.dipole or None,
-                "since": format_instant(version.since),
-                "until": format_instant(version.until),
-                "events": version.events,
-                "c": version.c,
-                "c_sigma": version.c_sigma,
-            }
-            for version in series.versions
-        ],
-        "months": [
-            {
-                "month": format_instant(point.month)[:7],
-                "c_ratio": point.c_ratio,
-                "low": point.low,
-                "high": point.high,
-                "paths": point.paths,
-                "events": point.events,
-                "calibration": point.calibration,
-                "tilt": point.shape and point.shape[0],
-                "curvature": point.shape and point.shape[1],
-                **dict(zip(("line", "line_low", "line_high"), point.line or (None, None, None), strict=True)),
-            }
-            for point in series.months
-        ],
-        "steps": [describe_step(step) for step in series.steps],
-        "slope": None if series.slope is None else describe_slope(series.slope),
-        "threshold_sigma": series.threshold_sigma,
-    }
+    return fill_answer(
+        DriftAnswer, series,
+        versions=[fill_answer(DriftVersion, version, dipole=version.dipole or None) for version in series.versions],
+        months=[describe_month(point) for point in series.months],
+        steps=[describe_step(step) for step in series.steps],
+        slope=None if series.slope is None else describe_slope(series.slope),
+    )  # fmt: skip
+
+
+def describe_month(point: MonthPoint) -> dict[str, Any]:
+    """A month as JSON values."""
+    shape = dict(zip(("tilt", "curvature"), point.shape, strict=True))
+    line = dict(zip(("line", "line_low", "line_high"), point.line or (None, None, None), strict=True))
+    return fill_answer(DriftMonth, point, month=format_instant(point.month)[:7], **shape, **line)
 
 
 def describe_step(step: Step) -> dict[str, Any]:
@@ -180,31 +171,11 @@ def acknowledge_alarm(request: Request, use: UseCases, number: JobNumber, caller
 def describe_alarm(alarm: Alarm, now: Instant) -> dict[str, Any]:
     """An alarm as JSON values."""
     news, known = alarm.news, alarm.acknowledgement
-    return {
-        "alarm": alarm.number,
-        "kind": news.kind,
-        "state": alarm.state_at(now),
-        "scope": news.scope.level,
-        **describe_scope(news.scope),
-        "sentence": news.sentence,
-        "since": format_optional(news.since),
-        "since_sigma_days": None if news.since is None else news.since_error_us / DAY_US,
-        "raised_at": format_instant(alarm.raised),
-        "seen_at": format_instant(alarm.seen),
-        "ended_at": format_optional(alarm.ended),
-        "acknowledgement": None if known is None else describe_acknowledgement(known),
-        "content": dict(news.content),
-    }
-
-
-def describe_acknowledgement(known: Acknowledgement) -> dict[str, Any]:
-    """Who knows of a problem, as JSON values."""
-    return {
-        "by": known.by,
-        "at": format_instant(known.at),
-        "reason": known.reason,
-        "until": format_optional(known.until),
-    }
+    return fill_answer(
+        AlarmAnswer, alarm, news, alarm=alarm.number, state=alarm.state_at(now),
+        since_sigma_days=None if news.since is None else news.since_error_us / DAY_US,
+        acknowledgement=None if known is None else fill_answer(AcknowledgementAnswer, known),
+    )  # fmt: skip
 
 
 # Cuts: dates at which the watch cuts the windows of antennas, and what people decide about them.
@@ -257,17 +228,6 @@ def restore_cut(request: Request, use: UseCases, number: JobNumber, caller: Prom
 
 def describe_cut(kept: KeptCut) -> dict[str, Any]:
     """A cut as JSON values."""
-    cut, decision = kept.cut, kept.decision
-    said = None if decision is None else {**vars(decision), "at": format_instant(decision.at)}
-    return {
-        "cut": kept.number,
-        "station": cut.station,
-        "antenna": cut.antenna,
-        "date": format_instant(cut.date),
-        "date_sigma_days": cut.sigma_days,
-        "stands": kept.stands,
-        "refitted": kept.is_refitted,
-        "made_at": format_instant(kept.made),
-        "ended_at": format_optional(kept.ended),
-        "decision": said,
-    }
+    decision = None if kept.decision is None else fill_answer(CutDecision, kept.decision)
+    of_cut = {"cut": kept.number, "date_sigma_days": kept.cut.sigma_days, "refitted": kept.is_refitted}
+    return fill_answer(CutAnswer, kept, kept.cut, decision=decision, **of_cut)

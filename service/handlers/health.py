@@ -8,7 +8,7 @@ from fastapi import APIRouter, Depends, Request, Response
 from fastapi.responses import PlainTextResponse
 from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, generate_latest
 
-from lbacal.instants import format_instant, format_optional
+from lbacal.instants import format_optional
 from service.handlers.metrics import describe_state
 from service.handlers.models import describe_investigation
 from service.handlers.problems import document
@@ -18,7 +18,16 @@ from service.usecases.alarms import StationNews
 from service.usecases.cuts import tell_not_refitted
 from service.usecases.models import list_stopped
 from service.usecases.status import State
-from service.wire.answer_models import AliveAnswer, ReadyAnswer, StatusAnswer
+from service.wire.answer_models import (
+    AlarmCountsAnswer,
+    AliveAnswer,
+    FailureAnswer,
+    NewsAnswer,
+    ProcessAnswer,
+    ReadyAnswer,
+    StatusAnswer,
+)
+from service.wire.answers import fill_answer
 
 router = APIRouter(tags=["health"])
 
@@ -52,9 +61,8 @@ def get_readiness(request: Request, use: UseCases) -> Response:
     dependencies=[Depends(require_read)],
 )
 def get_status(request: Request, use: UseCases) -> Response:
-    stopped = list_stopped(use.models.history())
-    content = describe_status(use.status.look(), use.investigations.news(), stopped)
-    return answer(request, content | {"not_refitted": [tell_not_refitted(one.cut) for one in use.cuts.waiting()]})
+    stopped, waiting = list_stopped(use.models.history()), [tell_not_refitted(one.cut) for one in use.cuts.waiting()]
+    return answer(request, describe_status(use.status.look(), use.investigations.news(), stopped, waiting))
 
 
 @router.get(
@@ -70,57 +78,23 @@ def get_metrics(request: Request, use: UseCases) -> Response:
     return answer(request, text, media_type=CONTENT_TYPE_LATEST)
 
 
-def describe_status(state: State, news: list[StationNews], stopped: list[str]) -> dict[str, Any]:
+def describe_status(state: State, news: list[StationNews], stopped: list[str], waiting: list[str]) -> dict[str, Any]:
     """What an operator looks at, as JSON values."""
-    return {
-        "ready": state.problem is None,
-        "problem": state.problem,
-        "processes": [
-            {
-                "name": process.name,
-                "kind": process.kind,
-                "alive": process.is_alive,
-                "silent_s": process.silent_us / 1e6,
-                "started_at": format_instant(process.started),
-            }
-            for process in state.processes
-        ],
-        "parts": dict(state.parts),
-        "stuck": list(state.stuck),
-        "events": state.events,
-        "newest_event": format_optional(state.newest_event),
-        "gated": state.gated,
-        "alarms": {
-            "line": state.alarms.line,
-            "open": dict(state.alarms.open),
-            "acknowledged": dict(state.alarms.acknowledged),
-            "new": state.alarms.new,
-        },
-        "investigations": [describe_news(one) for one in news],
-        "stopped_paying": stopped,
-        "failures": [describe_failure(failure) for failure in state.failures],
-    }
+    processes = [fill_answer(ProcessAnswer, process, silent_s=process.silent_us / 1e6) for process in state.processes]
+    return fill_answer(
+        StatusAnswer, state, ready=state.problem is None, processes=processes,
+        alarms=fill_answer(AlarmCountsAnswer, state.alarms), investigations=[describe_news(one) for one in news],
+        not_refitted=waiting, stopped_paying=stopped, failures=[describe_failure(one) for one in state.failures],
+    )  # fmt: skip
 
 
 def describe_news(news: StationNews) -> dict[str, Any]:
     """The newest investigation of a station, and what is new in it, as JSON values."""
-    return {
-        **describe_investigation(news.newest),
-        "before": news.before,
-        "new": list(news.new),
-        "stronger": list(news.stronger),
-        "gone": list(news.gone),
-    }
+    return fill_answer(NewsAnswer, news, **describe_investigation(news.newest))
 
 
 def describe_failure(failure: Failure) -> dict[str, Any]:
     """A job that failed, and when it is tried again; null where nobody will unless it is asked for."""
-    again = failure.tries.again if failure.tries else None
-    return {
-        "job": failure.job.number,
-        "kind": failure.job.kind,
-        "request": dict(failure.job.request),
-        "error": "; ".join(failure.job.errors),
-        "tries": failure.tries.failed if failure.tries else 1,
-        "again_after": format_optional(again),
-    }
+    again, failed = (failure.tries.again, failure.tries.failed) if failure.tries else (None, 1)
+    error, of_job = "; ".join(failure.job.errors), {"job": failure.job.number, "tries": failed}
+    return fill_answer(FailureAnswer, failure.job, error=error, again_after=format_optional(again), **of_job)

@@ -25,7 +25,7 @@ from service.handlers.request import (
 from service.storage.jobs import Job
 from service.usecases.keys import Caller
 from service.wire.answer_models import JobAnswer, JobsAnswer, RefitAnswer
-from service.wire.answers import to_json
+from service.wire.answers import fill_answer, to_json
 from service.wire.bodies import ReasonBody, RefitBody, parse_body
 
 router = APIRouter(tags=["jobs"])
@@ -100,22 +100,17 @@ def cancel_job(request: Request, use: UseCases, caller: Runner, number: JobNumbe
 
 def describe_job(job: Job) -> dict[str, Any]:
     """A job as JSON values."""
-    return {
-        "job": job.number,
-        "kind": job.kind,
-        "state": job.state,
-        "progress": job.progress,
-        "calibrations": [name for result in job.results for name in result["calibrations"]],
-        "promoted": [name for result in job.results for name in result.get("promoted", [])],
-        "gated": {name: why for result in job.results for name, why in result.get("gated", {}).items()},
-        "examined": sum(result.get("examined", 0) for result in job.results),
-        "results": [name for result in job.results for name in result.get("results", [])],
-        "error": "; ".join(job.errors) or None,
-        "request": {name: _on_the_wire(name, value) for name, value in job.request.items()},
-        "reason": job.reason,
-        "by": job.by,
-        "created_at": format_instant(job.created),
+    listed = {
+        name: [one for result in job.results for one in result.get(name, [])]
+        for name in ("calibrations", "promoted", "results")
     }
+    return fill_answer(
+        JobAnswer, job, job=job.number, **listed,
+        gated={name: why for result in job.results for name, why in result.get("gated", {}).items()},
+        examined=sum(result.get("examined", 0) for result in job.results),
+        error="; ".join(job.errors) or None,
+        request={name: _on_the_wire(name, value) for name, value in job.request.items()},
+    )  # fmt: skip
 
 
 def _on_the_wire(name: str, value: Any) -> Any:

@@ -7,7 +7,6 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Path, Query, Request, Response
 
-from lbacal.instants import format_instant
 from lbacal_core.curves.validity import Promotion
 from service.factory import Factory
 from service.handlers.calibrations import describe_changes
@@ -23,11 +22,10 @@ from service.handlers.request import (
     describes,
     require_read,
 )
-from service.storage.ledger import Tag
 from service.usecases.keys import Caller
 from service.usecases.promotions import Change, Plan
 from service.wire.answer_models import PromotionsAnswer, TagAnswer, TagsAnswer
-from service.wire.answers import describe_promotion, to_json
+from service.wire.answers import describe_promotion, fill_answer, to_json
 from service.wire.bodies import ReasonBody, TagBody, parse_body
 
 router = APIRouter(tags=["ledger"])
@@ -51,7 +49,7 @@ def list_tags(
 ) -> Response:
     tags = use.tags.after(cursor, limit)
     following = tags[-1].name if len(tags) == limit else None
-    return answer(request, {"tags": [describe_tag(tag) for tag in tags], "next": following})
+    return answer(request, {"tags": [fill_answer(TagAnswer, tag) for tag in tags], "next": following})
 
 
 @router.put(
@@ -65,7 +63,7 @@ def list_tags(
 )
 def put_tag(request: Request, use: UseCases, caller: Promoter, name: TagName, body: JsonBody) -> Response:
     tag, is_new = use.tags.put(name, parse_body(TagBody, body), caller.name)
-    return answer(request, describe_tag(tag), status=201 if is_new else 200)
+    return answer(request, fill_answer(TagAnswer, tag), status=201 if is_new else 200)
 
 
 @router.post(
@@ -124,12 +122,6 @@ def _execute(
         caller.name, key, asked, lambda: use.promotions.promote(plan, lambda *made: to_json(describe_act(plan, *made)))
     )
     return answer(request, content, status=201)
-
-
-def describe_tag(tag: Tag) -> dict[str, Any]:
-    """A tag as JSON values."""
-    instants = {"as_of": format_instant(tag.as_of), "at": format_instant(tag.at)}
-    return {"name": tag.name, **instants, "by": tag.by, "reason": tag.reason}
 
 
 def describe_act(plan: Plan, made: Sequence[Promotion], changes: list[Change]) -> dict[str, Any]:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Query, Request, Response
 
-from lbacal.instants import format_instant
 from lbacal_core.causes.model import AdoptedCause, Model
 from service.handlers.calibrations import describe_changes
 from service.handlers.problems import document
@@ -27,14 +27,18 @@ from service.storage.models import Gain, Investigation
 from service.usecases.keys import Caller
 from service.usecases.models import AdoptedModel, Adoption
 from service.wire.answer_models import (
+    AdoptedCauseAnswer,
     AdoptionAnswer,
     AdoptionPlanAnswer,
+    GainAnswer,
     InvestigationAnswer,
+    InvestigationLine,
     InvestigationsAnswer,
+    ModelLine,
     ModelsAnswer,
     RefitAnswer,
 )
-from service.wire.answers import to_json
+from service.wire.answers import fill_answer, to_json
 from service.wire.bodies import AdoptionBody, InvestigationBody, ReasonBody, parse_body
 
 router = APIRouter(tags=["models"])
@@ -133,46 +137,15 @@ def describe_plan(plan: Adoption) -> dict[str, Any]:
 
 def describe_model(one: AdoptedModel) -> dict[str, Any]:
     """A line of the ledger of models as JSON values."""
-    change = one.change
-    return {
-        "id": change.model,
-        "station": change.station,
-        "act": change.act,
-        "before": change.before,
-        "in_effect": one.is_in_effect,
-        "changed": one.changed.sentence,
-        "investigation": change.investigation,
-        "finding": change.finding,
-        "promise": None if change.promise is None else list(change.promise),
-        "at": format_instant(change.at),
-        "by": change.by,
-        "reason": change.reason,
-        "causes": [describe_cause(cause, one.gains.get(Model((cause,)).id, ())) for cause in one.model.causes],
-    }
+    causes = [describe_cause(cause, one.gains.get(Model((cause,)).id, ())) for cause in one.model.causes]
+    return fill_answer(ModelLine, one.change, one, id=one.change.model, changed=one.changed.sentence, causes=causes)
 
 
-def describe_cause(cause: AdoptedCause, gains: Any) -> dict[str, Any]:
+def describe_cause(cause: AdoptedCause, gains: Sequence[Gain]) -> dict[str, Any]:
     """An adopted cause and what it gained, as JSON values."""
-    content = cause.as_dict()
-    return {
-        **{name: content[name] for name in ("cause", "target", "parameters", "size", "sigma", "since", "until")},
-        "unit": cause.in_catalogue.unit,
-        "is_free": cause.is_free,
-        "sentence": cause.sentence,
-        "gains": [describe_gain(gain) for gain in gains],
-    }
-
-
-def describe_gain(gain: Gain) -> dict[str, Any]:
-    """What a cause gained on the new events of a window, as JSON values."""
-    return {
-        "since": format_instant(gain.since),
-        "until": format_instant(gain.until),
-        "events": gain.events,
-        "log_likelihood_gain": gain.gain,
-        "expected": gain.expected,
-        "expected_sigma": gain.expected_sigma,
-    }
+    content, gained = cause.as_dict(), [fill_answer(GainAnswer, one, log_likelihood_gain=one.gain) for one in gains]
+    named = {name: content[name] for name in ("cause", "target", "parameters", "size", "sigma", "since", "until")}
+    return fill_answer(AdoptedCauseAnswer, cause, unit=cause.in_catalogue.unit, gains=gained, **named)
 
 
 # Investigations of stored spectra: asked for, listed, read.
@@ -238,14 +211,5 @@ def get_investigation(request: Request, use: UseCases, name: InPath) -> Response
 
 def describe_investigation(one: Investigation) -> dict[str, Any]:
     """An investigation without its report, as JSON values."""
-    return {
-        "id": one.id,
-        "station": one.station,
-        "since": format_instant(one.since),
-        "until": format_instant(one.until),
-        "verdict": one.report["verdict"],
-        "findings": [finding["cause"] for finding in one.report["findings"]],
-        "made_at": format_instant(one.made),
-        "made_by": one.made_by,
-        "reason": one.reason,
-    }
+    findings = [finding["cause"] for finding in one.report["findings"]]
+    return fill_answer(InvestigationLine, one, verdict=one.report["verdict"], findings=findings)

@@ -25,6 +25,7 @@ from service.handlers.request import (
 from service.storage.spectra import StoredEvent
 from service.usecases.keys import Caller
 from service.wire.answer_models import EventAnswer, EventsAnswer, ReceiptAnswer, ReceiptsAnswer
+from service.wire.answers import fill_answer
 from service.wire.bodies import FlagBody, SpectraBody, parse_body
 
 router = APIRouter(tags=["spectra"])
@@ -113,11 +114,4 @@ def flag_event(request: Request, use: UseCases, caller: Writer, event_id: InPath
 
 def describe_event(event: StoredEvent) -> dict[str, Any]:
     """An event as JSON values."""
-    return {
-        "event_id": event.event_id,
-        "time_utc": format_instant(event.time),
-        "spectra": event.spectra,
-        "stations": list(event.stations),
-        "flag": event.flag,
-        "env": dict(event.env),
-    }
+    return fill_answer(EventAnswer, event, time_utc=format_instant(event.time))

@@ -124,10 +124,10 @@ examined = Table(
     Column("made_us", BigInteger, nullable=False),
 )
 
-kept_fit = Table(
-    "kept_fit",
+sums = Table(
+    "sums",
     metadata,
-    Column("kind", Text, primary_key=True, comment="scope of its versions: array, station or antenna"),
+    Column("kind", Text, primary_key=True, comment="calibrations of scope array, station or antenna; or drift"),
     Column("scope", Text, primary_key=True, comment="whose spectra it was made from"),
     Column("since_us", BigInteger, primary_key=True),
     Column("until_us", BigInteger, primary_key=True),
@@ -135,8 +135,10 @@ kept_fit = Table(
     Column("spectra", Integer, nullable=False, comment="how many usable ones it was made from"),
     Column("flag", BigNumber, nullable=False, comment="the last flag set in the window"),
     Column("event", BigNumber, nullable=False, comment="the newest event"),
-    Column("told", Text, nullable=False, comment="JSON: the pieces of the window, their versions and C"),
-    Column("lines", LargeBinary, nullable=False, comment="NumPy archives one after the other, one a piece"),
+    Column("whole", Integer, nullable=False, comment="how many usable ones there were when all were read last"),
+    Column("arrays", LargeBinary, nullable=False, comment="NumPy archive"),
+    Column("sha256", Text, nullable=False, comment="of the archive"),
+    comment="what is kept of the spectra of a block of time, so that later events are added to it: a cache",
 )
 
 chain_part = Table(
@@ -366,55 +368,18 @@ alarm = Table(
 )
 
 
-# The tables of drift: caches of what follows from the stored spectra. With them the schema is whole.
-
-monthly_ratio = Table(
-    "monthly_ratio",
-    metadata,
-    Column("path", Integer, ForeignKey("path.id"), primary_key=True),
-    Column("month_us", BigInteger, primary_key=True, comment="the month's first instant"),
-    Column("reference", Text, ForeignKey("calibration.id"), nullable=False),
-    Column("c_ratio", Float, nullable=False, comment="band-mean C of the month over that of the reference"),
-    Column("c_ratio_sigma", Float, nullable=False),
-    Column("events", Integer, nullable=False),
-    Column("tilt", Float, comment="of ln C: coefficient of the Legendre polynomial 1 over the band"),
-    Column("tilt_sigma", Float),
-    Column("curvature", Float, comment="of ln C: coefficient of the Legendre polynomial 2"),
-    Column("curvature_sigma", Float),
-)
+# What drift tells: caches of what follows from the blocks of drift. With them the schema is whole.
 
 drift_year = Table(
     "drift_year",
     metadata,
     Column("station", Text, primary_key=True, comment="empty for the array"),
     Column("since_us", BigInteger, primary_key=True, comment="the first instant of the year"),
-    Column("inputs", Text, nullable=False, comment="hash of its months; for the array of those of all stations"),
-    Column("months", Text, comment="JSON: what all paths together say; null where it is still to be computed"),
+    Column("digest", Text, nullable=False, comment="hash of its months"),
+    Column("months", Text, nullable=False, comment="JSON: what all paths together say"),
     Column("matrix", Text, comment="JSON: every path beside the station's median; null for the array"),
-)
-
-drift_source = Table(
-    "drift_source",
-    metadata,
-    Column("station", Text, primary_key=True),
-    Column("since_us", BigInteger, primary_key=True, comment="the first instant of the year"),
-    Column("inputs", Text, nullable=False, comment="hash of all that its events were measured with but the spectra"),
-    Column("spectra", Integer, nullable=False, comment="count of usable spectra"),
-    Column("flag", BigInteger, nullable=False, comment="the last flag that was set in the year"),
-    Column("event", BigInteger, nullable=False, comment="the newest event"),
-    Column("screened", Integer, nullable=False, comment="count of usable spectra when the whole year was read last"),
-)
-
-event_modes = Table(
-    "event_modes",
-    metadata,
-    Column("station", Text, primary_key=True),
-    Column("dipole", Text, primary_key=True),
-    Column("since_us", BigInteger, primary_key=True, comment="the first instant of the year"),
-    Column("antennas", Text, nullable=False, comment="JSON"),
-    Column("time_us", LargeBinary, nullable=False, comment="little-endian i8, one an event"),
-    Column("ln_c", LargeBinary, nullable=False, comment="little-endian f4 (antenna, event, mode)"),
-    Column("sha256", Text, nullable=False),
+    Column("paths", Text, comment="JSON: paths and months of the ratios; null for the array"),
+    Column("ratios", LargeBinary, comment="little-endian f8 (path, month, number); null for the array"),
 )
 
 window_cut = Table(

@@ -8,13 +8,14 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from sqlalchemy import Connection, Row, and_, func, or_, select, update
+from sqlalchemy import Row, and_, func, or_, select, update
 
 from lbacal.instants import DAY_US
 from lbacal_core.curves.validity import Instant, Scope
 from lbacal_core.provenance import canonical_json
 from service.errors import NotFoundError
 from service.schema.tables import alarm
+from service.storage.rows import Store, from_row, scope_columns
 
 STEP = "step"
 SLOPE = "slope"
@@ -95,11 +96,8 @@ class Alarm:
         return OPEN if known is None or (known.until is not None and known.until <= now) else ACKNOWLEDGED
 
 
-class AlarmStore:
+class AlarmStore(Store):
     """Alarms, each raised once."""
-
-    def __init__(self, connection: Connection) -> None:
-        self._connection = connection
 
     def raise_alarm(self, news: News, now: Instant) -> int:
         """Raise an alarm, or see the one again that this problem has; its number."""
@@ -182,9 +180,7 @@ class AlarmStore:
             number = min(same, key=lambda one: _distance(one.news, news)).number
             self._connection.execute(update(alarm).where(alarm.c.id == number).values(told))
             return number
-        scope = news.scope
-        owner = {"scope": scope.key, "station": scope.station, "antenna": scope.antenna, "dipole": scope.dipole}
-        row = {"kind": news.kind, **owner, "subject": news.subject, "raised_us": now, **told}
+        row = {"kind": news.kind, **scope_columns(news.scope), "subject": news.subject, "raised_us": now, **told}
         made = self._connection.execute(alarm.insert().values(row).returning(alarm.c.id))
         return int(made.scalar_one())
 
@@ -209,11 +205,9 @@ def _in_state(state: str, now: Instant) -> Any:
 
 
 def _value(row: Row[Any]) -> Alarm:
-    news = News(
-        row.kind, Scope(row.station, row.antenna, row.dipole), row.subject, row.sentence, json.loads(row.content),
-        row.since_us, row.since_error_us,
-    )  # fmt: skip
+    scope = Scope(row.station, row.antenna, row.dipole)
+    news = from_row(News, row, scope=scope, content=json.loads(row.content), since_error_us=row.since_error_us)
     known = (
         None if row.known_us is None else Acknowledgement(row.known_by, row.known_us, row.known_why, row.known_until_us)
     )
-    return Alarm(row.id, news, row.raised_us, row.seen_us, row.ended_us, known)
+    return from_row(Alarm, row, number=row.id, news=news, acknowledgement=known)

@@ -7,7 +7,6 @@ import sqlite3
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -20,12 +19,12 @@ from service.errors import UnavailableError
 from service.storage.alarms import AlarmStore
 from service.storage.drift import CutStore, DriftStore
 from service.storage.jobs import JobStore
-from service.storage.kept_fits import ExaminedStore, KeptFitStore
 from service.storage.keys import DeedStore, KeyStore
 from service.storage.ledger import LedgerStore, TagStore
 from service.storage.models import InvestigationStore, ModelStore
 from service.storage.processes import ProcessStore
 from service.storage.spectra import SpectraStore
+from service.storage.sums import SumStore
 from service.storage.versions import BudgetStore, VersionStore
 
 # What a failure beside this code means: the one place where errors of the databases become 503, and values 422.
@@ -123,91 +122,25 @@ class Stores:
 
     def __init__(self, connection: Connection) -> None:
         self._connection = connection
+        self.spectra = SpectraStore(connection)
+        self.budgets = BudgetStore(connection)
+        self.versions = VersionStore(connection)
+        self.sums = SumStore(connection)
+        self.ledger = LedgerStore(connection)
+        self.tags = TagStore(connection)
+        self.investigations = InvestigationStore(connection)
+        self.models = ModelStore(connection)
+        self.jobs = JobStore(connection)
+        self.processes = ProcessStore(connection)
+        self.deeds = DeedStore(connection)
+        self.drift = DriftStore(connection)
+        self.cuts = CutStore(connection)
+        self.alarms = AlarmStore(connection)
+        self.keys = KeyStore(connection)
 
     def require_prompt(self) -> None:
         """Refuse to commit what was overtaken by the clock."""
-        if "ledger" in vars(self):
-            self.ledger.require_prompt()
-
-    @cached_property
-    def spectra(self) -> SpectraStore:
-        """Events and their spectra."""
-        return SpectraStore(self._connection)
-
-    @cached_property
-    def budgets(self) -> BudgetStore:
-        """Budgets of systematic errors."""
-        return BudgetStore(self._connection)
-
-    @cached_property
-    def versions(self) -> VersionStore:
-        """Calibration versions."""
-        return VersionStore(self._connection)
-
-    @cached_property
-    def examined(self) -> ExaminedStore:
-        """Inputs that were fitted and gave no news."""
-        return ExaminedStore(self._connection)
-
-    @cached_property
-    def kept_fits(self) -> KeptFitStore:
-        """Fits that later events can continue."""
-        return KeptFitStore(self._connection)
-
-    @cached_property
-    def ledger(self) -> LedgerStore:
-        """Promotions."""
-        return LedgerStore(self._connection)
-
-    @cached_property
-    def tags(self) -> TagStore:
-        """Names for instants of the ledger."""
-        return TagStore(self._connection)
-
-    @cached_property
-    def investigations(self) -> InvestigationStore:
-        """What the simulation gets wrong in stored spectra."""
-        return InvestigationStore(self._connection)
-
-    @cached_property
-    def models(self) -> ModelStore:
-        """Models that were adopted."""
-        return ModelStore(self._connection)
-
-    @cached_property
-    def jobs(self) -> JobStore:
-        """Refits asked for and due."""
-        return JobStore(self._connection)
-
-    @cached_property
-    def processes(self) -> ProcessStore:
-        """Processes that live."""
-        return ProcessStore(self._connection)
-
-    @cached_property
-    def deeds(self) -> DeedStore:
-        """What was done under a name."""
-        return DeedStore(self._connection)
-
-    @cached_property
-    def drift(self) -> DriftStore:
-        """Monthly ratios of C."""
-        return DriftStore(self._connection)
-
-    @cached_property
-    def cuts(self) -> CutStore:
-        """Dates at which windows are cut."""
-        return CutStore(self._connection)
-
-    @cached_property
-    def alarms(self) -> AlarmStore:
-        """What is wrong."""
-        return AlarmStore(self._connection)
-
-    @cached_property
-    def keys(self) -> KeyStore:
-        """API keys."""
-        return KeyStore(self._connection)
+        self.ledger.require_prompt()
 
 
 class Database:

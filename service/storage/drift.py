@@ -1,12 +1,11 @@
-"""Drift: caches of what follows from the stored spectra, replaced whole, station by station.
+"""Drift: caches of what follows from the events of every path (`sums`), replaced whole, station by station.
 
-Monthly ratios are for the eye, and what the months of a year say together is kept with them; the events of every path
-are what steps and slopes are found in; the report is what was found last.
+Monthly ratios are for the eye, and what the months of a year say together is kept with them; the report is what was
+found in the events last.
 """
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -14,224 +13,98 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from sqlalchemy import Connection, Row, Select, delete, func, select, update
+from sqlalchemy import Select, delete, func, select, text, update
 
 from lbacal.instants import DAY_US
 from lbacal_core.curves.validity import Instant, Scope
-from lbacal_core.provenance import canonical_json
+from lbacal_core.grids import Floats
+from lbacal_core.provenance import canonical_json, hash_arrays, hash_content
 from service.errors import NotFoundError
-from service.schema.tables import (
-    cut_decision,
-    drift_report,
-    drift_source,
-    drift_year,
-    event_modes,
-    monthly_ratio,
-    path,
-    window_cut,
-)
+from service.schema.tables import cut_decision, drift_report, drift_year, window_cut
+from service.storage.rows import Store, from_row, put_rows, to_row
 
-SINGLE = "<f4"
-MODES = 3
+LOCK = 5_240_123
+"""Names the one lock under which months are written on PostgreSQL."""
+NUMBERS = ("c_ratio", "c_ratio_sigma", "tilt", "curvature", "events")
+"""What is known of a path's month: C over that of the reference version, tilt and curvature of ln C, and its events."""
 
 
 @dataclass(frozen=True)
-class MonthlyRatio:
-    """C of a path in a month over that of the reference version, and the tilt and curvature of ln C along frequency."""
+class PathMonths:
+    """The months of paths: `NUMBERS` in shape (path, month, number), NaN where a month has too few events."""
 
-    path: Scope
-    month: Instant
-    reference: str
-    c_ratio: float
-    c_ratio_sigma: float
-    events: int
-    shape: tuple[float, float] | None = None
-    shape_sigma: tuple[float, float] | None = None
+    paths: Sequence[Scope]
+    months: NDArray[np.int64]
+    ratios: Floats
 
-
-@dataclass(frozen=True)
-class StoredModes:
-    """ln(C / C_reference) of one polarisation of a station in the events of a year, shape (antenna, event, mode)."""
-
-    station: str
-    dipole: str
-    since: Instant
-    antennas: tuple[int, ...]
-    time_us: NDArray[np.int64]
-    ln_c: NDArray[np.float32]
-
-
-@dataclass(frozen=True)
-class DriftSource:
-    """What the events of a station's year were measured from.
-
-    Attributes
-    ----------
-    inputs
-        Hash of all inputs but the spectra.
-    spectra, flag, event
-        The count of usable spectra, the last flag that was set in the year and the newest event.
-    screened
-        The count of usable spectra when the whole year was read last.
-    """
-
-    inputs: str
-    spectra: int
-    flag: int
-    event: int
-    screened: int
+    @property
+    def digest(self) -> str:
+        """The hash of all of it."""
+        return hash_content([[path.key for path in self.paths], hash_arrays(self.months, self.ratios)])
 
 
 @dataclass(frozen=True)
 class StoredYear:
-    """What the months of a year of a station say together, as JSON; None where that is still to be computed.
+    """What the months of a year of a station say together, as JSON, and the months of its paths.
 
-    `inputs` names the months that it was made from: for the array, whose station is the empty string, those of all
-    stations. `matrix` holds every path beside the station's median; the array has none.
+    `digest` names what it says. The station of the array is the empty string. `matrix` holds every path beside the
+    station's median; the array has neither it nor paths.
     """
 
     station: str
     since: Instant
-    inputs: str
-    months: str | None
+    digest: str
+    months: str
     matrix: str | None = None
+    of_paths: PathMonths | None = None
 
 
-class DriftStore:
-    """Months and events by path, and what was found in them."""
+class DriftStore(Store):
+    """Months by station and year, and what was found in the events."""
 
-    def __init__(self, connection: Connection) -> None:
-        self._connection = connection
-
-    def replace(
-        self,
-        station: str,
-        since: Instant,
-        until: Instant,
-        ratios: Sequence[MonthlyRatio],
-        modes: Sequence[StoredModes] = (),
-    ) -> None:
-        """Put what was measured in a station's year [since, until) in place of the old.
-
-        What its months say together is then to be kept anew (`keep_year`), in the same transaction.
-        """
-        rows = self._connection.execute(select(path).where(path.c.station == station))
-        numbers = {Scope(row.station, row.antenna, row.dipole): row.id for row in rows}
-        is_old = monthly_ratio.c.path.in_(numbers.values())
-        is_in_window = (monthly_ratio.c.month_us >= since) & (monthly_ratio.c.month_us < until)
-        self._connection.execute(delete(monthly_ratio).where(is_old & is_in_window))
-        new = [
-            {
-                "path": numbers[ratio.path], "month_us": ratio.month, "reference": ratio.reference,
-                "c_ratio": ratio.c_ratio, "c_ratio_sigma": ratio.c_ratio_sigma, "events": ratio.events,
-                **_shape(ratio),
-            }
-            for ratio in ratios
-        ]  # fmt: skip
-        if new:
-            self._connection.execute(monthly_ratio.insert(), new)
-        is_of = event_modes.c.station == station
-        is_within = (event_modes.c.since_us >= since) & (event_modes.c.since_us < until)
-        self._connection.execute(delete(event_modes).where(is_of & is_within))
-        blobs = [
-            {
-                "station": one.station, "dipole": one.dipole, "since_us": one.since,
-                "antennas": json.dumps(one.antennas),
-                "time_us": (times := one.time_us.astype("<i8").tobytes()),
-                "ln_c": (content := one.ln_c.astype(SINGLE).tobytes()),
-                "sha256": hashlib.sha256(times + content).hexdigest(),
-            }
-            for one in modes
-        ]  # fmt: skip
-        if blobs:
-            self._connection.execute(event_modes.insert(), blobs)
+    def lock(self) -> None:
+        """Wait until nobody else writes months; held until the transaction ends, which on SQLite is alone anyway."""
+        if self._connection.dialect.name == "postgresql":
+            self._connection.execute(text("SELECT pg_advisory_xact_lock(:lock)"), {"lock": LOCK})
 
     def keep_year(self, year: StoredYear) -> None:
-        """Keep what the months of a year say together in place of what was kept."""
-        is_same = (drift_year.c.station == year.station) & (drift_year.c.since_us == year.since)
-        self._connection.execute(delete(drift_year).where(is_same))
-        row = {
-            "station": year.station, "since_us": year.since, "inputs": year.inputs,
-            "months": year.months, "matrix": year.matrix,
-        }  # fmt: skip
-        self._connection.execute(drift_year.insert(), row)
+        """Keep what the months of a year say in place of what was kept."""
+        own, more = year.of_paths, dict[str, Any]()
+        if own is not None:
+            named = [[path.antenna, path.dipole] for path in own.paths], own.months.tolist()
+            more = {"paths": canonical_json(named), "ratios": own.ratios.astype("<f8").tobytes()}
+        put_rows(self._connection, drift_year, [to_row(year, drift_year, **more)])
 
-    def years(self, stations: Collection[str], *, with_matrix: bool = False) -> list[StoredYear]:
-        """What is kept of stations, in order of station and year; the empty string is the array."""
-        columns = [drift_year.c.station, drift_year.c.since_us, drift_year.c.inputs, drift_year.c.months]
-        columns += [drift_year.c.matrix] * with_matrix
+    def years(self, stations: Collection[str]) -> list[StoredYear]:
+        """What years say, in order of station and year, without the months of paths; the empty string is the array."""
+        columns = [drift_year.c[name] for name in ("station", "since_us", "digest", "months", "matrix")]
         statement = select(*columns).where(drift_year.c.station.in_(stations))
         ordered = statement.order_by(drift_year.c.station, drift_year.c.since_us)
         return [StoredYear(*row) for row in self._connection.execute(ordered)]
 
+    def months_of_paths(self, station: str | None, since: Instant | None = None) -> list[PathMonths]:
+        """The months of the paths of a station or of all, of all years or of one, in order of station and year."""
+        columns = drift_year.c.station, drift_year.c.paths, drift_year.c.ratios
+        statement = select(*columns).where(drift_year.c.station != "")
+        statement = statement.order_by(drift_year.c.station, drift_year.c.since_us)
+        if station is not None:
+            statement = statement.where(drift_year.c.station == station)
+        if since is not None:
+            statement = statement.where(drift_year.c.since_us == since)
+        found = []
+        for row in self._connection.execute(statement):
+            named, months = json.loads(row.paths)
+            ratios = np.frombuffer(row.ratios, "<f8").reshape(len(named), len(months), len(NUMBERS))
+            paths = [Scope(row.station, antenna, dipole) for antenna, dipole in named]
+            found.append(PathMonths(paths, np.array(months, dtype=np.int64), ratios))
+        return found
+
     def state(self) -> list[list[Any]]:
         """What there is, by name: the report, and the months of every year that is kept."""
-        years = select(drift_year.c.station, drift_year.c.since_us, drift_year.c.inputs)
+        years = select(drift_year.c.station, drift_year.c.since_us, drift_year.c.digest)
         ordered = years.order_by(drift_year.c.station, drift_year.c.since_us)
         reports = self._connection.execute(select(drift_report.c.inputs, drift_report.c.made_us)).all()
         return [list(row) for row in (*reports, *self._connection.execute(ordered))]
-
-    def inputs_of_years(self) -> dict[Instant, dict[str, str]]:
-        """The hashes of the months of all stations, by year and station."""
-        columns = drift_year.c.since_us, drift_year.c.station, drift_year.c.inputs
-        found: dict[Instant, dict[str, str]] = {}
-        for since, station, inputs in self._connection.execute(select(*columns).where(drift_year.c.station != "")):
-            found.setdefault(since, {})[station] = inputs
-        return found
-
-    def ratios(self, scope: Scope, since: Instant | None = None, until: Instant | None = None) -> list[MonthlyRatio]:
-        """The months of the paths of a scope, all or those of [since, until), in order of path and month."""
-        statement = select(monthly_ratio, path.c.station, path.c.antenna, path.c.dipole)
-        statement = statement.join(path, path.c.id == monthly_ratio.c.path)
-        if scope.station is not None:
-            statement = statement.where(path.c.station == scope.station)
-        if scope.antenna is not None:
-            statement = statement.where(path.c.antenna == scope.antenna, path.c.dipole == scope.dipole)
-        if since is not None:
-            statement = statement.where(monthly_ratio.c.month_us >= since)
-        if until is not None:
-            statement = statement.where(monthly_ratio.c.month_us < until)
-        statement = statement.order_by(path.c.station, path.c.antenna, path.c.dipole, monthly_ratio.c.month_us)
-        return [
-            MonthlyRatio(
-                Scope(row.station, row.antenna, row.dipole), row.month_us, row.reference,
-                row.c_ratio, row.c_ratio_sigma, row.events,
-                None if row.tilt is None else (row.tilt, row.curvature),
-                None if row.tilt is None else (row.tilt_sigma, row.curvature_sigma),
-            )
-            for row in self._connection.execute(statement)
-        ]  # fmt: skip
-
-    def digests(self) -> list[str]:
-        """Hashes of all stored events, in order of station, polarisation and year."""
-        columns = event_modes.c.station, event_modes.c.dipole, event_modes.c.since_us
-        return list(self._connection.execute(select(event_modes.c.sha256).order_by(*columns)).scalars())
-
-    def source(self, station: str, since: Instant) -> DriftSource | None:
-        """What a station's year was measured from; None where it was not."""
-        columns = [drift_source.c[name] for name in DriftSource.__dataclass_fields__]
-        is_it = (drift_source.c.station == station) & (drift_source.c.since_us == since)
-        row = self._connection.execute(select(*columns).where(is_it)).one_or_none()
-        return None if row is None else DriftSource(*row)
-
-    def keep_source(self, station: str, since: Instant, source: DriftSource) -> None:
-        """Keep what a station's year was measured from in place of what was kept."""
-        is_it = (drift_source.c.station == station) & (drift_source.c.since_us == since)
-        self._connection.execute(delete(drift_source).where(is_it))
-        self._connection.execute(drift_source.insert(), {"station": station, "since_us": since, **vars(source)})
-
-    def modes(self, station: str | None = None, since: Instant | None = None) -> list[StoredModes]:
-        """Everything that steps and slopes are found in, of all or of one station's year."""
-        columns = event_modes.c.station, event_modes.c.dipole, event_modes.c.since_us
-        statement, found = select(event_modes).order_by(*columns), []
-        if station is not None:
-            statement = statement.where(event_modes.c.station == station, event_modes.c.since_us == since)
-        for row in self._connection.execute(statement):
-            antennas = tuple(json.loads(row.antennas))
-            times = np.frombuffer(row.time_us, "<i8").astype(np.int64)
-            ln_c = np.frombuffer(row.ln_c, SINGLE).astype(np.float32).reshape(len(antennas), times.size, MODES)
-            found.append(StoredModes(row.station, row.dipole, row.since_us, antennas, times, ln_c))
-        return found
 
     def keep_report(self, inputs: str, report: Mapping[str, Any], now: Instant) -> None:
         """Keep what was found in place of what was found before."""
@@ -246,13 +119,8 @@ class DriftStore:
 
     def report(self) -> dict[str, Any] | None:
         """What was found last."""
-        text = self._connection.execute(select(drift_report.c.report)).scalar_one_or_none()
-        return None if text is None else dict(json.loads(text))
-
-
-def _shape(ratio: MonthlyRatio) -> dict[str, float | None]:
-    value, sigma = ratio.shape or (None, None), ratio.shape_sigma or (None, None)
-    return {"tilt": value[0], "curvature": value[1], "tilt_sigma": sigma[0], "curvature_sigma": sigma[1]}
+        found = self._connection.execute(select(drift_report.c.report)).scalar_one_or_none()
+        return None if found is None else dict(json.loads(found))
 
 
 # Dates at which windows of antennas are cut, because the watch found that these changed then, and what people decided.
@@ -308,11 +176,8 @@ class KeptCut:
         return self.ended is None and (self.decision is None or self.decision.act == RESTORED)
 
 
-class CutStore:
+class CutStore(Store):
     """Cuts that stand and stood."""
-
-    def __init__(self, connection: Connection) -> None:
-        self._connection = connection
 
     def standing(
         self, station: str | None = None, since: Instant | None = None, until: Instant | None = None
@@ -360,15 +225,8 @@ class CutStore:
 
     def add(self, cuts: Collection[Cut], now: Instant) -> None:
         """Write new cuts."""
-        rows = [
-            {
-                "station": one.station, "antenna": one.antenna, "date_us": one.date, "sigma_us": one.sigma,
-                "made_us": now,
-            }
-            for one in cuts
-        ]  # fmt: skip
-        if rows:
-            self._connection.execute(window_cut.insert(), rows)
+        if cuts:
+            self._connection.execute(window_cut.insert(), [to_row(one, window_cut, made_us=now) for one in cuts])
 
     def end(self, cut: Cut, now: Instant) -> None:
         """End a cut, whose change is found no more."""
@@ -378,10 +236,7 @@ class CutStore:
 
     def decide(self, number: int, decision: Decision) -> KeptCut:
         """Write a decision about a cut."""
-        row = {
-            "cut": number, "act": decision.act, "at_us": decision.at, "by": decision.by, "reason": decision.reason,
-        }  # fmt: skip
-        self._connection.execute(cut_decision.insert().values(row))
+        self._connection.execute(cut_decision.insert().values(to_row(decision, cut_decision, cut=number)))
         return self.get(number)
 
     def _read(self, statement: Select[Any], as_of: Instant | None = None) -> list[KeptCut]:
@@ -392,14 +247,8 @@ class CutStore:
         if as_of is not None:
             last = last.where(cut_decision.c.at_us <= as_of)
         newest = select(cut_decision).where(cut_decision.c.id.in_(last.group_by(cut_decision.c.cut)))
-        decisions = {
-            row.cut: Decision(row.act, row.at_us, row.by, row.reason) for row in self._connection.execute(newest)
-        }
-        return [replace(_kept(row), decision=decisions.get(row.id)) for row in rows]
-
-
-def _kept(row: Row[Any]) -> KeptCut:
-    return KeptCut(row.id, Cut(row.station, row.antenna, row.date_us, row.sigma_us), row.made_us, row.lifted_us)
+        decisions = {row.cut: from_row(Decision, row) for row in self._connection.execute(newest)}
+        return [KeptCut(row.id, from_row(Cut, row), row.made_us, row.lifted_us, decisions.get(row.id)) for row in rows]
 
 
 def _inside(statement: Select[Any], station: str | None, since: Instant | None, until: Instant | None) -> Select[Any]:

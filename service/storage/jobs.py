@@ -7,15 +7,14 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from sqlalchemy import Connection, and_, case, func, or_, select, update
-from sqlalchemy.dialects.postgresql import insert as postgresql_insert
-from sqlalchemy.dialects.sqlite import insert as sqlite_insert
+from sqlalchemy import and_, case, func, or_, select, update
 
 from lbacal_core.curves.validity import Instant
 from lbacal_core.provenance import canonical_json
 from service.errors import ConflictError, NotFoundError
 from service.schema.tables import HAS_FAILED, HAS_SETTLED, IS_OPEN, job, job_part
 from service.storage.processes import read_database_clock
+from service.storage.rows import Store, from_row, insert_into, to_row
 
 QUEUED, RUNNING, DONE, FAILED, CANCELLED = "queued", "running", "done", "failed", "cancelled"
 OPEN = (QUEUED, RUNNING)
@@ -114,12 +113,8 @@ class Failure:
     tries: Tries | None
 
 
-class JobStore:
+class JobStore(Store):
     """Jobs are inserted; their parts go from queued to running to done or failed."""
-
-    def __init__(self, connection: Connection) -> None:
-        self._connection = connection
-        self._insert: Any = sqlite_insert if connection.dialect.name == "sqlite" else postgresql_insert
 
     def add(self, order: Order, now: Instant) -> int | None:
         """Make a job; None for due work that is done, open, or failed too shortly ago."""
@@ -129,11 +124,10 @@ class JobStore:
             if tries.is_settled or (tries.again is not None and now < tries.again):
                 return None
             key = f"{key}.{tries.failed}" if tries.failed else key
-        row = {
-            "kind": order.kind, "request": canonical_json(order.request), "reason": order.reason, "by": order.by,
-            "created_us": now, "due_name": order.due_name, "due_key": key, "is_cancelled": False,
-        }  # fmt: skip
-        statement = self._insert(job).values(row).on_conflict_do_nothing(index_elements=["due_key"]).returning(job.c.id)
+        more = {"created_us": now, "due_key": key, "is_cancelled": False}
+        row = to_row(order, job, request=canonical_json(order.request), **more)
+        statement = insert_into(self._connection, job).values(row)
+        statement = statement.on_conflict_do_nothing(index_elements=["due_key"]).returning(job.c.id)
         number = self._connection.execute(statement).scalar_one_or_none()
         if number is None:
             return None
@@ -179,19 +173,10 @@ class JobStore:
             return self.claim(worker, lease_us=lease_us, inputs=inputs)
         taken = {"state": RUNNING, "worker": worker, "lease_until_us": now + lease_us, "attempts": found.attempts + 1}
         self._connection.execute(update(job_part).where(of_part).values(taken))
-        columns = [
-            job_part.c.id,
-            job_part.c.job,
-            job.c.kind,
-            job_part.c.request,
-            job.c.reason,
-            job.c.by,
-            job.c.due_name,
-        ]
-        statement = select(*columns).join(job, job.c.id == job_part.c.job).where(of_part)
-        row = self._connection.execute(statement).one()
-        request = json.loads(row.request)
-        return Part(row.id, row.job, row.kind, request, row.reason, row.by, row.due_name is not None)
+        columns = [job_part.c.id.label("number"), job_part.c.job, job_part.c.request]
+        columns += [job.c.kind, job.c.reason, job.c.by, job.c.due_name.is_not(None).label("is_due")]
+        row = self._connection.execute(select(*columns).join(job, job.c.id == job_part.c.job).where(of_part)).one()
+        return from_row(Part, row, request=json.loads(row.request))
 
     def renew(self, part: Part, worker: str, *, lease_us: int) -> None:
         """Tell that the worker lives."""
@@ -292,11 +277,11 @@ class JobStore:
         ):
             parts[row.job].append(row)
         jobs = {
-            row.id: Job(
-                row.id, row.kind, json.loads(row.request), row.reason, row.by, row.created_us, row.is_cancelled,
-                tuple(part.state for part in parts[row.id]),
-                tuple(json.loads(part.result) for part in parts[row.id] if part.result),
-                tuple(dict.fromkeys(part.error for part in parts[row.id] if part.error)),
+            row.id: from_row(
+                Job, row, number=row.id, request=json.loads(row.request),
+                states=tuple(part.state for part in parts[row.id]),
+                results=tuple(json.loads(part.result) for part in parts[row.id] if part.result),
+                errors=tuple(dict.fromkeys(part.error for part in parts[row.id] if part.error)),
             )
             for row in self._connection.execute(select(job).where(job.c.id.in_(numbers)))
         }  # fmt: skip

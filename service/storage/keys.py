@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
-from typing import Any
 
-from sqlalchemy import Connection, delete, select, update
-from sqlalchemy.dialects.postgresql import insert as postgresql_insert
-from sqlalchemy.dialects.sqlite import insert as sqlite_insert
+from sqlalchemy import delete, select, update
 
 from lbacal_core.curves.validity import Instant
 from service.errors import NotFoundError
 from service.schema.tables import api_key, deed
+from service.storage.rows import Store, from_row, insert_into
 
 
 @dataclass(frozen=True)
@@ -36,11 +34,8 @@ class Key:
         return self.revoked is None and (self.expires is None or now < self.expires)
 
 
-class KeyStore:
+class KeyStore(Store):
     """Keys by the SHA-256 of their text."""
-
-    def __init__(self, connection: Connection) -> None:
-        self._connection = connection
 
     def add(
         self,
@@ -76,7 +71,7 @@ class KeyStore:
         if sha256 is not None:
             statement = statement.where(api_key.c.sha256 == sha256)
         return [
-            Key(row.id, row.name, tuple(json.loads(row.scopes)), row.created_us, row.expires_us, row.revoked_us)
+            from_row(Key, row, number=row.id, scopes=tuple(json.loads(row.scopes)))
             for row in self._connection.execute(statement)
         ]
 
@@ -94,18 +89,14 @@ class Deed:
     answer: str
 
 
-class DeedStore:
+class DeedStore(Store):
     """Completed requests by caller and idempotency key."""
-
-    def __init__(self, connection: Connection) -> None:
-        self._connection = connection
-        self._insert: Any = sqlite_insert if connection.dialect.name == "sqlite" else postgresql_insert
 
     def begin(self, by: str, name: str, request_sha256: str, now: Instant) -> Deed | None:
         """Take a name; the deed that has it already, once that is done: somebody who does it now is waited for."""
         self._connection.execute(delete(deed).where(deed.c.at_us < now - KEPT_US))
         row = {"by": by, "name": name, "request_sha256": request_sha256, "at_us": now}
-        statement = self._insert(deed).values(row).on_conflict_do_nothing().returning(deed.c.name)
+        statement = insert_into(self._connection, deed).values(row).on_conflict_do_nothing().returning(deed.c.name)
         if self._connection.execute(statement).scalar_one_or_none() is not None:
             return None
         return self.find(by, name)
@@ -114,7 +105,7 @@ class DeedStore:
         """The deed under a name, once it is done."""
         statement = select(deed).where(deed.c.by == by, deed.c.name == name, deed.c.answer.is_not(None))
         found = self._connection.execute(statement).one_or_none()
-        return None if found is None else Deed(found.request_sha256, found.answer)
+        return None if found is None else from_row(Deed, found)
 
     def end(self, by: str, name: str, answer: str) -> None:
         """Keep what was answered."""

@@ -27,13 +27,12 @@ from sqlalchemy import (
     update,
 )
 from sqlalchemy.dialects.postgresql import ARRAY
-from sqlalchemy.dialects.postgresql import insert as postgresql_insert
-from sqlalchemy.dialects.sqlite import insert as sqlite_insert
 
 from lbacal_core.curves.validity import Instant, Promotion, Scope
 from service.errors import UnavailableError
 from service.schema.tables import edge, model_change, promotion, standing, tag
 from service.storage.processes import read_database_clock
+from service.storage.rows import Store, add_rows, from_row, put_rows, scope_columns, to_row
 
 # Which promotion decides: the newest that covers an instant, as the ledger stands now or as it was.
 
@@ -153,14 +152,7 @@ class LedgerStore:
         now = clock()
         at = max(now, self.require_clocks(now) + 1)
         self._written = now, clock
-        rows = [
-            {
-                "scope": p.scope.key, "station": p.scope.station, "antenna": p.scope.antenna, "dipole": p.scope.dipole,
-                "valid_from_us": p.valid_from, "valid_to_us": p.valid_to, "calibration": p.calibration,
-                "at_us": at, "by": p.by, "reason": p.reason,
-            }
-            for p in wanted
-        ]  # fmt: skip
+        rows = [to_row(one, promotion, **scope_columns(one.scope), at_us=at) for one in wanted]
         statement = promotion.insert().returning(promotion, sort_by_parameter_order=True)
         made = [_value(row) for row in self._connection.execute(statement, rows)]
         self._let_stand(made)
@@ -212,15 +204,12 @@ class LedgerStore:
         newest = {(p.scope.key, p.valid_from, OPEN_END if p.valid_to is None else p.valid_to): p.number for p in made}
         keys = ("scope", "valid_from_us", "valid_to_us")
         rows = [dict(zip((*keys, "promotion"), (*key, number), strict=True)) for key, number in sorted(newest.items())]
-        insert: Any = sqlite_insert if self._connection.dialect.name == "sqlite" else postgresql_insert
-        statement = insert(standing)
-        changed = {"promotion": statement.excluded.promotion}
-        self._connection.execute(statement.on_conflict_do_update(index_elements=keys, set_=changed), rows)
+        put_rows(self._connection, standing, rows)
         edges = {
             (p.scope.station or "", end): p.at for p in made for end in (p.valid_from, p.valid_to) if end is not None
         }
         rows = [{"station": station, "at_us": end, "known_us": at} for (station, end), at in sorted(edges.items())]
-        self._connection.execute(insert(edge).on_conflict_do_nothing(), rows)
+        add_rows(self._connection, edge, rows)
 
     def require_prompt(self) -> None:
         """Refuse, just before the commit, promotions whose instant is past: they would change what was answered."""
@@ -428,16 +417,9 @@ class LedgerStore:
 
 
 def _value(row: Row[Any]) -> Promotion:
-    return Promotion(
-        number=row.id,
-        scope=Scope(row.station, row.antenna, row.dipole),
-        valid_from=row.valid_from_us,
-        valid_to=row.valid_to_us,
-        calibration=row.calibration,
-        at=row.at_us,
-        by=row.by,
-        reason=row.reason,
-    )
+    # by position and not by `from_row`: an answer about all paths reads thousands
+    scope = Scope(row.station, row.antenna, row.dipole)
+    return Promotion(row.id, scope, row.valid_from_us, row.valid_to_us, row.calibration, row.at_us, row.by, row.reason)
 
 
 # Tags: names under which the ledger is frozen at an instant.
@@ -454,27 +436,19 @@ class Tag:
     at: Instant
 
 
-class TagStore:
+class TagStore(Store):
     """Tags are made once and never changed."""
-
-    def __init__(self, connection: Connection) -> None:
-        self._connection = connection
 
     def find(self, name: str) -> Tag | None:
         """A tag by its name."""
         row = self._connection.execute(select(tag).where(tag.c.name == name)).one_or_none()
-        return None if row is None else _tag(row)
+        return None if row is None else from_row(Tag, row)
 
     def add(self, new: Tag) -> None:
         """Write a tag; under the lock of the ledger."""
-        row = {"name": new.name, "as_of_us": new.as_of, "by": new.by, "reason": new.reason, "at_us": new.at}
-        self._connection.execute(tag.insert().values(row))
+        self._connection.execute(tag.insert().values(to_row(new, tag)))
 
     def after(self, cursor: str, limit: int) -> Sequence[Tag]:
         """Tags in order of their names, after a cursor."""
         statement = select(tag).where(tag.c.name > cursor).order_by(tag.c.name).limit(limit)
-        return [_tag(row) for row in self._connection.execute(statement)]
-
-
-def _tag(row: Row[Any]) -> Tag:
-    return Tag(row.name, row.as_of_us, row.by, row.reason, row.at_us)
+        return [from_row(Tag, row) for row in self._connection.execute(statement)]

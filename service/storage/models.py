@@ -9,8 +9,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from sqlalchemy import Column, Connection, Row, and_, func, or_, select
-from sqlalchemy.dialects.postgresql import insert as postgresql_insert
-from sqlalchemy.dialects.sqlite import insert as sqlite_insert
 
 from lbacal_core.causes.model import Model
 from lbacal_core.curves.validity import Instant
@@ -18,6 +16,7 @@ from lbacal_core.errors import BadInputError
 from lbacal_core.provenance import canonical_json
 from service.errors import NotFoundError
 from service.schema.tables import investigation, model, model_change, model_gain
+from service.storage.rows import Store, add_rows, from_row, put_rows, to_row
 
 # Ids by their first digits, where no other id begins with them.
 
@@ -119,17 +118,12 @@ class Gain:
         return self.gain < self.expected - STOPPED_SIGMA * self.expected_sigma
 
 
-class ModelStore:
+class ModelStore(Store):
     """Models, changes and gains; only the gain of a window is replaced, by that of more events."""
-
-    def __init__(self, connection: Connection) -> None:
-        self._connection = connection
-        self._insert: Any = sqlite_insert if connection.dialect.name == "sqlite" else postgresql_insert
 
     def put(self, *models: Model) -> None:
         """Keep the texts of models; one that is kept already stays as it is."""
-        rows = [{"id": one.id, "content": one.to_text()} for one in models]
-        self._connection.execute(self._insert(model).on_conflict_do_nothing(), rows)
+        add_rows(self._connection, model, [{"id": one.id, "content": one.to_text()} for one in models])
 
     def get(self, name: str) -> Model:
         """A model by its id or by as many of its first digits as no other begins with."""
@@ -141,14 +135,9 @@ class ModelStore:
 
     def change(self, made: ModelChange) -> ModelChange:
         """Write a line of the ledger, and return it with the number that the database gives it."""
-        row = {
-            "station": made.station, "act": made.act, "model": made.model, "before": made.before, "cause": made.cause,
-            "since_us": made.since, "until_us": made.until, "known_until_us": made.known_until,
-            "investigation": made.investigation, "finding": made.finding,
-            "announced": canonical_json({key: [one.fraction, one.sigma] for key, one in made.announced.items()}),
-            "promise": None if made.promise is None else canonical_json(list(made.promise)),
-            "at_us": made.at, "by": made.by, "reason": made.reason,
-        }  # fmt: skip
+        announced = canonical_json({key: [one.fraction, one.sigma] for key, one in made.announced.items()})
+        promise = None if made.promise is None else canonical_json(list(made.promise))
+        row = to_row(made, model_change, announced=announced, promise=promise)
         number = self._connection.execute(model_change.insert().values(row).returning(model_change.c.id)).scalar_one()
         return replace(made, number=number)
 
@@ -178,39 +167,18 @@ class ModelStore:
 
     def put_gains(self, gains: Sequence[Gain]) -> None:
         """Write gains in place of those of the same cause and window."""
-        rows = [
-            {
-                "cause": one.cause, "station": one.station, "since_us": one.since, "until_us": one.until,
-                "events": one.events, "gain": one.gain, "expected": one.expected,
-                "expected_sigma": one.expected_sigma, "made_us": one.made,
-            }
-            for one in gains
-        ]  # fmt: skip
-        if rows:
-            insert = self._insert(model_gain)
-            keys = ["cause", "since_us", "until_us"]
-            changed = {name: insert.excluded[name] for name in rows[0] if name not in keys}
-            self._connection.execute(insert.on_conflict_do_update(index_elements=keys, set_=changed), rows)
+        put_rows(self._connection, model_gain, [to_row(one, model_gain) for one in gains])
 
     def gains(self) -> list[Gain]:
         """All gains, in order of their windows."""
         statement = select(model_gain).order_by(model_gain.c.since_us, model_gain.c.cause)
-        return [
-            Gain(
-                row.cause, row.station, row.since_us, row.until_us, row.events, row.gain, row.expected,
-                row.expected_sigma, row.made_us,
-            )
-            for row in self._connection.execute(statement)
-        ]  # fmt: skip
+        return [from_row(Gain, row) for row in self._connection.execute(statement)]
 
 
 def _change(row: Row[Any]) -> ModelChange:
     announced = {key: Announced(*values) for key, values in json.loads(row.announced).items()}
     promise = None if row.promise is None else tuple(json.loads(row.promise))
-    return ModelChange(
-        row.id, row.station, row.act, row.model, row.before, row.cause, row.since_us, row.until_us,
-        row.known_until_us, row.investigation, row.finding, announced, promise, row.at_us, row.by, row.reason,
-    )  # fmt: skip
+    return from_row(ModelChange, row, number=row.id, announced=announced, promise=promise)
 
 
 # Investigations of stored spectra: each is kept as it was made, and never changed.
@@ -231,22 +199,14 @@ class Investigation:
     reason: str
 
 
-class InvestigationStore:
+class InvestigationStore(Store):
     """Investigations are made once."""
-
-    def __init__(self, connection: Connection) -> None:
-        self._connection = connection
-        self._insert: Any = sqlite_insert if connection.dialect.name == "sqlite" else postgresql_insert
 
     def add(self, made: Investigation) -> None:
         """Keep an investigation; one of the same inputs stays as it is."""
-        row = {
-            "id": made.id, "station": made.station, "since_us": made.since, "until_us": made.until,
-            "inputs": canonical_json(made.inputs), "verdict": made.report["verdict"],
-            "report": json.dumps(made.report, allow_nan=False), "made_us": made.made, "made_by": made.made_by,
-            "reason": made.reason,
-        }  # fmt: skip
-        self._connection.execute(self._insert(investigation).values(row).on_conflict_do_nothing())
+        inputs, report = canonical_json(made.inputs), json.dumps(made.report, allow_nan=False)
+        row = to_row(made, investigation, inputs=inputs, report=report, verdict=made.report["verdict"])
+        add_rows(self._connection, investigation, [row])
 
     def find(self, name: str) -> Investigation | None:
         """The investigation of that id."""
@@ -298,7 +258,4 @@ class InvestigationStore:
 
 
 def _value(row: Row[Any]) -> Investigation:
-    return Investigation(
-        row.id, row.station, row.since_us, row.until_us, json.loads(row.inputs), json.loads(row.report), row.made_us,
-        row.made_by, row.reason,
-    )  # fmt: skip
+    return from_row(Investigation, row, inputs=json.loads(row.inputs), report=json.loads(row.report))

@@ -5,14 +5,12 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from sqlalchemy import Connection, delete, select, text
-from sqlalchemy.dialects.postgresql import insert as postgresql_insert
-from sqlalchemy.dialects.sqlite import insert as sqlite_insert
 
 from lbacal_core.curves.validity import Instant
 from service.schema.tables import process
+from service.storage.rows import Store, from_row, insert_into
 
 # The database's clock: the one that all who share it agree on.
 
@@ -47,18 +45,14 @@ class Process:
         return self.silent_us < ALIVE_US
 
 
-class ProcessStore:
+class ProcessStore(Store):
     """Processes by their names, seen by the clock of the database."""
-
-    def __init__(self, connection: Connection) -> None:
-        self._connection = connection
-        self._insert: Any = sqlite_insert if connection.dialect.name == "sqlite" else postgresql_insert
 
     def see(self, name: str, kind: str, inputs: str | None) -> None:
         """Note that a process lives, and forget those that died a day ago."""
         now = read_database_clock(self._connection)
         row = {"name": name, "kind": kind, "started_us": now, "seen_us": now, "inputs": inputs}
-        statement = self._insert(process).values(row)
+        statement = insert_into(self._connection, process).values(row)
         seen = {"seen_us": statement.excluded.seen_us, "inputs": statement.excluded.inputs}
         self._connection.execute(statement.on_conflict_do_update(index_elements=["name"], set_=seen))
         self._connection.execute(delete(process).where(process.c.seen_us < now - FORGOTTEN_US))
@@ -71,4 +65,4 @@ class ProcessStore:
         """Those seen within a day, by kind and name."""
         now = read_database_clock(self._connection)
         rows = self._connection.execute(select(process).order_by(process.c.kind, process.c.name))
-        return [Process(row.name, row.kind, row.started_us, now - row.seen_us, row.inputs) for row in rows]
+        return [from_row(Process, row, silent_us=now - row.seen_us) for row in rows]

@@ -5,13 +5,12 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import groupby
 from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from sqlalchemy import BigInteger, Connection, Row, Select, bindparam, func, select, update
-from sqlalchemy.dialects.postgresql import insert as postgresql_insert
-from sqlalchemy.dialects.sqlite import insert as sqlite_insert
 
 from lbacal_core.curves.validity import Instant, Scope
 from lbacal_core.errors import BadInputError
@@ -19,6 +18,7 @@ from lbacal_core.grids import Floats
 from lbacal_core.spectra.spectra import MAX_COVARIATES, Spectra
 from service.errors import ConflictError, NotFoundError
 from service.schema.tables import event, event_flag, path, receipt, spectrum
+from service.storage.rows import Store, add_rows
 
 # Spectra as they arrive: each event, covariate and spectrum is stored once, whoever sends it how often.
 #
@@ -67,7 +67,6 @@ class Arrivals:
         self._connection = connection
         self._is_sqlite = connection.dialect.name == "sqlite"
         self._sql = _SQL[connection.dialect.name]
-        self._upsert: Any = sqlite_insert if self._is_sqlite else postgresql_insert
 
     def add(self, spectra: Spectra) -> int:
         """Store what is new and return its count; a different spectrum under a stored key is a conflict."""
@@ -92,9 +91,7 @@ class Arrivals:
 
     def keep_receipt(self, digest: str, spectra: int, at: Instant) -> None:
         """Remember that all spectra of a body are stored. Spectra are never deleted, so it stays true."""
-        self._connection.execute(
-            self._upsert(receipt).on_conflict_do_nothing(), {"sha256": digest, "spectra": spectra, "at_us": at}
-        )
+        add_rows(self._connection, receipt, [{"sha256": digest, "spectra": spectra, "at_us": at}])
 
     def _insert(self, table: str, rows: Sequence[ArrivalRow]) -> int:
         """Insert rows that are not there, and return how many were not."""
@@ -157,7 +154,7 @@ class Arrivals:
         known = self._stored_paths(wanted)
         new = [{"station": s, "antenna": a, "dipole": d} for s, a, d in wanted if (s, a, d) not in known]
         if new:
-            self._connection.execute(self._upsert(path).on_conflict_do_nothing(), new)
+            add_rows(self._connection, path, new)
             known = self._stored_paths(wanted)
         return np.array([known[key] for key in keys], dtype=np.int64)
 
@@ -232,11 +229,8 @@ class Window:
     scope: Scope = Scope()  # noqa: RUF009 - frozen
 
 
-class SpectraStore:
+class SpectraStore(Store):
     """What is stored of events and spectra."""
-
-    def __init__(self, connection: Connection) -> None:
-        self._connection = connection
 
     @property
     def arrivals(self) -> Arrivals:
@@ -247,38 +241,27 @@ class SpectraStore:
         """Store what is new and return its count; a different spectrum under a stored key is a conflict."""
         return self.arrivals.add(spectra)
 
-    def load_after(self, window: Window, number: int, frequency_mhz: Floats, resistance_ohm: float) -> Spectra | None:
-        """Everything a fit of a window uses of the events that came after one; None where there is nothing."""
-        columns = [spectrum.c.path, spectrum.c.event, spectrum.c.time_us, spectrum.c.blocks, spectrum.c.power]
-        statement = _usable(select(*columns, event.c.event_id), window).where(event.c.id > number)
-        rows = self._connection.execute(statement.order_by(spectrum.c.path, spectrum.c.event)).all()
-        if not rows:
-            return None
-        paths = self._paths(window.scope)
-        place = {one.id: k for k, one in enumerate(paths)}
-        path_at = np.array([place[row.path] for row in rows])
-        event_at, time_us, blocks = np.array([row[1:4] for row in rows], dtype=np.int64).T
-        power = np.frombuffer(b"".join(row.power for row in rows), POWER).reshape(len(rows), -1)
-        names = {row.event: row.event_id for row in rows}
-        return self._spectra(paths, path_at, event_at, time_us, blocks, power, names, frequency_mhz, resistance_ohm, {})
-
     def load(
-        self, window: Window, frequency_mhz: Floats, resistance_ohm: float, *, with_covariates: bool = False
+        self,
+        window: Window,
+        frequency_mhz: Floats,
+        resistance_ohm: float,
+        *,
+        after: int = 0,
+        with_covariates: bool = False,
     ) -> Spectra | None:
         """Everything a fit of a window uses, path by path; None where there is nothing. Fits use no covariates.
 
-        Rows go into arrays as they are read, one path at a time: what a fit needs is the arrays and little more.
+        With `after` only the events that came after that one. Rows go into arrays as they are read, one path at a time:
+        what a fit needs is the arrays and little more.
         """
         paths = self._paths(window.scope)
-        most = len(paths) * int(self._connection.execute(_COUNT_OF_EVENTS, _bounds(window)).scalar_one())
+        most, rows_of_paths = self._read_rows(window, paths, after)
         power = np.empty((most, frequency_mhz.size))
         event_at, time_us, blocks, path_at = np.empty((4, most), dtype=np.int64)
         names: dict[int, str] = {}
         end = 0
-        for k, one in enumerate(paths):
-            rows = self._connection.execute(_OF_A_PATH, {"path": one.id, **_bounds(window)}).all()
-            if not rows:
-                continue
+        for k, rows in rows_of_paths:
             start, end = end, end + len(rows)
             event_at[start:end], time_us[start:end], blocks[start:end], powers, ids = zip(*rows, strict=True)
             power[start:end] = np.frombuffer(b"".join(powers), POWER).reshape(len(rows), -1)
@@ -287,29 +270,10 @@ class SpectraStore:
         if end == 0:
             return None
         path_at, event_at, time_us, blocks = (values[:end] for values in (path_at, event_at, time_us, blocks))
-        covariates = self._covariates(event_at) if with_covariates else {}
-        return self._spectra(
-            paths, path_at, event_at, time_us, blocks, power[:end], names, frequency_mhz, resistance_ohm, covariates
-        )
-
-    def _spectra(
-        self,
-        paths: Sequence[Row[Any]],
-        path_at: NDArray[np.int64],
-        event_at: NDArray[np.int64],
-        time_us: NDArray[np.int64],
-        blocks: NDArray[np.int64],
-        power: Floats,
-        names: Mapping[int, str],
-        frequency_mhz: Floats,
-        resistance_ohm: float,
-        covariates: Mapping[str, Floats],
-    ) -> Spectra:
-        """Rows, each with its place among paths and the number of its event, as spectra; `names` are of events."""
         numbers, event_of = np.unique(event_at, return_inverse=True)
         return Spectra(
             frequency_mhz=frequency_mhz,
-            power=power,
+            power=power[:end],
             event_id=np.array([names[number] for number in numbers.tolist()], dtype=np.str_)[event_of],
             time_unix=time_us / 1e6,
             station=np.array([one.station for one in paths], dtype=np.str_)[path_at],
@@ -317,9 +281,24 @@ class SpectraStore:
             dipole=np.array([one.dipole for one in paths], dtype=np.str_)[path_at],
             blocks=blocks,
             resistance_ohm=resistance_ohm,
-            environment=covariates,
+            environment=self._covariates(event_at) if with_covariates else {},
             origin="stored spectra",
         )
+
+    def _read_rows(
+        self, window: Window, paths: Sequence[Row[Any]], after: int
+    ) -> tuple[int, Iterator[tuple[int, Sequence[Any]]]]:
+        """How many rows there may be, and those of each path that has any, with its place among the paths."""
+        if after:  # a few events: one statement
+            columns = _usable(select(spectrum.c.path, *_COLUMNS), window).where(event.c.id > after)
+            rows = self._connection.execute(columns.order_by(spectrum.c.path, spectrum.c.event)).all()
+            place = {one.id: k for k, one in enumerate(paths)}
+            grouped = groupby(rows, key=lambda row: row.path)
+            return len(rows), ((place[path_id], [row[1:] for row in of_path]) for path_id, of_path in grouped)
+        bounds = _bounds(window)
+        found = (self._connection.execute(_OF_A_PATH, {"path": one.id, **bounds}).all() for one in paths)
+        most = len(paths) * int(self._connection.execute(_COUNT_OF_EVENTS, bounds).scalar_one())
+        return most, ((k, of_path) for k, of_path in enumerate(found) if of_path)
 
     def _covariates(self, numbers: NDArray[np.int64]) -> dict[str, Floats]:
         """Covariates by name at the events of some row numbers, shape (row,); NaN where unknown."""
@@ -475,8 +454,9 @@ _OF_USABLE_EVENTS = (
 )
 _COUNT_OF_EVENTS = select(func.count()).select_from(event).where(*_OF_USABLE_EVENTS)
 """How many spectra a path of a window may have."""
+_COLUMNS = spectrum.c.event, spectrum.c.time_us, spectrum.c.blocks, spectrum.c.power, event.c.event_id
 _OF_A_PATH = (
-    select(spectrum.c.event, spectrum.c.time_us, spectrum.c.blocks, spectrum.c.power, event.c.event_id)
+    select(*_COLUMNS)
     .join(event, event.c.id == spectrum.c.event)
     .where(spectrum.c.path == bindparam("path", type_=BigInteger), *_OF_USABLE_EVENTS)
     .where(spectrum.c.time_us >= bindparam("since", type_=BigInteger))

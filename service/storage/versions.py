@@ -10,18 +10,17 @@ from typing import Any
 
 import numpy as np
 from sqlalchemy import ColumnElement, Connection, Row, and_, func, select
-from sqlalchemy.dialects.postgresql import insert as postgresql_insert
-from sqlalchemy.dialects.sqlite import insert as sqlite_insert
 
 from lbacal_core.calibration.spreads import ToldCurve, carry_to_path
 from lbacal_core.curves.covariance import Budget
 from lbacal_core.curves.curves import MISFIT, NONE, STATUSES, Anomalies, CalibrationCurve, parse_anomalies, parse_curve
 from lbacal_core.curves.reference_chain import CableTable, GainSpreads, ReferenceChain, parse_cable_table, parse_spreads
-from lbacal_core.curves.validity import Instant, Scope
+from lbacal_core.curves.validity import Instant, Scope, parse_scope
 from lbacal_core.provenance import canonical_json, hash_content
 from service.errors import NotFoundError
-from service.schema.tables import IS_GATED, budget, calibration, calibration_mean, chain_part, promotion
+from service.schema.tables import IS_GATED, budget, calibration, calibration_mean, chain_part, examined, promotion
 from service.storage.models import complete_id
+from service.storage.rows import Store, add_rows, from_row, put_rows, scope_columns, to_row
 
 # The reference chains of versions: members and L_ref beside the version, cables and spreads once under their hash.
 
@@ -38,10 +37,8 @@ def write_chains(connection: Connection, chains: Mapping[str, Mapping[str, Refer
         for part in shared:
             if part.digest not in parts:
                 parts[part.digest] = canonical_json(part.as_dict())
-    if parts:
-        insert: Any = sqlite_insert if connection.dialect.name == "sqlite" else postgresql_insert
-        rows = [{"sha256": digest, "content": content} for digest, content in sorted(parts.items())]
-        connection.execute(insert(chain_part).on_conflict_do_nothing(), rows)
+    rows = [{"sha256": digest, "content": content} for digest, content in sorted(parts.items())]
+    add_rows(connection, chain_part, rows)
     return {name: _describe(of_version) for name, of_version in chains.items()}
 
 
@@ -232,12 +229,25 @@ def mean_over_band(curve: CalibrationCurve) -> tuple[float, float] | None:
     return mean, mean * float(np.nanmedian(curve.c_sigma_stat / curve.c))
 
 
-class VersionStore:
-    """Versions by their id."""
+@dataclass(frozen=True)
+class Examined:
+    """The fit of a scope's window whose C is that of the version in effect, but for `shift` standard deviations.
 
-    def __init__(self, connection: Connection) -> None:
-        self._connection = connection
-        self._insert: Any = sqlite_insert if connection.dialect.name == "sqlite" else postgresql_insert
+    `inputs` is the id that its version would have; where an earlier fit was continued, the hash of its version and of
+    the spectra that came since.
+    """
+
+    scope: Scope
+    since: Instant
+    until: Instant
+    inputs: str
+    calibration: str
+    shift: float
+    made: Instant
+
+
+class VersionStore(Store):
+    """Versions by their id."""
 
     def add(self, versions: Sequence[Version]) -> None:
         """Store versions; one whose inputs are stored already stays as it is."""
@@ -245,26 +255,31 @@ class VersionStore:
         references = write_chains(self._connection, {version.id: version.chains for version in versions})
         for version in sorted(versions, key=lambda version: version.id):
             rows.append(
-                {
-                    "id": version.id, "scope": version.scope.key, "station": version.scope.station,
-                    "antenna": version.scope.antenna, "dipole": version.scope.dipole,
-                    "since_us": version.since, "until_us": version.until, "status": version.status,
-                    "events": version.events, "inputs": canonical_json(version.inputs),
-                    "curves": canonical_json(version.payload), "payload_sha256": version.payload_sha256,
-                    "reference": references[version.id],
-                    "anomalies": canonical_json(version.anomalies.as_dict()) if version.anomalies.worst else None,
-                    "gate": version.gate, "made_us": version.made, "made_by": version.made_by, "reason": version.reason,
-                }
+                to_row(
+                    version, calibration, **scope_columns(version.scope),
+                    inputs=canonical_json(version.inputs), curves=canonical_json(version.payload),
+                    reference=references[version.id],
+                    anomalies=canonical_json(version.anomalies.as_dict()) if version.anomalies.worst else None,
+                )
             )  # fmt: skip
             for curve in version.curves:
                 mean = mean_over_band(curve)
                 if mean is not None:
                     c, c_sigma = mean
                     means.append({"calibration": version.id, "dipole": curve.dipole or "", "c": c, "c_sigma": c_sigma})
-        if rows:
-            self._connection.execute(self._insert(calibration).on_conflict_do_nothing(), rows)
-        if means:
-            self._connection.execute(self._insert(calibration_mean).on_conflict_do_nothing(), means)
+        add_rows(self._connection, calibration, rows)
+        add_rows(self._connection, calibration_mean, means)
+
+    def confirm(self, found: Sequence[Examined]) -> None:
+        """Write what confirmed versions in effect, in place of what did so before in the same window."""
+        ordered = sorted(found, key=lambda one: one.scope.key)
+        put_rows(self._connection, examined, [to_row(one, examined, scope=one.scope.key) for one in ordered])
+
+    def confirmation(self, version_id: str) -> Examined | None:
+        """The fit that confirmed a version last."""
+        statement = select(examined).where(examined.c.calibration == version_id)
+        row = self._connection.execute(statement.order_by(examined.c.made_us.desc()).limit(1)).one_or_none()
+        return None if row is None else from_row(Examined, row, scope=parse_scope(row.scope))
 
     def get(self, version_id: str) -> Version:
         """One version by its id, or by as many of its first digits as no other begins with."""
@@ -356,20 +371,11 @@ def _has_newer() -> ColumnElement[bool]:
 
 
 def _value(row: Row[Any], chains: Mapping[str, ReferenceChain]) -> Version:
-    return Version(
-        scope=Scope(row.station, row.antenna, row.dipole),
-        since=row.since_us,
-        until=row.until_us,
-        inputs=json.loads(row.inputs),
-        curves=_parse_curves(row.curves),
-        made=row.made_us,
-        made_by=row.made_by,
-        reason=row.reason,
-        gate=row.gate,
-        chains=chains,
+    return from_row(
+        Version, row, scope=Scope(row.station, row.antenna, row.dipole), inputs=json.loads(row.inputs),
+        curves=_parse_curves(row.curves), chains=chains, stored_sha256=row.payload_sha256,
         anomalies=NONE if row.anomalies is None else parse_anomalies(json.loads(row.anomalies)),
-        stored_sha256=row.payload_sha256,
-    )
+    )  # fmt: skip
 
 
 @lru_cache(CURVES_REMEMBERED)
@@ -381,18 +387,13 @@ def _parse_curves(text: str) -> tuple[CalibrationCurve, ...]:
 # Budgets of systematic errors: what the curves of a fit share, stored once under its hash.
 
 
-class BudgetStore:
+class BudgetStore(Store):
     """Budgets by their hash."""
-
-    def __init__(self, connection: Connection) -> None:
-        self._connection = connection
-        self._insert: Any = sqlite_insert if connection.dialect.name == "sqlite" else postgresql_insert
 
     def add(self, budgets: Mapping[str, Budget]) -> None:
         """Store budgets; one that is stored already stays as it is."""
         rows = [{"sha256": name, "content": canonical_json(one.as_dict())} for name, one in sorted(budgets.items())]
-        if rows:
-            self._connection.execute(self._insert(budget).on_conflict_do_nothing(), rows)
+        add_rows(self._connection, budget, rows)
 
     def get(self, digest: str) -> dict[str, Any]:
         """One budget as JSON values."""

@@ -17,9 +17,8 @@ from lbacal_core.provenance import Remembered
 from service.errors import NotInEffectError
 from service.storage.database import Database
 from service.storage.drift import Cut
-from service.storage.kept_fits import Examined
 from service.storage.ledger import Neighbours
-from service.storage.versions import MICROSECONDS, Version
+from service.storage.versions import MICROSECONDS, Examined, Version
 from service.usecases.cuts import is_over, tell_not_refitted
 
 PROMOTIONS_SHOWN = 100
@@ -222,7 +221,7 @@ class Calibrations:
         with self.database.read() as stores:
             version = stores.versions.get(version_id)
             promotions = stores.ledger.of_calibration(version.id, PROMOTIONS_SHOWN)
-            return version, promotions, stores.examined.of_calibration(version.id)
+            return version, promotions, stores.versions.confirmation(version.id)
 
     def pair(self, first: str, second: str) -> tuple[Version, Version]:
         """Two versions, to be compared."""

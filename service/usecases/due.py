@@ -42,6 +42,8 @@ from service.usecases.watch import Watch
 from service.usecases.windows import SECOND_US
 
 BY = "scheduler"
+FORM = "sums"
+"""What drift keeps: a year that was measured when other numbers were kept is measured again."""
 ALWAYS = {"since": -np.inf, "until": np.inf}
 
 
@@ -156,7 +158,7 @@ class DueWork:
                 part = {"station": station, "since": since, "until": until}
                 reason = "new spectra in the window, or another reference or model"
                 change = _name_change(stores, station, since, until)
-                yield self._order(DRIFT, part, [content, sorted(references.values()), *change], reason)
+                yield self._order(DRIFT, part, [FORM, content, sorted(references.values()), *change], reason)
 
     def _investigations(self, stores: Stores) -> Iterator[Order]:
         if self.investigations is not None:

@@ -35,9 +35,9 @@ from lbacal_core.uncertainty.refit import add_budget, compute_budget
 from service.errors import ConflictError
 from service.storage.database import Stores
 from service.storage.drift import Cut
-from service.storage.kept_fits import Examined, KeptFit, KeptPiece, Told
 from service.storage.spectra import Window
-from service.storage.versions import BUDGET, Version
+from service.storage.sums import KeptPiece, Sums, Told, write_pieces
+from service.storage.versions import BUDGET, Examined, Version
 from service.usecases.orders import hash_covariates
 from service.usecases.windows import SECOND_US, FindLenders, lend_to_small, share_misfits
 
@@ -100,27 +100,72 @@ class Fits:
 
         Those of a station that were read last stay in memory: the next part is another scope of the same.
         """
-        window = wanted.window
-        key = window, stores.spectra.content(window)
+        window, is_plain = wanted.window, wanted.model.is_plain
 
-        def read(_: list[Read]) -> dict[Read, Spectra]:
-            found = stores.spectra.load(
-                window,
-                self.simulation.instrument.frequency_mhz,
-                self.resistance_ohm,
-                with_covariates=not wanted.model.is_plain,
-            )
-            return {} if found is None else {key: found}
+        def read() -> Spectra:
+            return self.load_window(stores, window, with_covariates=not is_plain)
 
         is_station = window.scope == Scope(window.scope.station) != Scope()
-        if is_station and wanted.model.is_plain:
-            spectra = self.read.get_many([key], read).get(key)
-        else:
-            spectra = read([key]).get(key)
-        if spectra is None:
-            since, until = format_instant(wanted.since), format_instant(wanted.until)
-            raise ConflictError(f"no usable spectra of {name_path(*wanted.of.parts)} between {since} and {until}")
-        return spectra
+        return self.read.get((window, stores.spectra.content(window)), read) if is_station and is_plain else read()
+
+    def load_window(self, stores: Stores, window: Window, *, with_covariates: bool) -> Spectra:
+        """The spectra of a window, or an error where there is none."""
+        channels = self.simulation.instrument.frequency_mhz
+        found = stores.spectra.load(window, channels, self.resistance_ohm, with_covariates=with_covariates)
+        if found is None:
+            since, until = format_instant(window.since), format_instant(window.until)
+            raise ConflictError(f"no usable spectra of {name_path(*window.scope.parts)} between {since} and {until}")
+        return found
+
+    def name_block(self, stores: Stores, wanted: Wanted) -> Sums:
+        """The block of a fit as it is now, nothing kept in it yet."""
+        cuts = [[one.station, one.antenna, one.date] for one in wanted.cuts]
+        inputs = hash_content([self.name_simulation(wanted.since, wanted.until, wanted.of), cuts])
+        return read_block(stores, wanted.scope, wanted.window, inputs, wanted.of)
+
+    def name_simulation(self, since: Instant, until: Instant, of: Scope) -> dict[str, Any]:
+        """All inputs of a window but spectra, cuts and causes."""
+        simulation = self.simulation
+        return {
+            "instrument": simulation.instrument.digest_of(since / SECOND_US, until / SECOND_US, of.station, of.antenna),
+            "sky_power": simulation.sky_power.digest(),
+            "own_sky": simulation.is_own_sky,
+            "model_version": MODEL_VERSION,
+        }
+
+    def read_later(self, stores: Stores, now: Sums, window: Window) -> Later | None:
+        """What is kept of a block with the spectra of later events; None where more than these changed."""
+        kept = stores.sums.get(now.kind, now.scope, now.since, now.until)
+        if kept is None or (kept.inputs, kept.flag) != (now.inputs, now.flag):
+            return None
+        channels = self.simulation.instrument.frequency_mhz
+        spectra = stores.spectra.load(window, channels, self.resistance_ohm, after=kept.event)
+        is_all = kept.spectra + (0 if spectra is None else len(spectra)) == now.spectra
+        return Later(kept, spectra) if is_all else None
+
+    def examine(self, pieces: Sequence[KeptPiece], spectra: Spectra) -> Outcome | None:
+        """Look at later events of a kept fit; None where the whole window is to be read."""
+        examined, rest, made, names = list[Examined](), list[Scope](), self.clock(), spectra.digest()
+        seen = np.zeros(len(spectra), dtype=bool)
+        for piece in pieces:
+            rows = _rows_of_piece(piece, spectra)
+            seen |= rows
+            if not np.any(rows):
+                continue
+            with threadpool_limits(1):
+                continued = continue_fit(piece.lines, spectra.select(rows), self.simulation)
+            for told in piece.told:
+                shift = _find_shift(told, continued)
+                if shift is None and not told.curves:
+                    return None
+                if shift is None or shift >= SMALLEST_SHIFT:
+                    rest.append(told.scope)
+                    continue
+                inputs = hash_content([told.calibration, names])
+                examined.append(Examined(told.scope, piece.since, piece.until, inputs, told.calibration, shift, made))
+        is_whole = len(pieces) == 1 and all(scope.antenna is not None for scope in rest)
+        is_few = not rest or (is_whole and len(rest) <= LARGEST_REST * (len(rest) + len(examined)))
+        return Outcome(examined, rest) if np.all(seen) and is_few else None
 
     def fit_causes(self, spectra: Spectra, model: Model, *, are_sizes_known: bool = False) -> FittedCauses:
         """Fit the sizes of the adopted causes to all spectra of their stations, where these are enough for any fit."""
@@ -300,20 +345,11 @@ TellKey = tuple[Scope, Instant, Instant]
 
 
 @dataclass(frozen=True)
-class Content:
-    """What a window holds: the count of its usable spectra, the last flag set in it, and its newest event."""
-
-    spectra: int
-    flag: int
-    event: int
-
-
-@dataclass(frozen=True)
 class Later:
-    """A kept fit, and the spectra that came since."""
+    """What is kept of a block, and the spectra that came since; None where there are none."""
 
-    fit: KeptFit
-    spectra: Spectra
+    block: Sums
+    spectra: Spectra | None
 
 
 @dataclass(frozen=True)
@@ -324,94 +360,39 @@ class Outcome:
     rest: Sequence[Scope]
 
 
-@dataclass(frozen=True)
-class Examination:
-    """Continues kept fits."""
+def read_block(stores: Stores, kind: str, window: Window, inputs: str, of: Scope) -> Sums:
+    """A block as it is now: what it holds of spectra, and the hash of its other inputs."""
+    spectra, flag = stores.spectra.content(window)
+    event = stores.spectra.newest_event(window)
+    return Sums(kind, of, window.since, window.until, inputs, spectra, flag, event, spectra, {})
 
-    simulation: Simulation
-    resistance_ohm: float
-    clock: Callable[[], Instant]
 
-    def read_content(self, stores: Stores, wanted: Wanted) -> Content:
-        """What the window of a fit holds now."""
-        window = wanted.window
-        return Content(*stores.spectra.content(window), stores.spectra.newest_event(window))
+def is_still_told(stores: Stores, pieces: Sequence[KeptPiece]) -> bool:
+    """Whether what is in effect is what was when a fit was kept."""
+    for piece in pieces:
+        standing = find_standing(stores, [told.scope for told in piece.told], piece.since, piece.until)
+        if any(standing.get(one.scope) != (one.calibration if one.is_in_effect else None) for one in piece.told):
+            return False
+    return True
 
-    def read_later(self, stores: Stores, wanted: Wanted, content: Content) -> Later | None:
-        """The kept fit of a window with the spectra of later events; None where more than these changed."""
-        if not wanted.model.is_plain:
-            return None
-        fit = stores.kept_fits.get(wanted.scope, wanted.of, wanted.since, wanted.until)
-        if fit is None or (fit.inputs, fit.flag) != (self._name_inputs(wanted), content.flag):
-            return None
-        channels, resistance = self.simulation.instrument.frequency_mhz, self.resistance_ohm
-        spectra = stores.spectra.load_after(wanted.window, fit.event, channels, resistance)
-        is_all = spectra is not None and fit.spectra + len(spectra) == content.spectra
-        return Later(fit, spectra) if spectra is not None and is_all else None
 
-    def examine(self, later: Later) -> Outcome | None:
-        """Look at later events; None where the whole window is to be read."""
-        examined, rest, made, names = list[Examined](), list[Scope](), self.clock(), later.spectra.digest()
-        seen = np.zeros(len(later.spectra), dtype=bool)
-        for piece in later.fit.pieces:
-            rows = _rows_of_piece(piece, later.spectra)
-            seen |= rows
-            if not np.any(rows):
-                continue
-            with threadpool_limits(1):
-                continued = continue_fit(piece.lines, later.spectra.select(rows), self.simulation)
-            for told in piece.told:
-                shift = _find_shift(told, continued)
-                if shift is None and not told.curves:
-                    return None
-                if shift is None or shift >= SMALLEST_SHIFT:
-                    rest.append(told.scope)
-                    continue
-                inputs = hash_content([told.calibration, names])
-                examined.append(Examined(told.scope, piece.since, piece.until, inputs, told.calibration, shift, made))
-        is_whole = len(later.fit.pieces) == 1 and all(scope.antenna is not None for scope in rest)
-        is_few = not rest or (is_whole and len(rest) <= LARGEST_REST * (len(rest) + len(examined)))
-        return Outcome(examined, rest) if np.all(seen) and is_few else None
-
-    def is_still_told(self, stores: Stores, fit: KeptFit) -> bool:
-        """Whether what is in effect is what was when a fit was kept."""
-        for piece in fit.pieces:
-            standing = find_standing(stores, [told.scope for told in piece.told], piece.since, piece.until)
-            if any(standing.get(one.scope) != (one.calibration if one.is_in_effect else None) for one in piece.told):
-                return False
-        return True
-
-    def keep(self, stores: Stores, wanted: Wanted, content: Content, made: Made, told: Mapping[TellKey, Told]) -> None:
-        """Keep a fit, where the chain alone was fitted."""
-        if not made.lines:
-            return
+def keep_fit(stores: Stores, block: Sums, made: Made, told: Mapping[TellKey, Told]) -> None:
+    """Keep a fit in its block, where the chain alone was fitted."""
+    if made.lines:
         pieces = [
             KeptPiece(since, until, lines, [told[scope, since, until] for scope in _list_scopes(lines)])
             for since, until, lines in made.lines
         ]
-        stores.kept_fits.put(
-            KeptFit(
-                wanted.scope, wanted.of, wanted.since, wanted.until, self._name_inputs(wanted), content.spectra,
-                content.flag, content.event, pieces,
-            )
-        )  # fmt: skip
+        stores.sums.put(replace(block, arrays=write_pieces(pieces)))
 
-    def keep_told(self, stores: Stores, fit: KeptFit, told: Mapping[TellKey, Told]) -> None:
-        """Keep what some scopes are told since, with the lines as they are."""
-        pieces = [
-            replace(piece, told=[told.get((one.scope, piece.since, piece.until), one) for one in piece.told])
-            for piece in fit.pieces
-        ]
-        stores.kept_fits.put(replace(fit, pieces=pieces))
 
-    def _name_inputs(self, wanted: Wanted) -> str:
-        """The hash of all inputs of a fit but its spectra."""
-        ends = wanted.since / SECOND_US, wanted.until / SECOND_US
-        instrument = self.simulation.instrument.digest_of(*ends, wanted.of.station, wanted.of.antenna)
-        cuts = [[one.station, one.antenna, one.date] for one in wanted.cuts]
-        return hash_content(
-            [instrument, self.simulation.sky_power.digest(), self.simulation.is_own_sky, MODEL_VERSION, cuts]
-        )
+def keep_told(stores: Stores, block: Sums, pieces: Sequence[KeptPiece], told: Mapping[TellKey, Told]) -> None:
+    """Keep what some scopes are told since, with the lines as they are."""
+    now = [
+        replace(piece, told=[told.get((one.scope, piece.since, piece.until), one) for one in piece.told])
+        for piece in pieces
+    ]
+    stores.sums.put(replace(block, arrays=write_pieces(now)))
 
 
 def find_standing(stores: Stores, scopes: Sequence[Scope], since: Instant, until: Instant) -> dict[Scope, str]:

@@ -10,13 +10,12 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from lbacal.instants import format_instant
 from lbacal_core.calibration.singles import MIN_EVENTS
 from lbacal_core.causes.model import Model
 from lbacal_core.curves.validity import Instant, Scope
 from lbacal_core.discovery.policy import Policy
 from lbacal_core.drift.windows import leave_out_changed
-from lbacal_core.provenance import MODEL_VERSION, hash_content
+from lbacal_core.provenance import hash_content
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.spectra.spectra import Spectra
 from service.errors import ConflictError
@@ -27,8 +26,8 @@ from service.storage.spectra import Window
 from service.usecases.alarms import StationNews, tell_news
 from service.usecases.calibrations import select_paths
 from service.usecases.drift import find_years, split_years
+from service.usecases.fits import Fits
 from service.usecases.orders import Limits, hash_covariates, name_inputs, place_order, read_window
-from service.usecases.windows import SECOND_US
 from service.wire.bodies import InvestigationBody
 
 KIND = "investigation"
@@ -40,7 +39,7 @@ class Investigations:
 
     database: Database
     simulation: Simulation
-    resistance_ohm: float
+    fits: Fits
     limits: Limits
     clock: Callable[[], Instant]
 
@@ -78,14 +77,8 @@ class Investigations:
         """Do a part: read, search, and write report and the end of the part in one transaction."""
         station, since, until = (part.request[name] for name in ("station", "since", "until"))
         with self.database.read() as stores:
-            spectra = stores.spectra.load(
-                Window(since, until, Scope(station)), self.simulation.instrument.frequency_mhz, self.resistance_ohm,
-                with_covariates=True,
-            )  # fmt: skip
+            spectra = self.fits.load_window(stores, Window(since, until, Scope(station)), with_covariates=True)
             model = stores.models.during(station, since, until)
-        if spectra is None:
-            between = f"{format_instant(since)} and {format_instant(until)}"
-            raise ConflictError(f"no usable spectra of {station} between {between}")
         whole = leave_out_changed(spectra, self.simulation.instrument)
         if whole is None:
             raise ConflictError(f"every antenna of {station} changed in this window: ask for shorter ones")
@@ -105,13 +98,8 @@ class Investigations:
         return {
             "spectra": spectra.digest(),
             "environment": hash_covariates(spectra),
-            "instrument": self.simulation.instrument.digest_of(
-                request["since"] / SECOND_US, request["until"] / SECOND_US, request["station"]
-            ),
-            "sky_power": self.simulation.sky_power.digest(),
-            "own_sky": self.simulation.is_own_sky,
+            **self.fits.name_simulation(request["since"], request["until"], Scope(request["station"])),
             "policy": Policy().as_dict(),
-            "model_version": MODEL_VERSION,
             **({} if model.is_plain else {"model": model.id}),
         }
 

@@ -25,6 +25,7 @@ from service.storage.alarms import CAUSE_STOPPED_PAYING, News
 from service.storage.database import Database, Stores
 from service.storage.models import ADOPTED, WITHDRAWN, Announced, Gain, Investigation, ModelChange
 from service.storage.spectra import Window
+from service.storage.sums import read_pieces
 from service.storage.versions import Version, mean_over_band
 from service.usecases.drift import start_of_year
 from service.usecases.gate import find_change_of_mean
@@ -155,10 +156,10 @@ class Models:
         """
         found = []
         for one in wanted:
-            fit = stores.kept_fits.get(one.scope, one.of, one.since, one.until) if one.model.is_plain else None
+            fit = stores.sums.get(one.scope, one.of, one.since, one.until) if one.model.is_plain else None
             if fit is None:
                 return None
-            names = [told.calibration for piece in fit.pieces for told in piece.told]
+            names = [told.calibration for piece in read_pieces(fit.arrays) for told in piece.told]
             versions = list(stores.versions.get_many(names).values())
             budgets = {name for version in versions for name in version.budgets}
             if not budgets:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from lbacal_core.causes.model import Model
@@ -51,7 +51,3 @@ class Payoff:
                 if known_until.get(names[one.number]) == last
             ]  # fmt: skip
         return found
-
-    def keep(self, stores: Stores, gains: Sequence[Gain]) -> None:
-        """Write gains."""
-        stores.models.put_gains(gains)

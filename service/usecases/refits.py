@@ -16,17 +16,18 @@ from lbacal_core.simulation.simulation import Simulation
 from service.errors import ConflictError
 from service.storage.database import Database, Stores
 from service.storage.jobs import Job, Order, Part
-from service.storage.kept_fits import Examined, Told
-from service.storage.versions import Version
+from service.storage.sums import KeptPiece, Told, read_pieces
+from service.storage.versions import Examined, Version
 from service.usecases.calibrations import select_paths
 from service.usecases.fits import (
     SMALLEST_SHIFT,
-    Examination,
     Fits,
-    Later,
     TellKey,
     Wanted,
     find_standing,
+    is_still_told,
+    keep_fit,
+    keep_told,
     read_part,
     tell,
 )
@@ -46,7 +47,6 @@ class Refits:
     database: Database
     simulation: Simulation
     fits: Fits
-    examination: Examination
     payoff: Payoff
     gate: Gate
     limits: Limits
@@ -86,7 +86,7 @@ class Refits:
             return
         with self.database.read() as stores:
             wanted = self._read(stores, part)
-            content = self.examination.read_content(stores, wanted)
+            block = self.fits.name_block(stores, wanted)
             spectra = self.fits.load(stores, wanted)
             known = self.payoff.known_until(stores, wanted)
         whole = self.fits.fit_causes(spectra, wanted.model)
@@ -95,10 +95,10 @@ class Refits:
         with self.database.write() as stores:
             kept = self._keep(stores, made.versions, part)
             if part.request["promote"]:
-                self.examination.keep(stores, wanted, content, made, kept.told)
+                keep_fit(stores, block, made, kept.told)
             if kept.result["calibrations"]:
                 stores.budgets.add(made.budgets)
-            self.payoff.keep(stores, gains)
+            stores.models.put_gains(gains)
             # the end of the part before the promotions, whose instant must be the last thing before the commit
             stores.jobs.complete(part, worker, kept.result, self.clock())
             stores.ledger.append(kept.promotions, self.clock)
@@ -112,27 +112,31 @@ class Refits:
         """Do a part by the events that came since, where these are no news of most paths; whether that was so."""
         with self.database.read() as stores:
             wanted = self._read(stores, part)
-            later = self.examination.read_later(stores, wanted, self.examination.read_content(stores, wanted))
-        found = None if later is None else self.examination.examine(later)
-        if later is None or found is None:
+            block = self.fits.name_block(stores, wanted) if wanted.model.is_plain else None
+            later = None if block is None else self.fits.read_later(stores, block, wanted.window)
+        if later is None or later.spectra is None:
             return False
-        versions = [one for path in found.rest for one in self._fit_path(wanted, path, later)]
+        pieces = read_pieces(later.block.arrays)
+        found = self.fits.examine(pieces, later.spectra)
+        if found is None:
+            return False
+        versions = [one for path in found.rest for one in self._fit_path(wanted, path, pieces)]
         with self.database.write() as stores:
             stores.ledger.lock()
-            if _explain_other_model(stores, part) or not self.examination.is_still_told(stores, later.fit):
+            if _explain_other_model(stores, part) or not is_still_told(stores, pieces):
                 return False
             kept = self._keep(stores, versions, part)
-            stores.examined.put(found.examined)
+            stores.versions.confirm(found.examined)
             if versions:
-                self.examination.keep_told(stores, later.fit, kept.told)
+                keep_told(stores, later.block, pieces, kept.told)
             result = {**kept.result, "examined": kept.result["examined"] + len(found.examined)}
             stores.jobs.complete(part, worker, result, self.clock())
             stores.ledger.append(kept.promotions, self.clock)
         return True
 
-    def _fit_path(self, wanted: Wanted, path: Scope, later: Later) -> list[Version]:
+    def _fit_path(self, wanted: Wanted, path: Scope, pieces: Sequence[KeptPiece]) -> list[Version]:
         """Fit one path from all its spectra, with the budget of the last fit of the whole station."""
-        told = next(one for piece in later.fit.pieces for one in piece.told if one.scope == path)
+        told = next(one for piece in pieces for one in piece.told if one.scope == path)
         of_path = replace(wanted, of=path)
         with self.database.read() as stores:
             spectra = self.fits.load(stores, of_path)
@@ -175,7 +179,7 @@ class Refits:
             examined = [one for v in made if gated[v.id] is None and (one := _examine(v, in_effect.get(v.scope)))]
             confirmed = {one.inputs for one in examined}
             news = [v for v in made if v.id not in confirmed]
-            stores.examined.put(examined)
+            stores.versions.confirm(examined)
         stores.versions.add([v.with_gate(gated[v.id]) for v in news])
         answering = set(standing.values())
         if part.is_due:

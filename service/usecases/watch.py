@@ -22,9 +22,9 @@ from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.provenance import MODEL_VERSION, hash_content
 from service.storage.alarms import SLOPE, STEP, News
 from service.storage.database import Database, Stores
-from service.storage.drift import MODES, Cut, StoredModes
+from service.storage.drift import Cut
 from service.storage.jobs import Part
-from service.usecases.drift import keep_missing
+from service.storage.sums import DRIFT, Sums
 from service.usecases.gate import drop_noise, name_members, tell_change
 
 if TYPE_CHECKING:
@@ -53,18 +53,17 @@ class Watch:
 
     def name_inputs(self, stores: Stores) -> str | None:
         """The hash of what a report is made from; None where nothing was measured yet."""
-        digests = stores.drift.digests()
+        digests = stores.sums.digests(DRIFT)
         return hash_content([digests, self._hardware_changes(), MODEL_VERSION]) if digests else None
 
     def run(self, part: Part, worker: str) -> None:
         """Do a part: follow, keep the report, settle the alarms."""
         with self.database.read() as stores:
-            inputs, modes = self.name_inputs(stores), stores.drift.modes()
-        report = self._report(modes)
+            inputs, years = self.name_inputs(stores), list(stores.sums.of_kind(DRIFT))
+        report = self._report(years)
         with self.database.write() as stores:
             now = self.clock()
             stores.drift.keep_report(str(inputs), report, now)
-            keep_missing(stores)
             news = tell_news(report, self.instrument.frequency_mhz, cuts_windows=self.cuts_windows)
             stores.alarms.settle((STEP, SLOPE), list(news), now)
             settle_cuts(stores, report if self.cuts_windows else {"changes": []}, now)
@@ -78,40 +77,41 @@ class Watch:
             found.setdefault(f"{record.station}/{record.antenna}", set()).update(dates)
         return {name: sorted(dates) for name, dates in sorted(found.items()) if dates}
 
-    def _report(self, modes: Sequence[StoredModes]) -> dict[str, Any]:
+    def _report(self, years: Sequence[Sums]) -> dict[str, Any]:
         from lbacal_core.drift.follow import follow  # with scipy: only workers need it
         from lbacal_core.drift.report import describe_followed
 
-        history = assemble_history(modes, self._hardware_changes())
+        history = assemble_history(years, self._hardware_changes())
         return drop_noise(describe_followed(history, follow(history), self.instrument.frequency_mhz))
 
 
-def assemble_history(modes: Sequence[StoredModes], changes: Mapping[str, Sequence[float]]) -> History:
-    """Lay what is stored of all years and stations on one axis of events.
+def assemble_history(years: Sequence[Sums], changes: Mapping[str, Sequence[float]]) -> History:
+    """Lay what is kept of all years and stations on one axis of events.
 
     Parameters
     ----------
     changes
         Dates of hardware changes, s UTC, by station and antenna (``CS002/17``).
     """
+    from lbacal_core.drift.events import MODES
     from lbacal_core.drift.follow import History
+    from service.usecases.drift_measurement import read_events
 
-    keys = sorted({(one.station, antenna, one.dipole) for one in modes for antenna in one.antennas})
+    modes = [(str(one.scope.station), *of) for one in years for of in read_events(one.arrays).items()]
+    keys = sorted({(name, antenna, letter) for name, letter, one in modes for antenna in one.antennas.tolist()})
     row = {key: k for k, key in enumerate(keys)}
-    time_us = np.unique(np.concatenate([one.time_us for one in modes]))
-    ln_c = np.full((len(keys), time_us.size, MODES), np.nan, dtype=np.float32)
-    for one in modes:
-        rows = np.array([row[one.station, antenna, one.dipole] for antenna in one.antennas], dtype=np.int64)
-        columns = np.searchsorted(time_us, one.time_us)
-        ln_c[np.ix_(rows, columns)] = one.ln_c
+    time_unix = np.unique(np.concatenate([one.time_unix for *_, one in modes]))
+    ln_c = np.full((len(keys), time_unix.size, len(MODES)), np.nan, dtype=np.float32)
+    for name, letter, one in modes:
+        rows = np.array([row[name, antenna, letter] for antenna in one.antennas.tolist()], dtype=np.int64)
+        ln_c[np.ix_(rows, np.searchsorted(time_unix, one.time_unix))] = one.ln_c
     dates = [changes.get(f"{station}/{antenna}", ()) for station, antenna, _ in keys]
     known = np.full((len(keys), max(map(len, dates), default=0)), np.inf)
     for k, of_path in enumerate(dates):
         known[k, : len(of_path)] = of_path
-    first, last = time_us[0] / SECOND_US, time_us[-1] / SECOND_US
-    known[(known <= first) | (known > last)] = np.inf
+    known[(known <= time_unix[0]) | (known > time_unix[-1])] = np.inf
     station, antenna, dipole = (np.array(column) for column in zip(*keys, strict=True))
-    return History(station, antenna.astype(np.int64), dipole, time_us / SECOND_US, ln_c, known)
+    return History(station, antenna.astype(np.int64), dipole, time_unix, ln_c, known)
 
 
 def settle_cuts(stores: Stores, report: Mapping[str, Any], now: Instant) -> None:

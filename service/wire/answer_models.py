@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
+
+INSTANT = "an instant, which values of the service hold in microseconds"
+Moment = Annotated[str, INSTANT]
+MomentOrNone = Annotated[str | None, INSTANT]
 
 
 class Answer(BaseModel):
@@ -67,7 +71,7 @@ class JobAnswer(Answer):
     request: dict[str, Any]
     reason: str
     by: str
-    created_at: str
+    created_at: Moment
 
 
 class JobsAnswer(Answer):
@@ -102,7 +106,7 @@ class ProcessAnswer(Answer):
     kind: Literal["api", "scheduler", "worker"]
     alive: bool
     silent_s: float = Field(description="time since it said that it lives, s")
-    started_at: str
+    started_at: Moment
 
 
 class FailureAnswer(Answer):
@@ -121,11 +125,11 @@ class InvestigationLine(Answer):
 
     id: str
     station: str
-    since: str
-    until: str
+    since: Moment
+    until: Moment
     verdict: str = Field(description="consistent, explained or unexplained")
     findings: list[str] = Field(description="causes found, most significant first")
-    made_at: str
+    made_at: Moment
     made_by: str
     reason: str
 
@@ -157,7 +161,7 @@ class StatusAnswer(Answer):
     parts: dict[str, int] = Field(description="parts of jobs by state; ended ones of the last 30 days")
     stuck: list[str]
     events: int
-    newest_event: str | None
+    newest_event: MomentOrNone
     gated: int = Field(description="versions that the gate kept back and nobody promoted")
     alarms: AlarmCountsAnswer
     investigations: list[NewsAnswer] = Field(description="the newest of every station")
@@ -222,7 +226,7 @@ class TraceAnswer(Answer):
     scope: Level
     promotion: int
     calibration: str | None
-    at: str
+    at: Moment
 
 
 class CurveInEffectAnswer(CurveAnswer):
@@ -260,7 +264,7 @@ class InEffectAnswer(Answer):
 
     model_config = ConfigDict(strict=True, extra="allow")
 
-    at: str
+    at: Moment
     as_of: str | None = Field(description="as it was asked")
     curves: list[CurveInEffectAnswer]
     budgets: dict[str, BudgetAnswer] = Field(description="by hash, those that the curves name")
@@ -279,7 +283,7 @@ class StationEdges(Answer):
 class EdgesAnswer(Answer):
     """Where answers change."""
 
-    as_of: str
+    as_of: Moment
     stations: list[StationEdges]
 
 
@@ -290,13 +294,13 @@ class VersionAnswer(PathAnswer):
 
     id: str
     scope: Level
-    since: str
-    until: str
+    since: Moment
+    until: Moment
     status: str
     events: int
     model: str | None = Field(description="id of the model, where causes were adopted into it")
     gate: str | None = Field(description="why it was not promoted by itself")
-    made_at: str
+    made_at: Moment
     made_by: str
     reason: str
     payload_sha256: str
@@ -357,38 +361,23 @@ class ChangesAnswer(Answer):
     changes: list[ChangeAnswer]
 
 
-class PromotionAnswer(ChangesAnswer):
-    """A promotion and what it changes."""
-
-    model_config = ConfigDict(strict=True, extra="allow")
-
-    promotion: int
-    scope: Level
-    station: str | None
-    antenna: int | None
-    dipole: str | None
-    valid_from: str
-    valid_to: str | None
-    calibration: str | None
-    at: str
-    by: str
-    reason: str
-
-
-class PromotionLine(Answer):
+class PromotionLine(PathAnswer):
     """One line of the ledger."""
 
     promotion: int
     scope: Level
-    station: str | None
-    antenna: int | None
-    dipole: str | None
-    valid_from: str
-    valid_to: str | None
+    valid_from: Moment
+    valid_to: MomentOrNone
     calibration: str | None
-    at: str
+    at: Moment
     by: str
     reason: str
+
+
+class PromotionAnswer(ChangesAnswer, PromotionLine):
+    """A promotion and what it changes."""
+
+    model_config = ConfigDict(strict=True, extra="allow")
 
 
 class PromotionsAnswer(ChangesAnswer):
@@ -402,8 +391,8 @@ class TagAnswer(Answer):
     """A name under which the ledger is frozen."""
 
     name: str
-    as_of: str
-    at: str = Field(description="when it was made")
+    as_of: Moment
+    at: Moment = Field(description="when it was made")
     by: str
     reason: str
 
@@ -437,8 +426,8 @@ class DriftVersion(Answer):
 
     calibration: str
     dipole: str | None
-    since: str
-    until: str
+    since: Moment
+    until: Moment
     events: int
     c: float
     c_sigma: float
@@ -471,23 +460,16 @@ class DriftMember(Answer):
     significance: float
 
 
-class DriftShape(Answer):
-    """A mode of ln C along frequency."""
-
-    value: float
-    sigma: float
-
-
 class DriftStep(PathAnswer):
     """What changed at a date, beside its station or the other stations; several members have no antenna here."""
 
-    date: str
+    date: Moment
     date_sigma_days: float
     earliest: str = Field(description="with `latest` the interval that holds 95 %")
     latest: str
     size: float = Field(description="change of C, fraction, of the most significant member")
     sigma: float
-    shape: dict[str, DriftShape]
+    shape: dict[str, Fitted] = Field(description="modes of ln C along frequency")
     significance: float
     known: bool = Field(description="the instrument says that the hardware changed then")
     members: list[DriftMember]
@@ -512,7 +494,7 @@ class DriftSlope(Answer):
     scatter: float | None = Field(description="of a year about the line")
     significance: float | None = Field(description="of a path beside its station, gain and shape together")
     season: float = Field(description="amplitude of the annual term")
-    shape: dict[str, DriftShape] | None
+    shape: dict[str, Fitted] | None
     frequency: DriftFrequency | None
     beside: str | None = Field(description="what a path is compared with; null where the slope is that of C itself")
 
@@ -537,9 +519,9 @@ class AcknowledgementAnswer(Answer):
     """Who knows of a problem."""
 
     by: str
-    at: str
+    at: Moment
     reason: str
-    until: str | None = Field(description="null is for good")
+    until: MomentOrNone = Field(description="null is for good")
 
 
 class AlarmAnswer(PathAnswer):
@@ -550,11 +532,11 @@ class AlarmAnswer(PathAnswer):
     state: Literal["open", "acknowledged", "ended"]
     scope: Level
     sentence: str
-    since: str | None = Field(description="when it began")
+    since: MomentOrNone = Field(description="when it began")
     since_sigma_days: float | None
-    raised_at: str
-    seen_at: str = Field(description="when it was found last")
-    ended_at: str | None
+    raised_at: Moment
+    seen_at: Moment = Field(description="when it was found last")
+    ended_at: MomentOrNone
     acknowledgement: AcknowledgementAnswer | None
     content: dict[str, Any]
 
@@ -570,7 +552,7 @@ class CutDecision(Answer):
     """What a person decided about a cut."""
 
     act: Literal["lifted", "restored"]
-    at: str
+    at: Moment
     by: str
     reason: str
 
@@ -581,12 +563,12 @@ class CutAnswer(Answer):
     cut: int
     station: str
     antenna: int
-    date: str = Field(description="when the antenna changed, as the watch found it first")
+    date: Moment = Field(description="when the antenna changed, as the watch found it first")
     date_sigma_days: float
     stands: bool
     refitted: bool = Field(description="false while one version in effect answers on both sides of a cut that stands")
-    made_at: str
-    ended_at: str | None = Field(description="when the watch no longer found the change")
+    made_at: Moment
+    ended_at: MomentOrNone = Field(description="when the watch no longer found the change")
     decision: CutDecision | None = Field(description="the last one")
 
 
@@ -602,8 +584,8 @@ class CutsAnswer(Answer):
 class GainAnswer(Answer):
     """What a cause gained on the events of a window that its adoption had not seen, sizes as adopted."""
 
-    since: str
-    until: str
+    since: Moment
+    until: Moment
     events: int
     log_likelihood_gain: float
     expected: float
@@ -620,8 +602,8 @@ class AdoptedCauseAnswer(Answer):
     sigma: float
     unit: str
     is_free: bool = Field(description="whether fits fit the size again")
-    since: str | None
-    until: str | None
+    since: MomentOrNone
+    until: MomentOrNone
     sentence: str
     gains: list[GainAnswer] = Field(description="on later events, by window")
 
@@ -638,7 +620,7 @@ class ModelLine(Answer):
     investigation: str | None
     finding: int | None = Field(description="its number in the report; null where it is structure without a name")
     promise: list[float] | None = Field(description="gain in log-likelihood that the finding promised, and its error")
-    at: str
+    at: Moment
     by: str
     reason: str
     causes: list[AdoptedCauseAnswer]

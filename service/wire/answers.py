@@ -6,13 +6,16 @@ import json
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Literal, TypeVar
 
+import numpy as np
+
 from lbacal.instants import format_instant, format_optional
 from lbacal_core.calibration.spreads import ToldCurve
 from lbacal_core.curves.covariance import name_budgets
-from lbacal_core.curves.curves import OK, UNCERTAIN
+from lbacal_core.curves.curves import OK, UNCERTAIN, list_numbers
 from lbacal_core.curves.reference_chain import ReferenceChain
 from lbacal_core.curves.validity import Instant, Promotion, Scope
 from service.errors import NotAcceptableError
+from service.wire.answer_models import INSTANT, Answer, PromotionLine
 
 
 def to_json(content: Any) -> bytes:
@@ -25,19 +28,34 @@ def describe_scope(scope: Scope) -> dict[str, Any]:
     return {"station": scope.station, "antenna": scope.antenna, "dipole": scope.dipole}
 
 
+def fill_answer(answer: type[Answer], *values: Any, **given: Any) -> dict[str, Any]:
+    """The fields of an answer, each from the first value that has it: what a store holds is named once, in the answer.
+
+    `made_at` is the instant `made` of a value, `alive` its `is_alive`, and a scope is told with its path. `given` are
+    fields that a value has in another form, or not at all.
+    """
+    scope = next((value.scope for value in values if isinstance(getattr(value, "scope", None), Scope)), None)
+    of_scope = {} if scope is None else {"scope": scope.level, **describe_scope(scope)}
+    known = of_scope | given
+    return {
+        name: known[name] if name in known else _read_field(name, values, is_instant=INSTANT in field.metadata)
+        for name, field in answer.model_fields.items()
+    }
+
+
+def _read_field(name: str, values: Sequence[Any], *, is_instant: bool) -> Any:
+    names = name, name.removesuffix("_at"), f"is_{name}"
+    found = next(getattr(value, one) for value in values for one in names if hasattr(value, one))
+    if is_instant:
+        return format_optional(found)
+    if isinstance(found, np.ndarray):
+        return list_numbers(found)
+    return dict(found) if isinstance(found, Mapping) else list(found) if isinstance(found, tuple) else found
+
+
 def describe_promotion(promotion: Promotion) -> dict[str, Any]:
     """One line of the ledger."""
-    return {
-        "promotion": promotion.number,
-        "scope": promotion.scope.level,
-        **describe_scope(promotion.scope),
-        "valid_from": format_instant(promotion.valid_from),
-        "valid_to": format_optional(promotion.valid_to),
-        "calibration": promotion.calibration,
-        "at": format_instant(promotion.at),
-        "by": promotion.by,
-        "reason": promotion.reason,
-    }
+    return fill_answer(PromotionLine, promotion, promotion=promotion.number)
 
 
 def describe_curve_in_effect(

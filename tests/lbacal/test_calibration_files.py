@@ -12,7 +12,7 @@ import pytest
 from astropy.table import Table
 
 from lbacal.calibration_files import read_calibrations
-from lbacal.exports import read_station_table, write_station_table, write_uvcal
+from lbacal.exports import JONES, write_station_table, write_uvcal
 from lbacal.tables import COLUMNS, mean_curve, write_format, write_nuradio
 from lbacal_core.curves.galcal import CARRIED, make_head
 from lbacal_core.errors import BadInputError, UnreadableFileError
@@ -151,6 +151,18 @@ def test_pyuvdata_reads_back_c_errors_flags_arms_and_validity(
         sigma = np.hypot(np.array(curve["c_sigma_stat"][:50]), np.array(curve["c_sigma_sys"][:50]))
         np.testing.assert_allclose(quality[:50], sigma / c, rtol=1e-6)
     assert "budgets" in found.history
+
+
+def read_station_table(path: Path) -> dict[tuple[int, str], np.ndarray]:
+    """C of the 512 sub-bands by (antenna, dipole), V per ADC unit, of a table that `write_station_table` made."""
+    with h5py.File(path, "r") as root:
+        unit = float(root.attrs["lbacal_unit_v"])
+        return {
+            (int(name.removeprefix("LBA")), letter): unit * np.abs(root[name][letter.lower()][()])
+            for name in root
+            for letter in JONES
+            if letter.lower() in root[name]
+        }
 
 
 def test_a_station_table_gives_back_c_of_its_sub_bands(tmp_path: Path, calibrations: dict[str, Any]) -> None:

@@ -15,8 +15,9 @@ import pytest
 from lbacal import cache, transport
 from lbacal.cache import Cache, Question
 from lbacal.instants import parse_instant
-from lbacal.transport import Transport, bodies_of_events, files_of_events
+from lbacal.transport import Transport, files_of_events
 from lbacal_core.spectra.spectra import Spectra, read_spectra
+from validation.running.clients import bodies_of_events
 
 
 class Losing(BaseHTTPRequestHandler):

@@ -29,12 +29,13 @@ import numpy as np
 import psycopg
 
 from lbacal.client import Client
-from lbacal.transport import bodies_of_events, files_of_events
+from lbacal.transport import files_of_events
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.spectra.spectra import Spectra, read_columns
 from service.handlers.request import HDF5
 from validation.benchmarks.timing import time_once
+from validation.running.clients import bodies_of_events
 from validation.running.ledger import open_factory
 from validation.running.postgres import open_databases
 from validation.running.processes import run_service

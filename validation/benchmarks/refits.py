@@ -31,9 +31,9 @@ from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.settings import TwinSettings
 from service.config import Settings
 from service.factory import Factory
-from service.storage.kept_fits import KeptFitStore
 from service.storage.migration import upgrade
 from service.storage.spectra import SpectraStore
+from service.storage.sums import SumStore
 from service.usecases.drift_measurement import KIND as DRIFT
 from service.usecases.investigations import KIND as INVESTIGATION
 from service.usecases.refits import KIND as REFIT
@@ -60,7 +60,7 @@ def work(folder: Path, _: int = 0) -> Seconds:
         REFIT: factory.refits.run, DRIFT: factory.drift_measurement.run, WATCH: factory.watch.run,
         INVESTIGATION: factory.investigations.run,
     }  # fmt: skip
-    for store, name in ((SpectraStore, "load"), (SpectraStore, "load_after"), (KeptFitStore, "get")):
+    for store, name in ((SpectraStore, "load"), (SumStore, "get")):
         setattr(store, name, _timed(getattr(store, name), spent))
     with threadpool_limits(1):
         _ = factory.simulation.sky_power, factory.simulation.prior

@@ -5,12 +5,15 @@ from __future__ import annotations
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import httpx2
 import numpy as np
+
+from lbacal.instants import format_instant
+from lbacal_core.spectra.spectra import Spectra
 
 WRITERS = 4
 QUEUED = 6
@@ -167,3 +170,25 @@ def ask_pinned(http: httpx2.Client, as_of: str) -> tuple[int, str] | None:
     except httpx2.TransportError:
         return None
     return None if answer.status_code >= 500 else (answer.status_code, answer.headers.get("etag", ""))
+
+
+# What a client without HDF5 sends.
+
+
+def bodies_of_events(spectra: Spectra) -> Iterator[dict[str, Any]]:
+    """The spectra of each event as JSON values, in order of the events' first times."""
+    names, of_row = np.unique(spectra.event_id, return_inverse=True)
+    first = [spectra.time_unix[of_row == k].min() for k in range(names.size)]
+    for event in np.argsort(first, kind="stable").tolist():
+        rows = [_describe(spectra, k) for k in np.flatnonzero(of_row == event).tolist()]
+        grid = {"frequency_mhz": spectra.frequency_mhz.tolist(), "resistance_ohm": spectra.resistance_ohm}
+        yield {**grid, "spectra": rows}
+
+
+def _describe(spectra: Spectra, k: int) -> dict[str, Any]:
+    env = {name: float(values[k]) for name, values in spectra.environment.items() if np.isfinite(values[k])}
+    return {
+        "event_id": str(spectra.event_id[k]), "time_utc": format_instant(round(float(spectra.time_unix[k]) * 1e6)),
+        "station": str(spectra.station[k]), "antenna": int(spectra.antenna[k]), "dipole": str(spectra.dipole[k]),
+        "blocks": int(spectra.blocks[k]), "power": spectra.power[k].tolist(), **({"env": env} if env else {}),
+    }  # fmt: skip

@@ -27,13 +27,13 @@ from lbacal_core.skypower.sky_terms import (
     SKY_BUDGETS,
     combine_anchors,
     dipole_temperature,
-    predict_left_out,
     read_anchors,
     sky_terms,
 )
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.settings import TwinSettings
 from validation.machinery.tables import replace_tables, write_table
+from validation.scripts.left_out_anchors import predict_left_out
 
 DOCS = Path(__file__).parents[2] / "docs"
 PAGE = DOCS / "explanation" / "measured-sky.md"

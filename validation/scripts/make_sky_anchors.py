@@ -17,7 +17,8 @@ import numpy as np
 
 from lbacal_core.data.tables import read_columns
 from lbacal_core.sky.names import BASE_SKY, load_sky
-from lbacal_core.skypower.sky_terms import combine_anchors, predict_left_out, read_anchors
+from lbacal_core.skypower.sky_terms import combine_anchors, read_anchors
+from validation.scripts.left_out_anchors import predict_left_out
 
 DATA = Path(__file__).parents[2] / "lbacal_core" / "data"
 

@@ -11,9 +11,10 @@ from lbacal_core.antenna.ideal import ShortDipole
 from lbacal_core.antenna.lofar import load_hamaker
 from lbacal_core.antenna.model import AntennaModel, directional_response, zenith_gain
 from lbacal_core.antenna.names import load_antenna
-from lbacal_core.antenna.varied import VariedAntenna, beam_solid_angle
+from lbacal_core.antenna.varied import VariedAntenna
 from lbacal_core.errors import BadInputError, UnknownNameError, UnreadableFileError
 from tests.lbacal_core.antenna.conftest import DIPOLE
+from tests.oracles import beam_solid_angle
 
 NU = np.array([30.0, 45.0, 60.0, 80.0])
 ZENITH = np.arange(0.0, 91.0, 5.0)

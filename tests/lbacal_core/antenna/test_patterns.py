@@ -10,9 +10,10 @@ from lbacal_core.antenna.ideal import InvertedV, IsotropicAntenna, ShortDipole
 from lbacal_core.antenna.lofar import ResonanceCircuit, load_hamaker
 from lbacal_core.antenna.model import directional_response, power_pattern, zenith_gain
 from lbacal_core.antenna.names import load_antenna
-from lbacal_core.antenna.varied import VariedAntenna, beam_solid_angle, mean_cosine, raise_arm
+from lbacal_core.antenna.varied import VariedAntenna, mean_cosine, raise_arm
 from lbacal_core.errors import BadInputError
 from lbacal_core.instrument.instrument import load_instrument
+from tests.oracles import beam_solid_angle
 
 FREQUENCY = np.array([30.0, 55.0, 80.0])
 

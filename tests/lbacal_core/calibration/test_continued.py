@@ -3,9 +3,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lbacal_core.calibration.continued import LARGEST_SHARE, continue_fit
+from lbacal_core.calibration.continued import continue_fit
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.curves.kept_lines import read_lines, write_lines
+from lbacal_core.spectra.screening import LARGEST_SHARE_OF_LATER
 
 EVENTS = 400
 
@@ -78,7 +79,7 @@ def test_an_anomalous_spectrum_is_left_to_the_fit_from_spectra(scene, spectra):
 
 
 def test_more_events_than_a_twentieth_are_left_to_the_fit_from_spectra(scene, spectra):
-    most = int(LARGEST_SHARE * (EVENTS - 20))
+    most = int(LARGEST_SHARE_OF_LATER * (EVENTS - 20))
     kept = kept_of(scene, part(spectra, 0, EVENTS - most - 1), "antenna")
     few, many = (part(spectra, EVENTS - count, EVENTS) for count in (most, most + 1))
     assert continue_fit(kept, few, scene.simulation).undecided == frozenset()

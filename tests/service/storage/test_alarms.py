@@ -7,6 +7,7 @@ import pytest
 from sqlalchemy import text
 
 from lbacal_core.curves.validity import Scope
+from lbacal_core.drift.events import EventModes, average_months
 from service.errors import NotFoundError
 from service.factory import Factory
 from service.storage.alarms import (
@@ -22,8 +23,9 @@ from service.storage.alarms import (
     Alarm,
     News,
 )
-from service.storage.drift import StoredModes
 from service.storage.jobs import Order
+from service.storage.sums import Sums
+from service.usecases.drift_measurement import KIND, read_events, write_events
 from tests.service.conftest import night
 
 DAY = 86_400_000_000
@@ -117,25 +119,28 @@ def test_an_unknown_kind_is_refused() -> None:
 YEAR = 31_536_000_000_000
 
 
-def make(since: int, antennas: int = 2, events: int = 5) -> StoredModes:
+def make(since: int, antennas: int = 2, events: int = 5) -> Sums:
     rng = np.random.default_rng(since % 1000)
-    ln_c = rng.standard_normal((antennas, events, 3)).astype(np.float32)
+    ln_c = rng.standard_normal((antennas, events, 3))
     ln_c[0, 1] = np.nan
-    return StoredModes("CS001", "X", since, tuple(range(antennas)), since + np.arange(events), ln_c)
+    modes = {"X": EventModes(np.arange(antennas), (since + np.arange(events)) / 1e6, ln_c)}
+    since -= since % YEAR
+    return Sums(KIND, Scope("CS001"), since, since + YEAR, "", 0, 0, 0, 0, write_events(modes))
 
 
 def test_events_come_back_as_they_were_and_a_year_is_replaced_whole(factory: Factory) -> None:
     with factory.database.write() as stores:
-        stores.drift.replace("CS001", 0, YEAR, [], [make(0)])
-        stores.drift.replace("CS001", YEAR, 2 * YEAR, [], [make(YEAR)])
-        before = stores.drift.digests()
-        stores.drift.replace("CS001", 0, YEAR, [], [make(1, antennas=3)])
+        stores.sums.put(make(0))
+        stores.sums.put(make(YEAR))
+        before = stores.sums.digests(KIND)
+        stores.sums.put(make(1, antennas=3))
     with factory.database.read() as stores:
-        first, second = stores.drift.modes()
-        after = stores.drift.digests()
-    assert first.antennas == (0, 1, 2)
-    assert np.array_equal(second.ln_c, make(YEAR).ln_c, equal_nan=True)
-    assert np.array_equal(second.time_us, make(YEAR).time_us)
+        first, second = (read_events(one.arrays)["X"] for one in stores.sums.of_kind(KIND))
+        after = stores.sums.digests(KIND)
+    assert first.antennas.tolist() == [0, 1, 2]
+    written = make(YEAR).arrays
+    assert np.array_equal(second.ln_c.astype(np.float32), written["X.ln_c"], equal_nan=True)
+    assert np.array_equal(np.round(second.time_unix * 1e6), written["X.time_us"])
     assert (before[0] != after[0], before[1] == after[1]) == (True, True)
 
 
@@ -152,12 +157,14 @@ def test_months_have_a_gain_and_two_modes(station: Factory) -> None:
 
     night(station)
     with station.database.read() as stores:
-        ratios = stores.drift.ratios(Scope("CS002", 1, "X"))
-    assert len(ratios) == 24
-    for one in ratios:
-        assert one.shape is not None
-        assert one.shape_sigma is not None
-        assert np.abs(np.array(one.shape) / np.array(one.shape_sigma)).max() < 6.0
+        years = [read_events(one.arrays)["X"] for one in stores.sums.of_kind(KIND)]
+        kept = stores.drift.months_of_paths("CS002")
+    months = [average_months(modes) for modes in years]
+    assert [found.months.size for found in months] == [12, 12]
+    for found, year in zip(months, kept, strict=True):
+        assert np.abs(found.shape[1] / found.shape_sigma[1]).max() < 6.0
+        path = year.ratios[year.paths.index(Scope("CS002", 1, "X"))]
+        np.testing.assert_array_equal(path[:, 2:4], found.shape[1])
 
 
 def test_open_parts_are_counted_and_of_the_ended_those_that_ended_lately(factory: Factory) -> None:

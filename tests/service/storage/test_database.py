@@ -27,7 +27,7 @@ from service.factory import Factory
 from service.schema.tables import metadata
 from service.storage import database as module
 from service.storage.database import Database
-from service.storage.migration import copy_sqlite, make_config, require_current, upgrade
+from service.storage.migration import copy_sqlite, make_config, require_complete, require_current, upgrade
 from service.storage.processes import WORKER
 from service.storage.versions import Version
 
@@ -170,9 +170,9 @@ def test_a_value_that_no_column_holds_was_a_failure_of_the_program(factory: Fact
 
 
 def test_a_dropped_table_is_another_schema(factory: Factory) -> None:
-    execute(factory.database, "DROP TABLE monthly_ratio")
+    execute(factory.database, "DROP TABLE drift_year")
     with pytest.raises(UnavailableError, match="lbacal db upgrade"):
-        execute(factory.database, "DELETE FROM monthly_ratio")
+        execute(factory.database, "DELETE FROM drift_year")
 
 
 def test_a_database_that_takes_no_writes_is_unavailable(factory: Factory, database_url: str) -> None:
@@ -257,6 +257,18 @@ def test_an_upgrade_can_be_run_again(factory: Factory) -> None:
     require_current(factory.database)
 
 
+def test_a_database_of_revision_0021_loses_caches_and_no_fact(factory: Factory, stored: dict[str, Version]) -> None:
+    execute(factory.database, "DROP TABLE sums")
+    for name in ("kept_fit", "drift_source", "event_modes", "monthly_ratio"):
+        execute(factory.database, f"CREATE TABLE {name} (x INTEGER)")
+    execute(factory.database, "UPDATE alembic_version SET version_num = '0021'")
+    upgrade(factory.database)
+    require_current(factory.database)
+    require_complete(factory.database)
+    with factory.database.read() as stores:
+        assert stores.versions.get_many(one.id for one in stored.values()).keys() == {one.id for one in stored.values()}
+
+
 def test_an_old_schema_is_refused_with_the_cure(factory: Factory, client: TestClient) -> None:
     with factory.database.write() as stores:
         stores.processes.see("worker", WORKER, None)
@@ -328,7 +340,7 @@ def test_the_page_on_backups_is_followed_word_by_word(
     factory.keys.create(("read",))
     factory.database.close()
     first = rows_of(settings.sqlalchemy_url)
-    assert (first["revision"], len(first["calibration"]), len(first["api_key"])) == ([("0021",)], len(stored), 1)
+    assert (first["revision"], len(first["calibration"]), len(first["api_key"])) == ([("0022",)], len(stored), 1)
     follow("Upgrade")
     upgraded = rows_of(settings.sqlalchemy_url)
     assert upgraded == first

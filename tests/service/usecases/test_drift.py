@@ -18,15 +18,13 @@ from lbacal_core.spectra.spectra import Spectra
 from service.app import make_app
 from service.factory import Factory
 from service.storage.database import Stores
-from service.storage.drift import DriftSource, MonthlyRatio
+from service.storage.drift import PathMonths
 from service.storage.jobs import Order
+from service.storage.sums import Sums
 from service.storage.versions import Version
 from service.usecases.drift import (
-    end_of_year,
     explain_version,
-    keep_missing,
     keep_months,
-    read_matrix,
     read_months,
     start_of_year,
     summarise,
@@ -38,18 +36,19 @@ from tests.service.conftest import add_spectra, flat_spectra, new_version, night
 YEAR = {"station": "CS002", "since": parse_instant("", "2015-01-01"), "until": parse_instant("", "2016-01-01")}
 
 
-def measured(factory: Factory) -> tuple[Any, list[str], DriftSource]:
-    """Months and events of the year, and what they were measured from."""
+def measured(factory: Factory) -> tuple[str, list[str], Sums]:
+    """Months and events of the year, and the block that they are kept in."""
     with factory.database.read() as stores:
-        source = stores.drift.source("CS002", YEAR["since"])
-        assert source is not None
-        return stores.drift.ratios(Scope("CS002"), YEAR["since"]), stores.drift.digests(), source
+        block = stores.sums.get(KIND, Scope("CS002"), YEAR["since"], YEAR["until"])
+        assert block is not None
+        (months,) = stores.drift.months_of_paths("CS002", YEAR["since"])
+        return months.digest, stores.sums.digests(KIND), block
 
 
-def measure_again(factory: Factory, source: DriftSource) -> None:
+def measure_again(factory: Factory, block: Sums) -> None:
     """Measure the year as if it had been measured from something else."""
     with factory.database.write() as stores:
-        stores.drift.keep_source("CS002", YEAR["since"], source)
+        stores.sums.put(block)
         stores.jobs.add(Order(KIND, YEAR, [YEAR], "test", "test", inputs=factory.inputs.text), factory.clock())
     work(factory)
 
@@ -60,24 +59,25 @@ def test_after_one_more_event_drift_reads_it_alone_and_is_that_of_the_whole_year
 ) -> None:
     night(station)
     _, before, first = measured(station)
-    assert first.screened == first.spectra
+    assert first.whole == first.spectra
     typical = campaign.event_id[campaign.time_unix > YEAR["since"] / 1e6][5]
     one = campaign.select(campaign.event_id == typical)
     later = replace(one, event_id=np.full(len(one), "999999999"), time_unix=one.time_unix + 3600.0)
     add_spectra(station, later)
     night(station)
     added, digests, source = measured(station)
-    assert (source.spectra, source.screened) == (first.spectra + len(later), first.screened)
-    assert len(set(digests) & set(before)) == 2, "the events of the year of the new one are others"
+    assert (source.spectra, source.whole) == (first.spectra + len(later), first.whole)
+    assert len(set(digests) & set(before)) == 1, "the events of the year of the new one are others"
 
     measure_again(station, replace(source, inputs="another reference"))
     whole, of_whole, read = measured(station)
-    assert read == replace(source, screened=source.spectra)
+    assert (read.inputs, read.whole) == (source.inputs, source.spectra)
     assert of_whole == digests
     assert whole == added
 
     measure_again(station, replace(read, flag=read.flag + 1))
-    assert measured(station) == (whole, of_whole, read)
+    assert measured(station)[:2] == (whole, of_whole)
+    assert measured(station)[2].flag == read.flag
 
 
 @pytest.mark.long
@@ -108,27 +108,24 @@ MONTH_US = 31 * 86_400_000_000
 STATIONS, YEARS = ("CS001", "CS002"), (2014, 2015)
 
 
-def _measure(stores: Stores, reference: str, station: str, year: int, seed: int) -> None:
+def _measure(stores: Stores, station: str, year: int, seed: int) -> None:
     """Measure a year of a station, as a part of a drift does."""
     since, rng = start_of_year(year), np.random.default_rng(seed)
-    ratios = [
-        MonthlyRatio(Scope(station, a, d), since + m * MONTH_US, reference, float(rng.normal(1, 0.1)), 0.01, 9 + a)
-        for a in range(3)
-        for d in "XY"
-        for m in range(11)
-    ]
-    stores.drift.replace(station, since, end_of_year(since), ratios)
-    keep_months(stores, station, since, ratios)
+    paths = [Scope(station, a, d) for a in range(3) for d in "XY"]
+    ratios = np.full((6, 11, 5), (1.0, 0.01, 0.002, -0.001, 9.0))
+    ratios[..., 0] = rng.normal(1, 0.1, (6, 11))
+    ratios[..., 4] += np.arange(6)[:, None] // 2
+    keep_months(stores, station, since, PathMonths(paths, since + MONTH_US * np.arange(11), ratios))
 
 
 @pytest.fixture
-def measured_of_months(factory: Factory, stored: dict[str, Version]) -> Factory:
-    """Two years of two stations, measured, the array not kept yet."""
+def measured_of_months(factory: Factory) -> Factory:
+    """Two years of two stations, measured."""
     at = start_of_year(2014) / 1e6 + 1
     add_spectra(factory, flat_spectra(*[("one", at, s, a, d) for s in STATIONS for a in range(3) for d in "XY"]))
     with factory.database.write() as stores:
         for k, (name, year) in enumerate((s, y) for s in STATIONS for y in YEARS):
-            _measure(stores, stored["path"].id, name, year, k)
+            _measure(stores, name, year, k)
     return factory
 
 
@@ -139,12 +136,9 @@ def _months_of_all(factory: Factory) -> dict[Scope, Any]:
 
 
 def test_what_is_kept_is_what_all_months_say(measured_of_months: Factory) -> None:
-    with measured_of_months.database.write() as stores:
-        assert keep_missing(stores) == len(YEARS)
-        assert keep_missing(stores) == 0
     for scope, months in _months_of_all(measured_of_months).items():
         with measured_of_months.database.read() as stores:
-            expected = summarise(stores.drift.ratios(scope))
+            expected = summarise(stores.drift.months_of_paths(scope.station))
         assert len(months) == 22
         assert [m.c_ratio for m in months] == pytest.approx([m.c_ratio for m in expected], abs=1e-6)
         assert [(m.month, m.paths, m.events, m.shape) for m in months] == [
@@ -153,25 +147,20 @@ def test_what_is_kept_is_what_all_months_say(measured_of_months: Factory) -> Non
 
 
 def test_the_array_is_never_told_from_months_that_a_station_had_before(measured_of_months: Factory) -> None:
-    """What is kept of all stations is tied to the months of each: one measured anew makes it void at once."""
-    with measured_of_months.database.write() as stores:
-        keep_missing(stores)
+    """What is kept of all stations follows from the months of each: one measured anew changes it at once."""
     before = _months_of_all(measured_of_months)[Scope()]
     with measured_of_months.database.write() as stores:
-        reference = stores.drift.ratios(Scope("CS001", 0, "X"))[0].reference
-        _measure(stores, reference, "CS001", 2015, 99)
+        _measure(stores, "CS001", 2015, 99)
     after = _months_of_all(measured_of_months)[Scope()]
     assert after[:11] == before[:11]
-    assert all(now.c_ratio != was.c_ratio for now, was in zip(after[11:], before[11:], strict=True))
-    with measured_of_months.database.write() as stores:
-        assert keep_missing(stores) == 1
-    kept = _months_of_all(measured_of_months)[Scope()]
-    assert [m.c_ratio for m in kept] == pytest.approx([m.c_ratio for m in after], abs=1e-6)
+    assert all(now != was for now, was in zip(after[11:], before[11:], strict=True))
+    with measured_of_months.database.read() as stores:
+        expected = summarise(stores.drift.months_of_paths(None))
+    assert [m.c_ratio for m in after] == pytest.approx([m.c_ratio for m in expected], abs=1e-6)
 
 
 def test_a_year_of_the_matrix_holds_every_path_beside_the_median(measured_of_months: Factory) -> None:
-    with measured_of_months.database.read() as stores:
-        first, second = (json.loads(year) for year in read_matrix(stores, "CS001"))
+    first, second = (json.loads(year) for year in measured_of_months.drift.matrix("CS001"))
     assert first["paths"] == [[a, d] for a in range(3) for d in "XY"]
     assert (first["months"][0], second["months"][0], np.shape(second["values"])) == ("2014-01", "2015-01", (6, 11))
     assert np.median(first["values"], axis=0) == pytest.approx(np.zeros(11), abs=1e-6)

@@ -17,7 +17,7 @@ from service.factory import Factory
 from service.scheduler import look_for_due_work
 from service.schema.tables import calibration, spectrum
 from service.storage.jobs import Job
-from service.storage.kept_fits import Examined
+from service.storage.versions import Examined
 from service.wire.bodies import PromotionBody
 from tests.service.conftest import add_spectra, like, night, refit
 
@@ -155,7 +155,7 @@ def test_what_was_examined_confirms_the_version_in_effect(station: Factory, camp
     night(station)
     with station.database.read() as stores:
         rows = stores.versions._connection.exec_driver_sql("SELECT calibration FROM examined ORDER BY scope").scalars()
-        found = [stores.examined.of_calibration(name) for name in rows.all()]
+        found = [stores.versions.confirmation(name) for name in rows.all()]
     assert found
     for one in found:
         assert isinstance(one, Examined)
@@ -263,7 +263,9 @@ def refit_by_night(factory: Factory) -> dict[str, Any]:
 def kept(factory: Factory) -> dict[str, tuple[int, int]]:
     """How many spectra the kept fits were made from, and their newest events."""
     with factory.database.read() as stores:
-        rows = stores.versions._connection.exec_driver_sql("SELECT kind, spectra, event FROM kept_fit").all()
+        rows = stores.versions._connection.exec_driver_sql(
+            "SELECT kind, spectra, event FROM sums WHERE kind <> 'drift'"
+        ).all()
     return {kind: (spectra, event) for kind, spectra, event in rows}
 
 
@@ -289,7 +291,7 @@ def test_what_was_examined_is_what_a_fit_from_spectra_says(year: Factory, campai
     assert kept(year) == before
     told = shifts(year)
     with year.database.write() as stores:
-        stores.versions._connection.exec_driver_sql("DELETE FROM kept_fit")
+        stores.versions._connection.exec_driver_sql("DELETE FROM sums")
     first = events_of(campaign)[0]
     for flag in ("bad", None):
         year.intake.set_flag(first, flag, reason="test", by="test")
@@ -312,7 +314,7 @@ def test_a_late_spectrum_of_an_event_that_was_there_is_fitted_from_spectra(year:
     new = campaign.select(campaign.event_id == events_of(campaign)[-5])
     with year.database.write() as stores:
         stores.spectra.add(new.select(new.antenna != 2))
-        stores.versions._connection.exec_driver_sql("DELETE FROM kept_fit")
+        stores.versions._connection.exec_driver_sql("DELETE FROM sums")
     refit_by_night(year)
     spectra = 8 * (len(events_of(campaign)) - 5)
     assert {count for count, _ in kept(year).values()} == {spectra + 6}

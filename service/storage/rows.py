@@ -1,0 +1,59 @@
+"""Rows in and out: written once or in place of what was, the same way on SQLite and PostgreSQL, and read as values."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
+from typing import Any, TypeVar
+
+from sqlalchemy import Connection, Row, Table
+from sqlalchemy.dialects.postgresql import insert as postgresql_insert
+from sqlalchemy.dialects.sqlite import insert as sqlite_insert
+
+from lbacal_core.curves.validity import Scope
+
+Value = TypeVar("Value")
+Rows = Sequence[Mapping[str, Any]]
+
+
+class Store:
+    """Rows of some tables inside one transaction."""
+
+    def __init__(self, connection: Connection) -> None:
+        self._connection = connection
+
+
+def insert_into(connection: Connection, table: Table) -> Any:
+    """An INSERT that may say what happens on a conflict."""
+    return sqlite_insert(table) if connection.dialect.name == "sqlite" else postgresql_insert(table)
+
+
+def add_rows(connection: Connection, table: Table, rows: Rows) -> None:
+    """Insert rows; one whose key is there stays as it is."""
+    if rows:
+        connection.execute(insert_into(connection, table).on_conflict_do_nothing(), rows)
+
+
+def put_rows(connection: Connection, table: Table, rows: Rows) -> None:
+    """Insert rows in place of those of the same primary key."""
+    if rows:
+        statement, keys = insert_into(connection, table), [column.name for column in table.primary_key]
+        changed = {name: statement.excluded[name] for name in rows[0] if name not in keys}
+        connection.execute(statement.on_conflict_do_update(index_elements=keys, set_=changed), rows)
+
+
+def to_row(value: Any, table: Table, **given: Any) -> dict[str, Any]:
+    """The fields of a value by the names of columns, an instant `made` under `made_us`; `given` are other columns."""
+    of_value = {column.name: column.name.removesuffix("_us") for column in table.columns if column.name not in given}
+    return {**{name: getattr(value, one) for name, one in of_value.items() if hasattr(value, one)}, **given}
+
+
+def scope_columns(scope: Scope) -> dict[str, Any]:
+    """A scope by the names of its columns."""
+    return {"scope": scope.key, "station": scope.station, "antenna": scope.antenna, "dipole": scope.dipole}
+
+
+def from_row(cls: type[Value], row: Row[Any], **given: Any) -> Value:
+    """The value whose fields a row holds; `given` are those that it holds in another form."""
+    names = [one.name for one in fields(cls) if one.name not in given]  # type: ignore[arg-type] # all are dataclasses
+    return cls(**{name: getattr(row, f"{name}_us" if hasattr(row, f"{name}_us") else name) for name in names}, **given)

@@ -1,0 +1,139 @@
+"""What is kept of the spectra of a block of time, so that later events are added to it: one table, one row a block.
+
+A block is a window of a scope. For a fit the lines of its paths and their information matrices are kept, which add over
+events; for drift each event's change of C. It is a cache: the spectra are the truth, and a block whose other inputs
+changed is read again.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from hashlib import sha256
+from typing import Any
+
+import numpy as np
+from sqlalchemy import select
+
+from lbacal_core.curves.kept_lines import KeptLines, read_lines, write_lines
+from lbacal_core.curves.validity import Instant, Scope, parse_scope
+from lbacal_core.grids import Floats
+from service.schema.tables import sums
+from service.storage.rows import Store, from_row, put_rows, to_row
+
+DRIFT = "drift"
+"""The kind of the blocks of drift."""
+
+
+@dataclass(frozen=True)
+class Sums:
+    """What is kept of a block, and what it was made from.
+
+    Attributes
+    ----------
+    kind
+        What was made: calibrations of a scope (``array``, ``station``, ``antenna``), or ``drift``.
+    scope, since, until
+        Whose spectra it was made from, and the window.
+    inputs
+        Hash of all inputs but the spectra.
+    spectra, flag, event
+        The count of usable spectra, the last flag that was set in the window and the newest event.
+    whole
+        The count of usable spectra when all were read last.
+    arrays
+        What is kept, by name.
+    """
+
+    kind: str
+    scope: Scope
+    since: Instant
+    until: Instant
+    inputs: str
+    spectra: int
+    flag: int
+    event: int
+    whole: int
+    arrays: Mapping[str, Any]
+
+
+class SumStore(Store):
+    """Blocks by their kind, scope and window."""
+
+    def put(self, block: Sums) -> None:
+        """Keep a block in place of the one before."""
+        file = io.BytesIO()
+        np.savez(file, allow_pickle=False, **block.arrays)
+        content = file.getvalue()
+        digest = sha256(content).hexdigest()
+        put_rows(self._connection, sums, [to_row(block, sums, scope=block.scope.key, arrays=content, sha256=digest)])
+
+    def get(self, kind: str, scope: Scope, since: Instant, until: Instant) -> Sums | None:
+        """A block; None where it is not kept."""
+        is_it = (sums.c.scope == scope.key) & (sums.c.since_us == since) & (sums.c.until_us == until)
+        return next(self.of_kind(kind, is_it), None)
+
+    def of_kind(self, kind: str, is_wanted: Any = True) -> Iterator[Sums]:
+        """All blocks of a kind, in order of scope and window."""
+        statement = select(sums).where(sums.c.kind == kind, is_wanted).order_by(sums.c.scope, sums.c.since_us)
+        for row in self._connection.execute(statement):
+            with np.load(io.BytesIO(row.arrays), allow_pickle=False) as arrays:
+                yield from_row(Sums, row, scope=parse_scope(row.scope), arrays=dict(arrays))
+
+    def digests(self, kind: str) -> list[str]:
+        """Hashes of all blocks of a kind, in order of scope and window."""
+        statement = select(sums.c.sha256).where(sums.c.kind == kind).order_by(sums.c.scope, sums.c.since_us)
+        return list(self._connection.execute(statement).scalars())
+
+
+# A fit: its lines, and what each of its scopes is told.
+
+
+@dataclass(frozen=True)
+class Told:
+    """What a scope is told after a fit: the version, whether it is in effect, and its curves.
+
+    `curves` holds C and its statistical error by dipole, shape (freq,) each; none where the version has no C.
+    """
+
+    scope: Scope
+    calibration: str
+    is_in_effect: bool
+    curves: Mapping[str, tuple[Floats, Floats]]
+
+
+@dataclass(frozen=True)
+class KeptPiece:
+    """A window that no hardware change cuts, the lines of its paths and what these are told."""
+
+    since: Instant
+    until: Instant
+    lines: Sequence[KeptLines]
+    told: Sequence[Told]
+
+
+def write_pieces(pieces: Sequence[KeptPiece]) -> dict[str, Any]:
+    """Write the pieces of a fit as arrays by name."""
+    head, arrays = [], dict[str, Any]()
+    for k, piece in enumerate(pieces):
+        told = [[one.scope.key, one.calibration, one.is_in_effect, sorted(one.curves)] for one in piece.told]
+        head.append([piece.since, piece.until, told])
+        arrays[f"{k}.told"] = np.array([one.curves[dipole] for one in piece.told for dipole in sorted(one.curves)])
+        arrays |= {f"{k}.{name}": values for name, values in write_lines(piece.lines).items()}
+    return {"pieces": np.array(json.dumps(head)), **arrays}
+
+
+def read_pieces(arrays: Mapping[str, Any]) -> list[KeptPiece]:
+    """Read what `write_pieces` wrote."""
+    pieces = []
+    for k, (since, until, listed) in enumerate(json.loads(str(arrays["pieces"]))):
+        curves = iter(arrays[f"{k}.told"])
+        told = [
+            Told(parse_scope(key), calibration, is_in_effect, {dipole: tuple(next(curves)) for dipole in dipoles})
+            for key, calibration, is_in_effect, dipoles in listed
+        ]
+        own = {name.removeprefix(f"{k}."): values for name, values in arrays.items() if name.startswith(f"{k}.")}
+        pieces.append(KeptPiece(since, until, read_lines(own), told))
+    return pieces
