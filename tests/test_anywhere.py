@@ -20,10 +20,10 @@ FOR_LOFAR = {
 """What may name LOFAR, its letters or its band, and why."""
 PIVOTS = {
     "causes/amplifier.py": "the slope of N_LNA is about 55 MHz by its definition",
+    "chain/model.py": "the slope of N_LNA is about 55 MHz by its definition",
     "causes/cause.py": "levels at 55 MHz by the definition of their causes",
     "causes/sky.py": "levels at 55 MHz, tau at 30 MHz by their definitions",
     "skypower/sky_terms.py": "an error that is stated from 50 to 30 MHz",
-    "simulation/prior.py": "an error that is stated at 30, 55 and 80 MHz",
     "sky/maps.py": "nodes of a power law",
     "instrument/instrument.py": "a longitude",
     "drift/model.py": "months",

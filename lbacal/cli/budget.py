@@ -49,7 +49,7 @@ def budget(
 
     Example: lbacal budget spectra.h5 --instrument lofar-superterp --sky measured --plot budget.png
     """
-    from lbacal_core.calibration.chain_form import with_likely_form
+    from lbacal_core.calibration.chain_form import compare_forms
     from lbacal_core.simulation.simulation import Simulation
     from lbacal_core.uncertainty.refit import compute_budget, measure_electronics
 
@@ -59,7 +59,8 @@ def budget(
     require_outputs({"--report": report, "--plot": plot}, {**inputs, **{f"SPECTRA {file}": file for file in files}})
     require_image(plot)
     measured = read_selected(files, selection, time.time())
-    simulation, _ = with_likely_form(Simulation.load(instrument, sky_power), measured)
+    simulation = Simulation.load(instrument, sky_power)
+    simulation = simulation.with_form(compare_forms(measured, simulation).name)
     shared, of_antennas = compute_budget(measured, simulation, sky), measure_electronics(measured, simulation)
     terms = [*shared.terms, *([] if of_antennas is None else [of_antennas])]
     if left_open is not None:

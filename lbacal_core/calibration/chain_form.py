@@ -91,10 +91,8 @@ class ChainForm:
         return "; ".join([words, *(f"open: {one}" for one in others)])
 
 
-def with_likely_form(simulation: Simulation, spectra: Spectra) -> tuple[Simulation, ChainForm]:
-    """The simulation with the form of the chain that spectra prefer, and their odds."""
-    found = compare_forms(spectra, simulation)
-    return simulation.with_form(found.name), found
+PUBLISHED_FORM = ChainForm({PUBLISHED: 1.0})
+"""What spectra that cannot tell say."""
 
 
 def compare_forms(spectra: Spectra, simulation: Simulation) -> ChainForm:
@@ -118,7 +116,7 @@ def list_forms(simulation: Simulation) -> Mapping[str, Intercepts]:
 def _compare_forms(spectra: Spectra, simulation: Simulation) -> ChainForm:
     forms = list_forms(simulation)
     if len(forms) == 1 or len(spectra) == 0:
-        return ChainForm({PUBLISHED: 1.0})
+        return PUBLISHED_FORM
     cables = require_one_cable_each(spectra, simulation.instrument)
     found = []
     for read in paths_of_scope(spectra, simulation, "array", cables):
@@ -126,7 +124,7 @@ def _compare_forms(spectra: Spectra, simulation: Simulation) -> ChainForm:
         if paths.members and paths.count_lst_bins()[0] >= MIN_LST_BINS:
             found.append(_weigh_forms(paths, simulation, forms))
     if not found:
-        return ChainForm({PUBLISHED: 1.0})
+        return PUBLISHED_FORM
     weight = np.mean(found, axis=0) + np.log([PRIOR[form] for form in forms])
     probability = np.exp(weight - logsumexp(weight))
     return ChainForm(dict(zip(forms, probability.tolist(), strict=True)))

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from lbacal_core.calibration.chain_form import FORM_OF_CHAIN, ChainForm, with_likely_form
+from lbacal_core.calibration.chain_form import FORM_OF_CHAIN, PUBLISHED_FORM, ChainForm, compare_forms
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.causes.model import Model
 from lbacal_core.chain.model import ChainTerms
@@ -40,7 +40,7 @@ from lbacal_core.discovery.baseline import leave_out_deaf
 from lbacal_core.discovery.hypothesis import Hypothesis
 from lbacal_core.discovery.refit import power_ratio
 from lbacal_core.discovery.station import Station, model_modes
-from lbacal_core.drift.windows import set_apart
+from lbacal_core.drift.windows import leave_out_changed, set_apart
 from lbacal_core.grids import Floats
 from lbacal_core.linear import root_of
 from lbacal_core.simulation.simulation import Simulation
@@ -292,7 +292,9 @@ def fit_causes(spectra: Spectra, simulation: Simulation, *, are_sizes_known: boo
     sizes: Sequence[FittedSize]
     # The products are small: threads of the linear algebra would wait for each other.
     with threadpool_limits(1):
-        simulation, form = with_likely_form(simulation, spectra)
+        steady = leave_out_changed(spectra, simulation.instrument) if len(spectra) else None
+        form = PUBLISHED_FORM if steady is None else compare_forms(steady, simulation)
+        simulation = simulation.with_form(form.name)
         apart, parts = set_apart(spectra, simulation.instrument)
         stations = gather_adopted(apart, replace(simulation, instrument=parts, given=simulation.sky_power))
         known = simulation.differences if stations and not are_sizes_known else None

@@ -209,8 +209,6 @@ def _series_of(changes: Floats) -> Floats:
 DEFAULT_SKY_BUDGET = "models"
 PAPER_BUDGET = "paper"
 PATTERN = "antenna pattern"
-GROUND_MHZ = (30.0, 55.0, 80.0)
-"""Channels for which the prior knows the ground."""
 
 
 def list_changes(instrument: Instrument, sky_budget: str = DEFAULT_SKY_BUDGET) -> list[SkyTerm]:
@@ -246,6 +244,6 @@ def _pattern(instrument: Instrument) -> SkyTerm:
 def _ground(instrument: Instrument) -> SkyTerm:
     """Power that the antenna receives from the ground, the same at all LST."""
     own = compute_sky_power(instrument)
-    share = np.interp(instrument.frequency_mhz, GROUND_MHZ, read_prior()["ground"].sizes)
+    share = np.interp(instrument.frequency_mhz, read_prior()["ground_mhz"].sizes, read_prior()["ground"].sizes)
     change = {dipole: np.log1p(share * power.mean(axis=0) / power) for dipole, power in own.power.items()}
     return SkyTerm("ground and losses", "75 K of 300 K through the ground", own.lst_hours, change)

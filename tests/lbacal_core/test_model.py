@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from lbacal_core.calibration.chain_form import FORM_OF_CHAIN
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.causes.model import PLAIN, AdoptedCause, Model
 from lbacal_core.curves.curves import CONVERGED, NOT_CONVERGED, TOO_FEW_EVENTS, parse_curve
@@ -179,6 +180,8 @@ def test_a_plain_model_gives_the_bytes_of_the_plain_fit(late, simulation, chain,
     plain = fit_causes(late, simulation.with_causes(PLAIN))
     assert plain.spectra is late
     ours, theirs = plain.fit("antenna"), fit_calibration(late, Simulation(chain, sky), "antenna")
+    told = ours.provenance.notes.pop(FORM_OF_CHAIN)
+    assert told.startswith("noise enters in front of the antenna's resonance, as published")
     assert json.dumps(ours.as_dict()) == json.dumps(theirs.as_dict())
 
 

@@ -11,7 +11,6 @@ from lbacal_core.calibration.chain_form import (
     integrate_lines,
     list_amounts,
     list_forms,
-    with_likely_form,
 )
 from lbacal_core.calibration.continued import continue_fit
 from lbacal_core.calibration.fit import fit_calibration
@@ -113,7 +112,7 @@ def test_a_curve_predicts_power_by_the_form_it_was_fitted_with(scene):
 
 def test_a_fit_is_continued_in_its_own_form(scene):
     spectra = draw(other_chain(scene, n_amplifier=0.05))
-    simulation, _ = with_likely_form(scene.simulation, spectra)
+    simulation = scene.simulation.with_form(compare_forms(spectra, scene.simulation).name)
     whole = fit_calibration(spectra, simulation)
     kept = read_lines(write_lines(whole.lines))
     assert {one.form for one in kept} == {BEHIND}
