@@ -36,15 +36,6 @@ TIERS = {FIRST_TIER: "not long", SECOND_TIER: "long"}
 """Markers of the tests of each tier (`./dev test`, and what `./dev test --all` runs beside them)."""
 NEAR_S, TIER_S = 1800.0, 3600.0
 """What hangs longer counts as not seen; most faults are seen within 30 s of one core."""
-MEET_ALL = (
-    "discovery/test_refit.py",
-    "discovery/test_report.py",
-    "discovery/test_scan.py",
-    "discovery/test_residual_structure.py",
-    "causes",
-    "discovery",
-)
-"""Tests of the science that every fault meets after those of its own file and room, the broadest claims first."""
 FAILED, BROKEN, NONE_CHOSEN = 1, 2, 5
 """Exit codes of pytest where a test fails, where tests cannot even be imported, and where none has the marker."""
 
@@ -90,16 +81,11 @@ class PlantedFault:
             raise StaleChangeError(f"{self.where} {error}; write the fault of {FAULTS.name} anew") from error
 
     def tests(self, root: Path) -> list[str]:
-        """Files of tests: of its own file, room, discovery; nearest first."""
+        """Files of tests of its own file and of its room, the nearest first."""
         path = Path(self.file)
-        places = [path.with_name(f"test_{path.name}"), path.parent, *(Path("lbacal_core") / one for one in MEET_ALL)]
-        # Files, not folders: where arguments overlap pytest puts them into its own order.
-        files = [file for place in places for file in _test_files(root / "tests" / place)]
-        return list(dict.fromkeys(str(file.relative_to(root)) for file in files))
-
-
-def _test_files(place: Path) -> list[Path]:
-    return [place] if place.is_file() else sorted(place.rglob("test_*.py"))
+        place = root / "tests" / path.parent
+        files = [place / f"test_{path.name}", *sorted(place.rglob("test_*.py"))]
+        return list(dict.fromkeys(str(file.relative_to(root)) for file in files if file.is_file()))
 
 
 def read_faults(path: Path = FAULTS) -> list[PlantedFault]:
@@ -137,7 +123,10 @@ def list_planted(root: Path) -> list[tuple[str, str, str, str]]:
 
 
 def seen_in_one_run(tree: Path, marker: str) -> dict[str, str]:
-    """The first test of a tier that sees a fault, by its name; one run for a state of the tree, others wait for it."""
+    """The first test of a tier that sees a fault, by its name; one run for a state of the tree, others wait for it.
+
+    What an earlier tier has seen is not asked again, and is told as seen.
+    """
     state = _git(tree, "rev-parse", "HEAD^{tree}").strip()[:12]
     log = ROOT / "var" / "planted" / f"{state}-{marker.replace(' ', '-')}.jsonl"
     log.parent.mkdir(parents=True, exist_ok=True)
@@ -145,7 +134,8 @@ def seen_in_one_run(tree: Path, marker: str) -> dict[str, str]:
         fcntl.flock(lock, fcntl.LOCK_EX)
         if not log.exists():
             noted = log.with_suffix(".running")
-            noted.write_text("")
+            known = [log.with_name(f"{state}-{one.replace(' ', '-')}.jsonl") for one in TIERS.values()]
+            noted.write_text("".join(one.read_text() for one in known if one.exists()))
             plugin = ["-p", "validation.planted_run", "-n", "2", "--dist", "loadfile", "--maxfail", "1000"]
             code, test = run_tests(tree, plugin, TIER_S, marker, {LOG: str(noted)})
             if code:
@@ -224,24 +214,6 @@ def plant(number: int) -> Row:
     return {"name": fault.name, "blind": fault.blind, "by": by, "test": test}
 
 
-def rooms_of(faults: Sequence[PlantedFault], tree: Path = ROOT) -> list[str]:
-    """Folders of tests that meet faults."""
-    return sorted({str(Path(test).parent) for fault in faults for test in fault.tests(tree)})
-
-
-def pass_without(number: int) -> Row:
-    """Run the tests of one room without a fault: if they failed, they would see every fault."""
-    with copy_of_tree() as tree:
-        room = rooms_of(read_faults(), tree)[number]
-        code, test = run_tests(tree, [room], TIER_S)
-    return {"room": room, "passes": code == 0, "test": test}
-
-
-def judge_healthy(rows: Sequence[Row]) -> list[Found]:
-    """All rooms pass."""
-    return [exactly("healthy", sum(row["passes"] for row in rows) / len(rows), "%", len(rows))]
-
-
 def judge(rows: Sequence[Row]) -> list[Found]:
     """The share that tests see, of all faults and of those whose author did not know the tests; of these the tier's."""
     seen = [row for row in rows if row["by"] != UNSEEN]
@@ -264,7 +236,4 @@ def tell(rows: Sequence[Row]) -> list[str]:
     return lines + [f"- {row['by']}: `{row['name']}` {row['test']}" for row in rows if row["by"] != FIRST_TIER]
 
 
-PARTS = (
-    Part("healthy", pass_without, judge_healthy, len(rooms_of(read_faults())), has_chance=False),
-    Part("faults", plant, judge, len(read_faults()), tell, ("seen",), has_chance=False),
-)
+PARTS = (Part("faults", plant, judge, len(read_faults()), tell, ("seen",), has_chance=False),)

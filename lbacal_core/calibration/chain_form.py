@@ -30,7 +30,6 @@ from scipy.special import logsumexp
 from lbacal_core.calibration.channels import solve_without_interference
 from lbacal_core.calibration.lines import PathLines, fit_lines, harmonics_at, look_beside, move_lines
 from lbacal_core.calibration.paths import MIN_LST_BINS, Paths, paths_of_scope, require_one_cable_each
-from lbacal_core.calibration.separable import RANGE
 from lbacal_core.calibration.singles import chain_forms
 from lbacal_core.chain.model import BEHIND, FORMS, PUBLISHED, SLOPED, Intercepts, noise_constants
 from lbacal_core.grids import Floats
@@ -44,6 +43,8 @@ PRIOR: Mapping[str, float] = {PUBLISHED: 20.0 / 21.0, BEHIND: 0.5 / 21.0, SLOPED
 2019, section 5), as that an instrument names its antenna rightly; the rest in equal parts."""
 SLOPES = np.linspace(-1.0, 1.0, 9)
 """Changes of N_LNA by 25 MHz, as a fraction, all alike: beyond, it would be negative within the band."""
+AMOUNTS = np.concatenate([[0.0], np.geomspace(0.02, 3.0, 16)])
+"""Noise in front of A(nu) over the sky: what is below 2 % of it the lines do not tell from none."""
 ALIKE = 1e-6
 """Share by which N / G_ant must differ from a constant for the data to know where the noise enters."""
 FORM_OF_CHAIN = "form of the chain"
@@ -177,9 +178,9 @@ def list_amounts(form: str, terms: Intercepts, sky: Floats) -> tuple[Floats, Flo
 
     An amount is half-normal about 0, of one mean sky power r.m.s. along frequency, as the weak prior of the fit is.
     """
-    weight = np.gradient(RANGE) * np.exp(-0.5 * RANGE**2)
+    weight = np.gradient(AMOUNTS) * np.exp(-0.5 * AMOUNTS**2)
     weight /= weight.sum()
-    amount = RANGE / np.sqrt(np.mean((terms.front / sky) ** 2, axis=1, keepdims=True))
+    amount = AMOUNTS / np.sqrt(np.mean((terms.front / sky) ** 2, axis=1, keepdims=True))
     flat = amount[0, :, None] * terms.front[0]
     if form == BEHIND:
         both = flat[:, None] + amount[1, :, None] * terms.front[1]

@@ -59,14 +59,22 @@ class Sums:
     arrays: Mapping[str, Any]
 
 
+def _pack(arrays: Mapping[str, Any]) -> bytes:
+    file = io.BytesIO()
+    np.savez(file, allow_pickle=False, **arrays)
+    return file.getvalue()
+
+
+_NOTHING = sha256(_pack({})).hexdigest()
+"""Of a block without an array: a station-year in which no path has a reference is measured, and holds nothing."""
+
+
 class SumStore(Store):
     """Blocks by their kind, scope and window."""
 
     def put(self, block: Sums) -> None:
         """Keep a block in place of the one before."""
-        file = io.BytesIO()
-        np.savez(file, allow_pickle=False, **block.arrays)
-        content = file.getvalue()
+        content = _pack(block.arrays)
         digest = sha256(content).hexdigest()
         put_rows(self._connection, sums, [to_row(block, sums, scope=block.scope.key, arrays=content, sha256=digest)])
 
@@ -83,8 +91,12 @@ class SumStore(Store):
                 yield from_row(Sums, row, scope=parse_scope(row.scope), arrays=dict(arrays))
 
     def digests(self, kind: str) -> list[str]:
-        """Hashes of all blocks of a kind, in order of scope and window."""
-        statement = select(sums.c.sha256).where(sums.c.kind == kind).order_by(sums.c.scope, sums.c.since_us)
+        """Hashes of all blocks of a kind that hold something, in order of scope and window."""
+        statement = (
+            select(sums.c.sha256)
+            .where(sums.c.kind == kind, sums.c.sha256 != _NOTHING)
+            .order_by(sums.c.scope, sums.c.since_us)
+        )
         return list(self._connection.execute(statement).scalars())
 
 

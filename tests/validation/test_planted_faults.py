@@ -11,13 +11,11 @@ from validation.code_changes import Change, StaleChangeError, changed
 from validation.machinery.records import claims_of
 from validation.planted_faults import (
     FIRST_TIER,
-    MEET_ALL,
     SECOND_TIER,
     UNSEEN,
     PlantedFault,
     find_seen,
     read_faults,
-    rooms_of,
     run_tests,
     tell,
 )
@@ -112,7 +110,6 @@ def test_a_fault_of_a_constant_is_written_into_the_tree_which_is_as_before(tree:
     test.write_text(f"import pytest\n{test.read_text()}".replace("@mark", "@pytest.mark.slow\n@mark"))
     assert find_seen(tree, fault, lambda _marker: {})[0] == SECOND_TIER
     assert (tree / "room/sums.py").read_text() == CODE
-    assert rooms_of([fault], tree) == ["tests/room"]
     assert run_tests(tree, ["tests/room"], 60) == (0, "")
 
 
@@ -123,23 +120,6 @@ def test_a_fault_of_a_function_is_seen_by_the_tier_whose_run_says_so() -> None:
         "a test",
     )
     assert find_seen(Path(), fault, lambda _marker: {}) == (UNSEEN, "")
-
-
-def test_the_tests_nearest_to_a_fault_come_first(repository: Path) -> None:
-    tests = PlantedFault("lbacal_core.discovery.scan:scan", ()).tests(repository)
-    assert tests[0] == "tests/lbacal_core/discovery/test_scan.py"
-    assert len(set(tests)) == len(tests) > 15
-    assert all((repository / test).is_file() for test in tests)
-    gate = PlantedFault("service.usecases.gate:Gate", ()).tests(repository)
-    assert gate[0] == "tests/service/usecases/test_gate.py"
-    assert all((repository / "tests/lbacal_core" / place).exists() for place in MEET_ALL)
-    assert f"tests/lbacal_core/{MEET_ALL[0]}" in gate
-
-
-def test_tests_that_fail_without_a_fault_refute_the_proof() -> None:
-    rows = [{"room": "a", "passes": True, "test": ""}, {"room": "b", "passes": False, "test": "b::test"}]
-    assert [claim.verdict for claim in claims_of("planted_faults", "healthy", rows)] == ["refuted"]
-    assert [claim.verdict for claim in claims_of("planted_faults", "healthy", rows[:1])] == ["shown"]
 
 
 def test_what_the_first_tier_sees_is_counted_among_what_any_test_sees() -> None:

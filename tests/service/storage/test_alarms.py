@@ -128,6 +128,14 @@ def make(since: int, antennas: int = 2, events: int = 5) -> Sums:
     return Sums(KIND, Scope("CS001"), since, since + YEAR, "", 0, 0, 0, 0, write_events(modes))
 
 
+def test_a_year_in_which_no_path_has_a_reference_calls_for_no_watch(factory: Factory) -> None:
+    """Its watch failed: there was nothing to follow."""
+    with factory.database.write() as stores:
+        stores.sums.put(replace(make(0), arrays={}))
+        assert len(list(stores.sums.of_kind(KIND))) == 1
+        assert factory.watch.name_inputs(stores) is None
+
+
 def test_events_come_back_as_they_were_and_a_year_is_replaced_whole(factory: Factory) -> None:
     with factory.database.write() as stores:
         stores.sums.put(make(0))
