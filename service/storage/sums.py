@@ -66,7 +66,7 @@ def _pack(arrays: Mapping[str, Any]) -> bytes:
 
 
 _NOTHING = sha256(_pack({})).hexdigest()
-"""Of a block without an array: a station-year in which no path has a reference is measured, and holds nothing."""
+"""The hash of a block without an array: a station-year in which no path has a reference is measured, and is empty."""
 
 
 class SumStore(Store):
