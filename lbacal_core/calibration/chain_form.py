@@ -33,7 +33,7 @@ from lbacal_core.calibration.paths import MIN_LST_BINS, Paths, paths_of_scope, r
 from lbacal_core.calibration.singles import chain_forms
 from lbacal_core.chain.model import BEHIND, FORMS, PUBLISHED, SLOPED, Intercepts, noise_constants
 from lbacal_core.grids import Floats
-from lbacal_core.linear import find_whitener, invert_symmetric
+from lbacal_core.linear import invert_symmetric, solve_symmetric
 from lbacal_core.simulation.prior import SKY_HARMONICS, SkyPrior
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.spectra.spectra import Spectra
@@ -213,10 +213,12 @@ def integrate_lines(
     left = measured[channels + at] - before[:, at] * measured[at]
     # columns that are one in a flat receiver count once
     axes, size, _ = np.linalg.svd(design[at] / np.linalg.norm(design[at], axis=0), full_matrices=False)
-    whitener = find_whitener(total)
     columns = np.concatenate(
         [np.broadcast_to(axes[:, size > ALIKE], (len(left), *axes[:, size > ALIKE].shape)), left[:, :, None]], axis=2
     )
-    # the triangle of (H, z) in units of S: its last number is what H leaves of z
-    corner = np.abs(np.diagonal(np.linalg.qr(np.matmul(whitener, columns), mode="r"), axis1=1, axis2=2))
-    return corner[:, -1] ** 2, np.log(corner[:, :-1]).sum(axis=1) - np.linalg.slogdet(whitener)[1]
+    products = np.swapaxes(columns, 1, 2) @ solve_symmetric(total, columns)
+    of_design, along = products[:, :-1, :-1], products[:, :-1, -1:]
+    chi2 = products[:, -1, -1] - (along * solve_symmetric(of_design, along)).sum(axis=(1, 2))
+    # data without noise leave nothing, to rounding
+    volume = 0.5 * (np.linalg.slogdet(total)[1] + np.linalg.slogdet(of_design)[1])
+    return np.maximum(chi2, 0.0), volume
