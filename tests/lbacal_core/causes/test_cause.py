@@ -117,20 +117,6 @@ def test_a_cause_of_size_zero_changes_nothing_and_a_small_one_acts_in_proportion
         assert np.linalg.norm(changed - step * slope) < 0.03 * np.linalg.norm(changed)
 
 
-def test_signatures_of_gain_and_noise_are_their_shares_of_the_power(terms, conditions):
-    power = terms.power()
-    template = Template({"date_unix": float(np.median(conditions.time_unix))})
-    after = conditions.after(template.parameters["date_unix"])
-    front_share = (terms.sky + terms.n_lna) * terms.front / power
-    step = signature(NAMED["gain_step"], terms, conditions, template)
-    np.testing.assert_allclose(step, after * front_share, atol=1e-9)
-    adc = signature(NAMED["adc_noise_step"], terms, conditions, template)
-    np.testing.assert_allclose(adc, after * terms.adc_noise / power, atol=1e-9)
-    warmth = conditions.warmth()
-    lna = signature(NAMED["lna_noise_temperature"], terms, conditions, Template())
-    np.testing.assert_allclose(lna, warmth * terms.n_lna * terms.front / power, atol=1e-9)
-
-
 @pytest.mark.parametrize("cause", CAUSES, ids=lambda cause: cause.identifier)
 def test_causes_act_one_after_the_other(cause, terms, conditions):
     moved = NAMED["gain_drift"].apply(terms, conditions, Template(), 0.02)
