@@ -15,7 +15,6 @@ from lbacal_core.causes.sky import sky_ratios
 from lbacal_core.chain.model import ChainTerms
 from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.skypower.model import vary_sky_power
-from tests.lbacal_core.causes.test_cause import conditions, terms  # noqa: F401 - fixtures
 
 NAMED = {cause.identifier: cause for cause in CAUSES}
 YEAR_S = 365.25 * 86400
@@ -122,7 +121,7 @@ LAWS: list[tuple[str, dict, float, Law]] = [
 
 
 @pytest.mark.parametrize(("name", "law", "size", "expected"), LAWS, ids=[one[0] for one in LAWS])
-def test_a_cause_acts_by_its_equation(name, law, size, expected, terms, conditions):  # noqa: F811
+def test_a_cause_acts_by_its_equation(name, law, size, expected, terms, conditions):
     cause = replace(conditions, sky_ratio={**conditions.sky_ratio, "Cas A": lambda f: 1 + 0.1 * f * _wave(conditions)})
     found = NAMED[name].apply(terms, cause, Template(law), size).power()
     wanted = np.broadcast_to(expected(terms, conditions, size), found.shape)
@@ -136,7 +135,7 @@ def _wave(c: Conditions) -> np.ndarray:
 
 
 @pytest.mark.parametrize("name", ["resonance_shift", "resonance_width"])
-def test_the_circuit_moves_as_it_is_told(name, conditions):  # noqa: F811
+def test_the_circuit_moves_as_it_is_told(name, conditions):
     """Its half-power points, found by scipy's root of the circuit's own gain, move by the size."""
     amount = 0.02
     circuit, grid = ResonanceCircuit(), np.arange(40.0, 75.0, 0.001)
@@ -152,9 +151,12 @@ def test_the_circuit_moves_as_it_is_told(name, conditions):  # noqa: F811
     assert moves == pytest.approx(amount, rel=0.1)  # first order, on a grid of 1 kHz
 
 
-def test_a_later_temperature_is_that_of_the_fitted_day(conditions):  # noqa: F811
+def test_a_later_temperature_is_that_of_the_fitted_day(conditions):
     hours = np.linspace(0, 24 * 200, 200)
-    warm_at = lambda late: 10 + 5 * np.cos(2 * np.pi * (hours - late) / 24)  # noqa: E731
+
+    def warm_at(late):
+        return 10 + 5 * np.cos(2 * np.pi * (hours - late) / 24)
+
     own = replace(
         conditions, utc_hours=hours % 24, time_unix=1.39e9 + 3600 * hours, covariates={"temperature_c": warm_at(0)}
     )
