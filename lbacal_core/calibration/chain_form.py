@@ -32,15 +32,15 @@ from lbacal_core.calibration.lines import PathLines, fit_lines, harmonics_at, lo
 from lbacal_core.calibration.paths import MIN_LST_BINS, Paths, paths_of_scope, require_one_cable_each
 from lbacal_core.calibration.singles import chain_forms
 from lbacal_core.chain.model import BEHIND, FORMS, PUBLISHED, SLOPED, Intercepts, noise_constants
+from lbacal_core.data.prior import read_prior
 from lbacal_core.grids import Floats
 from lbacal_core.linear import invert_symmetric, solve_symmetric
 from lbacal_core.simulation.prior import SKY_HARMONICS, SkyPrior
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.spectra.spectra import Spectra
 
-PRIOR: Mapping[str, float] = {PUBLISHED: 20.0 / 21.0, BEHIND: 0.5 / 21.0, SLOPED: 0.5 / 21.0}
-"""Probability of each form before the data are asked: 20 to 1 that the chain is that of eq. full_chain (Mulrey et al.
-2019, section 5), as that an instrument names its antenna rightly; the rest in equal parts."""
+PRIOR: Mapping[str, float] = dict(zip(FORMS, read_prior()["chain_form"].sizes, strict=True))
+"""Probability of each form before the data are asked."""
 SLOPES = np.linspace(-1.0, 1.0, 9)
 """Changes of N_LNA by 25 MHz, as a fraction, all alike: beyond, it would be negative within the band."""
 AMOUNTS = np.concatenate([[0.0], np.geomspace(0.02, 3.0, 16)])
