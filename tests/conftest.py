@@ -28,6 +28,12 @@ SECOND_TIER = ("e2e", "lbacal_paper", "validation")
 """Rooms whose tests all belong to `./dev test --all`; elsewhere a test of more than about a second is marked `long`."""
 
 
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """The first tier does not even read the rooms of the second."""
+    room = collection_path.relative_to(Path(__file__).parent).parts[:1]
+    return True if config.option.markexpr == "not long" and room and room[0] in SECOND_TIER else None
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if item.path.relative_to(Path(__file__).parent).parts[0] in SECOND_TIER:

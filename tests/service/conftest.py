@@ -41,6 +41,15 @@ from service.wire.bodies import RefitBody
 from service.worker import Worker
 from validation.running.postgres import run_postgres
 
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """What fits a campaign runs on one kind of database in the first tier, and on both in `./dev test --all`."""
+    for item in items:
+        if "make_service" in getattr(item, "fixturenames", ()) and "postgresql" in item.name:
+            item.add_marker("long")
+
+
 CHANNELS = 4
 MHZ = [30.0, 45.0, 60.0, 80.0]
 

@@ -251,6 +251,7 @@ def test_a_finding_has_its_signature_its_maps_and_its_change_of_c(written):
         assert words in page
 
 
+@pytest.mark.long
 def test_structure_without_a_cause_the_sentence_the_gain_and_the_change_of_c_are_on_one_page(written):
     content, page, _ = written
     assert content["verdict"] == "unexplained"

@@ -78,6 +78,7 @@ def test_structure_without_a_name_is_adopted_as_what_it_is(report, years, simula
     assert size.value == pytest.approx(adopted.size, abs=4 * np.hypot(size.sigma, adopted.sigma))
 
 
+@pytest.mark.long
 def test_structure_that_does_not_recur_is_not_adopted(report):
     along_date = {**report["unexplained"], "term": None}
     with pytest.raises(BadInputError, match="recurs"):

@@ -147,6 +147,7 @@ def lift_and_restore(watched: Factory, path: Scope) -> None:
         assert [version.id for version in in_effect(watched, path)] == cut_year, "the versions of before answer again"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("database_url", ["sqlite"], indirect=True)
 def test_a_cut_ended_for_good_when_a_model_that_took_up_its_change_came_and_went(stepped: Factory) -> None:
     """The watch did not look again at the drift of before the model: the mean over the step answered for ever."""
