@@ -42,7 +42,6 @@ from service.worker import Worker
 from validation.running.postgres import run_postgres
 
 
-
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """What fits a campaign runs on one kind of database in the first tier, and on both in `./dev test --all`."""
     for item in items:
