@@ -264,6 +264,7 @@ def test_structure_without_a_cause_the_sentence_the_gain_and_the_change_of_c_are
         assert words in page
 
 
+@pytest.mark.long
 def test_labels_of_scores_stood_at_bars_of_other_causes(written):
     (report,) = written[2]
     causes = [score.cause.identifier for score in (*report.scores, *report.antenna_scores)]
