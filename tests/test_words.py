@@ -9,7 +9,6 @@ from pathlib import Path
 
 import pytest
 
-
 EXCEPTIONS = {
     "find_excess": "the excess power of an interference line",
     "find_station_excess": "the excess power of an interference line",
