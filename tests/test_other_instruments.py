@@ -16,6 +16,7 @@ DECIBEL = 10 / np.log(10)
 
 @pytest.mark.shared
 @pytest.mark.filterwarnings("ignore")  # pyuvdata's own, about the header of the file
+@pytest.mark.long
 def test_the_tables_of_the_page_are_those_of_the_data(shared: Path) -> None:
     page = PAGE.read_text()
     for name, table in make_tables(shared / "data").items():

@@ -39,15 +39,6 @@ def public_names(source: str) -> Iterator[str]:
             yield node.name
 
 
-def test_the_table_of_words_that_are_not_used_is_read(repository: Path) -> None:
-    assert {"law", "course", "shape", "evidence", "left over", "letter", "excess", "stale"} <= words_not_used(
-        repository
-    )
-    assert "law" in words_of("fit_laws")
-    assert "shape" in words_of("StaticShape")
-    assert "law" not in words_of("lawn_of")
-
-
 @pytest.mark.long
 def test_no_public_name_has_a_word_that_the_glossary_refuses(repository: Path, tracked: list[Path]) -> None:
     refused = words_not_used(repository)
@@ -59,15 +50,3 @@ def test_no_public_name_has_a_word_that_the_glossary_refuses(repository: Path, t
         if refused & set(words_of(name))
     }
     assert found.keys() == EXCEPTIONS.keys()
-
-
-def test_no_heading_has_a_word_that_the_glossary_refuses(repository: Path, tracked: list[Path]) -> None:
-    refused = words_not_used(repository)
-    found = [
-        f"{path}: {heading}"
-        for path in tracked
-        if path.suffix == ".md" and path.parts[0] == "docs"
-        for heading in re.findall(r"^#+ (.*)$", (repository / path).read_text(), re.MULTILINE)
-        if refused & set(words_of(heading))
-    ]
-    assert found == []

@@ -1,9 +1,10 @@
 """A second world, written from the paper alone: sizes and C hold wherever the noise of the LNA enters.
 
-`outside/world.py` beside the project makes a station-year without a line of this one: its own sum over pixels of the
-LFSM, 10 % brighter than the table, a resonance circuit for G_ant and an A(nu) of its own, and a daytime ionosphere of
-tau = 0.03 at 30 MHz. The LNA's noise enters in front of the resonance, as published, or behind it. What is believed is
-the default: the GSM of the package, free as models differ, and the form of the chain that the data prefer.
+`outside/world.py` beside the project makes a station-year without a line of this one: its own sum over pixels of a
+sky, a resonance circuit for G_ant, an A(nu) of its own, and the LNA's noise in front of the resonance, as published, or
+behind it. To be found: a daytime ionosphere of tau = 0.03 at 30 MHz under the LFSM, 10 % brighter than the table. With
+nothing to be found C has to bear what is drawn: sky, level, tilt, beam, ground, memory of the gains. What is believed
+is the default: the GSM of the package, free as models differ, and the form of the chain that data prefer.
 """
 
 from __future__ import annotations
@@ -12,9 +13,10 @@ import json
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -23,7 +25,7 @@ from lbacal_core.chain.model import BEHIND, PUBLISHED
 from lbacal_core.discovery.report import investigate
 from lbacal_core.pipeline import calibrate
 from lbacal_core.simulation.simulation import Simulation
-from lbacal_core.spectra.spectra import read_spectra
+from lbacal_core.spectra.spectra import Spectra, read_spectra
 from validation.machinery.claims import Found, mean_of, rate_of
 from validation.machinery.parts import SHARED, Part, Row
 from validation.own_cable import total_error
@@ -32,27 +34,42 @@ WORLD = SHARED / "outside" / "world.py"
 FIRST_SEED = 1000
 """Seeds of the second world below have been looked at."""
 CAUSE, TAU, LEVEL = "ionospheric_absorption", 0.03, 1.1
+COVERED_SEED = 10_000
+"""The year with nothing to be found has seeds of its own."""
+FAR = 2.0
+"""Standard deviations."""
 FREQUENCIES_MHZ = (35.0, 55.0, 75.0)
 FORMS = {"front": PUBLISHED, "behind": BEHIND}
 
 
-def look(seed: int, enters: str) -> Row:
-    """One station-year: its form of the chain, the size of the ionosphere, and the pulls of C of all paths."""
+def make(seed: int, **conditions: object) -> tuple[Spectra, Simulation, dict[str, Any]]:
+    """A station-year of the second world, what is believed of it, and the truth."""
+    options = [f"--{name.replace('_', '-')}={value}" for name, value in conditions.items()]
     with tempfile.TemporaryDirectory() as folder:
-        made = [sys.executable, str(WORLD), folder, "--seed", str(FIRST_SEED + seed), "--noise-enters", enters]
-        planted = ["--level", str(LEVEL), "--effect", "ionosphere", "--size", str(TAU)]
-        subprocess.run([*made, *planted], check=True)
-        simulation = Simulation.load(f"{folder}/inst.json")
-        spectra = read_spectra(Path(folder) / "spectra.h5")
+        command = [sys.executable, str(WORLD), folder, "--seed", str(FIRST_SEED + seed), *options]
+        subprocess.run(command, check=True)
         truth = json.loads((Path(folder) / "truth.json").read_text())
-    form = compare_forms(spectra, simulation)
-    report, _ = investigate(spectra, simulation)
-    sizes = [one["size"] for one in report["findings"] if one["cause"] == CAUSE]
+        return read_spectra(Path(folder) / "spectra.h5"), Simulation.load(f"{folder}/inst.json"), truth
+
+
+def pull_of_c(spectra: Spectra, simulation: Simulation, truth: Mapping[str, Any]) -> list[list[float]]:
+    """C of each path less the true one over its total error, at each of `FREQUENCIES_MHZ`; NaN where C has no value."""
     at = [truth["frequency_mhz"].index(one) for one in FREQUENCIES_MHZ]
     pulls = []
     for curve in calibrate(spectra, simulation).curves:
         own = np.array(truth["c"])[curve.antenna, "XY".index(str(curve.dipole))]
-        pulls.append(((np.asarray(curve.c) - own) / total_error(curve))[at])
+        c = np.full(own.size, np.nan) if curve.c is None else curve.c
+        pulls.append(((c - own) / total_error(curve))[at] if curve.c is not None else c[at])
+    found: list[list[float]] = np.round(pulls, 3).tolist()
+    return found
+
+
+def look(seed: int, enters: str) -> Row:
+    """One station-year: its form of the chain, the size of the ionosphere, and the pulls of C of all paths."""
+    spectra, simulation, truth = make(seed, level=LEVEL, noise_enters=enters, effect="ionosphere", size=TAU)
+    form = compare_forms(spectra, simulation)
+    report, _ = investigate(spectra, simulation)
+    sizes = [one["size"] for one in report["findings"] if one["cause"] == CAUSE]
     return {
         "form": form.name,
         "is_open": form.is_open(FORMS[enters]),
@@ -60,16 +77,38 @@ def look(seed: int, enters: str) -> Row:
         "size": sizes[0]["value"] if sizes else None,
         "pull": (sizes[0]["value"] - TAU) / sizes[0]["sigma"] if sizes else None,
         "others": [one["cause"] for one in report["findings"] if one["cause"] != CAUSE],
-        "pulls_of_c": np.round(pulls, 3).tolist(),
+        "pulls_of_c": pull_of_c(spectra, simulation, truth),
     }
+
+
+def cover(seed: int) -> Row:
+    """A station-year under conditions that are drawn, with nothing to be found: the pulls of C of all paths."""
+    rng = np.random.default_rng([33, seed])
+    drawn = {
+        "sky": str(rng.choice(["lfsm-5.1deg", "gsm-408locked"])),
+        "narrow": float(rng.choice([0.0, 0.05, 0.1])),
+        "level": round(rng.uniform(0.9, 1.1), 4),
+        "tilt": round(rng.uniform(-0.1, 0.1), 4),
+        "ground_k": float(rng.choice([0.0, 60.0])),
+        "noise_enters": str(rng.choice(list(FORMS))),
+        "memory_h": round(rng.uniform(0.0, 24.0), 2),
+    }
+    return {**drawn, "pulls_of_c": pull_of_c(*make(COVERED_SEED + seed, **drawn))}
+
+
+def judge_cover(rows: Sequence[Row]) -> list[Found]:
+    pulls = np.abs(np.array([row["pulls_of_c"] for row in rows], dtype=float))
+    within = np.mean(pulls < FAR, axis=1)
+    found = [mean_of(f"c_{mhz:.0f}", one, "%") for mhz, one in zip(FREQUENCIES_MHZ, within.T, strict=True)]
+    return [*found, rate_of("without", int(np.sum(np.isnan(pulls[:, :, 1]))), pulls[:, :, 1].size)]
 
 
 def judge(rows: Sequence[Row], enters: str) -> list[Found]:
     pulls = np.array([row["pull"] for row in rows if row["pull"] is not None])
-    within = np.mean(np.abs([row["pulls_of_c"] for row in rows]) < 2.0, axis=1)
+    within = np.mean(np.abs(np.array([row["pulls_of_c"] for row in rows], dtype=float)) < FAR, axis=1)
     return [
         rate_of("named", pulls.size, len(rows)),
-        rate_of("size", int(np.sum(np.abs(pulls) < 2.0)), pulls.size),
+        rate_of("size", int(np.sum(np.abs(pulls) < FAR)), pulls.size),
         mean_of("pull", pulls),
         rate_of("preferred", sum(row["form"] == FORMS[enters] for row in rows), len(rows)),
         rate_of("open", sum(row["is_open"] for row in rows), len(rows)),
@@ -78,14 +117,10 @@ def judge(rows: Sequence[Row], enters: str) -> list[Found]:
     ]
 
 
-PARTS = tuple(
-    Part(
-        enters,
-        partial(look, enters=enters),
-        partial(judge, enters=enters),
-        40,
-        headlines=("size",),
-        needs_shared=True,
-    )
-    for enters in FORMS
+PARTS = (
+    *(
+        Part(name, partial(look, enters=name), partial(judge, enters=name), 40, headlines=("size",), needs_shared=True)
+        for name in FORMS
+    ),
+    Part("cover", cover, judge_cover, 400, headlines=("c_55",), needs_shared=True),
 )

@@ -1,7 +1,8 @@
 """A misfit is what noise and the freedom of sky and pattern cannot explain: no clean curve may be, a wrong input must.
 
-Clean: part of a year of three stations in a drawn world with everything that such a year brings; the fit knows neither
-the world's sky nor its antenna, and not the models that they were drawn from. Wrong: an input of a clean campaign is
+Clean: part of a year of three stations in a drawn world with everything that such a year brings; fit and budget know
+neither the world's sky nor its antenna, and not the models that they were drawn from. C of its paths has to lie within
+two standard deviations of the true one as often as that says. Wrong: an input of a clean campaign is
 mistaken in a way that users have mistaken it; such curves converged without a word.
 """
 
@@ -18,9 +19,10 @@ import numpy as np
 from lbacal_core.antenna.ideal import ShortDipole
 from lbacal_core.antenna.model import AntennaModel
 from lbacal_core.calibration.fit import fit_calibration
-from lbacal_core.curves.curves import CONVERGED, MISFIT, OK
+from lbacal_core.curves.curves import CONVERGED, MISFIT, OK, FitReport
 from lbacal_core.errors import BadInputError
 from lbacal_core.instrument.instrument import Instrument, load_instrument
+from lbacal_core.simulation.prior import list_changes
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.skypower.differences import DifferenceModels
 from lbacal_core.skypower.model import compute_sky_power
@@ -49,9 +51,34 @@ AS_NO_MODEL = "lst"
 FIRST_SEED = 600_000_000
 
 
+BUDGET = "models"
+AT_MHZ = (35.0, 55.0, 75.0)
+
+
 @lru_cache(maxsize=64)
 def _simulation(known: DifferenceModels) -> Simulation:
-    return Simulation(load_instrument("lofar-superterp"), OWN.power(), is_own_sky=True, models=known)
+    """The own sky with what these models say of its errors, in the fit's prior and in the budget of C."""
+    simulation = Simulation(load_instrument("lofar-superterp"), OWN.power(), is_own_sky=True, models=known)
+    changes = list_changes(simulation.instrument, BUDGET)
+    skies = {one.name: one.name.partition(" (")[2].removesuffix(")") for one in changes}
+    kept = [one for one in changes if skies[one.name] in known.skies]
+    weight = np.sqrt(sum(map(bool, skies.values())) / len(kept))  # a mean square difference over fewer skies
+    kept = [replace(one, d_ln_p={dipole: weight * values for dipole, values in one.d_ln_p.items()}) for one in kept]
+    simulation.made.get(("changes", BUDGET), lambda: [*(one for one in changes if not skies[one.name]), *kept])
+    return simulation
+
+
+def _cover(report: FitReport, campaign: Campaign, simulation: Simulation) -> list[float]:
+    """Share of the curves of paths whose C lies within two standard deviations of the true one, at `AT_MHZ`."""
+    at = np.searchsorted(simulation.instrument.frequency_mhz, AT_MHZ)
+    budget = compute_budget(campaign.spectra, simulation, BUDGET)
+    beyond = []
+    for curve in add_budget(report, budget).curves:
+        if curve.c is not None:
+            truth = campaign.truth.curve(str(curve.dipole), str(curve.station), curve.antenna)
+            beyond.append(((curve.c - truth) / total_error(curve))[at])
+    found: list[float] = np.mean(np.abs(beyond) < FAR, axis=0).tolist()
+    return found
 
 
 def fit_clean(seed: int) -> Row:
@@ -59,19 +86,21 @@ def fit_clean(seed: int) -> Row:
     instrument, world = load_instrument("lofar-superterp"), draw_world(FIRST_SEED + seed, OWN)
     nuisances = replace(EVERYTHING, noisy_stations=("CS003",) if seed % 3 == 0 else ())
     rng = np.random.default_rng([13_02, seed])
-    spectra = simulate_campaign(
+    campaign = simulate_campaign(
         CLEAN, instrument, world.sky_power(instrument), rng, nuisances=nuisances, gains=world.gains
-    ).spectra
+    )
     simulation = _simulation(alternatives(world, OWN))
     row: Row = {"sky": world.sky, "noise": world.noise, "outside": world.outside}
     for scope in SCOPES:
-        curves = fit_calibration(spectra, simulation, scope).curves
-        tested = [curve for curve in curves if curve.chi2_per_dof_profiled is not None]
+        report = fit_calibration(campaign.spectra, simulation, scope)
+        tested = [curve for curve in report.curves if curve.chi2_per_dof_profiled is not None]
         row[scope] = {
             "curves": len(tested),
             "misfits": sum(curve.status == MISFIT for curve in tested),
             "worst": round(max((curve.chi2_per_dof_profiled or 0.0 for curve in tested), default=0.0), 3),
         }
+        if scope == "antenna":
+            row["within_2"] = _cover(report, campaign, simulation)
     return row
 
 
@@ -82,7 +111,8 @@ def judge_clean(rows: Sequence[Row]) -> list[Found]:
             here = [row[scope] for row in rows if (row["outside"] == AS_NO_MODEL) == is_odd]
             curves, misfits = (sum(row[k] for row in here) for k in ("curves", "misfits"))
             claims.append(rate_of(f"{scope}{key}", misfits, curves))
-    return claims
+    within = np.array([row["within_2"] for row in rows]).T
+    return claims + [mean_of(f"c_{mhz:.0f}", one, "%") for mhz, one in zip(AT_MHZ, within, strict=True)]
 
 
 def _in_local_time(spectra: Spectra) -> Spectra:
@@ -196,7 +226,7 @@ def judge_pattern(rows: Sequence[Row]) -> list[Found]:
 
 
 PARTS = (
-    Part("clean", fit_clean, judge_clean, 100, by("outside"), ("antenna",)),
+    Part("clean", fit_clean, judge_clean, 400, by("outside"), ("antenna",)),
     Part("wrong", fit_wrong, judge_wrong, 6, headlines=("X_and_Y_exchanged",)),
     Part("pattern", fit_pattern, judge_pattern, 20),
 )

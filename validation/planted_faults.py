@@ -150,19 +150,8 @@ def run_tests(
     """Exit code of pytest on some tests of a tree, None where they last too long, and the first test that failed."""
     own = {"PYTHONPATH": str(tree), "OPENBLAS_NUM_THREADS": "1", "PYTHONDONTWRITEBYTECODE": "1"}
     environment = {**os.environ, **own, **more}
-    command = [
-        sys.executable,
-        "-m",
-        "pytest",
-        "-q",
-        "-x",
-        "-p",
-        "no:cacheprovider",
-        "--no-header",
-        "-m",
-        marker,
-        *tests,
-    ]
+    options = ["-q", "-x", "-p", "no:cacheprovider", "--no-header", "-m", marker]
+    command = [sys.executable, "-m", "pytest", *options, *tests]
     try:
         done = subprocess.run(
             command, cwd=tree, env=environment, capture_output=True, text=True, timeout=limit_s, check=False

@@ -132,6 +132,7 @@ def test_a_gap_a_version_and_a_promotion_read_no_more_after_20_000_promotions(
             assert found.statements <= before.statements + 2, name
 
 
+@pytest.mark.long
 def test_the_changes_of_a_promotion_over_a_year_of_nights_read_each_interval_once(
     factory: Factory, client: TestClient, versions: dict[Scope, list[Version]]
 ) -> None:

@@ -227,6 +227,7 @@ def test_due_work_that_failed_is_tried_again_after_ever_longer_pauses(
     assert "the mount is away" in http.get("/jobs").text
 
 
+@pytest.mark.long
 def test_due_work_that_was_cancelled_is_done_a_day_later(station: Factory, http: TestClient, clock: Any) -> None:
     number = look_for_due_work(station)[0]
     assert http.post(f"/v1/jobs/{number}/cancel").json()["error"] == "cancelled by key 1"

@@ -144,6 +144,7 @@ def spectra(sky: SkyPower) -> Spectra:
 
 
 @pytest.mark.parametrize("scope", ["antenna", "station", "array"])
+@pytest.mark.long
 def test_residuals_of_every_scope_are_small_where_the_chain_is_right(
     spectra: Spectra, sky: SkyPower, scope: str
 ) -> None:
@@ -199,6 +200,7 @@ def test_the_figure_stacks_every_term_below_the_total():
     assert len(figure.axes[0].collections) == len(TERMS)
 
 
+@pytest.mark.long
 def test_the_command_prints_the_papers_table_and_writes_the_terms(tmp_path, lbacal):
     instrument = load_instrument("lofar-superterp")
     settings = TwinSettings(stations=("CS002",), antennas=4, events_per_year=300)
@@ -333,6 +335,7 @@ def investigate_curve(curve, folder):
     return json.loads((folder / "r.json").read_text()), (folder / "r.html").read_text(), result.output
 
 
+@pytest.mark.long
 def test_an_lst_curve_has_a_page_with_its_figures_its_sentence_and_what_would_decide(tmp_path):
     report, page, printed = investigate_curve(measured_curve(), tmp_path)
     assert page.count("data:image/png;base64,") == 3

@@ -99,6 +99,7 @@ def test_what_is_no_report_is_refused(tmp_path):
         read_model(str(other))
 
 
+@pytest.mark.long
 def test_fit_with_a_finding_writes_the_size_and_the_model(late, report):
     done = fit(late, "--with", f"{report}#0")
     assert done.exit_code == 0, done.output

@@ -179,6 +179,7 @@ def test_half_of_the_antennas_by_6_db_are_no_decibels(year):
     assert "antennas with the cable 115 lie -4.8 dB from what loss and others say" in found.sentence
 
 
+@pytest.mark.long
 def test_power_times_four_in_the_first_half_of_the_year_is_a_misfit_and_two_chains(year):
     """It was `converged`, and nothing was wrong: C stood for neither half."""
     first = year.time_unix[:, None] < np.median(year.time_unix)

@@ -45,6 +45,7 @@ def draw(simulation, share, rng):
 
 
 @pytest.mark.parametrize(("share", "words"), [(0.0, "in front of"), (0.03, "behind")])
+@pytest.mark.long
 def test_the_size_of_the_ionosphere_does_not_depend_on_where_noise_enters(simulation, share, words):
     report, _ = investigate(draw(simulation, share, np.random.default_rng(41)), simulation)
     assert report["provenance"]["notes"][FORM_OF_CHAIN].startswith(f"noise enters {words} the antenna's resonance")

@@ -141,6 +141,7 @@ def test_the_level_of_another_sky_was_named_a_slope_of_the_noise_of_the_lna(worl
         assert report["verdict"] == "consistent"
 
 
+@pytest.mark.long
 def test_what_sky_models_hide_is_listed_with_the_share_that_is_left(world):
     report = investigate_under(world.sky, world)
     reasons = {one["cause"]: one["why"] for one in report["unidentifiable"]}

@@ -138,6 +138,7 @@ def weighted(spoil, simulation):
     return spectra, first, last
 
 
+@pytest.mark.long
 def test_the_finding_itself_moves_c_by_what_it_was_off(weighted, clean, simulation):
     spectra, first, last = weighted
     (found,) = weigh_alternatives(first, last, last.hypotheses[0], [])

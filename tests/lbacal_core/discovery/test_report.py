@@ -67,6 +67,7 @@ def test_every_station_has_its_verdict_its_structure_and_what_it_can_never_show(
     assert len(report["unidentifiable"]) == len(first["unidentifiable"]) + len(second["unidentifiable"])
 
 
+@pytest.mark.long
 def test_the_findings_of_a_station_are_named_by_their_place_in_the_whole(pair):
     report, _ = pair
     assert [one["findings"] for one in report["stations"]] == [[], [0]]
@@ -128,6 +129,7 @@ def test_a_sky_like_another_model_is_seen_and_not_misnamed_where_the_sky_is_take
     assert report["unexplained"]["p_value"] < 1e-6
 
 
+@pytest.mark.long
 def test_a_sky_like_another_model_is_consistent_where_models_may_differ(wrong_sky, world):
     report, _ = investigate(wrong_sky, Simulation(world.instrument, world.sky, is_own_sky=True))
     assert report["verdict"] == "consistent"

@@ -20,6 +20,7 @@ from service.handlers.request import LARGE_READS
 from tests.service.conftest import bearer, like
 
 
+@pytest.mark.long
 def test_an_unexpected_failure_is_a_problem_with_the_headers_of_every_answer(factory: Factory) -> None:
     app = make_app(factory)
 

@@ -194,6 +194,7 @@ def test_the_cables_of_other_antennas_are_told_with_what_they_do() -> None:
     assert told.change == pytest.approx(0.0, abs=1e-12), "which is taken out of what is told and plotted"
 
 
+@pytest.mark.long
 def test_the_page_of_the_drift_says_why_a_version_differs(station: Factory) -> None:
     night(station)
     with TestClient(make_app(station)) as client:

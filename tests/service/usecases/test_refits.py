@@ -216,6 +216,7 @@ def test_spectra_in_volts_fail_the_refit_with_the_reason(bare: Factory, campaign
     assert "the power is an amplitude (volts), not its square" in job.errors[0]
 
 
+@pytest.mark.long
 def test_a_version_that_a_later_night_replaced_waited_for_a_human_for_ever(station: Factory) -> None:
     """A year's first versions have too few events: the status went on to count them when the year was calibrated."""
     night(station)
@@ -353,6 +354,7 @@ def test_a_flag_an_anomalous_event_and_a_promotion_are_left_to_a_fit_from_spectr
     assert [scope for scope in SCOPES if kept(year)[scope] != before[scope]] == ["antenna"]
 
 
+@pytest.mark.long
 def test_a_path_that_moves_is_fitted_by_itself_with_the_budget_of_its_station(year: Factory, campaign: Spectra) -> None:
     """Of 96 paths about two a night have moved by a quarter of their error since their version was made."""
     new = campaign.select(np.isin(campaign.event_id, events_of(campaign)[-5:]))

@@ -183,6 +183,7 @@ def test_a_cut_ended_for_good_when_a_model_that_took_up_its_change_came_and_went
 
 
 @pytest.mark.parametrize("database_url", ["sqlite"], indirect=True)
+@pytest.mark.long
 def test_c_in_effect_was_the_mean_over_a_step_that_was_found_and_nothing_said_so(
     stepped: Factory, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -284,6 +285,7 @@ def refit_window(factory: Factory, scope: str, **window: str) -> Job:
     return job
 
 
+@pytest.mark.long
 def test_a_cable_that_changed_inside_a_year_makes_two_windows_of_its_paths_alone(with_change: WithChange) -> None:
     factory = with_change("2015-04-11")
     refit_window(factory, "antenna")
@@ -303,6 +305,7 @@ def test_a_cable_that_changed_inside_a_year_makes_two_windows_of_its_paths_alone
         assert np.median(np.array(after["c"]) / np.array(before["c"])) == pytest.approx(1.15**-0.5, abs=0.02)
 
 
+@pytest.mark.long
 def test_a_window_too_small_for_a_fit_borrows_from_its_neighbour_and_says_so(with_change: WithChange) -> None:
     factory = with_change("2015-12-01")
     refit_window(factory, "antenna")
@@ -320,6 +323,7 @@ def test_a_window_too_small_for_a_fit_borrows_from_its_neighbour_and_says_so(wit
         assert curve["c_sigma_stat"][20] > longer["c_sigma_stat"][20]
 
 
+@pytest.mark.long
 def test_a_small_window_beside_a_deaf_antenna_borrowed_nothing(with_change: WithChange, campaign: Spectra) -> None:
     """It borrows from the nearest window in effect, here that of the year before, and says so."""
     is_deaf = (campaign.antenna == 2) & (np.abs(campaign.time_unix - 1433894400.0) < 175 * 86400)

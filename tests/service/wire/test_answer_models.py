@@ -100,6 +100,7 @@ def test_an_alarm_has_the_fields_that_the_documentation_tells(factory: Factory, 
     }
 
 
+@pytest.mark.long
 def test_drift_has_the_fields_that_the_documentation_tells_when_something_was_found(station: Factory) -> None:
     night(station)
     with TestClient(make_app(station)) as client:
