@@ -87,7 +87,8 @@ class ChainForm:
         ranking = sorted(self.probability, key=lambda form: -self.probability[form])
         odds = self.probability[ranking[0]] / max(self.probability[ranking[1]], 1e-300)
         told = f"{odds:.3g} to 1" if odds < 1e6 else "more than a million to 1"
-        words = f"{MEANING[self.name]} ({told} against the next form, of which 20 to 1 for the published one is prior)"
+        prior = f"of which {PRIOR[PUBLISHED] / (1.0 - PRIOR[PUBLISHED]):.3g} to 1 for the published one is prior"
+        words = f"{MEANING[self.name]} ({told} against the next form, {prior})"
         others = [MEANING[form] for form in ranking[1:] if self.is_open(form)]
         return "; ".join([words, *(f"open: {one}" for one in others)])
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 
@@ -23,11 +24,14 @@ class Departure:
         What departs, in words.
     source
         Where the numbers come from.
+    at_mhz
+        The channels of the numbers, where they are a spectrum.
     """
 
     sizes: tuple[float, ...]
     of: str
     source: str
+    at_mhz: Sequence[float] = ()
 
     @property
     def size(self) -> float:

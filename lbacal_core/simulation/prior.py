@@ -244,6 +244,7 @@ def _pattern(instrument: Instrument) -> SkyTerm:
 def _ground(instrument: Instrument) -> SkyTerm:
     """Power that the antenna receives from the ground, the same at all LST."""
     own = compute_sky_power(instrument)
-    share = np.interp(instrument.frequency_mhz, read_prior()["ground_mhz"].sizes, read_prior()["ground"].sizes)
+    row = read_prior()["ground"]
+    share = np.interp(instrument.frequency_mhz, row.at_mhz, row.sizes)
     change = {dipole: np.log1p(share * power.mean(axis=0) / power) for dipole, power in own.power.items()}
     return SkyTerm("ground and losses", "75 K of 300 K through the ground", own.lst_hours, change)
