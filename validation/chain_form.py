@@ -122,5 +122,5 @@ PARTS = (
         Part(name, partial(look, enters=name), partial(judge, enters=name), 40, headlines=("size",), needs_shared=True)
         for name in FORMS
     ),
-    Part("cover", cover, judge_cover, 400, headlines=("c_55",), needs_shared=True),
+    Part("cover", cover, judge_cover, 400, needs_shared=True),
 )
