@@ -1,9 +1,9 @@
 """Faults are planted in the code one by one, and the tests have to see them, most of them the tests of `./dev test`.
 
-A fault is a line of `planted_faults.toml`: a function, and what changes in it. One run of a tier over a copy of the
-tree meets every test with the faults of what it calls (`planted_run`); whatever survives meets the second tier. What
-changes a constant, and no function, is written into a copy and meets the tests near it and then the tier. Faults that
-nothing sees show where a test is missing.
+A fault is a line of `planted_faults.toml`: a function, and what changes in it. One run of the first tier over a copy of
+the tree meets every test with the faults of what it calls (`planted_run`). Whatever survives, and what changes a
+constant and no function, is written into a copy and meets the tests near it and then the tier. Faults that nothing sees
+show where a test is missing.
 """
 
 from __future__ import annotations
@@ -122,22 +122,20 @@ def list_planted(root: Path) -> list[tuple[str, str, str, str]]:
     return [(fault.name, fault.where, text, fault.planted(text)) for fault, text in texts]
 
 
-def seen_in_one_run(tree: Path, marker: str) -> dict[str, str]:
-    """The first test of a tier that sees a fault, by its name; one run for a state of the tree, others wait for it.
+def seen_in_one_run(tree: Path) -> dict[str, str]:
+    """The first test of the first tier that sees a fault, by its name.
 
-    What an earlier tier has seen is not asked again, and is told as seen.
+    One run for a state of the tree; processes that ask meanwhile wait for it.
     """
-    state = _git(tree, "rev-parse", "HEAD^{tree}").strip()[:12]
-    log = ROOT / "var" / "planted" / f"{state}-{marker.replace(' ', '-')}.jsonl"
+    log = ROOT / "var" / "planted" / f"{_git(tree, 'rev-parse', 'HEAD^{tree}').strip()[:12]}.jsonl"
     log.parent.mkdir(parents=True, exist_ok=True)
     with log.with_suffix(".lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         if not log.exists():
             noted = log.with_suffix(".running")
-            known = [log.with_name(f"{state}-{one.replace(' ', '-')}.jsonl") for one in TIERS.values()]
-            noted.write_text("".join(one.read_text() for one in known if one.exists()))
+            noted.write_text("")
             plugin = ["-p", "validation.planted_run", "-n", "2", "--dist", "loadfile", "--maxfail", "1000"]
-            code, test = run_tests(tree, plugin, TIER_S, marker, {LOG: str(noted)})
+            code, test = run_tests(tree, plugin, TIER_S, TIERS[FIRST_TIER], {LOG: str(noted)})
             if code:
                 raise RuntimeError(f"without a fault pytest ends with {code}: {test}")
             noted.rename(log)
@@ -163,16 +161,14 @@ def run_tests(
     return done.returncode, failed[0] if failed else ""
 
 
-def find_seen(tree: Path, fault: PlantedFault, seen_by: Callable[[str], dict[str, str]]) -> tuple[str, str]:
+def find_seen(tree: Path, fault: PlantedFault, first_run: Callable[[], dict[str, str]]) -> tuple[str, str]:
     """The tier that sees a fault of a tree, and the first test that does; the tree is as before afterwards.
 
-    `seen_by` gives what the one run of a tier has seen, by its marker.
+    `first_run` gives what the one run of the first tier has seen.
     """
     for tier, marker in TIERS.items():
-        if fault.is_function:
-            if test := seen_by(marker).get(fault.name):
-                return tier, test
-        elif test := _find_failing(tree, fault, marker):
+        is_in_run = fault.is_function and tier == FIRST_TIER
+        if test := first_run().get(fault.name, "") if is_in_run else _find_failing(tree, fault, marker):
             return tier, test
     return UNSEEN, ""
 

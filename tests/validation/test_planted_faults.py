@@ -103,23 +103,22 @@ def test_a_fault_of_a_constant_is_written_into_the_tree_which_is_as_before(tree:
     fault = PlantedFault("room.sums:FACTOR", ("2 -> 3",))
     assert not fault.is_function
     assert fault.tests(tree) == ["tests/room/test_sums.py"]
-    assert find_seen(tree, fault, lambda _marker: {}) == (UNSEEN, "")
+    assert find_seen(tree, fault, dict) == (UNSEEN, "")
     test = tree / "tests/room/test_sums.py"
     test.write_text(TEST.replace("import double", "import FACTOR, double").replace("(2) == 4", "(FACTOR) == 4"))
-    assert find_seen(tree, fault, lambda _marker: {}) == (FIRST_TIER, DOUBLED)
+    assert find_seen(tree, fault, dict) == (FIRST_TIER, DOUBLED)
     test.write_text(f"import pytest\n{test.read_text()}".replace("@mark", "@pytest.mark.slow\n@mark"))
-    assert find_seen(tree, fault, lambda _marker: {})[0] == SECOND_TIER
+    assert find_seen(tree, fault, dict)[0] == SECOND_TIER
     assert (tree / "room/sums.py").read_text() == CODE
     assert run_tests(tree, ["tests/room"], 60) == (0, "")
 
 
-def test_a_fault_of_a_function_is_seen_by_the_tier_whose_run_says_so() -> None:
-    fault = PlantedFault("validation.planted_faults:find_seen", ("2 -> 3",))
-    assert find_seen(Path(), fault, lambda marker: {fault.name: "a test"} if marker == "long" else {}) == (
-        SECOND_TIER,
-        "a test",
-    )
-    assert find_seen(Path(), fault, lambda _marker: {}) == (UNSEEN, "")
+def test_a_fault_of_a_function_that_the_run_of_the_first_tier_does_not_see_meets_the_second(tree: Path) -> None:
+    fault = PlantedFault("room.sums:double", ("2 -> 3",))
+    assert find_seen(tree, fault, lambda: {fault.name: "a test"}) == (FIRST_TIER, "a test")
+    assert find_seen(tree, fault, dict) == (UNSEEN, "")
+    (tree / "tests/room/test_sums.py").write_text(f"import pytest\n{TEST}".replace("@mark", "@pytest.mark.slow\n@mark"))
+    assert find_seen(tree, fault, dict) == (SECOND_TIER, DOUBLED)
 
 
 def test_what_the_first_tier_sees_is_counted_among_what_any_test_sees() -> None:
