@@ -188,6 +188,16 @@ def test_every_page_is_reached_from_the_first_one(repository: Path, tracked: lis
     assert unreached == []
 
 
+def test_the_first_screen_shows_both_commands_and_a_plot(repository: Path) -> None:
+    first_screen = "\n".join((repository / "README.md").read_text().splitlines()[:45])
+    assert all(command in first_screen for command in ("$ ./dev demo", "$ ./dev test", "](docs/images/"))
+
+
+def test_the_main_path_is_three_clicks_from_the_readme(repository: Path) -> None:
+    assert "docs/README.md" in LINK.findall((repository / "README.md").read_text())
+    assert "../lbacal_core/pipeline.py" in LINK.findall((repository / "docs/README.md").read_text())
+
+
 # Spelt in two halves, so that this file does not name them itself.
 MACHINE_PATHS = ["/wo" + "rk/", "/ro" + "ot/", "/ho" + "me/", "file:" + "///"]
 REGISTRIES = ["py" + "pi.org", "python" + "hosted.org", "npm" + "js.org", "deb.deb" + "ian.org", "index-" + "url"]

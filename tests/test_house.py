@@ -73,3 +73,7 @@ def test_packages_hold_one_docstring_and_import_nothing(repository: Path, tracke
 def test_every_name_of_a_file_has_a_meaning(tracked: list[Path]) -> None:
     empty_words = {"utils", "util", "helpers", "common", "manager", "misc"}
     assert [str(path) for path in python_files(tracked, *PACKAGES, "tests") if path.stem in empty_words] == []
+
+
+def test_tests_are_found_by_path(tracked: list[Path]) -> None:
+    assert [str(path) for path in python_files(tracked, "tests") if path.name == "__init__.py"] == []

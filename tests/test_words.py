@@ -1,4 +1,4 @@
-"""The words of the house: one word for one thing (docs/glossary.md)."""
+"""The words of the house: whole sentences in docstrings, and one word for one thing (docs/glossary.md)."""
 
 from __future__ import annotations
 
@@ -8,6 +8,45 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+
+FRAGMENT = re.compile(r"(?:\A|[.:;]\s|\n\s*)Of\s")
+"""The beginning of a docstring, of one of its lines or of a sentence with "Of": a fragment without subject and verb."""
+
+
+def docstrings(source: str) -> Iterator[str]:
+    """Every string that stands by itself: of modules, classes and functions, and below constants."""
+    for node in ast.walk(ast.parse(source)):
+        for statement in getattr(node, "body", []) if isinstance(node, ast.Module | ast.stmt) else []:
+            if isinstance(statement, ast.Expr) and isinstance(statement.value, ast.Constant):
+                yield str(statement.value.value)
+
+
+def comments(source: str) -> list[str]:
+    """Every comment that has a line of its own, without its sign."""
+    return re.findall(r"^\s*# (.*)$", source, re.MULTILINE)
+
+
+def test_the_search_for_fragments_finds_one() -> None:
+    source = '"""A module.\n\nAttributes\n----------\nname\n    Of the station.\n"""\nEDGE = 1\n"""Of a range."""\n'
+    assert [len(FRAGMENT.findall(text)) for text in docstrings(source)] == [1, 1]
+    assert [len(FRAGMENT.findall(text)) for text in comments("x = 1\n    # Of a range.\n# A range.\n")] == [1, 0]
+
+
+PLACES = ("lbacal", "lbacal_core", "lbacal_paper", "lbacal_twin", "service", "validation")
+
+
+def test_no_docstring_and_no_comment_has_a_fragment_that_begins_with_of(repository: Path, tracked: list[Path]) -> None:
+    sources = {
+        path: (repository / path).read_text() for path in tracked if path.suffix == ".py" and path.parts[0] in PLACES
+    }
+    found = [
+        f"{path}: {text.strip()[:80]}"
+        for path, source in sources.items()
+        for text in (*docstrings(source), *comments(source))
+        if FRAGMENT.search(text)
+    ]
+    assert found == []
+
 
 EXCEPTIONS = {
     "find_excess": "the excess power of an interference line",
@@ -39,6 +78,15 @@ def public_names(source: str) -> Iterator[str]:
             yield node.name
 
 
+def test_the_table_of_words_that_are_not_used_is_read(repository: Path) -> None:
+    assert {"law", "course", "shape", "evidence", "left over", "letter", "excess", "stale"} <= words_not_used(
+        repository
+    )
+    assert "law" in words_of("fit_laws")
+    assert "shape" in words_of("StaticShape")
+    assert "law" not in words_of("lawn_of")
+
+
 @pytest.mark.long
 def test_no_public_name_has_a_word_that_the_glossary_refuses(repository: Path, tracked: list[Path]) -> None:
     refused = words_not_used(repository)
@@ -50,3 +98,45 @@ def test_no_public_name_has_a_word_that_the_glossary_refuses(repository: Path, t
         if refused & set(words_of(name))
     }
     assert found.keys() == EXCEPTIONS.keys()
+
+
+def test_no_heading_has_a_word_that_the_glossary_refuses(repository: Path, tracked: list[Path]) -> None:
+    refused = words_not_used(repository)
+    found = [
+        f"{path}: {heading}"
+        for path in tracked
+        if path.suffix == ".md" and path.parts[0] == "docs"
+        for heading in re.findall(r"^#+ (.*)$", (repository / path).read_text(), re.MULTILINE)
+        if refused & set(words_of(heading))
+    ]
+    assert found == []
+
+
+SPELT_OTHERWISE = {
+    "chain test": "chi2_per_dof",
+    "systematic error": "c_sigma_sys",
+    "withdrawal": "withdraw",
+    "rollback": "promote",
+}
+"""Entries of the glossary that the code spells in another way, or does with a more general thing."""
+OF_OTHERS = {"CoREAS simulation"}
+"""Entries that keep another thing apart from ours."""
+
+
+def test_the_code_knows_every_entry_of_the_glossary(repository: Path, tracked: list[Path]) -> None:
+    """An entry that no name, docstring, page or table uses describes something that does not exist."""
+    texts = (
+        (repository / path).read_text()
+        for path in tracked
+        if path.suffix in (".py", ".html") and path.parts[0] in PLACES
+    )
+    known = re.sub(r"[\s_-]+", " ", "\n".join(texts).lower())
+    page = (repository / "docs/glossary.md").read_text().split("## Words that are not used")[0]
+    entries = {entry for bold in re.findall(r"\*\*(.+?)\*\*", page) for entry in re.split(r", | / ", bold)}
+    assert SPELT_OTHERWISE.keys() | OF_OTHERS <= entries
+    unknown = set()
+    for entry in entries - OF_OTHERS:
+        in_code = SPELT_OTHERWISE.get(entry) or re.sub(r" ?[A-Z]\(.*\)", "", entry)
+        if re.sub(r"[\s_-]+", " ", in_code.lower()) not in known:
+            unknown.add(entry)
+    assert unknown == set()
