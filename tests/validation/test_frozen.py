@@ -7,11 +7,11 @@ import pytest
 from validation.frozen.__main__ import NUMBERS, compare_with_stored, main
 from validation.frozen.comparison import ABSENT, list_differences, read_numbers, write_numbers
 from validation.frozen.listing import CAUSES, DATA_SETS, OTHERS
-from validation.frozen.surface import frozen_numbers
+from validation.frozen.surface import frozen_numbers, in_first_window
 
 
 @pytest.mark.parametrize("name", ["curve-exchanged-late", "cable_reflection", "clean-nuisances", "compression"])
-def test_discovery_gives_the_frozen_report(name):
+def test_discovery_gives_the_frozen_report_and_scores(name):
     assert [str(one) for one in compare_with_stored(name, frozen_numbers(DATA_SETS[name]))] == []
 
 
@@ -59,6 +59,14 @@ def test_only_what_rounding_moves_has_a_wider_tolerance():
 
     assert changed("hypotheses") == []
     assert len(changed("findings")) == 1
+
+
+def test_of_two_windows_that_share_out_the_day_one_is_shown():
+    score = {"parameters": {"spectral_index": 0.0, "utc_h": [21, 9]}, "score_sigma": 3.0, "size": 0.1}
+    turned = {"parameters": {"spectral_index": 0.0, "utc_h": [9, 21]}, "score_sigma": -3.0, "size": -0.1}
+    assert in_first_window(score) == in_first_window(turned) == turned
+    steep = {**score, "parameters": {"spectral_index": -2.5, "utc_h": [21, 9]}}
+    assert in_first_window(steep) == steep
 
 
 @pytest.mark.parametrize(

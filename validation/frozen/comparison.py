@@ -20,12 +20,15 @@ NUMBERS = Path(__file__).parent / "numbers"
 RELATIVE = 1e-4
 """Largest difference of two numbers over the larger of them: kernels of linear algebra move some by 2e-5."""
 OF_SIGMA = 1e-3
-"""Largest difference of what has a standard deviation, in units of it: a finding, and a significance."""
+"""Largest difference of what has a standard deviation, in units of it: a finding, and a score or significance."""
 ABSOLUTE = 1e-9
 """Differences below this are none: probabilities so small are held by their significance, sums cancel to this."""
-WIDER = (("report/hypotheses/", 1e-2), ("p_value$", 5e-2))
+WIDER = (("report/hypotheses/", 1e-2), ("/size$", 1e-2), ("p_value$", 5e-2), ("/(seen|mean_ln_sigma|trials)$", 2e-2))
 """Places whose relative difference may be larger. Fits of causes that an LST curve does not name stop at 1e-8 of chi^2,
-where sizes are loose (4e-3 seen); a probability moves by z times what its z moves."""
+where sizes are loose (4e-3 seen), as are sizes in a scan; a probability moves by z times what its z moves; a template
+at the limit of what free parameters leave is counted or not."""
+SIGMAS = re.compile("_sigma$|^scan/.*/(sum|square|largest)$")
+"""Places of numbers in units of a standard deviation."""
 PROSE = {"confirm", "description", "note", "sentence", "why", "would_decide"}
 """Fields of a report that are sentences: words may change while every number stays."""
 DIGITS = 12
@@ -120,8 +123,10 @@ def _leaves(value: Any, path: str = "", share: float = 0.0) -> Iterator[tuple[st
 def _differ(before: Any, after: Any, path: str, share: float) -> bool:
     if not (_is_number(before) and _is_number(after)):
         return bool(before != after or isinstance(before, bool) != isinstance(after, bool))
+    if "_vectors/" in path:
+        before, after = abs(before), abs(after)  # a vector has no sign
     relative = max(RELATIVE, OF_SIGMA * share, *(width for where, width in WIDER if re.search(where, path)))
-    absolute = OF_SIGMA if path.endswith("_sigma") else ABSOLUTE
+    absolute = OF_SIGMA if SIGMAS.search(path) else ABSOLUTE
     return bool(abs(after - before) > max(absolute, relative * max(abs(before), abs(after))))
 
 
