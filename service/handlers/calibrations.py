@@ -1,85 +1,35 @@
-"""The calibration in effect, the versions behind it, and promotion."""
+"""The calibration in effect, and the versions behind it."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
+from operator import attrgetter
 from typing import Annotated, Any, Literal
 
-from fastapi import APIRouter, Depends, Query, Request, Response
+from fastapi import APIRouter, Query, Request, Response
 
-from lbacal.instants import format_instant, format_optional, parse_at, parse_instant
+from lbacal.instants import format_instant, parse_at, parse_instant
 from lbacal.tables import write_format
 from lbacal_core.calibration.spreads import ToldCurve
 from lbacal_core.curves.curves import STATUSES
-from lbacal_core.curves.validity import Promotion, Scope
+from lbacal_core.curves.validity import Scope
 from service.factory import Factory
-from service.handlers.problems import document
-from service.handlers.request import (
-    IMMUTABLE,
-    REVALIDATE,
-    TAKES_TURN,
-    AntennaQuery,
-    IdempotencyKey,
-    InPath,
-    JsonBody,
-    Limit,
-    UseCases,
-    answer,
-    caller_with,
-    describes,
-    require_read,
-)
+from service.handlers.request import IMMUTABLE, REVALIDATE, AntennaQuery, InPath, Limit, UseCases, answer
+from service.handlers.routes import page_of, reads
 from service.storage.models import ID_DIGITS
 from service.storage.versions import Version
 from service.usecases.calibrations import CurveInEffect, InEffect, WrittenCurve, select_scope
 from service.usecases.gate import compare_versions
-from service.usecases.keys import Caller
-from service.usecases.promotions import Change, Knowledge
-from service.wire.answer_models import (
-    BudgetAnswer,
-    ChangesAnswer,
-    DiffAnswer,
-    DiffCurve,
-    EdgesAnswer,
-    InEffectAnswer,
-    PromotionAnswer,
-    VersionAnswer,
-    VersionsAnswer,
-    WholeVersionAnswer,
-)
-from service.wire.answers import (
-    FORMATS,
-    Format,
-    choose_format,
-    describe_curve_in_effect,
-    describe_in_effect,
-    describe_promotion,
-    describe_scope,
-    fill_answer,
-    to_json,
-    write_in_effect,
-)
-from service.wire.bodies import PromotionBody, parse_body
+from service.usecases.promotions import Knowledge
+from service.wire import answer_models as wire
+from service.wire import answers
+from service.wire.answers import FORMATS, Format, choose_format, fill_answer, to_json
 
 router = APIRouter(tags=["calibrations"])
-FILES: dict[int | str, dict[str, Any]] = {
-    200: {"content": {media: {} for media in FORMATS.values() if media != "application/json"}}
-}
-"""What the routes with `format=` answer, for the OpenAPI document."""
 
 
-@router.get(
-    "/v1/calibrations/effective",
-    response_model=InEffectAnswer,
-    summary="The calibration in effect on a date",
-    description="`at` (or `mjd`) is when the data were taken, `as_of` when the question is asked: pin it to get the "
-    "same answer for ever, or ask by a `tag`, which does that under a name. A path is answered by its own version, "
-    "else its station's, else the array's; a curve of a "
-    "station or of the array is carried through the path's own cable (`factor`), with the spread of single paths as "
-    "`c_sigma_sys`. `scope=array` asks for the array's reference chain itself, which is nobody's cable.",
-    responses=FILES | document(401, 404, 422, 503),
-    dependencies=[Depends(require_read), TAKES_TURN],
-)
+@reads(router, "/v1/calibrations/effective", wire.InEffectAnswer, 404, takes_turn=True, files=True)
 def get_in_effect(
     request: Request,
     use: UseCases,
@@ -94,6 +44,14 @@ def get_in_effect(
     gap: Literal["error", "hold"] = "error",
     format: Format | None = None,  # noqa: A002 - its name on the wire
 ) -> Response:
+    """The calibration in effect on a date.
+
+    `at` (or `mjd`) is when the data were taken, `as_of` when the question is asked: pin it to get the same answer
+    for ever, or ask by a `tag`, which does that under a name. A path is answered by its own version, else its
+    station's, else the array's; a curve of a station or of the array is carried through the path's own cable
+    (`factor`), with the spread of single paths as `c_sigma_sys`. `scope=array` asks for the array's reference chain
+    itself, which is nobody's cable.
+    """
     kind = choose_format(format, request.headers.get("accept"))
     paths = select_scope(use.calibrations.instrument, scope, station, antenna, dipole)
     instant = parse_at(at, mjd)
@@ -108,29 +66,23 @@ def get_in_effect(
     )
 
 
-@router.get(
-    "/v1/budgets/{digest}",
-    response_model=BudgetAnswer,
-    summary="One budget",
-    description="The systematic terms that curves share: name, source and, by polarisation, vectors of d ln C along "
-    "frequency, one standard deviation each, independent of each other. A term of the same name is the same for all.",
-    responses=document(401, 404, 422, 503),
-    dependencies=[Depends(require_read)],
-)
+@reads(router, "/v1/budgets/{digest}", wire.BudgetAnswer, 404)
 def get_budget(request: Request, use: UseCases, digest: InPath) -> Response:
+    """One budget.
+
+    The systematic terms that curves share: name, source and, by polarisation, vectors of d ln C along frequency,
+    one standard deviation each, independent of each other. A term of the same name is the same for all.
+    """
     return answer(request, use.calibrations.budget(digest), cache=IMMUTABLE)
 
 
-@router.get(
-    "/v1/calibrations/edges",
-    response_model=EdgesAnswer,
-    summary="Where answers change",
-    description="The instants at which what `effective` answers about a station may change, as known at `as_of`: "
-    "between two of them it is the same. `station` null is the array's reference chain. `lbacal sync` asks at each.",
-    responses=document(401, 422, 503),
-    dependencies=[Depends(require_read), TAKES_TURN],
-)
+@reads(router, "/v1/calibrations/edges", wire.EdgesAnswer, takes_turn=True)
 def list_edges(request: Request, use: UseCases, as_of: str) -> Response:
+    """Where answers change.
+
+    The instants at which what `effective` answers about a station may change, as known at `as_of`: between two of
+    them it is the same. `station` null is the array's reference chain. `lbacal sync` asks at each.
+    """
     found = use.calibrations.edges(parse_instant("as_of", as_of))
     instrument = use.calibrations.instrument
     antennas = {s: sorted({r.antenna for r in instrument.antennas if r.station == s}) for s in found}
@@ -142,14 +94,7 @@ def list_edges(request: Request, use: UseCases, as_of: str) -> Response:
     return answer(request, {"as_of": as_of, "stations": stations})
 
 
-@router.get(
-    "/v1/calibrations",
-    response_model=VersionsAnswer,
-    summary="List versions",
-    description="In order of id, without their curves; `next` is the cursor of the next page.",
-    responses=document(401, 422, 503),
-    dependencies=[Depends(require_read)],
-)
+@reads(router, "/v1/calibrations", wire.VersionsAnswer)
 def list_versions(
     request: Request,
     use: UseCases,
@@ -161,89 +106,53 @@ def list_versions(
     cursor: Annotated[str, Query(pattern=r"^[0-9a-f]{0,64}$")] = "",
     limit: Limit = 100,
 ) -> Response:
+    """List versions.
+
+    In order of id, without their curves; `next` is the cursor of the next page.
+    """
     is_everything = (scope, station, antenna, dipole) == (None, None, None, None)
     wanted = None if is_everything else Scope(station, antenna, dipole)
     versions = use.calibrations.search(wanted, status, cursor, limit)
-    following = versions[-1].id if len(versions) == limit else None
-    return answer(
-        request, {"calibrations": [fill_answer(VersionAnswer, version) for version in versions], "next": following}
-    )
+    describe_version = partial(fill_answer, wire.VersionAnswer)
+    return answer(request, page_of("calibrations", versions, limit, describe_version, attrgetter("id")))
 
 
-@router.get(
-    "/v1/calibrations/{version_id}",
-    response_model=WholeVersionAnswer,
-    summary="One version",
-    description="Its inputs, curves and `payload_sha256`, the SHA-256 of `curves` as canonical JSON. The other formats "
-    "have the columns of `effective`, the window of the fit as interval.",
-    responses=FILES | document(401, 404, 422, 503),
-    dependencies=[Depends(require_read)],
-)
+@reads(router, "/v1/calibrations/{version_id}", wire.WholeVersionAnswer, 404, files=True)
 def get_version(
     request: Request,
     use: UseCases,
     version_id: InPath,
     format: Format | None = None,  # noqa: A002 - its name on the wire
 ) -> Response:
+    """One version.
+
+    Its inputs, curves and `payload_sha256`, the SHA-256 of `curves` as canonical JSON. The other formats have the
+    columns of `effective`, the window of the fit as interval.
+    """
     kind = choose_format(format, request.headers.get("accept"))
     version = use.calibrations.get(version_id)
     chains = {dipole: chain.as_dict() for dipole, chain in version.chains.items()}
     more = {"reference": chains or None, "anomalies": version.anomalies.as_dict()}
-    content = {**fill_answer(VersionAnswer, version), "curves": version.payload, **more}
+    content = {**fill_answer(wire.VersionAnswer, version), "curves": version.payload, **more}
     body = content if kind == "json" else write_format(kind, describe_version_rows(version))
     return answer(request, body, media_type=FORMATS[kind], cache=_keeping(version_id))
 
 
-@router.get(
-    "/v1/calibrations/{first}/diff/{second}",
-    response_model=DiffAnswer,
-    summary="How two versions differ",
-    description="Per dipole the change of C from the first to the second that one and the same path is told, as a "
-    "fraction and in standard deviations.",
-    responses=document(401, 404, 422, 503),
-    dependencies=[Depends(require_read)],
-)
+@reads(router, "/v1/calibrations/{first}/diff/{second}", wire.DiffAnswer, 404)
 def get_diff(request: Request, use: UseCases, first: InPath, second: InPath) -> Response:
+    """How two versions differ.
+
+    Per dipole the change of C from the first to the second that one and the same path is told, as a fraction and in
+    standard deviations.
+    """
     a, b = use.calibrations.pair(first, second)
     return answer(request, describe_diff(a, b), cache=_keeping(first, second))
-
-
-@router.post(
-    "/v1/promotions",
-    status_code=201,
-    response_model=PromotionAnswer,
-    summary="Promote a version for an interval, or withdraw",
-    description="`dry_run=true` answers 200 with the changes and writes nothing.",
-    responses={
-        200: {"description": "what it would change", "model": ChangesAnswer},
-        **document(400, 401, 403, 404, 409, 415, 422, 503),
-    },
-    openapi_extra=describes(PromotionBody),
-)
-def promote(
-    request: Request,
-    use: UseCases,
-    caller: Annotated[Caller, caller_with("calibrations:promote")],
-    body: JsonBody,
-    dry_run: bool = False,
-    idempotency_key: IdempotencyKey = None,
-) -> Response:
-    plan = use.promotions.plan(parse_body(PromotionBody, body), caller.name)
-    if dry_run:
-        return answer(request, describe_changes(None, plan.changes))
-    content = use.deeds.once(
-        caller.name,
-        idempotency_key,
-        b"promotion" + body,
-        lambda: use.promotions.promote(plan, lambda made, changes: to_json(describe_changes(made[0], changes))),
-    )
-    return answer(request, content, status=201)
 
 
 def describe(found: InEffect, curves: Sequence[CurveInEffect], known: Knowledge) -> dict[str, Any]:
     """What is in effect as JSON values."""
     described = [_describe_curve(curve, curve.told) for curve in curves]
-    return describe_in_effect(found.at, known.text, described, found.missing, found.budgets)
+    return answers.describe_in_effect(found.at, known.text, described, found.missing, found.budgets)
 
 
 def write_json(use: Factory, found: InEffect, curves: Sequence[CurveInEffect], known: Knowledge) -> bytes:
@@ -251,7 +160,7 @@ def write_json(use: Factory, found: InEffect, curves: Sequence[CurveInEffect], k
     written = use.calibrations.write(curves, _write_curve)
     named = {one.budget for one in written if one.budget is not None}
     budgets = {name: found.budgets[name] for name in named if name in found.budgets}
-    return write_in_effect(found.at, known.text, [one.text for one in written], found.missing, budgets)
+    return answers.write_in_effect(found.at, known.text, [one.text for one in written], found.missing, budgets)
 
 
 def _write_curve(curve: CurveInEffect) -> WrittenCurve:
@@ -262,7 +171,7 @@ def _write_curve(curve: CurveInEffect) -> WrittenCurve:
 
 
 def _describe_curve(curve: CurveInEffect, told: ToldCurve) -> dict[str, Any]:
-    return describe_curve_in_effect(
+    return answers.describe_curve_in_effect(
         told, curve.chain, curve.promotion, curve.trace, curve.changed, is_held=curve.is_held
     )
 
@@ -286,7 +195,7 @@ def describe_version_rows(version: Version) -> dict[str, Any]:
 
 def describe_diff(first: Version, second: Version) -> dict[str, Any]:
     """The difference of two versions: their curves by dipole, and the inputs that are not the same."""
-    curves = [fill_answer(DiffCurve, change, dipole=dipole) for dipole, change in compare_versions(first, second)]
+    curves = [fill_answer(wire.DiffCurve, change, dipole=dipole) for dipole, change in compare_versions(first, second)]
     names = sorted({*first.inputs, *second.inputs})
     inputs = {
         name: {"first": first.inputs.get(name), "second": second.inputs.get(name)}
@@ -294,21 +203,3 @@ def describe_diff(first: Version, second: Version) -> dict[str, Any]:
         if first.inputs.get(name) != second.inputs.get(name)
     }
     return {"first": first.id, "second": second.id, "curves": curves, "inputs": inputs}
-
-
-def describe_changes(promotion: Promotion | None, changes: list[Change]) -> dict[str, Any]:
-    """What a promotion changes, path by path; with the promotion itself where it was made."""
-    listed = [
-        {
-            **describe_scope(change.path),
-            "from": format_instant(change.start),
-            "to": format_optional(change.end),
-            "before": change.before,
-            "after": change.after,
-            "max_fraction": change.curve_change and change.curve_change.max_fraction,
-            "max_sigma": change.curve_change and change.curve_change.max_sigma,
-            "mean_c": change.curve_change and list(change.curve_change.means),
-        }
-        for change in changes
-    ]
-    return {**(describe_promotion(promotion) if promotion else {}), "changes": listed}

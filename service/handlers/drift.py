@@ -4,44 +4,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from operator import attrgetter
 from typing import Annotated, Any, Literal
 
-from fastapi import APIRouter, Depends, Query, Request, Response
+from fastapi import APIRouter, Query, Request, Response
 
 from lbacal.instants import DAY_US, format_instant
 from lbacal_core.curves.validity import Instant, Scope
 from lbacal_core.errors import BadInputError
-from service.handlers.problems import document
-from service.handlers.request import (
-    TAKES_TURN,
-    AntennaQuery,
-    JobNumber,
-    JsonBody,
-    Limit,
-    UseCases,
-    Whole,
-    answer,
-    caller_with,
-    describes,
-    require_read,
-)
+from service.handlers.request import AntennaQuery, JobNumber, JsonBody, Limit, UseCases, Whole, answer, caller_with
+from service.handlers.routes import acts, page_of, reads
 from service.storage.alarms import ACKNOWLEDGED, OPEN, STATES, Alarm
 from service.storage.drift import KeptCut
 from service.usecases.calibrations import select_paths
 from service.usecases.drift import SECOND_US, DriftSeries, MonthPoint, Step
 from service.usecases.keys import Caller
-from service.wire.answer_models import (
-    AcknowledgementAnswer,
-    AlarmAnswer,
-    AlarmKind,
-    AlarmsAnswer,
-    CutAnswer,
-    CutDecision,
-    CutsAnswer,
-    DriftAnswer,
-    DriftMonth,
-    DriftVersion,
-)
+from service.wire import answer_models as wire
 from service.wire.answers import describe_scope, fill_answer
 from service.wire.bodies import AcknowledgementBody, ReasonBody, parse_body
 
@@ -50,17 +28,7 @@ from service.wire.bodies import AcknowledgementBody, ReasonBody, parse_body
 router = APIRouter(tags=["drift"])
 
 
-@router.get(
-    "/v1/drift",
-    response_model=DriftAnswer,
-    summary="C over time, against the first year",
-    description="For the array, a station, or one path: the band mean of C of every version, C of every month over "
-    "that of the path's first whole year (for many paths the median and the middle 68 %) with what offset, season and "
-    "slope make of it, the changes beside the station or the other stations, the most significant first, and the slope "
-    "with its error.",
-    responses=document(401, 422, 503),
-    dependencies=[Depends(require_read), TAKES_TURN],
-)
+@reads(router, "/v1/drift", wire.DriftAnswer, takes_turn=True)
 def get_drift(
     request: Request,
     use: UseCases,
@@ -68,6 +36,13 @@ def get_drift(
     antenna: AntennaQuery = None,
     dipole: str | None = None,
 ) -> Response:
+    """C over time, against the first year.
+
+    For the array, a station, or one path: the band mean of C of every version, C of every month over that of the
+    path's first whole year (for many paths the median and the middle 68 %) with what offset, season and slope make
+    of it, the changes beside the station or the other stations, the most significant first, and the slope with its
+    error.
+    """
     select_paths(use.drift.instrument, station, antenna, dipole)
     if (antenna is None) != (dipole is None):
         raise BadInputError("query", "antenna and dipole together, or neither", "one of them")
@@ -77,8 +52,8 @@ def get_drift(
 def describe_series(series: DriftSeries) -> dict[str, Any]:
     """Drift as JSON values."""
     return fill_answer(
-        DriftAnswer, series,
-        versions=[fill_answer(DriftVersion, version, dipole=version.dipole or None) for version in series.versions],
+        wire.DriftAnswer, series,
+        versions=[fill_answer(wire.DriftVersion, one, dipole=one.dipole or None) for one in series.versions],
         months=[describe_month(point) for point in series.months],
         steps=[describe_step(step) for step in series.steps],
         slope=None if series.slope is None else describe_slope(series.slope),
@@ -89,7 +64,7 @@ def describe_month(point: MonthPoint) -> dict[str, Any]:
     """A month as JSON values."""
     shape = dict(zip(("tilt", "curvature"), point.shape, strict=True))
     line = dict(zip(("line", "line_low", "line_high"), point.line or (None, None, None), strict=True))
-    return fill_answer(DriftMonth, point, month=format_instant(point.month)[:7], **shape, **line)
+    return fill_answer(wire.DriftMonth, point, month=format_instant(point.month)[:7], **shape, **line)
 
 
 def describe_step(step: Step) -> dict[str, Any]:
@@ -128,42 +103,36 @@ State = Literal["open", "acknowledged", "ended", "lasting", "all"]
 CHOICES = {"lasting": (OPEN, ACKNOWLEDGED), "all": STATES}
 
 
-@alarms.get(
-    "/v1/alarms",
-    response_model=AlarmsAnswer,
-    summary="What is wrong",
-    description="Newest first. `state`: `open` are those that nobody acknowledged, or whose acknowledgement has run "
-    "out; `lasting` (the default) are these and the acknowledged ones; `ended` are over. A problem is one alarm from "
-    "the night on which it was found. `next` is the cursor of the next page.",
-    responses=document(401, 422, 503),
-    dependencies=[Depends(require_read)],
-)
+@reads(alarms, "/v1/alarms", wire.AlarmsAnswer)
 def list_alarms(
     request: Request,
     use: UseCases,
     state: State = "lasting",
-    kind: AlarmKind | None = None,
+    kind: wire.AlarmKind | None = None,
     station: str | None = None,
     cursor: Annotated[Whole | None, Query(ge=0, le=2**63 - 1)] = None,
     limit: Limit = 100,
 ) -> Response:
+    """What is wrong.
+
+    Newest first. `state`: `open` are those that nobody acknowledged, or whose acknowledgement has run out;
+    `lasting` (the default) are these and the acknowledged ones; `ended` are over. A problem is one alarm from the
+    night on which it was found. `next` is the cursor of the next page.
+    """
     states = CHOICES.get(state, (state,))
     found = use.alarms.newest(states=states, kind=kind, station=station, before=cursor, limit=limit)
-    following = found[-1].number if len(found) == limit else None
-    return answer(request, {"alarms": [describe_alarm(one, use.clock()) for one in found], "next": following})
+    now = use.clock()
+    page = page_of("alarms", found, limit, lambda one: describe_alarm(one, now), attrgetter("number"))
+    return answer(request, page)
 
 
-@alarms.post(
-    "/v1/alarms/{number}/acknowledgement",
-    status_code=201,
-    response_model=AlarmAnswer,
-    summary="Say that a problem is known",
-    description="It is not told again, until `until` where that is given: then it is open again if it still lasts. "
-    "The last acknowledgement counts.",
-    responses=document(400, 401, 403, 404, 415, 422, 503),
-    openapi_extra=describes(AcknowledgementBody),
-)
+@acts(alarms, "/v1/alarms/{number}/acknowledgement", AcknowledgementBody, wire.AlarmAnswer, 404)
 def acknowledge_alarm(request: Request, use: UseCases, number: JobNumber, caller: Operator, body: JsonBody) -> Response:
+    """Say that a problem is known.
+
+    It is not told again, until `until` where that is given: then it is open again if it still lasts. The last
+    acknowledgement counts.
+    """
     known = use.alarms.acknowledge(number, parse_body(AcknowledgementBody, body), caller.name)
     return answer(request, describe_alarm(known, use.clock()), status=201)
 
@@ -172,9 +141,9 @@ def describe_alarm(alarm: Alarm, now: Instant) -> dict[str, Any]:
     """An alarm as JSON values."""
     news, known = alarm.news, alarm.acknowledgement
     return fill_answer(
-        AlarmAnswer, alarm, news, alarm=alarm.number, state=alarm.state_at(now),
+        wire.AlarmAnswer, alarm, news, alarm=alarm.number, state=alarm.state_at(now),
         since_sigma_days=None if news.since is None else news.since_error_us / DAY_US,
-        acknowledgement=None if known is None else fill_answer(AcknowledgementAnswer, known),
+        acknowledgement=None if known is None else fill_answer(wire.AcknowledgementAnswer, known),
     )  # fmt: skip
 
 
@@ -184,50 +153,39 @@ cuts = APIRouter(tags=["cuts"])
 Promoter = Annotated[Caller, caller_with("calibrations:promote")]
 
 
-@cuts.get(
-    "/v1/cuts",
-    response_model=CutsAnswer,
-    summary="Where windows are cut",
-    description="Dates at which the watch found that an antenna changed, in order of antenna and date: the windows of "
-    "its refits are cut there while the cut stands.",
-    responses=document(401, 422, 503),
-    dependencies=[Depends(require_read)],
-)
+@reads(cuts, "/v1/cuts", wire.CutsAnswer)
 def list_cuts(request: Request, use: UseCases, station: str | None = None) -> Response:
+    """Where windows are cut.
+
+    Dates at which the watch found that an antenna changed, in order of antenna and date: the windows of its refits
+    are cut there while the cut stands.
+    """
     return answer(request, {"cuts": [describe_cut(one) for one in use.cuts.list_all(station)]})
 
 
-@cuts.post(
-    "/v1/cuts/{number}/lift",
-    status_code=201,
-    response_model=CutAnswer,
-    summary="Leave windows whole at a date",
-    description="Although the watch finds a change there; the next look for due work fits the windows again. A cut "
-    "that is lifted already, or that has ended, is 409.",
-    responses=document(400, 401, 403, 404, 409, 415, 422, 503),
-    openapi_extra=describes(ReasonBody),
-)
+@acts(cuts, "/v1/cuts/{number}/lift", ReasonBody, wire.CutAnswer, 404, 409)
 def lift_cut(request: Request, use: UseCases, number: JobNumber, caller: Promoter, body: JsonBody) -> Response:
+    """Leave windows whole at a date.
+
+    Although the watch finds a change there; the next look for due work fits the windows again. A cut that is lifted
+    already, or that has ended, is 409.
+    """
     lifted = use.cuts.lift(number, parse_body(ReasonBody, body), caller.name)
     return answer(request, describe_cut(lifted), status=201)
 
 
-@cuts.post(
-    "/v1/cuts/{number}/restoration",
-    status_code=201,
-    response_model=CutAnswer,
-    summary="Cut windows again where the cut was lifted",
-    description="The next look for due work fits the windows again. A cut that stands, or that has ended, is 409.",
-    responses=document(400, 401, 403, 404, 409, 415, 422, 503),
-    openapi_extra=describes(ReasonBody),
-)
+@acts(cuts, "/v1/cuts/{number}/restoration", ReasonBody, wire.CutAnswer, 404, 409)
 def restore_cut(request: Request, use: UseCases, number: JobNumber, caller: Promoter, body: JsonBody) -> Response:
+    """Cut windows again where the cut was lifted.
+
+    The next look for due work fits the windows again. A cut that stands, or that has ended, is 409.
+    """
     restored = use.cuts.restore(number, parse_body(ReasonBody, body), caller.name)
     return answer(request, describe_cut(restored), status=201)
 
 
 def describe_cut(kept: KeptCut) -> dict[str, Any]:
     """A cut as JSON values."""
-    decision = None if kept.decision is None else fill_answer(CutDecision, kept.decision)
+    decision = None if kept.decision is None else fill_answer(wire.CutDecision, kept.decision)
     of_cut = {"cut": kept.number, "date_sigma_days": kept.cut.sigma_days, "refitted": kept.is_refitted}
-    return fill_answer(CutAnswer, kept, kept.cut, decision=decision, **of_cut)
+    return fill_answer(wire.CutAnswer, kept, kept.cut, decision=decision, **of_cut)

@@ -13,33 +13,26 @@ from service.handlers.metrics import describe_state
 from service.handlers.models import describe_investigation
 from service.handlers.problems import document
 from service.handlers.request import UseCases, answer, require_read
+from service.handlers.routes import reads
 from service.storage.jobs import Failure
 from service.usecases.alarms import StationNews
 from service.usecases.cuts import tell_not_refitted
 from service.usecases.models import list_stopped
 from service.usecases.status import State
-from service.wire.answer_models import (
-    AlarmCountsAnswer,
-    AliveAnswer,
-    FailureAnswer,
-    NewsAnswer,
-    ProcessAnswer,
-    ReadyAnswer,
-    StatusAnswer,
-)
+from service.wire import answer_models as wire
 from service.wire.answers import fill_answer
 
 router = APIRouter(tags=["health"])
 
 
-@router.get("/healthz", response_model=AliveAnswer, summary="The process lives", responses=document())
+@router.get("/healthz", response_model=wire.AliveAnswer, summary="The process lives", responses=document())
 async def get_health(request: Request) -> Response:
     return answer(request, {"status": "alive"})
 
 
 @router.get(
     "/readyz",
-    response_model=ReadyAnswer,
+    response_model=wire.ReadyAnswer,
     summary="The service can do its work",
     description="503 with the reason while the database is away or of another schema, its disk is full, or no worker "
     "has lived for a minute.",
@@ -50,17 +43,14 @@ def get_readiness(request: Request, use: UseCases) -> Response:
     return answer(request, {"status": "ready", "instrument": use.instrument.name})
 
 
-@router.get(
-    "/v1/status",
-    response_model=StatusAnswer,
-    summary="What an operator looks at",
-    description="Readiness and its problem, processes, parts of jobs, alarms, the newest investigation of "
-    "every station with what the one before did not say, and the failures of the last 30 days that nothing has made up "
-    "for, with the time after which due work is tried again.",
-    responses=document(401, 503),
-    dependencies=[Depends(require_read)],
-)
+@reads(router, "/v1/status", wire.StatusAnswer)
 def get_status(request: Request, use: UseCases) -> Response:
+    """What an operator looks at.
+
+    Readiness and its problem, processes, parts of jobs, alarms, the newest investigation of every station with what
+    the one before did not say, and the failures of the last 30 days that nothing has made up for, with the time
+    after which due work is tried again.
+    """
     stopped, waiting = list_stopped(use.models.history()), [tell_not_refitted(one.cut) for one in use.cuts.waiting()]
     return answer(request, describe_status(use.status.look(), use.investigations.news(), stopped, waiting))
 
@@ -80,21 +70,23 @@ def get_metrics(request: Request, use: UseCases) -> Response:
 
 def describe_status(state: State, news: list[StationNews], stopped: list[str], waiting: list[str]) -> dict[str, Any]:
     """What an operator looks at, as JSON values."""
-    processes = [fill_answer(ProcessAnswer, process, silent_s=process.silent_us / 1e6) for process in state.processes]
+    processes = [
+        fill_answer(wire.ProcessAnswer, process, silent_s=process.silent_us / 1e6) for process in state.processes
+    ]
     return fill_answer(
-        StatusAnswer, state, ready=state.problem is None, processes=processes,
-        alarms=fill_answer(AlarmCountsAnswer, state.alarms), investigations=[describe_news(one) for one in news],
+        wire.StatusAnswer, state, ready=state.problem is None, processes=processes,
+        alarms=fill_answer(wire.AlarmCountsAnswer, state.alarms), investigations=[describe_news(one) for one in news],
         not_refitted=waiting, stopped_paying=stopped, failures=[describe_failure(one) for one in state.failures],
     )  # fmt: skip
 
 
 def describe_news(news: StationNews) -> dict[str, Any]:
     """The newest investigation of a station, and what is new in it, as JSON values."""
-    return fill_answer(NewsAnswer, news, **describe_investigation(news.newest))
+    return fill_answer(wire.NewsAnswer, news, **describe_investigation(news.newest))
 
 
 def describe_failure(failure: Failure) -> dict[str, Any]:
     """A job that failed, and when it is tried again; null where nobody will unless it is asked for."""
     again, failed = (failure.tries.again, failure.tries.failed) if failure.tries else (None, 1)
     error, of_job = "; ".join(failure.job.errors), {"job": failure.job.number, "tries": failed}
-    return fill_answer(FailureAnswer, failure.job, error=error, again_after=format_optional(again), **of_job)
+    return fill_answer(wire.FailureAnswer, failure.job, error=error, again_after=format_optional(again), **of_job)

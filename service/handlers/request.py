@@ -9,9 +9,9 @@ from collections.abc import AsyncIterator, Sequence
 from contextlib import AbstractAsyncContextManager, nullcontext
 from typing import Annotated, Any, cast
 
-from fastapi import Depends, Header, Path, Query, Request, Response, Security
+from fastapi import Depends, Path, Query, Request, Response, Security
 from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
-from pydantic import BaseModel, BeforeValidator
+from pydantic import BeforeValidator
 
 from lbacal_core.errors import BadInputError
 from service.errors import TooLargeError, UnauthenticatedError, UnavailableError, UnsupportedMediaError
@@ -48,11 +48,6 @@ AntennaQuery = Annotated[Whole | None, Query(ge=0, le=2**31 - 1)]
 JobNumber = Annotated[Whole, Path(ge=1, le=2**63 - 1)]
 InPath = Annotated[str, Path(pattern=r"^[^\x00-\x1f\x7f]{1,200}$")]
 """A name in an address."""
-
-
-IdempotencyKey = Annotated[
-    str | None, Header(description="a name of your choice: the same request under it is done once, for a week")
-]
 
 
 def get_factory(request: Request) -> Factory:
@@ -227,24 +222,3 @@ def answer(
     if request.method in ("GET", "HEAD") and etag in known:
         return Response(status_code=304, headers=headers)
     return Response(body, status, headers, media_type)
-
-
-def describes(body: type[BaseModel], *others: str, required: bool = True) -> dict[str, Any]:
-    """The part of the OpenAPI document that tells what a body looks like; other media types are files."""
-    content: dict[str, Any] = {"application/json": {"schema": _inline(body)}}
-    content |= {media: {"schema": {"type": "string", "format": "binary"}} for media in others}
-    return {"requestBody": {"required": required, "content": content}}
-
-
-def _inline(body: type[BaseModel]) -> dict[str, Any]:
-    """The JSON schema of a body with its parts written out where they are used."""
-    schema = body.model_json_schema()
-    parts = schema.pop("$defs", {})
-
-    def fill(node: Any) -> Any:
-        if isinstance(node, dict):
-            name = str(node.get("$ref", "")).rpartition("/")[2]
-            return fill(parts[name]) if name else {key: fill(value) for key, value in node.items()}
-        return [fill(value) for value in node] if isinstance(node, list) else node
-
-    return cast("dict[str, Any]", fill(schema))
