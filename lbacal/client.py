@@ -79,6 +79,15 @@ class Client:
         """The JSON at a path of the API."""
         return self._transport.request("GET", path, params=params).json()
 
+    def list(self, path: str, name: str, **params: Any) -> list[Any]:
+        """All items of a list that the API gives page by page under a name."""
+        page = self.get(path, **params)
+        found = page[name]
+        while page["next"] is not None:
+            page = self.get(path, **params | {"cursor": page["next"]})
+            found += page[name]
+        return list(found)
+
     def fetch(self, path: str, **params: Any) -> bytes:
         """The bytes at a path of the API."""
         return self._transport.request("GET", path, params=params).content

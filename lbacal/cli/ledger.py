@@ -94,11 +94,7 @@ def tag(
     """
     with Client() as client:
         if name is None:
-            tags: list[dict[str, Any]] = []
-            cursor: str | None = ""
-            while cursor is not None:
-                page = client.get("/v1/tags", cursor=cursor)
-                tags, cursor = tags + page["tags"], page["next"]
+            tags = client.list("/v1/tags", "tags")
         elif reason is None:
             raise BadInputError("--reason", "why the tag is made", "nothing")
         else:
@@ -190,7 +186,7 @@ def models() -> None:
     Example: lbacal models
     """
     with Client() as client:
-        for one in client.get("/v1/models")["models"]:
+        for one in client.list("/v1/models", "models"):
             print_model(one)
 
 
@@ -283,10 +279,7 @@ def alarms(
             body = {"reason": reason, **({} if until is None else {"until": until})}
             found = [client.send("POST", f"/v1/alarms/{acknowledge}/acknowledgement", body)]
         else:
-            found, cursor = [], ""
-            while cursor is not None:
-                page = client.get("/v1/alarms", state=state, station=station, cursor=cursor or None)
-                found, cursor = found + page["alarms"], page["next"]
+            found = client.list("/v1/alarms", "alarms", state=state, station=station)
     for one in found:
         print_alarm(one)
     if not found:

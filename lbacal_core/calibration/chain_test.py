@@ -119,22 +119,11 @@ def is_improbable(chi2: Floats, dof: Floats | NDArray[np.int64]) -> NDArray[np.b
     return np.asarray((np.asarray(dof) > 0) & (chdtrc(dof, chi2) < MISFIT_PROBABILITY))
 
 
-def run_chain_test(
-    power: Floats,
-    sky_power: Floats,
-    relative_variance: Floats,
-    lst_hours: Floats,
-    lines: Lines,
-    n: Floats,
-    slope: Floats,
-    terms: Intercepts,
-    is_free: NDArray[np.bool_],
-    freedom: SkyPrior | None,
-    dipole: str,
-) -> ChainTest:
-    """Test fitted paths, each by itself.
+@dataclass(frozen=True)
+class FittedPaths:
+    """Spectra of some paths with what was fitted to them; each path is tested by itself.
 
-    Parameters
+    Attributes
     ----------
     power, relative_variance
         As in `fit_lines`, shape (path, event, freq) and (path, event).
@@ -152,73 +141,60 @@ def run_chain_test(
     freedom, dipole
         The freedom of the sky, None where it is taken at its word; and the paths' dipole.
     """
-    basis = harmonics_at(lst_hours, SKY_HARMONICS)
-    mistakes = 0 if freedom is None else len(freedom.mistakes)
-    series = None
-    if freedom is not None:
-        series = np.concatenate([freedom.mistake_series(dipole), freedom.series(dipole)])
-    found = []
-    for p in range(power.shape[0]):
-        is_present = np.isfinite(relative_variance[p])
+
+    power: Floats
+    sky_power: Floats
+    relative_variance: Floats
+    lst_hours: Floats
+    lines: Lines
+    n: Floats
+    slope: Floats
+    terms: Intercepts
+    is_free: NDArray[np.bool_]
+    freedom: SkyPrior | None
+    dipole: str
+
+    def test(self) -> ChainTest:
+        """Chi^2 and its degrees of freedom, and the gain of each mistake."""
+        mistakes, series = 0, None
+        if self.freedom is not None:
+            mistakes = len(self.freedom.mistakes)
+            series = np.concatenate([self.freedom.mistake_series(self.dipole), self.freedom.series(self.dipole)])
+        found = []
+        for p in range(self.power.shape[0]):
+            seen = self._see(p, series, mistakes)
+            residual, of_sky_modes = seen.whiten(seen.value), seen.whiten(seen.of_modes.T)
+            dof = seen.value.size - len(self.terms.names) - float(np.sum(of_sky_modes**2))
+            found.append((float(np.sum(residual**2)), dof, *seen.gain_of(seen.of_mistakes).tolist()))
+        table = np.array(found, dtype=float).reshape(-1, 2 + mistakes)
+        return ChainTest(table[:, 0], table[:, 1], table[:, 2:])
+
+    def compare(self, predictions: Floats) -> Floats:
+        """Ln of the probability of the data of one path under other predictions over that under its own fit.
+
+        Parameters
+        ----------
+        predictions
+            Power of each event by other models that were fitted to the same data, shape (prediction, event, freq).
+
+        Returns
+        -------
+        Shape (prediction,). A prediction may be far from the fit: what the lines do with it is computed and not
+        linearised.
+        """
+        seen = self._see(0, None if self.freedom is None else self.freedom.series(self.dipole))
+        is_present = np.isfinite(self.relative_variance[0])
+        return seen.gain_of(seen.respond_to(predictions[:, is_present] / seen.path.model - 1.0))
+
+    def _see(self, p: int, series: Floats | None, mistakes: int = 0) -> _Seen:
+        """What the test sees of a path; the first of the series are the mistakes, the others the modes."""
+        is_present = np.isfinite(self.relative_variance[p])
         path = PathLines.of(
-            power[p, is_present], sky_power[is_present], relative_variance[p, is_present], lines.select(np.array([p]))
-        )
-        before = terms.before(n[p])
-        found.append(_test_path(path, basis[is_present], before, slope[p], terms, is_free[p], series, mistakes))
-    table = np.array(found, dtype=float).reshape(-1, 2 + mistakes)
-    return ChainTest(table[:, 0], table[:, 1], table[:, 2:])
-
-
-def compare_predictions(
-    power: Floats,
-    sky_power: Floats,
-    relative_variance: Floats,
-    lst_hours: Floats,
-    lines: Lines,
-    n: Floats,
-    slope: Floats,
-    terms: Intercepts,
-    is_free: NDArray[np.bool_],
-    freedom: SkyPrior | None,
-    dipole: str,
-    predictions: Floats,
-) -> Floats:
-    """Ln of the probability of the data of one path under other predictions over that under its own fit.
-
-    Parameters
-    ----------
-    power, ..., dipole
-        As in `run_chain_test`, of one path.
-    predictions
-        Power of each event by other models that were fitted to the same data, shape (prediction, event, freq).
-
-    Returns
-    -------
-    Shape (prediction,). A prediction may be far from the fit: what the lines do with it is computed and not linearised.
-    """
-    is_present = np.isfinite(relative_variance[0])
-    path = PathLines.of(power[0, is_present], sky_power[is_present], relative_variance[0, is_present], lines)
-    basis = harmonics_at(lst_hours, SKY_HARMONICS)[is_present]
-    series = None if freedom is None else freedom.series(dipole)
-    seen = _Seen.of(path, basis, terms.before(n[0]), slope[0], terms, is_free[0], series)
-    return seen.gain_of(seen.respond_to(predictions[:, is_present] / path.model - 1.0))
-
-
-def _test_path(
-    path: PathLines,
-    basis: Floats,
-    before: Floats,
-    slope: Floats,
-    terms: Intercepts,
-    is_free: NDArray[np.bool_],
-    series: Floats | None,
-    mistakes: int,
-) -> tuple[float, ...]:
-    """Chi^2, its degrees of freedom, and the gain of each mistake; the first of the series are those."""
-    seen = _Seen.of(path, basis, before, slope, terms, is_free, series, mistakes)
-    residual, of_sky_modes = seen.whiten(seen.value), seen.whiten(seen.of_modes.T)
-    dof = seen.value.size - len(terms.names) - float(np.sum(of_sky_modes**2))
-    return float(np.sum(residual**2)), dof, *seen.gain_of(seen.of_mistakes).tolist()
+            self.power[p, is_present], self.sky_power[is_present], self.relative_variance[p, is_present],
+            self.lines.select(np.array([p])),
+        )  # fmt: skip
+        basis, before = harmonics_at(self.lst_hours, SKY_HARMONICS)[is_present], self.terms.before(self.n[p])
+        return _Seen.of(path, basis, before, self.slope[p], self.terms, self.is_free[p], series, mistakes)
 
 
 @dataclass(frozen=True)

@@ -16,11 +16,11 @@ from threadpoolctl import threadpool_limits
 
 from lbacal_core.calibration.chain_test import (
     LIKELY_MISTAKE,
+    FittedPaths,
     describe_mistakes,
     is_improbable,
     name_mistakes,
-    run_chain_test,
-)
+)  # fmt: skip
 from lbacal_core.calibration.channels import SMALLEST_BAND, describe_merged, flag_channels, solve_without_interference
 from lbacal_core.calibration.continued import keep_lines
 from lbacal_core.calibration.lines import Lines, fit_lines
@@ -205,10 +205,10 @@ def _fit_paths(
     status[at[~(solution.is_identifiable & is_usable)]] = NOT_IDENTIFIABLE
     good = np.flatnonzero(status == CONVERGED)
     of_good = np.searchsorted(at, good)
-    tested = run_chain_test(
+    tested = FittedPaths(
         paths.power[good], sky, paths.relative_variance[good], paths.lst_hours, lines.select(good), solution.n[of_good],
         solution.x[of_good], terms, is_free[of_good], simulation.prior, paths.owners[0][2],
-    )  # fmt: skip
+    ).test()  # fmt: skip
     scatter = np.median(lines.levels.radiometer, axis=1) if paths.scatter is None else paths.scatter
     is_odd = scatter[good] < SMALLEST_OF_LIMIT * paths.smallest_scatter
     is_odd |= _has_negative_noise(solution.q[of_good], variance[of_good, channels + len(terms.front) :])

@@ -17,7 +17,7 @@ from scipy.special import logit, logsumexp
 from threadpoolctl import threadpool_limits
 
 from lbacal_core.calibration.chain_form import FORM_OF_CHAIN, ChainForm, compare_forms, list_forms
-from lbacal_core.calibration.chain_test import compare_predictions
+from lbacal_core.calibration.chain_test import FittedPaths
 from lbacal_core.calibration.channels import LARGEST_GOOD_ERROR, solve_without_interference
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.calibration.lines import ChainForms, Lines, fit_lines
@@ -107,11 +107,11 @@ class _Refit:
             slope, behind = solution.x[k], solution.q[k] @ self.terms.behind
             intercept = np.where(is_free[k], lines[k].intercept[0], self.terms.before(solution.n[k]) * slope + behind)
             predictions.append(slope * sky + intercept)
-        gain = compare_predictions(
+        fitted = FittedPaths(
             paths.power, self.sky, paths.relative_variance, paths.lst_hours, lines[-1], solution.n[own],
-            solution.x[own], self.terms, is_free[own], prior, dipole, np.array(predictions),
+            solution.x[own], self.terms, is_free[own], prior, dipole,
         )  # fmt: skip
-        return np.nan_to_num(gain, nan=-np.inf), _log_c(solution.x[:-1]) - self.log_c
+        return np.nan_to_num(fitted.compare(np.array(predictions)), nan=-np.inf), _log_c(solution.x[:-1]) - self.log_c
 
     def exchange_form(self, terms: Intercepts) -> Floats:
         """Change of ln C by other noise constants."""

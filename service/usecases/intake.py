@@ -18,7 +18,7 @@ from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.spectra.spectra import Spectra
 from service.errors import ConflictError
 from service.storage.database import Database
-from service.storage.spectra import EVENT_SPAN_US, StoredEvent
+from service.storage.spectra import EVENT_SPAN_US, EventsAsked, StoredEvent
 from service.wire.bodies import LONGEST_NAME, MAX_SPECTRA, SpectraBody, SpectrumBody, parse_body
 from service.wire.hdf5_body import FileReader
 
@@ -155,21 +155,10 @@ class Intake:
                 found = format_instant(round(time * 1e6))
                 raise BadInputError(name_place("time_unix", k), expected, found)
 
-    def events(
-        self,
-        *,
-        station: str | None,
-        since: Instant | None,
-        until: Instant | None,
-        flag: str | None,
-        cursor: int,
-        limit: int,
-    ) -> list[StoredEvent]:
+    def events(self, asked: EventsAsked) -> list[StoredEvent]:
         """What is stored, in order of arrival."""
         with self.database.read() as stores:
-            return stores.spectra.events(
-                station=station, since=since, until=until, flag=flag, cursor=cursor, limit=limit
-            )
+            return stores.spectra.events(asked)
 
     def set_flag(self, event_id: str, flag: str | None, *, reason: str, by: str) -> StoredEvent:
         """Set or clear a quality flag; a flagged event is left out of fits."""

@@ -3,7 +3,7 @@ import pytest
 from scipy.stats import chi2 as chi2_distribution
 from scipy.stats import kstest
 
-from lbacal_core.calibration.chain_test import compare_predictions, is_improbable, run_chain_test
+from lbacal_core.calibration.chain_test import FittedPaths, is_improbable
 from lbacal_core.calibration.lines import fit_lines
 from lbacal_core.calibration.separable import solve_separable
 from lbacal_core.chain.model import three_constants
@@ -23,7 +23,7 @@ def run_test(scene, paths, events, seed, freedom=None, change=None):
     terms = three_constants(scene.instrument.receiver_gain)
     solution = solve_separable(lines.slope, lines.intercept, lines.information, terms)
     is_free = np.zeros(lines.slope.shape, dtype=bool)
-    return run_chain_test(power, sky, variance, lst, lines, solution.n, solution.x, terms, is_free, freedom, "X")
+    return FittedPaths(power, sky, variance, lst, lines, solution.n, solution.x, terms, is_free, freedom, "X").test()
 
 
 def hotter(scene, lst):
@@ -48,9 +48,8 @@ def compare_hotter(scene, size, events=600, seed=8):
         fits.append((lines, solution, slope * one + terms.before(solution.n[0]) * slope + behind))
     (lines, solution, own), (*_, other) = fits
     is_free, freedom = np.zeros(lines.slope.shape, dtype=bool), SkyPrior({"X": tilt(scene, 0.05)[None]}, "")
-    return compare_predictions(
-        power, sky, variance, lst, lines, solution.n, solution.x, terms, is_free, freedom, "X", np.array([own, other])
-    )
+    fitted = FittedPaths(power, sky, variance, lst, lines, solution.n, solution.x, terms, is_free, freedom, "X")
+    return fitted.compare(np.array([own, other]))
 
 
 def test_another_model_is_compared_by_what_it_predicts_however_far_it_is(scene):

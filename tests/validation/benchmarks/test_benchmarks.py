@@ -17,6 +17,7 @@ from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.spectra.blocks import split_into_blocks
 from service.app import make_app
 from service.factory import Factory
+from service.storage.spectra import EventsAsked
 from validation.benchmarks.fit import OnePath, farthest, make_scene, make_spectra
 from validation.benchmarks.ingest import BulkPostgres, BulkSqlite
 from validation.benchmarks.reads import ALL, ONE, add_same, compare_a_year, fill, get
@@ -56,9 +57,8 @@ def test_the_analytic_derivatives_are_those_of_finite_differences(path: OnePath)
 
 
 def count(factory: Factory) -> int:
-    everything = {"station": None, "since": None, "until": None, "flag": None, "cursor": -1, "limit": 10}
     with factory.database.read() as stores:
-        return sum(event.spectra for event in stores.spectra.events(**everything))
+        return sum(event.spectra for event in stores.spectra.events(EventsAsked()))
 
 
 @pytest.mark.parametrize(("kind", "make"), [("sqlite", BulkSqlite), ("postgresql", BulkPostgres)])
