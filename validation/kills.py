@@ -23,6 +23,7 @@ import httpx2
 import numpy as np
 import psycopg
 
+from lbacal.client import Client
 from lbacal.instants import parse_instant
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import load_instrument
@@ -258,16 +259,8 @@ def _read_in_effect(address: str) -> InEffect:
 
 def _compare_tags(address: str, record: Record) -> tuple[int, int]:
     """How many of the acknowledged tags are there with their instants, and how many give another answer than then."""
-    with httpx2.Client(base_url=address, timeout=60) as http:
-        found: dict[str, str] = {}
-        cursor: Any = None
-        while True:
-            more = {} if cursor is None else {"cursor": cursor}
-            page = http.get("/v1/tags", params={"limit": 1000, **more}).json()
-            found |= {tag["name"]: tag["as_of"] for tag in page["tags"]}
-            cursor = page.get("next")
-            if cursor is None:
-                break
+    with httpx2.Client(base_url=address, timeout=60) as http, Client(address) as client:
+        found = {tag["name"]: tag["as_of"] for tag in client.list("/v1/tags", "tags", limit=1000)}
         kept = sum(found.get(name) == as_of for name, (as_of, _) in record.tags.items())
         changed = sum(then is not None and ask_pinned(http, as_of) != then for as_of, then in record.tags.values())
     return kept, changed

@@ -14,7 +14,7 @@ from lbacal_core.curves.validity import Instant, Scope
 from lbacal_core.errors import BadInputError
 from service.handlers.request import AntennaQuery, JobNumber, JsonBody, Limit, UseCases, Whole, answer, caller_with
 from service.handlers.routes import acts, page_of, reads
-from service.storage.alarms import ACKNOWLEDGED, OPEN, STATES, Alarm
+from service.storage.alarms import ACKNOWLEDGED, OPEN, STATES, Alarm, AlarmsAsked
 from service.storage.drift import KeptCut
 from service.usecases.calibrations import select_paths
 from service.usecases.drift import SECOND_US, DriftSeries, MonthPoint, Step
@@ -120,7 +120,7 @@ def list_alarms(
     night on which it was found. `next` is the cursor of the next page.
     """
     states = CHOICES.get(state, (state,))
-    found = use.alarms.newest(states=states, kind=kind, station=station, before=cursor, limit=limit)
+    found = use.alarms.newest(AlarmsAsked(states, limit, kind, station, cursor))
     now = use.clock()
     page = page_of("alarms", found, limit, lambda one: describe_alarm(one, now), attrgetter("number"))
     return answer(request, page)

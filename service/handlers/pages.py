@@ -26,7 +26,7 @@ from service.handlers.request import (
     require_read,
 )
 from service.page.render import find_asset, format_day, name_scope, render_page, render_part
-from service.storage.alarms import ACKNOWLEDGED, ENDED, OPEN
+from service.storage.alarms import ACKNOWLEDGED, ENDED, OPEN, AlarmsAsked
 from service.storage.versions import MeanC, Version
 from service.usecases.calibrations import select_paths
 from service.usecases.drift import DriftSeries, Story
@@ -96,8 +96,8 @@ def _tell_drift(use: UseCases) -> str:
 
 @router.get("/alarms")
 def show_alarms(request: Request, use: UseCases) -> Response:
-    lasting = use.alarms.newest(states=(OPEN, ACKNOWLEDGED), kind=None, station=None, before=None, limit=ALARMS_SHOWN)
-    ended = use.alarms.newest(states=(ENDED,), kind=None, station=None, before=None, limit=ENDED_SHOWN)
+    lasting = use.alarms.newest(AlarmsAsked((OPEN, ACKNOWLEDGED), ALARMS_SHOWN))
+    ended = use.alarms.newest(AlarmsAsked((ENDED,), ENDED_SHOWN))
     content = {"lasting": lasting, "ended": ended, "now": use.clock(), "counts": use.status.look().alarms}
     return _page(request, use, "alarms.html", "/alarms", **content)
 

@@ -96,6 +96,17 @@ class Alarm:
         return OPEN if known is None or (known.until is not None and known.until <= now) else ACKNOWLEDGED
 
 
+@dataclass(frozen=True)
+class AlarmsAsked:
+    """Which alarms are listed: those in some states; of a kind, a station, below a number where these are given."""
+
+    states: Collection[str]
+    limit: int
+    kind: str | None = None
+    station: str | None = None
+    before: int | None = None
+
+
 class AlarmStore(Store):
     """Alarms, each raised once."""
 
@@ -137,19 +148,16 @@ class AlarmStore(Store):
             raise NotFoundError(f"no alarm {number}; GET /v1/alarms lists them")
         return _value(row)
 
-    def newest(
-        self, *, now: Instant, states: Collection[str], kind: str | None, station: str | None, before: int | None,
-        limit: int,
-    ) -> list[Alarm]:  # fmt: skip
+    def newest(self, asked: AlarmsAsked, now: Instant) -> list[Alarm]:
         """Alarms in some states, newest first."""
-        statement = select(alarm).where(or_(*(_in_state(state, now) for state in states)))
-        if kind is not None:
-            statement = statement.where(alarm.c.kind == kind)
-        if station is not None:
-            statement = statement.where(alarm.c.station == station)
-        if before is not None:
-            statement = statement.where(alarm.c.id < before)
-        return [_value(row) for row in self._connection.execute(statement.order_by(alarm.c.id.desc()).limit(limit))]
+        statement = select(alarm).where(or_(*(_in_state(state, now) for state in asked.states)))
+        for column, wanted in ((alarm.c.kind, asked.kind), (alarm.c.station, asked.station)):
+            if wanted is not None:
+                statement = statement.where(column == wanted)
+        if asked.before is not None:
+            statement = statement.where(alarm.c.id < asked.before)
+        statement = statement.order_by(alarm.c.id.desc()).limit(asked.limit)
+        return [_value(row) for row in self._connection.execute(statement)]
 
     def count(self, now: Instant, state: str) -> dict[str, int]:
         """How many there are in a state, by kind."""

@@ -31,8 +31,9 @@ from service.storage.alarms import (
     STEP,
     Acknowledgement,
     Alarm,
+    AlarmsAsked,
     News,
-)
+)  # fmt: skip
 from service.storage.database import Database, Stores
 from service.storage.drift import Cut, KeptCut
 from service.storage.jobs import Job
@@ -192,14 +193,10 @@ class Alarms:
         with self.database.write() as stores:
             return stores.alarms.settle(LOOKED_FOR, present, now)
 
-    def newest(
-        self, *, states: Sequence[str], kind: str | None, station: str | None, before: int | None, limit: int
-    ) -> list[Alarm]:
+    def newest(self, asked: AlarmsAsked) -> list[Alarm]:
         """Alarms, newest first."""
         with self.database.read() as stores:
-            found = stores.alarms.newest(
-                now=self.clock(), states=states, kind=kind, station=station, before=before, limit=limit
-            )
+            found = stores.alarms.newest(asked, self.clock())
         waiting = [one.cut for one in self.not_refitted()]
         return [_with_state(one, waiting) for one in found]
 

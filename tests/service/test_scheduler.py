@@ -9,7 +9,6 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -24,13 +23,14 @@ from lbacal_twin.settings import TwinSettings
 from service import scheduler
 from service.factory import Factory
 from service.scheduler import look_again, look_for_due_work, persist, run_scheduler
+from service.storage.alarms import AlarmsAsked
 from service.storage.jobs import PAUSE_US
 from service.storage.processes import SCHEDULER
 from service.usecases.drift_measurement import find_references
 from tests.service.conftest import Clock, add_spectra, flat_spectra, like, night
 
 DAY_S = 86_400.0
-EVERYTHING: dict[str, Any] = {"states": ("open", "ended"), "kind": None, "station": None, "before": None, "limit": 99}
+EVERYTHING = AlarmsAsked(("open", "ended"), 99)
 Make = Callable[..., Factory]
 
 
@@ -61,7 +61,7 @@ def pass_nights(factory: Factory, spectra: Spectra, count: int = 2) -> None:
 
 def tell_alarms(factory: Factory) -> list[tuple[str, str, str]]:
     with factory.database.read() as stores:
-        found = stores.alarms.newest(**EVERYTHING, now=factory.clock())
+        found = stores.alarms.newest(EVERYTHING, factory.clock())
     return [(one.state_at(factory.clock()), one.news.kind, one.news.sentence) for one in found]
 
 

@@ -11,7 +11,7 @@ from lbacal.instants import DAY_US, format_instant, parse_instant
 from lbacal_core.curves.validity import Promotion, Scope
 from service.app import make_app
 from service.factory import Factory
-from service.storage.alarms import MISFIT, OPEN, News
+from service.storage.alarms import MISFIT, OPEN, AlarmsAsked, News
 from service.storage.drift import Cut
 from service.storage.versions import Version
 from tests.service.conftest import like
@@ -250,4 +250,4 @@ def test_a_problem_is_said_to_be_known_until_a_date(visitor: TestClient, factory
 
 
 def lasting(factory: Factory) -> Any:
-    return factory.alarms.newest(states=(OPEN,), kind=None, station=None, before=None, limit=10)
+    return factory.alarms.newest(AlarmsAsked((OPEN,), 10))

@@ -21,8 +21,9 @@ from service.storage.alarms import (
     STEP,
     Acknowledgement,
     Alarm,
+    AlarmsAsked,
     News,
-)
+)  # fmt: skip
 from service.storage.jobs import Order
 from service.storage.sums import Sums
 from service.usecases.drift_measurement import KIND, read_events, write_events
@@ -45,7 +46,7 @@ def settle(factory: Factory, kinds: tuple[str, ...], *present: News, now: int, s
 
 def read(factory: Factory, *states: str, now: int = NOW) -> list[Alarm]:
     with factory.database.read() as stores:
-        return stores.alarms.newest(now=now, states=states or STATES, kind=None, station=None, before=None, limit=100)
+        return stores.alarms.newest(AlarmsAsked(states or STATES, 100), now)
 
 
 def test_a_problem_is_raised_once_and_seen_again_another_night(factory: Factory) -> None:

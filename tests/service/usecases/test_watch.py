@@ -25,6 +25,7 @@ from lbacal_twin.settings import TwinSettings
 from service.app import make_app
 from service.factory import Factory
 from service.scheduler import look_for_due_work
+from service.storage.alarms import AlarmsAsked
 from service.storage.jobs import Job
 from service.storage.models import ADOPTED, ModelChange
 from service.storage.versions import Version
@@ -37,7 +38,7 @@ from service.wire.bodies import InvestigationBody, ReasonBody
 from tests.service.conftest import night, refit, served, work
 
 BEGIN = parse_instant("", "2015-01-01")
-OPEN_ALARMS: dict[str, Any] = {"states": ("open",), "kind": None, "station": None, "before": None, "limit": 100}
+OPEN_ALARMS = AlarmsAsked(("open",), 100)
 STEPPED, SWAPPED = parse_instant("", "2015-04-11"), parse_instant("", "2015-08-20")
 
 
@@ -98,7 +99,7 @@ def test_a_step_and_a_swapped_cable_end_as_a_change_point_and_a_new_window(watch
     assert [job.kind for job in watched.jobs.newest()][3:5] == ["watch", "drift"]
     with watched.database.read() as stores:
         cuts = stores.cuts.standing()
-        told = [one.news.sentence for one in stores.alarms.newest(**OPEN_ALARMS, now=watched.clock())]
+        told = [one.news.sentence for one in stores.alarms.newest(OPEN_ALARMS, watched.clock())]
     assert [(one.station, one.antenna) for one in cuts] == [("CS002", 1), ("CS002", 2)]
     for cut, date in zip(cuts, (SWAPPED, STEPPED), strict=True):
         assert abs(cut.date - date) < 3 * cut.sigma + DAY_US
@@ -159,7 +160,7 @@ def test_a_cut_ended_for_good_when_a_model_that_took_up_its_change_came_and_went
 
     def alarms() -> list[str]:
         with stepped.database.read() as stores:
-            return [one.news.sentence for one in stores.alarms.newest(**OPEN_ALARMS, now=stepped.clock())]
+            return [one.news.sentence for one in stores.alarms.newest(OPEN_ALARMS, stepped.clock())]
 
     before, cuts, alarmed = answers(), stepped.cuts.list_all(None), alarms()
     assert [len(of_path) for of_path in before] == [2, 2, 1, 1]
