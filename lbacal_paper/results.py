@@ -18,18 +18,7 @@ from lbacal_core.discovery.curve_fit import GRID_HOURS, CurveFitter, gather_curv
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.instrument.sidereal import local_sidereal_time
-from lbacal_core.lstcurve.curve import (
-    AS_RECORDED,
-    BAND_MHZ,
-    Comparison,
-    LstCurve,
-    band_weights,
-    compare_lst_curve,
-    estimate_noise,
-    in_db,
-    noise_prior,
-    simulate_band_power,
-)
+from lbacal_core.lstcurve import curve as lst_curve
 from lbacal_core.simulation.simulation import Simulation, noise_at_input
 from lbacal_core.sky.model import SkyModel
 from lbacal_core.sky.names import DEFAULT_SKY, list_skies, load_sky
@@ -315,7 +304,7 @@ def _limit_of_pattern(study: Study) -> Result:
     chi2 = []
     for fraction in ZENITH_STEPS:
         power = vary_sky_power(study.instrument, zenith_gain_fraction=float(fraction))
-        compared = compare_lst_curve(study.exchanged.curve, power, study.instrument)
+        compared = lst_curve.compare_lst_curve(study.exchanged.curve, power, study.instrument)
         chi2.append(sum(compared.of(dipole, has_noise=True).chi2 for dipole in DIPOLES))
     fine = np.linspace(ZENITH_STEPS[0], ZENITH_STEPS[-1], 401)
     smooth = np.polyval(np.polyfit(ZENITH_STEPS, chi2, 4), fine)
@@ -410,7 +399,7 @@ def find_about_noise(study: Study) -> dict[str, Result]:
     }
 
 
-def _chi2(comparison: Comparison) -> tuple[float, float]:
+def _chi2(comparison: lst_curve.Comparison) -> tuple[float, float]:
     without, with_noise = (
         sum(comparison.of(dipole, has_noise=has_noise).chi2 for dipole in DIPOLES) for has_noise in (False, True)
     )
@@ -418,13 +407,15 @@ def _chi2(comparison: Comparison) -> tuple[float, float]:
 
 
 def _swing(study: Study) -> Result:
-    weights = band_weights(study.instrument, AS_RECORDED, BAND_MHZ)
+    weights = lst_curve.band_weights(study.instrument, lst_curve.AS_RECORDED, lst_curve.BAND_MHZ)
     ratio, sigma, words = [], [], []
     curve = study.exchanged.curve
-    noise = estimate_noise(curve)
+    noise = lst_curve.estimate_noise(curve)
     for dipole in DIPOLES:
         measured = smooth_swing(curve, dipole)
-        simulated = float(np.ptp(in_db(simulate_band_power(study.sky_power, dipole, FULL_DAY, weights), 0.0)))
+        simulated = float(
+            np.ptp(lst_curve.in_db(lst_curve.simulate_band_power(study.sky_power, dipole, FULL_DAY, weights), 0.0))
+        )
         ratio.append(simulated / measured)
         sigma.append(simulated / measured**2 * noise.sigma_db[dipole])
         words.append(f"{dipole} {simulated:.2f} against {measured:.2f} dB")
@@ -436,7 +427,7 @@ def _swing(study: Study) -> Result:
     )
 
 
-def smooth_swing(curve: LstCurve, dipole: str, harmonics: int = 4) -> float:
+def smooth_swing(curve: lst_curve.LstCurve, dipole: str, harmonics: int = 4) -> float:
     """Largest minus smallest value of the Fourier series through the measured points, dB."""
     has_point = curve.has_point(dipole)
     basis = [_harmonics(hours, harmonics) for hours in (curve.lst_hours[has_point], FULL_DAY)]
@@ -450,7 +441,7 @@ def _harmonics(hours: Floats, harmonics: int) -> Floats:
 
 
 def find_noise_share(
-    study: Study, curve: LstCurve, *, is_exchanged: bool, is_published_known: bool = False
+    study: Study, curve: lst_curve.LstCurve, *, is_exchanged: bool, is_published_known: bool = False
 ) -> tuple[float, float]:
     """Electronic noise over the total band power, and its error, as `lbacal investigate --lst-curve` fits it.
 
@@ -461,13 +452,13 @@ def find_noise_share(
     is_published_known
         Whether what is published of the noise is a prior of the fit; it is when a curve is investigated.
     """
-    weights = band_weights(study.instrument, AS_RECORDED, BAND_MHZ)
-    prior = noise_prior(study.instrument, BAND_MHZ, weights)
+    weights = lst_curve.band_weights(study.instrument, lst_curve.AS_RECORDED, lst_curve.BAND_MHZ)
+    prior = lst_curve.noise_prior(study.instrument, lst_curve.BAND_MHZ, weights)
     prior = prior if is_published_known else replace(prior, sigma=np.inf)
     station = gather_curve(study.simulation, weights, prior)
     modes = model_difference_modes(study.instrument, GRID_HOURS, FULL_MAPS)
     exchange = [one for one in list_choices(station) if one.is_statement] if is_exchanged else []
-    fitted = CurveFitter(curve, station, estimate_noise(curve), modes).fit(exchange)
+    fitted = CurveFitter(curve, station, lst_curve.estimate_noise(curve), modes).fit(exchange)
     over_total = 1.0 + fitted.noise
     return fitted.noise / over_total, fitted.noise_sigma / over_total**2
 

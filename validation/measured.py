@@ -20,18 +20,7 @@ from lbacal_core.discovery.curve_fit import CurveFit
 from lbacal_core.discovery.curve_search import CurveInvestigation, describe_curve, investigate_curve
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
-from lbacal_core.lstcurve.curve import (
-    AS_RECORDED,
-    FLAT,
-    LstCurve,
-    NoisePrior,
-    PointNoise,
-    band_weights,
-    estimate_noise,
-    measured_curve,
-    noise_prior,
-    read_lst_curve,
-)
+from lbacal_core.lstcurve import curve as lst_curve
 from lbacal_core.provenance import Provenance
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.skypower.model import compute_sky_power
@@ -65,11 +54,13 @@ def tables_as_sky_power(path: Path, instrument: Instrument, *, one_gain: bool = 
     return SkyPower(instrument.frequency_mhz, grid, power, path.name)
 
 
-def drawn_simulation(path: Path, words: str) -> LstCurve:
+def drawn_simulation(path: Path, words: str) -> lst_curve.LstCurve:
     """The curves drawn beside the measured points in the same figure: `no_noise` or `noise`."""
     read = read_columns(path)
     values, lst = {d: read[f"sim_{d.lower()}_{words}_db"] for d in DIPOLES}, read["lst_h"]
-    return LstCurve(lst, values, np.full(lst.size, 0.11), 0.5, is_centre_stated=True, origin="drawn simulation")
+    return lst_curve.LstCurve(
+        lst, values, np.full(lst.size, 0.11), 0.5, is_centre_stated=True, origin="drawn simulation"
+    )
 
 
 @dataclass(frozen=True)
@@ -77,12 +68,12 @@ class Question:
     """One curve asked against one simulation."""
 
     words: str
-    curve: LstCurve
+    curve: lst_curve.LstCurve
     sky: SkyPower
     is_own_sky: bool
-    noise: PointNoise | None = None
-    weights: str = AS_RECORDED
-    prior: NoisePrior | None = None
+    noise: lst_curve.PointNoise | None = None
+    weights: str = lst_curve.AS_RECORDED
+    prior: lst_curve.NoisePrior | None = None
 
     def ask(self, instrument: Instrument, without: str | None = None) -> CurveInvestigation:
         """Investigate as the command does."""
@@ -99,9 +90,9 @@ class Question:
 
 def variants(main: Question, others: Iterable[Question] = ()) -> list[Question]:
     """The same question with each choice made otherwise."""
-    curve, noise = main.curve, estimate_noise(main.curve)
+    curve, noise = main.curve, lst_curve.estimate_noise(main.curve)
     uncorrelated = replace(noise, correlation=0.0)
-    drawn = PointNoise(dict.fromkeys(DIPOLES, float(np.nanmedian(curve.error_db))), 0.0, noise.free)
+    drawn = lst_curve.PointNoise(dict.fromkeys(DIPOLES, float(np.nanmedian(curve.error_db))), 0.0, noise.free)
     index = np.arange(curve.lst_hours.size)
     early = replace(curve, lst_hours=curve.lst_hours - curve.bin_hours / 2, is_centre_stated=True)
 
@@ -111,13 +102,13 @@ def variants(main: Question, others: Iterable[Question] = ()) -> list[Question]:
 
     return [
         main,
-        replace(main, words="channels weigh alike", weights=FLAT),
+        replace(main, words="channels weigh alike", weights=lst_curve.FLAT),
         only("every second point", index % 2 == 0),
         only("the other points", index % 2 == 1),
         only("LST 0-12 h only", curve.lst_hours < 12),
         only("LST 12-24 h only", curve.lst_hours >= 12),
-        replace(main, words="noise about 4 harmonics", noise=estimate_noise(curve, 4)),
-        replace(main, words="noise about 8 harmonics", noise=estimate_noise(curve, 8)),
+        replace(main, words="noise about 4 harmonics", noise=lst_curve.estimate_noise(curve, 4)),
+        replace(main, words="noise about 8 harmonics", noise=lst_curve.estimate_noise(curve, 8)),
         replace(main, words="noise of X and Y independent", noise=uncorrelated),
         replace(main, words="noise = drawn bars", noise=drawn),
         replace(main, words="lst_h is the centre of the bin", curve=early),
@@ -140,16 +131,18 @@ def per_point(fit: CurveFit) -> str:
 
 def witnesses(instrument: Instrument, own: SkyPower, tables: SkyPower) -> list[Question]:
     """Published curves and simulations against each other, none of them the measured points."""
-    known = PointNoise(dict.fromkeys(DIPOLES, DIGITISED_DB), 0.0, 60)
+    known = lst_curve.PointNoise(dict.fromkeys(DIPOLES, DIGITISED_DB), 0.0, 60)
     points = DATA / "measured_lst_variation.csv"
     of_tables = published_tables(TABLES, instrument)[0]
     series = fourier_series_curve(DATA / "lst_fourier_series.csv")
-    smooth = PointNoise(dict.fromkeys(DIPOLES, 0.05), 0.0, 60)
+    smooth = lst_curve.PointNoise(dict.fromkeys(DIPOLES, 0.05), 0.0, 60)
     drawn = "simulation drawn in the figure"
-    published = noise_prior(instrument, BAND, band_weights(instrument, AS_RECORDED, BAND))
+    published = lst_curve.noise_prior(instrument, BAND, lst_curve.band_weights(instrument, lst_curve.AS_RECORDED, BAND))
     silent, any_noise = replace(published, mean=0.0, sigma=0.001), replace(published, sigma=np.inf)
 
-    def simulated(words: str, curve: LstCurve, sky: SkyPower, is_own_sky: bool, prior: NoisePrior) -> Question:
+    def simulated(
+        words: str, curve: lst_curve.LstCurve, sky: SkyPower, is_own_sky: bool, prior: lst_curve.NoisePrior
+    ) -> Question:
         return Question(words, curve, sky, is_own_sky, known, prior=prior)
 
     quiet, noisy = (drawn_simulation(points, words) for words in ("no_noise", "noise"))
@@ -164,7 +157,7 @@ def witnesses(instrument: Instrument, own: SkyPower, tables: SkyPower) -> list[Q
 
 def main_questions(instrument: Instrument) -> tuple[Question, Question]:
     """The measured curve against our sky, and against the published tables."""
-    curve = read_lst_curve(measured_curve())
+    curve = lst_curve.read_lst_curve(lst_curve.measured_curve())
     own = Question("(a) our own sky, spread of models added", curve, compute_sky_power(instrument), True)
     tables = Question("(b) published tables at their word", curve, tables_as_sky_power(TABLES, instrument), False)
     return own, tables

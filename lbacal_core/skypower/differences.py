@@ -139,10 +139,6 @@ class ModelDifferences:
         waves = [one.changes for one in waves_at(self.frequency_mhz, LST_HOURS)]
         return np.concatenate([levels, self.isotropic[dipole] * smooth[:, None], self.shape[dipole], *waves])
 
-    def level_spread(self) -> dict[str, Floats]:
-        """Spread of the LST mean of ln P_sky between the models, shape (freq,) a dipole: half of it goes into ln C."""
-        return {dipole: np.sqrt(np.sum(values**2, axis=0)) for dipole, values in self.level.items()}
-
 
 def waves_at(frequency_mhz: Floats, lst_hours: Floats, is_search: bool = False) -> tuple[Waves, Waves]:
     """Smooth waves along LST that no model need have: of both polarisations together, and of each by itself.

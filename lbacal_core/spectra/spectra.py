@@ -14,20 +14,9 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from lbacal_core import hdf5
 from lbacal_core.errors import BadInputError, UnreadableFileError
 from lbacal_core.grids import Floats, guess_widths, require_channels, require_same_grid
-from lbacal_core.hdf5 import (
-    FLOATS,
-    HDF5_FAILURES,
-    INTEGERS,
-    NUMBERS,
-    REALS,
-    STRINGS,
-    is_in_file,
-    open_dataset,
-    read_text,
-    read_values,
-)
 from lbacal_core.instrument.antennas import EXPECTED, are_dipole_names
 from lbacal_core.spectra.quarters import Quarters, hash_quarters, hash_window, pick_hashes
 
@@ -41,16 +30,16 @@ _COVARIATE = re.compile(r"[a-z][a-z0-9_]{0,39}", re.ASCII)
 _COLUMNS = ("event_id", "time_unix", "station", "antenna", "dipole", "blocks")
 _KEY = ("station", "antenna", "dipole", "event_id")
 _KINDS = {
-    "frequency_mhz": NUMBERS,
-    "power": REALS,
-    "event_id": STRINGS,
-    "time_unix": FLOATS,
-    "station": STRINGS,
-    "antenna": INTEGERS,
-    "dipole": STRINGS,
-    "blocks": INTEGERS,
+    "frequency_mhz": hdf5.NUMBERS,
+    "power": hdf5.REALS,
+    "event_id": hdf5.STRINGS,
+    "time_unix": hdf5.FLOATS,
+    "station": hdf5.STRINGS,
+    "antenna": hdf5.INTEGERS,
+    "dipole": hdf5.STRINGS,
+    "blocks": hdf5.INTEGERS,
 }
-_OPTIONAL = {"width_mhz": NUMBERS, "duration_s": NUMBERS, "flag": STRINGS}
+_OPTIONAL = {"width_mhz": hdf5.NUMBERS, "duration_s": hdf5.NUMBERS, "flag": hdf5.STRINGS}
 
 
 @dataclass(frozen=True)
@@ -277,7 +266,7 @@ def read_spectra(path: Path, now_unix: float | None = None) -> Spectra:
     try:
         with h5py.File(path, "r") as file:
             content = _read_open_file(file, path.name)
-    except HDF5_FAILURES as error:
+    except hdf5.HDF5_FAILURES as error:
         reason = str(error)[:120]
         raise UnreadableFileError(
             f"{path}: expected a spectra file (HDF5), found something unreadable ({reason})"
@@ -305,7 +294,7 @@ def read_columns(content: bytes, place: str, largest_bytes: int) -> dict[str, An
     try:
         with h5py.File(h5py.h5f.open_file_image(content), "r") as file:
             columns = _read_open_file(file, place, largest_bytes)
-    except HDF5_FAILURES as error:
+    except hdf5.HDF5_FAILURES as error:
         reason = str(error)[:120]
         sentence = f"{place}: expected a spectra file (HDF5), found something unreadable ({reason})"
         raise UnreadableFileError(sentence) from error
@@ -320,7 +309,10 @@ def read_columns(content: bytes, place: str, largest_bytes: int) -> dict[str, An
 def _read_open_file(file: h5py.File, place: str, largest_bytes: int | None = None) -> dict[str, Any]:
     """Everything in the file by the names of `Spectra`; types and shapes are settled before any data are read."""
     found_format = file.attrs.get("format", "none")
-    if not isinstance(found_format, str | bytes) or read_text(found_format, f"{place}: attribute format") != FORMAT:
+    if (
+        not isinstance(found_format, str | bytes)
+        or hdf5.read_text(found_format, f"{place}: attribute format") != FORMAT
+    ):
         raise BadInputError(f"{place}: attribute format", FORMAT, repr(found_format))
     names = set(file)
     missing, unknown = sorted(set(_KINDS) - names), sorted(names - set(_KINDS) - set(_OPTIONAL) - {"env"})
@@ -329,15 +321,15 @@ def _read_open_file(file: h5py.File, place: str, largest_bytes: int | None = Non
         raise BadInputError(place, f"the datasets {', '.join(_KINDS)} and the group env", "; ".join(found))
     kinds = _KINDS | {name: kind for name, kind in _OPTIONAL.items() if name in names}
     if "env" in names:
-        if not is_in_file(file, "env") or not isinstance(file["env"], h5py.Group):
+        if not hdf5.is_in_file(file, "env") or not isinstance(file["env"], h5py.Group):
             raise BadInputError(f"{place}: env", "a group in this file", "something else")
-        kinds |= {f"env/{name}": NUMBERS for name in file["env"]}
-    datasets = {name: open_dataset(file, name, kind, f"{place}: {name}") for name, kind in kinds.items()}
+        kinds |= {f"env/{name}": hdf5.NUMBERS for name in file["env"]}
+    datasets = {name: hdf5.open_dataset(file, name, kind, f"{place}: {name}") for name, kind in kinds.items()}
     _require_shapes(datasets, place)
     for name, dataset in datasets.items():
         if largest_bytes is not None and dataset.nbytes > largest_bytes:
             raise BadInputError(f"{place}: {name}", f"at most {largest_bytes} bytes", f"{dataset.nbytes}")
-    values = {name: read_values(datasets[name], kind, f"{place}: {name}") for name, kind in kinds.items()}
+    values = {name: hdf5.read_values(datasets[name], kind, f"{place}: {name}") for name, kind in kinds.items()}
     return {
         **{name: values[name] for name in values if not name.startswith("env/")},
         "resistance_ohm": _resistance(file, place),
