@@ -119,8 +119,8 @@ def judge(rows: Sequence[Row], enters: str) -> list[Found]:
 
 PARTS = (
     *(
-        Part(name, partial(look, enters=name), partial(judge, enters=name), 40, headlines=("size",), needs_shared=True)
-        for name in FORMS
+        Part(name, partial(look, enters=name), partial(judge, enters=name), 40, headlines=shown, needs_shared=True)
+        for name, shown in (("front", ()), ("behind", ("size",)))
     ),
     Part("cover", cover, judge_cover, 400, needs_shared=True),
 )

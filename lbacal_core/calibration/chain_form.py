@@ -49,8 +49,9 @@ ALIKE = 1e-6
 """Share by which N / G_ant must differ from a constant for the data to know where the noise enters."""
 FORM_OF_CHAIN = "form of the chain"
 """Under this name the notes of a report and a term of the budget hold it."""
-OPEN = 0.05
-"""A form at least this probable is said to be open."""
+OPEN, EXCLUDED = 0.05, 0.1
+"""A form at least so probable is open, and one under which data are not less probable than in the preferred one by the
+second number: less is strong evidence against it (Jeffreys 1961)."""
 MEANING: Mapping[str, str] = {
     PUBLISHED: "noise enters in front of the antenna's resonance, as published",
     BEHIND: "noise enters behind the antenna's resonance, N / G_ant, beside N_LNA in front of it",
@@ -77,8 +78,10 @@ class ChainForm:
         return max(self.probability, key=lambda form: self.probability[form])
 
     def is_open(self, form: str) -> bool:
-        """Whether the data leave a form possible."""
-        return self.probability.get(form, 0.0) >= OPEN
+        """Whether a form is possible: probable, or not excluded by the data, whatever is thought of it beforehand."""
+        probability = self.probability.get(form, 0.0)
+        said_by_data = probability / self.probability[self.name] * PRIOR[self.name] / PRIOR[form]
+        return probability >= OPEN or said_by_data > EXCLUDED
 
     def __str__(self) -> str:
         """Which form is preferred, with which odds, and which others are open, in one sentence."""

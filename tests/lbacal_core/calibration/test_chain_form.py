@@ -185,6 +185,12 @@ def test_stated_stages_and_a_gain_that_is_flat_are_no_hypotheses(scene):
     assert str(compare_forms(few, scene.simulation)).endswith("not compared with other forms")
 
 
+def test_a_form_is_open_that_is_probable_or_that_the_data_do_not_exclude():
+    """Of one to which little was given beforehand a small probability says nothing: sizes were 1.9 sigma low."""
+    for published, behind, is_open in ((0.95, 0.02, True), (0.95, 0.002, False), (0.5, 0.06, True)):
+        assert ChainForm({PUBLISHED: published, BEHIND: behind}).is_open(BEHIND) == is_open
+
+
 def test_the_sentence_names_the_form_its_odds_and_what_is_open():
     told = str(ChainForm({PUBLISHED: 0.09, BEHIND: 0.9, SLOPED: 0.01}))
     assert told.startswith("noise enters behind the antenna's resonance, N / G_ant")
