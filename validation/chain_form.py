@@ -73,7 +73,7 @@ def look(seed: int, enters: str) -> Row:
     return {
         "form": form.name,
         "is_open": form.is_open(FORMS[enters]),
-        "probability": round(form.probability[FORMS[enters]], 4),
+        "odds_by_data": round(form.odds_by_data(FORMS[enters]), 4),
         "size": sizes[0]["value"] if sizes else None,
         "pull": (sizes[0]["value"] - TAU) / sizes[0]["sigma"] if sizes else None,
         "others": [one["cause"] for one in report["findings"] if one["cause"] != CAUSE],

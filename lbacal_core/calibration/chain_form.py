@@ -79,9 +79,11 @@ class ChainForm:
 
     def is_open(self, form: str) -> bool:
         """Whether a form is possible: probable, or not excluded by the data, whatever is thought of it beforehand."""
-        probability = self.probability.get(form, 0.0)
-        said_by_data = probability / self.probability[self.name] * PRIOR[self.name] / PRIOR[form]
-        return probability >= OPEN or said_by_data > EXCLUDED
+        return self.probability.get(form, 0.0) >= OPEN or self.odds_by_data(form) > EXCLUDED
+
+    def odds_by_data(self, form: str) -> float:
+        """Probability of the data in a form over that in the preferred one."""
+        return self.probability.get(form, 0.0) / self.probability[self.name] * PRIOR[self.name] / PRIOR[form]
 
     def __str__(self) -> str:
         """Which form is preferred, with which odds, and which others are open, in one sentence."""

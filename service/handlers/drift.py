@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from functools import partial
 from operator import attrgetter
 from typing import Annotated, Any, Literal
 
@@ -95,8 +96,6 @@ def describe_slope(slope: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-# Alarms: what is wrong and lasts, and who knows of it.
-
 alarms = APIRouter(tags=["alarms"])
 Operator = Annotated[Caller, caller_with("refits:run")]
 State = Literal["open", "acknowledged", "ended", "lasting", "all"]
@@ -121,9 +120,8 @@ def list_alarms(
     """
     states = CHOICES.get(state, (state,))
     found = use.alarms.newest(AlarmsAsked(states, limit, kind, station, cursor))
-    now = use.clock()
-    page = page_of("alarms", found, limit, lambda one: describe_alarm(one, now), attrgetter("number"))
-    return answer(request, page)
+    describe = partial(describe_alarm, now=use.clock())
+    return answer(request, page_of("alarms", found, limit, describe, attrgetter("number")))
 
 
 @acts(alarms, "/v1/alarms/{number}/acknowledgement", AcknowledgementBody, wire.AlarmAnswer, 404)
