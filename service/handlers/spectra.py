@@ -50,7 +50,7 @@ def list_receipts(
 ) -> Response:
     """Which bodies are stored already.
 
-    Of the bodies named by the SHA-256 of their bytes, those whose spectra are all stored: they need not be sent
+    Those among the named ones, by the SHA-256 of their bytes, whose spectra are all stored: they need not be sent
     again.
     """
     return answer(request, {"stored": sorted(use.intake.find_receipts(sha256.split(",")))})
