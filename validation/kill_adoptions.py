@@ -37,7 +37,7 @@ from validation.kills import (
     open_database,
     simulate,
     victims_of,
-)  # fmt: skip
+)
 from validation.machinery.parts import Part, Row
 from validation.running.processes import is_ready, run_service, wait_until
 

@@ -20,7 +20,7 @@ from lbacal_core.calibration.chain_test import (
     describe_mistakes,
     is_improbable,
     name_mistakes,
-)  # fmt: skip
+)
 from lbacal_core.calibration.channels import SMALLEST_BAND, describe_merged, flag_channels, solve_without_interference
 from lbacal_core.calibration.continued import keep_lines
 from lbacal_core.calibration.lines import Lines, fit_lines

@@ -17,7 +17,7 @@ from service.handlers.request import (
     answer,
     caller_with,
     require_caller,
-)  # fmt: skip
+)
 from service.handlers.routes import Order, acts, ordered, page_of, reads
 from service.storage.jobs import Job
 from service.usecases.keys import Caller

@@ -19,7 +19,7 @@ from service.handlers.request import (
     answer,
     caller_with,
     media_type_of,
-)  # fmt: skip
+)
 from service.handlers.routes import acts, page_of, reads
 from service.storage.spectra import EventsAsked, StoredEvent
 from service.usecases.keys import Caller

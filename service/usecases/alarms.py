@@ -33,7 +33,7 @@ from service.storage.alarms import (
     Alarm,
     AlarmsAsked,
     News,
-)  # fmt: skip
+)
 from service.storage.database import Database, Stores
 from service.storage.drift import Cut, KeptCut
 from service.storage.jobs import Job

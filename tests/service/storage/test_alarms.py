@@ -23,7 +23,7 @@ from service.storage.alarms import (
     Alarm,
     AlarmsAsked,
     News,
-)  # fmt: skip
+)
 from service.storage.jobs import Order
 from service.storage.sums import Sums
 from service.usecases.drift_measurement import KIND, read_events, write_events
