@@ -50,8 +50,7 @@ ALIKE = 1e-6
 FORM_OF_CHAIN = "form of the chain"
 """Under this name the notes of a report and a term of the budget hold it."""
 OPEN, EXCLUDED = 0.05, 0.1
-"""A form at least so probable is open, and one under which data are not less probable than in the preferred one by the
-second number: less is strong evidence against it (Jeffreys 1961)."""
+"""Least probability of an open form, or of the data in it over those in the preferred one (strong: Jeffreys 1961)."""
 MEANING: Mapping[str, str] = {
     PUBLISHED: "noise enters in front of the antenna's resonance, as published",
     BEHIND: "noise enters behind the antenna's resonance, N / G_ant, beside N_LNA in front of it",

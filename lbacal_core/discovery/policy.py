@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from lbacal_core.calibration.chain_form import EXCLUDED, OPEN
+
 
 @dataclass(frozen=True)
 class Policy:
@@ -64,7 +66,7 @@ class Policy:
 
     def as_dict(self) -> dict[str, Any]:
         """The thresholds by name, for the provenance of a report."""
-        return asdict(self)
+        return asdict(self) | {"form_open": OPEN, "form_excluded": EXCLUDED}
 
 
 CURVE_POLICY = Policy(most_findings=4, rivals=3)

@@ -24,8 +24,6 @@ from service.wire import answer_models as wire
 from service.wire.answers import describe_scope, fill_answer
 from service.wire.bodies import AcknowledgementBody, ReasonBody, parse_body
 
-# Drift of C with time.
-
 router = APIRouter(tags=["drift"])
 
 
