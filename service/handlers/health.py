@@ -70,9 +70,7 @@ def get_metrics(request: Request, use: UseCases) -> Response:
 
 def describe_status(state: State, news: list[StationNews], stopped: list[str], waiting: list[str]) -> dict[str, Any]:
     """What an operator looks at, as JSON values."""
-    processes = [
-        fill_answer(wire.ProcessAnswer, process, silent_s=process.silent_us / 1e6) for process in state.processes
-    ]
+    processes = [fill_answer(wire.ProcessAnswer, one, silent_s=one.silent_us / 1e6) for one in state.processes]
     return fill_answer(
         wire.StatusAnswer, state, ready=state.problem is None, processes=processes,
         alarms=fill_answer(wire.AlarmCountsAnswer, state.alarms), investigations=[describe_news(one) for one in news],
