@@ -11,7 +11,7 @@ from prometheus_client import CollectorRegistry
 from starlette.middleware.gzip import GZipMiddleware
 
 from service.factory import Factory
-from service.handlers import calibrations, drift, health, jobs, ledger, models, pages, problems, session, spectra
+from service.handlers import calibrations, drift, health, jobs, ledger, life, models, pages, problems, session, spectra
 from service.handlers.edge import AnswersHead, Edge, KeyGuard
 from service.handlers.metrics import Traffic
 from service.handlers.request import LARGE_READS, require_acceptable, require_known_query
@@ -42,7 +42,8 @@ def make_app(factory: Factory) -> FastAPI:
         models.investigations,
         models.router,
         drift.router,
-        drift.cuts,
+        drift.changes,
+        life.router,
         drift.alarms,
         health.router,
         pages.router,

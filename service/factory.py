@@ -18,7 +18,7 @@ from service.config import Settings
 from service.storage.database import Database
 from service.usecases.alarms import Alarms
 from service.usecases.calibrations import Calibrations
-from service.usecases.cuts import Cuts
+from service.usecases.changes import Changes
 from service.usecases.drift import Drift
 from service.usecases.intake import Intake
 from service.usecases.keys import Keys
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from service.usecases.due import DueWork
     from service.usecases.fits import Fits
     from service.usecases.investigations import Investigations
+    from service.usecases.life import Lives
     from service.usecases.models import Models
     from service.usecases.orders import Inputs
     from service.usecases.payoff import Payoff
@@ -152,9 +153,16 @@ class Factory:
         return DriftMeasurement(self.database, self.fits, self.clock)
 
     @cached_property
-    def cuts(self) -> Cuts:
-        """Dates at which windows are cut."""
-        return Cuts(self.database, self.instrument.dipoles, self.clock)
+    def changes(self) -> Changes:
+        """What changed in paths, and what is decided about it."""
+        return Changes(self.database, self.instrument, self.promotions, lambda: self.fits, self.clock)
+
+    @cached_property
+    def lives(self) -> Lives:
+        """All that happened to a path."""
+        from service.usecases.life import Lives
+
+        return Lives(self.database, self.instrument, self.changes, self.models, self.alarms)
 
     @cached_property
     def watch(self) -> Watch:
@@ -170,7 +178,7 @@ class Factory:
 
         return Alarms(
             self.database, self.clock, self.settings.stale_days, lambda: find_stopped(self.models.history()),
-            self.cuts.waiting,
+            self.changes.waiting,
         )  # fmt: skip
 
     @cached_property

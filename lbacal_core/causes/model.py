@@ -229,8 +229,8 @@ class Model:
                 at = f" on {_instant(one.parameters[INSTANT])[:10]}" if INSTANT in one.parameters else ""
                 expected = (
                     "a cause that does not follow the date: with one that does, one C would stand for a time in which "
-                    "C changes; cut the window there instead, by `lbacal cuts` or by `since` of the antenna in the "
-                    "instrument file"
+                    "C changes; it is a change: put it in force by `lbacal changes` or by `since` of the antenna in "
+                    "the instrument file, and the window is cut there"
                 )
                 raise BadInputError(place, expected, f"{one.cause}{at} in {one.target} of {one.station}")
 

@@ -1,4 +1,4 @@
-"""Drift of C with time, the alarms that it raises, and the dates at which it cuts windows."""
+"""Drift of C with time, the alarms that it raises, and what changed."""
 
 from __future__ import annotations
 
@@ -10,19 +10,21 @@ from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Query, Request, Response
 
-from lbacal.instants import DAY_US, format_instant
+from lbacal.instants import DAY_US, format_instant, format_optional, parse_instant
 from lbacal_core.curves.validity import Instant, Scope
 from lbacal_core.errors import BadInputError
+from service.handlers.ledger import PROMOTE, describe_changes
 from service.handlers.request import AntennaQuery, JobNumber, JsonBody, Limit, UseCases, Whole, answer, caller_with
-from service.handlers.routes import acts, page_of, reads
+from service.handlers.routes import Order, acts, ordered, page_of, reads
 from service.storage.alarms import ACKNOWLEDGED, OPEN, STATES, Alarm, AlarmsAsked
-from service.storage.drift import KeptCut
+from service.storage.changes import KeptChange
 from service.usecases.calibrations import select_paths
+from service.usecases.changes import concerns
 from service.usecases.drift import SECOND_US, DriftSeries, MonthPoint, Step
 from service.usecases.keys import Caller
 from service.wire import answer_models as wire
 from service.wire.answers import describe_scope, fill_answer
-from service.wire.bodies import AcknowledgementBody, ReasonBody, parse_body
+from service.wire.bodies import AcknowledgementBody, ChangeBody, DecisionBody, parse_body
 
 router = APIRouter(tags=["drift"])
 
@@ -143,45 +145,100 @@ def describe_alarm(alarm: Alarm, now: Instant) -> dict[str, Any]:
     )  # fmt: skip
 
 
-# Cuts: dates at which the watch cuts the windows of antennas, and what people decide about them.
+# Changes: what changed in paths, who says so, and what people decide about it.
 
-cuts = APIRouter(tags=["cuts"])
-Promoter = Annotated[Caller, caller_with("calibrations:promote")]
+changes = APIRouter(tags=["changes"])
+Promoter = Annotated[Caller, caller_with(PROMOTE)]
 
 
-@reads(cuts, "/v1/cuts", wire.CutsAnswer)
-def list_cuts(request: Request, use: UseCases, station: str | None = None) -> Response:
-    """Where windows are cut.
+@reads(changes, "/v1/changes", wire.PathChangesAnswer)
+def list_changes(
+    request: Request,
+    use: UseCases,
+    station: str | None = None,
+    antenna: AntennaQuery = None,
+    dipole: str | None = None,
+    since: str | None = None,
+    until: str | None = None,
+    decision: Literal["proposed", "in_force", "dismissed"] | None = None,
+) -> Response:
+    """What changed, and when.
 
-    Dates at which the watch found that an antenna changed, in order of antenna and date: the windows of its refits
-    are cut there while the cut stands.
+    In order of station and date: what drift found beyond the threshold of an alarm, what is on record or a person
+    entered is in force at once, what an investigation alone found is proposed. Windows are cut where a step is in
+    force, until it has ended or is dismissed.
     """
-    return answer(request, {"cuts": [describe_cut(one) for one in use.cuts.list_all(station)]})
+    start, end = (
+        None if one is None else parse_instant(name, one) for name, one in (("since", since), ("until", until))
+    )
+    found = [
+        one
+        for one in use.changes.list_all(station)
+        if concerns(one, antenna, dipole)
+        and (start is None or one.change.date >= start)
+        and (end is None or one.change.date < end)
+        and decision in (None, one.decision)
+    ]
+    return answer(request, {"changes": [describe_change(one) for one in found]})
 
 
-@acts(cuts, "/v1/cuts/{number}/lift", ReasonBody, wire.CutAnswer, 404, 409)
-def lift_cut(request: Request, use: UseCases, number: JobNumber, caller: Promoter, body: JsonBody) -> Response:
-    """Leave windows whole at a date.
+@acts(changes, "/v1/changes", ChangeBody, wire.PathChangeAnswer)
+def enter_change(
+    request: Request, use: UseCases, order: Annotated[Order[ChangeBody], ordered(ChangeBody, PROMOTE)]
+) -> Response:
+    """Enter what is known to have changed.
 
-    Although the watch finds a change there; the next look for due work fits the windows again. A cut that is lifted
-    already, or that has ended, is 409.
+    It is in force at once, and the next look for due work fits the windows that it cuts. One that was found already
+    gets the person as one more source.
     """
-    lifted = use.cuts.lift(number, parse_body(ReasonBody, body), caller.name)
-    return answer(request, describe_cut(lifted), status=201)
+    done = order.once("change", lambda: describe_change(use.changes.enter(order.wanted, order.caller)))
+    return answer(request, done, status=201)
 
 
-@acts(cuts, "/v1/cuts/{number}/restoration", ReasonBody, wire.CutAnswer, 404, 409)
-def restore_cut(request: Request, use: UseCases, number: JobNumber, caller: Promoter, body: JsonBody) -> Response:
-    """Cut windows again where the cut was lifted.
+@acts(
+    changes, "/v1/changes/{number}/decision", DecisionBody, wire.DecidedAnswer, 404, 409, otherwise=wire.DecidedAnswer
+)
+def decide_change(
+    request: Request, use: UseCases, number: JobNumber, caller: Promoter, body: JsonBody, dry_run: bool = False
+) -> Response:
+    """Put a change in force, or dismiss it.
 
-    The next look for due work fits the windows again. A cut that stands, or that has ended, is 409.
+    Whatever its sources say; the next look for due work fits the windows again. `changes` is what its paths would be
+    told, by fits of the year. A change that has ended, or of which this is decided already, is 409. `dry_run=true`
+    answers 200 and writes nothing.
     """
-    restored = use.cuts.restore(number, parse_body(ReasonBody, body), caller.name)
-    return answer(request, describe_cut(restored), status=201)
+    wanted = parse_body(DecisionBody, body)
+    foreseen, of_c = use.changes.foresee(number, wanted, caller.name)
+    decided = foreseen if dry_run else use.changes.decide(number, wanted, caller.name)
+    content = {**describe_change(decided), "changes": describe_changes(of_c)}
+    return answer(request, content, status=200 if dry_run else 201)
 
 
-def describe_cut(kept: KeptCut) -> dict[str, Any]:
-    """A cut as JSON values."""
-    decision = None if kept.decision is None else fill_answer(wire.CutDecision, kept.decision)
-    of_cut = {"cut": kept.number, "date_sigma_days": kept.cut.sigma_days, "refitted": kept.is_refitted}
-    return fill_answer(wire.CutAnswer, kept, kept.cut, decision=decision, **of_cut)
+def describe_change(kept: KeptChange) -> dict[str, Any]:
+    """A change as JSON values."""
+    change, said, first = kept.change, kept.said, kept.evidence[0]
+    paths = [{"station": change.station, "antenna": antenna, "dipole": dipole} for antenna, dipole in change.paths]
+    of_c = None if change.size is None else {"value": change.size, "sigma": change.size_sigma or 0.0}
+    return {
+        "id": kept.number,
+        "paths": paths or None,
+        "station": change.station,
+        "array": change.station is None,
+        "at": {"value": format_instant(change.date), "sigma_days": change.sigma_days},
+        "kind": change.kind,
+        "size": of_c and {**of_c, "unit": "fraction of C"},
+        "evidence": [
+            {
+                "from": one.source, "ref": one.ref, "significance_sigma": one.significance,
+                "made_at": format_instant(one.made), "ended_at": format_optional(one.ended),
+            }
+            for one in kept.evidence
+        ],
+        "decision": kept.decision,
+        "by": first.source if said is None else said.by,
+        "reason": f"found by {first.source}" if said is None else said.reason,
+        "refitted": kept.is_refitted,
+        "cuts_windows": bool(kept.cuts),
+        "made_at": format_instant(kept.made),
+        "ended_at": format_optional(kept.ended),
+    }  # fmt: skip

@@ -16,7 +16,6 @@ from service.handlers.request import UseCases, answer, require_read
 from service.handlers.routes import reads
 from service.storage.jobs import Failure
 from service.usecases.alarms import StationNews
-from service.usecases.cuts import tell_not_refitted
 from service.usecases.models import list_stopped
 from service.usecases.status import State
 from service.wire import answer_models as wire
@@ -51,7 +50,8 @@ def get_status(request: Request, use: UseCases) -> Response:
     the one before did not say, and the failures of the last 30 days that nothing has made up for, with the time
     after which due work is tried again.
     """
-    stopped, waiting = list_stopped(use.models.history()), [tell_not_refitted(one.cut) for one in use.cuts.waiting()]
+    stopped = list_stopped(use.models.history())
+    waiting = [cut.warning for one in use.changes.waiting() for cut in one.cuts]
     return answer(request, describe_status(use.status.look(), use.investigations.news(), stopped, waiting))
 
 

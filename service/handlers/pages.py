@@ -76,8 +76,8 @@ def show_jobs(request: Request, use: UseCases) -> Response:
 @router.get("/drift")
 def show_drift(request: Request, use: UseCases) -> Response:
     main = use.drift.shown.get(use.drift.state(), lambda: _tell_drift(use))
-    cuts = [one for one in use.cuts.list_all(None) if one.ended is None]
-    return _page(request, use, "drift.html", "/drift", main=main, cuts=cuts)
+    changes = [one for one in use.changes.list_all() if one.ended is None]
+    return _page(request, use, "drift.html", "/drift", main=main, changes=changes)
 
 
 def _tell_drift(use: UseCases) -> str:

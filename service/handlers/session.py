@@ -22,7 +22,7 @@ from service.handlers.problems import problem_of, wants_page
 from service.handlers.request import FORM_COOKIE, KEY_COOKIE, JobNumber, UseCases, read_form_body, require_caller
 from service.page.render import render_page
 from service.wire.answers import to_json
-from service.wire.bodies import AcknowledgementBody, Body, ReasonBody, parse_body
+from service.wire.bodies import AcknowledgementBody, Act, Body, DecisionBody, ReasonBody, parse_body
 
 # Forms of pages that change something: they ask for a key each time, and keep it nowhere.
 #
@@ -35,18 +35,11 @@ BodyType = TypeVar("BodyType", bound=Body)
 KEY = "key"
 
 
-@forms.post("/cuts/{number}/lift")
-def lift_cut(request: Request, use: UseCases, number: JobNumber, form: Form) -> RedirectResponse:
+@forms.post("/changes/{number}/{decision}")
+def decide_change(request: Request, use: UseCases, number: JobNumber, decision: Act, form: Form) -> RedirectResponse:
     body, by = _take(request, use, form, ReasonBody, "calibrations:promote")
-    use.cuts.lift(number, body, by)
-    return RedirectResponse("/drift#cuts", 303)
-
-
-@forms.post("/cuts/{number}/restoration")
-def restore_cut(request: Request, use: UseCases, number: JobNumber, form: Form) -> RedirectResponse:
-    body, by = _take(request, use, form, ReasonBody, "calibrations:promote")
-    use.cuts.restore(number, body, by)
-    return RedirectResponse("/drift#cuts", 303)
+    use.changes.decide(number, DecisionBody(decision=decision, reason=body.reason), by)
+    return RedirectResponse("/drift#changes", 303)
 
 
 @forms.post("/alarms/{number}/acknowledgement")

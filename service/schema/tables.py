@@ -289,6 +289,7 @@ job = Table(
     Column("due_name", Text, index=True, comment="names scheduled work"),
     Column("due_key", Text, unique=True, comment="its name and which try it is, so that each try is enqueued once"),
     Column("is_cancelled", Boolean, nullable=False),
+    Column("called_for", Text, comment="inputs that called for scheduled work, JSON by name"),
 )
 
 job_part = Table(
@@ -382,24 +383,39 @@ drift_year = Table(
     Column("ratios", LargeBinary, comment="little-endian f8 (path, month, number); null for the array"),
 )
 
-window_cut = Table(
-    "window_cut",
+change = Table(
+    "change",
     metadata,
     Column("id", BigNumber, primary_key=True),
-    Column("station", Text, nullable=False),
-    Column("antenna", Integer, nullable=False),
-    Column("date_us", BigInteger, nullable=False, comment="when the antenna changed, as the watch found it first"),
+    Column("station", Text, comment="null for the array"),
+    Column("paths", Text, nullable=False, comment="JSON: antenna and dipole (null: both) of each; empty for all"),
+    Column("kind", Text, nullable=False, comment="step, ramp, season or course"),
+    Column("date_us", BigInteger, nullable=False, comment="when it changed, as it was found first"),
     Column("sigma_us", BigInteger, nullable=False, comment="standard deviation of the date"),
+    Column("size", Float, comment="change of C, a fraction"),
+    Column("size_sigma", Float),
     Column("made_us", BigInteger, nullable=False),
-    Column("lifted_us", BigInteger, comment="when the watch no longer found the change; null while it stands"),
+    comment="what changed in a path, a station or the array, one row whoever found it",
 )
 
-cut_decision = Table(
-    "cut_decision",
+change_evidence = Table(
+    "change_evidence",
     metadata,
     Column("id", BigNumber, primary_key=True),
-    Column("cut", BigNumber, ForeignKey("window_cut.id"), nullable=False, index=True),
-    Column("act", Text, nullable=False, comment="lifted or restored"),
+    Column("change", BigNumber, ForeignKey("change.id"), nullable=False, index=True),
+    Column("source", Text, nullable=False, comment="drift, investigation, record or person"),
+    Column("ref", Text, nullable=False, comment="id of the investigation, or who says so"),
+    Column("significance", Float, comment="standard deviations"),
+    Column("made_us", BigInteger, nullable=False),
+    Column("ended_us", BigInteger, comment="when the source no longer said so; null while it does"),
+)
+
+change_decision = Table(
+    "change_decision",
+    metadata,
+    Column("id", BigNumber, primary_key=True),
+    Column("change", BigNumber, ForeignKey("change.id"), nullable=False, index=True),
+    Column("decision", Text, nullable=False, comment="in_force or dismissed"),
     Column("at_us", BigInteger, nullable=False),
     Column("by", Text, nullable=False),
     Column("reason", Text, nullable=False),

@@ -17,7 +17,8 @@ from sqlalchemy.exc import TimeoutError as PoolTimeoutError
 from lbacal_core.errors import BadInputError, LbacalError
 from service.errors import UnavailableError
 from service.storage.alarms import AlarmStore
-from service.storage.drift import CutStore, DriftStore
+from service.storage.changes import ChangeStore
+from service.storage.drift import DriftStore
 from service.storage.jobs import JobStore
 from service.storage.keys import DeedStore, KeyStore
 from service.storage.ledger import LedgerStore, TagStore
@@ -134,7 +135,7 @@ class Stores:
         self.processes = ProcessStore(connection)
         self.deeds = DeedStore(connection)
         self.drift = DriftStore(connection)
-        self.cuts = CutStore(connection)
+        self.changes = ChangeStore(connection)
         self.alarms = AlarmStore(connection)
         self.keys = KeyStore(connection)
 

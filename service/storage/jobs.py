@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 from sqlalchemy import and_, case, func, or_, select, update
@@ -39,7 +39,7 @@ class Order:
     """A job to be made: who asked for what and why.
 
     `inputs` are those that a worker must have for it (`service.usecases.orders`). `due_name` names scheduled work,
-    which is made until it is done, and then no more.
+    which is made until it is done, and then no more. `called_for` are the inputs that call for it, by name.
     """
 
     kind: str
@@ -49,6 +49,11 @@ class Order:
     by: str
     due_name: str | None = None
     inputs: str | None = None
+    called_for: Mapping[str, Any] | None = None
+
+
+Explain = Callable[[Mapping[str, Any] | None, Mapping[str, Any]], str]
+"""Says why work is due: from the inputs of the same work before, None where there is none, and those of now."""
 
 
 @dataclass(frozen=True)
@@ -116,7 +121,7 @@ class Failure:
 class JobStore(Store):
     """Jobs are inserted; their parts go from queued to running to done or failed."""
 
-    def add(self, order: Order, now: Instant) -> int | None:
+    def add(self, order: Order, now: Instant, explain: Explain | None = None) -> int | None:
         """Make a job; None for due work that is done, open, or failed too shortly ago."""
         key = order.due_name
         if key is not None:
@@ -124,8 +129,16 @@ class JobStore(Store):
             if tries.is_settled or (tries.again is not None and now < tries.again):
                 return None
             key = f"{key}.{tries.failed}" if tries.failed else key
-        more = {"created_us": now, "due_key": key, "is_cancelled": False}
-        row = to_row(order, job, request=canonical_json(order.request), **more)
+        request = canonical_json(order.request)
+        called_for = None if order.called_for is None else canonical_json(order.called_for)
+        if explain is not None and called_for is not None:
+            last = select(job.c.called_for).where(job.c.kind == order.kind, job.c.request == request)
+            last = last.where(job.c.called_for.is_not(None)).order_by(job.c.id.desc()).limit(1)
+            before = self._connection.execute(last).scalar_one_or_none()
+            why = explain(None if before is None else json.loads(before), json.loads(called_for))
+            order = replace(order, reason=why)
+        more = {"created_us": now, "due_key": key, "is_cancelled": False, "called_for": called_for}
+        row = to_row(order, job, request=request, **more)
         statement = insert_into(self._connection, job).values(row)
         statement = statement.on_conflict_do_nothing(index_elements=["due_key"]).returning(job.c.id)
         number = self._connection.execute(statement).scalar_one_or_none()

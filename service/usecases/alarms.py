@@ -34,14 +34,13 @@ from service.storage.alarms import (
     AlarmsAsked,
     News,
 )
+from service.storage.changes import NOT_REFITTED, KeptChange
 from service.storage.database import Database, Stores
-from service.storage.drift import Cut, KeptCut
 from service.storage.jobs import Job
 from service.storage.models import Investigation
 from service.storage.versions import Version
-from service.usecases.cuts import NOT_REFITTED
 from service.usecases.drift import end_of_year
-from service.usecases.watch import is_same_cut, list_cuts
+from service.usecases.watch import read_change
 from service.wire.bodies import AcknowledgementBody
 
 # Named causes that move C: what an investigation found, while the calibrations in effect were made without it.
@@ -174,8 +173,8 @@ class Alarms:
     stale_days: float
     stopped: Callable[[], Sequence[News]]
     """Adopted causes that no longer pay."""
-    not_refitted: Callable[[], Sequence[KeptCut]]
-    """Cuts while C in effect is the mean over them."""
+    not_refitted: Callable[[], Sequence[KeptChange]]
+    """Changes while C in effect is the mean over them."""
 
     def look(self) -> list[int]:
         """Take in what the database tells; the alarms that are new."""
@@ -197,7 +196,7 @@ class Alarms:
         """Alarms, newest first."""
         with self.database.read() as stores:
             found = stores.alarms.newest(asked, self.clock())
-        waiting = [one.cut for one in self.not_refitted()]
+        waiting = self.not_refitted()
         return [_with_state(one, waiting) for one in found]
 
     def acknowledge(self, number: int, body: AcknowledgementBody, by: str) -> Alarm:
@@ -244,12 +243,12 @@ class Alarms:
         yield News(STALE_DATA, Scope(), "", sentence, {"newest_event": format_instant(span[1])}, span[1])
 
 
-def _with_state(alarm: Alarm, waiting: Sequence[Cut]) -> Alarm:
+def _with_state(alarm: Alarm, waiting: Sequence[KeptChange]) -> Alarm:
     """An alarm of a step that says so where its windows are not yet refitted."""
     if not waiting or alarm.news.kind != STEP or alarm.ended is not None:
         return alarm
-    own = list_cuts({"changes": [alarm.news.content]})
-    if not any(is_same_cut(one, cut) for one in own for cut in waiting):
+    own = read_change(alarm.news.content)
+    if not any(own.is_same(one.change) for one in waiting):
         return alarm
     return replace(alarm, news=replace(alarm.news, sentence=f"{alarm.news.sentence} ({NOT_REFITTED})"))
 

@@ -15,11 +15,10 @@ from lbacal_core.errors import BadInputError, name_path
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.provenance import Remembered
 from service.errors import NotInEffectError
+from service.storage.changes import Cut
 from service.storage.database import Database
-from service.storage.drift import Cut
 from service.storage.ledger import Neighbours
 from service.storage.versions import MICROSECONDS, Examined, Version
-from service.usecases.cuts import is_over, tell_not_refitted
 
 PROMOTIONS_SHOWN = 100
 VERSIONS_REMEMBERED = 1200
@@ -135,7 +134,7 @@ class Calibrations:
         self, at: Instant, paths: Sequence[Scope], as_of: Instant | None = None, *, hold: bool = False
     ) -> InEffect:
         """What answers for paths at an instant; an error naming the neighbours if nothing does for any of them."""
-        asked, cuts = self.database.ask(lambda s: (s.ledger.answers(paths, at, as_of), s.cuts.known(as_of)))
+        asked, cuts = self.database.ask(lambda s: (s.ledger.answers(paths, at, as_of), s.changes.cuts(as_of=as_of)))
         of_antenna = _by_antenna(cuts)
         answers = _pick_decisive(asked)
         held: Mapping[Scope, Promotion] = {}
@@ -264,7 +263,7 @@ def _by_antenna(cuts: Iterable[Cut]) -> dict[tuple[str | None, int | None], list
 def _find_change(promotion: Promotion, cuts: Mapping[tuple[str | None, int | None], Sequence[Cut]]) -> str | None:
     """What to know of a path's own version that answers on both sides of a change."""
     of_antenna = cuts.get((promotion.scope.station, promotion.scope.antenna), ())
-    return next((tell_not_refitted(cut) for cut in of_antenna if is_over(promotion, cut)), None)
+    return next((cut.warning for cut in of_antenna if cut.is_bridged_by(promotion)), None)
 
 
 def _pick_decisive(asked: Mapping[Scope, Sequence[Promotion]]) -> dict[Scope, Promotion]:

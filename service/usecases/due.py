@@ -13,15 +13,16 @@ longer pauses, because what is due follows from what is stored and not from when
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from lbacal.instants import DAY_US
+from lbacal.instants import DAY_US, format_instant
 from lbacal_core.curves.validity import Instant, Scope
+from lbacal_core.errors import name_path
 from lbacal_core.provenance import hash_content
 from lbacal_core.simulation.simulation import Simulation
 from service.storage.database import Database, Stores
@@ -106,7 +107,7 @@ class DueWork:
             inputs, last = self.watch.name_inputs(stores), stores.drift.report_made()
             if inputs is None or (last is not None and inputs == last[0]) or stores.jobs.is_open(DRIFT):
                 return []
-        return self._add([self._order(WATCH, {}, [inputs, last], "another drift was measured than the one before")])
+        return self._add([self._order(WATCH, {}, {"drift": inputs, "report": last})])
 
     def _add(self, orders: list[Order]) -> list[int]:
         if not orders:
@@ -116,14 +117,15 @@ class DueWork:
                 if "model" in order.request:
                     part = order.request
                     stores.models.put(stores.models.during(part["station"], part["since"], part["until"]))
-            made = [stores.jobs.add(order, self.clock()) for order in orders]
+            made = [stores.jobs.add(one, self.clock(), explain_due if one.by == BY else None) for one in orders]
         return [number for number in made if number is not None]
 
     def _refits(self, stores: Stores, change: ModelChange | None = None, *, with_cuts: bool = False) -> Iterator[Order]:
         for since, until in find_years(stores):
             if change is not None and not change.touches(since, until):
                 continue
-            if with_cuts and not stores.cuts.kept(None, since, until):
+            window = None, since, until
+            if with_cuts and not (stores.changes.cuts(*window) or stores.changes.last_act(*window)):
                 continue
             filled = []
             for station in stores.spectra.stations():
@@ -139,12 +141,15 @@ class DueWork:
     def _refit(self, stores: Stores, scope: str, of: Scope, since: Instant, until: Instant, content: Any) -> Order:
         model = stores.models.during(of.station, since, until)
         part = describe_part(scope, of, since, until, model, promote=True)
-        reason = "new spectra in the window, a change of an antenna found in it, or other inputs than before"
-        cuts = [[[one.station, one.antenna, one.date] for one in find_cuts(stores, of.station, since, until, model)]]
-        changed = stores.cuts.last_change(of.station, since, until)
-        found = [content, *_name_change(stores, of.station, since, until), *(cuts if cuts[0] else [])]
-        found += [{"cuts": changed}] if changed else []
-        return self._order(REFIT, part, found, reason)
+        cuts = find_cuts(stores, of.station, since, until, model)
+        acts = stores.changes.last_act(of.station, since, until)
+        called_for = {
+            "spectra": content,
+            "model": _name_change(stores, of.station, since, until),
+            "changes": [[cut.station, cut.antenna, cut.date] for cut in cuts],
+            "decisions": {"cuts": acts} if acts else None,
+        }
+        return self._order(REFIT, part, called_for)
 
     def _drift(self, stores: Stores, stations: list[str]) -> Iterator[Order]:
         for station in stations:
@@ -156,31 +161,77 @@ class DueWork:
                 if content[0] == 0:
                     continue
                 part = {"station": station, "since": since, "until": until}
-                reason = "new spectra in the window, or another reference or model"
-                change = _name_change(stores, station, since, until)
-                yield self._order(DRIFT, part, [FORM, content, sorted(references.values()), *change], reason)
+                model = _name_change(stores, station, since, until)
+                named = {"form": FORM, "spectra": content, "references": sorted(references.values()), "model": model}
+                yield self._order(DRIFT, part, named)
 
     def _investigations(self, stores: Stores) -> Iterator[Order]:
         if self.investigations is not None:
-            reason = "new spectra in the window, or another policy or inputs than before"
-            for part, called_for_by in self.investigations.due(stores):
-                change = _name_change(stores, *(part[name] for name in ("station", "since", "until")))
-                yield self._order(INVESTIGATION, part, [*called_for_by, *change], reason)
+            for part, (content, search) in self.investigations.due(stores):
+                model = _name_change(stores, *(part[name] for name in ("station", "since", "until")))
+                yield self._order(INVESTIGATION, part, {"spectra": content, "search": search, "model": model})
 
-    def _order(self, kind: str, part: dict[str, Any], called_for_by: list[Any], reason: str) -> Order:
+    def _order(self, kind: str, part: dict[str, Any], called_for: dict[str, Any]) -> Order:
         own = self._inputs
         # a cable of another antenna, or of another year, calls for nothing
         since, until = (part[name] / SECOND_US if name in part else at for name, at in ALWAYS.items())
         of_instrument = self.simulation.instrument.digest_of(since, until, part.get("station"))
-        due_name = hash_content([kind, part, *called_for_by, [of_instrument, own.sky_power, own.model_version]])
-        return Order(kind, part, [part], reason, BY, due_name, own.text)
+        named = {"instrument": of_instrument, "sky_power": own.sky_power, "model_version": own.model_version}
+        given = [value for value in called_for.values() if value]
+        due_name = hash_content([kind, part, *given, list(named.values())])
+        return Order(kind, part, [part], "", BY, due_name, own.text, called_for | named)
 
     @cached_property
     def _inputs(self) -> Inputs:
         return name_inputs(self.simulation)
 
 
-def _name_change(stores: Stores, station: str | None, since: Instant, until: Instant) -> list[int]:
+def _name_change(stores: Stores, station: str | None, since: Instant, until: Instant) -> int | None:
     """The number of the newest change of a model that touches a window: with each the window is due again."""
     change = stores.models.last_change(station, since, until)
-    return [] if change is None else [change.number]
+    return None if change is None else change.number
+
+
+# Why work is due: what of its inputs is another than when the same work was due before.
+
+CALLED_FOR = {
+    "decisions": "a decision about a change", "model": "a cause adopted or withdrawn", "form": "other numbers are kept",
+    "references": "another reference", "search": "another policy of the search", "drift": "drift measured anew",
+    "instrument": "another instrument", "sky_power": "another sky power", "model_version": "another model version",
+}  # fmt: skip
+CHANGES_NAMED = 3
+
+
+def explain_due(before: Mapping[str, Any] | None, now: Mapping[str, Any]) -> str:
+    """Name the inputs of due work that changed since it was due before."""
+    if before is None:
+        name = "drift" if now.get("model") is None else "model"
+        return CALLED_FOR[name] if name in now else "the first of this window"
+    told = [*_tell_spectra(before.get("spectra"), now.get("spectra"))]
+    told += _tell_changes(before.get("changes") or [], now.get("changes") or [])
+    told += [words for name, words in CALLED_FOR.items() if before.get(name) != now.get(name)]
+    return "; ".join(told) or "tried again"
+
+
+def _tell_spectra(before: Any, now: Any) -> Iterator[str]:
+    """How many spectra came; a window of the array names those of each station."""
+    if before == now:
+        return
+    of_stations = ([pair for _, pair in one] if isinstance(one[0], list) else [one] for one in (before, now))
+    (old, old_flags), (new, flags) = (np.sum(pairs, axis=0) for pairs in of_stations)
+    if new != old:
+        yield f"{new - old:+d} usable spectra"
+    if flags != old_flags:
+        yield "a quality flag set or cleared"
+
+
+def _tell_changes(before: Sequence[Any], now: Sequence[Any]) -> list[str]:
+    """Which antennas changed, and which changes count no more."""
+    told = [
+        f"{name_path(station, antenna)} changed on {format_instant(date)[:10]}"
+        for station, antenna, date in now
+        if [station, antenna, date] not in before
+    ]
+    more = [f"and {len(told) - CHANGES_NAMED} more changes"] if len(told) > CHANGES_NAMED else []
+    gone = sum(one not in now for one in before)
+    return [*told[:CHANGES_NAMED], *more, *([f"{gone} changes count no more"] if gone else [])]

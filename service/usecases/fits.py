@@ -33,8 +33,8 @@ from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.spectra.spectra import Spectra
 from lbacal_core.uncertainty.refit import add_budget, compute_budget
 from service.errors import ConflictError
+from service.storage.changes import Cut
 from service.storage.database import Stores
-from service.storage.drift import Cut
 from service.storage.spectra import Window
 from service.storage.sums import KeptPiece, Sums, Told, write_pieces
 from service.storage.versions import BUDGET, Examined, Version
@@ -50,7 +50,7 @@ Read = tuple[Window, tuple[int, int]]
 class Wanted:
     """A fit: the scope of its versions, whose spectra they are made from, the window and the model; who wants it.
 
-    `cuts` are the dates at which the watch found that antennas changed in the window.
+    `cuts` are the dates at which antennas changed in the window.
     """
 
     scope: str
@@ -324,7 +324,7 @@ def read_part(stores: Stores, request: Mapping[str, Any], model: Model, by: str,
 def find_cuts(stores: Stores, station: str | None, since: Instant, until: Instant, model: Model) -> tuple[Cut, ...]:
     """The dates at which a window is cut; none at stations whose model has a step, which says what changed then."""
     stepping = {one.station for one in model.causes if one.cause == GAIN_STEP}
-    return tuple(cut for cut in stores.cuts.standing(station, since, until) if cut.station not in stepping)
+    return tuple(cut for cut in stores.changes.cuts(station, since, until) if cut.station not in stepping)
 
 
 # Due refits that read only the events that came since: the fit that is kept is continued by them.

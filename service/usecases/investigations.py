@@ -25,6 +25,7 @@ from service.storage.models import Investigation
 from service.storage.spectra import Window
 from service.usecases.alarms import StationNews, tell_news
 from service.usecases.calibrations import select_paths
+from service.usecases.changes import propose
 from service.usecases.drift import find_years, split_years
 from service.usecases.fits import Fits
 from service.usecases.orders import Limits, hash_covariates, name_inputs, place_order, read_window
@@ -92,6 +93,8 @@ class Investigations:
             made = Investigation(name, station, since, until, inputs, report, self.clock(), part.by, part.reason)
         with self.database.write() as stores:
             stores.investigations.add(made)
+            for change, evidence in propose(made):
+                stores.changes.note(change, evidence)
             stores.jobs.complete(part, worker, {"calibrations": [], "results": [name]}, self.clock())
 
     def _inputs(self, spectra: Spectra, model: Model, request: Mapping[str, Any]) -> dict[str, Any]:

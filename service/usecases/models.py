@@ -101,7 +101,7 @@ class Models:
             year = datetime.fromtimestamp(made.since / 1e6, UTC).year
             window = start_of_year(year), start_of_year(year + 1)
             content = stores.spectra.content(Window(*window, Scope(made.station)))
-            cuts = [[cut.antenna, cut.date] for cut in stores.cuts.standing(made.station, *window)]
+            cuts = [[cut.antenna, cut.date] for cut in stores.changes.cuts(made.station, *window)]
             state = [made.id, body.finding, before.id, content, stores.ledger.newest_number(), cuts]
         plan = self.planned.get(hash_content(state), lambda: self._plan(made, before, window, body, by))
         return replace(plan, change=replace(plan.change, by=by, reason=body.reason))

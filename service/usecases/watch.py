@@ -21,8 +21,9 @@ from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.provenance import MODEL_VERSION, hash_content
 from service.storage.alarms import SLOPE, STEP, News
+from service.storage.changes import DRIFT as BY_DRIFT
+from service.storage.changes import LARGEST_DATE_ERROR_US, RECORD, Change, Evidence
 from service.storage.database import Database, Stores
-from service.storage.drift import Cut
 from service.storage.jobs import Part
 from service.storage.sums import DRIFT, Sums
 from service.usecases.gate import drop_noise, name_members, tell_change
@@ -32,10 +33,6 @@ if TYPE_CHECKING:
 
 KIND = "watch"
 SECOND_US = 1_000_000
-LARGEST_DATE_ERROR_DAYS = 30.0
-"""A change whose date is known worse is told, and no window is cut."""
-SAME_DATE = 3.0
-"""Standard deviations of the difference of two dates within which they are one."""
 MEMBERS_NAMED = 4
 """A sentence names this many of those that changed together, and counts the others."""
 TREND_P = 0.001
@@ -66,7 +63,7 @@ class Watch:
             stores.drift.keep_report(str(inputs), report, now)
             news = tell_news(report, self.instrument.frequency_mhz, cuts_windows=self.cuts_windows)
             stores.alarms.settle((STEP, SLOPE), list(news), now)
-            settle_cuts(stores, report if self.cuts_windows else {"changes": []}, now)
+            settle_changes(stores, report if self.cuts_windows else {"changes": []}, now)
             stores.jobs.complete(part, worker, {"calibrations": []}, now)
 
     def _hardware_changes(self) -> dict[str, list[float]]:
@@ -114,35 +111,32 @@ def assemble_history(years: Sequence[Sums], changes: Mapping[str, Sequence[float
     return History(station, antenna.astype(np.int64), dipole, time_unix, ln_c, known)
 
 
-def settle_cuts(stores: Stores, report: Mapping[str, Any], now: Instant) -> None:
-    """Cut the windows of antennas that changed, and end the cuts of changes that are no longer found.
+def settle_changes(stores: Stores, report: Mapping[str, Any], now: Instant) -> None:
+    """Note what drift found, and end what it no longer finds.
 
-    What a person lifted is not cut again. A cut keeps the date at which it was made first: later data move the date
-    within its error, and every other date would call for refits. Nor does a cut end because an adopted cause takes up
-    its change: the cause may be withdrawn.
+    A change does not end because an adopted cause takes it up: the cause may be withdrawn.
     """
-    found, known = list(list_cuts(report)), stores.cuts.found()
-    for cut in known:
-        is_sought = stores.models.during(cut.station, cut.date, cut.date + 1).is_plain
-        if is_sought and not any(is_same_cut(cut, one) for one in found):
-            stores.cuts.end(cut, now)
-    stores.cuts.add([one for one in found if not any(is_same_cut(one, cut) for cut in known)], now)
+    found = [(read_change(one), one) for one in report["changes"]]
+    for kept in stores.changes.kept():
+        change = kept.change
+        is_sought = stores.models.during(change.station, change.date, change.date + 1).is_plain
+        if is_sought and not any(change.is_same(one) for one, _ in found):
+            for source in (BY_DRIFT, RECORD):
+                stores.changes.end(kept.number, source, now)
+    for change, told in found:
+        strongest = max(float(one["significance"]) for one in told["members"])
+        kept = stores.changes.note(change, Evidence(BY_DRIFT, "", strongest, now))
+        if told["is_known"]:
+            stores.changes.note(change, Evidence(RECORD, "", None, now))
+        else:
+            stores.changes.end(kept.number, RECORD, now)
 
 
-def list_cuts(report: Mapping[str, Any]) -> Iterator[Cut]:
-    """The changes of single antennas that nobody knew of and whose date is known well enough, an antenna once each."""
-    for change in report["changes"]:
-        if change["is_known"] or change["date_sigma_days"] > LARGEST_DATE_ERROR_DAYS:
-            continue
-        date, sigma = round(change["date_unix"] * SECOND_US), round(change["date_sigma_days"] * DAY_US)
-        for antenna in sorted({one["antenna"] for one in change["members"] if one["antenna"] is not None}):
-            yield Cut(change["station"], antenna, date, sigma)
-
-
-def is_same_cut(one: Cut, other: Cut) -> bool:
-    """Whether two dates of an antenna are one within their errors."""
-    reach = SAME_DATE * (one.sigma**2 + other.sigma**2) ** 0.5 + DAY_US
-    return (one.station, one.antenna) == (other.station, other.antenna) and abs(one.date - other.date) <= reach
+def read_change(told: Mapping[str, Any]) -> Change:
+    """A change of a report: what steps together at a date is one."""
+    paths = tuple((one["antenna"], one["dipole"]) for one in told["members"] if one["antenna"] is not None)
+    date, sigma = round(told["date_unix"] * SECOND_US), round(told["date_sigma_days"] * DAY_US)
+    return Change(told["station"], paths, STEP, date, sigma, told["size"], told["sigma"])
 
 
 def tell_news(report: Mapping[str, Any], frequency_mhz: Floats, *, cuts_windows: bool) -> Iterator[News]:
@@ -161,8 +155,9 @@ def tell_news(report: Mapping[str, Any], frequency_mhz: Floats, *, cuts_windows:
             f"{who}: C changed by {tell_change(change['size'], change['sigma'], change['shape'], frequency_mhz)} "
             f"on {format_instant(since)[:10]} ± {change['date_sigma_days']:.1f} days"
         )
-        is_cut = cuts_windows and any(list_cuts({"changes": [change]}))
-        sentence += "; its windows are cut there unless a person lifted the cut" if is_cut else ""
+        own = read_change(change)
+        is_cut = cuts_windows and bool(own.paths) and own.sigma <= LARGEST_DATE_ERROR_US
+        sentence += "; its windows are cut there unless a person dismissed the change" if is_cut else ""
         content = {**change, "proposal": _propose(change, format_instant(since))}
         yield News(STEP, Scope(change["station"]), "", sentence, content, since, error)
     for slope in report["slopes"]:

@@ -548,34 +548,63 @@ class AlarmsAnswer(Answer):
     next: int | None = Field(description="cursor of the next page")
 
 
-class CutDecision(Answer):
-    """What a person decided about a cut."""
+class DatedAnswer(Answer):
+    """An instant with its standard deviation."""
 
-    act: Literal["lifted", "restored"]
-    at: Moment
+    value: Moment
+    sigma_days: float
+
+
+class SizeAnswer(Fitted):
+    """A change of C."""
+
+    unit: Literal["fraction of C"] = "fraction of C"
+
+
+class EvidenceAnswer(Answer):
+    """Who says that there is a change."""
+
+    model_config = ConfigDict(strict=True, extra="forbid", populate_by_name=True)
+
+    source: Literal["drift", "investigation", "record", "person"] = Field(alias="from")
+    ref: str = Field(description="id of the investigation and number of the finding, or who entered it")
+    significance_sigma: float | None
+    made_at: Moment
+    ended_at: MomentOrNone = Field(description="when the source no longer said so")
+
+
+class PathChangeAnswer(Answer):
+    """What changed and when, who says so, and what was decided: one row whoever found it."""
+
+    id: int
+    paths: list[PathAnswer] | None = Field(description="null for a whole station or the array")
+    station: str | None
+    array: bool
+    at: DatedAnswer = Field(description="as it was found first")
+    kind: Literal["step", "ramp", "season", "course"]
+    size: SizeAnswer | None
+    evidence: list[EvidenceAnswer]
+    decision: Literal["proposed", "in_force", "dismissed"]
     by: str
     reason: str
-
-
-class CutAnswer(Answer):
-    """A date at which the windows of an antenna are cut, both dipoles alike."""
-
-    cut: int
-    station: str
-    antenna: int
-    date: Moment = Field(description="when the antenna changed, as the watch found it first")
-    date_sigma_days: float
-    stands: bool
-    refitted: bool = Field(description="false while one version in effect answers on both sides of a cut that stands")
+    refitted: bool = Field(description="false while one version in effect answers on both sides of it")
+    cuts_windows: bool = Field(
+        description="whether windows are cut there: a step in force whose date is known to 30 days"
+    )
     made_at: Moment
-    ended_at: MomentOrNone = Field(description="when the watch no longer found the change")
-    decision: CutDecision | None = Field(description="the last one")
+    ended_at: MomentOrNone = Field(description="when the last source no longer said so")
 
 
-class CutsAnswer(Answer):
-    """All cuts on record."""
+class PathChangesAnswer(Answer):
+    """Changes on record."""
 
-    cuts: list[CutAnswer]
+    changes: list[PathChangeAnswer]
+
+
+class DecidedAnswer(PathChangeAnswer):
+    """A change as it is decided, and what its paths would be told by fits of its year."""
+
+    changes: list[ChangeAnswer]
 
 
 # What answers about the models of stations look like, for the OpenAPI document.
@@ -646,3 +675,35 @@ class AdoptionPlanAnswer(ChangesAnswer):
     model: str
     cause: str = Field(description="what would be adopted, in one sentence")
     promise: list[float] = Field(description="gain in log-likelihood on as many events again, and its error")
+
+
+class EpochAnswer(Answer):
+    """A time in which nothing changed that is in force."""
+
+    model_config = ConfigDict(strict=True, extra="forbid", populate_by_name=True)
+
+    start: str | None = Field(alias="from")
+    end: str | None = Field(alias="to")
+    because: int | None = Field(description="the change that began it")
+
+
+class InEffectStretch(Answer):
+    """Which version answered when."""
+
+    model_config = ConfigDict(strict=True, extra="forbid", populate_by_name=True)
+
+    start: str | None = Field(alias="from")
+    end: str | None = Field(alias="to")
+    calibration: str
+
+
+class LifeAnswer(Answer):
+    """All that is known of a path, a station or the array, each in order of time."""
+
+    epochs: list[EpochAnswer]
+    in_effect: list[InEffectStretch]
+    versions: list[VersionAnswer]
+    changes: list[PathChangeAnswer]
+    causes: list[ModelLine]
+    alarms: list[AlarmAnswer]
+    investigations: list[InvestigationLine]

@@ -101,6 +101,50 @@ class AcknowledgementBody(Body):
     reason: Reason
 
 
+class MomentBody(Body):
+    """When something changed, and how well that is known."""
+
+    value: str
+    sigma_days: Annotated[float, Field(ge=0, le=366, allow_inf_nan=False)] = 0.0
+
+
+class PathBody(Body):
+    """A path, or without `dipole` both paths of an antenna."""
+
+    station: Name
+    antenna: Number
+    dipole: DipoleName | None = None
+
+
+class SizeBody(Body):
+    """A change of C as a fraction, and its standard deviation."""
+
+    value: Annotated[float, Field(gt=-1, lt=100, allow_inf_nan=False)]
+    sigma: Annotated[float, Field(ge=0, allow_inf_nan=False)]
+
+
+class ChangeBody(Body):
+    """Enter what is known to have changed: in paths, a whole station, or the array."""
+
+    paths: Annotated[list[PathBody], Field(min_length=1, max_length=1000)] | None = None
+    station: Name | None = None
+    array: Literal[True] | None = None
+    at: MomentBody
+    kind: Literal["step", "ramp", "season", "course"] = "step"
+    size: SizeBody | None = None
+    reason: Reason
+
+
+Act = Literal["in_force", "dismissed"]
+
+
+class DecisionBody(Body):
+    """Put a change in force, or dismiss it."""
+
+    decision: Act
+    reason: Reason
+
+
 class TagBody(Body):
     """Freeze the ledger as it was known at `as_of`, or as it is now."""
 

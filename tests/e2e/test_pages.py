@@ -11,7 +11,7 @@ from playwright.sync_api import Browser, Locator, Page, expect
 from lbacal.instants import DAY_US, parse_instant
 from service.config import Settings
 from service.factory import Factory
-from service.storage.drift import Cut
+from service.storage.changes import DRIFT, Change, Evidence
 from validation.running.processes import Process, find_free_port, running, wait_until
 
 
@@ -151,19 +151,18 @@ def test_the_documentation_takes_a_key(browser: Browser, service: Any, closed: s
 
 
 DATE = parse_instant("date", "2014-06-01")
-CUT = Cut("CS002", 1, DATE, 2 * DAY_US)
+CHANGE = Change("CS002", ((1, None),), "step", DATE, 2 * DAY_US)
 
 
 @pytest.fixture
-def cut(service: Any) -> Iterator[int]:
-    """A cut as the watch writes one, which ends with the test."""
+def change(service: Any) -> Iterator[int]:
+    """A change as the watch writes one, which ends with the test."""
     made = Factory(Settings(database_url=service.environment["LBACAL_DATABASE_URL"]), lambda: DATE)
     with made.database.write() as stores:
-        stores.cuts.add([CUT], DATE)
-        (kept,) = stores.cuts.kept()
+        kept = stores.changes.note(CHANGE, Evidence(DRIFT, "", 9.0, DATE))
     yield kept.number
     with made.database.write() as stores:
-        stores.cuts.end(CUT, DATE)
+        stores.changes.end(kept.number, DRIFT, DATE)
     made.database.close()
 
 
@@ -181,19 +180,21 @@ def decide(row: Locator, label: str, key: str, reason: str) -> None:
     row.get_by_role("button", name=label).click()
 
 
-def test_an_admin_lifts_a_cut_with_a_reason_and_restores_it(plain_page: Page, service: Any, cut: int) -> None:
+def test_an_admin_dismisses_a_change_with_a_reason_and_takes_that_back(
+    plain_page: Page, service: Any, change: int
+) -> None:
     key = service.environment["LBACAL_API_KEY"]
     plain_page.goto(service.url + "/drift")
-    row = plain_page.locator("#cuts tbody tr")
+    row = plain_page.locator("#changes tbody tr")
     expect(row).to_contain_text("2014-06-01 ± 2.0 d")
-    decide(row, "Lift", "a wrong key", "snow")
+    decide(row, "Dismiss", "a wrong key", "snow")
     expect(plain_page.locator("p.lead")).to_have_text("the key is unknown, expired or revoked")
     plain_page.go_back()
-    decide(row, "Lift", key, "snow lay on the antenna")
+    decide(row, "Dismiss", key, "snow lay on the antenna")
     expect(row).to_contain_text("snow lay on the antenna")
-    expect(row.locator(".state")).to_have_text("lifted")
-    assert plain_page.url == service.url + "/drift#cuts"
-    assert service.run("cuts").stdout.startswith(f"{cut} CS002 antenna 1 at 2014-06-01 ± 2.0 d (lifted")
-    decide(row, "Restore", key, "it lay on the other one")
+    expect(row.locator(".state")).to_have_text("dismissed")
+    assert plain_page.url == service.url + "/drift#changes"
+    assert service.run("changes").stdout.startswith(f"{change} CS002 antenna 1, step at 2014-06-01 ± 2.0 d (dismissed")
+    decide(row, "Put in force", key, "it lay on the other one")
     expect(row.locator(".state")).to_have_text("found, not yet refitted")
-    expect(row).to_contain_text("restored")
+    expect(row).to_contain_text("it lay on the other one")

@@ -101,7 +101,7 @@ def test_a_step_keeps_its_instant_and_loses_the_words_for_it():
 def test_one_c_stood_for_the_time_before_and_after_a_step(cause, parameters, found):
     """C of a fit with a step of 15 % was that before it, 7.3 % off for the rest of the window."""
     model = Model.from_report({"findings": [{**FINDING, "cause": cause, "parameters": parameters}]})
-    with pytest.raises(BadInputError, match=f"cut the window there instead, by `lbacal cuts` .*found {found}"):
+    with pytest.raises(BadInputError, match=f"put it in force by `lbacal changes`.*found {found}"):
         model.require_one_c("finding 0")
 
 

@@ -142,8 +142,8 @@ def _is_done(client: Client) -> bool:
     jobs = [job for job in client.get("/v1/jobs")["jobs"] if job["kind"] in NIGHT]
     if not any(job["kind"] == "watch" for job in jobs) or any(job["state"] in ("queued", "running") for job in jobs):
         return False
-    cuts: list[dict[str, Any]] = client.get("/v1/cuts")["cuts"]
-    return all(cut["refitted"] for cut in cuts)
+    changes: list[dict[str, Any]] = client.get("/v1/changes")["changes"]
+    return all(one["refitted"] for one in changes)
 
 
 def end_with_parent() -> None:

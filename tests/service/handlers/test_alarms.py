@@ -9,7 +9,7 @@ from lbacal.instants import DAY_US, parse_instant
 from lbacal_core.curves.validity import Promotion, Scope
 from service.factory import Factory
 from service.storage.alarms import News
-from service.storage.drift import Cut
+from service.storage.changes import DRIFT, INVESTIGATION, Change, Evidence
 from service.storage.versions import Version
 
 
@@ -55,44 +55,113 @@ def test_an_acknowledged_alarm_lasts_and_is_not_open(factory: Factory, client: T
 DATE = parse_instant("", "2014-05-01")
 
 
-def cut(factory: Factory, station: str, antenna: int) -> None:
+def find_change(factory: Factory, station: str, antenna: int, source: str = DRIFT, days: int = 0) -> None:
+    change = Change(station, ((antenna, "X"),), "step", DATE + days * DAY_US, 2 * DAY_US, 0.08, 0.01)
     with factory.database.write() as stores:
-        stores.cuts.add([Cut(station, antenna, DATE, 2 * DAY_US)], factory.clock())
+        stores.changes.note(change, Evidence(source, "", 9.0, factory.clock()))
 
 
-def test_a_cut_is_lifted_and_restored_once_each(factory: Factory, client: TestClient) -> None:
-    cut(factory, "CS001", 0)
-    cut(factory, "CS002", 1)
-    (one,) = client.get("/v1/cuts", params={"station": "CS002"}).json()["cuts"]
-    assert (one["station"], one["antenna"], one["date"], one["date_sigma_days"]) == (
-        "CS002", 1, "2014-05-01T00:00:00Z", 2.0,
-    )  # fmt: skip
-    assert (one["stands"], one["refitted"], one["ended_at"], one["decision"]) == (True, True, None, None)
-    assert len(client.get("/v1/cuts").json()["cuts"]) == 2
-    for act, stands in (("lift", False), ("restoration", True)):
-        route = f"/v1/cuts/{one['cut']}/{act}"
-        done = client.post(route, json={"reason": "snow"})
-        assert (done.status_code, done.json()["stands"], done.json()["decision"]["reason"]) == (201, stands, "snow")
-        assert client.post(route, json={"reason": "snow"}).status_code == 409
-    assert client.post("/v1/cuts/99/lift", json={"reason": "x"}).status_code == 404
+def test_a_change_is_dismissed_and_put_in_force_again_once_each(factory: Factory, client: TestClient) -> None:
+    find_change(factory, "CS001", 0)
+    find_change(factory, "CS002", 1)
+    (one,) = client.get("/v1/changes", params={"station": "CS002"}).json()["changes"]
+    assert one["at"] == {"value": "2014-05-01T00:00:00Z", "sigma_days": 2.0}
+    assert one["paths"] == [{"station": "CS002", "antenna": 1, "dipole": "X"}]
+    assert one["size"] == {"value": 0.08, "sigma": 0.01, "unit": "fraction of C"}
+    assert (one["decision"], one["by"], one["cuts_windows"], one["refitted"]) == ("in_force", "drift", True, True)
+    assert len(client.get("/v1/changes").json()["changes"]) == 2
+    route = f"/v1/changes/{one['id']}/decision"
+    for decision, cuts in (("dismissed", False), ("in_force", True)):
+        body = {"decision": decision, "reason": "snow"}
+        dry = client.post(route, json=body, params={"dry_run": True})
+        assert (dry.status_code, dry.json()["decision"], dry.json()["changes"]) == (200, decision, [])
+        done = client.post(route, json=body)
+        assert (done.status_code, done.json()["decision"], done.json()["reason"]) == (201, decision, "snow")
+        assert done.json()["cuts_windows"] == cuts
+        assert client.post(route, json=body).status_code == 409
+    assert client.post("/v1/changes/99/decision", json=body).status_code == 404
+    for query, count in (
+        ({"antenna": 1}, 1), ({"antenna": 1, "dipole": "Y"}, 0), ({"since": "2014-05-02"}, 0),
+        ({"until": "2014-05-02"}, 2), ({"decision": "proposed"}, 0), ({"decision": "in_force"}, 2),
+    ):  # fmt: skip
+        assert len(client.get("/v1/changes", params=query).json()["changes"]) == count, query
 
 
-def test_a_cut_is_refitted_once_no_version_answers_on_both_sides(
+def test_one_change_is_one_row_whoever_found_it(factory: Factory, client: TestClient) -> None:
+    """A step was a change of drift, a cut of windows and a cause to adopt, and the three contradicted each other."""
+    find_change(factory, "CS002", 1, INVESTIGATION)
+    (one,) = client.get("/v1/changes").json()["changes"]
+    assert (one["decision"], one["cuts_windows"]) == ("proposed", False)
+    find_change(factory, "CS002", 1, DRIFT, days=4)
+    (one,) = client.get("/v1/changes").json()["changes"]
+    assert (one["decision"], one["cuts_windows"], one["at"]["value"][:10]) == ("in_force", True, "2014-05-01")
+    body = {"paths": [{"station": "CS002", "antenna": 1}], "at": {"value": "2014-05-02"}, "reason": "a new amplifier"}
+    entered = client.post("/v1/changes", json=body)
+    assert (entered.status_code, entered.json()["id"]) == (201, one["id"])
+    assert [by["from"] for by in entered.json()["evidence"]] == ["investigation", "drift", "person"]
+    far = client.post(
+        "/v1/changes", json={"station": "CS001", "at": {"value": "2014-09-02"}, "reason": "a storm"}
+    ).json()
+    assert (len(far["paths"]), far["decision"], far["cuts_windows"]) == (3, "in_force", True)
+    for wrong in ({"station": "CS002", "array": True}, {}, {"paths": [{"station": "CS002", "antenna": 99}]}):
+        assert (
+            client.post("/v1/changes", json={"at": {"value": "2014-05-02"}, "reason": "x", **wrong}).status_code == 422
+        )
+
+
+def test_a_change_ends_when_nobody_finds_it_any_longer(factory: Factory, client: TestClient) -> None:
+    find_change(factory, "CS002", 1)
+    with factory.database.write() as stores:
+        stores.changes.end(1, DRIFT, factory.clock())
+    (one,) = client.get("/v1/changes").json()["changes"]
+    assert (one["ended_at"] is not None, one["cuts_windows"]) == (True, False)
+    assert client.post("/v1/changes/1/decision", json={"decision": "dismissed", "reason": "x"}).status_code == 409
+    find_change(factory, "CS002", 1)
+    (one,) = client.get("/v1/changes").json()["changes"]
+    assert (one["ended_at"], one["cuts_windows"], len(one["evidence"])) == (None, True, 2)
+
+
+def test_a_change_is_refitted_once_no_version_answers_on_both_sides(
     factory: Factory, client: TestClient, stored: dict[str, Version]
 ) -> None:
-    cut(factory, "CS001", 0)
+    find_change(factory, "CS001", 0)
     path, (start, end) = Scope("CS001", 0, "X"), (parse_instant("", f"{year}-01-01") for year in (2014, 2015))
 
     def is_refitted(*intervals: tuple[int, int | None]) -> bool:
         with factory.database.write() as stores:
             wanted = [Promotion(0, path, since, until, stored["path"].id, 0) for since, until in intervals]
             stores.ledger.append(wanted, factory.clock)
-        return bool(client.get("/v1/cuts").json()["cuts"][0]["refitted"])
+        return bool(client.get("/v1/changes").json()["changes"][0]["refitted"])
 
     assert not is_refitted((start, end))
     assert not is_refitted((start, None))
     assert not is_refitted((DATE, end)), "one side of it only"
     assert is_refitted((start, DATE))
+
+
+def test_the_life_of_a_path_says_what_was_in_effect_when_and_what_happened(
+    factory: Factory, client: TestClient, stored: dict[str, Version]
+) -> None:
+    path = Scope("CS001", 0, "X")
+    start, end = (parse_instant("", f"{year}-01-01") for year in (2014, 2015))
+    name = stored["path"].id
+    with factory.database.write() as stores:
+        intervals = (start, DATE), (DATE, end)
+        stores.ledger.append([Promotion(0, path, *both, name, 0) for both in intervals], factory.clock)
+    find_change(factory, "CS001", 0)
+    find_change(factory, "CS001", 1)
+    raise_alarm(factory, "CS001")
+    life = client.get("/v1/paths/CS001/0/X/life").json()
+    (first, second) = life["epochs"]
+    assert (first["from"], first["to"], second["because"]) == (None, "2014-05-01T00:00:00Z", life["changes"][0]["id"])
+    assert [(one["from"][:10], one["to"][:10]) for one in life["in_effect"]] == [
+        ("2014-01-01", "2014-05-01"), ("2014-05-01", "2015-01-01"),
+    ]  # fmt: skip
+    assert name in [one["id"] for one in life["versions"]]
+    assert [len(life[part]) for part in ("changes", "alarms", "causes", "investigations")] == [1, 1, 0, 0]
+    assert len(client.get("/v1/stations/CS001/life").json()["changes"]) == 2
+    assert client.get("/v1/life").json()["epochs"] == [{"from": None, "to": None, "because": None}]
+    assert client.get("/v1/paths/CS001/99/X/life").status_code == 422
 
 
 STEP: dict[str, Any] = {

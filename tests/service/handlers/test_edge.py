@@ -39,7 +39,8 @@ def test_an_unexpected_failure_is_a_problem_with_the_headers_of_every_answer(fac
 @pytest.mark.parametrize(
     "address",
     [
-        "/v1/calibrations/effective?at=2014-05-01&tag=%00", "/v1/investigations?station=%00", "/v1/cuts?station=a%00b",
+        "/v1/calibrations/effective?at=2014-05-01&tag=%00", "/v1/investigations?station=%00",
+        "/v1/changes?station=a%00b",
         "/v1/alarms?station=%00", "/v1/jobs?%00=1", "/v1/calibrations?station=%00", "/v1/events/a%00/flag",
         "/stations/%00", "/calibrations/%00",
     ],
@@ -54,7 +55,7 @@ def test_nul_in_an_address_was_a_failure_on_one_database_and_nothing_on_the_othe
 
 
 def test_a_percent_sign_before_two_zeros_is_text(client: TestClient) -> None:
-    assert client.get("/v1/cuts?station=%2500").status_code == 200
+    assert client.get("/v1/changes?station=%2500").status_code == 200
 
 
 def test_a_number_that_could_write_into_the_log_is_replaced(client: TestClient) -> None:
@@ -300,7 +301,7 @@ def test_what_changes_something_needs_a_key_with_its_scope(factory: Factory, cli
         ("read", "POST", "alarms/1/acknowledgement", WHY),
         ("read", "POST", "refits", REFIT),
         ("refits:run", "POST", "refits", REFIT | {"promote": True}),
-        ("refits:run", "POST", "cuts/1/lift", WHY),
+        ("refits:run", "POST", "changes/1/decision", WHY | {"decision": "dismissed"}),
         ("refits:run", "POST", f"models/{NOBODY}/withdrawal", WHY),
         ("refits:run", "POST", f"investigations/{NOBODY}/adoption", WHY | {"finding": 0, "promote": False}),
         ("read spectra:write refits:run", "POST", "promotions", PROMOTION),

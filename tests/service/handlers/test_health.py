@@ -99,11 +99,11 @@ def read(client: TestClient) -> dict[str, float]:
 
 
 def test_requests_are_counted_by_route_and_never_by_address(client: TestClient) -> None:
-    for path in ("/v1/jobs/1", "/v1/jobs/2", "/v1/cuts", "/secret/place"):
+    for path in ("/v1/jobs/1", "/v1/jobs/2", "/v1/changes", "/secret/place"):
         client.get(path)
     told = read(client)
     assert told['lbacal_requests_total{method="GET",route="/v1/jobs/{number}",status="404"}'] == 2
-    assert told['lbacal_requests_total{method="GET",route="/v1/cuts",status="200"}'] == 1
+    assert told['lbacal_requests_total{method="GET",route="/v1/changes",status="200"}'] == 1
     assert told['lbacal_requests_total{method="GET",route="none",status="404"}'] == 1
     assert told['lbacal_request_seconds_count{method="GET",route="/v1/jobs/{number}"}'] == 2
     assert told['lbacal_request_seconds_bucket{le="+Inf",method="GET",route="/v1/jobs/{number}"}'] == 2

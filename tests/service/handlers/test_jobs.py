@@ -109,7 +109,7 @@ def test_a_planted_step_is_found_in_its_year_and_the_report_is_kept(station: Fac
     page = asked.get(f"/investigations/{by_year['2015']['id']}")
     assert page.status_code == 200
     assert "gain_step" in page.text
-    assert "C changes with the date, so it is not adopted: windows are" in page.text
+    assert "C changes with the date: it is no cause to adopt but a" in page.text
 
     asked.headers.update(bearer(station, "admin"))
     body = {"finding": 0, "reason": "a new amplifier", "promote": True}
@@ -117,7 +117,7 @@ def test_a_planted_step_is_found_in_its_year_and_the_report_is_kept(station: Fac
         refused = asked.post(f"{ROUTE}/{by_year['2015']['id']}/adoption", json=body, params={"dry_run": dry_run})
         assert (refused.status_code, refused.headers["content-type"]) == (422, "application/problem+json")
         assert "body.finding: expected a cause that does not follow the date" in refused.json()["detail"]
-        assert "by `lbacal cuts`" in refused.json()["detail"]
+        assert "put it in force by `lbacal changes`" in refused.json()["detail"]
     assert asked.get("/v1/models").json()["models"] == []
 
 

@@ -12,7 +12,7 @@ from lbacal_core.curves.validity import Promotion, Scope
 from service.app import make_app
 from service.factory import Factory
 from service.storage.alarms import MISFIT, OPEN, AlarmsAsked, News
-from service.storage.drift import Cut
+from service.storage.changes import DRIFT, Change, Evidence
 from service.storage.versions import Version
 from tests.service.conftest import like
 
@@ -166,7 +166,7 @@ def test_a_form_that_is_none_is_refused(browser: TestClient, body: bytes) -> Non
 
 
 def test_a_wrong_address_gave_a_browser_raw_json_and_is_a_page_now(client: TestClient) -> None:
-    for path, status in (("/cuts", 404), ("/calibrations/none", 404), ("/stations/CS999", 422)):
+    for path, status in (("/changes", 404), ("/calibrations/none", 404), ("/stations/CS999", 422)):
         shown = client.get(path, headers=BROWSER)
         assert (shown.status_code, shown.headers["content-type"]) == (status, "text/html; charset=utf-8")
         assert shown.text.rstrip().endswith("</html>")
@@ -184,42 +184,46 @@ def visitor(factory: Factory) -> Iterator[TestClient]:
 
 
 @pytest.fixture
-def cut(factory: Factory) -> int:
+def change(factory: Factory) -> int:
     with factory.database.write() as stores:
-        stores.cuts.add([Cut("CS001", 1, DATE, 2 * DAY_US)], DATE)
-        return stores.cuts.kept()[0].number
+        found = Change("CS001", ((1, None),), "step", DATE, 2 * DAY_US)
+        return stores.changes.note(found, Evidence(DRIFT, "", 9.0, DATE)).number
 
 
 def send(visitor: TestClient, address: str, key: str, **fields: str) -> Any:
     return visitor.post(address, data={"reason": "snow lay on it", "key": key, **fields})
 
 
-def test_an_admin_lifts_a_cut_on_the_page_and_restores_it(visitor: TestClient, factory: Factory, cut: int) -> None:
+def test_an_admin_dismisses_a_change_on_the_page_and_takes_that_back(
+    visitor: TestClient, factory: Factory, change: int
+) -> None:
     number, key = factory.keys.create(("calibrations:promote",))
     page = visitor.get("/drift").text
     assert "2014-06-01 &plusmn; 2.0 d" in page
-    assert f'action="/cuts/{cut}/lift"' in page
-    lifted = send(visitor, f"/cuts/{cut}/lift", key)
-    assert (lifted.status_code, lifted.headers["location"]) == (303, "/drift#cuts")
-    (kept,) = factory.cuts.list_all(None)
-    assert (kept.stands, kept.decision is not None and kept.decision.reason) == (False, "snow lay on it")
+    assert f'action="/changes/{change}/dismissed"' in page
+    dismissed = send(visitor, f"/changes/{change}/dismissed", key)
+    assert (dismissed.status_code, dismissed.headers["location"]) == (303, "/drift#changes")
+    (kept,) = factory.changes.list_all()
+    assert (kept.stands, kept.said is not None and kept.said.reason) == (False, "snow lay on it")
     page = visitor.get("/drift").text
     assert "snow lay on it" in page
-    assert f'action="/cuts/{cut}/restoration"' in page
-    assert f'action="/cuts/{cut}/lift"' not in page
-    assert send(visitor, f"/cuts/{cut}/lift", key).status_code == 409
-    assert send(visitor, f"/cuts/{cut}/restoration", key).status_code == 303
-    assert factory.cuts.list_all(None)[0].stands
+    assert f'action="/changes/{change}/in_force"' in page
+    assert f'action="/changes/{change}/dismissed"' not in page
+    assert send(visitor, f"/changes/{change}/dismissed", key).status_code == 409
+    assert send(visitor, f"/changes/{change}/in_force", key).status_code == 303
+    assert factory.changes.list_all()[0].stands
     factory.keys.revoke(number)
-    assert send(visitor, f"/cuts/{cut}/lift", key).status_code == 403
+    assert send(visitor, f"/changes/{change}/dismissed", key).status_code == 403
 
 
-@pytest.mark.parametrize("address", ["/cuts/{}/lift", "/cuts/{}/restoration"])
-def test_nothing_changes_without_a_key_that_may(visitor: TestClient, factory: Factory, cut: int, address: str) -> None:
+@pytest.mark.parametrize("address", ["/changes/{}/dismissed", "/changes/{}/in_force"])
+def test_nothing_changes_without_a_key_that_may(
+    visitor: TestClient, factory: Factory, change: int, address: str
+) -> None:
     _, reads = factory.keys.create(("read", "refits:run"))
     _, good = factory.keys.create(("admin",))
     visitor.cookies.set("lbacal_key", good)
-    where = address.format(cut)
+    where = address.format(change)
     refused = send(visitor, where, "wrong")
     assert (refused.status_code, "the key is unknown, expired or revoked" in refused.text) == (403, True)
     assert "<h1>Forbidden</h1>" in refused.text, "a page, and not a log-in that leads nowhere"
@@ -229,7 +233,7 @@ def test_nothing_changes_without_a_key_that_may(visitor: TestClient, factory: Fa
     assert send(visitor, where, good, reason=" ").status_code == 422
     assert send(visitor, where, good, more="x").status_code == 422
     assert visitor.get(where).status_code == 405
-    assert factory.cuts.list_all(None)[0].decision is None
+    assert factory.changes.list_all()[0].said is None
 
 
 def test_a_problem_is_said_to_be_known_until_a_date(visitor: TestClient, factory: Factory, clock: Any) -> None:

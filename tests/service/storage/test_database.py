@@ -26,6 +26,7 @@ from service.errors import UnavailableError
 from service.factory import Factory
 from service.schema.tables import metadata
 from service.storage import database as module
+from service.storage.changes import Change, Evidence
 from service.storage.database import Database
 from service.storage.migration import copy_sqlite, make_config, require_complete, require_current, upgrade
 from service.storage.processes import WORKER
@@ -159,7 +160,7 @@ def test_a_value_that_no_column_holds_was_a_failure_of_the_program(factory: Fact
     if factory.settings.is_sqlite:
         pytest.skip("SQLite takes any text")
     with pytest.raises(BadInputError, match=r"request: expected values that the database can hold, found .*NUL"):
-        factory.cuts.list_all("CS\x00")
+        factory.changes.list_all("CS\x00")
     with (
         pytest.raises(
             BadInputError, match=r"request: expected values that the database can hold, found .*out of range"
@@ -257,16 +258,35 @@ def test_an_upgrade_can_be_run_again(factory: Factory) -> None:
     require_current(factory.database)
 
 
+OLD_CUTS = (
+    "CREATE TABLE window_cut (id INT, station TEXT, antenna INT,date_us INT,sigma_us INT,made_us INT,lifted_us INT)",
+    'CREATE TABLE cut_decision (id INTEGER, cut INTEGER, act TEXT, at_us BIGINT, "by" TEXT, reason TEXT)',
+    "INSERT INTO window_cut VALUES (1, 'CS002', 2, 10, 5, 30, NULL), (2, 'CS002', 3, 20, 5, 30, 40)",
+    "INSERT INTO cut_decision VALUES (1, 1, 'restored', 31, 'me', 'x'), (2, 1, 'lifted', 32, 'me', 'snow')",
+)
+
+
 def test_a_database_of_revision_0021_loses_caches_and_no_fact(factory: Factory, stored: dict[str, Version]) -> None:
     execute(factory.database, "DROP TABLE sums")
     for name in ("kept_fit", "drift_source", "event_modes", "monthly_ratio"):
         execute(factory.database, f"CREATE TABLE {name} (x INTEGER)")
+    for name in ("change_decision", "change_evidence", "change"):
+        execute(factory.database, f"DROP TABLE {name}")
+    for statement in ("ALTER TABLE job DROP COLUMN called_for", *OLD_CUTS):
+        execute(factory.database, statement)
     execute(factory.database, "UPDATE alembic_version SET version_num = '0021'")
     upgrade(factory.database)
     require_current(factory.database)
     require_complete(factory.database)
     with factory.database.read() as stores:
         assert stores.versions.get_many(one.id for one in stored.values()).keys() == {one.id for one in stored.values()}
+        kept = [
+            (one.number, one.change.antennas, one.change.date, one.decision, one.ended) for one in stores.changes.kept()
+        ]
+    assert kept == [(1, [2], 10, "dismissed", None), (2, [3], 20, "in_force", 40)]
+    with factory.database.write() as stores:
+        found = Change("CS002", ((4, None),), "step", 10**15, 5)
+        assert stores.changes.note(found, Evidence("drift", "", 9.0, 50)).number > 2
 
 
 def test_an_old_schema_is_refused_with_the_cure(factory: Factory, client: TestClient) -> None:

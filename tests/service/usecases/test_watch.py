@@ -32,7 +32,7 @@ from service.storage.versions import Version
 from service.usecases.drift import start_of_year
 from service.usecases.fits import Wanted
 from service.usecases.models import Adoption
-from service.usecases.watch import settle_cuts, tell_news
+from service.usecases.watch import settle_changes, tell_news
 from service.usecases.windows import share_misfits
 from service.wire.bodies import InvestigationBody, ReasonBody
 from tests.service.conftest import night, refit, served, work
@@ -98,12 +98,13 @@ def test_a_step_and_a_swapped_cable_end_as_a_change_point_and_a_new_window(watch
     assert len(refits) == 9, "and no other"
     assert [job.kind for job in watched.jobs.newest()][3:5] == ["watch", "drift"]
     with watched.database.read() as stores:
-        cuts = stores.cuts.standing()
+        cuts = stores.changes.cuts()
+        changes = sorted((one.change for one in stores.changes.kept()), key=lambda one: one.antennas)
         told = [one.news.sentence for one in stores.alarms.newest(OPEN_ALARMS, watched.clock())]
     assert [(one.station, one.antenna) for one in cuts] == [("CS002", 1), ("CS002", 2)]
-    for cut, date in zip(cuts, (SWAPPED, STEPPED), strict=True):
-        assert abs(cut.date - date) < 3 * cut.sigma + DAY_US
-        assert cut.sigma < 3 * DAY_US
+    for change, date in zip(changes, (SWAPPED, STEPPED), strict=True):
+        assert abs(change.date - date) < 3 * change.sigma + DAY_US
+        assert change.sigma < 3 * DAY_US
     names = [record.cable for record in watched.instrument.antennas if (record.station, record.antenna) == ("CS002", 1)]
     old, new = (watched.instrument.cables[name] for name in (names[0], other_cable(watched.instrument, names[0])))
     for antenna, cut, expected in ((1, cuts[0], np.sqrt(old / new)), (2, cuts[1], 1.15**-0.5)):
@@ -118,32 +119,43 @@ def test_a_step_and_a_swapped_cable_end_as_a_change_point_and_a_new_window(watch
     assert any("antenna 2 Y" in one and "2015-04-1" in one for one in told)
     assert [one for one in watch_night(watched) if one[0] == "refit"] == [], "the cut calls for refits once"
     assert watched.models.history() == [], "no cause, and so no gain that is promised for later years"
-    lift_and_restore(watched, Scope("CS002", 2, "Y"))
+    dismiss_and_take_back(watched, Scope("CS002", 2, "Y"))
 
 
-def lift_and_restore(watched: Factory, path: Scope) -> None:
-    """A person lifts the cut of an antenna, and the watch, which still finds the change, does not cut it again."""
+def dismiss_and_take_back(watched: Factory, path: Scope) -> None:
+    """A person dismisses a change, and the watch, which still finds it, does not cut the windows again."""
     cut_year = [version.id for version in in_effect(watched, path)]
     of_year = {("refit", scope, BEGIN) for scope in ("antenna", "station", "array")}
-    (kept,) = [one for one in watched.cuts.list_all("CS002") if one.cut.antenna == path.antenna]
+    (kept,) = [one for one in watched.changes.list_all("CS002") if one.change.antennas == [path.antenna]]
     with served(watched) as http:
-        for number, act, status in (
-            (kept.number, "restoration", 409), (kept.number + 9, "lift", 404), (kept.number + 9, "restoration", 404),
+
+        def decide(number: int, decision: str, **params: Any) -> Any:
+            body = {"decision": decision, "reason": "snow"}
+            return http.post(f"/v1/changes/{number}/decision", json=body, params=params)
+
+        for number, decision, status in (
+            (kept.number, "in_force", 409), (kept.number + 9, "dismissed", 404), (kept.number + 9, "in_force", 404),
         ):  # fmt: skip
-            assert http.post(f"/v1/cuts/{number}/{act}", json={"reason": "x"}).status_code == status
-        lifted = http.post(f"/v1/cuts/{kept.number}/lift", json={"reason": "snow"})
-        told = lifted.json()
-        assert (lifted.status_code, told["stands"], told["decision"]["reason"]) == (201, False, "snow")
+            assert decide(number, decision).status_code == status
+        foreseen = decide(kept.number, "dismissed", dry_run=True).json()["changes"]
+        dismissed = decide(kept.number, "dismissed")
+        told = dismissed.json()
+        assert (dismissed.status_code, told["decision"], told["reason"]) == (201, "dismissed", "snow")
+        assert told["changes"] == foreseen
+        assert {(one["antenna"], one["before"]) for one in foreseen if one["dipole"] == "Y"} == {
+            (path.antenna, version) for version in cut_year
+        }, "what the two pieces are told now"
         assert {one for one in watch_night(watched) if one[0] == "refit"} == of_year
         (whole,) = in_effect(watched, path)
         assert (whole.since, whole.until) == (BEGIN, parse_instant("", "2016-01-01"))
         watch_night(watched)
-        assert [one["stands"] for one in http.get("/v1/cuts?station=CS002").json()["cuts"]] == [True, False]
+        listed = http.get("/v1/changes?station=CS002").json()["changes"]
+        assert [one["decision"] for one in listed] == ["dismissed", "in_force"]
         assert [version.id for version in in_effect(watched, path)] == [whole.id], (
             "the watch finds the change again, and leaves the window whole"
         )
-        restored = http.post(f"/v1/cuts/{kept.number}/restoration", json={"reason": "no snow"})
-        assert (restored.status_code, restored.json()["stands"]) == (201, True)
+        again = decide(kept.number, "in_force")
+        assert (again.status_code, again.json()["decision"]) == (201, "in_force")
         assert {one for one in watch_night(watched) if one[0] == "refit"} == of_year
         assert [version.id for version in in_effect(watched, path)] == cut_year, "the versions of before answer again"
 
@@ -162,7 +174,7 @@ def test_a_cut_ended_for_good_when_a_model_that_took_up_its_change_came_and_went
         with stepped.database.read() as stores:
             return [one.news.sentence for one in stores.alarms.newest(OPEN_ALARMS, stepped.clock())]
 
-    before, cuts, alarmed = answers(), stepped.cuts.list_all(None), alarms()
+    before, known, alarmed = answers(), stepped.changes.list_all(), alarms()
     assert [len(of_path) for of_path in before] == [2, 2, 1, 1]
     # adopted as it was before what follows the date was refused; ledgers have such models
     cause = AdoptedCause(
@@ -175,12 +187,12 @@ def test_a_cut_ended_for_good_when_a_model_that_took_up_its_change_came_and_went
     assert stepped.models.adopt(Adoption(change, model, plain, cause, ()), promote=True)
     watch_night(stepped)
     assert len(alarms()) == len(alarmed) - 1, "the model has the step"
-    assert [one.stands for one in stepped.cuts.list_all(None)] == [True]
+    assert [one.stands for one in stepped.changes.list_all()] == [True]
     stepped.models.withdraw(model.id, ReasonBody(reason="test"), "test")
     assert answers() == before, "at once"
     for _ in range(2):
         watch_night(stepped)
-        assert (answers(), stepped.cuts.list_all(None), len(alarms())) == (before, cuts, len(alarmed))
+        assert (answers(), stepped.changes.list_all(), len(alarms())) == (before, known, len(alarmed))
 
 
 @pytest.mark.parametrize("database_url", ["sqlite"], indirect=True)
@@ -201,10 +213,10 @@ def test_c_in_effect_was_the_mean_over_a_step_that_was_found_and_nothing_said_so
             at = {"at": "2015-02-01", **path}
             (curve,) = http.get("/v1/calibrations/effective", params=at).json()["curves"]
             (alarm,) = http.get("/v1/alarms", params={"kind": "step"}).json()["alarms"]
-            (cut,) = http.get("/v1/cuts").json()["cuts"]
+            (change,) = http.get("/v1/changes").json()["changes"]
             page = "found, not yet refitted" in http.get("/drift").text
             known = http.get("/v1/status").json()["not_refitted"]
-            return [curve["flag_reason"], curve["flag"][20], alarm["sentence"][-26:], cut["refitted"], page, known]
+            return [curve["flag_reason"], curve["flag"][20], alarm["sentence"][-26:], change["refitted"], page, known]
 
         sentence = (
             "CS002 antenna 2 changed on 2015-04-11 (found, not yet refitted): C in effect is the mean over the change"
@@ -225,19 +237,23 @@ def test_later_data_move_a_date_within_its_error_and_no_window(watched: Factory)
     """A date that moved by an hour with every event would have called for refits of three scopes every night."""
     change = {
         "station": "CS002", "is_known": False, "date_unix": STEPPED / 1e6, "date_sigma_days": 1.0,
-        "members": [{"antenna": 2, "dipole": "Y"}, {"antenna": 2, "dipole": "X"}, {"antenna": None, "dipole": "X"}],
+        "members": [
+            {"antenna": antenna, "dipole": dipole, "significance": 9.0}
+            for antenna, dipole in ((2, "Y"), (2, "X"), (None, "X"))
+        ],
+        "size": -0.07, "sigma": 0.003,
     }  # fmt: skip
     moved, far = ({**change, "date_unix": STEPPED / 1e6 + 86_400 * days} for days in (2.0, 40.0))
-    vague, known = {**change, "date_sigma_days": 50.0}, {**far, "is_known": True}
+    vague, known = {**moved, "date_sigma_days": 50.0}, {**far, "is_known": True}
     exact, later = ({**change, "date_sigma_days": 1e-3, "date_unix": STEPPED / 1e6 + 3600 * h} for h in (0, 20))
     for name, changes in (
-        ("first", [change]), ("moved", [moved, vague, known]), ("far", [far]), ("none", [vague]), ("known", [known]),
+        ("first", [change]), ("moved", [moved, vague, known]), ("far", [far]), ("none", []), ("known", [known]),
         ("exact", [exact]), ("later", [later]),
     ):  # fmt: skip
         with watched.database.write() as stores:
-            settle_cuts(stores, {"changes": changes}, 1)
+            settle_changes(stores, {"changes": changes}, 1)
             dates = [] if name in ("none", "known") else [STEPPED + 40 * DAY_US if name == "far" else STEPPED]
-            assert [one.date for one in stores.cuts.standing("CS002")] == dates, name
+            assert [one.date for one in stores.changes.cuts("CS002")] == dates, name
 
 
 def test_an_alarm_of_a_step_along_frequency_says_where() -> None:

@@ -1,0 +1,58 @@
+"""The life of a path, a station or the array: what was in effect when, and all that happened to it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from fastapi import APIRouter, Request, Response
+
+from lbacal.instants import format_optional
+from lbacal_core.curves.validity import Instant
+from service.handlers.drift import describe_alarm, describe_change
+from service.handlers.models import describe_investigation, describe_model
+from service.handlers.request import InPath, UseCases, Whole, answer
+from service.handlers.routes import reads
+from service.usecases.life import Life
+from service.wire.answer_models import LifeAnswer, VersionAnswer
+from service.wire.answers import fill_answer
+
+router = APIRouter(tags=["life"])
+
+
+@reads(router, "/v1/paths/{station}/{antenna}/{dipole}/life", LifeAnswer, takes_turn=True)
+def get_life_of_path(request: Request, use: UseCases, station: InPath, antenna: Whole, dipole: InPath) -> Response:
+    """The life of a path.
+
+    Its epochs between the changes in force, what was in effect when, and the versions, changes, causes, alarms and
+    investigations that concern it, each in order of time.
+    """
+    return answer(request, describe_life(use.lives.of(station, antenna, dipole), use.clock()))
+
+
+@reads(router, "/v1/stations/{station}/life", LifeAnswer, takes_turn=True)
+def get_life_of_station(request: Request, use: UseCases, station: InPath) -> Response:
+    """The life of a station, as that of a path."""
+    return answer(request, describe_life(use.lives.of(station), use.clock()))
+
+
+@reads(router, "/v1/life", LifeAnswer, takes_turn=True)
+def get_life_of_array(request: Request, use: UseCases) -> Response:
+    """The life of the array, as that of a path."""
+    return answer(request, describe_life(use.lives.of(None), use.clock()))
+
+
+def describe_life(life: Life, now: Instant) -> dict[str, Any]:
+    """A life as JSON values."""
+
+    def during(start: Instant | None, end: Instant | None) -> dict[str, Any]:
+        return {"from": format_optional(start), "to": format_optional(end)}
+
+    return {
+        "epochs": [{**during(one.start, one.end), "because": one.because} for one in life.epochs],
+        "in_effect": [{**during(one.start, one.end), "calibration": one.calibration} for one in life.in_effect],
+        "versions": [fill_answer(VersionAnswer, one) for one in life.versions],
+        "changes": [describe_change(one) for one in life.changes],
+        "causes": [describe_model(one) for one in life.causes],
+        "alarms": [describe_alarm(one, now) for one in life.alarms],
+        "investigations": [describe_investigation(one) for one in life.investigations],
+    }

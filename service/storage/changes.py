@@ -1,0 +1,270 @@
+"""Changes: what changed in paths, a station or the array and when, by what evidence, and what was decided about it.
+
+One row, whoever found it: drift, an investigation, the instrument's record, a person. What drift found beyond the
+threshold of an alarm, what is on record and what a person entered is in force at once; what an investigation alone
+found is proposed until somebody decides. A change lasts while one of its sources says so. Nothing is deleted: evidence
+that ended and every decision stay on record.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from sqlalchemy import Select, func, select, update
+
+from lbacal.instants import DAY_US, format_instant
+from lbacal_core.curves.validity import Instant, Promotion
+from lbacal_core.errors import name_path
+from service.errors import NotFoundError
+from service.schema.tables import change, change_decision, change_evidence
+from service.storage.rows import Store, from_row, to_row
+
+STEP = "step"
+KINDS = (STEP, "ramp", "season", "course")
+DRIFT, INVESTIGATION, RECORD, PERSON = "drift", "investigation", "record", "person"
+PROPOSED, IN_FORCE, DISMISSED = "proposed", "in_force", "dismissed"
+NOT_REFITTED = "found, not yet refitted"
+SAME_DATE = 3.0
+"""Standard deviations of the difference of two dates within which they are one."""
+LARGEST_DATE_ERROR_US = 30 * DAY_US
+"""A change whose date is known worse is told, and cuts no window."""
+
+
+@dataclass(frozen=True)
+class Change:
+    """What changed, when and by how much.
+
+    Attributes
+    ----------
+    station
+        None for the array.
+    paths
+        Antenna and dipole (None: both) of each; none for the whole station or array.
+    kind
+        One of `KINDS`.
+    date, sigma
+        When, and its standard deviation in microseconds.
+    size, size_sigma
+        Change of C as a fraction with its standard deviation; None where it is not known.
+    """
+
+    station: str | None
+    paths: tuple[tuple[int, str | None], ...]
+    kind: str
+    date: Instant
+    sigma: int
+    size: float | None = None
+    size_sigma: float | None = None
+
+    @property
+    def sigma_days(self) -> float:
+        """The standard deviation of the date, days."""
+        return self.sigma / DAY_US
+
+    @property
+    def antennas(self) -> list[int]:
+        """The antennas that changed, each once."""
+        return sorted({antenna for antenna, _ in self.paths})
+
+    def is_same(self, other: Change) -> bool:
+        """Whether two are one: of a kind, with an antenna in common, and dates that agree within their errors."""
+        if (self.station, self.kind) != (other.station, other.kind):
+            return False
+        has_common = bool(set(self.antennas) & set(other.antennas)) or not (self.paths or other.paths)
+        reach = SAME_DATE * (self.sigma**2 + other.sigma**2) ** 0.5 + DAY_US
+        return has_common and abs(self.date - other.date) <= reach
+
+
+@dataclass(frozen=True)
+class Cut:
+    """A date at which the windows of an antenna are cut, both dipoles alike."""
+
+    station: str
+    antenna: int
+    date: Instant
+
+    def is_bridged_by(self, promotion: Promotion) -> bool:
+        """Whether a version answers on both sides of it."""
+        ends_later = promotion.valid_to is None or promotion.valid_to > self.date
+        return promotion.calibration is not None and promotion.valid_from < self.date and ends_later
+
+    @property
+    def warning(self) -> str:
+        """What to know of C while one version answers on both sides."""
+        who, day = name_path(self.station, self.antenna), format_instant(self.date)[:10]
+        return f"{who} changed on {day} ({NOT_REFITTED}): C in effect is the mean over the change"
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Who says that there is a change: a source, what it refers to, and when it said so first and no longer."""
+
+    source: str
+    ref: str
+    significance: float | None
+    made: Instant
+    ended: Instant | None = None
+
+
+@dataclass(frozen=True)
+class Decision:
+    """What a person decided about a change: in force, or dismissed."""
+
+    decision: str
+    at: Instant
+    by: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class KeptChange:
+    """A change on record with its evidence, oldest first, and the last decision about it.
+
+    `is_refitted`: no version in effect answers on both sides of a date at which it cuts windows.
+    """
+
+    number: int
+    change: Change
+    made: Instant
+    evidence: tuple[Evidence, ...]
+    said: Decision | None = None
+    is_refitted: bool = True
+
+    @property
+    def ended(self) -> Instant | None:
+        """When the last source no longer said so; None while one does."""
+        ends = [one.ended for one in self.evidence]
+        return None if None in ends else max((end for end in ends if end is not None), default=self.made)
+
+    @property
+    def decision(self) -> str:
+        """Proposed, in force or dismissed: the last decision, or what follows from who found it."""
+        if self.said is not None:
+            return self.said.decision
+        return PROPOSED if all(one.source == INVESTIGATION for one in self.evidence) else IN_FORCE
+
+    @property
+    def stands(self) -> bool:
+        """Whether it is in force, and somebody still says so."""
+        return self.decision == IN_FORCE and self.ended is None
+
+    @property
+    def cuts(self) -> list[Cut]:
+        """Where windows are cut because of it; the instrument's record cuts by itself."""
+        one = self.change
+        is_sharp = one.kind == STEP and one.sigma <= LARGEST_DATE_ERROR_US
+        if not (self.stands and is_sharp) or any(by.source == RECORD and by.ended is None for by in self.evidence):
+            return []
+        return [Cut(str(one.station), antenna, one.date) for antenna in one.antennas]
+
+    def seen_at(self, as_of: Instant) -> KeptChange:
+        """The same with the evidence that there was at an instant."""
+        known = [
+            replace(one, ended=None if one.ended is None or one.ended > as_of else one.ended)
+            for one in self.evidence
+            if one.made <= as_of
+        ]
+        return replace(self, evidence=tuple(known))
+
+
+class ChangeStore(Store):
+    """Changes that are and were on record."""
+
+    def kept(self, station: str | None = None, as_of: Instant | None = None) -> list[KeptChange]:
+        """All of them, of all stations or of one, in order of station and date; as they were known at an instant."""
+        statement = select(change).order_by(change.c.station, change.c.date_us, change.c.id)
+        if station is not None:
+            statement = statement.where(change.c.station == station)
+        return self._read(statement, as_of)
+
+    def get(self, number: int) -> KeptChange:
+        """One of them."""
+        found = self._read(select(change).where(change.c.id == number))
+        if not found:
+            raise NotFoundError(f"no change {number}; GET /v1/changes lists them")
+        return found[0]
+
+    def cuts(
+        self, station: str | None = None, since: Instant | None = None, until: Instant | None = None,
+        as_of: Instant | None = None,
+    ) -> list[Cut]:  # fmt: skip
+        """Where windows are cut, inside a window, in order of station, antenna and date."""
+        found = [cut for one in self.kept(station, as_of) for cut in one.cuts]
+        inside = [cut for cut in found if (since is None or cut.date > since) and (until is None or cut.date < until)]
+        return sorted(inside, key=lambda cut: (cut.station, cut.antenna, cut.date))
+
+    def last_act(self, station: str | None, since: Instant, until: Instant) -> list[int]:
+        """How many sources of changes in a window ended, and the number of the last decision: nothing where none did.
+
+        Windows that are whole again are those of before: the pair says that they are due.
+        """
+        ended = select(func.count()).select_from(change_evidence).join(change)
+        decided = select(func.coalesce(func.max(change_decision.c.id), 0)).select_from(change_decision).join(change)
+        inside = [change.c.date_us > since, change.c.date_us < until]
+        inside += [] if station is None else [change.c.station == station]
+        asked = ended.where(change_evidence.c.ended_us.is_not(None), *inside), decided.where(*inside)
+        pair = [int(self._connection.execute(one).scalar_one()) for one in asked]
+        return pair if any(pair) else []
+
+    def note(self, found: Change, evidence: Evidence) -> KeptChange:
+        """Write what a source says: of a change that is on record, or of a new one.
+
+        It keeps the date and size with which it was found first: later data move these within their errors. Antennas
+        that were not among those of a change that is on record are a change of their own.
+        """
+        same = [one for one in self.kept(found.station) if one.change.is_same(found)]
+        covered = {antenna for one in same for antenna in one.change.antennas}
+        rest = tuple(path for path in found.paths if path[0] not in covered)
+        numbers = [one.number for one in same if not any(_says(by, evidence) for by in one.evidence)]
+        if rest or not same:
+            row = to_row(replace(found, paths=rest), change, paths=json.dumps(rest), made_us=evidence.made)
+            made = self._connection.execute(change.insert().values(row).returning(change.c.id))
+            numbers.append(int(made.scalar_one()))
+        for number in numbers:
+            row = to_row(evidence, change_evidence, change=number)
+            self._connection.execute(change_evidence.insert().values(row))
+        return self.get((*(one.number for one in same), *numbers)[0])
+
+    def end(self, number: int, source: str, now: Instant) -> None:
+        """A source no longer says so."""
+        own = change_evidence.c.change == number, change_evidence.c.source == source
+        lasts = change_evidence.c.ended_us.is_(None)
+        self._connection.execute(update(change_evidence).where(*own, lasts).values(ended_us=now))
+
+    def decide(self, number: int, decision: Decision) -> KeptChange:
+        """Write a decision about one."""
+        self._connection.execute(change_decision.insert().values(to_row(decision, change_decision, change=number)))
+        return self.get(number)
+
+    def _read(self, statement: Select[Any], as_of: Instant | None = None) -> list[KeptChange]:
+        rows = self._connection.execute(statement).all()
+        numbers = [row.id for row in rows]
+        evidence = self._of(change_evidence, Evidence, numbers)
+        decisions = self._of(change_decision, Decision, numbers)
+        kept = []
+        for row in rows:
+            paths = tuple((antenna, dipole) for antenna, dipole in json.loads(row.paths))
+            said = [one for one in decisions.get(row.id, []) if as_of is None or one.at <= as_of]
+            one = KeptChange(
+                row.id, from_row(Change, row, paths=paths), row.made_us, tuple(evidence.get(row.id, ())),
+                said[-1] if said else None,
+            )  # fmt: skip
+            if as_of is None or row.made_us <= as_of:
+                kept.append(one if as_of is None else one.seen_at(as_of))
+        return kept
+
+    def _of(self, table: Any, kind: type[Any], numbers: Sequence[int]) -> dict[int, list[Any]]:
+        """Rows of a table about changes, by the change, in the order in which they were written."""
+        found: dict[int, list[Any]] = {}
+        statement = select(table).where(table.c.change.in_(numbers)).order_by(table.c.id)
+        for row in self._connection.execute(statement) if numbers else ():
+            found.setdefault(row.change, []).append(from_row(kind, row))
+        return found
+
+
+def _says(one: Evidence, other: Evidence) -> bool:
+    """Whether a source says so already."""
+    return one.ended is None and (one.source, one.ref) == (other.source, other.ref)

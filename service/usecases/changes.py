@@ -1,0 +1,180 @@
+"""Changes of paths, as people see them: listed, entered by who knows of one, and decided about.
+
+A change is refitted once the pieces of the windows that it cuts are in effect: until then one C answers on both sides.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterator, Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING
+
+from lbacal.instants import DAY_US, parse_instant
+from lbacal_core.causes.model import follows_date
+from lbacal_core.curves.validity import Instant, Promotion, Scope
+from lbacal_core.errors import BadInputError
+from lbacal_core.instrument.instrument import Instrument
+from service.errors import ConflictError
+from service.storage.changes import (
+    DISMISSED,
+    IN_FORCE,
+    INVESTIGATION,
+    PERSON,
+    STEP,
+    Change,
+    Cut,
+    Decision,
+    Evidence,
+    KeptChange,
+)  # fmt: skip
+from service.storage.database import Database, Stores
+from service.storage.models import Investigation
+from service.storage.versions import Version
+from service.usecases.calibrations import select_paths
+from service.usecases.drift import start_of_year
+from service.usecases.promotions import LAST, Promotions
+from service.usecases.promotions import Change as ChangeOfC
+from service.wire.bodies import ChangeBody, DecisionBody
+
+if TYPE_CHECKING:
+    from service.usecases.fits import Fits
+
+INVESTIGATED_SIGMA_US = 3 * DAY_US
+"""An investigation gives the event from which on a cause acts, and no error of that date."""
+FITTED_ONE_BY_ONE = 3
+"""More antennas than this are fitted with their whole station to say what a decision changes."""
+GAIN_STEP = "gain_step"
+WORDS = {IN_FORCE: "in force", DISMISSED: "dismissed"}
+
+
+def mark_refitted(stores: Stores, changes: Sequence[KeptChange], dipoles: Collection[str]) -> list[KeptChange]:
+    """Changes with whether they are refitted: one whose antennas have versions in effect may not be."""
+    asked = {
+        (Scope(cut.station, cut.antenna, dipole), at): (one.number, cut)
+        for one in changes for cut in one.cuts for dipole in dipoles for at in (cut.date - 1, cut.date)
+    }  # fmt: skip
+    said = stores.ledger.decisive_at(asked)
+    waiting = {number for key, (number, cut) in asked.items() if key in said and cut.is_bridged_by(said[key])}
+    return [replace(one, is_refitted=one.number not in waiting) for one in changes]
+
+
+def propose(made: Investigation) -> Iterator[tuple[Change, Evidence]]:
+    """What an investigation found along the date, as a change; anything else that it found is a cause of the model."""
+    for number, finding in enumerate(made.report["findings"]):
+        if not (follows_date(finding["cause"], finding["parameters"]) and "date_unix" in finding["parameters"]):
+            continue
+        where, size = finding["where"], finding["size"]
+        paths = tuple((antenna, dipole) for antenna in where["antennas"] for dipole in where["dipoles"])
+        date = round(finding["parameters"]["date_unix"] * 1_000_000)
+        change = Change(made.station, paths, STEP, date, INVESTIGATED_SIGMA_US)
+        if finding["cause"] == GAIN_STEP:
+            of_c = (1.0 + size["value"]) ** -0.5  # C^2 is proportional to 1 / gain
+            change = replace(change, size=of_c - 1.0, size_sigma=of_c * size["sigma"] / (1.0 + size["value"]) / 2.0)
+        yield change, Evidence(INVESTIGATION, f"{made.id}#{number}", finding["significance_sigma"], made.made)
+
+
+@dataclass(frozen=True)
+class Changes:
+    """Lists changes and takes decisions about them; the next look for due work finds the windows that these change."""
+
+    database: Database
+    instrument: Instrument
+    promotions: Promotions
+    find_fits: Callable[[], Fits]
+    clock: Callable[[], Instant]
+
+    def list_all(self, station: str | None = None) -> list[KeptChange]:
+        """All changes on record, of all stations or of one."""
+        with self.database.read() as stores:
+            return mark_refitted(stores, stores.changes.kept(station), self.instrument.dipoles)
+
+    def waiting(self) -> list[KeptChange]:
+        """Those that cut windows and are not yet refitted."""
+        return [one for one in self.list_all() if not one.is_refitted]
+
+    def enter(self, body: ChangeBody, by: str) -> KeptChange:
+        """Put on record and into force what a person knows: of a change that was found, or of a new one."""
+        change, now = self._read(body), self.clock()
+        with self.database.write() as stores:
+            kept = stores.changes.note(change, Evidence(PERSON, by, None, now))
+            decided = stores.changes.decide(kept.number, Decision(IN_FORCE, now, by, body.reason))
+            return mark_refitted(stores, [decided], self.instrument.dipoles)[0]
+
+    def decide(self, number: int, body: DecisionBody, by: str) -> KeptChange:
+        """Put a change in force, or dismiss it, whatever its sources say."""
+        with self.database.write() as stores:
+            kept = _require_open(stores.changes.get(number), body.decision)
+            decided = stores.changes.decide(kept.number, Decision(body.decision, self.clock(), by, body.reason))
+            return mark_refitted(stores, [decided], self.instrument.dipoles)[0]
+
+    def foresee(self, number: int, body: DecisionBody, by: str) -> tuple[KeptChange, list[ChangeOfC]]:
+        """The change as it would be decided, and what its paths would be told then, by fits of its year."""
+        with self.database.read() as stores:
+            kept = _require_open(stores.changes.get(number), body.decision)
+            then = replace(kept, said=Decision(body.decision, self.clock(), by, body.reason))
+            others = [one for one in stores.changes.kept(kept.change.station) if one.number != number]
+        if not [*kept.cuts, *then.cuts]:
+            return then, []
+        year = datetime.fromtimestamp(kept.change.date / 1e6, UTC).year
+        window = start_of_year(year), start_of_year(year + 1)
+        cuts = [cut for one in (*others, then) for cut in one.cuts if window[0] < cut.date < window[1]]
+        return then, self._fit(kept.change, window, cuts, by)
+
+    def _fit(self, change: Change, window: tuple[Instant, Instant], cuts: Sequence[Cut], by: str) -> list[ChangeOfC]:
+        from service.usecases.fits import Wanted
+
+        fits, versions = self.find_fits(), list[Version]()
+        scopes = [
+            Scope(change.station, antenna, dipole) for antenna in change.antennas for dipole in self.instrument.dipoles
+        ]
+        with self.database.read() as stores:
+            model = stores.models.during(change.station, *window)
+            for of in scopes if len(change.antennas) <= FITTED_ONE_BY_ONE else [Scope(change.station)]:
+                wanted = Wanted("antenna", of, *window, model, by, "", tuple(cuts))
+                try:
+                    spectra = fits.load(stores, wanted)
+                except ConflictError:
+                    continue
+                versions += fits.make(fits.fit_causes(spectra, model), wanted).versions
+            told = [
+                Promotion(0, one.scope, *one.window, one.id, LAST, by, "")
+                for one in versions
+                if one.scope in scopes and all(curve.c is not None for curve in one.curves)
+            ]
+            return self.promotions.changes(stores, told, versions) if told else []
+
+    def _read(self, body: ChangeBody) -> Change:
+        """What a person says, held against the instrument."""
+        given = [name for name in ("paths", "station", "array") if getattr(body, name) is not None]
+        if len(given) != 1:
+            raise BadInputError("body", "one of paths, station, array", " and ".join(given) or "none of them")
+        stations: set[str | None] = {one.station for one in body.paths or ()} or {body.station}
+        if len(stations) > 1:
+            raise BadInputError("body.paths", "paths of one station", ", ".join(sorted(map(str, stations))))
+        for one in body.paths or ():
+            select_paths(self.instrument, one.station, one.antenna, one.dipole)
+        (station,) = stations
+        if station is not None:
+            select_paths(self.instrument, station, None, None)
+        paths = [(one.antenna, one.dipole) for one in body.paths or ()]
+        if body.station is not None:
+            paths = [(one.antenna, None) for one in self.instrument.antennas if one.station == body.station]
+        size = (None, None) if body.size is None else (body.size.value, body.size.sigma)
+        date = parse_instant("body.at.value", body.at.value)
+        return Change(station, tuple(dict.fromkeys(paths)), body.kind, date, round(body.at.sigma_days * DAY_US), *size)
+
+
+def _require_open(kept: KeptChange, decision: str) -> KeptChange:
+    if kept.ended is not None:
+        raise ConflictError(f"change {kept.number} has ended: nobody who found it still does")
+    if kept.decision == decision:
+        raise ConflictError(f"change {kept.number} is {WORDS[decision]} already")
+    return kept
+
+
+def concerns(kept: KeptChange, antenna: int | None, dipole: str | None) -> bool:
+    """Whether a change is of an antenna and dipole, where these are asked for."""
+    of = kept.change.paths
+    is_its = [antenna in (None, own) and (dipole is None or letter in (None, dipole)) for own, letter in of]
+    return not of or any(is_its)
