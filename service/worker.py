@@ -91,12 +91,7 @@ class Worker:
             told.exception("part failed unexpectedly")
             self._fail(part, f"unexpected {type(error).__name__}: {error}")
         else:
-            if part.kind == REFIT and part.request["scope"] == "antenna":
-                self._factory.due.enqueue_drift(part.request["station"])
-            if part.kind == DRIFT:
-                self._factory.due.enqueue_watch()
-            if part.kind == WATCH:
-                self._factory.due.enqueue_cut()
+            self._factory.due.enqueue_next(part)
             if part.kind == WATCH or (part.kind == REFIT and part.request["scope"] == "array"):
                 # the last of the refits, and of the drift: what a night found is told when it is over
                 self._factory.alarms.look()

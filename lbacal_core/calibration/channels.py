@@ -114,7 +114,7 @@ def _excess_of_intercepts(
     derivative[:, channels + at, at] = before
     derivative[:, channels:, channels : channels + len(terms.front)] = x[:, :, None] * terms.front.T
     derivative[:, channels:, channels + len(terms.front) :] = terms.design
-    residual = np.concatenate([slope - x, intercept - before * x - solution.q @ terms.behind], axis=1)
+    residual = np.concatenate([slope - x, intercept - terms.on_line(x, solution.n, solution.q)], axis=1)
     side = np.matmul(information, derivative)
     normal = np.matmul(derivative.transpose(0, 2, 1), side)
     of_intercept = side[:, channels:]

@@ -15,12 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lbacal_core.calibration.channels import solve_without_interference
-from lbacal_core.calibration.lines import Lines, NoiseLevels, SharedNoise, continue_lines
+from lbacal_core.calibration.lines import Lines, continue_lines
 from lbacal_core.calibration.paths import MeanOfEvents, Paths
 from lbacal_core.calibration.singles import MIN_EVENTS, relative_variance_of
+from lbacal_core.calibration.years import Beside, lines_of, pick_beside, solve_together
 from lbacal_core.chain.model import calibration_factor
 from lbacal_core.curves.curves import CalibrationCurve
-from lbacal_core.curves.kept_lines import KeptLines, MemberLines
+from lbacal_core.curves.kept_lines import KeptLines, MemberLines, Owner
 from lbacal_core.grids import Floats
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.spectra.blocks import SpectraBlock, split_into_blocks
@@ -30,9 +31,6 @@ from lbacal_core.spectra.spectra import Spectra
 LARGEST_ERROR = 0.1
 """Standard deviations by which C may then differ from that of a fit from all spectra; with fewer events, by less
 (`tests/lbacal_core/calibration/test_continued.py`)."""
-
-Owner = tuple[str | None, int | None, str]
-"""Station, antenna and dipole; station and antenna are None where it is a mean."""
 
 
 @dataclass(frozen=True)
@@ -52,8 +50,10 @@ class Continued:
     undecided: frozenset[Owner]
 
 
-def keep_lines(paths: Paths, lines: Lines, curves: Sequence[CalibrationCurve], form: str) -> KeptLines:
-    """Take from a fit what it can be continued with."""
+def keep_lines(
+    paths: Paths, lines: Lines, curves: Sequence[CalibrationCurve], form: str, loss: Floats, spectra: Sequence[str]
+) -> KeptLines:
+    """Take from a fit what it can be continued with, and what other windows can be fitted with."""
     return KeptLines(
         owners=tuple(paths.owners),
         events=np.isfinite(paths.relative_variance).sum(axis=1),
@@ -65,6 +65,8 @@ def keep_lines(paths: Paths, lines: Lines, curves: Sequence[CalibrationCurve], f
         constant=lines.shared.constant,
         behind=lines.shared.behind,
         scatter=lines.levels.of_band,
+        loss=loss,
+        spectra=np.array(spectra),
         typical_blocks=paths.typical_blocks,
         variance_unit=paths.variance_unit,
         members=paths.member_lines,
@@ -72,7 +74,9 @@ def keep_lines(paths: Paths, lines: Lines, curves: Sequence[CalibrationCurve], f
     )
 
 
-def continue_fit(kept: Sequence[KeptLines], new: Spectra, simulation: Simulation) -> Continued:
+def continue_fit(
+    kept: Sequence[KeptLines], new: Spectra | None, simulation: Simulation, beside: Sequence[Beside] = ()
+) -> Continued:
     """C of the paths of a fit with some events more.
 
     Parameters
@@ -80,14 +84,18 @@ def continue_fit(kept: Sequence[KeptLines], new: Spectra, simulation: Simulation
     kept
         The `lines` of the report of a fit (`fit_calibration`).
     new
-        The spectra of all its paths in events that it has not seen.
+        The spectra of all its paths in events that it has not seen; None where there are none.
+    beside
+        As in `fit_calibration`.
     """
-    blocks, curves, undecided = split_into_blocks(new), dict[Owner, tuple[Floats, Floats, float]](), set[Owner]()
+    blocks = [] if new is None else split_into_blocks(new)
+    curves, undecided = dict[Owner, tuple[Floats, Floats, float]](), set[Owner]()
     for one in kept:
         if one.members is None:
-            found = _continue_paths(one, _read_paths(one, blocks, simulation), simulation)
+            events = _read_paths(one, blocks, simulation)
         else:
-            found = _continue_paths(one, _read_mean(one, one.members, blocks, simulation), simulation)
+            events = _read_mean(one, one.members, blocks, simulation)
+        found = _continue_paths(one, events, simulation, pick_beside(beside, one.owners[0]))
         curves |= found.curves
         undecided |= found.undecided
     return Continued(curves, frozenset(undecided))
@@ -161,21 +169,23 @@ def _is_odd(power: Floats, expected: Floats, variance: Floats, scatter: Floats) 
     return np.asarray(may_be_left_out(departure, scatter) | np.any(~is_positive & np.isfinite(variance), axis=1))
 
 
-def _continue_paths(kept: KeptLines, new: _Events, simulation: Simulation) -> Continued:
+def _continue_paths(kept: KeptLines, new: _Events, simulation: Simulation, beside: Sequence[Beside]) -> Continued:
     """C of paths, or of a mean, with some events more."""
     more = np.isfinite(new.relative_variance).sum(axis=1)
     share = more / np.maximum(kept.events, 1)
     is_undecided = np.where(kept.has_c, share > LARGEST_SHARE_OF_LATER, kept.events + more >= MIN_EVENTS)
-    is_undecided = (is_undecided & (more > 0)) | (new.is_odd & kept.has_c)
+    is_undecided = (is_undecided & (more > 0)) | ((new.is_odd | (kept.events < MIN_EVENTS)) & kept.has_c)
     at = np.flatnonzero(kept.has_c & ~is_undecided)
     curves = {}
     if at.size:
         sky = simulation.sky_power.of_station(kept.owners[0][0]).at(kept.owners[0][2], new.lst_hours)
-        lines = _lines_of(kept, at)
+        lines = lines_of(kept, at)
         if new.lst_hours.size:
             lines = continue_lines(lines, new.power[at], sky, new.relative_variance[at])
         terms, channels = simulation.with_form(kept.form).noise, simulation.instrument.frequency_mhz.size
-        solution, _ = solve_without_interference(lines.slope, lines.intercept, lines.information, terms)
+        alone = solve_without_interference(lines.slope, lines.intercept, lines.information, terms)
+        owners, is_small = [kept.owners[k] for k in at.tolist()], np.zeros(at.size, dtype=bool)
+        solution = solve_together(lines, owners, kept.loss[at], terms, beside, *alone, is_small).solution
         is_undecided[at] = ~(solution.is_converged & solution.is_identifiable)
         with np.errstate(invalid="ignore", divide="ignore"):
             c = calibration_factor(solution.x, simulation.instrument.antenna_gain)
@@ -186,10 +196,3 @@ def _continue_paths(kept: KeptLines, new: _Events, simulation: Simulation) -> Co
             if not is_undecided[k]
         }
     return Continued(curves, frozenset(kept.owners[k] for k in np.flatnonzero(is_undecided).tolist()))
-
-
-def _lines_of(kept: KeptLines, at: NDArray[np.intp]) -> Lines:
-    """The lines of some paths. Where an event shares nothing along frequency both of its vectors are 0."""
-    shared = SharedNoise(kept.constant[at], kept.behind[at])
-    levels = NoiseLevels(kept.radiometer[at], np.hypot(shared.constant, shared.behind))
-    return Lines(kept.slope[at], kept.intercept[at], kept.information[at], levels, shared)

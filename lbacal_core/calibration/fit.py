@@ -35,6 +35,7 @@ from lbacal_core.calibration.paths import (
 from lbacal_core.calibration.separable import SeparableSolution
 from lbacal_core.calibration.singles import MIN_EVENTS, chain_forms
 from lbacal_core.calibration.spreads import measure_spreads
+from lbacal_core.calibration.years import FEWEST_EVENTS, Beside, Together, lend, pick_beside, solve_together
 from lbacal_core.chain.model import calibration_factor
 from lbacal_core.curves.covariance import CurveCovariance, compress_covariance
 from lbacal_core.curves.curves import (
@@ -68,12 +69,15 @@ SMALLEST_OF_LIMIT = 0.7
 MOST_NEGATIVE = 6.0
 """Standard deviations by which a noise constant is negative and not by chance."""
 SHARE_OF_MISFITS = 0.5
+TOO_SMALL = (TOO_FEW_EVENTS, TOO_FEW_LST_BINS)
+"""What a window with the same hardware, or the nearest, makes up for."""
 
 
 def fit_calibration(
     spectra: Spectra,
     simulation: Simulation,
     scope: str = "antenna",
+    beside: Sequence[Beside] = (),
 ) -> FitReport:
     """Calibrate every antenna, every station or the whole array.
 
@@ -85,6 +89,8 @@ def fit_calibration(
         On the same channels as the spectra. Data that its prior of P_sky does not allow for are a misfit.
     scope
         ``antenna`` (one curve a path), ``station`` or ``array`` (one curve a polarisation).
+    beside
+        What is kept of fits of the same scope in other windows, the nearest first: one chain is fitted to all.
 
     Returns
     -------
@@ -105,10 +111,13 @@ def fit_calibration(
         paths = read()
         station, _, letter = paths.owners[0]
         sky = simulation.sky_power.of_station(station).at(letter, paths.lst_hours)
-        curves, lines = _fit_paths(paths, sky, simulation)
+        loss = _losses(paths, instrument, cable_of)
+        curves, lines = _fit_paths(paths, sky, simulation, loss, pick_beside(beside, paths.owners[0]))
         chains = [_chain_of(curve, paths, instrument, table, cable_of) for curve, _ in curves]
         of_paths = [(*curve, chain) for curve, chain in zip(curves, chains, strict=True)]
-        return of_paths, paths.anomalies, keep_lines(paths, lines, [curve for curve, _ in curves], simulation.form)
+        digests = [spectra.digest(*owner) for owner in paths.owners]
+        kept = keep_lines(paths, lines, [curve for curve, _ in curves], simulation.form, loss, digests)
+        return of_paths, paths.anomalies, kept
 
     # NumPy leaves the interpreter's lock in its loops, so blocks of paths share the cores as threads; the threads that
     # BLAS would start within each cost twice the time.
@@ -171,27 +180,23 @@ def _chain_of(
     return ReferenceChain(tuple(sorted(paths.members)), mean_loss, table, spreads)
 
 
+def _losses(paths: Paths, instrument: Instrument, cable_of: Cables) -> Floats:
+    """L_coax of each path, of a mean the mean over its members, shape (path, freq)."""
+    members = [paths.members if antenna is None else [(str(s), antenna)] for s, antenna, _ in paths.owners]
+    none = np.ones((1, instrument.frequency_mhz.size))
+    return np.array([np.mean([instrument.cables[cable_of[one]] for one in of] or none, axis=0) for of in members])
+
+
 def _fit_paths(
-    paths: Paths, sky: Floats, simulation: Simulation
+    paths: Paths, sky: Floats, simulation: Simulation, loss: Floats, beside: Sequence[Beside]
 ) -> tuple[list[tuple[CalibrationCurve, Floats]], Lines]:
     """The chain fitted to the lines of a batch of paths, with the status of each and the gain of each mistake."""
-    instrument, known, terms = simulation.instrument, paths.fits, simulation.noise
-    lines = (
-        fit_lines(paths.power, sky, paths.relative_variance, chain_forms(instrument)) if known is None else known.lines
-    )
+    instrument, terms = simulation.instrument, simulation.noise
     events = np.isfinite(paths.relative_variance).sum(axis=1)
     covered = paths.count_lst_bins()
-
-    status = np.full(len(paths.owners), CONVERGED, dtype=object)
-    status[~_sees_the_sky_vary(lines)] = NOT_IDENTIFIABLE
-    status[covered < MIN_LST_BINS] = TOO_FEW_LST_BINS
-    status[covered < ONE_TIME_BINS] = NOT_IDENTIFIABLE
-    status[events < MIN_EVENTS] = TOO_FEW_EVENTS
-    at = np.flatnonzero(status == CONVERGED)
-    plain = None if known is None else known.solution.take(np.searchsorted(known.solved, at))
-    solution, is_free = solve_without_interference(
-        lines.slope[at], lines.intercept[at], lines.information[at], terms, plain
-    )
+    is_small = (events < MIN_EVENTS) | (covered < MIN_LST_BINS)
+    status, at, lines, together = _fit_chain(paths, sky, simulation, loss, beside)
+    solution, is_free = together.solution, together.is_free
     channels = instrument.frequency_mhz.size
     variance = np.einsum("pii->pi", solution.covariance)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -201,9 +206,11 @@ def _fit_paths(
     flag = flag_channels(np.where(c > 0, relative_error, np.nan), lines.levels.radiometer[at], is_free)
     has_value = flag != OUTSIDE
     is_usable = has_value.mean(axis=1) >= SMALLEST_BAND
-    status[at[~solution.is_converged]] = NOT_CONVERGED
-    status[at[~(solution.is_identifiable & is_usable)]] = NOT_IDENTIFIABLE
-    good = np.flatnonzero(status == CONVERGED)
+    is_fitted = status[at] == CONVERGED
+    status[at[is_fitted & ~solution.is_converged]] = NOT_CONVERGED
+    status[at[is_fitted & ~(solution.is_identifiable & is_usable)]] = NOT_IDENTIFIABLE
+    has_c = status == CONVERGED
+    good = np.flatnonzero(has_c & ~is_small)
     of_good = np.searchsorted(at, good)
     tested = FittedPaths(
         paths.power[good], sky, paths.relative_variance[good], paths.lst_hours, lines.select(good), solution.n[of_good],
@@ -221,7 +228,7 @@ def _fit_paths(
     none = np.zeros(tested.gain.shape[1])
     curves = []
     for k, (station, antenna, dipole) in enumerate(paths.owners):
-        is_good, j = k in profiled, int(np.searchsorted(at, k))
+        is_good, j = bool(has_c[k]), int(np.searchsorted(at, k))
         values = (*solution.n[j], *solution.q[j]) if is_good else ()
         sigmas = np.sqrt(variance[j, channels:]) if is_good else ()
         curve = CalibrationCurve(
@@ -246,9 +253,36 @@ def _fit_paths(
             antenna_gain=instrument.antenna_gain,
             sky_over_model=_sky_over_model(c[j], solution, j, instrument.kelvin_error) if is_good else None,
             merged=describe_merged(solution, j, terms) if is_good else None,
+            repeated=together.describe(j) if is_good else None,
         )
         curves.append((curve.as_misfit() if k in is_misfit else curve, gains.get(k, none)))
     return curves, lines
+
+
+def _fit_chain(
+    paths: Paths, sky: Floats, simulation: Simulation, loss: Floats, beside: Sequence[Beside]
+) -> tuple[NDArray[np.object_], NDArray[np.intp], Lines, Together]:
+    """The status of each path before its curve is looked at, those that are fitted, all lines, and the chains."""
+    known, terms = paths.fits, simulation.noise
+    forms = chain_forms(simulation.instrument)
+    lines = fit_lines(paths.power, sky, paths.relative_variance, forms) if known is None else known.lines
+    events, covered = np.isfinite(paths.relative_variance).sum(axis=1), paths.count_lst_bins()
+    status = np.full(len(paths.owners), CONVERGED, dtype=object)
+    status[~_sees_the_sky_vary(lines)] = NOT_IDENTIFIABLE
+    status[covered < MIN_LST_BINS] = TOO_FEW_LST_BINS
+    status[covered < ONE_TIME_BINS] = NOT_IDENTIFIABLE
+    status[events < MIN_EVENTS] = TOO_FEW_EVENTS
+    at = np.flatnonzero(status == CONVERGED)
+    plain = None if known is None else known.solution.take(np.searchsorted(known.solved, at))
+    alone = solve_without_interference(lines.slope[at], lines.intercept[at], lines.information[at], terms, plain)
+    is_small = np.isin(status, TOO_SMALL) & (events >= FEWEST_EVENTS)
+    lent = lend(beside, is_small, paths, sky, loss, terms)
+    if lent is not None:
+        lines, at, alone = lines.exchange(lent.at, lent.lines), *lent.insert_into(at, *alone)
+    owners = [paths.owners[k] for k in at.tolist()]
+    together = solve_together(lines.select(at), owners, loss[at], terms, beside, *alone, is_small[at])
+    status[at[is_small[at] & (together.windows > 1)]] = CONVERGED
+    return status, at, lines, together
 
 
 def _covariance_of(slope: Floats, covariance: Floats, has_value: NDArray[np.bool_]) -> CurveCovariance:

@@ -225,6 +225,20 @@ class Lines:
         shared = SharedNoise(self.shared.constant[paths], self.shared.behind[paths])
         return Lines(self.slope[paths], self.intercept[paths], self.information[paths], levels, shared)
 
+    def exchange(self, at: NDArray[np.intp], part: Lines) -> Lines:
+        """The lines with those of some paths exchanged."""
+
+        def put(before: Floats, now: Floats) -> Floats:
+            found = before.copy()
+            found[at] = now
+            return found
+
+        return Lines(
+            put(self.slope, part.slope), put(self.intercept, part.intercept), put(self.information, part.information),
+            NoiseLevels(*map(put, vars(self.levels).values(), vars(part.levels).values())),
+            SharedNoise(*map(put, vars(self.shared).values(), vars(part.shared).values())),
+        )  # fmt: skip
+
     def power(self, sky_power: Floats) -> Floats:
         """The power on the lines, shape (path, event, freq), for P_sky, shape (event, freq)."""
         return self.slope[:, None, :] * sky_power + self.intercept[:, None, :]

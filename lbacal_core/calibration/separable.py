@@ -89,6 +89,11 @@ class SeparableSolution:
         """Some of the solutions."""
         return SeparableSolution(**{name: values[at] for name, values in vars(self).items()})
 
+    def join(self, other: SeparableSolution) -> SeparableSolution:
+        """These solutions, then those of another."""
+        pairs = zip(vars(self), vars(self).values(), vars(other).values(), strict=True)
+        return SeparableSolution(**{name: np.concatenate(pair) for name, *pair in pairs})
+
     def exchange(self, at: NDArray[np.intp], part: SeparableSolution) -> SeparableSolution:
         """The solutions with those at some places exchanged."""
         fields = {name: values.copy() for name, values in vars(self).items()}

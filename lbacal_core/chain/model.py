@@ -136,6 +136,10 @@ class Intercepts:
         """All noise in front of A(nu) in the unit of P_sky, shape (..., freq), for constants of shape (..., r)."""
         return np.asarray(self.known + n @ self.front)
 
+    def on_line(self, x: Floats, n: Floats, q: Floats) -> Floats:
+        """The intercepts b of slopes, shape (..., freq), and constants, (..., r) and (..., k)."""
+        return np.asarray(self.before(n) * x + q @ self.behind)
+
     def split_behind(self, q: Floats) -> tuple[Floats, Floats]:
         """The noise of the receiver and that of the converter, shape (freq,) each, for constants behind, shape (k,)."""
         of_receiver = len(q) - self.ends_in_adc

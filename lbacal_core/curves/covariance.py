@@ -62,6 +62,11 @@ class Budget:
     terms: Sequence[BudgetTerm]
     unsure: Mapping[str, NDArray[np.bool_]] = field(default_factory=dict)
 
+    @property
+    def polarisations(self) -> set[str]:
+        """Those that had a curve; none where no path has events enough for one."""
+        return {polarisation for term in self.terms for polarisation in term.vectors}
+
     def variance(self, polarisation: str, name: str | None = None) -> Floats:
         """Variance of ln C by all terms, or by those of a name, shape (freq,)."""
         found = [term.variance(polarisation) for term in self.terms if name in (None, term.name)]

@@ -244,6 +244,22 @@ class MergedConstants:
 
 
 @dataclass(frozen=True)
+class Repeated:
+    """How several windows of a path with the same hardware repeat.
+
+    Attributes
+    ----------
+    windows
+        How many one chain was fitted to; 1 where they do not repeat, and each is fitted by itself.
+    chi2_per_dof
+        The lines of all windows against one chain with a gain for each.
+    """
+
+    windows: int
+    chi2_per_dof: float
+
+
+@dataclass(frozen=True)
 class CalibrationCurve:
     """The calibration C(nu) of one path, one station or the whole array, or why there is none.
 
@@ -274,6 +290,8 @@ class CalibrationCurve:
         Noise constants that the data do not tell apart; None where there are none.
     sky_over_model
         The sky over its model, where the data are calibrated in kelvin; None elsewhere.
+    repeated
+        The windows that were fitted together; None where there was one.
     """
 
     station: str | None
@@ -294,6 +312,7 @@ class CalibrationCurve:
     covariance: CurveCovariance | None = None
     merged: MergedConstants | None = None
     sky_over_model: SkyOverModel | None = None
+    repeated: Repeated | None = None
 
     def __post_init__(self) -> None:
         if self.status not in STATUSES:
@@ -360,7 +379,7 @@ class CalibrationCurve:
         """The same curve without values."""
         return replace(
             self, status=NOT_CONVERGED, c=None, c_sigma_stat=None, c_sigma_sys=None, chi2_per_dof=None, parameters={},
-            flag=None, chi2_per_dof_profiled=None, covariance=None, sky_over_model=None,
+            flag=None, chi2_per_dof_profiled=None, covariance=None, sky_over_model=None, repeated=None,
         )  # fmt: skip
 
     def as_misfit(self) -> CalibrationCurve:
@@ -387,6 +406,8 @@ class CalibrationCurve:
                 {} if self.merged is None else {"merged": asdict(self.merged) | {"constants": [*self.merged.constants]}}
             ),
         }
+        if self.repeated is not None:
+            content["repeated"] = asdict(self.repeated)
         if self.sky_over_model is not None:
             content["sky_over_model"] = self.sky_over_model.as_dict()
         # a version from before flags keeps its content and with it its hash
@@ -427,6 +448,7 @@ def parse_curve(content: Mapping[str, Any]) -> CalibrationCurve:
         covariance=None if content.get("covariance") is None else parse_covariance(content["covariance"]),
         merged=_parse_merged(content.get("merged")),
         sky_over_model=parse_sky_over_model(content.get("sky_over_model")),
+        repeated=None if content.get("repeated") is None else Repeated(**content["repeated"]),
     )
 
 
@@ -451,7 +473,7 @@ class FitReport:
     causes
         The adopted causes of the model with their sizes, as JSON values; empty for a model without any.
     lines
-        With which later events can continue the fit; empty where the model has causes.
+        With which later events can continue the fit, and other windows be fitted together with it.
     """
 
     curves: Sequence[CalibrationCurve]

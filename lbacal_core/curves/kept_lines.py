@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 from lbacal_core.grids import Floats
 
 HEAD = "head"
+Owner = tuple[str | None, int | None, str]
+"""Station, antenna and dipole; station and antenna are None where it is a mean."""
 
 
 @dataclass(frozen=True)
@@ -64,6 +66,10 @@ class KeptLines:
         The noise of an event, as in `calibration.lines`: shape (path, freq), (path, vector, freq) twice.
     scatter
         Standard deviation of the band power of an event, relative, shape (path,).
+    loss
+        L_coax of each path, of a mean the mean over its members, shape (path, freq).
+    spectra
+        Hash of the spectra of each path.
     typical_blocks, variance_unit
         The number of blocks, and the relative variance, of the spectrum that the radiometer noise is that of.
     members
@@ -72,7 +78,7 @@ class KeptLines:
         The form of the chain that was fitted to them.
     """
 
-    owners: Sequence[tuple[str | None, int | None, str]]
+    owners: Sequence[Owner]
     events: NDArray[np.int64]
     has_c: NDArray[np.bool_]
     slope: Floats
@@ -82,6 +88,8 @@ class KeptLines:
     constant: Floats
     behind: Floats
     scatter: Floats
+    loss: Floats
+    spectra: NDArray[np.str_]
     typical_blocks: float
     variance_unit: float = 1.0
     members: MemberLines | None = None
@@ -121,7 +129,7 @@ def read_lines(arrays: Mapping[str, Any]) -> list[KeptLines]:
     ]
 
 
-_ARRAYS = ("events", "has_c", "slope", "intercept", "radiometer", "constant", "behind", "scatter")
+_ARRAYS = ("events", "has_c", "slope", "intercept", "radiometer", "constant", "behind", "scatter", "loss", "spectra")
 
 
 def _whole(half: Any, size: int) -> Floats:

@@ -22,6 +22,7 @@ from threadpoolctl import threadpool_limits
 
 from lbacal_core.calibration.chain_form import FORM_OF_CHAIN, PUBLISHED_FORM, ChainForm, compare_forms
 from lbacal_core.calibration.fit import fit_calibration
+from lbacal_core.calibration.years import Beside
 from lbacal_core.causes.model import Model
 from lbacal_core.chain.model import ChainTerms
 from lbacal_core.curves.covariance import compress_covariance
@@ -104,12 +105,15 @@ class FittedCauses:
         The spectra as they were recorded.
     simulation
         With the form of the chain that they prefer, which `form` gives the odds of.
+    taken_out
+        Power over that without what is known to have changed, shape (row,): divided out like a cause. None: nothing.
     """
 
     recorded: Spectra
     simulation: Simulation
     form: ChainForm
     stations: Sequence[_OfStation]
+    taken_out: Floats | None = None
 
     @property
     def model(self) -> Model:
@@ -128,9 +132,11 @@ class FittedCauses:
 
     def _divide_out(self, moved: tuple[int, int] | None) -> Spectra:
         """The same with one size, by number of station and of size, moved by its standard deviation."""
-        if not self.stations:
+        if not self.stations and self.taken_out is None:
             return self.recorded
         power, is_kept = self.recorded.power.copy(), np.ones(len(self.recorded), dtype=bool)
+        if self.taken_out is not None:
+            power /= self.taken_out[:, None]
         for number, one in enumerate(self.stations):
             by = np.zeros(len(one.sizes))
             if moved is not None and moved[0] == number:
@@ -149,12 +155,14 @@ class FittedCauses:
             if np.any(kept):
                 at = place[one.rows[kept]].astype(np.int64)
                 stations.append(replace(one, rows=at, path=one.path[kept], event=one.event[kept]))
-        return replace(self, recorded=self.recorded.select(rows), stations=stations)
+        taken_out = None if self.taken_out is None else self.taken_out[rows]
+        return replace(self, recorded=self.recorded.select(rows), stations=stations, taken_out=taken_out)
 
     def fit(
         self,
         scope: str,
         without: Sequence[CalibrationCurve] = (),
+        beside: Sequence[Beside] = (),
     ) -> FitReport:
         """Calibrate with the model; parameters as in `fit_calibration`, which it is where no cause acts.
 
@@ -166,7 +174,7 @@ class FittedCauses:
             Where the model has one size, curves of these spectra without its cause, if they are at hand: what the error
             of the size does to C is then taken in proportion to what the size does, which saves a fit.
         """
-        report = fit_calibration(self.spectra, self.simulation, scope)
+        report = fit_calibration(self.spectra, self.simulation, scope, beside)
         report = replace(report, provenance=report.provenance.with_note(FORM_OF_CHAIN, str(self.form)))
         if self.model.is_plain:
             return report
@@ -177,7 +185,8 @@ class FittedCauses:
             else:
                 plain = self.simulation.at_its_word()
                 changes = [
-                    fit_calibration(self._divide_out((number, k)), plain, scope).curves for k in range(len(one.sizes))
+                    fit_calibration(self._divide_out((number, k)), plain, scope, beside).curves
+                    for k in range(len(one.sizes))
                 ]
             if changes:
                 curves = self._add_errors(curves, list(report.curves), changes, one)
@@ -187,7 +196,7 @@ class FittedCauses:
             settings={**report.provenance.settings, "model": self.model.to_text()},
             notes={**report.provenance.notes, "model": self._note},
         )
-        return replace(report, curves=tuple(curves), provenance=provenance, causes=self.as_dicts(), lines=())
+        return replace(report, curves=tuple(curves), provenance=provenance, causes=self.as_dicts())
 
     def _add_errors(
         self,

@@ -290,6 +290,7 @@ job = Table(
     Column("due_key", Text, unique=True, comment="its name and which try it is, so that each try is enqueued once"),
     Column("is_cancelled", Boolean, nullable=False),
     Column("called_for", Text, comment="inputs that called for scheduled work, JSON by name"),
+    Index("ix_job_work", "kind", "request"),
 )
 
 job_part = Table(

@@ -69,6 +69,11 @@ class Change:
         """The antennas that changed, each once."""
         return sorted({antenna for antenna, _ in self.paths})
 
+    def dipoles_of(self, antenna: int) -> tuple[str, ...] | None:
+        """The dipoles of an antenna that changed; None for both."""
+        found = [dipole for one, dipole in self.paths if one == antenna]
+        return None if None in found else tuple(str(one) for one in found)
+
     def is_same(self, other: Change) -> bool:
         """Whether two are one: of a kind, with an antenna in common, and dates that agree within their errors."""
         if (self.station, self.kind) != (other.station, other.kind):
@@ -80,11 +85,17 @@ class Change:
 
 @dataclass(frozen=True)
 class Cut:
-    """A date at which the windows of an antenna are cut, both dipoles alike."""
+    """A date at which the windows of an antenna are cut, both dipoles alike.
+
+    `dipoles` are those that changed, None for both, and `power` is theirs after it over that before; None where the
+    size of the change is not known.
+    """
 
     station: str
     antenna: int
     date: Instant
+    dipoles: tuple[str, ...] | None = None
+    power: float | None = None
 
     def is_bridged_by(self, promotion: Promotion) -> bool:
         """Whether a version answers on both sides of it."""
@@ -158,7 +169,8 @@ class KeptChange:
         is_sharp = one.kind == STEP and one.sigma <= LARGEST_DATE_ERROR_US
         if not (self.stands and is_sharp) or any(by.source == RECORD and by.ended is None for by in self.evidence):
             return []
-        return [Cut(str(one.station), antenna, one.date) for antenna in one.antennas]
+        power = None if one.size is None else (1.0 + one.size) ** -2.0  # C^2 is proportional to 1 / power
+        return [Cut(str(one.station), antenna, one.date, one.dipoles_of(antenna), power) for antenna in one.antennas]
 
     def seen_at(self, as_of: Instant) -> KeptChange:
         """The same with the evidence that there was at an instant."""

@@ -132,11 +132,7 @@ class JobStore(Store):
         request = canonical_json(order.request)
         called_for = None if order.called_for is None else canonical_json(order.called_for)
         if explain is not None and called_for is not None:
-            last = select(job.c.called_for).where(job.c.kind == order.kind, job.c.request == request)
-            last = last.where(job.c.called_for.is_not(None)).order_by(job.c.id.desc()).limit(1)
-            before = self._connection.execute(last).scalar_one_or_none()
-            why = explain(None if before is None else json.loads(before), json.loads(called_for))
-            order = replace(order, reason=why)
+            order = replace(order, reason=explain(self.called_for(order), json.loads(called_for)))
         more = {"created_us": now, "due_key": key, "is_cancelled": False, "called_for": called_for}
         row = to_row(order, job, request=request, **more)
         statement = insert_into(self._connection, job).values(row)
@@ -149,18 +145,36 @@ class JobStore(Store):
         self._connection.execute(job_part.insert(), parts)
         return int(number)
 
+    def called_for(self, order: Order) -> dict[str, Any] | None:
+        """What called for the same work when it was due before; None where it never was."""
+        same = select(job.c.called_for).where(job.c.kind == order.kind, job.c.request == canonical_json(order.request))
+        last = same.where(job.c.called_for.is_not(None)).order_by(job.c.id.desc()).limit(1)
+        before = self._connection.execute(last).scalar_one_or_none()
+        return None if before is None else json.loads(before)
+
     def _tries(self, due_name: str) -> Tries:
-        """What became of due work so far."""
-        columns = [job.c.id, job.c.is_cancelled, job_part.c.state, job_part.c.ended_us, job_part.c.error]
+        """What became of due work so far, since the same work was last done under another name.
+
+        What is again what it was once is not done: a cause that was withdrawn changes other years back.
+        """
+        columns = [job.c.id, job.c.kind, job.c.request, job.c.is_cancelled]
+        columns += [job_part.c.state, job_part.c.ended_us, job_part.c.error]
         statement = select(*columns).join(job_part, job_part.c.job == job.c.id).where(job.c.due_name == due_name)
         rows = self._connection.execute(statement).all()
-        if any(row.state in (QUEUED, RUNNING, DONE) for row in rows):
+        done = max((row for row in rows if row.state == DONE), key=lambda row: row.id, default=None)
+        if any(row.state in OPEN for row in rows) or (done is not None and not self._is_done_since(done, due_name)):
             return Tries(is_settled=True, failed=0, again=None)
-        tried = [row for row in rows if row.error != GIVEN_UP]
+        tried = [row for row in rows if row.error != GIVEN_UP and (done is None or row.id > done.id)]
         failed = len({row.id for row in tried})
         pause = min(PAUSE_US * 2 ** min(failed - 1, 30), LONGEST_PAUSE_US) if failed else 0
         ends = [row.ended_us + (LONGEST_PAUSE_US if row.is_cancelled else pause) for row in tried]
         return Tries(is_settled=False, failed=len({row.id for row in rows}), again=max(ends, default=None))
+
+    def _is_done_since(self, done: Any, due_name: str) -> bool:
+        """Whether the same work was done under another name after a job."""
+        statement = select(job.c.id).join(job_part, job_part.c.job == job.c.id).where(job_part.c.state == DONE)
+        same = (job.c.kind == done.kind) & (job.c.request == done.request) & (job.c.id > done.id)
+        return self._connection.execute(statement.where(same, job.c.due_name != due_name).limit(1)).first() is not None
 
     def claim(self, worker: str, *, lease_us: int, inputs: str | None = None) -> Part | None:
         """Take a part that is queued, or whose worker has been silent for longer than its lease.

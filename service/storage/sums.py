@@ -83,6 +83,18 @@ class SumStore(Store):
         is_it = (sums.c.scope == scope.key) & (sums.c.since_us == since) & (sums.c.until_us == until)
         return next(self.of_kind(kind, is_it), None)
 
+    def beside(self, kind: str, scope: Scope, since: Instant, until: Instant) -> list[Sums]:
+        """The blocks of a scope that hold nothing of a window, in order of theirs."""
+        is_apart = (sums.c.until_us <= since) | (sums.c.since_us >= until)
+        return list(self.of_kind(kind, (sums.c.scope == scope.key) & is_apart))
+
+    def names_beside(self, kind: str, scope: Scope, since: Instant, until: Instant) -> list[list[Any]]:
+        """What names these blocks: they are others once the fit of their window was made from other spectra."""
+        named = [getattr(sums.c, name) for name in ("since_us", "inputs", "whole", "flag", "event")]
+        is_apart = (sums.c.until_us <= since) | (sums.c.since_us >= until)
+        is_it = (sums.c.kind == kind) & (sums.c.scope == scope.key) & is_apart
+        return [list(row) for row in self._connection.execute(select(*named).where(is_it).order_by(*named))]
+
     def of_kind(self, kind: str, is_wanted: Any = True) -> Iterator[Sums]:
         """All blocks of a kind, in order of scope and window."""
         statement = select(sums).where(sums.c.kind == kind, is_wanted).order_by(sums.c.scope, sums.c.since_us)

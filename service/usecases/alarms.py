@@ -39,7 +39,7 @@ from service.storage.database import Database, Stores
 from service.storage.jobs import Job
 from service.storage.models import Investigation
 from service.storage.versions import Version
-from service.usecases.drift import end_of_year
+from service.usecases.drift import year_of
 from service.usecases.watch import read_change
 from service.wire.bodies import AcknowledgementBody
 
@@ -67,7 +67,7 @@ def find_named(stores: Stores) -> Iterator[News]:
     for made in stores.investigations.newest_with_findings():
         model = stores.models.during(made.station, made.since, made.until)
         is_of_model = made.inputs.get("model") == (None if model.is_plain else model.id)
-        if not is_of_model or made.until != end_of_year(made.since):
+        if not is_of_model or made.until != year_of(made.since)[1]:
             continue
         for number, finding in enumerate(made.report["findings"]):
             moved, error = finding["calibration_change"]["median_fraction"], _find_error(stores, made, finding)

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
 from typing import TYPE_CHECKING
 
 from lbacal.instants import DAY_US, parse_instant
@@ -32,7 +31,7 @@ from service.storage.database import Database, Stores
 from service.storage.models import Investigation
 from service.storage.versions import Version
 from service.usecases.calibrations import select_paths
-from service.usecases.drift import start_of_year
+from service.usecases.drift import year_of
 from service.usecases.promotions import LAST, Promotions
 from service.usecases.promotions import Change as ChangeOfC
 from service.wire.bodies import ChangeBody, DecisionBody
@@ -116,9 +115,8 @@ class Changes:
             others = [one for one in stores.changes.kept(kept.change.station) if one.number != number]
         if not [*kept.cuts, *then.cuts]:
             return then, []
-        year = datetime.fromtimestamp(kept.change.date / 1e6, UTC).year
-        window = start_of_year(year), start_of_year(year + 1)
-        cuts = [cut for one in (*others, then) for cut in one.cuts if window[0] < cut.date < window[1]]
+        window = year_of(kept.change.date)
+        cuts = [cut for one in (*others, then) for cut in one.cuts if cut.date < window[1]]
         return then, self._fit(kept.change, window, cuts, by)
 
     def _fit(self, change: Change, window: tuple[Instant, Instant], cuts: Sequence[Cut], by: str) -> list[ChangeOfC]:
@@ -136,7 +134,8 @@ class Changes:
                     spectra = fits.load(stores, wanted)
                 except ConflictError:
                     continue
-                versions += fits.make(fits.fit_causes(spectra, model), wanted).versions
+                neighbours = fits.find_neighbours(stores, wanted)
+                versions += fits.make(fits.fit_causes(spectra, model), wanted, neighbours).versions
             told = [
                 Promotion(0, one.scope, *one.window, one.id, LAST, by, "")
                 for one in versions

@@ -51,9 +51,10 @@ def start_of_year(year: int) -> Instant:
     return parse_instant("year", f"{year}-01-01")
 
 
-def end_of_year(since: Instant) -> Instant:
-    """The first instant of the year after one that begins at an instant."""
-    return start_of_year(datetime.fromtimestamp(since / 1e6, UTC).year + 1)
+def year_of(instant: Instant) -> tuple[Instant, Instant]:
+    """The calendar year of an instant, UTC, as a half-open window."""
+    year = datetime.fromtimestamp(instant / 1e6, UTC).year
+    return start_of_year(year), start_of_year(year + 1)
 
 
 # What the months of many paths say together, kept year by year.

@@ -26,13 +26,13 @@ from lbacal_core.errors import name_path
 from lbacal_core.provenance import hash_content
 from lbacal_core.simulation.simulation import Simulation
 from service.storage.database import Database, Stores
-from service.storage.jobs import Order
+from service.storage.jobs import Order, Part
 from service.storage.models import ModelChange
 from service.storage.spectra import Window
 from service.usecases.drift import find_years
 from service.usecases.drift_measurement import KIND as DRIFT
 from service.usecases.drift_measurement import find_references
-from service.usecases.fits import find_cuts
+from service.usecases.fits import read_fit
 from service.usecases.investigations import KIND as INVESTIGATION
 from service.usecases.investigations import Investigations
 from service.usecases.orders import Inputs, name_inputs
@@ -86,11 +86,22 @@ class DueWork:
             failures = stores.jobs.failures(self.clock() - 2 * DAY_US, 1000)
         return any(one.tries and one.tries.again is not None and one.tries.again <= self.clock() for one in failures)
 
-    def enqueue_cut(self) -> list[int]:
-        """Enqueue the refits of the years that hold a cut: the watch may have found or ended one."""
-        with self.database.read() as stores:
-            orders = list(self._refits(stores, with_cuts=True))
-        return self._add(orders)
+    def enqueue_next(self, part: Part) -> list[int]:
+        """Enqueue what a part calls for that is done: drift of its versions, then the watch, then what that changes.
+
+        What a refit or the watch leaves behind may call for refits: of other years of the same hardware, whose lines
+        are fitted together, and where an antenna changed. They are looked for once no refit is open, and not of windows
+        that are for the next night.
+        """
+        if part.kind == DRIFT:
+            return self.enqueue_watch()
+        jobs = self.enqueue_drift(part.request["station"]) if part.request.get("scope") == "antenna" else []
+        if part.kind == WATCH or (part.kind == REFIT and part.is_due):
+            with self.database.read() as stores:
+                due = [] if stores.jobs.is_open(REFIT) else self._refits(stores)
+                orders = [one for one in due if _is_changed(one) or stores.jobs.called_for(one) is not None]
+            jobs += self._add(orders)
+        return jobs
 
     def enqueue_drift(self, station: str) -> list[int]:
         """Enqueue the drift of a station, whose versions changed."""
@@ -120,12 +131,9 @@ class DueWork:
             made = [stores.jobs.add(one, self.clock(), explain_due if one.by == BY else None) for one in orders]
         return [number for number in made if number is not None]
 
-    def _refits(self, stores: Stores, change: ModelChange | None = None, *, with_cuts: bool = False) -> Iterator[Order]:
+    def _refits(self, stores: Stores, change: ModelChange | None = None) -> Iterator[Order]:
         for since, until in find_years(stores):
             if change is not None and not change.touches(since, until):
-                continue
-            window = None, since, until
-            if with_cuts and not (stores.changes.cuts(*window) or stores.changes.last_act(*window)):
                 continue
             filled = []
             for station in stores.spectra.stations():
@@ -141,12 +149,12 @@ class DueWork:
     def _refit(self, stores: Stores, scope: str, of: Scope, since: Instant, until: Instant, content: Any) -> Order:
         model = stores.models.during(of.station, since, until)
         part = describe_part(scope, of, since, until, model, promote=True)
-        cuts = find_cuts(stores, of.station, since, until, model)
         acts = stores.changes.last_act(of.station, since, until)
         called_for = {
             "spectra": content,
             "model": _name_change(stores, of.station, since, until),
-            "changes": [[cut.station, cut.antenna, cut.date] for cut in cuts],
+            "beside": stores.sums.names_beside(scope, of, since, until),
+            "changes": read_fit(stores, scope, of, (since, until)).named,
             "decisions": {"cuts": acts} if acts else None,
         }
         return self._order(REFIT, part, called_for)
@@ -186,6 +194,12 @@ class DueWork:
         return name_inputs(self.simulation)
 
 
+def _is_changed(order: Order) -> bool:
+    """Whether an antenna changed in a window, or a decision was taken about that."""
+    called_for = order.called_for or {}
+    return bool(called_for["changes"] or called_for["decisions"])
+
+
 def _name_change(stores: Stores, station: str | None, since: Instant, until: Instant) -> int | None:
     """The number of the newest change of a model that touches a window: with each the window is due again."""
     change = stores.models.last_change(station, since, until)
@@ -195,7 +209,8 @@ def _name_change(stores: Stores, station: str | None, since: Instant, until: Ins
 # Why work is due: what of its inputs is another than when the same work was due before.
 
 CALLED_FOR = {
-    "decisions": "a decision about a change", "model": "a cause adopted or withdrawn", "form": "other numbers are kept",
+    "decisions": "a decision about a change", "beside": "spectra of other years",
+    "model": "a cause adopted or withdrawn", "form": "other numbers are kept",
     "references": "another reference", "search": "another policy of the search", "drift": "drift measured anew",
     "instrument": "another instrument", "sky_power": "another sky power", "model_version": "another model version",
 }  # fmt: skip
@@ -229,8 +244,8 @@ def _tell_changes(before: Sequence[Any], now: Sequence[Any]) -> list[str]:
     """Which antennas changed, and which changes count no more."""
     told = [
         f"{name_path(station, antenna)} changed on {format_instant(date)[:10]}"
-        for station, antenna, date in now
-        if [station, antenna, date] not in before
+        for station, antenna, date, *size in now
+        if [station, antenna, date, *size] not in before
     ]
     more = [f"and {len(told) - CHANGES_NAMED} more changes"] if len(told) > CHANGES_NAMED else []
     gone = sum(one not in now for one in before)

@@ -5,7 +5,7 @@ Nothing is written here: a refit keeps what these functions make, and the dry ru
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -17,6 +17,7 @@ from lbacal.instants import format_instant
 from lbacal_core.audit.audit import audit_quickly
 from lbacal_core.calibration.continued import Continued, continue_fit
 from lbacal_core.calibration.singles import MIN_EVENTS
+from lbacal_core.calibration.years import Beside
 from lbacal_core.causes.model import Model
 from lbacal_core.curves.covariance import Budget
 from lbacal_core.curves.curves import Anomalies, CalibrationCurve, FitReport
@@ -24,7 +25,7 @@ from lbacal_core.curves.kept_lines import KeptLines
 from lbacal_core.curves.reference_chain import ReferenceChain
 from lbacal_core.curves.validity import Instant, Scope
 from lbacal_core.discovery.calibrate import FittedCauses, fit_causes
-from lbacal_core.drift.windows import cut_window
+from lbacal_core.drift.windows import cut_window, find_hardware_changes
 from lbacal_core.errors import name_path
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
@@ -36,12 +37,21 @@ from service.errors import ConflictError
 from service.storage.changes import Cut
 from service.storage.database import Stores
 from service.storage.spectra import Window
-from service.storage.sums import KeptPiece, Sums, Told, write_pieces
+from service.storage.sums import KeptPiece, Sums, Told, read_pieces, write_pieces
 from service.storage.versions import BUDGET, Examined, Version
+from service.usecases.drift import year_of
 from service.usecases.orders import hash_covariates
-from service.usecases.windows import SECOND_US, FindLenders, lend_to_small, share_misfits
+from service.usecases.windows import (
+    ALONE,
+    SECOND_US,
+    KeptWindow,
+    Neighbours,
+    name_beside,
+    name_windows,
+    scope_of,
+    share_misfits,
+)
 
-GAIN_STEP = "gain_step"
 Read = tuple[Window, tuple[int, int]]
 """A window, and what it held when it was read: `SpectraStore.content`."""
 
@@ -50,7 +60,7 @@ Read = tuple[Window, tuple[int, int]]
 class Wanted:
     """A fit: the scope of its versions, whose spectra they are made from, the window and the model; who wants it.
 
-    `cuts` are the dates at which antennas changed in the window.
+    `changed` are the dates at which antennas changed before the window's end.
     """
 
     scope: str
@@ -60,7 +70,24 @@ class Wanted:
     model: Model
     by: str
     reason: str
-    cuts: tuple[Cut, ...] = ()
+    changed: tuple[Cut, ...] = ()
+
+    @property
+    def taken_out(self) -> list[Cut]:
+        """What is taken out of a mean, which then is that of its antennas before they changed."""
+        return [one for one in self.changed if self.scope != "antenna" and one.power is not None]
+
+    @property
+    def cuts(self) -> list[Cut]:
+        """Where the window is cut."""
+        inside = [one for one in self.changed if self.since < one.date]
+        return [one for one in inside if self.scope == "antenna" or one.power is None]
+
+    @property
+    def named(self) -> list[list[Any]]:
+        """What names these changes."""
+        cuts = [[one.station, one.antenna, one.date] for one in self.cuts]
+        return cuts + [[one.station, one.antenna, one.date, one.dipoles, one.power] for one in self.taken_out]
 
     @property
     def window(self) -> Window:
@@ -80,10 +107,6 @@ class Made:
     versions: list[Version]
     budgets: Mapping[str, Budget]
     lines: Sequence[tuple[Instant, Instant, Sequence[KeptLines]]] = ()
-
-
-def _find_none(_: Collection[Scope]) -> Sequence[Version]:
-    return ()
 
 
 @dataclass(frozen=True)
@@ -119,9 +142,27 @@ class Fits:
 
     def name_block(self, stores: Stores, wanted: Wanted) -> Sums:
         """The block of a fit as it is now, nothing kept in it yet."""
-        cuts = [[one.station, one.antenna, one.date] for one in wanted.cuts]
-        inputs = hash_content([self.name_simulation(wanted.since, wanted.until, wanted.of), cuts])
-        return read_block(stores, wanted.scope, wanted.window, inputs, wanted.of)
+        return read_block(stores, wanted.scope, wanted.window, self._name_inputs(wanted), wanted.of)
+
+    def _name_inputs(self, wanted: Wanted) -> str:
+        """All inputs of a fit but the spectra."""
+        model = [] if wanted.model.is_plain else [wanted.model.id]
+        return hash_content([self.name_simulation(wanted.since, wanted.until, wanted.of), wanted.named, *model])
+
+    def find_neighbours(self, stores: Stores, wanted: Wanted) -> Neighbours:
+        """The calendar years beside a window of which lines are kept that a fit would make again."""
+        of, found = Scope(wanted.of.station), []
+        for block in stores.sums.beside(wanted.scope, of, wanted.since, wanted.until):
+            then = read_fit(stores, wanted.scope, of, (block.since, block.until))
+            is_year = (block.since, block.until) == year_of(block.since)
+            if is_year and block.inputs == self._name_inputs(then):
+                found += [KeptWindow(piece.since, piece.until, piece.lines) for piece in read_pieces(block.arrays)]
+        changes: dict[tuple[str, int], list[Instant]] = {}
+        for cut in stores.changes.cuts(of.station):
+            changes.setdefault((cut.station, cut.antenna), []).append(cut.date)
+        for owner, dates in find_hardware_changes(self.simulation.instrument).items():
+            changes.setdefault(owner, []).extend(round(date * SECOND_US) for date in dates)
+        return Neighbours(found, changes)
 
     def name_simulation(self, since: Instant, until: Instant, of: Scope) -> dict[str, Any]:
         """All inputs of a window but spectra, cuts and causes."""
@@ -143,17 +184,18 @@ class Fits:
         is_all = kept.spectra + (0 if spectra is None else len(spectra)) == now.spectra
         return Later(kept, spectra) if is_all else None
 
-    def examine(self, pieces: Sequence[KeptPiece], spectra: Spectra) -> Outcome | None:
-        """Look at later events of a kept fit; None where the whole window is to be read."""
-        examined, rest, made, names = list[Examined](), list[Scope](), self.clock(), spectra.digest()
-        seen = np.zeros(len(spectra), dtype=bool)
+    def examine(self, pieces: Sequence[KeptPiece], spectra: Spectra | None, neighbours: Neighbours) -> Outcome | None:
+        """Look at later events of a kept fit, and at other windows; None where the whole window is to be read."""
+        examined, rest, made = list[Examined](), list[Scope](), self.clock()
+        names = [None if spectra is None else spectra.digest()]
+        seen = np.zeros(0 if spectra is None else len(spectra), dtype=bool)
         for piece in pieces:
-            rows = _rows_of_piece(piece, spectra)
+            rows = seen if spectra is None else _rows_of_piece(piece, spectra)
             seen |= rows
-            if not np.any(rows):
-                continue
+            own = None if spectra is None or not np.any(rows) else spectra.select(rows)
+            beside = neighbours.beside(piece.since, piece.until)
             with threadpool_limits(1):
-                continued = continue_fit(piece.lines, spectra.select(rows), self.simulation)
+                continued = continue_fit(piece.lines, own, self.simulation, [one for _, one in beside])
             for told in piece.told:
                 shift = _find_shift(told, continued)
                 if shift is None and not told.curves:
@@ -161,7 +203,7 @@ class Fits:
                 if shift is None or shift >= SMALLEST_SHIFT:
                     rest.append(told.scope)
                     continue
-                inputs = hash_content([told.calibration, names])
+                inputs = hash_content([told.calibration, *names, name_windows(told.scope, beside)])
                 examined.append(Examined(told.scope, piece.since, piece.until, inputs, told.calibration, shift, made))
         is_whole = len(pieces) == 1 and all(scope.antenna is not None for scope in rest)
         is_few = not rest or (is_whole and len(rest) <= LARGEST_REST * (len(rest) + len(examined)))
@@ -173,46 +215,54 @@ class Fits:
         enough = model.of_stations([name for name in stations if _has_enough(spectra, name)])
         return fit_causes(spectra, self.simulation.with_causes(enough), are_sizes_known=are_sizes_known)
 
-    def foresee(self, whole: FittedCauses, wanted: Wanted, before: Sequence[Version], budget: Budget) -> list[Version]:
+    def foresee(
+        self, whole: FittedCauses, wanted: Wanted, before: Sequence[Version], budget: Budget, neighbours: Neighbours
+    ) -> list[Version]:
         """The versions that `make` will make with a cause more, from those before, whose budget their errors have.
 
         Chain and statistical error are those of a fit. The budget is not computed again, and what the error of the
         size does to C is taken in proportion to what the size does.
         """
-        made, versions = self.clock(), list[Version]()
-        for of_piece, recorded, during in self._cut(whole, wanted):
-            plain = [curve for one in before if one.window == (during.since, during.until) for curve in one.curves]
-            report = add_budget(of_piece.fit(wanted.scope, plain), budget)
-            versions += _versions(
-                recorded, report, during, made, _name_beside(whole, wanted), self.simulation.instrument
-            )
-        return versions
+        pieces = self._fit_pieces(whole, wanted, neighbours, budget, before)
+        return [version for versions, *_ in pieces for version in versions]
 
     def make(
-        self, whole: FittedCauses, wanted: Wanted, budget: Budget | None = None, find_lenders: FindLenders = _find_none
+        self, whole: FittedCauses, wanted: Wanted, neighbours: Neighbours = ALONE, budget: Budget | None = None
     ) -> Made:
         """Fit the chain to the spectra that a fit wants, the sizes of the causes fitted to the whole station's.
 
-        With a budget given, that of other fits of the station, the versions name it among their inputs. A piece of the
-        window that is too small for a fit borrows from the nearest, those that `find_lenders` knows counted too.
+        With a budget given, that of other fits of the station, the versions name it among their inputs. One chain is
+        fitted to a path through all windows with the same hardware; a piece of the window that is too small for a fit
+        borrows from those with another.
         """
-        made, beside = self.clock(), _name_beside(whole, wanted)
+        pieces = list(self._fit_pieces(whole, wanted, neighbours, budget))
+        versions = [version for made, *_ in pieces for version in made]
         if budget is not None:
-            beside[BUDGET] = budget.digest
-        pieces, versions, budgets, lines = [], list[Version](), dict[str, Budget](), []
-        for of_piece, recorded, during in self._cut(whole, wanted):
-            of_data = budget or self._audit_and_budget(of_piece, wanted)
-            report = add_budget(of_piece.fit(wanted.scope), of_data)
-            versions += _versions(recorded, report, during, made, beside, self.simulation.instrument)
-            budgets |= report.budgets
-            if report.lines:
-                lines.append((during.since, during.until, report.lines))
-            pieces.append((during.since, of_piece.spectra))
-        if len(pieces) > 1:
-            versions = share_misfits(versions)
-        window = wanted.since, wanted.until
-        lent = lend_to_small(versions, window, pieces, self.simulation, find_lenders)
-        return Made(lent, budgets, lines)
+            versions = [replace(one, inputs={**one.inputs, BUDGET: budget.digest}) for one in versions]
+        budgets = {name: one for _, report, _ in pieces for name, one in report.budgets.items()}
+        lines = [(during.since, during.until, report.lines) for _, report, during in pieces if report.lines]
+        return Made(share_misfits(versions) if len(pieces) > 1 else versions, budgets, lines)
+
+    def _fit_pieces(
+        self,
+        whole: FittedCauses,
+        wanted: Wanted,
+        neighbours: Neighbours,
+        budget: Budget | None,
+        before: Sequence[Version] = (),
+    ) -> Iterator[tuple[list[Version], FitReport, Wanted]]:
+        """Fit the pieces of a window, that with the most spectra first: it has the budget of all, and may lend."""
+        made, named, instrument = self.clock(), _name_sizes(whole, wanted), self.simulation.instrument
+        whole = _take_out(whole, wanted)
+        for of_piece, recorded, during in sorted(self._cut(whole, wanted), key=lambda one: -len(one[1])):
+            if budget is None:
+                budget = self._audit_and_budget(of_piece, wanted)
+                neighbours = neighbours if budget.polarisations else ALONE
+            beside = neighbours.beside(during.since, during.until)
+            plain = [curve for one in before if one.window == (during.since, during.until) for curve in one.curves]
+            report = add_budget(of_piece.fit(wanted.scope, plain, [one for _, one in beside]), budget)
+            neighbours = neighbours.and_also(KeptWindow(during.since, during.until, report.lines))
+            yield _versions(recorded, report, during, made, named, beside, instrument), report, during
 
     def _audit_and_budget(self, fitted: FittedCauses, wanted: Wanted) -> Budget:
         """The budget of spectra whose unit is that of power: one for all scopes that are fitted to them."""
@@ -237,12 +287,23 @@ class Fits:
             yield of_piece, spectra if np.all(rows.rows) else of_piece.recorded, during
 
 
-def _name_beside(whole: FittedCauses, wanted: Wanted) -> dict[str, str]:
-    """What names the versions of a fit with causes besides their own spectra: what the sizes were fitted to."""
+def _take_out(whole: FittedCauses, wanted: Wanted) -> FittedCauses:
+    """Spectra of which the changes of single antennas are to be divided out, where a mean is made of them."""
+    spectra, power = whole.recorded, np.ones(len(whole.recorded))
+    for one in wanted.taken_out:
+        is_after = (spectra.station == one.station) & (spectra.antenna == one.antenna)
+        is_after &= spectra.time_unix >= one.date / SECOND_US
+        power[is_after & (np.isin(spectra.dipole, one.dipoles) if one.dipoles else True)] *= float(one.power or 1.0)
+    return whole if np.all(power == 1.0) else replace(whole, taken_out=power)
+
+
+def _name_sizes(whole: FittedCauses, wanted: Wanted) -> dict[str, str]:
+    """What names the versions of a fit besides their own spectra: changes taken out, and what sizes were fitted to."""
+    named = {"changes": hash_content(wanted.named)} if wanted.taken_out else {}
     if whole.model.is_plain:
-        return {}
+        return named
     of_sizes = {"model_spectra": whole.recorded.digest()} if wanted.scope == "antenna" else {}
-    return {"environment": hash_covariates(whole.recorded), **of_sizes}
+    return {**named, "environment": hash_covariates(whole.recorded), **of_sizes}
 
 
 def _versions(
@@ -250,14 +311,15 @@ def _versions(
     report: FitReport,
     wanted: Wanted,
     made: Instant,
-    beside: Mapping[str, str],
+    named: Mapping[str, str],
+    beside: Sequence[tuple[KeptWindow, Beside]],
     instrument: Instrument,
 ) -> list[Version]:
-    """The versions of a report, each named by its own inputs; `beside` are those that all of them share."""
+    """The versions of a report, each by its own inputs; all of them share those `named`."""
     groups: dict[Scope, list[CalibrationCurve]] = {}
     chains: dict[Scope, dict[str, ReferenceChain]] = {}
     for curve, chain in zip(report.curves, report.chains, strict=True):
-        scope = Scope(curve.station, curve.antenna, None if curve.antenna is None else curve.dipole)
+        scope = scope_of((curve.station, curve.antenna, str(curve.dipole)))
         groups.setdefault(scope, []).append(curve)
         if chain is not None:
             chains.setdefault(scope, {})[str(curve.dipole)] = chain
@@ -269,7 +331,8 @@ def _versions(
             until=wanted.until,
             inputs={
                 **report.provenance.inputs,
-                **beside,
+                **named,
+                **name_beside(scope, group, beside),
                 "instrument": instrument.digest_of(*ends, scope.station, scope.antenna),
                 "spectra": spectra.digest(scope.station, scope.antenna, scope.dipole),
                 "scope": scope.key,
@@ -279,7 +342,7 @@ def _versions(
             curves=tuple(group),
             made=made,
             made_by=wanted.by,
-            reason=wanted.reason,
+            reason="; ".join([wanted.reason, *_explain_repeated(group)]),
             chains=chains.get(scope, {}),
             anomalies=Anomalies.of(
                 one for one in report.anomalies if scope in Scope(one.station, one.antenna, one.dipole).widening
@@ -287,6 +350,21 @@ def _versions(
         )
         for scope, group in groups.items()
     ]
+
+
+def _explain_repeated(curves: Sequence[CalibrationCurve]) -> list[str]:
+    """What a window takes from others beyond the noise constants, or why it takes nothing."""
+    told = []
+    for curve in curves:
+        found = curve.repeated
+        if found is not None and found.windows == 1:
+            words = f"chi^2 per degree of freedom {found.chi2_per_dof:.2f}"
+            told.append(f"{curve.dipole} is fitted by itself: it does not repeat what other windows say ({words})")
+        elif found is not None and curve.events < MIN_EVENTS:
+            told.append(
+                f"too few events for a fit: C of {curve.dipole} is that of other windows, with a gain of its own"
+            )
+    return told
 
 
 def _list_cuts(wanted: Wanted) -> dict[tuple[str, int], list[float]]:
@@ -316,15 +394,14 @@ def _rows_of(spectra: Spectra, scope: Scope) -> NDArray[np.bool_]:
 def read_part(stores: Stores, request: Mapping[str, Any], model: Model, by: str, reason: str) -> Wanted:
     """The fit that a part of a job asks for."""
     of = Scope(request["station"], request["antenna"], request["dipole"])
-    window = request["since"], request["until"]
-    cuts = find_cuts(stores, of.station, *window, model)
-    return Wanted(request["scope"], of, *window, model, by, reason, cuts)
+    wanted = read_fit(stores, request["scope"], of, (request["since"], request["until"]))
+    return replace(wanted, model=model, by=by, reason=reason)
 
 
-def find_cuts(stores: Stores, station: str | None, since: Instant, until: Instant, model: Model) -> tuple[Cut, ...]:
-    """The dates at which a window is cut; none at stations whose model has a step, which says what changed then."""
-    stepping = {one.station for one in model.causes if one.cause == GAIN_STEP}
-    return tuple(cut for cut in stores.changes.cuts(station, since, until) if cut.station not in stepping)
+def read_fit(stores: Stores, scope: str, of: Scope, window: tuple[Instant, Instant]) -> Wanted:
+    """The fit of a window with the model that is adopted and the changes that are in force."""
+    changed = tuple(stores.changes.cuts(of.station, until=window[1]))
+    return Wanted(scope, of, *window, stores.models.during(of.station, *window), "", "", changed)
 
 
 # Due refits that read only the events that came since: the fit that is kept is continued by them.
@@ -426,8 +503,7 @@ def _rows_of_piece(piece: KeptPiece, spectra: Spectra) -> NDArray[np.bool_]:
 
 def _list_scopes(lines: Sequence[KeptLines]) -> list[Scope]:
     """The scopes that lines are of, each once."""
-    owners = [owner for one in lines for owner in one.owners]
-    return list(dict.fromkeys(Scope(s, a, None if a is None else dipole) for s, a, dipole in owners))
+    return list(dict.fromkeys(scope_of(owner) for one in lines for owner in one.owners))
 
 
 def _find_shift(told: Told, continued: Continued) -> float | None:

@@ -269,13 +269,14 @@ class Gate:
         if curve.status == MISFIT:
             return (
                 f"misfit of this curve or of its station: chi2 per degree of freedom {curve.chi2_per_dof:.1f} with "
-                f"noise alone and {curve.chi2_per_dof_profiled:.1f} with sky and pattern free within what is known; "
-                "clock, place, letters, antenna or unit may be wrong, and lbacal investigate says what is"
+                f"noise alone and {curve.chi2_per_dof_profiled or np.nan:.1f} with sky and pattern free within what is "
+                "known; clock, place, letters, antenna or unit may be wrong, and lbacal investigate says what is"
             )
         if curve.status != CONVERGED or curve.c is None or curve.c_sigma_stat is None:
             seen = f"{24 * curve.lst_coverage:.1f} h of the sidereal day"
             return f"{curve.status} with {curve.events} events that see {seen}"
-        if curve.lst_coverage < self.coverage:
+        is_lent = curve.repeated is not None and curve.repeated.windows > 1  # other windows saw the rest of the day
+        if curve.lst_coverage < self.coverage and not is_lent:
             return (
                 f"{curve.events} events see {24 * curve.lst_coverage:.1f} h of the sidereal day, "
                 f"at least {24 * self.coverage:.1f} h pass"

@@ -7,8 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
-from functools import partial
 from typing import TYPE_CHECKING
 
 from threadpoolctl import threadpool_limits
@@ -27,7 +25,7 @@ from service.storage.models import ADOPTED, WITHDRAWN, Announced, Gain, Investig
 from service.storage.spectra import Window
 from service.storage.sums import read_pieces
 from service.storage.versions import Version, mean_over_band
-from service.usecases.drift import start_of_year
+from service.usecases.drift import year_of
 from service.usecases.gate import find_change_of_mean
 from service.usecases.promotions import LAST, Change, Promotions, undo
 from service.wire.bodies import AdoptionBody, ReasonBody
@@ -35,6 +33,7 @@ from service.wire.bodies import AdoptionBody, ReasonBody
 if TYPE_CHECKING:
     from service.usecases.due import DueWork
     from service.usecases.fits import Fits, Wanted
+    from service.usecases.windows import Neighbours
 
 SCOPES = ("antenna", "station")
 """Scopes of the fits that announce how C changes."""
@@ -98,8 +97,7 @@ class Models:
         with self.database.read() as stores:
             made = stores.investigations.get(name)
             before = stores.models.current().of_stations([made.station])
-            year = datetime.fromtimestamp(made.since / 1e6, UTC).year
-            window = start_of_year(year), start_of_year(year + 1)
+            window = year_of(made.since)
             content = stores.spectra.content(Window(*window, Scope(made.station)))
             cuts = [[cut.antenna, cut.date] for cut in stores.changes.cuts(made.station, *window)]
             state = [made.id, body.finding, before.id, content, stores.ledger.newest_number(), cuts]
@@ -111,14 +109,14 @@ class Models:
     ) -> Adoption:
         from lbacal_core.discovery.adopted import promise_of
         from lbacal_core.discovery.calibrate import promise_of_structure
-        from service.usecases.fits import Wanted, find_cuts
+        from service.usecases.fits import Wanted
 
         model, cause = _adopt(before, made, body.finding)
         with self.database.read() as stores:
-            cuts = find_cuts(stores, made.station, *window, model)
+            changed = tuple(stores.changes.cuts(made.station, until=window[1]))
             of_window = [one.during(*(edge / 1e6 for edge in window)) for one in (before, model)]
             wanted = [
-                Wanted(scope, Scope(made.station), *window, one, by, body.reason, cuts)
+                Wanted(scope, Scope(made.station), *window, one, by, body.reason, changed)
                 for scope in SCOPES
                 for one in of_window
             ]
@@ -126,9 +124,10 @@ class Models:
             spectra = self.fits.load(stores, wanted[1])
             is_alone = body.finding == 0 and len(made.report["findings"]) == 1
             kept = self._read_kept(stores, wanted[::2]) if is_alone else None
+            neighbours = [self.fits.find_neighbours(stores, one) for one in wanted[1::2]]
         with threadpool_limits(1):
-            foreseen = None if kept is None else self._foresee(spectra, kept, wanted[1::2])
-            fitted = foreseen or self._fit_both(spectra, wanted)
+            foreseen = None if kept is None else self._foresee(spectra, kept, wanted[1::2], neighbours)
+            fitted = foreseen or self._fit_both(spectra, wanted, neighbours)
         announced = {key: one for k in (0, 2) for key, one in _announce(fitted[k], fitted[k + 1])}
         with self.database.read() as stores:
             told = [
@@ -167,29 +166,33 @@ class Models:
             found.append(_Kept(versions, parse_budget(stores.budgets.get(min(budgets)))))
         return found
 
-    def _foresee(self, spectra: Spectra, kept: Sequence[_Kept], wanted: Sequence[Wanted]) -> list[list[Version]] | None:
+    def _foresee(
+        self, spectra: Spectra, kept: Sequence[_Kept], wanted: Sequence[Wanted], neighbours: Sequence[Neighbours]
+    ) -> list[list[Version]] | None:
         """Versions before and after by scope, from what is kept and one fit with the cause at the size of the finding.
 
         None where what is kept was made with other inputs than a fit now.
         """
         whole, found = self.fits.fit_causes(spectra, wanted[0].model, are_sizes_known=True), []
-        for before, one in zip(kept, wanted, strict=True):
-            after = self.fits.foresee(whole, one, before.versions, before.budget)
+        for before, one, others in zip(kept, wanted, neighbours, strict=True):
+            after = self.fits.foresee(whole, one, before.versions, before.budget, others)
             if {_name_setting(version) for version in before.versions} != {_name_setting(version) for version in after}:
                 return None
             found += [before.versions, after]
         return found
 
-    def _fit_both(self, spectra: Spectra, wanted: Sequence[Wanted]) -> list[list[Version]]:
+    def _fit_both(
+        self, spectra: Spectra, wanted: Sequence[Wanted], neighbours: Sequence[Neighbours]
+    ) -> list[list[Version]]:
         """Versions before and after by scope, all fitted as refits do."""
-        from service.usecases.windows import find_in_effect
-
-        whole = {one.model.id: self.fits.fit_causes(spectra, one.model) for one in wanted[:2]}
-        lenders = partial(find_in_effect, self.database)
-        after = [self.fits.make(whole[one.model.id], one, find_lenders=lenders) for one in wanted[1::2]]
+        before, now = (self.fits.fit_causes(spectra, one.model) for one in wanted[:2])
+        after = [self.fits.make(now, one, others) for one, others in zip(wanted[1::2], neighbours, strict=True)]
         # what the year is compared with needs no budget of its own
         shared = next(iter(after[0].budgets.values()))
-        earlier = [self.fits.make(whole[one.model.id], one, shared, lenders).versions for one in wanted[::2]]
+        earlier = [
+            self.fits.make(before, one, others, shared).versions
+            for one, others in zip(wanted[::2], neighbours, strict=True)
+        ]
         return [earlier[0], after[0].versions, earlier[1], after[1].versions]
 
     def adopt(self, plan: Adoption, *, promote: bool) -> list[int]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import Any
 
 from lbacal.instants import DAY_US
@@ -34,7 +33,7 @@ from service.usecases.fits import (
 from service.usecases.gate import Gate, find_predecessors, find_shift
 from service.usecases.orders import Limits, name_inputs, place_order, read_window
 from service.usecases.payoff import Payoff
-from service.usecases.windows import find_in_effect
+from service.usecases.windows import Neighbours
 from service.wire.bodies import RefitBody
 
 KIND = "refit"
@@ -88,9 +87,10 @@ class Refits:
             wanted = self._read(stores, part)
             block = self.fits.name_block(stores, wanted)
             spectra = self.fits.load(stores, wanted)
+            neighbours = self.fits.find_neighbours(stores, wanted)
             known = self.payoff.known_until(stores, wanted)
         whole = self.fits.fit_causes(spectra, wanted.model)
-        made = self.fits.make(whole, wanted, find_lenders=partial(find_in_effect, self.database))
+        made = self.fits.make(whole, wanted, neighbours)
         gains = self.payoff.measure(whole, wanted, known)
         with self.database.write() as stores:
             kept = self._keep(stores, made.versions, part)
@@ -114,13 +114,15 @@ class Refits:
             wanted = self._read(stores, part)
             block = self.fits.name_block(stores, wanted) if wanted.model.is_plain else None
             later = None if block is None else self.fits.read_later(stores, block, wanted.window)
-        if later is None or later.spectra is None:
+            neighbours = self.fits.find_neighbours(stores, wanted)
+        if later is None:
             return False
         pieces = read_pieces(later.block.arrays)
-        found = self.fits.examine(pieces, later.spectra)
-        if found is None:
+        found = self.fits.examine(pieces, later.spectra, neighbours)
+        # of what other years changed the whole window is fitted, as it was at first: same input, same id
+        if found is None or (found.rest and later.spectra is None):
             return False
-        versions = [one for path in found.rest for one in self._fit_path(wanted, path, pieces)]
+        versions = [one for path in found.rest for one in self._fit_path(wanted, path, pieces, neighbours)]
         with self.database.write() as stores:
             stores.ledger.lock()
             if _explain_other_model(stores, part) or not is_still_told(stores, pieces):
@@ -134,7 +136,9 @@ class Refits:
             stores.ledger.append(kept.promotions, self.clock)
         return True
 
-    def _fit_path(self, wanted: Wanted, path: Scope, pieces: Sequence[KeptPiece]) -> list[Version]:
+    def _fit_path(
+        self, wanted: Wanted, path: Scope, pieces: Sequence[KeptPiece], neighbours: Neighbours
+    ) -> list[Version]:
         """Fit one path from all its spectra, with the budget of the last fit of the whole station."""
         told = next(one for piece in pieces for one in piece.told if one.scope == path)
         of_path = replace(wanted, of=path)
@@ -144,7 +148,7 @@ class Refits:
             covariance = before.curves[0].covariance
             name = None if covariance is None else covariance.budget
             budget = None if name is None else parse_budget(stores.budgets.get(name))
-        return self.fits.make(self.fits.fit_causes(spectra, wanted.model), of_path, budget).versions
+        return self.fits.make(self.fits.fit_causes(spectra, wanted.model), of_path, neighbours, budget).versions
 
     def _keep(self, stores: Stores, made: list[Version], part: Part) -> _Kept:
         """Store new versions, each with the objection of the gate if promotion was asked for.

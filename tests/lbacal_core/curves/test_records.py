@@ -109,7 +109,8 @@ def draw(rng: np.random.Generator, members: MemberLines | None) -> KeptLines:
         owners=[("CS002", 3, "X"), (None, None, "X")], events=np.array([400, 12]), has_c=np.array([True, False]),
         slope=rng.random((2, 4)), intercept=rng.random((2, 4)), information=root @ root.transpose(0, 2, 1),
         radiometer=rng.random((2, 4)), constant=rng.random((2, 3, 4)), behind=rng.random((2, 3, 4)),
-        scatter=rng.random(2), typical_blocks=100.0, variance_unit=1.5, members=members,
+        scatter=rng.random(2), loss=rng.random((2, 4)),
+        spectra=np.array(["a" * 64, "b" * 64]), typical_blocks=100.0, variance_unit=1.5, members=members,
     )  # fmt: skip
 
 
@@ -124,7 +125,9 @@ def test_lines_are_read_as_they_were_written_but_for_the_rounding_of_the_informa
     (read,) = read_lines(write_lines([written]))
     assert (read.owners, read.typical_blocks, read.variance_unit) == (written.owners, 100.0, 1.5)
     for one in fields(KeptLines):
-        if isinstance(getattr(written, one.name), np.ndarray):
+        if one.name == "spectra":
+            assert read.spectra.tolist() == written.spectra.tolist()
+        elif isinstance(getattr(written, one.name), np.ndarray):
             tolerance = 1e-6 if one.name == "information" else 0
             np.testing.assert_allclose(getattr(read, one.name), getattr(written, one.name), rtol=tolerance)
     assert (read.members is None) == (not is_mean)

@@ -12,7 +12,6 @@ from lbacal_core.drift.events import (
     frequency_modes,
     measure_event_modes,
 )
-from lbacal_core.drift.windows import borrow_curve
 from lbacal_core.instrument.antennas import AntennaRecord
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.instrument.sidereal import local_sidereal_time
@@ -106,31 +105,6 @@ def test_a_month_with_few_events_has_no_value_and_an_antenna_without_reference_n
     found = measure_monthly_ratios(block, {7: curve}, instrument, sky)
     assert np.isfinite(found.c_ratio[0]).tolist() == [True, False]
     assert measure_monthly_ratios(block, {}, instrument, sky).c_ratio.shape == (0, 2)
-
-
-def test_a_borrowed_curve_is_the_neighbours_through_its_own_cable_times_the_gain_of_its_events():
-    """The power gain rose to 1.21, and of that the cables explain what they do."""
-    block, curve, instrument, sky = make_case(np.full(30, 1.21), np.random.default_rng(1), noise=0.01)
-    with_cables = replace(instrument, cables={"c": CABLE, "old": CABLE})
-    found = borrow_curve(curve, block, Simulation(with_cables, sky), ("old", "c"))
-    assert found is not None
-    assert curve.c is not None
-    assert found.curve.c is not None
-    assert found.gain == pytest.approx(1.0 / 1.1, abs=4 * found.sigma)
-    assert found.curve.c / curve.c == pytest.approx(found.gain)
-    assert (found.curve.status, found.curve.events) == ("converged", 30)
-    neighbours_error = 0.01
-    assert found.curve.c_sigma_stat is not None
-    assert found.curve.c_sigma_stat / found.curve.c == pytest.approx(np.hypot(neighbours_error, found.sigma))
-
-    shorter = replace(instrument, cables={"c": CABLE * 1.21, "old": CABLE})
-    explained = borrow_curve(curve, block, Simulation(shorter, sky), ("old", "c"))
-    assert explained is not None
-    assert explained.gain == pytest.approx(1.0, abs=4 * explained.sigma)
-    assert explained.curve.c == pytest.approx(found.curve.c)
-
-    few, curve, *simulated = make_case(np.ones(4), np.random.default_rng(1), noise=0.01)
-    assert borrow_curve(curve, few, Simulation(*simulated), ("c", "c")) is None, "4 events borrow nothing"
 
 
 def test_a_tilt_in_front_of_the_receiver_is_measured_as_such():

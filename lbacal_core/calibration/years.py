@@ -1,0 +1,288 @@
+"""One chain through the years: the lines of a path in several windows, fitted together while its hardware is the same.
+
+A window by itself knows the share of the electronic noise in its power to one or two percent, and the level of the
+power to 0.2 %. While the hardware is the same, the noise constants and the shape of A(nu) are the same in all windows;
+what differs is a gain in front of N_RCU, with a tilt and a curvature along frequency (those of `drift.events`):
+
+    s_k = s exp(phi g_k),    b_k = N_LNA s_k + N_RCU S G_RCU + N_ADC,    g_k ~ N(0, T),
+
+where s is that of the window itself. With g_k integrated out, the lines of another window are a measurement of (s, b)
+with the covariance C_k + D_k T D_k^T, D_k the derivative of its lines by g_k. Such measurements add, and the chain is
+solved once, for their sum. All is linear but exp(phi g_k), and repeated from the g_k that were found. T is wide: levels
+are known so well that a closer one does not change C of steady years (docs/decisions/years.md).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lbacal_core.calibration.chain_test import is_improbable
+from lbacal_core.calibration.channels import Booleans, solve_without_interference
+from lbacal_core.calibration.lines import Lines, NoiseLevels, SharedNoise, continue_lines
+from lbacal_core.calibration.paths import Paths
+from lbacal_core.calibration.separable import SeparableSolution
+from lbacal_core.chain.model import Intercepts
+from lbacal_core.curves.curves import Repeated
+from lbacal_core.curves.kept_lines import KeptLines, Owner
+from lbacal_core.grids import Floats
+from lbacal_core.linear import invert_symmetric, solve_symmetric
+
+MOST_ROUNDS, SMALLEST_STEP = 12, 1e-4
+"""Gains of a year move by a few percent and take three rounds, another cable six."""
+GAIN_SIGMAS, OTHER_SIGMAS = (0.3, 0.03, 0.03), (1.0, 0.5, 0.1)
+"""Standard deviations of ln of the gain between two windows, and of its tilt and curvature at the band's end; where the
+hardware is another, which may have a cable that nobody entered (80 m in place of 50 m: -0.76, -0.18, 0.01)."""
+FEWEST_EVENTS = 5
+"""Fewer know the gain of a window no better than 2.5 %."""
+
+
+@dataclass(frozen=True)
+class Beside:
+    """What is kept of a fit of another window.
+
+    Attributes
+    ----------
+    lines
+        The lines of some paths of one polarisation, or of a mean.
+    is_same
+        Whether a path had the same hardware then, shape (path,). Where it had not, its lines count for a window that is
+        too small for a fit, and for no other.
+    """
+
+    lines: KeptLines
+    is_same: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Together:
+    """The chain of some paths, fitted to several windows.
+
+    Attributes
+    ----------
+    solution, is_free
+        What `solve_without_interference` gives, in the gain of the window itself.
+    windows
+        How many were fitted together, shape (path,); 1 where they do not repeat.
+    chi2_per_dof
+        The lines of all windows against one chain, shape (path,); NaN where there is one window.
+    """
+
+    solution: SeparableSolution
+    is_free: Booleans
+    windows: NDArray[np.int64]
+    chi2_per_dof: Floats
+
+    def describe(self, path: int) -> Repeated | None:
+        """How a path repeats; None where there is one window."""
+        chi2_per_dof = float(self.chi2_per_dof[path])
+        return None if np.isnan(chi2_per_dof) else Repeated(int(self.windows[path]), chi2_per_dof)
+
+
+def solve_together(
+    lines: Lines,
+    owners: Sequence[Owner],
+    loss: Floats,
+    terms: Intercepts,
+    beside: Sequence[Beside],
+    alone: SeparableSolution,
+    is_free: Booleans,
+    is_small: NDArray[np.bool_],
+) -> Together:
+    """Fit the chain to the lines of some paths in a window, with those that they have in other windows.
+
+    Parameters
+    ----------
+    loss
+        L_coax of each path in the window, shape (path, freq).
+    beside
+        The other windows. They are left out of paths that do not repeat, beyond chance.
+    alone, is_free
+        The solution by the window alone; of paths that are too small for one, that of the window that lends to them.
+    is_small
+        Which paths are too small: the lines of all windows count for them, whatever changed between.
+    """
+    windows, chi2_per_dof = np.ones(len(owners), dtype=np.int64), np.full(len(owners), np.nan)
+    others = [_line_up(one, owners, loss, is_small) for one in beside]
+    count = np.sum([one.has_lines for one in others], axis=0, dtype=np.int64) * np.ones_like(windows)
+    at = np.flatnonzero(count)
+    if at.size == 0:
+        return Together(alone, is_free, windows, chi2_per_dof)
+    others = [one.take(at) for one in others if np.any(one.has_lines)]
+    solution, free, chi2 = _solve(lines.select(at), others, alone.take(at), terms)
+    dof = count[at] * (lines.information.shape[1] - len(GAIN_SIGMAS))
+    # what a small window borrows is never quite its own: where that shows, its error grows with it
+    excess = np.where(is_small[at], np.maximum(chi2 / dof, 1.0), 1.0)
+    solution = replace(solution, covariance=solution.covariance * excess[:, None, None])
+    is_joined = solution.is_converged & solution.is_identifiable & (is_small[at] | ~is_improbable(chi2, dof))
+    chi2_per_dof[at] = chi2 / dof
+    at, is_free = at[is_joined], is_free.copy()
+    windows[at] += count[at]
+    is_free[at] = free[is_joined]
+    return Together(alone.exchange(at, solution.take(is_joined)), is_free, windows, chi2_per_dof)
+
+
+def _solve(
+    lines: Lines, others: Sequence[_Other], solution: SeparableSolution, terms: Intercepts
+) -> tuple[SeparableSolution, Booleans, Floats]:
+    """The solution, which intercepts are free, and chi^2 of all lines against one line for each channel."""
+    own, shapes = np.concatenate([lines.slope, lines.intercept], axis=1), gain_modes(lines.slope.shape[1])
+    gains = [np.zeros((len(own), len(shapes))) for _ in others]
+    for _ in range(MOST_ROUNDS):
+        parts = [_integrate(one, gain, solution, terms, shapes) for one, gain in zip(others, gains, strict=True)]
+        together = [(own, lines.information), *((one.measured, one.information) for one in parts)]
+        information = np.sum([weight for _, weight in together], axis=0)
+        weighted = np.sum([weight @ measured[:, :, None] for measured, weight in together], axis=0)
+        mean = solve_symmetric(information, weighted)[:, :, 0]
+        slope, intercept = np.split(mean, 2, axis=1)
+        solution, is_free = solve_without_interference(slope, intercept, information, terms)
+        model = np.concatenate([solution.x, terms.on_line(solution.x, solution.n, solution.q)], axis=1)
+        before, gains = gains, [np.einsum("pmi,pi->pm", one.along, one.measured - model) for one in parts]
+        if np.max(np.abs(np.subtract(gains, before))) < SMALLEST_STEP:
+            break
+    left = [np.einsum("pi,pij,pj->p", one - mean, weight, one - mean) for one, weight in together]
+    return solution, is_free, np.sum(left, axis=0)
+
+
+def pick_beside(beside: Sequence[Beside], owner: Owner) -> list[Beside]:
+    """Those of the station and dipole of a path, or of a mean."""
+    return [one for one in beside if one.lines.owners[0][::2] == owner[::2]]
+
+
+def gain_modes(channels: int) -> Floats:
+    """A gain that is flat along frequency, tilted and curved: the Legendre polynomials 0 to 2, shape (3, freq)."""
+    return np.asarray(np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, channels), len(GAIN_SIGMAS) - 1).T)
+
+
+@dataclass(frozen=True)
+class _Other:
+    """The lines of another window on the paths of this one; no information where there are none.
+
+    Shapes (path, 2 freq), (path, 2 freq, 2 freq), (path, freq) and (path, shape): `cable` is the loss of then over that
+    of now, `sigmas` are those of the gain between them.
+    """
+
+    measured: Floats
+    information: Floats
+    cable: Floats
+    sigmas: Floats
+
+    @property
+    def has_lines(self) -> NDArray[np.bool_]:
+        return np.asarray(np.any(self.information, axis=(1, 2)))
+
+    def take(self, at: NDArray[np.intp]) -> _Other:
+        return _Other(*(values[at] for values in vars(self).values()))
+
+
+def _line_up(one: Beside, owners: Sequence[Owner], loss: Floats, is_small: NDArray[np.bool_]) -> _Other:
+    """The lines of another window that count, in the order of the owners."""
+    kept, (paths, channels) = one.lines, loss.shape
+    place = {owner: k for k, owner in enumerate(kept.owners) if kept.has_c[k]}
+    at = [k for k, owner in enumerate(owners) if owner in place and (is_small[k] or one.is_same[place[owner]])]
+    of = [place[owners[k]] for k in at]
+    found = _Other(
+        np.zeros((paths, 2 * channels)), np.zeros((paths, 2 * channels, 2 * channels)), np.ones_like(loss),
+        np.ones((paths, len(GAIN_SIGMAS))),
+    )  # fmt: skip
+    found.measured[at] = np.concatenate([kept.slope[of], kept.intercept[of]], axis=1)
+    found.information[at] = kept.information[of]
+    found.cable[at] = kept.loss[of] / loss[at]
+    found.sigmas[at] = np.where(one.is_same[of, None], GAIN_SIGMAS, OTHER_SIGMAS)
+    return found
+
+
+@dataclass(frozen=True)
+class _Measurement:
+    """The lines of a window as a measurement of (s, b) of another, the gain between them integrated out.
+
+    `along` takes what they depart from (s, b) to the most probable gain, shape (path, shape, 2 freq).
+    """
+
+    measured: Floats
+    information: Floats
+    along: Floats
+
+
+def _integrate(
+    other: _Other, gain: Floats, solution: SeparableSolution, terms: Intercepts, shapes: Floats
+) -> _Measurement:
+    factor = other.cable * np.exp(gain @ shapes)
+    # in b_k only what is in front of N_RCU has the gain; of the rest the last round's is taken off, and no bias is left
+    behind = np.concatenate([np.zeros_like(factor), (1.0 - factor) * (solution.q @ terms.behind)], axis=1)
+    both = np.concatenate([factor, factor], axis=1)
+    information = other.information * both[:, :, None] * both[:, None, :]
+    moved = solution.x[:, :, None] * shapes.T
+    derivative = np.concatenate([moved, terms.before(solution.n)[:, :, None] * moved], axis=1)
+    measured = (other.measured - behind) / both + np.einsum("pim,pm->pi", derivative, gain)
+    weighted = information @ derivative
+    prior = other.sigmas[:, :, None] ** -2.0 * np.eye(len(shapes))
+    left = invert_symmetric(prior + derivative.transpose(0, 2, 1) @ weighted)
+    along = left @ weighted.transpose(0, 2, 1)
+    return _Measurement(measured, information - weighted @ along, along)
+
+
+# A window too small for a fit: its lines have the noise levels of the nearest window that has a curve.
+
+
+@dataclass(frozen=True)
+class Lent:
+    """What another window lends to paths that are too small for a fit.
+
+    Attributes
+    ----------
+    at
+        Which paths, shape (lent,).
+    lines
+        Those of their own events, with the noise levels of then.
+    start
+        The chain of then.
+    """
+
+    at: NDArray[np.intp]
+    lines: Lines
+    start: SeparableSolution
+
+    def insert_into(
+        self, at: NDArray[np.intp], alone: SeparableSolution, is_free: Booleans
+    ) -> tuple[NDArray[np.intp], tuple[SeparableSolution, Booleans]]:
+        """These paths among those that are fitted by themselves, and the solution and free intercepts of all."""
+        both = np.concatenate([at, self.at])
+        order = np.argsort(both)
+        free = np.concatenate([is_free, np.zeros(self.lines.slope.shape, dtype=bool)])
+        return both[order], (alone.join(self.start).take(order), free[order])
+
+
+def lend(
+    beside: Sequence[Beside], is_small: NDArray[np.bool_], paths: Paths, sky: Floats, loss: Floats, terms: Intercepts
+) -> Lent | None:
+    """Take noise levels and chain from the nearest window that has them, for paths with too few events for their own.
+
+    Parameters
+    ----------
+    sky
+        P_sky, shape (event, freq).
+    """
+    for one in beside:
+        at = np.flatnonzero(is_small & _line_up(one, paths.owners, loss, is_small).has_lines)
+        if at.size:
+            of = np.array([list(one.lines.owners).index(paths.owners[k]) for k in at])
+            lines = lines_of(one.lines, of)
+            start, _ = solve_without_interference(lines.slope, lines.intercept, lines.information, terms)
+            start = replace(start, x=start.x * loss[at] / one.lines.loss[of])
+            then = replace(
+                lines, slope=start.x, intercept=terms.on_line(start.x, start.n, start.q),
+                information=np.zeros_like(lines.information),
+            )  # fmt: skip
+            return Lent(at, continue_lines(then, paths.power[at], sky, paths.relative_variance[at]), start)
+    return None
+
+
+def lines_of(kept: KeptLines, at: NDArray[np.intp]) -> Lines:
+    """The lines of some paths. Where an event shares nothing along frequency both of its vectors are 0."""
+    shared = SharedNoise(kept.constant[at], kept.behind[at])
+    levels = NoiseLevels(kept.radiometer[at], np.hypot(shared.constant, shared.behind))
+    return Lines(kept.slope[at], kept.intercept[at], kept.information[at], levels, shared)

@@ -1,0 +1,154 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+from lbacal_core.calibration.continued import continue_fit
+from lbacal_core.calibration.fit import fit_calibration
+from lbacal_core.calibration.years import GAIN_SIGMAS, Beside, gain_modes
+from lbacal_core.curves.kept_lines import read_lines, write_lines
+
+YEARS = 3
+GAINS = (0.0, 0.02, -0.03)
+"""Ln of the power gain of the years in front of N_RCU."""
+
+
+def draw_year(scene, number, events=300, days=365.0):
+    """A year whose gain in front of N_RCU is its own: the slope and N_LNA have it, what is added behind has not."""
+    rng = np.random.default_rng(100 + number)
+    spectra = scene.spectra(rng, events, antennas=2, days=days)
+    behind = scene.n_rcu * scene.instrument.receiver_gain + scene.n_adc
+    # the scatter of what is added behind grows with the gain: 3 % of it, far below the scatter itself
+    power = (spectra.power - behind) * np.exp(GAINS[number]) + behind
+    names = np.char.add(f"{number}-", spectra.event_id)
+    return replace(spectra, power=power, event_id=names, time_unix=spectra.time_unix + number * 365 * 86_400.0)
+
+
+@pytest.fixture(scope="module")
+def years(scene):
+    return [draw_year(scene, number) for number in range(YEARS)]
+
+
+@pytest.fixture(scope="module")
+def alone(scene, years):
+    return {scope: [fit_calibration(one, scene.simulation, scope) for one in years] for scope in ("antenna", "station")}
+
+
+def beside(reports, own, *, is_same=True):
+    kept = [lines for k, report in enumerate(reports) if k != own for lines in read_lines(write_lines(report.lines))]
+    return [Beside(lines, np.full(len(lines.owners), is_same)) for lines in kept]
+
+
+def true_c(scene, curve):
+    assert isinstance(curve.antenna, int)
+    cable = "80" if curve.antenna % 2 else "50"
+    return np.sqrt(scene.instrument.antenna_gain / scene.slope(cable))
+
+
+def test_one_chain_through_the_years_is_that_of_all_their_lines_with_a_gain_for_each(scene, years, alone):
+    """The slow way: every unknown of the lines at once, s, constants and three gains a year, by Gauss-Newton."""
+    report = fit_calibration(years[0], scene.simulation, "antenna", beside(alone["antenna"], 0))
+    curve = next(one for one in report.curves if one.dipole == "X")
+    terms, shapes = scene.simulation.noise, gain_modes(scene.instrument.frequency_mhz.size)
+    lines = [next(one for one in year.lines if one.owners[0][2] == "X") for year in alone["antenna"]]
+    channels, count = shapes.shape[1], len(GAIN_SIGMAS)
+    measured = np.array([np.concatenate([one.slope[0], one.intercept[0]]) for one in lines])
+    roots = [np.linalg.cholesky(one.information[0]).T for one in lines]
+    scale = np.concatenate([measured[0][:channels], [scene.n_lna, scene.n_rcu, scene.n_adc], np.ones(2 * count)])
+
+    def residual(unit):
+        value = unit * scale
+        x, n, q = value[:channels], value[channels : channels + 1], value[channels + 1 : channels + 3]
+        gains = np.concatenate([np.zeros((1, count)), value[channels + 3 :].reshape(2, count)])
+        found = []
+        for k in range(YEARS):
+            slope = x * np.exp(gains[k] @ shapes)
+            found.append(roots[k] @ (measured[k] - np.concatenate([slope, terms.before(n) * slope + q @ terms.behind])))
+        return np.concatenate([*found, (gains[1:] / GAIN_SIGMAS).ravel()])
+
+    start = np.concatenate([np.ones(channels + 3), np.zeros(2 * count)])
+    solved = least_squares(residual, start, method="lm", xtol=1e-14, ftol=1e-14)
+    covariance = np.linalg.inv(solved.jac.T @ solved.jac)
+    of_log_c = np.sqrt(np.diag(covariance)[:channels]) / (2.0 * solved.x[:channels])
+    expected = np.sqrt(scene.instrument.antenna_gain / (solved.x * scale)[:channels])
+    # N_RCU S and N_ADC weigh in another year as if they had its gain, 3 %
+    assert np.max(np.abs(curve.c - expected) / curve.c_sigma_stat) < 0.1
+    np.testing.assert_allclose(curve.c_sigma_stat / curve.c, of_log_c, rtol=0.02)
+    assert curve.repeated.windows == YEARS
+
+
+@pytest.mark.parametrize("scope", ["antenna", "station"])
+def test_years_of_one_chain_differ_by_their_gains_and_their_error_is_that_of_all_events(scene, years, alone, scope):
+    alone = alone[scope]
+    together = [fit_calibration(one, scene.simulation, scope, beside(alone, k)) for k, one in enumerate(years)]
+    for k in (1, 2):
+        for was, now in zip(together[0].curves, together[k].curves, strict=True):
+            ratio = np.log(now.c / was.c)
+            # the mean over the band of 300 events of 4 %: 0.16 % in C
+            assert np.mean(ratio) == pytest.approx(-0.5 * GAINS[k], abs=0.004)
+            assert np.ptp(ratio) < 0.02
+    for by_itself, now in zip(alone[0].curves, together[0].curves, strict=True):
+        gained = now.c_sigma_stat / by_itself.c_sigma_stat
+        assert 0.4 < np.min(gained) <= np.max(gained) < 0.75, "three years: 0.58"
+        assert now.repeated.chi2_per_dof == pytest.approx(1.0, abs=0.3)
+    pulls = [(np.log(one.c / true_c(scene, one)) + 0.5 * GAINS[k]) / (one.c_sigma_stat / one.c)
+             for k, report in enumerate(together) for one in report.curves if scope == "antenna"]  # fmt: skip
+    assert not pulls or np.sqrt(np.mean(np.square(pulls))) < 2.0
+
+
+def test_a_path_with_other_hardware_is_fitted_by_itself(scene, years, alone):
+    alone = alone["antenna"]
+    found = fit_calibration(years[0], scene.simulation, "antenna", beside(alone, 0, is_same=False))
+    for by_itself, now in zip(alone[0].curves, found.curves, strict=True):
+        assert np.array_equal(by_itself.c, now.c)
+        assert now.repeated is None
+
+
+def test_a_year_that_does_not_repeat_is_fitted_by_itself_and_says_so(scene, years, alone):
+    """Another noise of the receiver: no gain explains it."""
+    louder = replace(years[1], power=years[1].power + 3.0 * scene.n_rcu * scene.instrument.receiver_gain)
+    other = fit_calibration(louder, scene.simulation)
+    found = fit_calibration(years[0], scene.simulation, "antenna", beside([None, other], 0))
+    for by_itself, now in zip(alone["antenna"][0].curves, found.curves, strict=True):
+        assert np.array_equal(by_itself.c, now.c)
+        assert now.repeated.windows == 1
+        assert now.repeated.chi2_per_dof > 1.5
+
+
+def test_a_window_too_small_for_a_fit_has_the_chain_of_another_through_its_own_cable_and_a_gain(scene, alone):
+    few = draw_year(scene, 1, events=30, days=20.0)
+    lonely = fit_calibration(few, scene.simulation)
+    assert {curve.status for curve in lonely.curves} == {"too_few_events"}
+    shorter = {name: loss * (1.21 if name == "50" else 1.0) for name, loss in scene.instrument.cables.items()}
+    of_now = replace(scene.simulation, instrument=replace(scene.instrument, cables=shorter))
+    with_cable = few.power * np.where(few.antenna % 2, 1.0, 1.21)[:, None]
+    for simulation, spectra, ratio in ((scene.simulation, few, 1.0), (of_now, replace(few, power=with_cable), 1.1)):
+        found = fit_calibration(spectra, simulation, "antenna", beside(alone["antenna"], 1, is_same=False)[:2])
+        for then, now in zip(alone["antenna"][0].curves, found.curves, strict=True):
+            own = np.log(now.c / then.c) + (0.0 if now.antenna % 2 else np.log(ratio))
+            # 30 events of 4 %: 0.4 % in C
+            assert (now.status, now.events) == ("converged", 30)
+            assert np.mean(own) == pytest.approx(-0.5 * GAINS[1], abs=0.015)
+            assert np.all(now.c_sigma_stat / now.c > 0.9 * then.c_sigma_stat / then.c)
+    four = few.select(np.isin(few.event_id, np.unique(few.event_id)[:4]))
+    found = fit_calibration(four, scene.simulation, "antenna", beside(alone["antenna"], 1, is_same=False))
+    assert {curve.status for curve in found.curves} == {"too_few_events"}, "4 events know no gain"
+
+
+def test_later_events_continue_a_fit_of_several_years(scene, years, alone):
+    number = np.array([int(name[-5:]) for name in years[0].event_id])
+    before, new = (years[0].select(rows) for rows in (number < 290, number >= 290))
+    others = beside(alone["antenna"], 0)
+    kept = read_lines(write_lines(fit_calibration(before, scene.simulation, "antenna", others).lines))
+    found = continue_fit(kept, new, scene.simulation, others)
+    whole = fit_calibration(years[0], scene.simulation, "antenna", others)
+    for curve in whole.curves:
+        c, sigma, _ = found.curves[curve.station, curve.antenna, curve.dipole]
+        assert np.max(np.abs(c - curve.c) / curve.c_sigma_stat) < 0.1
+        np.testing.assert_allclose(sigma, curve.c_sigma_stat, rtol=0.1)
+    assert continue_fit(kept, None, scene.simulation, others).curves.keys() == found.curves.keys()
+
+
+def test_a_campaign_without_other_years_is_what_it_was(alone):
+    assert {curve.repeated for report in alone["station"] for curve in report.curves} == {None}
