@@ -39,6 +39,9 @@ class Settings(BaseSettings):
     lease_s: float = Field(default=120, gt=0, description="a worker silent for this long has lost its part, s")
     poll_s: float = Field(default=1, gt=0, description="pause of an idle worker between two looks for work, s")
     nightly_utc: str = Field(default="02:00", pattern=_TIME_OF_DAY, description="when due refits are found, UTC")
+    quiet_s: float = Field(
+        default=600, ge=0, description="the night waits until no spectra arrived for so long, six times at most, s"
+    )
     cut_windows: bool = Field(
         default=True, description="cut the windows of an antenna at dates at which the drift found that it changed"
     )

@@ -19,6 +19,8 @@ from service.usecases.status import Pulse
 log = structlog.get_logger()
 AGAIN_S = 600
 """How often failed work is looked at: the shortest pause before it is tried again."""
+MOST_WAITS = 6
+"""Events that arrive all the time hold no night up for longer than so many times the quiet that is waited for."""
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 1.0, 60.0
 
 
@@ -41,10 +43,14 @@ def run_scheduler(factory: Factory, stop: threading.Event) -> None:
     def look() -> None:
         persist(lambda: look_for_due_work(factory), stop)
 
+    def look_by_night() -> None:
+        persist(lambda: wait_for_quiet(factory, stop), stop)
+        look()
+
     hour, minute = factory.settings.nightly_utc.split(":")
     # no grace time: a night missed by a second or an hour is made up for, once
     scheduler = BackgroundScheduler(timezone=UTC, job_defaults={"coalesce": True, "misfire_grace_time": None})
-    scheduler.add_job(look, CronTrigger(hour=hour, minute=minute, timezone=UTC), max_instances=1)
+    scheduler.add_job(look_by_night, CronTrigger(hour=hour, minute=minute, timezone=UTC), max_instances=1)
     again = IntervalTrigger(seconds=AGAIN_S, timezone=UTC)
     scheduler.add_job(lambda: persist(lambda: look_again(factory), stop), again, max_instances=1)
     with Pulse(factory.database, SCHEDULER, factory.inputs.text):
@@ -52,6 +58,17 @@ def run_scheduler(factory: Factory, stop: threading.Event) -> None:
         scheduler.start()
         stop.wait()
         scheduler.shutdown()
+
+
+def wait_for_quiet(factory: Factory, stop: threading.Event) -> None:
+    """Wait until a campaign that is being ingested has arrived: half of a year would be fitted, and then all of it."""
+    quiet_s = factory.settings.quiet_s
+    for _ in range(MOST_WAITS):
+        with factory.database.read() as stores:
+            newest = stores.spectra.arrivals.newest()
+        left_s = 0.0 if newest is None else quiet_s - (factory.clock() - newest) / 1e6
+        if left_s <= 0 or stop.wait(min(left_s, quiet_s)):
+            return
 
 
 def persist(look: Callable[[], object], stop: threading.Event) -> None:

@@ -89,6 +89,11 @@ class Arrivals:
         rows = self._connection.execute(select(receipt).where(receipt.c.sha256.in_(digests)))
         return {row.sha256: row.spectra for row in rows}
 
+    def newest(self) -> Instant | None:
+        """When spectra arrived last."""
+        newest: Instant | None = self._connection.execute(select(func.max(receipt.c.at_us))).scalar_one()
+        return newest
+
     def keep_receipt(self, digest: str, spectra: int, at: Instant) -> None:
         """Remember that all spectra of a body are stored. Spectra are never deleted, so it stays true."""
         add_rows(self._connection, receipt, [{"sha256": digest, "spectra": spectra, "at_us": at}])

@@ -22,7 +22,7 @@ from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.settings import TwinSettings
 from service import scheduler
 from service.factory import Factory
-from service.scheduler import look_again, look_for_due_work, persist, run_scheduler
+from service.scheduler import look_again, look_for_due_work, persist, run_scheduler, wait_for_quiet
 from service.storage.alarms import AlarmsAsked
 from service.storage.jobs import PAUSE_US
 from service.storage.processes import SCHEDULER
@@ -237,3 +237,20 @@ def test_a_year_without_data_calls_for_nothing_and_late_data_for_their_own_year(
     assert shift(filled, 3) == [2014, 2017]
     assert shift(filled, -2) == [2012], "two years late: the refits of later years stand"
     assert filled.due.enqueue() == []
+
+
+def test_a_night_waits_for_a_campaign_that_is_being_ingested_and_not_for_ever(
+    filled: Factory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Half of a year was fitted while it arrived, and all of it a minute later."""
+    stop, waited = threading.Event(), []
+    monkeypatch.setattr(stop, "wait", waited.append)
+    wait_for_quiet(filled, stop)
+    assert waited == [], "nothing has ever arrived over HTTP"
+    with filled.database.write() as stores:
+        stores.spectra.arrivals.keep_receipt("a" * 64, 1, filled.clock() - 100_000_000)
+    wait_for_quiet(filled, stop)
+    assert waited == pytest.approx([500.0] * 6, abs=0.1), "six times, where more arrives all the time"
+    stop.set()
+    monkeypatch.undo()
+    wait_for_quiet(filled, stop)
