@@ -101,7 +101,8 @@ class Worker:
         try:
             with self._factory.database.write() as stores:
                 stores.jobs.fail(part, self._name, reason, self._factory.clock())
-                stores.alarms.raise_alarm(describe_failed(stores.jobs.get(part.job), reason), self._factory.clock())
+                if part.is_due:  # whoever asked for it is told by the job
+                    stores.alarms.raise_alarm(describe_failed(stores.jobs.get(part.job), reason), self._factory.clock())
         except LeaseLostError as error:
             log.warning("part given up", error=str(error))
 

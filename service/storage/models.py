@@ -10,7 +10,7 @@ from typing import Any
 
 from sqlalchemy import Column, Connection, Row, and_, func, or_, select
 
-from lbacal_core.causes.model import Model
+from lbacal_core.causes.model import Model, follows_date
 from lbacal_core.curves.validity import Instant
 from lbacal_core.errors import BadInputError
 from lbacal_core.provenance import canonical_json
@@ -156,8 +156,12 @@ class ModelStore(Store):
         return Model(tuple(cause for text in texts for cause in Model.from_text(text).causes))
 
     def during(self, station: str | None, since: Instant, until: Instant) -> Model:
-        """The adopted causes that act in a window, of one station or of all."""
+        """The adopted causes that act in a window, of one station or of all.
+
+        What follows the date is a change and no cause, also where somebody adopted it when that was not refused.
+        """
         acting = self.current().during(since / MICROSECONDS, until / MICROSECONDS)
+        acting = Model(tuple(one for one in acting.causes if not follows_date(one.cause, one.parameters)))
         return acting if station is None else acting.of_stations([station])
 
     def last_change(self, station: str | None, since: Instant, until: Instant) -> ModelChange | None:

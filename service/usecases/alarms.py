@@ -278,6 +278,8 @@ def _misfits(stores: Stores) -> Iterator[News]:
 def _failures(stores: Stores, now: Instant) -> Iterator[News]:
     failed: dict[str, News] = {}
     for failure in stores.jobs.failures(now - FAILURES_SINCE_US, FAILURES_READ):
+        if failure.tries is None:  # whoever asked for it is told by the job
+            continue
         news = describe_failed(failure.job, "; ".join(failure.job.errors))
         failed.setdefault(news.subject, news)  # the newest try of a work is listed first
     yield from failed.values()
