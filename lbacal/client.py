@@ -201,11 +201,15 @@ class Client:
     def refit(
         self, scope: str, since: Any, until: Any, *, reason: str, station: str | None = None,
         antenna: int | None = None, dipole: str | None = None, promote: bool = False, wait: bool = True,
+        fit: str = "years",
     ) -> dict[str, Any]:  # fmt: skip
-        """Ask for fits over [since, until); with `wait` until they have ended. Returns the job."""
+        """Ask for fits over [since, until); with `wait` until they have ended. Returns the job.
+
+        With `fit` ``year`` the window is fitted by itself, else one chain through the years.
+        """
         body = {
             "scope": scope, "since": format_time(since), "until": format_time(until), "station": station,
-            "antenna": antenna, "dipole": dipole, "reason": reason, "promote": promote,
+            "antenna": antenna, "dipole": dipole, "reason": reason, "promote": promote, "fit": fit,
         }  # fmt: skip
         number = self._transport.request("POST", "/v1/refits", body=body).json()["job"]
         return self.wait_for(number) if wait else self.job(number)

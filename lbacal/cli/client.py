@@ -104,6 +104,7 @@ def refit(
     dipole: Dipole = None,
     promote: Annotated[bool, typer.Option("--promote", help="Put into effect what passes the gate.")] = False,
     wait: Annotated[bool, typer.Option(help="Wait until the fits have ended.")] = True,
+    fit: Annotated[str, typer.Option(help="years: one chain through the years; year: the window by itself.")] = "years",
 ) -> None:
     """Ask for new fits over a window, one fit a version.
 
@@ -120,6 +121,7 @@ def refit(
             dipole=dipole,
             promote=promote,
             wait=wait,
+            fit=fit,
         )
     print_job(job, most=SHOWN)
     if job["state"] == "failed":

@@ -105,15 +105,15 @@ class FittedCauses:
         The spectra as they were recorded.
     simulation
         With the form of the chain that they prefer, which `form` gives the odds of.
-    taken_out
-        Power over that without what is known to have changed, shape (row,): divided out like a cause. None: nothing.
+    unchanged
+        The power without what is known to have changed in single antennas, shape (row, freq); None where nothing did.
     """
 
     recorded: Spectra
     simulation: Simulation
     form: ChainForm
     stations: Sequence[_OfStation]
-    taken_out: Floats | None = None
+    unchanged: Floats | None = None
 
     @property
     def model(self) -> Model:
@@ -132,11 +132,10 @@ class FittedCauses:
 
     def _divide_out(self, moved: tuple[int, int] | None) -> Spectra:
         """The same with one size, by number of station and of size, moved by its standard deviation."""
-        if not self.stations and self.taken_out is None:
+        if not self.stations and self.unchanged is None:
             return self.recorded
-        power, is_kept = self.recorded.power.copy(), np.ones(len(self.recorded), dtype=bool)
-        if self.taken_out is not None:
-            power /= self.taken_out[:, None]
+        power = (self.recorded.power if self.unchanged is None else self.unchanged).copy()
+        is_kept = np.ones(len(self.recorded), dtype=bool)
         for number, one in enumerate(self.stations):
             by = np.zeros(len(one.sizes))
             if moved is not None and moved[0] == number:
@@ -155,8 +154,8 @@ class FittedCauses:
             if np.any(kept):
                 at = place[one.rows[kept]].astype(np.int64)
                 stations.append(replace(one, rows=at, path=one.path[kept], event=one.event[kept]))
-        taken_out = None if self.taken_out is None else self.taken_out[rows]
-        return replace(self, recorded=self.recorded.select(rows), stations=stations, taken_out=taken_out)
+        unchanged = None if self.unchanged is None else self.unchanged[rows]
+        return replace(self, recorded=self.recorded.select(rows), stations=stations, unchanged=unchanged)
 
     def fit(
         self,

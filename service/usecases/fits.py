@@ -16,12 +16,13 @@ from threadpoolctl import threadpool_limits
 from lbacal.instants import format_instant
 from lbacal_core.audit.audit import audit_quickly
 from lbacal_core.calibration.continued import Continued, continue_fit
+from lbacal_core.calibration.separable import solve_separable
 from lbacal_core.calibration.singles import MIN_EVENTS
 from lbacal_core.calibration.years import Beside
 from lbacal_core.causes.model import Model
 from lbacal_core.curves.covariance import Budget
 from lbacal_core.curves.curves import Anomalies, CalibrationCurve, FitReport
-from lbacal_core.curves.kept_lines import KeptLines
+from lbacal_core.curves.kept_lines import KeptLines, Owner
 from lbacal_core.curves.reference_chain import ReferenceChain
 from lbacal_core.curves.validity import Instant, Scope
 from lbacal_core.discovery.calibrate import FittedCauses, fit_causes
@@ -158,11 +159,26 @@ class Fits:
             if is_year and block.inputs == self._name_inputs(then):
                 found += [KeptWindow(piece.since, piece.until, piece.lines) for piece in read_pieces(block.arrays)]
         changes: dict[tuple[str, int], list[Instant]] = {}
+        behind: dict[Owner, tuple[Floats, str]] = {}
+        for station in {one.station for one in wanted.taken_out}:
+            behind |= self._find_behind(stores, Scope(station))
         for cut in stores.changes.cuts(of.station):
             changes.setdefault((cut.station, cut.antenna), []).append(cut.date)
         for owner, dates in find_hardware_changes(self.simulation.instrument).items():
             changes.setdefault(owner, []).extend(round(date * SECOND_US) for date in dates)
-        return Neighbours(found, changes)
+        return Neighbours(found, changes, behind)
+
+    def _find_behind(self, stores: Stores, station: Scope) -> dict[Owner, tuple[Floats, str]]:
+        """What is added behind N_RCU in the paths of a station, by the first window that is kept of each."""
+        found: dict[Owner, tuple[Floats, str]] = {}
+        for block in stores.sums.beside("antenna", station, 0, 0):
+            for one in (lines for piece in read_pieces(block.arrays) for lines in piece.lines):
+                at = [k for k, owner in enumerate(one.owners) if one.has_c[k] and owner not in found]
+                terms = self.simulation.with_form(one.form).noise
+                solved = solve_separable(one.slope[at], one.intercept[at], one.information[at], terms)
+                for k, behind in zip(at, solved.q @ terms.behind, strict=True):
+                    found[one.owners[k]] = np.maximum(behind, 0.0), str(one.spectra[k])
+        return found
 
     def name_simulation(self, since: Instant, until: Instant, of: Scope) -> dict[str, Any]:
         """All inputs of a window but spectra, cuts and causes."""
@@ -252,8 +268,8 @@ class Fits:
         before: Sequence[Version] = (),
     ) -> Iterator[tuple[list[Version], FitReport, Wanted]]:
         """Fit the pieces of a window, that with the most spectra first: it has the budget of all, and may lend."""
-        made, named, instrument = self.clock(), _name_sizes(whole, wanted), self.simulation.instrument
-        whole = _take_out(whole, wanted)
+        made, named, instrument = self.clock(), _name_sizes(whole, wanted, neighbours), self.simulation.instrument
+        whole = _take_out(whole, wanted, neighbours)
         for of_piece, recorded, during in sorted(self._cut(whole, wanted), key=lambda one: -len(one[1])):
             if budget is None:
                 budget = self._audit_and_budget(of_piece, wanted)
@@ -287,19 +303,30 @@ class Fits:
             yield of_piece, spectra if np.all(rows.rows) else of_piece.recorded, during
 
 
-def _take_out(whole: FittedCauses, wanted: Wanted) -> FittedCauses:
-    """Spectra of which the changes of single antennas are to be divided out, where a mean is made of them."""
-    spectra, power = whole.recorded, np.ones(len(whole.recorded))
+def _take_out(whole: FittedCauses, wanted: Wanted, neighbours: Neighbours) -> FittedCauses:
+    """The changes of single antennas taken out of their power, where a mean is made of them.
+
+    What changed is in front of N_RCU: the noise behind it stays.
+    """
+    if not wanted.taken_out:
+        return whole
+    spectra, power = whole.recorded, whole.recorded.power.copy()
     for one in wanted.taken_out:
-        is_after = (spectra.station == one.station) & (spectra.antenna == one.antenna)
-        is_after &= spectra.time_unix >= one.date / SECOND_US
-        power[is_after & (np.isin(spectra.dipole, one.dipoles) if one.dipoles else True)] *= float(one.power or 1.0)
-    return whole if np.all(power == 1.0) else replace(whole, taken_out=power)
+        for dipole in one.dipoles or np.unique(spectra.dipole).tolist():
+            rows = (spectra.station == one.station) & (spectra.antenna == one.antenna) & (spectra.dipole == dipole)
+            rows &= spectra.time_unix >= one.date / SECOND_US
+            behind, _ = neighbours.behind.get((one.station, one.antenna, dipole), (np.zeros(power.shape[1]), ""))
+            signal = np.maximum(power[rows] - behind, 0.0)
+            power[rows] += signal * (1.0 / float(one.power or 1.0) - 1.0)
+    return replace(whole, unchanged=power)
 
 
-def _name_sizes(whole: FittedCauses, wanted: Wanted) -> dict[str, str]:
+def _name_sizes(whole: FittedCauses, wanted: Wanted, neighbours: Neighbours) -> dict[str, str]:
     """What names the versions of a fit besides their own spectra: changes taken out, and what sizes were fitted to."""
-    named = {"changes": hash_content(wanted.named)} if wanted.taken_out else {}
+    named = {}
+    if wanted.taken_out:
+        sources = sorted([*map(str, owner), spectra] for owner, (_, spectra) in neighbours.behind.items())
+        named["changes"] = hash_content([wanted.named, sources])
     if whole.model.is_plain:
         return named
     of_sizes = {"model_spectra": whole.recorded.digest()} if wanted.scope == "antenna" else {}

@@ -33,7 +33,7 @@ from service.usecases.fits import (
 from service.usecases.gate import Gate, find_predecessors, find_shift
 from service.usecases.orders import Limits, name_inputs, place_order, read_window
 from service.usecases.payoff import Payoff
-from service.usecases.windows import Neighbours
+from service.usecases.windows import ALONE, Neighbours
 from service.wire.bodies import RefitBody
 
 KIND = "refit"
@@ -72,7 +72,8 @@ class Refits:
             for one in wanted:
                 model = stores.models.during(one.station, since, until)
                 stores.models.put(model)
-                parts.append(describe_part(body.scope, one, since, until, model, promote=body.promote))
+                part = describe_part(body.scope, one, since, until, model, promote=body.promote)
+                parts.append(part if body.fit == "years" else {**part, "fit": body.fit})
             order = Order(KIND, body.model_dump(), parts, body.reason, by, inputs=inputs)
             return place_order(stores, order, self.limits, self.clock)
 
@@ -87,7 +88,8 @@ class Refits:
             wanted = self._read(stores, part)
             block = self.fits.name_block(stores, wanted)
             spectra = self.fits.load(stores, wanted)
-            neighbours = self.fits.find_neighbours(stores, wanted)
+            is_alone = part.request.get("fit") == "year"
+            neighbours = ALONE if is_alone else self.fits.find_neighbours(stores, wanted)
             known = self.payoff.known_until(stores, wanted)
         whole = self.fits.fit_causes(spectra, wanted.model)
         made = self.fits.make(whole, wanted, neighbours)

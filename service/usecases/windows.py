@@ -13,6 +13,7 @@ from lbacal_core.calibration.years import Beside
 from lbacal_core.curves.curves import CONVERGED, MISFIT, CalibrationCurve
 from lbacal_core.curves.kept_lines import KeptLines, Owner
 from lbacal_core.curves.validity import Instant, Scope
+from lbacal_core.grids import Floats
 from lbacal_core.provenance import hash_content
 from service.storage.versions import Version
 
@@ -36,10 +37,15 @@ class KeptWindow:
 
 @dataclass(frozen=True)
 class Neighbours:
-    """The other windows of a scope, and when antennas changed, by station and antenna, in any year."""
+    """The other windows of a scope, and when antennas changed, by station and antenna, in any year.
+
+    `behind` is what is added behind N_RCU in single paths, shape (freq,), for means from which changes are taken out,
+    and the hash of the spectra that say so.
+    """
 
     windows: Sequence[KeptWindow]
     changes: Mapping[tuple[str, int], Sequence[Instant]]
+    behind: Mapping[Owner, tuple[Floats, str]]
 
     def beside(self, since: Instant, until: Instant) -> list[tuple[KeptWindow, Beside]]:
         """What stands beside a window, the nearest first."""
@@ -60,7 +66,7 @@ class Neighbours:
         return replace(self, windows=[*self.windows, window])
 
 
-ALONE = Neighbours((), {})
+ALONE = Neighbours((), {}, {})
 
 
 def name_beside(

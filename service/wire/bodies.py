@@ -180,6 +180,9 @@ class RefitBody(Body):
     dipole: DipoleName | None = None
     reason: Reason
     promote: bool = False
+    fit: Literal["years", "year"] = Field(
+        default="years", description="whether one chain is fitted through the years, or the window by itself"
+    )
 
 
 AnyBody = TypeVar("AnyBody", bound=Body)
