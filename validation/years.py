@@ -96,8 +96,8 @@ def fit_steady(seed: int) -> Row:
     at = np.isin(scene.instrument.frequency_mhz, AT_MHZ)
     off = [np.log(c / scene.true_c()) + 0.5 * gain for (c, _), gain in zip(found, gains[[0, -1]], strict=True)]
     sigma = [error / c for c, error in found]
-    # the mean gain of a year is known to its events' scatter
-    of_gain = 0.5 * OF_EVENT * (2.0 / EVENTS) ** 0.5
+    # the mean gain of a year, the season of its events in it, is known to the scatter of their own gains
+    of_gain = 0.5 * ((PATH_GAIN**2 + COMMON_GAIN**2) * 2.0 / EVENTS) ** 0.5
     middle = np.abs(scene.instrument.frequency_mhz - 55.0) <= MIDDLE_MHZ
     bound = bound_error(scene, years, scatter, rng)
     return row | {
