@@ -208,6 +208,8 @@ def fit_sizes(
         if noise is not None:
             baseline = replace(baseline, terms=with_noise(station, baseline.terms, noise))
         linear = linearise(station, baseline, modes, empirical, hypotheses)
+        if not float(np.std(linear.residuals.mean)) < LARGEST_CHANGE:
+            return None
         # The noise levels stay those of the model before, so that every round minimises the same chi^2.
         weighed = linear.with_levels(levels)
         conditions = station.conditions
