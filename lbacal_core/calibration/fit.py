@@ -23,6 +23,13 @@ from lbacal_core.calibration.chain_test import (
 )
 from lbacal_core.calibration.channels import SMALLEST_BAND, describe_merged, flag_channels, solve_without_interference
 from lbacal_core.calibration.continued import keep_lines
+from lbacal_core.calibration.gain_waves import (
+    GAIN_WAVES,
+    GainWaves,
+    describe_gain_waves,
+    see_gain_waves,
+    stations_that_follow,
+)
 from lbacal_core.calibration.lines import Lines, fit_lines
 from lbacal_core.calibration.paths import (
     LST_BINS,
@@ -112,12 +119,12 @@ def fit_calibration(
         station, _, letter = paths.owners[0]
         sky = simulation.sky_power.of_station(station).at(letter, paths.lst_hours)
         loss = _losses(paths, instrument, cable_of)
-        curves, lines = _fit_paths(paths, sky, simulation, loss, pick_beside(beside, paths.owners[0]))
+        curves, lines, waves = _fit_paths(paths, sky, simulation, loss, pick_beside(beside, paths.owners[0]))
         chains = [_chain_of(curve, paths, instrument, table, cable_of) for curve, _ in curves]
         of_paths = [(*curve, chain) for curve, chain in zip(curves, chains, strict=True)]
         digests = [spectra.digest(*owner) for owner in paths.owners]
         kept = keep_lines(paths, lines, [curve for curve, _ in curves], simulation.form, loss, digests)
-        return of_paths, paths.anomalies, kept
+        return of_paths, paths.anomalies, kept, (station, waves)
 
     # NumPy leaves the interpreter's lock in its loops, so blocks of paths share the cores as threads; the threads that
     # BLAS would start within each cost twice the time.
@@ -127,7 +134,11 @@ def fit_calibration(
     fitted = [one for curves, *_ in batches for one in curves]
     fitted.sort(key=lambda c: (c[0].station or "", -1 if c[0].antenna is None else c[0].antenna, c[0].dipole or ""))
     mistaken = {} if prior is None else name_mistakes([(curve, gain) for curve, gain, _ in fitted], prior.mistakes)
-    curves = [curve.as_misfit() if curve.owner in mistaken and curve.c is not None else curve for curve, *_ in fitted]
+    following = stations_that_follow([waves for *_, waves in batches])
+    curves = [
+        curve.as_misfit() if curve.c is not None and (curve.owner in mistaken or curve.station in following) else curve
+        for curve, *_ in fitted
+    ]
     provenance = Provenance(
         inputs={
             "spectra": digest.result(),
@@ -142,14 +153,15 @@ def fit_calibration(
         },
         notes={"antenna_gain": instrument.antenna_gain_note, "sky_power": simulation.sky_power.note_for(instrument)}
         | ({"noise_constants": simulation.noise.describe()} if instrument.stages else {})
-        | ({LIKELY_MISTAKE: describe_mistakes(mistaken)} if mistaken else {}),
+        | ({LIKELY_MISTAKE: describe_mistakes(mistaken)} if mistaken else {})
+        | ({GAIN_WAVES: describe_gain_waves(following)} if following else {}),
     )
     return FitReport(
         tuple(_share_misfits(curves)),
         provenance,
         tuple(chain for *_, chain in fitted),
-        tuple(anomaly for _, anomalies, _ in batches for anomaly in anomalies),
-        lines=tuple(lines for *_, lines in batches),
+        tuple(anomaly for _, anomalies, *_ in batches for anomaly in anomalies),
+        lines=tuple(lines for *_, lines, _ in batches),
     )
 
 
@@ -161,7 +173,12 @@ def _digest_of(instrument: Instrument, spectra: Spectra, scope: str) -> str:
     return instrument.digest_of(first, float(np.nextafter(last, np.inf)), station)
 
 
-_Fitted = tuple[list[tuple[CalibrationCurve, Floats, ReferenceChain | None]], Sequence[Anomaly], KeptLines]
+_Fitted = tuple[
+    list[tuple[CalibrationCurve, Floats, ReferenceChain | None]],
+    Sequence[Anomaly],
+    KeptLines,
+    tuple[str | None, GainWaves | None],
+]
 
 
 def _chain_of(
@@ -189,8 +206,11 @@ def _losses(paths: Paths, instrument: Instrument, cable_of: Cables) -> Floats:
 
 def _fit_paths(
     paths: Paths, sky: Floats, simulation: Simulation, loss: Floats, beside: Sequence[Beside]
-) -> tuple[list[tuple[CalibrationCurve, Floats]], Lines]:
-    """The chain fitted to the lines of a batch of paths, with the status of each and the gain of each mistake."""
+) -> tuple[list[tuple[CalibrationCurve, Floats]], Lines, GainWaves | None]:
+    """The chain fitted to the lines of a batch of paths, with the status of each and the gain of each mistake.
+
+    And what their mean says of gains along LST, where the sky may be wrong.
+    """
     instrument, terms = simulation.instrument, simulation.noise
     events = np.isfinite(paths.relative_variance).sum(axis=1)
     covered = paths.count_lst_bins()
@@ -212,10 +232,11 @@ def _fit_paths(
     has_c = status == CONVERGED
     good = np.flatnonzero(has_c & ~is_small)
     of_good = np.searchsorted(at, good)
-    tested = FittedPaths(
+    fitted = FittedPaths(
         paths.power[good], sky, paths.relative_variance[good], paths.lst_hours, lines.select(good), solution.n[of_good],
         solution.x[of_good], terms, is_free[of_good], simulation.prior, paths.owners[0][2],
-    ).test()  # fmt: skip
+    )  # fmt: skip
+    tested, waves = fitted.test(), see_gain_waves(fitted, chain_forms(instrument))
     scatter = np.median(lines.levels.radiometer, axis=1) if paths.scatter is None else paths.scatter
     is_odd = scatter[good] < SMALLEST_OF_LIMIT * paths.smallest_scatter
     is_odd |= _has_negative_noise(solution.q[of_good], variance[of_good, channels + len(terms.front) :])
@@ -256,7 +277,7 @@ def _fit_paths(
             repeated=together.describe(j) if is_good else None,
         )
         curves.append((curve.as_misfit() if k in is_misfit else curve, gains.get(k, none)))
-    return curves, lines
+    return curves, lines, waves
 
 
 def _fit_chain(

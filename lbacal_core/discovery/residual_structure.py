@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc, gammaincc
 
-from lbacal_core.causes.axes import Axis, list_axes
+from lbacal_core.calibration.gain_waves import GainWaves, waves_of_gain
+from lbacal_core.causes.axes import Axis, axis_named, list_axes
 from lbacal_core.causes.cause import signature
 from lbacal_core.discovery.hypothesis import Hypothesis, p_of_best
 from lbacal_core.discovery.noise import NoiseLevels, beyond_noise
@@ -23,6 +24,7 @@ from lbacal_core.discovery.refit import FOLDS, held_out_fold
 from lbacal_core.discovery.single_events import find_in_events, pattern_of
 from lbacal_core.discovery.view import Seen, View
 from lbacal_core.grids import Floats
+from lbacal_core.linear import fit_least_squares
 
 # What paths show together: each departs too little to be seen alone, but all depart in one way.
 #
@@ -247,8 +249,10 @@ def _tell(model: LinearModel, one: _Candidate, axes: Mapping[Axis, Floats], chan
         if one.target == STATION:
             vectors = _vectors(one.places[0], axes[one.axis])
             term = np.tensordot(size, vectors, axes=1)
-            signs = _signs(len(term))
-            coefficients = np.einsum("sr,slk->rlk", signs, size.reshape(len(term), DEGREE + 1, -1))
+            shown = one.places[0].seen.values[:, :, 0]
+            onto = fit_least_squares(_polynomials(shown.shape[2]).T, shown.reshape(-1, shown.shape[2]).T)
+            onto = onto.T.reshape(*shown.shape[:2], -1)
+            coefficients = np.einsum("krl,kn->rln", onto, size.reshape(len(onto), -1))
     return ResidualStructure(
         one.axis, one.target, chance, one.gain, one.dof, held_out, share, vectors, term, coefficients, amounts
     )
@@ -268,6 +272,39 @@ def chance_along(model: LinearModel, names: Collection[str], target: str) -> flo
         paths = _see_in_paths(model)
         found = [_in_paths(model, paths, axis, basis) for axis, basis in known]
     return p_of_best(min(one.p_value for one in found), len(found))
+
+
+def find_gain_waves(
+    model: LinearModel, rng: np.random.Generator, alpha: float, stands_alpha: float
+) -> ResidualStructure | None:
+    """Find gains that follow LST, by the odds of `calibration.gain_waves`, or None; also where P_sky is exact.
+
+    The test along LST spreads what they gain over 120 functions, and some of it has the form of one cause or the other:
+    gains of 2 to 3 % were named jitter of the converter. Where that test describes more, its description is given.
+
+    Parameters
+    ----------
+    stands_alpha
+        Probability of what such gains would gain in chi^2 beside the hypotheses of the model, below which these do not
+        describe their effect; 0 where none of them acts on the whole station.
+    """
+    if model.modes is None:
+        return None
+    conditions, rows = model.station.conditions, len(model.common.slope)
+    axis = axis_named("lst")
+    flat, basis = _Shown.of(model.common, np.ones((1, rows, 1, 1))), axis.functions(conditions.lst_hours)
+    waves = waves_of_gain(conditions.lst_hours)
+    score, information = flat.view.score(flat.seen, waves)[0, 0], flat.view.products([flat.seen], [waves])[0]
+    # odds of g to 1 have a probability of 1/g at most where there are no such gains
+    chance, (gain, dof) = float(np.exp(-max(GainWaves(score, information).odds, 0.0))), _gain(score, information)
+    beside = float(chdtrc(dof, gain))
+    if chance >= alpha and beside >= stands_alpha:
+        return None
+    chance = min(chance, beside)
+    described = find_structure(model, rng, alpha, chance, {axis.along})
+    if described is not None and described.axis is axis:
+        return described
+    return _tell(model, _in_means(model.residuals.levels, flat, axis, basis), {axis: basis}, chance)
 
 
 def chance_of_following(model: LinearModel, found: Hypothesis, axis: Axis) -> float:

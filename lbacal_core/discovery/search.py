@@ -29,6 +29,7 @@ from lbacal_core.discovery.residual_structure import (
     ResidualStructure,
     chance_along,
     chance_of_following,
+    find_gain_waves,
     find_structure,
 )
 from lbacal_core.discovery.scan import Score, shares_taken
@@ -192,8 +193,9 @@ def _structure_beside(
 ) -> ResidualStructure | None:
     """Residual structure beside the findings, with what shows that a finding does not describe its effect.
 
-    Structure remains for certain where a cause was significant twice, where none has a size that it can have, where it
-    is along the axes of a finding, and where several parts have findings along one axis, along which paths show it.
+    Structure remains for certain where a cause was significant twice, where none has a size that it can have, where
+    gains follow LST, where it is along the axes of a finding, and where several parts have findings along one axis,
+    along which paths show it.
     """
     policy, again = search.policy, search.again
     alpha = policy.structure_alpha / search.stations
@@ -205,6 +207,9 @@ def _structure_beside(
         along = _axes_on_station(score, grown.last.station.conditions)
         return find_structure(grown.last.linear, rng, alpha, score.p_value, along)
     found = grown.last.hypotheses[search.adopted :]
+    stands_alpha = policy.stands_alpha if any(one.target.is_wide for one in found) else 0.0
+    if (waves := find_gain_waves(grown.last.linear, rng, alpha, stands_alpha)) is not None:
+        return waves
     along = {axis for one in found if one.target.is_wide for axis in one.cause.axes}
     chance = chance_along(grown.last.linear, along, STATION)
     if chance < policy.stands_alpha:

@@ -23,7 +23,13 @@ from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.provenance import hash_content
 from lbacal_core.skypower.antenna_of import antenna_of
-from lbacal_core.skypower.differences import LST_HOURS, ZENITH_GAIN, DifferenceModels, compute_model_differences
+from lbacal_core.skypower.differences import (
+    LST_HOURS,
+    ZENITH_GAIN,
+    DifferenceModels,
+    compute_model_differences,
+    waves_at,
+)
 from lbacal_core.skypower.model import compute_sky_power, vary_sky_power
 from lbacal_core.skypower.sky_terms import PAPER, SKY_BUDGETS, SkyTerm, sky_terms
 
@@ -155,6 +161,7 @@ def _sky_prior(instrument: Instrument, models: DifferenceModels) -> SkyPrior:
     own = compute_sky_power(instrument, lst_hours=LST_HOURS)
     wider = vary_sky_power(instrument, lst_hours=LST_HOURS, zenith_gain_fraction=ZENITH_GAIN)
     differences = compute_model_differences(instrument, models)
+    waves = np.concatenate([one.changes for one in waves_at(instrument.frequency_mhz, LST_HOURS)])
     modes = {}
     for dipole, values in own.power.items():
         pattern = np.log(wider.power[dipole] / values)[None]
@@ -164,7 +171,7 @@ def _sky_prior(instrument: Instrument, models: DifferenceModels) -> SkyPrior:
     others = list_other_antennas(instrument, own.power, LST_HOURS)
     names = {"mistakes": [one.name for one in mistakes], "other_antennas": [one.name for one in others]}
     digest = hash_content({**made_of, "skies": models.skies, "antennas": models.antennas, **names})
-    return SkyPrior(modes, digest, tuple(mistakes), tuple(others))
+    return SkyPrior(modes, digest, tuple(mistakes), tuple(others), waves)
 
 
 @dataclass(frozen=True)
@@ -182,16 +189,26 @@ class SkyPrior:
         Named changes of P_sky that would put a mistaken input right, on the same grid.
     antennas
         What P_sky would be with other antennas.
+    waves
+        The modes of every dipole that are waves along LST which no model has.
     """
 
     modes: Mapping[str, Floats]
     digest: str
     mistakes: Sequence[Mistake] = ()
     antennas: Sequence[OtherAntenna] = ()
+    waves: Floats | None = None
 
     def series(self, dipole: str) -> Floats:
         """Coefficients of `harmonics_at` of the modes, shape (mode, harmonic, freq)."""
         return _series_of(self.modes[dipole])
+
+    def search_series(self, dipole: str) -> Floats:
+        """The same where something is looked for that must not come from a sky that is more wrong than models are."""
+        if self.waves is None:
+            return self.series(dipole)
+        beyond = (read_prior()["widening"].size ** 2 - 1.0) ** 0.5
+        return np.concatenate([self.series(dipole), _series_of(beyond * self.waves)])
 
     def mistake_series(self, dipole: str) -> Floats:
         """Coefficients of `harmonics_at` of what data show of each mistake, shape (mistake, harmonic, freq)."""

@@ -1,0 +1,69 @@
+"""What follows sidereal time, through the fit of paths, of their station and an investigation: they do not contradict.
+
+An investigation names structure from odds of 500 to 1, by its rate of false alarms; a fit calls a curve a misfit from
+exp(10) to 1. Between them a curve may be converged where an investigation finds something, and never the other way.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lbacal_core.calibration.fit import fit_calibration
+from lbacal_core.curves.curves import CONVERGED, MISFIT
+from lbacal_core.discovery.report import investigate
+from lbacal_core.instrument.instrument import load_instrument
+from lbacal_core.simulation.simulation import Simulation
+from lbacal_twin.campaign import simulate_campaign
+from lbacal_twin.settings import TwinSettings
+from tests import lst_waves
+
+CONSISTENT = ({CONVERGED}, {CONVERGED}, "consistent", None)
+WRONG = ({MISFIT}, {MISFIT}, "unexplained", "lst")
+
+
+def judge(spectra, simulation):
+    """The statuses of paths and of the station's curves; verdict and axis of an investigation."""
+    paths, means = (
+        {curve.status for curve in fit_calibration(spectra, simulation, scope).curves}
+        for scope in ("antenna", "station")
+    )
+    report, _ = investigate(spectra, simulation, seed=1)
+    left = report["unexplained"]
+    assert left is None or report["findings"] == []
+    return paths, means, report["verdict"], None if left is None else left["where"]["axis"]
+
+
+@pytest.fixture(scope="module")
+def simulation():
+    return Simulation(load_instrument("lofar-superterp"))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("size", "harmonic", "slopes", "seed", "expected"),
+    [
+        (0.0, 1, False, 3, CONSISTENT),
+        (0.01, 1, False, 6, CONSISTENT),
+        (0.02, 1, False, 5, WRONG),  # was named jitter of the converter, which made chi^2 worse
+        (0.03, 1, False, 4, WRONG),  # ended in a fit that had run away, and an error of NumPy
+        (0.04, 1, False, 3, WRONG),  # converged, converged, unexplained
+        (0.06, 1, False, 4, WRONG),
+        (0.03, 4, False, 3, WRONG),  # 14 of 16 paths converged
+        (0.015, 2, True, 3, WRONG),
+    ],
+)
+def test_fits_and_an_investigation_say_the_same_of_gains_along_lst(simulation, size, harmonic, slopes, seed, expected):
+    clean = lst_waves.simulate(simulation, seed)
+    assert judge(lst_waves.with_gain(clean, simulation, size, harmonic, slopes=slopes), simulation) == expected
+
+
+@pytest.mark.long
+def test_a_wave_of_the_sky_within_its_prior_is_none_of_the_gains(simulation):
+    wave = 1.0 + 0.02 * np.cos(2.0 * np.pi / 24.0 * simulation.sky_power.lst_hours)[:, None]
+    sky = replace(
+        simulation.sky_power, power={letter: one * wave for letter, one in simulation.sky_power.power.items()}
+    )
+    settings = TwinSettings(stations=(lst_waves.STATION,), antennas=8, events_per_year=600)
+    spectra = simulate_campaign(settings, simulation.instrument, sky, np.random.default_rng(3)).spectra
+    assert judge(spectra, simulation) == CONSISTENT
