@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -67,74 +67,49 @@ class Change:
     is_known: bool
 
 
-@dataclass(frozen=True)
-class _Step:
-    """A step of one series."""
-
-    station: str
-    antenna: int | None
-    dipole: str
-    date: float
-    sigma: float
-    earliest: float
-    latest: float
-    size: tuple[float, ...]
-    size_sigma: tuple[float, ...]
-    significance: float
-    is_known: bool
-
-
 def list_changes(history: History, followed: Followed) -> list[Change]:
     """List the changes of all stations, the most significant first."""
     owners = list(zip(history.station.tolist(), history.antenna.tolist(), history.dipole.tolist(), strict=True))
     steps = list(_steps(followed.paths, owners))
     if followed.stations is not None:
         steps += _steps(followed.stations, [(station, None, dipole) for station, dipole in followed.groups])
-    steps.sort(key=lambda step: (-step.significance, step.station, step.date))
-    gathered: list[list[_Step]] = []
+    steps.sort(key=lambda step: (-step.significance, step.station, step.date_unix))
+    found = list[Change]()
     for step in steps:
-        same = next((one for one in gathered if _is_same_date(one[0], step)), None)
-        if same is None:
-            gathered.append([step])
+        at = next((k for k, one in enumerate(found) if _is_same_date(one, step)), None)
+        if at is None:
+            found.append(step)
         else:
-            same.append(step)
-    return [_merge(one) for one in gathered]
+            found[at] = replace(found[at], members=(*found[at].members, *step.members))
+    return found
 
 
-def _steps(found: Found, owners: Sequence[tuple[str, int | None, str]]) -> Iterator[_Step]:
+def _steps(found: Found, owners: Sequence[tuple[str, int | None, str]]) -> Iterator[Change]:
+    """Every step of a series, as a change with one member."""
     dates, is_known = found.terms.dates, found.terms.is_known
     for k, j in np.argwhere(np.isfinite(dates)):
         station, antenna, dipole = owners[k]
-        date = float(dates[k, j])
-        known = bool(is_known[k, j])
-        yield _Step(
+        date, known, significance = float(dates[k, j]), bool(is_known[k, j]), float(found.step_significance[k, j])
+        size, sigma = tuple(found.step_size[k, j].tolist()), tuple(found.step_size_sigma[k, j].tolist())
+        yield Change(
             station,
-            antenna,
-            dipole,
+            (Member(antenna, dipole, size[0], sigma[0], significance),),
             date,
             0.0 if known else float(found.step_sigma_s[k, j]),
             date if known else float(found.step_earliest[k, j]),
             date if known else float(found.step_latest[k, j]),
-            tuple(found.step_size[k, j].tolist()),
-            tuple(found.step_size_sigma[k, j].tolist()),
-            float(found.step_significance[k, j]),
+            size,
+            sigma,
+            significance,
             known,
         )
 
 
-def _is_same_date(one: _Step, other: _Step) -> bool:
+def _is_same_date(one: Change, other: Change) -> bool:
     if one.station != other.station or one.is_known != other.is_known:
         return False
-    return abs(one.date - other.date) <= SAME_DATE * float(np.hypot(one.sigma, other.sigma)) + ONE_DAY_S
-
-
-def _merge(steps: Sequence[_Step]) -> Change:
-    first = steps[0]
-    members = tuple(Member(s.antenna, s.dipole, s.size[0], s.size_sigma[0], s.significance) for s in steps)
-    return Change(
-        first.station, members, first.date, first.sigma, first.earliest, first.latest, first.size, first.size_sigma,
-        first.significance, all(step.is_known for step in steps),
-    )  # fmt: skip
+    error = float(np.hypot(one.date_sigma_s, other.date_sigma_s))
+    return abs(one.date_unix - other.date_unix) <= SAME_DATE * error + ONE_DAY_S
 
 
 DAY_S = 86_400.0
