@@ -144,7 +144,7 @@ class Comparison:
         """Correlations of templates, shape (one, other)."""
         everyone = np.ones((1, self.root.shape[0]))
         left, right = self.see(one), self.see(other)
-        product = self.view.cross(left, right, everyone, everyone)[0]
+        product = self.view.products([left, right], [everyone, everyone])[0][: len(one), len(one) :]
         return np.asarray(product / np.outer(self._lengths(left), self._lengths(right)))
 
     def _lengths(self, seen: Seen) -> Floats:

@@ -364,20 +364,6 @@ class View(FreeVectors):
         whole = whole @ by_set.T**2
         return whole - np.einsum("skmnv,sjmnv->skjmn", lost, lost), whole
 
-    def cross(self, one: Seen, other: Seen, one_profiles: Floats, other_profiles: Floats) -> Floats:
-        """Inner products (1) of all templates with all time profiles, shape (member, k n, j m).
-
-        Parameters
-        ----------
-        one, other
-            Templates, k and j of them.
-        one_profiles, other_profiles
-            Shape (n, event) and (m, event).
-        """
-        lost = self._lost(one, one_profiles), self._lost(other, other_profiles)
-        whole = self._whole(one, other, one_profiles, other_profiles)
-        return np.asarray(whole - lost[0] @ self._inverse @ np.swapaxes(lost[1], 1, 2))
-
     def products(self, seen: Sequence[Seen], profiles: Sequence[Floats]) -> Floats:
         """Inner products (1) of the templates of several families, each with all its time profiles.
 

@@ -201,7 +201,7 @@ def test_inner_products_of_profiles_equal_those_of_the_vectors_they_make(model):
     vectors = np.einsum("ne,kref->knref", profiles, templates).reshape(-1, *view.slope.shape)
     seen = view.see(templates)
     direct = view.gram(view.see(vectors))
-    np.testing.assert_allclose(view.cross(seen, seen, profiles, profiles), direct, rtol=1e-6, atol=1e-6 * direct.max())
+    np.testing.assert_allclose(view.products([seen], [profiles]), direct, rtol=1e-6, atol=1e-6 * direct.max())
     families = [view.see(templates[:1]), view.see(templates[1:])], [profiles, profiles]
     np.testing.assert_allclose(view.products(*families), direct, rtol=1e-6, atol=1e-6 * direct.max())
     left, whole = view.inner(view.see(templates[:, None]), profiles)
