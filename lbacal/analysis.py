@@ -234,7 +234,7 @@ class Calibration:
 
     def plot(self, path: str | Path | None = None) -> Figure:
         """C with its errors, residuals, noise terms and chi^2 of every dipole; written to a file if one is named."""
-        from lbacal.cli.fit_page import average_residuals, draw_fit
+        from lbacal.pages.fit import average_residuals, draw_fit
 
         maps = average_residuals(self.spectra, self.report.curves, self.simulation)
         figure = draw_fit(self.report, maps, self.simulation)

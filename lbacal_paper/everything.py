@@ -10,8 +10,8 @@ from typing import Any
 
 from threadpoolctl import threadpool_limits
 
-from lbacal.cli.report_pages import fill_report
 from lbacal.files import written_beside
+from lbacal.pages.report import fill_report
 from lbacal_core.data.lofar import DIPOLES
 from lbacal_paper.budget import Budget, compute_budget
 from lbacal_paper.figures import PaperFigure, make_chain_figures, make_shower_figures

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from lbacal.cli.report_pages import COLOURS, MARKERS, SETTINGS
+from lbacal.pages.report import COLOURS, MARKERS, SETTINGS
 from lbacal_core.antenna.lofar import ResonanceCircuit
 from lbacal_core.antenna.model import zenith_gain
 from lbacal_core.antenna.names import load_antenna

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from lbacal.cli.curve_page import name_hypothesis
+from lbacal.pages.curve import name_hypothesis
 from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.data.tables import read_columns
 from lbacal_core.discovery.curve_fit import CurveFit

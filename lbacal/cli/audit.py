@@ -49,7 +49,7 @@ def audit(
     if report is not None:
         report.write_text(json.dumps(found.as_dict(), indent=1, allow_nan=False))
     if html is not None:
-        from lbacal.cli.audit_page import draw_page
+        from lbacal.pages.audit import draw_page
 
         html.write_text(draw_page(found, data.name), encoding="utf-8")
     wrong = [line for line in found.lines if line.verdict == "wrong"]

@@ -91,7 +91,7 @@ def fit(
     Exit 0 if any curve converged, else 1; the report is written either way.
     """
     from lbacal.calibration_files import require_format
-    from lbacal.cli.fit_summary import align, describe_error, explain_chi2, tabulate_curves
+    from lbacal.pages.fit_summary import align, describe_error, explain_chi2, tabulate_curves
     from lbacal_core.audit.audit import audit_quickly
     from lbacal_core.curves.curves import CONVERGED, write_fit_report
     from lbacal_core.pipeline import calibrate
@@ -189,7 +189,7 @@ def _draw(
     sentences: Sequence[str],
 ) -> None:
     """Draw the figure once, for both outputs."""
-    from lbacal.cli.fit_page import average_residuals, draw_fit, draw_page
+    from lbacal.pages.fit import average_residuals, draw_fit, draw_page
 
     figure = draw_fit(result, average_residuals(measured, result.curves, simulation), simulation)
     if plot is not None:

@@ -128,7 +128,7 @@ def _ask_spectra(measured: Spectra, simulation: Simulation, html: Path | None) -
     for name, note in content["provenance"]["notes"].items():
         print(f"{name}: {note}")
     if html is not None:
-        from lbacal.cli.investigation_page import write_investigation_page
+        from lbacal.pages.investigation import write_investigation_page
 
         write_investigation_page(content, stations, html)
     content["provenance"]["notes"]["audit"] = audited.sentence
@@ -149,7 +149,7 @@ def _ask_curve(
     settings = {"band_mhz": list(band), "own_sky": simulation.is_own_sky, "policy": found.policy.as_dict()}
     content = describe_curve(found, Provenance(inputs, settings))
     if html is not None:
-        from lbacal.cli.curve_page import write_curve_page
+        from lbacal.pages.curve import write_curve_page
 
         write_curve_page(content, found, html)
     return content

@@ -57,7 +57,7 @@ def lst_curve(
     with written_beside(report) as beside:
         beside.write_text(json.dumps(result.as_dict(), indent=1, allow_nan=False) + "\n")
     if plot is not None:
-        from lbacal.cli.report_pages import FULL_DAY, draw_lst_comparison
+        from lbacal.pages.report import FULL_DAY, draw_lst_comparison
 
         weights = band_weights(chain, AS_RECORDED, band)
         simulated = {dipole: simulate_band_power(sky, dipole, FULL_DAY, weights) for dipole in ("X", "Y")}

@@ -8,7 +8,7 @@ import pytest
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
-from lbacal.cli.report_pages import COLOURS, MARKERS
+from lbacal.pages.report import COLOURS, MARKERS
 from lbacal_core.data.lofar import DIPOLES
 from lbacal_paper.budget import Budget, measure_electronics, spread_with_cables
 from lbacal_paper.everything import redo_paper

@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from lbacal.cli.curve_page import draw_curve
-from lbacal.cli.investigation_page import axes_of, draw_finding, draw_residual_maps
-from lbacal.cli.report_pages import embed, fill_report
+from lbacal.pages.curve import draw_curve
+from lbacal.pages.investigation import axes_of, draw_finding, draw_residual_maps
+from lbacal.pages.report import embed, fill_report
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.curves.curves import CalibrationCurve, FitReport
 from lbacal_core.data.lofar import DIPOLES

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from lbacal.cli.report_pages import DIPOLE_COLOURS, GREY
+from lbacal.pages.report import DIPOLE_COLOURS, GREY
 from lbacal_core.curves.curves import CalibrationCurve
 from lbacal_core.data.tables import read_table
 from lbacal_core.grids import Floats

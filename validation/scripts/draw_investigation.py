@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from lbacal.cli.curve_page import draw_change, draw_curve, draw_ranking
-from lbacal.cli.investigation_page import draw_finding, draw_residual_maps, draw_structure
+from lbacal.pages.curve import draw_change, draw_curve, draw_ranking
+from lbacal.pages.investigation import draw_finding, draw_residual_maps, draw_structure
 from lbacal_core.causes.axes import axis_named
 from lbacal_core.discovery.report import investigate
 from lbacal_core.discovery.search import StationReport

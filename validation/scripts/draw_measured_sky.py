@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
-from lbacal.cli.report_pages import COLOURS, MARKERS, SETTINGS
+from lbacal.pages.report import COLOURS, MARKERS, SETTINGS
 from lbacal_core.antenna.ideal import ShortDipole
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.data.tables import read_columns, read_table

@@ -14,7 +14,7 @@ import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
-from lbacal.cli.report_pages import COLOURS, SETTINGS
+from lbacal.pages.report import COLOURS, SETTINGS
 from lbacal_core.antenna.ideal import ShortDipole
 from lbacal_core.antenna.model import AntennaModel
 from lbacal_core.audit.antennas import compare_paths

@@ -11,11 +11,11 @@ import pytest
 from matplotlib.figure import Figure
 from typer.testing import CliRunner
 
-from lbacal.cli.budget import draw_budget, tabulate
-from lbacal.cli.fit_page import average_residuals, draw_fit, draw_page
-from lbacal.cli.fit_summary import align, describe_error, explain_chi2, tabulate_curves
-from lbacal.cli.investigation_page import draw_scores, draw_structure, write_investigation_page
 from lbacal.cli.main import app
+from lbacal.pages.budget import draw_budget, tabulate
+from lbacal.pages.fit import average_residuals, draw_fit, draw_page
+from lbacal.pages.fit_summary import align, describe_error, explain_chi2, tabulate_curves
+from lbacal.pages.investigation import draw_scores, draw_structure, write_investigation_page
 from lbacal_core.curves.covariance import Budget, BudgetTerm, parse_budget
 from lbacal_core.curves.curves import CalibrationCurve, FitReport
 from lbacal_core.discovery.report import investigate

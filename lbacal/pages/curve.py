@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from lbacal.cli.report_pages import DIPOLE_COLOURS, embed, fill_report, label_lst_panels
 from lbacal.files import written_beside
+from lbacal.pages.report import DIPOLE_COLOURS, embed, fill_report, label_lst_panels
 from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.discovery.curve_fit import CurveFit
 from lbacal_core.discovery.curve_search import CurveInvestigation

@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from lbacal.cli.report_pages import embed, fill_report
 from lbacal.files import written_beside
+from lbacal.pages.report import embed, fill_report
 from lbacal_core.causes.axes import AXES, Axis, axis_named
 from lbacal_core.causes.cause import signature
 from lbacal_core.discovery.antennas import AntennaScore

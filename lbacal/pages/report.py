@@ -16,9 +16,9 @@ from lbacal_core.grids import Floats
 from lbacal_core.lstcurve.curve import Comparison, in_db
 
 
-def fill_report(template: str, package: str = "lbacal.cli", **content: Any) -> str:
+def fill_report(template: str, package: str = "lbacal.pages", **content: Any) -> str:
     """A report as HTML; every template, of `package` or of this one, fills the blocks of `base.html`."""
-    loader = ChoiceLoader([PackageLoader(name) for name in dict.fromkeys((package, "lbacal.cli"))])
+    loader = ChoiceLoader([PackageLoader(name) for name in dict.fromkeys((package, "lbacal.pages"))])
     environment = Environment(loader=loader, autoescape=True)
     environment.filters["chance"] = write_chance
     return environment.get_template(template).render(**content)

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from lbacal.cli.fit_summary import MOST_ROWS, explain_chi2, tabulate_curves
-from lbacal.cli.report_pages import COLOURS, DIPOLE_COLOURS, GREY, embed, fill_report
+from lbacal.pages.fit_summary import MOST_ROWS, explain_chi2, tabulate_curves
+from lbacal.pages.report import COLOURS, DIPOLE_COLOURS, GREY, embed, fill_report
 from lbacal_core.curves.covariance import Budget
 from lbacal_core.curves.curves import MISFIT, OK, CalibrationCurve, FitReport
 from lbacal_core.grids import Floats

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from lbacal.cli.report_pages import DIPOLE_COLOURS, GREY, embed, fill_report
+from lbacal.pages.report import DIPOLE_COLOURS, GREY, embed, fill_report
 from lbacal_core.audit.antennas import compare_paths
 from lbacal_core.audit.audit import AuditReport
 from lbacal_core.audit.station import AuditedStation
