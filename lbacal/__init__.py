@@ -23,10 +23,14 @@ from lbacal.transport import RefusedError, UnreachableError
 from lbacal.voltages import calibrate_trace
 from lbacal_core.errors import MissingExtraError
 
-ANALYSIS = ("Antenna", "Calibration", "Chain", "Instrument", "Site", "Stage", "fit", "read_spectra", "simulate")
-"""What `lbacal.analysis` has; it needs the extra `fit`, and is imported when it is asked for."""
-OF_CHAIN = ("Chain", "Stage")
-"""The part of it that `lbacal.chain` has."""
+_MODULES = {
+    "analysis.instrument": ("Antenna", "Instrument", "Site"),
+    "chain": ("Chain", "Stage"),
+    "analysis.data": ("import_data", "read", "simulate"),
+    "analysis.fit": ("Calibration", "fit"),
+}
+ANALYSIS = {name: module for module, names in _MODULES.items() for name in names}
+"""What needs the extra `fit`, by its name, with the module that is imported when it is asked for."""
 _EXTRA = ("healpy", "matplotlib", "scipy", "threadpoolctl")
 
 
@@ -36,7 +40,7 @@ def __getattr__(name: str) -> Any:
         raise AttributeError(f"module 'lbacal' has no attribute {name!r}")
     if not all(find_spec(module) for module in _EXTRA):
         raise MissingExtraError(f"lbacal.{name}", "fit")
-    return getattr(import_module("lbacal.chain" if name in OF_CHAIN else "lbacal.analysis"), name)
+    return getattr(import_module(f"lbacal.{ANALYSIS[name]}"), name)
 
 
 def __dir__() -> list[str]:

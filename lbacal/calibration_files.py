@@ -50,6 +50,17 @@ def write_calibrations(content: Mapping[str, Any], path: Path, kind: str) -> Non
         path.write_bytes(write_format(kind, dict(content)))
 
 
+def holds_curves(path: Path) -> bool:
+    """Whether a file is one of calibration curves by its name, and where HDF5 may hold other things by its head."""
+    if not path.is_file() or path.suffix.lower() not in (".h5", ".hdf5"):
+        return path.suffix.lower() in SUFFIXES
+    try:
+        with h5py.File(path, "r") as root:
+            return KEY in root.attrs
+    except OSError:
+        return False
+
+
 def read_calibrations(path: Path) -> dict[str, Any]:
     """Curves, covariances and budgets of a file, as in the JSON answer to "in effect at".
 

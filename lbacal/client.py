@@ -22,8 +22,7 @@ from lbacal_core.curves.galcal import name_path
 from lbacal_core.errors import BadInputError
 
 if TYPE_CHECKING:
-    from astropy.table import QTable
-
+    from lbacal.curve_table import CurveTable
     from lbacal_core.spectra.spectra import Spectra
 
 DEFAULT_URL = "http://127.0.0.1:8000"
@@ -139,7 +138,7 @@ class Client:
     def effective(
         self, station: str | None = None, antenna: int | None = None, dipole: str | None = None, *,
         at: Any, as_of: Any = None, gap: str | None = None, scope: str | None = None, tag: str | None = None,
-    ) -> QTable:  # fmt: skip
+    ) -> CurveTable:  # fmt: skip
         """The calibration in effect at `at`, one row per path and frequency.
 
         Parameters
@@ -229,7 +228,7 @@ class Client:
 def effective(
     station: str | None = None, antenna: int | None = None, dipole: str | None = None, *,
     at: Any, as_of: Any = None, gap: str | None = None, scope: str | None = None, tag: str | None = None,
-) -> QTable:  # fmt: skip
+) -> CurveTable:  # fmt: skip
     """The calibration in effect at an instant, one row per path and frequency, with units.
 
     Parameters
@@ -280,10 +279,11 @@ def format_time(instant: Any) -> str:
     return moment.astimezone(UTC).isoformat().replace("+00:00", "Z")
 
 
-def make_table(answer: dict[str, Any]) -> QTable:
+def make_table(answer: dict[str, Any]) -> CurveTable:
     """The rows of an answer to "in effect at" as a table with units; the versions are in its column `calibration`."""
     from astropy import units as u
-    from astropy.table import QTable
+
+    from lbacal.curve_table import CurveTable
 
     curves = answer["curves"]
     counts = [len(curve["c"]) for curve in curves]
@@ -292,9 +292,9 @@ def make_table(answer: dict[str, Any]) -> QTable:
         return np.repeat(np.array(values, dtype=kind), counts)
 
     def join(name: str) -> Any:
-        return np.concatenate([curve.get(name) or [np.nan] * len(curve["c"]) for curve in curves]).astype(float)
+        return np.concatenate([[], *(curve.get(name) or [np.nan] * len(curve["c"]) for curve in curves)]).astype(float)
 
-    table = QTable()
+    table = CurveTable()
     table["station"] = repeat([curve["station"] or "" for curve in curves], np.str_)
     table["antenna"] = repeat([-1 if curve["antenna"] is None else curve["antenna"] for curve in curves], np.int64)
     table["dipole"] = repeat([curve["dipole"] for curve in curves], np.str_)
@@ -303,17 +303,17 @@ def make_table(answer: dict[str, Any]) -> QTable:
         table[name] = join(name) * u.V
         table[name].info.description = text
     table["factor"] = join("factor")
-    table["flag"] = np.concatenate([np.array(curve["flag"], dtype=np.str_) for curve in curves])
+    table["flag"] = np.array([flag for curve in curves for flag in curve["flag"]], dtype=np.str_)
     table["flag_reason"] = repeat([curve["flag_reason"] or "" for curve in curves], np.str_)
-    table["calibration"] = repeat([curve["calibration"] for curve in curves], np.str_)
-    table["answered_by"] = repeat([curve["answered_by"] for curve in curves], np.str_)
-    table["valid_from"] = repeat([curve["valid"]["from"] for curve in curves], np.str_)
+    table["calibration"] = repeat([curve["calibration"] or "" for curve in curves], np.str_)
+    table["answered_by"] = repeat([curve["answered_by"] or "" for curve in curves], np.str_)
+    table["valid_from"] = repeat([curve["valid"]["from"] or "" for curve in curves], np.str_)
     table["valid_to"] = repeat([curve["valid"]["to"] or "" for curve in curves], np.str_)
     table["c_over_h"] = join("c_over_h") * u.V / u.m
     table["c_over_h"].info.description = "C/|H_zenith|, V/m per ADC unit, field along the arm from the zenith"
     table["antenna_gain"] = join("antenna_gain") * u.m**2
     table["antenna_gain"].info.description = "G_ant that c belongs to; NaN where the version does not keep it"
-    table.meta = {name: answer[name] for name in ("at", "as_of", "missing")}
+    table.meta = {name: answer.get(name) for name in ("at", "as_of", "missing")}
     table.meta["budgets"] = answer.get("budgets", {})
     table.meta["covariances"] = {name_path(curve): curve.get("covariance") for curve in curves}
     return table

@@ -9,9 +9,9 @@ from typing import Annotated
 
 import typer
 
-from lbacal.cli.fit_inputs import find_spectra_files, parse_selection, read_selected
 from lbacal.cli.outputs import require_image, require_outputs
-from lbacal.cli.with_model import read_open_terms
+from lbacal.selection import find_spectra_files, parse_selection, read_selected
+from lbacal.with_model import read_open_terms
 
 
 def budget(

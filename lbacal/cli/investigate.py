@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lbacal.cli.fit_inputs import Selection, find_spectra_files, parse_selection, read_selected
-from lbacal.cli.with_model import HELP, read_model, report_path
 from lbacal.files import written_beside
+from lbacal.selection import Selection, find_spectra_files, parse_selection, read_selected
+from lbacal.with_model import HELP, read_model, report_path
 from lbacal_core.errors import write_chance
 
 if TYPE_CHECKING:

@@ -9,10 +9,10 @@ from typing import Any
 
 import typer
 
-from lbacal.cli.fit_inputs import Selection
 from lbacal.client import Client
 from lbacal.files import written_beside
 from lbacal.instants import format_instant
+from lbacal.selection import Selection
 from lbacal_core.errors import BadInputError
 
 

@@ -113,6 +113,14 @@ def draw_fit(report: FitReport, maps: Mapping[str, Floats], simulation: Simulati
     return figure
 
 
+def draw_c(axes: Any, curves: Sequence[CalibrationCurve]) -> None:
+    """C of every dipole on one pair of axes."""
+    fitted = [curve for curve in curves if curve.c is not None]
+    for dipole in sorted({str(curve.dipole) for curve in fitted}):
+        _draw_c(axes, [curve for curve in fitted if str(curve.dipole) == dipole], dipole)
+    axes.set(title="", xlabel="frequency (MHz)", ylabel="C (V per ADC unit)")
+
+
 def _draw_c(axes: Any, curves: Sequence[CalibrationCurve], dipole: str) -> None:
     """C of one curve, or the median of several, with the statistical and the total error."""
     axes.set(title=f"polarisation {dipole}", xlabel="frequency (MHz)")

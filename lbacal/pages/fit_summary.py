@@ -69,15 +69,6 @@ def _range(values: Sequence[float], form: str) -> str:
     return low if low == high else f"{low}-{high}"
 
 
-def align(rows: Sequence[Sequence[str]]) -> list[str]:
-    """The rows as lines of equal columns."""
-    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
-    return [
-        "  ".join([row[0].ljust(widths[0]), *(c.rjust(w) for c, w in zip(row[1:], widths[1:], strict=True))]).rstrip()
-        for row in rows
-    ]
-
-
 def explain_chi2(curves: Sequence[CalibrationCurve]) -> str:
     """What the two numbers of the chain test mean, for these channels."""
     dof = curves[0].frequency_mhz.size - 3

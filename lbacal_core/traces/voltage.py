@@ -129,16 +129,25 @@ def relative_errors(curve: CalibrationCurve, budget: Budget | None = None) -> li
     the budget that the covariance names its systematic one: nearly so, because three noise constants and one level tie
     all channels together.
     """
-    if curve.c is None:
-        return []
-    stat, sys = (None if error is None else error / curve.c for error in (curve.c_sigma_stat, curve.c_sigma_sys))
+    return [*statistical_errors(curve), *systematic_errors(curve, budget)]
+
+
+def statistical_errors(curve: CalibrationCurve) -> list[Floats]:
+    """Those that the noise of the data makes, as `relative_errors`."""
     covariance = curve.covariance
-    if covariance is not None:
-        has_own = covariance.diagonal > SMALLEST_OWN * np.sum(covariance.factor**2, axis=0)
-        alone = np.diag(np.sqrt(covariance.diagonal))[has_own]
-        statistical = [*covariance.factor, *np.where(curve.has_value, alone, np.nan)]
-        if budget is not None:
-            return [*statistical, *covariance.own, *budget.vectors(str(curve.dipole))]
-    else:
-        statistical = [] if stat is None else [stat]
-    return [*statistical, *([] if sys is None else [sys])]
+    if covariance is None:
+        return _whole_error(curve, curve.c_sigma_stat)
+    has_own = covariance.diagonal > SMALLEST_OWN * np.sum(covariance.factor**2, axis=0)
+    alone = np.diag(np.sqrt(covariance.diagonal))[has_own]
+    return [*covariance.factor, *np.where(curve.has_value, alone, np.nan)]
+
+
+def systematic_errors(curve: CalibrationCurve, budget: Budget | None = None) -> list[Floats]:
+    """Those of what may be wrong with the simulation, as `relative_errors`."""
+    if curve.covariance is None or budget is None:
+        return _whole_error(curve, curve.c_sigma_sys)
+    return [*curve.covariance.own, *budget.vectors(str(curve.dipole))]
+
+
+def _whole_error(curve: CalibrationCurve, sigma: Floats | None) -> list[Floats]:
+    return [] if sigma is None or curve.c is None else [np.asarray(sigma / curve.c)]

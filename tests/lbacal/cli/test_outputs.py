@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lbacal.cli.fit_inputs import Selection, find_spectra_files, parse_selection, read_selected
 from lbacal.cli.outputs import require_image, require_outputs
+from lbacal.selection import Selection, find_spectra_files, parse_selection, read_selected
 from lbacal_core.errors import BadInputError
 from lbacal_core.spectra.spectra import Spectra, write_spectra
 from tests.lbacal.cli.conftest import Lbacal

@@ -14,8 +14,9 @@ from typer.testing import CliRunner
 from lbacal.cli.main import app
 from lbacal.pages.budget import draw_budget, tabulate
 from lbacal.pages.fit import average_residuals, draw_fit, draw_page
-from lbacal.pages.fit_summary import align, describe_error, explain_chi2, tabulate_curves
+from lbacal.pages.fit_summary import describe_error, explain_chi2, tabulate_curves
 from lbacal.pages.investigation import draw_scores, draw_structure, write_investigation_page
+from lbacal.pages.tables import align
 from lbacal_core.curves.covariance import Budget, BudgetTerm, parse_budget
 from lbacal_core.curves.curves import CalibrationCurve, FitReport
 from lbacal_core.discovery.report import investigate

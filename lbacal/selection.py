@@ -1,4 +1,4 @@
-"""The spectra that a command is given: files and folders, and which of their events and stations to use."""
+"""The spectra that a command or a verb is given: files and folders, and which of their events and stations to use."""
 
 from __future__ import annotations
 
@@ -48,19 +48,19 @@ class Selection:
 
 
 def parse_selection(
-    since: str | None, until: str | None, year: int | None, stations: Sequence[str] | None
+    since: str | None, until: str | None, year: int | None, stations: Sequence[str] | None, prefix: str = "--"
 ) -> Selection:
-    """Read the options of a selection."""
+    """Read the options of a selection, which a command writes with a prefix."""
     if year is not None and (since is not None or until is not None):
-        raise BadInputError("--year", "either --year or --since and --until", "both")
+        raise BadInputError(f"{prefix}year", f"either {prefix}year or {prefix}since and {prefix}until", "both")
     if year is not None:
         since, until = f"{year:04d}-01-01", f"{year + 1:04d}-01-01"
     first, last = (
         None if text is None else parse_instant(option, text)
-        for option, text in (("--since", since), ("--until", until))
+        for option, text in ((f"{prefix}since", since), (f"{prefix}until", until))
     )
     if first is not None and last is not None and first >= last:
-        raise BadInputError("--since, --until", "an end after the beginning", f"{since} to {until}")
+        raise BadInputError(f"{prefix}since, {prefix}until", "an end after the beginning", f"{since} to {until}")
     return Selection(first, last, tuple(dict.fromkeys(stations or ())))
 
 

@@ -1,16 +1,48 @@
-"""The option `--with`: a model that a report extends, or the findings of a report themselves."""
+"""What extends a model: the findings of an investigation, of its report, or one of them."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from lbacal_core.errors import BadInputError, UnreadableFileError
 
 if TYPE_CHECKING:
     from lbacal_core.causes.model import Model
     from lbacal_core.uncertainty.left_open import OpenTerm
+
+
+class Extension(NamedTuple):
+    """Causes that a model is extended by, what the investigation that found them leaves open, and what it is called."""
+
+    causes: Model
+    left_open: Sequence[OpenTerm]
+    place: str
+
+
+class Extending(Protocol):
+    """An investigation, or one of its findings."""
+
+    @property
+    def extension(self) -> Extension:
+        """What it adds."""
+
+
+Extended = str | Path | Extension | Extending | None
+"""What a verb takes for `with_`: an investigation, a finding, or a report such as ``R.json#0``."""
+
+
+def extend_by(given: Extended, place: str = "with_") -> Extension:
+    """What extends the model; nothing where nothing is given."""
+    if isinstance(given, Extension):
+        return given
+    if given is None or isinstance(given, str | Path):
+        text = None if given is None else str(given)
+        return Extension(read_model(text), read_open_terms(text), f"{place} {text}")
+    return given.extension
+
 
 HELP = (
     "Extend the model by the findings of a report (JSON), or by one of them: R.json#0 is the first, "

@@ -9,7 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 from lbacal.cli.main import app
-from lbacal.cli.with_model import read_model, read_open_terms
+from lbacal.with_model import read_model, read_open_terms
 from lbacal_core.causes.model import PLAIN, AdoptedCause, Model
 from lbacal_core.errors import BadInputError, UnreadableFileError
 from lbacal_core.instrument.instrument import load_instrument

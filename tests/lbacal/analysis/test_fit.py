@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from astropy import units as u
 from astropy.table import QTable
+from matplotlib.figure import Figure
 
 import lbacal
 from lbacal_core.errors import BadInputError, MissingExtraError, UnknownNameError
@@ -72,7 +73,7 @@ def test_a_quantity_of_another_kind_is_no_angle():
 def test_a_curve_is_a_table_with_units(found):
     curve = found["S1", 1, "UP"]
     assert curve["c"].unit == u.V
-    assert curve["frequency"].to_value(u.Hz) == pytest.approx(np.arange(50e6, 80e6, 1e6))
+    assert curve["frequency_mhz"].to_value(u.Hz) == pytest.approx(np.arange(50e6, 80e6, 1e6))
     report = next(one for one in found.report.curves if (one.antenna, one.dipole) == (1, "UP"))
     np.testing.assert_array_equal(curve["c"].value, report.c)
     assert len(found.table) == 6 * 30
@@ -81,17 +82,62 @@ def test_a_curve_is_a_table_with_units(found):
 
 
 def test_a_result_shows_itself_in_a_shell_and_in_a_notebook(found):
-    assert repr(found).startswith("<Calibration mine>")
-    assert "S1 antenna 0 E: converged, chi2/dof" in repr(found)
+    assert repr(found).startswith("<Calibration mine: ")
+    assert "6 of 6 curves converged" in repr(found)
+    assert "\nS1 antenna 0 E   converged" in repr(found)
     page = found._repr_html_()
     assert page.count("<tr>") == 1 + 6
     assert "N_RCU, N_ADC cannot be told apart" in page
 
 
-def test_a_figure_is_drawn_and_written(found, tmp_path):
-    figure = found.plot(tmp_path / "c.png")
-    assert (tmp_path / "c.png").stat().st_size > 10_000
+def test_a_figure_is_drawn_whole_or_on_axes_that_are_given(found):
+    figure = found.plot()
     assert [axes.get_title() for axes in figure.axes[:3]] == [f"polarisation {d}" for d in ("E", "N", "UP")]
+    axes = Figure().subplots()
+    assert found.plot(axes) is axes.figure
+    assert found["S1", 1, "UP"].plot(axes) is axes.figure
+    assert axes.get_ylabel() == "C (µV per ADC unit)"
+
+
+@pytest.mark.parametrize("suffix", ["ecsv", "fits", "h5", "json"])
+def test_what_is_saved_is_read_back_with_its_covariance(found, tmp_path, suffix):
+    found.save(tmp_path / f"c.{suffix}")
+    read = lbacal.read(tmp_path / f"c.{suffix}")
+    again = read[(read["antenna"] == 1) & (read["dipole"] == "UP")].mean(55, 75)
+    assert again.sigma.value == pytest.approx(found["S1", 1, "UP"].mean(55, 75).sigma.value, rel=1e-5)
+
+
+def test_an_ending_says_the_format_and_an_unknown_one_is_refused(found, tmp_path):
+    for suffix, begins in (("png", b"\x89PNG"), ("html", b"<!doctype html>"), ("csv", b"station,antenna")):
+        found.save(tmp_path / f"c.{suffix}")
+        assert (tmp_path / f"c.{suffix}").read_bytes().startswith(begins)
+    with pytest.raises(BadInputError, match=r"a name that ends in .*\.fits.*, found \.xls"):
+        found.save(tmp_path / "c.xls")
+
+
+def test_the_error_of_a_mean_is_that_of_its_channels_as_they_move_together(found):
+    curve = found["S1", 1, "UP"]
+    mean, single = curve.mean(50, 79), curve["c_sigma_sys"]
+    together = np.mean(single)  # fully correlated: an upper limit
+    assert 0.5 * together < mean.c_sigma_sys <= 1.0001 * together
+    assert mean.c.to_value(u.V) == pytest.approx(np.mean(curve["c"].value))
+    assert mean.sigma == np.hypot(mean.c_sigma_stat, mean.c_sigma_sys)
+
+
+def test_a_value_on_a_channel_is_that_of_the_channel_and_between_two_lies_between(found):
+    curve = found["S1", 1, "UP"]
+    on, between = curve.at(60 * u.MHz), curve.at([60.5, 61.25])
+    row = curve[curve["frequency_mhz"] == 60 * u.MHz]
+    assert on.c == row["c"][0]
+    assert on.c_sigma_stat.to_value(u.V) == pytest.approx(row["c_sigma_stat"][0].to_value(u.V), rel=1e-3)
+    assert on.c_sigma_sys.to_value(u.V) == pytest.approx(row["c_sigma_sys"][0].to_value(u.V), rel=1e-3)
+    assert between.c[0] == (curve["c"][10] + curve["c"][11]) / 2
+    assert between.covariance.shape == (2, 2)
+    np.testing.assert_allclose(np.sqrt(np.diag(between.covariance.value)), between.sigma.to_value(u.V))
+    with pytest.raises(BadInputError, match="at: expected 50 to 79 MHz"):
+        curve.at(81)
+    with pytest.raises(BadInputError, match="2 paths"):
+        found.table[np.isin(found.table["dipole"], ["E"])].mean(50, 60)
 
 
 def test_no_antenna_named_is_an_error_that_lists_what_there_is():
@@ -124,6 +170,7 @@ def test_stations_with_sites_of_their_own_are_simulated_and_fitted_where_they_st
     found = lbacal.fit(spectra, instrument)
     assert {(curve.station, curve.antenna) for curve in found.report.curves} == {("S1", 0), ("S2", 7)}
     assert instrument.core.at_station("S2").longitude_deg == 51.4
+    assert set(spectra.truth["station"]) == {"S1", "S2"}
     assert np.all(np.isfinite(found["S2", 7, found.report.curves[0].dipole]["c"]))
 
 

@@ -1,0 +1,265 @@
+"""Spectra in Python: read from files, imported from other formats, or simulated with their truth."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from astropy import units as u
+from astropy.table import QTable
+from matplotlib.figure import Figure
+
+from lbacal.analysis.instrument import Described, core_of, simulation_of
+from lbacal.analysis.result import Result, Row, Writer
+from lbacal.calibration_files import holds_curves, read_calibrations
+from lbacal.chain import convert_number
+from lbacal.client import format_time, make_table
+from lbacal.curve_table import CurveTable
+from lbacal.selection import (
+    SUFFIXES,
+    Selection,
+    find_spectra_files,
+    parse_selection,
+    read_selected,
+)
+from lbacal_core.errors import BadInputError, MissingExtraError
+from lbacal_core.readers.open import choose_channels, open_source
+from lbacal_core.readers.source import Averaged
+from lbacal_core.readers.source import average as average_source
+from lbacal_core.spectra.spectra import Spectra, write_spectra
+
+DEFAULT_INTERVAL_S = 900.0
+"""What one spectrum of `import_data` averages."""
+PATH_COLUMNS = ("station", "antenna", "dipole", "frequency_mhz", "c")
+
+
+@dataclass(frozen=True, repr=False)
+class BackgroundSpectra(Result, Spectra):
+    """Background spectra, as `lbacal_core` has them, that print, are drawn and are saved.
+
+    Attributes
+    ----------
+    remarks
+        What there is to know of their making, a sentence each.
+    truth
+        C of every path, of spectra that were simulated; None of others.
+    """
+
+    remarks: Sequence[str] = ()
+    truth: QTable | None = None
+
+    @classmethod
+    def of(cls, spectra: Spectra, **more: Any) -> Self:
+        """The same spectra."""
+        made = cls.__new__(cls)
+        vars(made).update({"remarks": (), "truth": None, **vars(spectra), **more})
+        return made
+
+    @property
+    def title(self) -> str:
+        """How many, and of when."""
+        return Spectra.__repr__(self).removeprefix("<Spectra: ").removesuffix(">")
+
+    @property
+    def rows(self) -> Sequence[Row]:
+        """A row a station and dipole."""
+        names = sorted(set(zip(self.station.tolist(), self.dipole.tolist(), strict=True)))
+        own = {name: (self.station == name[0]) & (self.dipole == name[1]) for name in names}
+        return [
+            ("station", "dipole", "antennas", "events", "spectra"),
+            *(
+                (*name, *(str(np.unique(column[at]).size) for column in (self.antenna, self.event_id)), str(at.sum()))
+                for name, at in own.items()
+            ),
+        ]
+
+    @property
+    def notes(self) -> Sequence[str]:
+        """What there is to know of their making."""
+        return self.remarks
+
+    def draw(self) -> Figure:
+        """Median power of each station and dipole along frequency, with the range of 68 % of the spectra."""
+        figure = Figure(layout="constrained")
+        self.draw_on(figure.subplots())
+        return figure
+
+    def draw_on(self, axes: Any) -> None:
+        """The same on axes."""
+        for station, dipole in sorted(set(zip(self.station.tolist(), self.dipole.tolist(), strict=True))):
+            own = self.power[(self.station == station) & (self.dipole == dipole)]
+            low, middle, high = np.percentile(own, [15.87, 50, 84.13], axis=0)
+            (line,) = axes.plot(self.frequency_mhz, middle, label=f"{station} {dipole}, median")
+            axes.fill_between(self.frequency_mhz, low, high, color=line.get_color(), alpha=0.2, lw=0)
+        axes.set(xlabel="frequency (MHz)", ylabel="power (ADC²/Ω/MHz)", yscale="log")
+        axes.legend(fontsize=8, frameon=False)
+
+    def writers(self) -> dict[str, Writer]:
+        """A spectra file or a figure."""
+        return {**dict.fromkeys(SUFFIXES, lambda path: write_spectra(self, path)), **super().writers()}
+
+
+def spectra_of(data: Spectra | str | Path) -> Spectra:
+    """The spectra, read where they are a file."""
+    return data if isinstance(data, Spectra) else read_selected([Path(data)], Selection(), time.time())
+
+
+def read(
+    source: str | Path | Sequence[str | Path],
+    since: Any = None,
+    until: Any = None,
+    stations: Sequence[str] = (),
+    *,
+    tell: Callable[[str], None] = lambda _: None,
+) -> BackgroundSpectra | CurveTable:
+    """Read spectra from files or folders of them; or calibration curves from a file of `lbacal fit`.
+
+    Parameters
+    ----------
+    since, until
+        Half-open interval of the events to use: an astropy Time, a datetime (naive = UTC) or ISO 8601 text.
+    stations
+        Stations to use; all unless given.
+    tell
+        Called with a sentence before each step.
+
+    Examples
+    --------
+    >>> import lbacal
+    >>> lbacal.read("2014/", since="2014-03-01", stations=["CS002"]).save("spring.h5")  # doctest: +SKIP
+    """
+    paths = [Path(one) for one in ([source] if isinstance(source, str | Path) else source)]
+    if len(paths) == 1 and holds_curves(paths[0]):
+        return make_table(read_calibrations(paths[0]))
+    first, last = (None if at is None else format_time(at) for at in (since, until))
+    selection = parse_selection(first, last, None, stations, prefix="")
+    return BackgroundSpectra.of(read_selected(find_spectra_files(paths), selection, time.time(), tell))
+
+
+def import_data(
+    source: str | Path,
+    average: Any = None,
+    instrument: Described | None = None,
+    channel: Any = None,
+    band: tuple[Any, Any] | None = None,
+    station: str | None = None,
+    *,
+    events: bool = False,
+) -> BackgroundSpectra:
+    """Average autocorrelations or station statistics to background spectra, whatever the length of the data.
+
+    Parameters
+    ----------
+    source
+        File or folder, in any format of docs/how-to/import-other-data.md.
+    average
+        Time that one spectrum averages, s or a Quantity; 900 s unless given.
+    instrument
+        Whose channels to average to; or `channel`, their width, MHz or a Quantity.
+    band
+        Lowest and highest channel, MHz or Quantities.
+    station
+        Its name, where the data have none.
+    events
+        Every integration is an event of its own, and nothing is averaged.
+
+    Examples
+    --------
+    >>> import lbacal
+    >>> spectra = lbacal.import_data("zen.uvh5", average=60, channel=1, band=(50, 200))  # doctest: +SKIP
+    >>> spectra.save("S.h5")  # doctest: +SKIP
+    """
+    if instrument is not None and channel is not None:
+        raise BadInputError("import_data", "instrument or channel", "both")
+    if events and average is not None:
+        raise BadInputError("import_data", "average or events", "both")
+    interval, width = (
+        None if value is None else require_positive(name, convert_number(value, unit))
+        for name, value, unit in (("average", average, u.s), ("channel", channel, u.MHz))
+    )
+    interval = None if events else interval or DEFAULT_INTERVAL_S
+    opened = open_source(Path(source), station)
+    limits = None if band is None else (convert_number(band[0], u.MHz), convert_number(band[1], u.MHz))
+    chosen = choose_channels(opened, None if instrument is None else core_of(instrument), limits, width)
+    result = average_source(opened, interval, chosen)
+    return BackgroundSpectra.of(result.spectra, remarks=(*opened.notes, *_describe_average(result, interval)))
+
+
+def require_positive(name: str, value: float) -> float:
+    """Refuse a number that is not above 0."""
+    if not 0 < value < np.inf:
+        raise BadInputError(name, "a number > 0", f"{value:g}")
+    return value
+
+
+def _describe_average(result: Averaged, interval_s: float | None) -> Iterator[str]:
+    """What was left out, and what remains, a sentence each."""
+    if result.channels_left_out.size:
+        low, high = result.channels_left_out[[0, -1]]
+        yield f"{result.channels_left_out.size} channels between {low:g} and {high:g} MHz are flagged, left out"
+    if result.spectra_left_out:
+        yield f"{result.spectra_left_out} spectra lack one of the other channels, left out"
+    for flag, count in result.flags.items():
+        yield f"{count} spectra are flagged {flag!r}: the file keeps them, fits leave them out"
+    spectra, channels = result.spectra, result.spectra.frequency_mhz
+    of_what = "events" if interval_s is None else f"intervals of {interval_s:g} s"
+    yield (
+        f"{len(spectra)} spectra, {np.unique(spectra.event_id).size} {of_what} from {result.integrations} "
+        f"integrations, {channels.size} channels from {channels[0]:g} to {channels[-1]:g} MHz"
+    )
+
+
+def simulate(
+    instrument: Described,
+    events: int = 300,
+    antennas: int | None = None,
+    seed: int = 1,
+    stations: Sequence[str] | None = None,
+) -> BackgroundSpectra:
+    """A simulated year of an instrument's spectra, to try things on: noise as LOFAR's, events at random times.
+
+    Parameters
+    ----------
+    antennas
+        How many of each station; all unless given.
+    stations
+        The first one unless given.
+
+    Returns
+    -------
+    The spectra; their `truth` is C of every path, in rows as those of the table of a fit.
+
+    Examples
+    --------
+    >>> import lbacal
+    >>> spectra = lbacal.simulate("lofar-superterp", events=60, antennas=2)
+    >>> spectra.truth["dipole", "frequency_mhz", "c"][:1].colnames
+    ['dipole', 'frequency_mhz', 'c']
+    >>> len(spectra)
+    240
+    """
+    try:
+        from lbacal_twin.campaign import simulate_campaign
+        from lbacal_twin.settings import TwinSettings
+    except ModuleNotFoundError as error:
+        raise MissingExtraError("lbacal.simulate", "twin") from error
+    simulation = simulation_of(instrument)
+    core = simulation.instrument
+    chosen = stations or sorted({record.station for record in core.antennas})[:1]
+    settings = TwinSettings(events_per_year=events, antennas=antennas, stations=tuple(chosen))
+    campaign = simulate_campaign(settings, core, simulation.sky_power, np.random.default_rng(seed))
+    paths = [
+        (one.station, int(antenna), dipole, one.c[row, k])
+        for one in campaign.truth.stations
+        for row, antenna in enumerate(one.antennas)
+        for k, dipole in enumerate(campaign.truth.dipoles)
+    ]
+    nu = core.frequency_mhz
+    station, antenna, dipole, c = zip(*paths, strict=True)
+    columns = [np.repeat(column, nu.size) for column in (station, antenna, dipole)]
+    truth = QTable([*columns, np.tile(nu, len(paths)) * u.MHz, np.concatenate(c) * u.V], names=PATH_COLUMNS)
+    return BackgroundSpectra.of(campaign.spectra, truth=truth)

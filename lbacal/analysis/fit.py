@@ -1,0 +1,255 @@
+"""`lbacal.fit`: C(nu) from spectra, with its errors; `lbacal fit` is the same from files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property, partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from lbacal.analysis.data import spectra_of
+from lbacal.analysis.instrument import Described, simulation_of
+from lbacal.analysis.result import Result, Row, Writer
+from lbacal.calibration_files import FORMATS, complete_curves, write_calibrations
+from lbacal.client import make_table
+from lbacal.curve_table import CurveTable
+from lbacal.pages.fit import average_residuals, draw_c, draw_fit, draw_page
+from lbacal.pages.fit_summary import describe_error, explain_chi2, tabulate_curves
+from lbacal.with_model import Extended, extend_by
+from lbacal_core.audit.audit import audit_quickly
+from lbacal_core.calibration.paths import LEAST_COVERAGE
+from lbacal_core.curves.curves import CONVERGED, MISFIT, Anomalies, CalibrationCurve, FitReport
+from lbacal_core.curves.galcal import describe_made_with
+from lbacal_core.curves.reference_chain import ReferenceChain
+from lbacal_core.errors import BadInputError, UnknownNameError
+from lbacal_core.instrument.instrument import Instrument
+from lbacal_core.pipeline import calibrate
+from lbacal_core.simulation.simulation import Simulation
+from lbacal_core.skypower.table import SkyPower
+from lbacal_core.spectra.spectra import Spectra
+from lbacal_core.uncertainty.left_open import widen_by_open_terms
+from lbacal_core.uncertainty.one_event import ErrorOfC, measure_error
+
+SCOPES = ("antenna", "station", "array")
+"""What one curve may belong to."""
+SHOWN_NAMES = 12
+NEXT_STEP = "lbacal.investigate(spectra, instrument).save('R.html')"
+
+
+@dataclass(frozen=True, repr=False)
+class Calibration(Result):
+    """What a fit found: a curve C(nu) for each path, station or the array, as `report` has them.
+
+    ``found["S1", 3, "E"]`` is one curve as a table with units, with `mean` and `at`; `table` has all of them.
+
+    Attributes
+    ----------
+    next_step
+        What to run where a curve is a misfit, as it is printed.
+    """
+
+    report: FitReport
+    simulation: Simulation = field(repr=False)
+    spectra: Spectra = field(repr=False)
+    next_step: str = NEXT_STEP
+    fallback = ".ecsv"
+
+    @property
+    def instrument(self) -> Instrument:
+        """What was calibrated."""
+        return self.simulation.instrument
+
+    @property
+    def converged(self) -> list[CalibrationCurve]:
+        """The curves that converged and are no misfit."""
+        return [curve for curve in self.report.curves if curve.status == CONVERGED]
+
+    @property
+    def title(self) -> str:
+        """How many curves converged."""
+        return f"{self.instrument.name}: {len(self.converged)} of {len(self.report.curves)} curves converged"
+
+    @property
+    def rows(self) -> Sequence[Row]:
+        """A row a curve, or a station and polarisation where there are many."""
+        return tabulate_curves(self.report.curves)
+
+    @cached_property
+    def error(self) -> ErrorOfC | None:
+        """The error of C for one event on one antenna, and for the mean; None where no curve has values."""
+        return measure_error(self.report, self.spectra, self.simulation)
+
+    @property
+    def notes(self) -> Sequence[str]:
+        """The error of C, what chi2 says, and what else there is to know."""
+        has_values = any(curve.c is not None for curve in self.report.curves)
+        return [
+            *([] if self.error is None else [describe_error(self.error)]),
+            *([explain_chi2(self.report.curves)] if has_values else []),
+            *_describe_rest(self),
+        ]
+
+    @property
+    def content(self) -> Mapping[str, Any]:
+        """The curves that have values with covariances and budgets, as a calibration file holds them."""
+        made_for = self.simulation.sky_power.made_for
+        made_with = describe_made_with(self.instrument, None if made_for is None else made_for.as_dict())
+        return complete_curves(self.report.as_dict() | made_with, Path("fit"))
+
+    @cached_property
+    def table(self) -> CurveTable:
+        """All curves that have values, one row a curve and channel, with the columns of `lbacal.effective`."""
+        table = make_table(dict(self.content))
+        table.meta["status"] = {curve.name: curve.status for curve in self.report.curves}
+        return table
+
+    def __getitem__(self, key: Any) -> CurveTable:
+        """C of one curve: (station, antenna, dipole), (station, dipole) or (dipole,) by what was fitted."""
+        wanted = key if isinstance(key, tuple) else (key,)
+        for curve in self.report.curves:
+            own = (curve.station, curve.antenna, curve.dipole)
+            if tuple(part for part in own if part is not None) == wanted:
+                if curve.c is None:
+                    raise BadInputError(curve.name, "a curve that converged", curve.status)
+                named: dict[str, Any] = {"station": curve.station or "", "dipole": curve.dipole or ""}
+                named["antenna"] = -1 if curve.antenna is None else curve.antenna
+                rows: CurveTable = self.table[np.all([self.table[key] == one for key, one in named.items()], axis=0)]
+                return rows
+        names = [curve.name for curve in self.report.curves]
+        raise UnknownNameError("curve", " ".join(str(part) for part in wanted), names[:SHOWN_NAMES])
+
+    def draw(self) -> Figure:
+        """C with its errors, residuals, noise terms and chi^2 of every dipole."""
+        maps = average_residuals(self.spectra, self.report.curves, self.simulation)
+        return draw_fit(self.report, maps, self.simulation)
+
+    def draw_on(self, axes: Any) -> None:
+        """C with its errors, the median of the curves of each dipole."""
+        draw_c(axes, self.report.curves)
+
+    def page(self) -> str:
+        """Table, figure and budget."""
+        sentences = [] if self.error is None else [describe_error(self.error)]
+        return draw_page(self.report, self.draw(), self.spectra.origin, sentences)
+
+    def writers(self) -> dict[str, Writer]:
+        """Calibration files, a page, figures."""
+        return {
+            **{suffix: partial(_write_curves, self, kind) for suffix, kind in FORMATS.items()},
+            **super().writers(),
+        }
+
+
+def _write_curves(found: Calibration, kind: str, path: Path) -> None:
+    write_calibrations(found.content, path, kind)
+
+
+def fit(
+    spectra: Spectra | str | Path,
+    instrument: Described,
+    sky_power: SkyPower | str | Path | None = None,
+    scope: str = "antenna",
+    with_: Extended = None,
+    *,
+    tell: Callable[[str], None] = lambda _: None,
+) -> Calibration:
+    """Calibrate with the Galaxy: C(nu) of every antenna (``scope="antenna"``), ``station`` or ``array``.
+
+    Parameters
+    ----------
+    spectra
+        From `lbacal.read`, `import_data` or `simulate`, or the name of a spectra file.
+    instrument
+        An `Instrument`, the name or file of one, or a `Simulation`.
+    sky_power
+        P_sky(LST, nu), or its file; the instrument's own sky and antenna models unless given.
+    with_
+        What extends the model: an `Investigation`, one of its findings, or ``"R.json#0"``. Errors grow by what it
+        leaves open.
+    tell
+        Called with a sentence before each step.
+
+    Returns
+    -------
+    What the quick part of the audit says of the spectra is among the notes; it refuses decibels and volts.
+
+    Examples
+    --------
+    >>> import lbacal
+    >>> spectra = lbacal.simulate("lofar-superterp", events=150, antennas=2)
+    >>> found = lbacal.fit(spectra, "lofar-superterp")
+    >>> found["CS002", 1, "X"].mean(40, 70).c.unit
+    Unit("V")
+    >>> found.save("C.fits")  # doctest: +SKIP
+    """
+    if scope not in SCOPES:
+        raise BadInputError("scope", f"one of {', '.join(SCOPES)}", repr(scope))
+    simulation, extension = simulation_of(instrument, sky_power), extend_by(with_)
+    extension.causes.require_one_c(extension.place)
+    if not extension.causes.is_plain:
+        simulation = simulation.with_causes(extension.causes)
+    measured = spectra_of(spectra)
+    audited = audit_quickly(measured, simulation.instrument)
+    audited.require_power(measured.origin)
+    tell(f"fit {len(measured)} spectra")
+    report = widen_by_open_terms(calibrate(measured, simulation, scope), extension.left_open)
+    return Calibration(audited.mark(report), simulation, measured)
+
+
+def _describe_rest(found: Calibration) -> Iterator[str]:
+    """What else there is to know: inputs, anomalous power, misfits, curves without values, and reference chains."""
+    report = found.report
+    for name, note in report.provenance.notes.items():
+        yield f"{name}: {note}"
+    anomalies = Anomalies.of(report.anomalies)
+    if anomalies.worst:
+        yield (
+            f"anomalous power: {anomalies.left_out} of {len(found.spectra)} spectra left out, {anomalies.fitted} "
+            f"fitted; worst: {anomalies.name_worst(3)}"
+        )
+    misfits = [curve for curve in report.curves if curve.status == MISFIT]
+    if misfits:
+        yield f"{_describe_misfits(misfits, is_own_sky=bool(found.simulation.is_own_sky))}; next: {found.next_step}"
+    for curve in report.curves:
+        if curve.c is None:
+            needed = f", {LEAST_COVERAGE:.2f} needed" if curve.lst_coverage < LEAST_COVERAGE else ""
+            yield f"{curve.name}: {curve.status} ({curve.events} events, LST coverage {curve.lst_coverage:.2f}{needed})"
+    reasons = [curve.merged.reason for curve in report.curves if curve.merged is not None]
+    for reason in dict.fromkeys(reasons):
+        yield f"{reasons.count(reason)} of {len(report.curves)} curves: {reason}"
+    levels = [curve.sky_over_model for curve in report.curves if curve.sky_over_model is not None]
+    if levels:
+        yield f"median of {len(levels)} curves: {sorted(levels, key=lambda one: one.mean)[len(levels) // 2]}"
+    for curve, reference in zip(report.curves, report.chains, strict=True):
+        if reference is not None and curve.antenna is None:
+            yield f"{curve.name}: {_describe_chain(reference)}"
+
+
+def _describe_chain(chain: ReferenceChain) -> str:
+    """What a curve of many paths belongs to, and how far single paths depart from it, in one sentence."""
+    if chain.spreads is None:
+        known = "too few paths could be fitted by themselves to know how far they depart from it"
+    else:
+        departures = [
+            f"{100 * np.median(one.offset):+.1f} % with a spread of {100 * np.median(one.spread):.1f} % (cable {cable})"
+            for cable, one in (chain.spreads.by_cable or {"any": chain.spreads.all_paths}).items()
+        ]
+        known = f"power gain of single paths against it: {', '.join(departures)}"
+    return f"reference chain of {len(chain.members)} paths, nobody's cable; {known}"
+
+
+def _describe_misfits(misfits: Sequence[CalibrationCurve], *, is_own_sky: bool) -> str:
+    """Which curves noise and the freedom of the sky cannot explain."""
+    alone, profiled = (
+        [float(getattr(curve, name) or 0.0) for curve in misfits] for name in ("chi2_per_dof", "chi2_per_dof_profiled")
+    )
+    names = misfits[0].name if len(misfits) == 1 else f"{len(misfits)} curves, {misfits[0].name} to {misfits[-1].name}"
+    free = "sky and pattern free within what is known of them" if is_own_sky else "the sky power taken at its word"
+    return (
+        f"misfit: {names}: chi2/dof {np.median(alone):.1f} with noise alone, {np.median(profiled):.1f} with {free} "
+        "(1 expected): units, clock, place, letters or antenna may be wrong"
+    )

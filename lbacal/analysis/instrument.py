@@ -1,0 +1,158 @@
+"""An instrument in Python: the place, the antenna with its arms, the chain and the channels, in astropy's units."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from astropy import units as u
+
+from lbacal.chain import Chain, convert_number, convert_numbers
+from lbacal_core.instrument.antennas import ABSOLUTE, AntennaRecord, GainProvenance
+from lbacal_core.instrument.antennas import Site as CoreSite
+from lbacal_core.instrument.instrument import Instrument as CoreInstrument
+from lbacal_core.instrument.instrument import load_instrument
+from lbacal_core.simulation.simulation import Simulation
+from lbacal_core.skypower.model import compute_sky_power
+from lbacal_core.skypower.table import SkyPower, read_sky_power
+
+STATION, CABLE = "S1", "all"
+
+
+@dataclass(frozen=True)
+class Site:
+    """Where an instrument or a station stands: geographic latitude and longitude (east positive, deg), height (m)."""
+
+    latitude: Any
+    longitude: Any
+    height: Any = 0.0
+
+    def core(self) -> CoreSite:
+        """The same in plain numbers."""
+        north, east = (convert_number(angle, u.deg) for angle in (self.latitude, self.longitude))
+        return CoreSite(north, east, convert_number(self.height, u.m))
+
+
+@dataclass(frozen=True)
+class Antenna:
+    """What its dipoles see: a model, by name or file, and the arms.
+
+    Attributes
+    ----------
+    model
+        Name of an antenna model that ships with the package, or file of Jones terms.
+    arms
+        Azimuth of each dipole's arm by its letter, deg, north through east; or (azimuth, tilt).
+    gain
+        G_ant, m^2: one number, or one a channel. 1 makes C relative.
+    gain_source
+        Where a G_ant in m^2 comes from, in words; None for one that is in m^2 up to a factor.
+    """
+
+    model: str
+    arms: Mapping[str, Any]
+    gain: Any = 1.0
+    gain_source: str | None = None
+
+
+class Instrument:
+    """An instrument from its parts, or one that ships, or a file: `Instrument.load("lofar-superterp")`.
+
+    `core` is the value that the commands, the service and `lbacal_core` work with; `save` writes its file.
+
+    Parameters
+    ----------
+    antennas
+        How many, or their numbers; of several stations a mapping of that by station.
+    sites
+        Where stations stand that do not stand at `site`.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        site: Site,
+        antenna: Antenna,
+        chain: Chain,
+        frequency: Any,
+        antennas: int | Sequence[int] | Mapping[str, int | Sequence[int]] = 1,
+        sky: str | None = None,
+        sites: Mapping[str, Site] | None = None,
+    ) -> None:
+        frequency_mhz = convert_numbers(frequency, u.MHz)
+        arms = {letter: arm if isinstance(arm, tuple) else (arm, 0.0) for letter, arm in antenna.arms.items()}
+        tilts = {letter: convert_number(tilt, u.deg) for letter, (_, tilt) in arms.items()}
+        by_station = antennas if isinstance(antennas, Mapping) else {STATION: antennas}
+        self.core = CoreInstrument(
+            name=name,
+            latitude_deg=site.core().latitude_deg,
+            longitude_deg=site.core().longitude_deg,
+            height_m=site.core().height_m,
+            frequency_mhz=frequency_mhz,
+            dipole_azimuth_deg={letter: convert_number(azimuth, u.deg) for letter, (azimuth, _) in arms.items()},
+            antenna_gain=np.broadcast_to(convert_numbers(antenna.gain, u.m**2), frequency_mhz.shape).copy(),
+            receiver_gain=chain.receiver_gain(frequency_mhz).copy(),
+            cables={CABLE: chain.cable_loss(frequency_mhz).copy()},
+            antennas=tuple(
+                AntennaRecord(station, int(number), CABLE)
+                for station, numbers in by_station.items()
+                for number in (range(numbers) if isinstance(numbers, int) else numbers)
+            ),
+            antenna=antenna.model,
+            sky=sky,
+            dipole_tilt_deg={letter: tilt for letter, tilt in tilts.items() if tilt},
+            gain_provenance=None if antenna.gain_source is None else GainProvenance(ABSOLUTE, antenna.gain_source),
+            stages=chain.core_stages(frequency_mhz),
+            kelvin_error=chain.kelvin_error,
+            sites={station: one.core() for station, one in (sites or {}).items()},
+        )
+
+    @classmethod
+    def load(cls, name_or_file: str | Path) -> Instrument:
+        """An instrument that ships with the package, or the one of a file."""
+        made = cls.__new__(cls)
+        made.core = load_instrument(str(name_or_file))
+        return made
+
+    def save(self, path: str | Path) -> None:
+        """Write the instrument file (docs/formats.md)."""
+        import json
+
+        Path(path).write_text(json.dumps(self.core.as_dict(), indent=1) + "\n")
+
+    def sky_power(self) -> SkyPower:
+        """P_sky(LST, nu) of each dipole from the sky and antenna models that the instrument names."""
+        return compute_sky_power(self.core)
+
+    def __repr__(self) -> str:
+        """One line."""
+        one = self.core
+        nu, letters = one.frequency_mhz, ", ".join(one.dipoles)
+        return (
+            f"<Instrument {one.name}: {len(one.antennas)} antennas with {letters}, {nu.size} channels "
+            f"{nu[0]:g}-{nu[-1]:g} MHz, {one.latitude_deg:g} deg north>"
+        )
+
+
+Described = Instrument | CoreInstrument | Simulation | str | Path
+"""What a verb takes for the instrument: one from its parts, the name or the file of one, or one under a sky."""
+
+
+def core_of(instrument: Described) -> CoreInstrument:
+    """The instrument as a value of `lbacal_core`."""
+    if isinstance(instrument, Simulation):
+        return instrument.instrument
+    if isinstance(instrument, Instrument):
+        return instrument.core
+    return instrument if isinstance(instrument, CoreInstrument) else load_instrument(str(instrument))
+
+
+def simulation_of(instrument: Described, sky_power: SkyPower | str | Path | None = None) -> Simulation:
+    """The instrument under its own sky, or under a P_sky that is given or read."""
+    if isinstance(instrument, Simulation):
+        return instrument
+    given = read_sky_power(Path(sky_power)) if isinstance(sky_power, str | Path) else sky_power
+    return Simulation(core_of(instrument), given)

@@ -1,0 +1,135 @@
+"""Calibration curves as a table with units, which knows how the errors of its channels move together."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from astropy import units as u
+from astropy.table import QTable
+
+from lbacal.voltages import curve_of
+from lbacal_core.curves.curves import INTERFERENCE, CalibrationCurve
+from lbacal_core.errors import BadInputError
+from lbacal_core.grids import Floats
+
+if TYPE_CHECKING:
+    from lbacal_core.curves.covariance import Budget
+
+
+@dataclass(frozen=True, repr=False)
+class CalibrationValue:
+    """C at some frequencies, or its mean over a band, with errors.
+
+    Attributes
+    ----------
+    frequency
+        Where; of a mean its channels.
+    c, c_sigma_stat, c_sigma_sys
+        V per ADC unit; one number, or one for each frequency.
+    covariance
+        Statistical and systematic covariance together, V^2.
+    """
+
+    frequency: Any
+    c: Any
+    c_sigma_stat: Any
+    c_sigma_sys: Any
+    covariance: Any
+
+    @property
+    def sigma(self) -> Any:
+        """Standard deviation by both."""
+        return np.hypot(self.c_sigma_stat, self.c_sigma_sys)
+
+    def __repr__(self) -> str:
+        """In microvolts."""
+        parts = (np.atleast_1d(one.to_value(u.uV)) for one in (self.c, self.c_sigma_stat, self.c_sigma_sys))
+        return "\n".join(
+            f"({c:.4g} ± {stat:.2g} (stat) ± {sys:.2g} (syst)) µV" for c, stat, sys in zip(*parts, strict=True)
+        )
+
+
+class CurveTable(QTable):  # type: ignore[misc] # astropy has no types
+    """The rows of `lbacal.effective` or of a fit; of one path it gives means and values between channels.
+
+    Examples
+    --------
+    >>> import lbacal
+    >>> curve = lbacal.effective("CS002", antenna=17, dipole="X", at="2014-05-01")  # doctest: +SKIP
+    >>> curve.mean(30, 80)  # doctest: +SKIP
+    (23.17 ± 0.2 (stat) ± 2.3 (syst)) µV
+    """
+
+    def mean(self, low: Any, high: Any) -> CalibrationValue:
+        """The mean of C over the channels of a band, interference left out, with the error by their covariance.
+
+        Parameters
+        ----------
+        low, high
+            First and last channel, MHz or a Quantity.
+        """
+        curve, first, last = curve_of(self), *(float(u.Quantity(one, u.MHz).value) for one in (low, high))
+        nu = curve.frequency_mhz
+        inside = (nu >= first) & (nu <= last) & curve.has_value & (curve.flags != INTERFERENCE)
+        if not np.any(inside):
+            raise BadInputError("mean", f"channels between {nu[0]:g} and {nu[-1]:g} MHz", f"{first:g} to {last:g} MHz")
+        return _combine(self, curve, inside[None] / inside.sum(), nu[inside] * u.MHz, is_one=True)
+
+    def at(self, frequency: Any) -> CalibrationValue:
+        """C between channels, linear as `lbacal.calibrate_trace` has it, with its covariance.
+
+        Parameters
+        ----------
+        frequency
+            One or several, MHz or a Quantity.
+        """
+        curve, wanted = curve_of(self), np.asarray(u.Quantity(frequency, u.MHz).value, dtype=float)
+        known = curve.frequency_mhz[curve.has_value]
+        if not np.all((wanted >= known[0]) & (wanted <= known[-1])):
+            raise BadInputError("at", f"{known[0]:g} to {known[-1]:g} MHz, where C is known", f"{wanted} MHz")
+        weights = np.zeros((wanted.size, curve.frequency_mhz.size))
+        weights[:, curve.has_value] = np.array([np.interp(wanted.ravel(), known, row) for row in np.eye(known.size)]).T
+        return _combine(self, curve, weights, wanted * u.MHz, is_one=wanted.ndim == 0)
+
+    def plot(self, ax: Any = None) -> Any:
+        """C of each path with its total error."""
+        # by its name: whoever asks a server imports this module, and need not have the extra that draws
+        axes = import_module("matplotlib.figure").Figure(layout="constrained").subplots() if ax is None else ax
+        paths = list(dict.fromkeys((row["station"], row["antenna"], row["dipole"]) for row in self))
+        for path in paths:
+            own = self[[(row["station"], row["antenna"], row["dipole"]) == path for row in self]]
+            total = np.hypot(own["c_sigma_stat"], np.nan_to_num(own["c_sigma_sys"])).to_value(u.uV)
+            label = " ".join(str(part) for part in path if part not in ("", -1))
+            axes.errorbar(own["frequency_mhz"].value, own["c"].to_value(u.uV), total, fmt=".-", lw=1, label=label)
+        axes.set(xlabel="frequency (MHz)", ylabel="C (µV per ADC unit)")
+        axes.legend(fontsize=8, frameon=False)
+        return axes.figure
+
+
+def _combine(
+    table: CurveTable, curve: CalibrationCurve, weights: Floats, frequency: Any, *, is_one: bool
+) -> CalibrationValue:
+    """Sums of C over channels, with weights of shape (sum, freq), and how their errors move together."""
+    from lbacal_core.traces.voltage import statistical_errors, systematic_errors
+
+    channels = np.where(curve.has_value, np.asarray(curve.c), 0.0)
+    parts = [
+        np.reshape([weights @ (channels * np.nan_to_num(error)) for error in errors], (-1, len(weights)))
+        for errors in (statistical_errors(curve), systematic_errors(curve, _budget_of(table, curve)))
+    ]
+    stat, sys = (np.sqrt(np.sum(part**2, axis=0)) * u.V for part in parts)
+    covariance = sum(part.T @ part for part in parts) * u.V**2
+    c = weights @ channels * u.V
+    values = (c[0], stat[0], sys[0], covariance[0, 0]) if is_one else (c, stat, sys, covariance)
+    return CalibrationValue(frequency, *values)
+
+
+def _budget_of(table: QTable, curve: CalibrationCurve) -> Budget | None:
+    """The systematic terms that the curve's covariance names, from the meta of its table."""
+    from lbacal_core.curves.covariance import parse_budget
+
+    named = None if curve.covariance is None else table.meta.get("budgets", {}).get(curve.covariance.budget)
+    return None if named is None else parse_budget(named)
